@@ -1,7 +1,5 @@
 """Names of images that differ in one number: their pattern, and whether the log counts alike."""
 
-from __future__ import annotations
-
 import re
 from collections import defaultdict
 from collections.abc import Collection, Iterable

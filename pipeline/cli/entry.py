@@ -1,7 +1,5 @@
 """Run a command line; errors become exit codes."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

@@ -1,7 +1,5 @@
 """Commands beside missions: the way in, what a word means, and the caches."""
 
-from __future__ import annotations
-
 import json
 import textwrap
 from pathlib import Path

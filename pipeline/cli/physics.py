@@ -1,7 +1,5 @@
 """Commands on the atmosphere and on rays through it."""
 
-from __future__ import annotations
-
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any

@@ -1,10 +1,8 @@
 """The sections of a mission file on the air: standard, climatology, other sources, sensors."""
 
-from __future__ import annotations
-
 import math
 from datetime import UTC, datetime
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
@@ -12,7 +10,7 @@ from pipeline.atmosphere import standard_names
 from pipeline.atmosphere.estimate.sensors import SensorCalibration
 from pipeline.atmosphere.estimate.state import SensorFault
 from pipeline.atmosphere.standard import known_names
-from pipeline.config.cameras import Section
+from pipeline.config.cameras import Section, one_of
 from pipeline.units import HECTOPASCAL, NANOSECONDS_PER_SECOND, ZERO_CELSIUS_K
 
 PathText = Annotated[str, Field(min_length=1, pattern=r"^[^\x00]+$")]
@@ -57,7 +55,7 @@ class SurfaceSection(Section):
         return value
 
     @model_validator(mode="after")
-    def _check_metar_or_numbers(self) -> SurfaceSection:
+    def _check_metar_or_numbers(self) -> Self:
         numbers = (self.temperature_c, self.pressure_hpa, self.relative_humidity, self.time_utc)
         given = [value for value in numbers if value is not None]
         if (self.metar is None) != bool(given):
@@ -164,9 +162,9 @@ def _pascal(hpa: float | None) -> float | None:
 class AtmosphereSection(Section):
     """The air."""
 
-    standard: str = "us1976"
+    standard: Annotated[str, one_of(standard_names())] = "us1976"
     adjust: bool = True
-    climatology: str = "auto"
+    climatology: Annotated[str, one_of(known_names())] = "auto"
     soundings: list[SoundingSection] = Field([])
     surface: list[SurfaceSection] = Field([])
     model: WeatherModelSection | None = None
@@ -175,17 +173,3 @@ class AtmosphereSection(Section):
     index: Literal["ciddor", "gyer"] = "ciddor"
     wavelength_m: float = Field(0.55e-6, ge=0.3e-6, le=1.7e-6)
     co2_ppm: float = Field(450.0, ge=0, le=2000)
-
-    @field_validator("standard")
-    @classmethod
-    def _check_standard(cls, value: str) -> str:
-        if value not in standard_names():
-            raise ValueError(f"is none of {', '.join(standard_names())}")
-        return value
-
-    @field_validator("climatology")
-    @classmethod
-    def _check_climatology(cls, value: str) -> str:
-        if value not in known_names():
-            raise ValueError(f"is none of {', '.join(known_names())}")
-        return value

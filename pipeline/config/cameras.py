@@ -1,11 +1,11 @@
 """The sections of a mission file on a camera: window, air in the lens, and mount."""
 
-from __future__ import annotations
-
-from typing import Annotated, Any, Literal
+from collections.abc import Collection
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import (
+    AfterValidator,
     BaseModel,
     ConfigDict,
     Field,
@@ -24,6 +24,17 @@ Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
 LeverArm = Annotated[
     list[Annotated[float, Field(ge=-100, le=100)]], Field(min_length=3, max_length=3)
 ]
+
+
+def one_of(names: Collection[str]) -> AfterValidator:
+    """The check that a value is one of those that are registered."""
+
+    def check(value: str) -> str:
+        if value not in names:
+            raise ValueError(f"is none of {', '.join(names)}")
+        return value
+
+    return AfterValidator(check)
 
 
 class Section(BaseModel):
@@ -75,13 +86,6 @@ class CabinAir(Section):
         )
 
 
-def _cabin(stated: str | CabinAir | None) -> Cabin | None:
-    """The air of the compartment, however it is stated."""
-    if isinstance(stated, CabinAir):
-        return stated.build()
-    return None if stated is None else Cabin("log" if stated == "log" else "standard_schedule")
-
-
 def _checked_window(*given: Any) -> Window:
     """A window, its refusal as pydantic expects it."""
     try:
@@ -104,7 +108,9 @@ class WindowSection(Section):
     def build(self) -> Window:
         """The window, with cabin air in SI."""
         x, y, z = self.normal
-        return Window(_cabin(self.cabin), (x, y, z), self.frame, self.shape, self.in_calibration)
+        cabin = self.cabin.build() if isinstance(self.cabin, CabinAir) else self.cabin
+        cabin = Cabin(cabin) if isinstance(cabin, str) else cabin
+        return Window(cabin, (x, y, z), self.frame, self.shape, self.in_calibration)
 
     @field_validator("cabin")
     @classmethod
@@ -122,7 +128,7 @@ class WindowSection(Section):
         return unit
 
     @model_validator(mode="after")
-    def _check_spherical(self) -> WindowSection:
+    def _check_spherical(self) -> Self:
         # By their values: the manifest of a run states the defaults too.
         given = ["frame"] * (self.frame != "camera") + ["normal"] * (self.normal[2] != 1.0)
         if self.shape == "spherical" and given:
@@ -175,7 +181,7 @@ class MountSection(Section):
     sigma_yaw_deg: float | None = Field(None, ge=0, le=180)
 
     @model_validator(mode="after")
-    def _check_sigmas(self) -> MountSection:
+    def _check_sigmas(self) -> Self:
         if self.sigma_yaw_deg is not None and self.sigma_tilt_deg is None:
             raise ValueError("sigma_yaw_deg needs sigma_tilt_deg beside it")
         return self

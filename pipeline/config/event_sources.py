@@ -1,17 +1,15 @@
 """The section of a mission file on the exposures: when they were made, and of which images."""
 
-from __future__ import annotations
-
 import re
 import string
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
 from pipeline.config.atmosphere import PathText
-from pipeline.config.cameras import Section
-from pipeline.config.trajectories import ClockColumns, ImportTime, known_format
+from pipeline.config.cameras import Section, one_of
+from pipeline.config.trajectories import ClockColumns, ImportTime
 from pipeline.tables.imports import CAMERA_EVENTS, reader_of
 
 _NUMBER_FORMAT = re.compile(r"^0?[0-9]{0,2}d?$")
@@ -47,7 +45,7 @@ class CsvEventColumns(ClockColumns):
     """Columns of a table of exposures: a UTC time, or GPS week and seconds of week."""
 
     @model_validator(mode="after")
-    def _check_time(self) -> CsvEventColumns:
+    def _check_time(self) -> Self:
         if self.time_utc is None and self.gps_week is None:
             raise ValueError("give time_utc, or both gps_week and gps_seconds")
         return self
@@ -66,7 +64,7 @@ class PositionEvents(Section):
     """Exposures of one camera with their positions, as receivers and other programs write them."""
 
     path: PathText
-    format: Annotated[str, known_format(CAMERA_EVENTS)] | None = None
+    format: Annotated[str, one_of(CAMERA_EVENTS)] | None = None
     image: ImagePattern | Literal["{name}"]
     delay_s: float = Field(0.0, ge=-10, le=10)
     times_only: bool = False
@@ -86,7 +84,7 @@ class PositionEvents(Section):
         return self.point or ("antenna" if self.format_name == "rtklib" else "camera")
 
     @model_validator(mode="after")
-    def _check_delay(self) -> PositionEvents:
+    def _check_delay(self) -> Self:
         if self.delay_s and not self.times_only:
             raise ValueError("its positions are of its times: delay_s needs times_only: true")
         return self
@@ -116,7 +114,7 @@ class EventsSection(Section):
     first_image: dict[str, str | FirstImage] = Field({})
 
     @model_validator(mode="after")
-    def _check_source(self) -> EventsSection:
+    def _check_source(self) -> Self:
         given = [source for source in (self.log, self.csv, self.positions) if source is not None]
         if len(given) != 1:
             raise ValueError("give either log, csv or positions")

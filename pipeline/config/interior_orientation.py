@@ -1,10 +1,8 @@
 """The interior orientation of a camera in a mission file: pixels, a report in mm, or a file."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from pydantic import Field, ValidationError, ValidationInfo, field_validator, model_validator
@@ -143,7 +141,7 @@ class CameraSection(Section):
         return value
 
     @model_validator(mode="after")
-    def _check_orientation(self) -> CameraSection:
+    def _check_orientation(self) -> Self:
         """One way to give the interior orientation, and a camera that can be one."""
         single = tuple(f is not None for f in (self.f_px, self.fx_px, self.fy_px))
         others = (self.cx_px, self.cy_px, self.distortion)
@@ -171,7 +169,7 @@ class CameraSection(Section):
         return self
 
     @model_validator(mode="after")
-    def _check_lens_air(self) -> CameraSection:
+    def _check_lens_air(self) -> Self:
         window = self.window
         if self.principal_distance is not None and window is not None and window.cabin is None:
             raise ValueError(
@@ -227,28 +225,25 @@ class CameraSection(Section):
         known = BrownConrady(**(self.distortion or DistortionSection()).model_dump())
         return Camera(width, height, fx, fy, cx, cy, known)
 
-    def with_file(self, path: Path) -> CameraSection:
+    def with_file(self, path: Path) -> Self:
         """The section with model and parameters of its file, which is at ``path``.
 
         Refuses as `read_camera`, and a file whose images have another size (CAMERA-SIZE).
         """
         camera = read_camera(path, self.format, None if self.camera is None else str(self.camera))
-        size = camera.width_px, camera.height_px
-        stated = self.width_px or size[0], self.height_px or size[1]
-        if stated != size:
-            raise InputError.of(
-                "CAMERA-SIZE",
-                path,
-                width=size[0],
-                height=size[1],
-                stated_width=stated[0],
-                stated_height=stated[1],
-            )
+        size = {"width": camera.width_px, "height": camera.height_px}
+        stated_width, stated_height = (
+            self.width_px or size["width"],
+            self.height_px or size["height"],
+        )
+        if (stated_width, stated_height) != (*size.values(),):
+            stated = {"stated_width": stated_width, "stated_height": stated_height}
+            raise InputError.of("CAMERA-SIZE", path, **size, **stated)
         model, params = model_of_camera(camera)
-        known = {"model": model, "params": params, "width_px": size[0], "height_px": size[1]}
+        known = {"model": model, "params": params} | {f"{k}_px": n for k, n in size.items()}
         kept = self.model_dump(exclude={"file", "format", "camera"}, exclude_unset=True)
         try:
-            return CameraSection.model_validate(kept | known)
+            return type(self).model_validate(kept | known)
         except ValidationError as error:
             first = error.errors()[0]
             if first["type"] == "value_error":

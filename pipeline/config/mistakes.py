@@ -1,7 +1,5 @@
 """What is wrong with a mission file, in sentences: the key, what stands there, what may stand."""
 
-from __future__ import annotations
-
 import difflib
 from collections.abc import Mapping, Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """Reading a mission file; a refusal names line, key and the nearest valid key."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 from fnmatch import fnmatchcase

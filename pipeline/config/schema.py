@@ -1,7 +1,5 @@
 """The JSON schema of a mission file, with the texts of `keys.toml`, and its keys one by one."""
 
-from __future__ import annotations
-
 import json
 import tomllib
 import typing

@@ -1,15 +1,13 @@
 """The sections of a mission file as models with strict types and no unknown keys."""
 
-from __future__ import annotations
-
 import difflib
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
 from pipeline.config.atmosphere import AtmosphereSection, PathText
-from pipeline.config.cameras import MountSection, Section
+from pipeline.config.cameras import MountSection, Section, one_of
 from pipeline.config.event_sources import EventsSection, PositionEvents
 from pipeline.config.interior_orientation import OWN_ORIENTATION, CameraSection
 from pipeline.config.station_sources import LocalOrigin, StationsSection
@@ -118,7 +116,7 @@ class ObservationsSection(Section):
         return value
 
     @model_validator(mode="after")
-    def _check_block(self) -> ObservationsSection:
+    def _check_block(self) -> Self:
         if self.format in BLOCKS and self.columns != ObservationColumnNames():
             raise ValueError(f"format: {self.format} names its columns itself; leave columns out")
         if self.format in BLOCKS and self.pixel_origin != "corner":
@@ -149,7 +147,7 @@ class PointColumns(NamedColumns):
     height: str = "height"
 
     @model_validator(mode="after")
-    def _check_places(self) -> PointColumns:
+    def _check_places(self) -> Self:
         given = self.named.keys() - {"point", "height"}
         if given not in ({"latitude", "longitude"}, {"x", "y"}):
             raise ValueError("give either latitude and longitude, or x and y")
@@ -178,7 +176,7 @@ class ControlSection(Section):
     reference: Literal["msl", "ellipsoid", "relative"] = "ellipsoid"
 
     @model_validator(mode="after")
-    def _check_stated(self) -> ControlSection:
+    def _check_stated(self) -> Self:
         stated = {"columns", "crs", "reference"}
         if 0 < len(stated & self.model_fields_set) < len(stated):
             raise ValueError("give columns, crs and reference together")
@@ -280,7 +278,7 @@ class GroundSection(Section):
         return value
 
     @model_validator(mode="after")
-    def _check_combinations(self) -> GroundSection:
+    def _check_combinations(self) -> Self:
         if self.sigma_m is not None and self.sigma_column is not None:
             raise ValueError("give either sigma_m or sigma_column")
         of_camera = isinstance(self.height, str)
@@ -304,15 +302,8 @@ class RefractionSection(Section):
     """How rays are traced."""
 
     direction: Literal["remove", "apply"] = "remove"
-    method: str = "spherical"
+    method: Annotated[str, one_of(METHODS)] = "spherical"
     radius_m: float | None = Field(None, ge=6.2e6, le=6.5e6)
-
-    @field_validator("method")
-    @classmethod
-    def _check_method(cls, value: str) -> str:
-        if value not in METHODS:
-            raise ValueError(f"is none of {', '.join(METHODS)}")
-        return value
 
 
 class OutputSection(Section):
@@ -393,7 +384,7 @@ class Mission(Section):
         return {"path": value} if isinstance(value, str) else value
 
     @model_validator(mode="after")
-    def _check_station_source(self) -> Mission:
+    def _check_station_source(self) -> Self:
         orientation, trajectory = self.stations.orientation, self.stations.trajectory
         of_log = self.events is not None and self.events.log is not None
         if self.log is None and orientation is None and not (self.position_events or trajectory):
@@ -458,7 +449,7 @@ class Mission(Section):
         return LogSection(path="-").max_gap_s if self.log is None else self.log.max_gap_s
 
     @model_validator(mode="after")
-    def _check_window_directions(self) -> Mission:
+    def _check_window_directions(self) -> Self:
         for name, camera in self.cameras.items():
             window = camera.window
             # A stabilised camera turns behind the window: only the log knows how.
@@ -477,7 +468,7 @@ class Mission(Section):
         return self
 
     @model_validator(mode="after")
-    def _check_named_inputs(self) -> Mission:
+    def _check_named_inputs(self) -> Self:
         named = ChannelsSection() if self.log is None else self.log.channels
         if self.atmosphere.board_temperature and named.temperature is None:
             raise ValueError(
@@ -503,7 +494,7 @@ class Mission(Section):
         return self
 
     @model_validator(mode="after")
-    def _check_positions(self) -> Mission:
+    def _check_positions(self) -> Self:
         trajectory, events = self.stations.trajectory, self.position_events
         if self.stations.orientation is not None and (trajectory is not None or events):
             raise ValueError("stations.orientation has position and attitude of every image: leave "
@@ -523,7 +514,7 @@ class Mission(Section):
         return self
 
     @model_validator(mode="after")
-    def _check_camera_names(self) -> Mission:
+    def _check_camera_names(self) -> Self:
         known = set(self.cameras)
         used = {"mount": set(self.mount)}
         if self.events is not None and self.events.log is not None:

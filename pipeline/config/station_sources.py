@@ -1,19 +1,16 @@
 """The section of a mission file on stations that come from elsewhere than the log."""
 
-from __future__ import annotations
-
 from datetime import UTC, date, datetime
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from pipeline.config.atmosphere import PathText
-from pipeline.config.cameras import Section
+from pipeline.config.cameras import Section, one_of
 from pipeline.config.trajectories import (
     ClockColumns,
     PoseColumns,
     TrajectorySection,
-    known_format,
 )
 from pipeline.flight.heights import GeodeticOrigin
 from pipeline.tables.imports import ORIENTATIONS
@@ -78,7 +75,7 @@ class OrientationSection(Section):
     """Position and attitude of every image from a CSV, or from DJI's images themselves."""
 
     path: PathText
-    format: Annotated[str, known_format([*ORIENTATIONS, *BLOCKS])] = "csv"
+    format: Annotated[str, one_of([*ORIENTATIONS, *BLOCKS])] = "csv"
     angles: Literal[
         "omega_phi_kappa", "phi_omega_kappa", "roll_pitch_yaw", "quaternion", "quaternion_to_frame"
     ]
@@ -168,7 +165,7 @@ class OrientationSection(Section):
         return value
 
     @model_validator(mode="after")
-    def _check_combinations(self) -> OrientationSection:
+    def _check_combinations(self) -> Self:
         unknown = self.frame == "unknown"
         if self.format == "dji" and self.angles != "roll_pitch_yaw":
             raise ValueError("format: dji has angles: roll_pitch_yaw, of the gimbal")

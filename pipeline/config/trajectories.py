@@ -1,30 +1,16 @@
 """The keys of a mission file on trajectories of other programs, and on the times of their files."""
 
-from __future__ import annotations
-
-from collections.abc import Collection
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import Field, model_validator
 
 from pipeline.config.atmosphere import PathText
-from pipeline.config.cameras import LeverArm, Section
+from pipeline.config.cameras import LeverArm, Section, one_of
 from pipeline.tables.imports import TRAJECTORIES
 from pipeline.units import AngleUnit
 
 Replaced = Literal["position", "height", "attitude"]
-
-
-def known_format(names: Collection[str]) -> AfterValidator:
-    """The check that a format is one of those that are registered."""
-
-    def check(value: str) -> str:
-        if value not in names:
-            raise ValueError(f"is none of {', '.join(names)}")
-        return value
-
-    return AfterValidator(check)
 
 
 class ImportTime(Section):
@@ -90,7 +76,7 @@ class TrajectoryColumns(PoseColumns):
     sigma_v_m: str | None = None
 
     @model_validator(mode="after")
-    def _check_groups(self) -> TrajectoryColumns:
+    def _check_groups(self) -> Self:
         geodetic, cartesian, angles, quaternion = (
             self._has(*names.split())
             for names in ("latitude longitude height", "x y z", "roll pitch yaw", "q_w q_x q_y q_z")
@@ -112,7 +98,7 @@ class TrajectorySection(Section):
     """A trajectory of another program, in place of the log's."""
 
     path: PathText
-    format: Annotated[str, known_format(TRAJECTORIES)] | None = None
+    format: Annotated[str, one_of(TRAJECTORIES)] | None = None
     replaces: list[Replaced] | None = Field(None, min_length=1)
     point: Literal["imu", "antenna", "camera"]
     lever_arm_m: LeverArm | Literal["from_events"] = Field(default_factory=lambda: [0.0, 0.0, 0.0])
@@ -131,7 +117,7 @@ class TrajectorySection(Section):
         return self.replaces is None or "position" in self.replaces
 
     @model_validator(mode="after")
-    def _check_point(self) -> TrajectorySection:
+    def _check_point(self) -> Self:
         by_ending = Path(self.path).suffix.lower() in TRAJECTORIES["csv"][1] and not self.format
         if self.crs is not None and self.format != "csv" and not by_ending:
             raise ValueError("crs is that of a CSV; the positions of other formats are WGS 84")

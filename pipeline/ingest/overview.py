@@ -1,7 +1,5 @@
 """What a log says of its flight, and which channel a mission would take for each role."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

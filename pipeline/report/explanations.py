@@ -1,7 +1,5 @@
 """What a key, a code or an exit code means: the words of `unbend help`."""
 
-from __future__ import annotations
-
 import difflib
 import tomllib
 from collections.abc import Mapping

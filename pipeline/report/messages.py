@@ -1,7 +1,5 @@
 """The messages of one type of a log, as CSV or as a table of their fields."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Iterator, Mapping
 from typing import Any, TextIO

@@ -1,7 +1,5 @@
 """Sentences and table rows of the summary and the report, from a manifest."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any

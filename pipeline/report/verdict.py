@@ -1,7 +1,5 @@
 """What a run means in a sentence, and what to do next; terminal and report agree."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """How numbers and names are written for people, on the terminal and in the report."""
 
-from __future__ import annotations
-
 import math
 import re
 

@@ -1,7 +1,5 @@
 """``campaign.html`` and ``campaign.parquet``: all missions of a campaign, one row each."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from datetime import datetime

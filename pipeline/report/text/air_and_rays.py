@@ -1,7 +1,5 @@
 """The air and refraction angles as text: profiles, one angle, radial tables, tables of papers."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any

@@ -4,8 +4,6 @@ What is not a terminal gets no colours, no line breaks inside a sentence and no 
 of lines, so that a line is found by ``grep`` and copied as it is.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import sys

@@ -1,7 +1,5 @@
 """What commands say of missions and logs, for people: 80 columns wide in a terminal."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -4,8 +4,6 @@ What the inputs decide is written, with a remark where it is guessed; what they 
 which `unbend check` refuses by name.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re
