@@ -5,13 +5,9 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
+from pipeline.config import trajectories
 from pipeline.config.atmosphere import PathText
 from pipeline.config.cameras import Section, one_of
-from pipeline.config.trajectories import (
-    ClockColumns,
-    PoseColumns,
-    TrajectorySection,
-)
 from pipeline.flight.heights import GeodeticOrigin
 from pipeline.tables.imports import ORIENTATIONS
 from pipeline.tables.imports.blocks import BLOCKS
@@ -30,7 +26,7 @@ _SIGMAS = ("sigma_horizontal_m", "sigma_height_m", "sigma_tilt", "sigma_yaw")
 _CLOCK = ("time_utc", "gps_week", "gps_seconds")
 
 
-class OrientationColumns(ClockColumns, PoseColumns):
+class OrientationColumns(trajectories.ClockColumns, trajectories.PoseColumns):
     """What the columns are called; those of the position and the angles by default as here."""
 
     omega: str | None = None
@@ -210,7 +206,7 @@ class StationsSection(Section):
     """Stations from elsewhere, and which stations may be used."""
 
     orientation: OrientationSection | None = None
-    trajectory: TrajectorySection | None = None
+    trajectory: trajectories.TrajectorySection | None = None
     use_suspect: bool = False
     max_sigma_horizontal_m: float | None = Field(None, gt=0)
     max_sigma_height_m: float | None = Field(None, gt=0)

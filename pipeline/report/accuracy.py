@@ -93,7 +93,8 @@ def accuracy_page(accuracy: Accuracy, picture: str) -> str:
         for comparison in accuracy.tables
     )
     text = files("pipeline.report").joinpath("data/accuracy.md.j2").read_text("utf-8")
-    page = Template(text, trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined).render(
+    made = Template(text, trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined)
+    page: str = made.render(
         accuracy=accuracy, picture=picture, level=level, raised=raised, plane_forms=_PLANE_FORMS,
         fine=fine, coarse=coarse, gyer=gyer, at_45=_at_45, good_to=_good_to_table,
         errors=_error_table,

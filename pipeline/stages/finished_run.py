@@ -27,11 +27,7 @@ from pipeline.ingest.log import hash_file
 from pipeline.ledger import Ledger
 from pipeline.refraction.image import correct_observations
 from pipeline.refraction.ray import rays_by
-from pipeline.stages.exposure_setup import (
-    cameras_of_mission,
-    exposures_of_mission,
-    windows_of_mission,
-)
+from pipeline.stages import exposure_setup
 from pipeline.tables.exports import ExportCamera, FinishedRun
 from pipeline.units import Array, Integers, Names
 
@@ -233,12 +229,12 @@ def rebuild_run(
     table = pq.read_table(path / "stations.parquet")
     stations = stations_of(table)
     air = air_of(pq.read_table(path / "profile.parquet"), table["profile_id"])
-    windows = windows_of_mission(mission)
+    windows = exposure_setup.windows_of_mission(mission)
     outputs = sorted(str(item["name"]) for item in manifest["outputs"])
     run = FinishedRun(
         mission.mission.name,
         stations,
-        exposures_of_mission(mission, stations, air, Ledger()),
+        exposure_setup.exposures_of_mission(mission, stations, air, Ledger()),
         air,
         tuple(rays_by(profile, mission.refraction.method) for profile in air.profiles),
         mission.refraction.method,
@@ -251,7 +247,7 @@ def rebuild_run(
                 else metric.pixel_um[0] * 1e-3,
                 mission.cameras[name].calibration == "in_flight_uncorrected",
             )
-            for name, camera in cameras_of_mission(mission).items()
+            for name, camera in exposure_setup.cameras_of_mission(mission).items()
             for metric in (mission.cameras[name].metric,)
         },
         partial(ground_of, constant_m=ground_height_m, ledger=ledger),

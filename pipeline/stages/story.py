@@ -19,6 +19,7 @@ from pipeline.atmosphere import standard_atmosphere
 from pipeline.atmosphere.air_samples import AirSamples
 from pipeline.atmosphere.estimate.adjusted_profile import unadjusted
 from pipeline.atmosphere.series.profile_series import TimedProfile, constant_series
+from pipeline.batch import store
 from pipeline.batch.changes import drawn_before, reasons_to_run
 from pipeline.batch.kept import keep, recall
 from pipeline.batch.keys import code_of_stages, key_of_drawn, versions
@@ -35,16 +36,6 @@ from pipeline.batch.plan import (
     places_named,
     refuse_other_mission,
 )
-from pipeline.batch.store import (
-    MANIFEST,
-    RunFolder,
-    atomic_write,
-    find_damage,
-    lock_folder,
-    open_folder,
-    read_manifest,
-    rehearse_folder,
-)
 from pipeline.block.image_rays import UNKNOWN_SIGMAS
 from pipeline.block.oriented_images import SIGMAS_OF_BLOCK
 from pipeline.config.campaign import MissionRef
@@ -59,17 +50,9 @@ from pipeline.report.accuracy import Accuracy, accuracy_page, accuracy_png, text
 from pipeline.report.flown import flown_of
 from pipeline.report.page.html import write_report
 from pipeline.report.progress import NoProgress, Progress
+from pipeline.stages import correction, plausibility
 from pipeline.stages.air.adjusted_profile import AirSources, adjusted_profiles, read_air_sources
 from pipeline.stages.cabin_air import with_cabin_air
-from pipeline.stages.correction import (
-    TYPICAL_ROWS,
-    CorrectionSetup,
-    PartsOfRun,
-    correct_counted,
-    correct_in_slices,
-    correction_setup,
-    with_uncertainties,
-)
 from pipeline.stages.exposure_setup import (
     exposures_of_mission,
     lenses_of_mission,
@@ -82,13 +65,6 @@ from pipeline.stages.inputs import FlightLog, read_log, read_observations
 from pipeline.stages.multi_image.control import compare_control
 from pipeline.stages.multi_image.intersected_heights import with_intersected_heights
 from pipeline.stages.outputs import manifest_of, observation_metadata, write_tables
-from pipeline.stages.plausibility import (
-    Facts,
-    accept_findings,
-    causes_of_statuses,
-    check_model_is_verified,
-    findings_of,
-)
 from pipeline.stages.stations import stations_of_mission
 from pipeline.stages.statistics import SAMPLED_ROWS, Statistics
 from pipeline.stages.uncertainty import report_unknown_sigmas
@@ -133,9 +109,9 @@ class CorrectedMission:
     prepared: PreparedMission
     stations: Stations
     air: FlightAir
-    setup: CorrectionSetup
+    setup: correction.CorrectionSetup
     statistics: Statistics
-    facts: Facts
+    facts: plausibility.Facts
     manifest: dict[str, Any]
 
 
@@ -175,11 +151,11 @@ def run_and_publish(plan: Plan, place: Place, *, force: bool, progress: Progress
     rehearse_place(place, writes=True)
     with storage_errors(plan.folder):
         plan.folder.mkdir(parents=True, exist_ok=True)
-    lock = lock_folder(plan.folder.parent)
+    lock = store.lock_folder(plan.folder.parent)
     try:
         here = replace(plan, output=plan.folder)
         run = run_plan(here, force=force, progress=progress)
-        if run.repeated and find_damage(plan.folder, run.manifest):
+        if run.repeated and store.find_damage(plan.folder, run.manifest):
             run = run_plan(here, force=True, progress=progress)
         progress.start("uploading", sum(int(item["bytes"]) for item in run.manifest["outputs"]))
         manifest = before.publish(plan.folder, run.manifest, progress.advance)
@@ -191,7 +167,7 @@ def run_and_publish(plan: Plan, place: Place, *, force: bool, progress: Progress
 
 def run_plan(plan: Plan, *, force: bool, progress: Progress, processes: int = 1) -> Outcome:
     """Run a mission with its inputs hashed, whose results go to a folder."""
-    with open_folder(plan.folder) as folder:
+    with store.open_folder(plan.folder) as folder:
         earlier = finished_before(plan, force=force)
         if earlier is not None:
             return outcome_of(plan, earlier, repeated=True)
@@ -202,13 +178,13 @@ def run_plan(plan: Plan, *, force: bool, progress: Progress, processes: int = 1)
         observations = prepared.observations
         progress.start("correcting", observations.rows)
 
-        def correct_all(setup: CorrectionSetup) -> Statistics:
+        def correct_all(setup: correction.CorrectionSetup) -> Statistics:
             check_unchanged(plan)
             folder.resume(f"{plan.keys['correction']} {plan.mission.output.batch_rows}", anew=force)
-            return correct_in_slices(
+            return correction.correct_in_slices(
                 observations,
                 setup,
-                PartsOfRun(folder, partial(check_unchanged, plan, folders=False)),
+                correction.PartsOfRun(folder, partial(check_unchanged, plan, folders=False)),
                 processes=processes,
                 batch_rows=plan.mission.output.batch_rows,
                 metadata=observation_metadata(plan.mission),
@@ -235,15 +211,15 @@ def check_mission(
     progress, ref = progress or NoProgress(), MissionRef.of(mission)
     plan = make_plan(ref.load(), ref.folder)
     if isinstance(plan.output, Path):
-        rehearse_folder(plan.output)
+        store.rehearse_folder(plan.output)
     finished_before(plan)
     if isinstance(plan.output, Place):
         rehearse_place(plan.output)
     prepared = prepare_mission(plan, progress, SAMPLED_ROWS)
     progress.start("correcting a sample")
 
-    def correct_sample(setup: CorrectionSetup) -> Statistics:
-        _, _, statistics = correct_counted(prepared.observations.sampled(), setup)
+    def correct_sample(setup: correction.CorrectionSetup) -> Statistics:
+        _, _, statistics = correction.correct_counted(prepared.observations.sampled(), setup)
         return statistics
 
     corrected = correct_mission(prepared, correct_sample)
@@ -258,7 +234,7 @@ def mission_status(mission: MissionRef | Path | str) -> tuple[Plan, list[str]]:
     """
     ref = MissionRef.of(mission)
     plan = make_plan(ref.load(), ref.folder)
-    manifest = read_manifest(plan.output, damaged=True)
+    manifest = store.read_manifest(plan.output, damaged=True)
     refuse_other_mission(plan, manifest)
     if manifest is None:
         return plan, [f"{plan.output} has no results of it"]
@@ -270,7 +246,7 @@ def finished_before(plan: Plan, *, force: bool = False) -> dict[str, Any] | None
 
     Refuses the folder of another mission. ``force`` ignores results, not whose they are.
     """
-    manifest = read_manifest(plan.output, damaged=force)
+    manifest = store.read_manifest(plan.output, damaged=force)
     refuse_other_mission(plan, manifest)
     stays = not force and manifest is not None and not reasons_to_run(plan, manifest)
     return manifest if stays else None
@@ -322,7 +298,7 @@ def prepare_mission(
 
 
 def correct_mission(
-    prepared: PreparedMission, correct: Callable[[CorrectionSetup], Statistics]
+    prepared: PreparedMission, correct: Callable[[correction.CorrectionSetup], Statistics]
 ) -> CorrectedMission:
     """Correct the observations of a mission, or a sample of them, and say what became of them."""
     mission, air, ledger = prepared.plan.mission, prepared.air, prepared.ledger
@@ -330,7 +306,9 @@ def correct_mission(
     stations = with_cabin_air(prepared.stations, windows, lenses, air.series, ledger)
     exposures = exposures_of_mission(mission, stations, air.series, ledger)
     report_unknown_sigmas(mission, stations, air.series, ledger)
-    setup = correction_setup(mission, stations, air.series, exposures, prepared.flight.heights)
+    setup = correction.correction_setup(
+        mission, stations, air.series, exposures, prepared.flight.heights
+    )
     setup = with_terrain(setup, prepared.terrain, stations, mission.ground.sigma_m, ledger)
     if mission.ground.height == "intersected":
         oriented = mission.stations.orientation is not None
@@ -338,8 +316,8 @@ def correct_mission(
             prepared.observations, setup, stations, ledger,
             unknown_sigmas=SIGMAS_OF_BLOCK if oriented else UNKNOWN_SIGMAS,
         )  # fmt: skip
-    batch = next(prepared.observations.batches(TYPICAL_ROWS))
-    setup = with_uncertainties(setup, mission, stations, air.series, batch)
+    batch = next(prepared.observations.batches(correction.TYPICAL_ROWS))
+    setup = correction.with_uncertainties(setup, mission, stations, air.series, batch)
     control = compare_control(
         prepared.plan, prepared.observations, setup, stations, prepared.flight.heights,
         ledger=ledger,
@@ -350,7 +328,7 @@ def correct_mission(
     if takeoff is not None and prepared.terrain is not None:
         place = np.array([takeoff.lat_rad]), np.array([takeoff.lon_rad])
         model_at_takeoff = prepared.terrain.heights(*prepared.terrain.nodes(*place))
-    facts = Facts(
+    facts = plausibility.Facts(
         mission,
         stations,
         exposures,
@@ -361,11 +339,11 @@ def correct_mission(
         logged_terrain(prepared.flight.channels, stations.time_ns),
         float(model_at_takeoff[0]),
     )
-    causes = causes_of_statuses(facts)
+    causes = plausibility.causes_of_statuses(facts)
     statistics.report_flagged(ledger, causes)
-    ledger.extend(findings_of(facts))
-    check_model_is_verified(facts, ledger)
-    accept_findings(mission, ledger)
+    ledger.extend(plausibility.findings_of(facts))
+    plausibility.check_model_is_verified(facts, ledger)
+    plausibility.accept_findings(mission, ledger)
     air = replace(air, effects=facts.effects)
     manifest = manifest_of(
         prepared.plan,
@@ -380,7 +358,7 @@ def correct_mission(
     return CorrectedMission(prepared, stations, air, setup, statistics, facts, manifest)
 
 
-def write_results(corrected: CorrectedMission, folder: RunFolder) -> None:
+def write_results(corrected: CorrectedMission, folder: store.RunFolder) -> None:
     """Write stations, profiles and the report beside the observations."""
     write_tables(folder, corrected.stations, corrected.air)
     report = folder.place("report.html")
@@ -400,16 +378,16 @@ def write_results(corrected: CorrectedMission, folder: RunFolder) -> None:
     keep(name, (corrected.manifest, flown))
 
 
-def renew_report(plan: Plan, folder: RunFolder) -> dict[str, Any] | None:
+def renew_report(plan: Plan, folder: store.RunFolder) -> dict[str, Any] | None:
     """Write only the report anew, where nothing before it changed; the manifest of that.
 
     None, and nothing is written, where corrections changed or are damaged, or what the report is
     made of is not known any more.
     """
-    earlier, keys = read_manifest(plan.folder, damaged=True), plan.keys
+    earlier, keys = store.read_manifest(plan.folder, damaged=True), plan.keys
     if earlier is None or earlier.get("keys", {}).get("correction") != keys["correction"]:
         return None
-    damage = find_damage(plan.folder, earlier, read=False)
+    damage = store.find_damage(plan.folder, earlier, read=False)
     known = recall(drawn_before(earlier))
     if known is None or any(not line.startswith("report.html: ") for line in damage):
         return None
@@ -443,7 +421,7 @@ def read_mission(mission: MissionRef | Path) -> PreparedMission:
 
 def manifest_of_run(path: Path | Place) -> dict[str, Any]:
     """The manifest of a finished run; refuses (VERIFY-NO-MANIFEST) a place without."""
-    manifest = read_manifest(path)
+    manifest = store.read_manifest(path)
     if manifest is None:
         what = "there is no manifest: the run never finished here"
         raise StorageError("VERIFY-NO-MANIFEST", what, where=str(path), remedy="run the mission")
@@ -456,8 +434,8 @@ def copy_of_run(place: Place) -> Path:
     attempt = Place.of(f"{place}/attempts/{manifest['attempt']}/")
     with suppress(FileNotFoundError, InputError):
         copy = fetched(attempt, version_of(attempt))
-        if not find_damage(place, manifest, read=False):  # all was there until now
-            with atomic_write(copy / MANIFEST) as draft:
+        if not store.find_damage(place, manifest, read=False):  # all was there until now
+            with store.atomic_write(copy / store.MANIFEST) as draft:
                 draft.write_text(json.dumps(manifest), encoding="utf-8")
             return copy
     if verify_run(place) == manifest:
@@ -471,8 +449,8 @@ def verify_run(path: Path | Place) -> dict[str, Any]:
     In object storage, results that are replaced meanwhile are looked at anew.
     """
     manifest = manifest_of_run(path)
-    damage = find_damage(path, manifest)
-    if damage and isinstance(path, Place) and read_manifest(path) != manifest:
+    damage = store.find_damage(path, manifest)
+    if damage and isinstance(path, Place) and store.read_manifest(path) != manifest:
         return verify_run(path)
     if damage:
         what = f"{len(damage)} results are damaged\n    " + "\n    ".join(damage)
@@ -517,7 +495,7 @@ def export_run(
     refuse_output(path, out, force=force and bool(form.ending))
     ledger = Ledger()
     run = rebuild_run(path, verify_run(path), ground_height_m, ledger)
-    with atomic_write(out) as draft:
+    with store.atomic_write(out) as draft:
         if not form.ending:
             draft.mkdir(parents=True)
         rows = form.write(run, values, draft, ledger)
@@ -527,7 +505,7 @@ def export_run(
             about = {"mission": run.mission, "notes": [entry.what for entry in ledger]}
             files = {file or out.name: draft / file for file in form.marked}
             beside = out if form.ending else draft / form.marked[0]
-            with atomic_write(beside.with_name(beside.name + SIDECAR)) as sidecar:
+            with store.atomic_write(beside.with_name(beside.name + SIDECAR)) as sidecar:
                 sidecar.write_text(sidecar_text(files, about), encoding="utf-8")
     return rows, ledger
 
@@ -540,5 +518,5 @@ def write_comparison(accuracy: Accuracy, path: Path) -> None:
     text = accuracy_page(accuracy, picture.name)
     png = accuracy_png(accuracy.curves, text_hash(text))
     for target, content in ((path, text.encode()), (picture, png)):
-        with atomic_write(target) as draft:
+        with store.atomic_write(target) as draft:
             draft.write_bytes(content)

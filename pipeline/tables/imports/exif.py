@@ -18,15 +18,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pipeline.errors import InputError
+from pipeline.flight import rotations
 from pipeline.flight.clock import utc_of_gps
-from pipeline.flight.rotations import (
-    CAMERA_AT_REST,
-    NED_FROM_ENU,
-    in_turned_frame,
-    ned_from_body,
-    quaternions_of,
-    rpy_of_quaternion,
-)
 from pipeline.ledger import Ledger
 from pipeline.tables.imports.orientation import OrientationTable
 from pipeline.tables.imports.stated import Stated
@@ -251,8 +244,10 @@ def read_gimbal_orientations(path: Path, stated: Stated, ledger: Ledger) -> Orie
     if not np.isfinite(given).all(axis=1).any():
         raise InputError.of("IMAGES-NO-GIMBAL", path, files=len(files))
     quarter = Rotation.from_euler("y", 90.0, degrees=True).as_matrix()
-    body = quaternions_of(CAMERA_AT_REST @ (ned_from_body(given) @ quarter).transpose(0, 2, 1))
-    angles = rpy_of_quaternion(in_turned_frame(body, NED_FROM_ENU))
+    body = rotations.quaternions_of(
+        rotations.CAMERA_AT_REST @ (rotations.ned_from_body(given) @ quarter).transpose(0, 2, 1)
+    )
+    angles = rotations.rpy_of_quaternion(rotations.in_turned_frame(body, rotations.NED_FROM_ENU))
     stamps = [_time_of(tags[file], "") for file in files]
     utc = [s.time_ns if s is not None and s.is_utc else NO_TIME for s in stamps]
     position = positions_of_tags(tags[file] for file in files)

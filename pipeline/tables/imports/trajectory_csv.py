@@ -13,15 +13,9 @@ from pipeline.flight.channels import Channel, TimeArray
 from pipeline.flight.clock import SECONDS_PER_WEEK
 from pipeline.geodesy import geodetic_of_ecef
 from pipeline.ledger import Ledger
+from pipeline.tables import text_columns
 from pipeline.tables.geodata.coordinate_systems import places_of
 from pipeline.tables.imports.stated import Stated, channel_of_rows, not_of_format
-from pipeline.tables.text_columns import (
-    angles_in_radians,
-    numbers,
-    text_table,
-    utc_of_dates,
-    utc_of_weeks,
-)
 from pipeline.units import RADIANS, Array, Mask
 
 _SINCE_EPOCH_S = 1e8
@@ -44,9 +38,11 @@ def read_trajectory_csv(path: Path, stated: Stated, ledger: Ledger) -> Channel:
     if not stated.columns:
         raise not_of_format(path, "nothing says what its columns are",
                             "name them under stations.trajectory.columns")  # fmt: skip
-    table = text_table(path, stated.columns, codes=("IMPORT-FORMAT", "IMPORT-COLUMN"),
+    table = text_columns.text_table(path, stated.columns, codes=("IMPORT-FORMAT", "IMPORT-COLUMN"),
                        key="stations.trajectory.columns")  # fmt: skip
-    value = {quantity: numbers(table[name]) for quantity, name in stated.columns.items()}
+    value = {
+        quantity: text_columns.numbers(table[name]) for quantity, name in stated.columns.items()
+    }
     columns = {name: value[name] for name in _AS_THEY_ARE if name in value}
     grid_north: Array | None = None
     if stated.crs is not None:
@@ -75,7 +71,7 @@ def read_trajectory_csv(path: Path, stated: Stated, ledger: Ledger) -> Channel:
     columns |= {"lat_rad": lat, "lon_rad": lon, surface: height}
     if "yaw" in value:
         angles = np.stack([value[name] for name in ("roll", "pitch", "yaw")], axis=1)
-        angles = angles_in_radians(angles, stated.angle_unit, path, "IMPORT-ANGLES",
+        angles = text_columns.angles_in_radians(angles, stated.angle_unit, path, "IMPORT-ANGLES",
                                    "stations.trajectory.angle_unit")  # fmt: skip
         known = np.isfinite(angles).all(axis=1)
         in_order = angles[known][:, ["XYZ".index(axis) for axis in stated.angle_order]]
@@ -114,12 +110,12 @@ def _utc(
     if not bool(readable.any()):
         if system == "gpst" and bool(text.str.contains(r"(?:Z|[+-]\d\d:?\d\d)$").any()):
             raise InputError.of("IMPORT-TIME-SYSTEM", path, text=text.iloc[0])
-        return utc_of_dates(text, system)
+        return text_columns.utc_of_dates(text, system)
     if "week" in value:
         readable = readable & np.isfinite(value["week"])
-        return utc_of_weeks(value["week"], seconds, system), readable
+        return text_columns.utc_of_weeks(value["week"], seconds, system), readable
     if float(np.nanmedian(seconds)) < _SINCE_EPOCH_S:
         return stated.utc_of_week_seconds(path, seconds, system), readable
     if system == "gpst":
-        return utc_of_weeks(*np.divmod(seconds, SECONDS_PER_WEEK), system), readable
+        return text_columns.utc_of_weeks(*np.divmod(seconds, SECONDS_PER_WEEK), system), readable
     return np.rint(np.where(readable, seconds, 0.0) * 1e6).astype(np.int64) * 1000, readable

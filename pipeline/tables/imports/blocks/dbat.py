@@ -21,12 +21,7 @@ from pipeline.errors import InputError
 from pipeline.flight.rotations import quaternion_of_opk
 from pipeline.refraction.calibration import MetricReport, camera_of_model, camera_of_report
 from pipeline.refraction.camera.camera import Camera
-from pipeline.tables.imports.blocks.image_points import (
-    CameraMakers,
-    TextFile,
-    oriented_images,
-    rows_of_image,
-)
+from pipeline.tables.imports.blocks import image_points
 from pipeline.tables.imports.orientation import OrientationTable
 from pipeline.tables.imports.stated import not_of_format, read_text
 from pipeline.units import Array
@@ -43,7 +38,7 @@ def block_files(path: Path) -> tuple[Path, ...]:
     return (path, *(_beside(path, name) for name in dict.fromkeys(named)))
 
 
-def read_cameras(path: Path) -> CameraMakers:
+def read_cameras(path: Path) -> image_points.CameraMakers:
     """The camera of the script, or of the file it names, by its id (1 where it has none)."""
     root = _root(path)
     named = root.findtext("input/cameras/file")
@@ -67,7 +62,7 @@ def read_images(path: Path) -> OrientationTable:
             raise not_of_format(report, f"the orientation of {name} is not whole")
     eo = np.array([*found.values()]).reshape(-1, 6)
     quaternion = quaternion_of_opk(np.radians(eo[:, :3]), "omega_phi_kappa")
-    return oriented_images([*found], [*cameras] * len(found), eo[:, 3:], quaternion)
+    return image_points.oriented_images([*found], [*cameras] * len(found), eo[:, 3:], quaternion)
 
 
 def read_rows(path: Path) -> Iterator[pa.RecordBatch]:
@@ -81,7 +76,7 @@ def read_rows(path: Path) -> Iterator[pa.RecordBatch]:
         point.append(row["id"])
         xy.append(np.array([row["x"], row["y"]], np.float64))
     for name, (point, xy) in points.items():
-        yield rows_of_image(name, xy, point)
+        yield image_points.rows_of_image(name, xy, point)
 
 
 def read_points(path: Path) -> tuple[pa.StringArray, Array]:
@@ -141,7 +136,7 @@ def _tables(path: Path, kind: str) -> Iterator[dict[str, str]]:
     """The rows of the tables of one kind, by the names of their format, and where each stands."""
     for table in _root(path).iterfind(f"input/{kind}/file"):
         names = [name.strip() for name in table.attrib["format"].split(",")]
-        with TextFile(_beside(path, table.text or "")) as lines:
+        with image_points.TextFile(_beside(path, table.text or "")) as lines:
             for text in (line.partition("#")[0].strip() for line in lines):
                 if text:
                     fields = map(str.strip, text.split(",", len(names) - 1))
