@@ -9,7 +9,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from pipeline.config.atmosphere import PathText
 from pipeline.config.cameras import Section, one_of
-from pipeline.config.trajectories import ClockColumns, ImportTime
+from pipeline.config.station_sources import ClockColumns, ImportTime
 from pipeline.tables.imports import CAMERA_EVENTS, reader_of
 
 _NUMBER_FORMAT = re.compile(r"^0?[0-9]{0,2}d?$")

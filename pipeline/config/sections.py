@@ -10,8 +10,7 @@ from pipeline.config.atmosphere import AtmosphereSection, PathText
 from pipeline.config.cameras import MountSection, Section, one_of
 from pipeline.config.event_sources import EventsSection, PositionEvents
 from pipeline.config.interior_orientation import OWN_ORIENTATION, CameraSection
-from pipeline.config.station_sources import LocalOrigin, StationsSection
-from pipeline.config.trajectories import NamedColumns
+from pipeline.config.station_sources import LocalOrigin, NamedColumns, StationsSection
 from pipeline.flight.image_names import Difference
 from pipeline.refraction import METHODS
 from pipeline.tables.imports.blocks import BLOCKS

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pipeline.flight.channels import Channel, Source
-from pipeline.ingest.ardupilot_heights import HEIGHT_OPTION, with_both_heights
+from pipeline.ingest.channel_builder import HEIGHT_OPTION, with_both_heights
 from pipeline.ledger import Ledger
 
 # The undulation at Zurich is 47.5 m: the ellipsoid lies below sea level.

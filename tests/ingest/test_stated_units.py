@@ -8,7 +8,7 @@ import pytest
 from pipeline.errors import MissionError
 from pipeline.flight.channels import Channel, Source
 from pipeline.ingest.channel_builder import DecodedRows, channel_of
-from pipeline.ingest.dataflash.fields import MESSAGES as DATAFLASH
+from pipeline.ingest.dataflash.tables import MESSAGES as DATAFLASH
 from pipeline.ingest.fields import STATED_UNITS, extract, in_stated_unit
 from pipeline.ingest.px4_fields import MESSAGES as PX4
 from pipeline.ingest.tlog.fields import MESSAGES as MAVLINK

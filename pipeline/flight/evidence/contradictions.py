@@ -12,15 +12,6 @@ from pipeline.flight.evidence.filter_health import (
     message_evidence,
 )
 from pipeline.flight.evidence.quality import subset
-from pipeline.flight.evidence.replacement import (
-    BESIDE_S,
-    LONGEST_COAST_S,
-    LONGEST_REPLACED_S,
-    Sources,
-    drifted,
-    replacement_for,
-    with_replaced,
-)
 from pipeline.flight.evidence.sources import (
     WORST_ACCURACY_M,
     Difference,
@@ -35,14 +26,21 @@ from pipeline.flight.evidence.sources import (
 )
 from pipeline.flight.evidence.stretches import (
     ATTITUDE,
+    BESIDE_S,
     HEIGHT,
+    LONGEST_COAST_S,
+    LONGEST_REPLACED_S,
     POSITION,
     SECOND,
+    Sources,
     Stretch,
     beside,
     covered,
+    drifted,
     merged,
+    replacement_for,
     runs,
+    with_replaced,
 )
 from pipeline.flight.mount import is_of_gimbal
 from pipeline.flight.roles import follows_height

@@ -7,7 +7,6 @@ import numpy as np
 
 from pipeline.flight.channels import ROLE_COLUMNS, Channel, Source
 from pipeline.flight.clock import SECONDS_PER_WEEK, STRAY_ROWS, full_weeks, utc_of_gps
-from pipeline.ingest.ardupilot_heights import with_both_heights
 from pipeline.ingest.boot_clock import (
     LOWEST_FIX,
     BootClock,
@@ -20,8 +19,9 @@ from pipeline.ingest.boot_clock import (
     report_timeline,
 )
 from pipeline.ingest.buffers import FileView, copy_rows, gather
-from pipeline.ingest.channel_builder import DecodedRows, channel_of
-from pipeline.ingest.dataflash.fields import (
+from pipeline.ingest.channel_builder import DecodedRows, channel_of, with_both_heights
+from pipeline.ingest.dataflash.records import HEADER, RecordWalker
+from pipeline.ingest.dataflash.tables import (
     ACCURACY,
     ACCURACY_MESSAGES,
     INSTANCE_FIELDS,
@@ -29,7 +29,6 @@ from pipeline.ingest.dataflash.fields import (
     instance_of,
     texts_of,
 )
-from pipeline.ingest.dataflash.records import HEADER, RecordWalker
 from pipeline.ingest.fields import MessageMap, extract, is_number
 from pipeline.ingest.log import Table
 from pipeline.ingest.stacking import PLACE

@@ -18,9 +18,14 @@ from pipeline.ingest.dataflash.channels import (
     stamps,
     wanted_fields,
 )
-from pipeline.ingest.dataflash.fields import ACCURACY, INSTANCE_FIELDS, instance_of
 from pipeline.ingest.dataflash.records import FMT_START, RecordWalker, find_records
-from pipeline.ingest.dataflash.tables import decode, without_objects
+from pipeline.ingest.dataflash.tables import (
+    ACCURACY,
+    INSTANCE_FIELDS,
+    decode,
+    instance_of,
+    without_objects,
+)
 from pipeline.ingest.fields import is_number
 from pipeline.ingest.log import Contents, DamagedBytes, LogFormat, Table
 from pipeline.ingest.stacking import PLACE

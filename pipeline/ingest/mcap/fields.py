@@ -13,7 +13,7 @@ from pipeline.ingest import px4_fields
 from pipeline.ingest.attitude import earth_frame_attitude, ned_frd_of_enu_flu, replace_in_blocks
 from pipeline.ingest.boot_clock import LOWEST_FIX
 from pipeline.ingest.fields import FieldColumn, MessageMap, message_maps
-from pipeline.ingest.mcap.cdr_schema import short
+from pipeline.ingest.mcap.cdr import short
 from pipeline.units import Array
 
 _NAMED_VALUE_INT = 4.0  # DebugValue.TYPE_NAMED_VALUE_INT: the value is in another field

@@ -11,7 +11,7 @@ import numpy as np
 from pipeline.flight.clock import UNIX_NS_FROM
 from pipeline.ingest.boot_clock import Stamps, UtcReadings
 from pipeline.ingest.buffers import open_view
-from pipeline.ingest.mcap.cdr_schema import SchemaError
+from pipeline.ingest.mcap.cdr import SchemaError
 from pipeline.ingest.mcap.fields import PLAIN_JSON, SCHEMAS, known_name
 from pipeline.ingest.mcap.file_format import Damage, Definition, Messages, Opcode
 from pipeline.ingest.mcap.records import walk

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from pipeline.flight.channels import Source, TimeArray
 from pipeline.ingest.fields import MessageMap
-from pipeline.ingest.mcap.cdr import decode, decode_plan
-from pipeline.ingest.mcap.cdr_schema import SchemaError, steps_of
+from pipeline.ingest.mcap.cdr import SchemaError, decode, decode_plan, steps_of
 from pipeline.ingest.mcap.fields import LABELS, PLAIN_JSON
 from pipeline.ingest.mcap.file_format import Messages
 from pipeline.ingest.mcap.samples import (

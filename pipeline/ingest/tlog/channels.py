@@ -9,13 +9,16 @@ from numpy.typing import NDArray
 
 from pipeline.flight.channels import Channel, Source, TimeArray
 from pipeline.flight.clock import UNIX_US_FROM
-from pipeline.ingest.ardupilot_heights import with_both_heights
 from pipeline.ingest.attitude import earth_frame_attitude
 from pipeline.ingest.boot_clock import microseconds
 from pipeline.ingest.buffers import ColumnStore
-from pipeline.ingest.channel_builder import DecodedRows, GrowingColumns, channel_of
+from pipeline.ingest.channel_builder import (
+    DecodedRows,
+    GrowingColumns,
+    channel_of,
+    with_both_heights,
+)
 from pipeline.ingest.fields import extract
-from pipeline.ingest.tlog.borrowed_clock import unix_us
 from pipeline.ingest.tlog.clock import (
     CLOCK_FIELDS,
     LATEST_NS,
@@ -24,6 +27,7 @@ from pipeline.ingest.tlog.clock import (
     Key,
     by_source,
     clock_field,
+    unix_us,
 )
 from pipeline.ingest.tlog.fields import LABELS, MESSAGES, PARAM_VALUE, message_of_name
 from pipeline.ledger import Ledger

@@ -12,9 +12,16 @@ from pipeline.flight.clock import stray_times
 from pipeline.ingest.buffers import open_view
 from pipeline.ingest.log import Contents, LogFormat, Table
 from pipeline.ingest.tlog import fields
-from pipeline.ingest.tlog.borrowed_clock import with_borrowed_clocks
 from pipeline.ingest.tlog.channels import channels_of, label_of, times_of
-from pipeline.ingest.tlog.clock import MICROSECOND, Clocks, Key, by_source, clock_field, clocks_of
+from pipeline.ingest.tlog.clock import (
+    MICROSECOND,
+    Clocks,
+    Key,
+    by_source,
+    clock_field,
+    clocks_of,
+    with_borrowed_clocks,
+)
 from pipeline.ingest.tlog.frames import frame_length
 from pipeline.ingest.tlog.scan import SILENT_US, Scan, Silence
 from pipeline.ledger import Ledger

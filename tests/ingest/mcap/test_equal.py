@@ -15,8 +15,7 @@ import numpy as np
 import pytest
 
 from pipeline.ingest import Log, open_log
-from pipeline.ingest.mcap.cdr import decode, decode_plan
-from pipeline.ingest.mcap.cdr_schema import SchemaError, steps_of
+from pipeline.ingest.mcap.cdr import SchemaError, decode, decode_plan, steps_of
 
 REPOSITORY = Path(__file__).resolve().parents[3]
 FOLDERS = (REPOSITORY.parent / "shared" / "logs", REPOSITORY / "sample_logs")

@@ -13,8 +13,7 @@ import pytest
 
 from pipeline.errors import LogError
 from pipeline.ingest import Log, open_log
-from pipeline.ingest.mcap.cdr import decode_plan
-from pipeline.ingest.mcap.cdr_schema import SchemaError, steps_of
+from pipeline.ingest.mcap.cdr import SchemaError, decode_plan, steps_of
 
 SECOND = 10**9
 START = 1_763_073_169 * SECOND
