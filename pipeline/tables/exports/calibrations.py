@@ -7,7 +7,7 @@ points. The fit is in `pipeline.block.calibration_fit`.
 
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
@@ -107,9 +107,7 @@ def _write(run: FinishedRun, values: Values, path: Path, ledger: Ledger) -> int:
             raise MissionError.of("EXPORT-RESIDUAL/none", where, text=what)
         if fitted.part > _FLAGGED:
             ledger.loss("EXPORT-RESIDUAL", what, where=where, count=fitted.stations.size)
-    advice = files("pipeline.tables").joinpath("data/calibrations.txt").read_text("utf-8")
-    report = "\n".join([advice, *map(report_of, found)])
-    (path / "calibration.txt").write_text(report, encoding="utf-8")
+    (path / "calibration.txt").write_text(report_of(found), encoding="utf-8")
     for_images = [(run.stations.image[i], f.camera_name, f.name) for f in found for i in f.stations]
     pd.DataFrame(for_images, columns=["image", "camera", "calibration"]).to_csv(
         path / "images.csv", index=False
@@ -221,50 +219,17 @@ def as_written(camera: Camera, name: str, ledger: Ledger) -> Camera:
     return written
 
 
-def report_of(fitted: FittedCalibration) -> str:
-    """What the report says of a calibration."""
-    change, base, camera = fitted.change, fitted.base, fitted.camera
-    lines = [
-        f"{fitted.name}: {fitted.stations.size} images of camera {fitted.camera_name}, "
-        f"{fitted.heights}",
-        "  root mean squares, in the image and across the rays at the ground:",
-    ]
-    for label, (px, m) in (
-        ("refraction", fitted.effect),
-        ("left by the cameras in the files", fitted.left_by_camera),
-        ("left by the change for measured points", fitted.left_by_change),
-    ):
-        part = f", {100.0 * px / fitted.effect[0]:.1f} %" if px != fitted.effect[0] > 0.0 else ""
-        lines.append(f"    {label:40}{px:9.4f} px {m:9.4f} m{part}")
-    lines.append("  cameras in the files (COLMAP's pixels and parameters), straight rays to points "
-                 "as measured:")  # fmt: skip
-    for name, before, after in zip(
-        ("fx", "fy", "cx", "cy", *base.distortion._fields), _numbers(base), _numbers(camera),
-        strict=True,
-    ):  # fmt: skip
-        ppm = f" ({1e6 * (after / before - 1.0):+.3f} ppm)" if name in ("fx", "fy") else ""
-        lines.append(f"    {name:4}{before:18.9g} {after - before:+14.6e} -> {after:.12g}{ppm}")
-    lines += [
-        f"  change for measured points, to be corrected: dc/c {1e6 * change.c:+.3f} ppm",
-        "    x right and y up from the principal point, r^2 = x^2 + y^2; added to x and y, beside",
-        "    what the calibration adds: x (K1 r^2 + K2 r^4 + K3 r^6) + P1 (r^2 + 2 x^2) + 2 P2 x y",
-        "    + B1 x + B2 y, and y (K1 r^2 + ...) + P2 (r^2 + 2 y^2) + 2 P1 x y. A program that",
-        "    wants the distortion takes opposite signs. corrections.csv has the radial part.",
-    ]
-    for unit, size in (("px", 1.0), ("mm", fitted.pixel_mm)):
-        c = base.fx_px * size
-        if not np.isfinite(c):
-            lines.append("    in mm and um: with the size of a pixel, --pixel-um")
-            continue
-        lines += [
-            f"    in {unit}: c {c:.6f} {change.c * c:+.6f} -> {c * (1.0 + change.c):.6f}; "
-            f"principal point {change.x0 * c:+.6f}, {change.y0 * c:+.6f}",
-            f"      K1 {change.k1 / c**2:+.6e}  K2 {change.k2 / c**4:+.6e}  "
-            f"K3 {change.k3 / c**6:+.6e}",
-            f"      P1 {change.p1 / c:+.6e}  P2 {change.p2 / c:+.6e}  B1 {change.b1:+.6e}  "
-            f"B2 {change.b2:+.6e}",
-        ]
-    return "\n".join([*lines, ""])
+def report_of(found: Sequence[FittedCalibration]) -> str:
+    """What the report says: how calibrations are used, and what each holds and leaves."""
+    from jinja2 import StrictUndefined, Template  # which no run needs
+
+    def numbers(fitted: FittedCalibration) -> Iterator[tuple[str, float, float]]:
+        names = ("fx", "fy", "cx", "cy", *fitted.base.distortion._fields)
+        return zip(names, _numbers(fitted.base), _numbers(fitted.camera), strict=True)
+
+    text = files("pipeline.tables").joinpath("data/calibrations.txt.j2").read_text("utf-8")
+    made = Template(text, trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined)
+    return str(made.render(found=found, numbers=numbers))
 
 
 def _numbers(camera: Camera) -> list[float]:
