@@ -211,11 +211,6 @@ class GeoidGrid:
     step_lat_deg: float
     step_lon_deg: float
 
-    @property
-    def _goes_round(self) -> bool:
-        """Whether the columns reach round the earth."""
-        return bool(abs(self.values_m.shape[1] * self.step_lon_deg - 360.0) < 1e-6)
-
     def _cell(self, lat_rad: ArrayLike, lon_rad: ArrayLike) -> tuple[Array, Array, Array]:
         """The values about places (2, 2, ...), and the fractions of the way north and east."""
         rows, columns = self.values_m.shape
@@ -223,7 +218,8 @@ class GeoidGrid:
         # A place on the western edge may be a little less than 360 degrees east of it.
         x = (np.degrees(np.asarray(lon_rad, np.float64)) - self.west_deg + 1e-9) % 360.0 - 1e-9
         y, x = np.broadcast_arrays(y, x / self.step_lon_deg)
-        last = columns if self._goes_round else columns - 1
+        goes_round = abs(columns * self.step_lon_deg - 360.0) < 1e-6
+        last = columns if goes_round else columns - 1
         known = (y > -1e-6) & (y < rows - 1 + 1e-6) & (x < last + 1e-6)
         row = np.clip(np.where(known, y, 0.0).astype(np.int64), 0, rows - 2)
         column = np.clip(np.where(known, x, 0.0).astype(np.int64), 0, last - 1)

@@ -231,16 +231,11 @@ class CameraSection(Section):
         Refuses as `read_camera`, and a file whose images have another size (CAMERA-SIZE).
         """
         camera = read_camera(path, self.format, None if self.camera is None else str(self.camera))
-        size = {"width": camera.width_px, "height": camera.height_px}
-        stated_width, stated_height = (
-            self.width_px or size["width"],
-            self.height_px or size["height"],
-        )
-        if (stated_width, stated_height) != (*size.values(),):
-            stated = {"stated_width": stated_width, "stated_height": stated_height}
-            raise InputError.of("CAMERA-SIZE", path, **size, **stated)
+        width, height = self.width_px or camera.width_px, self.height_px or camera.height_px
+        if (width, height) != (camera.width_px, camera.height_px):
+            raise InputError.of("CAMERA-SIZE", path, camera=camera, width=width, height=height)
         model, params = model_of_camera(camera)
-        known = {"model": model, "params": params} | {f"{k}_px": n for k, n in size.items()}
+        known = {"model": model, "params": params, "width_px": width, "height_px": height}
         kept = self.model_dump(exclude={"file", "format", "camera"}, exclude_unset=True)
         try:
             return type(self).model_validate(kept | known)

@@ -107,13 +107,7 @@ def refuse_impossible(camera: Camera) -> None:
     """
     seen = np.degrees(max(field_of_view(camera)))
     if seen > (360.0 if is_fisheye(camera) else 150.0):
-        raise PhysicsError(
-            "CAMERA-FIELD",
-            f"with a principal distance of {camera.fx_px:g} px an image of {camera.width_px} x "
-            f"{camera.height_px} px sees {seen:.0f} degrees",
-            remedy="give the principal distance (f_px, or fx_px and fy_px) in pixels (millimetres "
-            "divided by the size of a pixel in millimetres), or the model of a fisheye",
-        )
+        raise PhysicsError.of("CAMERA-FIELD", camera=camera, seen=seen)
     end = min(float(getattr(camera.distortion, "limit", np.inf)), float(np.tan(LARGEST_ANGLE_RAD)))
     theta = np.linspace(0.0, np.arctan(min(end, camera.largest_radius)), 200)[:, None]
     right = (np.array([0, camera.width_px]) - camera.cx_px) / camera.fx_px

@@ -92,23 +92,23 @@ def accuracy_page(accuracy: Accuracy, picture: str) -> str:
         np.nanmax(np.abs(comparison.error_rad[comparison.methods.index("gyer1996")])) / ARCSEC
         for comparison in accuracy.tables
     )
+
+    def at_45(comparison: Comparison, name: str) -> tuple[float, str]:
+        """Largest error of a method at 45 degrees [% of R], and the height where it is."""
+        column = int(np.argmin(np.abs(comparison.nadir_angle_rad - 45.0 * DEGREE)))
+        error = comparison.error_rad[comparison.methods.index(name), :, column]
+        percent = 100.0 * np.abs(error / comparison.exact_rad[:, column])
+        worst = int(np.nanargmax(percent))
+        return float(percent[worst]), _km(float(comparison.h_c_m[worst]))
+
     text = files("pipeline.report").joinpath("data/accuracy.md.j2").read_text("utf-8")
     made = Template(text, trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined)
     page: str = made.render(
         accuracy=accuracy, picture=picture, level=level, raised=raised, plane_forms=_PLANE_FORMS,
-        fine=fine, coarse=coarse, gyer=gyer, at_45=_at_45, good_to=_good_to_table,
+        fine=fine, coarse=coarse, gyer=gyer, at_45=at_45, good_to=_good_to_table,
         errors=_error_table,
     )  # fmt: skip
     return page.rstrip("\n") + "\n"
-
-
-def _at_45(comparison: Comparison, name: str) -> tuple[float, str]:
-    """Largest error of a method at 45 degrees [% of R], and the height where it is."""
-    column = int(np.argmin(np.abs(comparison.nadir_angle_rad - 45.0 * DEGREE)))
-    error = comparison.error_rad[comparison.methods.index(name), :, column]
-    percent = 100.0 * np.abs(error / comparison.exact_rad[:, column])
-    worst = int(np.nanargmax(percent))
-    return float(percent[worst]), _km(float(comparison.h_c_m[worst]))
 
 
 def _km(height_m: float) -> str:

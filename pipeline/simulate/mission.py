@@ -115,7 +115,7 @@ def simulate(
         begin("mission files")
         for kind, path in missions.items():
             path.write_bytes(mission_yaml(kind, pair).encode())
-        text = _truth_json(chosen, pair, flight.duration_s)
+        text = truth_json(chosen, pair, flight.duration_s)
         (truth / "truth.json").write_bytes(text.encode())
     begin("done")
     files = out, logs, missions, out / "observations.parquet", truth
@@ -130,7 +130,7 @@ _WRITERS: dict[str, Callable[[Path, sensors.LoggedSamples, int], int]] = {
 }
 
 
-def _truth_json(
+def truth_json(
     options: SimulationOptions, pair: tuple[SimulatedCamera, ...], duration_s: float
 ) -> str:
     """Options, conventions, cameras and sigmas of the sensors: truth.json."""

@@ -198,7 +198,7 @@ def stated_channels(plan: Plan, channels: tuple[Channel, ...]) -> tuple[Channel,
     outside = ["temperature"] if plan.mission.atmosphere.board_temperature else []
     for role in [*outside, "cabin_temperature"]:
         board = named[role].name if role in named else ""
-        channels = tuple(_board_as_air(c) if c.name == board else c for c in channels)
+        channels = tuple(board_as_air(c) if c.name == board else c for c in channels)
     for role, stated in named.items():
         if stated.unit is not None:
             channels = tuple(
@@ -303,7 +303,7 @@ def _time_range(channels: tuple[Channel, ...]) -> tuple[int, int] | None:
     )
 
 
-def _board_as_air(channel: Channel) -> Channel:
+def board_as_air(channel: Channel) -> Channel:
     """A barometer whose circuit board's temperature is taken for that of the air."""
     board = channel.columns.get("board_temperature_k")
     if board is None or "temperature_k" in channel.columns:

@@ -1,6 +1,5 @@
 """Messages of a telemetry log as they were sent -> channels; which of them are exposures."""
 
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -118,30 +117,23 @@ class _Series:
 def _series(keys: list[str], store: ColumnStore, clocks: Clocks) -> list[_Series]:
     """The series of one message, for each key, sender and instance."""
     by_group: dict[Group, list[_Series]] = {}
+    field = message_of_name()[keys[0]].instance_field
     for block in store.drained():
-        for group, rows in _split(block, message_of_name()[keys[0]].instance_field):
-            if group not in by_group:
-                label = None if group[1] is None else label_of(group[1])
-                by_group[group] = [_Series(key, divmod(group[0], 256), label) for key in keys]
-            for series in by_group[group]:
-                series.add(rows, clocks)
+        for sender, of_sender in by_source(block):
+            rows = block[of_sender]
+            for value in np.unique(rows["records"][field]) if field else (None,):
+                group = (sender[0] * 256 + sender[1], None if value is None else value.item())
+                if group not in by_group:
+                    label = None if value is None else label_of(value.item())
+                    by_group[group] = [_Series(key, sender, label) for key in keys]
+                part = rows if value is None else rows[rows["records"][field] == value]
+                for series in by_group[group]:
+                    series.add(part, clocks)
     result = [series for group in sorted(by_group) for series in by_group[group]]
     if len({source for source, _ in by_group}) > 1:
         for series in result:
             series.name += f"@{series.source.system}/{series.source.component}"
     return result
-
-
-def _split(rows: NDArray[Any], field: str) -> Iterator[tuple[Group, NDArray[Any]]]:
-    """Messages by their sender and instance."""
-    for source, of_source in by_source(rows):
-        part = rows[of_source]
-        number = source[0] * 256 + source[1]
-        if not field:
-            yield (number, None), part
-            continue
-        for value in np.unique(part["records"][field]):
-            yield (number, value.item()), part[part["records"][field] == value]
 
 
 def times_of(

@@ -244,7 +244,7 @@ def found_in_table(path: Path) -> FoundTable:
         guessed = "" if height == "h_g_m" else "guessed by its name: heights of the points [m]"
         remark = guessed if height else f"one of {', '.join(heights)}"
         found.height = Proposed("height", value, remark)
-    _extent(opened, found)
+    find_extent(opened, found)
     datums = {of for part, of in _DATUMS.items() if height and part in height.lower()}
     if len(datums) == 1:
         found.reference = datums.pop()
@@ -262,7 +262,7 @@ def column_names(path: Path) -> list[str]:
         return []
 
 
-def _extent(opened: Observations, found: FoundTable) -> None:
+def find_extent(opened: Observations, found: FoundTable) -> None:
     """Largest pixels and the heights of the first million rows, as remarks."""
     batches = list(islice(opened.batches(_BATCH_ROWS), _MOST_BATCHES))
     pixels = [np.concatenate([np.zeros(1), *(getattr(b, name) for b in batches)])

@@ -89,7 +89,7 @@ class FittedCalibration:
         return max(self.left_by_camera[0], self.left_by_change[0]) / max(self.effect[0], 1e-12)
 
 
-def _write(run: FinishedRun, values: Values, path: Path, ledger: Ledger) -> int:
+def write_calibrations(run: FinishedRun, values: Values, path: Path, ledger: Ledger) -> int:
     """The files of all calibrations; the number of images they are for."""
     observed = observed_corrections(run)
     found = [
@@ -292,7 +292,7 @@ def write_cameras(found: Sequence[FittedCalibration], path: Path) -> None:
 
 FORMATS = (
     ExportFormat(
-        "calibration", "cameras that stand for refraction, a folder", "", _write,
+        "calibration", "cameras that stand for refraction, a folder", "", write_calibrations,
         (
             Option("same_height", float, 10.0, "largest difference of heights above ground that "
                    "share a calibration", "%", 0.1, 50.0),

@@ -17,7 +17,7 @@ _MOST_ROWS = 250_000
 """Rows held in memory at a time."""
 
 
-def _lattice(
+def lattice_tables(
     run: FinishedRun, values: Values, ledger: Ledger
 ) -> tuple[pa.Schema, Iterator[pa.Table]]:
     """The lattices of all images; images without one, and without ground, are entered as losses."""
@@ -38,27 +38,24 @@ def _lattice(
     columns, rows = values["columns"], values["rows"]
     layout = {"unbend.lattice": f"{columns} columns, {rows} rows, row by row"}
     schema = schema_of(columns_of("lattice"), dict(run.metadata) | layout)
-    return schema, _tables(run, schema, columns, rows)
 
+    def tables() -> Iterator[pa.Table]:
+        """Camera by camera, in each the images in their order, in tables of `_MOST_ROWS`."""
+        for name, camera in run.cameras.items():
+            x, y = lattice_nodes(camera.camera, columns, rows)
+            for part, corrections in lattice_parts(run, name, run.rows_of(name), (x, y)):
+                columns_of_table = {
+                    "image": np.repeat(run.stations.image[part], x.size),
+                    "x_px": np.tile(run.pixels.from_colmap(x), part.size),
+                    "y_px": np.tile(run.pixels.from_colmap(y), part.size),
+                    "dx_px": corrections.dx_px,
+                    "dy_px": corrections.dy_px,
+                    "h_g_m": np.repeat(run.ground_m[part], x.size),
+                    "status": pa.array(STATUS_NAMES).take(pa.array(corrections.status)),
+                }
+                yield table_of(columns_of_table, schema)
 
-def _tables(run: FinishedRun, schema: pa.Schema, columns: int, rows: int) -> Iterator[pa.Table]:
-    """Camera by camera, in each the images in the order of the stations, those of one air together.
-
-    A table holds as many images as `_MOST_ROWS` allows.
-    """
-    for name, camera in run.cameras.items():
-        x, y = lattice_nodes(camera.camera, columns, rows)
-        for part, corrections in lattice_parts(run, name, run.rows_of(name), (x, y)):
-            columns_of_table = {
-                "image": np.repeat(run.stations.image[part], x.size),
-                "x_px": np.tile(run.pixels.from_colmap(x), part.size),
-                "y_px": np.tile(run.pixels.from_colmap(y), part.size),
-                "dx_px": corrections.dx_px,
-                "dy_px": corrections.dy_px,
-                "h_g_m": np.repeat(run.ground_m[part], x.size),
-                "status": pa.array(STATUS_NAMES).take(pa.array(corrections.status)),
-            }
-            yield table_of(columns_of_table, schema)
+    return schema, tables()
 
 
 def lattice_parts(
@@ -83,7 +80,7 @@ def lattice_parts(
 FORMATS = parquet_and_csv(
     "lattice",
     "dx, dy on a grid over each image",
-    _lattice,
+    lattice_tables,
     (
         Option("columns", int, 21, "nodes of the lattice across an image", "", 2, 1000),
         Option("rows", int, 15, "nodes of the lattice down an image", "", 2, 1000),

@@ -13,7 +13,7 @@ from pipeline.tables.exports.footprints import footprints, placed_stations
 from pipeline.tables.exports.format import ExportFormat, FinishedRun, Values
 
 
-def _write_kml(run: FinishedRun, _: Values, path: Path, ledger: Ledger) -> int:
+def write_kml(run: FinishedRun, _: Values, path: Path, ledger: Ledger) -> int:
     """A placemark for each station with a place and one for each footprint, in two folders."""
     columns = station_columns(run.stations)
     corners, stations, grounds = footprints(run, ledger), [], []
@@ -58,7 +58,7 @@ _PROPERTIES = (
 )  # fmt: skip
 
 
-def _write_geojson(run: FinishedRun, _: Values, path: Path, ledger: Ledger) -> int:
+def write_geojson(run: FinishedRun, _: Values, path: Path, ledger: Ledger) -> int:
     """A point for each station with a position, and a polygon for each footprint."""
     columns = station_columns(run.stations)
     corners = footprints(run, ledger)
@@ -88,6 +88,6 @@ def _feature(geometry: dict[str, Any], properties: dict[str, Any]) -> dict[str, 
 
 
 FORMATS = (
-    ExportFormat("geojson", "stations and footprints", ".geojson", _write_geojson),
-    ExportFormat("kml", "stations and footprints", ".kml", _write_kml),
+    ExportFormat("geojson", "stations and footprints", ".geojson", write_geojson),
+    ExportFormat("kml", "stations and footprints", ".kml", write_kml),
 )

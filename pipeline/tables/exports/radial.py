@@ -44,7 +44,9 @@ def radial_columns(table: RadialTable) -> dict[str, object]:
     }
 
 
-def _radial(run: FinishedRun, _: Values, ledger: Ledger) -> tuple[pa.Schema, Iterator[pa.Table]]:
+def radial_tables(
+    run: FinishedRun, _: Values, ledger: Ledger
+) -> tuple[pa.Schema, Iterator[pa.Table]]:
     """A table for each camera and each height above ground that its images share, lowest first."""
     if len(run.rays) > 1:
         ledger.warning("EXPORT-AIR-CHANGES", where="profile.parquet", count=len(run.rays))
@@ -103,4 +105,4 @@ def _table(run: FinishedRun, name: str, rows: Integers, schema: pa.Schema) -> pa
     return table_of(group | radial_columns(table), schema)
 
 
-FORMATS = parquet_and_csv("radial", "refraction by nadir angle, per flying height", _radial)
+FORMATS = parquet_and_csv("radial", "refraction by nadir angle, per flying height", radial_tables)

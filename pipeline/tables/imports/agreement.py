@@ -66,8 +66,7 @@ def compare_with_log(
     """
     position, known = own.get("position"), np.flatnonzero(np.isfinite(imported["lat_rad"]))
     if position is None or len(position) < 2 or known.size == 0:
-        ledger.warning("TRAJECTORY-ALONE", "there are no positions of the log to compare it with: "
-                       "time, place and height stay unchecked", where=imported.name)  # fmt: skip
+        ledger.warning("TRAJECTORY-ALONE", where=imported.name)
         return
     rows = known[np.unique(np.linspace(0, known.size - 1, _MOST_SAMPLES).astype(int))]
     _compare_places(imported, rows, _Track(position), ledger)
@@ -177,8 +176,7 @@ def _compare_heights(
                    strict=True))  # fmt: skip
     same, other = (imported[column][rows] - log[name] for name in names)
     if not np.isfinite(same).any():
-        ledger.note("TRAJECTORY-HEIGHT-ALONE", "the log has no height above the same surface to "
-                    "compare it with", where=imported.name)  # fmt: skip
+        ledger.note("TRAJECTORY-HEIGHT-ALONE", where=imported.name)
         return
     apart = float(np.nanmedian(same))
     by_other = float(np.nanmedian(other)) if np.isfinite(other).any() else np.inf
@@ -205,8 +203,7 @@ def _compare_attitudes(
     """Attitudes (n, 4) w, x, y, z against the log's, about the body's axes."""
     known = np.isfinite(mine).all(axis=1) & np.isfinite(theirs).all(axis=1)
     if not known.any():
-        ledger.note("TRAJECTORY-ANGLES-ALONE", "the log has no attitude at its times to compare it "
-                    "with", where=name)  # fmt: skip
+        ledger.note("TRAJECTORY-ANGLES-ALONE", where=name)
         return
     own, imported = (Rotation.from_quat(q[known][:, [1, 2, 3, 0]]) for q in (theirs, mine))
     angles = imported.as_euler("ZYX")

@@ -12,8 +12,16 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.errors import InputError
-from pipeline.flight import rotations
 from pipeline.flight.channels import Channel
+from pipeline.flight.rotations import (
+    CAMERA_AT_REST,
+    NED_FROM_ENU,
+    enu_from_grid,
+    matrices_of,
+    ned_from_body,
+    quaternion_of_opk,
+    quaternions_of,
+)
 from pipeline.ledger import Ledger
 from pipeline.tables.geodata.coordinate_systems import grid_coordinates
 from pipeline.tables.imports.stated import Stated, channel_of_rows, not_of_format, read_text
@@ -94,7 +102,7 @@ def attitudes_of_eo(
     scale = {"d": RADIANS["deg"], "r": RADIANS["rad"], "g": RADIANS["grad"]}[unit[1][0].lower()]
     angles = np.stack([value[name] for name in names], axis=1) * scale
     if "OMEGA" not in value:
-        q = rotations.quaternions_of(rotations.ned_from_body(angles))
+        q = quaternions_of(ned_from_body(angles))
     else:
         place = np.nan_to_num([value["LONG"], value["LAT"]])
         try:
@@ -111,13 +119,9 @@ def attitudes_of_eo(
                 f"its eastings and northings lie {np.median(off_m):.3g} m from its latitudes and "
                 f"longitudes in {grid}: its angles count in another grid",
             )
-        turn = rotations.enu_from_grid(convergence)
-        camera = rotations.matrices_of(rotations.quaternion_of_opk(angles)) @ turn.transpose(
-            0, 2, 1
-        )
-        q = rotations.quaternions_of(
-            rotations.NED_FROM_ENU @ camera.transpose(0, 2, 1) @ rotations.CAMERA_AT_REST
-        )
+        turn = enu_from_grid(convergence)
+        camera = matrices_of(quaternion_of_opk(angles)) @ turn.transpose(0, 2, 1)
+        q = quaternions_of(NED_FROM_ENU @ camera.transpose(0, 2, 1) @ CAMERA_AT_REST)
     return dict(zip(("q_w", "q_x", "q_y", "q_z"), q.T, strict=True))
 
 

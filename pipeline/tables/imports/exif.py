@@ -190,7 +190,18 @@ def read_image_times(path: Path, zone: str, ledger: Ledger) -> ImageTimes:
 
 def read_tags(path: Path, ledger: Ledger) -> dict[str, dict[str, str]]:
     """By image, its tags without their groups; refuses (InputError IMAGES-NONE) no images."""
-    tags = _tags_of_folder(path, ledger) if path.is_dir() else _tags_of_csv(path)
+    if path.is_dir():
+        tags = _tags_of_folder(path, ledger)
+    else:
+        try:
+            table = pd.read_csv(path, dtype=str, keep_default_na=False, encoding="utf-8-sig")
+        except (OSError, ValueError) as error:
+            raise InputError.of("IMAGES-CSV", path, error=str(error).strip()) from None
+        table.columns = pd.Index([_key(str(name)) for name in table.columns])
+        table = table.loc[:, ~table.columns.duplicated()]
+        column = next((c for c in ("sourcefile", "filename", "image") if c in table), None)
+        rows = table.to_dict("records") if column is not None else []
+        tags = {row[column]: {str(k): v for k, v in row.items()} for row in rows if row[column]}
     if not tags:
         raise InputError.of("IMAGES-NONE", path, endings=ENDINGS)
     return tags
@@ -290,19 +301,6 @@ def _tags_of_folder(folder: Path, ledger: Ledger) -> dict[str, dict[str, str]]:
         what = f"the EXIF of {len(unreadable)} files cannot be read: {', '.join(unreadable[:3])}"
         ledger.loss("EXIF-UNREADABLE", what, where=folder.name, count=len(unreadable))
     return tags
-
-
-def _tags_of_csv(path: Path) -> dict[str, dict[str, str]]:
-    """Tags of each row of a table, by the path or name of its image."""
-    try:
-        table = pd.read_csv(path, dtype=str, keep_default_na=False, encoding="utf-8-sig")
-    except (OSError, ValueError) as error:
-        raise InputError.of("IMAGES-CSV", path, error=str(error).strip()) from None
-    table.columns = pd.Index([_key(str(name)) for name in table.columns])
-    table = table.loc[:, ~table.columns.duplicated()]
-    column = next((c for c in ("sourcefile", "filename", "image") if c in table), None)
-    rows = table.to_dict("records") if column is not None else []
-    return {row[column]: {str(k): v for k, v in row.items()} for row in rows if row[column]}
 
 
 def _key(name: str) -> str:

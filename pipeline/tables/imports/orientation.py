@@ -61,7 +61,14 @@ def read_orientation(path: Path, stated: Stated, ledger: Ledger) -> OrientationT
     position = _positions(value, path, "stations.orientation.columns")
     angles = np.stack([value[name] for name in angle_names], axis=1)
     if len(angle_names) == 4:
-        attitude = _unit_quaternions(angles, path)
+        length = np.linalg.norm(angles, axis=1)
+        if (wrong := np.abs(length - 1.0) > _LONGEST_NORM_ERROR).any():
+            worst = int(np.nanargmax(np.abs(length - 1.0)))
+            where, number = f"{path}, line {worst + 2}", int(wrong.sum())
+            raise InputError.of(
+                "ORIENTATION-QUATERNION", where, number=number, length=length[worst]
+            )
+        attitude = angles / length[:, None]
     else:
         attitude = angles_in_radians(angles, unit, path, "ORIENTATION-UNIT",
                                      "stations.orientation.unit")  # fmt: skip
@@ -130,22 +137,6 @@ def _positions(value: Mapping[str, Array], path: Path, key: str) -> Array:
             )
     lat, lon = np.radians(value["latitude"]), np.radians(value["longitude"])
     return np.stack([lat, lon, value["height"]], axis=1)
-
-
-def _unit_quaternions(given: Array, path: Path) -> Array:
-    """(n, 4) quaternions; refuses those whose length is not 1 to 0.001."""
-    length = np.linalg.norm(given, axis=1)
-    wrong = np.abs(length - 1.0) > _LONGEST_NORM_ERROR
-    if not bool(wrong.any()):
-        return np.asarray(given / length[:, None])
-    worst = int(np.nanargmax(np.abs(length - 1.0)))
-    raise InputError(
-        "ORIENTATION-QUATERNION",
-        f"the length of {int(wrong.sum())} quaternions is not 1, the farthest {length[worst]:.6g}",
-        where=f"{path}, line {worst + 2}",
-        remedy="name the columns q_w, q_x, q_y and q_z (w is the cosine of half the angle), and "
-        "write them with all their digits",
-    )
 
 
 @dataclass(frozen=True, eq=False)

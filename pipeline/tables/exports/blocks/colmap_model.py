@@ -54,13 +54,12 @@ def opencv_coefficients(
     known = {key: value for key, value in known.items() if value != 0.0}
     beyond = [key for key in known if key not in holds]
     if beyond:
-        raise MissionError(
+        raise MissionError.of(
             "EXPORT-DISTORTION",
-            f"the distortion of camera {name} (with {', '.join(beyond)}) cannot be written for "
-            f"{program}",
-            where=f"cameras.{name}",
-            remedy="export --format bundler, which is free of distortion, or calibrate the camera "
-            "with OpenCV's coefficients",
+            f"cameras.{name}",
+            name=name,
+            beyond=", ".join(beyond),
+            program=program,
         )
     return known
 
