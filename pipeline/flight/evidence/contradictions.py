@@ -13,34 +13,34 @@ from pipeline.flight.evidence.filter_health import (
 )
 from pipeline.flight.evidence.quality import subset
 from pipeline.flight.evidence.sources import (
+    BESIDE_S,
+    LONGEST_COAST_S,
+    LONGEST_REPLACED_S,
     WORST_ACCURACY_M,
     Difference,
     SourcePath,
+    Sources,
     difference,
+    drifted,
     height_of_pressure,
     is_receiver,
     places_of,
+    replacement_for,
     source_path,
     velocity_at,
     with_places,
+    with_replaced,
 )
 from pipeline.flight.evidence.stretches import (
     ATTITUDE,
-    BESIDE_S,
     HEIGHT,
-    LONGEST_COAST_S,
-    LONGEST_REPLACED_S,
     POSITION,
     SECOND,
-    Sources,
     Stretch,
     beside,
     covered,
-    drifted,
     merged,
-    replacement_for,
     runs,
-    with_replaced,
 )
 from pipeline.flight.mount import is_of_gimbal
 from pipeline.flight.roles import follows_height
