@@ -54,8 +54,28 @@ def radial_tables(
         if camera.has_window:
             ledger.warning("EXPORT-WINDOW", where=f"cameras.{name}.window", name=name)
     schema = schema_of(columns_of("radial"), run.metadata)
+
+    def table_of_group(name: str, rows: Integers) -> pa.Table:
+        """For the median height, ground and latitude of some stations of a camera."""
+        # At 45 degrees of azimuth Euler's radius is the harmonic mean of the two principal ones.
+        latitude = float(np.median(run.stations.lat_rad[rows]))
+        middle = rows[np.argsort(run.stations.time_ns[rows], kind="stable")[rows.size // 2]]
+        camera = run.cameras[name].camera
+        table = radial_table(
+            run.air.profiles[run.air.profile_number[middle]],
+            float(np.median(run.exposures.height_m[rows])),
+            float(np.median(run.ground_m[rows])),
+            angles_to(_LARGEST_DEG, _STEP_DEG),
+            focal_px=0.5 * (camera.fx_px + camera.fy_px),
+            radius=run.exposures.radius_m or float(euler_radius(latitude, 0.25 * np.pi)),
+            method=run.method,
+        )
+        n = table.r_c_rad.size
+        group = {"camera": np.full(n, name, dtype=object), "images": np.full(n, rows.size)}
+        return table_of(group | radial_columns(table), schema)
+
     groups = flying_heights(run, _SAME_HEIGHT, ledger)
-    return schema, (_table(run, name, rows, schema) for name, rows in groups)
+    return schema, (table_of_group(*group) for group in groups)
 
 
 def flying_heights(
@@ -83,26 +103,6 @@ def flying_heights(
             groups.append((name, rows[near]))
             rows, above_ground = rows[~near], above_ground[~near]
     return groups
-
-
-def _table(run: FinishedRun, name: str, rows: Integers, schema: pa.Schema) -> pa.Table:
-    """The table of some stations of a camera, for their median height, ground and latitude."""
-    # At 45 degrees of azimuth Euler's radius is the harmonic mean of the two principal ones.
-    latitude = float(np.median(run.stations.lat_rad[rows]))
-    middle = rows[np.argsort(run.stations.time_ns[rows], kind="stable")[rows.size // 2]]
-    camera = run.cameras[name].camera
-    table = radial_table(
-        run.air.profiles[run.air.profile_number[middle]],
-        float(np.median(run.exposures.height_m[rows])),
-        float(np.median(run.ground_m[rows])),
-        angles_to(_LARGEST_DEG, _STEP_DEG),
-        focal_px=0.5 * (camera.fx_px + camera.fy_px),
-        radius=run.exposures.radius_m or float(euler_radius(latitude, 0.25 * np.pi)),
-        method=run.method,
-    )
-    n = table.r_c_rad.size
-    group = {"camera": np.full(n, name, dtype=object), "images": np.full(n, rows.size)}
-    return table_of(group | radial_columns(table), schema)
 
 
 FORMATS = parquet_and_csv("radial", "refraction by nadir angle, per flying height", radial_tables)

@@ -51,13 +51,9 @@ def read_eo_text(path: Path, stated: Stated, ledger: Ledger) -> Channel:
     titles = [name.upper() for name in _TITLES.findall(lines[at])]
     above = next((name for name in titles if name in ("ELLIPSOID", "ORTHOMETRIC")), "")
     if not above or "LAT" not in titles or "LONG" not in titles:
-        raise not_of_format(
-            path, f"its columns are {', '.join(titles)}: positions in a grid alone are not read",
-            "export it with latitude, longitude (LAT, LONG) and height",
-        )  # fmt: skip
+        raise InputError.of("IMPORT-FORMAT/eo-columns", path, titles=", ".join(titles))
     if not re.search(r"lat\W+long\w* in deg", "\n".join(lines[:at]), re.IGNORECASE):
-        raise not_of_format(path, "its header does not say 'lat, long in Deg'",
-                            "export latitude and longitude in degrees")  # fmt: skip
+        raise InputError.of("IMPORT-FORMAT/eo-degrees", path)
     rows = [line for line in lines[at + 1 :] if re.match(r"\s*\S+\s+\S*[0-9]", line)]
     table = split_lines(rows, titles, r"\s+")
     value = {name: numbers(table[name]) for name in titles}

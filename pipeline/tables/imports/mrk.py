@@ -11,9 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline.errors import InputError
 from pipeline.flight.channels import Channel
 from pipeline.ledger import Ledger
-from pipeline.tables.imports.stated import Stated, channel_of_rows, not_of_format, read_text
+from pipeline.tables.imports.stated import Stated, channel_of_rows, read_text
 from pipeline.tables.text_columns import numbers, split_lines, utc_of_weeks
 
 _MILLIMETRE = 1e-3
@@ -32,8 +33,7 @@ def read_mrk(path: Path, stated: Stated, ledger: Ledger) -> Channel:
     lines = read_text(path)
     of_mrk = np.array([re.search(_LINE, line) is not None for line in lines])
     if not of_mrk.any():
-        raise not_of_format(path, "no line is like '1  400373.488877  [2264]  -40,N  0,E  86,V  "
-                            "44.4,Lat  1.2,Lon  359.5,Ellh  0.03, 0.03, 0.05  16,Q'")  # fmt: skip
+        raise InputError.of("IMPORT-FORMAT/mrk", path)
     table = split_lines(lines, _NAMES, r"\s*(?:\[|\]|,[A-Za-z]*|\s)\s*")
     value = {name: numbers(table[name]) for name in _NAMES}
     readable = of_mrk & np.isfinite(list(value.values())).all(axis=0)

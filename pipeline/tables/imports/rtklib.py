@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline.errors import InputError
 from pipeline.flight.channels import Channel
 from pipeline.geodesy import enu_from_ecef, geodetic_of_ecef, offset_geodetic
 from pipeline.ledger import Ledger
@@ -39,9 +40,7 @@ def read_pos(path: Path, stated: Stated, ledger: Ledger) -> Channel:
     titles = [line for line in header if re.search(r"[\s,;]Q[\s,;]", line)]
     clock, *names = re.split(_SEPARATOR, titles[-1].strip("% \t")) if titles else [""]
     if clock not in ("GPST", "UTC", "JST"):
-        raise not_of_format(path, "no line like '%  GPST  latitude(deg) longitude(deg) height(m) Q "
-                            "ns ...' says what its columns and its time system are",
-                            "keep the header when exporting, or read it as csv")  # fmt: skip
+        raise InputError.of("IMPORT-FORMAT/pos-titles", path)
     if not rows:
         raise not_of_format(path, "it has a header and no solutions", "process the flight again")
     if _MINUTES in names:
@@ -100,9 +99,7 @@ def _positions(
         base = next((line for line in header if re.match(r"%\s*ref pos\s*:", line)), "")
         origin = [float(part) for part in re.findall(r"-?\d+\.\d+", base)]
         if len(origin) != 3 or abs(origin[0]) > 90.0:
-            raise not_of_format(path, "its baselines start at a base whose latitude, longitude and "
-                                "height the header does not give ('% ref pos   :')",
-                                "export latitude, longitude and height")  # fmt: skip
+            raise InputError.of("IMPORT-FORMAT/pos-base", path)
         enu = np.stack([value[f"{axis}-baseline(m)"] for axis in "enu"], axis=1)
         start = np.tile([*np.radians(origin[:2]), origin[2]], (len(enu), 1)).T
         lat, lon, height = offset_geodetic(start[0], start[1], start[2], enu)

@@ -15,7 +15,7 @@ from pipeline.geodesy import geodetic_of_ecef
 from pipeline.ledger import Ledger
 from pipeline.tables import text_columns
 from pipeline.tables.geodata.coordinate_systems import places_of
-from pipeline.tables.imports.stated import Stated, channel_of_rows, not_of_format
+from pipeline.tables.imports.stated import Stated, channel_of_rows
 from pipeline.units import RADIANS, Array, Mask
 
 _SINCE_EPOCH_S = 1e8
@@ -36,8 +36,7 @@ def read_trajectory_csv(path: Path, stated: Stated, ledger: Ledger) -> Channel:
     roll, pitch and yaw: rotations about the body's x, y and z in the stated order.
     """
     if not stated.columns:
-        raise not_of_format(path, "nothing says what its columns are",
-                            "name them under stations.trajectory.columns")  # fmt: skip
+        raise InputError.of("IMPORT-FORMAT/csv-columns", path)
     table = text_columns.text_table(path, stated.columns, codes=("IMPORT-FORMAT", "IMPORT-COLUMN"),
                        key="stations.trajectory.columns")  # fmt: skip
     value = {

@@ -187,17 +187,14 @@ def _refuse_fewer(file: Path, count: int) -> None:
 
 def _of_model(path: Path) -> tuple[Path, ...]:
     if not path.is_dir():
-        what = "it is no model: a database or a file has neither orientations nor object points"
-        raise not_of_format(path, what, "name the folder of a model, as sparse/0; beside a "
-                            "database as stations.orientation.path")  # fmt: skip
+        raise InputError.of("IMPORT-FORMAT/no-model", path)
     return block_files(path)
 
 
 def _model(code: int, path: Path) -> tuple[str, int]:
     """Name of a camera model, and how many parameters it has; refuses one of a later version."""
     if not 0 <= code < len(_MODELS):
-        raise not_of_format(path, f"its camera model number {code} is not known: COLMAP 4.2 has "
-                            f"0 to {len(_MODELS) - 1}")  # fmt: skip
+        raise InputError.of("IMPORT-FORMAT/colmap-model", path, code=code, last=len(_MODELS) - 1)
     return _MODELS[code]
 
 
@@ -205,6 +202,5 @@ def opened(path: Path) -> sqlite3.Connection:
     """A database for reading only; refuses one with rows that are still in the log beside it."""
     log = Path(f"{path}-wal")
     if log.is_file() and log.stat().st_size:
-        raise not_of_format(path, f"{log.name} beside it has rows that are not in it yet",
-                            "close the program that has it open, or open and close it")  # fmt: skip
+        raise InputError.of("IMPORT-FORMAT/database-log", path, log=log)
     return sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro&immutable=1", uri=True)

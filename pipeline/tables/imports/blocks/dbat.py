@@ -51,8 +51,7 @@ def read_images(path: Path) -> OrientationTable:
     """The images with the orientations of the report."""
     named, cameras = _root(path).findtext("output/files/report/file"), read_cameras(path)
     if named is None or len(cameras) != 1:
-        what = f"it has {len(cameras)} cameras; one is read, and the report that it names"
-        raise not_of_format(path, what, "run DBAT, or give stations.orientation")
+        raise InputError.of("IMPORT-FORMAT/dbat-cameras", path, cameras=len(cameras))
     report = _beside(path, named)
     text = "\n".join(read_text(report)).partition("\n   Quality")[0]
     parts, found = _PHOTO.split(text), {}

@@ -19,6 +19,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import ArrayLike
 
+from pipeline.errors import InputError
 from pipeline.flight.heights import GeodeticOrigin
 from pipeline.flight.stations import NO_TIME
 from pipeline.refraction.camera.camera import Camera
@@ -115,8 +116,7 @@ class BinaryFile:
 
     def __exit__(self, kind: object, error: object, trace: object) -> None:
         if (rest := len(self.content) - self.at) and error is None:
-            raise not_of_format(self.path, f"{rest} bytes stand behind its last record: it is "
-                                "damaged, or of another version")  # fmt: skip
+            raise InputError.of("IMPORT-FORMAT/bytes-behind", self.path, rest=rest)
 
     def skip(self, size: int) -> int:
         """Pass ``size`` bytes; returns where they begin."""

@@ -19,6 +19,7 @@ import numpy as np
 import pyarrow as pa
 from scipy.spatial.transform import Rotation
 
+from pipeline.errors import InputError
 from pipeline.refraction.calibration import camera_of_model
 from pipeline.refraction.camera.camera import Camera
 from pipeline.refraction.camera.general_frame import GeneralFrame
@@ -117,8 +118,9 @@ def _root(path: Path) -> ElementTree.Element:
         root = ElementTree.fromstring(path.read_bytes())
     version = root.get("version", "1" if root.tag == "calibration" else "")
     if version.partition(".")[0] not in ("1", "2"):
-        raise not_of_format(path, f"it is a {root.tag} of version {version or 'unknown'}; "
-                            "Metashape's of version 1 and 2 are read")  # fmt: skip
+        raise InputError.of(
+            "IMPORT-FORMAT/metashape-version", path, root=root, version=version or "unknown"
+        )
     return root
 
 
@@ -126,8 +128,7 @@ def _chunk(path: Path) -> ElementTree.Element:
     chunks = [*_root(path).iter("chunk")]
     if len(chunks) != 1:
         names = ", ".join(repr(chunk.get("label", "")) for chunk in chunks)
-        raise not_of_format(path, f"it has {len(chunks)} chunks ({names}), and one is read",
-                            "keep the chunk that is meant, or export it alone")  # fmt: skip
+        raise InputError.of("IMPORT-FORMAT/chunks", path, chunks=len(chunks), names=names)
     return chunks[0]
 
 
@@ -195,8 +196,7 @@ def _camera(calibration: ElementTree.Element | None, path: Path) -> Camera:
 
     unused = [name for name in _NOT_MODELLED.get(kind, ()) if number(name) != 0.0]
     if unused:
-        what = f"{', '.join(unused)} of a {kind} calibration cannot be used"
-        raise not_of_format(path, what, "adjust the camera without, and export it again")
+        raise InputError.of("IMPORT-FORMAT/calibration", path, unused=", ".join(unused), kind=kind)
     if calibration.find("fx") is not None:
         frame = [number("fx"), number("fy"), number("cx"), number("cy")]
     else:

@@ -94,8 +94,7 @@ def read_rows(path: Path) -> Iterator[pa.RecordBatch]:
     with file.open(encoding="utf-8") as stream:
         version = stream.readline().strip()
     if version != _VERSION:
-        raise not_of_format(file, f"its first line is {version[:40]!r}, not {_VERSION}",
-                            "write it again with OpenSfM 0.5 or newer")  # fmt: skip
+        raise InputError.of("IMPORT-FORMAT/tracks", file, version=version[:40], expected=_VERSION)
     kinds = dict.fromkeys(_COLUMNS, "float64") | {"image": "str", "track": "int64",
                                                   "keypoint": "int64"}  # fmt: skip
     read: Callable[..., Any] = partial(
@@ -129,8 +128,7 @@ def _reconstruction(path: Path) -> dict[str, Any]:
     file = block_files(path)[0]
     content = json.loads(file.read_text(encoding="utf-8"))
     if not isinstance(content, list) or len(content) != 1:
-        raise not_of_format(file, f"{len(content)} reconstructions, each with cameras of its own",
-                            "keep one of them")  # fmt: skip
+        raise InputError.of("IMPORT-FORMAT/reconstructions", file, found=len(content))
     return dict(content[0])
 
 
