@@ -152,7 +152,7 @@ def with_cabin_air(
             continue
         logged = tuple(column[rows] for column in columns.values())
         ambient = outside[0][rows], outside[1][rows]
-        values = _air_in(cabin, logged, ambient)
+        values = air_in(cabin, logged, ambient)
         for column, value in zip(columns.values(), values, strict=True):
             column[rows] = value
         ok = stations.ok[rows]
@@ -208,7 +208,7 @@ def _first_known(*values: ArrayLike) -> Array:
     return found
 
 
-def _air_in(
+def air_in(
     cabin: Cabin, logged: tuple[Array, ...], outside: tuple[Array, Array]
 ) -> tuple[Array, ...]:
     """(m,) pressure [Pa], temperature [K], vapour pressure [Pa], sigmas of the first two.

@@ -104,8 +104,8 @@ def manifest_of(
         "correction": statistics.correction(),
         "sigma_budget": statistics.sigma_budget(setup.camera_number),
         "ground_heights": statistics.ground_heights(),
-        "uncertainty": _air_parameter(setup, statistics),
-        "cabin_air": _cabin_parameters(setup),
+        "uncertainty": air_parameter(setup, statistics),
+        "cabin_air": cabin_parameters(setup),
         "cabin_sigma_share": statistics.cabin_share.summary(),
         "ledger": entries,
         "exit_code": EXIT_LOSSES if ledger.has_losses else EXIT_DONE,
@@ -200,7 +200,7 @@ def _heights(mission: Mission, flight: FlightLog, stations: Stations) -> dict[st
     }
 
 
-def _air_parameter(setup: CorrectionSetup, statistics: Statistics) -> dict[str, Any] | None:
+def air_parameter(setup: CorrectionSetup, statistics: Statistics) -> dict[str, Any] | None:
     """The parameter of the leading mode of the air; None where no air has a covariance."""
     modes = [u.mode for u in setup.uncertainties if u is not None and u.mode is not None]
     if not modes:
@@ -219,7 +219,7 @@ def _air_parameter(setup: CorrectionSetup, statistics: Statistics) -> dict[str, 
     }
 
 
-def _cabin_parameters(setup: CorrectionSetup) -> dict[str, Any]:
+def cabin_parameters(setup: CorrectionSetup) -> dict[str, Any]:
     """Of each camera behind a plane window the refractivity there, and its standard deviation."""
     made = next((u for u in setup.uncertainties if u is not None), None)
     cameras: dict[str, Any] = {}
