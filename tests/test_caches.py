@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import gc
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import jinja2
@@ -106,8 +108,11 @@ def test_what_warm_compiles_is_what_missions_and_terrains_call(unbend, monkeypat
     assert (ended.code, ended.out.strip()) == (0, cache_folder())
     kernels = {k.function.__name__: k for k in gc.get_objects() if isinstance(k, Kernel)}
     assert len(kernels) == 14
-    known = {name: list(kernel.compiled().signatures) for name, kernel in kernels.items()}
+    known = {name: list(kernel.by_types) for name, kernel in kernels.items()}
     assert all(known.values()), known
+    code = "compile_kernels()\nimport sys\nassert 'numba' not in sys.modules"
+    words = [sys.executable, "-c", f"from pipeline.library import compile_kernels\n{code}"]
+    subprocess.run(words, check=True)
 
     monkeypatch.setattr(Kernel, "always_compiled", True)
     check_mission(Path(__file__).parents[1] / "configs/sample_bin.yaml")
@@ -115,4 +120,4 @@ def test_what_warm_compiles_is_what_missions_and_terrains_call(unbend, monkeypat
     path = tmp_path / "dem.tif"
     model, _ = open_elevation([path], None, reference="msl", undulation=np.zeros_like)
     landing(model, *rays_from(30, -17.02, 8.02, 0.005, (3_000.0, 4_000.0), 3))
-    assert {name: list(k.compiled().signatures) for name, k in kernels.items()} == known
+    assert {name: list(kernel.by_types) for name, kernel in kernels.items()} == known

@@ -23,8 +23,7 @@ from pipeline.config import Mission
 from pipeline.config.station_sources import KnownPositions
 from pipeline.errors import ConfigError, InputError, UnbendError
 from pipeline.tables.geodata.gdal import raster_files
-from pipeline.tables.imports.blocks import BLOCKS, damage_refused
-from pipeline.tables.imports.exif import image_files
+from pipeline.tables.imports.blocks import BLOCKS, block_reader, damage_refused
 
 MANIFEST_VERSION = 1
 GDAL = "GDAL"
@@ -318,8 +317,12 @@ def _files_of(path: Path, program: str | None) -> tuple[Path, ...]:
         return raster_files(path)
     if program is not None:
         with damage_refused(path, program):
-            return BLOCKS[program][0].block_files(path)
-    return (path,) if path.is_file() else tuple(image_files(path))
+            return block_reader(program).block_files(path)
+    if path.is_file():
+        return (path,)
+    from pipeline.tables.imports.exif import image_files
+
+    return tuple(image_files(path))
 
 
 def fingerprint_of(keys: Mapping[str, str]) -> str:

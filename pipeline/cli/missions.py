@@ -127,7 +127,6 @@ def run_missions(
 ) -> Generator[tuple[MissionRef, MissionEnd]]:
     """Run missions in this process, in so many others, or on the workers of a scheduler."""
     with answer.progress("loading"):
-        from pipeline.batch.cluster import Cluster
         from pipeline.batch.execute import run_many
         from pipeline.batch.executors import Executor, Inline, Processes
         from pipeline.stages.story import run_mission
@@ -135,6 +134,8 @@ def run_missions(
     executor: Executor = Inline(answer.progress)
     sent = {ref: ref for ref in missions}
     if isinstance(where, str):
+        from pipeline.batch.cluster import Cluster
+
         executor = Cluster(where)
         sent = {replace(ref, path=ref.path.absolute()): ref for ref in missions}
     elif len(missions) > 1 < where:

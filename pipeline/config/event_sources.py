@@ -10,7 +10,7 @@ from pydantic import AfterValidator, Field, model_validator
 from pipeline.config.atmosphere import PathText
 from pipeline.config.cameras import Section, one_of
 from pipeline.config.station_sources import ClockColumns, ImportTime
-from pipeline.tables.imports import CAMERA_EVENTS, reader_of
+from pipeline.tables.imports import CAMERA_EVENTS, format_of
 
 _NUMBER_FORMAT = re.compile(r"^0?[0-9]{0,2}d?$")
 
@@ -76,7 +76,7 @@ class PositionEvents(Section):
     @property
     def format_name(self) -> str:
         """The format, stated or by the ending."""
-        return reader_of(CAMERA_EVENTS, Path(self.path), self.format)[0]
+        return format_of(CAMERA_EVENTS, Path(self.path), self.format)
 
     @property
     def reference_point(self) -> str:

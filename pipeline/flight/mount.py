@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from pipeline.flight.channels import Channel
 from pipeline.flight.rotations import (
@@ -51,6 +50,8 @@ class Mount:
         >>> round(float((looks_forward.camera_from_body @ [1.0, 0.0, 0.0])[2]), 6)
         1.0
         """
+        from scipy.spatial.transform import Rotation
+
         turn = Rotation.from_euler("ZYX", [self.yaw_rad, self.pitch_rad, self.roll_rad])
         return np.asarray(CAMERA_AT_REST @ turn.as_matrix().T)
 

@@ -1,6 +1,6 @@
 """The inputs of a mission: the table of observations, and the flight log with its channels."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -22,8 +22,9 @@ from pipeline.ingest import Log, open_log
 from pipeline.ingest.fields import in_stated_unit
 from pipeline.ledger import Ledger
 from pipeline.tables.geodata.geoid import package_geoid, read_geoid
-from pipeline.tables.imports import CAMERA_EVENTS, TRAJECTORIES, Stated, reader_of
+from pipeline.tables.imports import CAMERA_EVENTS, TRAJECTORIES, reader_of
 from pipeline.tables.imports.agreement import compare_with_log
+from pipeline.tables.imports.stated import Stated
 from pipeline.tables.observations import Observations, open_observations
 
 _MOST_KEPT_BYTES = 256_000_000
@@ -224,7 +225,7 @@ def read_trajectory(plan: Plan, channels: tuple[Channel, ...], ledger: Ledger) -
     if section is None:
         return None
     path = plan.input("trajectory").path
-    _, reader = reader_of(TRAJECTORIES, path, section.format)
+    reader: Callable[..., Channel] = reader_of(TRAJECTORIES, path, section.format)
     accuracy = plan.input("trajectory accuracy").path if section.accuracy else None
     stated = Stated(
         section.time.system,
@@ -265,7 +266,7 @@ def read_camera_events(plan: Plan, flight: FlightLog, ledger: Ledger) -> dict[st
     events = {}
     for camera, source in plan.mission.position_events.items():
         path = plan.input(f"events of {camera}").path
-        _, reader = reader_of(CAMERA_EVENTS, path, source.format)
+        reader = reader_of(CAMERA_EVENTS, path, source.format)
         around = _time_range(flight.channels)
         stated = Stated(
             source.time.system, source.time.week, around, source.heights, grid=source.grid

@@ -231,8 +231,11 @@ THINGS = {
         {"pipeline/tables/imports/blocks/toy.py": BLOCK},
         {
             "pipeline/tables/imports/blocks/__init__.py": (
-                ("metashape, opensfm\n", "metashape, opensfm, toy\n"),
-                ('    "opensfm": (open', '    "toy": (toy, (".toycam",)),\n    "opensfm": (open'),
+                (
+                    '    "opensfm": (',
+                    '    "toy": ("pipeline.tables.imports.blocks.toy", (".toycam",)),\n'
+                    '    "opensfm": (',
+                ),
             )
         },
     ),
@@ -241,13 +244,9 @@ THINGS = {
         {
             "pipeline/tables/imports/__init__.py": (
                 (
-                    "import read_trajectory_csv\n",
-                    "import read_trajectory_csv\n"
-                    "from pipeline.tables.imports.toy import read_toy\n",
-                ),
-                (
-                    '    "sbet": (read_sbet,',
-                    '    "toy": (read_toy, (".toy",)),\n    "sbet": (read_sbet,',
+                    '    "sbet": (',
+                    '    "toy": ("pipeline.tables.imports.toy:read_toy", (".toy",)),\n'
+                    '    "sbet": (',
                 ),
             )
         },
@@ -444,11 +443,12 @@ def test_an_import(copy):
     (copy.folder / "with_toy.yaml").write_text(yaml.safe_dump(mission))
     code = (
         "import pipeline; from pathlib import Path; from pipeline.ledger import Ledger\n"
-        "from pipeline.tables.imports import TRAJECTORIES, Stated, reader_of\n"
+        "from pipeline.tables.imports import TRAJECTORIES, reader_of\n"
+        "from pipeline.tables.imports.stated import Stated\n"
         "stated = pipeline.load_mission('with_toy.yaml').stations.trajectory\n"
         "by_ending = reader_of(TRAJECTORIES, Path('flown.toy'), None)\n"
-        "name, read = reader_of(TRAJECTORIES, Path('flown.toy'), stated.format)\n"
-        "assert (name, read) == by_ending\n"
+        "read = reader_of(TRAJECTORIES, Path('flown.toy'), stated.format)\n"
+        "assert read is by_ending\n"
         "print(read(Path('flown.toy'), Stated(heights=stated.heights), Ledger())['h_msl_m'])"
     )
     assert "501" in copy.python(code)

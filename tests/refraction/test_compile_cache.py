@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 import pipeline
+from pipeline.refraction.kernels import machine_code
 from pipeline.refraction.kernels.jit import source_hash
 
 ROOM = Path(pipeline.__file__).parent / "refraction"
@@ -47,7 +48,7 @@ def tree(tmp_path: Path) -> Path:
 
 
 def test_an_edited_helper_is_compiled_again_and_old_code_removed(tree, tmp_path):
-    """The model is no entry function: numba itself compares the file of those only."""
+    """The model is no entry function: the folder is that of the hash of all."""
     cache = tmp_path / "cache"
     u = float(run(DISTORTED, tree, cache))
     assert u + 0.5 * u**3 == pytest.approx(0.1, abs=1e-14)
@@ -57,7 +58,8 @@ def test_an_edited_helper_is_compiled_again_and_old_code_removed(tree, tmp_path)
         folder.mkdir()
     recent = cache / "unbend-0123456789abcdef"
     recent.mkdir()
-    assert float(run(DISTORTED, tree, cache)) == u
+    linked = "import sys\nassert 'numba' not in sys.modules\n"
+    assert float(run(DISTORTED + linked, tree, cache)) == u
     assert old in cache.iterdir()
 
     model = tree / "pipeline/refraction/camera/brown_conrady.py"
@@ -73,7 +75,17 @@ def test_an_edited_helper_is_compiled_again_and_old_code_removed(tree, tmp_path)
     assert all(folder.exists() for folder in foreign)
     (new,) = set(cache.iterdir()) - {recent, *foreign}
     assert re.fullmatch(r"unbend-[0-9a-f]{16}", new.name)
-    assert any(new.rglob("*.nbi"))
+    assert any(new.rglob("*.o"))
+
+
+def test_code_that_is_damaged_is_not_linked(tmp_path):
+    path = tmp_path / "kernel.o"
+    machine_code.keep(str(path), "symbol", [], bytes(1000))
+    whole = path.read_bytes()
+    for damaged in (b"", whole[:-1], whole[:40], whole[:50] + b"x" + whole[51:]):
+        path.write_bytes(damaged)
+        assert machine_code.linked(str(path)) is None
+    assert machine_code.linked(str(tmp_path / "none")) is None
 
 
 @pytest.mark.skipif(not hasattr(os, "geteuid"), reason="permissions are those of POSIX")
@@ -90,7 +102,7 @@ def test_nothing_is_written_where_nothing_can_be(tree, tmp_path):
         == "None"
     )
     assert blocked.read_text() == ""
-    assert not list(tree.rglob("*.nbi"))
+    assert not list(tree.rglob("*.o"))
 
 
 def test_every_source_that_may_be_compiled_in_is_hashed(tmp_path):

@@ -135,7 +135,7 @@ def test_one_angle_needs_no_compiler():
     sine, cosine = np.sin([1.3]), np.cos([1.3])
     kernel, angle = np.full(1, np.nan), np.zeros(1, np.uint8)
     whole = [np.array([v]) for v in (1e4, 0.0, sine[0], cosine[0], 6_371_000.0, np.nan)]
-    bend_rays.compiled()(TABLE.pieces, RayColumns(*whole), np.arange(1), kernel, angle)
+    bend_rays.compiled(TABLE.pieces, RayColumns(*whole), np.arange(1), kernel, angle)
     assert float.fromhex(value) == kernel[0]
 
 

@@ -119,11 +119,12 @@ class TracedColumns(NamedTuple):
 
 
 class ShiftColumns(NamedTuple):
-    """Shifts in the image [px] and on the ground [m], to be filled."""
+    """Shifts in the image [px] and on the ground [m], to be filled; (3, 3) scratch."""
 
     dx: Array
     dy: Array
     ground: Array
+    room: Array
 
 
 class AirTables(NamedTuple):

@@ -2,17 +2,16 @@
 
 Both give the same digits, bit for bit: compiled in double precision, without fused or reordered
 operations, and interpreted with the functions of the C library that compiled code calls. numba is
-imported with the first kernel that is compiled or loaded, because that takes half a second.
+imported with the first kernel that is compiled, because that takes half a second.
 
-numba compares the file of a cached function with the source, but not the files of the functions
-it calls; so the cache is a folder named after the hash of all sources that may be compiled in.
+A function is compiled with all that it calls, in other files too; so the cache is a folder named
+after the hash of all sources that may be compiled in.
 """
 
 import hashlib
 import math
 import os
 import shutil
-import sys
 import threading
 import time
 from collections.abc import Callable
@@ -27,10 +26,10 @@ from pipeline.caches import OF_COMPILED, compiled_code
 
 _ROOM = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 _KEPT_S = 7 * 86_400.0  # unused this long, the folder of another version is removed
-_LOADED = 0.1  # of the rows worth compiling a kernel for: worth loading it
+_LINKED = 0.01  # of the rows worth compiling a kernel for: worth linking it
 
-_OPTIONS: dict[Callable[..., Any], dict[str, Any]] = {}
-"""Functions that kernels call, with the options to compile each with."""
+_INLINED: dict[Callable[..., Any], str] = {}
+"""Functions that kernels call, and whether each is compiled as a part of those that call it."""
 
 _LINKING = threading.RLock()
 
@@ -134,7 +133,7 @@ class OfType:
 
 
 @cache
-def _linked(function: Any, compiled: bool, cache: bool = False) -> Callable[..., Any]:
+def _linked(function: Any, compiled: bool) -> Callable[..., Any]:
     """A copy of a function that calls compiled functions, or interpreted ones, in its module."""
     if isinstance(function, OfType):
         return function.compiled() if compiled else function
@@ -142,7 +141,7 @@ def _linked(function: Any, compiled: bool, cache: bool = False) -> Callable[...,
     names: dict[str, Any] = {} if compiled else {"math": _MATH, "np": _NUMPY}
     for name in function.__code__.co_names:
         value = within.get(name)
-        if isinstance(value, OfType) or (isinstance(value, FunctionType) and value in _OPTIONS):
+        if isinstance(value, OfType) or (isinstance(value, FunctionType) and value in _INLINED):
             names[name] = _linked(value, compiled)
     copy = FunctionType(
         function.__code__, {**within, **names}, function.__name__, function.__defaults__
@@ -152,25 +151,11 @@ def _linked(function: Any, compiled: bool, cache: bool = False) -> Callable[...,
         return copy
     import numba
 
-    # numba looks for the folder when a function is decorated; others in this process keep theirs.
-    folder = cache_folder()
-    theirs, numba.config.CACHE_DIR = numba.config.CACHE_DIR, folder or ""
-    options = {} if cache else _OPTIONS.get(function, {"no_cpython_wrapper": True})
-    try:
-        dispatcher: Callable[..., Any] = numba.njit(
-            cache=cache and folder is not None, error_model="numpy", nogil=True,
-            no_cfunc_wrapper=True, **options,
-        )(copy)  # fmt: skip
-        return dispatcher
-    finally:
-        numba.config.CACHE_DIR = theirs
-
-
-@lru_cache(maxsize=1)
-def names_in_cache() -> frozenset[str]:
-    """Names of the functions that were in the cache when this process began to ask."""
-    walked = os.walk(cache_folder() or os.devnull)
-    return frozenset(name for *_, names in walked for name in names if name.endswith(".nbi"))
+    dispatcher: Callable[..., Any] = numba.njit(
+        error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True,
+        inline=_INLINED.get(function, "never"),
+    )(copy)  # fmt: skip
+    return dispatcher
 
 
 class Kernel:
@@ -181,49 +166,59 @@ class Kernel:
 
     def __init__(self, function: Callable[..., Any], rows: int, most: int) -> None:
         self.function, self.rows, self.left, self.most = function, rows, most, most
-        self._compiled: Callable[..., Any] | None = None
+        self.by_types: dict[str, Callable[..., None]] = {}
 
-    @property
-    def cached(self) -> bool:
-        """Whether the cache has it, for some types of arguments."""
-        code: Any = self.function.__code__
-        name = f"{self.function.__module__.rpartition('.')[2]}.{self.function.__qualname__}"
-        python = f"py{sys.version_info.major}{sys.version_info.minor}{sys.abiflags}"
-        return f"{name}-{code.co_firstlineno}.{python}.nbi" in names_in_cache()
-
-    def __call__(self, *arguments: Any) -> Any:
-        if self._compiled is None and not Kernel.always_compiled:
+    def __call__(self, *arguments: Any) -> None:
+        """Interpreted, or by machine code: linked from the cache, or compiled for many rows."""
+        if not self.by_types and not Kernel.always_compiled:
             counted = arguments[self.rows]
             self.left -= (counted[0] if isinstance(counted, tuple) else counted).shape[0]
-            if self.left >= (self.most * (1.0 - _LOADED) if self.cached else 0):
+            few = self.left >= self.most * (1.0 - _LINKED)
+            if few or (self.left >= 0 and self.code_for(arguments, compiles=False) is None):
                 try:
-                    return self.interpreted(*arguments)
+                    self.interpreted(*arguments)
+                    return
                 except (ArithmeticError, ValueError, IndexError):
                     pass  # what Python refuses and compiled code has a number for
-        return self.compiled()(*arguments)
+        self.compiled(*arguments)
 
-    def interpreted(self, *arguments: Any) -> Any:
+    def interpreted(self, *arguments: Any) -> None:
         """The same, interpreted."""
         with np.errstate(all="ignore"):
-            return _linked(self.function, False)(*arguments)
+            _linked(self.function, False)(*arguments)
 
-    def compiled(self) -> Callable[..., Any]:
-        """The compiled function, which numba compiles, or loads, when it is called first."""
-        if self._compiled is None:
+    def compiled(self, *arguments: Any) -> None:
+        """The same by machine code."""
+        self.code_for(arguments, compiles=True)(*arguments)
+
+    def code_for(self, arguments: Any, *, compiles: bool) -> Any:
+        """Machine code for such arguments: in the cache, or compiled by numba; else None."""
+        from pipeline.refraction.kernels import machine_code
+
+        types = machine_code.type_of(arguments)
+        if types not in self.by_types:
             with _LINKING:
-                self._compiled = _linked(self.function, True, True)
-        return self._compiled
+                name = f"{self.function.__module__}.{self.function.__qualname__}"
+                path = machine_code.file_of(cache_folder(), name, types)
+                address = machine_code.linked(path)
+                if address is None and compiles:
+                    dispatcher = _linked(self.function, True)
+                    address, *code = machine_code.compiled(dispatcher, arguments)
+                    machine_code.keep(path, *code)
+                if address is not None:
+                    self.by_types[types] = machine_code.callable_at(address, arguments)
+        return self.by_types.get(types)
 
 
 def jit(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A function that only kernels call; compiled without wrappers, which take time."""
-    _OPTIONS[function] = {"no_cpython_wrapper": True}
+    """A function that only kernels call."""
+    _INLINED[function] = "never"
     return function
 
 
 def within(function: Callable[..., Any]) -> Callable[..., Any]:
     """A function compiled as a part of the one that calls it; each level takes time."""
-    _OPTIONS[function] = {"inline": "always"}
+    _INLINED[function] = "always"
     return function
 
 

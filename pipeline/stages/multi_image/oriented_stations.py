@@ -1,5 +1,6 @@
 """Stations from the orientation of a block: read, brought to each station's vertical, checked."""
 
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 
@@ -42,9 +43,15 @@ from pipeline.stages.inputs import FlightLog, user_geoid
 from pipeline.stages.multi_image.tie_point_checks import FEWEST_TIE_POINTS
 from pipeline.tables.geodata.coordinate_systems import places_of
 from pipeline.tables.geodata.object_points import ObjectPoints
-from pipeline.tables.imports import ORIENTATIONS, Stated, reader_of
-from pipeline.tables.imports.blocks import BLOCKS, block_rows, damage_refused, read_block_images
+from pipeline.tables.imports import ORIENTATIONS, reader_of
+from pipeline.tables.imports.blocks import (
+    block_reader,
+    block_rows,
+    damage_refused,
+    read_block_images,
+)
 from pipeline.tables.imports.orientation import OrientationTable, read_known_positions
+from pipeline.tables.imports.stated import Stated
 from pipeline.tables.observations import Observations
 from pipeline.tables.tie_points import TiePoints, tie_rays
 from pipeline.units import DEGREE, RADIANS, Array
@@ -120,7 +127,7 @@ def orientation_table(plan: Plan, section: OrientationSection, ledger: Ledger) -
     """
     source = plan.input("orientation").path
     if not section.of_block:
-        _, reader = reader_of(ORIENTATIONS, source, section.format)
+        reader: Callable[..., OrientationTable] = reader_of(ORIENTATIONS, source, section.format)
         return reader(source, Stated(columns=section.column_names, angle_unit=section.unit), ledger)
     table = read_block_images(source, section.format)
     given, names = np.array(table.camera), dict(plan.camera_names)
@@ -144,7 +151,7 @@ def block_points(plan: Plan, flight: FlightLog, ledger: Ledger) -> ObjectPoints:
         raise MissionError("EVENTS-NONE", "the mission names no orientation", where="stations")
     source = plan.input("orientation").path
     with damage_refused(source, section.format):
-        name, xyz = BLOCKS[section.format][0].read_points(source)
+        name, xyz = block_reader(section.format).read_points(source)
     if len(name) == 0:
         raise InputError.of("POINTS-EMPTY", section.path)
     table = orientation_table(plan, section, ledger)

@@ -31,7 +31,7 @@ from pipeline.ingest.overview import flight_of
 from pipeline.ledger import Ledger
 from pipeline.tables.delimited import csv_names
 from pipeline.tables.geodata.geoid import package_geoid
-from pipeline.tables.imports.blocks import BLOCKS, damage_refused
+from pipeline.tables.imports.blocks import block_reader, damage_refused
 from pipeline.tables.imports.exif import read_image_times
 from pipeline.tables.observations import Observations, open_observations
 from pipeline.units import HECTOPASCAL, ZERO_CELSIUS_K
@@ -215,7 +215,7 @@ def found_in_table(path: Path) -> FoundTable:
     found, program = FoundTable(), block_format(path)
     if program:
         with damage_refused(path, program):
-            found.cameras = tuple(BLOCKS[program][0].read_cameras(path))
+            found.cameras = tuple(block_reader(program).read_cameras(path))
         wanted: dict[str, str | None] = {name: name for name in _COLUMN_NAMES}
         opened = open_observations(path, wanted, None, Ledger(), file_format=program)
         found.format, found.images = program, opened.images

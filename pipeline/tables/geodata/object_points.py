@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
@@ -91,12 +90,12 @@ def read_object_points(
             for quantity, name in columns.items()
             if quantity != "point"
         }
-    names = pd.Series(given.to_pandas())
-    twice = names[names.duplicated(keep=False)]
+    names = given.value_counts()
+    twice = names.filter(pc.greater(names.field("counts"), 1)).field("values")
     if len(names) == 0 or len(twice):
         what = "the table has no rows"
         if len(twice):
-            what = f"{twice.nunique()} points stand there more than once, first {twice.iloc[0]!r}"
+            what = f"{len(twice)} points stand there more than once, first {twice[0].as_py()!r}"
         raise InputError("POINTS-REPEATED" if len(twice) else "POINTS-EMPTY", what, where=str(path),
                          remedy="write one row for each point")  # fmt: skip
     return given, values

@@ -5,57 +5,45 @@ A new format is a module beside this one, and its reader in `TRAJECTORIES`, `CAM
 channel, or an `OrientationTable`.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TypeVar
+from pkgutil import resolve_name
+from typing import Any
 
 from pipeline.errors import InputError
-from pipeline.flight.channels import Channel
-from pipeline.ledger import Ledger
-from pipeline.tables.imports.eo_text import read_eo_text
-from pipeline.tables.imports.exif import read_gimbal_orientations
-from pipeline.tables.imports.mrk import read_mrk
-from pipeline.tables.imports.orientation import OrientationTable, read_orientation
-from pipeline.tables.imports.rtklib import read_pos
-from pipeline.tables.imports.sbet import read_sbet
-from pipeline.tables.imports.stated import Stated
-from pipeline.tables.imports.trajectory_csv import read_trajectory_csv
 
-Reader = Callable[[Path, Stated, Ledger], Channel]
-AnyReader = TypeVar("AnyReader")
+Registry = Mapping[str, tuple[str, tuple[str, ...]]]
+"""Where the reader of a format is, imported when a file is read; endings by which it is known."""
 
-TRAJECTORIES: Mapping[str, tuple[Reader, tuple[str, ...]]] = {
-    "rtklib": (read_pos, (".pos",)),
-    "sbet": (read_sbet, (".sbet", ".out")),
-    "csv": (read_trajectory_csv, (".csv", ".txt")),
+TRAJECTORIES: Registry = {
+    "rtklib": ("pipeline.tables.imports.rtklib:read_pos", (".pos",)),
+    "sbet": ("pipeline.tables.imports.sbet:read_sbet", (".sbet", ".out")),
+    "csv": ("pipeline.tables.imports.trajectory_csv:read_trajectory_csv", (".csv", ".txt")),
 }
-"""Readers of trajectories, and the endings by which a file is known."""
 
-CAMERA_EVENTS: Mapping[str, tuple[Reader, tuple[str, ...]]] = {
-    "rtklib": (read_pos, (".pos",)),
-    "mrk": (read_mrk, (".mrk",)),
-    "eo": (read_eo_text, (".txt", ".eo", ".dat")),
+CAMERA_EVENTS: Registry = {
+    "rtklib": ("pipeline.tables.imports.rtklib:read_pos", (".pos",)),
+    "mrk": ("pipeline.tables.imports.mrk:read_mrk", (".mrk",)),
+    "eo": ("pipeline.tables.imports.eo_text:read_eo_text", (".txt", ".eo", ".dat")),
 }
 """Readers of exposures with their positions: columns of positions, and ``event_index``."""
 
-
-ORIENTATIONS: Mapping[
-    str, tuple[Callable[[Path, Stated, Ledger], OrientationTable], tuple[str, ...]]
-] = {"csv": (read_orientation, (".csv", ".txt")), "dji": (read_gimbal_orientations, ())}
+ORIENTATIONS: Registry = {
+    "csv": ("pipeline.tables.imports.orientation:read_orientation", (".csv", ".txt")),
+    "dji": ("pipeline.tables.imports.exif:read_gimbal_orientations", ()),
+}
 """Readers of positions and attitudes of images: a table, or the images of a folder themselves."""
 
 
-def reader_of(
-    readers: Mapping[str, tuple[AnyReader, tuple[str, ...]]], path: Path, name: str | None
-) -> tuple[str, AnyReader]:
-    """The format of a file, stated or by its ending, and its reader.
+def format_of(readers: Registry, path: Path, name: str | None) -> str:
+    """The format of a file, stated or by its ending.
 
-    >>> reader_of(CAMERA_EVENTS, Path("100_0001_Timestamp.MRK"), None)[0]
+    >>> format_of(CAMERA_EVENTS, Path("100_0001_Timestamp.MRK"), None)
     'mrk'
     """
-    for known, (reader, endings) in readers.items():
+    for known, (_, endings) in readers.items():
         if known == name or (name is None and path.suffix.lower() in endings):
-            return known, reader
+            return known
     able = ", ".join(ending for _, endings in readers.values() for ending in endings)
     what = f"its ending {path.suffix or 'is missing: it'} says nothing; known are {able}"
     raise InputError(
@@ -63,4 +51,6 @@ def reader_of(
     )
 
 
-__all__ = ["CAMERA_EVENTS", "ORIENTATIONS", "TRAJECTORIES", "Reader", "Stated", "reader_of"]
+def reader_of(readers: Registry, path: Path, name: str | None) -> Any:
+    """The reader of a file whose format is stated, or said by its ending."""
+    return resolve_name(readers[format_of(readers, path, name)][0])

@@ -8,10 +8,11 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.errors import InputError
 from pipeline.ledger import Ledger
-from pipeline.tables.imports import CAMERA_EVENTS, Stated, reader_of
+from pipeline.tables.imports import CAMERA_EVENTS, format_of
 from pipeline.tables.imports.eo_text import read_eo_text
 from pipeline.tables.imports.mrk import read_mrk
 from pipeline.tables.imports.rtklib import read_pos
+from pipeline.tables.imports.stated import Stated
 
 WEEK = 2417
 
@@ -101,7 +102,7 @@ def test_events_of_rtklib_are_counted_by_their_rows(exposures):
     path.write_text("".join(lines))
     channel = read_pos(path, Stated(), Ledger())
     assert channel["event_index"].tolist() == [k for k in range(1, 31) if k != 5]
-    assert reader_of(CAMERA_EVENTS, path, None)[0] == "rtklib"
+    assert format_of(CAMERA_EVENTS, path, None) == "rtklib"
 
 
 def test_an_eo_text_with_names(exposures):

@@ -9,9 +9,10 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.errors import InputError
 from pipeline.ledger import Ledger
-from pipeline.tables.imports import TRAJECTORIES, Stated, reader_of
+from pipeline.tables.imports import TRAJECTORIES, format_of
 from pipeline.tables.imports.rtklib import read_pos
 from pipeline.tables.imports.sbet import read_sbet
+from pipeline.tables.imports.stated import Stated
 from pipeline.tables.imports.trajectory_csv import read_trajectory_csv
 
 GPST = Stated(time_system="gpst", heights="ellipsoid")
@@ -450,8 +451,8 @@ def test_swapped_columns_missing_columns_and_zones_are_refused(flight):
 
 
 def test_a_format_is_known_by_its_name_or_its_ending(tmp_path):
-    assert reader_of(TRAJECTORIES, tmp_path / "a.POS", None)[0] == "rtklib"
-    assert reader_of(TRAJECTORIES, tmp_path / "a.xyz", "csv")[0] == "csv"
+    assert format_of(TRAJECTORIES, tmp_path / "a.POS", None) == "rtklib"
+    assert format_of(TRAJECTORIES, tmp_path / "a.xyz", "csv") == "csv"
     with pytest.raises(InputError) as caught:
-        reader_of(TRAJECTORIES, tmp_path / "a.xyz", None)
+        format_of(TRAJECTORIES, tmp_path / "a.xyz", None)
     assert caught.value.code == "IMPORT-FORMAT"

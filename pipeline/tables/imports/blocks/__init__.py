@@ -5,29 +5,33 @@ A new format is a module beside this one that has the functions of `BlockFormat`
 come in COLMAP's pixels, orientations turn to a camera with x right, y down, z forward.
 """
 
+from __future__ import annotations
+
 import json
 import sqlite3
 import zipfile
 import zlib
-from collections.abc import Iterator, Mapping
+from collections import Counter
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Protocol
+from pkgutil import resolve_name
+from typing import TYPE_CHECKING, Protocol
 from xml.etree import ElementTree
 
 import numpy as np
-import pandas as pd
-import pyarrow as pa
 
 from pipeline.errors import InputError, PhysicsError, UnbendError
 from pipeline.refraction.camera.camera import Camera
-from pipeline.tables.imports import reader_of
-from pipeline.tables.imports.blocks import colmap, dbat, metashape, opensfm
-from pipeline.tables.imports.blocks.image_points import CameraMakers
-from pipeline.tables.imports.orientation import OrientationTable
-from pipeline.tables.imports.stated import not_of_format
+from pipeline.tables.imports import Registry, format_of
 from pipeline.units import Array
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+    from pipeline.tables.imports.blocks.image_points import CameraMakers
+    from pipeline.tables.imports.orientation import OrientationTable
 
 
 class BlockFormat(Protocol):
@@ -49,13 +53,19 @@ class BlockFormat(Protocol):
         """Names and (p, 3) positions of object points, in the frame of the images."""
 
 
-BLOCKS: Mapping[str, tuple[BlockFormat, tuple[str, ...]]] = {
-    "colmap": (colmap, (".txt", ".bin", ".db")),
-    "opensfm": (opensfm, (".json",)),
-    "metashape": (metashape, (".xml", ".psz")),
-    "dbat": (dbat, ()),
+BLOCKS: Registry = {
+    "colmap": ("pipeline.tables.imports.blocks.colmap", (".txt", ".bin", ".db")),
+    "opensfm": ("pipeline.tables.imports.blocks.opensfm", (".json",)),
+    "metashape": ("pipeline.tables.imports.blocks.metashape", (".xml", ".psz")),
+    "dbat": ("pipeline.tables.imports.blocks.dbat", ()),
 }
 """Formats, and the endings by which the file of a camera is known."""
+
+
+def block_reader(program: str) -> BlockFormat:
+    """The module of a format."""
+    module: BlockFormat = resolve_name(BLOCKS[program][0])
+    return module
 
 
 _OF_LIBRARIES = (
@@ -85,6 +95,8 @@ def damage_refused(path: Path | str, program: str) -> Iterator[None]:
             what = f"it is no such database, or a damaged one ({error})"
         elif isinstance(error, OSError) and error.strerror:
             what = f"it cannot be read: {error.strerror}"
+        from pipeline.tables.imports.stated import not_of_format
+
         raise not_of_format(path, f"as a file of {program}: {what}") from None
 
 
@@ -94,9 +106,9 @@ def read_camera(path: Path, file_format: str | None, name: str | None) -> Camera
     Refuses (InputError) a format that is not known or not met (IMPORT-FORMAT), a name that is not
     there, and several cameras without a name (CAMERA-NAME).
     """
-    program, reader = reader_of(BLOCKS, path, file_format)
+    program = format_of(BLOCKS, path, file_format)
     with damage_refused(path, program):
-        cameras = reader.read_cameras(path)
+        cameras = block_reader(program).read_cameras(path)
         chosen = next(iter(cameras)) if name is None and len(cameras) == 1 else name or ""
         if chosen in cameras:
             with damage_refused(f"{path}, camera {chosen}", program):
@@ -113,16 +125,18 @@ def read_block_images(path: Path, program: str) -> OrientationTable:
     Refuses (InputError) an image that stands there twice, and a block without orientations.
     """
     with damage_refused(path, program):
-        table = BLOCKS[program][0].read_images(path)
-    twice = pd.Series(table.image)[pd.Index(table.image).duplicated()]
-    if len(twice) or len(table.image) == 0:
-        what = f"{twice.iloc[0]!r} stands there twice" if len(twice) else "no image is oriented"
+        table = block_reader(program).read_images(path)
+    twice = [name for name, count in Counter(table.image.tolist()).items() if count > 1]
+    if twice or len(table.image) == 0:
+        what = f"{twice[0]!r} stands there twice" if twice else "no image is oriented"
         raise InputError(
-            "ORIENTATION-REPEATED" if len(twice) else "ORIENTATION-EMPTY", what, where=str(path),
+            "ORIENTATION-REPEATED" if twice else "ORIENTATION-EMPTY", what, where=str(path),
             remedy="write it again, one orientation an image",
         )  # fmt: skip
     length = np.linalg.norm(table.angles, axis=1)
     if (wrong := np.abs(length - 1.0) > 1e-3).any():
+        from pipeline.tables.imports.stated import not_of_format
+
         what = f"the orientation of {table.image[np.argmax(wrong)]!r} is no rotation"
         raise not_of_format(path, what)
     return replace(table, angles=table.angles / length[:, None])
@@ -131,4 +145,4 @@ def read_block_images(path: Path, program: str) -> OrientationTable:
 def block_rows(path: Path, program: str) -> Iterator[pa.RecordBatch]:
     """The image points of a block, image by image; refuses a damaged file where it is damaged."""
     with damage_refused(path, program):
-        yield from BLOCKS[program][0].read_rows(path)
+        yield from block_reader(program).read_rows(path)

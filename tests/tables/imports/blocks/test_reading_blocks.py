@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from pipeline.errors import InputError
 from pipeline.ledger import Ledger
 from pipeline.tables.imports.blocks import (
-    BLOCKS,
+    block_reader,
     block_rows,
     damage_refused,
     read_block_images,
@@ -39,8 +39,8 @@ def rows(path: Path, program: str) -> pd.DataFrame:
 def everything(path: Path, program: str) -> None:
     """All that a mission reads of a block."""
     with damage_refused(path, program):
-        files = BLOCKS[program][0].block_files(path)
-        cameras = list(BLOCKS[program][0].read_cameras(path))
+        files = block_reader(program).block_files(path)
+        cameras = list(block_reader(program).read_cameras(path))
     assert path.is_dir() or path in files
     for name in cameras or ["1"]:
         read_camera(path, program, name)
@@ -125,7 +125,7 @@ def test_a_model_is_what_pycolmap_says(model, form):
                   for i, p in enumerate(image.points2D)]  # fmt: skip
         assert [*zip(of_image["x_px"], of_image["y_px"], of_image["point"], strict=True)] == points
         assert of_image["keypoint"].tolist() == list(range(len(points)))
-    names, places = BLOCKS["colmap"][0].read_points(folder / form)
+    names, places = block_reader("colmap").read_points(folder / form)
     for name, place in zip(names.to_pylist(), places, strict=True):
         np.testing.assert_array_equal(place, block.points3D[int(name)].xyz)
     assert len(names) == 5
@@ -158,7 +158,7 @@ def test_a_model_that_is_cut_anywhere_is_refused(model, name, form):
         file.write_bytes(content[:end])
         try:
             everything(folder / form, "colmap")
-            names, _ = BLOCKS["colmap"][0].read_points(folder / form)
+            names, _ = block_reader("colmap").read_points(folder / form)
         except InputError as error:
             text = str(error)
             assert file.name in text or end == 0 or "OBS-EMPTY" in text or "CAMERA-" in text
@@ -284,7 +284,7 @@ def berlin(tmp_path):
 def test_points_of_opensfm_through_its_poses_land_on_its_tracks(berlin):
     """The definition: pixels of COLMAP, half a pixel and the axes included."""
     table, found = read_block_images(berlin, "opensfm"), rows(berlin, "opensfm")
-    names, places = BLOCKS["opensfm"][0].read_points(berlin)
+    names, places = block_reader("opensfm").read_points(berlin)
     place = dict(zip(names.to_pylist(), places, strict=True))
     camera = read_camera(berlin, "opensfm", None)
     off = []
