@@ -31,6 +31,7 @@ _WRONG_NAMES = -float(np.log(1e5))  # probability of names that are not what the
 _COUNT_ROUND = 1 << 16
 _MOST_HYPOTHESES, _MOST_WITH_POINTS = 24, 400
 _HOPELESS = 60.0  # so far below the best one, a hypothesis is not shown to the tie points
+_ENOUGH_MEET, _RIVALS = 0.8, 3  # of the most points that meet; rivals that are looked at closely
 _LARGEST_SIGMA = 0.25  # of the median interval: chance alone gives 0.37
 _MOST_AMBIGUOUS = 0.2  # of the images
 
@@ -205,6 +206,7 @@ def assign(
     *,
     first_image: tuple[int, int] | None = None,
     tie_points: Callable[[Integers], float] | None = None,
+    share_met: Callable[[Integers], Array] | None = None,
 ) -> Assignment:
     """Assign events to images by all that both say.
 
@@ -213,6 +215,8 @@ def assign(
     first_image : (row of an image, row of its event), stated by the user.
     tie_points : natural logarithm of the likelihood of an assignment ((k,) rows of events, -1 for
         none) by rays that intersect; called for up to some hundred hypotheses.
+    share_met : (c,) share of tie points whose rays meet under assignments (c, k), which costs
+        little: ``tie_points`` is then called only for those that can win, and some rivals.
 
     Refused (``reason``) where the runner-up's likelihood is not 1000 times smaller, where unequal
     counts have only ``counted`` names, where fewer than half of the images find an event, where the
@@ -241,7 +245,7 @@ def assign(
     if tie_points is not None:
         hopeful = score > score.max() - _HOPELESS
         different, which = np.unique(rows[hopeful], axis=0, return_inverse=True)
-        by_points = np.array([tie_points(event) for event in different])
+        by_points = _likeliest(different, tie_points, share_met)
         score[hopeful] += by_points[which.ravel()]
         score[~hopeful] += by_points.min()
     pulses = np.where(rows >= 0, axis.pulse[rows], -1)
@@ -276,6 +280,26 @@ def assign(
         found = replace(found, offset_s=offset, drift=drift, sigma_s=sigma)
     against = float(score.max() - score[best])
     return replace(found, reason=why_refused(found, events, images, axis, against))
+
+
+def _likeliest(
+    rows: Integers,
+    tie_points: Callable[[Integers], float],
+    share_met: Callable[[Integers], Array] | None,
+) -> Array:
+    """(c,) log likelihoods; that of an assignment at which too few points meet is the least one.
+
+    Where fewer than half meet at best, every one is computed.
+    """
+    closely = np.ones(rows.shape[0], np.bool_)
+    if share_met is not None and (met := share_met(rows)).max() >= 0.5:
+        closely = met >= _ENOUGH_MEET * met.max()
+        other = np.mean(rows != rows[np.argmax(met)], axis=1) > 0.5
+        closely[np.argsort(-np.where(other, met, -1.0), kind="stable")[:_RIVALS]] = True
+    value = np.array([tie_points(event) for event in rows[closely]])
+    result = np.full(closely.shape, value.min())
+    result[closely] = value
+    return result
 
 
 def _empty(events: CameraEvents, images: ImageEvidence, reason: str) -> Assignment:

@@ -13,7 +13,7 @@ from pipeline.batch.plan import Plan
 from pipeline.block.alignment import LOG_RATIO_NEEDED
 from pipeline.block.assignment import Assignment, CameraEvents, ImageEvidence, assign
 from pipeline.block.image_rays import ImageRays, Orientations, orientations_of, straightened
-from pipeline.block.intersection import Intersection, intersect
+from pipeline.block.intersection import Intersection, intersect, point_heights
 from pipeline.block.name_series import name_series
 from pipeline.config.event_sources import EventsSection, FirstImage
 from pipeline.errors import InputError, MissionError
@@ -26,13 +26,14 @@ from pipeline.stages.exposure_setup import cameras_of_mission
 from pipeline.tables.imports.exif import NO_TIME, ImageTimes, read_image_times
 from pipeline.tables.observations import Observations
 from pipeline.tables.tie_points import TiePoints, tie_rays
-from pipeline.units import Integers, Names
+from pipeline.units import Array, Integers, Names
 
 Likelihood = Callable[[Integers], float]
 
 _DAY_S = 86_400.0
 _FEW_CONTRADICTED = 0.02
 _FEWEST_POINTS, _TIE_POINTS = 10, 200  # 800 rays show a shift by a factor of e^3000
+_POINTS_AT_FIRST = 50
 _FEWEST_MEET, _POOREST_FIT = 0.5, 5.0
 _USABLE_STATIONS = 0.9
 _LARGEST_HOLE = 12
@@ -122,6 +123,25 @@ class TieLikelihood:
 
     def __call__(self, event: Integers) -> float:
         return self.intersected(event).log_likelihood if self.rays.point.size else 0.0
+
+    def share_met(self, events: Integers) -> Array:
+        """(c,) share of some points whose rays meet under assignments (c, k), all at once.
+
+        Each ray has all of its station's sigma for itself: more points meet than in `intersected`.
+        """
+        points = np.unique(self.rays.point)
+        some = points[np.unique(np.linspace(0, points.size - 1, _POINTS_AT_FIRST).astype(int))]
+        rays, m = self.rays.of_points(some), self.of_events.camera.size
+        shape = events.shape[0], rays.image.size
+        point = np.searchsorted(some, rays.point) + some.size * np.arange(shape[0])[:, None]
+        stacked = ImageRays(
+            events[:, rays.image].ravel() % (m + 1),
+            point.ravel(),
+            np.broadcast_to(rays.direction, (*shape, 3)).reshape(-1, 3),
+            np.broadcast_to(rays.sigma_rad, shape).ravel(),
+        )
+        found = point_heights(self.of_events.assigned(np.append(np.arange(m), -1)), stacked)
+        return np.isfinite(found.h_m).reshape(shape[0], -1).mean(axis=1)
 
     def across(self, images: Integers) -> TieLikelihood:
         """That by the points which some of the images show, and others too."""
@@ -294,14 +314,14 @@ def assigned_events(
         keys, wanted = exposed.index.tolist(), images.number.tolist()
     row_of = {key: row for row, key in enumerate(keys) if key != ""}
     event_by_name = np.array([row_of.get(key, -1) for key in wanted], np.int64)
-    evidence = evidence_of_images(exposed, images, files)
+    evidence, ties = evidence_of_images(exposed, images, files), spoken.get("tie points")
     assignment = assign(
         CameraEvents((exposed.time_ns - exposed.time_ns[0]) / 1e9, exposed.index),
         evidence,
         first_image=anchor_rows(anchor, images, exposed),
         tie_points=tie_points,
+        share_met=ties.share_met if isinstance(ties, TieLikelihood) else None,
     )
-    ties = spoken.get("tie points")
     if isinstance(ties, TieLikelihood) and not ties.fits(assignment.event):
         # No assignment lets the rays meet: mounts, cameras or times are wrong, not the events.
         rest = {name: likelihood for name, likelihood in spoken.items() if likelihood is not ties}
