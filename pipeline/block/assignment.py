@@ -107,17 +107,12 @@ class ImageEvidence:
         if time is not None and np.count_nonzero(np.isfinite(time)) >= 0.5 * self.count:
             tie = np.arange(self.count) if self.number is None else self.number
             order = np.lexsort((tie, time))[: np.count_nonzero(np.isfinite(time))]
+            sigma = np.broadcast_to(self.sigma_s, time.shape)[order].astype(np.float64)
             return Axis(
-                events=events.time_s,
-                images=time[order],
-                sigma=np.broadcast_to(self.sigma_s, time.shape)[order].astype(np.float64),
-                pulse=pulse,
-                image_rows=order,
-                is_time=True,
-                offset=self.clock_offset_s,
-                offset_sigma=self.clock_sigma_s,
+                events.time_s, time[order], sigma, pulse, image_rows=order, is_time=True,
+                offset=self.clock_offset_s, offset_sigma=self.clock_sigma_s,
                 drift_sigma=self.drift_sigma,
-            )
+            )  # fmt: skip
         place = np.arange(pulse.size) + 1 if self.numbering == "counted" else pulse
         if self.numbering != "counted" and events.index is not None:
             index = unwrapped_numbers(events.index)
@@ -128,13 +123,9 @@ class ImageEvidence:
             number = middle + (number - middle) % _COUNT_ROUND
         order = np.argsort(number, kind="stable")
         return Axis(
-            events=place.astype(np.float64),
-            images=number[order].astype(np.float64),
-            sigma=np.full(self.count, 0.05),
-            pulse=pulse,
-            image_rows=order,
-            is_time=False,
-        )
+            place.astype(np.float64), number[order].astype(np.float64),
+            np.full(self.count, 0.05), pulse, image_rows=order, is_time=False,
+        )  # fmt: skip
 
     def names_speak(self, events: CameraEvents) -> bool:
         """Whether names say which event is whose: counted ones only where the counts are equal."""
@@ -201,13 +192,10 @@ class Assignment:
 
 
 def assign(
-    events: CameraEvents,
-    images: ImageEvidence,
-    *,
-    first_image: tuple[int, int] | None = None,
-    tie_points: Callable[[Integers], float] | None = None,
-    share_met: Callable[[Integers], Array] | None = None,
-) -> Assignment:
+    events: CameraEvents, images: ImageEvidence, *, first_image: tuple[int, int] | None = None,
+    tie_points: Callable[[Integers], float] | None = None, share_met: Callable[[Integers], Array] |
+    None = None,
+) -> Assignment:  # fmt: skip
     """Assign events to images by all that both say.
 
     Parameters
@@ -303,16 +291,12 @@ def _likeliest(
 
 
 def _empty(events: CameraEvents, images: ImageEvidence, reason: str) -> Assignment:
+    k = images.count
+    event, residual_s = np.full(k, -1, np.int64), np.full(k, np.nan)
     return Assignment(
-        event=np.full(images.count, -1, np.int64),
-        residual_s=np.full(images.count, np.nan),
-        ambiguous=np.zeros(images.count, np.bool_),
-        repeated=events.repeated,
-        runner_up=np.full(images.count, -1, np.int64),
-        log_ratio=0.0,
-        reason=reason,
-        evidence=(),
-    )
+        event, residual_s, np.zeros(k, np.bool_), events.repeated, runner_up=event.copy(),
+        log_ratio=0.0, reason=reason, evidence=(),
+    )  # fmt: skip
 
 
 def why_refused(

@@ -29,6 +29,8 @@ _SIGMAS = 4.0  # beyond which a stated sigma does not explain an error that all 
 
 # Misses over sigmas, and the share of points whose rays meet, beyond which anything may be wrong.
 _POOR_FIT, _FEW_MEET = 2.0, 0.7
+_FEW_BAD = 0.1  # of the rays of a camera: so many are no sign of a mistake
+_WORTH_A_LOOK = 0.3 * LOG_RATIO_NEEDED
 
 # What matters to nobody: turns [rad], principal distance and height as shares, time [s].
 _SMALL = {"TIES-MOUNT": np.radians(0.3), "TIES-FOCAL": 0.01, "TIES-HEIGHT": 0.01, "TIES-TIME": 0.1}
@@ -83,38 +85,35 @@ class StatedMission:
 
 @dataclass(frozen=True, eq=False)
 class _Reading:
-    """One way to read a mission file: what is changed against what is stated.
-
-    With ``free`` mounts the cameras are turned to where the rays meet best.
-    """
+    """One way to read a mission file: what is changed against what is stated."""
 
     cameras: Mapping[str, Camera]
     axes: Mapping[str, str] = field(default_factory=dict)
     turns: Mapping[str, Array] = field(default_factory=dict)  # (3, 3) by camera
     time_s: float = 0.0
     up_m: float = 0.0
-    free: bool = False
 
-    def intersected(self, mission: StatedMission, points: Integers | None = None) -> Intersection:
-        """The intersection of all points by straight rays, or of some by the apparent ones."""
-        if self.free:
-            return self.settled(mission, points).intersected(mission, points)
+    def held(self, mission: StatedMission) -> tuple[Orientations, ImageRays]:
+        """The orientations and the apparent rays."""
         shifted = mission.shifted if self.time_s else None
         o = mission.orientations if shifted is None else shifted(self.time_s)
         o = replace(o, centre_m=o.centre_m + self.up_m * o.enu_from_ecef[:, 2])
         for camera, turn in self.turns.items():
             o = o.turned(Rotation.from_matrix(turn).as_rotvec(), camera)
-        rays = mission.rays(self.cameras, self.axes)
+        return o, mission.rays(self.cameras, self.axes)
+
+    def intersected(self, mission: StatedMission, points: Integers | None = None) -> Intersection:
+        """The intersection of all points by straight rays, or of some by the apparent ones."""
+        o, rays = self.held(mission)
         rays = rays if points is None else rays.of_points(points)
         if rays.height_m is not None:
             given = np.where(np.isin(rays.point, mission.heights_of), rays.height_m, np.nan)
             rays = replace(rays, height_m=given, sigma_height_m=mission.sigma_height_m)
         return intersect(o, straightened(o, rays) if points is None else rays)
 
-    def settled(self, mission: StatedMission, points: Integers | None = None) -> _Reading:
-        """The same with what free mounts are turned by."""
-        reading = replace(self, free=False)
-        found = reading.intersected(mission, points)
+    def settled(self, mission: StatedMission) -> _Reading:
+        """The same with every camera turned to where the rays meet best."""
+        found, reading = self.intersected(mission), self
         for name in self.cameras:
             turn = Rotation.from_rotvec(found.camera_rotation(name)[0]).as_matrix()
             reading = reading.turned(name, turn)
@@ -175,17 +174,19 @@ def diagnosis(mission: StatedMission) -> tuple[Intersection, tuple[Finding, ...]
     some = stated.point[np.unique(np.linspace(0, size - 1, _RANKING_POINTS).astype(int))[:size]]
     findings: list[Finding] = []
 
-    for _ in range(_MOST_FINDINGS if size else 0):
+    for _ in range(_MOST_FINDINGS):
+        if now.misfit <= LOG_RATIO_NEEDED:  # nothing can be more likely by as much
+            break
         poor = not now.sigma_factor < _POOR_FIT or now.used.mean() < _FEW_MEET
         large = list(large_mistakes(mission, current)) if poor else []
         large.sort(key=lambda h: -_likelihood(mission, h.reading(h.x), some))
-        best, before = (
-            likely_calibrations(mission, current, now, some),
-            _likelihood(mission, current, some),
-        )
-        for hypothesis in [*small_errors(mission, current, now), *large[:_DECIDED_BY_ALL]]:
+        best = likely_calibrations(mission, current, now)
+        least = 0.0 if poor or now.most_bad > _FEW_BAD else _WORTH_A_LOOK
+        hypotheses = [*small_errors(mission, current, now, least), *large[:_DECIDED_BY_ALL]]
+        before = _likelihood(mission, current, some) if hypotheses else 0.0
+        for hypothesis in hypotheses:
             h, _ = _refined(mission, hypothesis, some)
-            if _likelihood(mission, h.reading(h.x), some) < before + 0.3 * LOG_RATIO_NEEDED:
+            if _likelihood(mission, h.reading(h.x), some) < before + _WORTH_A_LOOK:
                 continue
             h, sigma = _refined(mission, h, None)
             reading = h.reading(h.x)
@@ -220,8 +221,25 @@ def _likelihood(mission: StatedMission, reading: _Reading, points: Integers) -> 
     return found.log_likelihood if _above_points(found) > 0.0 else -np.inf
 
 
+def estimated(
+    mission: StatedMission, current: _Reading, now: Intersection, hypotheses: list[_Hypothesis],
+    beside: Array,
+) -> list[tuple[float, float, _Hypothesis]]:  # fmt: skip
+    """What each hypothesis alone gains at its most likely amount, and that: both linear.
+
+    Errors ``beside`` them are estimated with each (`Intersection.likely_amounts`).
+    """
+    before, changes = now.misses(*current.held(mission)), [np.zeros((now.bad.size, 2, 0))]
+    for h in hypotheses:
+        step = h.x or h.step
+        change = now.misses(*h.reading(step).held(mission)) - before
+        changes.append(np.nan_to_num(change / step)[:, :, None])
+    gains, amounts = now.likely_amounts(np.concatenate(changes, axis=2), beside)
+    return list(zip(gains.tolist(), amounts.tolist(), hypotheses, strict=True))
+
+
 def likely_calibrations(
-    mission: StatedMission, current: _Reading, now: Intersection, some: Integers
+    mission: StatedMission, current: _Reading, now: Intersection
 ) -> list[tuple[float, _Hypothesis, _Reading, Intersection, str]]:
     """Other calibrations that are likely: by how much, how read, what is then found, and the text.
 
@@ -229,27 +247,20 @@ def likely_calibrations(
     that are turned to where the rays meet best speaks of a calibration: the sigma of an offset is
     0.2 to 1 px of 2,000 points of a block 3 km above ground.
     """
-    freed, best = replace(current, free=True), []
-    before = _likelihood(mission, freed, some)
-    ranked = [(_likelihood(mission, h.reading(1.0), some), h) for h in other_calibrations(freed)]
-    for gain, h in sorted(ranked, key=lambda each: -each[0])[:_DECIDED_BY_ALL]:
-        if gain > before:
-            h, _ = _refined(mission, _refined(mission, h, some)[0], None)
-            reading = h.reading(h.x).settled(mission)
-            found = reading.intersected(mission)
-            gain = found.log_likelihood - freed.intersected(mission).log_likelihood
-            if gain > LOG_RATIO_NEEDED and abs(h.x - 1.0) < _MISTAKEN_AT:
-                best.append((gain, h, reading, found, h.label))
-    most, given = max((each[0] for each in best), default=0.0), []
-    for gain, h, reading, found, text in best:
+    turns = [now.orientations.turns_of(camera) for camera in current.cameras]
+    others = list(other_calibrations(current))
+    ranked = estimated(mission, current, now, others, np.concatenate(turns, axis=2))
+    likely = [h for h in ranked if h[0] > LOG_RATIO_NEEDED and abs(h[1] - 1.0) < _MISTAKEN_AT]
+    most, best = max((gain for gain, _, _ in likely), default=0.0), []
+    for gain, x, h in likely:
         if gain > (1.0 - _MARGIN) * most:
             # Beside other mistakes it counts without the turns, if it then explains more.
-            plain = replace(h.reading(h.x), free=False)
-            met = plain.intersected(mission)
-            more = met.log_likelihood - now.log_likelihood
-            given.append((more, h, plain, met, text) if more > gain
-                         else (gain, h, reading, found, text))  # fmt: skip
-    return given
+            reading = h.reading(x)
+            more = reading.intersected(mission).log_likelihood - now.log_likelihood
+            reading = reading if more > gain else reading.settled(mission)
+            found = reading.intersected(mission)
+            best.append((max(gain, more), replace(h, x=x), reading, found, h.label))
+    return best
 
 
 def scattered_heights(mission: StatedMission, found: Intersection, factor: float) -> str:
@@ -318,22 +329,22 @@ def _above_points(found: Intersection) -> float:
 
 
 def small_errors(
-    mission: StatedMission, now: _Reading, found: Intersection
+    mission: StatedMission, now: _Reading, found: Intersection, least: float
 ) -> Iterator[_Hypothesis]:
-    """Errors that all stations share, from the residuals alone."""
+    """Errors that all stations share, by which the log likelihood gains ``least`` or more."""
     o = found.orientations
-    for name in now.cameras:
-        if not np.any(o.camera == name):
-            continue
-        turn = Rotation.from_rotvec(found.camera_rotation(name)[0]).as_matrix()
-        yield _Hypothesis("TIES-MOUNT", "", name, _at_once(now.turned(name, turn)))
-        yield _scaled(now, (name,), 1.0, "")
-    up = np.zeros((o.camera.size, 6, 1))
-    up[:, 2] = 1.0
-    x = float(found.shared_errors(up)[0][0])
-    yield _Hypothesis("TIES-HEIGHT", "", "", lambda x: replace(now, up_m=now.up_m + x), x, 1.0)
-    if mission.shifted is not None:
-        yield _later(now, 0.0)
+    names = [name for name in now.cameras if np.any(o.camera == name)]
+    for name in names:
+        vector, covariance = found.camera_rotation(name)
+        if found.gain_of(vector @ np.linalg.pinv(covariance, hermitian=True) @ vector) >= least:
+            turn = Rotation.from_rotvec(vector).as_matrix()
+            yield _Hypothesis("TIES-MOUNT", "", name, _at_once(now.turned(name, turn)))
+    up = _Hypothesis("TIES-HEIGHT", "", "", lambda x: replace(now, up_m=now.up_m + x), 0.0, 1.0)
+    others = [up, *(_scaled(now, (name,), 1.0, "") for name in names)]
+    others += [_later(now, 0.0)] if mission.shifted is not None else []
+    for gain, x, h in estimated(mission, now, found, others, np.zeros((o.camera.size, 6, 0))):
+        if gain >= least:
+            yield replace(h, x=x) if h is up else h
 
 
 def other_calibrations(now: _Reading) -> Iterator[_Hypothesis]:

@@ -57,10 +57,15 @@ class Orientations:
         """With one camera turned by a rotation vector [rad] in its own frame (mount angles)."""
         turn = Rotation.from_rotvec(rotation).as_matrix()
         own = (self.camera == camera)[:, None, None]
-        return replace(
-            self,
-            camera_from_ecef=np.where(own, turn @ self.camera_from_ecef, self.camera_from_ecef),
-        )
+        turned = np.where(own, turn @ self.camera_from_ecef, self.camera_from_ecef)
+        return replace(self, camera_from_ecef=turned)
+
+    def turns_of(self, camera: str) -> Array:
+        """(s, 6, 3) what a unit of `turned` is to the stations of a camera, as `sigma`."""
+        change = np.zeros((self.camera.size, 6, 3))
+        change[:, 3:] = self.enu_from_ecef @ np.swapaxes(self.camera_from_ecef, 1, 2)
+        change[self.camera != camera] = 0.0
+        return change
 
 
 def orientations_of(
@@ -197,33 +202,32 @@ class SortedRays:
         return sigma, A, J, -np.einsum("rij,rj->ri", weight * self.across, u)
 
 
+def axes_across(direction: Array) -> Array:
+    """(r, 2, 3) unit vectors along the image's x and y, across rays in the camera (r, 3)."""
+    x = np.array([1.0, 0.0, 0.0]) - direction[:, :1] * direction
+    x /= np.maximum(np.linalg.norm(x, axis=1, keepdims=True), 1e-9)
+    return np.stack([x, np.cross(direction, x)], axis=1)
+
+
 def sorted_rays(o: Orientations, rays: ImageRays) -> SortedRays:
     """Rays by their points, under some orientations."""
     order = np.lexsort((rays.image, rays.point))
     image, d = rays.image[order], np.nan_to_num(rays.direction[order])
     oriented = np.all(np.isfinite(o.centre_m[image]), axis=1) & np.any(d != 0.0, axis=1)
     _, start, index = np.unique(rays.point[order], return_index=True, return_inverse=True)
-    x = np.array([1.0, 0.0, 0.0]) - d[:, :1] * d
-    x /= np.maximum(np.linalg.norm(x, axis=1, keepdims=True), 1e-9)
     rotation = o.camera_from_ecef[image]
     origin = o.centre_m[image][oriented].mean(axis=0) if np.any(oriented) else np.zeros(3)
     height = np.full(start.size, np.nan)
     if rays.height_m is not None:
         height = rays.height_m[order][start]
     return SortedRays(
-        order=order,
-        image=image,
-        index=index,
-        start=start,
+        order, image, index, start, oriented=oriented,
         sigma=np.broadcast_to(rays.sigma_rad, image.shape)[order].astype(np.float64),
-        oriented=oriented,
         centre=np.where(oriented[:, None], o.centre_m[image] - origin, 0.0),
         direction=np.einsum("rji,rj->ri", rotation, d),
-        across=np.stack([x, np.cross(d, x)], axis=1) @ rotation,
-        origin=origin,
-        height=height,
-        sigma_height=rays.sigma_height_m,
-    )
+        across=axes_across(d) @ rotation,
+        origin=origin, height=height, sigma_height=rays.sigma_height_m,
+    )  # fmt: skip
 
 
 def straightened(o: Orientations, rays: ImageRays) -> ImageRays:

@@ -5,7 +5,7 @@ How to use it::
     stations = orientations_of(stations_of_the_flight)         # or Orientations(...) directly
     rays = ImageRays(image, point, direction, sigma_rad)            # straight, corrected rays
     found = intersect(stations, rays)
-    found.log_likelihood, found.of_images, found.camera_rotation("nadir")
+    found.log_likelihood, found.sigma_factor, found.camera_rotation("nadir")
     other = intersect(stations.assigned(event_of_image), rays)   # a hypothesis
     found.log_likelihood - other.log_likelihood                # its likelihood ratio
 
@@ -34,6 +34,7 @@ from pipeline.block.image_rays import (
     ImageRays,
     Orientations,
     SortedRays,
+    axes_across,
     sorted_rays,
 )
 from pipeline.geodesy import enu_from_ecef, geodetic_of_ecef
@@ -55,7 +56,8 @@ class Intersection:
     minus intersected along the image's x and y; ``bad`` (r,) rays that contradict the others of
     their point by more than any station error can. ``chi_square`` has ``redundancy`` degrees of
     freedom; ``log_likelihood`` is natural, up to a constant of the rays given, with a common factor
-    of all sigmas at its best (at least 1): too small sigmas do not make it too certain.
+    of all sigmas at its best (at least 1): too small sigmas do not make it too certain. Rays that
+    meet exactly are more likely by ``misfit``.
     """
 
     orientations: Orientations
@@ -68,12 +70,20 @@ class Intersection:
     chi_square: float
     redundancy: int
     log_likelihood: float
+    misfit: float
     system: _System
 
     @property
     def sigma_factor(self) -> float:
         """Square root of chi-square over redundancy: 1 where the sigmas are right."""
         return float(np.sqrt(self.chi_square / self.redundancy)) if self.redundancy else np.nan
+
+    @property
+    def most_bad(self) -> float:
+        """Share of the bad rays of the camera with most."""
+        camera = self.orientations.camera[self.system.image].astype(str)
+        _, of = np.unique(camera, return_inverse=True)
+        return float(np.max(np.bincount(of, self.bad[self.system.order]) / np.bincount(of)))
 
     @property
     def geodetic(self) -> tuple[Array, Array, Array]:
@@ -93,26 +103,6 @@ class Intersection:
         )
         return np.where(self.used, np.sqrt(variance), np.nan)
 
-    @cached_property
-    def of_images(self) -> tuple[Array, Integers]:
-        """(s,) chi-square of what residuals say of each station, and its degrees of freedom.
-
-        The gradient J'Q y of the station's six errors has the covariance M M + M, M = J'Q J.
-        """
-        system, images = self.system, self.orientations.camera.size
-        M = system.M.tobsr((6, 6))
-        row = np.repeat(np.arange(M.indptr.size - 1), np.diff(M.indptr))
-        squared, own = np.zeros((2, images, 6, 6))
-        np.add.at(squared, row, M.data @ np.swapaxes(M.data, 1, 2))
-        own[row[row == M.indices]] = M.data[row == M.indices]
-        value, vector = np.linalg.eigh(own)
-        able = value > 1e-9 * np.maximum(value[:, -1:], 1e-30)
-        half = vector * np.where(able, np.maximum(value, 1e-300) ** -0.5, 0.0)[:, None, :]
-        seen = np.einsum("sji,sj->si", half, (system.J.T @ system.residual).reshape(images, 6))
-        spread = np.swapaxes(half, 1, 2) @ squared @ half + np.eye(6)
-        square = np.sum(seen * np.linalg.solve(spread, seen[..., None])[..., 0], axis=1)
-        return square, np.sum(able, axis=1)
-
     def shared_errors(self, change: Array) -> tuple[Array, Array]:
         """Least-squares errors (k,) that many stations share, and their covariance (k, k).
 
@@ -125,15 +115,49 @@ class Intersection:
         inverse = np.linalg.pinv(normal, rcond=1e-12, hermitian=True)
         return inverse @ (scaled.T @ self.system.errors), inverse
 
+    def likely_amounts(self, changes: Array, beside: Array) -> tuple[Array, Array]:
+        """What the log likelihood gains (k,) by each change alone, and its amount: least squares.
+
+        ``changes`` (r, 2, k) [rad] is what a unit of each adds to `misses`; ``beside`` (s, 6, b)
+        are errors that stations share (`shared_errors`), estimated with any of them. Linear, of
+        the good rays.
+        """
+        s, count = self.system, changes.shape[2]
+        scaled = (beside / self.orientations.sigma[:, :, None]).reshape(s.J.shape[1], -1)
+        own = (changes[s.order] / s.sigma[:, None, None]).reshape(2 * s.order.size, count)
+        heights = np.zeros((s.Y.shape[0] - own.shape[0], count))
+        D = np.concatenate([np.concatenate([own, heights]), s.J @ scaled], axis=1)
+        free = D - s.Y @ (s.Y.T @ D)
+        shared = s.J.T @ free
+        normal = D.T @ free - shared.T @ s.factor.solve(shared)
+        right = D.T @ s.residual - shared.T @ s.errors
+        cross = normal[:count, count:]
+        of_beside = cross @ np.linalg.pinv(normal[count:, count:], hermitian=True)
+        whole = np.diag(normal)[:count]
+        square = whole - np.sum(of_beside * cross, axis=1)
+        right = right[:count] - of_beside @ right[count:]
+        square = np.where(square > 1e-9 * whole, square, np.inf)
+        return self.gain_of(right**2 / square), -right / square
+
+    def gain_of(self, decrease: Array) -> Array:
+        """What the log likelihood gains where chi-square decreases by a little."""
+        return np.asarray(0.5 * decrease / np.fmax(1.0, self.sigma_factor) ** 2)
+
+    def misses(self, o: Orientations, rays: ImageRays) -> Array:
+        """(r, 2) what its points are missed by under other orientations or rays [rad]; 0 of bad."""
+        good = np.isfinite(self.residual_rad[:, 0])
+        line = self.position_m[np.searchsorted(self.point, rays.point)] - o.centre_m[rays.image]
+        line /= np.linalg.norm(line, axis=1, keepdims=True)
+        seen = np.einsum("rij,rj->ri", o.camera_from_ecef[rays.image], line)
+        across = axes_across(rays.direction)
+        return np.where(good[:, None], -np.einsum("rij,rj->ri", across, seen), 0.0)
+
     def camera_rotation(self, camera: str) -> tuple[Array, Array]:
         """By what rotation vector [rad] a camera would have to be turned (`Orientations.turned`).
 
         In its own frame (3,), for the residuals to be least, with the covariance (3, 3).
         """
-        o = self.orientations
-        change = np.zeros((o.camera.size, 6, 3))
-        change[:, 3:] = np.swapaxes(o.camera_from_ecef @ np.swapaxes(o.enu_from_ecef, 1, 2), 1, 2)
-        return self.shared_errors(change * (o.camera == camera)[:, None, None])
+        return self.shared_errors(self.orientations.turns_of(camera))
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,24 +267,17 @@ def intersect(
     chi_square = float(e @ e + system.errors @ system.errors)
     excess = redundancy * np.log(max(1.0, chi_square / max(1, redundancy)))
     own = system.JJ.tobsr((6, 6)).data + np.eye(6)
-    log_likelihood = -0.5 * (min(chi_square, redundancy) + excess + np.linalg.slogdet(own)[1].sum())
     width = np.log(_WIDTH_OF_BAD_RAD / np.median(r.sigma)) if r.sigma.size else 0.0
-    log_likelihood += contradictions * _LOG_BAD - (possible - redundancy) * width
+    misfit = 0.5 * (min(chi_square, redundancy) + excess)
+    misfit += (possible - redundancy) * width - contradictions * _LOG_BAD
     back = np.argsort(r.order)
     held = system.residual[: 2 * r.sigma.size].reshape(-1, 2) * system.sigma[:, None]
     return Intersection(
-        orientations=o,
-        point=np.unique(rays.point),
-        position_m=np.where(used[:, None], position + r.origin, np.nan),
-        angle_rad=angle,
-        used=used,
-        residual_rad=np.where(good[:, None], held, np.nan)[back],
-        bad=bad[back],
-        chi_square=chi_square,
-        redundancy=redundancy,
-        log_likelihood=float(log_likelihood),
-        system=system,
-    )
+        o, np.unique(rays.point), np.where(used[:, None], position + r.origin, np.nan), angle, used,
+        residual_rad=np.where(good[:, None], held, np.nan)[back], bad=bad[back],
+        chi_square=chi_square, redundancy=redundancy, misfit=float(misfit),
+        log_likelihood=float(-misfit - 0.5 * np.linalg.slogdet(own)[1].sum()), system=system,
+    )  # fmt: skip
 
 
 LARGEST_MISS = 6.0
@@ -322,8 +339,5 @@ def point_heights(
         h_m=np.where(unknown, np.nan, h),
         sigma_m=np.where(unknown, np.nan, np.sqrt(variance) * np.maximum(1.0, factor)),
         position_m=np.where(unknown[:, None], np.nan, position + r.origin),
-        index=np.searchsorted(points, rays.point),
-        few=few,
-        narrow=narrow,
-        apart=apart,
-    )
+        index=np.searchsorted(points, rays.point), few=few, narrow=narrow, apart=apart,
+    )  # fmt: skip

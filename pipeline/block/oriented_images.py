@@ -79,13 +79,8 @@ def topocentric(origin: GeodeticOrigin) -> CartesianFrame:
 
 
 def fitted_frame(
-    image: Names,
-    xyz: Array,
-    known_image: Names,
-    known: Array,
-    *,
-    sigma_m: float = 1.0,
-) -> tuple[CartesianFrame, Notes]:
+    image: Names, xyz: Array, known_image: Names, known: Array, *, sigma_m: float = 1.0,
+) -> tuple[CartesianFrame, Notes]:  # fmt: skip
     """The frame of a model, by a similarity of seven parameters through known positions.
 
     Parameters
@@ -258,12 +253,7 @@ def flag_above_horizon(stations: Stations) -> tuple[Stations, Notes]:
     first = f"the first is {stations.image[np.argmax(up)]}"
     where = "stations.orientation"
     if count > FEW_LOOK_UP * of:
-        remedy = (
-            "check unit (grad?), angles, columns (omega, phi, kappa; roll, pitch, yaw; q_w to q_z) "
-            "and frame there, and the axes of the camera: x right, y down, z forward for a "
-            "quaternion; roll, pitch and yaw of 0 look straight down unless mount says otherwise"
-        )
-        raise MissionError("ORIENTATION-UP", f"{what}; {first}", where=where, remedy=remedy)
+        raise MissionError.of("ORIENTATION-UP", where, what=what, first=first)
     reason = np.where(up, "looks above the horizon", stations.suspect_reason)
     stations = replace(stations, suspect_reason=reason).with_status(up, SUSPECT)
     return stations, (

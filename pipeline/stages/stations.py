@@ -54,12 +54,9 @@ from pipeline.units import DEGREE
 
 
 def exposure_events(
-    plan: Plan,
-    flight: FlightLog,
-    positions: Mapping[str, Channel],
-    observed: tuple[str, ...],
+    plan: Plan, flight: FlightLog, positions: Mapping[str, Channel], observed: tuple[str, ...],
     ledger: Ledger,
-) -> list[Events]:
+) -> list[Events]:  # fmt: skip
     """When each camera was exposed, by images as they are ``observed``, and compared with the log.
 
     Refuses exposures of other times (MissionError EVENTS-SPAN) and images that have two.
@@ -80,12 +77,9 @@ def exposure_events(
 
 
 def read_events_of_cameras(
-    plan: Plan,
-    section: EventsSection,
-    flight: FlightLog,
-    positions: Mapping[str, Channel],
+    plan: Plan, section: EventsSection, flight: FlightLog, positions: Mapping[str, Channel],
     ledger: Ledger,
-) -> list[Events]:
+) -> list[Events]:  # fmt: skip
     """When each camera was exposed, from the log, a table, or files with positions, by camera.
 
     Refuses (MissionError EVENTS-CAMERA) a table that names a camera which the mission lacks.
@@ -220,12 +214,9 @@ class StationBuilder:
 
 
 def stations_of_mission(
-    plan: Plan,
-    flight: FlightLog,
-    observations: Observations,
-    terrain: ElevationModel | None,
+    plan: Plan, flight: FlightLog, observations: Observations, terrain: ElevationModel | None,
     ledger: Ledger,
-) -> Stations:
+) -> Stations:  # fmt: skip
     """Position, attitude and air of each exposure, or the status that says what is missing.
 
     Tie points assign events to images, and are compared with the stations and with ``terrain``.

@@ -75,12 +75,9 @@ def draw_tie_points(observations: Observations, most: int) -> TiePoints:
 
 
 def tie_rays(
-    ties: TiePoints,
-    image: NDArray[np.object_],
-    camera_of: NDArray[np.object_],
-    cameras: Mapping[str, Camera],
-    axes: Mapping[str, str] | None = None,
-) -> ImageRays:
+    ties: TiePoints, image: NDArray[np.object_], camera_of: NDArray[np.object_], cameras:
+    Mapping[str, Camera], axes: Mapping[str, str] | None = None,
+) -> ImageRays:  # fmt: skip
     """The rays of tie points that two or more of some images show, and their given heights.
 
     ``image`` and ``camera_of`` (k,) name the images, to whose rows the rays refer, and their

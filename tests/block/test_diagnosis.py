@@ -254,10 +254,13 @@ def test_a_principal_point_six_pixels_off_is_no_turn_of_the_mount(make, turned_d
     assert "4512.4, 4491.7 px in camera0" in finding.what
 
 
-@pytest.mark.parametrize("turned_px", [(33.0, -40.0), (33.0, 40.0), (40.0, 0.0)])
-def test_a_turned_mount_is_no_other_calibration(make, turned_px):
-    """Turned within its sigma, by 40 to 52 px: beside it a principal point moves by 25."""
-    sigma = (1.0, 1.0, 2.0, 0.005, 0.005, 0.01)
+@pytest.mark.parametrize(
+    ("turned_px", "tilt"),
+    [((33.0, -40.0), 5e-3), ((33.0, 40.0), 5e-3), ((40.0, 0.0), 5e-3), ((24.8, -16.6), 1e-4)],
+)
+def test_a_turned_mount_is_no_other_calibration(make, turned_px, tilt):
+    """Turned by 30 to 52 px, within its sigma or not: beside it a principal point moves by 25."""
+    sigma = (1.0, 1.0, 2.0, tilt, tilt, 2.0 * tilt)
     mission = make(42, lines=4, base=600.0, height=3000.0, sigma=sigma, **ONE_CAMERA)
     x, y = np.array(turned_px) / 1e4
     turned = mission.orientations.turned(np.array([y, x, 0.0]), "camera0")

@@ -54,15 +54,12 @@ def between(value: float) -> bool:
     ],
 )
 def test_residuals_are_as_large_as_the_sigmas_say(make, options):
-    """Chi-square of all, of images, of cameras, and each height: against their sigmas."""
-    ratio, image, camera, height = [], [], [], []
+    """Chi-square of all, of cameras, and each height: against their sigmas."""
+    ratio, camera, height = [], [], []
     for seed in range(12):
         block, orientations, rays = make(seed, **options)
         found = intersect(orientations, rays)
-        square, freedom = found.of_images
-        seen = freedom > 0
         ratio.append(found.chi_square / found.redundancy)
-        image.append(np.mean(square[seen] / freedom[seen]))
         for name in np.unique(orientations.camera):
             turn, covariance = found.camera_rotation(name)
             camera.append(turn @ np.linalg.pinv(covariance) @ turn / 3.0)
@@ -70,7 +67,6 @@ def test_residuals_are_as_large_as_the_sigmas_say(make, options):
         height.append(rms(off / found.sigma_height_m))
         assert found.bad.mean() < 0.004
     assert between(np.sqrt(np.mean(ratio))), np.mean(ratio)
-    assert between(np.sqrt(np.mean(image))), np.mean(image)
     assert 0.6 <= np.sqrt(np.mean(camera)) <= 1.35, np.mean(camera)  # 36 to 72 numbers
     assert between(np.mean(height)), np.mean(height)
 
@@ -191,15 +187,6 @@ def test_bad_tie_points_are_found_and_cost_little(make):
     # What is wrong with points is wrong under every hypothesis: a shift stays far less likely.
     shifted = orientations.assigned(np.append(np.arange(1, 36), -1))
     assert found.log_likelihood - likelihood(shifted, replace(rays, direction=direction)) > 100.0
-
-
-def test_a_wrong_station_stands_out(make):
-    _, orientations, rays = make(8)
-    centre = orientations.centre_m.copy()
-    centre[17] += [20.0, 0.0, 0.0]
-    square, _ = intersect(replace(orientations, centre_m=centre), rays).of_images
-    assert int(np.argmax(square)) == 17
-    assert square[17] > 60.0
 
 
 def test_sigmas_that_are_too_small_do_not_feign_certainty(make):

@@ -94,14 +94,9 @@ class ControlComparison:
 
 
 def compare_control(
-    plan: Plan,
-    observations: Observations,
-    setup: CorrectionSetup,
-    stations: Stations,
-    heights: HeightSystem,
-    *,
-    ledger: Ledger,
-) -> ControlComparison | None:
+    plan: Plan, observations: Observations, setup: CorrectionSetup, stations: Stations, heights:
+    HeightSystem, *, ledger: Ledger,
+) -> ControlComparison | None:  # fmt: skip
     """Control points where their rays meet, before and after; None without control, or rays.
 
     Refuses (InputError CONTROL-MISSING) a table of which no point is in the observations; a loss

@@ -54,15 +54,9 @@ class CameraImages:
 
 
 def assigned_stations(
-    plan: Plan,
-    section: EventsSection,
-    events: list[Events],
-    stations: list[Stations],
-    *,
-    observations: Observations,
-    ties: TiePoints,
-    ledger: Ledger,
-) -> list[Stations]:
+    plan: Plan, section: EventsSection, events: list[Events], stations: list[Stations], *,
+    observations: Observations, ties: TiePoints, ledger: Ledger,
+) -> list[Stations]:  # fmt: skip
     """The stations of the events of each camera that have an image, under its name.
 
     ``stations`` are those of all events, camera by camera. Images whose events are named by the
@@ -141,7 +135,7 @@ class TieLikelihood:
             np.broadcast_to(rays.sigma_rad, shape).ravel(),
         )
         found = point_heights(self.of_events.assigned(np.append(np.arange(m), -1)), stacked)
-        return np.isfinite(found.h_m).reshape(shape[0], -1).mean(axis=1)
+        return np.asarray(np.isfinite(found.h_m).reshape(shape[0], -1).mean(axis=1))
 
     def across(self, images: Integers) -> TieLikelihood:
         """That by the points which some of the images show, and others too."""
@@ -274,12 +268,9 @@ def images_of_camera(
 
 
 def assigned_events(
-    exposed: Events,
-    images: CameraImages,
-    files: ImageTimes | None,
-    anchor: FirstImage | None,
+    exposed: Events, images: CameraImages, files: ImageTimes | None, anchor: FirstImage | None,
     spoken: Mapping[str, Likelihood | None],
-) -> tuple[Events, Integers, Notes]:
+) -> tuple[Events, Integers, Notes]:  # fmt: skip
     """The events that have an image, under its name, and their rows among all events.
 
     The log's own numbers in the names of images decide, and all events keep their names, unless
@@ -334,29 +325,18 @@ def assigned_events(
     if by_index:
         undecided = (event >= 0) & (event != event_by_name)
         if float(undecided.mean()) > _FEW_CONTRADICTED:
-            raise MissionError(
-                "EVENTS-CONTRADICTED",
-                f"the log's numbers in the names of images are contradicted: {description}",
-                where=where,
-                remedy=f"check {where}.channel (of which camera?), {where}.image (which numbers?) "
-                "and observations.path (of this flight?); count the images by {n} or name them by "
-                "*, and the evidence decides",
-            )
+            raise MissionError.of("EVENTS-CONTRADICTED", where, of=where, found=description)
         event = np.where(undecided, -1, event_by_name)
-    reason, hole = "" if by_index else assignment.reason, ""
-    if not reason and (exposed.counts == "maybe" or not by_index):
+    why = "" if by_index else assignment.reason
+    if not why and (exposed.counts == "maybe" or not by_index):
         hole = hole_between(assignment, images, exposed, likelihoods)
-    if reason or hole:
-        what = "which image belongs to which event is not decided"
-        what = what if reason else "a part of the images, not all, may be shifted"
+        why = f"a part of the images, not all, may be shifted, because {hole}" if hole else ""
+    if why:
         strays, mend = beside_the_log(images, exposed)
-        raise MissionError(
-            "EVENTS-AMBIGUOUS",
-            f"{strays}{what}: {reason or hole}. {description}",
-            where=where,
-            remedy=f"{mend}state one under events.first_image.{exposed.camera}, as {{image: "
-            f"{images.name[0]}, event: 1}}; or give the images' times under events.images",
-        )
+        raise MissionError.of(
+            "EVENTS-AMBIGUOUS", where, strays=strays, mend=mend, found=description, why=why,
+            camera=exposed.camera, first=images.name[0],
+        )  # fmt: skip
     entries = [note("EVENTS-ASSIGNED", description, where=where, count=int((event >= 0).sum()))]
     if evidence.time_s is not None and abs(assignment.offset_s) > _DAY_S:
         what = f"the camera's clock is {assignment.offset_s / 3600:+.1f} h off: images of this day?"
@@ -381,11 +361,9 @@ def assigned_events(
 
 
 def hole_between(
-    assignment: Assignment,
-    images: CameraImages,
-    exposed: Events,
-    likelihoods: Mapping[str, Likelihood],
-) -> str:
+    assignment: Assignment, images: CameraImages, exposed: Events, likelihoods: Mapping[str,
+    Likelihood],
+) -> str:  # fmt: skip
     """Why images in their order are not those of the events in theirs; empty where they are.
 
     Exposures without event, or events without image, may lie between them: then a part is shifted,
@@ -451,13 +429,10 @@ def anchor_rows(
         return None
     row = np.flatnonzero(images.name == anchor.image)
     if row.size == 0 or anchor.event > exposed.time_ns.size:
-        raise MissionError(
-            "EVENTS-FIRST-IMAGE",
-            f"there is no image {anchor.image!r}, or no event {anchor.event} of "
-            f"{exposed.time_ns.size}; the first image is {images.name[0]!r}",
-            where=f"events.first_image.{exposed.camera}",
-            remedy="name an image of this camera as the observations or the files call it",
-        )
+        raise MissionError.of(
+            "EVENTS-FIRST-IMAGE", f"events.first_image.{exposed.camera}", image=anchor.image,
+            event=anchor.event, events=exposed.time_ns.size, first=images.name[0],
+        )  # fmt: skip
     return int(row[0]), anchor.event - 1
 
 

@@ -31,13 +31,9 @@ _POOR = 0.05
 
 
 def with_intersected_heights(
-    observations: Observations,
-    setup: CorrectionSetup,
-    stations: Stations,
-    ledger: Ledger,
-    *,
+    observations: Observations, setup: CorrectionSetup, stations: Stations, ledger: Ledger, *,
     unknown_sigmas: tuple[float, ...],
-) -> CorrectionSetup:
+) -> CorrectionSetup:  # fmt: skip
     """The setup with a ground height and its sigma for each row of the observations.
 
     The rays of a point may lie anywhere in a table of any length: its rows are divided by the hash
@@ -92,11 +88,7 @@ def with_intersected_heights(
         f"each other, and of {counts['apart']} the rays do not meet"
     )
     if known == 0:
-        remedy = (
-            "give ground.height as a number or a column; the same point must have the same "
-            "name in all images"
-        )
-        raise MissionError("GROUND-INTERSECTED", what, where="ground.height", remedy=remedy)
+        raise MissionError.of("GROUND-INTERSECTED", "ground.height", what=what)
     what += f"; sigma of a height is {100.0 * share:.2g} % of the height above it, in the median"
     kind = Kind.LOSS if share > _POOR else Kind.NOTE
     ledger.add(Entry(kind, "GROUND-INTERSECTED", what, "ground.height", known))

@@ -70,14 +70,9 @@ _HIGHEST_ABOVE_GROUND_M = 15_000.0
 
 
 def oriented_stations(
-    plan: Plan,
-    flight: FlightLog,
-    exposed: list[Stations],
-    *,
-    observations: Observations,
-    ties: TiePoints,
-    ledger: Ledger,
-) -> Stations:
+    plan: Plan, flight: FlightLog, exposed: list[Stations], *, observations: Observations, ties:
+    TiePoints, ledger: Ledger,
+) -> Stations:  # fmt: skip
     """The stations of `stations.orientation`; ``exposed`` are those of the events, if any.
 
     Refuses (MissionError ORIENTATION-READING) a table whose angles or positions make the rays of
@@ -110,13 +105,10 @@ def oriented_stations(
     if better > LOG_RATIO_NEEDED and found[likely].sigma_factor < _GOOD_FACTOR:
         keys = (key for words, key in _KEYS_OF_READINGS.items() if words in likely)
         key = next(keys, "angles or columns")
-        raise InputError(
-            "ORIENTATION-READING",
-            f"the rays of {np.unique(rays.point).size} tie points meet far better {likely}: the "
-            f"log likelihood is {better:.0f} higher",
-            where=section.path,
-            remedy=f"change stations.orientation.{key}, or mend the table",
-        )
+        raise InputError.of(
+            "ORIENTATION-READING", section.path, points=np.unique(rays.point).size, likely=likely,
+            better=better, changed=key,
+        )  # fmt: skip
     return stations
 
 
@@ -233,14 +225,9 @@ def other_readings(
 
 
 def stations_of_table(
-    plan: Plan,
-    flight: FlightLog,
-    section: OrientationSection,
-    table: OrientationTable,
-    *,
-    exposed: list[Stations],
-    ledger: Ledger,
-) -> Stations:
+    plan: Plan, flight: FlightLog, section: OrientationSection, table: OrientationTable, *,
+    exposed: list[Stations], ledger: Ledger,
+) -> Stations:  # fmt: skip
     """The stations of a table in one reading; the events give the times it does not have."""
     mission = plan.mission
     of_body = section.angles == "roll_pitch_yaw"
@@ -303,13 +290,7 @@ def check_height_above_ground(
     )
     where = "stations.orientation"
     if low > _FEW_BELOW_GROUND * above.size:
-        raise MissionError(
-            "ORIENTATION-HEIGHT",
-            f"{low} of {above.size} stations lie below the ground: {what}",
-            where=where,
-            remedy="check the column of heights, their unit (metres), heights (msl or ellipsoid), "
-            "and the ground's",
-        )
+        raise MissionError.of("ORIENTATION-HEIGHT", where, low=low, total=above.size, what=what)
     with np.errstate(invalid="ignore"):
         high = stations.ok & (stations.h_msl_m - ground > _HIGHEST_ABOVE_GROUND_M)
     if 0 < high.sum() <= _FEW_BELOW_GROUND * above.size:
@@ -325,14 +306,9 @@ def check_height_above_ground(
 
 
 def frame_of_block(
-    plan: Plan,
-    flight: FlightLog,
-    section: OrientationSection,
-    table: OrientationTable,
-    *,
-    exposed: list[Stations],
-    ledger: Ledger,
-) -> CartesianFrame:
+    plan: Plan, flight: FlightLog, section: OrientationSection, table: OrientationTable, *,
+    exposed: list[Stations], ledger: Ledger,
+) -> CartesianFrame:  # fmt: skip
     """The frame of the angles, where it is not each station's own."""
     stated = section.frame.enu.build() if isinstance(section.frame, EnuFrame) else section.frame
     frame = stated or table.frame
