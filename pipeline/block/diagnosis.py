@@ -161,10 +161,10 @@ def _subject(h: _Hypothesis) -> tuple[str, str]:
 def diagnosis(mission: StatedMission) -> tuple[Intersection, tuple[Finding, ...]]:
     """The intersection as stated, by the rays alone, and what contradicts the mission file.
 
-    Hypotheses are ranked with 200 points and decided with all. Common errors of mounts, principal
-    distances, heights and times are estimated in any case; the large mistakes are tried where rays
-    do not meet as their sigmas say: some seconds with 2,000 points. Refraction of the standard
-    atmosphere is removed under each hypothesis (`straightened`).
+    Nothing is tried where rays that meet exactly were not 1000 times as likely. Common errors of
+    mounts, principal distances, heights and times are tried where their linear estimates gain; the
+    large mistakes where rays do not meet as their sigmas say: some seconds with 2,000 points, 200
+    of which rank them. The standard atmosphere's refraction is removed (`straightened`).
     """
     current = _Reading(mission.cameras)
     stated = current.intersected(replace(mission, heights_of=()))
