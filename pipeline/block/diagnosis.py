@@ -169,7 +169,7 @@ def diagnosis(mission: StatedMission) -> tuple[Intersection, tuple[Finding, ...]
     current = _Reading(mission.cameras)
     stated = current.intersected(replace(mission, heights_of=()))
     mission = with_usable_heights(mission, stated)
-    now = current.intersected(mission)
+    now = current.intersected(mission) if mission.heights_of else stated
     size = stated.point.size
     some = stated.point[np.unique(np.linspace(0, size - 1, _RANKING_POINTS).astype(int))[:size]]
     findings: list[Finding] = []

@@ -187,14 +187,17 @@ class Observations:
     is_block: bool = False
     has_points: bool = True
     sample: RowSample | None = field(repr=False, default=None)
+    _drawn: list[Batch] = field(init=False, repr=False, default_factory=list)
     _sources: Mapping[str, str] = field(repr=False, default_factory=dict)
     _records: Records = field(repr=False, default=lambda rows, only, first: iter(()))
 
     def sampled(self, *, points: bool = False) -> Batch:
         """The rows that were drawn when the table was opened, without the user's columns.
 
-        Their ``points`` are read where they are asked for, or have the heights.
+        Their ``points`` are read where they are asked for, or have the heights; then all is kept.
         """
+        if self._drawn:
+            return self._drawn[0]
         drawn = self.sample or RowSample(0)
         unread = () if points or self.points is not None else (self.columns["point"],)
 
@@ -202,7 +205,9 @@ class Observations:
             begin, end = np.searchsorted(drawn.number, (first, first + len(records)))
             return drawn.number[begin:end] - first
 
-        return replace(self.selected(of_sample, unread=unread), weight=drawn.weights)
+        batch = replace(self.selected(of_sample, unread=unread), weight=drawn.weights)
+        self._drawn.extend([batch] if points else [])
+        return batch
 
     def of_points(
         self, chosen: Callable[[Hashes], NDArray[np.int64]], most_rows: int = 1 << 62

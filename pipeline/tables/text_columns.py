@@ -187,8 +187,8 @@ def hashes_of(names: pa.StringArray) -> Hashes:
 
 
 def rows_among(hashes: Hashes, wanted: Hashes) -> units.Integers:
-    """The rows whose hash is a wanted one; by their last 24 bits first, which leaves few."""
-    maybe, mask = np.zeros(1 << 24, np.bool_), np.uint64((1 << 24) - 1)
+    """The rows whose hash is a wanted one; by their last 20 bits first, which leaves few."""
+    maybe, mask = np.zeros(1 << 20, np.bool_), np.uint64((1 << 20) - 1)  # fits into a cache
     maybe[wanted & mask] = True
     rows = np.flatnonzero(maybe[hashes & mask])
     return rows[np.isin(hashes[rows], wanted)]

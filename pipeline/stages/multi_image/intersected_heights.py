@@ -48,7 +48,7 @@ def with_intersected_heights(
     count, parts = min(_MOST_FILES, 1 + observations.rows // _ROWS_OF_A_FILE), None
     if observations.sample is not None:
         wanted = np.unique(hashes_of(observations.sampled(points=True).point))
-        parts = [observations.of_points(lambda hashes: rows_among(hashes, wanted))]
+        parts, count = [observations.of_points(lambda hashes: rows_among(hashes, wanted))], 1
     images = pa.array(setup.images, pa.string())
     orientations = orientations_of(stations, unknown_sigmas)
     counts: Counter[str] = Counter()
@@ -58,7 +58,8 @@ def with_intersected_heights(
         for batch in parts or observations.batches(_BATCH_ROWS):
             part = np.empty(len(batch), _RAY)
             part["point"] = pd.util.hash_pandas_object(batch.point.to_pandas(), index=False)
-            part["row"] = np.arange(observations.rows)[batch.rows]
+            rows = batch.rows
+            part["row"] = np.r_[rows] if isinstance(rows, slice) else rows
             part["station"] = matching_rows(batch.image, images)
             part["x"], part["y"] = batch.x_px, batch.y_px
             named = batch.point.is_valid().to_numpy(zero_copy_only=False)
