@@ -233,7 +233,7 @@ def assign(
     if tie_points is not None:
         hopeful = score > score.max() - _HOPELESS
         different, which = np.unique(rows[hopeful], axis=0, return_inverse=True)
-        by_points = _likeliest(different, tie_points, share_met)
+        by_points = likelihoods_by_points(different, tie_points, share_met)
         score[hopeful] += by_points[which.ravel()]
         score[~hopeful] += by_points.min()
     pulses = np.where(rows >= 0, axis.pulse[rows], -1)
@@ -270,7 +270,7 @@ def assign(
     return replace(found, reason=why_refused(found, events, images, axis, against))
 
 
-def _likeliest(
+def likelihoods_by_points(
     rows: Integers,
     tie_points: Callable[[Integers], float],
     share_met: Callable[[Integers], Array] | None,
