@@ -110,6 +110,7 @@ class BarometerSection(Section):
 
     offset_hpa: float | None = Field(None, ge=-30, le=30)
     sigma_offset_hpa: float | None = Field(None, ge=0.01, le=30)
+    sigma_scale: float | None = Field(None, ge=1e-5, le=0.1)
 
 
 class HygrometerSection(Section):
@@ -149,6 +150,7 @@ class SensorsSection(Section):
             SensorFault.PRESSURE_OFFSET: SensorCalibration(
                 _pascal(high.offset_hpa), _pascal(high.sigma_offset_hpa)
             ),
+            SensorFault.PRESSURE_SCALE: SensorCalibration(None, high.sigma_scale),
             SensorFault.HYGROMETER_BIAS: SensorCalibration(moist.bias, moist.sigma_bias),
             SensorFault.GNSS_HEIGHT_OFFSET: SensorCalibration(None, gnss.sigma_height_m),
         }

@@ -156,12 +156,12 @@ def test_realistic_sensors_in_climb_and_descent(flights, real, climb, bias, scat
 
 
 @pytest.mark.parametrize("name", BACKGROUNDS)
-@pytest.mark.parametrize(("climb", "bias", "scatter"), [(1000.0, 3.0, 2.7), (3000.0, 1.0, 1.0)])
+@pytest.mark.parametrize(("climb", "bias", "scatter"), [(1000.0, 3.0, 2.6), (3000.0, 1.0, 1.0)])
 def test_realistic_sensors_in_a_climb_alone(flights, real, climb, bias, scatter, name):
     """After the two minutes of the gate, of 1 km 400 m are left.
 
-    Reached: 2.5 % of scatter over 1 km (2.0 is asked for, and reached where no static pressure can
-    lose any of its change; of 27 flights the scatter itself is good to 0.3), 0.4 over 3.
+    Reached: 2.55 % of scatter over 1 km (2.0 is asked for; 2.2 where no static pressure can lose
+    some per cent of its change; of 27 flights the scatter itself is good to 0.3), 0.4 over 3.
     """
     found = errors(flights, real, climb, flights.REALISTIC, name, times=3)
     assert abs(found.mean()) <= bias
@@ -202,8 +202,8 @@ def low_flights(flights, airs, climb, sensors_of) -> np.ndarray:
 def test_the_sigma_decides_about_low_flights_without_a_thermometer(flights, real, extreme):
     """112 flights, or 672, with seeds 27 + climb: nine soundings and five extreme airs.
 
-    Reached with 336 of them: 11.6, 6.0, 3.6, 2.8 % with survey heights and 18.8, 11.2, 6.1, 5.3 %
-    with an autopilot's. At 500 m sensors without drifts leave the same 6 %, without noise 4 %: the
+    Reached with 336 from 500 m on: 6.0, 3.2, 2.6 % with survey heights and 11.4, 6.1, 4.5 % with an
+    autopilot's. At 500 m sensors without drifts leave the same 6 %, without noise 4 %: the
     rest is the shape of T(H).
     """
     departures, worse = [], []

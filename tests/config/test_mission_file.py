@@ -122,7 +122,7 @@ FULL: dict[str, Any] = {
                 "transient_k": 0.0, "sigma_transient_k": 0.5, "recovery": 0.8,
                 "sigma_recovery": 0.05, "sigma_drift_k": 0.1,
             },
-            "barometer": {"offset_hpa": -0.2, "sigma_offset_hpa": 0.1},
+            "barometer": {"offset_hpa": -0.2, "sigma_offset_hpa": 0.1, "sigma_scale": 0.0005},
             "hygrometer": {"bias": 0.01, "sigma_bias": 0.01},
             "gnss": {"sigma_height_m": 0.1},
         },

@@ -320,7 +320,7 @@ def test_every_key_of_a_calibration_arrives_in_si():
             "transient_k": 5.0, "sigma_transient_k": 6.0, "recovery": 0.7,
             "sigma_recovery": 0.8, "sigma_drift_k": 0.9,
         },
-        "barometer": {"offset_hpa": 1.1, "sigma_offset_hpa": 1.2},
+        "barometer": {"offset_hpa": 1.1, "sigma_offset_hpa": 1.2, "sigma_scale": 0.017},
         "hygrometer": {"bias": 0.13, "sigma_bias": 0.14},
         "gnss": {"sigma_height_m": 15.0},
     })  # fmt: skip
@@ -329,7 +329,7 @@ def test_every_key_of_a_calibration_arrives_in_si():
         SensorFault.TAKEOFF_TRANSIENT: (5.0, 6.0), SensorFault.RECOVERY_FACTOR: (0.7, 0.8),
         SensorFault.THERMOMETER_DRIFT: (None, 0.9), SensorFault.HYGROMETER_BIAS: (0.13, 0.14),
         SensorFault.PRESSURE_OFFSET: (pytest.approx(110.0), pytest.approx(120.0)),
-        SensorFault.GNSS_HEIGHT_OFFSET: (None, 15.0),
+        SensorFault.GNSS_HEIGHT_OFFSET: (None, 15.0), SensorFault.PRESSURE_SCALE: (None, 0.017),
     }  # fmt: skip
     assert SensorsSection().calibration == {}
 

@@ -198,6 +198,9 @@ def build_adjusted_profile(
     sensor_checks.note_pressure_level(profile, background, candidate.samples.pressure, ledger)
     _note_estimate(candidate, made, ledger)
     sensor_checks.check_calibration(made, settings, ledger)
+    for readings in made.readings.sets:
+        if isinstance(readings, Barometer):  # of a part of the flight pressure changes since here
+            settings = replace(settings, highest=readings.highest)
     flown = UsedSamples(samples, usable, tried, candidate.samples, refused)
     return Adjustment(
         profile,

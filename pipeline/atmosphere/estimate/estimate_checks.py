@@ -232,7 +232,7 @@ def thermometer_is_outside(
     def estimate_of(part: AirSamples) -> Estimate:
         return estimate(part, background, settings=expected, moisture=moisture)
 
-    expected = replace(settings, large_drifts=False)
+    expected = replace(settings, usual_errors_only=True)
     drifted = indoors or max(made.drift_scales.values(), default=1.0) > LARGE_DRIFT
     if drifted or _inflated_sigma_k(made) > MISFIT_K:
         # The flight until half an hour after its thermometer's first accepted reading.

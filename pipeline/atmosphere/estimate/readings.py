@@ -148,7 +148,8 @@ def collect_readings(
     faults = []
     for fault in expected:
         known = settings.calibration.get(fault.name, SensorCalibration())
-        usual = fault if settings.large_drifts and known.sigma is None else fault.ordinary
+        ordinary = settings.usual_errors_only or known.sigma is not None
+        usual = fault.ordinary if ordinary else fault
         mean = fault.mean if known.mean is None else known.mean
         faults.append(replace(usual, mean=mean, sigma=known.sigma_or(usual.sigma)))
     at_sea, level = np.zeros(1), np.array([background.spread.pressure_ratio])
@@ -175,7 +176,7 @@ def _sensor_readings(
     end_ns = max(int(sensor.time_ns[-1]) for sensor in sensors.values())
     duration = max((end_ns - start_ns) * 1e-9, 1.0)
     alone = "temperature" not in sensors
-    step_s = ALONE_STEP_S if alone or not settings.large_drifts else DRIFT_STEP_S
+    step_s = ALONE_STEP_S if alone or settings.usual_errors_only else DRIFT_STEP_S
     steps = 1 + min(MOST_DRIFT_STEPS, int(duration / step_s))
     knots = np.linspace(0.0, duration, steps + 1)
     binning = _Binning.of_flight(sensors, profile, start_ns, duration)
@@ -189,8 +190,10 @@ def _sensor_readings(
         dynamic = None if speed is None else dynamic_of(speed)
         sigma = np.hypot(bins.sigma, AIR_NOISE_LOG_P)
         least, most = BAROMETER_SCALES
-        scales = (least if alone else 1.0, most) if settings.large_drifts else (least, 1.0)
-        sets.append(Barometer(sensor.name, bins.height, value, sigma, bins.seconds, dynamic))
+        scales = (least, 1.0) if settings.usual_errors_only else (least if alone else 1.0, most)
+        highest = float(value.max()) if settings.highest is None else settings.highest
+        of_bins = bins.height, value, sigma, bins.seconds
+        sets.append(Barometer(sensor.name, *of_bins, highest, dynamic))
         faults += BAROMETER_FAULTS
         faults += [] if dynamic is None else [DYNAMIC_PRESSURE_ERROR]
         drifts.append(Drift(SensorFault.BAROMETER_DRIFT, knots, 1.0, 1200.0, scales=scales))
@@ -206,7 +209,7 @@ def _sensor_readings(
         sun = SUN_ON_PROBE if known.sigma is None else (0.0, SUN_ON_PROBE[1])
         drift = known.sigma_or(BOARD_DRIFT_K if board else USUAL_DRIFT_K)
         least, most = THERMOMETER_SCALES
-        is_known = known.sigma is not None or board or not settings.large_drifts
+        is_known = known.sigma is not None or board or settings.usual_errors_only
         scales = least, least if is_known else most
         drifts.append(Drift(SensorFault.THERMOMETER_DRIFT, knots, drift, 900.0, sun, scales))
     if (sensor := sensors.get("humidity")) is not None:

@@ -31,11 +31,10 @@ RECOVERY_FACTOR = Fault(SensorFault.RECOVERY_FACTOR, 0.7, 0.3, 0.0, 1.1)
 BAROMETER_FAULTS = (
     Fault(SensorFault.PRESSURE_OFFSET, 0.0, 50.0),
     Fault(SensorFault.GNSS_HEIGHT_OFFSET, 0.0, 2.5),
-    # Share of its change that a static pressure loses, or that GNSS heights gain. A MEMS sensor may
-    # be 2.5 hPa off over 650 hPa (MS5611, data sheet), a static port 110 Pa at 100 knots (14 CFR
-    # 23.1325(e): 30 ft), of 310 hPa in 3 km: 0.4 %, taken as two sigma. One of ten is expected to
-    # lose a few per cent: coefficients of another sensor, a leaking line, the air of a cabin.
-    Fault(SensorFault.PRESSURE_SCALE, 0.0, 0.03, rare=0.1, usual=0.002),
+    # Share of its change that a static pressure loses, or that GNSS heights gain: a quarter of
+    # 2.5 hPa over 650 hPa (MS5611, data sheet). Static ports err by dynamic pressure, which 3 km
+    # change by 30 Pa. Of ten one is expected to lose some per cent: a leak, a cabin's air.
+    Fault(SensorFault.PRESSURE_SCALE, 0.0, 0.03, rare=0.1, usual=0.001),
 )
 DYNAMIC_PRESSURE_ERROR = Fault(SensorFault.DYNAMIC_PRESSURE_ERROR, 0.0, 0.03)
 HYGROMETER_BIAS = Fault(SensorFault.HYGROMETER_BIAS, 0.0, 0.03)
@@ -88,14 +87,16 @@ class SensorSettings:
 
     ``board_temperature``: the thermometer sits on a circuit board and is used all the same, as the
     air plus an unknown 10 K that wanders. ``calibration`` of the sensors, by fault.
-    ``large_drifts``: residuals may show drifts larger than expected. ``maybe_indoors``: nothing
-    shows that the thermometer is outside, and its errors are expected to be those of a board's.
+    ``usual_errors_only``: no larger drift, no rare fault. ``maybe_indoors``: nothing shows that the
+    thermometer is outside, and its errors are expected to be those of a board's. ``highest``: ln of
+    the pressure [Pa] from which a lost share of change counts, where readings are a flight's part.
     """
 
     board_temperature: bool = False
     calibration: Mapping[SensorFault, SensorCalibration] = field(default_factory=dict)
-    large_drifts: bool = True
+    usual_errors_only: bool = False
     maybe_indoors: bool = False
+    highest: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,11 +184,13 @@ class Thermometer(Readings):
 class Barometer(Readings):
     """Means of ln of a static pressure [Pa] in bins of GNSS height.
 
-    ``dynamic`` pressure q = rho_0 V^2/2 of the indicated airspeed [Pa], or None.
+    ``highest`` ln of the pressure from which a lost share of its change counts; ``dynamic``
+    pressure q = rho_0 V^2/2 of the indicated airspeed [Pa], or None.
     """
 
     quantity = "pressure"
     seconds: Array
+    highest: float
     dynamic: Array | None = None
 
     def predict(self, air: AirAtKnots) -> tuple[Array, Array]:
@@ -204,7 +207,7 @@ class Barometer(Readings):
         per_pascal = np.exp(-self.value)
         by_fault = {
             SensorFault.PRESSURE_OFFSET: per_pascal,
-            SensorFault.PRESSURE_SCALE: np.expm1(self.value.max() - self.value),
+            SensorFault.PRESSURE_SCALE: np.expm1(self.highest - self.value),
             SensorFault.GNSS_HEIGHT_OFFSET: per_metre,
         }
         if self.dynamic is not None:

@@ -18,7 +18,6 @@ from pipeline.atmosphere.estimate.adjusted_profile import Adjustment
 from pipeline.atmosphere.estimate.candidates import SMALLEST_CLIMB_M
 from pipeline.atmosphere.estimate.estimate_checks import is_better_than_background, is_plausible
 from pipeline.atmosphere.estimate.solver import estimate
-from pipeline.atmosphere.estimate.state import SensorFault
 from pipeline.atmosphere.series.profile_series import (
     CHANGE_LOG_P_PER_H,
     CHANGE_RH,
@@ -210,17 +209,6 @@ def _own_air(
         replace(f, sigma=float(np.hypot(f.sigma, _FAULT_CHANGE * f.prior_sigma)))
         for f in whole.faults
     ]
-    if part.pressure is not None and whole.samples is not None and whole.samples.pressure:
-        # The scale of pressure counts from the highest: what was lost before is an offset now.
-        highest = (sensor.used()[1] for sensor in (whole.samples.pressure, part.pressure))
-        before = float(np.subtract(*(values.max(initial=0.0) for values in highest)))
-        lost = sum(f.value for f in known if f.fault == SensorFault.PRESSURE_SCALE)
-        known = [
-            replace(f, value=f.value + lost * before)
-            if f.fault == SensorFault.PRESSURE_OFFSET
-            else f
-            for f in known
-        ]
     made = estimate(part, background, settings=whole.settings, known=known)
     if not made.converged:
         return None, "its estimate did not converge"

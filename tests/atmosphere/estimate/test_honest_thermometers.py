@@ -81,8 +81,7 @@ LOW = max(1, DRAWS // 200)
 def test_low_climbs_with_a_thermometer_are_honest(flights, airs, sunny):
     """Climbs of 300 to 600 m: error over sigma with an RMS of 0.7 to 1.2, in each way of flying.
 
-    Over hot ground with the sun on the probe 1.22 is reached, not 1.2: with 0.3 K for the sun it is
-    1.15, but then a thermometer in a cabin that cools is taken for one outside.
+    Reached: 0.95, and 1.17 over hot ground with the sun on the probe.
 
     24 flights in `make test`, whose RMS is good to 0.15; 1344 in `make faults`.
     """
@@ -102,6 +101,6 @@ def test_low_climbs_with_a_thermometer_are_honest(flights, airs, sunny):
     total = float(np.sqrt(np.mean(every_error**2)))
     print(f"seed {SEED}: {total:.2f} of {every_error.size} flights, {rms}")
     margin = 0.3 if LOW == 1 else 0.0
-    assert 0.7 - margin <= total <= (1.25 if sunny else 1.2) + margin
+    assert 0.7 - margin <= total <= 1.2 + margin
     if LOW > 1:
         assert all(0.65 <= value <= (1.4 if sunny else 1.3) for value in rms.values()), rms

@@ -117,7 +117,7 @@ def test_it_changes_with_time_as_the_model_does(flights, balloon, field, measure
     h = np.linspace(100.0, 2900.0, 20) + truth.h[0]
     np.testing.assert_allclose(series.profiles[0].temperature(h), np.interp(h, truth.h, truth.t),
                                atol=0.6)  # fmt: skip
-    assert abs(np.mean(series.profiles[0].temperature(h) - np.interp(h, truth.h, truth.t))) < 0.2
+    assert abs(np.mean(series.profiles[0].temperature(h) - np.interp(h, truth.h, truth.t))) < 0.1
 
 
 def test_a_short_flight_keeps_one_profile(measured, field, balloon):
