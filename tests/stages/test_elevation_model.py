@@ -234,6 +234,20 @@ def test_a_datum_that_needs_a_missing_grid_is_a_warning_with_its_name(mission, m
     assert "needs de_adv_BETA2007.tif" in read["what"]
 
 
+def index_of(name):
+    """A GeoJSON that names one raster, which lies about the block."""
+    ring = [[8.0, 48.0], [9.0, 48.0], [9.0, 49.0], [8.0, 49.0], [8.0, 48.0]]
+    of_tile = {"type": "Polygon", "coordinates": [ring]}
+    tile = {"type": "Feature", "properties": {"location": name}, "geometry": of_tile}
+    return {"type": "FeatureCollection", "features": [tile]}
+
+
+SERVICE = """<GDAL_WMS><Service name="TMS"><ServerUrl>http://127.0.0.1:9/${z}/${x}/${y}.tif</ServerUrl>
+</Service><DataWindow><UpperLeftX>-180</UpperLeftX><UpperLeftY>90</UpperLeftY><LowerRightX>180
+</LowerRightX><LowerRightY>-90</LowerRightY><TileLevel>3</TileLevel></DataWindow>
+<Projection>EPSG:4326</Projection><BandsCount>1</BandsCount><DataType>Float32</DataType></GDAL_WMS>"""
+
+
 def test_a_raster_of_no_heights_is_refused(mission, modelled):
     modelled()
     with rasterio.open(mission.folder / "dem.tif", "r+") as raster:
@@ -243,6 +257,16 @@ def test_a_raster_of_no_heights_is_refused(mission, modelled):
     with rasterio.open(mission.folder / "dem.tif", "r+") as raster:
         raster.transform = Affine(1e-4, 1e-5, 8.0, 0.0, -1e-4, 49.0)
     refused(mission, "DEM-RASTER")
+    # An index of tiles and a service are files that name others, whose change nobody would see.
+    modelled()
+    tiles = mission.folder / "tiles.geojson"
+    tiles.write_text(json.dumps(index_of(str(mission.folder / "dem.tif"))))
+    index = f"<GDALTileIndexDataset><IndexDataset>{tiles}</IndexDataset></GDALTileIndexDataset>"
+    mission.config["ground"]["height"]["dem"] = "dem.gti"
+    for naming in (index, SERVICE):
+        (mission.folder / "dem.gti").write_text(naming)
+        assert "name the rasters" in refused(mission, "DEM-RASTER")
+    mission.config["ground"]["height"]["dem"] = "dem.tif"
     (mission.folder / "dem.tif").write_bytes(b"no raster")
     refused(mission, "DEM-UNREADABLE")
     (mission.folder / "dem.tif").unlink()

@@ -16,11 +16,10 @@ from pipeline.ledger import Notes, note, warning
 from pipeline.refraction.kernels.columns import BLOCK, TILE, TerrainGrid
 from pipeline.refraction.kernels.terrain import extremes_of_tile
 from pipeline.tables.geodata.coordinate_systems import GridSystem, grid_system
-from pipeline.tables.geodata.gdal import GDAL_OPTIONS
+from pipeline.tables.geodata.gdal import GDAL_OPTIONS, NAME_OTHERS
 from pipeline.units import Array, Integers, Mask
 
-_TILES_IN_MEMORY = 100
-"""Each takes 1 MB."""
+_TILES_IN_MEMORY = 100  # of 1 MB
 
 _LOWEST_M, _HIGHEST_M = -600.0, 9_000.0
 _METRES = {
@@ -175,7 +174,7 @@ class _Raster:
         source = open_raster(path)
         affine, self.crs = source.transform, source.crs.to_wkt() if source.crs else ""
         upright = affine.b == affine.d == 0.0 and affine.a > 0.0 > affine.e
-        if source.count != 1 or not upright or source.driver == "VRT":
+        if source.count != 1 or not upright or source.driver in NAME_OTHERS:
             raise InputError.of("DEM-RASTER", path, source=source, cell=affine)
         self.step_x, self.step_y, self.west, self.north = affine.a, -affine.e, affine.c, affine.f
         self.rows, self.columns = source.height, source.width

@@ -15,6 +15,9 @@ GDAL_OPTIONS = {
 of the time of a tile is decompression: on all cores. The rest are GDAL's defaults, which variables
 of the environment would change, and with them where a raster lies."""
 
+NAME_OTHERS = "GTI", "STACIT", "STACTA", "TIL", "VRT", "WCS", "WMS", "WMTS"
+"""Formats of files that name other rasters, whose change no hash of theirs would show."""
+
 _OTHERS = re.compile(r"csv|err|html|log|mcap|out|parquet|tlog|toml|ulg|ya?ml")
 """Endings of files that GDAL does not read beside a raster: a mission's may be called like it."""
 

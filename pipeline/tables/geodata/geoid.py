@@ -10,7 +10,7 @@ import pyarrow as pa
 
 from pipeline.errors import InputError
 from pipeline.geodesy import GeoidGrid
-from pipeline.tables.geodata.gdal import GDAL_OPTIONS
+from pipeline.tables.geodata.gdal import GDAL_OPTIONS, NAME_OTHERS
 
 _GTX = struct.Struct(">4d2i")
 """South edge, west edge, steps of latitude and longitude [deg], rows, columns: big-endian, then
@@ -49,16 +49,12 @@ def read_geoid(path: Path) -> GeoidGrid:
         else:
             grid = _grid_of_raster(path)
     except (OSError, ValueError, struct.error) as error:
-        raise _no_grid(path, str(error)) from None
+        raise InputError.of("GEOID-GRID", path, why=str(error)) from None
     known = grid.values_m[np.isfinite(grid.values_m)]
     if known.size == 0 or known.min() < -120.0 or known.max() > 100.0:
         span = f"{known.min():.0f} to {known.max():.0f} m" if known.size else "no value at all"
-        raise _no_grid(path, f"holds {span}; undulations are -107 to 86 m")
+        raise InputError.of("GEOID-GRID", path, why=f"holds {span}; undulations are -107 to 86 m")
     return grid
-
-
-def _no_grid(path: Path, why: str) -> InputError:
-    return InputError.of("GEOID-GRID", path, why=why)
 
 
 def _grid_of_gtx(content: bytes, name: str) -> GeoidGrid:
@@ -79,12 +75,14 @@ def _grid_of_raster(path: Path) -> GeoidGrid:
         raise ValueError("a GeoTIFF needs rasterio: pip install 'unbend[rasters]'") from None
     try:
         with rasterio.Env(**GDAL_OPTIONS), rasterio.open(path) as raster:
-            if raster.count != 1 or raster.crs is None or not raster.crs.is_geographic:
-                raise ValueError("one band in geographic coordinates is needed")
+            plain = raster.count == 1 and raster.driver not in NAME_OTHERS
+            if not (plain and raster.crs and raster.crs.is_geographic):
+                raise ValueError("one band in geographic coordinates is needed, in the file itself")
             a = raster.transform
             if a.b or a.d or a.a <= 0.0 or a.e >= 0.0:
                 raise ValueError("its rows do not run along parallels, from north to south")
             values = raster.read(1, masked=True).astype(np.float32).filled(np.nan)[::-1]
+            values = values * np.float32(raster.scales[0]) + np.float32(raster.offsets[0])
     except rasterio.errors.RasterioError as error:
         raise ValueError(str(error)) from None
     # Values belong to the centres of the cells.

@@ -137,10 +137,21 @@ def test_a_geotiff_is_the_same_grid(tmp_path):
                        crs="EPSG:4326", transform=transform) as raster:  # fmt: skip
         raster.write(values[::-1], 1)
     lat, lon = np.radians([40.7, 41.9]), np.radians([10.1, 12.7])
-    np.testing.assert_allclose(
-        read_geoid(path).undulation(lat, lon), read_geoid(tmp_path / "a.gtx").undulation(lat, lon),
-        rtol=0.0, atol=1e-9,
-    )  # fmt: skip
+    known = read_geoid(tmp_path / "a.gtx").undulation(lat, lon)
+    np.testing.assert_allclose(read_geoid(path).undulation(lat, lon), known, rtol=0.0, atol=1e-9)
+    with rasterio.open(path, "w", driver="GTiff", height=5, width=7, count=1, dtype="int16",
+                       crs="EPSG:4326", transform=transform) as raster:  # fmt: skip
+        raster.write(np.round((values[::-1] - 20.0) * 1000.0).astype(np.int16), 1)
+        raster.scales, raster.offsets = [0.001], [20.0]
+    np.testing.assert_allclose(read_geoid(path).undulation(lat, lon), known, rtol=0.0, atol=6e-4)
+    west, north = transform.c, transform.f
+    (tmp_path / "b.tif").write_text(
+        f'<VRTDataset rasterXSize="7" rasterYSize="5"><SRS>EPSG:4326</SRS><GeoTransform>{west},'
+        f' 0.5, 0, {north}, 0, -0.5</GeoTransform><VRTRasterBand dataType="Float32" band="1">'
+        f"<SimpleSource><SourceFilename>{path}</SourceFilename></SimpleSource></VRTRasterBand></VRTDataset>"
+    )
+    with pytest.raises(InputError, match="in the file itself"):
+        read_geoid(tmp_path / "b.tif")
 
 
 @pytest.mark.parametrize(
