@@ -74,14 +74,14 @@ class Answer:
     """Where the answer of a command goes: as text, as JSON with nothing else, or nowhere."""
 
     def __init__(self, *, quiet: bool, as_json: bool) -> None:
-        self._quiet, self._as_json = quiet, as_json
+        self._quiet, self.as_json = quiet, as_json
 
     @cached_property
     def console(self) -> Console:
         """Console for the text of the answer; it discards what nobody wants."""
         from pipeline.report.text.console import report_console
 
-        return report_console(quiet=self._quiet or self._as_json)
+        return report_console(quiet=self._quiet or self.as_json)
 
     def progress(self, title: str) -> DelayedProgressBar:
         """A bar for work that may take longer than half a second, where there is a terminal."""
@@ -89,12 +89,12 @@ class Answer:
             return DelayedProgressBar(None, title)
         from pipeline.report.text.console import report_console
 
-        on_error = self._as_json or not sys.stdout.isatty()
+        on_error = self.as_json or not sys.stdout.isatty()
         return DelayedProgressBar(report_console(error=True) if on_error else self.console, title)
 
     def print_json(self, content: Any) -> None:
         """Print it as JSON if that is wanted; ValueError where a number is none (null is meant)."""
-        if self._as_json:
+        if self.as_json:
             print(json.dumps(content, indent=2, allow_nan=False, default=str))
 
     def end(
@@ -111,7 +111,7 @@ class Answer:
         code = EXIT_LOSSES if ledger.has_losses else EXIT_DONE
         files = [str(path) for path in written if path is not None]
         self.print_json(content | {"written": files, "ledger": ledger.rows(), "exit_code": code})
-        if not (self._quiet or self._as_json):
+        if not (self._quiet or self.as_json):
             from pipeline.report.text.terminal import print_ledger
 
             print_ledger(self.console, ledger.rows() if shown is None else shown)

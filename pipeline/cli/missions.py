@@ -22,6 +22,7 @@ from pipeline.report.words import count
 if TYPE_CHECKING:
     from pipeline.batch.execute import MissionEnd
     from pipeline.config.campaign import MissionRef
+    from pipeline.stages.campaigns.selection import Selection
 
 
 Configs = Annotated[
@@ -67,22 +68,17 @@ def run(
     Of a campaign, campaign.html and campaign.parquet show all its missions; a shard leaves them.
     """
     if scheduler is not None and jobs > 1:
-        what = "--jobs and --scheduler do not go together"
-        remedy = "the workers of the scheduler say how many missions run at the same time"
-        raise ConfigError("RUN-ARGUMENTS", what, remedy=remedy)
+        raise ConfigError.of("RUN-ARGUMENTS")
     answer = Answer(quiet=quiet, as_json=as_json)
     with answer.progress("loading"):
         from pipeline.batch.execute import shard_of
-        from pipeline.batch.outcomes import Bug
-        from pipeline.batch.store import read_manifest
+        from pipeline.batch.outcomes import Outcome
         from pipeline.report.text.terminal import print_unchanged
         from pipeline.stages.campaigns.pages import write_pages
         from pipeline.stages.campaigns.selection import keep_unchanged, select_missions
 
         chosen = select_missions(configs, names or (), shard_of(shard))
-    several = len(chosen.missions) > 1
     missions: list[dict[str, Any]] = []
-    unchanged: list[str] = []
     ended: dict[Any, Any] = {}
     apart = jobs > 1 or scheduler is not None
     beside = answer.progress(f"{len(chosen.missions)} missions") if apart else nullcontext()
@@ -93,28 +89,9 @@ def run(
     with beside, closing(outcomes):
         for ref, end in outcomes:
             ended[ref] = end
-            if isinstance(end, UnbendError):
-                missions.append(_refused(ref.label, end))
-                continue
-            if isinstance(end, Bug):
-                print_bug(end.traceback, ref.label)
-                missions.append({"config": ref.label, "exit_code": EXIT_BUG})
-                continue
-            if end.repeated and several:
-                unchanged.append(end.name)
-            else:
-                from pipeline.report.text.terminal import print_run
-
-                print_run(
-                    answer.console, end.name, str(end.output), end.manifest, repeated=end.repeated
-                )
-            missions.append(
-                {"config": ref.label, "output": str(end.output), "repeated": end.repeated,
-                 "exit_code": end.exit_code}
-            )  # fmt: skip
-            if as_json:
-                missions[-1]["manifest"] = end.manifest or read_manifest(end.output)
-    if unchanged:
+            missions.append(print_end(answer, ref.label, end, chosen))
+    unchanged = [of.name for of in ended.values() if isinstance(of, Outcome) and of.repeated]
+    if unchanged and len(chosen.missions) > 1:
         print_unchanged(answer.console, unchanged, len(chosen.missions))
     keep_unchanged(chosen, ended)
     if shard is None:
@@ -144,6 +121,29 @@ def run_missions(
         options = {**options, "processes": where}
     with closing(run_many(partial(run_mission, **options), list(sent), executor)) as ends:
         yield from ((sent[ref], end) for ref, end in ends)
+
+
+def print_end(answer: Answer, config: str, end: MissionEnd, chosen: Selection) -> dict[str, Any]:
+    """Print how a mission ended, of a campaign in a line; its entry in the JSON of the command."""
+    from pipeline.batch.outcomes import Bug
+    from pipeline.batch.store import read_manifest
+
+    if isinstance(end, UnbendError):
+        return _refused(config, end)
+    if isinstance(end, Bug):
+        print_bug(end.traceback, config)
+        return {"config": config, "exit_code": EXIT_BUG}
+    several = len(chosen.missions) > 1
+    if not (end.repeated and several):
+        from pipeline.report.text.terminal import print_run
+
+        how = {"repeated": end.repeated, "brief": several and bool(chosen.campaigns)}
+        print_run(answer.console, end.name, str(end.output), end.manifest, **how)
+    entry: dict[str, Any] = {"config": config, "output": str(end.output)}
+    entry |= {"repeated": end.repeated, "exit_code": end.exit_code}
+    if answer.as_json:
+        entry["manifest"] = end.manifest or read_manifest(end.output)
+    return entry
 
 
 def _refused(config: str, error: UnbendError) -> dict[str, Any]:
@@ -298,9 +298,7 @@ def inspect(
 ) -> None:
     """What a log or weather model holds, in words of a mission file."""
     if (kind is None and (as_csv or instance is not None)) or (as_csv and as_json):
-        what = "--csv and --instance go with --type, and --csv not with --json"
-        remedy = "for example: unbend inspect flight.bin --type BARO --csv"
-        raise ConfigError("INSPECT-ARGUMENTS", what, remedy=remedy)
+        raise ConfigError.of("INSPECT-ARGUMENTS")
     answer = Answer(quiet=quiet, as_json=as_json)
     with answer.progress(f"reading {log.name}"):
         from pipeline.ingest import open_log

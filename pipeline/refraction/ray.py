@@ -93,8 +93,7 @@ def rays_by(profile: Profile, method: str) -> RayTable | PublishedRays:
     if method == "spherical":
         return ray_table(profile)
     if method not in PUBLISHED:
-        what = f"no refraction method is called {method!r}"
-        raise PhysicsError("METHOD-NAME", what, remedy=f"one of {', '.join(METHODS)}")
+        raise PhysicsError.of("METHOD-NAME", method=method, known=", ".join(METHODS))
     return PublishedRays(profile, PUBLISHED[method])
 
 

@@ -423,8 +423,7 @@ def manifest_of_run(path: Path | Place) -> dict[str, Any]:
     """The manifest of a finished run; refuses (VERIFY-NO-MANIFEST) a place without."""
     manifest = store.read_manifest(path)
     if manifest is None:
-        what = "there is no manifest: the run never finished here"
-        raise StorageError("VERIFY-NO-MANIFEST", what, where=str(path), remedy="run the mission")
+        raise StorageError.of("VERIFY-NO-MANIFEST", path)
     return manifest
 
 
@@ -453,9 +452,8 @@ def verify_run(path: Path | Place) -> dict[str, Any]:
     if damage and isinstance(path, Place) and store.read_manifest(path) != manifest:
         return verify_run(path)
     if damage:
-        what = f"{len(damage)} results are damaged\n    " + "\n    ".join(damage)
-        remedy = "run the mission again; finished results are made anew"
-        raise StorageError("VERIFY-DAMAGED", what, where=str(path), remedy=remedy)
+        lines = "\n    ".join(damage)
+        raise StorageError.of("VERIFY-DAMAGED", path, count=len(damage), lines=lines)
     return manifest
 
 

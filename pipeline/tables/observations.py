@@ -428,8 +428,7 @@ def _written_names(users: list[str], ledger: Ledger) -> dict[str, str]:
 def _opened(path: Path, kind: str) -> tuple[pa.Schema, Records]:
     """The Arrow schema of a table, that of a CSV all text until it is scanned, and its rows."""
     if not path.exists() or (kind not in BLOCKS and not path.is_file()):
-        what = "there is no such file"
-        raise InputError("OBS-MISSING", what, where=str(path), remedy="check observations.path")
+        raise InputError.of("OBS-MISSING", path)
     if kind in BLOCKS:
         rows = partial(_block_records, path, kind)
         return next(rows(0, None, 0), rows_of_image("", [])).schema, rows
@@ -442,11 +441,8 @@ def _opened(path: Path, kind: str) -> tuple[pa.Schema, Records]:
             return pq.read_schema(path), partial(_parquet_records, path)
         except (pa.ArrowInvalid, OSError) as error:
             raise InputError.of("OBS-PARQUET", path, error=error) from None
-    what = "a table of observations is .csv or .parquet, not " + (
-        path.suffix.lower() or "a file without extension"
-    )
-    remedy = f"convert or rename it, or give observations.format: {', '.join(BLOCKS)}"
-    raise InputError("OBS-FORMAT", what, where=str(path), remedy=remedy)
+    ending = path.suffix.lower() or "a file without extension"
+    raise InputError.of("OBS-FORMAT", path, ending=ending, blocks=", ".join(BLOCKS))
 
 
 def _block_records(

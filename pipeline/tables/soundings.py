@@ -58,19 +58,14 @@ def read_sounding(
         try:
             text = data.decode("utf-8-sig")
         except UnicodeDecodeError as error:
-            what = f"the byte {data[error.start]:#04x} at offset {error.start} is no UTF-8"
-            raise InputError(
-                "SOUNDING-UNREADABLE", what, where=str(path), remedy="save the file as UTF-8 text"
+            at = error.start
+            raise InputError.of(
+                "SOUNDING-UNREADABLE/utf-8", path, byte=data[at], offset=at
             ) from None
         sounding = parse_sounding(
-            text,
-            ledger,
-            where=path.name,
-            format_name=format_name,
-            time_ns=time_ns,
-            latitude_rad=latitude_rad,
-            station_h_m=station_h_m,
-        )
+            text, ledger, where=path.name, format_name=format_name, time_ns=time_ns,
+            latitude_rad=latitude_rad, station_h_m=station_h_m,
+        )  # fmt: skip
     return sounding if sounding.station else replace(sounding, station=path.name)
 
 

@@ -20,9 +20,15 @@ _MOST_REASONS = 6
 
 
 def print_run(
-    console: Console, name: str, output: str, manifest: Mapping[str, Any], *, repeated: bool
-) -> None:
-    """Summary at the end of a mission; ``repeated`` if an earlier run was up to date."""
+    console: Console, name: str, output: str, manifest: Mapping[str, Any], *, repeated: bool,
+    brief: bool = False,
+) -> None:  # fmt: skip
+    """Summary at the end of a mission, or a ``brief`` line; ``repeated`` if it was up to date."""
+    folder = f"{output}/attempts/{manifest['attempt']}" if "attempt" in manifest else output
+    if brief:
+        line = f"[bold]{shown(name)}[/bold]: {in_short(manifest)}; {shown(folder)}/report.html"
+        console.print(line, soft_wrap=True)
+        return
     console.print(f"[bold]{shown(name)}[/bold]")
     if repeated:
         console.print("  nothing to do: mission file, inputs and code are those of the last run")
@@ -46,9 +52,20 @@ def print_run(
     print_ledger(console, [entry for entry in manifest["ledger"] if entry["kind"] != "note"])
     steps = next_steps(manifest)
     print_labelled(console, [("" if i else "next", step) for i, step in enumerate(steps)])
-    folder = f"{output}/attempts/{manifest['attempt']}" if "attempt" in manifest else output
     for label, path in (("results", output), ("report ", f"{folder}/report.html")):
         console.print(f"  {label}  {shown(path)}", soft_wrap=True)
+
+
+def in_short(manifest: Mapping[str, Any]) -> str:
+    """A run in some words: rows, correction, losses and warnings."""
+    shift, kinds = manifest["correction"]["shift_px"], [e["kind"] for e in manifest["ledger"]]
+    said = [f"{shift['count']:,} of {count(manifest['observations']['rows'], 'observation')}"]
+    if shift["count"]:
+        said.append(f"median {shift['median']:.3g} px, at most {shift['maximum']:.3g} px")
+    for kind, many in (("loss", "losses"), ("finding", ""), ("warning", "")):
+        if number := kinds.count(kind):
+            said.append(f"[{_COLOURS[kind]}]{count(number, kind, many)}[/]")
+    return ", ".join(said)
 
 
 def print_unchanged(console: Console, names: Sequence[str], total: int) -> None:

@@ -114,13 +114,17 @@ def test_one_changed_sounding_runs_one_mission(done, unbend):
     first, second = json.loads(unbend("status", done.file, "--json").out)
     assert (first["would_run"], second["would_run"]) == (False, True)
     assert "sounding 1 changed (balloon.csv)" in str(second["reasons"])
-    assert unbend("run", done.file).code == 0
+    ran = unbend("run", done.file)
+    assert ran.code == 0
     after = [done.manifest(n).stat().st_mtime_ns for n in (0, 1)]
     assert [a == b for a, b in zip(before, after, strict=True)] == [True, False]
     table = pq.read_table(done.folder / "results" / "campaign.parquet").to_pylist()
     assert [row["fingerprint"] for row in table] == [
         json.loads(done.manifest(n).read_text())["fingerprint"] for n in (0, 1)
     ]
+    (line,) = [line for line in ran.out.splitlines() if "report.html" in line]
+    assert line.startswith(f"{table[1]['mission']}: {table[1]['corrected']:,} of ")
+    assert f"at most {table[1]['shift_maximum_px']:.3g} px" in line
     assert table[0]["shift_maximum_px"] != table[1]["shift_maximum_px"]  # another air
 
 

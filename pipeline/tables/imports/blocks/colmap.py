@@ -51,8 +51,7 @@ def block_files(path: Path) -> tuple[Path, ...]:
     files = tuple(path / f"{name}{ending}" for name in ("cameras", "images", "points3D"))
     for file in files:
         if not file.is_file():
-            raise InputError("INPUT-MISSING", f"a model of COLMAP has a {file.name}",
-                             where=str(file), remedy="name its folder, as sparse/0")  # fmt: skip
+            raise InputError.of("INPUT-MISSING/colmap", file, name=file.name)
     return files
 
 
