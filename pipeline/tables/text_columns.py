@@ -11,17 +11,25 @@ import pandas as pd
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from pipeline import units
 from pipeline.errors import InputError
 from pipeline.flight.channels import TimeArray
 from pipeline.flight.clock import SECONDS_PER_WEEK, utc_of_gps
 from pipeline.refraction.kernels.jit import entry
 from pipeline.tables.column_checks import no_such_column
+from pipeline.units import (
+    NANOSECONDS_PER_SECOND,
+    RADIANS,
+    UNIX_NS_OF_GPS_EPOCH,
+    AngleUnit,
+    Array,
+    Integers,
+    Mask,
+)
 
 Hashes = NDArray[np.uint64]
 
 _FEW_NAMES = 50_000  # take less time letter by letter than compiled code takes to load
-_WEEK_NS = SECONDS_PER_WEEK * units.NANOSECONDS_PER_SECOND
+_WEEK_NS = SECONDS_PER_WEEK * NANOSECONDS_PER_SECOND
 
 
 def text_table(
@@ -70,7 +78,7 @@ def split_lines(lines: Sequence[str], names: Sequence[str], separator: str) -> p
     )
 
 
-def numbers(text: pd.Series[str]) -> units.Array:
+def numbers(text: pd.Series[str]) -> Array:
     """(n,) numbers of fields, NaN where one is none; -0 keeps its sign."""
     try:
         return text.to_numpy(object).astype(np.float64)
@@ -78,7 +86,7 @@ def numbers(text: pd.Series[str]) -> units.Array:
         return pd.to_numeric(text, errors="coerce").to_numpy(np.float64)
 
 
-def numbers_of(table: pd.DataFrame, name: str, path: Path, code: str) -> units.Array:
+def numbers_of(table: pd.DataFrame, name: str, path: Path, code: str) -> Array:
     """(n,) a column as numbers, NaN where a field is empty; refuses (``code``) any other text."""
     values = numbers(table[name])
     wrong = np.flatnonzero(~np.isfinite(values) & (table[name].str.strip() != "").to_numpy())
@@ -93,17 +101,15 @@ def numbers_of(table: pd.DataFrame, name: str, path: Path, code: str) -> units.A
     return values
 
 
-def angles_in_radians(
-    given: units.Array, unit: units.AngleUnit, path: Path, code: str, key: str
-) -> units.Array:
+def angles_in_radians(given: Array, unit: AngleUnit, path: Path, code: str, key: str) -> Array:
     """(n, 3) angles in radians; refuses (``code``) more than a full turn in the unit stated.
 
     ``key`` is the mission file's for the unit.
     """
-    turn = {name: 2.0 * np.pi / size for name, size in units.RADIANS.items()}
+    turn = {name: 2.0 * np.pi / size for name, size in RADIANS.items()}
     beyond = (np.abs(given) > turn[unit] * (1.0 + 1e-6)).any(axis=1)
     if not bool(beyond.any()):
-        return given * units.RADIANS[unit]
+        return given * RADIANS[unit]
     worst = float(np.nanmax(np.abs(given)))
     likely = next((other for other in turn if worst <= turn[other]), None)
     raise InputError(
@@ -115,7 +121,7 @@ def angles_in_radians(
     )
 
 
-def utc_of_dates(text: pd.Series[str], system: str = "utc") -> tuple[TimeArray, units.Mask]:
+def utc_of_dates(text: pd.Series[str], system: str = "utc") -> tuple[TimeArray, Mask]:
     """(n,) Unix nanoseconds of dates with a time of day in UTC or GPS time; which are good.
 
     ISO 8601, or with slashes between year, month and day; zones are honoured.
@@ -125,12 +131,12 @@ def utc_of_dates(text: pd.Series[str], system: str = "utc") -> tuple[TimeArray, 
     good = stamps.notna().to_numpy()
     time_ns = np.where(good, stamps.to_numpy("datetime64[ns]").astype(np.int64), 0)
     if system == "gpst":
-        week, rest = np.divmod(time_ns - units.UNIX_NS_OF_GPS_EPOCH, _WEEK_NS)
-        time_ns = utc_of_gps(week, rest / units.NANOSECONDS_PER_SECOND)
+        week, rest = np.divmod(time_ns - UNIX_NS_OF_GPS_EPOCH, _WEEK_NS)
+        time_ns = utc_of_gps(week, rest / NANOSECONDS_PER_SECOND)
     return time_ns, good
 
 
-def utc_of_weeks(week: units.Array | int, seconds: units.Array, system: str) -> TimeArray:
+def utc_of_weeks(week: Array | int, seconds: Array, system: str) -> TimeArray:
     """(n,) Unix nanoseconds of weeks since 1980-01-06 and their seconds, in GPS time or UTC.
 
     0 where one of both is unknown (NaN).
@@ -139,13 +145,13 @@ def utc_of_weeks(week: units.Array | int, seconds: units.Array, system: str) -> 
     week, seconds = np.where(known, week, 0).astype(np.int64), np.where(known, seconds, 0.0)
     if system == "gpst":
         return np.where(known, utc_of_gps(week, seconds), 0)
-    start = units.UNIX_NS_OF_GPS_EPOCH + week * _WEEK_NS
+    start = UNIX_NS_OF_GPS_EPOCH + week * _WEEK_NS
     return np.where(known, start + np.rint(seconds * 1e9).astype(np.int64), 0)
 
 
 def utc_of_columns(
     table: pd.DataFrame, time_utc: str | None, gps_week: str | None, gps_seconds: str | None
-) -> tuple[TimeArray, units.Mask]:
+) -> tuple[TimeArray, Mask]:
     """(n,) Unix nanoseconds from a column of UTC times, or GPS week and seconds; which are good.
 
     Times without a zone are UTC; GPS seconds are reduced by the leap seconds of their date.
@@ -186,7 +192,7 @@ def hashes_of(names: pa.StringArray) -> Hashes:
     return np.asarray(found ^ (found >> np.uint64(32)))
 
 
-def rows_among(hashes: Hashes, wanted: Hashes) -> units.Integers:
+def rows_among(hashes: Hashes, wanted: Hashes) -> Integers:
     """The rows whose hash is a wanted one; by their last 20 bits first, which leaves few."""
     maybe, mask = np.zeros(1 << 20, np.bool_), np.uint64((1 << 20) - 1)  # fits into a cache
     maybe[wanted & mask] = True
