@@ -12,14 +12,7 @@ from functools import cache, partial
 from importlib.resources import files
 from typing import Self
 
-EXIT_DONE = 0
-EXIT_BUG = 1
-EXIT_CONFIG = 2
-EXIT_LOSSES = 3
-EXIT_IN_USE = 4
-EXIT_STORAGE = 5
-EXIT_REFUSED = 6
-EXIT_INTERRUPTED, EXIT_TERMINATED = 130, 143
+from pipeline.exit_codes import EXIT_CONFIG, EXIT_IN_USE, EXIT_REFUSED, EXIT_STORAGE
 
 
 @cache

@@ -21,7 +21,7 @@ from types import FrameType
 from typing import IO, cast
 
 from pipeline.batch.outcomes import Lost, Outcome, Receipt, TaskEnd, end_of
-from pipeline.errors import EXIT_INTERRUPTED
+from pipeline.exit_codes import EXIT_INTERRUPTED
 
 _GRACE_S = 3.0
 """How long a child that was asked to stop may clean up before it is killed."""

@@ -19,7 +19,8 @@ import typer
 from typer.core import TyperGroup
 
 import pipeline
-from pipeline.errors import EXIT_DONE, EXIT_LOSSES, ConfigError, UnbendError, storage_errors
+from pipeline.errors import ConfigError, UnbendError, storage_errors
+from pipeline.exit_codes import exit_code_of
 from pipeline.report.progress import DelayedProgressBar
 from pipeline.report.words import visible
 
@@ -108,7 +109,7 @@ class Answer:
 
         ``shown`` : the entries that are printed as text, by default all; JSON has all.
         """
-        code = EXIT_LOSSES if ledger.has_losses else EXIT_DONE
+        code = exit_code_of(has_losses=ledger.has_losses)
         files = [str(path) for path in written if path is not None]
         self.print_json(content | {"written": files, "ledger": ledger.rows(), "exit_code": code})
         if not (self._quiet or self.as_json):

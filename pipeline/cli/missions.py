@@ -16,7 +16,8 @@ import typer
 from typer.core import TyperCommand
 
 from pipeline.cli.app import Answer, AsJson, Quiet, app, print_bug, print_error, write_rows_csv
-from pipeline.errors import EXIT_BUG, EXIT_DONE, EXIT_LOSSES, ConfigError, UnbendError
+from pipeline.errors import ConfigError, UnbendError
+from pipeline.exit_codes import EXIT_BUG, EXIT_DONE, exit_code_of
 from pipeline.report.words import count
 
 if TYPE_CHECKING:
@@ -333,7 +334,7 @@ def inspect(
         from pipeline.report.text.terminal import print_log
 
         print_log(answer.console, opened.to_json_dict(), log.name)
-    raise typer.Exit(EXIT_LOSSES if opened.ledger.has_losses else EXIT_DONE)
+    raise typer.Exit(exit_code_of(has_losses=opened.ledger.has_losses))
 
 
 @cache

@@ -13,7 +13,7 @@ from pipeline.batch.keys import code_of_stages, versions
 from pipeline.batch.plan import MANIFEST_VERSION, Plan
 from pipeline.batch.store import RunFolder
 from pipeline.config import Mission
-from pipeline.errors import EXIT_DONE, EXIT_LOSSES
+from pipeline.exit_codes import exit_code_of
 from pipeline.flight.rotations import matrices_of
 from pipeline.flight.stations import NO_TIME, Stations
 from pipeline.ledger import Ledger
@@ -108,7 +108,7 @@ def manifest_of(
         "cabin_air": cabin_parameters(setup),
         "cabin_sigma_share": statistics.cabin_share.summary(),
         "ledger": entries,
-        "exit_code": EXIT_LOSSES if ledger.has_losses else EXIT_DONE,
+        "exit_code": exit_code_of(has_losses=ledger.has_losses),
     }
 
 

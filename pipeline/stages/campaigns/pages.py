@@ -15,7 +15,8 @@ from pipeline.batch.keys import code_hash
 from pipeline.batch.object_store.place import Place
 from pipeline.batch.outcomes import Outcome
 from pipeline.batch.store import atomic_write, read_manifest
-from pipeline.errors import EXIT_BUG, StorageError, UnbendError, storage_errors
+from pipeline.errors import StorageError, UnbendError, storage_errors
+from pipeline.exit_codes import EXIT_BUG
 
 if TYPE_CHECKING:
     from pipeline.batch.execute import MissionEnd
