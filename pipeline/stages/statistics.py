@@ -61,19 +61,13 @@ class SampledRows(NamedTuple):
         weight = np.ones(rows.size) if batch.weight is None else batch.weight[rows]
         nothing = np.full(rows.size, np.nan)
         return cls(
-            station[rows],
-            batch.x_px[rows],
-            batch.y_px[rows],
-            h_g[rows],
+            station[rows], batch.x_px[rows], batch.y_px[rows], h_g[rows],
             nothing if batch.distance_m is None else batch.distance_m[rows],
-            corrections.zeta_c_rad[rows],
-            corrections.r_c_rad[rows],
+            corrections.zeta_c_rad[rows], corrections.r_c_rad[rows],
             np.hypot(corrections.dx_px[rows], corrections.dy_px[rows]),
-            corrections.shift_ground_m[rows],
-            corrections.status[rows],
-            weight * len(batch) / rows.size,
-            sigma_parts(corrections, rows),
-        )
+            corrections.shift_ground_m[rows], corrections.status[rows],
+            weight * len(batch) / rows.size, sigma_parts(corrections, rows),
+        )  # fmt: skip
 
 
 @dataclass
