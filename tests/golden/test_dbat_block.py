@@ -24,7 +24,7 @@ from pipeline.refraction import Camera, Exposures
 from pipeline.refraction.ray import rays_by
 from pipeline.simulate.optics import enu_axes, height_and_up, to_ecef
 from pipeline.tables.exports import FORMATS, ExportCamera, FinishedRun
-from pipeline.tables.imports.blocks import BLOCKS, dbat
+from pipeline.tables.imports.blocks import block_reader, dbat
 from pipeline.tables.pixels import COLMAP
 
 from .conftest import SHARED
@@ -258,7 +258,7 @@ def test_a_round_trip_gives_dbats_solution(
     read: Project, tmp_path: Path, name: str, within_px: float
 ) -> None:
     """Written, read again, and turned back into DBAT's frame by the places of the cameras."""
-    path, form = exported(read, name, tmp_path), BLOCKS[name.partition("-")[0]][0]
+    path, form = exported(read, name, tmp_path), block_reader(name.partition("-")[0])
     (make,) = form.read_cameras(path).values()
     camera, poses = make(), read.poses
     if name != "colmap-database":  # which has no orientations
