@@ -191,9 +191,7 @@ def correct_observations(
         traced = TracedColumns(rays, r_c, np.where(seen == OK, bent, seen))
         part["r_c_rad"][:], status[rows] = r_c, traced.status
         part["zeta_c_rad"][:] = np.arctan2(rays[SIN], rays[COS])
-        shifts = ShiftColumns(
-            part["dx_px"], part["dy_px"], part["shift_ground_m"], np.empty((3, 3))
-        )
+        shifts = ShiftColumns(part["dx_px"], part["dy_px"], part["shift_ground_m"])
         kernel.shift_back(observed, *setup, traced, shifts)
         part["x_px"][:] = observed.x + part["dx_px"]
         part["y_px"][:] = observed.y + part["dy_px"]
@@ -210,7 +208,7 @@ def outgoing_rays(
     """The matrix of rays that pixels see outside the window, R_cc [rad] and status."""
     n = observed.x.size
     rays, r_cc, status = np.empty((RAY_ROWS, n)), np.empty(n), np.empty(n, np.uint8)
-    kernel.outgoing_rays(observed, camera, exposures, rays, (status, r_cc, np.empty((4, n))))
+    kernel.outgoing_rays(observed, camera, exposures, rays, (status, r_cc))
     return rays, r_cc, status
 
 

@@ -1,7 +1,6 @@
 """Heights of the ground where curved rays first meet a terrain."""
 
 from contextlib import AbstractContextManager
-from functools import partial
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -286,15 +285,12 @@ def _follow(
     result = np.where(follows, np.uint8(WAITS), np.uint8(NO_TERRAIN))
     state = TerrainState(end, np.zeros(n), side, gap, distance, height, factor, wanted, result)
     followed = np.flatnonzero(follows)
-
-    def follow(going: Integers, rows: slice) -> None:
-        room = np.ones((4, CHART_DEGREE + 1))
-        follow_rays(paths, going[rows], terrain.grid, state, room)
-
     with terrain.lock:
         for some in (followed[::_SCOUTS], followed):
             while (going := some[state.result[some] == WAITS]).size:
-                in_blocks(partial(follow, going), going.size)
+                in_blocks(
+                    lambda rows: follow_rays(paths, going[rows], terrain.grid, state), going.size
+                )
                 tiles, count = np.unique(state.wanted[going], return_counts=True)
                 tiles = tiles[np.argsort(-count, kind="stable")]
                 terrain.load(tiles[tiles >= 0])

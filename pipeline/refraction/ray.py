@@ -19,7 +19,7 @@ from pipeline.atmosphere.profile import Profile
 from pipeline.errors import PhysicsError
 from pipeline.refraction.kernels.columns import RayColumns
 from pipeline.refraction.kernels.ray import LEFT, bend_grazing_rays, bend_rays
-from pipeline.refraction.kernels.steep import WORTH_A_TABLE, bend_steep_rays, room_for
+from pipeline.refraction.kernels.steep import WORTH_A_TABLE, bend_steep_rays
 from pipeline.refraction.kernels.threads import in_blocks
 from pipeline.refraction.published import PUBLISHED
 from pipeline.refraction.published.column import Method, finite
@@ -140,8 +140,7 @@ def bend(
         rays, r_c_rows, status_rows = RayColumns(*(a[rows] for a in flat)), r_c[rows], status[rows]
         left = np.arange(r_c_rows.size)
         if left.size > WORTH_A_TABLE:  # those that can share a table of moments first
-            room = room_for(table.fine, left.size)
-            bend_steep_rays(table.fine, rays, r_c_rows, status_rows, room)
+            bend_steep_rays(table.fine, rays, r_c_rows, status_rows)
             left = np.flatnonzero(status_rows == LEFT)
         if left.size:
             bend_rays(table.pieces, rays, left, r_c_rows, status_rows)

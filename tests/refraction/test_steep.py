@@ -90,8 +90,7 @@ def test_the_series_is_what_is_used(table):
     h_g, sine, cosine, radius = rays(np.random.default_rng(5), 3450.0, 300, steepest=60.0)
     angle, status = np.empty(300), np.empty(300, np.uint8)
     kernel.bend_steep_rays(
-        table.fine, RayColumns(np.full(300, 3450.0), h_g, sine, cosine, radius, h_g), angle, status,
-        kernel.room_for(table.fine, 300),
+        table.fine, RayColumns(np.full(300, 3450.0), h_g, sine, cosine, radius, h_g), angle, status
     )  # fmt: skip
     assert (status == OK).all()
     assert kernel.LEFT not in status

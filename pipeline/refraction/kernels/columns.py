@@ -119,12 +119,11 @@ class TracedColumns(NamedTuple):
 
 
 class ShiftColumns(NamedTuple):
-    """Shifts in the image [px] and on the ground [m], to be filled; (3, 3) scratch."""
+    """Shifts in the image [px] and on the ground [m], to be filled."""
 
     dx: Array
     dy: Array
     ground: Array
-    room: Array
 
 
 class AirTables(NamedTuple):

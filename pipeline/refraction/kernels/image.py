@@ -223,14 +223,14 @@ def _flag_without_ray(span, rays, outside, r_cc, status):  # type: ignore[no-unt
 
 
 @entry(rows=0, most=6000)
-def outgoing_rays(observed, camera, exposures, rays, status_and_room):  # type: ignore[no-untyped-def]
+def outgoing_rays(observed, camera, exposures, rays, status_and_r_cc):  # type: ignore[no-untyped-def]
     """Fill the matrix of rays, a status where there is no ray to follow, and R_cc.
 
-    The last of ``status_and_room`` is (4, n) scratch.
     Rows are unsigned: an index that might count from the end would keep the compiler from vectors.
     """
     x, y, h_g, _, exposure = observed
-    status, r_cc, scratch = status_and_room
+    status, r_cc = status_and_r_cc
+    scratch = np.empty((4, x.size))
     last = np.uint64(0)
     while last < x.size:
         first, last = last, last + np.uint64(1)
@@ -286,8 +286,8 @@ def shift_back(observed, camera, exposures, traced, shifts):  # type: ignore[no-
     h_g, exposure = observed.h_g, observed.exposure
     rays, r_c, status = traced
     fx, fy, parameters = camera.fx, camera.fy, camera.distortion
-    dx, dy, shift_ground, room = shifts
-    apparent, lower, seen = room[0], room[1], room[2]
+    dx, dy, shift_ground = shifts
+    apparent, lower, seen = np.empty(3), np.empty(3), np.empty(3)
     for i in range(h_g.size):
         if math.isnan(r_c[i]):
             dx[i] = dy[i] = shift_ground[i] = math.nan

@@ -166,7 +166,7 @@ class Kernel:
 
     def __init__(self, function: Callable[..., Any], rows: int, most: int) -> None:
         self.function, self.rows, self.left, self.most = function, rows, most, most
-        self.by_types: dict[str, Callable[..., None]] = {}
+        self.by_types: dict[tuple[Any, ...], Callable[[list[Any]], None]] = {}
 
     def __call__(self, *arguments: Any) -> None:
         """Interpreted, or by machine code: linked from the cache, or compiled for many rows."""
@@ -189,25 +189,29 @@ class Kernel:
 
     def compiled(self, *arguments: Any) -> None:
         """The same by machine code."""
-        self.code_for(arguments, compiles=True)(*arguments)
+        code, words = self.code_for(arguments, compiles=True)
+        code(words)
 
     def code_for(self, arguments: Any, *, compiles: bool) -> Any:
-        """Machine code for such arguments: in the cache, or compiled by numba; else None."""
+        """Machine code, in the cache or compiled by numba, and numbers to call it with; or None."""
         from pipeline.refraction.kernels import machine_code
 
-        types = machine_code.type_of(arguments)
-        if types not in self.by_types:
+        types, words = list[Any](), list[Any]()
+        machine_code.flatten(arguments, types, words)
+        key = tuple(types)
+        if key not in self.by_types:
             with _LINKING:
                 name = f"{self.function.__module__}.{self.function.__qualname__}"
-                path = machine_code.file_of(cache_folder(), name, types)
+                path = machine_code.file_of(cache_folder(), name, key)
                 address = machine_code.linked(path)
-                if address is None and compiles:
+                if address is None and not compiles:
+                    return None
+                if address is None:
                     dispatcher = _linked(self.function, True)
                     address, *code = machine_code.compiled(dispatcher, arguments)
                     machine_code.keep(path, *code)
-                if address is not None:
-                    self.by_types[types] = machine_code.callable_at(address, arguments)
-        return self.by_types.get(types)
+                self.by_types[key] = machine_code.callable_at(address, words)
+        return self.by_types[key], words
 
 
 def jit(function: Callable[..., Any]) -> Callable[..., Any]:

@@ -11,52 +11,48 @@ import hashlib
 import json
 import os
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import suppress
 from functools import lru_cache
+from importlib.machinery import PathFinder
+from importlib.util import find_spec, module_from_spec
 from typing import Any
 
 import llvmlite.binding as llvm
 import numpy as np
 
-_RELEASE = "NRT_MemInfo_call_dtor"  # of memory with an owner, which no argument has
-_KINDS: dict[type, type] = {
-    bool: ctypes.c_uint8, np.bool_: ctypes.c_uint8, int: ctypes.c_int64, np.int64: ctypes.c_int64,
-    float: ctypes.c_double, np.float64: ctypes.c_double,
+_PLAIN: dict[type, type] = {
+    bool: bool, np.bool_: bool, int: int, np.int64: int, float: float, np.float64: float
 }  # fmt: skip
+_OF_C = {bool: ctypes.c_uint8, int: ctypes.c_int64, float: ctypes.c_double}
+_FLAGS = 0x501  # of arrays: writeable, aligned, C contiguous; F is 2
 _ENGINES: list[Any] = []  # they own the code that is linked
 
 
-def words_of(argument: Any) -> Iterator[tuple[type, Any]]:
-    """An argument as numbers of C, each behind its type; TypeError for what kernels do not take.
+def flatten(argument: Any, types: list[Any], words: list[Any]) -> None:
+    """Append what tells arguments apart for the compiler, and an argument as numbers of C.
 
-    >>> [value for _, value in words_of((1.5, (2,)))]
+    Raises TypeError for what kernels do not take.
+
+    >>> flatten((1.5, (2,)), types := [], words := [])
+    >>> words
     [1.5, 2]
     """
     if isinstance(argument, np.ndarray):
-        yield from ((ctypes.c_void_p, None), (ctypes.c_void_p, None))
-        yield from ((ctypes.c_int64, argument.size), (ctypes.c_int64, argument.itemsize))
-        yield ctypes.c_void_p, argument.ctypes.data
-        yield from ((ctypes.c_int64, step) for step in (*argument.shape, *argument.strides))
+        flags = argument.flags.num
+        types.append((argument.dtype, argument.ndim, flags & (_FLAGS if flags & 1 else _FLAGS | 2)))
+        words += 0, 0, argument.size, argument.itemsize, argument.ctypes.data
+        words += argument.shape
+        words += argument.strides
     elif isinstance(argument, tuple):
+        types += type(argument), len(argument)
         for member in argument:
-            yield from words_of(member)
+            flatten(member, types, words)
+    elif (plain := _PLAIN.get(type(argument))) is None:
+        raise TypeError(f"kernels take no {type(argument).__name__}")
     else:
-        if type(argument) not in _KINDS:
-            raise TypeError(f"kernels take no {type(argument).__name__}")
-        yield _KINDS[type(argument)], argument
-
-
-def type_of(argument: Any) -> str:
-    """What tells arguments apart for which a function is compiled differently."""
-    if isinstance(argument, np.ndarray):
-        flags = argument.flags
-        layout = "C" if flags.c_contiguous else "F" if flags.f_contiguous else "A"
-        return f"{argument.dtype.str} {argument.ndim}{layout}{flags.writeable:d}{flags.aligned:d}"
-    if isinstance(argument, tuple):
-        members = ",".join(map(type_of, argument))
-        return f"{type(argument).__module__}.{type(argument).__qualname__}({members})"
-    return next(words_of(argument))[0].__name__
+        types.append(plain)
+        words.append(plain(argument))
 
 
 @lru_cache(maxsize=1)
@@ -69,7 +65,7 @@ def _machine() -> tuple[Any, str]:
     return target, f"{target.triple} {llvm.get_host_cpu_name()} {features} {llvm.llvm_version_info}"
 
 
-def file_of(folder: str | None, name: str, types: str) -> str:
+def file_of(folder: str | None, name: str, types: tuple[Any, ...]) -> str:
     """The file for the code of a function, for types of arguments and this processor."""
     digest = hashlib.sha256(f"{types} {_machine()[1]}".encode()).hexdigest()
     return os.path.join(folder or os.devnull, f"{name}-{digest[:32]}.o")
@@ -98,6 +94,19 @@ def keep(path: str, symbol: str, needs: list[str], code: bytes) -> None:
         os.replace(draft, path)
 
 
+@lru_cache(maxsize=1)
+def name_runtime() -> None:
+    """Let LLVM know numba's runtime, for arrays that a kernel makes: a module without the rest."""
+    numba: Any = find_spec("numba")
+    folder = os.path.join(os.path.dirname(numba.origin), "core", "runtime")
+    runtime: Any = PathFinder.find_spec("_nrt_python", [folder])
+    module = module_from_spec(runtime)
+    runtime.loader.exec_module(module)
+    for name, address in module.c_helpers.items():
+        if llvm.address_of_symbol(f"NRT_{name}") is None:
+            llvm.add_symbol(f"NRT_{name}", address)
+
+
 def linked(path: str) -> int | None:
     """The address of a function whose code is kept; None where it is not, or is damaged."""
     try:
@@ -110,27 +119,22 @@ def linked(path: str) -> int | None:
     head, _, code = content.partition(b"\n")
     symbol, needs = json.loads(head)
     machine = _machine()[0].create_target_machine(codemodel="jitdefault")
-    if llvm.address_of_symbol(_RELEASE) is None:
-        ends = ctypes.cast(ctypes.pythonapi.Py_FatalError, ctypes.c_void_p)
-        llvm.add_symbol(_RELEASE, ends.value)
+    name_runtime()
     if any(llvm.address_of_symbol(name) is None for name in needs):
-        from numba.core.registry import cpu_target
-
-        cpu_target.target_context.refresh()  # numba's own, for code that allocates memory
+        return None
     _ENGINES.append(llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine))
     _ENGINES[-1].add_object_file(llvm.ObjectFileRef.from_data(code))
     _ENGINES[-1].finalize_object()
     return int(_ENGINES[-1].get_function_address(symbol))
 
 
-def callable_at(address: int, arguments: tuple[Any, ...]) -> Callable[..., None]:
-    """A function of arguments of these types; other threads run while it does."""
-    kinds = [ctypes.c_void_p, ctypes.c_void_p, *(kind for kind, _ in words_of(arguments))]
+def callable_at(address: int, words: list[Any]) -> Callable[[list[Any]], None]:
+    """A function of numbers of such types; other threads run while it does."""
+    kinds: list[Any] = [ctypes.c_void_p, ctypes.c_void_p, *(_OF_C[type(word)] for word in words)]
     function = ctypes.CFUNCTYPE(ctypes.c_int32, *kinds)(address)
 
-    def called(*arguments: Any) -> None:
+    def called(words: list[Any]) -> None:
         result, raised = ctypes.c_void_p(), ctypes.c_void_p()
-        words = [value for _, value in words_of(arguments)]
         if status := function(ctypes.addressof(result), ctypes.addressof(raised), *words):
             raise RuntimeError(f"a kernel ended with status {status}")
 

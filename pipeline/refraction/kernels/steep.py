@@ -17,11 +17,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.refraction.kernels.columns import HINT_M, FineTable
+from pipeline.refraction.kernels.columns import HINT_M
 from pipeline.refraction.kernels.jit import entry, jit, within
 from pipeline.refraction.kernels.ray import LEFT, Triangle, sides_of, small_angle
 from pipeline.refraction.status_codes import OK
-from pipeline.units import Array, Integers
+from pipeline.units import Array
 
 # A table of moments costs as much as this many integrals.
 WORTH_A_TABLE = 24
@@ -173,15 +173,14 @@ def _interval(edge, hint, h):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _by_interval(air, group, top, numbers, starts):  # type: ignore[no-untyped-def]
-    """Fill the second of ``numbers`` with rays the series may serve, by their targets' interval.
+def _by_interval(air, group, top, at, order):  # type: ignore[no-untyped-def]
+    """Fill ``order`` with the rays that the series may serve, by the interval of their targets.
 
-    They get the status OK, others and what is no ray LEFT. Gives where in it those of each
+    They get the status OK, others and what is no ray LEFT. Gives where in ``order`` those of each
     interval begin, counted from ``top`` downwards.
     """
     h_c, h_g, sin_c, cos_c, r_e, _, status = group
     edge, _, hint = air
-    at, order = numbers[0], numbers[1]
     deepest = -1
     r_table = r_e[0] + h_c
     for i in range(h_g.size):
@@ -199,7 +198,7 @@ def _by_interval(air, group, top, numbers, starts):  # type: ignore[no-untyped-d
             at[i] = top - _interval(edge, hint, h_g[i])
             if at[i] > deepest:
                 deepest = at[i]
-    start, place = starts[0, : deepest + 2], starts[1, : deepest + 2]
+    start, place = np.empty(deepest + 2, np.int64), np.empty(deepest + 2, np.int64)
     for k in range(deepest + 2):
         start[k] = 0
     for i in range(h_g.size):
@@ -284,17 +283,17 @@ def _to_interval(n, air, i, camera, rays):  # type: ignore[no-untyped-def]
 
 
 @within
-def _bend_group(air, group, room):  # type: ignore[no-untyped-def]
+def _bend_group(air, group, table, numbers, rays):  # type: ignore[no-untyped-def]
     """Rays from one height, those to the same interval together in passes over all of them.
 
-    Short loops keep the processor busy, and without a branch run four rays at a time.
+    Short loops keep the processor busy, and without a branch run four rays at a time. ``table`` is
+    scratch for the moments, ``numbers`` (2, n) and ``rays`` (_ROWS, n) for the rays.
     """
     edge, coefficient, hint = air
     h_c, h_g, sin_c, cos_c, r_e, angle, status = group
-    table, numbers, rays, starts = room
     order = numbers[1]
     top = _interval(edge, hint, h_c)
-    start = _by_interval(air, group, top, numbers, starts)
+    start = _by_interval(air, group, top, numbers[0], order)
     n_c = _refractivity_in(coefficient, top, (h_c - edge[top]) / (edge[top + 1] - edge[top]))
     camera = _Camera(h_c, n_c, 1.0 / (r_e[0] + h_c), table)
     for column in range(_MOMENTS):
@@ -318,28 +317,22 @@ def _bend_group(air, group, room):  # type: ignore[no-untyped-def]
                 status[i] = LEFT
 
 
-def room_for(air: FineTable, rays: int) -> tuple[Array, Integers, Array, Integers]:
-    """Scratch for the moments, for numbers and rows of rays together, and for their intervals."""
-    together, edges = min(rays, _TOGETHER), air.edge.size
-    return (
-        np.empty((edges, _MOMENTS)), np.empty((2, together), np.int64),
-        np.empty((_ROWS, together)), np.empty((2, edges + 1), np.int64),
-    )  # fmt: skip
-
-
 @entry(rows=2, most=2000)
-def bend_steep_rays(air, rays, angle, status, room):  # type: ignore[no-untyped-def]
+def bend_steep_rays(air, rays, angle, status):  # type: ignore[no-untyped-def]
     """Fill ``angle`` [rad] and ``status`` of the steep rays among many from the same heights.
 
     ``air`` is a `FineTable`, ``rays`` are `RayColumns`. Rays from one height that follow each other
     share a table of moments, filled downwards as far as their targets lie. The others get the
-    status `LEFT`. ``room`` is that of `room_for`.
+    status `LEFT`.
     """
     edge, h_c = air.edge, rays.h_c
-    most, first = room[1].shape[1], 0
+    table = np.empty((edge.size, _MOMENTS))
+    room = h_c.size if h_c.size < _TOGETHER else _TOGETHER
+    numbers, columns = np.empty((2, room), np.int64), np.empty((_ROWS, room))
+    first = 0
     while first < h_c.size:
         last = first + 1
-        while last < h_c.size and last - first < most and h_c[last] == h_c[first]:
+        while last < h_c.size and last - first < room and h_c[last] == h_c[first]:
             last += 1
         if last - first >= WORTH_A_TABLE and edge[0] <= h_c[first] <= edge[-1]:
             rows = slice(first, last)
@@ -347,7 +340,7 @@ def bend_steep_rays(air, rays, angle, status, room):  # type: ignore[no-untyped-
                 h_c[first], rays.h_g[rows], rays.sin_c[rows], rays.cos_c[rows], rays.r_e[rows],
                 angle[rows], status[rows],
             )  # fmt: skip
-            _bend_group(air, group, room)
+            _bend_group(air, group, table, numbers, columns)
         else:
             for i in range(first, last):
                 status[i] = LEFT

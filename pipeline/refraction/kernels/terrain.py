@@ -276,13 +276,12 @@ def _follow(path, grid, ray, state):  # type: ignore[no-untyped-def]
 
 
 @entry(rows=1)
-def follow_rays(rays, which, grid, state, room):  # type: ignore[no-untyped-def]
+def follow_rays(rays, which, grid, state):  # type: ignore[no-untyped-def]
     """Follow the rays that ``which`` numbers over a `TerrainGrid`, from where they are.
 
-    ``rays`` is a `TerrainRays`; the columns of ``state``, a `TerrainState`, are changed. ``room``
-    (4, CHART_DEGREE + 1) are ones.
+    ``rays`` is a `TerrainRays`; the columns of ``state``, a `TerrainState`, are changed.
     """
-    row, column, easts, norths = room[0], room[1], room[2], room[3]
+    row, column, easts, norths = np.ones((4, CHART_DEGREE + 1))
     for i in which:
         row[:] = column[:] = 0.0
         chart, term = rays.chart[i], 0
