@@ -11,6 +11,8 @@ import sys
 import time
 from pathlib import Path
 
+import numba
+import numpy as np
 import pytest
 
 import pipeline
@@ -140,3 +142,14 @@ def test_the_package_is_imported_where_there_is_no_fork(tree):
         "print(usable_cpus() >= 1)\n"
     )
     assert run(code, tree, tree / "cache") == "True"
+
+
+def test_arguments_that_numba_takes_otherwise_are_refused():
+    """How numba hands over arrays is its own affair: what differs is seen in the code it made."""
+    dispatcher = numba.njit(no_cpython_wrapper=True)(lambda columns, whole: None)
+    arguments = ((np.zeros((2, 3)), 1.5), True)
+    machine_code.flatten(arguments, [], words := [])
+    assert machine_code.compiled(dispatcher, arguments, words)[0]
+    for wrong in (words[1:], [*words[:-1], 1.0], [float(words[0]), *words[1:]], [*words, 0]):
+        with pytest.raises(RuntimeError, match="takes other arguments"):
+            machine_code.compiled(dispatcher, arguments, wrong)

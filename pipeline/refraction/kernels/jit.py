@@ -208,7 +208,7 @@ class Kernel:
                     return None
                 if address is None:
                     dispatcher = _linked(self.function, True)
-                    address, *code = machine_code.compiled(dispatcher, arguments)
+                    address, *code = machine_code.compiled(dispatcher, arguments, words)
                     machine_code.keep(path, *code)
                 self.by_types[key] = machine_code.callable_at(address, words)
         return self.by_types[key], words

@@ -25,6 +25,7 @@ _PLAIN: dict[type, type] = {
     bool: bool, np.bool_: bool, int: int, np.int64: int, float: float, np.float64: float
 }  # fmt: skip
 _OF_C = {bool: ctypes.c_uint8, int: ctypes.c_int64, float: ctypes.c_double}
+_OF_LLVM = {"double": float, "i8": bool, "i64": int, "ptr": int}
 _FLAGS = 0x501  # of arrays: writeable, aligned, C contiguous; F is 2
 _ENGINES: list[Any] = []  # they own the code that is linked
 
@@ -71,15 +72,23 @@ def file_of(folder: str | None, name: str, types: tuple[Any, ...]) -> str:
     return os.path.join(folder or os.devnull, f"{name}-{digest[:32]}.o")
 
 
-def compiled(dispatcher: Any, arguments: tuple[Any, ...]) -> tuple[Any, ...]:
-    """A function compiled by numba: where it lies, its symbol, what it calls, and its code."""
-    from numba import typeof
+def compiled(dispatcher: Any, arguments: tuple[Any, ...], words: list[Any]) -> tuple[Any, ...]:
+    """A function compiled by numba: where it lies, its symbol, what it calls, and its code.
+
+    Raises RuntimeError where this version of numba takes the arguments in another way.
+    """
+    from numba import __version__, typeof
 
     types = tuple(map(typeof, arguments))
     dispatcher.compile(types)
     result = dispatcher.overloads[types]
     symbol, library = result.fndesc.llvm_func_name, result.library
-    called = re.findall(r'^declare [^\n]*?@"?([^"( ]+)', library.get_llvm_str(), re.MULTILINE)
+    text = library.get_llvm_str()
+    head = text[text.index(f"@{symbol}(" if f"@{symbol}(" in text else f'@"{symbol}"(') :]
+    takes = re.findall(r'[(,] ?([\w*]+) [^%\n]*%"?arg\.', head[: head.index("\n")])
+    if [_OF_LLVM.get("ptr" if "*" in kind else kind) for kind in takes] != list(map(type, words)):
+        raise RuntimeError(f"numba {__version__} takes other arguments than expected: {takes}")
+    called = re.findall(r'^declare [^\n]*?@"?([^"( ]+)', text, re.MULTILINE)
     called = [name for name in called if not name.startswith("llvm.")]
     address = library.get_pointer_to_function(symbol)
     return address, symbol, called, library._get_compiled_object()

@@ -42,19 +42,10 @@ class PaperTable:
         ]
 
 
-def paper_names() -> tuple[str, ...]:
-    """Names that `paper_tables` takes.
-
-    >>> paper_names()
-    ('gyer1996', 'saastamoinen1974', 'bertram1966')
-    """
-    return tuple(_PAPERS)
-
-
 def paper_tables(paper: str) -> PaperTable:
     """The tables of a paper beside their recomputation.
 
-    ``paper`` is one of `paper_names`. Gyer's take about a second.
+    ``paper`` is one of gyer1996, saastamoinen1974 and bertram1966. Gyer's take about a second.
 
     >>> table = paper_tables("saastamoinen1974")
     >>> row = table.columns["quantity"].tolist().index("R + Delta R")
@@ -79,4 +70,4 @@ _PAPERS: dict[str, Callable[[], list[Block]]] = {
     "bertram1966": bertram_rows,
 }
 
-__all__ = ["PaperTable", "paper_names", "paper_tables"]
+__all__ = ["PaperTable", "paper_tables"]
