@@ -164,9 +164,9 @@ def _pascal(hpa: float | None) -> float | None:
 class AtmosphereSection(Section):
     """The air."""
 
-    standard: Annotated[str, one_of(standard_names())] = "us1976"
+    standard: Annotated[str, one_of(standard_names)] = "us1976"
     adjust: bool = True
-    climatology: Annotated[str, one_of(known_names())] = "auto"
+    climatology: Annotated[str, one_of(known_names)] = "auto"
     soundings: list[SoundingSection] = Field([])
     surface: list[SurfaceSection] = Field([])
     model: WeatherModelSection | None = None

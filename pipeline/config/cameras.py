@@ -1,6 +1,6 @@
 """The sections of a mission file on a camera: window, air in the lens, and mount."""
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
@@ -26,12 +26,12 @@ LeverArm = Annotated[
 ]
 
 
-def one_of(names: Collection[str]) -> AfterValidator:
-    """The check that a value is one of those that are registered."""
+def one_of(names: Callable[[], Collection[str]]) -> AfterValidator:
+    """The check that a value is one of those that are registered when it is read."""
 
     def check(value: str) -> str:
-        if value not in names:
-            raise ValueError(f"is none of {', '.join(names)}")
+        if value not in names():
+            raise ValueError(f"is none of {', '.join(names())}")
         return value
 
     return AfterValidator(check)

@@ -64,7 +64,7 @@ class PositionEvents(Section):
     """Exposures of one camera with their positions, as receivers and other programs write them."""
 
     path: PathText
-    format: Annotated[str, one_of(CAMERA_EVENTS)] | None = None
+    format: Annotated[str, one_of(CAMERA_EVENTS.keys)] | None = None
     image: ImagePattern | Literal["{name}"]
     delay_s: float = Field(0.0, ge=-10, le=10)
     times_only: bool = False

@@ -301,7 +301,7 @@ class RefractionSection(Section):
     """How rays are traced."""
 
     direction: Literal["remove", "apply"] = "remove"
-    method: Annotated[str, one_of(METHODS)] = "spherical"
+    method: Annotated[str, one_of(lambda: METHODS)] = "spherical"
     radius_m: float | None = Field(None, ge=6.2e6, le=6.5e6)
 
 

@@ -101,7 +101,7 @@ class TrajectorySection(Section):
     """A trajectory of another program, in place of the log's."""
 
     path: PathText
-    format: Annotated[str, one_of(TRAJECTORIES)] | None = None
+    format: Annotated[str, one_of(TRAJECTORIES.keys)] | None = None
     replaces: list[Replaced] | None = Field(None, min_length=1)
     point: Literal["imu", "antenna", "camera"]
     lever_arm_m: LeverArm | Literal["from_events"] = Field(default_factory=lambda: [0.0, 0.0, 0.0])
@@ -193,7 +193,7 @@ class OrientationSection(Section):
     """Position and attitude of every image from a CSV, or from DJI's images themselves."""
 
     path: PathText
-    format: Annotated[str, one_of([*ORIENTATIONS, *BLOCKS])] = "csv"
+    format: Annotated[str, one_of(lambda: [*ORIENTATIONS, *BLOCKS])] = "csv"
     angles: Literal[
         "omega_phi_kappa", "phi_omega_kappa", "roll_pitch_yaw", "quaternion", "quaternion_to_frame"
     ]

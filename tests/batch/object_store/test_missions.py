@@ -150,7 +150,7 @@ def test_results_that_are_replaced_while_they_are_exported(
             assert (older / name).put(b"x", None)
         answers = [newer | {"attempt": "0" * 32}]
         monkeypatch.setattr(
-            story, "read_manifest", lambda at, a=answers: a.pop() if a else read_manifest(at)
+            story.store, "read_manifest", lambda at, a=answers: a.pop() if a else read_manifest(at)
         )
         out = tmp_path / f"{number}.geojson"
         ended = unbend("export", results, "--format", "geojson", "--out", out)
