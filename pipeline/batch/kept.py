@@ -68,7 +68,7 @@ def keep(name: str, value: Any) -> None:
         with open(draft, "wb") as file:
             file.write(content)
         os.replace(draft, os.path.join(folder, name))
-        used = {e.path: e.stat() for e in os.scandir(folder)}
+        used = {(path := os.path.join(folder, name)): os.stat(path) for name in os.listdir(folder)}
         excess = sum(stat.st_size for stat in used.values()) - MOST_BYTES
         for path in sorted(used, key=lambda path: used[path].st_mtime_ns):
             if excess > 0:
