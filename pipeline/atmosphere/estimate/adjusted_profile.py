@@ -25,14 +25,12 @@ from pipeline.atmosphere.estimate.candidates import (
     source_usage,
 )
 from pipeline.atmosphere.estimate.estimate_checks import (
-    MISFIT,
     UNCHANGED,
     Check,
     has_information,
     hygrometer_is_outside,
     is_better_than_background,
     is_plausible,
-    thermometer_is_outside,
 )
 from pipeline.atmosphere.estimate.external_readings import TimeAndPlace, reason_uninformative
 from pipeline.atmosphere.estimate.sensors import (
@@ -43,6 +41,7 @@ from pipeline.atmosphere.estimate.sensors import (
     Thermometer,
 )
 from pipeline.atmosphere.estimate.solver import Estimate, FaultEstimate, estimate
+from pipeline.atmosphere.estimate.thermometer_checks import MISFIT, thermometer_is_outside
 from pipeline.atmosphere.profile import (
     BAROMETRIC,
     MEASURED,
@@ -202,20 +201,13 @@ def build_adjusted_profile(
         if isinstance(readings, Barometer):  # of a part of the flight pressure changes since here
             settings = replace(settings, highest=readings.highest)
     flown = UsedSamples(samples, usable, tried, candidate.samples, refused)
+    used_ns = candidate.main.middle_ns if candidate.main is not None else None
     return Adjustment(
-        profile,
-        standard,
-        candidate.basis,
-        candidate.reason,
-        candidate.main.middle_ns if candidate.main is not None else None,
-        replace(made.covariance, profile=profile),
-        made.faults,
-        usage(flown, made.fits, unused=unused),
-        made.readings.rejected,
-        samples=candidate.samples,
-        settings=settings,
-        moisture=moisture,
-    )
+        profile, standard, candidate.basis, candidate.reason, used_ns,
+        replace(made.covariance, profile=profile), made.faults,
+        usage(flown, made.fits, unused=unused), made.readings.rejected,
+        samples=candidate.samples, settings=settings, moisture=moisture,
+    )  # fmt: skip
 
 
 def _first_that_passes(

@@ -43,7 +43,6 @@ DRY, MOIST = 0.02, 0.97
 UNLIKELY_SIGMAS, IMPOSSIBLE_SIGMAS = 5.0, 10.0
 """Departures of pressure at sea level from the climatology, whose sigma is about 1 %."""
 
-
 CONTRADICTED = 4.0
 """Sigmas between a calibration and the estimate from the flight, at which one must be wrong."""
 
