@@ -1,13 +1,8 @@
 """The air: its refractive index, standard atmospheres, and the profile of a flight."""
 
 from pipeline.atmosphere.covariance import air_jacobian
-from pipeline.atmosphere.profile import (
-    Profile,
-    pressure_gradient_layer,
-    pressure_isothermal_layer,
-    profile_from_table,
-    profile_table,
-)
+from pipeline.atmosphere.layers import pressure_gradient_layer, pressure_isothermal_layer
+from pipeline.atmosphere.profile import Profile, profile_from_table, profile_table
 from pipeline.atmosphere.standard import standard_atmosphere, standard_names
 
 __all__ = [

@@ -15,7 +15,8 @@ from importlib import resources
 
 import numpy as np
 
-from pipeline.atmosphere.profile import STANDARD, Profile, stack_layers
+from pipeline.atmosphere.layers import STANDARD, stack_layers
+from pipeline.atmosphere.profile import Profile
 from pipeline.atmosphere.refractive_index import IndexModel, saturation_vapour_pressure
 from pipeline.geodesy import Gravity, lambert_gravity
 from pipeline.units import DEGREE, VAPOUR_DEFICIT, Array

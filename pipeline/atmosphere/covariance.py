@@ -1,7 +1,7 @@
 """Derivatives of a profile's air, and the covariance of an estimated profile.
 
 The layers are linear in T_M and in e/p between their edges, with pressure by Eq. 52-53 of Gyer 1996
-from one anchor (`pipeline.atmosphere.profile.stack_layers`). With phi_k the hat function of edge k,
+from one anchor (`pipeline.atmosphere.layers.stack_layers`). With phi_k the hat function of edge k,
 
     T_M(H) = sum of phi_k T_k,   ln p(H) = ln p(anchor) - (G M0 / R*) * integral of dH / T_M,
 

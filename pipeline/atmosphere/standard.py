@@ -26,7 +26,8 @@ from pipeline.atmosphere.climate_tables import (
     read_models,
     supplements_profile,
 )
-from pipeline.atmosphere.profile import STANDARD, Profile, stack_layers
+from pipeline.atmosphere.layers import STANDARD, stack_layers
+from pipeline.atmosphere.profile import Profile
 from pipeline.atmosphere.refractive_index import DEFAULT_WAVELENGTH_M, IndexModel
 from pipeline.errors import PhysicsError
 from pipeline.geodesy import Gravity, normal_gravity

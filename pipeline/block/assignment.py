@@ -3,7 +3,7 @@
 How to use it, one camera at a time::
 
     events = CameraEvents(time_s, index=index)                 # of the log, in the order of time
-    images = ImageEvidence(len(names), time_s=exif_s, sigma_s=WHOLE_SECOND_SIGMA_S,
+    images = ImageEvidence(len(names), time_s=exif_s, sigma_s=12.0**-0.5,  # cut to whole seconds
                            number=number, numbering="counted")  # what the images say themselves
     found = assign(events, images)                             # or with first_image, tie_points
     if not found.accepted:                                     # found.reason, found.log_ratio ...
@@ -23,9 +23,6 @@ import numpy as np
 from pipeline.block.alignment import LOG_RATIO_NEEDED, Axis
 from pipeline.flight.exposures import unwrapped_numbers
 from pipeline.units import Array, Integers, Mask
-
-WHOLE_SECOND_SIGMA_S = 12.0**-0.5
-"""Times cut to whole seconds are uniform within 1 s; the mean of 0.5 s is the offset's."""
 
 _WRONG_NAMES = -float(np.log(1e5))  # probability of names that are not what their pattern says
 _COUNT_ROUND = 1 << 16
@@ -73,7 +70,7 @@ class ImageEvidence:
     Parameters
     ----------
     time_s : (k,) by the camera's clock [s], from any origin; NaN where an image has none.
-    sigma_s : of these times [s], one or (k,): `WHOLE_SECOND_SIGMA_S` without sub-seconds.
+    sigma_s : of these times [s], one or (k,): 12 ** -0.5 without sub-seconds.
     clock_offset_s, clock_sigma_s : what is known of event time minus camera time [s]; a clock of
         which nothing is known has an infinite sigma.
     drift_sigma : of the camera clock's rate (5e-5: 0.18 s in an hour).
@@ -182,13 +179,6 @@ class Assignment:
         """By how many events the runner-up differs (median); 0 without one."""
         both = (self.runner_up >= 0) & (self.event >= 0)
         return int(np.median((self.runner_up - self.event)[both])) if np.any(both) else 0
-
-    @property
-    def unused_events(self) -> Integers:
-        """Rows of the events that no image has, without those that repeat another."""
-        free = ~self.repeated
-        free[self.event[self.event >= 0]] = False
-        return np.flatnonzero(free)
 
 
 def assign(

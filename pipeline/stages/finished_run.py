@@ -14,7 +14,8 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from pydantic import ValidationError
 
-from pipeline.atmosphere.profile import Layers, Profile
+from pipeline.atmosphere.layers import Layers
+from pipeline.atmosphere.profile import Profile
 from pipeline.atmosphere.refractive_index import IndexModel
 from pipeline.atmosphere.series.profile_series import ProfileSeries, TimedProfile
 from pipeline.batch.object_store.place import is_url

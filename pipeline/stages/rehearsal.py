@@ -9,7 +9,8 @@ import numpy as np
 import pyarrow as pa
 from scipy.spatial.transform import Rotation
 
-from pipeline.atmosphere.profile import Profile, stack_layers
+from pipeline.atmosphere.layers import stack_layers
+from pipeline.atmosphere.profile import Profile
 from pipeline.flight.stations import NO_TIME
 from pipeline.refraction.calibration import field_of_view
 from pipeline.refraction.ray import rays_by

@@ -19,7 +19,8 @@ from pipeline.atmosphere import (
 )
 from pipeline.atmosphere.air_samples import AirSamples, SensorSamples
 from pipeline.atmosphere.estimate.adjusted_profile import build_adjusted_profile
-from pipeline.atmosphere.profile import Layers, Profile, stack_layers
+from pipeline.atmosphere.layers import Layers, stack_layers
+from pipeline.atmosphere.profile import Profile
 from pipeline.atmosphere.refractive_index import IndexModel
 from pipeline.errors import PhysicsError
 from pipeline.geodesy import lambert_gravity, normal_gravity

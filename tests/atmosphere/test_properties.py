@@ -12,7 +12,8 @@ from scipy.integrate import quad
 
 from pipeline.atmosphere.covariance import ProfileCovariance
 from pipeline.atmosphere.estimate.readings import bin_readings
-from pipeline.atmosphere.profile import Profile, stack_layers
+from pipeline.atmosphere.layers import stack_layers
+from pipeline.atmosphere.profile import Profile
 from pipeline.atmosphere.refractive_index import IndexModel
 from pipeline.atmosphere.series.profile_series import (
     SampleAges,

@@ -12,7 +12,8 @@ import pytest
 import pipeline
 from pipeline.atmosphere import standard_atmosphere, standard_names
 from pipeline.atmosphere.climatology import climatology
-from pipeline.atmosphere.profile import Profile, stack_layers
+from pipeline.atmosphere.layers import stack_layers
+from pipeline.atmosphere.profile import Profile
 from pipeline.atmosphere.standard import ATMOSPHERES, AtmosphereModel, known_names
 from pipeline.config.atmosphere import AtmosphereSection
 from pipeline.errors import PhysicsError

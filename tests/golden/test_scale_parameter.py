@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from pipeline import correct, standard_atmosphere
 from pipeline.atmosphere import Profile
 from pipeline.atmosphere.covariance import ProfileCovariance
-from pipeline.atmosphere.profile import stack_layers
+from pipeline.atmosphere.layers import stack_layers
 from pipeline.atmosphere.series.profile_series import TimedProfile
 from pipeline.refraction import AirMode, WindowRays, leading_mode
 from pipeline.simulate.optics import enu_axes, height_and_up, shoot, to_ecef

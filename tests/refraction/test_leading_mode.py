@@ -13,7 +13,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pipeline.atmosphere import standard_atmosphere
-from pipeline.atmosphere.profile import stack_layers
+from pipeline.atmosphere.layers import stack_layers
 from pipeline.refraction import (
     BrownConrady,
     Camera,

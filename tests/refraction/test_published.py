@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from pipeline.atmosphere import standard_atmosphere
-from pipeline.atmosphere.profile import Profile, stack_layers
+from pipeline.atmosphere.layers import stack_layers
+from pipeline.atmosphere.profile import Profile
 from pipeline.errors import PhysicsError
 from pipeline.geodesy import Gravity
 from pipeline.refraction import published as pub

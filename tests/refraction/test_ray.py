@@ -248,7 +248,8 @@ def test_near_grazing_through_many_kinks(wiggly, h_c, below):
 
 
 def test_splitting_the_layers_changes_nothing(us1976):
-    from pipeline.atmosphere.profile import Profile, stack_layers
+    from pipeline.atmosphere.layers import stack_layers
+    from pipeline.atmosphere.profile import Profile
 
     old = us1976.layers.edge
     edge = np.union1d(old[old <= 50_000.0], np.arange(-4900.0, 32_000.0, 170.0))

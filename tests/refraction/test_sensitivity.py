@@ -12,7 +12,8 @@ import pytest
 
 from pipeline.atmosphere import covariance, hypsometry, standard_atmosphere
 from pipeline.atmosphere.covariance import air_jacobian
-from pipeline.atmosphere.profile import Profile, stack_layers
+from pipeline.atmosphere.layers import stack_layers
+from pipeline.atmosphere.profile import Profile
 from pipeline.atmosphere.refractive_index import IndexModel
 from pipeline.errors import PhysicsError
 from pipeline.geodesy import Gravity

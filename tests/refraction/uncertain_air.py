@@ -8,7 +8,8 @@ import numpy as np
 
 from pipeline.atmosphere import standard_atmosphere
 from pipeline.atmosphere.covariance import ProfileCovariance
-from pipeline.atmosphere.profile import Profile, stack_layers
+from pipeline.atmosphere.layers import stack_layers
+from pipeline.atmosphere.profile import Profile
 from pipeline.atmosphere.refractive_index import IndexModel
 from pipeline.geodesy import lambert_gravity
 

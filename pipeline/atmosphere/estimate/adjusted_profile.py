@@ -42,14 +42,8 @@ from pipeline.atmosphere.estimate.sensors import (
 )
 from pipeline.atmosphere.estimate.solver import Estimate, FaultEstimate, estimate
 from pipeline.atmosphere.estimate.thermometer_checks import MISFIT, thermometer_is_outside
-from pipeline.atmosphere.profile import (
-    BAROMETRIC,
-    MEASURED,
-    RELAXED,
-    STANDARD,
-    Profile,
-    stack_layers,
-)
+from pipeline.atmosphere.layers import BAROMETRIC, MEASURED, RELAXED, STANDARD, stack_layers
+from pipeline.atmosphere.profile import Profile
 from pipeline.atmosphere.soundings import Sounding
 from pipeline.atmosphere.surface_report import SurfaceReport
 from pipeline.geodesy import normal_gravity

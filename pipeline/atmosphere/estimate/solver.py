@@ -28,7 +28,8 @@ from pipeline.atmosphere.estimate.state import (
     place_knots,
     prior_of,
 )
-from pipeline.atmosphere.profile import RELAXED, Profile, stack_layers
+from pipeline.atmosphere.layers import RELAXED, stack_layers
+from pipeline.atmosphere.profile import Profile
 from pipeline.atmosphere.soundings import Sounding
 from pipeline.atmosphere.surface_report import SurfaceReport
 from pipeline.units import Array

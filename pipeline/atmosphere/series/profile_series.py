@@ -16,7 +16,8 @@ from pipeline.atmosphere.air_samples import AirSamples
 from pipeline.atmosphere.covariance import ProfileCovariance, plane_rule
 from pipeline.atmosphere.estimate.state import exponential
 from pipeline.atmosphere.hypsometry import hats
-from pipeline.atmosphere.profile import Profile, stack_layers
+from pipeline.atmosphere.layers import stack_layers
+from pipeline.atmosphere.profile import Profile
 from pipeline.atmosphere.refractive_index import IndexModel, saturation_vapour_pressure
 from pipeline.ledger import Ledger
 from pipeline.units import Array, Integers

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pipeline.atmosphere.profile import stack_layers
+from pipeline.atmosphere.layers import stack_layers
 from pipeline.atmosphere.series.profile_series import (
     FINEST_CHANGE,
     Place,

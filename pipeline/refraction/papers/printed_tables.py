@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pipeline.atmosphere import standard_atmosphere
-from pipeline.atmosphere.profile import Profile, stack_layers
+from pipeline.atmosphere.layers import stack_layers
+from pipeline.atmosphere.profile import Profile
 from pipeline.atmosphere.refractive_index import IndexModel, refractivity_gyer
 from pipeline.refraction.published import saastamoinen
 from pipeline.refraction.published.gyer import STEP_M, gyer1996, plane_first_term, subtended_angle

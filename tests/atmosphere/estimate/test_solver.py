@@ -34,7 +34,8 @@ from pipeline.atmosphere.estimate.state import (
     prior_of,
 )
 from pipeline.atmosphere.hypsometry import column
-from pipeline.atmosphere.profile import Profile, stack_layers
+from pipeline.atmosphere.layers import stack_layers
+from pipeline.atmosphere.profile import Profile
 from pipeline.atmosphere.soundings import Sounding
 from pipeline.atmosphere.surface_report import SurfaceReport
 from pipeline.ledger import Kind, Ledger

@@ -9,7 +9,8 @@ import pytest
 
 from pipeline.atmosphere.air_samples import AirSamples, SensorSamples
 from pipeline.atmosphere.covariance import ProfileCovariance
-from pipeline.atmosphere.profile import Profile, stack_layers
+from pipeline.atmosphere.layers import stack_layers
+from pipeline.atmosphere.profile import Profile
 from pipeline.atmosphere.series.profile_series import (
     SampleAges,
     change_sigma,
