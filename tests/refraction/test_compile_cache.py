@@ -90,6 +90,32 @@ def test_code_that_is_damaged_is_not_linked(tmp_path):
     assert machine_code.linked(str(tmp_path / "none")) is None
 
 
+FIRST_OF_PROCESS = """
+import ctypes, sys
+import llvmlite.binding as llvm
+from pipeline.refraction.kernels import machine_code
+target, _ = machine_code._machine()
+text = '''declare double @asin(double)
+define double @angle(double %x) {
+  %y = call double @asin(double %x)
+  ret double %y
+}'''
+code = target.create_target_machine(codemodel="jitdefault").emit_object(llvm.parse_assembly(text))
+machine_code.keep(sys.argv[1], "angle", ["asin"], code)
+address = machine_code.linked(sys.argv[1])
+print(ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_double)(address)(0.5) if address else address)
+"""
+
+
+def test_the_first_code_of_a_process_may_call_the_c_library(tmp_path):
+    """LLVM knows no function of the C library before its first engine: all was compiled again."""
+    told = subprocess.run(
+        [sys.executable, "-c", FIRST_OF_PROCESS, str(tmp_path / "angle.o")],
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert float(told.stdout) == pytest.approx(np.pi / 6.0, abs=1e-15)
+
+
 @pytest.mark.skipif(not hasattr(os, "geteuid"), reason="permissions are those of POSIX")
 def test_nothing_is_written_where_nothing_can_be(tree, tmp_path):
     """A file in the place of the folder, which root cannot write to either."""

@@ -118,23 +118,23 @@ def name_runtime() -> None:
 
 def linked(path: str) -> int | None:
     """The address of a function whose code is kept; None where it is not, or is damaged."""
-    try:
-        with open(path, "rb") as file:
-            digest, content = file.read(32), file.read()
-    except OSError:
-        return None
+    digest = content = b""
+    with suppress(OSError), open(path, "rb") as file:
+        digest, content = file.read(32), file.read()
     if hashlib.sha256(content).digest() != digest:
         return None
     head, _, code = content.partition(b"\n")
     symbol, needs = json.loads(head)
     machine = _machine()[0].create_target_machine(codemodel="jitdefault")
+    # Before the first of them, LLVM knows no function of the C library.
+    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
     name_runtime()
     if any(llvm.address_of_symbol(name) is None for name in needs):
         return None
-    _ENGINES.append(llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine))
-    _ENGINES[-1].add_object_file(llvm.ObjectFileRef.from_data(code))
-    _ENGINES[-1].finalize_object()
-    return int(_ENGINES[-1].get_function_address(symbol))
+    engine.add_object_file(llvm.ObjectFileRef.from_data(code))
+    engine.finalize_object()
+    _ENGINES.append(engine)
+    return int(engine.get_function_address(symbol))
 
 
 def callable_at(address: int, words: list[Any]) -> Callable[[list[Any]], None]:
