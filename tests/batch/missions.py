@@ -43,9 +43,9 @@ def gone(process: int) -> bool:
 def one(mission, *, progress=None):
     name, here = mission.path.stem, mission.path.parent
     output = here / f"results of {name}"
-    if (finished := read_manifest(output)) is not None:
-        return Outcome(name, output, finished, 3, True)
-    with open_folder(output) as folder:
+    with open_folder(output) as folder:  # as `run_plan`: removes what a killed run left
+        if (finished := read_manifest(output)) is not None:
+            return Outcome(name, output, finished, 3, True)
         with (here / "begun").open("a") as file:
             print(name, os.getpid(), file=file)
         if name.startswith("deadly") or (name.startswith("unlucky") and not (here / name).exists()):
