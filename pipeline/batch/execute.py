@@ -83,9 +83,7 @@ def _read(end: Outcome | Receipt | UnbendError | Bug) -> MissionEnd:
     return Outcome(end.name, end.output, manifest, end.exit_code, end.repeated)
 
 
-def shared_outputs(
-    folders: Iterable[tuple[MissionRef, object]],
-) -> dict[MissionRef, UnbendError]:
+def shared_outputs(folders: Iterable[tuple[MissionRef, object]]) -> dict[MissionRef, UnbendError]:
     """Missions whose results would be written to the folder of an earlier one.
 
     Folders are compared after symbolic links are resolved, and on Windows without case.

@@ -164,11 +164,7 @@ def _end(answer: Answer, missions: Sequence[Mapping[str, Any]]) -> NoReturn:
 
 @app.command(epilog="Example: unbend check mission.yaml")
 def check(
-    configs: Configs,
-    names: Names = None,
-    *,
-    quiet: Quiet = False,
-    as_json: AsJson = False,
+    configs: Configs, names: Names = None, *, quiet: Quiet = False, as_json: AsJson = False
 ) -> None:
     """Rehearse `run` on a sample: all it would say, and its exit code.
 
@@ -203,11 +199,7 @@ def check(
 
 @app.command(epilog="Example: unbend status configs/*.yaml")
 def status(
-    configs: Configs,
-    names: Names = None,
-    *,
-    quiet: Quiet = False,
-    as_json: AsJson = False,
+    configs: Configs, names: Names = None, *, quiet: Quiet = False, as_json: AsJson = False
 ) -> None:
     """What `run` would run now, and why.
 

@@ -253,10 +253,7 @@ def finished_before(plan: Plan, *, force: bool = False) -> dict[str, Any] | None
 
 
 def prepare_mission(
-    plan: Plan,
-    progress: Progress,
-    most_rows: int | None = None,
-    stations: Stations | None = None,
+    plan: Plan, progress: Progress, most_rows: int | None = None, stations: Stations | None = None
 ) -> PreparedMission:
     """Read the observations and the log, build the stations, and estimate the air.
 

@@ -134,7 +134,7 @@ def test_another_report_is_written_without_correcting_anything(mission, cache, m
     assert fresh
     own = keys.code_below(PACKAGE)
     other = own | {"report": "other"}
-    monkeypatch.setattr(keys, "code_below", lambda root: other)
+    monkeypatch.setattr(keys, "code_of_package", lambda: other)
     text = "report: another version of unbend (0.2.0 -> 0.2.0); nothing is corrected again"
     assert mission_status(mission.file)[1] == [text]
     again, renewed = report_run(mission, monkeypatch)
@@ -164,7 +164,7 @@ def test_another_report_is_written_without_correcting_anything(mission, cache, m
     mission.config["ground"]["sigma_m"] = 1.5
     assert report_run(mission, monkeypatch)[0]
     # The figures' own code is no wording: what it made is not taken up.
-    monkeypatch.setattr(keys, "code_below", lambda root: own | {"report": "3", "flown": "3"})
+    monkeypatch.setattr(keys, "code_of_package", lambda: own | {"report": "3", "flown": "3"})
     assert report_run(mission, monkeypatch)[0]
 
 

@@ -83,25 +83,54 @@ PLANTED = {
 
 
 def test_an_edit_changes_the_stages_that_reach_it(copied):
-    before = keys.code_below.__wrapped__(copied)
+    before = keys.code_below(copied)
     assert {stage: before[stage] for stage in keys.STAGES} == keys.code_of_stages()
     for name, stages in PLANTED.items():
         content = (copied / name).read_bytes()
         (copied / name).write_bytes(content + b"\n")
-        after = keys.code_below.__wrapped__(copied)
+        after = keys.code_below(copied)
         assert {stage for stage in ALL if after[stage] != before[stage]} >= stages, name
         if name.startswith(("report/", "cli/", "simulate/", "library", "stages/proposal")):
             assert {stage for stage in ALL if after[stage] != before[stage]} == stages, name
         (copied / name).write_bytes(content)
     (copied / "atmosphere" / "data" / "afgl1986.csv").rename(copied / "atmosphere" / "data" / "a")
-    assert keys.code_below.__wrapped__(copied)["ingest"] != before["ingest"]
+    assert keys.code_below(copied)["ingest"] != before["ingest"]
+
+
+def test_what_is_remembered_of_the_code_is_that_of_the_files(copied, tmp_path, monkeypatch):
+    """After each edit, and back again; and what was edited while it was found is not remembered."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr(keys.resources, "files", lambda package: copied)
+    monkeypatch.setattr(keys, "code_hash", lambda: keys.hash_of_files(copied))
+    original, remembered = keys.imported, keys.code_of_package.__wrapped__
+    units, added = copied / "units.py", copied / "ingest/added.py"
+    source = units.read_bytes()
+
+    def edited(text: str, package: str) -> set[str]:
+        units.write_bytes(source + b"\n")
+        return original(text, package)
+
+    monkeypatch.setattr(keys, "imported", edited)
+    remembered()
+    monkeypatch.setattr(keys, "imported", original)
+    units.write_bytes(source)
+    first = remembered()
+    assert first == keys.code_below(copied)
+    for path in (units, copied / "report/codes.toml", added):
+        content = path.read_bytes() if path != added else b""
+        path.write_bytes(content + b"\n")
+        assert (remembered() == first) == (path == added), path
+        path.write_bytes(content)
+    assert remembered() == first
+    monkeypatch.setattr(keys, "code_below", lambda root: {})
+    assert remembered() == first, "nothing is read again"
 
 
 def test_compiled_code_does_not_count(copied):
-    before = keys.code_below.__wrapped__(copied)
+    before = keys.code_below(copied)
     (copied / "__pycache__").mkdir()
     (copied / "__pycache__" / "units.cpython-311.pyc").write_bytes(b"compiled")
-    assert keys.code_below.__wrapped__(copied) == before
+    assert keys.code_below(copied) == before
 
 
 @pytest.mark.parametrize(
@@ -135,10 +164,10 @@ def test_a_module_that_is_newly_reached_counts(copied, planted):
     """However it is imported: afterwards an edit of it changes the keys."""
     module = copied / "ingest" / "registry.py"
     module.write_text(module.read_text(encoding="utf-8") + "\n\n" + planted, encoding="utf-8")
-    before = keys.code_below.__wrapped__(copied)
+    before = keys.code_below(copied)
     edited = copied / "stages" / "rehearsal.py"
     edited.write_text(edited.read_text(encoding="utf-8") + "\n", encoding="utf-8")
-    after = keys.code_below.__wrapped__(copied)
+    after = keys.code_below(copied)
     assert {stage for stage in ALL if after[stage] != before[stage]} >= ALL - {"report"}
 
 
@@ -225,7 +254,9 @@ def test_a_run_reaches_nothing_that_no_key_holds(mission):
     data = {
         path.relative_to(PACKAGE)
         for path in map(Path, opened)
-        if path.is_relative_to(PACKAGE) and path.suffix not in (".py", ".pyc")
+        if path.is_relative_to(PACKAGE)
+        and path.suffix != ".py"
+        and path.parent.name != "__pycache__"
     }
     assert len(data) >= 5, "tables, texts and templates"
     for path in data:

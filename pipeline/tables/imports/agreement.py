@@ -162,11 +162,7 @@ def _compare_places(imported: Channel, rows: Rows, track: _Track, ledger: Ledger
 
 
 def _compare_heights(
-    imported: Channel,
-    rows: Rows,
-    own: Channel,
-    heights: HeightSystem,
-    ledger: Ledger,
+    imported: Channel, rows: Rows, own: Channel, heights: HeightSystem, ledger: Ledger
 ) -> None:
     """Heights against the log's, above the same surface and above the other."""
     column = imported.height_column or "h_msl_m"
