@@ -115,15 +115,17 @@ def cpu_seconds(*words: str, cache: Path) -> float:
 
 
 def test_the_first_mission_on_a_machine(ratios, tmp_path):
-    """In CPU time, which another load changes least."""
+    """In CPU time, which another load changes least; against one with all kernels in the cache."""
     text = (ROOT / "configs/sample_bin.yaml").read_text().replace("../", f"{ROOT}/")
     mission = tmp_path / "mission.yaml"
     mission.write_text(text.replace(f"{ROOT}/results", str(tmp_path)))
     words = "run", "--force", "--quiet", str(mission)
-    cpu_seconds(*words, cache=tmp_path / "bytecode")
-    cold = statistics.median(cpu_seconds(*words, cache=tmp_path / str(i)) for i in range(3))
-    warm = statistics.median(cpu_seconds(*words, cache=tmp_path / "0") for _ in range(3))
-    ratios.check("first mission on a machine, times a further one", cold / warm, at_most=3.0)
+    cpu_seconds("warm", cache=tmp_path / "warm")
+    cpu_seconds(*words, cache=tmp_path / "warm")
+    pairs = [(cpu_seconds(*words, cache=tmp_path / str(i)),
+              cpu_seconds(*words, cache=tmp_path / "warm")) for i in range(3)]  # fmt: skip
+    ratio = statistics.median(cold / warm for cold, warm in pairs)
+    ratios.check("first mission on a machine, times a further one", ratio, at_most=3.0)
 
 
 def test_the_first_answer_of_the_command_line(ratios):

@@ -37,20 +37,11 @@ class NoProgress:
 
 
 class CompilingNote:
-    """Text that says whether kernels are being compiled, which numba reports once it is loaded."""
-
-    def __init__(self) -> None:
-        self._recorder: Any = None
+    """Text that says whether kernels are being compiled, without importing them."""
 
     def __str__(self) -> str:
-        event = sys.modules.get("numba.core.event")
-        if self._recorder is None and hasattr(event, "register"):
-            self._recorder = event.RecordingListener()  # type: ignore[union-attr]
-            event.register("numba:compile", self._recorder)  # type: ignore[union-attr]
-        depth = 0  # a function that is compiled has others compiled
-        for _, of_numba in tuple(self._recorder.buffer) if self._recorder else ():
-            depth = max(depth + (1 if of_numba.is_start else -1), 0)
-        return " (compiling, once)" if depth else ""
+        jit = sys.modules.get("pipeline.refraction.kernels.jit")
+        return " (compiling, once)" if jit and jit.COMPILING else ""
 
 
 class DelayedProgressBar:

@@ -16,8 +16,9 @@ import numpy as np
 import pytest
 
 import pipeline
-from pipeline.refraction.kernels import machine_code
+from pipeline.refraction.kernels import jit, machine_code
 from pipeline.refraction.kernels.jit import source_hash
+from pipeline.refraction.kernels.threads import BLOCK_ROWS
 
 ROOM = Path(pipeline.__file__).parent / "refraction"
 DISTORTED = """
@@ -179,3 +180,38 @@ def test_arguments_that_numba_takes_otherwise_are_refused():
     for wrong in (words[1:], [*words[:-1], 1.0], [float(words[0]), *words[1:]], [*words, 0]):
         with pytest.raises(RuntimeError, match="takes other arguments"):
             machine_code.compiled(dispatcher, arguments, wrong)
+
+
+def halved(x):
+    for i in range(x.size):
+        x[i] = 0.5 * x[i]
+
+
+@pytest.mark.parametrize("kept", [True, False])
+def test_what_is_interpreted_counts_until_it_is_worth_compiling(kept, monkeypatch, tmp_path):
+    """Over all processes, each with a kernel of its own here; a large call does not wait."""
+    folder = tmp_path if kept else None
+    monkeypatch.setattr(jit, "cache_folder", lambda: folder and str(folder))
+    compiled, original = [], machine_code.compiled
+    monkeypatch.setattr(
+        machine_code, "compiled", lambda *a: compiled.append(len(compiled)) or original(*a)
+    )
+
+    def process(*calls, most=10_000):
+        kernel = jit.entry(rows=0, most=most)(halved)
+        for rows in calls:
+            kernel(x := np.ones(rows))
+            assert (x == 0.5).all()
+        return len(compiled)
+
+    assert process(90, 4_000, 4_000) == 0
+    assert process(90, 1_500) == 0
+    if kept:
+        assert process(90, 400, 400) == 1
+        assert process(4_000, 4_000, 4_000) == 1, "linked"
+    else:
+        assert process(4_000, 4_000, 2_001) == 1
+    for path in tmp_path.iterdir():
+        path.unlink()
+    assert process(BLOCK_ROWS - 1, most=100_000) == 1
+    assert process(BLOCK_ROWS, most=100_000) == 2

@@ -121,7 +121,7 @@ def test_rays_of_all_kinds(monkeypatch):
                      "beyond_grazing"}  # fmt: skip
 
 
-def test_one_angle_needs_no_compiler():
+def test_one_angle_needs_no_compiler(monkeypatch):
     code = (
         "import sys\n"
         "from pipeline.atmosphere import standard_atmosphere\n"
@@ -135,7 +135,8 @@ def test_one_angle_needs_no_compiler():
     sine, cosine = np.sin([1.3]), np.cos([1.3])
     kernel, angle = np.full(1, np.nan), np.zeros(1, np.uint8)
     whole = [np.array([v]) for v in (1e4, 0.0, sine[0], cosine[0], 6_371_000.0, np.nan)]
-    bend_rays.compiled(TABLE.pieces, RayColumns(*whole), np.arange(1), kernel, angle)
+    monkeypatch.setattr(Kernel, "always_compiled", True)
+    bend_rays(TABLE.pieces, RayColumns(*whole), np.arange(1), kernel, angle)
     assert float.fromhex(value) == kernel[0]
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import threading
 
+import numpy as np
 import pytest
 from rich.console import Console
 
@@ -73,26 +74,28 @@ def test_the_bar_counts_each_step_from_zero_before_and_after_it_appears(bar):
     bar.__exit__()
 
 
-def test_it_says_when_kernels_are_compiled():
-    """By numba's own events, of a function that is compiled while the note is read."""
-    import numba
-    from numba.core import event
+def test_it_says_when_kernels_are_compiled(monkeypatch, tmp_path):
+    """Read while numba compiles, and before and after it."""
+    from pipeline.refraction.kernels import jit, machine_code
 
-    note = progress.CompilingNote()
+    monkeypatch.setattr(jit, "cache_folder", lambda: str(tmp_path))
+    note, seen, original = progress.CompilingNote(), [], machine_code.compiled
+
+    def compiled(*arguments):
+        seen.append(str(note))
+        return original(*arguments)
+
+    monkeypatch.setattr(machine_code, "compiled", compiled)
+    x = np.zeros(2)
     assert str(note) == ""
-    seen = []
-
-    class Reader(event.Listener):
-        def on_start(self, _):
-            seen.append(str(note))
-
-        def on_end(self, _):
-            pass
-
-    with event.install_listener("numba:compile", Reader()):
-        numba.njit(lambda x: x + 1)(1)
+    jit.entry(rows=0)(doubled)(x)
     assert seen == [" (compiling, once)"]
     assert str(note) == ""
+
+
+def doubled(x):
+    for i in range(x.size):
+        x[i] = 2.0 * x[i]
 
 
 def test_a_dumb_terminal_gets_a_line_for_each_step(bar, monkeypatch):

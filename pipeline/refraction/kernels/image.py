@@ -82,7 +82,7 @@ def _ideal(span, pixels, camera, change_px, rays):  # type: ignore[no-untyped-de
                 u[i], v[i] = a, b
 
 
-@entry(rows=0, most=6000)
+@entry(rows=0, most=24_000)
 def rays_of_pixels(x, y, camera, rays):  # type: ignore[no-untyped-def]
     """Fill the rows `U` and `V` of pixels; NaN where the camera does not cover them."""
     _ideal((np.uint64(0), np.uint64(x.size)), (x, y), camera, 0.0, rays)
@@ -222,7 +222,7 @@ def _flag_without_ray(span, rays, outside, r_cc, status):  # type: ignore[no-unt
                 rays[k, i] = math.nan
 
 
-@entry(rows=0, most=6000)
+@entry(rows=0, most=24_000)
 def outgoing_rays(observed, camera, exposures, rays, status_and_r_cc):  # type: ignore[no-untyped-def]
     """Fill the matrix of rays, a status where there is no ray to follow, and R_cc.
 
@@ -280,7 +280,7 @@ def straight_reach(rays, far, distance):  # type: ignore[no-untyped-def]
         distance[i] = _reach(rays.cos_c[i], rays.h_c[i], rays.h_g[i], rays.r_e[i], far[i])
 
 
-@entry(rows=0, most=6000)
+@entry(rows=0, most=24_000)
 def shift_back(observed, camera, exposures, traced, shifts):  # type: ignore[no-untyped-def]
     """Fill the shifts in the image and on the ground that refraction angles amount to."""
     h_g, exposure = observed.h_g, observed.exposure

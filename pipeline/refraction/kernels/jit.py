@@ -15,6 +15,7 @@ import shutil
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from functools import cache, lru_cache
 from importlib.metadata import version
 from types import FunctionType, SimpleNamespace
@@ -23,6 +24,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.caches import OF_COMPILED, compiled_code
+from pipeline.refraction.kernels.threads import BLOCK_ROWS
 
 _ROOM = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 _KEPT_S = 7 * 86_400.0  # unused this long, the folder of another version is removed
@@ -32,6 +34,9 @@ _INLINED: dict[Callable[..., Any], str] = {}
 """Functions that kernels call, and whether each is compiled as a part of those that call it."""
 
 _LINKING = threading.RLock()
+
+COMPILING: list[str] = []
+"""The kernel that is being compiled, for whoever shows progress."""
 
 
 def source_hash(room: str = _ROOM) -> str:
@@ -69,19 +74,11 @@ def cache_folder() -> str | None:
         return None
     if not os.access(folder, os.W_OK):
         return None
-    try:
-        with os.scandir(base) as entries:
-            unused = [
-                entry.path
-                for entry in entries
-                if OF_COMPILED.fullmatch(entry.name)
-                and entry.path != folder
-                and time.time() - entry.stat().st_mtime > _KEPT_S
-            ]
-    except OSError:  # another process removes them at this moment
-        unused = []
-    for path in unused:
-        shutil.rmtree(path, ignore_errors=True)
+    with suppress(OSError):  # another process removes them at this moment
+        for path in (os.path.join(base, name) for name in os.listdir(base)):
+            ours = OF_COMPILED.fullmatch(os.path.basename(path)) and path != folder
+            if ours and time.time() - os.stat(path).st_mtime > _KEPT_S:
+                shutil.rmtree(path, ignore_errors=True)
     return folder
 
 
@@ -165,32 +162,44 @@ class Kernel:
     """Whether few rows are compiled too: to fill the cache."""
 
     def __init__(self, function: Callable[..., Any], rows: int, most: int) -> None:
-        self.function, self.rows, self.left, self.most = function, rows, most, most
+        self.function, self.rows, self.asked, self.most = function, rows, 0, most
         self.by_types: dict[tuple[Any, ...], Callable[[list[Any]], None]] = {}
+        self.name = f"{function.__module__}.{function.__qualname__}"
 
     def __call__(self, *arguments: Any) -> None:
         """Interpreted, or by machine code: linked from the cache, or compiled for many rows."""
-        if not self.by_types and not Kernel.always_compiled:
-            counted = arguments[self.rows]
-            self.left -= (counted[0] if isinstance(counted, tuple) else counted).shape[0]
-            few = self.left >= self.most * (1.0 - _LINKED)
-            if few or (self.left >= 0 and self.code_for(arguments, compiles=False) is None):
-                try:
-                    self.interpreted(*arguments)
-                    return
-                except (ArithmeticError, ValueError, IndexError):
-                    pass  # what Python refuses and compiled code has a number for
-        self.compiled(*arguments)
+        if not (self.by_types or Kernel.always_compiled) and self.is_interpreted(arguments):
+            try:
+                self.interpreted(*arguments)
+                return
+            except (ArithmeticError, ValueError, IndexError):
+                pass  # what Python refuses and compiled code has a number for
+        code, words = self.code_for(arguments, compiles=True)
+        code(words)
+
+    def is_interpreted(self, arguments: tuple[Any, ...]) -> bool:
+        """Whether machine code is not worth linking, or is not there and not worth compiling."""
+        counted = arguments[self.rows]
+        rows = (counted[0] if isinstance(counted, tuple) else counted).shape[0]
+        self.asked += rows
+        if self.asked <= _LINKED * self.most:
+            return True
+        if rows >= BLOCK_ROWS or self.code_for(arguments, compiles=False) is not None:
+            return False
+        return self.counted(rows) <= self.most
+
+    def counted(self, rows: int) -> int:
+        """These rows, with all interpreted since the cache was begun: a byte of a file for 100."""
+        path = os.path.join(cache_folder() or os.devnull, f"{self.name}.rows")
+        with suppress(OSError), open(path, "ab") as file:
+            file.write(bytes(rows // 100))
+            return max(self.asked, 100 * file.tell())
+        return self.asked
 
     def interpreted(self, *arguments: Any) -> None:
         """The same, interpreted."""
         with np.errstate(all="ignore"):
             _linked(self.function, False)(*arguments)
-
-    def compiled(self, *arguments: Any) -> None:
-        """The same by machine code."""
-        code, words = self.code_for(arguments, compiles=True)
-        code(words)
 
     def code_for(self, arguments: Any, *, compiles: bool) -> Any:
         """Machine code, in the cache or compiled by numba, and numbers to call it with; or None."""
@@ -201,15 +210,16 @@ class Kernel:
         key = tuple(types)
         if key not in self.by_types:
             with _LINKING:
-                name = f"{self.function.__module__}.{self.function.__qualname__}"
-                path = machine_code.file_of(cache_folder(), name, key)
+                path = machine_code.file_of(cache_folder(), self.name, key)
                 address = machine_code.linked(path)
                 if address is None and not compiles:
                     return None
                 if address is None:
+                    COMPILING.append(self.name)
                     dispatcher = _linked(self.function, True)
                     address, *code = machine_code.compiled(dispatcher, arguments, words)
                     machine_code.keep(path, *code)
+                    COMPILING.clear()
                 self.by_types[key] = machine_code.callable_at(address, words)
         return self.by_types[key], words
 
@@ -229,7 +239,8 @@ def within(function: Callable[..., Any]) -> Callable[..., Any]:
 def entry(rows: int, most: int = 0) -> Callable[[Callable[..., Any]], Kernel]:
     """A function that Python calls.
 
-    ``rows`` numbers the argument that has its rows, or a tuple of columns; ``most`` of them are
-    interpreted in a process: compiling it takes several times as long.
+    ``rows`` numbers the argument that has its rows, or a tuple of columns; ``most`` of them take
+    about as long interpreted as compiling does, and are before it is compiled, by however many
+    processes.
     """
     return lambda function: Kernel(function, rows, most)

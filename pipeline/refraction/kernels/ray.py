@@ -204,7 +204,7 @@ def bend_by_subtended(table, ray, h_g):  # type: ignore[no-untyped-def]
     return angle_to(ray, theta, h_g)
 
 
-@entry(rows=2, most=6000)
+@entry(rows=2, most=1500)
 def bend_rays(table, rays, which, angle, status):  # type: ignore[no-untyped-def]
     """Fill ``angle`` [rad] and ``status`` for the rays of `RayColumns` that ``which`` numbers.
 

@@ -287,7 +287,7 @@ def _spread(room, count, camera, exposure):  # type: ignore[no-untyped-def]
         room[_OUT + 13, i] = -turned_y * no_window * keep
 
 
-@entry(rows=0, most=6000)
+@entry(rows=0, most=24_000)
 def propagate(observed, camera_and_rotation, traced, stations_and_air, sigmas):  # type: ignore[no-untyped-def]
     """Fill sigma of R_c [rad], of x and y [px] by air, station and ground, and by the cabin.
 

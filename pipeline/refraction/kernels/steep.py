@@ -317,7 +317,7 @@ def _bend_group(air, group, table, numbers, rays):  # type: ignore[no-untyped-de
                 status[i] = LEFT
 
 
-@entry(rows=2, most=2000)
+@entry(rows=2, most=24_000)
 def bend_steep_rays(air, rays, angle, status):  # type: ignore[no-untyped-def]
     """Fill ``angle`` [rad] and ``status`` of the steep rays among many from the same heights.
 
