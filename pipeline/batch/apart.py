@@ -29,17 +29,16 @@ _GRACE_S = 3.0
 _IDLE_S = 60.0
 """How long a child without a task waits for another one."""
 
-_SERVE = "from pipeline.batch.apart import serve; serve()"
-
 
 class Child:
-    """A process that runs one task at a time; started when it is needed.
+    """A process that runs one task at a time; started when it is needed, or before.
 
-    ``threads`` : how many it may use, None for as many as there are CPUs.
+    ``threads`` : how many it may use, None for as many as there are CPUs; ``module`` : what it
+    imports before its first task.
     """
 
-    def __init__(self, threads: int | None = None) -> None:
-        self._threads = threads
+    def __init__(self, threads: int | None = None, module: str = __name__) -> None:
+        self._threads, self._module = threads, module
         self.process: subprocess.Popen[bytes] | None = None
 
     def run(self, task: bytes) -> TaskEnd:
@@ -61,7 +60,8 @@ class Child:
     def started(self) -> subprocess.Popen[bytes]:
         """The process, with our paths of modules, out of reach of a terminal's Ctrl-C."""
         own = {} if self._threads is None else {"UNBEND_THREADS": str(self._threads)}
-        code = f"import sys; sys.path[:] = {sys.path!r}; {_SERVE}"
+        code = f"import sys; sys.path[:] = {sys.path!r}; import {self._module}; "
+        code += f"from {__name__} import serve; serve()"
         return subprocess.Popen(
             [sys.executable, "-P", "-c", code],
             stdin=subprocess.PIPE,

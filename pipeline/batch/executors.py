@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import hashlib
 import pickle
 import threading
+import uuid
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, suppress
-from functools import partial
+from contextlib import AbstractContextManager, contextmanager, suppress
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from pipeline.batch.apart import Child, stop_all
-from pipeline.batch.outcomes import Bug, Lost, Outcome, TaskEnd, end_of
-from pipeline.errors import UnbendError
+from pipeline.batch.outcomes import Outcome, TaskEnd, end_of
+from pipeline.errors import InputError
 from pipeline.refraction.kernels.threads import usable_cpus
 
 if TYPE_CHECKING:
@@ -26,8 +30,11 @@ be pickled."""
 T = TypeVar("T")
 Ends = Generator[tuple["MissionRef", TaskEnd]]
 
-_SLICES_EACH = 3
-"""Slices for each process: few, for what they are made with is sent with each."""
+Hand = Callable[[bytes], Any]
+"""Runs a pickled task somewhere else and waits for its end."""
+
+_SLICE = 2, 32
+"""Parts of a slice: the last ones are small, so that all end together."""
 
 
 class Executor(Protocol):
@@ -91,42 +98,119 @@ def taken(waiting: SimpleQueue[T]) -> Iterator[T]:
             yield waiting.get_nowait()
 
 
+class Helpers(Protocol):
+    """Who helps to make the parts of one mission."""
+
+    def hands(self, module: str, parts: int) -> AbstractContextManager[Sequence[Hand]]:
+        """Hands for so many parts, which import a module before there is a task."""
+
+
+@dataclass(frozen=True)
+class ChildHelpers:
+    """Processes of this machine; ``processes`` : how many there are with this one."""
+
+    processes: int = 1
+
+    @contextmanager
+    def hands(self, module: str, parts: int) -> Iterator[Sequence[Hand]]:
+        """The other processes, for a mission of four parts or more."""
+        count = self.processes if parts >= 4 else 1
+        children = [Child(max(1, usable_cpus() // count), module) for _ in range(count - 1)]
+        try:
+            for child in children:
+                with suppress(OSError):  # it is started once more when there is a task
+                    child.process = child.started()
+            yield [child.run for child in children]
+        finally:
+            stop_all(children)
+
+
+ALONE = ChildHelpers()
+
+
+@dataclass(frozen=True)
+class Slices:
+    """Numbers of parts, in slices that anyone takes who sees the folder.
+
+    Whoever makes the file of a slice's place makes its parts, and nobody else does.
+    """
+
+    folder: Path
+    numbers: Sequence[Sequence[int]]
+
+    @classmethod
+    def of(cls, staging: Path, numbers: Sequence[int], hands: int) -> Slices:
+        """The numbers for so many hands and this process, in a folder of this call alone."""
+        folder, slices = staging / f"slices-{uuid.uuid4().hex}", list[Sequence[int]]()
+        folder.mkdir()
+        while numbers:
+            fewest, most = _SLICE
+            size = min(most, max(fewest, len(numbers) // (2 * hands + 2)))
+            slices.append(numbers[:size])
+            numbers = numbers[size:]
+        return cls(folder, slices)
+
+    def taken(
+        self, name: str, passed: Callable[[int], None] = lambda _: None
+    ) -> Iterator[Sequence[int]]:
+        """Slices that nobody has, for ``name``, who has begun before the first.
+
+        ``passed`` is called with the length of each that is behind, whoever had it.
+        """
+        (self.folder / name).touch()
+        for place, some in enumerate(self.numbers):
+            with suppress(FileExistsError):
+                (self.folder / str(place)).touch(exist_ok=False)
+                yield some
+            passed(len(some))
+
+
 def make_parts(
     make: Callable[..., Any],
-    numbers: Sequence[int],
-    processes: int,
+    slices: Slices,
+    hands: Sequence[Hand],
     progress: Callable[[int], None],
 ) -> None:
-    """Call ``make(numbers=...)`` with slices of the numbers, here and in other processes.
+    """Call ``make(numbers=...)`` with slices, here and by hands, which get a path and a key.
 
-    Parts that a process leaves unmade, for it died or nothing can be sent to it, stay unmade.
-    ``progress`` is called with the number of parts that may be done now.
+    Parts that a hand leaves unmade, for it died or nothing can be sent to it, stay unmade. One that
+    has not begun when nothing is left is not waited for. ``progress`` is called with the number of
+    parts that may be done now.
     """
-    size = max(1, -(-len(numbers) // (processes * _SLICES_EACH)))
-    waiting: SimpleQueue[Sequence[int]] = SimpleQueue()
-    for first in range(0, len(numbers), size):
-        waiting.put(numbers[first : first + size])
-    finished: SimpleQueue[None] = SimpleQueue()
-    children = [Child(max(1, usable_cpus() // processes)) for _ in range(processes - 1)]
+    content, setup = pickle.dumps((make, slices)), slices.folder / "setup"
+    setup.write_bytes(content)
+    digest, ended = hashlib.sha256(content).hexdigest(), SimpleQueue[str]()
 
-    def send(child: Child, some: Sequence[int]) -> Any:
-        return child.run(pickle.dumps(partial(make, numbers=some)))
+    def send(hand: Hand, name: str) -> None:
+        task = pickle.dumps(partial(make_as_hand, setup, digest, name))
+        end_of(partial(hand, task))
+        ended.put(name)
 
-    def serve(child: Child) -> None:
-        for some in taken(waiting):
-            if isinstance(end_of(partial(send, child, some)), (Lost, Bug, UnbendError)):
-                break
-            progress(len(some))
-        finished.put(None)
+    names = [f"hand-{number}" for number in range(len(hands))]
+    for sent in zip(hands, names, strict=True):
+        threading.Thread(target=send, args=sent, daemon=True).start()
+    for some in slices.taken("own", progress):
+        make(numbers=some)
+    left = {name for name in names if (slices.folder / name).exists()}
+    while left:
+        left.discard(ended.get())
 
-    try:
-        for child in children:
-            threading.Thread(target=serve, args=(child,), daemon=True).start()
-        for some in taken(waiting):
-            make(numbers=some)
-            progress(len(some))
-        for _ in children:
-            finished.get()
-    finally:
-        deque(taken(waiting), 0)
-        stop_all(children)
+
+def make_as_hand(setup: Path, digest: str, name: str) -> list[int]:
+    """Make parts in the place of another process until none are left; their numbers."""
+    make, slices = made_with(setup, digest)
+    made = list[int]()
+    for some in slices.taken(name):
+        make(numbers=some)
+        made += some
+    return made
+
+
+@lru_cache(maxsize=1)
+def made_with(setup: Path, digest: str) -> tuple[Callable[..., Any], Slices]:
+    """What parts are made with; refuses (INPUT-CHANGED) a file that is not of this SHA-256."""
+    content = setup.read_bytes()
+    if hashlib.sha256(content).hexdigest() != digest:
+        raise InputError.of("INPUT-CHANGED", setup, role="set-up")
+    found: tuple[Callable[..., Any], Slices] = pickle.loads(content)
+    return found

@@ -6,11 +6,21 @@ A season's inputs are a terabyte: they are read for their hashes once, not at ea
 import hashlib
 import os
 import time
+from collections.abc import Iterable
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from pipeline.batch.object_store.copies import version_of
+from pipeline.batch.object_store.place import Place
 from pipeline.caches import read_entry, write_entries
+from pipeline.errors import InputError
 from pipeline.ingest import hash_file
+from pipeline.tables.geodata.gdal import raster_files
+from pipeline.tables.imports.blocks import block_reader, damage_refused
+
+GDAL = "GDAL"
 
 SETTLED_NS = 2_000_000_000
 """A file changed within this time may change again with the same times: FAT counts 2 s."""
@@ -19,6 +29,24 @@ _MOST_FILES = 1_000_000
 """Remembered, a season or two: of more those that were hashed longest ago are forgotten."""
 
 _DATABASE = "hashes.sqlite"
+
+
+@dataclass(frozen=True)
+class Input:
+    """A file the mission reads: as the mission file names it, where it is, and what it holds.
+
+    ``program`` is that of a block, whose path may be a folder, or name other files; or GDAL, which
+    reads files beside a raster too. Of an input in object storage, at ``place``, the path is that
+    of its copy here, which may not be made yet; of a raster there GDAL has no other file.
+    """
+
+    role: str
+    name: str
+    path: Path
+    sha256: str
+    stamp: tuple[list[int] | None, ...] | str
+    program: str | None = None
+    place: Place | None = None
 
 
 def stamp(path: str | Path) -> list[int] | None:
@@ -70,3 +98,39 @@ def recalled(place: str, stamped: Any) -> str | None:
 def remember(place: str, stamped: Any, sha256: str) -> None:
     """Remember the SHA-256 of a path or URL for as long as its stamp, or version, stays."""
     write_entries(_DATABASE, {place: [stamped, sha256]}, _MOST_FILES)
+
+
+def check_unchanged(inputs: Iterable[Input], *, folders: bool = True) -> None:
+    """Refuse results whose inputs were written to, or replaced, while they were made.
+
+    By the same content too: another one may have been there in between, and read. Without
+    ``folders`` those of images are not looked at, and no object storage. The number of the device
+    is not compared: each machine that shares a disk has its own.
+    """
+    for item in inputs:
+        if item.place is not None:
+            if folders:
+                with suppress(FileNotFoundError):
+                    if version_of(item.place) == item.stamp:
+                        continue
+                raise InputError.of("INPUT-CHANGED", item.place, role=item.role)
+            continue
+        if not folders and item.program is None and item.path.is_dir():
+            continue
+        now = map(stamp, files_of(item.path, item.program))
+        if [s and s[1:] for s in now] != [s and s[1:] for s in item.stamp]:
+            raise InputError.of("INPUT-CHANGED", str(item.path), role=item.role)
+
+
+def files_of(path: Path, program: str | None) -> tuple[Path, ...]:
+    """The files of an input: of a block all, of a raster those beside it too, or images."""
+    if program == GDAL:
+        return raster_files(path)
+    if program is not None:
+        with damage_refused(path, program):
+            return block_reader(program).block_files(path)
+    if path.is_file():
+        return (path,)
+    from pipeline.tables.imports.exif import image_files
+
+    return tuple(image_files(path))

@@ -12,7 +12,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from pipeline.batch.file_hashes import recalled, remember, remembered_hash, stamp
+from pipeline.batch.file_hashes import (
+    GDAL,
+    Input,
+    files_of,
+    recalled,
+    remember,
+    remembered_hash,
+    stamp,
+)
 from pipeline.batch.keys import keys_of, libraries
 from pipeline.batch.object_store.copies import copy_of, fetched, version_of
 from pipeline.batch.object_store.place import Place, is_url
@@ -22,11 +30,9 @@ from pipeline.caches import user_cache
 from pipeline.config import Mission
 from pipeline.config.station_sources import KnownPositions
 from pipeline.errors import ConfigError, InputError, UnbendError
-from pipeline.tables.geodata.gdal import raster_files
-from pipeline.tables.imports.blocks import BLOCKS, block_reader, damage_refused
+from pipeline.tables.imports.blocks import BLOCKS
 
 MANIFEST_VERSION = 1
-GDAL = "GDAL"
 _MISSION_FILE_KEYS = {
     "log": "log.path",
     "observations": "observations.path",
@@ -42,24 +48,6 @@ _MISSION_FILE_KEYS = {
     "weather model": "atmosphere.model.path",
 }
 _EXIF_BYTES = 1 << 18
-
-
-@dataclass(frozen=True)
-class Input:
-    """A file the mission reads: as the mission file names it, where it is, and what it holds.
-
-    ``program`` is that of a block, whose path may be a folder, or name other files; or GDAL, which
-    reads files beside a raster too. Of an input in object storage, at ``place``, the path is that
-    of its copy here, which may not be made yet; of a raster there GDAL has no other file.
-    """
-
-    role: str
-    name: str
-    path: Path
-    sha256: str
-    stamp: tuple[list[int] | None, ...] | str
-    program: str | None = None
-    place: Place | None = None
 
 
 @dataclass(frozen=True)
@@ -214,7 +202,7 @@ def make_plan(mission: Mission, folder: Path, *, verify: bool = False) -> Plan:
                 remember(key, version, sha256)
                 inputs.append(Input(role, name, copy, sha256, version, program, path))
             else:
-                before = tuple(map(stamp, _files_of(path, program)))
+                before = tuple(map(stamp, files_of(path, program)))
                 sha256 = _hash_input(path, program, verify=verify)
                 inputs.append(Input(role, name, path, sha256, before, program))
         except OSError as error:
@@ -244,26 +232,6 @@ def refuse_other_mission(plan: Plan, manifest: dict[str, Any] | None) -> None:
 def _refuse_among_results(role: str, path: Path | Place, output: Path | Place) -> None:
     if would_replace(output, path):
         raise ConfigError.of("OUTPUT-OVER-INPUT", path, role=role, output=output)
-
-
-def check_unchanged(plan: Plan, *, folders: bool = True) -> None:
-    """Refuse results whose inputs were written to, or replaced, while they were made.
-
-    By the same content too: another one may have been there in between, and read. Without
-    ``folders`` those of images are not looked at, and no object storage.
-    """
-    for item in plan.inputs:
-        if item.place is not None:
-            if folders:
-                with suppress(FileNotFoundError):
-                    if version_of(item.place) == item.stamp:
-                        continue
-                raise InputError.of("INPUT-CHANGED", item.place, role=item.role)
-            continue
-        if not folders and item.program is None and item.path.is_dir():
-            continue
-        if tuple(map(stamp, _files_of(item.path, item.program))) != item.stamp:
-            raise InputError.of("INPUT-CHANGED", str(item.path), role=item.role)
 
 
 def fetch_inputs(plan: Plan) -> None:
@@ -299,7 +267,7 @@ def _hash_input(path: Path, program: str | None, *, verify: bool) -> str:
 
     Of a block, and of a raster with files beside it, over the names and hashes of its files.
     """
-    files = _files_of(path, program)
+    files = files_of(path, program)
     if files == (path,):
         return remembered_hash(path, verify=verify)
     digest = hashlib.sha256()
@@ -310,19 +278,6 @@ def _hash_input(path: Path, program: str | None, *, verify: bool) -> str:
         start = remembered_hash(file, verify=verify, of_jpeg=_EXIF_BYTES)
         digest.update(f"{file.relative_to(path)}\0{file.stat().st_size}\0{start}\0".encode())
     return digest.hexdigest()
-
-
-def _files_of(path: Path, program: str | None) -> tuple[Path, ...]:
-    if program == GDAL:
-        return raster_files(path)
-    if program is not None:
-        with damage_refused(path, program):
-            return block_reader(program).block_files(path)
-    if path.is_file():
-        return (path,)
-    from pipeline.tables.imports.exif import image_files
-
-    return tuple(image_files(path))
 
 
 def fingerprint_of(keys: Mapping[str, str]) -> str:

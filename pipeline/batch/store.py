@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 from errno import EACCES
 from pathlib import Path
 from typing import Any
+from uuid import uuid4
 
 from filelock import FileLock, Timeout
 
@@ -47,7 +48,7 @@ def atomic_write(path: Path) -> Iterator[Path]:
 
     The caller writes a file there, or makes a folder of files, for a ``path`` that is not there.
     """
-    draft = path.with_name(f".{path.name}.{os.getpid()}.draft")
+    draft = path.with_name(f".{path.name}.{uuid4().hex[:12]}.draft")
     try:
         with storage_errors(path):
             yield draft

@@ -106,7 +106,7 @@ def run_missions(
     """Run missions in this process, in so many others, or on the workers of a scheduler."""
     with answer.progress("loading"):
         from pipeline.batch.execute import run_many
-        from pipeline.batch.executors import Executor, Inline, Processes
+        from pipeline.batch.executors import ChildHelpers, Executor, Inline, Processes
         from pipeline.stages.story import run_mission
 
     executor: Executor = Inline(answer.progress)
@@ -119,7 +119,7 @@ def run_missions(
     elif len(missions) > 1 < where:
         executor = Processes(where)
     else:
-        options = {**options, "processes": where}
+        options = {**options, "helpers": ChildHelpers(where)}
     with closing(run_many(partial(run_mission, **options), list(sent), executor)) as ends:
         yield from ((sent[ref], end) for ref, end in ends)
 

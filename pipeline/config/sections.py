@@ -11,13 +11,11 @@ from pipeline.config.cameras import MountSection, Section, one_of
 from pipeline.config.event_sources import EventsSection, PositionEvents
 from pipeline.config.interior_orientation import OWN_ORIENTATION, CameraSection
 from pipeline.config.station_sources import LocalOrigin, NamedColumns, StationsSection
+from pipeline.flight.heights import HIGHEST_GROUND_M, LOWEST_GROUND_M
 from pipeline.flight.image_names import Difference
 from pipeline.refraction import METHODS
 from pipeline.tables.imports.blocks import BLOCKS
 from pipeline.tables.pixels import PixelOrigin, PixelSystem
-
-LOWEST_GROUND_M, HIGHEST_GROUND_M = -600.0, 10_000.0
-"""Heights outside this range are no ground heights [m]."""
 
 
 class MissionSection(Section):

@@ -18,6 +18,8 @@ from pipeline.units import Array, Integers
 
 STEADY_HOME_M = 2.0  # the take-off height of a flight does not change by more than this [m]
 
+LOWEST_GROUND_M, HIGHEST_GROUND_M = -600.0, 10_000.0
+"""Heights outside this range are no ground heights [m]."""
 
 USUAL_GEOID_M, LARGEST_GEOID_M = 3.0, 10.0
 """EGM96 at 15 minutes and national sea levels differ by less than the first, and by the second

@@ -8,39 +8,34 @@ import math
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import groupby
+from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.parquet as pq
 
-from pipeline.atmosphere.series.profile_series import ProfileSeries
-from pipeline.batch.executors import make_parts
-from pipeline.batch.store import RunFolder
-from pipeline.config import Mission
-from pipeline.flight.heights import HeightSystem, ground_offsets
-from pipeline.flight.stations import Stations
+from pipeline.batch.executors import Hand, Slices, make_parts
+from pipeline.batch.store import RunFolder, atomic_write
+from pipeline.errors import storage_errors
 from pipeline.interrupts import held_back
 from pipeline.refraction.camera.camera import Camera
 from pipeline.refraction.forward import apply_refraction
 from pipeline.refraction.image import COLUMNS, Corrections, Exposures, correct_observations
 from pipeline.refraction.kernels.threads import usable_cpus
-from pipeline.refraction.ray import PublishedRays, rays_by
+from pipeline.refraction.ray import PublishedRays
 from pipeline.refraction.ray_table import RayTable
 from pipeline.refraction.status_codes import NO_STATION
 from pipeline.refraction.uncertainty.sigmas import Sigmas, Uncertainty
-from pipeline.stages.exposure_setup import cameras_of_mission
 from pipeline.stages.ground.ground_heights import (
-    GivenGround,
     Ground,
     GroundHeights,
-    SlantRangeGround,
 )
 from pipeline.stages.statistics import SAMPLED_ROWS, SampledRows, Statistics
-from pipeline.stages.uncertainty import uncertainties_of_mission
 from pipeline.tables.geodata.object_points import matching_rows
 from pipeline.tables.observations import Batch, Observations
 from pipeline.tables.refraction_mark import Direction
@@ -51,9 +46,6 @@ from pipeline.units import Array, Integers, Names
 _MOST_WORKERS = 4
 """Batches corrected at the same time: each holds 250,000 rows, and reading and writing take the
 rest of the time."""
-
-TYPICAL_ROWS = 2000
-"""The first rows of a table, whose ground is that of the leading mode of the air."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,58 +94,6 @@ class CorrectionSetup:
             profile = self.profile_number[station[rows]]
             for i in np.unique(profile).tolist():
                 yield rows[profile == i], camera, i
-
-
-def correction_setup(
-    mission: Mission,
-    stations: Stations,
-    air: ProfileSeries,
-    exposures: Exposures,
-    heights: HeightSystem,
-) -> CorrectionSetup:
-    """Cameras, rays and ground of a mission. ``heights`` are those of its log."""
-    return CorrectionSetup(
-        stations.image,
-        stations.camera,
-        exposures,
-        ground_of_mission(mission, stations, heights),
-        cameras_of_mission(mission),
-        tuple(rays_by(profile, mission.refraction.method) for profile in air.profiles),
-        air.profile_number,
-        mission.refraction.direction,
-        (None,) * len(air.profiles),
-    )
-
-
-def with_uncertainties(
-    setup: CorrectionSetup, mission: Mission, stations: Stations, air: ProfileSeries, batch: Batch
-) -> CorrectionSetup:
-    """The setup with what standard deviations and derivatives are computed from.
-
-    The leading mode of the air is that of rays to the median height of the points of a ``batch``.
-    """
-    station = matching_rows(batch.image, pa.array(setup.images, pa.string()))
-    heights = setup.ground.heights(batch, station, setup).h_m
-    heights = heights[np.isfinite(heights)]
-    uncertainties = uncertainties_of_mission(
-        mission,
-        stations,
-        air,
-        setup.exposures,
-        cameras=setup.cameras,
-        ground_limits_m=setup.ground.limits,
-        typical_ground_m=float(np.median(heights)) if heights.size else None,
-    )
-    return replace(setup, uncertainties=uncertainties)
-
-
-def ground_of_mission(mission: Mission, stations: Stations, heights: HeightSystem) -> Ground:
-    """The source of heights that the mission file names."""
-    section = mission.ground
-    if section.from_distance:
-        return SlantRangeGround(section.sigma_m)
-    offsets = ground_offsets(section.reference_of_values, stations, heights)
-    return GivenGround(section.constant_m, offsets, section.sigma_m)
 
 
 class Parts(Protocol):
@@ -235,9 +175,10 @@ class PartsOfRun:
         return found
 
     def write(self, number: int, table: pa.Table, statistics: Statistics) -> None:
-        """Write, seal and receipt a part."""
+        """Write, seal and receipt a part, whole at any time: another process may write it too."""
         name = _name(number)
-        write_parquet(table, self.folder.place(name))
+        with atomic_write(self.folder.place(name)) as draft:
+            write_parquet(table, draft)
         self.folder.seal(name)
         self.check()
         self.folder.write_receipt(name, statistics)
@@ -247,28 +188,47 @@ def _name(number: int) -> str:
     return f"observations/part-{number:05d}.parquet"
 
 
+def parts_of(path: Path, batch_rows: int) -> int:
+    """How many parts a table has that lets read slices of it alone (Parquet); 0 for others."""
+    rows = 0
+    if path.suffix.lower() == ".parquet":
+        with suppress(OSError, pa.ArrowException):  # said where the table is opened
+            rows = pq.read_metadata(path).num_rows
+    return math.ceil(rows / batch_rows)
+
+
 def correct_in_slices(
     observations: Observations,
     setup: CorrectionSetup,
     parts: PartsOfRun,
     *,
-    processes: int,
+    hands: Sequence[Hand],
     progress: Callable[[int], None],
     **named: Any,
 ) -> Statistics:
-    """`correct_stream` in several processes, if the table lets read slices of it alone.
+    """`correct_stream` by several hands.
 
     The counts are merged in the order of the parts, so that they are the same to the last bit.
     """
     make = partial(correct_stream, observations, setup, **named)
+    if not hands:
+        return make(parts=parts, progress=progress)
     rows = observations.rows_of_part(named["batch_rows"])
     count = math.ceil(observations.rows / rows)
-    if processes < 2 or count < 2 or observations.path.suffix.lower() != ".parquet":
-        return make(parts=parts, progress=progress)
     missing = [number for number in range(count) if parts.finished(number) is None]
-    make_parts(partial(make, parts=parts), missing, processes, lambda made: progress(made * rows))
-    # What a process left unmade is made here.
+    with storage_errors(parts.folder.path):
+        slices = Slices.of(parts.folder.staging, missing, len(hands))
+        parts_of_hands = replace(parts, check=partial(check_wanted, slices, parts.check))
+        make_all = partial(make, parts=parts_of_hands)
+        make_parts(make_all, slices, hands, lambda made: progress(made * rows))
+    # What a hand left unmade is made here.
     return make(parts=replace(parts, verify=False))
+
+
+def check_wanted(slices: Slices, check: Callable[[], None]) -> None:
+    """Raise OSError where the run that slices belong to has ended, then check."""
+    (slices.folder / "setup").open("rb").close()
+    check()
 
 
 def correct_counted(

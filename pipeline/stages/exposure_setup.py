@@ -9,12 +9,16 @@ from pipeline.atmosphere import Profile
 from pipeline.atmosphere.series.profile_series import ProfileSeries
 from pipeline.config import Mission
 from pipeline.errors import MissionError
+from pipeline.flight.heights import HeightSystem, ground_offsets
 from pipeline.flight.rotations import matrices_of
 from pipeline.flight.stations import Stations
 from pipeline.ledger import Ledger
 from pipeline.refraction.camera.camera import Camera, LensInAir, is_absurd, principal_change
 from pipeline.refraction.image import Exposures
+from pipeline.refraction.ray import rays_by
 from pipeline.refraction.window import OPTICAL_AXIS, Window
+from pipeline.stages.correction import CorrectionSetup
+from pipeline.stages.ground.ground_heights import GivenGround, Ground, SlantRangeGround
 from pipeline.units import HECTOPASCAL, Array, Mask, Names
 
 
@@ -201,3 +205,33 @@ def report_lenses(cameras: Iterable[str], lenses: Mapping[str, LensInAir], ledge
             "proportion to the height",
             where="cameras.<name>.principal_distance", count=len(uncorrected),
         )  # fmt: skip
+
+
+def correction_setup(
+    mission: Mission,
+    stations: Stations,
+    air: ProfileSeries,
+    exposures: Exposures,
+    heights: HeightSystem,
+) -> CorrectionSetup:
+    """Cameras, rays and ground of a mission. ``heights`` are those of its log."""
+    return CorrectionSetup(
+        stations.image,
+        stations.camera,
+        exposures,
+        ground_of_mission(mission, stations, heights),
+        cameras_of_mission(mission),
+        tuple(rays_by(profile, mission.refraction.method) for profile in air.profiles),
+        air.profile_number,
+        mission.refraction.direction,
+        (None,) * len(air.profiles),
+    )
+
+
+def ground_of_mission(mission: Mission, stations: Stations, heights: HeightSystem) -> Ground:
+    """The source of heights that the mission file names."""
+    section = mission.ground
+    if section.from_distance:
+        return SlantRangeGround(section.sigma_m)
+    offsets = ground_offsets(section.reference_of_values, stations, heights)
+    return GivenGround(section.constant_m, offsets, section.sigma_m)

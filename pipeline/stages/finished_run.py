@@ -20,8 +20,8 @@ from pipeline.atmosphere.refractive_index import IndexModel
 from pipeline.atmosphere.series.profile_series import ProfileSeries, TimedProfile
 from pipeline.batch.object_store.place import is_url
 from pipeline.config import Mission
-from pipeline.config.sections import HIGHEST_GROUND_M, LOWEST_GROUND_M
 from pipeline.errors import ConfigError, MissionError
+from pipeline.flight.heights import HIGHEST_GROUND_M, LOWEST_GROUND_M
 from pipeline.flight.stations import NO_TIME, SUSPECT, Stations
 from pipeline.geodesy import Gravity
 from pipeline.ingest.log import hash_file

@@ -5,8 +5,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from pipeline.batch.file_hashes import check_unchanged
 from pipeline.batch.kept import keep, recall
-from pipeline.batch.plan import Plan, check_unchanged
+from pipeline.batch.plan import Plan
 from pipeline.errors import MissionError
 from pipeline.flight.channels import ROLE_COLUMNS, Channel
 from pipeline.flight.evidence.contradictions import contradictions_of_import, examine
@@ -173,7 +174,7 @@ def decoded_log(plan: Plan) -> Log:
     if known is not None:
         return known
     log = open_log(file.path, file.sha256)
-    check_unchanged(plan, folders=False)  # or what is kept is not that of the hash
+    check_unchanged(plan.inputs, folders=False)  # or what is kept is not that of the hash
     arrays = (values for channel in log.channels for values in channel.columns.values())
     if sum(values.nbytes for values in arrays) < _MOST_KEPT_BYTES:
         keep(name, replace(log, table=None))  # which no run decodes

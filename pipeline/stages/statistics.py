@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from pipeline.config.sections import HIGHEST_GROUND_M, LOWEST_GROUND_M
+from pipeline.flight.heights import HIGHEST_GROUND_M, LOWEST_GROUND_M
 from pipeline.ledger import Ledger
 from pipeline.refraction.camera.camera import Camera
 from pipeline.refraction.image import Corrections

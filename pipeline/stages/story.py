@@ -6,7 +6,7 @@ Nothing is computed here: each step is a call of a stage, and each stage has a m
 import json
 import shutil
 from collections.abc import Callable, Mapping
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -21,6 +21,8 @@ from pipeline.atmosphere.estimate.adjusted_profile import unadjusted
 from pipeline.atmosphere.series.profile_series import TimedProfile, constant_series
 from pipeline.batch import store
 from pipeline.batch.changes import drawn_before, reasons_to_run
+from pipeline.batch.executors import ALONE, Helpers
+from pipeline.batch.file_hashes import check_unchanged
 from pipeline.batch.kept import keep, recall
 from pipeline.batch.keys import code_of_stages, key_of_drawn, versions
 from pipeline.batch.object_store.copies import fetched, version_of
@@ -29,7 +31,6 @@ from pipeline.batch.object_store.published import Publication, rehearse_place
 from pipeline.batch.outcomes import Outcome
 from pipeline.batch.plan import (
     Plan,
-    check_unchanged,
     fetch_inputs,
     make_plan,
     outcome_of,
@@ -54,6 +55,7 @@ from pipeline.stages import correction, plausibility
 from pipeline.stages.air.adjusted_profile import AirSources, adjusted_profiles, read_air_sources
 from pipeline.stages.cabin_air import with_cabin_air
 from pipeline.stages.exposure_setup import (
+    correction_setup,
     exposures_of_mission,
     lenses_of_mission,
     windows_of_mission,
@@ -67,7 +69,11 @@ from pipeline.stages.multi_image.intersected_heights import with_intersected_hei
 from pipeline.stages.outputs import manifest_of, observation_metadata, write_tables
 from pipeline.stages.stations import stations_of_mission
 from pipeline.stages.statistics import SAMPLED_ROWS, Statistics
-from pipeline.stages.uncertainty import report_unknown_sigmas
+from pipeline.stages.uncertainty import (
+    TYPICAL_ROWS,
+    report_unknown_sigmas,
+    with_uncertainties,
+)
 from pipeline.tables.exports import find_format
 from pipeline.tables.geodata.elevation import ElevationModel
 from pipeline.tables.geodata.geoid import package_geoid
@@ -120,13 +126,13 @@ def run_mission(
     *,
     force: bool = False,
     verify_inputs: bool = False,
-    processes: int = 1,
+    helpers: Helpers = ALONE,
     progress: Progress | None = None,
 ) -> Outcome:
     """Run one mission, from its file to its folder of results.
 
     Does nothing where the same inputs, mission file and code gave these results before, unless
-    ``force``. ``verify_inputs`` reads inputs that seem unchanged too.
+    ``force``. ``verify_inputs`` reads inputs that seem unchanged too. ``helpers`` make parts of it.
     """
     progress = progress or NoProgress()
     ref = MissionRef.of(mission)
@@ -135,11 +141,15 @@ def run_mission(
     plan = make_plan(mission_file, ref.folder, verify=verify_inputs)
     with places_named(plan):
         if isinstance(plan.output, Place):
-            return run_and_publish(plan, plan.output, force=force, progress=progress)
-        return run_plan(plan, force=force, progress=progress, processes=processes)
+            return run_and_publish(
+                plan, plan.output, force=force, progress=progress, helpers=helpers
+            )
+        return run_plan(plan, force=force, progress=progress, helpers=helpers)
 
 
-def run_and_publish(plan: Plan, place: Place, *, force: bool, progress: Progress) -> Outcome:
+def run_and_publish(
+    plan: Plan, place: Place, *, force: bool, progress: Progress, helpers: Helpers
+) -> Outcome:
     """Run a mission whose results go to object storage: made in the user's cache, then published.
 
     A run whose publication was interrupted is only published.
@@ -154,7 +164,7 @@ def run_and_publish(plan: Plan, place: Place, *, force: bool, progress: Progress
     lock = store.lock_folder(plan.folder.parent)
     try:
         here = replace(plan, output=plan.folder)
-        run = run_plan(here, force=force, progress=progress)
+        run = run_plan(here, force=force, progress=progress, helpers=helpers)
         if run.repeated and store.find_damage(plan.folder, run.manifest):
             run = run_plan(here, force=True, progress=progress)
         progress.start("uploading", sum(int(item["bytes"]) for item in run.manifest["outputs"]))
@@ -165,28 +175,33 @@ def run_and_publish(plan: Plan, place: Place, *, force: bool, progress: Progress
     return outcome_of(plan, manifest, repeated=False)
 
 
-def run_plan(plan: Plan, *, force: bool, progress: Progress, processes: int = 1) -> Outcome:
+def run_plan(plan: Plan, *, force: bool, progress: Progress, helpers: Helpers = ALONE) -> Outcome:
     """Run a mission with its inputs hashed, whose results go to a folder."""
-    with store.open_folder(plan.folder) as folder:
+    with ExitStack() as stack:
+        folder = stack.enter_context(store.open_folder(plan.folder))
         earlier = finished_before(plan, force=force)
         if earlier is not None:
             return outcome_of(plan, earlier, repeated=True)
         renewed = None if force else renew_report(plan, folder)
         if renewed is not None:
             return outcome_of(plan, renewed, repeated=False)
+        # They start now: the log is read in the meantime.
+        table, batch_rows = plan.input("observations").path, plan.mission.output.batch_rows
+        parts = correction.parts_of(table, batch_rows)
+        hands = stack.enter_context(helpers.hands(correction.__name__, parts))
         prepared = prepare_mission(plan, progress)
         observations = prepared.observations
         progress.start("correcting", observations.rows)
 
         def correct_all(setup: correction.CorrectionSetup) -> Statistics:
-            check_unchanged(plan)
-            folder.resume(f"{plan.keys['correction']} {plan.mission.output.batch_rows}", anew=force)
+            check_unchanged(plan.inputs)
+            folder.resume(f"{plan.keys['correction']} {batch_rows}", anew=force)
             return correction.correct_in_slices(
                 observations,
                 setup,
-                correction.PartsOfRun(folder, partial(check_unchanged, plan, folders=False)),
-                processes=processes,
-                batch_rows=plan.mission.output.batch_rows,
+                correction.PartsOfRun(folder, partial(check_unchanged, plan.inputs, folders=False)),
+                hands=hands,
+                batch_rows=batch_rows,
                 metadata=observation_metadata(plan.mission),
                 progress=progress.advance,
             )
@@ -194,7 +209,7 @@ def run_plan(plan: Plan, *, force: bool, progress: Progress, processes: int = 1)
         corrected = correct_mission(prepared, correct_all)
         progress.start("writing the report")
         write_results(corrected, folder)
-        check_unchanged(plan)
+        check_unchanged(plan.inputs)
         manifest = corrected.manifest | {"outputs": folder.outputs()}
         folder.commit(manifest)
     return outcome_of(plan, manifest, repeated=False)
@@ -223,7 +238,7 @@ def check_mission(
         return statistics
 
     corrected = correct_mission(prepared, correct_sample)
-    check_unchanged(plan)
+    check_unchanged(plan.inputs)
     return corrected
 
 
@@ -303,9 +318,7 @@ def correct_mission(
     stations = with_cabin_air(prepared.stations, windows, lenses, air.series, ledger)
     exposures = exposures_of_mission(mission, stations, air.series, ledger)
     report_unknown_sigmas(mission, stations, air.series, ledger)
-    setup = correction.correction_setup(
-        mission, stations, air.series, exposures, prepared.flight.heights
-    )
+    setup = correction_setup(mission, stations, air.series, exposures, prepared.flight.heights)
     setup = with_terrain(setup, prepared.terrain, stations, mission.ground.sigma_m, ledger)
     if mission.ground.height == "intersected":
         oriented = mission.stations.orientation is not None
@@ -313,8 +326,8 @@ def correct_mission(
             prepared.observations, setup, stations, ledger,
             unknown_sigmas=SIGMAS_OF_BLOCK if oriented else UNKNOWN_SIGMAS,
         )  # fmt: skip
-    batch = next(prepared.observations.batches(correction.TYPICAL_ROWS))
-    setup = correction.with_uncertainties(setup, mission, stations, air.series, batch)
+    batch = next(prepared.observations.batches(TYPICAL_ROWS))
+    setup = with_uncertainties(setup, mission, stations, air.series, batch)
     control = compare_control(
         prepared.plan, prepared.observations, setup, stations, prepared.flight.heights,
         ledger=ledger,
@@ -404,7 +417,7 @@ def renew_report(plan: Plan, folder: store.RunFolder) -> dict[str, Any] | None:
     for item in earlier["outputs"]:
         if item["name"] != "report.html":
             folder.leave(item)
-    check_unchanged(plan)
+    check_unchanged(plan.inputs)
     manifest |= {"outputs": folder.outputs()}
     folder.commit(manifest)
     return manifest

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
+import pyarrow as pa
 
 from pipeline.atmosphere.series.profile_series import ProfileSeries
 from pipeline.config import Mission
@@ -15,8 +16,36 @@ from pipeline.refraction.uncertainty.air_sigma import OPEN, SCHEDULED, window_ki
 from pipeline.refraction.uncertainty.budget import StationSigmas, uncertainty_of
 from pipeline.refraction.uncertainty.sigmas import Uncertainty
 from pipeline.stages.cabin_air import cabin_changes
+from pipeline.stages.correction import CorrectionSetup
 from pipeline.stages.exposure_setup import lenses_of_mission, windows_of_mission
+from pipeline.tables.geodata.object_points import matching_rows
+from pipeline.tables.observations import Batch
 from pipeline.units import Integers
+
+TYPICAL_ROWS = 2000
+"""The first rows of a table, whose ground is that of the leading mode of the air."""
+
+
+def with_uncertainties(
+    setup: CorrectionSetup, mission: Mission, stations: Stations, air: ProfileSeries, batch: Batch
+) -> CorrectionSetup:
+    """The setup with what standard deviations and derivatives are computed from.
+
+    The leading mode of the air is that of rays to the median height of the points of a ``batch``.
+    """
+    station = matching_rows(batch.image, pa.array(setup.images, pa.string()))
+    heights = setup.ground.heights(batch, station, setup).h_m
+    heights = heights[np.isfinite(heights)]
+    uncertainties = uncertainties_of_mission(
+        mission,
+        stations,
+        air,
+        setup.exposures,
+        cameras=setup.cameras,
+        ground_limits_m=setup.ground.limits,
+        typical_ground_m=float(np.median(heights)) if heights.size else None,
+    )
+    return replace(setup, uncertainties=uncertainties)
 
 
 def uncertainties_of_mission(

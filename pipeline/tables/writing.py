@@ -4,20 +4,21 @@ Source: OGC GeoParquet 1.1.0; OGC 06-103r4 (well-known binary). In a geometry th
 first, whatever the order of the axes in the coordinate reference system.
 """
 
+from __future__ import annotations
+
 import json
 import math
 import struct
 from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import ArrayLike
 
-from pipeline.atmosphere.estimate.adjusted_profile import Adjustment
 from pipeline.atmosphere.profile import profile_table
 from pipeline.atmosphere.series.profile_series import ProfileSeries, TimedProfile
 from pipeline.errors import storage_errors
@@ -28,6 +29,9 @@ from pipeline.tables.observations import Batch
 from pipeline.tables.pixels import PixelSystem
 from pipeline.tables.schemas import PROFILE_COLUMNS, STATION_COLUMNS, schema_of
 from pipeline.units import Array
+
+if TYPE_CHECKING:
+    from pipeline.atmosphere.estimate.adjusted_profile import Adjustment
 
 
 def geo_metadata(column: str) -> dict[str, str]:

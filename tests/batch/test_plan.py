@@ -12,9 +12,9 @@ import pytest
 import pipeline
 from pipeline.batch import keys
 from pipeline.batch import plan as planning
-from pipeline.batch.file_hashes import remembered_hash
+from pipeline.batch.file_hashes import check_unchanged, remembered_hash
 from pipeline.batch.keys import code_hash, hash_of_files
-from pipeline.batch.plan import check_unchanged, make_plan
+from pipeline.batch.plan import make_plan
 from pipeline.config import load_mission
 from pipeline.errors import ConfigError, InputError
 from pipeline.stages import inputs
@@ -71,14 +71,14 @@ def test_inputs_mission_file_and_code_count(mission, plan, monkeypatch):
 
 def test_a_file_that_is_written_to_is_changed_even_if_its_content_is_there_again(mission, plan):
     """Another content may have been there in between, and read."""
-    check_unchanged(plan)
+    check_unchanged(plan.inputs)
     content = mission.log.read_bytes()
     times = mission.log.stat().st_atime_ns, mission.log.stat().st_mtime_ns
     mission.log.write_bytes(content[:-9])
     mission.log.write_bytes(content)
     os.utime(mission.log, ns=times)  # as programs that copy files do
     with pytest.raises(InputError, match="INPUT-CHANGED"):
-        check_unchanged(plan)
+        check_unchanged(plan.inputs)
 
 
 def test_a_log_that_is_being_copied_is_not_kept_as_the_whole(mission, plan, monkeypatch):
@@ -152,7 +152,7 @@ def test_files_beside_a_raster_count_with_it(mission):
         (mission.folder / name).write_bytes(b"x")
         hashes.add(now().input("elevation model 1").sha256)
         with pytest.raises(InputError, match="INPUT-CHANGED"):
-            check_unchanged(plan)
+            check_unchanged(plan.inputs)
         (mission.folder / name).write_bytes(b"y")
         hashes.add(now().input("elevation model 1").sha256)
         (mission.folder / name).unlink()

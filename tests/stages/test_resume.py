@@ -18,8 +18,9 @@ import pytest
 
 from pipeline.atmosphere import standard_atmosphere
 from pipeline.batch import store
+from pipeline.batch.file_hashes import check_unchanged
 from pipeline.batch.kept import packed, unpacked
-from pipeline.batch.plan import check_unchanged, make_plan
+from pipeline.batch.plan import make_plan
 from pipeline.batch.store import find_damage, open_folder, read_manifest
 from pipeline.config import load_mission
 from pipeline.errors import InputError, StorageError
@@ -266,11 +267,11 @@ def test_no_receipt_is_written_for_inputs_that_changed(mission, tmp_path):
     plan = make_plan(load_mission(mission.save()), mission.folder)
     observed = plan.input("observations").path
     content = observed.read_bytes()
-    check_unchanged(plan)
+    check_unchanged(plan.inputs)
     observed.write_bytes(content[:-1] + bytes([content[-1] ^ 1]))
     os.utime(observed, ns=(plan.input("observations").stamp[0][3],) * 2)
     with pytest.raises(InputError, match="INPUT-CHANGED"):
-        check_unchanged(plan, folders=False)
+        check_unchanged(plan.inputs, folders=False)
 
 
 def test_parts_may_be_made_by_others_in_any_order(stream, untouched, tmp_path):

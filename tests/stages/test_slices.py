@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import hashlib
+import pickle
+import threading
 import time
+from functools import partial
 from pathlib import Path
 
 import pyarrow as pa
@@ -11,7 +14,7 @@ import pytest
 
 from pipeline.batch import executors
 from pipeline.batch.apart import Child
-from pipeline.batch.outcomes import Lost
+from pipeline.batch.outcomes import Lost, end_of
 from pipeline.stages import correction
 
 BATCH_ROWS, COPIES = 1000, 200
@@ -79,17 +82,62 @@ def test_what_another_process_leaves_is_made_here(large, monkeypatch, end):
     assert len(parts) == -(-large.results().num_rows // BATCH_ROWS)
 
 
-def test_slices_cover_all_numbers_once(monkeypatch):
-    monkeypatch.setattr(Child, "run", lambda self, task: Lost("killed"))
-    for count, processes in ((1, 4), (7, 2), (100, 3)):
-        made, progress = [], []
-        executors.make_parts(
-            lambda numbers, made=made: made.extend(numbers),
-            range(count),
-            processes,
-            progress.append,
-        )
-        # What was given to others is unmade: no more than one slice each.
-        assert len(made) == len(set(made)) == sum(progress)
-        size = -(-count // (processes * 3))
-        assert len(made) >= count - (processes - 1) * size
+def test_slices_cover_all_numbers_once(tmp_path):
+    """Whatever hands do: nothing, die at once or when they have taken a slice, or work."""
+
+    def dies(task):
+        next(executors.made_with(*pickle.loads(task).args[:2])[1].taken("hand-1"))
+        return Lost("killed by SIGKILL")
+
+    for count in (0, 1, 7, 100):
+        for hands in ([], [lambda task: Lost("killed")], [lambda task: pickle.loads(task)(), dies]):
+            slices = executors.Slices.of(tmp_path, range(count), len(hands))
+            assert [n for some in slices.numbers for n in some] == list(range(count))
+            made, progress = tmp_path / str(slices.folder.name) / "made", []
+            executors.make_parts(partial(note, made), slices, hands, progress.append)
+            numbers = [int(n) for n in made.read_text().split()] if made.exists() else []
+            assert len(numbers) == len(set(numbers))
+            assert sum(progress) == count
+            lost = slices.numbers[0] if dies in hands and count else ()
+            assert len(numbers) >= count - max(map(len, slices.numbers), default=0) * bool(lost)
+
+
+def note(file, numbers):
+    with file.open("a") as stream:
+        print(*numbers, file=stream)
+
+
+def test_a_hand_that_has_not_begun_is_not_waited_for(tmp_path):
+    """As on a cluster whose workers are busy: it comes when all is done, and makes nothing."""
+    waits, late = threading.Event(), []
+
+    def busy(task):
+        waits.wait(100.0)
+        late.append(pickle.loads(task)())
+
+    slices = executors.Slices.of(tmp_path, range(20), 1)
+    executors.make_parts(partial(note, tmp_path / "made"), slices, [busy], lambda made: None)
+    assert sorted(map(int, (tmp_path / "made").read_text().split())) == list(range(20))
+    waits.set()
+    limit = time.monotonic() + 100.0
+    while not late:
+        assert time.monotonic() < limit
+        time.sleep(0.01)
+    assert late == [[]]
+
+
+def test_a_set_up_of_another_hash_is_refused(tmp_path):
+    slices, ends = executors.Slices.of(tmp_path, range(20), 1), []
+
+    def other(task):
+        setup = slices.folder / "setup"
+        setup.write_bytes(setup.read_bytes().replace(b"note", b"fade"))
+        ends.append(end_of(pickle.loads(task)))
+
+    executors.make_parts(partial(note, tmp_path / "made"), slices, [other], lambda made: None)
+    limit = time.monotonic() + 100.0
+    while not ends:
+        assert time.monotonic() < limit
+        time.sleep(0.01)
+    assert ends[0].code == "INPUT-CHANGED"
+    assert sorted(map(int, (tmp_path / "made").read_text().split())) == list(range(20))

@@ -11,10 +11,8 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.batch.plan import Plan
-from pipeline.config.sections import HIGHEST_GROUND_M, LOWEST_GROUND_M
 from pipeline.errors import MissionError
-from pipeline.flight.heights import HeightSystem
+from pipeline.flight.heights import HIGHEST_GROUND_M, LOWEST_GROUND_M, HeightSystem
 from pipeline.flight.stations import Stations
 from pipeline.ledger import Ledger
 from pipeline.refraction.chord import target_heights
@@ -26,6 +24,7 @@ from pipeline.tables.observations import Batch
 from pipeline.units import Array, Integers
 
 if TYPE_CHECKING:
+    from pipeline.batch.plan import Plan
     from pipeline.stages.correction import CorrectionSetup
 
 

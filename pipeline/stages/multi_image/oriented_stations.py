@@ -23,10 +23,14 @@ from pipeline.block.oriented_images import (
     stations_of_images,
     topocentric,
 )
-from pipeline.config.sections import HIGHEST_GROUND_M, LOWEST_GROUND_M
 from pipeline.config.station_sources import EnuFrame, KnownPositions, OrientationSection
 from pipeline.errors import InputError, MissionError
-from pipeline.flight.heights import GeodeticOrigin, ground_offsets
+from pipeline.flight.heights import (
+    HIGHEST_GROUND_M,
+    LOWEST_GROUND_M,
+    GeodeticOrigin,
+    ground_offsets,
+)
 from pipeline.flight.image_names import renamed
 from pipeline.flight.rotations import (
     ANGLE_MISTAKES,
