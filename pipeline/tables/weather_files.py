@@ -37,7 +37,7 @@ _NAMES = {
     "surface geopotential": {"z", "orog", "surface_geopotential"},
     "log surface pressure": {"lnsp"},
 }
-_MODEL_LEVELS = ("hybrid", "model_level")
+_MODEL_LEVELS, _OF_MODEL = ("hybrid", "model_level"), re.compile("model|hybrid|sigma")
 _LEVELS = ("level", "pressure_level", "plev", "lev", *_MODEL_LEVELS)
 _LATITUDE, _LONGITUDE = ("latitude", "lat"), ("longitude", "lon")
 _MEMBERS, _VERSIONS = ("number", "member", "realization", "ensemble"), ("expver",)
@@ -150,7 +150,8 @@ def _levels(field: Any) -> _Levels | None:
         return None
     attributes = {key: str(text).lower() for key, text in field[name].attrs.items()}
     values = np.asarray(field[name].values, np.float64)
-    of_model = name.lower() in _MODEL_LEVELS or "model" in attributes.get("long_name", "")
+    words = attributes.get("long_name", "") + attributes.get("standard_name", "")
+    of_model = name.lower() in _MODEL_LEVELS or bool(_OF_MODEL.search(words))
     unit = attributes.get("units", "hpa" if values.max() < 2000.0 else "pa")
     if not of_model and unit in _HECTOPASCALS:
         values = values * HECTOPASCAL

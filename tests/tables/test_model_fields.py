@@ -171,6 +171,8 @@ MODEL_LEVELS_REFUSED = {
                   "run from 14 to 91, 78 in all: the lowest of ERA5 is 137"),
     "one is missing": (lambda f: f.drop_sel(hybrid=100.0), "MODEL-LEVELS", "60 to 137, 77 in all"),
     "no lnsp": (lambda f: f.drop_vars("lnsp"), "MODEL-VARIABLE", "no lnsp"),
+    "surface pressure in the place of its logarithm": (lambda f: f.assign(
+        lnsp=np.exp(f.lnsp)), "MODEL-UNITS", "z or lnsp has another unit"),
     "heights of the ground divided twice": (lambda f: f.assign(z=f.z * 9.80665),
                                             "MODEL-UNITS", "z or lnsp has another unit"),
 }  # fmt: skip
@@ -244,7 +246,13 @@ REFUSED = {
         pole=((), 0, {"grid_mapping_name": "rotated_latitude_longitude"})),
                 "MODEL-GRID", "its grid is rotated_latitude_longitude"),
     "Celsius": (lambda f: spoiled(f, "t", lambda t: t - 273.15), "MODEL-UNITS", "temperatures"),
-    "g/kg": (lambda f: spoiled(f, "q", lambda q: 1000.0 * q), "MODEL-UNITS", "humidity up to"),
+    "g/kg": (lambda f: spoiled(f, "q", lambda q: 1000.0 * q), "MODEL-UNITS", "humidity from .* up to"),
+    "humidity missing as -9999": (lambda f: spoiled(f, "q", lambda q: q.where(
+        q.pressure_level != 700.0, -9999.0)), "MODEL-UNITS", "humidity from -9999 up to"),
+    "a mixing ratio called r": (lambda f: f.rename(q="r"), "MODEL-UNITS", "relative humidity from"),
+    "hybrid levels that look like pressures": (lambda f: f.assign_coords(lev=(
+        "pressure_level", f.pressure_level.values, {"units": "hPa", "long_name": "hybrid level"}
+    )).swap_dims(pressure_level="lev"), "MODEL-VARIABLE", "no lnsp"),
     "feet": (lambda f: spoiled(f, "z", lambda z: z / 0.3048), "MODEL-UNITS", "as thick"),
     "levels of the stratosphere": (lambda f: f.assign_coords(
         pressure_level=f.pressure_level / 7.0), "MODEL-UNITS", "not near the ground"),
@@ -357,6 +365,11 @@ def test_levels_with_missing_values_and_under_the_ground_are_left_out_and_counte
     found, notes = column(read(netcdf(tmp_path / "holes.nc", holes)), ground_h_m=1000.0)
     assert {n.code: n.count for n in notes} == {"MODEL-MISSING": 1, "MODEL-UNDERGROUND": 4}
     assert not np.isclose(found.pressure_pa, 80_000.0).any()
+    lost = fields.copy(deep=True)  # all from 700 hPa up: what is missing is the column's top
+    lost.z[:, 12:] = np.nan
+    found, notes = column(read(netcdf(tmp_path / "lost.nc", lost)), ground_h_m=1000.0)
+    assert {n.code: n.count for n in notes}["MODEL-MISSING"] == fields.pressure_level.size - 12
+    assert found.h_m[-1] < 4000.0
     holes.t[:, 4:, 0, 1] = np.nan
     with pytest.raises(InputError, match="0 levels above the ground"):
         column(read(netcdf(tmp_path / "more.nc", holes)), ground_h_m=1000.0)
@@ -376,7 +389,8 @@ def test_below_the_lowest_level_sigma_grows(fields, tmp_path):
 
 
 def test_a_ground_that_nobody_knows_is_the_models(fields, tmp_path):
-    for more, height in ({}, 0.0), ({"orog": fields.z[:, 0] * 0.0 + 600.0}, 600.0):
+    flat = fields.z[:, 0] * 0.0
+    for more, height in ({}, 0.0), ({"orog": flat + 600.0}, 600.0), ({"orog": flat / 0.0}, 0.0):
         with_ground = fields.assign({k: v.assign_attrs(units="m") for k, v in more.items()})
         _, notes = column(read(netcdf(tmp_path / f"g{height}.nc", with_ground)),
                           ground_h_m=float("nan"))  # fmt: skip

@@ -77,7 +77,8 @@ def model_column(
         notes.append(note("MODEL-UNDERGROUND", where=where, count=count, bottom=bottom))
     if used.sum() < FEWEST_LEVELS or bool(np.any(np.diff(height[used]) <= 0.0)):
         raise too_few_levels(np.exp(log_p[used]), where, "above the ground")
-    if missing := int((~known & (log_p >= log_p[used][-1])).sum()):
+    above = log_p[known & (height >= top)]  # none: what is missing may have been the top
+    if missing := int((~known & (log_p >= above[:1].max(initial=-math.inf))).sum()):
         notes.append(fallback("MODEL-MISSING", where=where, count=missing, total=known.size))
     height, t, vapour, log_p = height[used], t[used], vapour[used], log_p[used]
     above = height - ground

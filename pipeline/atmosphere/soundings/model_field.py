@@ -34,7 +34,10 @@ MODEL_LEVELS = 137
 _RATIO = 0.622  # of the molar masses of water and dry air
 _THICKNESS_RATIO = 0.03  # as `level_checks`: heights come from the same temperatures
 _SURFACE_PA = (30_000.0, 110_000.0)  # the highest pressure of levels that reach the ground
-_COLDEST_K, _WARMEST_K, _MOST_Q, _MOST_FRACTION = 150.0, 340.0, 0.05, 1.6
+_COLDEST_K, _WARMEST_K, _MOST_FRACTION = 150.0, 340.0, 1.6
+_SPECIFIC, _RELATIVE = (-1e-3, 1e-6, 0.05), (-0.3, 0.05, _MOST_FRACTION)
+"""Of the driest level at least; of the wettest, at least and at most. Spectral models have air a
+little below zero; air without a level above 5 % of relative humidity is none."""
 _EARTH_KM, _SEA_LEVEL_PA, _SCALE_HEIGHT_M = 6371.0, 101_325.0, 8000.0
 _WIDEST_STEP, _ROUNDING = 0.2, 1e-9  # of nodes [rad]
 _GROUND_M, _SURFACE_LOG_P = (-600.0, 9000.0), 0.25
@@ -213,14 +216,15 @@ def checked_field(field: ModelField, where: str) -> tuple[ModelField, Notes]:
     low, high = float(np.nanmin(t)), float(np.nanmax(t))
     if not _COLDEST_K <= low <= high <= _WARMEST_K:
         raise refused(f"temperatures from {low:.6g} to {high:.6g} K: that is no air")
-    wettest = float(np.nanmax(q))
-    if field.relative and wettest > _MOST_FRACTION:
+    if field.relative and np.nanmax(q) > _MOST_FRACTION:
         field = replace(field, humidity=q / 100.0)
-        wettest /= 100.0
-    if wettest > (_MOST_FRACTION if field.relative else _MOST_Q):
+    driest, wettest = float(np.nanmin(field.humidity)), float(np.nanmax(field.humidity))
+    lowest, least, most = _RELATIVE if field.relative else _SPECIFIC
+    if driest < lowest or not least <= wettest <= most:
         kind = "relative" if field.relative else "specific"
-        raise refused(f"{kind} humidity up to {wettest:.6g}: not kg/kg, and no fraction of 1")
-    if field.surface.size:
+        raise refused(f"{kind} humidity from {driest:.6g} up to {wettest:.6g}: not kg/kg, and no "
+                      "fraction of 1")  # fmt: skip
+    if bool(np.isfinite(field.surface).any()):
         ground = field.surface
         if not _GROUND_M[0] <= float(np.nanmin(ground)) <= float(np.nanmax(ground)) <= _GROUND_M[1]:
             raise refused(f"its ground is up to {np.nanmax(ground):.6g} m high")
@@ -228,8 +232,8 @@ def checked_field(field: ModelField, where: str) -> tuple[ModelField, Notes]:
             expected = math.log(_SEA_LEVEL_PA) - ground / _SCALE_HEIGHT_M
             off = float(np.nanmax(np.abs(field.log_surface_pa - expected)))
             if off > _SURFACE_LOG_P:
-                raise refused(f"surface pressures are up to {math.expm1(off):.0%} from those of "
-                              "its ground's height: z or lnsp has another unit")  # fmt: skip
+                raise refused(f"ln of surface pressure is up to {off:.3g} from that of its "
+                              "ground's height: z or lnsp has another unit")  # fmt: skip
     if field.on_model_levels:
         return field, ()
     lowest = float(field.level[-1])
