@@ -6,7 +6,7 @@ A season's inputs are a terabyte: they are read for their hashes once, not at ea
 import hashlib
 import os
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -85,7 +85,7 @@ def remembered_hash(path: Path, *, verify: bool = False, of_jpeg: int | None = N
     is_jpeg = start.startswith(b"\xff\xd8")
     sha256 = hashlib.sha256(start).hexdigest() if is_jpeg else hash_file(path)
     if settled:
-        remember(place, stamped, sha256)
+        remember({place: (stamped, sha256)})
     return sha256
 
 
@@ -95,9 +95,14 @@ def recalled(place: str, stamped: Any) -> str | None:
     return sha256 if stamped is not None and was == stamped else None
 
 
-def remember(place: str, stamped: Any, sha256: str) -> None:
-    """Remember the SHA-256 of a path or URL for as long as its stamp, or version, stays."""
-    write_entries(_DATABASE, {place: [stamped, sha256]}, _MOST_FILES)
+def remember(hashes: Mapping[str, tuple[Any, str]]) -> None:
+    """Remember the stamp, or version, and SHA-256 of paths or URLs for as long as that stays."""
+    write_entries(_DATABASE, hashes, _MOST_FILES)
+
+
+def known_hash(path: Path) -> str | None:
+    """`remembered_hash` of a file of which one is remembered, as it is or as it was; else None."""
+    return remembered_hash(path) if read_entry(_DATABASE, os.path.realpath(path)) else None
 
 
 def check_unchanged(inputs: Iterable[Input], *, folders: bool = True) -> None:

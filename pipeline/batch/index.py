@@ -82,8 +82,7 @@ def remember(refs: Iterable[MissionRef], describe: Callable[[Row], Row]) -> None
     program, entries = _program(), {}
     for ref in refs:
         with suppress(UnbendError, OSError):
-            content = entry_of(ref, describe)
-            if content is not None:
+            if content := entry_of(ref, describe):
                 entries[_key(ref)] = content | {"program": program}
     write_entries(_DATABASE, entries, _MOST_ENTRIES)
 

@@ -196,7 +196,7 @@ def code_of_package() -> dict[str, str]:
         return dict(json.loads(known))
     codes = code_below(root)
     if hash_of_files(root) == of_files:  # nobody has edited one in between
-        remember(f"code of {root}", of_files, json.dumps(codes))
+        remember({f"code of {root}": (of_files, json.dumps(codes))})
     return codes
 
 

@@ -76,7 +76,7 @@ class Plan:
     @property
     def fingerprint(self) -> str:
         """SHA-256 over the keys of all stages."""
-        return fingerprint_of(self.keys)
+        return hashlib.sha256(json.dumps(self.keys, sort_keys=True).encode()).hexdigest()
 
     @property
     def folder(self) -> Path:
@@ -199,7 +199,7 @@ def make_plan(mission: Mission, folder: Path, *, verify: bool = False) -> Plan:
                 if known is None or role.startswith("camera "):  # that is read with the file
                     copy = fetched(path, version, anew=verify)
                 sha256 = known or _hash_input(copy, program, verify=verify)
-                remember(key, version, sha256)
+                remember({key: (version, sha256)})
                 inputs.append(Input(role, name, copy, sha256, version, program, path))
             else:
                 before = tuple(map(stamp, files_of(path, program)))
@@ -278,8 +278,3 @@ def _hash_input(path: Path, program: str | None, *, verify: bool) -> str:
         start = remembered_hash(file, verify=verify, of_jpeg=_EXIF_BYTES)
         digest.update(f"{file.relative_to(path)}\0{file.stat().st_size}\0{start}\0".encode())
     return digest.hexdigest()
-
-
-def fingerprint_of(keys: Mapping[str, str]) -> str:
-    """SHA-256 over the keys of the stages."""
-    return hashlib.sha256(json.dumps(keys, sort_keys=True).encode()).hexdigest()

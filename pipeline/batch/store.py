@@ -21,6 +21,7 @@ from uuid import uuid4
 
 from filelock import FileLock, Timeout
 
+from pipeline.batch.file_hashes import known_hash, remember, remembered_hash, stamp
 from pipeline.batch.kept import packed, unpacked
 from pipeline.batch.object_store.place import Place
 from pipeline.errors import OutputInUseError, StorageError, storage_errors
@@ -163,6 +164,8 @@ class RunFolder:
                 sync_folder(folder)
             replace_file(draft, self.path / MANIFEST)
             sync_folder(self.path)
+            files = {os.path.realpath(self.path / name): self._seals[name][0] for name in staged}
+            remember({file: (stamp(file), sha256) for file, sha256 in files.items()})
             _remove(self.staging)
 
 
@@ -369,8 +372,9 @@ def read_manifest(path: Path | Place, *, damaged: bool = False) -> dict[str, Any
 def find_damage(path: Path | Place, manifest: dict[str, Any], *, read: bool = True) -> list[str]:
     """What is missing or changed in a run's folder, one line each; empty when nothing is.
 
-    ``read=False`` compares only names and sizes of the parts, and the content of the other files;
-    in object storage, where no file of an attempt is written twice, names and sizes.
+    ``read=False`` compares names and sizes, and the content of files but for parts of which no
+    hash is remembered; what stayed as it was hashed is not read. In object storage, where no file
+    of an attempt is written twice, names and sizes.
     """
     damage = []
     known = {str(item["name"]) for item in manifest["outputs"]}
@@ -390,7 +394,10 @@ def find_damage(path: Path | Place, manifest: dict[str, Any], *, read: bool = Tr
         elif isinstance(path, Place):
             if read and (path / name).sha256() != item["sha256"]:
                 damage.append(f"{name}: its content has changed")
-        elif (read or "/" not in name) and hash_file(path / name) != item["sha256"]:
-            damage.append(f"{name}: its content has changed")
+        else:
+            file, by_size = path / name, "/" in name and not read
+            sha256 = known_hash(file) if by_size else remembered_hash(file, verify=read)
+            if sha256 not in (None, item["sha256"]):
+                damage.append(f"{name}: its content has changed")
     damage += [f"{name}: belongs to no run" for name in sorted(present - known)]
     return damage

@@ -18,13 +18,13 @@ def _methods() -> list[str]:
     return list(METHODS)
 
 
-Atmosphere = Annotated[
-    str,
-    typer.Option(
-        help="name of a standard atmosphere",
-        autocompletion=lambda: list(import_module("pipeline.atmosphere.standard").ATMOSPHERES),
-    ),
-]
+def _atmospheres() -> list[str]:
+    return list(import_module("pipeline.atmosphere.standard").ATMOSPHERES)
+
+
+_NAMED = typer.Option(help="name of a standard atmosphere", autocompletion=_atmospheres)
+Atmosphere = Annotated[str, _NAMED]
+Radius = Annotated[float, typer.Option(min=1.0, help="radius of the earth, metres")]
 
 
 class _AngleCommand(TyperCommand):
@@ -50,7 +50,7 @@ def angle(
     atmosphere: Atmosphere = "us1976",
     method: Annotated[str, typer.Option(autocompletion=_methods)] = "spherical",
     index: Annotated[str, typer.Option(help="ciddor or gyer (Eq. 13)")] = "ciddor",
-    radius: Annotated[float, typer.Option(help="radius of the earth, metres")] = 6_371_000.0,
+    radius: Radius = 6_371_000.0,
     distance: Annotated[
         float | None,
         typer.Option(help="slant range, metres: which of two crossings is meant (spherical)"),
@@ -96,7 +96,7 @@ def radial(
     focal_px: Annotated[float | None, typer.Option(help="principal distance, pixels")] = None,
     max_angle: Annotated[float, typer.Option(help="largest nadir angle, degrees")] = 60.0,
     step: Annotated[float, typer.Option(min=0.01, help="degrees between rows")] = 5.0,
-    radius: Annotated[float, typer.Option(help="radius of the earth, metres")] = 6_371_000.0,
+    radius: Radius = 6_371_000.0,
     csv: Annotated[Path | None, typer.Option(help="write the rows as CSV")] = None,
     quiet: Quiet = False,
     as_json: AsJson = False,

@@ -89,7 +89,10 @@ def sentences_of(
                 what = f"unknown key; there is {', '.join(known)}"
                 what = f"unknown key; perhaps {near[0]!r}?" if near else what
             case "missing":
-                what = f"is missing: {_meaning(place)}"
+                texts = [n["description"] for n in nodes_at(place) if "description" in n][:1]
+                allowed = _allowed(place)
+                texts += [allowed] if len(allowed) < 160 or not texts else []
+                what = f"is missing: {'; '.join(texts)}"
             case _ if arm:
                 continue
             case _:
@@ -171,10 +174,3 @@ def _allowed(place: Place) -> str:
     examples = [as_written(node["examples"][0]) for node in nodes if "examples" in node]
     as_in = f", as {examples[0]}" if examples and " | " not in words else ""
     return f"it takes {words}{as_in}"
-
-
-def _meaning(place: Place) -> str:
-    """What a key is for, and what may stand there."""
-    texts = dict.fromkeys(n["description"] for n in nodes_at(place) if "description" in n)
-    allowed = _allowed(place)
-    return "; ".join([*list(texts)[:1], *([allowed] if len(allowed) < 160 or not texts else [])])

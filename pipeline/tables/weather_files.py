@@ -168,8 +168,7 @@ def _find(datasets: Sequence[Any], quantity: str) -> Any | None:
     for dataset in datasets:
         for name, field in dataset.data_vars.items():
             short = str(name).lower().split("_isobaric")[0]
-            names = {short, str(field.attrs.get("standard_name")), str(
-                field.attrs.get("GRIB_shortName"))}  # fmt: skip
+            names = {short, *(field.attrs.get(of) for of in ("standard_name", "GRIB_shortName"))}
             levels = _levels(field)
             if not names & _NAMES[quantity]:
                 continue
@@ -314,20 +313,14 @@ def read_model_field(
         unit = "" if surface is None else str(surface.attrs.get("units", surface.name)).lower()
         metre = STANDARD_GRAVITY if unit == "z" or _PER_SECOND.search(unit) else 1.0
         field = ModelField(
-            name=where,
-            time_ns=part.time_ns,
-            latitude_rad=part.latitude_rad,
-            longitude_rad=part.longitude_rad,
-            level=level,
-            temperature_k=part.values(t, level),
-            humidity=part.values(humidity, level),
+            name=where, time_ns=part.time_ns, lead_h=part.lead_h, level=level,
+            latitude_rad=part.latitude_rad, longitude_rad=part.longitude_rad,
+            temperature_k=part.values(t, level), humidity=part.values(humidity, level),
             height=np.empty(0) if height is None else part.values(height, level),
             surface=np.empty(0) if surface is None else part.values(surface, fixed=True) / metre,
             log_surface_pa=part.values(log_surface) if of_model else np.empty(0),
-            lead_h=part.lead_h,
-            relative=specific is None,
-            on_model_levels=of_model,
-        )
+            relative=specific is None, on_model_levels=of_model,
+        )  # fmt: skip
     return ledger.take(checked_field(field, where))
 
 

@@ -41,14 +41,14 @@ def test_a_refused_run_does_not_make_a_folder_ours(tmp_path: Path) -> None:
     assert (tmp_path / "stations.parquet").read_text(encoding="utf-8") == "the user's"
 
 
-def test_a_flipped_byte_in_a_small_file_is_seen_by_a_rerun(tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["stations.parquet", "observations/part-00000.parquet"])
+def test_a_flipped_byte_is_seen_by_a_rerun(tmp_path: Path, name: str) -> None:
     commit(tmp_path, "stations.parquet", "observations/part-00000.parquet")
     manifest = read_manifest(tmp_path)
     assert manifest is not None
     assert find_damage(tmp_path, manifest, read=False) == []
-    (tmp_path / "stations.parquet").write_text("stations.parqueT", encoding="utf-8")
-    (damage,) = find_damage(tmp_path, manifest, read=False)
-    assert "stations.parquet" in damage
+    (tmp_path / name).write_text(name[:-1] + "T", encoding="utf-8")
+    assert find_damage(tmp_path, manifest, read=False) == [f"{name}: its content has changed"]
 
 
 @pytest.mark.parametrize("outputs", [5, [5], "x"])

@@ -246,7 +246,7 @@ REFUSED = {
         pole=((), 0, {"grid_mapping_name": "rotated_latitude_longitude"})),
                 "MODEL-GRID", "its grid is rotated_latitude_longitude"),
     "Celsius": (lambda f: spoiled(f, "t", lambda t: t - 273.15), "MODEL-UNITS", "temperatures"),
-    "g/kg": (lambda f: spoiled(f, "q", lambda q: 1000.0 * q), "MODEL-UNITS", "humidity from .* up to"),
+    "g/kg": (lambda f: spoiled(f, "q", lambda q: 1000.0 * q), "MODEL-UNITS", "8.79.*: not kg"),
     "humidity missing as -9999": (lambda f: spoiled(f, "q", lambda q: q.where(
         q.pressure_level != 700.0, -9999.0)), "MODEL-UNITS", "humidity from -9999 up to"),
     "a mixing ratio called r": (lambda f: f.rename(q="r"), "MODEL-UNITS", "relative humidity from"),

@@ -69,9 +69,8 @@ def model_column(
     bottom = ground if math.isnan(surface) else max(surface, ground)
     with np.errstate(invalid="ignore"):
         under = known & (height < bottom)
-        top = max(
-            ground + _TOP_M, float(gravity.geopotential_height(highest_h_m + _ABOVE_CAMERA_M))
-        )
+        highest = float(gravity.geopotential_height(highest_h_m + _ABOVE_CAMERA_M))
+        top = max(ground + _TOP_M, highest)
         used = known & ~under & (height < top)
     if count := int(under.sum()):
         notes.append(note("MODEL-UNDERGROUND", where=where, count=count, bottom=bottom))
