@@ -29,6 +29,8 @@ _GRACE_S = 3.0
 _IDLE_S = 60.0
 """How long a child without a task waits for another one."""
 
+_SERVE = "from pipeline.batch.apart import serve; serve()"
+
 
 class Child:
     """A process that runs one task at a time; started when it is needed, or before.
@@ -60,8 +62,7 @@ class Child:
     def started(self) -> subprocess.Popen[bytes]:
         """The process, with our paths of modules, out of reach of a terminal's Ctrl-C."""
         own = {} if self._threads is None else {"UNBEND_THREADS": str(self._threads)}
-        code = f"import sys; sys.path[:] = {sys.path!r}; import {self._module}; "
-        code += f"from {__name__} import serve; serve()"
+        code = f"import sys; sys.path[:] = {sys.path!r}; import {self._module}; {_SERVE}"
         return subprocess.Popen(
             [sys.executable, "-P", "-c", code],
             stdin=subprocess.PIPE,

@@ -1,7 +1,8 @@
 """Missions on a Dask cluster: a task is one mission, which the worker runs apart.
 
 The death of a mission's process costs that mission, the death of a worker its missions under way,
-which others run again. What a worker gets is a reference to a mission, what it gives a receipt.
+which others run again. What a worker gets is a reference to a mission, what it gives a receipt. A
+large mission has hands on other workers; tasks of hands come after those of missions.
 """
 
 from __future__ import annotations
@@ -10,19 +11,22 @@ import asyncio
 import json
 import logging
 import pickle
+import socket
 import threading
 import time
 import uuid
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from queue import SimpleQueue
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
+from urllib.parse import urlsplit
 
-from pipeline.batch.apart import Child, stop_all
-from pipeline.batch.executors import Ends, Task
+from pipeline.batch.apart import Child, run_pickled, stop_all
+from pipeline.batch.executors import Ends, Hand, Task
 from pipeline.batch.keys import version, versions
 from pipeline.batch.outcomes import Bug, Lost, TaskEnd
 from pipeline.errors import ConfigError, MissionError, OutputInUseError
@@ -35,6 +39,9 @@ if TYPE_CHECKING:
 _CONNECT_S = 10.0
 """How long a scheduler may take to answer, and to have its first worker."""
 
+_ASK_S = 2.0
+"""How often it is asked whether the worker of a hand is still there."""
+
 _STOP_S = 4.0
 """How long an interrupted command waits until its missions are stopped."""
 
@@ -43,6 +50,9 @@ _SUBMISSIONS = 6
 
 _ATTEMPTS = 20
 """How often, twice a second, a mission is tried whose folder another process still holds."""
+
+_SHARED_PARTS = 20, 400
+"""Parts of a mission that is worth a client of its own, where threads are idle, and else."""
 
 _OPTIONAL = ("dask", "distributed", "pycolmap", "obstore")
 """Libraries that no number depends on, but must be the same everywhere or nowhere."""
@@ -104,9 +114,13 @@ class Cluster:
         with connected(self._scheduler, command) as client:
             check_workers(client, command, own, [mission.path for mission in tasks])
             waiting: dict[str, tuple[MissionRef, Any, int]] = {}
+            address, threads = client.scheduler_info()["address"], sum(client.nthreads().values())
+            fewest = _SHARED_PARTS[len(tasks) >= threads]
+            helpers = ClusterHelpers(address, command, own, fewest)
 
             def submit(mission: MissionRef, times: int) -> None:
-                task = pickle.dumps(partial(run_here, own, tasks[mission]))
+                run = partial(tasks[mission], helpers=helpers)
+                task = pickle.dumps(partial(run_here, own, run))
                 future = client.submit(run_apart, command, task, pure=False)
                 waiting[future.key] = mission, future, times
                 future.add_done_callback(events.put)
@@ -124,6 +138,51 @@ class Cluster:
                         ends.put((mission, Lost(str(error))))
 
 
+@dataclass(frozen=True)
+class ClusterHelpers:
+    """The workers of the scheduler that a mission came from, for one of ``fewest`` parts or more.
+
+    ``versions`` are those that a worker must have.
+    """
+
+    scheduler: str
+    command: str
+    versions: Mapping[str, str]
+    fewest: int
+
+    @contextmanager
+    def hands(self, module: str, parts: int) -> Iterator[list[Hand]]:
+        """A hand for each thread of the workers; none where the scheduler has gone.
+
+        That of the mission's own thread never begins.
+        """
+        client: Any = None
+        if parts >= self.fewest:
+            with suppress(ConfigError, ImportError):
+                client = client_of(self.scheduler)
+        if client is None:
+            yield []
+            return
+        try:
+            threads = [worker for worker, count in client.nthreads().items() for _ in range(count)]
+            yield [partial(self.run, client, worker) for worker in threads[: parts // 4]]
+        finally:
+            with suppress(Exception):  # where the scheduler has gone there is nobody to tell
+                client.close(timeout=_STOP_S)
+
+    def run(self, client: Any, worker: str, task: bytes) -> TaskEnd:
+        """Run a task on a worker when it has nothing else to do, and wait for the end of either."""
+        here = pickle.dumps(partial(run_here, self.versions, partial(run_pickled, task)))
+        # Tied to a worker: Dask would else repeat it elsewhere, behind the mission that waits.
+        options = {"pure": False, "priority": -1, "workers": [worker]}
+        sent = client.submit(run_apart, self.command, here, **options)
+        while True:
+            with suppress(TimeoutError):
+                return cast(TaskEnd, sent.result(timeout=_ASK_S))
+            if worker not in client.nthreads():
+                return Lost("its worker has gone")
+
+
 def scheduler_address(scheduler: str) -> str:
     """The address itself, or that in a scheduler's file; else refused (SCHEDULER-FILE)."""
     if "://" in scheduler:
@@ -134,18 +193,46 @@ def scheduler_address(scheduler: str) -> str:
         raise ConfigError.of("SCHEDULER-FILE", scheduler, error=error) from None
 
 
-@contextmanager
-def connected(scheduler: str, command: str) -> Iterator[Any]:
-    """A client of a scheduler that is there; at the end what the command runs is stopped."""
+def refuse_missing(scheduler: str) -> None:
+    """Refuse (SCHEDULER-NONE) a scheduler at whose address nobody begins to listen."""
     address = scheduler_address(scheduler)
+    limit = time.monotonic() + _CONNECT_S
+    with not_there(address):
+        while (url := urlsplit(address)).scheme in ("tcp", "tls"):
+            try:
+                socket.create_connection((url.hostname, url.port), _CONNECT_S).close()
+                break
+            except ConnectionRefusedError:
+                if time.monotonic() > limit:
+                    raise
+            time.sleep(0.2)
+
+
+@contextmanager
+def not_there(address: str) -> Iterator[None]:
+    """Raise what is said of an address where no scheduler is as a refusal."""
+    try:
+        yield
+    except (OSError, ValueError, TypeError, ImportError) as error:
+        raise ConfigError.of("SCHEDULER-NONE", address, error=error) from None
+
+
+def client_of(address: str) -> Any:
+    """A client of a scheduler that is there."""
     from distributed import Client
+    from distributed.comm import resolve_address
 
     for name in [name for name in logging.root.manager.loggerDict if name[:11] == "distributed"]:
         logging.getLogger(name).setLevel(logging.CRITICAL + 1)  # each has a level of its own
-    try:
-        client = Client(address, timeout=_CONNECT_S, set_as_default=False, direct_to_workers=False)
-    except (OSError, ValueError, TypeError, ImportError) as error:
-        raise ConfigError.of("SCHEDULER-NONE", address, error=error) from None
+    with not_there(address):
+        resolve_address(address)  # a client of another scheme would try it for long, unasked
+        return Client(address, timeout=_CONNECT_S, set_as_default=False, direct_to_workers=False)
+
+
+@contextmanager
+def connected(scheduler: str, command: str) -> Iterator[Any]:
+    """A client of a scheduler that is there; at the end what the command runs is stopped."""
+    client = client_of(scheduler_address(scheduler))
     try:
         with suppress(TimeoutError):
             client.wait_for_workers(1, timeout=_CONNECT_S)
@@ -193,8 +280,8 @@ def about_worker(files: list[Path]) -> Any:
     return versions_here(), [str(file) for file in files if not file.is_file()]
 
 
-def run_here(versions: Mapping[str, str], task: Task) -> TaskEnd:
-    """In a worker's process: run a mission, if this worker, perhaps new, is like the others."""
+def run_here(versions: Mapping[str, str], task: Callable[..., TaskEnd]) -> TaskEnd:
+    """In a worker's process: run a task, if this worker, perhaps new, is like the others."""
     refuse_other_versions("one of the workers", versions, versions_here())
     return task()
 

@@ -23,7 +23,9 @@ if TYPE_CHECKING:
 class RunMission(Protocol):
     """Runs one mission."""
 
-    def __call__(self, mission: MissionRef, /, *, progress: Any = None) -> Outcome: ...
+    def __call__(
+        self, mission: MissionRef, /, *, progress: Any = None, helpers: Any = None
+    ) -> Outcome: ...
 
 
 MissionEnd = Outcome | UnbendError | Bug

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from pipeline.config.campaign import MissionRef
 
 Task = Callable[..., Outcome]
-"""Runs one mission; takes ``progress``. A function of a module with its arguments, so that it can
-be pickled."""
+"""Runs one mission; takes ``progress`` and ``helpers``. A function of a module with its arguments,
+so that it can be pickled."""
 
 T = TypeVar("T")
 Ends = Generator[tuple["MissionRef", TaskEnd]]
@@ -160,7 +160,8 @@ class Slices:
         (self.folder / name).touch()
         for place, some in enumerate(self.numbers):
             with suppress(FileExistsError):
-                (self.folder / str(place)).touch(exist_ok=False)
+                with (self.folder / str(place)).open("x") as file:
+                    file.write(name)
                 yield some
             passed(len(some))
 

@@ -72,6 +72,10 @@ def run(
         raise ConfigError.of("RUN-ARGUMENTS")
     answer = Answer(quiet=quiet, as_json=as_json)
     with answer.progress("loading"):
+        if scheduler is not None:
+            from pipeline.batch.cluster import refuse_missing
+
+            refuse_missing(scheduler)
         from pipeline.batch.execute import shard_of
         from pipeline.batch.outcomes import Outcome
         from pipeline.report.text.terminal import print_unchanged

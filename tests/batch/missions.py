@@ -12,11 +12,13 @@ import signal
 import sys
 import time
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
+from pipeline.batch import executors
 from pipeline.batch.execute import run_many
 from pipeline.batch.outcomes import Bug, Outcome
-from pipeline.batch.store import open_folder, read_manifest
+from pipeline.batch.store import atomic_write, open_folder, read_manifest
 from pipeline.errors import InputError
 
 
@@ -40,7 +42,7 @@ def gone(process: int) -> bool:
     return False
 
 
-def one(mission, *, progress=None):
+def one(mission, *, progress=None, helpers=None):
     name, here = mission.path.stem, mission.path.parent
     output = here / f"results of {name}"
     with open_folder(output) as folder:  # as `run_plan`: removes what a killed run left
@@ -68,6 +70,46 @@ def one(mission, *, progress=None):
     return Outcome(name, output, manifest, 3, False)
 
 
+PARTS = 40
+
+
+def in_slices(mission, *, progress=None, helpers=None):
+    """A mission whose parts hold their numbers; nothing is made before a hand has begun."""
+    name, here = mission.path.stem, mission.path.parent
+    with open_folder(here / f"results of {name}") as folder:
+        folder.resume(name)
+        with helpers.hands(__name__, PARTS) as hands:
+            slices = executors.Slices.of(folder.staging, range(PARTS), len(hands))
+            make = partial(make_some, folder, name, os.getpid(), slices.folder)
+            executors.make_parts(make, slices, hands, lambda made: None)
+        make(range(PARTS))
+        manifest = {"fingerprint": name, "mission": name, "exit_code": 3, "hands": len(hands)}
+        manifest["outputs"] = folder.outputs()
+        folder.commit(manifest)
+    return Outcome(name, folder.path, manifest, 3, False)
+
+
+def make_some(folder, name, own, slices, numbers):
+    for number in numbers:
+        part = f"observations/part-{number:05d}.parquet"
+        if folder.read_receipt(part) is not None:
+            continue
+        limit = time.monotonic() + 100.0
+        while name != "busy" and os.getpid() == own and not list(slices.glob("hand-*")):
+            assert time.monotonic() < limit
+            time.sleep(0.01)
+        with (folder.path.parent / "begun").open("a") as file:
+            print(name, os.getpid(), number, file=file)
+        if name == "killed" and os.getpid() != own:
+            os.kill(os.getppid(), signal.SIGKILL)
+            time.sleep(100.0)
+        with atomic_write(folder.place(part)) as draft:
+            draft.write_text(str(number))
+        folder.seal(part)
+        folder.write_receipt(part, number)
+        time.sleep(float((folder.path.parent / "pace").read_text()))
+
+
 def main():
     from pipeline.batch.cluster import Cluster
     from pipeline.batch.executors import Processes
@@ -76,7 +118,8 @@ def main():
     where, folder, *names = sys.argv[1:]
     executor = Processes(int(where)) if where.isdecimal() else Cluster(where)
     missions = [Unread(Path(folder) / f"{name}.yaml") for name in names]
-    for mission, end in run_many(one, missions, executor):
+    task = in_slices if names[0] in ("shared", "killed", "busy") else one
+    for mission, end in run_many(task, missions, executor):
         word = "bug" if isinstance(end, Bug) else getattr(end, "code", None)
         if isinstance(end, Outcome):
             assert (end.name, end.exit_code, end.manifest["fingerprint"]) == (end.name, 3, end.name)

@@ -117,6 +117,8 @@ def test_what_is_no_scheduler_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(cluster, "_CONNECT_S", 0.3)
     assert refusal("tcp://127.0.0.1:9").startswith("SCHEDULER-NONE: ")
     assert refusal("nothing://127.0.0.1").startswith("SCHEDULER-NONE: ")
+    with pytest.raises(UnbendError, match=r"^SCHEDULER-NONE: "):
+        cluster.refuse_missing("tcp://127.0.0.1:9")
     for content in (None, "{", "[]", '{"other": 1}'):
         file = tmp_path / "scheduler.json"
         if content is not None:
@@ -182,6 +184,30 @@ def test_workers_that_are_killed_cost_no_mission(machines, tmp_path, run):
                 "manifest.json",
             }
             assert (folder / "stations.parquet").read_bytes() == name.encode() * 1000
+
+
+def test_other_workers_make_parts_of_a_large_mission(machines, tmp_path):
+    """All of them; a worker that is killed costs its slice, and busy ones are not waited for."""
+    for name in ("shared", "killed", "busy"):
+        machines.need_workers(2)
+        blocked = None
+        if name == "busy":
+            blocked = started(machines, tmp_path / "other", "a", pace=600.0)
+            wait_until(lambda: begun(tmp_path / "other"))
+        assert ends_of(started(machines, tmp_path / name, name, pace=0.02)) == {name: "done"}
+        if blocked is not None:
+            assert blocked.poll() is None
+            blocked.terminate()
+            blocked.communicate(timeout=LIMIT_S)
+        results = tmp_path / name / f"results of {name}"
+        parts = sorted((results / "observations").iterdir())
+        assert [int(part.read_text()) for part in parts] == list(range(missions_module.PARTS))
+        assert {p.name for p in results.iterdir()} == {".lock", "observations", "manifest.json"}
+        lines = [line.split() for line in (tmp_path / name / "begun").read_text().splitlines()]
+        processes, numbers = ([line[place] for line in lines] for place in (1, 2))
+        assert len(set(processes)) == (1 if name == "busy" else 2)
+        again = len(numbers) - len(set(numbers))
+        assert again == (1 if name == "killed" else 0)
 
 
 def test_a_scheduler_that_is_killed_costs_no_finished_mission(machines, tmp_path):
