@@ -18,7 +18,8 @@ from numpy.typing import ArrayLike, NDArray
 from pipeline.atmosphere.profile import Profile
 from pipeline.errors import PhysicsError
 from pipeline.refraction.kernels.columns import RayColumns
-from pipeline.refraction.kernels.ray import LEFT, bend_grazing_rays, bend_rays
+from pipeline.refraction.kernels.grazing import bend_grazing_rays
+from pipeline.refraction.kernels.ray import LEFT, bend_rays
 from pipeline.refraction.kernels.steep import WORTH_A_TABLE, bend_steep_rays
 from pipeline.refraction.kernels.threads import in_blocks
 from pipeline.refraction.published import PUBLISHED
