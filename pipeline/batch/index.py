@@ -60,7 +60,7 @@ def look_up(refs: Iterable[MissionRef]) -> dict[MissionRef, IndexEntry]:
         files, file = content["files"], os.path.abspath(ref.path)
         if stamp(file) != files.get(file):
             continue
-        if content["grids"] not in (None, grids_of_proj()):
+        if content["grids"] is not None and content["grids"] != grids_of_proj():
             continue
         # A run that is under way, or was interrupted, has a staging folder.
         staged = os.path.lexists(os.path.join(content["output"], STAGING))

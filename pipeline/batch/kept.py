@@ -48,14 +48,8 @@ def unpacked(content: bytes) -> Any:
         return None
     try:
         return _Reader(io.BytesIO(zstandard.ZstdDecompressor().decompress(content))).load()
-    except (
-        pickle.UnpicklingError,
-        AttributeError,
-        ImportError,
-        TypeError,
-        ValueError,
-        RuntimeError,
-    ):
+    except (pickle.UnpicklingError, AttributeError, ImportError, TypeError, ValueError,
+            RuntimeError):  # fmt: skip
         return None
 
 

@@ -40,7 +40,9 @@ def one_of(names: Callable[[], Collection[str]]) -> AfterValidator:
 class Section(BaseModel):
     """A part of the mission file: strict types, no unknown keys, no NaN."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, strict=True, allow_inf_nan=False, defer_build=True
+    )
 
 
 Hectopascal = Annotated[float, Field(ge=100, le=1200)]

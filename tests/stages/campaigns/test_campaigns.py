@@ -224,6 +224,17 @@ def test_another_program_knows_nothing(done, monkeypatch, name, value):
     assert done.unchanged() == []
 
 
+def test_grids_count_where_they_are_used(done, monkeypatch):
+    """PROJ is not even imported for missions that transform nothing."""
+    original = index.read_entry
+    monkeypatch.setattr(index, "grids_of_proj", lambda: pytest.fail("it was asked"))
+    assert done.unchanged() == [0, 1]
+    monkeypatch.setattr(index, "grids_of_proj", lambda: "these")
+    for grids, known in (("these", [0, 1]), ("others", [])):
+        monkeypatch.setattr(index, "read_entry", lambda *a, g=grids: original(*a) | {"grids": g})
+        assert done.unchanged() == known
+
+
 def test_other_defaults_are_other_missions(done):
     text = done.file.read_text()
     done.file.write_text(text.replace("reference: msl", "reference: msl\n    sigma_m: 0.5"))
