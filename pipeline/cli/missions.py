@@ -111,7 +111,7 @@ def run_missions(
     with answer.progress("loading"):
         from pipeline.batch.execute import run_many
         from pipeline.batch.executors import ChildHelpers, Executor, Inline, Processes
-        from pipeline.stages.story import run_mission
+        from pipeline.stages.campaigns.selection import run_chosen
 
     executor: Executor = Inline(answer.progress)
     sent = {ref: ref for ref in missions}
@@ -124,7 +124,7 @@ def run_missions(
         executor = Processes(where)
     else:
         options = {**options, "helpers": ChildHelpers(where)}
-    with closing(run_many(partial(run_mission, **options), list(sent), executor)) as ends:
+    with closing(run_many(partial(run_chosen, **options), list(sent), executor)) as ends:
         yield from ((sent[ref], end) for ref, end in ends)
 
 

@@ -7,6 +7,7 @@ from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from pipeline.batch.execute import MissionEnd, shared_outputs
 from pipeline.batch.index import IndexEntry, look_up, remember
@@ -107,3 +108,10 @@ def keep_unchanged(chosen: Selection, ended: Mapping[MissionRef, MissionEnd]) ->
         from pipeline.report.page.campaign_page import row_of
 
         remember(new, row_of)
+
+
+def run_chosen(ref: MissionRef, **options: Any) -> Outcome:
+    """`run_mission`, which is imported by the process that runs it: a second of its time."""
+    from pipeline.stages.story import run_mission
+
+    return run_mission(ref, **options)
