@@ -144,8 +144,7 @@ def _fill_barometers(
     notes: list[Entry] = []
     indoors = [channel for channel in barometers if follows_height(channel, height) is False]
     if "pressure" not in settled:
-        for channel in indoors:
-            notes.append(note("BARO-NOT-OUTSIDE", where=channel.name))
+        notes += [note("BARO-NOT-OUTSIDE", where=channel.name) for channel in indoors]
         outside = [channel for channel in barometers if channel not in indoors]
         if outside:
             filled["pressure"] = outside[0]

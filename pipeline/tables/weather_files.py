@@ -103,7 +103,7 @@ def open_datasets(path: Path) -> Iterator[tuple[list[Any], str]]:
 
 
 def refuse_truncated(path: Path) -> None:
-    """Refuse a GRIB file whose messages do not end where they say."""
+    """Refuse a GRIB file whose messages or their sections do not end where they say."""
     size, start, number = path.stat().st_size, 0, 0
     with path.open("rb") as file:
         while start < size:
@@ -120,11 +120,19 @@ def refuse_truncated(path: Path) -> None:
             length = int.from_bytes(head[8:16] if is_second else head[4:7], "big")
             if not is_second and length & 0x800000:  # ECMWF's long messages count otherwise
                 return
-            file.seek(max(start + length - 4, 0))
-            if length < _GRIB_HEAD or file.read(4) != b"7777":
+            file.seek(max(min(start + length, size) - 4, 0))
+            if not _GRIB_HEAD <= length <= size - start or file.read(4) != b"7777":
                 raise InputError.of(
                     "MODEL-TRUNCATED", path, number=number, start=start, length=length, size=size
                 )
+            at, digits = (start + _GRIB_HEAD, 4) if is_second else (start + 8, 3)
+            while at != start + length - 4:  # ecCodes crashes where these are wrong
+                file.seek(at)
+                size_of = int.from_bytes(file.read(digits), "big")
+                if not 5 <= size_of <= start + length - at:
+                    why = f"message {number} has a section at byte {at} that does not fit into it"
+                    raise InputError.of("MODEL-UNREADABLE", path, why=why)
+                at += size_of
             start += length
 
 
@@ -173,14 +181,13 @@ def _find(datasets: Sequence[Any], quantity: str) -> Any | None:
             if not names & _NAMES[quantity]:
                 continue
             of_level = any(str(c).lower() in _LEVELS for c in field.coords)
+            kind = field.attrs.get("GRIB_typeOfLevel", "level" if of_level else "surface")
             if levels is not None:
                 upper.append((levels.values.size, -len(upper), field))
                 if levels.of_model:  # lnsp and z mean something at level 1 only
                     first = int(np.argmin(levels.values))
                     surface.append(field.isel({levels.name: first}, drop=True))
-            elif field.attrs.get("GRIB_typeOfLevel", "level" if of_level else "surface") in (
-                "surface", "hybrid"
-            ):  # fmt: skip
+            elif kind in ("surface", "hybrid"):
                 surface.append(field)
     if "surface" in quantity:
         return surface[0] if surface else None

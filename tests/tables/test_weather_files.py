@@ -73,6 +73,13 @@ def test_grib_and_one_that_was_cut_off(gfs):
         contents_of(gfs)
     assert no.value.code == "MODEL-TRUNCATED"
     assert run_command("inspect", gfs).code == 6
+    gfs.write_bytes(whole[:8] + b"\x80" + whole[9:])  # the length of a message: beyond all files
+    with pytest.raises(InputError, match="message 1 at byte 0 has 9223372036854"):
+        contents_of(gfs)
+    at = whole.index(b"GRIB", 4) + 16  # of the first section of the second message: its length
+    gfs.write_bytes(whole[:at] + b"\0\0@" + whole[at + 3 :])
+    with pytest.raises(InputError, match=f"message 2 has a section at byte {at} that does not"):
+        contents_of(gfs)
 
 
 def test_pascals_and_hectopascals_are_the_same_levels(era5, tmp_path):

@@ -18,8 +18,6 @@ from pipeline.geodesy import normal_gravity
 from pipeline.ledger import Entry, Notes, fallback, note
 from pipeline.units import HECTOPASCAL, HYDROSTATIC_CONSTANT, VAPOUR_DEFICIT, Array
 
-KIND = "weather model"
-
 LOW_K, ALOFT_K, LOW_M, ALOFT_M = 2.0, 1.0, 1000.0, 1500.0
 HUMIDITY_RH, ERROR_LENGTH_M, LEVEL_LOG_P = 0.15, 2000.0, 1e-3
 """One sigma up to 1000 m above the ground and from 1500 m on; of relative humidity; the correlation
@@ -104,7 +102,7 @@ def model_column(
     column = Sounding(
         gravity.height(height), p, t, vapour * p,
         int(field.time_ns[np.argmin(np.abs(field.time_ns - time_ns))]),
-        where, latitude, longitude, "column of fields", KIND,
+        where, latitude, longitude, "column of fields", "weather model",
         ColumnErrors(
             np.hypot(sigma, FORECAST_K_PER_DAY * days),
             np.hypot(sigma_rh, FORECAST_RH_PER_DAY * days),

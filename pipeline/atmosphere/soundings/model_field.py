@@ -36,8 +36,7 @@ _THICKNESS_RATIO = 0.03  # as `level_checks`: heights come from the same tempera
 _SURFACE_PA = (30_000.0, 110_000.0)  # the highest pressure of levels that reach the ground
 _COLDEST_K, _WARMEST_K, _MOST_FRACTION = 150.0, 340.0, 1.6
 _SPECIFIC, _RELATIVE = (-1e-3, 1e-6, 0.05), (-0.3, 0.05, _MOST_FRACTION)
-"""Of the driest level at least; of the wettest, at least and at most. Spectral models have air a
-little below zero; air without a level above 5 % of relative humidity is none."""
+"""Of the driest level at least, where spectral models go below 0; of the wettest from, to."""
 _EARTH_KM, _SEA_LEVEL_PA, _SCALE_HEIGHT_M = 6371.0, 101_325.0, 8000.0
 _WIDEST_STEP, _ROUNDING = 0.2, 1e-9  # of nodes [rad]
 _GROUND_M, _SURFACE_LOG_P = (-600.0, 9000.0), 0.25

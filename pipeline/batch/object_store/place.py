@@ -64,7 +64,7 @@ class Place:
         elif set("@?#") & {*bucket, *re.findall("[?#]", url)}:
             why = "it has a user, a password, a query or a fragment"
         elif not _BUCKET.fullmatch(bucket):
-            why = "it has no name of a bucket or container, in lower case"
+            why = "its bucket or container is not named by 2 to 63 of a-z, 0-9, '.', '-' and '_'"
         elif key and ({"", ".", ".."} & {*key.split("/")} or "\\" in key or not key.isprintable()):
             why = "between slashes stands nothing, '.', '..' or a backslash"
         if why:

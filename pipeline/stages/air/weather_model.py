@@ -20,8 +20,6 @@ from pipeline.ledger import Ledger
 from pipeline.tables.weather_files import FlightArea, read_model_field
 from pipeline.units import DEGREE, Array, Integers
 
-MODEL_ROLE = "weather model"
-
 Track = tuple[Integers, Array, Array]
 """Times [Unix ns], latitudes and longitudes [rad] of a flight as logged."""
 
@@ -63,7 +61,7 @@ def read_model_air(
     section = plan.mission.atmosphere.model
     if section is None:
         return None
-    path = plan.input(MODEL_ROLE).path
+    path = plan.input("weather model").path
     if flight.time_ns is None or not math.isfinite(flight.latitude_rad + flight.longitude_rad):
         raise InputError.of("MODEL-TIME/flight", path.name)
     place = sampled_place(samples, track) or (
