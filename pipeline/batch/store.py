@@ -372,9 +372,8 @@ def read_manifest(path: Path | Place, *, damaged: bool = False) -> dict[str, Any
 def find_damage(path: Path | Place, manifest: dict[str, Any], *, read: bool = True) -> list[str]:
     """What is missing or changed in a run's folder, one line each; empty when nothing is.
 
-    ``read=False`` compares names and sizes, and the content of files but for parts of which no
-    hash is remembered; what stayed as it was hashed is not read. In object storage, where no file
-    of an attempt is written twice, names and sizes.
+    ``read=False`` reads no file that stayed as it was hashed, nor parts of which no hash is known;
+    in object storage, where no file of an attempt is written twice, none.
     """
     damage = []
     known = {str(item["name"]) for item in manifest["outputs"]}
