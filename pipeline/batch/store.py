@@ -350,7 +350,7 @@ def read_manifest(path: Path | Place, *, damaged: bool = False) -> dict[str, Any
         if content is None:
             return None
         manifest = json.loads(content.decode("utf-8"))
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         return None
     except (OSError, ValueError) as error:
         if damaged:

@@ -51,6 +51,11 @@ def test_a_flipped_byte_is_seen_by_a_rerun(tmp_path: Path, name: str) -> None:
     assert find_damage(tmp_path, manifest, read=False) == [f"{name}: its content has changed"]
 
 
+def test_a_file_has_no_manifest(tmp_path: Path) -> None:
+    (tmp_path / "manifest.json").write_text("{}", encoding="utf-8")
+    assert read_manifest(tmp_path / "manifest.json") is None
+
+
 @pytest.mark.parametrize("outputs", [5, [5], "x"])
 def test_a_manifest_of_somebody_else_is_refused(tmp_path: Path, outputs: object) -> None:
     text = {"fingerprint": "", "mission": "", "exit_code": 0, "outputs": outputs}
