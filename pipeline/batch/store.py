@@ -236,7 +236,7 @@ def rehearse_folder(path: Path) -> None:
     """Refuse what `open_folder` would, and a folder that cannot be written to; writes nothing."""
     exists = next(folder for folder in (path, *path.parents) if os.path.lexists(folder))
     with storage_errors(path):
-        os.stat(exists / ".")  # NotADirectoryError where it is a file
+        os.stat(os.path.join(exists, "."))  # NotADirectoryError where it is a file
         if not os.access(exists, os.W_OK | os.X_OK):
             raise PermissionError(EACCES, os.strerror(EACCES), str(exists))
     _refuse_links(path)

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from pipeline.batch import store
-from pipeline.batch.store import find_damage, open_folder, read_manifest
+from pipeline.batch.store import find_damage, open_folder, read_manifest, rehearse_folder
 from pipeline.errors import OutputInUseError, StorageError
 
 
@@ -54,6 +54,9 @@ def test_a_flipped_byte_is_seen_by_a_rerun(tmp_path: Path, name: str) -> None:
 def test_a_file_has_no_manifest(tmp_path: Path) -> None:
     (tmp_path / "manifest.json").write_text("{}", encoding="utf-8")
     assert read_manifest(tmp_path / "manifest.json") is None
+    (tmp_path / "manifest.json").chmod(0o777)
+    with pytest.raises(StorageError, match="Not a directory"):
+        rehearse_folder(tmp_path / "manifest.json")
 
 
 @pytest.mark.parametrize("outputs", [5, [5], "x"])
