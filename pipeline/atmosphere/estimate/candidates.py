@@ -122,15 +122,12 @@ def _with_own_sensors(samples: AirSamples, external: ExternalSources) -> list[Ca
                 )
         add(basis, reason, samples, warm)
     if high is not None:
+        why = "no thermometer outside"
         if warm is not None:
             why = f"without the thermometer {warm.name}"
         elif temperature is not None:
-            why = (
-                f"the thermometer {temperature.name} spans only {temperature.extent_m:.0f} m of "
-                "height"
-            )
-        else:
-            why = "no thermometer outside"
+            extent = f"{temperature.extent_m:.0f} m of height"
+            why = f"the thermometer {temperature.name} spans only {extent}"
         reason = (
             f"{why}: temperatures from {high.name} against GNSS height over {high.extent_m:.0f} m"
         )
@@ -178,14 +175,10 @@ class SourceUse:
             return {"source": self.source, "used": not self.why_not, "why_not": self.why_not}
         fit = self.fit
         return {
-            "source": self.source,
-            "used": True,
-            "quantity": fit.quantity,
-            "readings": fit.count,
-            "rms_sigma": round(fit.rms, 3),
-            "sigma_inflation": round(fit.sigma_inflation, 3),
+            "source": self.source, "used": True, "quantity": fit.quantity, "readings": fit.count,
+            "rms_sigma": round(fit.rms, 3), "sigma_inflation": round(fit.sigma_inflation, 3),
             "degrees_of_freedom_for_signal": round(fit.signal_freedom, 3),
-        }
+        }  # fmt: skip
 
     def sentence(self) -> str:
         """For a person.

@@ -88,6 +88,7 @@ SUN_ON_PROBE = 0.2, 60.0
 where the mission file states the drift."""
 
 _GROUND_RISE_M = 20.0
+_OwnReadings = tuple[list[Readings], list[Fault], list[Drift], dict[str, Mask]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,14 +135,10 @@ def collect_readings(
         external += external_readings.sounding_readings(sounding, number, background, flight)
     for report in surface:
         external += external_readings.surface_readings(report, background, flight)
-    sets: list[Readings] = []
-    expected: list[Fault] = []
-    drifts: list[Drift] = []
-    rejected: dict[str, Mask] = {}
+    own: _OwnReadings = ([], [], [], {})
     if start_ns is not None:
-        sets, expected, drifts, rejected = _sensor_readings(
-            samples, sensors, background.profile, start_ns, settings
-        )
+        own = _sensor_readings(samples, sensors, background.profile, start_ns, settings)
+    sets, expected, drifts, rejected = own
     heights = np.concatenate(
         [readings.height for readings in (*external, *sets)] or [np.array(UNMEASURED_M)]
     )
@@ -167,7 +164,7 @@ def _sensor_readings(
     profile: Profile,
     start_ns: int,
     settings: SensorSettings,
-) -> tuple[list[Readings], list[Fault], list[Drift], dict[str, Mask]]:
+) -> _OwnReadings:
     """The readings of the flight's own sensors, with their faults and drifts."""
     sets: list[Readings] = []
     faults: list[Fault] = []

@@ -263,11 +263,8 @@ def note_pressure_level(
     deepest lows reach 6); 10 sigma, a tenth of the pressure, are no weather.
     """
     if pressure is None or not bool(pressure.accepted.any()):
-        ledger.fallback(
-            "AIR-NO-BAROMETER",
-            "no static pressure outside: its level is that of a sounding, a station or the "
-            "climatology",
-        )
+        level = "its level is that of a sounding, a station or the climatology"
+        ledger.fallback("AIR-NO-BAROMETER", f"no static pressure outside: {level}")
         return
     h, measured = pressure.used()
     residual = np.abs(measured - profile.pressure(h))
