@@ -2,7 +2,7 @@
 
 The death of a mission's process costs that mission, the death of a worker its missions under way,
 which others run again. What a worker gets is a reference to a mission, what it gives a receipt. A
-large mission has hands on other workers; tasks of hands come after those of missions.
+large mission is made by other workers too; their tasks come after those of missions.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any, cast
 from urllib.parse import urlsplit
 
 from pipeline.batch.apart import Child, run_pickled, stop_all
-from pipeline.batch.executors import Ends, Hand, Task
+from pipeline.batch.executors import Ends, Task, Worker
 from pipeline.batch.keys import version, versions
 from pipeline.batch.outcomes import Bug, Lost, TaskEnd
 from pipeline.errors import ConfigError, MissionError, OutputInUseError
@@ -40,7 +40,7 @@ _CONNECT_S = 10.0
 """How long a scheduler may take to answer, and to have its first worker."""
 
 _ASK_S = 2.0
-"""How often it is asked whether the worker of a hand is still there."""
+"""How often it is asked whether the worker of a task is still there."""
 
 _STOP_S = 4.0
 """How long an interrupted command waits until its missions are stopped."""
@@ -151,8 +151,8 @@ class ClusterHelpers:
     fewest: int
 
     @contextmanager
-    def hands(self, module: str, parts: int) -> Iterator[list[Hand]]:
-        """A hand for each thread of the workers; none where the scheduler has gone.
+    def workers(self, module: str, parts: int) -> Iterator[list[Worker]]:
+        """One for each thread of the workers; none where the scheduler has gone.
 
         That of the mission's own thread never begins.
         """

@@ -30,7 +30,7 @@ so that it can be pickled."""
 T = TypeVar("T")
 Ends = Generator[tuple["MissionRef", TaskEnd]]
 
-Hand = Callable[[bytes], Any]
+Worker = Callable[[bytes], Any]
 """Runs a pickled task somewhere else and waits for its end."""
 
 _SLICE = 2, 32
@@ -101,8 +101,8 @@ def taken(waiting: SimpleQueue[T]) -> Iterator[T]:
 class Helpers(Protocol):
     """Who helps to make the parts of one mission."""
 
-    def hands(self, module: str, parts: int) -> AbstractContextManager[Sequence[Hand]]:
-        """Hands for so many parts, which import a module before there is a task."""
+    def workers(self, module: str, parts: int) -> AbstractContextManager[Sequence[Worker]]:
+        """Workers for so many parts, which import a module before there is a task."""
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ class ChildHelpers:
     processes: int = 1
 
     @contextmanager
-    def hands(self, module: str, parts: int) -> Iterator[Sequence[Hand]]:
+    def workers(self, module: str, parts: int) -> Iterator[Sequence[Worker]]:
         """The other processes, for a mission of four parts or more."""
         count = self.processes if parts >= 4 else 1
         children = [Child(max(1, usable_cpus() // count), module) for _ in range(count - 1)]
@@ -139,13 +139,13 @@ class Slices:
     numbers: Sequence[Sequence[int]]
 
     @classmethod
-    def of(cls, staging: Path, numbers: Sequence[int], hands: int) -> Slices:
-        """The numbers for so many hands and this process, in a folder of this call alone."""
+    def of(cls, staging: Path, numbers: Sequence[int], workers: int) -> Slices:
+        """The numbers for so many workers and this process, in a folder of this call alone."""
         folder, slices = staging / f"slices-{uuid.uuid4().hex}", list[Sequence[int]]()
         folder.mkdir()
         while numbers:
             fewest, most = _SLICE
-            size = min(most, max(fewest, len(numbers) // (2 * hands + 2)))
+            size = min(most, max(fewest, len(numbers) // (2 * workers + 2)))
             slices.append(numbers[:size])
             numbers = numbers[size:]
         return cls(folder, slices)
@@ -169,26 +169,26 @@ class Slices:
 def make_parts(
     make: Callable[..., Any],
     slices: Slices,
-    hands: Sequence[Hand],
+    workers: Sequence[Worker],
     progress: Callable[[int], None],
 ) -> None:
-    """Call ``make(numbers=...)`` with slices, here and by hands, which get a path and a key.
+    """Call ``make(numbers=...)`` with slices, here and by workers, which get a path and a key.
 
-    Parts that a hand leaves unmade, for it died or nothing can be sent to it, stay unmade. One that
-    has not begun when nothing is left is not waited for. ``progress`` is called with the number of
-    parts that may be done now.
+    Parts that a worker leaves unmade, for it died or nothing can be sent to it, stay unmade. One
+    that has not begun when nothing is left is not waited for. ``progress`` is called with the
+    number of parts that may be done now.
     """
     content, setup = pickle.dumps((make, slices)), slices.folder / "setup"
     setup.write_bytes(content)
     digest, ended = hashlib.sha256(content).hexdigest(), SimpleQueue[str]()
 
-    def send(hand: Hand, name: str) -> None:
-        task = pickle.dumps(partial(make_as_hand, setup, digest, name))
-        end_of(partial(hand, task))
+    def send(worker: Worker, name: str) -> None:
+        task = pickle.dumps(partial(make_as_worker, setup, digest, name))
+        end_of(partial(worker, task))
         ended.put(name)
 
-    names = [f"hand-{number}" for number in range(len(hands))]
-    for sent in zip(hands, names, strict=True):
+    names = [f"worker-{number}" for number in range(len(workers))]
+    for sent in zip(workers, names, strict=True):
         threading.Thread(target=send, args=sent, daemon=True).start()
     for some in slices.taken("own", progress):
         make(numbers=some)
@@ -197,7 +197,7 @@ def make_parts(
         left.discard(ended.get())
 
 
-def make_as_hand(setup: Path, digest: str, name: str) -> list[int]:
+def make_as_worker(setup: Path, digest: str, name: str) -> list[int]:
     """Make parts in the place of another process until none are left; their numbers."""
     make, slices = made_with(setup, digest)
     made = list[int]()

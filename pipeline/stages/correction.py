@@ -19,7 +19,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from pipeline.batch.executors import Hand, Slices, make_parts
+from pipeline.batch.executors import Slices, Worker, make_parts
 from pipeline.batch.store import RunFolder, atomic_write
 from pipeline.errors import storage_errors
 from pipeline.interrupts import held_back
@@ -162,7 +162,8 @@ def correct_stream(
 class PartsOfRun:
     """Parts as ``observations/part-*.parquet`` of a run, each with a receipt when it is written.
 
-    ``check`` is called before a receipt is written: it refuses inputs that changed meanwhile.
+    ``check`` is called before a part takes its place and before its receipt is written: it refuses
+    inputs that changed meanwhile, and a run that has ended.
     """
 
     folder: RunFolder
@@ -179,6 +180,7 @@ class PartsOfRun:
         name = _name(number)
         with atomic_write(self.folder.place(name)) as draft:
             write_parquet(table, draft)
+            self.check()
         self.folder.seal(name)
         self.check()
         self.folder.write_receipt(name, statistics)
@@ -202,26 +204,26 @@ def correct_in_slices(
     setup: CorrectionSetup,
     parts: PartsOfRun,
     *,
-    hands: Sequence[Hand],
+    workers: Sequence[Worker],
     progress: Callable[[int], None],
     **named: Any,
 ) -> Statistics:
-    """`correct_stream` by several hands.
+    """`correct_stream` by several workers.
 
     The counts are merged in the order of the parts, so that they are the same to the last bit.
     """
     make = partial(correct_stream, observations, setup, **named)
-    if not hands:
+    if not workers:
         return make(parts=parts, progress=progress)
     rows = observations.rows_of_part(named["batch_rows"])
     count = math.ceil(observations.rows / rows)
     missing = [number for number in range(count) if parts.finished(number) is None]
     with storage_errors(parts.folder.path):
-        slices = Slices.of(parts.folder.staging, missing, len(hands))
-        parts_of_hands = replace(parts, check=partial(check_wanted, slices, parts.check))
-        make_all = partial(make, parts=parts_of_hands)
-        make_parts(make_all, slices, hands, lambda made: progress(made * rows))
-    # What a hand left unmade is made here.
+        slices = Slices.of(parts.folder.staging, missing, len(workers))
+        parts_of_workers = replace(parts, check=partial(check_wanted, slices, parts.check))
+        make_all = partial(make, parts=parts_of_workers)
+        make_parts(make_all, slices, workers, lambda made: progress(made * rows))
+    # What a worker left unmade is made here.
     return make(parts=replace(parts, verify=False))
 
 

@@ -188,7 +188,7 @@ def run_plan(plan: Plan, *, force: bool, progress: Progress, helpers: Helpers = 
         # They start now: the log is read in the meantime.
         table, batch_rows = plan.input("observations").path, plan.mission.output.batch_rows
         parts = correction.parts_of(table, batch_rows)
-        hands = stack.enter_context(helpers.hands(correction.__name__, parts))
+        workers = stack.enter_context(helpers.workers(correction.__name__, parts))
         prepared = prepare_mission(plan, progress)
         observations = prepared.observations
         progress.start("correcting", observations.rows)
@@ -200,7 +200,7 @@ def run_plan(plan: Plan, *, force: bool, progress: Progress, helpers: Helpers = 
                 observations,
                 setup,
                 correction.PartsOfRun(folder, partial(check_unchanged, plan.inputs, folders=False)),
-                hands=hands,
+                workers=workers,
                 batch_rows=batch_rows,
                 metadata=observation_metadata(plan.mission),
                 progress=progress.advance,

@@ -74,16 +74,16 @@ PARTS = 40
 
 
 def in_slices(mission, *, progress=None, helpers=None):
-    """A mission whose parts hold their numbers; nothing is made before a hand has begun."""
+    """A mission whose parts hold their numbers; nothing is made before a worker has begun."""
     name, here = mission.path.stem, mission.path.parent
     with open_folder(here / f"results of {name}") as folder:
         folder.resume(name)
-        with helpers.hands(__name__, PARTS) as hands:
-            slices = executors.Slices.of(folder.staging, range(PARTS), len(hands))
+        with helpers.workers(__name__, PARTS) as workers:
+            slices = executors.Slices.of(folder.staging, range(PARTS), len(workers))
             make = partial(make_some, folder, name, os.getpid(), slices.folder)
-            executors.make_parts(make, slices, hands, lambda made: None)
+            executors.make_parts(make, slices, workers, lambda made: None)
         make(range(PARTS))
-        manifest = {"fingerprint": name, "mission": name, "exit_code": 3, "hands": len(hands)}
+        manifest = {"fingerprint": name, "mission": name, "exit_code": 3, "workers": len(workers)}
         manifest["outputs"] = folder.outputs()
         folder.commit(manifest)
     return Outcome(name, folder.path, manifest, 3, False)
@@ -95,7 +95,7 @@ def make_some(folder, name, own, slices, numbers):
         if folder.read_receipt(part) is not None:
             continue
         limit = time.monotonic() + 100.0
-        while name != "busy" and os.getpid() == own and not list(slices.glob("hand-*")):
+        while name != "busy" and os.getpid() == own and not list(slices.glob("worker-*")):
             assert time.monotonic() < limit
             time.sleep(0.01)
         with (folder.path.parent / "begun").open("a") as file:

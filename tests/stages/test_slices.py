@@ -4,18 +4,25 @@ from __future__ import annotations
 
 import hashlib
 import pickle
+import shutil
 import threading
 import time
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from pipeline.batch import executors
 from pipeline.batch.apart import Child
 from pipeline.batch.outcomes import Lost, end_of
+from pipeline.batch.store import RunFolder
+from pipeline.errors import StorageError
 from pipeline.stages import correction
+from pipeline.stages.correction import PartsOfRun, check_wanted
+from pipeline.stages.statistics import Statistics
 
 BATCH_ROWS, COPIES = 1000, 200
 
@@ -83,22 +90,23 @@ def test_what_another_process_leaves_is_made_here(large, monkeypatch, end):
 
 
 def test_slices_cover_all_numbers_once(tmp_path):
-    """Whatever hands do: nothing, die at once or when they have taken a slice, or work."""
+    """Whatever workers do: nothing, die at once or when they have taken a slice, or work."""
 
     def dies(task):
-        next(executors.made_with(*pickle.loads(task).args[:2])[1].taken("hand-1"))
+        next(executors.made_with(*pickle.loads(task).args[:2])[1].taken("worker-1"))
         return Lost("killed by SIGKILL")
 
     for count in (0, 1, 7, 100):
-        for hands in ([], [lambda task: Lost("killed")], [lambda task: pickle.loads(task)(), dies]):
-            slices = executors.Slices.of(tmp_path, range(count), len(hands))
+        by_all = [lambda task: pickle.loads(task)(), dies]
+        for workers in ([], [lambda task: Lost("killed")], by_all):
+            slices = executors.Slices.of(tmp_path, range(count), len(workers))
             assert [n for some in slices.numbers for n in some] == list(range(count))
             made, progress = tmp_path / str(slices.folder.name) / "made", []
-            executors.make_parts(partial(note, made), slices, hands, progress.append)
+            executors.make_parts(partial(note, made), slices, workers, progress.append)
             numbers = [int(n) for n in made.read_text().split()] if made.exists() else []
             assert len(numbers) == len(set(numbers))
             assert sum(progress) == count
-            lost = slices.numbers[0] if dies in hands and count else ()
+            lost = slices.numbers[0] if dies in workers and count else ()
             assert len(numbers) >= count - max(map(len, slices.numbers), default=0) * bool(lost)
 
 
@@ -107,7 +115,7 @@ def note(file, numbers):
         print(*numbers, file=stream)
 
 
-def test_a_hand_that_has_not_begun_is_not_waited_for(tmp_path):
+def test_a_worker_that_has_not_begun_is_not_waited_for(tmp_path):
     """As on a cluster whose workers are busy: it comes when all is done, and makes nothing."""
     waits, late = threading.Event(), []
 
@@ -141,3 +149,18 @@ def test_a_set_up_of_another_hash_is_refused(tmp_path):
         time.sleep(0.01)
     assert ends[0].code == "INPUT-CHANGED"
     assert sorted(map(int, (tmp_path / "made").read_text().split())) == list(range(20))
+
+
+def test_a_worker_whose_run_has_ended_puts_no_part_among_those_of_the_next(tmp_path):
+    """Its machine did not notice that the command was killed; another run uses the folder now."""
+    slices = executors.Slices.of(tmp_path, range(4), 1)
+    (slices.folder / "setup").touch()
+    of_next = PartsOfRun(RunFolder(tmp_path))
+    of_next.write(0, pa.table({"x_px": [2.0]}), Statistics.of({}))
+    late = replace(of_next, check=partial(check_wanted, slices, lambda: None))
+    late.write(1, pa.table({"x_px": [1.0]}), Statistics.of({}))
+    shutil.rmtree(slices.folder)
+    with pytest.raises(StorageError, match="setup"):
+        late.write(0, pa.table({"x_px": [1.0]}), Statistics.of({}))
+    parts = sorted((tmp_path / ".staging" / "observations").iterdir())
+    assert [pq.read_table(part)["x_px"].to_pylist() for part in parts] == [[2.0], [1.0]]
