@@ -24,7 +24,7 @@ def _atmospheres() -> list[str]:
 
 _NAMED = typer.Option(help="name of a standard atmosphere", autocompletion=_atmospheres)
 Atmosphere = Annotated[str, _NAMED]
-Radius = Annotated[float, typer.Option(min=1.0, help="radius of the earth, metres")]
+Radius = Annotated[float, typer.Option(help="radius of the earth, metres")]
 
 
 class _AngleCommand(TyperCommand):

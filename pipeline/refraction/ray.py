@@ -229,7 +229,7 @@ def angle_and_status(
     if status in (OK, BEYOND_GRAZING, FAR_BRANCH):
         return r_c, codes
     reason = {
-        BAD_MEASUREMENT: "the heights and the nadir angle (0 to 180 degrees) must be numbers",
+        BAD_MEASUREMENT: "heights and nadir angle (0 to 180 degrees) must be numbers, the radius above 0",
         OUTSIDE_PROFILE: f"the profile ({profile.bottom_m:.0f} to {profile.top_m:.0f} m) "
         f"or the method ({method}) does not cover the heights",
         MISSES_GROUND: "the ray never reaches the target's height",
@@ -237,6 +237,7 @@ def angle_and_status(
     raise PhysicsError(
         f"RAY-{STATUS_NAMES[status].upper().replace('_', '-')}",
         reason,
-        where=f"h_c = {h_c!r} m, h_g = {h_g!r} m, zeta_c = {np.degrees(zeta_c):.6f} deg",
-        remedy="check heights and nadir angle (inside the package angles are radians)",
+        where=f"h_c = {h_c!r} m, h_g = {h_g!r} m, zeta_c = {np.degrees(zeta_c):.6f} deg, "
+        f"radius = {radius!r} m",
+        remedy="check heights, angle and radius (inside the package angles are radians)",
     )
