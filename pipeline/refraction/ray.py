@@ -229,7 +229,7 @@ def angle_and_status(
     if status in (OK, BEYOND_GRAZING, FAR_BRANCH):
         return r_c, codes
     reason = {
-        BAD_MEASUREMENT: "heights and nadir angle (0 to 180 degrees) must be numbers, the radius above 0",
+        BAD_MEASUREMENT: "heights and angle (0 to 180 degrees) must be numbers, the radius above 0",
         OUTSIDE_PROFILE: f"the profile ({profile.bottom_m:.0f} to {profile.top_m:.0f} m) "
         f"or the method ({method}) does not cover the heights",
         MISSES_GROUND: "the ray never reaches the target's height",
