@@ -14,7 +14,7 @@ from pipeline.batch.store import open_folder
 from pipeline.ledger import Ledger
 from pipeline.refraction.ray import rays_by
 from pipeline.stages.correction import CorrectionSetup, PartsOfRun, correct_stream
-from pipeline.stages.ground.ground_heights import GivenGround, TerrainGround
+from pipeline.stages.ground_heights import GivenGround, TerrainGround
 from pipeline.tables.geodata.elevation import open_elevation
 from pipeline.tables.observations import open_observations
 

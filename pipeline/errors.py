@@ -69,7 +69,6 @@ class UnbendError(Exception):
     exit_code = EXIT_REFUSED
 
     def __init__(self, code: str, what: str, *, where: str = "", remedy: str = "") -> None:
-        what = in_agreement(what)
         self.code = code
         self.what = in_agreement(what)
         super().__init__(code, self.what, where, remedy)

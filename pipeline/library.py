@@ -47,8 +47,8 @@ from pipeline.refraction.kernels.terrain import extremes_of_tile
 from pipeline.refraction.landing import terrain_heights
 from pipeline.refraction.window import refract_at_window
 from pipeline.report.progress import NoProgress
+from pipeline.stages.commands.finished_run import air_of, stations_of
 from pipeline.stages.correction import CorrectionSetup, correct_stream
-from pipeline.stages.finished_run import air_of, stations_of
 from pipeline.stages.outputs import observation_metadata
 from pipeline.stages.statistics import Statistics
 from pipeline.stages.story import correct_mission, prepare_mission

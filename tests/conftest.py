@@ -137,7 +137,7 @@ def computed_once() -> Iterator[None]:
     that they are given.
     """
     from pipeline.ledger import Ledger
-    from pipeline.stages.air import adjusted_profile
+    from pipeline.stages import adjusted_profile
     from pipeline.stages.multi_image import tie_point_checks
 
     diagnose, said = tie_point_checks.diagnosis, {}

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from pipeline import caches
-from pipeline.report.page import html
+from pipeline.report import html
 
 
 @pytest.fixture

@@ -1,20 +1,46 @@
-"""Why a mission would run: what differs from the run whose results are there."""
+"""Why a mission would run: what differs from the run whose results are there.
 
-from collections.abc import Iterator, Mapping
+Missions that are unchanged by the state of their files are known without reading or parsing any.
+An entry of the index repeats what `run` found when it read everything: that the results of a
+mission are those of its mission file, inputs, code and libraries. It holds as long as inode, size
+and both times of all these files stay, and as long as the program and the libraries do.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 import pipeline
-from pipeline.batch.kept import is_kept
+from pipeline.batch.file_hashes import is_settled, stamp
 from pipeline.batch.keys import (
+    GRIDS,
     NOT_IN_KEY,
     STAGES,
+    code_hash,
     code_of_stages,
+    grids_of_proj,
     key_of_drawn,
     stage_of_key,
     stage_of_role,
 )
-from pipeline.batch.plan import Plan
-from pipeline.batch.store import find_damage
+from pipeline.batch.object_store import Place
+from pipeline.batch.plan import Plan, input_paths, is_raster, located, make_plan
+from pipeline.batch.store import MANIFEST, STAGING, find_damage, read_manifest
+from pipeline.batch.value_cache import is_kept
+from pipeline.caches import read_entry, write_entries
+from pipeline.config.campaign import MissionRef
+from pipeline.errors import UnbendError
+from pipeline.tables.geodata.gdal import raster_files
+from pipeline.tables.imports.blocks import BLOCKS
 
 
 def reasons_to_run(plan: Plan, manifest: Mapping[str, Any]) -> list[str]:
@@ -101,3 +127,132 @@ def _keys(values: Any, key: str = "") -> Iterator[tuple[str, Any]]:
 
 def _shown(value: Any) -> str:
     return "nothing" if value is None else str(value)
+
+
+Row = Mapping[str, Any]
+"""What a campaign's page shows of a mission."""
+
+_MOST_ENTRIES = 20_000
+"""Remembered; of more those that were written longest ago are forgotten."""
+
+_DATABASE = "missions.sqlite"
+
+
+@dataclass(frozen=True)
+class IndexEntry:
+    """A mission whose file is as it was: its name and folder, and whether all else is too."""
+
+    name: str
+    output: Path
+    exit_code: int
+    row: Row
+    unchanged: bool
+
+
+def look_up(refs: Iterable[MissionRef]) -> dict[MissionRef, IndexEntry]:
+    """What is known of missions whose file and defaults, and the program, are as they were."""
+    program, known = _program(), {}
+    for ref in refs:
+        content = read_entry(_DATABASE, _key(ref))
+        if content is None or content["program"] != program:
+            continue
+        files, file = content["files"], os.path.abspath(ref.path)
+        if stamp(file) != files.get(file):
+            continue
+        if content["grids"] is not None and content["grids"] != grids_of_proj():
+            continue
+        # A run that is under way, or was interrupted, has a staging folder.
+        staged = os.path.lexists(os.path.join(content["output"], STAGING))
+        unchanged = not staged and all(stamp(path) == was for path, was in files.items())
+        unchanged = unchanged and _with_sidecars(content["rasters"]) <= files.keys()
+        output = Path(os.path.normpath(ref.folder / content["stated"]))
+        known[ref] = IndexEntry(
+            content["name"], output, content["exit_code"], content["row"], unchanged
+        )
+    return known
+
+
+def remember(refs: Iterable[MissionRef], describe: Callable[[Row], Row]) -> None:
+    """Keep which of these missions are unchanged, after everything was compared as `run` does.
+
+    ``describe`` makes the row of a manifest. Not kept is a mission with inputs that are folders or
+    blocks or lie in an object store, nor one of which a file changed in the last two seconds.
+    """
+    program, entries = _program(), {}
+    for ref in refs:
+        with suppress(UnbendError, OSError):
+            if content := entry_of(ref, describe):
+                entries[_key(ref)] = content | {"program": program}
+    write_entries(_DATABASE, entries, _MOST_ENTRIES)
+
+
+def entry_of(ref: MissionRef, describe: Callable[[Row], Row]) -> dict[str, Any] | None:
+    """The entry of a mission that is unchanged, and stays so while it is looked at."""
+    file = os.path.abspath(ref.path)
+    began = stamp(file)
+    mission = ref.load()
+    named = input_paths(mission, ref.folder)
+    inputs = [path for _, path in named.values()]
+    output = located(mission.output.path, ref.folder)
+    if any(isinstance(path, Place) for path in (*inputs, output)):
+        return None
+    rasters = [os.path.abspath(str(path)) for role, (_, path) in named.items() if is_raster(role)]
+    read = {os.path.abspath(str(path)) for path in inputs} | _with_sidecars(rasters)
+    files = {path: stamp(path) for path in read} | {file: began}
+    if not all(map(is_settled, files.values())):
+        return None
+    plan = make_plan(mission, ref.folder)
+    manifest = read_manifest(plan.folder, damaged=True)
+    if manifest is None or any(i.program in BLOCKS or i.path.is_dir() for i in plan.inputs):
+        return None
+    results = [plan.folder / str(item["name"]) for item in manifest["outputs"]]
+    results += {path.parent for path in results} - {plan.folder}
+    files |= {os.path.abspath(path): stamp(path) for path in [*results, plan.folder / MANIFEST]}
+    if not all(map(is_settled, files.values())) or reasons_to_run(plan, manifest):
+        return None
+    if any(stamp(path) != known for path, known in files.items()):
+        return None
+    return {
+        "name": mission.mission.name, "output": os.path.abspath(plan.folder),
+        "stated": mission.output.path, "exit_code": int(manifest["exit_code"]),
+        "row": dict(describe(manifest)), "files": files,
+        "grids": plan.libraries["air"].get(GRIDS), "rasters": rasters,
+    }  # fmt: skip
+
+
+def _with_sidecars(rasters: Iterable[str]) -> set[str]:
+    """Paths of rasters, and of the files beside them that are read with them."""
+    return {str(file) for raster in rasters for file in raster_files(Path(raster))}
+
+
+def known_stamps(name: str) -> dict[str, Any] | None:
+    """What `keep_stamps` was given under a name, if the files are as they were then."""
+    content: dict[str, Any] | None = read_entry(_DATABASE, name)
+    if content is None or any(stamp(path) != known for path, known in content["files"].items()):
+        return None
+    return content
+
+
+def keep_stamps(name: str, files: Iterable[Path], **content: Any) -> None:
+    """Keep values that hold as long as these files, which this process wrote, stay as they are."""
+    stamps = {os.path.abspath(path): stamp(path) for path in files}
+    write_entries(_DATABASE, {name: content | {"files": stamps}}, _MOST_ENTRIES)
+
+
+def _key(ref: MissionRef) -> str:
+    words = [os.path.abspath(ref.path), ref.defaults, ref.own]
+    return hashlib.sha256(json.dumps(words).encode()).hexdigest()
+
+
+@lru_cache(maxsize=1)
+def installed() -> str:
+    """All that is installed, with versions: the names of the folders that describe it."""
+    folders = [folder for folder in sys.path if os.path.isdir(folder)]
+    names = {name for folder in folders for name in os.listdir(folder)}
+    return json.dumps(sorted(name for name in names if name.endswith((".dist-info", ".egg-info"))))
+
+
+def _program() -> str:
+    """SHA-256 over the code, Python, and every library that is installed, whether used or not."""
+    content = [code_hash(), sys.version, installed()]
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()

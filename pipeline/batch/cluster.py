@@ -25,10 +25,18 @@ from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any, cast
 from urllib.parse import urlsplit
 
-from pipeline.batch.apart import Child, run_pickled, stop_all
-from pipeline.batch.executors import Ends, Task, Worker
+from pipeline.batch.executors import (
+    Bug,
+    Child,
+    Ends,
+    Lost,
+    Task,
+    TaskEnd,
+    Worker,
+    run_pickled,
+    stop_all,
+)
 from pipeline.batch.keys import version, versions
-from pipeline.batch.outcomes import Bug, Lost, TaskEnd
 from pipeline.errors import ConfigError, MissionError, OutputInUseError
 from pipeline.interrupts import held_back
 from pipeline.refraction.kernels.threads import usable_cpus

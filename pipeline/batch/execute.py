@@ -10,8 +10,7 @@ from contextlib import closing
 from functools import partial
 from typing import TYPE_CHECKING, Any, Protocol
 
-from pipeline.batch.executors import Executor, Task
-from pipeline.batch.outcomes import Bug, Lost, Outcome, Receipt
+from pipeline.batch.executors import Bug, Executor, Lost, Outcome, Receipt, Task
 from pipeline.batch.store import read_manifest
 from pipeline.errors import ConfigError, MissionError, UnbendError
 from pipeline.exit_codes import EXIT_BUG, EXIT_DONE, EXIT_LOSSES, EXIT_REFUSED

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pipeline.batch.object_store.copies import version_of
-from pipeline.batch.object_store.place import Place
+from pipeline.batch.object_store import Place, version_of
 from pipeline.caches import read_entry, write_entries
 from pipeline.errors import InputError
 from pipeline.ingest import hash_file

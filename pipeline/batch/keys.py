@@ -27,15 +27,14 @@ NOT_IN_KEY = ("output.batch_rows",)
 """Keys of a mission file that no number depends on."""
 
 _STORY = "pipeline.stages.story"
-_AFTERWARDS = {"pipeline.tables.exports", "pipeline.stages.finished_run", "pipeline.batch.changes"}
+_AFTERWARDS = {"pipeline.batch.changes"}
 _MODULES = {
     "ingest": {"pipeline.ingest"},
     "air": {
         "pipeline.stages.inputs",
         "pipeline.stages.stations",
-        "pipeline.stages.air.adjusted_profile",
-        "pipeline.stages.ground.point_table",
-        "pipeline.stages.ground.ground_heights",
+        "pipeline.stages.adjusted_profile",
+        "pipeline.stages.ground_heights",
         "pipeline.flight.air_samples",
         "pipeline.flight.stations",
         "pipeline.tables.geodata.geoid",

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from pipeline.batch.executors import Outcome
 from pipeline.batch.file_hashes import (
     GDAL,
     Input,
@@ -22,9 +23,7 @@ from pipeline.batch.file_hashes import (
     stamp,
 )
 from pipeline.batch.keys import keys_of, libraries
-from pipeline.batch.object_store.copies import copy_of, fetched, version_of
-from pipeline.batch.object_store.place import Place, is_url
-from pipeline.batch.outcomes import Outcome
+from pipeline.batch.object_store import Place, copy_of, fetched, is_url, version_of
 from pipeline.batch.store import would_replace
 from pipeline.caches import user_cache
 from pipeline.config import Mission

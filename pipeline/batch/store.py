@@ -22,8 +22,8 @@ from uuid import uuid4
 from filelock import FileLock, Timeout
 
 from pipeline.batch.file_hashes import known_hash, remember, remembered_hash, stamp
-from pipeline.batch.kept import packed, unpacked
-from pipeline.batch.object_store.place import Place
+from pipeline.batch.object_store import Place
+from pipeline.batch.value_cache import packed, unpacked
 from pipeline.errors import OutputInUseError, StorageError, storage_errors
 from pipeline.ingest import hash_file
 

@@ -47,7 +47,7 @@ class _Group(TyperGroup):
         name, command, words = super().resolve_command(ctx, args)
         urls = [w.partition("=")[2] if w.startswith("--") else w for w in words if ":/" in w]
         if urls and name not in {"run", "export", "verify", "clean"}:
-            from pipeline.batch.object_store.place import Place, is_url
+            from pipeline.batch.object_store import Place, is_url
 
             for url in filter(is_url, urls):
                 raise ConfigError.of("URL-INVALID/command", Place.of(url), command=name)
@@ -80,7 +80,7 @@ class Answer:
     @cached_property
     def console(self) -> Console:
         """Console for the text of the answer; it discards what nobody wants."""
-        from pipeline.report.text.console import report_console
+        from pipeline.report.console import report_console
 
         return report_console(quiet=self._quiet or self.as_json)
 
@@ -88,7 +88,7 @@ class Answer:
         """A bar for work that may take longer than half a second, where there is a terminal."""
         if self._quiet or not (sys.stdout.isatty() or sys.stderr.isatty()):
             return DelayedProgressBar(None, title)
-        from pipeline.report.text.console import report_console
+        from pipeline.report.console import report_console
 
         on_error = self.as_json or not sys.stdout.isatty()
         return DelayedProgressBar(report_console(error=True) if on_error else self.console, title)
@@ -113,7 +113,7 @@ class Answer:
         files = [str(path) for path in written if path is not None]
         self.print_json(content | {"written": files, "ledger": ledger.rows(), "exit_code": code})
         if not (self._quiet or self.as_json):
-            from pipeline.report.text.terminal import print_ledger
+            from pipeline.report.terminal import print_ledger
 
             print_ledger(self.console, ledger.rows() if shown is None else shown)
             self.print_paths(files)

@@ -96,8 +96,8 @@ def init(
     with answer.progress(f"reading {log.name}"):
         import yaml
 
-        from pipeline.config.mistakes import open_questions
-        from pipeline.stages.proposal.mission_proposal import propose_mission
+        from pipeline.config.reading import open_questions
+        from pipeline.stages.commands.mission_proposal import propose_mission
 
         target = Path("mission.yaml") if printed else out
         text = propose_mission(log, observations, images, target)
@@ -137,8 +137,8 @@ def clean(
     answer = Answer(quiet=quiet, as_json=as_json)
     if url is not None:
         with answer.progress(f"looking at {url}"):
-            from pipeline.batch.object_store.place import Place
-            from pipeline.batch.object_store.published import remove_orphans
+            from pipeline.batch.object_store import Place
+            from pipeline.batch.publication import remove_orphans
 
             orphans, young = remove_orphans(Place.of(url), recent=recent)
         answer.print_json({"removed": orphans, "kept": young})

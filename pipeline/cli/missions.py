@@ -23,7 +23,7 @@ from pipeline.report.words import count
 if TYPE_CHECKING:
     from pipeline.batch.execute import MissionEnd
     from pipeline.config.campaign import MissionRef
-    from pipeline.stages.campaigns.selection import Selection
+    from pipeline.stages.commands.campaigns import Selection
 
 
 Configs = Annotated[
@@ -77,10 +77,9 @@ def run(
 
             refuse_missing(scheduler)
         from pipeline.batch.execute import shard_of
-        from pipeline.batch.outcomes import Outcome
-        from pipeline.report.text.terminal import print_unchanged
-        from pipeline.stages.campaigns.pages import write_pages
-        from pipeline.stages.campaigns.selection import keep_unchanged, select_missions
+        from pipeline.batch.executors import Outcome
+        from pipeline.report.terminal import print_unchanged
+        from pipeline.stages.commands.campaigns import keep_unchanged, select_missions, write_pages
 
         chosen = select_missions(configs, names or (), shard_of(shard))
     missions: list[dict[str, Any]] = []
@@ -111,7 +110,7 @@ def run_missions(
     with answer.progress("loading"):
         from pipeline.batch.execute import run_many
         from pipeline.batch.executors import ChildHelpers, Executor, Inline, Processes
-        from pipeline.stages.campaigns.selection import run_chosen
+        from pipeline.stages.commands.campaigns import run_chosen
 
     executor: Executor = Inline(answer.progress)
     sent = {ref: ref for ref in missions}
@@ -130,7 +129,7 @@ def run_missions(
 
 def print_end(answer: Answer, config: str, end: MissionEnd, chosen: Selection) -> dict[str, Any]:
     """Print how a mission ended, of a campaign in a line; its entry in the JSON of the command."""
-    from pipeline.batch.outcomes import Bug
+    from pipeline.batch.executors import Bug
     from pipeline.batch.store import read_manifest
 
     if isinstance(end, UnbendError):
@@ -140,7 +139,7 @@ def print_end(answer: Answer, config: str, end: MissionEnd, chosen: Selection) -
         return {"config": config, "exit_code": EXIT_BUG}
     several = len(chosen.missions) > 1
     if not (end.repeated and several):
-        from pipeline.report.text.terminal import print_run
+        from pipeline.report.terminal import print_run
 
         how = {"repeated": end.repeated, "brief": several and bool(chosen.campaigns)}
         print_run(answer.console, end.name, str(end.output), end.manifest, **how)
@@ -176,9 +175,9 @@ def check(
     """
     answer = Answer(quiet=quiet, as_json=as_json)
     with answer.progress("loading"):
-        from pipeline.report.text.terminal import print_check
-        from pipeline.stages.campaigns.selection import select_missions
-        from pipeline.stages.rehearsal import input_lines, rehearsal_lines
+        from pipeline.report.terminal import print_check
+        from pipeline.stages.commands.campaigns import select_missions
+        from pipeline.stages.commands.rehearsal import input_lines, rehearsal_lines
         from pipeline.stages.story import check_mission
 
         chosen = select_missions(configs, names or ())
@@ -211,8 +210,8 @@ def status(
     """
     answer = Answer(quiet=quiet, as_json=as_json)
     with answer.progress("loading"):
-        from pipeline.report.text.terminal import print_status
-        from pipeline.stages.campaigns.selection import select_missions
+        from pipeline.report.terminal import print_status
+        from pipeline.stages.commands.campaigns import select_missions
 
         chosen = select_missions(configs, names or (), writes=False)
     missions: list[dict[str, Any]] = []
@@ -253,7 +252,7 @@ def stations(
     """Stations of a mission, how events became images, and a drawing."""
     answer = Answer(quiet=quiet, as_json=as_json)
     with answer.progress(f"reading {config.name}"):
-        from pipeline.report.text.terminal import print_stations
+        from pipeline.report.terminal import print_stations
         from pipeline.stages.story import read_mission
         from pipeline.tables.writing import rows_of_stations
 
@@ -306,19 +305,18 @@ def inspect(
             if as_json:
                 answer.print_json(contents)
             elif not quiet:
-                from pipeline.report.text.terminal import print_model
+                from pipeline.report.terminal import print_model
 
                 print_model(answer.console, contents, log.name)
             raise typer.Exit(EXIT_DONE)
         opened = open_log(log, needs_channels=kind is None)
         columns = None if kind is None else opened.message(kind, instance)
     if as_csv and columns is not None and not quiet:
-        from pipeline.report.messages import write_messages_csv
+        from pipeline.report.terminal import write_messages_csv
 
         write_messages_csv(sys.stdout, columns)
     elif columns is not None and not as_csv:
-        from pipeline.report.messages import field_rows
-        from pipeline.report.text.terminal import print_fields
+        from pipeline.report.terminal import field_rows, print_fields
 
         fields = field_rows(columns)
         rows = len(next(iter(columns.values())))
@@ -327,7 +325,7 @@ def inspect(
     elif as_json:
         answer.print_json(opened.to_json_dict())
     elif not quiet:
-        from pipeline.report.text.terminal import print_log
+        from pipeline.report.terminal import print_log
 
         print_log(answer.console, opened.to_json_dict(), log.name)
     raise typer.Exit(exit_code_of(has_losses=opened.ledger.has_losses))
@@ -411,7 +409,7 @@ def export(
     name = options.pop("format_name")
     with answer.progress(f"exporting {run}"):
         from pipeline.batch.plan import located
-        from pipeline.stages.story import export_run
+        from pipeline.stages.commands.finished_run import export_run
 
         written, ledger = export_run(
             located(run), name, out, options, ground_height_m=ground_height, force=force
@@ -464,7 +462,7 @@ def verify(
     answer = Answer(quiet=quiet, as_json=as_json)
     with answer.progress(f"hashing {run}"):
         from pipeline.batch.plan import located
-        from pipeline.stages.story import verify_run
+        from pipeline.stages.commands.finished_run import verify_run
 
         manifest = verify_run(located(run))
     files = len(manifest["outputs"])

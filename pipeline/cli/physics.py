@@ -2,13 +2,16 @@
 
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer.core import TyperCommand
 
 from pipeline.cli.app import Answer, AsJson, Quiet, app, write_rows_csv
 from pipeline.errors import ConfigError
+
+if TYPE_CHECKING:
+    from pipeline.report.accuracy import Accuracy
 
 
 def _methods() -> list[str]:
@@ -65,7 +68,7 @@ def angle(
     answer = Answer(quiet=quiet, as_json=as_json)
     with answer.progress("tracing the ray"):
         from pipeline.refraction.angle import one_angle
-        from pipeline.report.text.air_and_rays import print_angle
+        from pipeline.report.air_and_rays import print_angle
 
         result = one_angle(
             atmosphere=atmosphere,
@@ -111,7 +114,7 @@ def radial(
     answer = Answer(quiet=quiet, as_json=as_json)
     with answer.progress("estimating the air"):
         from pipeline.refraction.angle import angles_to, radial_table
-        from pipeline.report.text.air_and_rays import print_radial, radial_rows
+        from pipeline.report.air_and_rays import print_radial, radial_rows
         from pipeline.stages.story import air_of_mission_or_standard
 
         angles = angles_to(max_angle, step)
@@ -143,7 +146,7 @@ def tables(
     answer = Answer(quiet=quiet, as_json=as_json)
     with answer.progress("computing the tables"):
         from pipeline.refraction.papers import paper_tables
-        from pipeline.report.text.air_and_rays import print_paper
+        from pipeline.report.air_and_rays import print_paper
 
         table = paper_tables(paper)
         rows = table.rows()
@@ -178,7 +181,7 @@ def profile(
     answer = Answer(quiet=quiet, as_json=as_json)
     with answer.progress("estimating the air"):
         from pipeline.atmosphere.profile import heights_every
-        from pipeline.report.text.air_and_rays import print_air, print_profile
+        from pipeline.report.air_and_rays import print_air, print_profile
         from pipeline.stages.story import air_of_mission_or_standard
         from pipeline.tables.writing import table_of_profile, table_of_profiles
 
@@ -219,7 +222,6 @@ def compare(
     answer = Answer(quiet=quiet, as_json=as_json)
     with answer.progress("comparing the methods"):
         from pipeline.report.accuracy import compare_all, comparison_rows, print_accuracy
-        from pipeline.stages.story import write_comparison
 
         comparisons = compare_all(atmosphere)
         if out is not None:
@@ -227,6 +229,21 @@ def compare(
     if out is None:
         print_accuracy(answer.console, comparisons)
     answer.print_json({"atmosphere": atmosphere, "rows": comparison_rows(comparisons)})
+
+
+def write_comparison(accuracy: "Accuracy", path: Path) -> None:
+    """Write the comparison of the methods as a page, and its picture beside it."""
+    from pipeline.batch.store import atomic_write
+    from pipeline.report.accuracy import accuracy_page, accuracy_png, text_hash
+
+    if path.suffix.lower() != ".md":
+        raise ConfigError.of("PAGE-FORMAT", path, suffix=path.suffix or "nothing")
+    picture = path.with_suffix(".png")
+    text = accuracy_page(accuracy, picture.name)
+    png = accuracy_png(accuracy.curves, text_hash(text))
+    for target, content in ((path, text.encode()), (picture, png)):
+        with atomic_write(target) as draft:
+            draft.write_bytes(content)
 
 
 def _require_one_atmosphere(config: Path | None, atmosphere: str | None) -> None:

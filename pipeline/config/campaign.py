@@ -15,8 +15,7 @@ from typing import Any
 import yaml
 from pydantic import BaseModel, ValidationError
 
-from pipeline.config.mistakes import Place, open_questions
-from pipeline.config.reading import merged, mission_of, read_yaml, refusal_of
+from pipeline.config.reading import Place, merged, mission_of, open_questions, read_yaml, refusal_of
 from pipeline.config.schema import PATH, alternatives, nodes_at
 from pipeline.config.sections import CampaignFile, Mission
 from pipeline.errors import ConfigError

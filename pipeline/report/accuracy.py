@@ -19,7 +19,7 @@ from rich.padding import Padding
 from pipeline.atmosphere import standard_atmosphere
 from pipeline.refraction.angle import Comparison, compare_methods
 from pipeline.refraction.ray import refraction_angle
-from pipeline.report.text.console import plain_table
+from pipeline.report.console import plain_table
 from pipeline.units import ARCSEC, DEGREE, Array
 
 if TYPE_CHECKING:

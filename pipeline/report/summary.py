@@ -1,11 +1,202 @@
-"""Sentences and table rows of the summary and the report, from a manifest."""
+"""What a run means in sentences, what to do next, and the rows of tables; from a manifest.
+
+Terminal and report agree.
+"""
 
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from pipeline.report.verdict import is_applied
-from pipeline.report.words import length, shortened, significant, with_sigma
+from pipeline.refraction.window import SIGMA_BAROMETER_PA, SIGMA_THERMOMETER_K
+from pipeline.report.words import count, length, pixels, shortened, significant, with_sigma
+from pipeline.units import HECTOPASCAL
+
+LARGEST_CABIN_SHARE = 0.02
+"""From this standard deviation on, as a share of R, the air in the cabin is in the verdict."""
+
+SMALLEST_MEASURABLE_PX = 0.05
+"""A correction that stays below it everywhere cannot be seen in image measurements."""
+
+_NEARLY_ALL = 0.9
+_OF_ROWS = (
+    "IMAGES-UNMATCHED", "OBS-FLAGGED", "OBS-GROUND-RANGE", "POINTS-MISSING", "STATIONS-FLAGGED"
+)  # fmt: skip
+"""Losses of single rows, which have no corrected coordinates: counted apart."""
+
+_OF_SUSPECTS = ("STATIONS-SUSPECT", "STATIONS-HEIGHT", "ORIENTATION-FAR", "ORIENTATION-UP")
+_OF_USUAL_CABINS = ("CABIN-BOARD", "CABIN-TEMPERATURE")
+_ASSUMED = {
+    "sigma_pressure_hpa":
+        ("pressure", ("log", "ambient"), f"{SIGMA_BAROMETER_PA / HECTOPASCAL:g} hPa"),
+    "sigma_temperature_k": ("temperature_c", ("log", None), f"{SIGMA_THERMOMETER_K:g} K"),
+}  # fmt: skip
+_UNMEASURED = {"climatology": "a climatology stands for it", "standard": "a standard stands for it"}
+
+
+def is_applied(manifest: Mapping[str, Any]) -> bool:
+    """Whether the run displaced ideal observations instead of correcting measured ones."""
+    return bool(manifest["config"]["refraction"]["direction"] == "apply")
+
+
+def verdict(manifest: Mapping[str, Any]) -> str:
+    """One sentence: how many observations were corrected, how far, and whether they can be used.
+
+    Never says that results can be adjusted where the run ended with code 3 for anything but rows
+    that have no corrected coordinates.
+    """
+    correction, rows = manifest["correction"], manifest["observations"]["rows"]
+    done, shift = correction["shift_px"]["count"], correction["shift_px"]["maximum"]
+    applied, metres = is_applied(manifest), correction["shift_ground_m"]["maximum"]
+    verb = "displaced" if applied else "corrected"
+    concerns = "; ".join(what for what, _ in _concerns(manifest))
+    if not done:
+        look = f"; look at {concerns}" if concerns else ""
+        return f"None of {count(rows, 'observation')} could be {verb}: {flagged(manifest)}{look}."
+    if done < rows:
+        start = f"{done:,} of {rows:,} observations were"
+    else:
+        start = "The observation was" if rows == 1 else f"All {rows:,} observations were"
+    shown = pixels(shift) if metres is None else f"{length(metres)} on the ground, {pixels(shift)}"
+    if concerns:
+        end = f", but not to be used before a look at {concerns}"
+    elif is_tiny(manifest):
+        end = ", less than can be measured there: not needed here"
+    elif applied:
+        end = ", for simulations and tests: they now contain refraction"
+    else:
+        left = "" if done == rows else f" without the other {count(rows - done, 'row')}"
+        end = f", and can be adjusted{left}"
+    return f"{start} {verb} by up to {shown} in the image{end}."
+
+
+def remarks(manifest: Mapping[str, Any]) -> list[str]:
+    """What stands below the verdict: what limits the accuracy, and what control points show."""
+    sentences = [text for text, _ in _limits(manifest)]
+    if control := manifest.get("control"):
+        before, after = (
+            length(sum(v**2 for v in control[f"rms_{name}_m"]) ** 0.5)
+            for name in ("before", "after")
+        )
+        points = count(control["used"], "control point")
+        verb = "displaced" if is_applied(manifest) else "corrected"
+        sentences.append(f"{points}: RMS distance {before} as measured, {after} {verb}.")
+    return sentences
+
+
+def next_steps(manifest: Mapping[str, Any]) -> list[str]:
+    """What to do next, the most urgent first; each a sentence."""
+    steps = [step for _, step in _concerns(manifest)]
+    adjust = "Then adjust" if steps else "Adjust"
+    rows, done = manifest["observations"]["rows"], manifest["correction"]["shift_px"]["count"]
+    applied = is_applied(manifest)
+    if not done:
+        return [*steps, "Find the cause among the losses, correct the mission file, run again."]
+    if done < rows:
+        steps.append(
+            f"Leave out {count(rows - done, 'row')} without new coordinates "
+            f"({flagged(manifest)}); the ledger names the causes."
+        )
+    steps += [step for _, step in _limits(manifest)]
+    if is_tiny(manifest):
+        steps.append("Use the results or the measurements as they were: it makes no difference.")
+    if applied:
+        steps.append("Use x_displaced_px, y_displaced_px as measurements with known refraction.")
+    else:
+        steps += [
+            f"{adjust} x_corrected_px, y_corrected_px, or write them for a program: unbend export.",
+            "Switch the refraction correction off in the adjustment program, where it has one: "
+            "nothing may be corrected twice.",
+        ]
+    return steps
+
+
+def flagged(manifest: Mapping[str, Any]) -> str:
+    """How many observations have each status other than ok.
+
+    >>> flagged({"observations": {"status": {"ok": 7, "no_ground": 0, "no_station": 1200}}})
+    '1,200 no_station'
+    """
+    status = manifest["observations"]["status"].items()
+    return ", ".join(f"{n:,} {name}" for name, n in status if n and name != "ok")
+
+
+def is_tiny(manifest: Mapping[str, Any]) -> bool:
+    """Whether nearly all observations were corrected, each by less than can be measured."""
+    shift, rows = manifest["correction"]["shift_px"], manifest["observations"]["rows"]
+    return bool(shift["count"] > _NEARLY_ALL * rows and shift["maximum"] < SMALLEST_MEASURABLE_PX)
+
+
+def _concerns(manifest: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """What has to be looked at before the results are used, and how; the gravest first."""
+    concerns = []
+    codes: dict[str, list[str]] = {"finding": [], "loss": []}
+    for entry in manifest["ledger"]:
+        kind, code = entry["kind"], entry["code"]
+        if kind in codes and code not in (*_OF_ROWS, *_OF_SUSPECTS, *codes[kind]):
+            codes[kind].append(code)
+    if codes["finding"]:
+        names = ", ".join(sorted(codes["finding"]))
+        step = f"Correct what {names} says and run again, or accept it with the reason (accept)."
+        concerns.append((f"{count(len(codes['finding']), 'likely mistake')} ({names})", step))
+    if number := manifest["stations"].get("suspect", 0):
+        some = count(number, "suspect station")
+        reasons = [e["what"] for e in manifest["ledger"] if e["code"] in _OF_SUSPECTS]
+        more = f" (and {len(reasons) - 1} more)" if len(reasons) > 1 else ""
+        used = manifest["config"]["stations"]["use_suspect"]
+        left = "" if used else ", whose observations have no corrected coordinates"
+        step = f"Look at the {some} (unbend stations MISSION --plot FILE): {reasons[0]}{more}."
+        concerns.append((f"{some}{left}", step))
+    if codes["loss"]:
+        names = ", ".join(sorted(codes["loss"]))
+        step = f"Read what was lost ({names}), and give the whole file where there is one."
+        concerns.append((f"{count(len(codes['loss']), 'loss', 'losses')} ({names})", step))
+    method = manifest["config"]["refraction"]["method"]
+    if method != "spherical":
+        step = "Run again without refraction.method: the published methods are not for work."
+        concerns.append((f"the method {method}, published for comparison", step))
+    return concerns
+
+
+def _limits(manifest: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """What limits the accuracy, and what would help: air that was not measured, and the cabin."""
+    limits = []
+    air, basis = manifest["uncertainty"], manifest["profile"]["basis"]
+    sigma = "" if air is None else f" ± {100.0 * air['scale_sigma']:.2g} %"
+    if basis in _UNMEASURED:
+        known = f", R is known to{sigma}" if sigma else ""
+        step = "To correct better, give the air: a thermometer, soundings or METARs."
+        limits.append((f"The air was not measured: {_UNMEASURED[basis]}{known}.", step))
+    cabin = manifest["cabin_sigma_share"]["median"]
+    if cabin is not None and cabin > LARGEST_CABIN_SHARE:
+        text = f"The air in the cabin is uncertain by {100.0 * cabin:.2g} % of R in the median"
+        if air is not None:
+            text += f", the air outside by{sigma.replace(' ±', '')}"
+            text += " only" * (cabin > air["scale_sigma"])
+        limits.append((f"{text}.", cabin_step(manifest)))
+    return limits
+
+
+def cabin_step(manifest: Mapping[str, Any]) -> str:
+    """Which air in the cabins to measure, or which of the errors assumed of it to state."""
+    cameras = manifest["config"]["cameras"].items()
+    windows = {name: camera["window"] for name, camera in cameras if camera["window"]}
+    cabins = {name: w["cabin"] for name, w in windows.items() if w["shape"] == "plane"}
+    of = [e["where"] for e in manifest["ledger"] if e["code"] in _OF_USUAL_CABINS]
+    usual = [n for n, c in cabins.items() if c == "standard_schedule" or f"camera {n}" in of]
+    keys = ", ".join(f"cameras.{name}.window.cabin" for name in usual or cabins)
+    if usual:
+        return f"Measure the air in the cabin, or state it: {keys}."
+    assumed = {
+        sigma: value for sigma, (quantity, sources, value) in _ASSUMED.items()
+        if any(c == "log" or (c[quantity] in sources and c[sigma] is None) for c in cabins.values())
+    }  # fmt: skip
+    if not assumed:
+        return f"To correct better, know the air in the cabin better than stated: {keys}."
+    return (
+        f"The cabin's sensors are assumed to be good to {', '.join(assumed.values())}: if they are "
+        f"better, give {', '.join(assumed)} ({keys})."
+    )
+
 
 _GRAVEST_FIRST = ("finding", "loss", "warning", "fallback", "note")
 

@@ -31,7 +31,7 @@ from pipeline.refraction.ray import PublishedRays
 from pipeline.refraction.ray_table import RayTable
 from pipeline.refraction.status_codes import NO_STATION
 from pipeline.refraction.uncertainty.sigmas import Sigmas, Uncertainty
-from pipeline.stages.ground.ground_heights import (
+from pipeline.stages.ground_heights import (
     Ground,
     GroundHeights,
 )

@@ -18,7 +18,7 @@ from pipeline.refraction.image import Exposures
 from pipeline.refraction.ray import rays_by
 from pipeline.refraction.window import OPTICAL_AXIS, Window
 from pipeline.stages.correction import CorrectionSetup
-from pipeline.stages.ground.ground_heights import GivenGround, Ground, SlantRangeGround
+from pipeline.stages.ground_heights import GivenGround, Ground, SlantRangeGround
 from pipeline.units import HECTOPASCAL, Array, Mask, Names
 
 

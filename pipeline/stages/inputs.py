@@ -6,8 +6,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from pipeline.batch.file_hashes import check_unchanged
-from pipeline.batch.kept import keep, recall
 from pipeline.batch.plan import Plan
+from pipeline.batch.value_cache import keep, recall
 from pipeline.errors import MissionError
 from pipeline.flight.channels import ROLE_COLUMNS, Channel
 from pipeline.flight.evidence.contradictions import contradictions_of_import, examine

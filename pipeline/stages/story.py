@@ -3,10 +3,9 @@
 Nothing is computed here: each step is a call of a stage, and each stage has a module of its own.
 """
 
-import json
 import shutil
-from collections.abc import Callable, Mapping
-from contextlib import ExitStack, suppress
+from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -21,14 +20,10 @@ from pipeline.atmosphere.estimate.adjusted_profile import unadjusted
 from pipeline.atmosphere.series.profile_series import TimedProfile, constant_series
 from pipeline.batch import store
 from pipeline.batch.changes import drawn_before, reasons_to_run
-from pipeline.batch.executors import ALONE, Helpers
+from pipeline.batch.executors import ALONE, Helpers, Outcome
 from pipeline.batch.file_hashes import check_unchanged
-from pipeline.batch.kept import keep, recall
 from pipeline.batch.keys import code_of_stages, key_of_drawn, versions
-from pipeline.batch.object_store.copies import fetched, version_of
-from pipeline.batch.object_store.place import Place
-from pipeline.batch.object_store.published import Publication, rehearse_place
-from pipeline.batch.outcomes import Outcome
+from pipeline.batch.object_store import Place
 from pipeline.batch.plan import (
     Plan,
     fetch_inputs,
@@ -37,22 +32,23 @@ from pipeline.batch.plan import (
     places_named,
     refuse_other_mission,
 )
+from pipeline.batch.publication import Publication, rehearse_place
+from pipeline.batch.value_cache import keep, recall
 from pipeline.block.image_rays import UNKNOWN_SIGMAS
 from pipeline.block.oriented_images import SIGMAS_OF_BLOCK
 from pipeline.config.campaign import MissionRef
-from pipeline.errors import ConfigError, InputError, StorageError, storage_errors
+from pipeline.errors import storage_errors
 from pipeline.flight.air_samples import air_samples
 from pipeline.flight.heights import heights_at, logged_terrain, undulation_notes
 from pipeline.flight.stations import Stations, append_unmatched_images, flag_height_misfits
 from pipeline.flight.trajectory import takeoff_of
 from pipeline.ledger import Ledger
 from pipeline.refraction.effect import FlightAir
-from pipeline.report.accuracy import Accuracy, accuracy_page, accuracy_png, text_hash
 from pipeline.report.flown import flown_of
-from pipeline.report.page.html import write_report
+from pipeline.report.html import write_report
 from pipeline.report.progress import NoProgress, Progress
 from pipeline.stages import correction, plausibility
-from pipeline.stages.air.adjusted_profile import AirSources, adjusted_profiles, read_air_sources
+from pipeline.stages.adjusted_profile import AirSources, adjusted_profiles, read_air_sources
 from pipeline.stages.cabin_air import with_cabin_air
 from pipeline.stages.exposure_setup import (
     correction_setup,
@@ -60,12 +56,15 @@ from pipeline.stages.exposure_setup import (
     lenses_of_mission,
     windows_of_mission,
 )
-from pipeline.stages.finished_run import rebuild_run, refuse_output
-from pipeline.stages.ground.ground_heights import elevation_of_mission, with_terrain
-from pipeline.stages.ground.point_table import check_object_points, with_object_points
+from pipeline.stages.ground_heights import (
+    check_object_points,
+    elevation_of_mission,
+    with_intersected_heights,
+    with_object_points,
+    with_terrain,
+)
 from pipeline.stages.inputs import FlightLog, read_log, read_observations
 from pipeline.stages.multi_image.control import compare_control
-from pipeline.stages.multi_image.intersected_heights import with_intersected_heights
 from pipeline.stages.outputs import manifest_of, observation_metadata, write_tables
 from pipeline.stages.stations import stations_of_mission
 from pipeline.stages.statistics import SAMPLED_ROWS, Statistics
@@ -74,11 +73,9 @@ from pipeline.stages.uncertainty import (
     report_unknown_sigmas,
     with_uncertainties,
 )
-from pipeline.tables.exports import find_format
 from pipeline.tables.geodata.elevation import ElevationModel
 from pipeline.tables.geodata.geoid import package_geoid
 from pipeline.tables.observations import Observations
-from pipeline.tables.refraction_mark import SIDECAR, sidecar_text
 from pipeline.units import Array
 
 
@@ -429,44 +426,6 @@ def read_mission(mission: MissionRef | Path) -> PreparedMission:
     return prepare_mission(make_plan(ref.load(), ref.folder), NoProgress())
 
 
-def manifest_of_run(path: Path | Place) -> dict[str, Any]:
-    """The manifest of a finished run; refuses (VERIFY-NO-MANIFEST) a place without."""
-    manifest = store.read_manifest(path)
-    if manifest is None:
-        raise StorageError.of("VERIFY-NO-MANIFEST", path)
-    return manifest
-
-
-def copy_of_run(place: Place) -> Path:
-    """A copy in the user's cache of what is published at a place, as a folder; anew if replaced."""
-    manifest = manifest_of_run(place)
-    attempt = Place.of(f"{place}/attempts/{manifest['attempt']}/")
-    with suppress(FileNotFoundError, InputError):
-        copy = fetched(attempt, version_of(attempt))
-        if not store.find_damage(place, manifest, read=False):  # all was there until now
-            with store.atomic_write(copy / store.MANIFEST) as draft:
-                draft.write_text(json.dumps(manifest), encoding="utf-8")
-            return copy
-    if verify_run(place) == manifest:
-        raise InputError.of("INPUT-CHANGED", place, role="results")
-    return copy_of_run(place)
-
-
-def verify_run(path: Path | Place) -> dict[str, Any]:
-    """The manifest of a run whose results are whole and unchanged; refuses any other.
-
-    In object storage, results that are replaced meanwhile are looked at anew.
-    """
-    manifest = manifest_of_run(path)
-    damage = store.find_damage(path, manifest)
-    if damage and isinstance(path, Place) and store.read_manifest(path) != manifest:
-        return verify_run(path)
-    if damage:
-        lines = "\n    ".join(damage)
-        raise StorageError.of("VERIFY-DAMAGED", path, count=len(damage), lines=lines)
-    return manifest
-
-
 def air_of_mission_or_standard(
     config: Path | None, atmosphere: str | None
 ) -> tuple[FlightAir, AirSamples, Ledger]:
@@ -481,50 +440,3 @@ def air_of_mission_or_standard(
         AirSamples(),
         Ledger(),
     )
-
-
-def export_run(
-    path: Path | Place,
-    name: str,
-    out: Path,
-    options: Mapping[str, Any],
-    *,
-    ground_height_m: float | None = None,
-    force: bool = False,
-) -> tuple[int, Ledger]:
-    """Write a finished run in a format of other programs; rows written, and what was left out.
-
-    ``options`` are those of the format, by name; ``ground_height_m`` as for `rebuild_run`.
-    """
-    form = find_format(name, out)
-    values = form.values(options)
-    if isinstance(path, Place):
-        path = copy_of_run(path)
-    refuse_output(path, out, force=force and bool(form.ending))
-    ledger = Ledger()
-    run = rebuild_run(path, verify_run(path), ground_height_m, ledger)
-    with store.atomic_write(out) as draft:
-        if not form.ending:
-            draft.mkdir(parents=True)
-        rows = form.write(run, values, draft, ledger)
-        if form.use:
-            ledger.note("EXPORT-USE", form.use, where=f"--format {name}")
-        if form.marked:
-            about = {"mission": run.mission, "notes": [entry.what for entry in ledger]}
-            files = {file or out.name: draft / file for file in form.marked}
-            beside = out if form.ending else draft / form.marked[0]
-            with store.atomic_write(beside.with_name(beside.name + SIDECAR)) as sidecar:
-                sidecar.write_text(sidecar_text(files, about), encoding="utf-8")
-    return rows, ledger
-
-
-def write_comparison(accuracy: Accuracy, path: Path) -> None:
-    """Write the comparison of the methods as a page, and its picture beside it."""
-    if path.suffix.lower() != ".md":
-        raise ConfigError.of("PAGE-FORMAT", path, suffix=path.suffix or "nothing")
-    picture = path.with_suffix(".png")
-    text = accuracy_page(accuracy, picture.name)
-    png = accuracy_png(accuracy.curves, text_hash(text))
-    for target, content in ((path, text.encode()), (picture, png)):
-        with store.atomic_write(target) as draft:
-            draft.write_bytes(content)

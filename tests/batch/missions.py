@@ -17,7 +17,7 @@ from pathlib import Path
 
 from pipeline.batch import executors
 from pipeline.batch.execute import run_many
-from pipeline.batch.outcomes import Bug, Outcome
+from pipeline.batch.executors import Bug, Outcome
 from pipeline.batch.store import atomic_write, open_folder, read_manifest
 from pipeline.errors import InputError
 

@@ -10,14 +10,12 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.batch import apart
-from pipeline.batch.apart import Child, stop_all
+from pipeline.batch import executors
 from pipeline.batch.execute import exit_code_of, run_many, shard_of
-from pipeline.batch.executors import Inline
-from pipeline.batch.outcomes import Bug, Outcome, Receipt
+from pipeline.batch.executors import Bug, Child, Inline, Outcome, Receipt, stop_all
 from pipeline.config.campaign import MissionRef
 from pipeline.errors import InputError
-from pipeline.stages.campaigns.selection import select_missions
+from pipeline.stages.commands.campaigns import select_missions
 
 
 def test_folders_that_links_make_one_are_one(mission_factory, tmp_path):
@@ -125,7 +123,7 @@ def test_the_exit_code_of_several(codes, code):
 def test_a_child_that_has_waited_too_long_is_replaced(monkeypatch):
     child = Child()
     task = pickle.dumps(partial(Receipt, "a", Path("out"), "f", 0, False))
-    monkeypatch.setattr(apart, "_SERVE", apart._SERVE.replace("serve()", "serve(0.01)"))
+    monkeypatch.setattr(executors, "_SERVE", executors._SERVE.replace("serve()", "serve(0.01)"))
     try:
         assert child.run(task) == Receipt("a", Path("out"), "f", 0, False)
         first = child.process

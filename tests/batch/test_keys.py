@@ -70,14 +70,14 @@ PLANTED = {
     "refraction/statistics.py": {"correction"},
     "stages/plausibility.py": {"correction"},
     "stages/story.py": {"air", "correction", "report"},
-    "report/page/data/report.html.j2": {"report"},
-    "report/page/data/report.css": {"report"},
-    "report/verdict.py": {"report"},
+    "report/data/report.html.j2": {"report"},
+    "report/data/report.css": {"report"},
+    "report/summary.py": {"report"},
     "report/codes.toml": {"report"},
     "cli/missions.py": set(),
     "simulate/flight.py": set(),
     "library.py": set(),
-    "stages/proposal/mission.yaml.j2": set(),
+    "stages/commands/mission.yaml.j2": set(),
     "tables/exports/opk.py": set(),
 }
 
@@ -90,7 +90,7 @@ def test_an_edit_changes_the_stages_that_reach_it(copied):
         (copied / name).write_bytes(content + b"\n")
         after = keys.code_below(copied)
         assert {stage for stage in ALL if after[stage] != before[stage]} >= stages, name
-        if name.startswith(("report/", "cli/", "simulate/", "library", "stages/proposal")):
+        if name.startswith(("report/", "cli/", "simulate/", "library", "stages/commands")):
             assert {stage for stage in ALL if after[stage] != before[stage]} == stages, name
         (copied / name).write_bytes(content)
     (copied / "atmosphere" / "data" / "afgl1986.csv").rename(copied / "atmosphere" / "data" / "a")
@@ -136,16 +136,17 @@ def test_compiled_code_does_not_count(copied):
 @pytest.mark.parametrize(
     "planted",
     [
-        "def f():\n    from pipeline.stages import rehearsal\n",
-        "def f():\n    import pipeline.stages.rehearsal\n",
-        "from pipeline.stages import (  # (as text)\n    cabin_air,\n    rehearsal as other,\n)\n",
-        'KINDS = {"x": "pipeline.stages.rehearsal"}\n',
-        "if True: from pipeline.stages.rehearsal import check\n",
-        "from ..stages import rehearsal\n",
-        "from .. import stages\nfrom ..stages.rehearsal import check\n",
-        "import numpy, pipeline.stages.rehearsal\n",
-        "from pipeline.stages \\\n    import rehearsal\n",
-        "from pipeline.stages import cabin_air, \\\n    rehearsal\n",
+        "def f():\n    from pipeline.stages.commands import rehearsal\n",
+        "def f():\n    import pipeline.stages.commands.rehearsal\n",
+        "from pipeline.stages.commands import ("
+        "  # (as text)\n    campaigns,\n    rehearsal as other,\n)\n",
+        'KINDS = {"x": "pipeline.stages.commands.rehearsal"}\n',
+        "if True: from pipeline.stages.commands.rehearsal import check\n",
+        "from ..stages.commands import rehearsal\n",
+        "from .. import stages\nfrom ..stages.commands.rehearsal import check\n",
+        "import numpy, pipeline.stages.commands.rehearsal\n",
+        "from pipeline.stages.commands \\\n    import rehearsal\n",
+        "from pipeline.stages.commands import campaigns, \\\n    rehearsal\n",
     ],
     ids=[
         "inside",
@@ -165,7 +166,7 @@ def test_a_module_that_is_newly_reached_counts(copied, planted):
     module = copied / "ingest" / "registry.py"
     module.write_text(module.read_text(encoding="utf-8") + "\n\n" + planted, encoding="utf-8")
     before = keys.code_below(copied)
-    edited = copied / "stages" / "rehearsal.py"
+    edited = copied / "stages" / "commands" / "rehearsal.py"
     edited.write_text(edited.read_text(encoding="utf-8") + "\n", encoding="utf-8")
     after = keys.code_below(copied)
     assert {stage for stage in ALL if after[stage] != before[stage]} >= ALL - {"report"}

@@ -119,8 +119,8 @@ import signal, sys
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a child of nohup has it ignored
 sys.path.append(sys.argv.pop(1))
 import stalling
-from pipeline.stages.campaigns import selection
-selection.run_chosen = stalling.run_mission
+from pipeline.stages.commands import campaigns
+campaigns.run_chosen = stalling.run_mission
 from pipeline.cli import main
 main()
 """

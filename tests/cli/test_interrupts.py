@@ -286,8 +286,9 @@ def test_kill_and_rerun_give_what_an_untouched_run_gives(mission, baseline, unbe
 
 def test_a_bug_is_owned_up_to(mission):
     code = (
-        "import sys; from pipeline.stages import story; sys.argv = ['unbend', 'verify', 'x']\n"
-        "story.verify_run = lambda path: 1 / 0\n"
+        "import sys; from pipeline.stages.commands import finished_run\n"
+        "sys.argv = ['unbend', 'verify', 'x']\n"
+        "finished_run.verify_run = lambda path: 1 / 0\n"
         "from pipeline.cli import main; main()"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)

@@ -11,7 +11,7 @@ from matplotlib.dates import date2num
 
 from pipeline.flight.stations import NO_TIME, Stations, empty_stations, station_columns
 from pipeline.report.figures import flight_figure
-from pipeline.report.text.terminal import print_stations
+from pipeline.report.terminal import print_stations
 from pipeline.tables.writing import rows_of_stations
 
 SECOND = 1_000_000_000
@@ -43,7 +43,7 @@ def flown(n: int = 40) -> Stations:
 
 
 def printed(stations: Stations, capsys) -> list[str]:
-    from pipeline.report.text.console import report_console
+    from pipeline.report.console import report_console
 
     print_stations(report_console(), rows_of_stations(stations))
     return [line.strip() for line in capsys.readouterr().out.splitlines()]

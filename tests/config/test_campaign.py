@@ -11,7 +11,7 @@ import jsonschema
 import pytest
 import yaml
 
-from pipeline.batch.object_store.place import is_url
+from pipeline.batch.object_store import is_url
 from pipeline.config import reading
 from pipeline.config.campaign import Campaign, MissionRef, open_configs
 from pipeline.config.schema import alternatives, campaign_schema, mission_schema, nodes_at

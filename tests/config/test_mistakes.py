@@ -12,7 +12,7 @@ import yaml
 from pydantic import ValidationError
 
 from pipeline.config import Mission, load_mission
-from pipeline.config.mistakes import sentences_of
+from pipeline.config.reading import sentences_of
 from pipeline.errors import ConfigError
 
 ROOT = Path(__file__).resolve().parents[2]

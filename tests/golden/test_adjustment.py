@@ -16,7 +16,7 @@ import pandas as pd
 import pytest
 
 from pipeline.batch.plan import Outcome
-from pipeline.stages.story import export_run
+from pipeline.stages.commands.finished_run import export_run
 
 from .conftest import REPOSITORY, read_observations, run_sample
 

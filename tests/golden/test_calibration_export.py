@@ -17,7 +17,7 @@ import pytest
 import yaml
 
 from pipeline.errors import MissionError
-from pipeline.stages.story import export_run
+from pipeline.stages.commands.finished_run import export_run
 from tests.golden.held_block import (
     CX,
     CY,

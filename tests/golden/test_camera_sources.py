@@ -9,7 +9,7 @@ import pytest
 
 from pipeline.errors import ConfigError, InputError
 from pipeline.ledger import Ledger
-from pipeline.stages.finished_run import rebuild_run
+from pipeline.stages.commands.finished_run import rebuild_run
 
 from .conftest import read_observations, run_sample, sample_sections, write_mission
 

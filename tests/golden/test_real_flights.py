@@ -11,7 +11,7 @@ import pytest
 from pipeline.batch.plan import Outcome
 from pipeline.errors import MissionError
 from pipeline.ingest import open_log
-from pipeline.report.verdict import remarks, verdict
+from pipeline.report.summary import remarks, verdict
 
 from .conftest import SHARED, needs_shared, read_observations, run_mission, write_mission
 from .test_autopilot_logs import CAMERA

@@ -16,7 +16,7 @@ PAGE = Path(__file__).resolve().parents[2] / "docs" / "accuracy.md"
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory) -> Path:
-    from pipeline.stages.story import write_comparison
+    from pipeline.cli.physics import write_comparison
 
     path = tmp_path_factory.mktemp("page") / "accuracy.md"
     write_comparison(compare_all("us1976"), path)

@@ -6,8 +6,8 @@ import io
 
 import numpy as np
 
-from pipeline.report import messages
-from pipeline.report.messages import field_rows, write_messages_csv
+from pipeline.report import terminal
+from pipeline.report.terminal import field_rows, write_messages_csv
 
 COLUMNS = {
     "time_ns": np.array([1_000_000_001, 86_400_000_000_000, 2], np.int64),
@@ -25,7 +25,7 @@ def test_every_cell_of_the_csv(monkeypatch):
         "1970-01-01T00:00:00.000000002Z,0.1,,6,5\n"
     )
     for block in (8192, 2):
-        monkeypatch.setattr(messages, "BLOCK", block)
+        monkeypatch.setattr(terminal, "BLOCK", block)
         stream = io.StringIO()
         write_messages_csv(stream, COLUMNS)
         assert stream.getvalue() == expected

@@ -17,7 +17,7 @@ import pytest
 from pipeline.flight.stations import empty_stations
 from pipeline.refraction.camera.camera import Camera
 from pipeline.report.flown import Flown, air_curves, flown_of
-from pipeline.report.page.html import report_page
+from pipeline.report.html import report_page
 
 from .test_every_number import (
     AIR,

@@ -25,7 +25,7 @@ from pipeline.simulate.true_air import (
     true_air,
     vapour_pressure_pa,
 )
-from pipeline.stages.air import adjusted_profile as batch_air
+from pipeline.stages import adjusted_profile as batch_air
 from pipeline.stages.story import read_mission
 from tests.conftest import without_plots
 

@@ -17,7 +17,7 @@ import pytest
 from pipeline.atmosphere import standard_atmosphere
 from pipeline.atmosphere.series.profile_series import TimedProfile, constant_series
 from pipeline.flight.stations import NO_TIME, Stations
-from pipeline.stages.finished_run import profile_of, stations_of
+from pipeline.stages.commands.finished_run import profile_of, stations_of
 from pipeline.stages.story import read_mission
 from pipeline.tables.exports.format import write_csv_stream
 from pipeline.tables.writing import PROFILE_ID, table_of_profile, table_of_stations

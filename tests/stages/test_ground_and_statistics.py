@@ -20,7 +20,7 @@ from pipeline.refraction.status_codes import (
     OUTSIDE_CAMERA,
     STATUS_NAMES,
 )
-from pipeline.stages.ground.ground_heights import GivenGround, GroundHeights, plausible_heights
+from pipeline.stages.ground_heights import GivenGround, GroundHeights, plausible_heights
 from pipeline.stages.statistics import Statistics, evenly_spaced
 
 

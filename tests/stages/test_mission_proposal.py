@@ -16,8 +16,8 @@ import yaml
 
 from pipeline.block.name_series import name_series
 from pipeline.flight.channels import Channel, Source
-from pipeline.stages.proposal import mission_proposal
-from pipeline.stages.proposal.mission_proposal import FoundLog, propose_mission, proposed_cameras
+from pipeline.stages.commands import mission_proposal
+from pipeline.stages.commands.mission_proposal import FoundLog, propose_mission, proposed_cameras
 from tests.ingest.ulog.test_log import flight
 
 SHARED = Path(__file__).resolve().parents[3] / "shared" / "logs"

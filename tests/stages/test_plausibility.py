@@ -15,8 +15,8 @@ from pipeline.refraction.camera.general_frame import GeneralFrame
 from pipeline.refraction.camera.opencv_fisheye import OpenCVFisheye
 from pipeline.simulate.flight import FIELD_LAT_RAD, FIELD_LON_RAD, geographic, terrain_m
 from pipeline.simulate.write_dataflash import FORMATS
+from pipeline.stages.commands.rehearsal import camera_text
 from pipeline.stages.plausibility import RULES, Facts, distortion, field_of_view
-from pipeline.stages.rehearsal import camera_text
 from pipeline.stages.story import check_mission
 
 from .test_rehearsal import config, rows

@@ -14,7 +14,7 @@ import pytest
 
 from pipeline.errors import ConfigError, MissionError, StorageError, UnbendError
 from pipeline.ledger import Ledger
-from pipeline.stages import rehearsal
+from pipeline.stages.commands import rehearsal
 from pipeline.stages.story import check_mission, run_mission
 from pipeline.tables.observations import RowSample, open_observations
 

@@ -19,9 +19,9 @@ import pytest
 from pipeline.atmosphere import standard_atmosphere
 from pipeline.batch import store
 from pipeline.batch.file_hashes import check_unchanged
-from pipeline.batch.kept import packed, unpacked
 from pipeline.batch.plan import make_plan
 from pipeline.batch.store import find_damage, open_folder, read_manifest
+from pipeline.batch.value_cache import packed, unpacked
 from pipeline.config import load_mission
 from pipeline.errors import InputError, StorageError
 from pipeline.ledger import Ledger
@@ -29,7 +29,7 @@ from pipeline.refraction.camera.camera import BrownConrady, Camera
 from pipeline.refraction.image import Exposures
 from pipeline.refraction.ray import rays_by
 from pipeline.stages.correction import CorrectionSetup, PartsOfRun, correct_stream
-from pipeline.stages.ground.ground_heights import GivenGround
+from pipeline.stages.ground_heights import GivenGround
 from pipeline.tables.observations import open_observations
 
 SEED = random.randrange(1 << 30)

@@ -16,8 +16,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from pipeline.batch import executors
-from pipeline.batch.apart import Child
-from pipeline.batch.outcomes import Lost, end_of
+from pipeline.batch.executors import Child, Lost, end_of
 from pipeline.batch.store import RunFolder
 from pipeline.errors import StorageError
 from pipeline.stages import correction

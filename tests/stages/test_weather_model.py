@@ -15,8 +15,9 @@ from pipeline.atmosphere.series import profiles_by_place
 from pipeline.ledger import Ledger
 from pipeline.simulate.flight import FIELD_LAT_RAD
 from pipeline.simulate.true_air import temperature_k, true_air, vapour_pressure_pa
-from pipeline.stages.air.adjusted_profile import adjusted_profiles, read_air_sources
-from pipeline.stages.story import read_mission, verify_run
+from pipeline.stages.adjusted_profile import adjusted_profiles, read_air_sources
+from pipeline.stages.commands.finished_run import verify_run
+from pipeline.stages.story import read_mission
 from tests.conftest import run_command
 from tests.model_files import dataset, netcdf
 

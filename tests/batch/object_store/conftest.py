@@ -17,7 +17,7 @@ from urllib.request import urlopen
 
 import pytest
 
-from pipeline.batch.object_store.place import Place, open_store
+from pipeline.batch.object_store import Place, open_store
 
 pytest.importorskip("obstore")
 

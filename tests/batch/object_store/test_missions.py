@@ -10,9 +10,9 @@ import sys
 import pyarrow.parquet as pq
 import pytest
 
-from pipeline.batch.object_store.place import Place
-from pipeline.batch.object_store.published import Publication
+from pipeline.batch.object_store import Place
 from pipeline.batch.plan import fetch_inputs, make_plan
+from pipeline.batch.publication import Publication
 from pipeline.batch.store import find_damage, read_manifest, would_replace
 from pipeline.config import load_mission
 from pipeline.errors import ConfigError
@@ -235,7 +235,7 @@ def test_an_input_among_the_results_is_refused(stored, s3_place):
 
 
 def test_a_url_costs_no_import_where_none_is_used():
-    code = "import pipeline.batch.object_store.published, pipeline.batch.plan, sys; "
+    code = "import pipeline.batch.publication, pipeline.batch.plan, sys; "
     code += "print('obstore' in sys.modules)"
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert said.stdout == "False\n"

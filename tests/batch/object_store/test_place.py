@@ -12,11 +12,17 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import pytest
 
-from pipeline.batch.object_store import copies, published
-from pipeline.batch.object_store.copies import copy_of, fetched, version_of
-from pipeline.batch.object_store.place import Place, is_url, open_store
-from pipeline.batch.object_store.published import rehearse_place
+from pipeline.batch import object_store, publication
+from pipeline.batch.object_store import (
+    Place,
+    copy_of,
+    fetched,
+    is_url,
+    open_store,
+    version_of,
+)
 from pipeline.batch.plan import located
+from pipeline.batch.publication import rehearse_place
 from pipeline.batch.store import read_manifest
 from pipeline.errors import ConfigError, InputError, UnbendError
 
@@ -92,7 +98,7 @@ def test_the_folder_of_an_input(place):
 
 
 def test_copies_beyond_the_bound_go_the_oldest_first(s3_place, monkeypatch):
-    monkeypatch.setattr(copies, "_MOST_BYTES", 250)
+    monkeypatch.setattr(object_store, "_MOST_BYTES", 250)
     paths = []
     for number in range(4):
         place = s3_place / str(number)
@@ -170,12 +176,12 @@ def test_a_store_that_is_not_there(s3_place, use, seaweed):
 
 
 def test_a_clock_that_is_off(s3_place, monkeypatch):
-    class Later(published.datetime):
+    class Later(publication.datetime):
         @classmethod
         def now(cls, zone=None):
             return super().now(zone) - timedelta(minutes=20)
 
-    monkeypatch.setattr(published, "datetime", Later)
+    monkeypatch.setattr(publication, "datetime", Later)
     assert refusal(rehearse_place, s3_place, writes=True).code == "CLOUD-CLOCK"
     assert s3_place.objects() == {}
 

@@ -13,13 +13,13 @@ from datetime import timedelta
 
 import pytest
 
-from pipeline.batch.object_store import place as place_module
-from pipeline.batch.object_store import published
-from pipeline.batch.object_store.place import Place
-from pipeline.batch.object_store.published import Publication, rehearse_place, remove_orphans
+from pipeline.batch import object_store as place_module
+from pipeline.batch import publication
+from pipeline.batch.object_store import Place
+from pipeline.batch.publication import Publication, rehearse_place, remove_orphans
 from pipeline.batch.store import find_damage, read_manifest
 from pipeline.errors import OutputInUseError, StorageError
-from pipeline.stages.story import verify_run
+from pipeline.stages.commands.finished_run import verify_run
 
 RACES = int(os.environ.get("UNBEND_RACES", "4"))
 
@@ -115,7 +115,7 @@ def test_writers_killed_at_each_request(s3_place, tmp_path, monkeypatch):
                 publish(at, tmp_path, 1)
         seen = verify_run(at)
         assert seen == old or seen["fingerprint"] == made(tmp_path, 1)["fingerprint"]
-        monkeypatch.setattr(published, "_WAIT_S", 0.0)
+        monkeypatch.setattr(publication, "_WAIT_S", 0.0)
         now = publish(at, tmp_path, 1)
         assert verify_run(at) == now
         remove_orphans(at, recent=True)
@@ -135,7 +135,7 @@ def test_an_answer_that_is_lost(s3_place, tmp_path, monkeypatch, written):
             answer = ask(verb, place, call, *arguments, **options)  # as the library tries again
         return answer
 
-    monkeypatch.setattr(published, "_WAIT_S", 0.0)
+    monkeypatch.setattr(publication, "_WAIT_S", 0.0)
     monkeypatch.setattr(place_module, "ask", deaf)
     done = publish(s3_place, tmp_path, 1)
     assert done is not None
@@ -155,13 +155,13 @@ def test_orphans_of_the_last_hour_stay(s3_place, tmp_path, monkeypatch, unbend):
     assert ended.out == "1 upload of the last hour kept: --recent removes them too\n"
     assert set(s3_place.objects()) == everything
 
-    class Later(published.datetime):
+    class Later(publication.datetime):
         @classmethod
         def now(cls, zone=None):
             return super().now(zone) + timedelta(hours=2)
 
     with monkeypatch.context() as patch:
-        patch.setattr(published, "datetime", Later)
+        patch.setattr(publication, "datetime", Later)
         ended = unbend("clean", s3_place, "--json")
     assert json.loads(ended.out) == {
         "removed": [f"{s3_place}/one/attempts/{'0' * 32}/"], "kept": 0

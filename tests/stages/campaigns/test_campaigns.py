@@ -16,8 +16,8 @@ import pyarrow.parquet as pq
 import pytest
 import yaml
 
-from pipeline.batch import file_hashes, index
-from pipeline.stages.campaigns.selection import select_missions
+from pipeline.batch import changes, file_hashes
+from pipeline.stages.commands.campaigns import select_missions
 from tests.conftest import run_command, without_plots
 from tests.stages.test_adjusted_profile import sounding_text
 
@@ -194,10 +194,10 @@ def test_the_index_is_never_stale(done, monkeypatch, tmp_path):
         shutil.copytree(kept / "results" / "flight-0", done.manifest(0).parent)
         shutil.copytree(kept / "flights" / "f0", done.flight(0), dirs_exist_ok=True)
         again = select_missions([done.file])
-        index.remember(again.missions, lambda manifest: {"fingerprint": manifest["fingerprint"]})
+        changes.remember(again.missions, lambda manifest: {"fingerprint": manifest["fingerprint"]})
         assert done.unchanged() == [1], f"{what}: files of just now are not trusted"
         done.older()
-        index.remember(again.missions, lambda manifest: {"fingerprint": manifest["fingerprint"]})
+        changes.remember(again.missions, lambda manifest: {"fingerprint": manifest["fingerprint"]})
         assert done.unchanged() == [0, 1], what
 
 
@@ -208,8 +208,8 @@ def test_a_new_file_beside_a_raster_is_a_change(done, monkeypatch):
     file.write_text(yaml.safe_dump(content), encoding="utf-8")
     (done.flight(0) / "geoid.tif").write_bytes(b"raster")
     done.older()
-    monkeypatch.setattr(index, "reasons_to_run", lambda *_: [])  # as if it had run with it
-    index.remember(select_missions([done.file]).missions, lambda manifest: {})
+    monkeypatch.setattr(changes, "reasons_to_run", lambda *_: [])  # as if it had run with it
+    changes.remember(select_missions([done.file]).missions, lambda manifest: {})
     assert done.unchanged() == [0, 1]
     (done.flight(0) / "geoid.tif.aux.xml").write_text("<PAMDataset/>")
     assert done.unchanged() == [1]
@@ -220,18 +220,18 @@ def test_a_new_file_beside_a_raster_is_a_change(done, monkeypatch):
     [("code_hash", lambda: "other"), ("installed", lambda: "other")],
 )
 def test_another_program_knows_nothing(done, monkeypatch, name, value):
-    monkeypatch.setattr(index, name, value)
+    monkeypatch.setattr(changes, name, value)
     assert done.unchanged() == []
 
 
 def test_grids_count_where_they_are_used(done, monkeypatch):
     """PROJ is not even imported for missions that transform nothing."""
-    original = index.read_entry
-    monkeypatch.setattr(index, "grids_of_proj", lambda: pytest.fail("it was asked"))
+    original = changes.read_entry
+    monkeypatch.setattr(changes, "grids_of_proj", lambda: pytest.fail("it was asked"))
     assert done.unchanged() == [0, 1]
-    monkeypatch.setattr(index, "grids_of_proj", lambda: "these")
+    monkeypatch.setattr(changes, "grids_of_proj", lambda: "these")
     for grids, known in (("these", [0, 1]), ("others", [])):
-        monkeypatch.setattr(index, "read_entry", lambda *a, g=grids: original(*a) | {"grids": g})
+        monkeypatch.setattr(changes, "read_entry", lambda *a, g=grids: original(*a) | {"grids": g})
         assert done.unchanged() == known
 
 
@@ -249,7 +249,7 @@ def test_asked_to_look_again_it_looks(done, unbend, monkeypatch, option):
     from pipeline.stages import story
 
     monkeypatch.setattr(story, "make_plan", lambda *a, **k: seen.append(k) or real(*a, **k))
-    real = index.make_plan
+    real = changes.make_plan
     assert unbend("run", done.file, option, "--mission", "flight-0").code == 0
     assert len(seen) == 1
 

@@ -16,7 +16,7 @@ from pipeline.refraction.calibration import field_of_view
 from pipeline.refraction.ray import rays_by
 from pipeline.report.summary import control_sentence, effect_lines
 from pipeline.stages.correction import correct_batch
-from pipeline.stages.ground.ground_heights import GroundHeights
+from pipeline.stages.ground_heights import GroundHeights
 from pipeline.stages.plausibility import Facts
 from pipeline.stages.story import CorrectedMission
 from pipeline.tables.geodata.geoid import package_geoid

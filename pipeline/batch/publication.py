@@ -16,7 +16,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
-from pipeline.batch.object_store.place import Place
+from pipeline.batch.object_store import Place
 from pipeline.batch.store import MANIFEST, find_damage, read_manifest
 from pipeline.errors import OutputInUseError, StorageError, UnbendError
 

@@ -14,7 +14,7 @@ from pipeline.refraction.angle import RadialTable
 from pipeline.refraction.effect import FlightAir
 from pipeline.refraction.status_codes import STATUS_NAMES
 from pipeline.report import summary
-from pipeline.report.text.console import plain_table, print_indented, shown
+from pipeline.report.console import plain_table, print_indented, shown
 from pipeline.report.words import significant, with_sigma
 from pipeline.tables.exports.radial import radial_columns
 from pipeline.units import HECTOPASCAL, MICRORADIAN

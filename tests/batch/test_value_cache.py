@@ -14,10 +14,11 @@ import pytest
 
 import pipeline
 from pipeline import caches
-from pipeline.batch import kept, keys
+from pipeline.batch import keys, value_cache
 from pipeline.errors import LogError
 from pipeline.stages import correction, inputs
-from pipeline.stages.story import mission_status, run_mission, verify_run
+from pipeline.stages.commands.finished_run import verify_run
+from pipeline.stages.story import mission_status, run_mission
 
 PACKAGE = Path(pipeline.__file__).parent
 SEED = random.randrange(1 << 30)
@@ -35,14 +36,14 @@ def named(number: int) -> str:
 
 def test_what_was_used_longest_ago_goes_first(cache, monkeypatch):
     values = [np.random.default_rng(number).random(1000) for number in range(4)]
-    monkeypatch.setattr(kept, "MOST_BYTES", 3 * len(kept.packed(values[0])) + 100)
+    monkeypatch.setattr(value_cache, "MOST_BYTES", 3 * len(value_cache.packed(values[0])) + 100)
     for number, value in enumerate(values[:3]):
-        kept.keep(named(number), value)
+        value_cache.keep(named(number), value)
         os.utime(cache / named(number), (1000.0 + number,) * 2)
-    assert np.array_equal(kept.recall(named(0)), values[0])  # used just now
-    kept.keep(named(3), values[3])
+    assert np.array_equal(value_cache.recall(named(0)), values[0])  # used just now
+    value_cache.keep(named(3), values[3])
     assert sorted(path.name for path in cache.iterdir()) == [named(0), named(2), named(3)]
-    assert kept.recall(named(1)) is None
+    assert value_cache.recall(named(1)) is None
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(cache.parent))
     assert {what for what, _ in caches.cached()} == {"decoded logs and figures"}
     caches.empty_caches()
@@ -55,16 +56,16 @@ def test_what_goes_while_the_folder_is_read_leaves_nothing_open(cache):
     """Another process renames its draft; an iterator left open would be a warning in any test."""
     cache.mkdir(parents=True)
     (cache / "gone").symlink_to(cache / "nowhere")
-    kept.keep(named(0), 1)
+    value_cache.keep(named(0), 1)
     gc.collect()
-    assert kept.recall(named(0)) == 1
+    assert value_cache.recall(named(0)) == 1
 
 
 def test_without_a_cache_nothing_is_kept_and_nothing_fails(cache):
     cache.parent.mkdir(parents=True)
     cache.write_text("no folder")
-    kept.keep(named(0), 1)
-    assert kept.recall(named(0)) is None
+    value_cache.keep(named(0), 1)
+    assert value_cache.recall(named(0)) is None
 
 
 def run_and_decode(mission, monkeypatch) -> tuple[int, dict]:

@@ -17,7 +17,7 @@ import pyarrow.parquet as pq
 from jinja2 import Environment, StrictUndefined
 
 from pipeline.block.name_series import NameSeries, name_series
-from pipeline.config.mistakes import TODO
+from pipeline.config.reading import TODO
 from pipeline.errors import InputError, MissionError
 from pipeline.flight.channels import ROLE_COLUMNS, Channel
 from pipeline.flight.evidence.quality import plausible_samples

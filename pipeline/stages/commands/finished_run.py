@@ -2,6 +2,8 @@
 
 import json
 import os
+from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import fields
 from functools import partial
 from pathlib import Path
@@ -18,9 +20,10 @@ from pipeline.atmosphere.layers import Layers
 from pipeline.atmosphere.profile import Profile
 from pipeline.atmosphere.refractive_index import IndexModel
 from pipeline.atmosphere.series.profile_series import ProfileSeries, TimedProfile
-from pipeline.batch.object_store.place import is_url
+from pipeline.batch import store
+from pipeline.batch.object_store import Place, fetched, is_url, version_of
 from pipeline.config import Mission
-from pipeline.errors import ConfigError, MissionError
+from pipeline.errors import ConfigError, InputError, MissionError, StorageError
 from pipeline.flight.heights import HIGHEST_GROUND_M, LOWEST_GROUND_M
 from pipeline.flight.stations import NO_TIME, SUSPECT, Stations
 from pipeline.geodesy import Gravity
@@ -29,7 +32,8 @@ from pipeline.ledger import Ledger
 from pipeline.refraction.image import correct_observations
 from pipeline.refraction.ray import rays_by
 from pipeline.stages import exposure_setup
-from pipeline.tables.exports import ExportCamera, FinishedRun
+from pipeline.tables.exports import ExportCamera, FinishedRun, find_format
+from pipeline.tables.refraction_mark import SIDECAR, sidecar_text
 from pipeline.units import Array, Integers, Names
 
 _MOST_CHECKED = 50_000
@@ -279,3 +283,76 @@ def database_of(mission: Mission, manifest: dict[str, Any], path: Path) -> Path 
     read = {item["sha256"] for item in manifest["inputs"] if item["role"] == "observations"}
     is_it = file.suffix.lower() == ".db" and file.is_file() and hash_file(file) in read
     return file if is_it else None
+
+
+def manifest_of_run(path: Path | Place) -> dict[str, Any]:
+    """The manifest of a finished run; refuses (VERIFY-NO-MANIFEST) a place without."""
+    manifest = store.read_manifest(path)
+    if manifest is None:
+        raise StorageError.of("VERIFY-NO-MANIFEST", path)
+    return manifest
+
+
+def copy_of_run(place: Place) -> Path:
+    """A copy in the user's cache of what is published at a place, as a folder; anew if replaced."""
+    manifest = manifest_of_run(place)
+    attempt = Place.of(f"{place}/attempts/{manifest['attempt']}/")
+    with suppress(FileNotFoundError, InputError):
+        copy = fetched(attempt, version_of(attempt))
+        if not store.find_damage(place, manifest, read=False):  # all was there until now
+            with store.atomic_write(copy / store.MANIFEST) as draft:
+                draft.write_text(json.dumps(manifest), encoding="utf-8")
+            return copy
+    if verify_run(place) == manifest:
+        raise InputError.of("INPUT-CHANGED", place, role="results")
+    return copy_of_run(place)
+
+
+def verify_run(path: Path | Place) -> dict[str, Any]:
+    """The manifest of a run whose results are whole and unchanged; refuses any other.
+
+    In object storage, results that are replaced meanwhile are looked at anew.
+    """
+    manifest = manifest_of_run(path)
+    damage = store.find_damage(path, manifest)
+    if damage and isinstance(path, Place) and store.read_manifest(path) != manifest:
+        return verify_run(path)
+    if damage:
+        lines = "\n    ".join(damage)
+        raise StorageError.of("VERIFY-DAMAGED", path, count=len(damage), lines=lines)
+    return manifest
+
+
+def export_run(
+    path: Path | Place,
+    name: str,
+    out: Path,
+    options: Mapping[str, Any],
+    *,
+    ground_height_m: float | None = None,
+    force: bool = False,
+) -> tuple[int, Ledger]:
+    """Write a finished run in a format of other programs; rows written, and what was left out.
+
+    ``options`` are those of the format, by name; ``ground_height_m`` as for `rebuild_run`.
+    """
+    form = find_format(name, out)
+    values = form.values(options)
+    if isinstance(path, Place):
+        path = copy_of_run(path)
+    refuse_output(path, out, force=force and bool(form.ending))
+    ledger = Ledger()
+    run = rebuild_run(path, verify_run(path), ground_height_m, ledger)
+    with store.atomic_write(out) as draft:
+        if not form.ending:
+            draft.mkdir(parents=True)
+        rows = form.write(run, values, draft, ledger)
+        if form.use:
+            ledger.note("EXPORT-USE", form.use, where=f"--format {name}")
+        if form.marked:
+            about = {"mission": run.mission, "notes": [entry.what for entry in ledger]}
+            files = {file or out.name: draft / file for file in form.marked}
+            beside = out if form.ending else draft / form.marked[0]
+            with store.atomic_write(beside.with_name(beside.name + SIDECAR)) as sidecar:
+                sidecar.write_text(sidecar_text(files, about), encoding="utf-8")
+    return rows, ledger

@@ -1,1 +1,0 @@
-"""The report of a run: one page of HTML, its figures drawn by templates."""

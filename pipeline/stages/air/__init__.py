@@ -1,1 +1,0 @@
-"""The air of a mission: its sources, and the profile adjusted to them."""

@@ -1,1 +1,0 @@
-"""The missions of a command together: which of them run, and the page of a campaign."""

@@ -1,0 +1,1 @@
+"""What commands other than `unbend run` do with missions and their results."""

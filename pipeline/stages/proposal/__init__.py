@@ -1,1 +1,0 @@
-"""A mission file proposed from a log and observations, for `unbend init`."""
