@@ -34,6 +34,7 @@ _MODULES = {
         "pipeline.stages.inputs",
         "pipeline.stages.stations",
         "pipeline.stages.adjusted_profile",
+        "pipeline.stages.multi_image.point_heights",
         "pipeline.stages.ground_heights",
         "pipeline.flight.air_samples",
         "pipeline.flight.stations",

@@ -5,39 +5,23 @@ Given heights, ends of slant ranges, heights computed before, and where rays mee
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Mapping
-from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from tempfile import TemporaryFile
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
-import pandas as pd
-import pyarrow as pa
 from numpy.typing import NDArray
 
-from pipeline.batch.plan import Plan
-from pipeline.block.image_rays import ImageRays, Orientations, orientations_of
-from pipeline.block.intersection import PointHeights, point_heights
-from pipeline.errors import InputError, MissionError
-from pipeline.flight.heights import HIGHEST_GROUND_M, LOWEST_GROUND_M, HeightSystem, known_home_m
+from pipeline.errors import MissionError
+from pipeline.flight.heights import HIGHEST_GROUND_M, LOWEST_GROUND_M, HeightSystem
 from pipeline.flight.stations import Stations
-from pipeline.geodesy import ecef_of_geodetic
-from pipeline.ledger import Entry, Kind, Ledger
+from pipeline.ledger import Ledger
 from pipeline.refraction.chord import target_heights
-from pipeline.refraction.image import Corrections, correct_observations
+from pipeline.refraction.image import Corrections
 from pipeline.refraction.landing import terrain_heights
 from pipeline.refraction.status_codes import NO_GROUND, OK
-from pipeline.stages.correction import CorrectionSetup
-from pipeline.stages.inputs import FlightLog, user_geoid
-from pipeline.stages.multi_image.oriented_stations import block_points
-from pipeline.tables.geodata.coordinate_systems import places_of
 from pipeline.tables.geodata.elevation import ElevationModel, open_elevation
-from pipeline.tables.geodata.object_points import ObjectPoints, matching_rows, read_object_points
-from pipeline.tables.observations import Batch, Observations
-from pipeline.tables.text_columns import hashes_of, rows_among
-from pipeline.units import WGS84_A, Array, Integers
+from pipeline.tables.observations import Batch
+from pipeline.units import Array, Integers
 
 if TYPE_CHECKING:
     from pipeline.batch.plan import Plan
@@ -244,215 +228,3 @@ def with_terrain(
     if count:
         ledger.loss("DEM-OUTSIDE", what, where=model.name, count=count)
     return replace(setup, ground=TerrainGround(model, (lat, lon), sigma_m))
-
-
-_STEEPEST = 20.0
-"""Points farther away than this many flying heights are seen at more than 87 deg."""
-
-
-def with_object_points(
-    plan: Plan, observations: Observations, flight: FlightLog, ledger: Ledger
-) -> Observations:
-    """The observations with heights above sea level from the table of object points, if any.
-
-    Or from the block that orients the images.
-    """
-    section, reference = plan.mission.ground.points, plan.mission.ground.reference
-    if plan.mission.ground.height == "block":
-        return replace(observations, points=block_points(plan, flight, ledger))
-    if section is None:
-        return observations
-    points = read_points(
-        plan, "object points", section.crs, section.columns.named, reference=reference,
-        key="ground.height", heights=flight.heights, ledger=ledger,
-    )  # fmt: skip
-    return replace(observations, points=points)
-
-
-def read_points(
-    plan: Plan,
-    role: str,
-    crs: str,
-    columns: Mapping[str, str],
-    *,
-    reference: str,
-    key: str,
-    heights: HeightSystem,
-    ledger: Ledger,
-) -> ObjectPoints:
-    """The points of a table of the user's with heights above sea level.
-
-    ``role`` is that of the input, ``columns``, ``crs`` and ``reference`` what the mission file
-    states of it under ``key``. Refuses as `read_object_points` and `places_of`.
-    """
-    path = plan.input(role).path
-    name, value = read_object_points(path, columns, key=f"{key}.columns")
-    axes = ("x", "y") if "x" in value else ("longitude", "latitude")
-    places = ledger.take(
-        places_of(
-            crs, (value[axes[0]], value[axes[1]], value["height"]), heights=reference,
-            geoid=user_geoid(plan), where=str(path), key=f"{key}.crs",
-        )
-    )  # fmt: skip
-    h = places.h_m
-    if places.heights == "ellipsoid":
-        h = h - heights.undulation(places.lat_rad, places.lon_rad)
-    elif places.heights == "relative":
-        h = h + known_home_m(heights)
-    return ObjectPoints(name, places.lat_rad, places.lon_rad, h)
-
-
-def check_object_points(observations: Observations, stations: Stations, ledger: Ledger) -> None:
-    """Compare the places of object points with the stations that see them.
-
-    Refuses (InputError) a table that has none of the points (POINTS-MISSING), and points that most
-    stations cannot see because they lie below the horizon (POINTS-FAR); a loss where they are, in
-    the median, seen at more than 87 deg from the nadir.
-    """
-    points = observations.points
-    if points is None:
-        return
-    batch = next(observations.batches(100_000))
-    _, row = points.heights(batch.point, batch.image)
-    station = matching_rows(batch.image, pa.array(stations.image, pa.string()))
-    if points.of_image is None and not bool((row >= 0).any()):
-        raise InputError(
-            "POINTS-MISSING",
-            f"none of the points of {len(batch)} observations is in the table: these are "
-            f"{batch.point[0]} ..., the table has {points.name[0]} ...",
-            where="ground.height.points",
-            remedy="write the names as in the observations, or name the column: "
-            "ground.height.columns.point",
-        )
-    both = (row >= 0) & (station >= 0)
-    row, station = row[both], station[both]
-    lat, lon, h = points.lat_rad[row], points.lon_rad[row], points.h_m[row]
-    seen = stations.lat_rad[station], stations.lon_rad[station], stations.h_msl_m[station]
-    apart = ecef_of_geodetic(lat, lon, h) - ecef_of_geodetic(*seen)
-    distance, above = np.linalg.norm(apart, axis=1), np.maximum(np.abs(seen[2] - h), 50.0)
-    known = np.isfinite(distance)
-    if not bool(known.any()):
-        return
-    usual = float(np.median(distance[known]))
-    horizon = float(np.median(np.sqrt(2.0 * WGS84_A * above[known])))
-    if usual < _STEEPEST * np.median(above[known]):
-        return
-    what = f"the object points lie {usual / 1000.0:.0f} km from the stations that see them, in the "
-    what += "median"
-    swapped = ecef_of_geodetic(lon, lat, h) - ecef_of_geodetic(*seen)
-    exchanged = float(np.nanmedian(np.linalg.norm(swapped, axis=1)))
-    if exchanged < 0.1 * usual:
-        what += f"; with latitude and longitude exchanged {exchanged / 1000.0:.0f} km"
-    if usual > horizon:
-        raise InputError(
-            "POINTS-FAR", f"{what}: behind their horizon", where="ground.height.points",
-            remedy="name the columns, and state the system they are in: ground.height.columns, "
-            "ground.height.crs",
-        )  # fmt: skip
-    ledger.loss("POINTS-FAR", what, where="ground.height.points", count=int(known.sum()))
-
-
-_RAY = np.dtype([("point", "u8"), ("row", "i8"), ("station", "i8"), ("x", "f8"), ("y", "f8")])
-_ROWS_OF_A_FILE, _MOST_FILES, _BATCH_ROWS = 300_000, 200, 250_000
-
-_POOR = 0.05
-"""Sigma of a height, in heights of the camera above it, in the median: 5 % are 5 % of R."""
-
-
-def with_intersected_heights(
-    observations: Observations, setup: CorrectionSetup, stations: Stations, ledger: Ledger, *,
-    unknown_sigmas: tuple[float, ...],
-) -> CorrectionSetup:  # fmt: skip
-    """The setup with a ground height and its sigma for each row of the observations.
-
-    The rays of a point may lie anywhere in a table of any length: its rows are divided by the hash
-    of their points into temporary files of some 300,000 rows, which are intersected one after the
-    other, by rays without refraction of air and window. Heights lie in a temporary file too (16
-    bytes a row, the rays 40). A rehearsal takes the points of its rows alone. Refuses (MissionError
-    GROUND-INTERSECTED) where no point has a height; those without one are NaN.
-    """
-    with TemporaryFile() as file:  # the map keeps it
-        heights = np.memmap(file, np.float64, "w+", shape=(2, observations.rows))
-    heights[:] = np.nan
-    count, parts = min(_MOST_FILES, 1 + observations.rows // _ROWS_OF_A_FILE), None
-    if observations.sample is not None:
-        wanted = np.unique(hashes_of(observations.sampled(points=True).point))
-        parts, count = [observations.of_points(lambda hashes: rows_among(hashes, wanted))], 1
-    images = pa.array(setup.images, pa.string())
-    orientations = orientations_of(stations, unknown_sigmas)
-    counts: Counter[str] = Counter()
-    shares = []
-    with ExitStack() as stack:
-        files = [stack.enter_context(TemporaryFile()) for _ in range(count)]
-        for batch in parts or observations.batches(_BATCH_ROWS):
-            part = np.empty(len(batch), _RAY)
-            part["point"] = pd.util.hash_pandas_object(batch.point.to_pandas(), index=False)
-            rows = batch.rows
-            part["row"] = np.r_[rows] if isinstance(rows, slice) else rows
-            part["station"] = matching_rows(batch.image, images)
-            part["x"], part["y"] = batch.x_px, batch.y_px
-            named = batch.point.is_valid().to_numpy(zero_copy_only=False)
-            part = part[named & (part["station"] >= 0) & np.isfinite(part["x"] + part["y"])]
-            of_file = part["point"] % np.uint64(count)
-            for number in np.unique(of_file):
-                files[number].write(part[of_file == number].tobytes())
-        for file in files:
-            file.seek(0)
-            rays = np.frombuffer(file.read(), _RAY)
-            if rays.size == 0:
-                continue
-            h_msl, found = _heights_of(rays, setup, stations, orientations)
-            heights[:, rays["row"]] = h_msl, found.sigma_m[found.index]
-            counts["points"] += found.h_m.size
-            for why in ("few", "narrow", "apart"):
-                counts[why] += int(getattr(found, why).sum())
-            with np.errstate(invalid="ignore"):
-                above = stations.h_msl_m[rays["station"]] - h_msl
-                share = found.sigma_m[found.index] / np.abs(above)
-            shares.append(share[np.isfinite(share)][:: max(1, rays.size // 10_000)])
-    known = counts["points"] - counts["few"] - counts["narrow"] - counts["apart"]
-    share = float(np.median(np.concatenate(shares))) if known else np.nan
-    what = (
-        f"{known} of {counts['points']} points have a height by the intersection of their rays; "
-        f"{counts['few']} have fewer than two rays, {counts['narrow']} only rays within 3 deg of "
-        f"each other, and of {counts['apart']} the rays do not meet"
-    )
-    if known == 0:
-        raise MissionError.of("GROUND-INTERSECTED", "ground.height", what=what)
-    what += f"; sigma of a height is {100.0 * share:.2g} % of the height above it, in the median"
-    kind = Kind.LOSS if share > _POOR else Kind.NOTE
-    ledger.add(Entry(kind, "GROUND-INTERSECTED", what, "ground.height", known))
-    return replace(setup, ground=ComputedGround(heights))
-
-
-def _heights_of(
-    rays: NDArray[np.void], setup: CorrectionSetup, stations: Stations, orientations: Orientations
-) -> tuple[Array, PointHeights]:
-    """(n,) heights above sea level of the points of rays, and the points.
-
-    The heights of a first intersection, of the rays as measured, say how much these are bent.
-    """
-    undulation = np.nan_to_num(stations.h_ellipsoid_m - stations.h_msl_m)[rays["station"]]
-    h_msl: Array | None = None
-    while True:
-        direction, sigma = np.full((rays.size, 3), np.nan), np.ones(rays.size)
-        for rows, camera, profile in setup.groups(rays["station"]):
-            x, y, station = (rays[name][rows] for name in ("x", "y", "station"))
-            if h_msl is not None and setup.direction == "remove":
-                corrected = correct_observations(
-                    x, y, h_msl[rows], station, setup.exposures, camera=camera,
-                    table=setup.rays[profile],
-                )  # fmt: skip
-                x, y = corrected.x_px, corrected.y_px
-            u, v, _ = camera.rays(x, y)
-            direction[rows] = np.stack([u, v, np.ones(u.size)], axis=1)
-            sigma[rows] = 1.0 / camera.fx_px
-        direction /= np.linalg.norm(direction, axis=1)[:, None]
-        found = point_heights(
-            orientations, ImageRays(rays["station"], rays["point"], direction, sigma)
-        )
-        number = np.maximum(np.bincount(found.index), 1)
-        last = h_msl is not None
-        h_msl = (found.h_m - np.bincount(found.index, undulation) / number)[found.index]
-        if last:
-            return h_msl, found

@@ -56,15 +56,14 @@ from pipeline.stages.exposure_setup import (
     lenses_of_mission,
     windows_of_mission,
 )
-from pipeline.stages.ground_heights import (
-    check_object_points,
-    elevation_of_mission,
-    with_intersected_heights,
-    with_object_points,
-    with_terrain,
-)
+from pipeline.stages.ground_heights import elevation_of_mission, with_terrain
 from pipeline.stages.inputs import FlightLog, read_log, read_observations
 from pipeline.stages.multi_image.control import compare_control
+from pipeline.stages.multi_image.point_heights import (
+    check_object_points,
+    with_intersected_heights,
+    with_object_points,
+)
 from pipeline.stages.outputs import manifest_of, observation_metadata, write_tables
 from pipeline.stages.stations import stations_of_mission
 from pipeline.stages.statistics import SAMPLED_ROWS, Statistics

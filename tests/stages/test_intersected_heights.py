@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from pipeline.simulate import SimulationOptions, simulate
-from pipeline.stages import ground_heights, story
+from pipeline.stages.multi_image import point_heights, story
 from pipeline.stages.story import check_mission
 
 pytestmark = pytest.mark.usefixtures("plain_report")
@@ -80,8 +80,8 @@ def test_rows_in_any_order_and_in_many_files_give_the_same(own, monkeypatch):
     _, _, results, _ = own()
     key = ["image", "point"]
     first = results.set_index(key)["h_g_m"]
-    monkeypatch.setattr(ground_heights, "_ROWS_OF_A_FILE", 50)
-    monkeypatch.setattr(ground_heights, "_BATCH_ROWS", 70)
+    monkeypatch.setattr(point_heights, "_ROWS_OF_A_FILE", 50)
+    monkeypatch.setattr(point_heights, "_BATCH_ROWS", 70)
     _, _, shuffled, _ = own(lambda table: table.sample(frac=1.0, random_state=3))
     assert (shuffled.index.size, shuffled[key].duplicated().any()) == (results.index.size, False)
     again = shuffled.set_index(key)["h_g_m"].reindex(first.index)

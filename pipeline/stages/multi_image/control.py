@@ -17,7 +17,7 @@ from pipeline.flight.stations import Stations
 from pipeline.geodesy import ecef_of_geodetic, enu_from_ecef
 from pipeline.ledger import Ledger, finding
 from pipeline.stages.correction import CorrectionSetup, correct_batch
-from pipeline.stages.ground_heights import read_points
+from pipeline.stages.multi_image.point_heights import read_points
 from pipeline.tables.geodata.object_points import ObjectPoints, matching_rows
 from pipeline.tables.observations import Batch, Observations
 from pipeline.units import Array, Integers, Mask
