@@ -44,7 +44,7 @@ from pipeline.refraction.kernels.columns import BLOCK, TILE, TerrainGrid
 from pipeline.refraction.kernels.jit import Kernel
 from pipeline.refraction.kernels.steep import WORTH_A_TABLE
 from pipeline.refraction.kernels.terrain import extremes_of_tile
-from pipeline.refraction.landing import terrain_heights
+from pipeline.refraction.target_heights import terrain_heights
 from pipeline.refraction.window import refract_at_window
 from pipeline.report.progress import NoProgress
 from pipeline.stages.commands.finished_run import air_of, stations_of

@@ -145,7 +145,7 @@ def tables(
     """Recompute a paper's tables: as printed, as published, and exact."""
     answer = Answer(quiet=quiet, as_json=as_json)
     with answer.progress("computing the tables"):
-        from pipeline.refraction.papers import paper_tables
+        from pipeline.refraction.printed_tables import paper_tables
         from pipeline.report.air_and_rays import print_paper
 
         table = paper_tables(paper)

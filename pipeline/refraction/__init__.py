@@ -2,15 +2,19 @@
 
 from pipeline.refraction.camera.brown_conrady import BrownConrady
 from pipeline.refraction.camera.camera import Camera, LensInAir
-from pipeline.refraction.chord import height_at_distance
 from pipeline.refraction.forward import apply_refraction
 from pipeline.refraction.image import Corrections, Exposures, correct_observations
 from pipeline.refraction.ray import METHODS, bend, refraction_angle
 from pipeline.refraction.ray_table import RayTable, ray_table
 from pipeline.refraction.status_codes import STATUS_NAMES
+from pipeline.refraction.target_heights import height_at_distance
 from pipeline.refraction.uncertainty.air_sigma import AirMode
-from pipeline.refraction.uncertainty.budget import StationSigmas, uncertainty_of
-from pipeline.refraction.uncertainty.leading_mode import WindowRays, leading_mode
+from pipeline.refraction.uncertainty.budget import (
+    StationSigmas,
+    WindowRays,
+    leading_mode,
+    uncertainty_of,
+)
 from pipeline.refraction.uncertainty.sensitivity import (
     RayWeights,
     Sensitivity,

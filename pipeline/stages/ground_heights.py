@@ -15,10 +15,9 @@ from pipeline.errors import MissionError
 from pipeline.flight.heights import HIGHEST_GROUND_M, LOWEST_GROUND_M, HeightSystem
 from pipeline.flight.stations import Stations
 from pipeline.ledger import Ledger
-from pipeline.refraction.chord import target_heights
 from pipeline.refraction.image import Corrections
-from pipeline.refraction.landing import terrain_heights
 from pipeline.refraction.status_codes import NO_GROUND, OK
+from pipeline.refraction.target_heights import target_heights, terrain_heights
 from pipeline.tables.geodata.elevation import ElevationModel, open_elevation
 from pipeline.tables.observations import Batch
 from pipeline.units import Array, Integers

@@ -18,8 +18,7 @@ from pipeline.atmosphere import standard_atmosphere
 from pipeline.errors import PhysicsError
 from pipeline.refraction import published as pub
 from pipeline.refraction import refraction_angle
-from pipeline.refraction.papers import paper_tables
-from pipeline.refraction.papers.printed_tables import hand_sum, printed_table
+from pipeline.refraction.printed_tables import hand_sum, paper_tables, printed_table
 from pipeline.refraction.published.column import density
 from pipeline.refraction.ray import bend, rays_by
 from pipeline.units import ARCSEC

@@ -17,7 +17,6 @@ from pipeline.refraction import (
     correct_observations,
     ray_table,
 )
-from pipeline.refraction.chord import height_at_distance, target_heights
 from pipeline.refraction.ray import rays_by
 from pipeline.refraction.status_codes import (
     BAD_MEASUREMENT,
@@ -26,6 +25,7 @@ from pipeline.refraction.status_codes import (
     OK,
     OUTSIDE_PROFILE,
 )
+from pipeline.refraction.target_heights import height_at_distance, target_heights
 
 RADIUS = 6_371_000.0
 AIR = standard_atmosphere("us1976", index="gyer")

@@ -151,7 +151,7 @@ def test_every_source_that_may_be_compiled_in_is_hashed(tmp_path):
     copy = tmp_path / "refraction"
     shutil.copytree(ROOM, copy)
     assert source_hash(str(copy)) == source_hash()
-    for path in ("status_codes.py", "camera/brown_conrady.py", "kernels/subtended.py"):
+    for path in ("status_codes.py", "camera/brown_conrady.py", "kernels/grazing.py"):
         before = source_hash(str(copy))
         with (copy / path).open("a") as source:
             source.write("\n")

@@ -170,7 +170,7 @@ def test_the_two_forms_agree_where_they_meet(us1976, wiggly):
     """The difference form and the subtended angle, both on either side of the guard."""
     from pipeline.refraction.kernels import grazing
     from pipeline.refraction.kernels import ray as kernel
-    from pipeline.refraction.kernels.subtended import Ray
+    from pipeline.refraction.kernels.grazing import Ray
 
     worst = 0.0
     for profile in (us1976, wiggly):

@@ -19,7 +19,7 @@ from pipeline.errors import PhysicsError
 from pipeline.geodesy import Gravity
 from pipeline.refraction import refraction_angle
 from pipeline.refraction.status_codes import BAD_MEASUREMENT, MISSES_GROUND, OK, OUTSIDE_PROFILE
-from pipeline.refraction.uncertainty import adjoint as weights
+from pipeline.refraction.uncertainty import sensitivity as weights
 from pipeline.refraction.uncertainty.sensitivity import ray_weights, sensitivity
 from pipeline.units import DEGREE, HYDROSTATIC_CONSTANT
 

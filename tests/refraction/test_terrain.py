@@ -8,12 +8,12 @@ import pytest
 
 from pipeline.atmosphere import standard_atmosphere
 from pipeline.refraction import Camera, Exposures, correct_observations
-from pipeline.refraction.landing import terrain_heights
 from pipeline.refraction.ray import rays_by
 from pipeline.refraction.status_codes import (
     OK,
     SEVERAL_CROSSINGS,
 )
+from pipeline.refraction.target_heights import terrain_heights
 
 from .array_terrain import ArrayTerrain
 

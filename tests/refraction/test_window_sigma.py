@@ -20,7 +20,7 @@ from pipeline.refraction import (
     uncertainty_of,
 )
 from pipeline.refraction.uncertainty.air_sigma import OPEN, SCHEDULED, SEALED, window_kind_of
-from pipeline.refraction.uncertainty.leading_mode import window_turn
+from pipeline.refraction.uncertainty.budget import window_turn
 from pipeline.refraction.window import refract_at_window
 
 RADIUS = 6_371_000.0

@@ -19,7 +19,7 @@ from pipeline.flight.station_builder import build_stations, flag_missing_aircraf
 from pipeline.flight.stations import Stations, join_stations
 from pipeline.ledger import Kind, Ledger
 from pipeline.refraction.camera.camera import LensInAir
-from pipeline.refraction.papers.printed_tables import gyer_air, printed_table
+from pipeline.refraction.printed_tables import gyer_air, printed_table
 from pipeline.refraction.window import Cabin, Window, refract_at_window
 from pipeline.stages.cabin_air import with_cabin_air
 from pipeline.stages.exposure_setup import exposures_of, report_lenses, report_windows

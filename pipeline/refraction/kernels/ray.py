@@ -8,10 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pipeline.refraction.kernels.grazing import crosses_once
-from pipeline.refraction.kernels.jit import entry, jit
-from pipeline.refraction.kernels.subtended import (
+from pipeline.refraction.kernels.grazing import (
     chord2,
+    crosses_once,
     excess,
     piece,
     ray_at,
@@ -20,6 +19,7 @@ from pipeline.refraction.kernels.subtended import (
     subtended_through_turn,
     turning_height,
 )
+from pipeline.refraction.kernels.jit import entry, jit
 from pipeline.refraction.status_codes import BAD_MEASUREMENT, MISSES_GROUND, OK, OUTSIDE_PROFILE
 
 LEFT = 255

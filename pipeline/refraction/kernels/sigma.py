@@ -116,7 +116,7 @@ def _interpolate(room, count, air, s):  # type: ignore[no-untyped-def]
 
 @jit
 def _by_heights(ray, d_zeta, n_g, s):  # type: ignore[no-untyped-def]
-    """dR/dh_c and dR/dh_g [rad/m]; formulas of `pipeline.refraction.uncertainty.adjoint`.
+    """dR/dh_c and dR/dh_g [rad/m]; formulas of `pipeline.refraction.uncertainty.sensitivity`.
 
     ``ray`` : sine and cosine of zeta, radius and camera's height [m], fall to the target [m], R.
     """
