@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from pipeline.atmosphere import standard_atmosphere
     from pipeline.config import load_mission
+    from pipeline.in_memory import correct
     from pipeline.ingest import open_log
-    from pipeline.library import correct
     from pipeline.refraction import correct_observations, refraction_angle
     from pipeline.stages.story import run_mission
 
@@ -34,7 +34,7 @@ __all__ = [
 ]
 
 _MODULES = {
-    "correct": "pipeline.library",
+    "correct": "pipeline.in_memory",
     "correct_observations": "pipeline.refraction",
     "load_mission": "pipeline.config",
     "open_log": "pipeline.ingest",

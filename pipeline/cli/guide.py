@@ -168,7 +168,7 @@ def warm(*, quiet: Quiet = False, as_json: AsJson = False) -> None:
     """
     answer = Answer(quiet=quiet, as_json=as_json)
     with answer.progress("compiling"):
-        from pipeline.library import compile_kernels
+        from pipeline.in_memory import compile_kernels
         from pipeline.refraction.kernels.jit import cache_folder
 
         folder = cache_folder()

@@ -15,13 +15,13 @@ from pipeline.refraction.uncertainty.budget import (
     leading_mode,
     uncertainty_of,
 )
+from pipeline.refraction.uncertainty.correction_sigmas import Sigmas, Uncertainty
 from pipeline.refraction.uncertainty.sensitivity import (
     RayWeights,
     Sensitivity,
     ray_weights,
     sensitivity,
 )
-from pipeline.refraction.uncertainty.sigmas import Sigmas, Uncertainty
 from pipeline.refraction.window import Cabin, Window
 
 __all__ = [

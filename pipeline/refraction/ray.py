@@ -19,8 +19,8 @@ from pipeline.atmosphere.profile import Profile
 from pipeline.errors import PhysicsError
 from pipeline.refraction.kernels.columns import RayColumns
 from pipeline.refraction.kernels.grazing import bend_grazing_rays
+from pipeline.refraction.kernels.moments import WORTH_A_TABLE, bend_steep_rays
 from pipeline.refraction.kernels.ray import LEFT, bend_rays
-from pipeline.refraction.kernels.steep import WORTH_A_TABLE, bend_steep_rays
 from pipeline.refraction.kernels.threads import in_blocks
 from pipeline.refraction.published import PUBLISHED
 from pipeline.refraction.published.column import Method, finite

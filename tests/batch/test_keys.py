@@ -66,7 +66,7 @@ PLANTED = {
     "tables/geodata/elevation.py": {"air", "correction"},
     "tables/data/egm96_15.gtx.zst": {"air", "correction"},
     "tables/imports/blocks/metashape.py": {"air", "correction"},
-    "refraction/kernels/steep.py": {"air", "correction", "report"},
+    "refraction/kernels/moments.py": {"air", "correction", "report"},
     "refraction/statistics.py": {"correction"},
     "stages/plausibility.py": {"correction"},
     "stages/story.py": {"air", "correction", "report"},
@@ -76,7 +76,7 @@ PLANTED = {
     "report/codes.toml": {"report"},
     "cli/missions.py": set(),
     "simulate/flight.py": set(),
-    "library.py": set(),
+    "in_memory.py": set(),
     "stages/commands/mission.yaml.j2": set(),
     "tables/exports/opk.py": set(),
 }
@@ -90,7 +90,7 @@ def test_an_edit_changes_the_stages_that_reach_it(copied):
         (copied / name).write_bytes(content + b"\n")
         after = keys.code_below(copied)
         assert {stage for stage in ALL if after[stage] != before[stage]} >= stages, name
-        if name.startswith(("report/", "cli/", "simulate/", "library", "stages/commands")):
+        if name.startswith(("report/", "cli/", "simulate/", "in_memory", "stages/commands")):
             assert {stage for stage in ALL if after[stage] != before[stage]} == stages, name
         (copied / name).write_bytes(content)
     (copied / "atmosphere" / "data" / "afgl1986.csv").rename(copied / "atmosphere" / "data" / "a")
@@ -287,7 +287,7 @@ def test_each_input_and_section_has_a_first_stage(mission, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("library", "first"),
+    ("in_memory", "first"),
     [("numpy", 0), ("numba", 0), ("pymavlink", 0), ("metar", 1), ("exifread", 1), ("jinja2", 3)],
 )
 def test_a_library_of_another_version_begins_its_stage_again(mission, monkeypatch, library, first):

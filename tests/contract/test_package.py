@@ -13,8 +13,8 @@ import yaml
 import pipeline
 from pipeline.atmosphere import standard_atmosphere
 from pipeline.config import load_mission
+from pipeline.in_memory import correct
 from pipeline.ingest import open_log
-from pipeline.library import correct
 from pipeline.refraction import correct_observations, refraction_angle
 from pipeline.stages.story import run_mission
 

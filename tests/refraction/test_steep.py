@@ -84,7 +84,7 @@ def test_flat_rays_among_steep_ones_to_the_same_height(table, first):
 
 def test_the_series_is_what_is_used(table):
     """The comparison above would be empty if all rays were integrated one by one."""
-    from pipeline.refraction.kernels import steep as kernel
+    from pipeline.refraction.kernels import moments as kernel
     from pipeline.refraction.kernels.columns import RayColumns
 
     h_g, sine, cosine, radius = rays(np.random.default_rng(5), 3450.0, 300, steepest=60.0)

@@ -51,8 +51,8 @@ from pipeline.refraction.uncertainty.air_sigma import (
     cabin_response,
     window_errors,
 )
+from pipeline.refraction.uncertainty.correction_sigmas import Uncertainty
 from pipeline.refraction.uncertainty.sensitivity import sensitivity
-from pipeline.refraction.uncertainty.sigmas import Uncertainty
 from pipeline.units import Array, Integers, Mask
 
 _MOST_EXPOSURES, _ACROSS = 24, 5  # and rays in five rows and columns of an image

@@ -42,7 +42,7 @@ from pipeline.refraction.camera import DISTORTION_MODELS
 from pipeline.refraction.effect import FlightAir
 from pipeline.refraction.kernels.columns import BLOCK, TILE, TerrainGrid
 from pipeline.refraction.kernels.jit import Kernel
-from pipeline.refraction.kernels.steep import WORTH_A_TABLE
+from pipeline.refraction.kernels.moments import WORTH_A_TABLE
 from pipeline.refraction.kernels.terrain import extremes_of_tile
 from pipeline.refraction.target_heights import terrain_heights
 from pipeline.refraction.window import refract_at_window
