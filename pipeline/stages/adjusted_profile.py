@@ -33,8 +33,7 @@ from pipeline.atmosphere.series.profile_series import (
 from pipeline.atmosphere.series.profiles_by_place import add_model_changes
 from pipeline.atmosphere.series.time_windows import TimeWindow, estimate_windows
 from pipeline.atmosphere.soundings import Sounding
-from pipeline.atmosphere.soundings.model_column import model_column
-from pipeline.atmosphere.soundings.model_field import ModelField
+from pipeline.atmosphere.soundings.model_field import ModelField, model_column
 from pipeline.atmosphere.surface_report import (
     SurfaceReport,
     parse_metar,

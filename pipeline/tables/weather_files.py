@@ -16,8 +16,12 @@ from typing import Any
 import numpy as np
 
 from pipeline.atmosphere.soundings.level_checks import FEWEST_LEVELS
-from pipeline.atmosphere.soundings.model_column import too_few_levels
-from pipeline.atmosphere.soundings.model_field import MODEL_LEVELS, ModelField, checked_field
+from pipeline.atmosphere.soundings.model_field import (
+    MODEL_LEVELS,
+    ModelField,
+    checked_field,
+    too_few_levels,
+)
 from pipeline.errors import InputError
 from pipeline.geodesy import longitudes_near
 from pipeline.ledger import Ledger

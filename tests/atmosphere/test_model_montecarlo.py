@@ -17,8 +17,7 @@ from pipeline.atmosphere import standard_atmosphere
 from pipeline.atmosphere.air_samples import AirSamples
 from pipeline.atmosphere.climatology import climatology, month_of
 from pipeline.atmosphere.estimate.adjusted_profile import build_adjusted_profile
-from pipeline.atmosphere.soundings.model_column import model_column
-from pipeline.atmosphere.soundings.model_field import ModelField
+from pipeline.atmosphere.soundings.model_field import ModelField, model_column
 from pipeline.ledger import Ledger
 from pipeline.simulate.true_air import saturation_pressure_pa
 

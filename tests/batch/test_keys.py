@@ -60,7 +60,7 @@ PLANTED = {
     "texts.toml": ALL,
     "geodesy.py": ALL,
     "atmosphere/data/afgl1986.csv": ALL,
-    "atmosphere/soundings/igra.py": {"air", "correction"},
+    "atmosphere/soundings/formats.py": {"air", "correction"},
     "atmosphere/estimate/solver.py": {"air", "correction", "report"},
     "tables/weather_files.py": {"air", "correction"},
     "tables/geodata/elevation.py": {"air", "correction"},

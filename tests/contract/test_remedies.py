@@ -6,7 +6,7 @@ import ast
 import re
 from pathlib import Path
 
-from pipeline.atmosphere.soundings.plain import COLUMNS
+from pipeline.atmosphere.soundings.formats import COLUMNS
 from pipeline.config import Mission
 from pipeline.errors import texts
 

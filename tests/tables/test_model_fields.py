@@ -10,7 +10,7 @@ import xarray
 from scipy.integrate import cumulative_trapezoid
 from scipy.io import netcdf_file
 
-from pipeline.atmosphere.soundings.model_column import model_column
+from pipeline.atmosphere.soundings.model_field import model_column
 from pipeline.errors import InputError
 from pipeline.geodesy import normal_gravity
 from pipeline.ledger import Ledger

@@ -1,8 +1,8 @@
-"""Balloon soundings: the text of a file -> levels from the ground up. One module per format."""
+"""Balloon soundings: the text of a file -> levels from the ground up."""
 
+from pipeline.atmosphere.soundings.formats import FORMATS, nearest_in_time, parse_sounding
 from pipeline.atmosphere.soundings.level_checks import check_levels
 from pipeline.atmosphere.soundings.levels import ColumnErrors, RawLevels, Sounding
-from pipeline.atmosphere.soundings.registry import FORMATS, nearest_in_time, parse_sounding
 
 __all__ = [
     "FORMATS",
