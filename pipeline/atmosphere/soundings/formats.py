@@ -295,7 +295,7 @@ def parse_plain(text: str, where: str, ledger: Ledger) -> list[RawLevels]:
     other = sorted(set(columns) - set(_PLAIN_COLUMNS) - set(_PLACE))
     if other:
         what = f"columns that are not read: {', '.join(other)}"
-        ledger.note("SOUNDING-_PLAIN_COLUMNS-UNUSED", what, where=where, count=len(other))
+        ledger.note("SOUNDING-COLUMNS-UNUSED", what, where=where, count=len(other))
     geopotential = "height" not in values
     time = next((text.strip() for text in columns.get("time_utc", []) if text.strip()), "")
     time_ns = utc_ns(time)
