@@ -11,7 +11,8 @@ import pytest
 import yaml
 
 from pipeline.simulate import SimulationOptions, simulate
-from pipeline.stages.multi_image import point_heights, story
+from pipeline.stages import story
+from pipeline.stages.multi_image import point_heights
 from pipeline.stages.story import check_mission
 
 pytestmark = pytest.mark.usefixtures("plain_report")
