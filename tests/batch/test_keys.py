@@ -287,7 +287,7 @@ def test_each_input_and_section_has_a_first_stage(mission, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("in_memory", "first"),
+    ("library", "first"),
     [("numpy", 0), ("numba", 0), ("pymavlink", 0), ("metar", 1), ("exifread", 1), ("jinja2", 3)],
 )
 def test_a_library_of_another_version_begins_its_stage_again(mission, monkeypatch, library, first):

@@ -6,7 +6,7 @@ import ast
 import re
 from pathlib import Path
 
-from pipeline.atmosphere.soundings.formats import COLUMNS
+from pipeline.atmosphere.soundings.formats import PLAIN_COLUMNS
 from pipeline.config import Mission
 from pipeline.errors import texts
 
@@ -44,7 +44,7 @@ def keys_of_mission_files(schema: object) -> set[str]:
 
 
 def test_remedies_name_keys_that_exist():
-    known = keys_of_mission_files(Mission.model_json_schema()) | set(COLUMNS)
+    known = keys_of_mission_files(Mission.model_json_schema()) | set(PLAIN_COLUMNS)
     words = words_of_remedies()
     assert len(words) >= 7
     assert "station_h_msl_m" in words

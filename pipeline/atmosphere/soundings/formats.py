@@ -248,7 +248,7 @@ def parse_wyoming_csv(text: str, where: str, _: Ledger) -> list[RawLevels]:
 
 
 # Name of a column -> quantity, unit.
-_PLAIN_COLUMNS = {
+PLAIN_COLUMNS = {
     "h_m": ("height", "m"),
     "geopotential_m": ("geopotential", "m"),
     "pressure_pa": ("pressure", "pa"),
@@ -279,20 +279,20 @@ def parse_plain(text: str, where: str, ledger: Ledger) -> list[RawLevels]:
     columns = {name.lower(): fields for name, fields in table(text.splitlines(), where).items()}
     values: dict[str, Array] = {}
     column_of: dict[str, str] = {}
-    for name in (name for name in _PLAIN_COLUMNS if name in columns):
-        quantity, unit = _PLAIN_COLUMNS[name]
+    for name in (name for name in PLAIN_COLUMNS if name in columns):
+        quantity, unit = PLAIN_COLUMNS[name]
         if quantity in column_of:
             what = f"{column_of[quantity]} and {name} both give the {quantity}"
             raise InputError("SOUNDING-COLUMN", what, where=where, remedy="keep one of them")
         values[quantity], column_of[quantity] = to_si(numbers(columns[name]), unit), name
     for needed in ("pressure", "temperature"):
         if needed not in values:
-            names = [name for name, (quantity, _) in _PLAIN_COLUMNS.items() if quantity == needed]
+            names = [name for name, (quantity, _) in PLAIN_COLUMNS.items() if quantity == needed]
             what = f"no column gives the {needed} with its unit; there are {', '.join(columns)}"
             raise InputError(
                 "SOUNDING-COLUMN", what, where=where, remedy=f"name the column {' or '.join(names)}"
             )
-    other = sorted(set(columns) - set(_PLAIN_COLUMNS) - set(_PLACE))
+    other = sorted(set(columns) - set(PLAIN_COLUMNS) - set(_PLACE))
     if other:
         what = f"columns that are not read: {', '.join(other)}"
         ledger.note("SOUNDING-COLUMNS-UNUSED", what, where=where, count=len(other))
