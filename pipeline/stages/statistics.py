@@ -1,4 +1,7 @@
-"""Counts of the observations and the size of their corrections, by part and in total."""
+"""Counts of the observations and the size of their corrections, by part and in total.
+
+Median and maximum of a stream of any length, and its mean over the image, in fixed memory.
+"""
 
 from __future__ import annotations
 
@@ -15,16 +18,173 @@ from pipeline.flight.heights import HIGHEST_GROUND_M, LOWEST_GROUND_M
 from pipeline.ledger import Ledger
 from pipeline.refraction.camera.camera import Camera
 from pipeline.refraction.image import Corrections
-from pipeline.refraction.statistics import DISTRIBUTIONS, Distribution, ShiftGrid, ShiftStatistics
 from pipeline.refraction.status_codes import OK, STATUS_NAMES
 from pipeline.tables.observations import Batch
-from pipeline.units import Array, evenly_spaced, round_step
+from pipeline.units import ARCSEC, Array, Integers, evenly_spaced, round_step
 
 SAMPLED_ROWS = 20_000
 """Rows that stand for all others, where what is plausible is looked at."""
 
 SIGMA_PARTS = ("air", "station", "ground", "cabin")
 """What makes corrections uncertain, each with columns of its own in the results."""
+
+_LOWEST_EXPONENT = -12
+_HIGHEST_EXPONENT = 8
+_BINS_PER_DECADE = 500
+
+
+@dataclass
+class Distribution:
+    """Distribution of non-negative magnitudes in logarithmic bins.
+
+    The maximum is exact; quantiles are good to 0.25 % of their value.
+
+    >>> distribution = Distribution()
+    >>> distribution.add(np.arange(1.0, 1000.0))
+    >>> abs(distribution.median / 500.0 - 1.0) < 0.005, distribution.maximum
+    (True, 999.0)
+    """
+
+    counts: Integers = field(
+        default_factory=lambda: np.zeros(
+            (_HIGHEST_EXPONENT - _LOWEST_EXPONENT) * _BINS_PER_DECADE + 1, np.int64
+        )
+    )
+    maximum: float = 0.0
+    total: int = 0
+
+    def add(self, values: Array) -> None:
+        """Count values; zero falls into the lowest bin, NaN into none."""
+        finite = np.isfinite(values)
+        values = values if finite.all() else values[finite]
+        if values.size == 0:
+            return
+        with np.errstate(divide="ignore"):
+            exponent = np.log10(values)  # of zero minus infinity
+        exponent -= _LOWEST_EXPONENT
+        exponent *= _BINS_PER_DECADE
+        np.clip(exponent, 0, self.counts.size - 1, out=exponent)
+        self.counts += np.bincount(exponent.astype(np.int64), minlength=self.counts.size)
+        self.maximum = max(self.maximum, float(values.max()))
+        self.total += values.size
+
+    def quantile(self, share: float) -> float | None:
+        """The value that a share of the values does not exceed; None without values."""
+        if self.total == 0:
+            return None
+        number = int(np.searchsorted(np.cumsum(self.counts), share * self.total))
+        if number == 0:
+            return 0.0
+        middle = 10.0 ** ((number + 0.5) / _BINS_PER_DECADE + _LOWEST_EXPONENT)
+        return float(min(middle, self.maximum))
+
+    @property
+    def median(self) -> float | None:
+        """None without values."""
+        return self.quantile(0.5)
+
+    def __add__(self, other: Distribution) -> Distribution:
+        return Distribution(
+            self.counts + other.counts, max(self.maximum, other.maximum), self.total + other.total
+        )
+
+    def histogram(self, bins: int = 24) -> dict[str, Any]:
+        """Counts in at most ``bins`` equal bins from zero: step of 1, 2 or 5, up to the maximum.
+
+        A value counts in the bin of the middle of its logarithmic bin, 0.25 % off at most.
+
+        >>> distribution = Distribution()
+        >>> distribution.add(np.array([0.1, 2.5, 2.6, 9.9]))
+        >>> distribution.histogram(10)
+        {'step': 1.0, 'counts': [1, 0, 2, 0, 0, 0, 0, 0, 0, 1]}
+        """
+        if self.maximum <= 0.0:
+            return {"step": 1.0, "counts": [self.total] if self.total else []}
+        step = round_step(self.maximum / bins)
+        filled = np.flatnonzero(self.counts)
+        middle = 10.0 ** ((filled + 0.5) / _BINS_PER_DECADE + _LOWEST_EXPONENT)
+        number = (np.minimum(middle, self.maximum * (1.0 - 1e-12)) / step).astype(np.int64)
+        counts = np.bincount(number, self.counts[filled]).astype(np.int64)
+        return {"step": step, "counts": counts.tolist()}
+
+    def summary(self) -> dict[str, float | int | None]:
+        """For the manifest: six digits are more than the bins hold."""
+
+        def short(value: float | None) -> float | None:
+            return None if value is None else float(f"{value:.3g}")
+
+        return {
+            "count": self.total,
+            "median": short(self.median),
+            "p95": short(self.quantile(0.95)),
+            "maximum": float(f"{self.maximum:.6g}") if self.total else None,
+        }
+
+
+QUANTITIES = ("shift_px", "shift_ground_m", "refraction_arcsec", "window_arcsec")
+"""What `ShiftStatistics` keeps distributions of."""
+
+_COLUMNS, _ROWS = 14, 10
+"""Cells of the mean shift over an image."""
+
+
+@dataclass
+class ShiftStatistics:
+    """How large the correction was in the images of one camera, and its mean over the image.
+
+    ``sums`` (3, 10, 14) of dx, dy [px] and of the number of points in even cells of the format.
+    """
+
+    width_px: int
+    height_px: int
+    sums: Array = field(default_factory=lambda: np.zeros((3, _ROWS, _COLUMNS)))
+    distributions: dict[str, Distribution] = field(
+        default_factory=lambda: {name: Distribution() for name in QUANTITIES}
+    )
+
+    def add(self, x_px: Array, y_px: Array, corrections: Corrections) -> None:
+        """Add the corrections of points measured at (x, y); those without one do not count."""
+        good: Any = np.isfinite(corrections.dx_px)
+        good = slice(None) if good.all() else good
+        dx, dy = corrections.dx_px[good], corrections.dy_px[good]
+        column = np.clip(x_px[good] / self.width_px * _COLUMNS, 0, _COLUMNS - 1).astype(np.intp)
+        row = np.clip(y_px[good] / self.height_px * _ROWS, 0, _ROWS - 1).astype(np.intp)
+        cell = row * _COLUMNS + column
+        for i, weight in enumerate((dx, dy, np.ones(dx.shape))):
+            self.sums[i] += np.bincount(cell, weight, _ROWS * _COLUMNS).reshape(_ROWS, _COLUMNS)
+        for name, values in (
+            ("shift_px", np.sqrt(dx * dx + dy * dy)),
+            ("shift_ground_m", corrections.shift_ground_m[good]),
+            ("refraction_arcsec", corrections.r_c_rad[good] / ARCSEC),
+            ("window_arcsec", np.abs(corrections.r_cc_rad[good]) / ARCSEC),
+        ):
+            self.distributions[name].add(values)
+
+    def __add__(self, other: ShiftStatistics) -> ShiftStatistics:
+        """Those of other images of the same camera too."""
+        both = {name: of + other.distributions[name] for name, of in self.distributions.items()}
+        return ShiftStatistics(self.width_px, self.height_px, self.sums + other.sums, both)
+
+    def summary(self) -> dict[str, Any]:
+        """Counts, medians and maxima, histograms of the shift, and its field, for the manifest.
+
+        The field is the format of the image [px], and centre x, y and mean shift dx, dy [px] of
+        each cell with observations.
+        """
+        filled = self.sums[2] > 0
+        row, column = np.nonzero(filled)
+        means = {
+            "x_px": (column + 0.5) * self.width_px / _COLUMNS,
+            "y_px": (row + 0.5) * self.height_px / _ROWS,
+            "dx_px": self.sums[0][filled] / self.sums[2][filled],
+            "dy_px": self.sums[1][filled] / self.sums[2][filled],
+        }
+        return {name: of.summary() for name, of in self.distributions.items()} | {
+            "histogram_px": self.distributions["shift_px"].histogram(),
+            "histogram_m": self.distributions["shift_ground_m"].histogram(),
+            "field": {"format_px": [self.width_px, self.height_px], "columns": _COLUMNS}
+            | {name: [float(f"{v:.5g}") for v in values] for name, values in means.items()},
+        }
 
 
 class SampledRows(NamedTuple):
@@ -100,8 +260,7 @@ class Statistics:
     @classmethod
     def of(cls, cameras: Mapping[str, Camera]) -> Statistics:
         """Those of no observations."""
-        grids = {name: ShiftGrid(of.width_px, of.height_px) for name, of in cameras.items()}
-        return cls({name: ShiftStatistics(grid) for name, grid in grids.items()})
+        return cls({n: ShiftStatistics(of.width_px, of.height_px) for n, of in cameras.items()})
 
     def add(self, batch: Batch, corrections: Corrections, camera: NDArray[np.int64]) -> None:
         """Count a batch; ``camera`` (n,) numbers the cameras, -1 without one."""
@@ -149,18 +308,15 @@ class Statistics:
             self.status[name] = self.status.get(name, 0) + count
         for name, texts in other.examples.items():
             self.examples[name] = (self.examples.get(name, []) + texts)[:3]
-        for name, shift_statistics in other.shifts.items():
-            self.shifts[name].merge(shift_statistics)
+        self.shifts = {name: of + other.shifts[name] for name, of in self.shifts.items()}
 
     def correction(self) -> dict[str, Any]:
         """How large the correction was, over all and camera by camera, for the manifest."""
-        parts = [of.distributions() for of in self.shifts.values()]
-        together = {
-            name: sum((of[name] for of in parts), Distribution()).summary()
-            for name in DISTRIBUTIONS
-        }
-        of_cameras = {n: e.summary() | e.figures() for n, e in self.shifts.items()}
-        return together | {"cameras": of_cameras}
+        of_cameras = {name: of.summary() for name, of in self.shifts.items()}
+        parts = [of.distributions for of in self.shifts.values()]
+        return {
+            name: sum((of[name] for of in parts), Distribution()).summary() for name in QUANTITIES
+        } | {"cameras": of_cameras}
 
     def sigma_budget(self, camera: NDArray[np.int64]) -> dict[str, Any]:
         """Median and 95 % of the parts of sigma [px, m on the ground] by camera, for the manifest.

@@ -67,7 +67,7 @@ PLANTED = {
     "tables/data/egm96_15.gtx.zst": {"air", "correction"},
     "tables/imports/blocks/metashape.py": {"air", "correction"},
     "refraction/kernels/moments.py": {"air", "correction", "report"},
-    "refraction/statistics.py": {"correction"},
+    "stages/statistics.py": {"correction"},
     "stages/plausibility.py": {"correction"},
     "stages/story.py": {"air", "correction", "report"},
     "report/data/report.html.j2": {"report"},
