@@ -26,6 +26,12 @@ _STORES = {"s3": "S3Store", "az": "AzureStore", "gs": "GCSStore"}
 _BUCKET = re.compile(r"[a-z0-9][a-z0-9._-]{1,62}")
 _CHUNK = 32 << 20
 
+_REFUSALS = {
+    "clock": "CLOUD-CLOCK", "bucket": "CLOUD-BUCKET", "credentials": "CLOUD-CREDENTIALS",
+    "no credentials": "CLOUD-CREDENTIALS/none", "denied": "CLOUD-DENIED",
+}  # fmt: skip
+"""By the reasons in ``object_store_answers.toml``."""
+
 _PLAIN_HTTP = "AWS_ALLOW_HTTP", "AZURE_ALLOW_HTTP", "AZURE_STORAGE_USE_EMULATOR"
 """Variables of the environment that allow a store without encryption, such as one on this host."""
 
@@ -194,27 +200,16 @@ def ask(verb: str, place: Place, call: Any, *arguments: Any, **options: Any) -> 
         text, is_absent = str(error), isinstance(error, FileNotFoundError)
     found = re.search(r"<Code>\s*(\w+)", text) or re.search(r"status code: (\d{3})", text)
     answer = found[1] if found else "nothing"
-    for reason, known in _answers()["detail" if "<Code>" in text else "words"].items():
-        if re.search(known, text):
-            raise _refusal(reason, place, verb, answer)
-    for reason, known in _answers()["codes"].items():
-        if re.fullmatch(known, answer):
-            raise _refusal(reason, place, verb, answer)
+    words, codes = _answers()["detail" if "<Code>" in text else "words"], _answers()["codes"]
+    reasons = [reason for reason, known in words.items() if re.search(known, text)]
+    reasons += [reason for reason, known in codes.items() if re.fullmatch(known, answer)]
+    if reasons:
+        raise StorageError.of(
+            _REFUSALS[reasons[0]], place, verb=verb, answer=answer, scheme=place.scheme
+        )
     if is_absent:
         raise FileNotFoundError(ENOENT, os.strerror(ENOENT), str(place))
     raise StorageError.of("CLOUD-FAILED", place, verb=verb, answer=answer)
-
-
-def _refusal(reason: str, place: Place, verb: str, answer: str) -> StorageError:
-    if reason == "clock":
-        return StorageError.of("CLOUD-CLOCK", place, answer=answer)
-    if reason == "bucket":
-        return StorageError.of("CLOUD-BUCKET", place, answer=answer)
-    if reason == "credentials":
-        return StorageError.of("CLOUD-CREDENTIALS", place, answer=answer)
-    if reason == "no credentials":
-        return StorageError.of("CLOUD-CREDENTIALS/none", place, scheme=place.scheme)
-    return StorageError.of("CLOUD-DENIED", place, verb=verb, answer=answer)
 
 
 _MOST_BYTES = 50_000_000_000
