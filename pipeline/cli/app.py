@@ -10,13 +10,14 @@ from __future__ import annotations
 import csv as csv_module
 import json
 import sys
-from collections.abc import Iterable, Mapping, Sequence
-from functools import cached_property
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cached_property, wraps
+from inspect import Parameter, Signature, signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 
 import pipeline
 from pipeline.errors import ConfigError, UnbendError, storage_errors
@@ -75,18 +76,23 @@ class Answer:
     """Where the answer of a command goes: as text, as JSON with nothing else, or nowhere."""
 
     def __init__(self, *, quiet: bool, as_json: bool) -> None:
-        self._quiet, self.as_json = quiet, as_json
+        self.quiet, self.as_json = quiet, as_json
+
+    @property
+    def is_silent(self) -> bool:
+        """Whether no text is wanted."""
+        return self.quiet or self.as_json
 
     @cached_property
     def console(self) -> Console:
         """Console for the text of the answer; it discards what nobody wants."""
         from pipeline.report.console import report_console
 
-        return report_console(quiet=self._quiet or self.as_json)
+        return report_console(quiet=self.is_silent)
 
     def progress(self, title: str) -> DelayedProgressBar:
         """A bar for work that may take longer than half a second, where there is a terminal."""
-        if self._quiet or not (sys.stdout.isatty() or sys.stderr.isatty()):
+        if self.quiet or not (sys.stdout.isatty() or sys.stderr.isatty()):
             return DelayedProgressBar(None, title)
         from pipeline.report.console import report_console
 
@@ -112,7 +118,7 @@ class Answer:
         code = exit_code_of(has_losses=ledger.has_losses)
         files = [str(path) for path in written if path is not None]
         self.print_json(content | {"written": files, "ledger": ledger.rows(), "exit_code": code})
-        if not (self._quiet or self.as_json):
+        if not self.is_silent:
             from pipeline.report.terminal import print_ledger
 
             print_ledger(self.console, ledger.rows() if shown is None else shown)
@@ -123,6 +129,32 @@ class Answer:
         """Print paths, each in one piece."""
         for path in paths:
             self.console.print(visible(path), markup=False, soft_wrap=True)
+
+
+def command(
+    name: str | None = None, *, epilog: str, cls: type[TyperCommand] = TyperCommand
+) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Decorator: a command with the options --quiet and --json.
+
+    Its function takes an `Answer` first, in the place of these.
+    """
+
+    def register(function: Callable[..., None]) -> Callable[..., None]:
+        @wraps(function)
+        def run(*arguments: Any, quiet: bool, as_json: bool, **options: Any) -> None:
+            function(Answer(quiet=quiet, as_json=as_json), *arguments, **options)
+
+        parameters = [*signature(function, eval_str=True).parameters.values()][1:]
+        for option, annotation in (("quiet", Quiet), ("as_json", AsJson)):
+            parameters.append(
+                Parameter(option, Parameter.KEYWORD_ONLY, default=False, annotation=annotation)
+            )
+        run.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
+        run.__annotations__ = {p.name: p.annotation for p in parameters}
+        app.command(name, epilog=epilog, cls=cls)(run)
+        return function
+
+    return register
 
 
 def print_error(error: UnbendError, subject: str = "") -> None:

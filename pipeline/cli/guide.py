@@ -8,25 +8,22 @@ from typing import Annotated
 import typer
 
 from pipeline.caches import compiled_code, empty_caches, user_cache
-from pipeline.cli.app import Answer, AsJson, Quiet, app
+from pipeline.cli.app import Answer, command
 from pipeline.errors import ConfigError, StorageError, storage_errors
 from pipeline.report.words import count
 
 
-@app.command(epilog="Example: unbend schema --out mission.schema.json")
+@command(epilog="Example: unbend schema --out mission.schema.json")
 def schema(
+    answer: Answer,
     out: Annotated[Path | None, typer.Option(help="the file to write")] = None,
     campaign: Annotated[bool, typer.Option("--campaign", help="that of a campaign file")] = False,
-    *,
-    quiet: Quiet = False,
-    as_json: AsJson = False,
 ) -> None:
     """The JSON schema of a mission file, for editors.
 
     Every key with its description, unit, default and example. An editor reads it where the first
     line of the mission file is: # yaml-language-server: $schema=mission.schema.json
     """
-    answer = Answer(quiet=quiet, as_json=as_json)
     with answer.progress("listing the keys"):
         from pipeline.config.schema import campaign_schema, mission_schema
 
@@ -36,37 +33,33 @@ def schema(
             out.write_text(text + "\n", encoding="utf-8")
         answer.print_paths([str(out)])
         answer.print_json({"written": [str(out)]})
-    elif not quiet:
+    elif not answer.quiet:
         print(text)
 
 
-@app.command(
-    "help", epilog="Example: unbend help f_px; unbend help EVENTS-AMBIGUOUS; unbend help 3"
-)
+@command("help", epilog="Example: unbend help f_px; unbend help EVENTS-AMBIGUOUS; unbend help 3")
 def explain_word(
+    answer: Answer,
     word: Annotated[
         str, typer.Argument(help="a key, a code, an exit code or a status", metavar="WORD")
     ],
-    *,
-    quiet: Quiet = False,
-    as_json: AsJson = False,
 ) -> None:
     """What a key, a code, an exit code or a status means."""
-    answer = Answer(quiet=quiet, as_json=as_json)
     with answer.progress("looking it up"):
         from pipeline.report.explanations import explain
 
         lines = explain(word)
     answer.print_json({"word": word, "lines": lines})
     width = max(40, answer.console.width)
-    for line in [] if quiet or as_json else lines:
+    for line in [] if answer.is_silent else lines:
         indent = " " * (len(line) - len(line.lstrip()))
         print(textwrap.fill(line, width, subsequent_indent=indent + "  " * bool(indent),
                             break_on_hyphens=False, break_long_words=False))  # fmt: skip
 
 
-@app.command(epilog="Example: unbend init flight.bin observations.csv")
+@command(epilog="Example: unbend init flight.bin observations.csv")
 def init(
+    answer: Answer,
     log: Annotated[Path, typer.Argument(help="a flight log, or a block alone", metavar="LOG")],
     observations: Annotated[
         Path | None,
@@ -78,10 +71,8 @@ def init(
     out: Annotated[Path, typer.Option(help="the file to write; - prints it")] = Path(
         "mission.yaml"
     ),
-    force: Annotated[bool, typer.Option(help="replace the file if it is there")] = False,
     *,
-    quiet: Quiet = False,
-    as_json: AsJson = False,
+    force: Annotated[bool, typer.Option(help="replace the file if it is there")] = False,
 ) -> None:
     """Write a mission file from what a log and observations hold.
 
@@ -92,7 +83,6 @@ def init(
     if not printed and out.exists() and not force:
         remedy = "choose another name with --out, or replace it: --force"
         raise ConfigError("INIT-EXISTS", "the file is there already", where=str(out), remedy=remedy)
-    answer = Answer(quiet=quiet, as_json=as_json)
     with answer.progress(f"reading {log.name}"):
         import yaml
 
@@ -105,36 +95,33 @@ def init(
     content = {"questions": [".".join(map(str, place)) for place in questions]}
     if printed:
         answer.print_json(content | {"text": text})
-        if not (quiet or as_json):
+        if not answer.is_silent:
             print(text, end="")
         return
     of_editors = out.parent / "mission.schema.json"
     with storage_errors(out):
         out.write_text(text, encoding="utf-8")
-    schema(of_editors, quiet=quiet or as_json)
+    schema(Answer(quiet=answer.is_silent, as_json=False), of_editors)
     answer.print_json(content | {"written": [str(out), str(of_editors)]})
     asked = f"{out}: {count(len(questions), 'open question')} (TODO)"
     answer.print_paths([asked, f"  unbend check {out}"])
 
 
-@app.command(epilog="Example: unbend clean; unbend clean s3://bucket/results")
+@command(epilog="Example: unbend clean; unbend clean s3://bucket/results")
 def clean(
+    answer: Answer,
     url: Annotated[
         str | None, typer.Argument(help="results in object storage", metavar="URL")
     ] = None,
     recent: Annotated[
         bool, typer.Option(help="with a URL: uploads of the last hour too, if no run goes on")
     ] = False,
-    *,
-    quiet: Quiet = False,
-    as_json: AsJson = False,
 ) -> None:
     """Remove what is kept to save time: compiled code, hashes, copies.
 
     No result is touched. The next run compiles again, and reads all of its inputs for their hashes.
     Of a URL: what interrupted runs left at results in object storage, there and below.
     """
-    answer = Answer(quiet=quiet, as_json=as_json)
     if url is not None:
         with answer.progress(f"looking at {url}"):
             from pipeline.batch.object_store import Place
@@ -159,14 +146,13 @@ def clean(
         answer.console.print("nothing is kept")
 
 
-@app.command(epilog="Example: unbend warm --json")
-def warm(*, quiet: Quiet = False, as_json: AsJson = False) -> None:
+@command(epilog="Example: unbend warm --json")
+def warm(answer: Answer) -> None:
     """Compile ahead all that runs may need: half a minute, once.
 
     For images of containers and for many machines: the code goes where NUMBA_CACHE_DIR says, or to
     the user's cache, and serves this version of the program on processors of this kind.
     """
-    answer = Answer(quiet=quiet, as_json=as_json)
     with answer.progress("compiling"):
         from pipeline.in_memory import compile_kernels
         from pipeline.refraction.kernels.jit import cache_folder

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 import typer
 from typer.core import TyperCommand
 
-from pipeline.cli.app import Answer, AsJson, Quiet, app, print_bug, print_error, write_rows_csv
+from pipeline.cli.app import Answer, command, print_bug, print_error, write_rows_csv
 from pipeline.errors import ConfigError, UnbendError
 from pipeline.exit_codes import EXIT_BUG, EXIT_DONE, exit_code_of
 from pipeline.report.words import count
@@ -35,8 +35,9 @@ Names = Annotated[
 ]
 
 
-@app.command(epilog="Example: unbend run configs/*.yaml; unbend run season.yaml --jobs 2")
+@command(epilog="Example: unbend run configs/*.yaml; unbend run season.yaml --jobs 2")
 def run(
+    answer: Answer,
     configs: Configs,
     jobs: Annotated[
         int,
@@ -61,8 +62,6 @@ def run(
             metavar="ADDRESS", help="run on the workers of a Dask scheduler (tcp://... or its file)"
         ),
     ] = None,
-    quiet: Quiet = False,
-    as_json: AsJson = False,
 ) -> None:
     """Correct missions; one that is refused does not stop the rest.
 
@@ -70,7 +69,6 @@ def run(
     """
     if scheduler is not None and jobs > 1:
         raise ConfigError.of("RUN-ARGUMENTS")
-    answer = Answer(quiet=quiet, as_json=as_json)
     with answer.progress("loading"):
         if scheduler is not None:
             from pipeline.batch.cluster import refuse_missing
@@ -165,15 +163,12 @@ def _end(answer: Answer, missions: Sequence[Mapping[str, Any]]) -> NoReturn:
     raise typer.Exit(exit_code_of([int(mission["exit_code"]) for mission in missions]))
 
 
-@app.command(epilog="Example: unbend check mission.yaml")
-def check(
-    configs: Configs, names: Names = None, *, quiet: Quiet = False, as_json: AsJson = False
-) -> None:
+@command(epilog="Example: unbend check mission.yaml")
+def check(answer: Answer, configs: Configs, names: Names = None) -> None:
     """Rehearse `run` on a sample: all it would say, and its exit code.
 
     Writes nothing.
     """
-    answer = Answer(quiet=quiet, as_json=as_json)
     with answer.progress("loading"):
         from pipeline.report.terminal import print_check
         from pipeline.stages.commands.campaigns import select_missions
@@ -200,15 +195,12 @@ def check(
     _end(answer, missions)
 
 
-@app.command(epilog="Example: unbend status configs/*.yaml")
-def status(
-    configs: Configs, names: Names = None, *, quiet: Quiet = False, as_json: AsJson = False
-) -> None:
+@command(epilog="Example: unbend status configs/*.yaml")
+def status(answer: Answer, configs: Configs, names: Names = None) -> None:
     """What `run` would run now, and why.
 
     Names the inputs, keys, libraries and results that changed since the last run.
     """
-    answer = Answer(quiet=quiet, as_json=as_json)
     with answer.progress("loading"):
         from pipeline.report.terminal import print_status
         from pipeline.stages.commands.campaigns import select_missions
@@ -238,19 +230,16 @@ def status(
     _end(answer, missions)
 
 
-@app.command(epilog="Example: unbend stations mission.yaml --plot flight.png")
+@command(epilog="Example: unbend stations mission.yaml --plot flight.png")
 def stations(
+    answer: Answer,
     config: Annotated[Path, typer.Argument(help="a mission file", metavar="CONFIG")],
     csv: Annotated[Path | None, typer.Option(help="write all stations as CSV")] = None,
     plot: Annotated[
         Path | None, typer.Option(help="draw the flight with its stations, .png or .svg")
     ] = None,
-    *,
-    quiet: Quiet = False,
-    as_json: AsJson = False,
 ) -> None:
     """Stations of a mission, how events became images, and a drawing."""
-    answer = Answer(quiet=quiet, as_json=as_json)
     with answer.progress(f"reading {config.name}"):
         from pipeline.report.terminal import print_stations
         from pipeline.stages.story import read_mission
@@ -273,10 +262,9 @@ def stations(
     answer.end({"stations": table}, checked.ledger, csv, plot, shown=shown)
 
 
-@app.command(
-    epilog="Example: unbend inspect flight.bin; unbend inspect flight.bin --type BARO --csv"
-)
+@command(epilog="Example: unbend inspect flight.bin; unbend inspect flight.bin --type BARO --csv")
 def inspect(
+    answer: Answer,
     log: Annotated[
         Path,
         typer.Argument(
@@ -288,30 +276,26 @@ def inspect(
     ] = None,
     instance: Annotated[str | None, typer.Option(help="with --type: only this instance")] = None,
     as_csv: Annotated[bool, typer.Option("--csv", help="with --type: every row, as CSV")] = False,
-    *,
-    quiet: Quiet = False,
-    as_json: AsJson = False,
 ) -> None:
     """What a log or weather model holds, in words of a mission file."""
-    if (kind is None and (as_csv or instance is not None)) or (as_csv and as_json):
+    if (kind is None and (as_csv or instance is not None)) or (as_csv and answer.as_json):
         raise ConfigError.of("INSPECT-ARGUMENTS")
-    answer = Answer(quiet=quiet, as_json=as_json)
     with answer.progress(f"reading {log.name}"):
         from pipeline.ingest import open_log
         from pipeline.tables.weather_files import contents_of, is_model_file
 
         if kind is None and is_model_file(log):
             contents = contents_of(log)
-            if as_json:
+            if answer.as_json:
                 answer.print_json(contents)
-            elif not quiet:
+            elif not answer.quiet:
                 from pipeline.report.terminal import print_model
 
                 print_model(answer.console, contents, log.name)
             raise typer.Exit(EXIT_DONE)
         opened = open_log(log, needs_channels=kind is None)
         columns = None if kind is None else opened.message(kind, instance)
-    if as_csv and columns is not None and not quiet:
+    if as_csv and columns is not None and not answer.quiet:
         from pipeline.report.terminal import write_messages_csv
 
         write_messages_csv(sys.stdout, columns)
@@ -322,9 +306,9 @@ def inspect(
         rows = len(next(iter(columns.values())))
         answer.print_json({"type": kind, "rows": rows, "fields": fields})
         print_fields(answer.console, f"{log.name}, {kind}", fields)
-    elif as_json:
+    elif answer.as_json:
         answer.print_json(opened.to_json_dict())
-    elif not quiet:
+    elif not answer.quiet:
         from pipeline.report.terminal import print_log
 
         print_log(answer.console, opened.to_json_dict(), log.name)
@@ -384,11 +368,12 @@ class _ExportCommand(TyperCommand):
         return super().invoke(ctx)
 
 
-@app.command(
+@command(
     cls=_ExportCommand,
     epilog="Example: unbend export results/survey --format lattice --out grid.parquet",
 )
 def export(
+    answer: Answer,
     ctx: typer.Context,
     run: Annotated[str, typer.Argument(help="a folder of results, or their URL", metavar="RUN")],
     out: Annotated[Path, typer.Option(help="the file to write, or the folder that several go to")],
@@ -398,13 +383,10 @@ def export(
             help="metres above sea level; by default the median of each image's observations"
         ),
     ] = None,
-    force: Annotated[bool, typer.Option(help="replace the file if it is there")] = False,
     *,
-    quiet: Quiet = False,
-    as_json: AsJson = False,
+    force: Annotated[bool, typer.Option(help="replace the file if it is there")] = False,
 ) -> None:
     """Write the results of a run for other programs."""
-    answer = Answer(quiet=quiet, as_json=as_json)
     options = {name: value for name, value in ctx.obj.items() if value is not None}
     name = options.pop("format_name")
     with answer.progress(f"exporting {run}"):
@@ -418,21 +400,18 @@ def export(
     answer.end({"out": str(out), "format": name, "rows": written}, ledger)
 
 
-@app.command(epilog="Example: unbend simulate flown --height 3000")
+@command(epilog="Example: unbend simulate flown --height 3000")
 def simulate(
+    answer: Answer,
     out: Annotated[Path, typer.Argument(help="folder to write to", metavar="OUT")],
     height: Annotated[float, typer.Option(help="metres above ground")] = 3000.0,
     seed: Annotated[int, typer.Option(help="of the sensor noise")] = 7,
     noise: Annotated[float, typer.Option(help="of the image measurements, pixels")] = 0.0,
-    *,
-    quiet: Quiet = False,
-    as_json: AsJson = False,
 ) -> None:
     """Fly a survey with known truth: logs, observations, missions.
 
     The same flight three times, as .bin, .tlog and .mcap, with a mission file for each.
     """
-    answer = Answer(quiet=quiet, as_json=as_json)
     with answer.progress("simulating") as bar:
         from pipeline.simulate import SimulationOptions
         from pipeline.simulate import simulate as simulate_flight
@@ -451,15 +430,12 @@ def simulate(
     )  # fmt: skip
 
 
-@app.command(epilog="Example: unbend verify results/survey")
+@command(epilog="Example: unbend verify results/survey")
 def verify(
+    answer: Answer,
     run: Annotated[str, typer.Argument(help="a folder of results, or their URL", metavar="RUN")],
-    *,
-    quiet: Quiet = False,
-    as_json: AsJson = False,
 ) -> None:
     """Whether the results of a run are whole and unchanged."""
-    answer = Answer(quiet=quiet, as_json=as_json)
     with answer.progress(f"hashing {run}"):
         from pipeline.batch.plan import located
         from pipeline.stages.commands.finished_run import verify_run

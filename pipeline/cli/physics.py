@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperCommand
 
-from pipeline.cli.app import Answer, AsJson, Quiet, app, write_rows_csv
+from pipeline.cli.app import Answer, command, write_rows_csv
 from pipeline.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -39,13 +39,14 @@ class _AngleCommand(TyperCommand):
         return params
 
 
-@app.command(
+@command(
     cls=_AngleCommand,
     # \b: not to be wrapped again, which would break words at their hyphens.
     epilog="\b\nExample: unbend angle --atmosphere us1976 --index gyer \\\n"
     "  --camera-height 10000 --ground-height 0 --nadir-angle 75",
 )
 def angle(
+    answer: Answer,
     *,
     camera_height: Annotated[float, typer.Option(help="metres above sea level")],
     ground_height: Annotated[float, typer.Option(help="metres above sea level")],
@@ -58,14 +59,11 @@ def angle(
         float | None,
         typer.Option(help="slant range, metres: which of two crossings is meant (spherical)"),
     ] = None,
-    quiet: Quiet = False,
-    as_json: AsJson = False,
 ) -> None:
     """One refraction angle: arcsec, microradians, ground metres.
 
     To five digits; all of them with --json.
     """
-    answer = Answer(quiet=quiet, as_json=as_json)
     with answer.progress("tracing the ray"):
         from pipeline.refraction.angle import one_angle
         from pipeline.report.air_and_rays import print_angle
@@ -84,11 +82,12 @@ def angle(
     print_angle(answer.console, result)
 
 
-@app.command(
+@command(
     epilog="\b\nExample: unbend radial --atmosphere us1976 --camera-height 3000 \\\n"
     "  --camera-height 6000 --ground-height 0 --focal-px 20000"
 )
 def radial(
+    answer: Answer,
     *,
     camera_height: Annotated[
         list[float], typer.Option(help="metres above sea level; may be given several times")
@@ -101,8 +100,6 @@ def radial(
     step: Annotated[float, typer.Option(min=0.01, help="degrees between rows")] = 5.0,
     radius: Radius = 6_371_000.0,
     csv: Annotated[Path | None, typer.Option(help="write the rows as CSV")] = None,
-    quiet: Quiet = False,
-    as_json: AsJson = False,
 ) -> None:
     """Refraction by nadir angle per flying height; the Manual's K.
 
@@ -111,7 +108,6 @@ def radial(
     the horizon.
     """
     _require_one_atmosphere(config, atmosphere)
-    answer = Answer(quiet=quiet, as_json=as_json)
     with answer.progress("estimating the air"):
         from pipeline.refraction.angle import angles_to, radial_table
         from pipeline.report.air_and_rays import print_radial, radial_rows
@@ -132,18 +128,15 @@ def radial(
     answer.end({"rows": rows}, ledger, csv)
 
 
-@app.command(epilog="Example: unbend tables gyer1996 --csv gyer.csv")
+@command(epilog="Example: unbend tables gyer1996 --csv gyer.csv")
 def tables(
+    answer: Answer,
     paper: Annotated[
         str, typer.Argument(help="gyer1996, saastamoinen1974 or bertram1966", metavar="PAPER")
     ],
     csv: Annotated[Path | None, typer.Option(help="write the rows as CSV")] = None,
-    *,
-    quiet: Quiet = False,
-    as_json: AsJson = False,
 ) -> None:
     """Recompute a paper's tables: as printed, as published, and exact."""
-    answer = Answer(quiet=quiet, as_json=as_json)
     with answer.progress("computing the tables"):
         from pipeline.refraction.printed_tables import paper_tables
         from pipeline.report.air_and_rays import print_paper
@@ -157,28 +150,26 @@ def tables(
     answer.print_json({"rows": rows, "notes": table.notes})
 
 
-@app.command(
+@command(
     epilog="\b\nExample: unbend profile mission.yaml --plot air.png\n"
     "or: unbend profile --atmosphere us1976 --step 1000"
 )
 def profile(
+    answer: Answer,
     config: Annotated[
         Path | None, typer.Argument(help="a mission file", metavar="[CONFIG]")
     ] = None,
     atmosphere: Annotated[str | None, typer.Option(help="name of a standard atmosphere")] = None,
     csv: Annotated[Path | None, typer.Option(help="write the profile as CSV")] = None,
     plot: Annotated[Path | None, typer.Option(help="draw it, .png or .svg")] = None,
+    *,
     step: Annotated[
         float | None,
         typer.Option(min=1, max=10_000, help="metres between rows; by default the layers' edges"),
     ] = None,
-    *,
-    quiet: Quiet = False,
-    as_json: AsJson = False,
 ) -> None:
     """The air of a mission or of a standard: a table, CSV or plot."""
     _require_one_atmosphere(config, atmosphere)
-    answer = Answer(quiet=quiet, as_json=as_json)
     with answer.progress("estimating the air"):
         from pipeline.atmosphere.profile import heights_every
         from pipeline.report.air_and_rays import print_air, print_profile
@@ -205,21 +196,18 @@ def profile(
     answer.end({"profile": rows.to_pylist(), "effect": effects}, ledger, csv, plot)
 
 
-@app.command(epilog="Example: unbend compare --out docs/accuracy.md")
+@command(epilog="Example: unbend compare --out docs/accuracy.md")
 def compare(
+    answer: Answer,
     atmosphere: Atmosphere = "us1976",
     out: Annotated[
         Path | None, typer.Option(help="write the page as Markdown, its picture beside it as .png")
     ] = None,
-    *,
-    quiet: Quiet = False,
-    as_json: AsJson = False,
 ) -> None:
     """How far each published method can be trusted.
 
     By flying height: to which nadir angle it stays within 0.1 and 1 arcsec of the spherical ray.
     """
-    answer = Answer(quiet=quiet, as_json=as_json)
     with answer.progress("comparing the methods"):
         from pipeline.report.accuracy import compare_all, comparison_rows, print_accuracy
 
