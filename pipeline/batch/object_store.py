@@ -26,12 +26,6 @@ _STORES = {"s3": "S3Store", "az": "AzureStore", "gs": "GCSStore"}
 _BUCKET = re.compile(r"[a-z0-9][a-z0-9._-]{1,62}")
 _CHUNK = 32 << 20
 
-_REFUSALS = {
-    "clock": "CLOUD-CLOCK", "bucket": "CLOUD-BUCKET", "credentials": "CLOUD-CREDENTIALS",
-    "no credentials": "CLOUD-CREDENTIALS/none", "denied": "CLOUD-DENIED",
-}  # fmt: skip
-"""By the reasons in ``object_store_answers.toml``."""
-
 _PLAIN_HTTP = "AWS_ALLOW_HTTP", "AZURE_ALLOW_HTTP", "AZURE_STORAGE_USE_EMULATOR"
 """Variables of the environment that allow a store without encryption, such as one on this host."""
 
@@ -204,9 +198,13 @@ def ask(verb: str, place: Place, call: Any, *arguments: Any, **options: Any) -> 
     reasons = [reason for reason, known in words.items() if re.search(known, text)]
     reasons += [reason for reason, known in codes.items() if re.fullmatch(known, answer)]
     if reasons:
-        raise StorageError.of(
-            _REFUSALS[reasons[0]], place, verb=verb, answer=answer, scheme=place.scheme
-        )
+        raise {
+            "clock": StorageError.of("CLOUD-CLOCK", place, answer=answer),
+            "bucket": StorageError.of("CLOUD-BUCKET", place, answer=answer),
+            "credentials": StorageError.of("CLOUD-CREDENTIALS", place, answer=answer),
+            "no credentials": StorageError.of("CLOUD-CREDENTIALS/none", place, scheme=place.scheme),
+            "denied": StorageError.of("CLOUD-DENIED", place, verb=verb, answer=answer),
+        }[reasons[0]]
     if is_absent:
         raise FileNotFoundError(ENOENT, os.strerror(ENOENT), str(place))
     raise StorageError.of("CLOUD-FAILED", place, verb=verb, answer=answer)
