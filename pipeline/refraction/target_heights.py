@@ -281,7 +281,7 @@ def terrain_heights(
     x_px, y_px : (n,) pixels: measured, or those of the straight chord where ``ideal``.
     exposure, exposures, camera, table : as for `correct_observations`.
     places : (s,) latitude and longitude [rad] of the exposures.
-    terrain : from `pipeline.tables.elevation`.
+    terrain : from `pipeline.tables.geodata.elevation`.
 
     The status is ``no_ground`` where a ray leaves the terrain, lands in a hole of it, or was
     followed for 200 km, ``misses_ground`` where it passes over all of it or starts below it,
