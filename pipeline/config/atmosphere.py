@@ -10,10 +10,8 @@ from pipeline.atmosphere import standard_names
 from pipeline.atmosphere.estimate.sensors import SensorCalibration
 from pipeline.atmosphere.estimate.state import SensorFault
 from pipeline.atmosphere.standard import known_names
-from pipeline.config.cameras import Section, one_of
+from pipeline.config.cameras import PathText, Section, one_of
 from pipeline.units import HECTOPASCAL, NANOSECONDS_PER_SECOND, ZERO_CELSIUS_K
-
-PathText = Annotated[str, Field(min_length=1, pattern=r"^[^\x00]+$")]
 
 
 class SoundingSection(Section):

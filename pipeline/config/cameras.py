@@ -1,6 +1,11 @@
-"""The sections of a mission file on a camera: window, air in the lens, and mount."""
+"""The sections of a mission file on a camera: interior orientation, window, lens, and mount.
+
+The interior orientation is given in pixels, by a report in mm, or by a file.
+"""
 
 from collections.abc import Callable, Collection
+from dataclasses import replace
+from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
@@ -9,17 +14,29 @@ from pydantic import (
     BaseModel,
     ConfigDict,
     Field,
+    ValidationError,
     ValidationInfo,
     field_validator,
     model_validator,
 )
 
-from pipeline.errors import PhysicsError
+from pipeline.errors import InputError, PhysicsError
 from pipeline.flight.mount import Mount
-from pipeline.refraction import Cabin, LensInAir, Window
+from pipeline.refraction import BrownConrady, Cabin, Camera, LensInAir, Window
+from pipeline.refraction.calibration import (
+    MODELS,
+    MetricReport,
+    camera_of_model,
+    camera_of_report,
+    model_of_camera,
+    refuse_impossible,
+)  # fmt: skip
 from pipeline.refraction.window import UNKNOWN
+from pipeline.tables.imports.blocks import BLOCKS, read_camera
+from pipeline.tables.pixels import PixelOrigin, PixelSystem
 from pipeline.units import DEGREE, HECTOPASCAL, ZERO_CELSIUS_K
 
+PathText = Annotated[str, Field(min_length=1, pattern=r"^[^\x00]+$")]
 Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
 LeverArm = Annotated[
     list[Annotated[float, Field(ge=-100, le=100)]], Field(min_length=3, max_length=3)
@@ -201,3 +218,231 @@ class MountSection(Section):
             sigma_tilt_rad=None if tilt is None else tilt * DEGREE,
             sigma_yaw_rad=None if yaw is None else yaw * DEGREE,
         )
+
+
+PrincipalDistance = Annotated[float, Field(ge=10, le=1e6)]
+Coefficient = Annotated[float, Field(ge=-10, le=10)]
+Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
+Sense = Literal["correction", "distortion"]
+
+
+class DistortionSection(Section):
+    """Brown-Conrady coefficients as OpenCV defines them."""
+
+    k1: Coefficient = 0.0
+    k2: Coefficient = 0.0
+    k3: Coefficient = 0.0
+    p1: Coefficient = 0.0
+    p2: Coefficient = 0.0
+
+
+class MetricDistortion(Section):
+    """Coefficients of a calibration report, in powers of mm, about the point of symmetry."""
+
+    sense: Sense
+    k0: float = 0.0
+    k1: float = 0.0
+    k2: float = 0.0
+    k3: float = 0.0
+    k4: float = 0.0
+    p1: float = 0.0
+    p2: float = 0.0
+    b1: float = Field(0.0, ge=-0.05, le=0.05)
+    b2: float = Field(0.0, ge=-0.05, le=0.05)
+
+
+class MetricTable(Section):
+    """Tabulated radial distortion of a calibration report."""
+
+    sense: Sense
+    by: Literal["radius_mm", "field_angle_deg"]
+    rows: list[Pair] = Field(min_length=3)
+
+    @field_validator("rows")
+    @classmethod
+    def _check_order(cls, rows: list[list[float]], info: ValidationInfo) -> list[list[float]]:
+        first = [row[0] for row in rows]
+        last = 80.0 if info.data.get("by") == "field_angle_deg" else np.inf
+        if first[0] < 0.0 or np.any(np.diff(first) <= 0.0) or first[-1] > last:
+            raise ValueError("radii, or angles of up to 80 degrees, grow from row to row")
+        return rows
+
+
+class MetricSection(Section):
+    """The calibration report of a metric frame camera, in millimetres."""
+
+    focal_mm: float = Field(ge=1, le=5000)
+    pixel_um: Pair
+    format_mm: Pair
+    origin: Literal["image_centre"] | Pair
+    axes: Literal["right up", "right down", "left up", "left down", "up right", "up left",
+                  "down right", "down left"]  # fmt: skip
+    ppa_mm: Pair
+    ppbs_mm: Pair | None = None
+    radius_mm: float | None = Field(None, gt=0)
+    distortion: MetricDistortion | None = None
+    table: MetricTable | None = None
+
+    def build(self, size_px: tuple[int, int], pixels: PixelSystem) -> Camera:
+        """The camera; refuses as `camera_of_report`."""
+        centre, table = np.array(size_px) / 2.0, None
+        known = {} if self.distortion is None else self.distortion.model_dump()
+        if self.table is not None:
+            rows = np.array(self.table.rows) * [1.0, 1e-3]
+            if self.table.by == "field_angle_deg":
+                rows[:, 0] = self.focal_mm * np.tan(np.radians(rows[:, 0]))
+            table = rows, self.table.sense
+        report = MetricReport(
+            self.focal_mm, pixel_mm=np.array(self.pixel_um) * 1e-3,
+            format_mm=self.format_mm, axes=self.axes, ppa_mm=self.ppa_mm,
+            origin_px=centre if isinstance(self.origin, str)
+            else pixels.to_colmap(np.array(self.origin)),
+            ppbs_mm=self.ppbs_mm or self.ppa_mm, sense=known.pop("sense", "distortion"),
+            coefficients=known, table=table, radius_mm=self.radius_mm or np.inf,
+        )  # fmt: skip
+        return camera_of_report(report, size_px)
+
+
+_OTHER_WAYS = ["file", "model", "params", "metric"]
+OWN_ORIENTATION = {*_OTHER_WAYS, "f_px", "fx_px", "fy_px", "cx_px", "cy_px", "distortion"}
+"""Keys of which a camera has one, unless its orientation is that of the observations' block."""
+
+
+class CameraSection(Section):
+    """Interior orientation of one camera, in one of four ways."""
+
+    file: PathText | None = None
+    format: Literal[tuple(BLOCKS)] | None = None  # type: ignore[valid-type]
+    camera: str | int | None = None
+    model: Literal[tuple(MODELS)] | None = None  # type: ignore[valid-type]
+    params: list[float] | None = None
+    metric: MetricSection | None = None
+    width_px: int | None = Field(None, gt=0, le=1_000_000, validate_default=True)
+    height_px: int | None = Field(None, gt=0, le=1_000_000, validate_default=True)
+    f_px: PrincipalDistance | None = None
+    fx_px: PrincipalDistance | None = None
+    fy_px: PrincipalDistance | None = None
+    cx_px: float | None = Field(None, ge=-1e6, le=1e6, validate_default=True)
+    cy_px: float | None = Field(None, ge=-1e6, le=1e6, validate_default=True)
+    pixel_origin: PixelOrigin | None = None
+    distortion: DistortionSection | None = None
+    calibration: Literal["laboratory", "in_flight_uncorrected", "in_flight_corrected"]
+    window: WindowSection | None = None
+    principal_distance: LensSection | None = None
+
+    @field_validator("width_px", "height_px", "cx_px", "cy_px")
+    @classmethod
+    def _require(cls, value: float | None, info: ValidationInfo) -> float | None:
+        others = ["file"] if info.field_name in ("width_px", "height_px") else _OTHER_WAYS
+        if value is None and all(info.data.get(name) is None for name in others):
+            raise ValueError(f"is missing, and there is no {' or '.join(others)}")
+        return value
+
+    @model_validator(mode="after")
+    def _check_orientation(self) -> Self:
+        """One way to give the interior orientation, and a camera that can be one."""
+        single = tuple(f is not None for f in (self.f_px, self.fx_px, self.fy_px))
+        others = (self.cx_px, self.cy_px, self.distortion)
+        numbers = any(single) or any(value is not None for value in others)
+        given = [name for name in _OTHER_WAYS if getattr(self, name) is not None]
+        given += ["f_px, cx_px, distortion"] * numbers
+        if (self.model is None) != (self.params is None):
+            raise ValueError("give model and params together, as they stand in cameras.txt")
+        if len(given) > 1 + (self.model is not None):
+            raise ValueError(f"{', '.join(given)}: each gives the interior orientation; keep one")
+        of_file = (self.format, self.file and self.pixel_origin)
+        if any(of_file) and (self.file is None or self.pixel_origin is not None):
+            raise ValueError("format goes with file, and pixel_origin does not")
+        if self.file is not None:
+            return self
+        if numbers and single not in ((True, False, False), (False, True, True)):
+            raise ValueError("give f_px, or both fx_px and fy_px")
+        try:
+            camera = self.build()
+            if not all(10.0 <= f <= 1e6 for f in (camera.fx_px, camera.fy_px)):
+                raise ValueError("the principal distance is 10 to 1000000 pixels")
+            refuse_impossible(camera)
+        except PhysicsError as error:
+            raise ValueError(f"{error.code}: {error.what}; {error.remedy}") from None
+        return self
+
+    @model_validator(mode="after")
+    def _check_lens_air(self) -> Self:
+        window = self.window
+        if self.principal_distance is not None and window is not None and window.cabin is None:
+            raise ValueError(
+                "principal_distance needs the air in the lens, and behind a window that is the "
+                "cabin's: give window.cabin"
+            )
+        return self
+
+    @property
+    def needs_cabin(self) -> bool:
+        """Whether a number depends on the cabin's air.
+
+        A spherical window bends nothing: behind it the air counts only in the lens.
+        """
+        if self.window is None or self.window.cabin is None:
+            return False
+        return self.window.shape == "plane" or self.principal_distance is not None
+
+    @property
+    def needs_cabin_from_log(self) -> bool:
+        """Whether a number depends on the cabin's air, and that is to come from the log."""
+        cabin = None if self.window is None else self.window.build().cabin
+        if cabin is None or not self.needs_cabin:
+            return False
+        return cabin.source == "log" or cabin.temperature_logged
+
+    def lens(self) -> LensInAir | None:
+        """How the principal distance follows the air; None where the file does not state it."""
+        if self.principal_distance is None:
+            return None
+        camera = self.build()
+        # The smaller of two, to which a change is the larger part.
+        return self.principal_distance.build(min(camera.fx_px, camera.fy_px))
+
+    def build(self, pixel_origin: PixelOrigin = "corner") -> Camera:
+        """The camera in COLMAP's pixels; ``pixel_origin`` where it names none itself.
+
+        That of a `file` is known when the file was read (`with_file`).
+        """
+        width, height = self.width_px or 0, self.height_px or 0
+        pixels = PixelSystem(self.pixel_origin or pixel_origin)
+        if self.metric is not None:
+            return self.metric.build((width, height), pixels)
+        if self.model is not None and self.params is not None:
+            camera = camera_of_model(self.model, width, height, self.params)
+            pixels = PixelSystem(self.pixel_origin or "corner")
+            cx, cy = pixels.to_colmap(camera.cx_px), pixels.to_colmap(camera.cy_px)
+            return replace(camera, cx_px=cx, cy_px=cy)
+        if self.cx_px is None or self.cy_px is None:
+            raise ValueError(f"{self.file} has not been read")
+        fx, fy = self.f_px or self.fx_px or 0.0, self.f_px or self.fy_px or 0.0
+        cx, cy = pixels.to_colmap(self.cx_px), pixels.to_colmap(self.cy_px)
+        known = BrownConrady(**(self.distortion or DistortionSection()).model_dump())
+        return Camera(width, height, fx, fy, cx, cy, known)
+
+    def with_file(self, path: Path) -> Self:
+        """The section with model and parameters of its file, which is at ``path``.
+
+        Refuses as `read_camera`, and a file whose images have another size (CAMERA-SIZE).
+        """
+        camera = read_camera(path, self.format, None if self.camera is None else str(self.camera))
+        width, height = self.width_px or camera.width_px, self.height_px or camera.height_px
+        if (width, height) != (camera.width_px, camera.height_px):
+            raise InputError.of("CAMERA-SIZE", path, camera=camera, width=width, height=height)
+        model, params = model_of_camera(camera)
+        known = {"model": model, "params": params, "width_px": width, "height_px": height}
+        kept = self.model_dump(exclude={"file", "format", "camera"}, exclude_unset=True)
+        try:
+            return type(self).model_validate(kept | known)
+        except ValidationError as error:
+            first = error.errors()[0]
+            if first["type"] == "value_error":
+                what = first["msg"].removeprefix("Value error, ")
+            else:
+                what = f"its {first['loc'][0]} is none that a camera can have"
+            raise InputError(
+                "CAMERA-FILE", what, where=str(path), remedy="check the file, or give another one"
+            ) from None

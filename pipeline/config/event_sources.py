@@ -7,8 +7,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from pipeline.config.atmosphere import PathText
-from pipeline.config.cameras import Section, one_of
+from pipeline.config.cameras import PathText, Section, one_of
 from pipeline.config.station_sources import ClockColumns, ImportTime
 from pipeline.tables.imports import CAMERA_EVENTS, format_of
 

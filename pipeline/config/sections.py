@@ -6,10 +6,16 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
-from pipeline.config.atmosphere import AtmosphereSection, PathText
-from pipeline.config.cameras import MountSection, Section, one_of
+from pipeline.config.atmosphere import AtmosphereSection
+from pipeline.config.cameras import (
+    OWN_ORIENTATION,
+    CameraSection,
+    MountSection,
+    PathText,
+    Section,
+    one_of,
+)
 from pipeline.config.event_sources import EventsSection, PositionEvents
-from pipeline.config.interior_orientation import OWN_ORIENTATION, CameraSection
 from pipeline.config.station_sources import LocalOrigin, NamedColumns, StationsSection
 from pipeline.flight.heights import HIGHEST_GROUND_M, LOWEST_GROUND_M
 from pipeline.flight.image_names import Difference

@@ -6,8 +6,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from pipeline.config.atmosphere import PathText
-from pipeline.config.cameras import LeverArm, Section, one_of
+from pipeline.config.cameras import LeverArm, PathText, Section, one_of
 from pipeline.flight.heights import GeodeticOrigin
 from pipeline.tables.imports import ORIENTATIONS, TRAJECTORIES
 from pipeline.tables.imports.blocks import BLOCKS

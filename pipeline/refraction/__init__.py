@@ -8,20 +8,19 @@ from pipeline.refraction.ray import METHODS, bend, refraction_angle
 from pipeline.refraction.ray_table import RayTable, ray_table
 from pipeline.refraction.status_codes import STATUS_NAMES
 from pipeline.refraction.target_heights import height_at_distance
-from pipeline.refraction.uncertainty.air_sigma import AirMode
 from pipeline.refraction.uncertainty.budget import (
     StationSigmas,
     WindowRays,
     leading_mode,
     uncertainty_of,
 )
-from pipeline.refraction.uncertainty.correction_sigmas import Sigmas, Uncertainty
 from pipeline.refraction.uncertainty.sensitivity import (
     RayWeights,
     Sensitivity,
     ray_weights,
     sensitivity,
 )
+from pipeline.refraction.uncertainty.sigmas import AirMode, Sigmas, Uncertainty
 from pipeline.refraction.window import Cabin, Window
 
 __all__ = [

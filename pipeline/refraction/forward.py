@@ -11,7 +11,7 @@ from pipeline.refraction.camera.camera import Camera
 from pipeline.refraction.ray import PublishedRays, bend
 from pipeline.refraction.ray_table import RayTable
 from pipeline.refraction.target_heights import height_at_distance
-from pipeline.refraction.uncertainty.correction_sigmas import Uncertainty
+from pipeline.refraction.uncertainty.sigmas import Uncertainty
 from pipeline.refraction.window import refract_at_window
 from pipeline.units import Array, Integers
 

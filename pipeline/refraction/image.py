@@ -32,7 +32,7 @@ from pipeline.refraction.kernels.threads import in_blocks
 from pipeline.refraction.ray import PublishedRays, as_columns, bend
 from pipeline.refraction.ray_table import RayTable
 from pipeline.refraction.status_codes import OK, STATUS_NAMES
-from pipeline.refraction.uncertainty.correction_sigmas import PARTIALS, Sigmas, Uncertainty
+from pipeline.refraction.uncertainty.sigmas import PARTIALS, Sigmas, Uncertainty
 from pipeline.refraction.window import OPTICAL_AXIS
 from pipeline.units import Array, Integers, Mask, Rows
 

@@ -3,8 +3,11 @@
 Without scripts and without anything from a network.
 """
 
+import base64
 import hashlib
+import io
 import json
+import math
 import os
 import tomllib
 from collections import Counter
@@ -21,14 +24,164 @@ import numpy as np
 import pyarrow as pa
 from jinja2 import Environment, FileSystemBytecodeCache, FunctionLoader, StrictUndefined
 from markupsafe import Markup, escape
+from numpy.typing import ArrayLike
 
 from pipeline.caches import parsed_templates
 from pipeline.report import summary, words
 from pipeline.report.flown import QUANTITIES, Flown, utc
 from pipeline.report.summary import is_applied, next_steps, remarks, verdict
-from pipeline.report.svg import Axes, arrows, field_arrows, light_png, map_axes
 from pipeline.tables.schemas import columns_of, schema_of
-from pipeline.units import round_step
+from pipeline.units import Array, round_step
+
+Range = tuple[float, float]
+_STEPS_S = (1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1200, 1800, 3600, 7200, 14_400, 21_600, 43_200)
+
+
+class Axes:
+    """A pair of axes: ``box`` is left, top, width, height [px]; ``x`` and ``y`` their limits.
+
+    Paths leave out places that are unknown. ``log_x`` for a logarithmic axis, to powers of ten.
+    """
+
+    def __init__(self, box: Sequence[float], x: Range, y: Range, *, log_x: bool = False) -> None:
+        self.box, self.log_x = tuple(box), log_x
+        if log_x:
+            x = 10.0 ** math.floor(math.log10(x[0])), 10.0 ** math.ceil(math.log10(x[1]))
+        self.x, self.y = (
+            (low, high) if high != low else (low - 0.5, high + 0.5) for low, high in (x, y)
+        )
+
+    def at(self, x: ArrayLike, y: ArrayLike) -> tuple[Array, Array]:
+        """Pixels of places."""
+        left, top, width, height = self.box
+        share, (low, high) = np.asarray(x, np.float64), self.x
+        if self.log_x:
+            with np.errstate(divide="ignore", invalid="ignore"):
+                share, low, high = np.log10(share), math.log10(low), math.log10(high)
+        across = np.asarray((share - low) / (high - low))
+        up = (np.asarray(y, np.float64) - self.y[0]) / (self.y[1] - self.y[0])
+        return left + width * across, top + height * (1.0 - up)
+
+    def place(self, x: float, y: float) -> tuple[float, float]:
+        """The pixel of one place, to a tenth."""
+        across, down = self.at(x, y)
+        return round(float(across), 1), round(float(down), 1)
+
+    def line(self, x: ArrayLike, y: ArrayLike, end: str = "") -> str:
+        """A line through places (n,), with gaps; ``end`` Z to close it.
+
+        >>> Axes((0, 0, 4, 4), (0, 4), (4, 0)).line([0, 1, np.nan, 3, 4], np.zeros(5))
+        'M0.0 0.0L1.0 0.0M3.0 0.0L4.0 0.0'
+        """
+        words, pen = [], "M"
+        for a, b in zip(*(column.tolist() for column in self.at(x, y)), strict=True):
+            known = math.isfinite(a) and math.isfinite(b)
+            if known:
+                words.append(f"{pen}{a:.1f} {b:.1f}")
+            pen = "L" if known else "M"
+        return "".join(words) + (end if words else "")
+
+    def marks(self, x: ArrayLike, y: ArrayLike, mark: str = "h0") -> str:
+        """A mark at each known place (n,), drawn from there; a dot by default."""
+        px, py = (np.atleast_1d(column) for column in self.at(x, y))
+        good = np.isfinite(px) & np.isfinite(py)
+        return "".join(f"M{a:.1f} {b:.1f}{mark}" for a, b in zip(px[good], py[good], strict=True))
+
+    def areas(self, corners: Array) -> str:
+        """Closed areas (m, k, 2) of x and y."""
+        return "".join(self.line(area[:, 0], area[:, 1], "Z") for area in corners)
+
+    def band(self, low: Array, high: Array, y: Array) -> str:
+        """What lies between two curves (n,) against ``y``."""
+        return self.line(np.concatenate([low, high[::-1]]), np.concatenate([y, y[::-1]]), "Z")
+
+    def bars(self, first: float, step: float, counts: Sequence[float]) -> str:
+        """A bar from zero for each count."""
+        edges, zero = self.at(first + step * np.arange(len(counts) + 1.0), 0.0)
+        _, tops = self.at(0.0, np.array(counts, np.float64))
+        return "".join(
+            f"M{a + 0.5:.1f} {zero:.1f}V{top:.1f}H{b - 0.5:.1f}V{zero:.1f}Z"
+            for a, b, top in zip(edges[:-1], edges[1:], tops, strict=True)
+            if top < zero
+        )
+
+    def ticks(self, of: Range, most: int, begin_ns: int | None = None) -> list[tuple[float, str]]:
+        """Round values of an axis with their texts, ``most`` or one more.
+
+        ``begin_ns`` [Unix ns] : the values are seconds after it, the texts times of day.
+
+        >>> Axes((0, 0, 1, 1), (0.13, 0.42), (0, 1)).ticks((0.13, 0.42), 4)
+        [(0.2, '0.2'), (0.3, '0.3'), (0.4, '0.4')]
+        """
+        low, high = min(of), max(of)
+        if begin_ns is not None:
+            step = next((s for s in _STEPS_S if s >= (high - low) / most), 0)
+            step = step or 86_400 * math.ceil((high - low) / most / 86_400)
+            from_s = begin_ns * 1e-9 + low
+            seconds = range(-(-int(from_s) // step) * step, int(from_s + high - low) + 1, step)
+            cut = slice(5, 10) if step >= 86_400 else slice(11, 19 if step < 60 else 16)
+            return [(s - begin_ns * 1e-9, str(np.datetime64(s, "s"))[cut]) for s in seconds]
+        if self.log_x and of == self.x:
+            powers = range(round(math.log10(low)), round(math.log10(high)) + 1)
+            return [(10.0**p, f"{10.0**p:.12g}") for p in powers[:: -(-len(powers) // 7)]]
+        width = round_step((high - low) / most)
+        digits = max(0, -math.floor(math.log10(width)))
+        numbers = range(math.ceil(low / width - 1e-9), math.floor(high / width + 1e-9) + 1)
+        return [(round(n * width, digits), f"{n * width:,.{digits}f}") for n in numbers]
+
+
+def arrows(x: ArrayLike, y: ArrayLike, dx: ArrayLike, dy: ArrayLike) -> str:
+    """Arrows (n,) from pixels by pixels, each with a head of a third of its length."""
+    words = []
+    for a, b, u, v in zip(*(np.atleast_1d(c).tolist() for c in (x, y, dx, dy)), strict=True):
+        back, side = 0.34, 0.2
+        words.append(f"M{a:.1f} {b:.1f}l{u:.1f} {v:.1f}")
+        for k in (1.0, -1.0):
+            head = -back * u - k * side * v, -back * v + k * side * u
+            words.append(f"l{head[0]:.1f} {head[1]:.1f}M{a + u:.1f} {b + v:.1f}")
+    return "".join(words)
+
+
+def field_arrows(axes: Axes, field: Mapping[str, Any]) -> tuple[str, str, float]:
+    """Arrows of a mean shift over an image, the longest 0.92 of a cell long; one for reference.
+
+    Returns both paths, the second an arrow at the upper left, and the shift that it stands for
+    [px], with one digit of 1, 2 or 5.
+    """
+    x, y, dx, dy = (np.array(field[name]) for name in ("x_px", "y_px", "dx_px", "dy_px"))
+    longest = float(np.hypot(dx, dy).max()) or 1.0
+    scale, reference = 0.92 * axes.box[2] / field["columns"] / longest, round_step(longest / 2.2)
+    example = arrows(axes.box[0] + 44.0, axes.box[1] - 11.0, reference * scale, 0.0)
+    return arrows(*axes.at(x, y), dx * scale, dy * scale), example, reference
+
+
+def map_axes(limits_deg: Sequence[float], width: float) -> tuple[Axes, float]:
+    """Axes of longitude and latitude of equal scale on a drawing, and metres across.
+
+    ``limits_deg`` : west, east, south, north of what has to be in it; ``width`` of the drawing.
+    """
+    west, east, south, north = limits_deg
+    shrink = max(math.cos(math.radians(0.5 * (south + north))), 0.01)
+    inner = width - 72.0
+    across = max(1.1 * (east - west) * shrink, 2e-4)
+    down = max(1.1 * (north - south), 2e-4, 0.35 * across)
+    across = max(across, down * inner / (0.9 * width))
+    lon, lat = 0.5 * (west + east), 0.5 * (south + north)
+    box = 62.0, 22.0, inner, round(inner * down / across, 1)
+    half = 0.5 * across / shrink
+    axes = Axes(box, (lon - half, lon + half), (lat - 0.5 * down, lat + 0.5 * down))
+    return axes, across * 111_200.0
+
+
+def light_png(light: Array) -> str:
+    """Light (rows, columns) from -1 (shade) to 1 as greys, clear where unknown, as data URL."""
+    from PIL import Image
+
+    grey = np.stack([np.nan_to_num(140.0 + 80.0 * light), 120.0 * np.isfinite(light)], axis=2)
+    buffer = io.BytesIO()
+    Image.fromarray(grey.astype(np.uint8)).save(buffer, format="png")
+    return f"data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}"
+
 
 _MOST_CAMERAS = 8  # with figures of their own; the manifest has the others too
 _DATA = files("pipeline.report") / "data"

@@ -30,7 +30,7 @@ from pipeline.refraction.kernels.threads import usable_cpus
 from pipeline.refraction.ray import PublishedRays
 from pipeline.refraction.ray_table import RayTable
 from pipeline.refraction.status_codes import NO_STATION
-from pipeline.refraction.uncertainty.correction_sigmas import Sigmas, Uncertainty
+from pipeline.refraction.uncertainty.sigmas import Sigmas, Uncertainty
 from pipeline.stages.ground_heights import (
     Ground,
     GroundHeights,

@@ -12,9 +12,8 @@ from pipeline.flight.stations import Stations
 from pipeline.ledger import Ledger
 from pipeline.refraction.camera.camera import Camera
 from pipeline.refraction.image import Exposures
-from pipeline.refraction.uncertainty.air_sigma import OPEN, SCHEDULED, window_kind_of
 from pipeline.refraction.uncertainty.budget import StationSigmas, uncertainty_of
-from pipeline.refraction.uncertainty.correction_sigmas import Uncertainty
+from pipeline.refraction.uncertainty.sigmas import OPEN, SCHEDULED, Uncertainty, window_kind_of
 from pipeline.stages.cabin_air import cabin_changes
 from pipeline.stages.correction import CorrectionSetup
 from pipeline.stages.exposure_setup import lenses_of_mission, windows_of_mission

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from pipeline.config.interior_orientation import CameraSection
+from pipeline.config.cameras import CameraSection
 from pipeline.refraction.calibration import MODELS
 
 FORMAT = {"width_px": 4000, "height_px": 3000, "calibration": "laboratory"}

@@ -7,9 +7,8 @@ import typing
 import pytest
 
 from pipeline.config.atmosphere import AtmosphereSection, SoundingSection, SurfaceSection
-from pipeline.config.cameras import MountSection, WindowSection
+from pipeline.config.cameras import CameraSection, MountSection, WindowSection
 from pipeline.config.event_sources import CsvEvents, LogEvents
-from pipeline.config.interior_orientation import CameraSection
 from pipeline.config.schema import mission_keys
 from pipeline.config.sections import (
     GroundSection,

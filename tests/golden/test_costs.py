@@ -416,7 +416,7 @@ def test_a_camera_file(copy):
     (copy.folder / "cameras.toycam").write_text("left 400 300 500\nright 400 300 501\n")
     code = (
         "from pathlib import Path\n"
-        "from pipeline.config.interior_orientation import CameraSection\n"
+        "from pipeline.config.cameras import CameraSection\n"
         "camera = CameraSection(file='cameras.toycam', camera='right', calibration='laboratory')\n"
         "print(camera.with_file(Path('cameras.toycam')).build().fx_px)"
     )

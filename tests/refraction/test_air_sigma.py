@@ -18,8 +18,8 @@ from pipeline.refraction import (
     ray_table,
     uncertainty_of,
 )
-from pipeline.refraction.uncertainty.air_sigma import OPEN
 from pipeline.refraction.uncertainty.sensitivity import sensitivity
+from pipeline.refraction.uncertainty.sigmas import OPEN
 
 RADIUS = 6_371_000.0
 

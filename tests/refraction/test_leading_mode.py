@@ -24,7 +24,7 @@ from pipeline.refraction import (
     ray_table,
     uncertainty_of,
 )
-from pipeline.refraction.uncertainty.air_sigma import OPEN, SCHEDULED, SEALED
+from pipeline.refraction.uncertainty.sigmas import OPEN, SCHEDULED, SEALED
 
 RADIUS = 6_371_000.0
 CAMERA = Camera(

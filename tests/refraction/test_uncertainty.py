@@ -20,7 +20,7 @@ from pipeline.refraction import (
     uncertainty_of,
 )
 from pipeline.refraction.status_codes import FAR_BRANCH, NO_GROUND, NO_STATION
-from pipeline.refraction.uncertainty.correction_sigmas import PARTIALS
+from pipeline.refraction.uncertainty.sigmas import PARTIALS
 from pipeline.units import DEGREE
 
 RADIUS = 6_371_000.0

@@ -19,8 +19,8 @@ from pipeline.refraction import (
     refraction_angle,
     uncertainty_of,
 )
-from pipeline.refraction.uncertainty.air_sigma import OPEN, SCHEDULED, SEALED, window_kind_of
 from pipeline.refraction.uncertainty.budget import window_turn
+from pipeline.refraction.uncertainty.sigmas import OPEN, SCHEDULED, SEALED, window_kind_of
 from pipeline.refraction.window import refract_at_window
 
 RADIUS = 6_371_000.0

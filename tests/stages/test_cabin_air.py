@@ -17,7 +17,7 @@ from pipeline.ingest import open_log
 from pipeline.ledger import Ledger
 from pipeline.refraction import StationSigmas, correct_observations, ray_table, uncertainty_of
 from pipeline.refraction.camera.camera import Camera, LensInAir
-from pipeline.refraction.uncertainty.air_sigma import SEALED
+from pipeline.refraction.uncertainty.sigmas import SEALED
 from pipeline.refraction.window import Cabin, Window
 from pipeline.simulate.optics import cameras, through_window
 from pipeline.simulate.true_air import edlen_index

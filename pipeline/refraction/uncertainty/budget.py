@@ -42,17 +42,17 @@ from pipeline.refraction.kernels.columns import (
     N,
 )
 from pipeline.refraction.ray import DEFAULT_RADIUS_M
-from pipeline.refraction.uncertainty.air_sigma import (
+from pipeline.refraction.uncertainty.sensitivity import sensitivity
+from pipeline.refraction.uncertainty.sigmas import (
     OPEN,
     AirMode,
     AirSigma,
     CovarianceRoot,
+    Uncertainty,
     air_sigma,
     cabin_response,
     window_errors,
 )
-from pipeline.refraction.uncertainty.correction_sigmas import Uncertainty
-from pipeline.refraction.uncertainty.sensitivity import sensitivity
 from pipeline.units import Array, Integers, Mask
 
 _MOST_EXPOSURES, _ACROSS = 24, 5  # and rays in five rows and columns of an image
