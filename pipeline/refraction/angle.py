@@ -13,7 +13,7 @@ from pipeline.atmosphere.profile import Profile
 from pipeline.errors import PhysicsError
 from pipeline.refraction import ray
 from pipeline.refraction.image import ground_displacement
-from pipeline.refraction.published import manual
+from pipeline.refraction.published.bertram import manual
 from pipeline.refraction.status_codes import FAR_BRANCH, STATUS_NAMES
 from pipeline.units import ARCSEC, DEGREE, MICRORADIAN, Array
 

@@ -51,24 +51,4 @@ PUBLISHED: dict[str, Method] = {
 }
 """Methods by the name that ``refraction.method`` and ``unbend angle --method`` take."""
 
-__all__ = [
-    "PUBLISHED",
-    "Method",
-    "bertram1966",
-    "bertram1966_curved",
-    "bertram1966_from_ground",
-    "compartment",
-    "gyer1996",
-    "manual",
-    "plane",
-    "plane_first_term",
-    "plane_moist",
-    "quadratic_coefficients",
-    "saastamoinen1974",
-    "saastamoinen1974_fitted",
-    "saastamoinen1974_ican",
-    "saastamoinen1974_quadratic",
-    "saastamoinen1974_series",
-    "saastamoinen1974_weather",
-    "weather_refraction",
-]
+__all__ = ["PUBLISHED", "Method", "compartment", "quadratic_coefficients", "weather_refraction"]
