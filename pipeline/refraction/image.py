@@ -297,31 +297,3 @@ def lattice_nodes(camera: Camera, columns: int, rows: int) -> tuple[Array, Array
         np.linspace(0.0, camera.width_px, columns), np.linspace(0.0, camera.height_px, rows)
     )
     return x.ravel(), y.ravel()
-
-
-def lattice_corrections(
-    x_px: Array,
-    y_px: Array,
-    ground_m: Array,
-    exposure: Integers,
-    exposures: Exposures,
-    *,
-    camera: Camera,
-    table: RayTable | PublishedRays,
-) -> Corrections:
-    """The corrections of `correct_observations` at the same nodes in every one of some images.
-
-    Parameters
-    ----------
-    x_px, y_px : (k,) nodes, from `lattice_nodes`.
-    ground_m : (s,) height of the ground above sea level that each image is computed for [m].
-    exposure : (s,) rows of ``exposures``.
-    camera, table : as for `correct_observations`.
-
-    Returns (s * k,) rows, image by image. At a node nothing is approximated; between nodes the
-    bilinear interpolation errs by an eighth of the curvature of the shift across a cell.
-    """
-    images, nodes = exposure.size, x_px.size
-    x_px, y_px = np.tile(x_px, images), np.tile(y_px, images)
-    h_g, exposure = np.repeat(ground_m, nodes), np.repeat(exposure, nodes)
-    return correct_observations(x_px, y_px, h_g, exposure, exposures, camera=camera, table=table)

@@ -46,7 +46,6 @@ from pipeline.refraction.uncertainty.sensitivity import sensitivity
 from pipeline.refraction.uncertainty.sigmas import (
     OPEN,
     AirMode,
-    AirSigma,
     CovarianceRoot,
     Uncertainty,
     air_sigma,
@@ -275,24 +274,31 @@ def uncertainty_of(
         rays = np.stack([u, v, np.ones(u.size)]) / np.sqrt(u * u + v * v + 1.0)
         least = float((down @ rays).min(initial=1.0)) if bool(covered.all()) else 0.0
         zeta.append(float(np.arccos(least) + np.radians(0.5)) if down.size else 0.0)
-    air = air_sigma(
+    camera_m, tables = air_sigma(
         profile,
         covariance,
         (float(heights.min()), float(heights.max())),
         ground_heights_m,
         largest_zeta_rad=max(zeta),
         radius=radius,
-        window_kinds=sorted({int(kind) for kind in kinds} - {OPEN}),
+        window_kinds=np.unique(kinds[kinds != OPEN]).tolist(),
         mode=mode,
     )
-    return Uncertainty(air, _station_columns(profile, exposures, stations, kinds, air), mode)
+    return Uncertainty(
+        tables, _station_columns(profile, exposures, stations, kinds, camera_m), mode
+    )
 
 
 def _station_columns(
-    profile: Profile, exposures: Exposures, stations: StationSigmas, kinds: Integers, air: AirSigma
+    profile: Profile,
+    exposures: Exposures,
+    stations: StationSigmas,
+    kinds: Integers,
+    camera_m: Array,
 ) -> Array:
-    """(s, 19) columns `N` to `CABIN` of `kernels.columns`; ``kinds`` (s,) are those of windows."""
-    camera_m, n = air.camera_m, exposures.refractivity_outside
+    """(s, 19) columns `N` to `CABIN` of `kernels.columns`, beside tables at ``camera_m``; ``kinds``
+    (s,) are those of windows."""
+    n = exposures.refractivity_outside
     h = np.where(exposures.usable & np.isfinite(n), exposures.height_m, camera_m[0])
     columns = np.full((h.size, STATION_COLUMNS), np.nan)
     # Slopes over half a metre below and above, within the profile.
@@ -315,7 +321,7 @@ def _station_columns(
     columns[:, NORMAL:CABIN] = exposures.normals
     if stations.cabin is not None:
         columns[:, CABIN:] = stations.cabin
-    for number, kind in enumerate(air.window_kinds):
+    for number, kind in enumerate(np.unique(kinds[kinds != OPEN]).tolist()):
         rows = kinds == kind
         response = cabin_response(profile, h[rows], kind)
         columns[rows, WINDOW] = number

@@ -24,8 +24,8 @@ adds to v, and a ray turns by R's part and that of y at the window.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -74,22 +74,6 @@ _REFRACTIVITY_STEP_M = 5.0
 _NOTHING = 1e-30  # in the place of a sigma of zero, by which nothing can be divided
 
 
-@dataclass(frozen=True, eq=False)
-class AirSigma:
-    """Tables of sigma_R and dR/dzeta over camera height, way down to the target, and incidence.
-
-    Parameters
-    ----------
-    camera_m : (c,) heights of cameras [m above sea level].
-    window_kinds : v of `SEALED`, `SCHEDULED`, those that are tabulated.
-    tables : over those cameras and windows.
-    """
-
-    camera_m: Array
-    window_kinds: tuple[int, ...]
-    tables: AirTables
-
-
 def air_sigma(
     profile: Profile,
     covariance: ProfileCovariance | None,
@@ -100,18 +84,15 @@ def air_sigma(
     radius: float,
     window_kinds: Sequence[int] = (),
     mode: AirMode | None = None,
-) -> AirSigma:
+) -> tuple[Array, AirTables]:
     """Tabulate sigma of R, and what the leading mode does, for the cameras and ground of a block.
 
-    Parameters
-    ----------
-    profile, covariance : the air, and how well it is known; None where that is not known.
-    camera_heights_m, ground_heights_m : lowest and highest, above sea level [m].
-    largest_zeta_rad : nadir angle beyond which nothing is seen; beyond 1.7 degrees above level at
-        the ground the tables end anyway.
-    radius : of the sphere [m].
-    window_kinds : of `SEALED` and `SCHEDULED` those of the cameras.
-    mode : the leading mode of the covariance.
+    ``covariance`` is None where it is not known, ``mode`` its leading mode. Heights are the lowest
+    and the highest above sea level [m], ``window_kinds`` those of `SEALED` and `SCHEDULED` that are
+    there, ``radius`` that of the sphere [m]. Nothing is seen beyond the nadir angle
+    ``largest_zeta_rad``; beyond 1.7 degrees above level at the ground the tables end anyway.
+
+    Returns the heights of cameras (c,) [m above sea level] that are tabulated, and the tables.
 
     Against `sensitivity` with the same covariance, cameras within 150 m: 1 % of sigma_R up to 75
     degrees, 2 % at 80, 3 % at 85, on ways of 100 m and more; 8 % at 85 degrees and 6 km where the
@@ -144,12 +125,18 @@ def air_sigma(
     )
     heights = np.arange(bottom, high + _REFRACTIVITY_STEP_M, _REFRACTIVITY_STEP_M)
     heights = np.minimum(heights, profile.top_m)
-    tables = AirTables(
-        float(first), _WAY_STEP, _COARSE_STEP, _INCIDENCE_STEP, plane.sigma, plane.angle, factors,
-        plane.behind, plane.lean, bottom, _REFRACTIVITY_STEP_M, profile.refractivity(heights),
-        plane.mode, plane.mode_lean, np.nan if mode is None else mode.sigma,
-    )  # fmt: skip
-    return AirSigma(camera, tuple(window_kinds), tables)
+    return camera, AirTables(
+        way_first=float(first),
+        way_step=_WAY_STEP,
+        coarse_step=_COARSE_STEP,
+        incidence_step=_INCIDENCE_STEP,
+        factors=factors,
+        ground_m=bottom,
+        spacing_m=_REFRACTIVITY_STEP_M,
+        refractivity=profile.refractivity(heights),
+        mode_sigma=np.nan if mode is None else mode.sigma,
+        **plane,
+    )
 
 
 def cabin_response(profile: Profile, h: Array, kind: int) -> Array:
@@ -224,35 +211,24 @@ def _cabin_errors(profile: Profile, root: CovarianceRoot, h: Array, kind: int) -
     return np.asarray(response * (by_t @ root.matrix[:edges] + root.matrix[edges]))
 
 
-class _InThePlane(NamedTuple):
-    """Tables of `AirTables` by its names."""
-
-    sigma: Array
-    angle: Array
-    behind: Array
-    lean: Array
-    mode: Array
-    mode_lean: Array
-
-
 def _in_the_plane(
     profile: Profile,
     root: CovarianceRoot | None,
     camera: Array,
     way: Array,
     window_kinds: Sequence[int],
-) -> _InThePlane:
+) -> dict[str, Array]:
     """The tables for ways (w,) [m]; the first column of ``root`` is the leading mode."""
-    columns = _Columns.of(profile, root, camera[0] - way[-1], camera[-1])
+    lowest, columns_at = _integrals(profile, root, camera[0] - way[-1], camera[-1])
     shape = (camera.size, way.size)
     sigma, angle, mode = np.full(shape, np.nan), np.empty(shape), np.full(shape, np.nan)
     behind = np.full((len(window_kinds), 2, *shape), np.nan)
     lean, mode_lean = np.full((2, len(window_kinds), camera.size), np.nan)
-    at_camera, above = columns.at(camera)
+    at_camera, above = columns_at(camera)
     cabins = [_cabin_errors(profile, root, camera, v) for v in window_kinds] if root else []
     for row, height in enumerate(camera):
-        reach = np.maximum(np.minimum(way, height - columns.height_m[0]), _SHORTEST_M)[:, None]
-        mean = (above[row] - columns.at(height - reach[:, 0])[1]) / reach
+        reach = np.maximum(np.minimum(way, height - lowest), _SHORTEST_M)[:, None]
+        mean = (above[row] - columns_at(height - reach[:, 0])[1]) / reach
         angle[row] = (mean[:, 0] - at_camera[row, 0]) / reach[:, 0]
         if root is None:
             continue
@@ -265,45 +241,38 @@ def _in_the_plane(
             lean[k, row] = np.linalg.norm(y)
             behind[k, 0, row] = _lengths(x)
             behind[k, 1, row] = x @ y / max(lean[k, row], _NOTHING)
-    return _InThePlane(sigma, angle, behind, lean, mode, mode_lean)
+    return {"sigma": sigma, "angle": angle, "behind": behind, "lean": lean, "mode": mode,
+            "mode_lean": mode_lean}  # fmt: skip
 
 
 def _lengths(rows: Array) -> Array:
     return np.asarray(np.sqrt(np.einsum("ij,ij->i", rows, rows)))
 
 
-@dataclass(frozen=True, eq=False)
-class _Columns:
-    """N and its errors (n, 1 + r) at heights, linear between, and integrals from the lowest."""
+def _integrals(
+    profile: Profile, root: CovarianceRoot | None, low: float, high: float
+) -> tuple[float, Callable[[Array], tuple[Array, Array]]]:
+    """The lowest height, and N and its errors (n, 1 + r) at heights (n,), linear between those
+    kept, with their integrals from the lowest."""
+    lowest = max(low, profile.bottom_m)
+    breaks = profile.break_heights_m
+    even = np.arange(lowest, high + _STEP_M, _STEP_M)
+    h = np.unique(np.concatenate([even, breaks[(breaks > lowest) & (breaks < even[-1])]]))
+    h = h[h <= profile.top_m]
+    value = profile.refractivity(h)[:, None]
+    if root is not None:
+        value = np.column_stack([value, air_jacobian(profile, h, root.anchor_m) @ root.matrix])
+    thickness = np.diff(h)[:, None]
+    slope = np.diff(value, axis=0) / thickness
+    steps = 0.5 * thickness * (value[1:] + value[:-1])
+    integral = np.concatenate([np.zeros((1, value.shape[1])), np.cumsum(steps, axis=0)])
 
-    height_m: Array
-    value: Array
-    slope: Array
-    integral: Array
-
-    @classmethod
-    def of(cls, profile: Profile, root: CovarianceRoot | None, low: float, high: float) -> _Columns:
-        lowest = max(low, profile.bottom_m)
-        breaks = profile.break_heights_m
-        even = np.arange(lowest, high + _STEP_M, _STEP_M)
-        h = np.unique(np.concatenate([even, breaks[(breaks > lowest) & (breaks < even[-1])]]))
-        h = h[h <= profile.top_m]
-        value = profile.refractivity(h)[:, None]
-        if root is not None:
-            state = air_jacobian(profile, h, root.anchor_m)
-            value = np.column_stack([value, state @ root.matrix])
-        thickness = np.diff(h)[:, None]
-        steps = 0.5 * thickness * (value[1:] + value[:-1])
-        integral = np.concatenate([np.zeros((1, value.shape[1])), np.cumsum(steps, axis=0)])
-        return cls(h, value, np.diff(value, axis=0) / thickness, integral)
-
-    def at(self, height: Array) -> tuple[Array, Array]:
-        """Values and integrals at heights (m,)."""
-        h, value, slope = self.height_m, self.value, self.slope
+    def at(height: Array) -> tuple[Array, Array]:
         i = np.clip(np.searchsorted(h, height, side="right") - 1, 0, h.size - 2)
         rise = np.clip(height - h[i], 0.0, None)[:, None]
-        integral = self.integral[i] + rise * (value[i] + 0.5 * rise * slope[i])
-        return value[i] + slope[i] * rise, integral
+        return value[i] + slope[i] * rise, integral[i] + rise * (value[i] + 0.5 * rise * slope[i])
+
+    return float(h[0]), at
 
 
 def _on_the_sphere(
@@ -346,7 +315,6 @@ def _on_the_sphere(
 
 Single = NDArray[np.float32]
 
-
 PARTIALS = ("dx_ds_px", "dy_ds_px", "dx_dncc_px", "dy_dncc_px")
 """The columns of `Sigmas` that are derivatives."""
 
@@ -355,12 +323,12 @@ PARTIALS = ("dx_ds_px", "dy_ds_px", "dx_dncc_px", "dy_dncc_px")
 class Uncertainty:
     """All that turns corrections into standard deviations; made by `uncertainty_of`.
 
-    ``air`` : tables of sigma_R; ``stations`` (s, 19) columns `N` to `CABIN` of
+    ``tables`` of sigma_R; ``stations`` (s, 19) columns `N` to `CABIN` of
     `pipeline.refraction.kernels.columns`; ``mode`` the leading mode of the air's covariance, None
     where that is not known.
     """
 
-    air: AirSigma
+    tables: AirTables
     stations: Array
     mode: AirMode | None = None
 
@@ -368,13 +336,11 @@ class Uncertainty:
         """The same with another unit of the mode's parameter, in which its sigma is this."""
         if self.mode is None:
             return self
-        tables = self.air.tables._replace(mode_sigma=sigma)
-        air = replace(self.air, tables=tables)
-        return replace(self, air=air, mode=replace(self.mode, sigma=sigma))
+        tables = self.tables._replace(mode_sigma=sigma)
+        return replace(self, tables=tables, mode=replace(self.mode, sigma=sigma))
 
 
-@dataclass(frozen=True, eq=False)
-class Sigmas:
+class Sigmas(NamedTuple):
     """Standard deviations of corrections, and derivatives; (n,) arrays, NaN where unknown.
 
     ``r_c_rad`` and ``air_*`` are common to the block: they must not be added to the weights of
@@ -405,31 +371,24 @@ class Sigmas:
     @classmethod
     def room(cls, n: int) -> Sigmas:
         """For n observations, to be filled."""
-        return cls(np.empty(n), *np.empty((len(fields(cls)) - 1, n), np.float32))
+        return cls(np.empty(n), *np.empty((len(cls._fields) - 1, n), np.float32))
 
     @classmethod
     def unknown(cls, n: int) -> Sigmas:
         """Of n observations of which nothing is known."""
-        made = cls.room(n)
-        for values in made.columns().values():
-            values.fill(np.nan)
-        return made
-
-    def columns(self) -> dict[str, Any]:
-        """The arrays by their names."""
-        return {field.name: getattr(self, field.name) for field in fields(self)}
+        return cls(np.full(n, np.nan), *np.full((len(cls._fields) - 1, n), np.nan, np.float32))
 
     def named(self) -> dict[str, Any]:
         """The arrays by the names of columns of tables."""
-        return {n if n in PARTIALS else f"sigma_{n}": v for n, v in self.columns().items()}
+        return {n if n in PARTIALS else f"sigma_{n}": v for n, v in self._asdict().items()}
 
     def rows(self, which: Rows | slice) -> Sigmas:
         """Some of the rows; those of a slice can be filled."""
-        return Sigmas(**{name: values[which] for name, values in self.columns().items()})
+        return Sigmas._make(values[which] for values in self)
 
     def put(self, rows: Rows, part: Sigmas) -> None:
         """Fill some rows in."""
-        for name, values in self.columns().items():
+        for name, values in self._asdict().items():
             values[rows] = getattr(part, name)
 
     def fill(
@@ -443,5 +402,5 @@ class Sigmas:
         camera, exposures = setup
         propagate(
             observed, (camera, exposures.rotation), traced,
-            (uncertainty.stations, uncertainty.air.tables), tuple(self.columns().values()),
+            (uncertainty.stations, uncertainty.tables), tuple(self),
         )  # fmt: skip
