@@ -108,8 +108,6 @@ def radial_table(
 ) -> RadialTable:
     """Refraction over the nadir angle, for one flying height.
 
-    Parameters
-    ----------
     profile : the air.
     h_c, h_g : heights of camera and ground above sea level [m], the camera's the greater.
     nadir_angle : (n,) apparent nadir angles [rad], 0 to below 90 degrees.
@@ -198,8 +196,6 @@ def compare_methods(
 ) -> Comparison:
     """Errors of refraction methods against ``spherical``.
 
-    Parameters
-    ----------
     profile : the air; its index should be that of the papers' light (``gyer``), or the errors
         hold its difference from 0.589 um too.
     h_c, h_g : heights of cameras (h,) and ground above sea level [m].

@@ -45,8 +45,6 @@ def apply_refraction(
 ) -> image.Corrections:
     """Displace ideal image observations to what a camera in this air measures.
 
-    Parameters
-    ----------
     x_px, y_px : (n,) pixels of the straight chords, with the distortion of the lens.
     h_g : (n,) heights of the targets above sea level [m].
     exposure : (n,) rows of ``exposures``, -1 where the image has none.

@@ -147,8 +147,6 @@ def correct_observations(
 ) -> Corrections:
     """Remove compartment and atmospheric refraction from image observations of one camera.
 
-    Parameters
-    ----------
     x_px, y_px : (n,) measured, distorted pixels.
     h_g : (n,) heights of the targets above sea level [m].
     exposure : (n,) rows of ``exposures``, -1 where the image has none.

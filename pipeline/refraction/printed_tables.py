@@ -179,8 +179,6 @@ def saastamoinen_rows() -> Iterator[Figures]:
 def hand_sum(z: Array, density: Array, carried: float | None = None) -> tuple[Array, Array]:
     """Bertram's trapezoid sum over printed densities, unrounded (1966, Tables 1 to 4).
 
-    Parameters
-    ----------
     z, density : (n,) heights [m] and densities there [kg m-3].
     carried : sum at the first entry, where an earlier table has brought it so far; without it the
         first entry closes the triangle, or trapezoid, that begins at sea level.

@@ -110,8 +110,6 @@ def bend(
 ) -> tuple[Array, NDArray[np.uint8]]:
     """Refraction angles of rays, each with a status.
 
-    Parameters
-    ----------
     table : the profile, from `ray_table` or `rays_by`.
     h_c, h_g : heights of camera and target above sea level [m]; broadcast with the others.
     sin_zeta_c, cos_zeta_c : of the apparent nadir angle at the camera, 0 to 180 degrees. Both
@@ -184,8 +182,6 @@ def refraction_angle(
 ) -> Any:
     """Refraction angle R_c at the camera [rad].
 
-    Parameters
-    ----------
     profile : the air, from `standard_atmosphere` or a mission.
     h_c, h_g : heights of camera and target above sea level [m]; ``h_g`` may lie above ``h_c``.
     zeta_c : apparent nadir angle [rad], 0 to pi.

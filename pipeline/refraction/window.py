@@ -36,8 +36,6 @@ UNKNOWN = float("nan")
 class Cabin:
     """What is stated about the air in the compartment; NaN where nothing is.
 
-    Parameters
-    ----------
     source : of the pressure: logged with each exposure, constant, ambient (as outside), or Gyer's
         schedule.
     pressure_pa : of ``constant`` [Pa].
@@ -60,8 +58,6 @@ class Cabin:
 class Window:
     """The window in front of a camera.
 
-    Parameters
-    ----------
     cabin : the air behind it; None where it is unknown, which only a spherical window allows.
     normal : unit vector out of the compartment.
     frame : of ``normal``: the camera (x right, y down, z forward) or the body of the aircraft
@@ -118,8 +114,6 @@ def refract_at_window(
     Rays traced from the camera go out from the cabin's air (before) into that outside (after), or
     back in from outside; either way the normal points to where they go.
 
-    Parameters
-    ----------
     direction : (n, 3) unit vectors before the window, in the frame of ``normal``.
     refractivity_before, refractivity_after : n - 1 of the air on either side, () or (n,).
     normal : (3,) or (n, 3) unit vectors of the window.

@@ -27,8 +27,6 @@ LARGEST_CHANGE = 0.01
 class Camera:
     """Interior orientation of a frame camera.
 
-    Parameters
-    ----------
     width_px, height_px : format of the image.
     fx_px, fy_px : principal distance in pixels.
     cx_px, cy_px : principal point.
@@ -103,8 +101,6 @@ class LensInAir:
 def principal_change(lens: LensInAir, pressure_pa: ArrayLike, temperature_k: ArrayLike) -> Array:
     """What the air in a lens adds to its calibrated principal distance [px].
 
-    Parameters
-    ----------
     lens : its calibration and derivatives.
     pressure_pa, temperature_k : of the air in the lens, broadcast together; NaN gives NaN.
 

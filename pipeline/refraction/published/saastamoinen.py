@@ -131,8 +131,6 @@ def weather_refraction(
 ) -> Array:
     """R [rad at 45 degrees] from weather at both ends (Saastamoinen 1974, Eq. 7 and 10).
 
-    Parameters
-    ----------
     pressure_ground, pressure_camera : of the air outside [Pa].
     rise : H - h, height of the camera above the ground [m], positive.
     pressure_lens, temperature_lens : of the air at the lens [Pa], [K]: outside for Eq. 7, of the

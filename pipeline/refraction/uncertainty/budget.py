@@ -24,23 +24,7 @@ from pipeline.atmosphere.covariance import ProfileCovariance
 from pipeline.atmosphere.profile import Profile
 from pipeline.refraction.camera.camera import Camera
 from pipeline.refraction.image import Exposures
-from pipeline.refraction.kernels.columns import (
-    AXIS_E,
-    AXIS_N,
-    BEND,
-    CABIN,
-    NODE,
-    NORMAL,
-    SHARE,
-    SIGMA_H,
-    SPAN,
-    STATION_COLUMNS,
-    TILT2,
-    WINDOW,
-    WINDOW_BEND,
-    YAW2,
-    N,
-)
+from pipeline.refraction.kernels import columns as of
 from pipeline.refraction.ray import DEFAULT_RADIUS_M
 from pipeline.refraction.uncertainty.sensitivity import sensitivity
 from pipeline.refraction.uncertainty.sigmas import (
@@ -131,8 +115,6 @@ def leading_mode(
 ) -> AirMode | None:
     """The direction in the state of the air that explains most of what its errors do to rays.
 
-    Parameters
-    ----------
     rays : n rays that stand for all of a block.
     h_g : height or heights (n,) of their targets [m above sea level].
     radius : of the sphere [m].
@@ -186,8 +168,6 @@ _BORDER = 9  # points along each side of an image
 class StationSigmas:
     """How well each exposure is known; (s,) arrays, NaN where unknown.
 
-    Parameters
-    ----------
     tilt_rad : of the attitude about each of two axes square to the yaw axis.
     yaw_rad : about the yaw axis.
     yaw_axis : (s, 3) unit vectors in the camera frame: the aircraft's own vertical.
@@ -219,8 +199,6 @@ def uncertainty_of(
 ) -> Uncertainty | None:
     """Tables for the standard deviations of a block's corrections.
 
-    Parameters
-    ----------
     profile : the air; its layers are those of ``covariance``.
     covariance : of the profile, None where it is not known: then ``air_*`` are unknown.
     exposures, stations : of s exposures.
@@ -300,7 +278,7 @@ def _station_columns(
     (s,) are those of windows."""
     n = exposures.refractivity_outside
     h = np.where(exposures.usable & np.isfinite(n), exposures.height_m, camera_m[0])
-    columns = np.full((h.size, STATION_COLUMNS), np.nan)
+    table = np.full((h.size, of.STATION_COLUMNS), np.nan)
     # Slopes over half a metre below and above, within the profile.
     low = np.maximum(h - _SLOPE_STEP_M, profile.bottom_m)
     high = np.minimum(h + _SLOPE_STEP_M, profile.top_m)
@@ -308,22 +286,22 @@ def _station_columns(
     thinner = np.log(profile.pressure(high) / profile.pressure(low)) / (high - low)
     node = np.clip(np.searchsorted(camera_m, h, side="right") - 1, 0, camera_m.size - 2)
     axis = np.einsum("sji,sj->si", exposures.rotation, stations.yaw_axis)
-    columns[:, N] = n
-    columns[:, BEND] = slope / (1.0 + n)
-    columns[:, NODE] = node
-    columns[:, SHARE] = (h - camera_m[node]) / (camera_m[node + 1] - camera_m[node])
-    columns[:, SPAN] = (h - camera_m[0]) / (camera_m[-1] - camera_m[0])
-    columns[:, TILT2] = stations.tilt_rad**2
-    columns[:, YAW2] = stations.yaw_rad**2 - stations.tilt_rad**2
-    columns[:, AXIS_E], columns[:, AXIS_N] = axis[:, 0], axis[:, 1]
-    columns[:, SIGMA_H] = np.nan_to_num(stations.height_m)
-    columns[:, WINDOW], columns[:, WINDOW_BEND] = -1.0, 0.0
-    columns[:, NORMAL:CABIN] = exposures.normals
+    table[:, of.N] = n
+    table[:, of.BEND] = slope / (1.0 + n)
+    table[:, of.NODE] = node
+    table[:, of.SHARE] = (h - camera_m[node]) / (camera_m[node + 1] - camera_m[node])
+    table[:, of.SPAN] = (h - camera_m[0]) / (camera_m[-1] - camera_m[0])
+    table[:, of.TILT2] = stations.tilt_rad**2
+    table[:, of.YAW2] = stations.yaw_rad**2 - stations.tilt_rad**2
+    table[:, of.AXIS_E], table[:, of.AXIS_N] = axis[:, 0], axis[:, 1]
+    table[:, of.SIGMA_H] = np.nan_to_num(stations.height_m)
+    table[:, of.WINDOW], table[:, of.WINDOW_BEND] = -1.0, 0.0
+    table[:, of.NORMAL : of.CABIN] = exposures.normals
     if stations.cabin is not None:
-        columns[:, CABIN:] = stations.cabin
+        table[:, of.CABIN :] = stations.cabin
     for number, kind in enumerate(np.unique(kinds[kinds != OPEN]).tolist()):
         rows = kinds == kind
         response = cabin_response(profile, h[rows], kind)
-        columns[rows, WINDOW] = number
-        columns[rows, WINDOW_BEND] = columns[rows, BEND] - thinner[rows] * response
-    return columns
+        table[rows, of.WINDOW] = number
+        table[rows, of.WINDOW_BEND] = table[rows, of.BEND] - thinner[rows] * response
+    return table

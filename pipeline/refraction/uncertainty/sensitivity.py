@@ -233,8 +233,6 @@ def _by_target_height(
 class RayWeights:
     """The change of R_c with refractivity: dR_c = weight @ dN.
 
-    Parameters
-    ----------
     height_m : (n,) heights [m above sea level], the same for all rays.
     weight : (..., n) derivative of R_c with respect to N at these heights [rad]. The camera's
         refractivity, interpolated between them, is included: N to N + c (1 + N) changes nothing.
@@ -254,8 +252,6 @@ class RayWeights:
 class Sensitivity:
     """Derivatives of R_c; rows of rays that are not ``valid`` are NaN.
 
-    Parameters
-    ----------
     edge_height_m : (m + 1,) heights of the layers' edges [m above sea level].
     r_c : (...) refraction angle [rad].
     d_temperature : (..., m + 1) with respect to T_M at the edges [rad/K], e/p held, pressure
@@ -323,8 +319,6 @@ def sensitivity(
 ) -> Sensitivity:
     """Derivatives of R_c with respect to the air, the heights and the nadir angle.
 
-    Parameters
-    ----------
     profile : the air, of m layers.
     h_c, h_g : heights of camera and target above sea level [m]; broadcast with the others.
     zeta_c : apparent nadir angle at the camera [rad], 0 to pi.
