@@ -14,20 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from pipeline.geodesy import principal_radii
 from pipeline.refraction.camera.camera import Camera
+from pipeline.refraction.kernels import columns as of
 from pipeline.refraction.kernels import image as kernel
-from pipeline.refraction.kernels.columns import (
-    COS,
-    H_C,
-    RADIUS,
-    RAY_ROWS,
-    SIN,
-    CameraConstants,
-    ExposureColumns,
-    ObservationColumns,
-    RayColumns,
-    ShiftColumns,
-    TracedColumns,
-)
 from pipeline.refraction.kernels.threads import in_blocks
 from pipeline.refraction.ray import PublishedRays, as_columns, bend
 from pipeline.refraction.ray_table import RayTable
@@ -44,13 +32,12 @@ _ROWS_OF_AN_IMAGE = 50
 class Exposures:
     """What the correction needs to know of each exposure; (s,) arrays.
 
-    ``usable`` is False where an exposure has no position, attitude or cabin air;
-    ``rotation`` (s, 3, 3) takes east-north-up to camera; ``refractivity_outside`` and
-    ``refractivity_cabin`` are n - 1 on the two sides of the window (equal where nothing bends
-    there); ``window_normal`` (s, 3) are unit vectors out of the window in the camera frame, by
-    default the optical axis; ``principal_change_px`` is what the air in the lens adds to the
-    calibrated principal distance, by default nothing;
-    ``radius_m`` replaces the ellipsoid's radius in the ray's azimuth when it is given.
+    ``usable`` is False where an exposure has no position, attitude or cabin air; ``rotation``
+    (s, 3, 3) takes east-north-up to camera; ``refractivity_outside``, ``refractivity_cabin`` are
+    n - 1 on the two sides of the window (equal where nothing bends there); ``window_normal`` (s, 3)
+    unit vectors out of it in the camera frame, by default the optical axis;
+    ``principal_change_px`` what the air in the lens adds to the calibrated principal distance, by
+    default nothing; ``radius_m`` replaces the ellipsoid's radius in the ray's azimuth.
     """
 
     usable: Mask
@@ -73,18 +60,17 @@ class Exposures:
     @property
     def changes_px(self) -> Array:
         """(s,) what is added to the principal distance."""
-        if self.principal_change_px is None:
-            return np.zeros(self.usable.size)
-        return self.principal_change_px
+        change = self.principal_change_px
+        return np.zeros(self.usable.size) if change is None else change
 
     @property
-    def columns(self) -> ExposureColumns:
+    def columns(self) -> of.ExposureColumns:
         """The exposures for compiled functions."""
         if self.radius_m is None:
             curvature = 1.0 / np.stack(principal_radii(self.latitude_rad), axis=1)
         else:
             curvature = np.full((self.usable.size, 2), 1.0 / self.radius_m)
-        return ExposureColumns(
+        return of.ExposureColumns(
             self.usable, self.rotation, curvature, self.height_m, self.refractivity_outside,
             self.refractivity_cabin, self.normals, self.changes_px,
         )  # fmt: skip
@@ -155,9 +141,8 @@ def correct_observations(
     distance_m : (n,) slant ranges [m], NaN where unknown; see `bend`.
     uncertainty : asks for ``sigmas``, from `uncertainty_of`; sigma_h_g (n,) that of ``h_g`` [m].
 
-    The change of direction is never a difference of directions; the shift (dx, dy) is good to
-    1e-10 px, whatever the size of the pixel coordinates. Rows of one exposure that follow each
-    other are fastest.
+    The shift (dx, dy) is no difference of directions: good to 1e-10 px, whatever the size of the
+    coordinates. Rows of one exposure that follow each other are fastest.
     """
     n = x_px.size
     distance = np.full(n, np.nan) if distance_m is None else distance_m
@@ -175,7 +160,7 @@ def correct_observations(
     columns = dict(zip(COLUMNS, np.empty((len(COLUMNS), n)), strict=True))
     status = np.empty(n, np.uint8)
     sigmas = None if uncertainty is None else Sigmas.room(n)
-    observations = ObservationColumns(x_px, y_px, h_g, sigma_h_g, exposure)
+    observations = of.ObservationColumns(x_px, y_px, h_g, sigma_h_g, exposure)
     setup = camera.constants, exposures.columns
 
     def correct_block(rows: slice) -> None:
@@ -183,13 +168,13 @@ def correct_observations(
         part = {name: values[rows] for name, values in columns.items()}
         rays, part["r_cc_rad"][:], seen = outgoing_rays(observed, *setup)
         r_c, bent = bend(
-            table, rays[H_C], observed.h_g, rays[SIN], rays[COS],
-            radius=rays[RADIUS], distance=distance[rows],
+            table, rays[of.H_C], observed.h_g, rays[of.SIN], rays[of.COS],
+            radius=rays[of.RADIUS], distance=distance[rows],
         )  # fmt: skip
-        traced = TracedColumns(rays, r_c, np.where(seen == OK, bent, seen))
+        traced = of.TracedColumns(rays, r_c, np.where(seen == OK, bent, seen))
         part["r_c_rad"][:], status[rows] = r_c, traced.status
-        part["zeta_c_rad"][:] = np.arctan2(rays[SIN], rays[COS])
-        shifts = ShiftColumns(part["dx_px"], part["dy_px"], part["shift_ground_m"])
+        part["zeta_c_rad"][:] = np.arctan2(rays[of.SIN], rays[of.COS])
+        shifts = of.ShiftColumns(part["dx_px"], part["dy_px"], part["shift_ground_m"])
         kernel.shift_back(observed, *setup, traced, shifts)
         part["x_px"][:] = observed.x + part["dx_px"]
         part["y_px"][:] = observed.y + part["dy_px"]
@@ -201,11 +186,11 @@ def correct_observations(
 
 
 def outgoing_rays(
-    observed: ObservationColumns, camera: CameraConstants, exposures: ExposureColumns
+    observed: of.ObservationColumns, camera: of.CameraConstants, exposures: of.ExposureColumns
 ) -> tuple[Array, Array, NDArray[np.uint8]]:
     """The matrix of rays that pixels see outside the window, R_cc [rad] and status."""
     n = observed.x.size
-    rays, r_cc, status = np.empty((RAY_ROWS, n)), np.empty(n), np.empty(n, np.uint8)
+    rays, r_cc, status = np.empty((of.RAY_ROWS, n)), np.empty(n), np.empty(n, np.uint8)
     kernel.outgoing_rays(observed, camera, exposures, rays, (status, r_cc))
     return rays, r_cc, status
 
@@ -227,12 +212,14 @@ def sigmas_at(
     n = corrections.x_px.size
     sigmas, setup = Sigmas.room(n), (camera.constants, exposures.columns)
     sigma_h_g = np.full(n, np.nan) if sigma_h_g is None else sigma_h_g
-    observations = ObservationColumns(corrections.x_px, corrections.y_px, h_g, sigma_h_g, exposure)
+    observations = of.ObservationColumns(
+        corrections.x_px, corrections.y_px, h_g, sigma_h_g, exposure
+    )
 
     def propagate_block(rows: slice) -> None:
         observed = observations.part(rows)
         rays, _, _ = outgoing_rays(observed, *setup)
-        traced = TracedColumns(rays, corrections.r_c_rad[rows], corrections.status[rows])
+        traced = of.TracedColumns(rays, corrections.r_c_rad[rows], corrections.status[rows])
         sigmas.rows(rows).fill(uncertainty, observed, setup, traced)
 
     in_blocks(propagate_block, n)
@@ -256,7 +243,7 @@ def straight_reach(
     shape, (h_c, h_g, cosine, radius, far) = as_columns(h_c, h_g, cos_zeta, radius, far)
     distance = np.empty(h_c.shape)
     kernel.straight_reach(
-        RayColumns(h_c, h_g, cosine, cosine, radius, distance), far != 0.0, distance
+        of.RayColumns(h_c, h_g, cosine, cosine, radius, distance), far != 0.0, distance
     )
     return distance.reshape(shape)
 
