@@ -46,18 +46,13 @@ def apply_refraction(
     """Displace ideal image observations to what a camera in this air measures.
 
     x_px, y_px : (n,) pixels of the straight chords, with the distortion of the lens.
-    h_g : (n,) heights of the targets above sea level [m].
-    exposure : (n,) rows of ``exposures``, -1 where the image has none.
-    camera, table : as for `correct_observations`.
     distance_m : (n,) slant ranges [m], NaN where unknown, which decide between the two crossings
         of a ray that meets the height of its target twice.
-    uncertainty, sigma_h_g : ask for ``sigmas``, as for `correct_observations`.
+    The rest as for `correct_observations`.
 
-    Returns
-    -------
-    Columns as those of `correct_observations` at the displaced pixels, which are ``x_px``,
-    ``y_px``; ``dx_px``, ``dy_px`` are the displacement. The status is ``outside_camera`` where a
-    point is displaced out of the format and ``misses_ground`` where no ray shows the target.
+    Returns columns as those of `correct_observations` at the displaced pixels ``x_px``, ``y_px``;
+    ``dx_px``, ``dy_px`` are the displacement. The status is ``outside_camera`` where a point is
+    displaced out of the format and ``misses_ground`` where no ray shows the target.
 
     The inverse of `correct_observations` to 1e-9 px, within 0.02 degree of grazing to 1e-8: solved
     by repetition, whatever that does. There two rays may show points of the same straight line;

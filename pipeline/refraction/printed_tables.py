@@ -179,13 +179,10 @@ def saastamoinen_rows() -> Iterator[Figures]:
 def hand_sum(z: Array, density: Array, carried: float | None = None) -> tuple[Array, Array]:
     """Bertram's trapezoid sum over printed densities, unrounded (1966, Tables 1 to 4).
 
-    z, density : (n,) heights [m] and densities there [kg m-3].
-    carried : sum at the first entry, where an earlier table has brought it so far; without it the
-        first entry closes the triangle, or trapezoid, that begins at sea level.
-
-    Returns
-    -------
-    (n - 1,) heights of the entries [m] and refraction at 45 degrees [rad].
+    ``z``, ``density`` (n,) are heights [m] and densities there [kg m-3]; ``carried`` the sum at the
+    first entry, where an earlier table has brought it so far; without it the first entry closes the
+    triangle, or trapezoid, that begins at sea level. Returns (n - 1,) heights of the entries [m]
+    and refraction at 45 degrees [rad].
 
     >>> z, r = hand_sum(np.array([0.0, 1000.0, 2000.0]), np.array([1.225, 1.112, 1.007]))
     >>> z.tolist(), (r * 1e6).round(1).tolist()

@@ -136,8 +136,8 @@ def weather_refraction(
     pressure_lens, temperature_lens : of the air at the lens [Pa], [K]: outside for Eq. 7, of the
         compartment for Eq. 10, which then gives R + Delta R.
 
-    Arguments broadcast. His 34.11 makes R 27 % high at 120 m, 3 % at 1 km, 1 % at
-    3 km, 0.2 % at 10 km.
+    Arguments broadcast. His 34.11 makes R 27 % high at 120 m, 3 % at 1 km, 1 % at 3 km, 0.2 % at
+    10 km.
 
     >>> float((weather_refraction(101325.0, 47200.0, 6000.0, 74700.0, 278.0) * 1e6).round(1))
     -3.4

@@ -115,9 +115,8 @@ def leading_mode(
 ) -> AirMode | None:
     """The direction in the state of the air that explains most of what its errors do to rays.
 
-    rays : n rays that stand for all of a block.
-    h_g : height or heights (n,) of their targets [m above sea level].
-    radius : of the sphere [m].
+    ``rays`` (n,) stand for all of a block, ``h_g`` () or (n,) are heights of their targets [m above
+    sea level], ``radius`` is that of the sphere [m].
 
     The error of a ray is that of R, and behind a plane window that of R - R_cc, in the ray's
     vertical plane and across it. None where no ray has an angle, or nothing is uncertain.
@@ -168,15 +167,12 @@ _BORDER = 9  # points along each side of an image
 class StationSigmas:
     """How well each exposure is known; (s,) arrays, NaN where unknown.
 
-    tilt_rad : of the attitude about each of two axes square to the yaw axis.
-    yaw_rad : about the yaw axis.
-    yaw_axis : (s, 3) unit vectors in the camera frame: the aircraft's own vertical.
-    height_m : of the projection centre. Where it is unknown it does not count.
-
-    cabin : (s, 4) what one sigma of pressure and one of temperature in the cabin change in the
-        refractivity there (first two), and in the principal distance [px]; by default unknown.
-
-    A turn about the vertical changes nothing: yaw matters as far as its axis is not vertical.
+    ``tilt_rad`` of the attitude about each of two axes square to the yaw axis, ``yaw_rad`` about
+    it; ``yaw_axis`` (s, 3) unit vectors in the camera frame: the aircraft's own vertical.
+    ``height_m`` of the projection centre; where it is unknown it does not count. ``cabin`` (s, 4)
+    what one sigma of pressure and one of temperature in the cabin change in the refractivity there
+    (first two), and in the principal distance [px]; by default unknown. A turn about the vertical
+    changes nothing: yaw matters as far as its axis is not vertical.
     """
 
     tilt_rad: Array
@@ -199,14 +195,13 @@ def uncertainty_of(
 ) -> Uncertainty | None:
     """Tables for the standard deviations of a block's corrections.
 
-    profile : the air; its layers are those of ``covariance``.
-    covariance : of the profile, None where it is not known: then ``air_*`` are unknown.
+    covariance : of the profile's layers, None where it is not known: then ``air_*`` are unknown.
     exposures, stations : of s exposures.
     cameras : each with the mask (s,) of its exposures.
     ground_heights_m : lowest and highest ground, above sea level [m].
     window_kinds : (s,) `OPEN`, `SEALED` or `SCHEDULED`; by default no window is in the way.
-    typical_ground_m : height of the ground of the rays that the leading mode is that of; by default
-        the middle of the heights of the ground that are below the cameras.
+    typical_ground_m : of the rays that the leading mode is found from; by default the middle of
+        the ground below the cameras.
 
     None where no exposure can be used. The sigmas are of first order. Against changed inputs and
     drawn airs (tests/refraction/test_uncertainty.py): station and ground 1 %, air as `air_sigma`.

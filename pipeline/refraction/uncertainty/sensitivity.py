@@ -229,16 +229,13 @@ def _by_target_height(
     return np.asarray(-np.sin(bend_g) / (chord * cos_g))
 
 
-@dataclass(frozen=True, eq=False)
-class RayWeights:
+class RayWeights(NamedTuple):
     """The change of R_c with refractivity: dR_c = weight @ dN.
 
-    height_m : (n,) heights [m above sea level], the same for all rays.
-    weight : (..., n) derivative of R_c with respect to N at these heights [rad]. The camera's
-        refractivity, interpolated between them, is included: N to N + c (1 + N) changes nothing.
-    r_c : (...) refraction angle [rad].
-    status : (...) codes of `pipeline.refraction.status_codes`.
-    valid : (...) false where a weight is NaN.
+    ``height_m`` (n,) heights [m above sea level], the same for all rays; ``weight`` (..., n) the
+    derivative of R_c [rad] with respect to N there, NaN where not ``valid``. The camera's
+    refractivity, interpolated between them, is included: N to N + c (1 + N) changes nothing.
+    ``r_c`` [rad] and ``status`` as `bend` has them.
     """
 
     height_m: Array
@@ -250,20 +247,14 @@ class RayWeights:
 
 @dataclass(frozen=True, eq=False)
 class Sensitivity:
-    """Derivatives of R_c; rows of rays that are not ``valid`` are NaN.
+    """Derivatives of R_c [rad] of rays (...); NaN where not ``valid``.
 
-    edge_height_m : (m + 1,) heights of the layers' edges [m above sea level].
-    r_c : (...) refraction angle [rad].
-    d_temperature : (..., m + 1) with respect to T_M at the edges [rad/K], e/p held, pressure
-        following by hydrostatics from the anchor.
-    d_vapour : (..., m + 1) with respect to e/p at the edges [rad], T_M held.
-    d_log_pressure, d_pressure : (...) with respect to ln p [rad] and p [rad/Pa] at the anchor.
-    d_h_c, d_h_g : (...) with respect to the heights of camera and target [rad/m], the air held.
-    d_zeta_c : (...) with respect to the apparent nadir angle at the camera.
-    status : (...) codes of `pipeline.refraction.status_codes`.
-    valid : (...).
-
-    `pipeline.atmosphere.covariance.air_jacobian` has the formulas from T_M to a thermometer's T.
+    By the air: ``d_temperature``, ``d_vapour`` (..., m + 1) with respect to T_M [1/K] and e/p at
+    the layers' edges ``edge_height_m`` (m + 1,) [m above sea level], one held where the other
+    changes, pressure following by hydrostatics from the anchor; ``d_log_pressure``, ``d_pressure``
+    to ln p and p [1/Pa] at the anchor (from T_M to a thermometer's T: `air_jacobian`). The air
+    held: ``d_h_c``, ``d_h_g`` with respect to the heights of camera and target [1/m], ``d_zeta_c``
+    to the apparent nadir angle at the camera. ``r_c`` and ``status`` as `bend` has them.
     """
 
     edge_height_m: Array
@@ -319,10 +310,7 @@ def sensitivity(
 ) -> Sensitivity:
     """Derivatives of R_c with respect to the air, the heights and the nadir angle.
 
-    profile : the air, of m layers.
-    h_c, h_g : heights of camera and target above sea level [m]; broadcast with the others.
-    zeta_c : apparent nadir angle at the camera [rad], 0 to pi.
-    radius : of the sphere [m].
+    profile, h_c, h_g, zeta_c, radius : as for `refraction_angle`.
     anchor_height_m : where pressure stays as it is when temperatures change [m above sea level].
 
     Valid for rays that have an angle and do not turn on their way, down to 1 mm of n r from being

@@ -166,9 +166,9 @@ def window_kind_of(pressure_pa: Array, *, scheduled: bool) -> Integers:
 class AirMode:
     """The leading mode of the air's covariance: one parameter s of an adjustment.
 
-    state : (2k + 1,) what one sigma of s adds to the quantities of `ProfileCovariance.matrix`.
-    sigma : of s, whose unit is the refraction: s = 0.01 turns rays by 1 % of it, on the average.
-    variance_share : of the variance that the air gives the rays the mode was found from.
+    ``state`` (2k + 1,) is what one sigma of s adds to the quantities of `ProfileCovariance.matrix`.
+    The unit of s, and of ``sigma``, is the refraction: s = 0.01 turns rays by 1 % of it, on the
+    average. ``variance_share`` is that of the variance that the air gives the rays it is found of.
     """
 
     state: Array
