@@ -8,10 +8,12 @@ import numpy as np
 from pipeline.geodesy import euler_radius
 from pipeline.refraction import image, status_codes
 from pipeline.refraction.camera.camera import Camera
+from pipeline.refraction.kernels.columns import ObservationColumns, TracedColumns
+from pipeline.refraction.kernels.threads import in_blocks
 from pipeline.refraction.ray import PublishedRays, bend
 from pipeline.refraction.ray_table import RayTable
 from pipeline.refraction.target_heights import height_at_distance
-from pipeline.refraction.uncertainty.sigmas import Uncertainty
+from pipeline.refraction.uncertainty.sigmas import PARTIALS, Sigmas, Uncertainty
 from pipeline.refraction.window import refract_at_window
 from pipeline.units import Array, Integers
 
@@ -76,8 +78,7 @@ def apply_refraction(
     targets = _Targets(h_g, distance, exposure)
     start = _starting_points(ideal, targets, exposures, camera, table)
     columns = _removals_to(ideal, start, targets, exposures, camera=camera, table=table)
-    # The removal that ends in the ideal pixels, as a displacement.
-    for along, name in enumerate(("x_px", "y_px")):
+    for along, name in enumerate(("x_px", "y_px")):  # the removal as a displacement
         columns[f"d{name}"] = -columns[f"d{name}"]
         columns[name] = ideal[:, along] + columns[f"d{name}"]
     status = columns.pop("status").astype(np.uint8)
@@ -92,10 +93,19 @@ def apply_refraction(
     displaced = image.Corrections(status=status, **columns)
     if uncertainty is None:
         return displaced
-    sigmas = image.sigmas_at(
-        displaced, h_g, exposure, exposures, camera=camera, uncertainty=uncertainty,
-        sigma_h_g=sigma_h_g,
-    )  # fmt: skip
+    sigma_h_g = np.full(x_px.shape, np.nan) if sigma_h_g is None else sigma_h_g
+    observations = ObservationColumns(displaced.x_px, displaced.y_px, h_g, sigma_h_g, exposure)
+    sigmas, setup = Sigmas.room(x_px.size), (camera.constants, exposures.columns)
+
+    def propagate_block(rows: slice) -> None:
+        observed = observations.part(rows)
+        rays, _, _ = image.outgoing_rays(observed, *setup)
+        traced = TracedColumns(rays, displaced.r_c_rad[rows], displaced.status[rows])
+        sigmas.rows(rows).fill(uncertainty, observed, setup, traced)
+
+    in_blocks(propagate_block, x_px.size)
+    for name in PARTIALS:  # what removes less displaces more
+        np.negative(getattr(sigmas, name), out=getattr(sigmas, name))
     return replace(displaced, sigmas=sigmas)
 
 

@@ -20,7 +20,7 @@ from pipeline.refraction.kernels.threads import in_blocks
 from pipeline.refraction.ray import PublishedRays, as_columns, bend
 from pipeline.refraction.ray_table import RayTable
 from pipeline.refraction.status_codes import OK, STATUS_NAMES
-from pipeline.refraction.uncertainty.sigmas import PARTIALS, Sigmas, Uncertainty
+from pipeline.refraction.uncertainty.sigmas import Sigmas, Uncertainty
 from pipeline.refraction.window import OPTICAL_AXIS
 from pipeline.units import Array, Integers, Mask, Rows
 
@@ -193,39 +193,6 @@ def outgoing_rays(
     rays, r_cc, status = np.empty((of.RAY_ROWS, n)), np.empty(n), np.empty(n, np.uint8)
     kernel.outgoing_rays(observed, camera, exposures, rays, (status, r_cc))
     return rays, r_cc, status
-
-
-def sigmas_at(
-    corrections: Corrections,
-    h_g: Array,
-    exposure: Integers,
-    exposures: Exposures,
-    *,
-    camera: Camera,
-    uncertainty: Uncertainty,
-    sigma_h_g: Array | None = None,
-) -> Sigmas:
-    """Sigmas and derivatives of displacements, at the pixels ``x_px``, ``y_px`` they lead to.
-
-    ``corrections`` (n,) from `apply_refraction`; the rest as for `correct_observations`.
-    """
-    n = corrections.x_px.size
-    sigmas, setup = Sigmas.room(n), (camera.constants, exposures.columns)
-    sigma_h_g = np.full(n, np.nan) if sigma_h_g is None else sigma_h_g
-    observations = of.ObservationColumns(
-        corrections.x_px, corrections.y_px, h_g, sigma_h_g, exposure
-    )
-
-    def propagate_block(rows: slice) -> None:
-        observed = observations.part(rows)
-        rays, _, _ = outgoing_rays(observed, *setup)
-        traced = of.TracedColumns(rays, corrections.r_c_rad[rows], corrections.status[rows])
-        sigmas.rows(rows).fill(uncertainty, observed, setup, traced)
-
-    in_blocks(propagate_block, n)
-    for name in PARTIALS:  # what removes less displaces more
-        np.negative(getattr(sigmas, name), out=getattr(sigmas, name))
-    return sigmas
 
 
 def straight_reach(
