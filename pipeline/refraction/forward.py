@@ -5,14 +5,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pipeline.geodesy import euler_radius
 from pipeline.refraction import image, status_codes
 from pipeline.refraction.camera.camera import Camera
+from pipeline.refraction.kernels import columns as of
 from pipeline.refraction.kernels.columns import ObservationColumns, TracedColumns
 from pipeline.refraction.kernels.threads import in_blocks
 from pipeline.refraction.ray import PublishedRays, bend
 from pipeline.refraction.ray_table import RayTable
-from pipeline.refraction.target_heights import height_at_distance
+from pipeline.refraction.target_heights import height_at_distance, target_rays
 from pipeline.refraction.uncertainty.sigmas import PARTIALS, Sigmas, Uncertainty
 from pipeline.refraction.window import refract_at_window
 from pipeline.units import Array, Integers
@@ -131,24 +131,14 @@ def _starting_points(
     separates the two.
     """
     point = ideal.copy()
-    h_g, distance, exposure = targets
-    x, y = np.clip(point, 0.0, [camera.width_px, camera.height_px]).T
-    u, v, covered = camera.rays(x, y)
-    row = np.maximum(exposure, 0)
-    known = covered & (exposure >= 0) & np.isfinite(h_g)
-    if not bool(known.any()):
-        return point
-    inside = np.stack([u, v, np.ones(u.shape)], axis=1)
-    inside /= np.sqrt(u * u + v * v + 1.0)[:, None]
-    down = -np.einsum("ni,ni->n", exposures.rotation[row, :, 2], inside)
-    level = np.flatnonzero(known & exposures.usable[row] & (np.abs(down) < _NEARLY_LEVEL))
+    x, y = ideal.T
+    rays = target_rays(x, y, targets.exposure, exposures, camera=camera, ideal=True)
+    level = np.flatnonzero(np.isfinite(targets.h_g) & (np.abs(rays[of.COS]) < _NEARLY_LEVEL))
     if level.size == 0:
         return point
-    row = row[level]
-    rotation = exposures.rotation[row]
-    chord = np.einsum("nji,nj->ni", rotation, inside[level])
-    apparent = _apparent(chord, _Targets(h_g[level], distance[level], row), exposures, table)
-    inside = np.einsum("nij,nj->ni", rotation, apparent)
+    row = targets.exposure[level]
+    apparent = _apparent(rays[:, level], targets.h_g[level], targets.distance[level], table)
+    inside = np.einsum("nij,nj->ni", exposures.rotation[row], apparent)
     outside, cabin = exposures.refractivity_outside[row], exposures.refractivity_cabin[row]
     inside += refract_at_window(inside, outside, cabin, exposures.normals[row])[0]
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -161,22 +151,13 @@ def _starting_points(
     return point
 
 
-def _apparent(
-    chord: Array, targets: _Targets, exposures: image.Exposures, table: RayTable | PublishedRays
-) -> Array:
+def _apparent(chords: Array, h_g: Array, distance: Array, table: RayTable | PublishedRays) -> Array:
     """Directions (n, 3), east-north-up, of the rays that show the ends of straight chords.
 
     The ray is sought that is as far above its chord, at the chord's length, as refraction lifts
     it; NaN where the straight line does not reach the target's height.
     """
-    h_g, distance, row = targets
-    sin_z, cos_z = np.hypot(chord[:, 0], chord[:, 1]), -chord[:, 2]
-    if exposures.radius_m is None:
-        azimuth = np.arctan2(chord[:, 0], chord[:, 1])
-        radius = np.asarray(euler_radius(exposures.latitude_rad[row], azimuth))
-    else:
-        radius = np.full(row.shape, exposures.radius_m)
-    h_c = exposures.height_m[row]
+    sin_z, cos_z, radius, h_c = chords[[of.SIN, of.COS, of.RADIUS, of.H_C]]
     near, far = (
         image.straight_reach(h_c, h_g, cos_z, radius=radius, far=second) for second in (False, True)
     )
@@ -189,8 +170,8 @@ def _apparent(
         height, _ = height_at_distance(table, h_c, sine, cosine, length, radius=radius)
         r_c, _ = bend(table, h_c, height, sine, cosine, radius=radius, distance=length)
         lifted = np.where(np.isfinite(r_c), r_c, 1.2 * lifted)
-    stretch = (np.sin(zeta + lifted) / sin_z)[:, None]
-    return np.concatenate([chord[:, :2] * stretch, -np.cos(zeta + lifted)[:, None]], axis=1)
+    east, north = chords[of.APPARENT : of.APPARENT + 2] * np.sin(zeta + lifted) / sin_z
+    return np.stack([east, north, -np.cos(zeta + lifted)], axis=1)
 
 
 def _removals_to(
