@@ -71,12 +71,12 @@ def one_angle(
 class RadialTable:
     """The refraction of one camera height over one ground; (n,) arrays over the nadir angle.
 
-    ``r_c_rad`` is NaN where ``status`` (codes of `pipeline.refraction.status_codes`) says why;
-    ``shift_ground_m`` is the horizontal displacement on the ground, also NaN where the straight
-    apparent ray passes over the horizon and only the bent one lands. For an image taken vertically
-    ``radius_px`` is the distance from the principal point and ``dr_px`` what to add to it; both
-    are NaN without a principal distance. ``k_rad`` is R at 45 degrees, the K of the Manual of
-    Photogrammetry, and ``k_manual_rad`` the value of its formula (NaN where it has none).
+    ``r_c_rad`` is NaN where ``status`` (codes of `status_codes`) says why; ``shift_ground_m``, the
+    horizontal displacement on the ground, also where the straight apparent ray passes over the
+    horizon and only the bent one lands. For an image taken vertically ``radius_px`` is the distance
+    from the principal point and ``dr_px`` what to add to it, NaN without a principal distance.
+    ``k_rad`` is R at 45 degrees, the K of the Manual of Photogrammetry, and ``k_manual_rad`` the
+    value of its formula (NaN where it has none).
     """
 
     h_c_m: float

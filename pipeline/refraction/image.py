@@ -200,9 +200,8 @@ def straight_reach(
 ) -> Array:
     """How far away [m] straight lines reach a height; NaN where they never get there.
 
-    Heights of camera and target above sea level [m], cosine of the nadir angle, radius of the
-    sphere [m], and whether the second of two crossings is meant (downwards only; upwards there is
-    one). Arguments broadcast.
+    Heights above sea level [m], cosine of the nadir angle, radius of the sphere [m], and whether
+    the second of two crossings is meant (downwards; upwards there is one). Arguments broadcast.
 
     >>> straight_reach(3000.0, 1000.0, 0.8, radius=6371e3, far=[False, True]).round(3).tolist()
     [2500.221, 10195899.779]
@@ -236,8 +235,7 @@ def ground_displacement(
 def lattice_nodes(camera: Camera, columns: int, rows: int) -> tuple[Array, Array]:
     """Pixels of a grid from corner to corner of a camera's format.
 
-    ``columns``, ``rows`` : nodes across and down, 2 or more. Returns x, y (rows * columns,) [px],
-    COLMAP's pixels, row by row from the upper left.
+    Nodes across and down, 2 or more; x, y (rows * columns,) in COLMAP's pixels, row by row.
 
     >>> x, y = lattice_nodes(Camera(400, 300, 500.0, 500.0, 200.0, 150.0), 3, 2)
     >>> x.tolist(), y.tolist()

@@ -113,10 +113,8 @@ def target_rays(
     camera: Camera,
     ideal: bool,
 ) -> Array:
-    """The matrix of rays (RAY_ROWS, n) of pixels as in `target_heights`; NaN where there is none.
-
-    Where ``ideal`` they are the straight chords themselves.
-    """
+    """The matrix of rays (RAY_ROWS, n) of pixels as in `target_heights`, NaN where there is none;
+    where ``ideal`` they are the straight chords themselves."""
     if ideal:  # a straight line has no window and no lens, and may lie beside the format
         exposures = replace(
             exposures, refractivity_cabin=exposures.refractivity_outside, principal_change_px=None
@@ -242,10 +240,9 @@ def terrain_heights(
     places : (s,) latitude and longitude [rad] of the exposures.
     terrain : from `pipeline.tables.geodata.elevation`.
 
-    The status is ``no_ground`` where a ray leaves the terrain, lands in a hole of it, or was
-    followed for 200 km, ``misses_ground`` where it passes over all of it or starts below it,
-    ``outside_profile`` where it leaves the air under it. Rays that see no exposure have ``ok`` and
-    no height: `correct_observations` says why.
+    ``no_ground`` is where a ray leaves the terrain, lands in a hole of it, or was followed for 200
+    km, ``misses_ground`` where it passes over all of it or starts below it, ``outside_profile``
+    where it leaves the air under it. Rays that see no exposure have ``ok`` and no height.
 
     A ray is its straight chord at each distance, turned by the R_c there; R_c by distance is
     interpolated. Against steps of an integrated ray: 1 mm below 60 degrees, 1 cm below 75.
@@ -311,8 +308,8 @@ def _bent_paths(
 ) -> tuple[Array, Array, NDArray[np.uint8]]:
     """Straight distances (n, k) along rays, R_c there, and the status of a ray beyond the last.
 
-    Steep rays as far as the lowest land, others where they leave all land or for 200 km. Without
-    ``air`` they are straight. NaN where the air does not reach as far.
+    Steep rays as far as the lowest land, others where they leave all land or for 200 km; straight
+    without ``air``, NaN where that does not reach as far.
     """
     n, shares = rays.shape[1], _STEEP_SHARES if steep else _LEVEL_SHARES
     knot, r_c = np.empty((n, shares.size)), np.zeros((n, shares.size))
@@ -352,8 +349,8 @@ def _bent_paths(
 def _charts(lat_rad: Array, lon_rad: Array, needed: Array, terrain: Terrain) -> tuple[Array, Array]:
     """Charts (m, 2, 15) of `TerrainRays` about (m,) places, and how far each is good [m].
 
-    Least squares over nodes that are exact; checked between them. ``needed`` (m,) is how far they
-    should reach; a chart that errs by more than 0.01 cell is made for half the distance.
+    Least squares over exact nodes, checked between them; a chart for ``needed`` (m,) that errs by
+    more than 0.01 cell is made for half the distance.
     """
     reach = needed.copy()
     charts = np.empty((needed.size, 2, len(_POWERS)))

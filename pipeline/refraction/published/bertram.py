@@ -1,16 +1,10 @@
 """Bertram 1966: a trapezoid sum over tabulated densities; and the Manual's fit to his table.
 
-Two things in the paper do not hold, whatever the digits:
-
-* **Eq. 9** is not the refraction of a raised ground point. It subtracts what lies below the
-  point, but keeps every height counted from sea level: the lever arms Z instead of Z - Z_p, and
-  Z_c instead of Z_c - Z_p below. His example (camera 10.5 km, point 1.5 km) gives 78.1 urad;
-  starting the sum at the point, as he says one could, gives 65.9. `bertram1966` follows the
-  paper, `bertram1966_from_ground` starts at the point.
-* **The curved-earth term** has the wrong sign, (X - X_0) for (X_0 - X), and is a small part of
-  what the curvature does (`bertram1966_curved`).
-
-"2.340 / Z" above 80.5 km is 2,340 / Z urad with Z in km.
+Two things in the paper do not hold, whatever the digits: Eq. 9 is not the refraction of a raised
+ground point, because every height is counted from sea level, the lever arms too (`bertram1966`
+follows the paper, `bertram1966_from_ground` starts at the point); and the curved-earth term has the
+wrong sign and is a small part of what the curvature does (`bertram1966_curved`). "2.340 / Z" above
+80.5 km is 2,340 / Z urad with Z in km.
 """
 
 import numpy as np
@@ -87,12 +81,10 @@ def bertram1966_curved(
 ) -> Array:
     """R_c [rad] with the term for the curvature of the earth (Bertram 1966, p. 81).
 
-    Arguments as in `pipeline.refraction.published`; the sum starts at the ground. The term is
-    tan(zeta_c) / (v Z_0 R) times the sum of (Z_0 - Z) Z dv/dZ; ``as_printed`` takes it with the
-    sign of the paper, which lowers R_c where the curvature raises it.
-
-    The term is 0.04 arcsec of the 0.7 that the curvature adds at 10 km and 75 degrees: it keeps the
-    first power of X_0 - X and no more. It serves comparison only.
+    The sum starts at the ground. The term is tan(zeta_c) / (v Z_0 R) times the sum of
+    (Z_0 - Z) Z dv/dZ; ``as_printed`` takes it with the sign of the paper, which lowers R_c where
+    the curvature raises it. It keeps the first power of X_0 - X and no more: 0.04 arcsec of the 0.7
+    that the curvature adds at 10 km and 75 degrees. It serves comparison only.
 
     >>> from pipeline.atmosphere import standard_atmosphere
     >>> air = standard_atmosphere("ardc1959")

@@ -84,9 +84,8 @@ def plane(
 ) -> Array:
     """R_c [rad] in flat layers with the two further terms (Gyer 1996, Eq. 24, misprints mended).
 
-    Arguments as in `pipeline.refraction.published`. The further terms are 0.02 arcsec at
-    60 degrees and 10 km. Beyond that the first term alone errs less, by chance: the further ones
-    lower R_c while the curvature of the earth raises it.
+    The further terms are 0.02 arcsec at 60 degrees and 10 km. Beyond that the first term alone errs
+    less, by chance: the further ones lower R_c while the curvature of the earth raises it.
 
     >>> from pipeline.atmosphere import standard_atmosphere
     >>> from pipeline.units import ARCSEC, DEGREE
@@ -149,11 +148,10 @@ def gyer1996(
 ) -> Array:
     """R_c [rad] through spherical layers as Gyer computed it (1996, Eq. 1, 11, 12, 31, 33-35).
 
-    Arguments as in `pipeline.refraction.published`; ``step`` [m] is the widest interval of Eq. 31,
-    whose equal intervals fill the height difference. The profile must reach one interval beyond
-    either end. Where the interval below the ground holds P_90, thin shells (Eq. 33-35) take the
-    place of Eq. 31 in the two lowest intervals, as for zeta_g = 90 degrees; NaN for rays that miss
-    the ground.
+    ``step`` [m] is the widest interval of Eq. 31, whose equal intervals fill the height difference.
+    The profile must reach one interval beyond either end. Where the interval below the ground holds
+    P_90, thin shells (Eq. 33-35) take the place of Eq. 31 in the two lowest intervals, as for
+    zeta_g = 90 degrees; NaN for rays that miss the ground.
 
     Reproduces his Tables 3 and 4 within 0.015 arcsec. Against the converged integral the step
     costs 0.035 arcsec up to 80 degrees and up to 7.8 arcsec at 85 degrees and 25 km; Eq. 11
@@ -184,8 +182,7 @@ def gyer1996(
 def _intervals(profile: Profile, h_c: Array, h_g: Array, step: float) -> tuple[Array, Array]:
     """Number and width [m] of the equal intervals, none wider than ``step``.
 
-    Zero and NaN where an end lies outside the profile: a height of 1e8 m would be 100,000 intervals
-    of NaN.
+    Zero and NaN where an end lies outside the profile.
     """
     if not step > 0.0:
         raise PhysicsError.of("METHOD-STEP", step=step)

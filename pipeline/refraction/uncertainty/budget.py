@@ -26,16 +26,9 @@ from pipeline.refraction.camera.camera import Camera
 from pipeline.refraction.image import Exposures
 from pipeline.refraction.kernels import columns as of
 from pipeline.refraction.ray import DEFAULT_RADIUS_M
+from pipeline.refraction.uncertainty import sigmas
 from pipeline.refraction.uncertainty.sensitivity import sensitivity
-from pipeline.refraction.uncertainty.sigmas import (
-    OPEN,
-    AirMode,
-    CovarianceRoot,
-    Uncertainty,
-    air_sigma,
-    cabin_response,
-    window_errors,
-)
+from pipeline.refraction.uncertainty.sigmas import AirMode, Uncertainty
 from pipeline.units import Array, Integers, Mask
 
 _MOST_EXPOSURES, _ACROSS = 24, 5  # and rays in five rows and columns of an image
@@ -140,12 +133,12 @@ def leading_mode(
     good = traced.valid & (np.abs(traced.r_c) > 0.0)
     if not bool(good.any()):
         return None
-    root = CovarianceRoot.of(covariance)
+    root = sigmas.CovarianceRoot.of(covariance)
     turns = np.zeros((good.size, root.matrix.shape[1]))
     for kind in np.unique(rays.kind):
-        if kind != OPEN:
+        if kind != sigmas.OPEN:
             rows = rays.kind == kind
-            turns[rows] = window_errors(profile, root, rays.h_c[rows], int(kind))
+            turns[rows] = sigmas.window_errors(profile, root, rays.h_c[rows], int(kind))
     seen_through = ((1.0 - traced.d_zeta_c) * rays.towards)[:, None] * turns
     along = (traced.gradient @ root.matrix + seen_through)[good]
     across = (rays.across[:, None] * turns)[good]
@@ -230,8 +223,8 @@ def uncertainty_of(
         return None
     heights = exposures.height_m[usable]
     radius = exposures.radius_m or DEFAULT_RADIUS_M
-    kinds = np.full(usable.shape, OPEN) if window_kinds is None else window_kinds
-    kinds = np.where(usable, kinds, OPEN)
+    kinds = np.full(usable.shape, sigmas.OPEN) if window_kinds is None else window_kinds
+    kinds = np.where(usable, kinds, sigmas.OPEN)
     low, high = max(ground_heights_m[0], profile.bottom_m), min(ground_heights_m[1], heights.min())
     ground_m = 0.5 * (low + high) if typical_ground_m is None else typical_ground_m
     mode = None
@@ -247,14 +240,14 @@ def uncertainty_of(
         rays = np.stack([u, v, np.ones(u.size)]) / np.sqrt(u * u + v * v + 1.0)
         least = float((down @ rays).min(initial=1.0)) if bool(covered.all()) else 0.0
         zeta.append(float(np.arccos(least) + np.radians(0.5)) if down.size else 0.0)
-    camera_m, tables = air_sigma(
+    camera_m, tables = sigmas.air_sigma(
         profile,
         covariance,
         (float(heights.min()), float(heights.max())),
         ground_heights_m,
         largest_zeta_rad=max(zeta),
         radius=radius,
-        window_kinds=np.unique(kinds[kinds != OPEN]).tolist(),
+        window_kinds=np.unique(kinds[kinds != sigmas.OPEN]).tolist(),
         mode=mode,
     )
     return Uncertainty(
@@ -294,9 +287,9 @@ def _station_columns(
     table[:, of.NORMAL : of.CABIN] = exposures.normals
     if stations.cabin is not None:
         table[:, of.CABIN :] = stations.cabin
-    for number, kind in enumerate(np.unique(kinds[kinds != OPEN]).tolist()):
+    for number, kind in enumerate(np.unique(kinds[kinds != sigmas.OPEN]).tolist()):
         rows = kinds == kind
-        response = cabin_response(profile, h[rows], kind)
+        response = sigmas.cabin_response(profile, h[rows], kind)
         table[rows, of.WINDOW] = number
         table[rows, of.WINDOW_BEND] = table[rows, of.BEND] - thinner[rows] * response
     return table

@@ -144,11 +144,8 @@ def trace_adjoints(pieces: Pieces, rays: Rays) -> tuple[Array, Array, Mask]:
 
 def _basis(u: Array) -> Array:
     """(6, ...) Chebyshev polynomials at u."""
-    basis = np.empty((_NODES, *u.shape))
-    basis[0], basis[1] = 1.0, u
-    for a in range(2, _NODES):
-        basis[a] = 2.0 * u * basis[a - 1] - basis[a - 2]
-    return basis
+    basis = np.asarray(np.polynomial.chebyshev.chebvander(u, _NODES - 1), np.float64)
+    return np.moveaxis(basis, -1, 0)
 
 
 def _at(pieces: Pieces, h: Array, other: Array) -> tuple[Rows, Array]:

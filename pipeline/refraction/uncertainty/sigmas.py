@@ -344,11 +344,9 @@ class Sigmas(NamedTuple):
     ``r_c_rad`` and ``air_*`` are common to the block: they must not be added to the weights of
     observations. ``station_*`` are common to an image, ``ground_*`` to a point, ``r_cc_rad`` and
     ``cabin_*`` (by the air behind the window) to a camera. dx and dy of one kind are fully
-    correlated but for ``station_*`` and ``cabin_*``.
-
-    ``dx_ds_px``, ``dy_ds_px`` are the derivatives of the corrected (or displaced) pixels by the
-    parameter s of the air's leading mode; ``dx_dncc_px``, ``dy_dncc_px`` by the refractivity of the
-    air behind a plane window, NaN without one.
+    correlated but for ``station_*`` and ``cabin_*``. The derivatives are those of the corrected (or
+    displaced) pixels: ``dx_ds_px``, ``dy_ds_px`` by the parameter s of the air's leading mode,
+    ``dx_dncc_px``, ``dy_dncc_px`` by the refractivity behind a plane window, NaN without one.
     """
 
     r_c_rad: Array
