@@ -9,6 +9,7 @@ from pipeline.refraction import image, status_codes
 from pipeline.refraction.camera.camera import Camera
 from pipeline.refraction.kernels import columns as of
 from pipeline.refraction.kernels.columns import ObservationColumns, TracedColumns
+from pipeline.refraction.kernels.sigma import propagate
 from pipeline.refraction.kernels.threads import in_blocks
 from pipeline.refraction.ray import PublishedRays, bend
 from pipeline.refraction.ray_table import RayTable
@@ -96,12 +97,13 @@ def apply_refraction(
     sigma_h_g = np.full(x_px.shape, np.nan) if sigma_h_g is None else sigma_h_g
     observations = ObservationColumns(displaced.x_px, displaced.y_px, h_g, sigma_h_g, exposure)
     sigmas, setup = Sigmas.room(x_px.size), (camera.constants, exposures.columns)
+    pose, air = (setup[0], exposures.rotation), (uncertainty.stations, uncertainty.tables)
 
     def propagate_block(rows: slice) -> None:
         observed = observations.part(rows)
         rays, _, _ = image.outgoing_rays(observed, *setup)
         traced = TracedColumns(rays, displaced.r_c_rad[rows], displaced.status[rows])
-        sigmas.rows(rows).fill(uncertainty, observed, setup, traced)
+        propagate(observed, pose, traced, air, tuple(sigmas.rows(rows)))
 
     in_blocks(propagate_block, x_px.size)
     for name in PARTIALS:  # what removes less displaces more

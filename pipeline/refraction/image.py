@@ -16,6 +16,7 @@ from pipeline.geodesy import principal_radii
 from pipeline.refraction.camera.camera import Camera
 from pipeline.refraction.kernels import columns as of
 from pipeline.refraction.kernels import image as kernel
+from pipeline.refraction.kernels.sigma import propagate
 from pipeline.refraction.kernels.threads import in_blocks
 from pipeline.refraction.ray import PublishedRays, as_columns, bend
 from pipeline.refraction.ray_table import RayTable
@@ -179,7 +180,9 @@ def correct_observations(
         part["x_px"][:] = observed.x + part["dx_px"]
         part["y_px"][:] = observed.y + part["dy_px"]
         if sigmas is not None and uncertainty is not None:
-            sigmas.rows(rows).fill(uncertainty, observed, setup, traced)
+            air = uncertainty.stations, uncertainty.tables
+            pose = setup[0], exposures.rotation
+            propagate(observed, pose, traced, air, tuple(sigmas.rows(rows)))
 
     in_blocks(correct_block, n)
     return Corrections(status=status, sigmas=sigmas, **columns)

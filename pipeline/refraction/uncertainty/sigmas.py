@@ -34,14 +34,7 @@ from numpy.typing import NDArray
 from pipeline.atmosphere.covariance import ProfileCovariance, air_jacobian, log_pressure_jacobian
 from pipeline.atmosphere.profile import Profile
 from pipeline.atmosphere.standard import standard_atmosphere
-from pipeline.refraction.kernels.columns import (
-    AirTables,
-    CameraConstants,
-    ExposureColumns,
-    ObservationColumns,
-    TracedColumns,
-)
-from pipeline.refraction.kernels.sigma import propagate
+from pipeline.refraction.kernels.columns import AirTables
 from pipeline.refraction.ray_table import cut
 from pipeline.refraction.uncertainty.sensitivity import sensitivity
 from pipeline.refraction.window import SCHEDULE_PRESSURE_PA, SCHEDULE_TEMPERATURE_K
@@ -99,10 +92,9 @@ def air_sigma(
     ground may lie anywhere. dR/dzeta to 1 %.
     """
     root = None if covariance is None else CovarianceRoot.of(covariance)
-    if root is not None and mode is not None:
-        root = replace(root, matrix=np.column_stack([mode.state, root.matrix]))
-    elif root is not None:
-        root = replace(root, matrix=np.pad(root.matrix, ((0, 0), (1, 0))))
+    if root is not None:  # the first column is the mode
+        first = np.zeros(len(root.matrix)) if mode is None else mode.state
+        root = replace(root, matrix=np.column_stack([first, root.matrix]))
     low, high = camera_heights_m
     top = min(ground_heights_m[1], high)
     bottom = min(max(ground_heights_m[0], profile.bottom_m), low - _SHORTEST_M)
@@ -386,17 +378,3 @@ class Sigmas(NamedTuple):
         """Fill some rows in."""
         for name, values in self._asdict().items():
             values[rows] = getattr(part, name)
-
-    def fill(
-        self,
-        uncertainty: Uncertainty,
-        observed: ObservationColumns,
-        setup: tuple[CameraConstants, ExposureColumns],
-        traced: TracedColumns,
-    ) -> None:
-        """Fill in the standard deviations of observations that have been traced to the ground."""
-        camera, exposures = setup
-        propagate(
-            observed, (camera, exposures.rotation), traced,
-            (uncertainty.stations, uncertainty.tables), tuple(self),
-        )  # fmt: skip
