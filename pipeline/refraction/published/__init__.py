@@ -8,9 +8,10 @@ h_c, h_g : heights of camera and ground above sea level [m].
 zeta_c : apparent nadir angle at the camera [rad].
 radius : of the sphere [m]; the plane forms do not use it.
 
-Arguments broadcast. It returns R_c [rad], NaN where the method is not defined: never for
-zeta_c >= 90 degrees, a ground above the camera, or heights that the profile does not cover, and
-within narrower limits where the docstring of the function states them.
+A plane form is written as R at 45 degrees, a function ``(profile, h_c, h_g)`` that `at_45_degrees`
+makes a method of. Arguments broadcast. It returns R_c [rad], NaN where the method is not defined:
+for zeta_c >= 90 degrees, a ground above the camera, heights that the profile does not cover, and
+beyond narrower limits where the docstring of the function states them.
 """
 
 from pipeline.refraction.published.bertram import (

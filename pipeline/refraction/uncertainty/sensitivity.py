@@ -27,6 +27,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -292,7 +293,7 @@ def ray_weights(
     >>> (ray.r_c * 1e6).round(4).item(), (one_percent_denser * 1e6).round(4).item()
     (60.6689, 0.6065)
     """
-    traced = _derivatives(profile, h_c, h_g, zeta_c, radius, lambda h: np.eye(h.size))
+    traced = _derivatives(profile, (h_c, h_g, zeta_c, radius), lambda h: np.eye(h.size))
     return RayWeights(traced.height_m, traced.gradient, traced.r_c, traced.status, traced.valid)
 
 
@@ -325,9 +326,8 @@ def sensitivity(
     >>> (s.d_temperature[1, :3] * 1e9).round(3).tolist(), (s.d_h_g * 1e9).round(4).tolist()
     ([0.0, -413.824, 58.604], [-0.0, -11.8448])
     """
-    traced = _derivatives(
-        profile, h_c, h_g, zeta_c, radius, lambda h: air_jacobian(profile, h, anchor_height_m)
-    )
+    air = partial(air_jacobian, profile, anchor_height_m=anchor_height_m)
+    traced = _derivatives(profile, (h_c, h_g, zeta_c, radius), air)
     edges = profile.layers.edge.size
     d_log_pressure = traced.gradient[..., edges]
     return Sensitivity(
@@ -357,22 +357,17 @@ class _Derivatives(NamedTuple):
 
 
 def _derivatives(
-    profile: Profile,
-    h_c: ArrayLike,
-    h_g: ArrayLike,
-    zeta_c: ArrayLike,
-    radius: ArrayLike,
-    air_of: Callable[[Array], Array],
+    profile: Profile, rays: tuple[ArrayLike, ...], air_of: Callable[[Array], Array]
 ) -> _Derivatives:
     """Derivatives by what changes N at heights (n,), as ``air_of`` (n, k) has it."""
-    shape, (h_c, h_g, zeta_c, radius) = as_columns(h_c, h_g, zeta_c, radius)
+    shape, (h_c, h_g, zeta_c, radius) = as_columns(*rays)
     safe = np.where((zeta_c >= 0.0) & (zeta_c <= np.pi), zeta_c, np.nan)
     r_c, status = bend(ray_table(profile), h_c, h_g, np.sin(safe), np.cos(safe), radius=radius)
     turns = (h_g > h_c) & (np.cos(safe) > 0.0)
     traced = np.flatnonzero(np.isin(status, (OK, BEYOND_GRAZING)) & ~turns)
     # The steepest first: blocks of them need fewer nodes.
     traced = traced[np.argsort(-np.abs(np.cos(zeta_c[traced])), kind="stable")]
-    rays = Rays(h_c, h_g, zeta_c, radius, r_c)
+    columns = Rays(h_c, h_g, zeta_c, radius, r_c)
     heights = np.stack([h_c, h_g])[:, traced]
     low, high = (heights.min(), heights.max()) if traced.size else (profile.bottom_m,) * 2
     pieces = pieces_between(profile, float(low), float(high))
@@ -383,7 +378,7 @@ def _derivatives(
     at_once = max(1, _BLOCK // (height_m.size // _NODES * _FINE[0].size))
     for first in range(0, traced.size, at_once):
         rows = traced[first : first + at_once]
-        weight, place[rows], valid[rows] = trace_adjoints(pieces, rays.rows(rows))
+        weight, place[rows], valid[rows] = trace_adjoints(pieces, columns.rows(rows))
         gradient[rows] = weight @ air
     return _Derivatives(
         height_m, gradient.reshape(*shape, air.shape[1]), place.reshape(*shape, 3),

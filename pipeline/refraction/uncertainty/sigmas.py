@@ -209,7 +209,7 @@ def _in_the_plane(
     window_kinds: Sequence[int],
 ) -> dict[str, Array]:
     """The tables for ways (w,) [m]; the first column of ``root`` is the leading mode."""
-    lowest, columns_at = _integrals(profile, root, camera[0] - way[-1], camera[-1])
+    lowest, columns_at = columns_of_air(profile, root, camera[0] - way[-1], camera[-1])
     shape = (camera.size, way.size)
     sigma, angle, mode = np.full(shape, np.nan), np.empty(shape), np.full(shape, np.nan)
     behind = np.full((len(window_kinds), 2, *shape), np.nan)
@@ -239,7 +239,7 @@ def _lengths(rows: Array) -> Array:
     return np.asarray(np.sqrt(np.einsum("ij,ij->i", rows, rows)))
 
 
-def _integrals(
+def columns_of_air(
     profile: Profile, root: CovarianceRoot | None, low: float, high: float
 ) -> tuple[float, Callable[[Array], tuple[Array, Array]]]:
     """The lowest height, and N and its errors (n, 1 + r) at heights (n,), linear between those
