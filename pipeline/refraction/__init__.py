@@ -23,32 +23,9 @@ from pipeline.refraction.uncertainty.sensitivity import (
 from pipeline.refraction.uncertainty.sigmas import AirMode, Sigmas, Uncertainty
 from pipeline.refraction.window import Cabin, Window
 
-__all__ = [
-    "METHODS",
-    "STATUS_NAMES",
-    "AirMode",
-    "BrownConrady",
-    "Cabin",
-    "Camera",
-    "Corrections",
-    "Exposures",
-    "LensInAir",
-    "RayTable",
-    "RayWeights",
-    "Sensitivity",
-    "Sigmas",
-    "StationSigmas",
-    "Uncertainty",
-    "Window",
-    "WindowRays",
-    "apply_refraction",
-    "bend",
-    "correct_observations",
-    "height_at_distance",
-    "leading_mode",
-    "ray_table",
-    "ray_weights",
-    "refraction_angle",
-    "sensitivity",
-    "uncertainty_of",
-]
+__all__ = ["METHODS", "STATUS_NAMES", "RayTable", "bend", "height_at_distance", "ray_table"]
+__all__ += ["RayWeights", "Sensitivity", "ray_weights", "refraction_angle", "sensitivity"]
+__all__ += ["BrownConrady", "Cabin", "Camera", "Corrections", "Exposures", "LensInAir", "Window"]
+__all__ += ["apply_refraction", "correct_observations"]
+__all__ += ["AirMode", "Sigmas", "StationSigmas", "Uncertainty", "WindowRays"]
+__all__ += ["leading_mode", "uncertainty_of"]

@@ -1,5 +1,4 @@
-"""Refraction angles in the units people use: one angle, a table over the nadir angle, methods
-beside each other."""
+"""Refraction angles as people want them: one, a table over the nadir angle, methods compared."""
 
 import math
 from dataclasses import dataclass
@@ -13,7 +12,7 @@ from pipeline.atmosphere.profile import Profile
 from pipeline.errors import PhysicsError
 from pipeline.refraction import ray
 from pipeline.refraction.image import ground_displacement
-from pipeline.refraction.published import manual
+from pipeline.refraction.published.bertram import manual
 from pipeline.refraction.status_codes import FAR_BRANCH, STATUS_NAMES
 from pipeline.units import ARCSEC, DEGREE, MICRORADIAN, Array
 
@@ -31,12 +30,11 @@ def one_angle(
 ) -> dict[str, Any]:
     """One refraction angle through a standard atmosphere, as ``unbend angle`` prints it.
 
-    Heights [m above sea level], nadir angle [degrees], radius of the earth [m]; the angle comes in
-    arcsec, microradians and metres on the ground. ``distance`` [m] is the slant range, which
-    decides where the ray meets the ground's height twice; published methods know the near crossing
-    only. ``status`` is ``ok``, ``beyond_grazing`` (twice, and the near crossing taken for want of a
-    distance) or ``far_branch``. ``ground_m`` is None where the straight apparent ray passes over
-    the horizon and only the bent one lands.
+    Heights [m above sea level], nadir angle [degrees], radius of the earth [m]; ``distance`` [m] is
+    the slant range, which decides where the ray meets the ground's height twice; published methods
+    know the near crossing only. ``status`` is ``ok``, ``beyond_grazing`` (twice, the near crossing
+    taken for want of a distance) or ``far_branch``. ``ground_m`` is None where the straight
+    apparent ray passes over the horizon and only the bent one lands.
 
     >>> round(one_angle("us1976", 1e4, 0.0, 75.0, index="gyer")["r_c_arcsec"], 6)
     61.778543
@@ -50,11 +48,8 @@ def one_angle(
         distance=math.nan if distance is None else distance,
     )  # fmt: skip
     angle, code = float(r_c), int(status)
-    ground = float(
-        ground_displacement(
-            camera_height, ground_height, zeta, angle, radius, far=code == FAR_BRANCH
-        )
-    )
+    far = code == FAR_BRANCH
+    ground = float(ground_displacement(camera_height, ground_height, zeta, angle, radius, far=far))
     return {
         "r_c_arcsec": angle / ARCSEC,
         "r_c_urad": angle / MICRORADIAN,
@@ -76,12 +71,12 @@ def one_angle(
 class RadialTable:
     """The refraction of one camera height over one ground; (n,) arrays over the nadir angle.
 
-    ``r_c_rad`` is NaN where ``status`` (codes of `pipeline.refraction.status_codes`) says why;
-    ``shift_ground_m`` is the horizontal displacement on the ground, also NaN where the straight
-    apparent ray passes over the horizon and only the bent one lands. For an image taken vertically
-    ``radius_px`` is the distance from the principal point and ``dr_px`` what to add to it; both
-    are NaN without a principal distance. ``k_rad`` is R at 45 degrees, the K of the Manual of
-    Photogrammetry, and ``k_manual_rad`` the value of its formula (NaN where it has none).
+    ``r_c_rad`` is NaN where ``status`` (codes of `status_codes`) says why; ``shift_ground_m``, the
+    horizontal displacement on the ground, also where the straight apparent ray passes over the
+    horizon and only the bent one lands. For an image taken vertically ``radius_px`` is the distance
+    from the principal point and ``dr_px`` what to add to it, NaN without a principal distance.
+    ``k_rad`` is R at 45 degrees, the K of the Manual of Photogrammetry, and ``k_manual_rad`` the
+    value of its formula (NaN where it has none).
     """
 
     h_c_m: float
@@ -108,14 +103,10 @@ def radial_table(
 ) -> RadialTable:
     """Refraction over the nadir angle, for one flying height.
 
-    Parameters
-    ----------
-    profile : the air.
     h_c, h_g : heights of camera and ground above sea level [m], the camera's the greater.
     nadir_angle : (n,) apparent nadir angles [rad], 0 to below 90 degrees.
     focal_px : principal distance [px], for the shift in a vertical image.
-    radius : of the sphere [m].
-    method : one of `pipeline.refraction.METHODS`.
+    radius, method : as for `refraction_angle`.
 
     Without a window and without distortion. Accuracy is that of the method; the shift is
     f (tan(zeta - R) - tan zeta), without cancellation.
@@ -198,15 +189,10 @@ def compare_methods(
 ) -> Comparison:
     """Errors of refraction methods against ``spherical``.
 
-    Parameters
-    ----------
     profile : the air; its index should be that of the papers' light (``gyer``), or the errors
         hold its difference from 0.589 um too.
     h_c, h_g : heights of cameras (h,) and ground above sea level [m].
     nadir_angle : (z,) apparent nadir angles [rad], ascending.
-    radius : of the sphere [m].
-
-    The reference is good to 1e-9 arcsec.
 
     >>> from pipeline.atmosphere import standard_atmosphere
     >>> from pipeline.units import ARCSEC, DEGREE

@@ -80,11 +80,9 @@ def effects_on_r(
 ) -> tuple[Effect, ...]:
     """R at some nadir angles in an air and in the standard; none where no ray looks down.
 
-    Parameters
-    ----------
-    covariance : of ``profile``; sigma^2 = g^T C g with the derivatives g of `sensitivity`.
-    h_c, h_g : heights of camera and ground [m above sea level].
-    angles_deg : apparent nadir angles [deg], below the horizon's.
+    ``covariance`` of ``profile`` gives sigma^2 = g^T C g with the derivatives g of `sensitivity`.
+    Heights of camera and ground are above sea level [m], apparent nadir angles [deg] below the
+    horizon's.
 
     >>> from pipeline.atmosphere import standard_atmosphere
     >>> air = standard_atmosphere("us1976")

@@ -5,13 +5,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pipeline.geodesy import euler_radius
 from pipeline.refraction import image, status_codes
 from pipeline.refraction.camera.camera import Camera
+from pipeline.refraction.kernels import columns as of
+from pipeline.refraction.kernels.columns import ObservationColumns, TracedColumns
+from pipeline.refraction.kernels.sigma import propagate
+from pipeline.refraction.kernels.threads import in_blocks
 from pipeline.refraction.ray import PublishedRays, bend
 from pipeline.refraction.ray_table import RayTable
-from pipeline.refraction.target_heights import height_at_distance
-from pipeline.refraction.uncertainty.sigmas import Uncertainty
+from pipeline.refraction.target_heights import height_at_distance, target_rays
+from pipeline.refraction.uncertainty.sigmas import PARTIALS, Sigmas, Uncertainty
 from pipeline.refraction.window import refract_at_window
 from pipeline.units import Array, Integers
 
@@ -45,21 +48,14 @@ def apply_refraction(
 ) -> image.Corrections:
     """Displace ideal image observations to what a camera in this air measures.
 
-    Parameters
-    ----------
     x_px, y_px : (n,) pixels of the straight chords, with the distortion of the lens.
-    h_g : (n,) heights of the targets above sea level [m].
-    exposure : (n,) rows of ``exposures``, -1 where the image has none.
-    camera, table : as for `correct_observations`.
     distance_m : (n,) slant ranges [m], NaN where unknown, which decide between the two crossings
         of a ray that meets the height of its target twice.
-    uncertainty, sigma_h_g : ask for ``sigmas``, as for `correct_observations`.
+    The rest as for `correct_observations`.
 
-    Returns
-    -------
-    Columns as those of `correct_observations` at the displaced pixels, which are ``x_px``,
-    ``y_px``; ``dx_px``, ``dy_px`` are the displacement. The status is ``outside_camera`` where a
-    point is displaced out of the format and ``misses_ground`` where no ray shows the target.
+    Returns columns as those of `correct_observations` at the displaced pixels ``x_px``, ``y_px``;
+    ``dx_px``, ``dy_px`` are the displacement. The status is ``outside_camera`` where a point is
+    displaced out of the format and ``misses_ground`` where no ray shows the target.
 
     The inverse of `correct_observations` to 1e-9 px, within 0.02 degree of grazing to 1e-8: solved
     by repetition, whatever that does. There two rays may show points of the same straight line;
@@ -83,8 +79,7 @@ def apply_refraction(
     targets = _Targets(h_g, distance, exposure)
     start = _starting_points(ideal, targets, exposures, camera, table)
     columns = _removals_to(ideal, start, targets, exposures, camera=camera, table=table)
-    # The removal that ends in the ideal pixels, as a displacement.
-    for along, name in enumerate(("x_px", "y_px")):
+    for along, name in enumerate(("x_px", "y_px")):  # the removal as a displacement
         columns[f"d{name}"] = -columns[f"d{name}"]
         columns[name] = ideal[:, along] + columns[f"d{name}"]
     status = columns.pop("status").astype(np.uint8)
@@ -99,10 +94,20 @@ def apply_refraction(
     displaced = image.Corrections(status=status, **columns)
     if uncertainty is None:
         return displaced
-    sigmas = image.sigmas_at(
-        displaced, h_g, exposure, exposures, camera=camera, uncertainty=uncertainty,
-        sigma_h_g=sigma_h_g,
-    )  # fmt: skip
+    sigma_h_g = np.full(x_px.shape, np.nan) if sigma_h_g is None else sigma_h_g
+    observations = ObservationColumns(displaced.x_px, displaced.y_px, h_g, sigma_h_g, exposure)
+    sigmas, setup = Sigmas.room(x_px.size), (camera.constants, exposures.columns)
+    pose, air = (setup[0], exposures.rotation), (uncertainty.stations, uncertainty.tables)
+
+    def propagate_block(rows: slice) -> None:
+        observed = observations.part(rows)
+        rays, _, _ = image.outgoing_rays(observed, *setup)
+        traced = TracedColumns(rays, displaced.r_c_rad[rows], displaced.status[rows])
+        propagate(observed, pose, traced, air, tuple(sigmas.rows(rows)))
+
+    in_blocks(propagate_block, x_px.size)
+    for name in PARTIALS:  # what removes less displaces more
+        np.negative(getattr(sigmas, name), out=getattr(sigmas, name))
     return replace(displaced, sigmas=sigmas)
 
 
@@ -128,24 +133,14 @@ def _starting_points(
     separates the two.
     """
     point = ideal.copy()
-    h_g, distance, exposure = targets
-    x, y = np.clip(point, 0.0, [camera.width_px, camera.height_px]).T
-    u, v, covered = camera.rays(x, y)
-    row = np.maximum(exposure, 0)
-    known = covered & (exposure >= 0) & np.isfinite(h_g)
-    if not bool(known.any()):
-        return point
-    inside = np.stack([u, v, np.ones(u.shape)], axis=1)
-    inside /= np.sqrt(u * u + v * v + 1.0)[:, None]
-    down = -np.einsum("ni,ni->n", exposures.rotation[row, :, 2], inside)
-    level = np.flatnonzero(known & exposures.usable[row] & (np.abs(down) < _NEARLY_LEVEL))
+    x, y = ideal.T
+    rays = target_rays(x, y, targets.exposure, exposures, camera=camera, ideal=True)
+    level = np.flatnonzero(np.isfinite(targets.h_g) & (np.abs(rays[of.COS]) < _NEARLY_LEVEL))
     if level.size == 0:
         return point
-    row = row[level]
-    rotation = exposures.rotation[row]
-    chord = np.einsum("nji,nj->ni", rotation, inside[level])
-    apparent = _apparent(chord, _Targets(h_g[level], distance[level], row), exposures, table)
-    inside = np.einsum("nij,nj->ni", rotation, apparent)
+    row = targets.exposure[level]
+    apparent = _apparent(rays[:, level], targets.h_g[level], targets.distance[level], table)
+    inside = np.einsum("nij,nj->ni", exposures.rotation[row], apparent)
     outside, cabin = exposures.refractivity_outside[row], exposures.refractivity_cabin[row]
     inside += refract_at_window(inside, outside, cabin, exposures.normals[row])[0]
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -158,22 +153,13 @@ def _starting_points(
     return point
 
 
-def _apparent(
-    chord: Array, targets: _Targets, exposures: image.Exposures, table: RayTable | PublishedRays
-) -> Array:
+def _apparent(chords: Array, h_g: Array, distance: Array, table: RayTable | PublishedRays) -> Array:
     """Directions (n, 3), east-north-up, of the rays that show the ends of straight chords.
 
     The ray is sought that is as far above its chord, at the chord's length, as refraction lifts
     it; NaN where the straight line does not reach the target's height.
     """
-    h_g, distance, row = targets
-    sin_z, cos_z = np.hypot(chord[:, 0], chord[:, 1]), -chord[:, 2]
-    if exposures.radius_m is None:
-        azimuth = np.arctan2(chord[:, 0], chord[:, 1])
-        radius = np.asarray(euler_radius(exposures.latitude_rad[row], azimuth))
-    else:
-        radius = np.full(row.shape, exposures.radius_m)
-    h_c = exposures.height_m[row]
+    sin_z, cos_z, radius, h_c = chords[[of.SIN, of.COS, of.RADIUS, of.H_C]]
     near, far = (
         image.straight_reach(h_c, h_g, cos_z, radius=radius, far=second) for second in (False, True)
     )
@@ -186,8 +172,8 @@ def _apparent(
         height, _ = height_at_distance(table, h_c, sine, cosine, length, radius=radius)
         r_c, _ = bend(table, h_c, height, sine, cosine, radius=radius, distance=length)
         lifted = np.where(np.isfinite(r_c), r_c, 1.2 * lifted)
-    stretch = (np.sin(zeta + lifted) / sin_z)[:, None]
-    return np.concatenate([chord[:, :2] * stretch, -np.cos(zeta + lifted)[:, None]], axis=1)
+    east, north = chords[of.APPARENT : of.APPARENT + 2] * np.sin(zeta + lifted) / sin_z
+    return np.stack([east, north, -np.cos(zeta + lifted)], axis=1)
 
 
 def _removals_to(

@@ -14,25 +14,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from pipeline.geodesy import principal_radii
 from pipeline.refraction.camera.camera import Camera
+from pipeline.refraction.kernels import columns as of
 from pipeline.refraction.kernels import image as kernel
-from pipeline.refraction.kernels.columns import (
-    COS,
-    H_C,
-    RADIUS,
-    RAY_ROWS,
-    SIN,
-    CameraConstants,
-    ExposureColumns,
-    ObservationColumns,
-    RayColumns,
-    ShiftColumns,
-    TracedColumns,
-)
+from pipeline.refraction.kernels.sigma import propagate
 from pipeline.refraction.kernels.threads import in_blocks
 from pipeline.refraction.ray import PublishedRays, as_columns, bend
 from pipeline.refraction.ray_table import RayTable
 from pipeline.refraction.status_codes import OK, STATUS_NAMES
-from pipeline.refraction.uncertainty.sigmas import PARTIALS, Sigmas, Uncertainty
+from pipeline.refraction.uncertainty.sigmas import Sigmas, Uncertainty
 from pipeline.refraction.window import OPTICAL_AXIS
 from pipeline.units import Array, Integers, Mask, Rows
 
@@ -44,13 +33,12 @@ _ROWS_OF_AN_IMAGE = 50
 class Exposures:
     """What the correction needs to know of each exposure; (s,) arrays.
 
-    ``usable`` is False where an exposure has no position, attitude or cabin air;
-    ``rotation`` (s, 3, 3) takes east-north-up to camera; ``refractivity_outside`` and
-    ``refractivity_cabin`` are n - 1 on the two sides of the window (equal where nothing bends
-    there); ``window_normal`` (s, 3) are unit vectors out of the window in the camera frame, by
-    default the optical axis; ``principal_change_px`` is what the air in the lens adds to the
-    calibrated principal distance, by default nothing;
-    ``radius_m`` replaces the ellipsoid's radius in the ray's azimuth when it is given.
+    ``usable`` is False where an exposure has no position, attitude or cabin air; ``rotation``
+    (s, 3, 3) takes east-north-up to camera; ``refractivity_outside``, ``refractivity_cabin`` are
+    n - 1 on the two sides of the window (equal where nothing bends there); ``window_normal`` (s, 3)
+    unit vectors out of it in the camera frame, by default the optical axis;
+    ``principal_change_px`` what the air in the lens adds to the calibrated principal distance, by
+    default nothing; ``radius_m`` replaces the ellipsoid's radius in the ray's azimuth.
     """
 
     usable: Mask
@@ -73,18 +61,17 @@ class Exposures:
     @property
     def changes_px(self) -> Array:
         """(s,) what is added to the principal distance."""
-        if self.principal_change_px is None:
-            return np.zeros(self.usable.size)
-        return self.principal_change_px
+        change = self.principal_change_px
+        return np.zeros(self.usable.size) if change is None else change
 
     @property
-    def columns(self) -> ExposureColumns:
+    def columns(self) -> of.ExposureColumns:
         """The exposures for compiled functions."""
         if self.radius_m is None:
             curvature = 1.0 / np.stack(principal_radii(self.latitude_rad), axis=1)
         else:
             curvature = np.full((self.usable.size, 2), 1.0 / self.radius_m)
-        return ExposureColumns(
+        return of.ExposureColumns(
             self.usable, self.rotation, curvature, self.height_m, self.refractivity_outside,
             self.refractivity_cabin, self.normals, self.changes_px,
         )  # fmt: skip
@@ -147,8 +134,6 @@ def correct_observations(
 ) -> Corrections:
     """Remove compartment and atmospheric refraction from image observations of one camera.
 
-    Parameters
-    ----------
     x_px, y_px : (n,) measured, distorted pixels.
     h_g : (n,) heights of the targets above sea level [m].
     exposure : (n,) rows of ``exposures``, -1 where the image has none.
@@ -157,9 +142,8 @@ def correct_observations(
     distance_m : (n,) slant ranges [m], NaN where unknown; see `bend`.
     uncertainty : asks for ``sigmas``, from `uncertainty_of`; sigma_h_g (n,) that of ``h_g`` [m].
 
-    The change of direction is never a difference of directions; the shift (dx, dy) is good to
-    1e-10 px, whatever the size of the pixel coordinates. Rows of one exposure that follow each
-    other are fastest.
+    The shift (dx, dy) is no difference of directions: good to 1e-10 px, whatever the size of the
+    coordinates. Rows of one exposure that follow each other are fastest.
     """
     n = x_px.size
     distance = np.full(n, np.nan) if distance_m is None else distance_m
@@ -177,7 +161,7 @@ def correct_observations(
     columns = dict(zip(COLUMNS, np.empty((len(COLUMNS), n)), strict=True))
     status = np.empty(n, np.uint8)
     sigmas = None if uncertainty is None else Sigmas.room(n)
-    observations = ObservationColumns(x_px, y_px, h_g, sigma_h_g, exposure)
+    observations = of.ObservationColumns(x_px, y_px, h_g, sigma_h_g, exposure)
     setup = camera.constants, exposures.columns
 
     def correct_block(rows: slice) -> None:
@@ -185,62 +169,33 @@ def correct_observations(
         part = {name: values[rows] for name, values in columns.items()}
         rays, part["r_cc_rad"][:], seen = outgoing_rays(observed, *setup)
         r_c, bent = bend(
-            table, rays[H_C], observed.h_g, rays[SIN], rays[COS],
-            radius=rays[RADIUS], distance=distance[rows],
+            table, rays[of.H_C], observed.h_g, rays[of.SIN], rays[of.COS],
+            radius=rays[of.RADIUS], distance=distance[rows],
         )  # fmt: skip
-        traced = TracedColumns(rays, r_c, np.where(seen == OK, bent, seen))
+        traced = of.TracedColumns(rays, r_c, np.where(seen == OK, bent, seen))
         part["r_c_rad"][:], status[rows] = r_c, traced.status
-        part["zeta_c_rad"][:] = np.arctan2(rays[SIN], rays[COS])
-        shifts = ShiftColumns(part["dx_px"], part["dy_px"], part["shift_ground_m"])
+        part["zeta_c_rad"][:] = np.arctan2(rays[of.SIN], rays[of.COS])
+        shifts = of.ShiftColumns(part["dx_px"], part["dy_px"], part["shift_ground_m"])
         kernel.shift_back(observed, *setup, traced, shifts)
         part["x_px"][:] = observed.x + part["dx_px"]
         part["y_px"][:] = observed.y + part["dy_px"]
         if sigmas is not None and uncertainty is not None:
-            sigmas.rows(rows).fill(uncertainty, observed, setup, traced)
+            air = uncertainty.stations, uncertainty.tables
+            pose = setup[0], exposures.rotation
+            propagate(observed, pose, traced, air, tuple(sigmas.rows(rows)))
 
     in_blocks(correct_block, n)
     return Corrections(status=status, sigmas=sigmas, **columns)
 
 
 def outgoing_rays(
-    observed: ObservationColumns, camera: CameraConstants, exposures: ExposureColumns
+    observed: of.ObservationColumns, camera: of.CameraConstants, exposures: of.ExposureColumns
 ) -> tuple[Array, Array, NDArray[np.uint8]]:
     """The matrix of rays that pixels see outside the window, R_cc [rad] and status."""
     n = observed.x.size
-    rays, r_cc, status = np.empty((RAY_ROWS, n)), np.empty(n), np.empty(n, np.uint8)
+    rays, r_cc, status = np.empty((of.RAY_ROWS, n)), np.empty(n), np.empty(n, np.uint8)
     kernel.outgoing_rays(observed, camera, exposures, rays, (status, r_cc))
     return rays, r_cc, status
-
-
-def sigmas_at(
-    corrections: Corrections,
-    h_g: Array,
-    exposure: Integers,
-    exposures: Exposures,
-    *,
-    camera: Camera,
-    uncertainty: Uncertainty,
-    sigma_h_g: Array | None = None,
-) -> Sigmas:
-    """Sigmas and derivatives of displacements, at the pixels ``x_px``, ``y_px`` they lead to.
-
-    ``corrections`` (n,) from `apply_refraction`; the rest as for `correct_observations`.
-    """
-    n = corrections.x_px.size
-    sigmas, setup = Sigmas.room(n), (camera.constants, exposures.columns)
-    sigma_h_g = np.full(n, np.nan) if sigma_h_g is None else sigma_h_g
-    observations = ObservationColumns(corrections.x_px, corrections.y_px, h_g, sigma_h_g, exposure)
-
-    def propagate_block(rows: slice) -> None:
-        observed = observations.part(rows)
-        rays, _, _ = outgoing_rays(observed, *setup)
-        traced = TracedColumns(rays, corrections.r_c_rad[rows], corrections.status[rows])
-        sigmas.rows(rows).fill(uncertainty, observed, setup, traced)
-
-    in_blocks(propagate_block, n)
-    for name in PARTIALS:  # what removes less displaces more
-        np.negative(getattr(sigmas, name), out=getattr(sigmas, name))
-    return sigmas
 
 
 def straight_reach(
@@ -248,9 +203,8 @@ def straight_reach(
 ) -> Array:
     """How far away [m] straight lines reach a height; NaN where they never get there.
 
-    Heights of camera and target above sea level [m], cosine of the nadir angle, radius of the
-    sphere [m], and whether the second of two crossings is meant (downwards only; upwards there is
-    one). Arguments broadcast.
+    Heights above sea level [m], cosine of the nadir angle, radius of the sphere [m], and whether
+    the second of two crossings is meant (downwards; upwards there is one). Arguments broadcast.
 
     >>> straight_reach(3000.0, 1000.0, 0.8, radius=6371e3, far=[False, True]).round(3).tolist()
     [2500.221, 10195899.779]
@@ -258,7 +212,7 @@ def straight_reach(
     shape, (h_c, h_g, cosine, radius, far) = as_columns(h_c, h_g, cos_zeta, radius, far)
     distance = np.empty(h_c.shape)
     kernel.straight_reach(
-        RayColumns(h_c, h_g, cosine, cosine, radius, distance), far != 0.0, distance
+        of.RayColumns(h_c, h_g, cosine, cosine, radius, distance), far != 0.0, distance
     )
     return distance.reshape(shape)
 
@@ -284,8 +238,7 @@ def ground_displacement(
 def lattice_nodes(camera: Camera, columns: int, rows: int) -> tuple[Array, Array]:
     """Pixels of a grid from corner to corner of a camera's format.
 
-    ``columns``, ``rows`` : nodes across and down, 2 or more. Returns x, y (rows * columns,) [px],
-    COLMAP's pixels, row by row from the upper left.
+    Nodes across and down, 2 or more; x, y (rows * columns,) in COLMAP's pixels, row by row.
 
     >>> x, y = lattice_nodes(Camera(400, 300, 500.0, 500.0, 200.0, 150.0), 3, 2)
     >>> x.tolist(), y.tolist()
@@ -297,31 +250,3 @@ def lattice_nodes(camera: Camera, columns: int, rows: int) -> tuple[Array, Array
         np.linspace(0.0, camera.width_px, columns), np.linspace(0.0, camera.height_px, rows)
     )
     return x.ravel(), y.ravel()
-
-
-def lattice_corrections(
-    x_px: Array,
-    y_px: Array,
-    ground_m: Array,
-    exposure: Integers,
-    exposures: Exposures,
-    *,
-    camera: Camera,
-    table: RayTable | PublishedRays,
-) -> Corrections:
-    """The corrections of `correct_observations` at the same nodes in every one of some images.
-
-    Parameters
-    ----------
-    x_px, y_px : (k,) nodes, from `lattice_nodes`.
-    ground_m : (s,) height of the ground above sea level that each image is computed for [m].
-    exposure : (s,) rows of ``exposures``.
-    camera, table : as for `correct_observations`.
-
-    Returns (s * k,) rows, image by image. At a node nothing is approximated; between nodes the
-    bilinear interpolation errs by an eighth of the curvature of the shift across a cell.
-    """
-    images, nodes = exposure.size, x_px.size
-    x_px, y_px = np.tile(x_px, images), np.tile(y_px, images)
-    h_g, exposure = np.repeat(ground_m, nodes), np.repeat(exposure, nodes)
-    return correct_observations(x_px, y_px, h_g, exposure, exposures, camera=camera, table=table)

@@ -7,10 +7,10 @@ air. `paper_tables` returns columns; the printed figures stand in ``pipeline/ref
 import csv
 import math
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from importlib import resources
 from importlib.resources import files
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,32 +27,15 @@ from pipeline.refraction.ray_table import RayTable
 from pipeline.refraction.window import SCHEDULE_TEMPERATURE_K, refract_at_window, scheduled_pressure
 from pipeline.units import ARCSEC, DEGREE, HECTOPASCAL, MICRORADIAN, Array
 
-Block = dict[str, NDArray[np.generic]]
+GYER_RADIUS_M = BERTRAM_RADIUS_M = 6_378_000.0
 
+_DATA = files("pipeline.refraction").joinpath("data")
+_DIAGONAL = 45.0 * DEGREE
+_PLACES = ("table", "quantity", "unit", "h_c_m", "h_g_m", "zeta_c_deg")
+_COLUMNS = (*_PLACES, "printed", "as_published", "exact")
 
-def block(
-    table: str,
-    quantity: str,
-    unit: str,
-    *,
-    printed: ArrayLike,
-    published: ArrayLike,
-    exact: ArrayLike = np.nan,
-    h_c: ArrayLike = np.nan,
-    h_g: ArrayLike = np.nan,
-    zeta_deg: ArrayLike = np.nan,
-) -> Block:
-    """Rows of one quantity; h_c and h_g in metres, the rest in its unit."""
-    values = (h_c, h_g, zeta_deg, printed, published, exact)
-    arrays = np.broadcast_arrays(*(np.atleast_1d(np.asarray(v, np.float64)) for v in values))
-    numbers = [a.ravel() for a in arrays]
-    names = ("h_c_m", "h_g_m", "zeta_c_deg", "printed", "as_published", "exact")
-    rows: Block = {
-        key: np.full(numbers[0].shape, word)
-        for key, word in (("table", table), ("quantity", quantity), ("unit", unit))
-    }
-    rows.update(zip(names, numbers, strict=True))
-    return rows | {"difference": numbers[3] - numbers[5]}
+Figures = tuple[str | ArrayLike, ...]
+"""What `_COLUMNS` holds for one quantity, to be broadcast."""
 
 
 def printed_table(name: str) -> dict[str, Array]:
@@ -61,12 +44,8 @@ def printed_table(name: str) -> dict[str, Array]:
     >>> printed_table("gyer1996_table7")["r_cc_arcsec"][-1].item()
     19.44
     """
-    source = resources.files("pipeline.refraction").joinpath(f"data/{name}.csv")
-    rows = list(csv.DictReader(source.read_text(encoding="ascii").splitlines()))
+    rows = list(csv.DictReader(_DATA.joinpath(f"{name}.csv").read_text("ascii").splitlines()))
     return {key: np.array([float(row[key]) for row in rows]) for key in rows[0]}
-
-
-GYER_RADIUS_M = 6_378_000.0
 
 
 def gyer_air() -> Profile:
@@ -86,190 +65,124 @@ def gyer_air() -> Profile:
     return Profile(layers, ardc.gravity, IndexModel("gyer"), "gyer1996")
 
 
-def _arcsec(angle: ArrayLike) -> Array:
-    return np.asarray(angle, np.float64) / ARCSEC
-
-
-def gyer_rows() -> list[Block]:
-    air = gyer_air()
-    return [*table_2(), *tables_3_to_5(air), *table_6(air), *table_7(air)]
-
-
-def table_2() -> list[Block]:
-    """The atmosphere."""
+def gyer_rows() -> Iterator[Figures]:
     table = printed_table("gyer1996_table2")
     h = table["h_km"] * 1e3
     ardc = standard_atmosphere("ardc1959", index="gyer")
-    columns = (
+    for name, unit, key, value in (
         ("temperature", "K", "temperature_k", ardc.temperature(h)),
         ("pressure", "hPa", "pressure_mbar", ardc.pressure(h) / HECTOPASCAL),
         ("n - 1", "1e-6", "refractivity_n_minus_1_e6", ardc.refractivity(h) * 1e6),
-    )
-    return [
-        block("2", name, unit, h_c=h, printed=table[key], published=value)
-        for name, unit, key, value in columns
-    ]
-
-
-def tables_3_to_5(air: Profile) -> list[Block]:
-    """R_c of the spherical form, and what the plane form lacks of it."""
-    blocks = []
-    for name, label, key in (
-        ("gyer1996_tables3_4", "3-4", "r_c_arcsec"),
-        ("gyer1996_table5", "5", "r_spherical_minus_plane_arcsec"),
     ):
-        table = printed_table(name)
-        h_c, h_g, degrees = table["h_c_km"] * 1e3, table["h_g_km"] * 1e3, table["zeta_c_deg"]
-        ray = (air, h_c, h_g, degrees * DEGREE, GYER_RADIUS_M)
-        published, exact = gyer1996(*ray), np.asarray(refraction_angle(*ray))
-        quantity = "R_c"
-        if label == "5":
-            published = published - plane_first_term(*ray, step=STEP_M)
-            exact = exact - plane_first_term(*ray)
-            quantity = "R_c spherical - plane"
-        values = {"published": _arcsec(published), "exact": _arcsec(exact)}
-        values |= {"h_c": h_c, "h_g": h_g, "zeta_deg": degrees, "printed": table[key]}
-        blocks.append(block(label, quantity, "arcsec", **values))
-    return blocks
+        yield "2", name, unit, h, np.nan, np.nan, table[key], value, np.nan
+    air = gyer_air()
+    table = printed_table("gyer1996_tables3_4")
+    at, ray = rays_of(table, air)
+    published, exact = gyer1996(*ray), refraction_angle(*ray)
+    yield "3-4", "R_c", "arcsec", *at, table["r_c_arcsec"], published / ARCSEC, exact / ARCSEC
+    table = printed_table("gyer1996_table5")  # what the plane form lacks
+    at, ray = rays_of(table, air)
+    printed = table["r_spherical_minus_plane_arcsec"]
+    published = gyer1996(*ray) - plane_first_term(*ray, step=STEP_M)
+    exact = refraction_angle(*ray) - plane_first_term(*ray)
+    yield "5", "R_c spherical - plane", "arcsec", *at, printed, published / ARCSEC, exact / ARCSEC
+    yield from table_6(air)
+    yield from table_7(air)
 
 
-def grazing_angle(profile: Profile, h_c: Array, h_g: Array, radius: float) -> Array:
-    """Apparent nadir angle [rad] of the ray that is level at ``h_g`` [m] (Gyer 1996, Eq. 1).
-
-    >>> h = np.array([10000.0]), np.array([0.0])
-    >>> (grazing_angle(gyer_air(), *h, GYER_RADIUS_M) / DEGREE).round(4).tolist()
-    [86.9873]
-    """
-    k = (1.0 + profile.refractivity(h_g)) * (radius + h_g)
-    return np.asarray(np.arcsin(k / ((1.0 + profile.refractivity(h_c)) * (radius + h_c))))
+def rays_of(table: dict[str, Array], air: Profile) -> tuple[Figures, tuple[Any, ...]]:
+    """The places of the figures of a table, and the arguments of a method for them."""
+    at = table["h_c_km"] * 1e3, table["h_g_km"] * 1e3, table["zeta_c_deg"]
+    return at, (air, at[0], at[1], at[2] * DEGREE, GYER_RADIUS_M)
 
 
-def table_6(air: Profile) -> list[Block]:
-    """Rays that graze the ground."""
+def table_6(air: Profile) -> Iterator[Figures]:
+    """Table 6, rays that are level at the ground."""
     table = printed_table("gyer1996_table6")
     h_c, h_g = table["h_c_km"] * 1e3, table["h_g_km"] * 1e3
-    zeta_c = grazing_angle(air, h_c, h_g, GYER_RADIUS_M)
+    # Eq. 1 with zeta_g = 90 degrees.
+    k = (1.0 + air.refractivity(h_g)) * (GYER_RADIUS_M + h_g)
+    zeta_c = np.arcsin(k / ((1.0 + air.refractivity(h_c)) * (GYER_RADIUS_M + h_c)))
     published = gyer1996(air, h_c, h_g, zeta_c, GYER_RADIUS_M)
     # A rounding error above the true angle would already miss the ground; 1e-12 rad is 2e-6 arcsec
     # of R_c here.
     exact = np.asarray(refraction_angle(air, h_c, h_g, zeta_c - 1e-12, GYER_RADIUS_M))
-
     # His distance is the arc at sea level. It cannot be had from the exact R_c, 1 arcsec of which
     # is 2 km of it.
     theta = subtended_angle(air, h_c, h_g, zeta_c, np.full(h_c.shape, GYER_RADIUS_M), step=STEP_M)
-
     degrees = zeta_c / DEGREE
-    figures = (
+    for name, unit, key, first, second in (
         ("zeta_c", "deg", "zeta_c_deg_for_zeta_g_90", degrees, degrees),
         ("distance", "km", "distance_km", GYER_RADIUS_M * theta / 1e3, np.nan),
-        ("R_c", "arcsec", "r_c_arcsec", _arcsec(published), _arcsec(exact)),
-    )
-    return [
-        block(
-            "6", name, unit, h_c=h_c, h_g=h_g, zeta_deg=degrees, printed=table[key],
-            published=first, exact=second,
-        )
-        for name, unit, key, first, second in figures
-    ]  # fmt: skip
+        ("R_c", "arcsec", "r_c_arcsec", published / ARCSEC, exact / ARCSEC),
+    ):
+        yield "6", name, unit, h_c, h_g, degrees, table[key], first, second
 
 
-def table_7(air: Profile) -> list[Block]:
-    """The pressurised compartment."""
+def table_7(air: Profile) -> Iterator[Figures]:
+    """Table 7, the pressurised compartment."""
     table = printed_table("gyer1996_table7")
     h_c = table["h_c_km"] * 1e3
     outside = air.refractivity(h_c)
     cabin = refractivity_gyer(SCHEDULE_TEMPERATURE_K, scheduled_pressure(air.pressure(h_c)))
     ray = np.full((h_c.size, 3), [math.sqrt(0.5), 0.0, math.sqrt(0.5)])
-    bent = (air, h_c, 0.0, 45.0 * DEGREE, GYER_RADIUS_M)
+    bent = (air, h_c, 0.0, _DIAGONAL, GYER_RADIUS_M)
     r_c, exact = gyer1996(*bent), np.asarray(refraction_angle(*bent))
     # Eq. 38 with the sign of Eq. 39; tan(zeta_f) = 1.
     r_cc = (cabin - outside) / (1.0 + outside)
     exact_cc = refract_at_window(ray, cabin, outside)[1]
-    figures = (
-        ("n_c - 1", "1e-6", "n_c_minus_1_e6", outside * 1e6, outside * 1e6),
-        ("n_cc - 1", "1e-6", "n_cc_minus_1_e6", cabin * 1e6, cabin * 1e6),
-        ("R_c", "arcsec", "r_c_arcsec", _arcsec(r_c), _arcsec(exact)),
-        ("R_cc", "arcsec", "r_cc_arcsec", _arcsec(r_cc), _arcsec(exact_cc)),
-        ("R_c - R_cc", "arcsec", "r_c_minus_r_cc_arcsec", _arcsec(r_c - r_cc),
-         _arcsec(exact - exact_cc)),
-    )  # fmt: skip
-    return [
-        block(
-            "7", name, unit, h_c=h_c, h_g=0.0, zeta_deg=45.0, printed=table[key],
-            published=first, exact=second,
-        )
-        for name, unit, key, first, second in figures
-    ]  # fmt: skip
+    at = h_c, 0.0, 45.0
+    for name, key, n in (
+        ("n_c - 1", "n_c_minus_1_e6", outside * 1e6),
+        ("n_cc - 1", "n_cc_minus_1_e6", cabin * 1e6),
+    ):
+        yield "7", name, "1e-6", *at, table[key], n, n
+    for name, key, first, second in (
+        ("R_c", "r_c_arcsec", r_c, exact),
+        ("R_cc", "r_cc_arcsec", r_cc, exact_cc),
+        ("R_c - R_cc", "r_c_minus_r_cc_arcsec", r_c - r_cc, exact - exact_cc),
+    ):
+        yield "7", name, "arcsec", *at, table[key], first / ARCSEC, second / ARCSEC
 
 
-def saastamoinen_rows() -> list[Block]:
-    return [*worked_example(), *stated_errors()]
-
-
-def worked_example() -> list[Block]:
-    """The compartment at 6000 m, p. 300: Eq. 9 after Eq. 3a."""
-    air = standard_atmosphere("us1962", index="gyer")
-    h_c, diagonal = 6000.0, 45.0 * DEGREE
+def saastamoinen_rows() -> Iterator[Figures]:
+    """The compartment at 6000 m, p. 300 (Eq. 9 after Eq. 3a), and the errors he states, p. 297."""
+    air, h_c = standard_atmosphere("us1962", index="gyer"), 6000.0
     # He works in whole microradians.
     n_h, n_a = round(79.0 * 472.0 / 249.0), round(79.0 * 747.0 / 278.0)
-    r = round(float(saastamoinen.saastamoinen1974_ican(air, h_c, 0.0, diagonal, 0.0)) / MICRORADIAN)
+    r_ican = saastamoinen.saastamoinen1974_ican(air, h_c, 0.0, _DIAGONAL, 0.0)
+    r = round(float(r_ican) / MICRORADIAN)
     exact_h = float(air.refractivity(h_c))
     exact_a = float(refractivity_gyer(278.0, air.pressure(2500.0)))
-    exact_r = float(refraction_angle(air, h_c, 0.0, diagonal))
-    figures = (
+    exact_r = float(refraction_angle(air, h_c, 0.0, _DIAGONAL))
+    for name, printed, published, exact in (
         ("n_H - 1", 150.0, n_h, exact_h),
         ("n_A - 1", 212.0, n_a, exact_a),
         ("R", 59.0, r, exact_r),
         ("Delta R", -62.0, n_h - n_a, exact_h - exact_a),
         ("R + Delta R", -3.0, r + n_h - n_a, exact_r + exact_h - exact_a),
-    )
-    return [
-        block(
-            "p. 300", name, "urad", h_c=h_c, h_g=0.0, zeta_deg=45.0, printed=printed,
-            published=published, exact=exact / MICRORADIAN,
-        )
-        for name, printed, published, exact in figures
-    ]  # fmt: skip
-
-
-def stated_errors() -> list[Block]:
-    """Largest differences he states for Eq. 3 and 6 against US 1962, and those found."""
-    air = standard_atmosphere("us1962", index="gyer")
-    diagonal = 45.0 * DEGREE
-    blocks = []
-    for quantity, method, top, bound in (
+    ):
+        yield "p. 300", name, "urad", h_c, 0.0, 45.0, printed, published, exact / MICRORADIAN
+    for name, method, top, bound in (
         ("Eq. 3a, 3b: largest error", saastamoinen.saastamoinen1974_ican, 20_000.0, 0.2),
         ("Eq. 6: largest error", saastamoinen.saastamoinen1974_quadratic, 9_000.0, 0.5),
     ):
-        h_c = np.arange(1000.0, top + 1.0, 500.0)
-        r = method(air, h_c, 0.0, diagonal, 0.0)
-        summed = saastamoinen.saastamoinen1974(air, h_c, 0.0, diagonal, 0.0)
-        exact = np.asarray(refraction_angle(air, h_c, 0.0, diagonal))
-        blocks.append(
-            block(
-                "p. 297", quantity, "urad", h_g=0.0, zeta_deg=45.0, printed=bound,
-                published=np.max(np.abs(r - summed)) / MICRORADIAN,
-                exact=np.max(np.abs(r - exact)) / MICRORADIAN,
-            )
-        )  # fmt: skip
-    return blocks
-
-
-RADIUS_M = 6_378_000.0
+        ray = (air, np.arange(1000.0, top + 1.0, 500.0), 0.0, _DIAGONAL)
+        of_method, summed = method(*ray, 0.0), saastamoinen.saastamoinen1974(*ray, 0.0)
+        published, exact = (
+            np.max(np.abs(of_method - other)) / MICRORADIAN
+            for other in (summed, refraction_angle(*ray))
+        )
+        yield "p. 297", name, "urad", np.nan, 0.0, 45.0, bound, published, exact
 
 
 def hand_sum(z: Array, density: Array, carried: float | None = None) -> tuple[Array, Array]:
     """Bertram's trapezoid sum over printed densities, unrounded (1966, Tables 1 to 4).
 
-    Parameters
-    ----------
-    z, density : (n,) heights [m] and densities there [kg m-3].
-    carried : sum at the first entry, where an earlier table has brought it so far; without it the
-        first entry closes the triangle, or trapezoid, that begins at sea level.
-
-    Returns
-    -------
-    (n - 1,) heights of the entries [m] and refraction at 45 degrees [rad].
+    ``z``, ``density`` (n,) are heights [m] and densities there [kg m-3]; ``carried`` the sum at the
+    first entry, where an earlier table has brought it so far; without it the first entry closes the
+    triangle, or trapezoid, that begins at sea level. Returns (n - 1,) heights of the entries [m]
+    and refraction at 45 degrees [rad].
 
     >>> z, r = hand_sum(np.array([0.0, 1000.0, 2000.0]), np.array([1.225, 1.112, 1.007]))
     >>> z.tolist(), (r * 1e6).round(1).tolist()
@@ -283,9 +196,8 @@ def hand_sum(z: Array, density: Array, carried: float | None = None) -> tuple[Ar
     return middle, 226e-6 * running / middle
 
 
-def bertram_rows() -> list[Block]:
+def bertram_rows() -> Iterator[Figures]:
     ardc = standard_atmosphere("ardc1959", index="gyer")
-    blocks = []
     for number, suffix in enumerate(
         ("table1", "table2", "table3_arctic_january_75n", "table4_tropical_15n"), 1
     ):
@@ -295,7 +207,7 @@ def bertram_rows() -> list[Block]:
         carried = printed["running_sum"][0] if number == 2 else None
         h_c, r = hand_sum(levels["z_m"], levels["density_kg_m3"], carried)
         if number <= 2:
-            exact = np.asarray(refraction_angle(ardc, h_c, 0.0, 45.0 * DEGREE, RADIUS_M))
+            exact = np.asarray(refraction_angle(ardc, h_c, 0.0, _DIAGONAL, BERTRAM_RADIUS_M))
         else:
             # Air whose log density is linear between the heights, and goes on down to sea level.
             z, logs = levels["z_m"], np.log(levels["density_kg_m3"])
@@ -307,15 +219,9 @@ def bertram_rows() -> list[Block]:
             polynomial = powers * np.diff(logs)[:, None] ** np.arange(8)
             air = RayTable(z, 226e-6 * np.exp(logs[:-1, None]) * polynomial)
             diagonal = math.sqrt(0.5)
-            exact = bend(air, h_c, 0.0, diagonal, diagonal, radius=RADIUS_M)[0]
-        blocks.append(
-            block(
-                str(number), "refraction", "urad", h_c=h_c, h_g=0.0, zeta_deg=45.0,
-                printed=printed["refraction_urad"], published=r / MICRORADIAN,
-                exact=exact / MICRORADIAN,
-            )
-        )  # fmt: skip
-    return blocks
+            exact = bend(air, h_c, 0.0, diagonal, diagonal, radius=BERTRAM_RADIUS_M)[0]
+        figures = printed["refraction_urad"], r / MICRORADIAN, exact / MICRORADIAN
+        yield str(number), "refraction", "urad", h_c, 0.0, 45.0, *figures
 
 
 @dataclass(frozen=True, eq=False)
@@ -349,22 +255,17 @@ def paper_tables(paper: str) -> PaperTable:
     >>> table.columns["printed"][row].item(), table.columns["as_published"][row].round(1).item()
     (-3.0, -3.0)
     """
-    try:
-        rows_of_paper = _PAPERS[paper]
-    except KeyError:
-        raise PhysicsError.of("PAPER-NAME", paper=paper, papers=", ".join(_PAPERS)) from None
-    blocks = rows_of_paper()
-    columns: dict[str, NDArray[np.generic]] = {
-        name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]
-    }
-    notes = files("pipeline.refraction").joinpath("data/paper_notes.toml").read_text("utf-8")
-    return PaperTable(columns, tuple(tomllib.loads(notes)[paper]))
+    if paper not in _PAPERS:
+        raise PhysicsError.of("PAPER-NAME", paper=paper, papers=", ".join(_PAPERS))
+    blocks = [np.broadcast_arrays(*map(np.atleast_1d, figures)) for figures in _PAPERS[paper]()]
+    columns = dict(zip(_COLUMNS, map(np.concatenate, zip(*blocks, strict=True)), strict=True))
+    columns["difference"] = columns["printed"] - columns["exact"]
+    notes = tomllib.loads(_DATA.joinpath("paper_notes.toml").read_text("utf-8"))
+    return PaperTable(columns, tuple(notes[paper]))
 
 
-_PAPERS: dict[str, Callable[[], list[Block]]] = {
+_PAPERS: dict[str, Callable[[], Iterator[Figures]]] = {
     "gyer1996": gyer_rows,
     "saastamoinen1974": saastamoinen_rows,
     "bertram1966": bertram_rows,
 }
-
-__all__ = ["PaperTable", "paper_tables"]

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pipeline.atmosphere.profile import Profile
 from pipeline.errors import PhysicsError
+from pipeline.refraction import status_codes as codes
 from pipeline.refraction.kernels.columns import RayColumns
 from pipeline.refraction.kernels.grazing import bend_grazing_rays
 from pipeline.refraction.kernels.moments import WORTH_A_TABLE, bend_steep_rays
@@ -25,15 +26,6 @@ from pipeline.refraction.kernels.threads import in_blocks
 from pipeline.refraction.published import PUBLISHED
 from pipeline.refraction.published.column import Method, finite
 from pipeline.refraction.ray_table import RayTable, ray_table
-from pipeline.refraction.status_codes import (
-    BAD_MEASUREMENT,
-    BEYOND_GRAZING,
-    FAR_BRANCH,
-    MISSES_GROUND,
-    OK,
-    OUTSIDE_PROFILE,
-    STATUS_NAMES,
-)
 from pipeline.units import Array
 
 DEFAULT_RADIUS_M = 6_371_000.0
@@ -56,10 +48,9 @@ class PublishedRays:
     ) -> tuple[Array, NDArray[np.uint8]]:
         """Refraction angles by the method, each with a status; arguments as for `bend`.
 
-        The status is ``bad_measurement`` where a height, the angle or the radius is none, whether
-        the method reads it or not; ``outside_profile`` where the method does not cover the heights
-        (a ground above the camera among them), ``misses_ground`` where it has no ray in that
-        direction.
+        ``bad_measurement`` where a height, the angle or the radius is none, whether the method
+        reads it or not; ``outside_profile`` where it does not cover the heights (a ground above the
+        camera among them), ``misses_ground`` where it has no ray in that direction.
 
         >>> from pipeline.atmosphere import standard_atmosphere
         >>> plane = rays_by(standard_atmosphere("us1976"), "plane")
@@ -73,12 +64,11 @@ class PublishedRays:
         good &= (zeta_c >= 0.0) & (zeta_c <= math.pi)
         r_c = np.full(good.shape, np.nan)
         r_c[good] = self.method(self.profile, h_c[good], h_g[good], zeta_c[good], radius[good])
-        status = np.where(good, OK, BAD_MEASUREMENT).astype(np.uint8)
+        status = np.where(good, codes.OK, codes.BAD_MEASUREMENT).astype(np.uint8)
         lost = np.isnan(r_c) & good
-        # Straight down every ray reaches the ground: what is missing there is missing for the
-        # heights.
+        # Straight down every ray reaches the ground, unless the heights are not covered.
         at_nadir = self.method(self.profile, h_c[lost], h_g[lost], 0.0, radius[lost])
-        status[lost] = np.where(np.isnan(at_nadir), OUTSIDE_PROFILE, MISSES_GROUND)
+        status[lost] = np.where(np.isnan(at_nadir), codes.OUTSIDE_PROFILE, codes.MISSES_GROUND)
         return r_c, status
 
 
@@ -108,34 +98,26 @@ def bend(
     radius: ArrayLike = DEFAULT_RADIUS_M,
     distance: ArrayLike = math.nan,
 ) -> tuple[Array, NDArray[np.uint8]]:
-    """Refraction angles of rays, each with a status.
+    """Refraction angles R_c of rays [rad], each with a status of `status_codes`.
 
-    Parameters
-    ----------
     table : the profile, from `ray_table` or `rays_by`.
     h_c, h_g : heights of camera and target above sea level [m]; broadcast with the others.
-    sin_zeta_c, cos_zeta_c : of the apparent nadir angle at the camera, 0 to 180 degrees. Both
-        are asked for so that no arccosine loses digits near the nadir; that they belong to one
-        angle is not checked.
+    sin_zeta_c, cos_zeta_c : of the apparent nadir angle at the camera, 0 to 180 degrees: no
+        arccosine loses digits near the nadir. That they belong to one angle is not checked.
     radius : of the sphere [m].
     distance : slant range to the target [m], NaN where unknown. Where a ray meets h_g twice, on
         both sides of its lowest point P_90, it decides which crossing is meant; without it the
         near one is taken and the status is ``beyond_grazing``.
 
-    Returns
-    -------
-    r_c : refraction angle [rad], positive when the apparent ray is farther from the nadir than
-        the straight one; NaN where ``status`` says there is none.
-    status : codes of `pipeline.refraction.status_codes`.
-
-    Against 40-digit arithmetic 1e-9 arcsec, also near grazing; 1e-8 in ducts, 1e-7 through P_90.
-    Rays from one height that follow each other are fastest: they share what the air between does.
+    R_c is positive when the apparent ray is farther from the nadir than the straight one, and NaN
+    where the status says that there is none. Against 40-digit arithmetic 1e-9 arcsec, also near
+    grazing; 1e-8 in ducts, 1e-7 through P_90. Rays from one height that follow each other are
+    fastest: they share what the air between does.
     """
     if isinstance(table, PublishedRays):
         return table.bend(h_c, h_g, sin_zeta_c, cos_zeta_c, radius)
     shape, flat = as_columns(h_c, h_g, sin_zeta_c, cos_zeta_c, radius, distance)
-    r_c = np.empty(flat[0].shape)
-    status = np.empty(flat[0].shape, np.uint8)
+    r_c, status = np.empty(flat[0].shape), np.empty(flat[0].shape, np.uint8)
 
     def bend_block(rows: slice) -> None:
         rays, r_c_rows, status_rows = RayColumns(*(a[rows] for a in flat)), r_c[rows], status[rows]
@@ -184,14 +166,11 @@ def refraction_angle(
 ) -> Any:
     """Refraction angle R_c at the camera [rad].
 
-    Parameters
-    ----------
     profile : the air, from `standard_atmosphere` or a mission.
     h_c, h_g : heights of camera and target above sea level [m]; ``h_g`` may lie above ``h_c``.
     zeta_c : apparent nadir angle [rad], 0 to pi.
-    radius : of the sphere [m].
+    radius, distance : as for `bend`.
     method : one of `METHODS`; all but ``spherical`` are those of `pipeline.refraction.published`.
-    distance : slant range [m], which selects one of two crossings; see `bend`.
 
     Arguments broadcast. Scalars give a float and raise `PhysicsError` where there is no angle;
     arrays give NaN there (`bend` gives the reason for each).
@@ -221,21 +200,22 @@ def angle_and_status(
     """Angles as `refraction_angle` has them [rad], and which crossing each is for, as a status."""
     zeta = np.asarray(zeta_c, dtype=np.float64)
     zeta = np.where((zeta >= 0.0) & (zeta <= math.pi), zeta, np.nan)
-    r_c, codes = bend(
+    r_c, found = bend(
         rays_by(profile, method), h_c, h_g, np.sin(zeta), np.cos(zeta), radius=radius,
         distance=distance,
     )  # fmt: skip
-    status = int(codes) if codes.ndim == 0 else OK
-    if status in (OK, BEYOND_GRAZING, FAR_BRANCH):
-        return r_c, codes
+    status = int(found) if found.ndim == 0 else codes.OK
+    if status in (codes.OK, codes.BEYOND_GRAZING, codes.FAR_BRANCH):
+        return r_c, found
     reason = {
-        BAD_MEASUREMENT: "heights and angle (0 to 180 degrees) must be numbers, the radius above 0",
-        OUTSIDE_PROFILE: f"the profile ({profile.bottom_m:.0f} to {profile.top_m:.0f} m) "
+        codes.BAD_MEASUREMENT: "heights and angle (0 to 180 degrees) must be numbers, the radius "
+        "above 0",
+        codes.OUTSIDE_PROFILE: f"the profile ({profile.bottom_m:.0f} to {profile.top_m:.0f} m) "
         f"or the method ({method}) does not cover the heights",
-        MISSES_GROUND: "the ray never reaches the target's height",
+        codes.MISSES_GROUND: "the ray never reaches the target's height",
     }[status]
     raise PhysicsError(
-        f"RAY-{STATUS_NAMES[status].upper().replace('_', '-')}",
+        f"RAY-{codes.STATUS_NAMES[status].upper().replace('_', '-')}",
         reason,
         where=f"h_c = {h_c!r} m, h_g = {h_g!r} m, zeta_c = {np.degrees(zeta_c):.6f} deg, "
         f"radius = {radius!r} m",

@@ -43,12 +43,11 @@ class RayTable:
         nodes = _chebyshev_nodes(_FINE_DEGREE)
         height = edge[:-1, None] + np.diff(edge)[:, None] * nodes
         u = (height - self.edge_m[piece, None]) / np.diff(self.edge_m)[piece, None]
-        value = np.zeros(u.shape)
-        for power in range(_DEGREE, -1, -1):
-            value = value * u + self.coefficient[piece, power, None]
+        powers = self.coefficient[piece].T[..., None]
+        value = np.polynomial.polynomial.polyval(u, powers, tensor=False)
         marks = np.arange(edge[0], edge[-1], HINT_M)
         hint = np.clip(np.searchsorted(edge, marks, side="right") - 1, 0, edge.size - 2)
-        return FineTable(edge, _polynomials(nodes, value), hint)
+        return FineTable(edge, _polynomials(nodes, np.asarray(value, np.float64)), hint)
 
 
 @lru_cache(maxsize=64)

@@ -1,15 +1,7 @@
 """What became of an observation, as small integers inside and as words in files."""
 
-OK = 0
-NO_STATION = 1
-NO_GROUND = 2
-BAD_MEASUREMENT = 3
-OUTSIDE_CAMERA = 4
-MISSES_GROUND = 5
-BEYOND_GRAZING = 6
-OUTSIDE_PROFILE = 7
-FAR_BRANCH = 8
-SEVERAL_CROSSINGS = 9
+OK, NO_STATION, NO_GROUND, BAD_MEASUREMENT, OUTSIDE_CAMERA = range(5)
+MISSES_GROUND, BEYOND_GRAZING, OUTSIDE_PROFILE, FAR_BRANCH, SEVERAL_CROSSINGS = range(5, 10)
 
 STATUS_NAMES = (
     "ok",
@@ -23,7 +15,6 @@ STATUS_NAMES = (
     "far_branch",
     "several_crossings",
 )
-"""Names by code. Observations that are ``ok``, ``beyond_grazing`` (a far crossing is
-possible, the near one was taken) or ``far_branch`` (the slant range said so) carry
-corrected values, and so do ``several_crossings`` (a terrain is met again farther on, behind a ridge
-or a cliff; the first crossing was taken)."""
+"""Names by code. Corrected values have ``ok``, ``beyond_grazing`` (a far crossing is possible, the
+near one was taken), ``far_branch`` (the slant range said so) and ``several_crossings`` (a terrain
+is met again farther on, behind a ridge or a cliff; the first crossing was taken)."""

@@ -9,40 +9,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pipeline.geodesy import euler_radius, offset_geodetic
+from pipeline.refraction import status_codes as codes
 from pipeline.refraction.camera.camera import Camera
 from pipeline.refraction.image import Exposures, outgoing_rays, straight_reach
-from pipeline.refraction.kernels.columns import (
-    APPARENT,
-    CHART_DEGREE,
-    COS,
-    EMERGES,
-    H_C,
-    HIDDEN,
-    LANDED,
-    NO_TERRAIN,
-    PASSES,
-    RADIUS,
-    SIN,
-    WAITS,
-    ObservationColumns,
-    RayColumns,
-    TerrainGrid,
-    TerrainRays,
-    TerrainState,
-)
+from pipeline.refraction.kernels import columns as of
+from pipeline.refraction.kernels.columns import ObservationColumns, RayColumns, TerrainRays
 from pipeline.refraction.kernels.ray import ray_heights
 from pipeline.refraction.kernels.terrain import divide_differences, follow_rays
 from pipeline.refraction.kernels.threads import in_blocks
 from pipeline.refraction.ray import DEFAULT_RADIUS_M, PublishedRays, as_columns, bend
 from pipeline.refraction.ray_table import RayTable, ray_table
-from pipeline.refraction.status_codes import (
-    BAD_MEASUREMENT,
-    MISSES_GROUND,
-    NO_GROUND,
-    OK,
-    OUTSIDE_PROFILE,
-    SEVERAL_CROSSINGS,
-)
 from pipeline.units import Array, Integers
 
 # Rounds for a published method: each gains three digits, and they go no nearer to grazing.
@@ -64,20 +40,12 @@ def height_at_distance(
 ) -> tuple[Array, NDArray[np.uint8]]:
     """Heights of targets whose slant range is known, along the bent rays that show them.
 
-    Parameters
-    ----------
-    table : the air, from `ray_table` or `rays_by`.
-    h_c : height of the camera above sea level [m]; broadcast with the others.
-    sin_zeta_c, cos_zeta_c : of the apparent nadir angle at the camera, 0 to 180 degrees.
     distance : length [m] of the straight chord from camera to target, over 0; before or beyond the
-        lowest point P_90 of the ray.
-    radius : of the sphere [m].
+        lowest point P_90 of the ray. The rest as for `bend`; all broadcast.
 
-    Returns
-    -------
-    h_g : height of the target above sea level [m], NaN where ``status`` says there is none.
-    status : ``outside_profile`` where the chord ends outside it, ``misses_ground`` where the ray
-        passes under all land on its way, ``bad_measurement`` for what is no distance or angle.
+    Returns the height h_g of the target above sea level [m], NaN where there is none, and the
+    status: ``outside_profile`` where the chord ends outside it, ``misses_ground`` where the ray
+    passes under all land on its way, ``bad_measurement`` for what is no distance or angle.
 
     A millionth of a metre against 30-digit arithmetic, through P_90 too: unlike the distance of a
     given height, the height at a given distance is well determined there. For a published method
@@ -94,18 +62,18 @@ def height_at_distance(
     shape, (h_c, sin_z, cos_z, distance, radius) = as_columns(
         h_c, sin_zeta_c, cos_zeta_c, distance, radius
     )
-    if isinstance(table, PublishedRays):
-        rays = RayColumns(h_c, np.empty(h_c.shape), sin_z, cos_z, radius, distance)
-        height, status = _by_repetition(table, rays)
-        return height.reshape(shape), status.reshape(shape)
-    height = np.empty(h_c.shape)
-    status = np.empty(h_c.shape, np.uint8)
+    height, status = np.empty(h_c.shape), np.empty(h_c.shape, np.uint8)
     rays = RayColumns(h_c, height, sin_z, cos_z, radius, distance)  # h_g is not read
+    if isinstance(table, PublishedRays):
+        height, status = _by_repetition(table, rays)
+    else:
+        pieces = table.pieces
 
-    def heights_of_block(rows: slice) -> None:
-        ray_heights(table.pieces, RayColumns(*(a[rows] for a in rays)), height[rows], status[rows])
+        def heights_of_block(rows: slice) -> None:
+            part = RayColumns(*(a[rows] for a in rays))
+            ray_heights(pieces, part, height[rows], status[rows])
 
-    in_blocks(heights_of_block, h_c.size)
+        in_blocks(heights_of_block, h_c.size)
     return height.reshape(shape), status.reshape(shape)
 
 
@@ -122,21 +90,18 @@ def target_heights(
 ) -> Array:
     """Heights of the targets of image observations whose slant range is known.
 
-    Parameters
-    ----------
     x_px, y_px : (n,) pixels: measured, or those of the straight chord where ``ideal``.
-    distance_m : (n,) slant ranges [m], NaN where unknown.
-    exposure, exposures, camera, table : as for `correct_observations`.
+    The rest as for `correct_observations`.
 
     Returns the heights above sea level [m], (n,), NaN where the observation lacks something that
     `correct_observations` will name, or its chord ends outside the profile.
     """
     rays = target_rays(x_px, y_px, exposure, exposures, camera=camera, ideal=ideal)
-    h_c, radius = rays[H_C], rays[RADIUS]
+    h_c, radius = rays[of.H_C], rays[of.RADIUS]
     if ideal:
         with np.errstate(invalid="ignore"):
-            return chord_height(h_c, rays[COS], distance_m, radius)
-    return height_at_distance(table, h_c, rays[SIN], rays[COS], distance_m, radius=radius)[0]
+            return chord_height(h_c, rays[of.COS], distance_m, radius)
+    return height_at_distance(table, h_c, rays[of.SIN], rays[of.COS], distance_m, radius=radius)[0]
 
 
 def target_rays(
@@ -148,10 +113,8 @@ def target_rays(
     camera: Camera,
     ideal: bool,
 ) -> Array:
-    """The matrix of rays (RAY_ROWS, n) of pixels as in `target_heights`; NaN where there is none.
-
-    Where ``ideal`` they are the straight chords themselves.
-    """
+    """The matrix of rays (RAY_ROWS, n) of pixels as in `target_heights`, NaN where there is none;
+    where ``ideal`` they are the straight chords themselves."""
     if ideal:  # a straight line has no window and no lens, and may lie beside the format
         exposures = replace(
             exposures, refractivity_cabin=exposures.refractivity_outside, principal_change_px=None
@@ -198,9 +161,9 @@ def _by_repetition(table: PublishedRays, rays: RayColumns) -> tuple[Array, NDArr
             height = height + step
             if not np.nanmax(np.abs(step), initial=0.0) > _CLOSE_M:
                 break
-    status[(status == OK) & ~(np.abs(step) <= _CLOSE_M)] = MISSES_GROUND
-    status[~sound] = BAD_MEASUREMENT
-    return np.where(status == OK, height, math.nan), status
+    status[(status == codes.OK) & ~(np.abs(step) <= _CLOSE_M)] = codes.MISSES_GROUND
+    status[~sound] = codes.BAD_MEASUREMENT
+    return np.where(status == codes.OK, height, math.nan), status
 
 
 # Some hundred bytes are needed for each.
@@ -221,7 +184,7 @@ _STEEP_SHARES = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, 5) / 4)
 _LEVEL_SHARES = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, 9) / 8)
 
 # Polynomials from east and north of a station to rows and columns: powers, nodes, and between.
-_POWERS = [(d - p, p) for d in range(CHART_DEGREE + 1) for p in range(d + 1)]
+_POWERS = [(d - p, p) for d in range(of.CHART_DEGREE + 1) for p in range(d + 1)]
 _NODES, _CHECKS = (
     np.stack(np.meshgrid(a, a), axis=-1).reshape(-1, 2)
     for a in (np.cos(np.pi * (np.arange(6) + 0.5) / 6), np.linspace(-0.95, 0.95, 5))
@@ -231,29 +194,25 @@ _LARGEST_ERROR = 0.01
 
 
 class Terrain(Protocol):
-    """A terrain of heights above sea level in tiles, whatever they are read from."""
+    """A terrain of heights above sea level in tiles, whatever they are read from.
+
+    Its ``grid`` says which tiles are in memory; ``lock`` is held while tiles are read and rays go
+    over them; ``nodes`` are row and column, in nodes of the grid, of places on WGS 84; ``load``
+    reads tiles into memory, as many as fit there, the first ones first.
+    """
 
     @property
-    def grid(self) -> TerrainGrid:
-        """The tiles, and which are in memory."""
-
+    def grid(self) -> of.TerrainGrid: ...
     @property
-    def lock(self) -> AbstractContextManager[object]:
-        """Held while tiles are read and rays go over them."""
-
-    def nodes(self, lat_rad: Array, lon_rad: Array) -> tuple[Array, Array]:
-        """Row and column, in nodes of the grid, of places on WGS 84."""
-
-    def load(self, tiles: Integers) -> None:
-        """Read tiles into memory, as many as fit there, the first ones first."""
+    def lock(self) -> AbstractContextManager[object]: ...
+    def nodes(self, lat_rad: Array, lon_rad: Array) -> tuple[Array, Array]: ...
+    def load(self, tiles: Integers) -> None: ...
 
 
 class TerrainHeights(NamedTuple):
-    """Where rays land (n,).
-
-    Height above sea level [m], what it changes by with the height of the terrain there, slant range
-    [m], and status: `OK`, or `SEVERAL_CROSSINGS` where a ray would come out of the ground again;
-    others have no height.
+    """Where rays land (n,): height above sea level [m], what it changes by with the height of the
+    terrain there, slant range [m], and status, ``several_crossings`` where a ray would come out of
+    the ground again; but for ``ok`` others have no height.
     """
 
     h_m: Array
@@ -276,28 +235,25 @@ def terrain_heights(
 ) -> TerrainHeights:
     """Heights where the rays of image observations first meet the terrain.
 
-    Parameters
-    ----------
     x_px, y_px : (n,) pixels: measured, or those of the straight chord where ``ideal``.
     exposure, exposures, camera, table : as for `correct_observations`.
     places : (s,) latitude and longitude [rad] of the exposures.
     terrain : from `pipeline.tables.geodata.elevation`.
 
-    The status is ``no_ground`` where a ray leaves the terrain, lands in a hole of it, or was
-    followed for 200 km, ``misses_ground`` where it passes over all of it or starts below it,
-    ``outside_profile`` where it leaves the air under it. Rays that see no exposure have ``ok`` and
-    no height: `correct_observations` says why.
+    ``no_ground`` is where a ray leaves the terrain, lands in a hole of it, or was followed for 200
+    km, ``misses_ground`` where it passes over all of it or starts below it, ``outside_profile``
+    where it leaves the air under it. Rays that see no exposure have ``ok`` and no height.
 
     A ray is its straight chord at each distance, turned by the R_c there; R_c by distance is
     interpolated. Against steps of an integrated ray: 1 mm below 60 degrees, 1 cm below 75.
     """
     n = x_px.size
-    numbers, status = np.full((3, n), np.nan), np.full(n, OK, np.uint8)
+    numbers, status = np.full((3, n), np.nan), np.full(n, codes.OK, np.uint8)
     of_table = ray_table(table.profile) if isinstance(table, PublishedRays) else table
     air = None if ideal else of_table
     for first in range(0, n, _ROWS_AT_ONCE):
         some = slice(first, min(first + _ROWS_AT_ONCE, n))
-        rays = np.empty((H_C + 1, some.stop - first))
+        rays = np.empty((of.H_C + 1, some.stop - first))
 
         def leave(rows: slice, first: int = first, rays: Array = rays) -> None:
             at = slice(first + rows.start, first + rows.stop)
@@ -306,8 +262,9 @@ def terrain_heights(
             )
 
         in_blocks(leave, rays.shape[1])
-        for which, steep in ((rays[COS] > _STEEP, True), (rays[COS] <= _STEEP, False)):
-            rows = np.flatnonzero(which)
+        is_steep = rays[of.COS] > _STEEP
+        for steep in (True, False):
+            rows = np.flatnonzero((is_steep == steep) & ~np.isnan(rays[of.COS]))
             if rows.size:
                 way, end, at_end = _ways(
                     rays[:, rows], exposure[first + rows], places, air, terrain, steep=steep
@@ -329,7 +286,7 @@ def _ways(
 ) -> tuple[TerrainRays, Array, NDArray[np.uint8]]:
     """Rays over the terrain's grid, their ends [m] and the status of a ray that reaches its end."""
     knot, r_c, at_end = _bent_paths(rays, air, steep=steep)
-    sine, cosine, radius, h_c = rays[[SIN, COS, RADIUS, H_C]]
+    sine, cosine, radius, h_c = rays[[of.SIN, of.COS, of.RADIUS, of.H_C]]
     end = knot[:, -1].copy()
     arc = radius * np.arctan2(end * sine, radius + h_c - end * cosine)
     station, chart = np.unique(exposure, return_inverse=True)
@@ -338,9 +295,9 @@ def _ways(
     charts, reach = _charts(places[0][station], places[1][station], needed + 1.0, terrain)
     short = 0.98 * reach[chart] < arc
     end[short] *= 0.98 * reach[chart][short] / arc[short]
-    at_end[short] = NO_GROUND
+    at_end[short] = codes.NO_GROUND
     with np.errstate(invalid="ignore"):
-        east, north = rays[APPARENT : APPARENT + 2] / np.where(sine > 0, sine, 1)
+        east, north = rays[of.APPARENT : of.APPARENT + 2] / np.where(sine > 0, sine, 1)
     r_c /= knot
     way = TerrainRays(sine, cosine, h_c, radius, east, north, knot, r_c, chart, charts, reach)
     return way, end, at_end
@@ -351,16 +308,16 @@ def _bent_paths(
 ) -> tuple[Array, Array, NDArray[np.uint8]]:
     """Straight distances (n, k) along rays, R_c there, and the status of a ray beyond the last.
 
-    Steep rays as far as the lowest land, others where they leave all land or for 200 km. Without
-    ``air`` they are straight. NaN where the air does not reach as far.
+    Steep rays as far as the lowest land, others where they leave all land or for 200 km; straight
+    without ``air``, NaN where that does not reach as far.
     """
     n, shares = rays.shape[1], _STEEP_SHARES if steep else _LEVEL_SHARES
     knot, r_c = np.empty((n, shares.size)), np.zeros((n, shares.size))
-    at_end = np.full(n, OUTSIDE_PROFILE, np.uint8)
+    at_end = np.full(n, codes.OUTSIDE_PROFILE, np.uint8)
     bottom = _LOWEST_M if air is None else max(_LOWEST_M, float(air.edge_m[0]))
 
     def fill(rows: slice) -> None:
-        sine, cosine, radius, h_c = rays[[SIN, COS, RADIUS, H_C], rows]
+        sine, cosine, radius, h_c = rays[[of.SIN, of.COS, of.RADIUS, of.H_C], rows]
         if steep:
             for k, share in enumerate(shares):
                 h_k = h_c - share * (h_c - bottom)
@@ -374,8 +331,8 @@ def _bent_paths(
             down = straight_reach(h_c, bottom, cosine, radius=radius, far=False)
             up = np.nan_to_num(straight_reach(h_c, _HIGHEST_M, cosine, radius=radius, far=True))
             end = np.fmin(np.where(cosine > 0.0, down, np.nan), up)
-            at_end[rows] = np.where(end == up, MISSES_GROUND, OUTSIDE_PROFILE)
-            at_end[rows][end > _FARTHEST_M] = NO_GROUND
+            at_end[rows] = np.where(end == up, codes.MISSES_GROUND, codes.OUTSIDE_PROFILE)
+            at_end[rows][end > _FARTHEST_M] = codes.NO_GROUND
             end = np.clip(end, 1.0, _FARTHEST_M)
             for k, share in enumerate(shares):
                 t = knot[rows, k] = share * end
@@ -392,8 +349,8 @@ def _bent_paths(
 def _charts(lat_rad: Array, lon_rad: Array, needed: Array, terrain: Terrain) -> tuple[Array, Array]:
     """Charts (m, 2, 15) of `TerrainRays` about (m,) places, and how far each is good [m].
 
-    Least squares over nodes that are exact; checked between them. ``needed`` (m,) is how far they
-    should reach; a chart that errs by more than 0.01 cell is made for half the distance.
+    Least squares over exact nodes, checked between them; a chart for ``needed`` (m,) that errs by
+    more than 0.01 cell is made for half the distance.
     """
     reach = needed.copy()
     charts = np.empty((needed.size, 2, len(_POWERS)))
@@ -445,24 +402,24 @@ def _follow(
     height, distance, factor = np.full((3, n), np.nan)
     usable = np.isfinite(paths.bend).all(axis=1) & np.isfinite(end)
     follows = usable & (paths.reach[paths.chart] > 0.0)
-    result = np.where(follows, np.uint8(WAITS), np.uint8(NO_TERRAIN))
-    state = TerrainState(end, np.zeros(n), side, gap, distance, height, factor, wanted, result)
+    result = np.where(follows, np.uint8(of.WAITS), np.uint8(of.NO_TERRAIN))
+    state = of.TerrainState(end, np.zeros(n), side, gap, distance, height, factor, wanted, result)
     followed = np.flatnonzero(follows)
     with terrain.lock:
         for some in (followed[::_SCOUTS], followed):
-            while (going := some[state.result[some] == WAITS]).size:
+            while (going := some[state.result[some] == of.WAITS]).size:
                 in_blocks(
                     lambda rows: follow_rays(paths, going[rows], terrain.grid, state), going.size
                 )
                 tiles, count = np.unique(state.wanted[going], return_counts=True)
                 tiles = tiles[np.argsort(-count, kind="stable")]
                 terrain.load(tiles[tiles >= 0])
-    status_of = np.empty(WAITS + 1, np.uint8)
-    status_of[[LANDED, EMERGES, HIDDEN, NO_TERRAIN]] = (
-        OK, SEVERAL_CROSSINGS, MISSES_GROUND, NO_GROUND,
+    status_of = np.empty(of.WAITS + 1, np.uint8)
+    status_of[[of.LANDED, of.EMERGES, of.HIDDEN, of.NO_TERRAIN]] = (
+        codes.OK, codes.SEVERAL_CROSSINGS, codes.MISSES_GROUND, codes.NO_GROUND,
     )  # fmt: skip
-    status = np.where(state.result == PASSES, at_end, status_of[state.result]).astype(np.uint8)
-    status[~usable] = OUTSIDE_PROFILE
-    landed = (status == OK) | (status == SEVERAL_CROSSINGS)
+    status = np.where(state.result == of.PASSES, at_end, status_of[state.result]).astype(np.uint8)
+    status[~usable] = codes.OUTSIDE_PROFILE
+    landed = (status == codes.OK) | (status == codes.SEVERAL_CROSSINGS)
     height[~landed] = distance[~landed] = np.nan
     return TerrainHeights(height, factor, distance, status)

@@ -28,7 +28,6 @@ alternate static sources of light aircraft show (some 25 m of height)."""
 SIGMA_THERMOMETER_K = 1.0
 """Of a thermometer in the cabin that nobody calibrated, against the air before the window."""
 
-
 UNKNOWN = float("nan")
 
 
@@ -36,15 +35,10 @@ UNKNOWN = float("nan")
 class Cabin:
     """What is stated about the air in the compartment; NaN where nothing is.
 
-    Parameters
-    ----------
-    source : of the pressure: logged with each exposure, constant, ambient (as outside), or Gyer's
-        schedule.
-    pressure_pa : of ``constant`` [Pa].
-    temperature_k : [K]; where it is not stated it may be logged, or has to be assumed.
-    relative_humidity : 0 to 1; likewise.
-    sigma_pressure_pa, sigma_temperature_k : standard deviations [Pa, K].
-    temperature_logged : whether the log is stated to have the temperature.
+    ``source`` of the pressure: logged with each exposure, constant (``pressure_pa``), ambient (as
+    outside), or Gyer's schedule. ``temperature_k`` and ``relative_humidity`` (0 to 1) may be logged
+    or have to be assumed where they are not stated; ``temperature_logged`` says that the log is
+    stated to have the former. The sigmas are standard deviations [Pa, K].
     """
 
     source: Literal["log", "constant", "ambient", "standard_schedule"]
@@ -60,16 +54,12 @@ class Cabin:
 class Window:
     """The window in front of a camera.
 
-    Parameters
-    ----------
-    cabin : the air behind it; None where it is unknown, which only a spherical window allows.
-    normal : unit vector out of the compartment.
-    frame : of ``normal``: the camera (x right, y down, z forward) or the body of the aircraft
-        (x forward, y right, z down), which a stabilised camera moves in.
-    shape : plane, or a sphere about the projection centre, which every ray meets at right angles
-        and which therefore bends nothing.
-    in_calibration : whether the camera was calibrated with the glass in front of it. It changes
-        no number here.
+    ``cabin`` is the air behind it, None where it is unknown, which only a spherical window allows;
+    ``normal`` a unit vector out of the compartment in the ``frame`` of the camera (x right, y down,
+    z forward) or of the aircraft's body (x forward, y right, z down), in which a stabilised camera
+    moves. A spherical ``shape``, about the projection centre, bends nothing: every ray meets it at
+    right angles. ``in_calibration``: whether the camera was calibrated with the glass in front of
+    it; it changes no number here.
 
     Raises PhysicsError (WINDOW-NORMAL, WINDOW-AIR).
 
@@ -118,18 +108,14 @@ def refract_at_window(
     Rays traced from the camera go out from the cabin's air (before) into that outside (after), or
     back in from outside; either way the normal points to where they go.
 
-    Parameters
-    ----------
     direction : (n, 3) unit vectors before the window, in the frame of ``normal``.
     refractivity_before, refractivity_after : n - 1 of the air on either side, () or (n,).
     normal : (3,) or (n, 3) unit vectors of the window.
 
-    Returns
-    -------
-    change : (n, 3), to be added to ``direction``; NaN for a ray that the window reflects wholly,
-        and for one along the window or against the normal (normal . direction <= 0).
-    angle : (n,) between the two [rad], positive where the air before is the denser: R_cc of a ray
-        out of the compartment, whose image point the cabin has moved inward; NaN with ``change``.
+    Returns the change (n, 3) to be added to ``direction``, and the angle (n,) between the two
+    [rad], positive where the air before is the denser: R_cc of a ray out of the compartment, whose
+    image point the cabin has moved inward. Both are NaN for a ray that the window reflects wholly,
+    and for one along the window or against the normal (normal . direction <= 0).
 
     Exact, without differencing. Source: Gyer 1996, Eq. 36 in vector form.
 

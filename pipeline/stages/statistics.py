@@ -273,9 +273,9 @@ class Statistics:
         if corrections.sigmas is not None:
             with np.errstate(divide="ignore", invalid="ignore"):
                 self.cabin_share.add(corrections.sigmas.r_cc_rad / np.abs(corrections.r_c_rad))
-            columns = corrections.sigmas.columns()
-            self.air_variance += _squares(columns["air_dx_px"], columns["air_dy_px"])
-            self.by_mode += _squares(columns["dx_ds_px"], columns["dy_ds_px"])
+            sigmas = corrections.sigmas
+            self.air_variance += _squares(sigmas.air_dx_px, sigmas.air_dy_px)
+            self.by_mode += _squares(sigmas.dx_ds_px, sigmas.dy_ds_px)
         counts = np.bincount(corrections.status, batch.weight, minlength=len(STATUS_NAMES))
         for name, count in zip(STATUS_NAMES, counts.tolist(), strict=True):
             self.status[name] = self.status.get(name, 0) + round(count)
@@ -412,7 +412,7 @@ def sigma_parts(corrections: Corrections, rows: NDArray[np.intp]) -> Array:
     """(n, 4) lengths [px] of the standard deviations of some rows, as in `SIGMA_PARTS`."""
     if corrections.sigmas is None:
         return np.full((rows.size, len(SIGMA_PARTS)), np.nan)
-    columns = corrections.sigmas.columns()
+    columns = corrections.sigmas._asdict()
     parts = [np.hypot(columns[f"{k}_dx_px"][rows], columns[f"{k}_dy_px"][rows])
              for k in SIGMA_PARTS]  # fmt: skip
     return np.stack(parts, axis=1).astype(np.float64)

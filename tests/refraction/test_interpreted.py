@@ -89,7 +89,7 @@ def test_image_points_behind_windows_and_their_sigmas(monkeypatch, distortion):
         )  # fmt: skip
         assert found.sigmas is not None
         numbers = [v for k, v in vars(found).items() if k != "sigmas"]
-        return [*numbers, *found.sigmas.columns().values(), *camera.rays(x, y)[:2]]
+        return [*numbers, *found.sigmas._asdict().values(), *camera.rays(x, y)[:2]]
 
     interpreted, compiled = both(monkeypatch, corrected)
     assert_same_bits(interpreted, compiled)

@@ -249,7 +249,7 @@ def test_rows_in_any_order(air, order):
         return correct_observations(
             x[rows], y[rows], h_g[rows], row[rows], two, camera=CAMERA, table=ray_table(profile),
             uncertainty=uncertainty, sigma_h_g=1.0 + 0.25 * rows,  # another in each row
-        ).sigmas.columns()  # fmt: skip
+        ).sigmas._asdict()  # fmt: skip
 
     together = sigmas(np.arange(row.size))
     for i in range(min(row.size, 6)):
@@ -261,7 +261,7 @@ def test_rows_in_any_order(air, order):
 def test_what_is_unknown_is_not_a_number(air):
     profile, covariance = air
     ex, (x, y, h_g) = exposed(profile), points(30)
-    known = with_sigmas(profile, ex, station_sigmas(), x, y, h_g, covariance).sigmas.columns()
+    known = with_sigmas(profile, ex, station_sigmas(), x, y, h_g, covariance).sigmas._asdict()
     no_window = {"dx_dncc_px", "dy_dncc_px"}
     for name, values in known.items():
         assert (np.isnan if name in no_window else np.isfinite)(values).all()
@@ -269,7 +269,7 @@ def test_what_is_unknown_is_not_a_number(air):
     def lost(**changed) -> set[str]:
         how = {"stations": station_sigmas(), "covariance": covariance, "sigma": GROUND} | changed
         stations = how.pop("stations")
-        columns = with_sigmas(profile, ex, stations, x, y, h_g, **how).sigmas.columns()
+        columns = with_sigmas(profile, ex, stations, x, y, h_g, **how).sigmas._asdict()
         for name, values in columns.items():
             assert np.isnan(values).all() or np.array_equal(values, known[name])
         lacking = {name for name, values in columns.items() if np.isnan(values).all()}
@@ -302,7 +302,7 @@ def test_without_a_correction_no_sigma(air):
         sigma_h_g=np.full(4, GROUND),
     )  # fmt: skip
     assert found.status[1:3].tolist() == [NO_GROUND, NO_STATION]
-    for name, values in found.sigmas.columns().items():
+    for name, values in found.sigmas._asdict().items():
         no_window = "dncc" in name
         assert np.isnan(values).tolist() == [no_window, True, True, no_window]
     assert set(found.to_pandas()) >= {"sigma_air_dx_px", "sigma_r_c_rad", "status"}
@@ -348,7 +348,7 @@ def test_displacing_has_the_sigmas_of_where_it_ends(air):
         x, y, h_g, np.zeros(x.size, np.int64), ex, camera=CAMERA, table=ray_table(profile), **how
     )
     back = shifts(profile, ex, there.x_px, there.y_px, h_g, **how)
-    for name, values in there.sigmas.columns().items():
+    for name, values in there.sigmas._asdict().items():
         sign = -1.0 if name in PARTIALS else 1.0  # displaced is where corrected comes from
         np.testing.assert_allclose(values, sign * getattr(back.sigmas, name), rtol=1e-6)
 

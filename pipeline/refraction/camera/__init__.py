@@ -2,9 +2,8 @@
 
 A model is a module with ``Parameters`` (a named tuple of numbers), ``distort``, ``slopes`` and
 ``largest_radius`` like those of `brown_conrady`, and a line in `DISTORTION_MODELS`. ``distort`` and
-``slopes`` are called with numpy columns and also compiled: arithmetic and `math` only. A camera
-carries parameters, and their type names the model, so that the compiler makes a version
-of each kernel for each model in use, without a branch in its loops.
+``slopes`` take numpy columns and are also compiled: arithmetic and `math` only. The type of a
+camera's parameters names its model, so that each kernel is compiled for each model in use.
 """
 
 from types import ModuleType

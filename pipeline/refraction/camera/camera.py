@@ -27,13 +27,8 @@ LARGEST_CHANGE = 0.01
 class Camera:
     """Interior orientation of a frame camera.
 
-    Parameters
-    ----------
-    width_px, height_px : format of the image.
-    fx_px, fy_px : principal distance in pixels.
-    cx_px, cy_px : principal point.
-    distortion : parameters of one of `DISTORTION_MODELS`, whose type names the model; by default
-        no distortion.
+    Format of the image, principal distance and principal point [px], and the parameters of one of
+    `DISTORTION_MODELS`, whose type names the model.
     """
 
     width_px: int
@@ -103,11 +98,7 @@ class LensInAir:
 def principal_change(lens: LensInAir, pressure_pa: ArrayLike, temperature_k: ArrayLike) -> Array:
     """What the air in a lens adds to its calibrated principal distance [px].
 
-    Parameters
-    ----------
-    lens : its calibration and derivatives.
-    pressure_pa, temperature_k : of the air in the lens, broadcast together; NaN gives NaN.
-
+    ``pressure_pa``, ``temperature_k`` of the air in the lens broadcast; NaN gives NaN.
     Linear: dc = dc/dp (p - p_ref) + dc/dT (T - T_ref). As good as the derivatives, which have to be
     measured for each type of lens. Meier (Zeiss) found on a 153 mm lens at 6 km -0.020 mm behind a
     pressurised window and -0.036 to -0.047 mm without one: 130 to 310 ppm, which at 45 degrees

@@ -8,9 +8,10 @@ h_c, h_g : heights of camera and ground above sea level [m].
 zeta_c : apparent nadir angle at the camera [rad].
 radius : of the sphere [m]; the plane forms do not use it.
 
-Arguments broadcast. It returns R_c [rad], NaN where the method is not defined: never for
-zeta_c >= 90 degrees, a ground above the camera, or heights that the profile does not cover, and
-within narrower limits where the docstring of the function states them.
+A plane form is written as R at 45 degrees, a function ``(profile, h_c, h_g)`` that `at_45_degrees`
+makes a method of. Arguments broadcast. It returns R_c [rad], NaN where the method is not defined:
+for zeta_c >= 90 degrees, a ground above the camera, heights that the profile does not cover, and
+beyond narrower limits where the docstring of the function states them.
 """
 
 from pipeline.refraction.published.bertram import (
@@ -51,24 +52,4 @@ PUBLISHED: dict[str, Method] = {
 }
 """Methods by the name that ``refraction.method`` and ``unbend angle --method`` take."""
 
-__all__ = [
-    "PUBLISHED",
-    "Method",
-    "bertram1966",
-    "bertram1966_curved",
-    "bertram1966_from_ground",
-    "compartment",
-    "gyer1996",
-    "manual",
-    "plane",
-    "plane_first_term",
-    "plane_moist",
-    "quadratic_coefficients",
-    "saastamoinen1974",
-    "saastamoinen1974_fitted",
-    "saastamoinen1974_ican",
-    "saastamoinen1974_quadratic",
-    "saastamoinen1974_series",
-    "saastamoinen1974_weather",
-    "weather_refraction",
-]
+__all__ = ["PUBLISHED", "Method", "compartment", "quadratic_coefficients", "weather_refraction"]

@@ -1,23 +1,17 @@
 """Bertram 1966: a trapezoid sum over tabulated densities; and the Manual's fit to his table.
 
-Two things in the paper do not hold, whatever the digits:
-
-* **Eq. 9** is not the refraction of a raised ground point. It subtracts what lies below the
-  point, but keeps every height counted from sea level: the lever arms Z instead of Z - Z_p, and
-  Z_c instead of Z_c - Z_p below. His example (camera 10.5 km, point 1.5 km) gives 78.1 urad;
-  starting the sum at the point, as he says one could, gives 65.9. `bertram1966` follows the
-  paper, `bertram1966_from_ground` starts at the point.
-* **The curved-earth term** has the wrong sign, (X - X_0) for (X_0 - X), and is a small part of
-  what the curvature does (`bertram1966_curved`).
-
-"2.340 / Z" above 80.5 km is 2,340 / Z urad with Z in km.
+Two things in the paper do not hold, whatever the digits: Eq. 9 is not the refraction of a raised
+ground point, because every height is counted from sea level, the lever arms too (`bertram1966`
+follows the paper, `bertram1966_from_ground` starts at the point); and the curved-earth term has the
+wrong sign and is a small part of what the curvature does (`bertram1966_curved`). "2.340 / Z" above
+80.5 km is 2,340 / Z urad with Z in km.
 """
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from pipeline.atmosphere.profile import Profile
-from pipeline.refraction.published.column import density, finite, times_tangent
+from pipeline.refraction.published.column import at_45_degrees, density, finite, times_tangent
 from pipeline.units import Array
 
 INDEX_PER_DENSITY = 0.000226
@@ -33,12 +27,11 @@ INTERVAL_M = np.concatenate([np.full(21, 1000.0), np.full(20, 3000.0)])
 """Interval of the densities whose difference gives the gradient, for each step between nodes."""
 
 
-def bertram1966(
-    profile: Profile, h_c: ArrayLike, h_g: ArrayLike, zeta_c: ArrayLike, radius: ArrayLike
-) -> Array:
+@at_45_degrees
+def bertram1966(profile: Profile, h_c: Array, h_g: Array) -> Array:
     """R_c [rad] by the trapezoid on tabulated densities (Bertram 1966, Eq. 6, 8 and 9).
 
-    Arguments as in `pipeline.refraction.published`. The sum starts at sea level, in steps of
+    The sum starts at sea level, in steps of
     1000 m to 20.5 km, of 3000 m to 80.5 km, and nothing is added above. A raised ground is
     treated by Eq. 9, as printed. The profile must reach half an interval beyond either end (82 km
     at most); NaN for a camera at or below sea level and a ground below -1 km.
@@ -53,21 +46,18 @@ def bertram1966(
     >>> (r * 1e6).round(1).tolist()
     [80.8, 78.1]
     """
-    h_c, h_g, zeta_c = finite(h_c, h_g, zeta_c)
     sea = np.zeros(h_c.shape)
     usable = (h_c > 0.0) & (h_g >= LOWEST_M)
     camera = _moment(profile, sea, np.where(usable, h_c, np.nan))
     ground = _moment(profile, sea, np.where(usable, h_g, np.nan))
-    r = INDEX_PER_DENSITY * (camera - ground) / np.where(usable, h_c, 1.0)
-    return times_tangent(r, h_c, h_g, zeta_c)
+    return INDEX_PER_DENSITY * (camera - ground) / np.where(usable, h_c, 1.0)
 
 
-def bertram1966_from_ground(
-    profile: Profile, h_c: ArrayLike, h_g: ArrayLike, zeta_c: ArrayLike, radius: ArrayLike
-) -> Array:
+@at_45_degrees
+def bertram1966_from_ground(profile: Profile, h_c: Array, h_g: Array) -> Array:
     """R_c [rad] by Eq. 6 of Bertram 1966 with the sum started at the ground, as it should be.
 
-    Arguments as in `pipeline.refraction.published`. Within 1.4 % of the spherical form at
+    Within 1.4 % of the spherical form at
     45 degrees and up to 20 km, whatever the height of the ground.
 
     >>> from pipeline.atmosphere import standard_atmosphere
@@ -76,11 +66,8 @@ def bertram1966_from_ground(
     >>> float((r * 1e6).round(1))
     66.0
     """
-    h_c, h_g, zeta_c = finite(h_c, h_g, zeta_c)
     rise = np.where(h_c >= h_g, h_c - h_g, np.nan)
-    moment = _moment(profile, h_g, rise)
-    r = INDEX_PER_DENSITY * moment / np.where(rise > 0.0, rise, 1.0)
-    return times_tangent(r, h_c, h_g, zeta_c)
+    return INDEX_PER_DENSITY * _moment(profile, h_g, rise) / np.where(rise > 0.0, rise, 1.0)
 
 
 def bertram1966_curved(
@@ -94,12 +81,10 @@ def bertram1966_curved(
 ) -> Array:
     """R_c [rad] with the term for the curvature of the earth (Bertram 1966, p. 81).
 
-    Arguments as in `pipeline.refraction.published`; the sum starts at the ground. The term is
-    tan(zeta_c) / (v Z_0 R) times the sum of (Z_0 - Z) Z dv/dZ; ``as_printed`` takes it with the
-    sign of the paper, which lowers R_c where the curvature raises it.
-
-    The term is 0.04 arcsec of the 0.7 that the curvature adds at 10 km and 75 degrees: it keeps the
-    first power of X_0 - X and no more. It serves comparison only.
+    The sum starts at the ground. The term is tan(zeta_c) / (v Z_0 R) times the sum of
+    (Z_0 - Z) Z dv/dZ; ``as_printed`` takes it with the sign of the paper, which lowers R_c where
+    the curvature raises it. It keeps the first power of X_0 - X and no more: 0.04 arcsec of the 0.7
+    that the curvature adds at 10 km and 75 degrees. It serves comparison only.
 
     >>> from pipeline.atmosphere import standard_atmosphere
     >>> air = standard_atmosphere("ardc1959")
@@ -145,12 +130,11 @@ def _moment(profile: Profile, origin: Array, rise: Array, curvature: bool = Fals
 MANUAL_TOP_M = 80_500.0
 
 
-def manual(
-    profile: Profile, h_c: ArrayLike, h_g: ArrayLike, zeta_c: ArrayLike, radius: ArrayLike
-) -> Array:
+@at_45_degrees
+def manual(profile: Profile, h_c: Array, h_g: Array) -> Array:
     """R_c [rad] by 2410 H / (H^2 - 6 H + 250) - (h / H) 2410 h / (h^2 - 6 h + 250) urad.
 
-    Arguments as in `pipeline.refraction.published`; ``profile`` is not looked at, H and h are km
+    ``profile`` is not looked at, H and h are km
     above sea level. NaN for a camera at or below sea level or above 80.5 km.
 
     A fit to Bertram's table, good above 6 km: against the spherical form at 45 degrees in ARDC 1959
@@ -161,9 +145,7 @@ def manual(
     >>> float((manual(None, 6000.0, 0.0, 0.7853981633974483, 0.0) * 1e6).round(2))
     57.84
     """
-    h_c, h_g, zeta_c = finite(h_c, h_g, zeta_c)
     usable = (h_c > 0.0) & (h_c <= MANUAL_TOP_M)
     H, h = np.where(usable, h_c, np.nan) / 1e3, h_g / 1e3
     r = 2410.0 * H / (H * H - 6.0 * H + 250.0)
-    r = (r - 2410.0 * h / (h * h - 6.0 * h + 250.0) * (h / H)) * 1e-6
-    return times_tangent(r, h_c, h_g, zeta_c)
+    return np.asarray((r - 2410.0 * h / (h * h - 6.0 * h + 250.0) * (h / H)) * 1e-6)

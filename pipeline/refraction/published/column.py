@@ -2,7 +2,8 @@
 
 import math
 from collections.abc import Callable
-from functools import lru_cache
+from functools import lru_cache, wraps
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,7 +13,7 @@ from pipeline.refraction.ray_table import cut
 from pipeline.units import STANDARD_GRAVITY, Array, Mask
 
 Quantity = Callable[[Profile, Array], Array]
-Method = Callable[[Profile, ArrayLike, ArrayLike, ArrayLike, ArrayLike], Array]
+Method = Callable[..., Array]
 
 # Four Gauss nodes on 500 m of an exponential atmosphere err by 1e-19 of the integral.
 _PIECE_M = 500.0
@@ -50,6 +51,26 @@ def times_tangent(r: Array, h_c: Array, h_g: Array, zeta_c: Array) -> Array:
     """R tan(zeta_c) [rad] of the radians at 45 degrees; NaN where it has no meaning."""
     usable = downward(h_c, h_g, zeta_c)
     return np.where(usable, r * np.tan(np.where(usable, zeta_c, 0.0)), np.nan)
+
+
+def at_45_degrees(radians: Callable[..., Array]) -> Method:
+    """The method R_c = R tan(zeta_c) of a function of profile, h_c, h_g (arrays of one shape) and
+    options that returns R [rad at 45 degrees]."""
+
+    @wraps(radians)
+    def method(
+        profile: Profile,
+        h_c: ArrayLike,
+        h_g: ArrayLike,
+        zeta_c: ArrayLike,
+        radius: ArrayLike,
+        **options: Any,
+    ) -> Array:
+        h_c, h_g, zeta_c = finite(h_c, h_g, zeta_c)
+        return times_tangent(radians(profile, h_c, h_g, **options), h_c, h_g, zeta_c)
+
+    vars(method).pop("__wrapped__")  # its help shows the arguments of a method
+    return method
 
 
 @lru_cache(maxsize=64)

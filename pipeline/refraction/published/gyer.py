@@ -14,7 +14,13 @@ from numpy.typing import ArrayLike
 
 from pipeline.atmosphere.profile import Profile
 from pipeline.errors import PhysicsError
-from pipeline.refraction.published.column import downward, finite, mean, times_tangent
+from pipeline.refraction.published.column import (
+    at_45_degrees,
+    downward,
+    finite,
+    mean,
+    times_tangent,
+)
 from pipeline.units import HECTOPASCAL, Array, Rows
 
 STEP_M = 1000.0
@@ -43,21 +49,15 @@ def _squared(profile: Profile, h: Array, power: int = 1) -> Array:
 _POWERS = (_squared, partial(_squared, power=2), partial(_squared, power=3))
 
 
+@at_45_degrees
 def plane_first_term(
-    profile: Profile,
-    h_c: ArrayLike,
-    h_g: ArrayLike,
-    zeta_c: ArrayLike,
-    radius: ArrayLike,
-    *,
-    step: float | None = None,
+    profile: Profile, h_c: Array, h_g: Array, *, step: float | None = None
 ) -> Array:
     """R_c [rad] in flat layers, first term (Gyer 1996, Eq. 24): the plane form of his Table 5.
 
-    Arguments as in `pipeline.refraction.published`. The integral is exact, or with ``step`` [m]
-    the sum of Eq. 31, which reproduces Table 5 within 0.31 arcsec. Meant for zeta_c up to
-    60 degrees and aircraft heights, where it is 0.1 arcsec short of the spherical form at 10 km; at
-    75 degrees it is 0.7, at 85 degrees 25 arcsec short.
+    The integral is exact, or with ``step`` [m] the sum of Eq. 31, which reproduces Table 5 within
+    0.31 arcsec. Meant for zeta_c up to 60 degrees and aircraft heights, where it is 0.1 arcsec
+    short of the spherical form at 10 km; at 75 degrees it is 0.7, at 85 degrees 25 arcsec short.
 
     >>> from pipeline.atmosphere import standard_atmosphere
     >>> from pipeline.units import ARCSEC, DEGREE
@@ -65,7 +65,6 @@ def plane_first_term(
     >>> float((plane_first_term(air, 10000.0, 0.0, 60 * DEGREE, 6378000.0) / ARCSEC).round(2))
     28.33
     """
-    h_c, h_g, zeta_c = finite(h_c, h_g, zeta_c)
     w_c = _squared(profile, h_c)
     if step is None:
         column = mean(profile, _squared, h_g, h_c) - w_c
@@ -77,7 +76,7 @@ def plane_first_term(
 
         total = _eq_31(above_w_c, h_g, width, np.zeros(h_g.shape), count)
         column = np.where(h_c > h_g, total / np.where(h_c > h_g, h_c - h_g, 1.0), 0.0)
-    return times_tangent(0.5 * column / (1.0 + w_c), h_c, h_g, zeta_c)
+    return 0.5 * column / (1.0 + w_c)
 
 
 def plane(
@@ -85,9 +84,8 @@ def plane(
 ) -> Array:
     """R_c [rad] in flat layers with the two further terms (Gyer 1996, Eq. 24, misprints mended).
 
-    Arguments as in `pipeline.refraction.published`. The further terms are 0.02 arcsec at
-    60 degrees and 10 km. Beyond that the first term alone errs less, by chance: the further ones
-    lower R_c while the curvature of the earth raises it.
+    The further terms are 0.02 arcsec at 60 degrees and 10 km. Beyond that the first term alone errs
+    less, by chance: the further ones lower R_c while the curvature of the earth raises it.
 
     >>> from pipeline.atmosphere import standard_atmosphere
     >>> from pipeline.units import ARCSEC, DEGREE
@@ -113,25 +111,22 @@ def _wetness(profile: Profile, h: Array) -> Array:
     return np.asarray(profile.vapour_pressure(h) / HECTOPASCAL / profile.temperature(h))
 
 
-def plane_moist(
-    profile: Profile, h_c: ArrayLike, h_g: ArrayLike, zeta_c: ArrayLike, radius: ArrayLike
-) -> Array:
+@at_45_degrees
+def plane_moist(profile: Profile, h_c: Array, h_g: Array) -> Array:
     """R_c [rad] of moist air by hydrostatics, without an integral over the dry part.
 
     R = k ((p_g - p_c) / (gamma dH) - p_c / Tv_c) + (0.378 k - w) (mean(e/T) - e_c / T_c) with
     gamma = G M0 / R* and dH the geopotential height difference: since dp = -gamma p / Tv dH, the
     mean of p / Tv needs only the pressures at both ends.
 
-    Arguments as in `pipeline.refraction.published`. k and w are those of
-    0.589 um for Gyer's index, else of 0.55 um. In dry air and below 60 degrees within 0.3 % of the
-    spherical form up to 12 km, most of it the curvature of the earth.
+    k and w are those of 0.589 um for Gyer's index, else of 0.55 um. In dry air and below 60 degrees
+    within 0.3 % of the spherical form up to 12 km, most of it the curvature of the earth.
 
     >>> from pipeline.atmosphere import standard_atmosphere
     >>> air = standard_atmosphere("us1976", index="gyer")
     >>> float((plane_moist(air, 6000.0, 0.0, 0.7853981633974483, 0.0) * 1e6).round(2))
     58.91
     """
-    h_c, h_g, zeta_c = finite(h_c, h_g, zeta_c)
     k, w = MOIST_COEFFICIENTS[profile.index.name]
     p_c = profile.pressure(h_c)
     rise = profile.gravity.geopotential_height(h_c) - profile.gravity.geopotential_height(h_g)
@@ -139,8 +134,7 @@ def plane_moist(
     dry = (profile.pressure(h_g) - p_c) / (profile.constant * rise)
     dry = (dry - p_c / profile.virtual_temperature(h_c)) / HECTOPASCAL
     wet = mean(profile, _wetness, h_g, h_c) - _wetness(profile, h_c)
-    column = np.where(h_c == h_g, 0.0, k * dry + (0.378 * k - w) * wet)
-    return times_tangent(column * 1e-6, h_c, h_g, zeta_c)
+    return np.where(h_c == h_g, 0.0, k * dry + (0.378 * k - w) * wet) * 1e-6
 
 
 def gyer1996(
@@ -154,11 +148,10 @@ def gyer1996(
 ) -> Array:
     """R_c [rad] through spherical layers as Gyer computed it (1996, Eq. 1, 11, 12, 31, 33-35).
 
-    Arguments as in `pipeline.refraction.published`; ``step`` [m] is the widest interval of Eq. 31,
-    whose equal intervals fill the height difference. The profile must reach one interval beyond
-    either end. Where the interval below the ground holds P_90, thin shells (Eq. 33-35) take the
-    place of Eq. 31 in the two lowest intervals, as for zeta_g = 90 degrees; NaN for rays that miss
-    the ground.
+    ``step`` [m] is the widest interval of Eq. 31, whose equal intervals fill the height difference.
+    The profile must reach one interval beyond either end. Where the interval below the ground holds
+    P_90, thin shells (Eq. 33-35) take the place of Eq. 31 in the two lowest intervals, as for
+    zeta_g = 90 degrees; NaN for rays that miss the ground.
 
     Reproduces his Tables 3 and 4 within 0.015 arcsec. Against the converged integral the step
     costs 0.035 arcsec up to 80 degrees and up to 7.8 arcsec at 85 degrees and 25 km; Eq. 11
@@ -189,8 +182,7 @@ def gyer1996(
 def _intervals(profile: Profile, h_c: Array, h_g: Array, step: float) -> tuple[Array, Array]:
     """Number and width [m] of the equal intervals, none wider than ``step``.
 
-    Zero and NaN where an end lies outside the profile: a height of 1e8 m would be 100,000 intervals
-    of NaN.
+    Zero and NaN where an end lies outside the profile.
     """
     if not step > 0.0:
         raise PhysicsError.of("METHOD-STEP", step=step)

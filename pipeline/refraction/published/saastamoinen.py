@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from pipeline.atmosphere.profile import Profile
 from pipeline.errors import PhysicsError
-from pipeline.refraction.published.column import density, finite, mean, times_tangent
+from pipeline.refraction.published.column import at_45_degrees, density, mean
 from pipeline.units import HECTOPASCAL, Array
 
 INDEX_PER_DENSITY = 0.000226
@@ -23,12 +23,11 @@ QUADRATIC_TOP_M = 9_000.0
 _SERIES_TERMS = 30
 
 
-def saastamoinen1974(
-    profile: Profile, h_c: ArrayLike, h_g: ArrayLike, zeta_c: ArrayLike, radius: ArrayLike
-) -> Array:
+@at_45_degrees
+def saastamoinen1974(profile: Profile, h_c: Array, h_g: Array) -> Array:
     """R_c [rad] by the mean density of the column (Saastamoinen 1974, Eq. 2).
 
-    Arguments as in `pipeline.refraction.published`. The mean is exact. Below 60 degrees and 10 km
+    The mean is exact. Below 60 degrees and 10 km
     within 0.4 % of the spherical form with the index of 0.589 um, in dry air.
 
     >>> from pipeline.atmosphere import standard_atmosphere
@@ -36,24 +35,20 @@ def saastamoinen1974(
     >>> float((saastamoinen1974(air, 6000.0, 0.0, 0.7853981633974483, 0.0) * 1e6).round(1))
     58.8
     """
-    h_c, h_g, zeta_c = finite(h_c, h_g, zeta_c)
-    r = INDEX_PER_DENSITY * (mean(profile, density, h_g, h_c) - density(profile, h_c))
-    return times_tangent(r, h_c, h_g, zeta_c)
+    return INDEX_PER_DENSITY * (mean(profile, density, h_g, h_c) - density(profile, h_c))
 
 
-def saastamoinen1974_ican(
-    profile: Profile, h_c: ArrayLike, h_g: ArrayLike, zeta_c: ArrayLike, radius: ArrayLike
-) -> Array:
+@at_45_degrees
+def saastamoinen1974_ican(profile: Profile, h_c: Array, h_g: Array) -> Array:
     """R_c [rad] in the I.C.A.N. atmosphere (Saastamoinen 1974, Eq. 3a, 3b): heights only.
 
-    Arguments as in `pipeline.refraction.published`; ``profile`` is not looked at. Ground up to
+    ``profile`` is not looked at. Ground up to
     11 km, camera up to 30 km, NaN beyond. Eq. 3b has a plus before 521 / (H - h). Within 0.2 urad
     of Eq. 2 in that atmosphere up to 20 km, within 0.25 in US 1962 (worst at 12 km).
 
     >>> float((saastamoinen1974_ican(None, 6000.0, 0.0, 0.7853981633974483, 0.0) * 1e6).round(1))
     58.9
     """
-    h_c, h_g, zeta_c = finite(h_c, h_g, zeta_c)
     usable = (h_c <= ICAN_TOP_M) & (h_g <= ICAN_TROPOPAUSE_M) & (h_c > h_g)
     H, h = np.where(usable, h_c, 1000.0) / 1e3, np.where(usable, h_g, 0.0) / 1e3
     low = np.minimum(H, ICAN_TROPOPAUSE_M / 1e3)
@@ -62,8 +57,7 @@ def saastamoinen1974_ican(
     up_to_11 = up_to_11 - 277.0 * (1.0 - 0.02257 * low) ** 4.256
     over_11 = 2335.0 / (H - h) * ground - 0.8540 ** (H - 11.0) * (82.2 + 521.0 / (H - h))
     r = np.where(h_c <= ICAN_TROPOPAUSE_M, up_to_11, over_11) * 1e-6
-    r = np.where(usable, r, np.where(h_c == h_g, 0.0, np.nan))
-    return times_tangent(r, h_c, h_g, zeta_c)
+    return np.where(usable, r, np.where(h_c == h_g, 0.0, np.nan))
 
 
 def _eq_5(c_1: float, c_2: float, h_c: Array, h_g: Array) -> Array:
@@ -73,22 +67,19 @@ def _eq_5(c_1: float, c_2: float, h_c: Array, h_g: Array) -> Array:
     )
 
 
-def saastamoinen1974_quadratic(
-    profile: Profile, h_c: ArrayLike, h_g: ArrayLike, zeta_c: ArrayLike, radius: ArrayLike
-) -> Array:
+@at_45_degrees
+def saastamoinen1974_quadratic(profile: Profile, h_c: Array, h_g: Array) -> Array:
     """R_c [rad] by 13 (H - h) (1 - 0.02 (2H + h)) (Saastamoinen 1974, Eq. 6): heights only.
 
-    Arguments as in `pipeline.refraction.published`; ``profile`` is not looked at. Camera up to
+    ``profile`` is not looked at. Camera up to
     9 km, NaN beyond. Within 0.5 urad of Eq. 2 in US 1962, as he states.
 
     >>> r = saastamoinen1974_quadratic(None, 6000.0, 0.0, 0.7853981633974483, 0.0)
     >>> float((r * 1e6).round(2))
     59.28
     """
-    h_c, h_g, zeta_c = finite(h_c, h_g, zeta_c)
     c_1 = -26e-9  # [m-1]
-    r = _eq_5(c_1, -0.03e-3 * c_1, np.where(h_c <= QUADRATIC_TOP_M, h_c, np.nan), h_g)
-    return times_tangent(r, h_c, h_g, zeta_c)
+    return _eq_5(c_1, -0.03e-3 * c_1, np.where(h_c <= QUADRATIC_TOP_M, h_c, np.nan), h_g)
 
 
 def quadratic_coefficients(
@@ -112,30 +103,23 @@ def quadratic_coefficients(
     return float(a_1 / half - 2.0 * c_2 * middle), float(c_2)
 
 
+@at_45_degrees
 def saastamoinen1974_fitted(
-    profile: Profile,
-    h_c: ArrayLike,
-    h_g: ArrayLike,
-    zeta_c: ArrayLike,
-    radius: ArrayLike,
-    *,
-    highest: float = QUADRATIC_TOP_M,
+    profile: Profile, h_c: Array, h_g: Array, *, highest: float = QUADRATIC_TOP_M
 ) -> Array:
     """R_c [rad] by Eq. 5 of Saastamoinen 1974 with coefficients fitted to the profile.
 
-    Arguments as in `pipeline.refraction.published`; fitted from sea level to ``highest`` [m], NaN
-    for cameras above it. For US 1962 within 0.5 urad of Eq. 2.
+    Fitted from sea level to ``highest`` [m], NaN for cameras above it. For US 1962 within 0.5 urad
+    of Eq. 2.
 
     >>> from pipeline.atmosphere import standard_atmosphere
     >>> air = standard_atmosphere("us1962", index="gyer")
     >>> float((saastamoinen1974_fitted(air, 6000.0, 0.0, 0.7853981633974483, 0.0) * 1e6).round(1))
     59.1
     """
-    h_c, h_g, zeta_c = finite(h_c, h_g, zeta_c)
     c_1, c_2 = quadratic_coefficients(profile, highest=highest)
     covered = (h_c <= highest) & (h_g >= profile.bottom_m)
-    r = np.where(covered, _eq_5(c_1, c_2, h_c, h_g), np.nan)
-    return times_tangent(r, h_c, h_g, zeta_c)
+    return np.where(covered, _eq_5(c_1, c_2, h_c, h_g), np.nan)
 
 
 def weather_refraction(
@@ -147,15 +131,13 @@ def weather_refraction(
 ) -> Array:
     """R [rad at 45 degrees] from weather at both ends (Saastamoinen 1974, Eq. 7 and 10).
 
-    Parameters
-    ----------
     pressure_ground, pressure_camera : of the air outside [Pa].
     rise : H - h, height of the camera above the ground [m], positive.
     pressure_lens, temperature_lens : of the air at the lens [Pa], [K]: outside for Eq. 7, of the
         compartment for Eq. 10, which then gives R + Delta R.
 
-    Arguments broadcast. His 34.11 makes R 27 % high at 120 m, 3 % at 1 km, 1 % at
-    3 km, 0.2 % at 10 km.
+    Arguments broadcast. His 34.11 makes R 27 % high at 120 m, 3 % at 1 km, 1 % at 3 km, 0.2 % at
+    10 km.
 
     >>> float((weather_refraction(101325.0, 47200.0, 6000.0, 74700.0, 278.0) * 1e6).round(1))
     -3.4
@@ -166,12 +148,11 @@ def weather_refraction(
     return np.asarray(2.316e-6 * (per_km - 34.11 * lens))
 
 
-def saastamoinen1974_weather(
-    profile: Profile, h_c: ArrayLike, h_g: ArrayLike, zeta_c: ArrayLike, radius: ArrayLike
-) -> Array:
+@at_45_degrees
+def saastamoinen1974_weather(profile: Profile, h_c: Array, h_g: Array) -> Array:
     """R_c [rad] from pressure and temperature at both ends (Saastamoinen 1974, Eq. 7).
 
-    Arguments as in `pipeline.refraction.published`; the ground need not lie at sea level (as in
+    The ground need not lie at sea level (as in
     his Eq. 10). The temperature is the virtual one, so that it stands for density. NaN where
     h_c = h_g: the formula has no limit there. For its accuracy see `weather_refraction`.
 
@@ -180,19 +161,17 @@ def saastamoinen1974_weather(
     >>> float((saastamoinen1974_weather(air, 6000.0, 0.0, 0.7853981633974483, 0.0) * 1e6).round(1))
     59.2
     """
-    h_c, h_g, zeta_c = finite(h_c, h_g, zeta_c)
     p_c = profile.pressure(h_c)
     rise = np.where(h_c > h_g, h_c - h_g, np.nan)
-    r = weather_refraction(profile.pressure(h_g), p_c, rise, p_c, profile.virtual_temperature(h_c))
-    return times_tangent(r, h_c, h_g, zeta_c)
+    t_c = profile.virtual_temperature(h_c)
+    return weather_refraction(profile.pressure(h_g), p_c, rise, p_c, t_c)
 
 
-def saastamoinen1974_series(
-    profile: Profile, h_c: ArrayLike, h_g: ArrayLike, zeta_c: ArrayLike, radius: ArrayLike
-) -> Array:
+@at_45_degrees
+def saastamoinen1974_series(profile: Profile, h_c: Array, h_g: Array) -> Array:
     """R_c [rad] from ground weather and lapse rate (Saastamoinen 1974, Eq. 8).
 
-    Arguments as in `pipeline.refraction.published`. Pressure and virtual temperature are those of
+    Pressure and virtual temperature are those of
     the ground, the lapse rate is the mean one up to the camera. The series is summed to
     30 terms, which suffices up to 30 km above ground; NaN beyond. In air linear in temperature it
     is within 0.5 % of Eq. 2 (39.6 for 39.5 is 0.25 % of it), free of the cancellation of Eq. 7. One
@@ -203,7 +182,6 @@ def saastamoinen1974_series(
     >>> float((saastamoinen1974_series(air, 6000.0, 0.0, 0.7853981633974483, 0.0) * 1e6).round(1))
     59.1
     """
-    h_c, h_g, zeta_c = finite(h_c, h_g, zeta_c)
     rise = (h_c - h_g) / 1e3
     rise = np.where((rise >= 0.0) & (rise <= 30.0), rise, np.nan)
     t_g = profile.virtual_temperature(h_g)
@@ -211,13 +189,13 @@ def saastamoinen1974_series(
     warming = profile.virtual_temperature(h_c) - t_g
     beta = warming / np.where(rise > 0.0, rise, 1.0)
     y = rise / t_g
-    total = np.ones(y.shape)
-    product = np.ones(y.shape)  # (-1)^n / n! (34.1 + 2 beta) ... (34.1 + (n + 1) beta) y^n
+    total, product = np.ones(
+        (2, *y.shape)
+    )  # (-1)^n / n! (34.1 + 2 beta) ... (34.1 + (n + 1) beta) y^n
     for n in range(1, _SERIES_TERMS + 1):
         product = product * -(34.1 + (n + 1.0) * beta) * y / n
         total += 2.0 / (n + 2.0) * product
-    r = 39.6e-6 * (34.1 + beta) * (p_g / t_g**2) * rise * total
-    return times_tangent(r, h_c, h_g, zeta_c)
+    return np.asarray(39.6e-6 * (34.1 + beta) * (p_g / t_g**2) * rise * total)
 
 
 def compartment(refractivity_outside: ArrayLike, refractivity_cabin: ArrayLike) -> Array:

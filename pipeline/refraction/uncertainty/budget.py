@@ -24,35 +24,11 @@ from pipeline.atmosphere.covariance import ProfileCovariance
 from pipeline.atmosphere.profile import Profile
 from pipeline.refraction.camera.camera import Camera
 from pipeline.refraction.image import Exposures
-from pipeline.refraction.kernels.columns import (
-    AXIS_E,
-    AXIS_N,
-    BEND,
-    CABIN,
-    NODE,
-    NORMAL,
-    SHARE,
-    SIGMA_H,
-    SPAN,
-    STATION_COLUMNS,
-    TILT2,
-    WINDOW,
-    WINDOW_BEND,
-    YAW2,
-    N,
-)
+from pipeline.refraction.kernels import columns as of
 from pipeline.refraction.ray import DEFAULT_RADIUS_M
+from pipeline.refraction.uncertainty import sigmas
 from pipeline.refraction.uncertainty.sensitivity import sensitivity
-from pipeline.refraction.uncertainty.sigmas import (
-    OPEN,
-    AirMode,
-    AirSigma,
-    CovarianceRoot,
-    Uncertainty,
-    air_sigma,
-    cabin_response,
-    window_errors,
-)
+from pipeline.refraction.uncertainty.sigmas import AirMode, Uncertainty
 from pipeline.units import Array, Integers, Mask
 
 _MOST_EXPOSURES, _ACROSS = 24, 5  # and rays in five rows and columns of an image
@@ -132,11 +108,8 @@ def leading_mode(
 ) -> AirMode | None:
     """The direction in the state of the air that explains most of what its errors do to rays.
 
-    Parameters
-    ----------
-    rays : n rays that stand for all of a block.
-    h_g : height or heights (n,) of their targets [m above sea level].
-    radius : of the sphere [m].
+    ``rays`` (n,) stand for all of a block, ``h_g`` () or (n,) are heights of their targets [m above
+    sea level], ``radius`` is that of the sphere [m].
 
     The error of a ray is that of R, and behind a plane window that of R - R_cc, in the ray's
     vertical plane and across it. None where no ray has an angle, or nothing is uncertain.
@@ -160,12 +133,12 @@ def leading_mode(
     good = traced.valid & (np.abs(traced.r_c) > 0.0)
     if not bool(good.any()):
         return None
-    root = CovarianceRoot.of(covariance)
+    root = sigmas.CovarianceRoot.of(covariance)
     turns = np.zeros((good.size, root.matrix.shape[1]))
     for kind in np.unique(rays.kind):
-        if kind != OPEN:
+        if kind != sigmas.OPEN:
             rows = rays.kind == kind
-            turns[rows] = window_errors(profile, root, rays.h_c[rows], int(kind))
+            turns[rows] = sigmas.window_errors(profile, root, rays.h_c[rows], int(kind))
     seen_through = ((1.0 - traced.d_zeta_c) * rays.towards)[:, None] * turns
     along = (traced.gradient @ root.matrix + seen_through)[good]
     across = (rays.across[:, None] * turns)[good]
@@ -187,17 +160,12 @@ _BORDER = 9  # points along each side of an image
 class StationSigmas:
     """How well each exposure is known; (s,) arrays, NaN where unknown.
 
-    Parameters
-    ----------
-    tilt_rad : of the attitude about each of two axes square to the yaw axis.
-    yaw_rad : about the yaw axis.
-    yaw_axis : (s, 3) unit vectors in the camera frame: the aircraft's own vertical.
-    height_m : of the projection centre. Where it is unknown it does not count.
-
-    cabin : (s, 4) what one sigma of pressure and one of temperature in the cabin change in the
-        refractivity there (first two), and in the principal distance [px]; by default unknown.
-
-    A turn about the vertical changes nothing: yaw matters as far as its axis is not vertical.
+    ``tilt_rad`` of the attitude about each of two axes square to the yaw axis, ``yaw_rad`` about
+    it; ``yaw_axis`` (s, 3) unit vectors in the camera frame: the aircraft's own vertical.
+    ``height_m`` of the projection centre; where it is unknown it does not count. ``cabin`` (s, 4)
+    what one sigma of pressure and one of temperature in the cabin change in the refractivity there
+    (first two), and in the principal distance [px]; by default unknown. A turn about the vertical
+    changes nothing: yaw matters as far as its axis is not vertical.
     """
 
     tilt_rad: Array
@@ -220,16 +188,13 @@ def uncertainty_of(
 ) -> Uncertainty | None:
     """Tables for the standard deviations of a block's corrections.
 
-    Parameters
-    ----------
-    profile : the air; its layers are those of ``covariance``.
-    covariance : of the profile, None where it is not known: then ``air_*`` are unknown.
+    covariance : of the profile's layers, None where it is not known: then ``air_*`` are unknown.
     exposures, stations : of s exposures.
     cameras : each with the mask (s,) of its exposures.
     ground_heights_m : lowest and highest ground, above sea level [m].
     window_kinds : (s,) `OPEN`, `SEALED` or `SCHEDULED`; by default no window is in the way.
-    typical_ground_m : height of the ground of the rays that the leading mode is that of; by default
-        the middle of the heights of the ground that are below the cameras.
+    typical_ground_m : of the rays that the leading mode is found from; by default the middle of
+        the ground below the cameras.
 
     None where no exposure can be used. The sigmas are of first order. Against changed inputs and
     drawn airs (tests/refraction/test_uncertainty.py): station and ground 1 %, air as `air_sigma`.
@@ -258,8 +223,8 @@ def uncertainty_of(
         return None
     heights = exposures.height_m[usable]
     radius = exposures.radius_m or DEFAULT_RADIUS_M
-    kinds = np.full(usable.shape, OPEN) if window_kinds is None else window_kinds
-    kinds = np.where(usable, kinds, OPEN)
+    kinds = np.full(usable.shape, sigmas.OPEN) if window_kinds is None else window_kinds
+    kinds = np.where(usable, kinds, sigmas.OPEN)
     low, high = max(ground_heights_m[0], profile.bottom_m), min(ground_heights_m[1], heights.min())
     ground_m = 0.5 * (low + high) if typical_ground_m is None else typical_ground_m
     mode = None
@@ -275,26 +240,33 @@ def uncertainty_of(
         rays = np.stack([u, v, np.ones(u.size)]) / np.sqrt(u * u + v * v + 1.0)
         least = float((down @ rays).min(initial=1.0)) if bool(covered.all()) else 0.0
         zeta.append(float(np.arccos(least) + np.radians(0.5)) if down.size else 0.0)
-    air = air_sigma(
+    camera_m, tables = sigmas.air_sigma(
         profile,
         covariance,
         (float(heights.min()), float(heights.max())),
         ground_heights_m,
         largest_zeta_rad=max(zeta),
         radius=radius,
-        window_kinds=sorted({int(kind) for kind in kinds} - {OPEN}),
+        window_kinds=np.unique(kinds[kinds != sigmas.OPEN]).tolist(),
         mode=mode,
     )
-    return Uncertainty(air, _station_columns(profile, exposures, stations, kinds, air), mode)
+    return Uncertainty(
+        tables, _station_columns(profile, exposures, stations, kinds, camera_m), mode
+    )
 
 
 def _station_columns(
-    profile: Profile, exposures: Exposures, stations: StationSigmas, kinds: Integers, air: AirSigma
+    profile: Profile,
+    exposures: Exposures,
+    stations: StationSigmas,
+    kinds: Integers,
+    camera_m: Array,
 ) -> Array:
-    """(s, 19) columns `N` to `CABIN` of `kernels.columns`; ``kinds`` (s,) are those of windows."""
-    camera_m, n = air.camera_m, exposures.refractivity_outside
+    """(s, 19) columns `N` to `CABIN` of `kernels.columns`, beside tables at ``camera_m``; ``kinds``
+    (s,) are those of windows."""
+    n = exposures.refractivity_outside
     h = np.where(exposures.usable & np.isfinite(n), exposures.height_m, camera_m[0])
-    columns = np.full((h.size, STATION_COLUMNS), np.nan)
+    table = np.full((h.size, of.STATION_COLUMNS), np.nan)
     # Slopes over half a metre below and above, within the profile.
     low = np.maximum(h - _SLOPE_STEP_M, profile.bottom_m)
     high = np.minimum(h + _SLOPE_STEP_M, profile.top_m)
@@ -302,22 +274,22 @@ def _station_columns(
     thinner = np.log(profile.pressure(high) / profile.pressure(low)) / (high - low)
     node = np.clip(np.searchsorted(camera_m, h, side="right") - 1, 0, camera_m.size - 2)
     axis = np.einsum("sji,sj->si", exposures.rotation, stations.yaw_axis)
-    columns[:, N] = n
-    columns[:, BEND] = slope / (1.0 + n)
-    columns[:, NODE] = node
-    columns[:, SHARE] = (h - camera_m[node]) / (camera_m[node + 1] - camera_m[node])
-    columns[:, SPAN] = (h - camera_m[0]) / (camera_m[-1] - camera_m[0])
-    columns[:, TILT2] = stations.tilt_rad**2
-    columns[:, YAW2] = stations.yaw_rad**2 - stations.tilt_rad**2
-    columns[:, AXIS_E], columns[:, AXIS_N] = axis[:, 0], axis[:, 1]
-    columns[:, SIGMA_H] = np.nan_to_num(stations.height_m)
-    columns[:, WINDOW], columns[:, WINDOW_BEND] = -1.0, 0.0
-    columns[:, NORMAL:CABIN] = exposures.normals
+    table[:, of.N] = n
+    table[:, of.BEND] = slope / (1.0 + n)
+    table[:, of.NODE] = node
+    table[:, of.SHARE] = (h - camera_m[node]) / (camera_m[node + 1] - camera_m[node])
+    table[:, of.SPAN] = (h - camera_m[0]) / (camera_m[-1] - camera_m[0])
+    table[:, of.TILT2] = stations.tilt_rad**2
+    table[:, of.YAW2] = stations.yaw_rad**2 - stations.tilt_rad**2
+    table[:, of.AXIS_E], table[:, of.AXIS_N] = axis[:, 0], axis[:, 1]
+    table[:, of.SIGMA_H] = np.nan_to_num(stations.height_m)
+    table[:, of.WINDOW], table[:, of.WINDOW_BEND] = -1.0, 0.0
+    table[:, of.NORMAL : of.CABIN] = exposures.normals
     if stations.cabin is not None:
-        columns[:, CABIN:] = stations.cabin
-    for number, kind in enumerate(air.window_kinds):
+        table[:, of.CABIN :] = stations.cabin
+    for number, kind in enumerate(np.unique(kinds[kinds != sigmas.OPEN]).tolist()):
         rows = kinds == kind
-        response = cabin_response(profile, h[rows], kind)
-        columns[rows, WINDOW] = number
-        columns[rows, WINDOW_BEND] = columns[rows, BEND] - thinner[rows] * response
-    return columns
+        response = sigmas.cabin_response(profile, h[rows], kind)
+        table[rows, of.WINDOW] = number
+        table[rows, of.WINDOW_BEND] = table[rows, of.BEND] - thinner[rows] * response
+    return table

@@ -25,8 +25,10 @@ target follows from shifts along the ray, which leave it where it is; nothing is
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -60,8 +62,7 @@ _TO_COEFFICIENTS = (2.0 / _NODES) * np.cos(np.arange(_NODES)[:, None] * _ANGLES)
 _TO_COEFFICIENTS[0] *= 0.5
 
 
-@dataclass(frozen=True, eq=False)
-class Pieces:
+class Pieces(NamedTuple):
     """A profile cut at its layers and every 500 m, with its refractivity as polynomials.
 
     ``edge_m`` (p + 1,) heights [m]; ``height_m`` (p, 6) nodes; ``coefficient`` (p, 6) of Chebyshev
@@ -74,8 +75,7 @@ class Pieces:
     slope: Array
 
 
-@dataclass(frozen=True, eq=False)
-class Rays:
+class Rays(NamedTuple):
     """Rays as vectors of one length: heights [m], nadir angle at the camera [rad], radius [m], and
     the refraction angle [rad]."""
 
@@ -85,27 +85,8 @@ class Rays:
     radius: Array
     r_c: Array
 
-    def __getitem__(self, which: Rows | slice) -> Rays:
-        return Rays(*(a[which] for a in (self.h_c, self.h_g, self.zeta_c, self.radius, self.r_c)))
-
-
-@dataclass(frozen=True, eq=False)
-class Adjoints:
-    """Derivatives of R_c of rays; NaN where not ``valid``.
-
-    Parameters
-    ----------
-    weight : (rays, nodes) with respect to N at the nodes of `Pieces`, the camera's share included.
-    d_zeta_c : (rays,) with respect to the apparent nadir angle.
-    d_h_c, d_h_g : (rays,) with respect to the heights of camera and target [rad/m].
-    valid : (rays,).
-    """
-
-    weight: Array
-    d_zeta_c: Array
-    d_h_c: Array
-    d_h_g: Array
-    valid: Mask
+    def rows(self, which: Rows) -> Rays:
+        return Rays(*(a[which] for a in self))
 
 
 def pieces_between(profile: Profile, low: float, high: float) -> Pieces:
@@ -121,39 +102,35 @@ def pieces_between(profile: Profile, low: float, high: float) -> Pieces:
     return Pieces(edge, height, coefficient, np.pad(slope, ((0, 0), (0, 1))))
 
 
-def blocks_of(count: int, pieces: Pieces) -> list[slice]:
-    """Slices of ``count`` rays that keep the work on each within some tens of megabytes."""
-    size = max(1, _BLOCK // (pieces.height_m.shape[0] * _FINE[0].size))
-    return [slice(first, first + size) for first in range(0, count, size)]
-
-
-def trace_adjoints(pieces: Pieces, rays: Rays) -> Adjoints:
+def trace_adjoints(pieces: Pieces, rays: Rays) -> tuple[Array, Array, Mask]:
     """The adjoint of each ray, by Gauss-Legendre in each piece of the profile.
 
-    Rays must not turn between their ends. Not valid are those that come within `LEVEL_GUARD_M` of
-    being level on their way.
+    Returns the derivatives of R_c (rays, nodes) with respect to N at the nodes, the camera's share
+    included; (rays, 3) with respect to h_c, h_g [rad/m] and zeta_c; and where they are valid, NaN
+    elsewhere. Rays must not turn between their ends, nor come within `LEVEL_GUARD_M` of being level
+    on their way.
     """
     camera, at_camera = _at(pieces, rays.h_c, rays.h_g)
     n_c = np.sum(pieces.coefficient[camera] * at_camera, axis=1)
-    way = _integrals(pieces, rays, n_c)
+    theta, by_s, moments, least = _integrals(pieces, rays, n_c)
     short = np.abs(rays.h_c - rays.h_g) < _SHORT_M
-    valid = way.least > np.where(short, 1e4 * _SHORT_M, LEVEL_GUARD_M)
+    valid = least > np.where(short, 1e4 * _SHORT_M, LEVEL_GUARD_M)
 
     # Length of the chord, one where camera and target coincide, and cos(beta).
     r_c, r_g = rays.radius + rays.h_c, rays.radius + rays.h_g
-    fall, sagitta = rays.h_c - rays.h_g, 2.0 * np.sin(0.5 * way.theta) ** 2
+    fall, sagitta = rays.h_c - rays.h_g, 2.0 * np.sin(0.5 * theta) ** 2
     chord = np.sqrt(fall * fall + 2.0 * r_c * r_g * sagitta)
     chord[chord == 0.0] = 1.0
     cos_beta = (fall - r_c * sagitta) / chord
     by_theta = r_g * cos_beta / chord
     scale = by_theta * r_c * np.sin(rays.zeta_c)
-    weight = (scale[:, None, None] * way.moments) @ _TO_COEFFICIENTS
-    share = scale * way.by_s / (1.0 + n_c)
+    weight = (scale[:, None, None] * moments) @ _TO_COEFFICIENTS
+    share = scale * by_s / (1.0 + n_c)
     weight[np.arange(camera.size), camera] -= share[:, None] * at_camera @ _TO_COEFFICIENTS
     weight = weight.reshape(camera.size, -1)
     weight[~valid] = np.nan
 
-    d_zeta_c = 1.0 - by_theta * r_c * np.cos(rays.zeta_c) * way.by_s
+    d_zeta_c = 1.0 - by_theta * r_c * np.cos(rays.zeta_c) * by_s
     bend_c = np.sum(pieces.slope[camera] * at_camera, axis=1) / (1.0 + n_c)
     tan_c = np.tan(rays.zeta_c)
     d_h_c = tan_c * (d_zeta_c * (bend_c + 1.0 / r_c) - bend_c)
@@ -161,32 +138,15 @@ def trace_adjoints(pieces: Pieces, rays: Rays) -> Adjoints:
     d_h_g = _by_target_height(pieces, rays, n_c, chord, cos_beta)
     # In the limit of a short ray R_c = -tan(zeta_c) N' (h_c - h_g) / (2 n).
     half = 0.5 * bend_c
-    limit = -(1.0 + tan_c * tan_c) * half * fall, -tan_c * half, tan_c * half
-    d_zeta_c, d_h_c, d_h_g = (
-        np.where(valid, np.where(short, a, b), np.nan)
-        for a, b in zip(limit, (d_zeta_c, d_h_c, d_h_g), strict=True)
-    )
-    return Adjoints(weight, d_zeta_c, d_h_c, d_h_g, valid)
-
-
-@dataclass(frozen=True, eq=False)
-class _Way:
-    """Integrals along rays: ``theta``, ``by_s`` of m dh = d theta / d s, ``moments`` (rays, p, 6)
-    of m / n with the Chebyshev polynomials of each piece; ``least`` excess met [m]."""
-
-    theta: Array
-    by_s: Array
-    moments: Array
-    least: Array
+    limit = -tan_c * half, tan_c * half, -(1.0 + tan_c * tan_c) * half * fall
+    place = np.where(short, limit, (d_h_c, d_h_g, d_zeta_c))
+    return weight, np.where(valid, place, np.nan).T, valid
 
 
 def _basis(u: Array) -> Array:
     """(6, ...) Chebyshev polynomials at u."""
-    basis = np.empty((_NODES, *u.shape))
-    basis[0], basis[1] = 1.0, u
-    for a in range(2, _NODES):
-        basis[a] = 2.0 * u * basis[a - 1] - basis[a - 2]
-    return basis
+    basis = np.asarray(np.polynomial.chebyshev.chebvander(u, _NODES - 1), np.float64)
+    return np.moveaxis(basis, -1, 0)
 
 
 def _at(pieces: Pieces, h: Array, other: Array) -> tuple[Rows, Array]:
@@ -214,8 +174,12 @@ def _excess(pieces: Pieces, rays: Rays, n_c: Array, h: Array) -> tuple[Array, Ar
     return (radius + h) * (n - n_c) / (1.0 + n_c) + (h - h_c) + lift, n, basis
 
 
-def _integrals(pieces: Pieces, rays: Rays, n_c: Array) -> _Way:
-    """Integrals with nodes at steps of equal ratio of the excess, which undoes the pole of m."""
+def _integrals(pieces: Pieces, rays: Rays, n_c: Array) -> tuple[Array, Array, Array, Array]:
+    """Along rays theta, the integral of m dh = d theta / d s, (rays, p, 6) those of m / n with the
+    Chebyshev polynomials of each piece, and the least excess met [m].
+
+    The nodes are at steps of equal ratio of the excess, which undoes the pole of m.
+    """
     low = np.minimum(rays.h_c, rays.h_g)[:, None]
     high = np.maximum(rays.h_c, rays.h_g)[:, None]
     ends = np.stack([np.clip(e, low, high) for e in (pieces.edge_m[:-1], pieces.edge_m[1:])], 2)
@@ -239,12 +203,9 @@ def _integrals(pieces: Pieces, rays: Rays, n_c: Array) -> _Way:
     root = np.sqrt(excess * (excess + 2.0 * s))
     r = (excess + s) / nu
     density = step * nu * nu * r / root**3
-    return _Way(
-        np.sum(step * s / (r * root), axis=(1, 2)),
-        density.sum(axis=(1, 2)),
-        np.einsum("abpj,bpj->bpa", basis, density / (1.0 + n)),
-        least,
-    )
+    theta = np.sum(step * s / (r * root), axis=(1, 2))
+    moments = np.einsum("abpj,bpj->bpa", basis, density / (1.0 + n))
+    return theta, density.sum(axis=(1, 2)), moments, least
 
 
 def _by_target_height(
@@ -266,18 +227,13 @@ def _by_target_height(
     return np.asarray(-np.sin(bend_g) / (chord * cos_g))
 
 
-@dataclass(frozen=True, eq=False)
-class RayWeights:
+class RayWeights(NamedTuple):
     """The change of R_c with refractivity: dR_c = weight @ dN.
 
-    Parameters
-    ----------
-    height_m : (n,) heights [m above sea level], the same for all rays.
-    weight : (..., n) derivative of R_c with respect to N at these heights [rad]. The camera's
-        refractivity, interpolated between them, is included: N to N + c (1 + N) changes nothing.
-    r_c : (...) refraction angle [rad].
-    status : (...) codes of `pipeline.refraction.status_codes`.
-    valid : (...) false where a weight is NaN.
+    ``height_m`` (n,) heights [m above sea level], the same for all rays; ``weight`` (..., n) the
+    derivative of R_c [rad] with respect to N there, NaN where not ``valid``. The camera's
+    refractivity, interpolated between them, is included: N to N + c (1 + N) changes nothing.
+    ``r_c`` [rad] and ``status`` as `bend` has them.
     """
 
     height_m: Array
@@ -289,22 +245,14 @@ class RayWeights:
 
 @dataclass(frozen=True, eq=False)
 class Sensitivity:
-    """Derivatives of R_c; rows of rays that are not ``valid`` are NaN.
+    """Derivatives of R_c [rad] of rays (...); NaN where not ``valid``.
 
-    Parameters
-    ----------
-    edge_height_m : (m + 1,) heights of the layers' edges [m above sea level].
-    r_c : (...) refraction angle [rad].
-    d_temperature : (..., m + 1) with respect to T_M at the edges [rad/K], e/p held, pressure
-        following by hydrostatics from the anchor.
-    d_vapour : (..., m + 1) with respect to e/p at the edges [rad], T_M held.
-    d_log_pressure, d_pressure : (...) with respect to ln p [rad] and p [rad/Pa] at the anchor.
-    d_h_c, d_h_g : (...) with respect to the heights of camera and target [rad/m], the air held.
-    d_zeta_c : (...) with respect to the apparent nadir angle at the camera.
-    status : (...) codes of `pipeline.refraction.status_codes`.
-    valid : (...).
-
-    `pipeline.atmosphere.covariance.air_jacobian` has the formulas from T_M to a thermometer's T.
+    By the air: ``d_temperature``, ``d_vapour`` (..., m + 1) with respect to T_M [1/K] and e/p at
+    the layers' edges ``edge_height_m`` (m + 1,) [m above sea level], one held where the other
+    changes, pressure following by hydrostatics from the anchor; ``d_log_pressure``, ``d_pressure``
+    to ln p and p [1/Pa] at the anchor (from T_M to a thermometer's T: `air_jacobian`). The air
+    held: ``d_h_c``, ``d_h_g`` with respect to the heights of camera and target [1/m], ``d_zeta_c``
+    to the apparent nadir angle at the camera. ``r_c`` and ``status`` as `bend` has them.
     """
 
     edge_height_m: Array
@@ -345,19 +293,8 @@ def ray_weights(
     >>> (ray.r_c * 1e6).round(4).item(), (one_percent_denser * 1e6).round(4).item()
     (60.6689, 0.6065)
     """
-    batch = _traced(profile, h_c, h_g, zeta_c, radius)
-    weight = np.full((batch.status.size, batch.pieces.height_m.size), np.nan)
-    valid = np.zeros(batch.status.size, dtype=bool)
-    for rows, adjoints in batch.adjoints():
-        weight[rows], valid[rows] = adjoints.weight, adjoints.valid
-    shape = batch.shape
-    return RayWeights(
-        batch.pieces.height_m.reshape(-1),
-        weight.reshape(*shape, weight.shape[1]),
-        batch.r_c.reshape(shape),
-        batch.status.reshape(shape),
-        valid.reshape(shape),
-    )
+    traced = _derivatives(profile, (h_c, h_g, zeta_c, radius), lambda h: np.eye(h.size))
+    return RayWeights(traced.height_m, traced.gradient, traced.r_c, traced.status, traced.valid)
 
 
 def sensitivity(
@@ -371,12 +308,7 @@ def sensitivity(
 ) -> Sensitivity:
     """Derivatives of R_c with respect to the air, the heights and the nadir angle.
 
-    Parameters
-    ----------
-    profile : the air, of m layers.
-    h_c, h_g : heights of camera and target above sea level [m]; broadcast with the others.
-    zeta_c : apparent nadir angle at the camera [rad], 0 to pi.
-    radius : of the sphere [m].
+    profile, h_c, h_g, zeta_c, radius : as for `refraction_angle`.
     anchor_height_m : where pressure stays as it is when temperatures change [m above sea level].
 
     Valid for rays that have an angle and do not turn on their way, down to 1 mm of n r from being
@@ -394,64 +326,61 @@ def sensitivity(
     >>> (s.d_temperature[1, :3] * 1e9).round(3).tolist(), (s.d_h_g * 1e9).round(4).tolist()
     ([0.0, -413.824, 58.604], [-0.0, -11.8448])
     """
-    batch = _traced(profile, h_c, h_g, zeta_c, radius)
-    air = air_jacobian(profile, batch.pieces.height_m.reshape(-1), anchor_height_m)
+    air = partial(air_jacobian, profile, anchor_height_m=anchor_height_m)
+    traced = _derivatives(profile, (h_c, h_g, zeta_c, radius), air)
     edges = profile.layers.edge.size
-    gradient = np.full((batch.status.size, air.shape[1]), np.nan)
-    place = np.full((batch.status.size, 3), np.nan)
-    valid = np.zeros(batch.status.size, dtype=bool)
-    for rows, adjoints in batch.adjoints():
-        gradient[rows] = adjoints.weight @ air
-        place[rows] = np.stack([adjoints.d_h_c, adjoints.d_h_g, adjoints.d_zeta_c], axis=1)
-        valid[rows] = adjoints.valid
-    shape = batch.shape
-    d_h_c, d_h_g, d_zeta_c = (column.reshape(shape) for column in place.T)
-    d_log_pressure = gradient[:, edges].reshape(shape)
+    d_log_pressure = traced.gradient[..., edges]
     return Sensitivity(
         edge_height_m=profile.break_heights_m,
-        r_c=batch.r_c.reshape(shape),
-        d_temperature=gradient[:, :edges].reshape(*shape, edges),
-        d_vapour=gradient[:, edges + 1 :].reshape(*shape, edges),
+        r_c=traced.r_c,
+        d_temperature=traced.gradient[..., :edges],
+        d_vapour=traced.gradient[..., edges + 1 :],
         d_log_pressure=d_log_pressure,
         d_pressure=d_log_pressure / profile.pressure(anchor_height_m),
-        d_h_c=d_h_c,
-        d_h_g=d_h_g,
-        d_zeta_c=d_zeta_c,
-        status=batch.status.reshape(shape),
-        valid=valid.reshape(shape),
+        d_h_c=traced.place[..., 0],
+        d_h_g=traced.place[..., 1],
+        d_zeta_c=traced.place[..., 2],
+        status=traced.status,
+        valid=traced.valid,
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Batch:
-    """Broadcast rays of a ``shape``; ``rays`` are those of ``rows`` that can be differentiated."""
+class _Derivatives(NamedTuple):
+    """Of R_c of rays: ``gradient`` (..., k) by the air, ``place`` (..., 3) by h_c, h_g, zeta_c."""
 
-    shape: tuple[int, ...]
+    height_m: Array
+    gradient: Array
+    place: Array
     r_c: Array
     status: NDArray[np.uint8]
-    rows: Rows
-    rays: Rays
-    pieces: Pieces
-
-    def adjoints(self) -> Iterator[tuple[Rows, Adjoints]]:
-        """Block by block: which rows, and their adjoints."""
-        for block in blocks_of(self.rows.size, self.pieces):
-            rows = self.rows[block]
-            yield rows, trace_adjoints(self.pieces, self.rays[block])
+    valid: Mask
 
 
-def _traced(
-    profile: Profile, h_c: ArrayLike, h_g: ArrayLike, zeta_c: ArrayLike, radius: ArrayLike
-) -> _Batch:
-    """The rays, with their refraction angles."""
-    shape, (h_c, h_g, zeta_c, radius) = as_columns(h_c, h_g, zeta_c, radius)
+def _derivatives(
+    profile: Profile, rays: tuple[ArrayLike, ...], air_of: Callable[[Array], Array]
+) -> _Derivatives:
+    """Derivatives by what changes N at heights (n,), as ``air_of`` (n, k) has it."""
+    shape, (h_c, h_g, zeta_c, radius) = as_columns(*rays)
     safe = np.where((zeta_c >= 0.0) & (zeta_c <= np.pi), zeta_c, np.nan)
     r_c, status = bend(ray_table(profile), h_c, h_g, np.sin(safe), np.cos(safe), radius=radius)
     turns = (h_g > h_c) & (np.cos(safe) > 0.0)
-    rows = np.flatnonzero(np.isin(status, (OK, BEYOND_GRAZING)) & ~turns)
+    traced = np.flatnonzero(np.isin(status, (OK, BEYOND_GRAZING)) & ~turns)
     # The steepest first: blocks of them need fewer nodes.
-    rows = rows[np.argsort(-np.abs(np.cos(zeta_c[rows])), kind="stable")]
-    rays = Rays(h_c, h_g, zeta_c, radius, r_c)[rows]
-    heights = np.concatenate([rays.h_c, rays.h_g]) if rows.size else np.array([profile.bottom_m])
-    pieces = pieces_between(profile, float(heights.min()), float(heights.max()))
-    return _Batch(shape, r_c, status, rows, rays, pieces)
+    traced = traced[np.argsort(-np.abs(np.cos(zeta_c[traced])), kind="stable")]
+    columns = Rays(h_c, h_g, zeta_c, radius, r_c)
+    heights = np.stack([h_c, h_g])[:, traced]
+    low, high = (heights.min(), heights.max()) if traced.size else (profile.bottom_m,) * 2
+    pieces = pieces_between(profile, float(low), float(high))
+    height_m = pieces.height_m.reshape(-1)
+    air = air_of(height_m)
+    gradient, place = np.full((h_c.size, air.shape[1]), np.nan), np.full((h_c.size, 3), np.nan)
+    valid = np.zeros(h_c.size, dtype=bool)
+    at_once = max(1, _BLOCK // (height_m.size // _NODES * _FINE[0].size))
+    for first in range(0, traced.size, at_once):
+        rows = traced[first : first + at_once]
+        weight, place[rows], valid[rows] = trace_adjoints(pieces, columns.rows(rows))
+        gradient[rows] = weight @ air
+    return _Derivatives(
+        height_m, gradient.reshape(*shape, air.shape[1]), place.reshape(*shape, 3),
+        r_c.reshape(shape), status.reshape(shape), valid.reshape(shape),
+    )  # fmt: skip

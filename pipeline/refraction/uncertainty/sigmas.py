@@ -24,8 +24,8 @@ adds to v, and a ray turns by R's part and that of y at the window.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -34,14 +34,7 @@ from numpy.typing import NDArray
 from pipeline.atmosphere.covariance import ProfileCovariance, air_jacobian, log_pressure_jacobian
 from pipeline.atmosphere.profile import Profile
 from pipeline.atmosphere.standard import standard_atmosphere
-from pipeline.refraction.kernels.columns import (
-    AirTables,
-    CameraConstants,
-    ExposureColumns,
-    ObservationColumns,
-    TracedColumns,
-)
-from pipeline.refraction.kernels.sigma import propagate
+from pipeline.refraction.kernels.columns import AirTables
 from pipeline.refraction.ray_table import cut
 from pipeline.refraction.uncertainty.sensitivity import sensitivity
 from pipeline.refraction.window import SCHEDULE_PRESSURE_PA, SCHEDULE_TEMPERATURE_K
@@ -74,22 +67,6 @@ _REFRACTIVITY_STEP_M = 5.0
 _NOTHING = 1e-30  # in the place of a sigma of zero, by which nothing can be divided
 
 
-@dataclass(frozen=True, eq=False)
-class AirSigma:
-    """Tables of sigma_R and dR/dzeta over camera height, way down to the target, and incidence.
-
-    Parameters
-    ----------
-    camera_m : (c,) heights of cameras [m above sea level].
-    window_kinds : v of `SEALED`, `SCHEDULED`, those that are tabulated.
-    tables : over those cameras and windows.
-    """
-
-    camera_m: Array
-    window_kinds: tuple[int, ...]
-    tables: AirTables
-
-
 def air_sigma(
     profile: Profile,
     covariance: ProfileCovariance | None,
@@ -100,28 +77,24 @@ def air_sigma(
     radius: float,
     window_kinds: Sequence[int] = (),
     mode: AirMode | None = None,
-) -> AirSigma:
+) -> tuple[Array, AirTables]:
     """Tabulate sigma of R, and what the leading mode does, for the cameras and ground of a block.
 
-    Parameters
-    ----------
-    profile, covariance : the air, and how well it is known; None where that is not known.
-    camera_heights_m, ground_heights_m : lowest and highest, above sea level [m].
-    largest_zeta_rad : nadir angle beyond which nothing is seen; beyond 1.7 degrees above level at
-        the ground the tables end anyway.
-    radius : of the sphere [m].
-    window_kinds : of `SEALED` and `SCHEDULED` those of the cameras.
-    mode : the leading mode of the covariance.
+    ``covariance`` is None where it is not known, ``mode`` its leading mode. Heights are the lowest
+    and the highest above sea level [m], ``window_kinds`` those of `SEALED` and `SCHEDULED` that are
+    there, ``radius`` that of the sphere [m]. Nothing is seen beyond the nadir angle
+    ``largest_zeta_rad``; beyond 1.7 degrees above level at the ground the tables end anyway.
+
+    Returns the heights of cameras (c,) [m above sea level] that are tabulated, and the tables.
 
     Against `sensitivity` with the same covariance, cameras within 150 m: 1 % of sigma_R up to 75
     degrees, 2 % at 80, 3 % at 85, on ways of 100 m and more; 8 % at 85 degrees and 6 km where the
     ground may lie anywhere. dR/dzeta to 1 %.
     """
     root = None if covariance is None else CovarianceRoot.of(covariance)
-    if root is not None and mode is not None:
-        root = replace(root, matrix=np.column_stack([mode.state, root.matrix]))
-    elif root is not None:
-        root = replace(root, matrix=np.pad(root.matrix, ((0, 0), (1, 0))))
+    if root is not None:  # the first column is the mode
+        first = np.zeros(len(root.matrix)) if mode is None else mode.state
+        root = replace(root, matrix=np.column_stack([first, root.matrix]))
     low, high = camera_heights_m
     top = min(ground_heights_m[1], high)
     bottom = min(max(ground_heights_m[0], profile.bottom_m), low - _SHORTEST_M)
@@ -144,12 +117,18 @@ def air_sigma(
     )
     heights = np.arange(bottom, high + _REFRACTIVITY_STEP_M, _REFRACTIVITY_STEP_M)
     heights = np.minimum(heights, profile.top_m)
-    tables = AirTables(
-        float(first), _WAY_STEP, _COARSE_STEP, _INCIDENCE_STEP, plane.sigma, plane.angle, factors,
-        plane.behind, plane.lean, bottom, _REFRACTIVITY_STEP_M, profile.refractivity(heights),
-        plane.mode, plane.mode_lean, np.nan if mode is None else mode.sigma,
-    )  # fmt: skip
-    return AirSigma(camera, tuple(window_kinds), tables)
+    return camera, AirTables(
+        way_first=float(first),
+        way_step=_WAY_STEP,
+        coarse_step=_COARSE_STEP,
+        incidence_step=_INCIDENCE_STEP,
+        factors=factors,
+        ground_m=bottom,
+        spacing_m=_REFRACTIVITY_STEP_M,
+        refractivity=profile.refractivity(heights),
+        mode_sigma=np.nan if mode is None else mode.sigma,
+        **plane,
+    )
 
 
 def cabin_response(profile: Profile, h: Array, kind: int) -> Array:
@@ -179,11 +158,9 @@ def window_kind_of(pressure_pa: Array, *, scheduled: bool) -> Integers:
 class AirMode:
     """The leading mode of the air's covariance: one parameter s of an adjustment.
 
-    Parameters
-    ----------
-    state : (2k + 1,) what one sigma of s adds to the quantities of `ProfileCovariance.matrix`.
-    sigma : of s, whose unit is the refraction: s = 0.01 turns rays by 1 % of it, on the average.
-    variance_share : of the variance that the air gives the rays the mode was found from.
+    ``state`` (2k + 1,) is what one sigma of s adds to the quantities of `ProfileCovariance.matrix`.
+    The unit of s, and of ``sigma``, is the refraction: s = 0.01 turns rays by 1 % of it, on the
+    average. ``variance_share`` is that of the variance that the air gives the rays it is found of.
     """
 
     state: Array
@@ -224,35 +201,24 @@ def _cabin_errors(profile: Profile, root: CovarianceRoot, h: Array, kind: int) -
     return np.asarray(response * (by_t @ root.matrix[:edges] + root.matrix[edges]))
 
 
-class _InThePlane(NamedTuple):
-    """Tables of `AirTables` by its names."""
-
-    sigma: Array
-    angle: Array
-    behind: Array
-    lean: Array
-    mode: Array
-    mode_lean: Array
-
-
 def _in_the_plane(
     profile: Profile,
     root: CovarianceRoot | None,
     camera: Array,
     way: Array,
     window_kinds: Sequence[int],
-) -> _InThePlane:
+) -> dict[str, Array]:
     """The tables for ways (w,) [m]; the first column of ``root`` is the leading mode."""
-    columns = _Columns.of(profile, root, camera[0] - way[-1], camera[-1])
+    lowest, columns_at = columns_of_air(profile, root, camera[0] - way[-1], camera[-1])
     shape = (camera.size, way.size)
     sigma, angle, mode = np.full(shape, np.nan), np.empty(shape), np.full(shape, np.nan)
     behind = np.full((len(window_kinds), 2, *shape), np.nan)
     lean, mode_lean = np.full((2, len(window_kinds), camera.size), np.nan)
-    at_camera, above = columns.at(camera)
+    at_camera, above = columns_at(camera)
     cabins = [_cabin_errors(profile, root, camera, v) for v in window_kinds] if root else []
     for row, height in enumerate(camera):
-        reach = np.maximum(np.minimum(way, height - columns.height_m[0]), _SHORTEST_M)[:, None]
-        mean = (above[row] - columns.at(height - reach[:, 0])[1]) / reach
+        reach = np.maximum(np.minimum(way, height - lowest), _SHORTEST_M)[:, None]
+        mean = (above[row] - columns_at(height - reach[:, 0])[1]) / reach
         angle[row] = (mean[:, 0] - at_camera[row, 0]) / reach[:, 0]
         if root is None:
             continue
@@ -265,45 +231,38 @@ def _in_the_plane(
             lean[k, row] = np.linalg.norm(y)
             behind[k, 0, row] = _lengths(x)
             behind[k, 1, row] = x @ y / max(lean[k, row], _NOTHING)
-    return _InThePlane(sigma, angle, behind, lean, mode, mode_lean)
+    return {"sigma": sigma, "angle": angle, "behind": behind, "lean": lean, "mode": mode,
+            "mode_lean": mode_lean}  # fmt: skip
 
 
 def _lengths(rows: Array) -> Array:
     return np.asarray(np.sqrt(np.einsum("ij,ij->i", rows, rows)))
 
 
-@dataclass(frozen=True, eq=False)
-class _Columns:
-    """N and its errors (n, 1 + r) at heights, linear between, and integrals from the lowest."""
+def columns_of_air(
+    profile: Profile, root: CovarianceRoot | None, low: float, high: float
+) -> tuple[float, Callable[[Array], tuple[Array, Array]]]:
+    """The lowest height, and N and its errors (n, 1 + r) at heights (n,), linear between those
+    kept, with their integrals from the lowest."""
+    lowest = max(low, profile.bottom_m)
+    breaks = profile.break_heights_m
+    even = np.arange(lowest, high + _STEP_M, _STEP_M)
+    h = np.unique(np.concatenate([even, breaks[(breaks > lowest) & (breaks < even[-1])]]))
+    h = h[h <= profile.top_m]
+    value = profile.refractivity(h)[:, None]
+    if root is not None:
+        value = np.column_stack([value, air_jacobian(profile, h, root.anchor_m) @ root.matrix])
+    thickness = np.diff(h)[:, None]
+    slope = np.diff(value, axis=0) / thickness
+    steps = 0.5 * thickness * (value[1:] + value[:-1])
+    integral = np.concatenate([np.zeros((1, value.shape[1])), np.cumsum(steps, axis=0)])
 
-    height_m: Array
-    value: Array
-    slope: Array
-    integral: Array
-
-    @classmethod
-    def of(cls, profile: Profile, root: CovarianceRoot | None, low: float, high: float) -> _Columns:
-        lowest = max(low, profile.bottom_m)
-        breaks = profile.break_heights_m
-        even = np.arange(lowest, high + _STEP_M, _STEP_M)
-        h = np.unique(np.concatenate([even, breaks[(breaks > lowest) & (breaks < even[-1])]]))
-        h = h[h <= profile.top_m]
-        value = profile.refractivity(h)[:, None]
-        if root is not None:
-            state = air_jacobian(profile, h, root.anchor_m)
-            value = np.column_stack([value, state @ root.matrix])
-        thickness = np.diff(h)[:, None]
-        steps = 0.5 * thickness * (value[1:] + value[:-1])
-        integral = np.concatenate([np.zeros((1, value.shape[1])), np.cumsum(steps, axis=0)])
-        return cls(h, value, np.diff(value, axis=0) / thickness, integral)
-
-    def at(self, height: Array) -> tuple[Array, Array]:
-        """Values and integrals at heights (m,)."""
-        h, value, slope = self.height_m, self.value, self.slope
+    def at(height: Array) -> tuple[Array, Array]:
         i = np.clip(np.searchsorted(h, height, side="right") - 1, 0, h.size - 2)
         rise = np.clip(height - h[i], 0.0, None)[:, None]
-        integral = self.integral[i] + rise * (value[i] + 0.5 * rise * slope[i])
-        return value[i] + slope[i] * rise, integral
+        return value[i] + slope[i] * rise, integral[i] + rise * (value[i] + 0.5 * rise * slope[i])
+
+    return float(h[0]), at
 
 
 def _on_the_sphere(
@@ -346,7 +305,6 @@ def _on_the_sphere(
 
 Single = NDArray[np.float32]
 
-
 PARTIALS = ("dx_ds_px", "dy_ds_px", "dx_dncc_px", "dy_dncc_px")
 """The columns of `Sigmas` that are derivatives."""
 
@@ -355,12 +313,12 @@ PARTIALS = ("dx_ds_px", "dy_ds_px", "dx_dncc_px", "dy_dncc_px")
 class Uncertainty:
     """All that turns corrections into standard deviations; made by `uncertainty_of`.
 
-    ``air`` : tables of sigma_R; ``stations`` (s, 19) columns `N` to `CABIN` of
+    ``tables`` of sigma_R; ``stations`` (s, 19) columns `N` to `CABIN` of
     `pipeline.refraction.kernels.columns`; ``mode`` the leading mode of the air's covariance, None
     where that is not known.
     """
 
-    air: AirSigma
+    tables: AirTables
     stations: Array
     mode: AirMode | None = None
 
@@ -368,23 +326,19 @@ class Uncertainty:
         """The same with another unit of the mode's parameter, in which its sigma is this."""
         if self.mode is None:
             return self
-        tables = self.air.tables._replace(mode_sigma=sigma)
-        air = replace(self.air, tables=tables)
-        return replace(self, air=air, mode=replace(self.mode, sigma=sigma))
+        tables = self.tables._replace(mode_sigma=sigma)
+        return replace(self, tables=tables, mode=replace(self.mode, sigma=sigma))
 
 
-@dataclass(frozen=True, eq=False)
-class Sigmas:
+class Sigmas(NamedTuple):
     """Standard deviations of corrections, and derivatives; (n,) arrays, NaN where unknown.
 
     ``r_c_rad`` and ``air_*`` are common to the block: they must not be added to the weights of
     observations. ``station_*`` are common to an image, ``ground_*`` to a point, ``r_cc_rad`` and
     ``cabin_*`` (by the air behind the window) to a camera. dx and dy of one kind are fully
-    correlated but for ``station_*`` and ``cabin_*``.
-
-    ``dx_ds_px``, ``dy_ds_px`` are the derivatives of the corrected (or displaced) pixels by the
-    parameter s of the air's leading mode; ``dx_dncc_px``, ``dy_dncc_px`` by the refractivity of the
-    air behind a plane window, NaN without one.
+    correlated but for ``station_*`` and ``cabin_*``. The derivatives are those of the corrected (or
+    displaced) pixels: ``dx_ds_px``, ``dy_ds_px`` by the parameter s of the air's leading mode,
+    ``dx_dncc_px``, ``dy_dncc_px`` by the refractivity behind a plane window, NaN without one.
     """
 
     r_c_rad: Array
@@ -405,43 +359,22 @@ class Sigmas:
     @classmethod
     def room(cls, n: int) -> Sigmas:
         """For n observations, to be filled."""
-        return cls(np.empty(n), *np.empty((len(fields(cls)) - 1, n), np.float32))
+        return cls(np.empty(n), *np.empty((len(cls._fields) - 1, n), np.float32))
 
     @classmethod
     def unknown(cls, n: int) -> Sigmas:
         """Of n observations of which nothing is known."""
-        made = cls.room(n)
-        for values in made.columns().values():
-            values.fill(np.nan)
-        return made
-
-    def columns(self) -> dict[str, Any]:
-        """The arrays by their names."""
-        return {field.name: getattr(self, field.name) for field in fields(self)}
+        return cls(np.full(n, np.nan), *np.full((len(cls._fields) - 1, n), np.nan, np.float32))
 
     def named(self) -> dict[str, Any]:
         """The arrays by the names of columns of tables."""
-        return {n if n in PARTIALS else f"sigma_{n}": v for n, v in self.columns().items()}
+        return {n if n in PARTIALS else f"sigma_{n}": v for n, v in self._asdict().items()}
 
     def rows(self, which: Rows | slice) -> Sigmas:
         """Some of the rows; those of a slice can be filled."""
-        return Sigmas(**{name: values[which] for name, values in self.columns().items()})
+        return Sigmas._make(values[which] for values in self)
 
     def put(self, rows: Rows, part: Sigmas) -> None:
         """Fill some rows in."""
-        for name, values in self.columns().items():
+        for name, values in self._asdict().items():
             values[rows] = getattr(part, name)
-
-    def fill(
-        self,
-        uncertainty: Uncertainty,
-        observed: ObservationColumns,
-        setup: tuple[CameraConstants, ExposureColumns],
-        traced: TracedColumns,
-    ) -> None:
-        """Fill in the standard deviations of observations that have been traced to the ground."""
-        camera, exposures = setup
-        propagate(
-            observed, (camera, exposures.rotation), traced,
-            (uncertainty.stations, uncertainty.air.tables), tuple(self.columns().values()),
-        )  # fmt: skip
