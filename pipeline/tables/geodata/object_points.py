@@ -10,8 +10,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from pipeline.errors import InputError
-from pipeline.tables.column_checks import no_such_column
-from pipeline.tables.text_columns import numbers_of, text_table
+from pipeline.tables.text_columns import no_such_column, numbers_of, text_table
 from pipeline.units import Array, Integers
 
 _CODES = ("POINTS-TABLE", "POINTS-COLUMN")

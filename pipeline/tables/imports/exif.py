@@ -21,8 +21,8 @@ from pipeline.errors import InputError
 from pipeline.flight import rotations
 from pipeline.flight.clock import utc_of_gps
 from pipeline.ledger import Ledger
-from pipeline.tables.imports.orientation import OrientationTable
 from pipeline.tables.imports.stated import Stated
+from pipeline.tables.imports.user_tables import OrientationTable
 from pipeline.units import Integers, Names
 
 ENDINGS = ".3fr .arw .cr2 .cr3 .dng .heic .iiq .jpeg .jpg .nef .orf .raf .rw2 .tif .tiff"

@@ -15,7 +15,7 @@ import pyarrow as pa
 
 from pipeline.errors import ConfigError, MissionError
 from pipeline.ledger import Ledger
-from pipeline.tables.exports.blocks.exported_block import block_of
+from pipeline.tables.exports.exported_block import block_of
 from pipeline.tables.exports.format import (
     PIXEL_UM,
     ExportFormat,
