@@ -31,17 +31,10 @@ def lattice_tables(
     usable = run.exposures.usable
     left_out = run.stations.image[~usable]
     if left_out.size:
-        what = (
-            f"{left_out.size} images have no usable station and no lattice, the first {left_out[0]}"
-        )
-        ledger.loss("EXPORT-LEFT-OUT", what, where="stations.parquet", count=int(left_out.size))
-    groundless = run.stations.image[usable & ~np.isfinite(run.ground_m)]
-    if groundless.size:
-        what = (
-            f"{groundless.size} images have a lattice without corrections: the run knows no ground "
-            "height; --ground-height gives one"
-        )
-        ledger.loss("EXPORT-NO-GROUND", what, where="observations", count=int(groundless.size))
+        ledger.loss("EXPORT-LEFT-OUT/lattice", where="stations.parquet", count=left_out.size,
+                    first=left_out[0])  # fmt: skip
+    if groundless := int(np.sum(usable & ~np.isfinite(run.ground_m))):
+        ledger.loss("EXPORT-NO-GROUND/lattice", where="observations", count=groundless)
     columns, rows = values["columns"], values["rows"]
     layout = {"unbend.lattice": f"{columns} columns, {rows} rows, row by row"}
     schema = schema_of(columns_of("lattice"), dict(run.metadata) | layout)
@@ -155,12 +148,8 @@ def flying_heights(
         rows = run.rows_of(name)
         above_ground = run.exposures.height_m[rows] - run.ground_m[rows]
         known = above_ground > 0.0
-        if not bool(known.all()):
-            what = (
-                f"left out: {int((~known).sum())} images of camera {name} without known ground "
-                "below them"
-            )
-            ledger.loss("EXPORT-LEFT-OUT", what, where=f"camera {name}", count=int((~known).sum()))
+        if count := int(np.sum(~known)):
+            ledger.loss("EXPORT-LEFT-OUT/ground", where=f"camera {name}", count=count)
         rows, above_ground = rows[known], above_ground[known]
         while rows.size:
             near = above_ground <= (1.0 + same_height) * above_ground.min()

@@ -77,10 +77,7 @@ def read_object_points(
                 if quantity != "point"
             }
         except (pa.ArrowException, OSError) as error:
-            raise InputError(
-                _CODES[0], f"is no readable table of points: {error}", where=str(path),
-                remedy="write a Parquet file with names as text and numbers as float64",
-            ) from None  # fmt: skip
+            raise InputError.of("POINTS-TABLE", path, error=error) from None
     else:
         text = text_table(path, columns, codes=_CODES, key=key)
         given = pa.array(text[columns["point"]].str.strip(), pa.string())

@@ -55,12 +55,11 @@ def read_mrk(path: Path, stated: Stated, ledger: Ledger) -> Channel:
     readable = of_mrk & np.isfinite(list(value.values())).all(axis=0)
     time_ns = utc_of_weeks(value["week"], value["seconds"], stated.system_of(path, ledger, "gpst"))
     lost = (value["Q"] == 0) | ((value["Lat"] == 0.0) & (value["Lon"] == 0.0))
-    if bool(lost.any()):
-        what = (
-            f"{int(lost.sum())} of {lost.size} images have no position (quality 0), the first is "
-            f"number {value['index'][np.argmax(lost)]:.0f}"
+    if count := int(lost.sum()):
+        first = value["index"][np.argmax(lost)]
+        ledger.loss(
+            "IMPORT-NO-POSITION", where=path.name, count=count, total=lost.size, first=first
         )
-        ledger.loss("IMPORT-NO-POSITION", what, where=path.name, count=int(lost.sum()))
     if single := int(np.sum(value["Q"] == 16)):
         ledger.warning("TRAJECTORY-SINGLE", where=path.name, count=single, total=lost.size)
     columns = {

@@ -121,12 +121,9 @@ class ImageTimes:
                 if all(a == b for a, b in zip(parts[row][::-1], wanted, strict=False))
             ]
             if len(same) > 1:
-                raise InputError(
-                    "IMAGES-DUPLICATE",
-                    f"{image} may be {self.file[same[0]]} or {self.file[same[1]]}",
-                    where="events.images",
-                    remedy="write the folder into the names of the observations' images, as in "
-                    f"{self.file[same[0]]}, or give the folder of one flight",
+                one, other = self.file[same[:2]]
+                raise InputError.of(
+                    "IMAGES-DUPLICATE", "events.images", image=image, one=one, other=other
                 )
             if same:
                 found[image] = same[0]

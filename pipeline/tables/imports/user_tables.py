@@ -242,14 +242,11 @@ def _positions(value: Mapping[str, Array], path: Path, key: str) -> Array:
         wrong = np.abs(value[quantity]) > limit
         if bool(wrong.any()):
             swapped = quantity == "latitude" and bool((np.abs(value[quantity]) <= 360.0).all())
-            raise InputError(
-                "ORIENTATION-POSITION",
-                f"{int(wrong.sum())} values of {quantity} lie beyond {limit:.0f} deg, the first "
-                f"{value[quantity][np.argmax(wrong)]:g}"
-                + ("; are latitude and longitude swapped?" if swapped else ""),
-                where=f"{path}, line {int(np.argmax(wrong)) + 2}",
-                remedy=f"name the columns under {key}; they hold degrees, no projected coordinates",
-            )
+            row, hint = np.argmax(wrong), "; are latitude and longitude swapped?"
+            raise InputError.of(
+                "ORIENTATION-POSITION", f"{path}, line {row + 2}", count=wrong.sum(), limit=limit,
+                quantity=quantity, first=value[quantity][row], hint=hint * swapped, named=key,
+            )  # fmt: skip
     lat, lon = np.radians(value["latitude"]), np.radians(value["longitude"])
     return np.stack([lat, lon, value["height"]], axis=1)
 
