@@ -16,7 +16,7 @@ from pipeline.refraction.status_codes import STATUS_NAMES
 from pipeline.report import summary
 from pipeline.report.console import plain_table, print_indented, shown
 from pipeline.report.words import significant, with_sigma
-from pipeline.tables.exports.radial import radial_columns
+from pipeline.tables.exports.correction_tables import radial_columns
 from pipeline.units import HECTOPASCAL, MICRORADIAN
 
 _STATUS_TEXTS = {

@@ -47,7 +47,7 @@ from pipeline.stages.multi_image.image_events import assigned_stations
 from pipeline.stages.multi_image.oriented_stations import oriented_stations
 from pipeline.stages.multi_image.tie_point_checks import TieEvidence, check_tie_points
 from pipeline.tables.geodata.elevation import ElevationModel
-from pipeline.tables.imports.orientation import read_events
+from pipeline.tables.imports.user_tables import read_events
 from pipeline.tables.observations import Observations
 from pipeline.tables.tie_points import MOST_TIE_POINTS, draw_tie_points
 from pipeline.units import DEGREE

@@ -18,13 +18,6 @@ from numpy.typing import NDArray
 
 from pipeline.errors import InputError
 from pipeline.ledger import Ledger
-from pipeline.tables.column_checks import (
-    WantedColumn,
-    is_text,
-    refuse_ambiguous_names,
-    refuse_other_pixels,
-    require_columns,
-)
 from pipeline.tables.delimited import csv_names, open_csv, scan_csv
 from pipeline.tables.geodata.object_points import ObjectPoints
 from pipeline.tables.imports.blocks import BLOCKS, block_rows
@@ -32,7 +25,15 @@ from pipeline.tables.imports.blocks.image_points import of_points, rows_of_image
 from pipeline.tables.pixels import COLMAP, PixelSystem
 from pipeline.tables.refraction_mark import Direction, refuse_done
 from pipeline.tables.schemas import DISPLACED_COLUMNS, OBSERVATION_COLUMNS
-from pipeline.tables.text_columns import Hashes, hashes_of
+from pipeline.tables.text_columns import (
+    Hashes,
+    WantedColumn,
+    hashes_of,
+    is_text,
+    refuse_ambiguous_names,
+    refuse_other_pixels,
+    require_columns,
+)
 from pipeline.units import Array
 
 Records = Callable[[int, list[str] | None, int], Iterator[pa.RecordBatch]]

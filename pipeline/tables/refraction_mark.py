@@ -61,9 +61,12 @@ def refuse_marked(path: Path, direction: Direction = "remove") -> None:
     for file in files:
         digest = _sha256(file) if named else ""
         if digest in by_content:
-            raise _corrected(f"{by_content[digest].name} names its content", file)
+            why = f"{by_content[digest].name} names its content"
+            raise InputError.of("OBS-ALREADY-CORRECTED", file, why=why)
         if _database_is_marked(file):
-            raise _corrected(f"its table {MARK_TABLE} says so", file)
+            raise InputError.of(
+                "OBS-ALREADY-CORRECTED", file, why=f"its table {MARK_TABLE} says so"
+            )
         if file.name in by_name:
             raise InputError.of("OBS-MARK-CHANGED", file, name=by_name[file.name].name)
 
@@ -87,12 +90,8 @@ def refuse_done(path: Path, schema: pa.Schema, direction: Direction) -> None:
     else:
         return refuse_marked(path, direction)
     if removing:
-        raise _corrected(why, path)
+        raise InputError.of("OBS-ALREADY-CORRECTED", path, why=why)
     raise InputError.of("OBS-ALREADY-DISPLACED", path, why=why)
-
-
-def _corrected(why: str, path: Path) -> InputError:
-    return InputError.of("OBS-ALREADY-CORRECTED", path, why=why)
 
 
 def _named_in(sidecar: Path) -> list[tuple[str, str]]:

@@ -50,7 +50,8 @@ def read_sounding(
     if size > LARGEST_BYTES:
         raise InputError.of("SOUNDING-SIZE", path, size=size, largest_bytes=LARGEST_BYTES)
     if data.startswith(_HDF5):
-        raise _no_netcdf(path, "it is netCDF-4 (HDF5); only the classic format is read")
+        why = "it is netCDF-4 (HDF5); only the classic format is read"
+        raise InputError.of("SOUNDING-NETCDF", path, why=why)
     if data.startswith(_NETCDF3):
         raw = nearest_in_time([_netcdf(path)], time_ns, path.name, ledger)
         sounding = check_levels(raw, ledger, latitude_rad=latitude_rad, station_h_m=station_h_m)
@@ -75,9 +76,8 @@ def _netcdf(path: Path) -> RawLevels:
 
     try:
         with netcdf_file(path, "r", mmap=False) as file:
-            missing = [name for name in _VARIABLES if name not in file.variables]
-            if missing:
-                raise _no_netcdf(path, f"it has no variable {missing[0]}")
+            for missing in (name for name in _VARIABLES if name not in file.variables):
+                raise InputError.of("SOUNDING-NETCDF", path, why=f"it has no variable {missing}")
             columns = {name: to_si(_column(file, name), unit) for name, unit in _VARIABLES.items()}
             place = {
                 name: float(_column(file, name)[0]) if name in file.variables else math.nan
@@ -89,9 +89,8 @@ def _netcdf(path: Path) -> RawLevels:
                 "time_offset" in file.variables) else 0.0  # fmt: skip
     except (OSError, TypeError, ValueError, IndexError, AttributeError) as error:
         # What scipy raises on a damaged header, by what the damage hit.
-        if isinstance(error, InputError):
-            raise
-        raise _no_netcdf(path, f"it cannot be decoded: {error}") from None
+        why = f"it cannot be decoded: {error}"
+        raise InputError.of("SOUNDING-NETCDF", path, why=why) from None
     release_ns = None  # a fill value is no time
     if start is not None and 0 < start < _LATEST_S:
         since = offset if math.isfinite(offset) else 0.0
@@ -117,7 +116,3 @@ def _netcdf(path: Path) -> RawLevels:
 def _column(file: Any, name: str) -> Array:
     value = np.array(file.variables[name].data, dtype=np.float64)
     return np.where(np.isin(value, FILLS) | ~(np.abs(value) <= LARGEST), np.nan, value)
-
-
-def _no_netcdf(path: Path, why: str) -> InputError:
-    return InputError.of("SOUNDING-NETCDF", path, why=why)

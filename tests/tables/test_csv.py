@@ -13,7 +13,7 @@ import pytest
 from pipeline.errors import InputError
 from pipeline.ledger import Ledger
 from pipeline.tables import delimited
-from pipeline.tables.imports.orientation import read_events
+from pipeline.tables.imports.user_tables import read_events
 from pipeline.tables.observations import open_observations
 
 COLUMNS = {"image": "image", "point": "point", "x_px": "x_px", "y_px": "y_px"}

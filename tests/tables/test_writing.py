@@ -21,9 +21,8 @@ from pipeline.flight.stations import empty_stations
 from pipeline.geodesy import lambert_gravity
 from pipeline.ledger import Ledger
 from pipeline.tables import delimited
-from pipeline.tables.column_checks import refuse_other_pixels
 from pipeline.tables.exports.format import write_csv_stream
-from pipeline.tables.imports.orientation import read_events
+from pipeline.tables.imports.user_tables import read_events
 from pipeline.tables.observations import open_observations
 from pipeline.tables.refraction_mark import refuse_done
 from pipeline.tables.schemas import (
@@ -32,6 +31,7 @@ from pipeline.tables.schemas import (
     STATION_COLUMNS,
     schema_of,
 )
+from pipeline.tables.text_columns import refuse_other_pixels
 from pipeline.tables.writing import (
     table_of_profile,
     table_of_profiles,

@@ -54,8 +54,8 @@ from pipeline.tables.imports.blocks import (
     damage_refused,
     read_block_images,
 )
-from pipeline.tables.imports.orientation import OrientationTable, read_known_positions
 from pipeline.tables.imports.stated import Stated
+from pipeline.tables.imports.user_tables import OrientationTable, read_known_positions
 from pipeline.tables.observations import Observations
 from pipeline.tables.tie_points import TiePoints, tie_rays
 from pipeline.units import DEGREE, RADIANS, Array

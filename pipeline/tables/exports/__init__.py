@@ -10,11 +10,20 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from pipeline.errors import ConfigError
-from pipeline.tables.exports import calibrations, lattice, maps, opk, radial
-from pipeline.tables.exports.blocks import BLOCKS
+from pipeline.tables.exports import (
+    bingo,
+    bundler,
+    calibrations,
+    colmap_files,
+    correction_tables,
+    opensfm_project,
+    station_files,
+)
 from pipeline.tables.exports.format import ExportCamera, ExportFormat, FinishedRun, Option
 
-MODULES = (lattice, radial, calibrations, maps, opk, *BLOCKS)
+MODULES = (
+    correction_tables, calibrations, station_files, colmap_files, bundler, opensfm_project, bingo,
+)  # fmt: skip
 
 FORMATS: Mapping[str, ExportFormat] = {
     form.name: form for module in MODULES for form in module.FORMATS

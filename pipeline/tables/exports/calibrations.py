@@ -32,8 +32,8 @@ from pipeline.refraction.camera.brown_conrady import BrownConrady
 from pipeline.refraction.camera.camera import Camera
 from pipeline.refraction.camera.opencv_fisheye import OpenCVFisheye
 from pipeline.refraction.image import lattice_nodes
-from pipeline.tables.exports.blocks.colmap_model import colmap_camera
-from pipeline.tables.exports.blocks.opensfm_project import opensfm_camera
+from pipeline.tables.exports.colmap_files import colmap_camera
+from pipeline.tables.exports.correction_tables import flying_heights, lattice_parts
 from pipeline.tables.exports.format import (
     CORRECTIONS_USE,
     PIXEL_UM,
@@ -43,8 +43,7 @@ from pipeline.tables.exports.format import (
     Values,
     pixel_mm,
 )
-from pipeline.tables.exports.lattice import lattice_parts
-from pipeline.tables.exports.radial import flying_heights
+from pipeline.tables.exports.opensfm_project import opensfm_camera
 from pipeline.units import Array, Integers, Mask
 
 _FLAGGED, _REFUSED, _NOTHING_PX = 0.1, 0.5, 0.02

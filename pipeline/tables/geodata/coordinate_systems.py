@@ -91,23 +91,14 @@ def places_of(
         h = h * axis.unit_conversion_factor * (-1.0 if axis.direction == "down" else 1.0)
         if vertical.name not in _SEA_LEVELS:
             if geoid is None:
-                raise _vertical(
-                    f"its heights are {vertical.name}, and nothing relates them to others",
-                    where, key,
-                    "give mission.geoid, the path of this datum's grid of undulations (.gtx or "
-                    f"GeoTIFF); or state {horizontal.to_string()} alone, where some decimetres to "
-                    "a metre of difference between sea levels do not matter",
-                )  # fmt: skip
+                raise InputError.of("CRS-VERTICAL/grid", where, named=key, vertical=vertical.name,
+                                    horizontal=horizontal.to_string())  # fmt: skip
             undulation = geoid.undulation(lat, lon)
             off = undulation - package_geoid().undulation(lat, lon)
             off_m = float(np.median(off[np.isfinite(off)])) if np.isfinite(off).any() else 0.0
             if abs(off_m) > LARGEST_GEOID_M:
-                raise _vertical(
-                    f"{geoid.name} is {off_m:+.1f} m from EGM96 at the positions, as no sea level "
-                    f"is: it is not the grid of {vertical.name}, or of the other sign", where, key,
-                    "give this datum's grid of undulations under mission.geoid: the ellipsoidal "
-                    "height minus the height above the datum",
-                )  # fmt: skip
+                raise InputError.of("CRS-VERTICAL/other-grid", where, named=key, geoid=geoid.name,
+                                    off_m=off_m, vertical=vertical.name)  # fmt: skip
             what = f"{vertical.name} taken as {geoid.name} relates it to the ellipsoid, "
             what += f"{off_m:+.1f} m from EGM96 in the median"
             entry = note if abs(off_m) <= USUAL_GEOID_M else warning
@@ -259,19 +250,12 @@ def _system(crs: str, heights: str, where: str, key: str) -> tuple[Any, Any]:
     if not vertical and len(whole.axis_info) == 3:
         of_system = "ellipsoid"
     if of_system != heights:
-        raise _vertical(f"the heights of {whole.name} are {of_system}, stated are {heights}", where,
-                        key, f"state {of_system}, or a system without heights")  # fmt: skip
+        raise InputError.of("CRS-VERTICAL/stated", where, named=key, name=whole.name,
+                            of_system=of_system, heights=heights)  # fmt: skip
     if heights == "ellipsoid" and abs(ellipsoid.semi_major_metre - WGS84_A) > 1.0:
-        raise _vertical(
-            f"the ellipsoid of {horizontal.name} is {ellipsoid.name}, and receivers give no "
-            "heights above that", where, key, "give heights above mean sea level (msl), or "
-            "positions in a system of WGS 84 or ETRS89",
-        )  # fmt: skip
+        raise InputError.of("CRS-VERTICAL/ellipsoid", where, named=key, name=horizontal.name,
+                            ellipsoid=ellipsoid.name)  # fmt: skip
     return horizontal.to_2d(), vertical[0] if vertical else None
-
-
-def _vertical(what: str, where: str, key: str, remedy: str) -> InputError:
-    return InputError("CRS-VERTICAL", what, where=where, remedy=f"{key}: {remedy}")
 
 
 def _inside(

@@ -10,8 +10,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from pipeline.errors import InputError
-from pipeline.tables.column_checks import no_such_column
-from pipeline.tables.text_columns import numbers_of, text_table
+from pipeline.tables.text_columns import no_such_column, numbers_of, text_table
 from pipeline.units import Array, Integers
 
 _CODES = ("POINTS-TABLE", "POINTS-COLUMN")
@@ -78,10 +77,7 @@ def read_object_points(
                 if quantity != "point"
             }
         except (pa.ArrowException, OSError) as error:
-            raise InputError(
-                _CODES[0], f"is no readable table of points: {error}", where=str(path),
-                remedy="write a Parquet file with names as text and numbers as float64",
-            ) from None  # fmt: skip
+            raise InputError.of("POINTS-TABLE", path, error=error) from None
     else:
         text = text_table(path, columns, codes=_CODES, key=key)
         given = pa.array(text[columns["point"]].str.strip(), pa.string())

@@ -18,18 +18,18 @@ Registry = Mapping[str, tuple[str, tuple[str, ...]]]
 TRAJECTORIES: Registry = {
     "rtklib": ("pipeline.tables.imports.rtklib:read_pos", (".pos",)),
     "sbet": ("pipeline.tables.imports.sbet:read_sbet", (".sbet", ".out")),
-    "csv": ("pipeline.tables.imports.trajectory_csv:read_trajectory_csv", (".csv", ".txt")),
+    "csv": ("pipeline.tables.imports.user_tables:read_trajectory_csv", (".csv", ".txt")),
 }
 
 CAMERA_EVENTS: Registry = {
     "rtklib": ("pipeline.tables.imports.rtklib:read_pos", (".pos",)),
-    "mrk": ("pipeline.tables.imports.mrk:read_mrk", (".mrk",)),
-    "eo": ("pipeline.tables.imports.eo_text:read_eo_text", (".txt", ".eo", ".dat")),
+    "mrk": ("pipeline.tables.imports.camera_events:read_mrk", (".mrk",)),
+    "eo": ("pipeline.tables.imports.camera_events:read_eo_text", (".txt", ".eo", ".dat")),
 }
 """Readers of exposures with their positions: columns of positions, and ``event_index``."""
 
 ORIENTATIONS: Registry = {
-    "csv": ("pipeline.tables.imports.orientation:read_orientation", (".csv", ".txt")),
+    "csv": ("pipeline.tables.imports.user_tables:read_orientation", (".csv", ".txt")),
     "dji": ("pipeline.tables.imports.exif:read_gimbal_orientations", ()),
 }
 """Readers of positions and attitudes of images: a table, or the images of a folder themselves."""

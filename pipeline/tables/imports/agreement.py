@@ -129,29 +129,19 @@ def _compare_places(imported: Channel, rows: Rows, track: _Track, ledger: Ledger
     if better and far and best < _OTHER_FLIGHT_M:
         leap = "; GPS time is 18 s ahead of UTC since 2017" if 14.5 < abs(shift) < 18.5 else ""
         zone = "; a time zone" if abs(shift) > 1700.0 else ""
-        raise MissionError(
-            "TRAJECTORY-TIME",
-            f"its times are {abs(shift):.2f} s {'late' if shift < 0 else 'early'}: by that much it "
-            f"fits {track.name} of the log within {best:.1f} m, as it is within {now:.0f} m"
-            f"{leap}{zone}",
-            where=imported.name,
-            remedy="state time: {system: gpst} or {system: utc} under stations.trajectory or "
-            "events.positions, as it was written; other offsets are to be mended in the file",
-        )
+        sense = "late" if shift < 0 else "early"
+        raise MissionError.of("TRAJECTORY-TIME", imported.name, shift=abs(shift), sense=sense,
+                              log=track.name, best=best, now=now, why=leap + zone)  # fmt: skip
     if distance.size == 0:
-        text = f"it covers {_span(imported.time_ns)}, the log {_span(track.time_ns)}"
-        remedy = "name the file of this flight, or state the week or the system of its times"
-        raise MissionError("TRAJECTORY-OVERLAP", text, where=imported.name, remedy=remedy)
+        spans = _span(imported.time_ns), _span(track.time_ns)
+        raise MissionError.of("TRAJECTORY-OVERLAP", imported.name, own=spans[0], log=spans[1])
     if now > _OTHER_FLIGHT_M:
         what = f"it is {_metres(now)} from {track.name} of the log in the median"
         for mistake, undone in _OF_PLACE.items():
             other = track.metres(*undone(imported["lat_rad"], imported["lon_rad"]))
             if (away := float(np.nanmedian(np.abs(other)))) < 0.01 * now:
                 what += f"; {mistake} it is {_metres(away)} from the middle of the flight"
-        raise MissionError(
-            "TRAJECTORY-PLACE", what, where=imported.name,
-            remedy="name the file of this flight; state position_unit, and which column is which",
-        )  # fmt: skip
+        raise MissionError.of("TRAJECTORY-PLACE", imported.name, what=what)
     most_m = float(np.percentile(distance, 95.0))
     what = (
         f"{now:.2f} m from {track.name} of the log in the median, 95 % within "
@@ -177,13 +167,8 @@ def _compare_heights(
     apart = float(np.nanmedian(same))
     by_other = float(np.nanmedian(other)) if np.isfinite(other).any() else np.inf
     if abs(apart) > _LIMITS["height"][0] and abs(by_other) < abs(apart) / 3.0:
-        raise MissionError(
-            "TRAJECTORY-HEIGHT",
-            f"its heights are {apart:+.1f} m from those of {own.name} as heights above {names[0]}, "
-            f"and {by_other:+.1f} m as heights above {names[1]}",
-            where=imported.name,
-            remedy=f"give heights: {names[1]}, or mend mission.undulation_m",
-        )
+        raise MissionError.of("TRAJECTORY-HEIGHT", imported.name, apart=apart, own=own.name,
+                              same=names[0], by_other=by_other, other=names[1])  # fmt: skip
     spread = float(np.nanpercentile(np.abs(same - apart), 95.0))
     what = (
         f"{apart:+.2f} m from the height of {own.name} of the log in the median, within "
@@ -212,13 +197,9 @@ def _compare_attitudes(
     for what, undone in (UNIT_MISTAKES | ANGLE_MISTAKES).items() if size > _LARGE_TURN_DEG else ():
         left = apart(Rotation.from_euler("ZYX", np.stack(undone(*angles.T[::-1])[::-1], axis=1)))
         if left < min(_LARGE_TURN_DEG, size / 3.0):
-            raise MissionError(
-                "TRAJECTORY-ANGLES",
-                f"its attitude is up to {size:.1f} deg from that of the log (90 %), "
-                f"{what.format('roll', 'pitch', 'yaw')} up to {left:.1f} deg",
-                where=name,
-                remedy="state angle_unit and angle_order, and which column is which; roll is right "
-                "wing down, pitch nose up, yaw clockwise from north",
+            what = what.format("roll", "pitch", "yaw")
+            raise MissionError.of(
+                "TRAJECTORY-ANGLES/columns", name, size=size, mistake=what, left=left
             )
     # The angle about each axis, as the file has it, in another order of the rotations.
     seq: Any = angle_order

@@ -21,8 +21,8 @@ from pipeline.errors import InputError
 from pipeline.flight import rotations
 from pipeline.flight.clock import utc_of_gps
 from pipeline.ledger import Ledger
-from pipeline.tables.imports.orientation import OrientationTable
 from pipeline.tables.imports.stated import Stated
+from pipeline.tables.imports.user_tables import OrientationTable
 from pipeline.units import Integers, Names
 
 ENDINGS = ".3fr .arw .cr2 .cr3 .dng .heic .iiq .jpeg .jpg .nef .orf .raf .rw2 .tif .tiff"
@@ -121,12 +121,9 @@ class ImageTimes:
                 if all(a == b for a, b in zip(parts[row][::-1], wanted, strict=False))
             ]
             if len(same) > 1:
-                raise InputError(
-                    "IMAGES-DUPLICATE",
-                    f"{image} may be {self.file[same[0]]} or {self.file[same[1]]}",
-                    where="events.images",
-                    remedy="write the folder into the names of the observations' images, as in "
-                    f"{self.file[same[0]]}, or give the folder of one flight",
+                one, other = self.file[same[:2]]
+                raise InputError.of(
+                    "IMAGES-DUPLICATE", "events.images", image=image, one=one, other=other
                 )
             if same:
                 found[image] = same[0]

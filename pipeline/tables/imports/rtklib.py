@@ -71,11 +71,8 @@ def read_pos(path: Path, stated: Stated, ledger: Ledger) -> Channel:
     )
     ledger.note("TRAJECTORY-QUALITY", f"solutions: {shares}", where=path.name, count=len(channel))
     if single := int(counts[found == 5].sum()):
-        what = (
-            f"{single} of {len(channel)} solutions are single-point fixes (Q 5): their sigma is at "
-            f"least {SINGLE_SIGMA_H_M} m, {SINGLE_SIGMA_V_M} m in height"
-        )
-        ledger.warning("TRAJECTORY-SINGLE", what, where=path.name, count=single)
+        ledger.warning("TRAJECTORY-SINGLE/pos", where=path.name, count=single, total=len(channel),
+                       sigma_h_m=SINGLE_SIGMA_H_M, sigma_v_m=SINGLE_SIGMA_V_M)  # fmt: skip
     return channel
 
 

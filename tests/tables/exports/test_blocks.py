@@ -37,7 +37,7 @@ from pipeline.refraction.camera.opencv_fisheye import OpenCVFisheye
 from pipeline.refraction.image import Exposures
 from pipeline.refraction.ray import rays_by
 from pipeline.tables.exports import FORMATS, ExportCamera, FinishedRun, find_format
-from pipeline.tables.exports.blocks.bingo import short_names
+from pipeline.tables.exports.bingo import short_names
 from pipeline.tables.imports.blocks import block_rows, read_block_images, read_camera
 from pipeline.tables.pixels import PixelSystem
 from pipeline.tables.refraction_mark import refuse_marked

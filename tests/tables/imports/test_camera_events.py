@@ -9,8 +9,7 @@ from scipy.spatial.transform import Rotation
 from pipeline.errors import InputError
 from pipeline.ledger import Ledger
 from pipeline.tables.imports import CAMERA_EVENTS, format_of
-from pipeline.tables.imports.eo_text import read_eo_text
-from pipeline.tables.imports.mrk import read_mrk
+from pipeline.tables.imports.camera_events import read_eo_text, read_mrk
 from pipeline.tables.imports.rtklib import read_pos
 from pipeline.tables.imports.stated import Stated
 

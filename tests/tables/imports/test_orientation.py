@@ -8,8 +8,8 @@ import pytest
 from pipeline.errors import InputError
 from pipeline.flight.stations import NO_TIME
 from pipeline.ledger import Ledger
-from pipeline.tables.imports.orientation import read_known_positions, read_orientation
 from pipeline.tables.imports.stated import Stated
+from pipeline.tables.imports.user_tables import read_known_positions, read_orientation
 
 NAMES = {
     "image": "image", "latitude": "lat", "longitude": "lon", "height": "h",

@@ -13,7 +13,7 @@ from pipeline.tables.imports import TRAJECTORIES, format_of
 from pipeline.tables.imports.rtklib import read_pos
 from pipeline.tables.imports.sbet import read_sbet
 from pipeline.tables.imports.stated import Stated
-from pipeline.tables.imports.trajectory_csv import read_trajectory_csv
+from pipeline.tables.imports.user_tables import read_trajectory_csv
 
 GPST = Stated(time_system="gpst", heights="ellipsoid")
 WEEK = 2417

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
     from pipeline.tables.imports.blocks.image_points import CameraMakers
-    from pipeline.tables.imports.orientation import OrientationTable
+    from pipeline.tables.imports.user_tables import OrientationTable
 
 
 class BlockFormat(Protocol):

@@ -29,8 +29,8 @@ from pipeline.tables.imports.blocks.image_points import (
     oriented_images,
     rows_of_image,
 )
-from pipeline.tables.imports.orientation import OrientationTable
 from pipeline.tables.imports.stated import not_of_format
+from pipeline.tables.imports.user_tables import OrientationTable
 from pipeline.units import Array, Integers
 
 _MODELS = (

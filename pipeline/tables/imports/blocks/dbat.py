@@ -22,8 +22,8 @@ from pipeline.flight.rotations import quaternion_of_opk
 from pipeline.refraction.calibration import MetricReport, camera_of_model, camera_of_report
 from pipeline.refraction.camera.camera import Camera
 from pipeline.tables.imports.blocks import image_points
-from pipeline.tables.imports.orientation import OrientationTable
 from pipeline.tables.imports.stated import not_of_format, read_text
+from pipeline.tables.imports.user_tables import OrientationTable
 from pipeline.units import Array
 
 _PHOTO = re.compile(r"^ +Photo \d+: (.+)$", re.M)

@@ -23,8 +23,8 @@ from pipeline.errors import InputError
 from pipeline.flight.heights import GeodeticOrigin
 from pipeline.flight.stations import NO_TIME
 from pipeline.refraction.camera.camera import Camera
-from pipeline.tables.imports.orientation import OrientationTable
 from pipeline.tables.imports.stated import not_of_format
+from pipeline.tables.imports.user_tables import OrientationTable
 from pipeline.units import Integers
 
 CameraMakers = dict[str, Callable[[], Camera]]

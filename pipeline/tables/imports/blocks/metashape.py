@@ -25,8 +25,8 @@ from pipeline.refraction.camera.camera import Camera
 from pipeline.refraction.camera.general_frame import GeneralFrame
 from pipeline.tables.geodata.coordinate_systems import is_on_wgs84
 from pipeline.tables.imports.blocks.image_points import CameraMakers, oriented_images, rows_of_image
-from pipeline.tables.imports.orientation import OrientationTable
 from pipeline.tables.imports.stated import not_of_format
+from pipeline.tables.imports.user_tables import OrientationTable
 from pipeline.units import Array
 
 _NOT_MODELLED = {"frame": ("p3", "p4"), "fisheye": ("p1", "p2", "p3", "p4", "b2", "skew")}

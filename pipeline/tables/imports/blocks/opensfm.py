@@ -23,8 +23,8 @@ from pipeline.flight.heights import GeodeticOrigin
 from pipeline.refraction.calibration import camera_of_model
 from pipeline.refraction.camera.camera import Camera
 from pipeline.tables.imports.blocks.image_points import CameraMakers, oriented_images, rows_of_image
-from pipeline.tables.imports.orientation import OrientationTable
 from pipeline.tables.imports.stated import not_of_format
+from pipeline.tables.imports.user_tables import OrientationTable
 from pipeline.tables.text_columns import numbers_of
 from pipeline.units import Array
 

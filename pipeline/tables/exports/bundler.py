@@ -15,7 +15,7 @@ import numpy as np
 
 from pipeline.ledger import Ledger
 from pipeline.refraction.camera import model_of
-from pipeline.tables.exports.blocks.exported_block import block_of, ideal_coordinates, refuse_names
+from pipeline.tables.exports.exported_block import block_of, ideal_coordinates, refuse_names
 from pipeline.tables.exports.format import ExportFormat, FinishedRun, Values
 
 _USE = (

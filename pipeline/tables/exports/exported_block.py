@@ -83,10 +83,7 @@ def ideal_coordinates(camera: Camera, x_px: Array, y_px: Array) -> tuple[Array, 
 def refuse_names(names: Iterable[str], pattern: str, program: str) -> None:
     """Refuse (MissionError EXPORT-NAMES) names in which a regular expression is found."""
     for name in filter(re.compile(pattern).search, names):
-        what = f"{name!r} has a character that separates columns in files of {program}"
-        raise MissionError(
-            "EXPORT-NAMES", what, where="observations", remedy="rename it, or choose another format"
-        )
+        raise MissionError.of("EXPORT-NAMES", "observations", name=name, program=program)
 
 
 def block_of(run: FinishedRun, ledger: Ledger, *, intersect: bool = True) -> ExportedBlock:
@@ -134,9 +131,8 @@ def block_of(run: FinishedRun, ledger: Ledger, *, intersect: bool = True) -> Exp
             ledger.fallback("EXPORT-POINT-HEIGHT", where="observations", count=apart)
     lat, lon, h = frame.origin_deg.tolist()
     ledger.note("EXPORT-FRAME", where="stations.parquet", lat=lat, lon=lon, h=h)
-    what = f"x_corrected_px, y_corrected_px of {image.size:,} observations of {len(names):,} points"
-    what += f" in {rows.size:,} images"
-    ledger.note("EXPORT-POINTS", what, where="observations", count=image.size)
+    ledger.note("EXPORT-POINTS", where="observations", count=image.size, points=len(names),
+                images=rows.size)  # fmt: skip
     return block
 
 
@@ -172,12 +168,10 @@ def read_image_points(
     _, kept = np.unique(image * np.int64(len(coded.dictionary)) + point, return_index=True)
     kept.sort(kind="stable")  # fast where images come one by one
     if kept.size < total:
-        what = (
-            f"{total - kept.size} of {total} observations are left out: {total - image.size} are "
-            "not ok, or have no point or no usable station, and "
-            f"{image.size - kept.size} are of a point that was measured before in the image"
-        )
-        ledger.loss("EXPORT-LEFT-OUT", what, where="observations", count=total - kept.size)
+        ledger.loss(
+            "EXPORT-LEFT-OUT", where="observations", count=total - kept.size, total=total,
+            unusable=total - image.size, again=image.size - kept.size,
+        )  # fmt: skip
     return table.take(kept[np.argsort(image[kept], kind="stable")]), coded.dictionary
 
 

@@ -17,8 +17,8 @@ from scipy.spatial.transform import Rotation
 from pipeline.ledger import Ledger
 from pipeline.refraction.camera.camera import Camera
 from pipeline.refraction.camera.opencv_fisheye import OpenCVFisheye
-from pipeline.tables.exports.blocks.colmap_model import opencv_coefficients, point_ids
-from pipeline.tables.exports.blocks.exported_block import ExportedBlock, block_of, refuse_names
+from pipeline.tables.exports.colmap_files import opencv_coefficients, point_ids
+from pipeline.tables.exports.exported_block import ExportedBlock, block_of, refuse_names
 from pipeline.tables.exports.format import ExportFormat, FinishedRun, Values
 from pipeline.units import Integers
 

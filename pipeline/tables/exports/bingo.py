@@ -15,7 +15,7 @@ import pyarrow as pa
 
 from pipeline.errors import ConfigError, MissionError
 from pipeline.ledger import Ledger
-from pipeline.tables.exports.blocks.exported_block import block_of
+from pipeline.tables.exports.exported_block import block_of
 from pipeline.tables.exports.format import (
     PIXEL_UM,
     ExportFormat,
@@ -44,13 +44,8 @@ def short_names(names: Sequence[str], kind: str) -> list[str]:
     for name in names:
         short = re.sub(r"\s", "_", name)[-_LONGEST:] or "_"
         if short in first:
-            raise MissionError(
-                "EXPORT-NAMES",
-                f"{kind}s {first[short]!r} and {name!r} would both be called {short!r}: names have "
-                f"at most {_LONGEST} characters there",
-                where="observations",
-                remedy=f"rename them so that the last {_LONGEST} characters differ",
-            )
+            raise MissionError.of("EXPORT-NAMES/short", "observations", kind=kind, one=first[short],
+                                  other=name, short=short, longest=_LONGEST)  # fmt: skip
         first[short] = name
     return [*first]
 
