@@ -12,8 +12,15 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from pipeline.batch.executors import Bug, Executor, Lost, Outcome, Receipt, Task
 from pipeline.batch.store import read_manifest
-from pipeline.errors import ConfigError, MissionError, UnbendError
-from pipeline.exit_codes import EXIT_BUG, EXIT_DONE, EXIT_LOSSES, EXIT_REFUSED
+from pipeline.errors import (
+    EXIT_BUG,
+    EXIT_DONE,
+    EXIT_LOSSES,
+    EXIT_REFUSED,
+    ConfigError,
+    MissionError,
+    UnbendError,
+)
 
 if TYPE_CHECKING:
     from pipeline.config.campaign import MissionRef

@@ -9,8 +9,9 @@ import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from functools import reduce
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from pipeline.batch.executors import Outcome
 from pipeline.batch.file_hashes import (
@@ -27,25 +28,30 @@ from pipeline.batch.object_store import Place, copy_of, fetched, is_url, version
 from pipeline.batch.store import would_replace
 from pipeline.caches import user_cache
 from pipeline.config import Mission
-from pipeline.config.station_sources import KnownPositions
 from pipeline.errors import ConfigError, InputError, UnbendError
 from pipeline.tables.imports.blocks import BLOCKS
 
 MANIFEST_VERSION = 1
-_MISSION_FILE_KEYS = {
+_INPUTS = {
     "log": "log.path",
     "observations": "observations.path",
-    "events": "events.csv.path",
-    "orientation": "stations.orientation.path",
-    "known positions": "stations.orientation.known_positions.path",
-    "trajectory": "stations.trajectory.path",
-    "trajectory accuracy": "stations.trajectory.accuracy",
-    "images": "events.images.path",
     "geoid": "mission.geoid",
     "object points": "ground.height.points",
     "control": "control.path",
+    "elevation model": "ground.height.dem",
+    "orientation": "stations.orientation.path",
+    "known positions": "stations.orientation.known_positions.path",
+    "events": "events.csv.path",
+    "images": "events.images.path",
+    "camera": "cameras.<name>.file",
+    "events of": "events.positions",
+    "trajectory": "stations.trajectory.path",
+    "trajectory accuracy": "stations.trajectory.accuracy",
+    "sounding": "atmosphere.soundings",
     "weather model": "atmosphere.model.path",
 }
+"""Roles of inputs, or their first words where there may be several, and keys of a mission file."""
+
 _EXIF_BYTES = 1 << 18
 
 
@@ -110,39 +116,20 @@ def located(name: str, folder: Path = Path()) -> Path | Place:
 
 def input_paths(mission: Mission, folder: Path) -> dict[str, tuple[str, Path | Place]]:
     """role -> (name in the mission file, path) of the files a mission reads."""
-    named = {"observations": mission.observations.path}
-    if mission.log is not None:
-        named = {"log": mission.log.path} | named
-    if mission.mission.geoid != "egm96":
-        named["geoid"] = mission.mission.geoid
-    if mission.ground.points is not None:
-        named["object points"] = mission.ground.points.points
-    if mission.control is not None:
-        named["control"] = mission.control.path
-    if mission.ground.model is not None:
-        paths = mission.ground.model.paths
-        named |= {f"elevation model {i}": path for i, path in enumerate(paths, 1)}
-    orientation = mission.stations.orientation
-    if orientation is not None:
-        named["orientation"] = orientation.path
-        if isinstance(orientation.known_positions, KnownPositions):
-            named["known positions"] = orientation.known_positions.path
-    if mission.events is not None and mission.events.csv is not None:
-        named["events"] = mission.events.csv.path
-    if mission.events is not None and mission.events.images is not None:
-        named["images"] = mission.events.images.path
-    named |= {f"camera {name}": c.file for name, c in mission.cameras.items() if c.file}
-    for camera, source in mission.position_events.items():
-        named[f"events of {camera}"] = source.path
-    trajectory = mission.stations.trajectory
-    if trajectory is not None:
-        named["trajectory"] = trajectory.path
-        if trajectory.accuracy is not None:
-            named["trajectory accuracy"] = trajectory.accuracy
-    for number, sounding in enumerate(mission.atmosphere.soundings):
-        named[sounding_role(number)] = sounding.path
-    if mission.atmosphere.model is not None:
-        named["weather model"] = mission.atmosphere.model.path
+    rasters = mission.ground.model.paths if mission.ground.model is not None else ()
+    several = {
+        "elevation model": {f"elevation model {i}": path for i, path in enumerate(rasters, 1)},
+        "camera": {f"camera {name}": c.file for name, c in mission.cameras.items() if c.file},
+        "events of": {f"events of {c}": of.path for c, of in mission.position_events.items()},
+        "sounding": {sounding_role(i): s.path for i, s in enumerate(mission.atmosphere.soundings)},
+    }
+    named: dict[str, str] = {}
+    for role, key in _INPUTS.items():
+        path = reduce(lambda of, name: getattr(of, name, None), key.split("."), cast(Any, mission))
+        if role in several:
+            named |= several[role]
+        elif isinstance(path, str) and (key, path) != ("mission.geoid", "egm96"):
+            named[role] = path
     return {role: (name, located(name, folder)) for role, name in named.items()}
 
 
@@ -185,11 +172,7 @@ def make_plan(mission: Mission, folder: Path, *, verify: bool = False) -> Plan:
             else:
                 is_there = path.is_file() or (path.is_dir() and may_be_folder)
             if not is_there:
-                other = {"events": "events.positions", "camera": "cameras.<name>.file",
-                         "elevation": "ground.height.dem"}  # fmt: skip
-                key = _MISSION_FILE_KEYS.get(
-                    role, other.get(role.split()[0], "atmosphere.soundings")
-                )
+                key = _INPUTS[max((r for r in _INPUTS if role.startswith(r)), key=len)]
                 raise InputError.of("INPUT-MISSING/role", path, role=role, named=key)
             _refuse_among_results(role, path, output)
             if isinstance(path, Place):

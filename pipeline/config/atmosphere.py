@@ -10,7 +10,7 @@ from pipeline.atmosphere import standard_names
 from pipeline.atmosphere.estimate.sensors import SensorCalibration
 from pipeline.atmosphere.estimate.state import SensorFault
 from pipeline.atmosphere.standard import known_names
-from pipeline.config.cameras import PathText, Section, one_of
+from pipeline.config.cameras import PathText, Section, mistake, one_of
 from pipeline.units import HECTOPASCAL, NANOSECONDS_PER_SECOND, ZERO_CELSIUS_K
 
 
@@ -57,9 +57,7 @@ class SurfaceSection(Section):
         numbers = (self.temperature_c, self.pressure_hpa, self.relative_humidity, self.time_utc)
         given = [value for value in numbers if value is not None]
         if (self.metar is None) != bool(given):
-            raise ValueError(
-                "give either metar, or temperature_c, pressure_hpa, relative_humidity and time_utc"
-            )
+            raise mistake("metar-or-numbers")
         if self.relative_humidity is not None and self.temperature_c is None:
             raise ValueError("relative_humidity needs temperature_c")
         return self

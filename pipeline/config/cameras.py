@@ -3,8 +3,11 @@
 The interior orientation is given in pixels, by a report in mm, or by a file.
 """
 
-from collections.abc import Callable, Collection
+import tomllib
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
+from functools import cache
+from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -52,6 +55,17 @@ def one_of(names: Callable[[], Collection[str]]) -> AfterValidator:
         return value
 
     return AfterValidator(check)
+
+
+@cache
+def mistakes() -> Mapping[str, str]:
+    """The texts of ``mistakes.toml`` by key."""
+    return tomllib.loads(files(__package__).joinpath("mistakes.toml").read_text("utf-8"))
+
+
+def mistake(key: str, **values: object) -> ValueError:
+    """What a model raises where values do not go together, with the text of a key, filled in."""
+    return ValueError(mistakes()[key].format_map(values))
 
 
 class Section(BaseModel):
@@ -370,10 +384,7 @@ class CameraSection(Section):
     def _check_lens_air(self) -> Self:
         window = self.window
         if self.principal_distance is not None and window is not None and window.cabin is None:
-            raise ValueError(
-                "principal_distance needs the air in the lens, and behind a window that is the "
-                "cabin's: give window.cabin"
-            )
+            raise mistake("lens-air")
         return self
 
     @property

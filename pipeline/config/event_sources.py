@@ -7,7 +7,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from pipeline.config.cameras import PathText, Section, one_of
+from pipeline.config.cameras import PathText, Section, mistake, one_of
 from pipeline.config.station_sources import ClockColumns, ImportTime
 from pipeline.tables.imports import CAMERA_EVENTS, format_of
 
@@ -121,22 +121,14 @@ class EventsSection(Section):
             raise ValueError(f"{'log' if self.log is not None else 'positions'} needs at least one "
                              "camera")  # fmt: skip
         if self.csv is not None and (self.images is not None or self.first_image):
-            raise ValueError(
-                "images and first_image say which pulse an image belongs to; a csv gives each "
-                "image a time of its own"
-            )
+            raise mistake("images-of-csv")
         for camera in sorted(set(self.first_image) - set(self.patterns)):
             raise ValueError(f"first_image names camera {camera!r}, which has no pulses")
         for camera, pattern in self.patterns.items():
             if camera in self.first_image and re.search("{index|{name", pattern):
-                raise ValueError(
-                    f"the image {pattern} of {camera} has the number or name of its event: leave "
-                    "first_image out, or count the images by {n} or name them by *"
-                )
+                raise mistake("first-of-numbered", pattern=pattern, camera=camera)
             if pattern == "*" and len(self.patterns) > 1:
-                raise ValueError(
-                    f"the image of {camera} must state which images are this camera's, as in left/*"
-                )
+                raise mistake("pattern-of-all", camera=camera)
         return self
 
     @property

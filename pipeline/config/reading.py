@@ -35,13 +35,6 @@ _YAML = {
 """Beginnings of what the YAML parser says, and the same in plain words."""
 
 
-def of_yaml(problem: str) -> str:
-    """What keeps a text from being YAML."""
-    own = problem.startswith(("the key ", "a key "))
-    known = (words for beginning, words in _YAML.items() if problem.startswith(beginning))
-    return problem if own else next(known, "here the text is no YAML")
-
-
 def open_questions(values: Any) -> list[Place]:
     """The places of a mission file where `TODO` stands; what aliases repeat counts once."""
     found: list[Place] = []
@@ -259,12 +252,12 @@ def read_yaml(path: Path) -> tuple[dict[str, Any], yaml.Node]:
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         mark = getattr(error, "problem_mark", None)
         line = f":{mark.line + 1}" if mark else ""
-        raise ConfigError(
-            "CONFIG-YAML",
-            of_yaml(str(getattr(error, "problem", None) or error)),
-            where=f"{path}{line}",
-            remedy="mend the YAML",
-        ) from None
+        problem = str(getattr(error, "problem", None) or error)
+        known = (words for beginning, words in _YAML.items() if problem.startswith(beginning))
+        own = problem.startswith(("the key ", "a key "))
+        what = problem if own else next(known, "here the text is no YAML")
+        remedy = "mend the YAML"
+        raise ConfigError("CONFIG-YAML", what, where=f"{path}{line}", remedy=remedy) from None
     if node is None or not isinstance(values, dict):
         required = [name for name, field in Mission.model_fields.items() if field.is_required()]
         raise ConfigError.of("CONFIG-EMPTY", path, required=", ".join(required))

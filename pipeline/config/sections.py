@@ -13,6 +13,7 @@ from pipeline.config.cameras import (
     MountSection,
     PathText,
     Section,
+    mistake,
     one_of,
 )
 from pipeline.config.event_sources import EventsSection, PositionEvents
@@ -112,10 +113,7 @@ class ObservationsSection(Section):
     @classmethod
     def _check_not_twice(cls, value: str) -> str:
         if value != "none":
-            raise ValueError(
-                "another program has removed refraction from these observations, and removing it "
-                "again would count it twice: give them as measured, or adjust them as they are"
-            )
+            raise mistake("refraction-twice")
         return value
 
     @model_validator(mode="after")
@@ -123,8 +121,7 @@ class ObservationsSection(Section):
         if self.format in BLOCKS and self.columns != ObservationColumnNames():
             raise ValueError(f"format: {self.format} names its columns itself; leave columns out")
         if self.format in BLOCKS and self.pixel_origin != "corner":
-            raise ValueError(f"format: {self.format} says itself where pixels count from, and they "
-                             "are written with pixel_origin: corner; leave it out")  # fmt: skip
+            raise mistake("pixels-of-block", format=self.format)
         return self
 
     @property
@@ -267,8 +264,7 @@ class GroundSection(Section):
         if not isinstance(values, dict):
             return values
         if values.get("height") == "intersected" and "reference" in values:
-            raise ValueError("height: intersected gives heights above mean sea level; leave "
-                             "reference out")  # fmt: skip
+            raise mistake("intersected-reference")
         if values.get("height") in _ABOVE_THE_SEA:
             return {"reference": "msl"} | values
         return values
@@ -286,18 +282,13 @@ class GroundSection(Section):
             raise ValueError("give either sigma_m or sigma_column")
         of_camera = isinstance(self.height, str)
         if of_camera and (self.reference != "msl" or self.home_h_msl_m is not None):
-            raise ValueError(
-                f"height: {self.height} gives heights above mean sea level; leave reference and "
-                "home_h_msl_m out"
-            )
+            raise mistake("reference-of-camera", height=self.height)
         if self.model is not None and (
             self.reference == "relative" or self.home_h_msl_m is not None
         ):
-            raise ValueError("the heights of a dem are above mean sea level (reference: msl) or "
-                             "the ellipsoid; leave home_h_msl_m out")  # fmt: skip
+            raise mistake("reference-of-dem")
         if self.height == "intersected" and (self.sigma_m is not None or self.sigma_column):
-            raise ValueError("height: intersected has sigmas of its own; leave sigma_m and "
-                             "sigma_column out")  # fmt: skip
+            raise mistake("intersected-sigma")
         return self
 
 
@@ -391,18 +382,12 @@ class Mission(Section):
         orientation, trajectory = self.stations.orientation, self.stations.trajectory
         of_log = self.events is not None and self.events.log is not None
         if self.log is None and orientation is None and not (self.position_events or trajectory):
-            raise ValueError(
-                "log is missing: the flight log, unless stations.orientation, "
-                "stations.trajectory or events.positions gives position and attitude"
-            )
+            raise mistake("log-missing")
         if self.log is None and trajectory is not None and trajectory.replaces is not None:
             placed = any(not source.times_only for source in self.position_events.values())
             needed = {"attitude"} if placed else {"position", "height", "attitude"}
             if needed - set(trajectory.replaces):
-                raise ValueError(
-                    "stations.trajectory.replaces leaves to the log what there is no "
-                    "log for: leave it out"
-                )
+                raise mistake("replaces-no-log")
         for name in ("events", "mount") if orientation is None else ():
             if not getattr(self, name):
                 raise ValueError(f"{name} is missing, and there is no stations.orientation")
@@ -413,8 +398,7 @@ class Mission(Section):
                 raise ValueError(f"mount.{name}.attitude names a channel, and there is no log")
         for name, camera in self.cameras.items() if self.log is None else ():
             if camera.needs_cabin_from_log:
-                raise ValueError(f"cameras.{name}.window.cabin takes the cabin's air from a log, "
-                                 "and there is no log")  # fmt: skip
+                raise mistake("cabin-no-log", name=name)
         blocks = {self.observations.format, orientation and orientation.format} & {*BLOCKS}
         if not blocks and any(c.camera is not None and not c.file for c in self.cameras.values()):
             raise ValueError("cameras.<name>.camera goes with file, or with a block")
@@ -425,14 +409,12 @@ class Mission(Section):
         named = orientation.camera
         says = orientation.columns.camera is not None or orientation.of_block
         if named is None and not says and len(self.cameras) > 1:
-            raise ValueError("stations.orientation must state which camera: camera or "
-                             "columns.camera")  # fmt: skip
+            raise mistake("orientation-camera")
         if named is not None and named not in self.cameras:
             raise ValueError(f"stations.orientation names camera {named!r}, which is not there")
         timed = orientation.has_clock or orientation.date is not None or self.events is not None
         if self.atmosphere.adjust and not timed:
-            raise ValueError("stations.orientation needs a time for the air: columns.time_utc, "
-                             "gps_week and gps_seconds, or date")  # fmt: skip
+            raise mistake("orientation-time")
         return self
 
     @property
@@ -463,55 +445,36 @@ class Mission(Section):
                 continue
             x, y, z = self.mount[name].build().camera_from_body @ np.array(window.normal)
             if z <= 0.0:
-                raise ValueError(
-                    f"the window of camera {name!r} looks away from what the camera sees: with "
-                    f"this mount its normal is [{x:.3f}, {y:.3f}, {z:.3f}] in the camera frame, "
-                    "where forward is positive"
-                )
+                raise mistake("window-away", name=name, x=x, y=y, z=z)
         return self
 
     @model_validator(mode="after")
     def _check_named_inputs(self) -> Self:
         named = ChannelsSection() if self.log is None else self.log.channels
         if self.atmosphere.board_temperature and named.temperature is None:
-            raise ValueError(
-                "atmosphere.board_temperature needs log.channels.temperature, the channel whose "
-                "board is meant, as BARO[0]"
-            )
+            raise mistake("board-channel")
         orientation = self.stations.orientation
         if self.ground.height == "block" and (
             orientation is None or not orientation.of_block or orientation.known_positions == "log"
         ):
-            raise ValueError(
-                "ground.height: block takes the points of stations.orientation: give it a format "
-                f"of {', '.join(BLOCKS)}, and a frame that does not need the log"
-            )
+            raise mistake("block-points", blocks=", ".join(BLOCKS))
         if self.control is not None and self.refraction.direction == "apply":
-            raise ValueError("control shows what removing refraction does: leave it out with "
-                             "refraction.direction: apply")  # fmt: skip
+            raise mistake("control-applied")
         if self.ground.from_distance and self.observations.columns.distance_m is None:
-            raise ValueError(
-                "ground.height: from_distance needs observations.columns.distance_m, the name of "
-                "the column of slant ranges"
-            )
+            raise mistake("distance-column")
         return self
 
     @model_validator(mode="after")
     def _check_positions(self) -> Self:
         trajectory, events = self.stations.trajectory, self.position_events
         if self.stations.orientation is not None and (trajectory is not None or events):
-            raise ValueError("stations.orientation has position and attitude of every image: leave "
-                             "stations.trajectory and events.positions out")  # fmt: skip
+            raise mistake("orientation-positions")
         if trajectory is None or not trajectory.moves_stations:
             return self
         if trajectory.point == "camera" and len(self.cameras) > 1:
-            raise ValueError("stations.trajectory.point: camera is that of one camera, not of "
-                             f"{', '.join(self.cameras)}")  # fmt: skip
+            raise mistake("one-camera", cameras=", ".join(self.cameras))
         if any(not source.times_only for source in events.values()):
-            raise ValueError(
-                "stations.trajectory and events.positions both give positions; events.positions."
-                "<camera>.times_only: true leaves them to the trajectory"
-            )
+            raise mistake("positions-twice")
         if trajectory.lever_arm_m == "from_events" and not events:
             raise ValueError("stations.trajectory.lever_arm_m: from_events needs events.positions")
         return self

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from pipeline.config.cameras import LeverArm, PathText, Section, one_of
+from pipeline.config.cameras import LeverArm, PathText, Section, mistake, one_of
 from pipeline.flight.heights import GeodeticOrigin
 from pipeline.tables.imports import ORIENTATIONS, TRAJECTORIES
 from pipeline.tables.imports.blocks import BLOCKS
@@ -288,34 +288,29 @@ class OrientationSection(Section):
             raise ValueError("format: dji has angles: roll_pitch_yaw, of the gimbal")
         level = self.frame in ("geographic", "projected")
         if self.angles == "roll_pitch_yaw" and not level:
-            raise ValueError("roll, pitch and yaw are those of north, east and down at the "
-                             "station: frame is geographic, or projected")  # fmt: skip
+            raise mistake("angles-level")
         if (self.frame == "projected") > (self.crs is not None) or (self.crs and not level):
-            raise ValueError("frame: projected needs crs, as EPSG:25832, and crs frame: projected "
-                             "or geographic")  # fmt: skip
+            raise mistake("frame-crs")
         if unknown and self.is_geodetic:
             raise ValueError("an unknown frame has x, y and z, not columns.latitude")
         if unknown and self.known_positions is None:
-            raise ValueError(
-                "an unknown frame has no vertical, no north and no scale: give known_positions, of "
-                "at least three images that do not lie on one line"
-            )
+            raise mistake("frame-unknown")
         if not unknown and self.known_positions is not None:
             raise ValueError("known_positions are for frame: unknown")
         has_heights = self.is_geodetic or self.frame is None
         if (has_heights or isinstance(self.known_positions, KnownPositions)) != (
             self.heights is not None
         ):
-            raise ValueError(
-                "give heights, msl or ellipsoid, where there is a column of heights, and only there"
-                + " (a block without frame has those that its program was given)" * self.of_block
+            raise mistake(
+                "heights-stated",
+                block=" (a block without frame has those that its program was given)"
+                * self.of_block,
             )
         if self.of_block and (
             self.angles != "quaternion" or self.frame == "geographic" or self.camera is not None
             or self.columns != OrientationColumns()
         ):  # fmt: skip
-            raise ValueError(f"format: {self.format} has angles, columns and cameras itself, and a "
-                             "frame of x, y, z: projected, ecef, enu or unknown")  # fmt: skip
+            raise mistake("block-says", format=self.format)
         if self.convergence_deg and self.frame != "geographic":
             raise ValueError("convergence_deg is for frame: geographic")
         if self.has_clock and self.date is not None:

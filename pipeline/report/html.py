@@ -9,7 +9,6 @@ import io
 import json
 import math
 import os
-import tomllib
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -237,14 +236,14 @@ def environment() -> Environment:
     )
     made.filters |= {
         "size": len, "code": _code, "metres": words.length, "pixels": words.pixels,
-        "shortened": words.shortened, "utc": utc,
+        "shortened": words.shortened, "utc": utc, "with_sigma": words.with_sigma,
     }  # fmt: skip
     made.globals |= {
         "Axes": Axes, "arrows": arrows, "field_arrows": field_arrows, "map_axes": map_axes,
         "count": words.count, "round_step": round_step, "quantities": QUANTITIES,
         "summary": summary, "is_applied": is_applied, "verdict": verdict, "remarks": remarks,
         "next_steps": next_steps,
-        "texts": tomllib.loads((_DATA / "report.toml").read_text("utf-8")),
+        "texts": summary.report_texts(),
         "style": Markup((_DATA / "report.css").read_text("utf-8")),
     }  # fmt: skip
     return made

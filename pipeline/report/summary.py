@@ -4,7 +4,10 @@ Terminal and report agree.
 """
 
 import math
+import tomllib
 from collections.abc import Mapping, Sequence
+from functools import cache
+from importlib.resources import files
 from typing import Any
 
 from pipeline.refraction.window import SIGMA_BAROMETER_PA, SIGMA_THERMOMETER_K
@@ -311,44 +314,6 @@ def effect_lines(effects: Sequence[Mapping[str, Any]], standard: str) -> list[st
     ]
 
 
-SENSOR_HEAD = ("sensor error", "estimate ± sigma", "prior sigma")
-
-
-def sensor_rows(manifest: Mapping[str, Any]) -> list[tuple[str, ...]]:
-    """Estimated errors of the sensors, each with its sigma and the prior sigma."""
-    return [
-        (s["what"], with_sigma(s["value"], s["sigma"]), f"{s['expected_sigma']:.2g}")
-        for s in manifest["profile"]["sensors"]
-    ]
-
-
-SOURCE_HEAD = (
-    "source", "readings", "RMS [sigma]", "sigma inflation factor", "degrees of freedom for signal",
-)  # fmt: skip
-
-
-def source_rows(manifest: Mapping[str, Any]) -> list[tuple[str, ...]]:
-    """The sources that were used: residuals, and information content."""
-    return [
-        (
-            f"{s['source']}, {s['quantity']}",
-            str(s["readings"]),
-            f"{s['rms_sigma']:.2f}",
-            f"{s['sigma_inflation']:.2f}",
-            f"{s['degrees_of_freedom_for_signal']:.1f}",
-        )
-        for s in manifest["profile"]["sources"]
-        if s["used"] and "quantity" in s
-    ]
-
-
-def unused_sources(manifest: Mapping[str, Any]) -> list[str]:
-    """Sources that were not used, each with the reason."""
-    return [
-        f"{s['source']}: {s['why_not']}" for s in manifest["profile"]["sources"] if not s["used"]
-    ]
-
-
 def ledger_rows(entries: Sequence[Mapping[str, Any]]) -> list[tuple[str, str, str]]:
     """Kind, code and text of the entries of a ledger, the gravest first.
 
@@ -373,29 +338,20 @@ def not_included(manifest: Mapping[str, Any]) -> list[str]:
         window = camera["window"]
         if window and (window["shape"], window["in_calibration"]) == ("plane", "none"):
             behind_glass.append(name)
-    lines = []
+    texts, lines = report_texts()["left"], []
     if without_lens:
-        lines.append(
-            f"The principal distance of {', '.join(without_lens)} changes with the air in the lens "
-            f"(130 to 310 ppm at 6 km on a 153 mm lens, about in proportion to the height; as much "
-            f"as refraction itself): {remains}."
-        )
+        lines.append(texts["lens"].format(names=", ".join(without_lens), remains=remains))
     if behind_glass:
-        lines.append(
-            f"The glass before {', '.join(behind_glass)} displaces rays, by 7 mm for 20 mm of "
-            f"glass at 45°: {remains}."
-        )
+        lines.append(texts["glass"].format(names=", ".join(behind_glass), remains=remains))
     lean = manifest.get("heights", {}).get("deflection", {})
     if lean.get("applies") and lean["north_arcsec"] is not None and not applied:
         size = math.hypot(lean["north_arcsec"], lean["east_arcsec"])
-        lines.append(
-            f"Deflection of the vertical: the plumb line, by which autopilots are levelled, leans "
-            f"{size:.1f} arcsec ({lean['geoid']}), {math.radians(size / 3.6):.3f} m on the ground "
-            "for each kilometre of height: not removed, unless a trajectory allows for it."
-        )
-    if not applied:
-        lines.append(
-            "Earth curvature and map projection: adjust in earth-centred or one local "
-            "east-north-up frame."
-        )
-    return lines
+        across = math.radians(size / 3.6)
+        lines.append(texts["vertical"].format(size=size, geoid=lean["geoid"], across=across))
+    return lines if applied else [*lines, texts["curvature"]]
+
+
+@cache
+def report_texts() -> Mapping[str, Any]:
+    """The texts of ``report.toml``."""
+    return tomllib.loads((files("pipeline.report") / "data/report.toml").read_text("utf-8"))

@@ -236,8 +236,24 @@ def write_tables(
     write_table(out / "observations.parquet", measured)
     write_table(truth / "observations.parquet", true)
     write_table(truth / "stations.parquet", station_columns(block, cameras))
-    write_table(truth / "profile.parquet", profile_columns(air))
-    write_table(truth / "points.parquet", point_columns(points))
+    # -100 m to 30 km, 5 m apart up to 5 km and 50 m above.
+    h = np.concatenate([np.arange(-100.0, 5000.0, 5.0), np.arange(5000.0, 30_001.0, 50.0)])
+    profile: dict[str, object] = {
+        "h_m": h,
+        "temperature_k": temperature_k(h),
+        "pressure_pa": air.pressure_pa(h),
+        "vapour_pressure_pa": vapour_pressure_pa(h),
+        "refractivity": air.n(h) - 1.0,
+    }
+    write_table(truth / "profile.parquet", profile)
+    ground: dict[str, object] = {
+        "point": list(points.name),
+        "lat_deg": np.degrees(points.lat_rad),
+        "lon_deg": np.degrees(points.lon_rad),
+        "h_msl_m": points.h_msl_m,
+        "h_ellipsoid_m": points.h_msl_m + UNDULATION_M,
+    }
+    write_table(truth / "points.parquet", ground)
 
 
 def station_columns(
@@ -288,38 +304,6 @@ def observation_columns(
         "h_g_m": h_g,
         "quality": quality.astype(np.int32),
     }
-    truth: dict[str, object] = {
-        **names,
-        "x_px": seen.x_px,
-        "y_px": seen.y_px,
-        "x_true_px": seen.x_true_px,
-        "y_true_px": seen.y_true_px,
-        "zeta_c_rad": seen.zeta_c_rad,
-        "r_c_rad": seen.r_c_rad,
-        "r_cc_rad": seen.r_cc_rad,
-        "h_g_m": h_g,
-    }
+    known = "x_px", "y_px", "x_true_px", "y_true_px", "zeta_c_rad", "r_c_rad", "r_cc_rad"
+    truth: dict[str, object] = {**names, **{n: getattr(seen, n) for n in known}, "h_g_m": h_g}
     return measured, truth
-
-
-def profile_columns(air: TrueAir) -> dict[str, object]:
-    """truth/profile.parquet: -100 m to 30 km, 5 m apart up to 5 km and 50 m above."""
-    h = np.concatenate([np.arange(-100.0, 5000.0, 5.0), np.arange(5000.0, 30_001.0, 50.0)])
-    return {
-        "h_m": h,
-        "temperature_k": temperature_k(h),
-        "pressure_pa": air.pressure_pa(h),
-        "vapour_pressure_pa": vapour_pressure_pa(h),
-        "refractivity": air.n(h) - 1.0,
-    }
-
-
-def point_columns(points: GroundPoints) -> dict[str, object]:
-    """truth/points.parquet: the ground points."""
-    return {
-        "point": list(points.name),
-        "lat_deg": np.degrees(points.lat_rad),
-        "lon_deg": np.degrees(points.lon_rad),
-        "h_msl_m": points.h_msl_m,
-        "h_ellipsoid_m": points.h_msl_m + UNDULATION_M,
-    }

@@ -130,6 +130,12 @@ _WRITERS: dict[str, Callable[[Path, sensors.LoggedSamples, int], int]] = {
 }
 
 
+_SENSORS = (
+    "gnss_horizontal_m", "gnss_vertical_m", "tilt_deg", "heading_deg", "barometer_pa",
+    "thermometer_k", "thermometer_bias_k", "humidity", "board_heat_k",
+)  # fmt: skip
+
+
 def truth_json(
     options: SimulationOptions, pair: tuple[SimulatedCamera, ...], duration_s: float
 ) -> str:
@@ -143,17 +149,7 @@ def truth_json(
         "wavelength_um": WAVELENGTH_UM,
         "index": "modified Edlen (Birch and Downs 1994; NIST water term)",
         "duration_s": duration_s,
-        "sensors": {
-            "gnss_horizontal_m": sensors.GNSS_HORIZONTAL_M,
-            "gnss_vertical_m": sensors.GNSS_VERTICAL_M,
-            "tilt_deg": sensors.TILT_DEG,
-            "heading_deg": sensors.HEADING_DEG,
-            "barometer_pa": sensors.BAROMETER_PA,
-            "thermometer_k": sensors.THERMOMETER_K,
-            "thermometer_bias_k": sensors.THERMOMETER_BIAS_K,
-            "humidity": sensors.HUMIDITY,
-            "board_heat_k": sensors.BOARD_HEAT_K,
-        },
+        "sensors": {name: getattr(sensors, name.upper()) for name in _SENSORS},
     }
     return json.dumps(content, indent=2) + "\n"
 

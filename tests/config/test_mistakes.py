@@ -11,7 +11,7 @@ import pytest
 import yaml
 from pydantic import ValidationError
 
-from pipeline.config import Mission, load_mission
+from pipeline.config import Mission, cameras, load_mission
 from pipeline.config.reading import sentences_of
 from pipeline.errors import ConfigError
 
@@ -168,3 +168,9 @@ def test_text_that_is_no_yaml_is_refused_in_plain_words(text, says, tmp_path):
         load_mission(tmp_path / "mission.yaml")
     assert caught.value.code == "CONFIG-YAML"
     assert says in caught.value.what
+
+
+def test_no_text_is_idle_or_missing():
+    sources = [path.read_text("utf-8") for path in Path(cameras.__file__).parent.glob("*.py")]
+    used = {key for text in sources for key in re.findall(r'mistake\(\s*"([a-z-]+)"', text)}
+    assert used == set(cameras.mistakes())
