@@ -1,4 +1,4 @@
-"""Refusals: what is wrong, where, and what to do about it; and the exit codes.
+"""Refusals: what is wrong, where, and what to do about it.
 
 Every refusal carries a stable code that a script may match, and has the exit code of the command
 line that it leads to. A refusal is for the user; anything else that escapes is a bug.
@@ -12,13 +12,7 @@ from functools import cache, partial
 from importlib.resources import files
 from typing import Self
 
-EXIT_DONE, EXIT_BUG, EXIT_CONFIG, EXIT_LOSSES, EXIT_IN_USE, EXIT_STORAGE, EXIT_REFUSED = range(7)
-EXIT_INTERRUPTED, EXIT_TERMINATED = 130, 143
-
-
-def exit_code_of(*, has_losses: bool) -> int:
-    """3 where the ledger has losses: rows, or inputs that look wrong and are not accepted."""
-    return EXIT_LOSSES if has_losses else EXIT_DONE
+from pipeline.exit_codes import EXIT_CONFIG, EXIT_IN_USE, EXIT_REFUSED, EXIT_STORAGE
 
 
 @cache

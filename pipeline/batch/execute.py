@@ -12,15 +12,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from pipeline.batch.executors import Bug, Executor, Lost, Outcome, Receipt, Task
 from pipeline.batch.store import read_manifest
-from pipeline.errors import (
-    EXIT_BUG,
-    EXIT_DONE,
-    EXIT_LOSSES,
-    EXIT_REFUSED,
-    ConfigError,
-    MissionError,
-    UnbendError,
-)
+from pipeline.errors import ConfigError, MissionError, UnbendError
+from pipeline.exit_codes import EXIT_BUG, EXIT_DONE, EXIT_LOSSES, EXIT_REFUSED
 
 if TYPE_CHECKING:
     from pipeline.config.campaign import MissionRef

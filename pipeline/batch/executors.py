@@ -28,7 +28,8 @@ from types import FrameType
 from typing import IO, TYPE_CHECKING, Any, Protocol, TypeVar, cast
 
 from pipeline.batch.object_store import Place
-from pipeline.errors import EXIT_INTERRUPTED, InputError, UnbendError
+from pipeline.errors import InputError, UnbendError
+from pipeline.exit_codes import EXIT_INTERRUPTED
 from pipeline.refraction.kernels.threads import usable_cpus
 
 

@@ -20,7 +20,8 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 import pipeline
-from pipeline.errors import ConfigError, UnbendError, exit_code_of, storage_errors
+from pipeline.errors import ConfigError, UnbendError, storage_errors
+from pipeline.exit_codes import exit_code_of
 from pipeline.report.progress import DelayedProgressBar
 from pipeline.report.words import visible
 

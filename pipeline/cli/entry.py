@@ -11,7 +11,8 @@ import typer
 
 from pipeline.cli import guide, missions, physics
 from pipeline.cli.app import app, print_bug, print_error
-from pipeline.errors import EXIT_CONFIG, EXIT_DONE, EXIT_INTERRUPTED, EXIT_TERMINATED, UnbendError
+from pipeline.errors import UnbendError
+from pipeline.exit_codes import EXIT_CONFIG, EXIT_DONE, EXIT_INTERRUPTED, EXIT_TERMINATED
 from pipeline.interrupts import SIGNALS
 from pipeline.report.words import visible
 

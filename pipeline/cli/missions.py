@@ -16,7 +16,8 @@ import typer
 from typer.core import TyperCommand
 
 from pipeline.cli.app import Answer, command, print_bug, print_error, write_rows_csv
-from pipeline.errors import EXIT_BUG, EXIT_DONE, ConfigError, UnbendError, exit_code_of
+from pipeline.errors import ConfigError, UnbendError
+from pipeline.exit_codes import EXIT_BUG, EXIT_DONE, exit_code_of
 from pipeline.report.words import count
 
 if TYPE_CHECKING:

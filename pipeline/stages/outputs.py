@@ -13,7 +13,7 @@ from pipeline.batch.keys import code_of_stages, versions
 from pipeline.batch.plan import MANIFEST_VERSION, Plan
 from pipeline.batch.store import RunFolder
 from pipeline.config import Mission
-from pipeline.errors import exit_code_of
+from pipeline.exit_codes import exit_code_of
 from pipeline.flight.rotations import matrices_of
 from pipeline.flight.stations import NO_TIME, Stations
 from pipeline.ledger import Ledger

@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 
 import pytest
 
-from pipeline import errors, units
+from pipeline import errors, exit_codes, units
 
 
 @pytest.mark.parametrize(
@@ -27,8 +27,8 @@ def test_exit_codes(name, code):
 
 
 def test_the_other_exit_codes():
-    assert (errors.EXIT_DONE, errors.EXIT_BUG, errors.EXIT_LOSSES) == (0, 1, 3)
-    assert (errors.EXIT_INTERRUPTED, errors.EXIT_TERMINATED) == (130, 143)
+    assert (exit_codes.EXIT_DONE, exit_codes.EXIT_BUG, exit_codes.EXIT_LOSSES) == (0, 1, 3)
+    assert (exit_codes.EXIT_INTERRUPTED, exit_codes.EXIT_TERMINATED) == (130, 143)
     assert str(errors.LogError("A-B", "what")) == "A-B: what"
 
 

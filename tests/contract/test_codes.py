@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import pipeline
-from pipeline import errors
+from pipeline import errors, exit_codes
 from pipeline.report import explanations
 
 PACKAGE = Path(pipeline.__file__).parent
@@ -145,7 +145,7 @@ LOWER = {"pip", "pressure_hpa", "time_utc", "delay_s", "direction", "lever_arm_m
 
 
 def test_every_exit_code_is_explained():
-    own = {value for name, value in vars(errors).items() if name.startswith("EXIT_")}
+    own = {value for name, value in vars(exit_codes).items() if name.startswith("EXIT_")}
     assert set(explanations.exit_codes()) == own
 
 

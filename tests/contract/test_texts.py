@@ -13,7 +13,6 @@ import pytest
 
 import pipeline
 from pipeline import errors
-from pipeline.config.cameras import mistakes
 from pipeline.errors import LogError, in_agreement
 from pipeline.ledger import Entry, Kind
 
@@ -99,8 +98,7 @@ def after_values() -> Iterator[tuple[str, str]]:
             for value, after in pairwise(parts):
                 if isinstance(value, ast.FormattedValue) and isinstance(after, ast.Constant):
                     yield f"{path.name}:{node.lineno}", str(after.value)
-    models = {key: {"what": text} for key, text in mistakes().items()}
-    for key, text in (errors.texts() | models).items():
+    for key, text in errors.texts().items():
         for part in text.values():
             for value, after in fields(part):
                 yield f"texts.toml {key} {value}", after
@@ -156,7 +154,7 @@ def test_texts_have_no_first_or_second_person():
             for line, text in shown
             if (words := persons_in(text))
         ]
-    for key, text in (errors.texts() | {k: {"what": of} for k, of in mistakes().items()}).items():
+    for key, text in errors.texts().items():
         wrong += [
             f"texts.toml, {key}: {words}" for part in text.values() if (words := persons_in(part))
         ]

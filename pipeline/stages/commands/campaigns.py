@@ -23,7 +23,8 @@ from pipeline.batch.object_store import Place
 from pipeline.batch.plan import located
 from pipeline.batch.store import atomic_write, read_manifest
 from pipeline.config.campaign import Campaign, MissionRef, open_configs, refuse_twins
-from pipeline.errors import EXIT_BUG, ConfigError, StorageError, UnbendError, storage_errors
+from pipeline.errors import ConfigError, StorageError, UnbendError, storage_errors
+from pipeline.exit_codes import EXIT_BUG
 
 PAGE, TABLE = "campaign.html", "campaign.parquet"
 MARK = '<meta name="generator" content="unbend campaign">'
