@@ -9,37 +9,23 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from pipeline.atmosphere import standard_atmosphere
+from pipeline.atmosphere import standard_atmosphere, surface_report
 from pipeline.atmosphere.air_samples import AirSamples
 from pipeline.atmosphere.climatology import Climatology, climatology, month_of
-from pipeline.atmosphere.estimate.adjusted_profile import (
-    Adjustment,
-    build_adjusted_profile,
-    unadjusted,
-    under_gravity,
-)
+from pipeline.atmosphere.estimate import adjusted_profile as estimate
+from pipeline.atmosphere.estimate.adjusted_profile import Adjustment, build_adjusted_profile
 from pipeline.atmosphere.estimate.candidates import ExternalSources, no_source_used
 from pipeline.atmosphere.estimate.external_readings import TimeAndPlace, note_source_distances
 from pipeline.atmosphere.estimate.sensors import FAULT_TEXTS, SensorCalibration, SensorSettings
 from pipeline.atmosphere.estimate.state import SensorFault
 from pipeline.atmosphere.refractive_index import IndexModel
-from pipeline.atmosphere.series.profile_series import (
-    Place,
-    TimedProfile,
-    add_ageing,
-    constant_series,
-    interpolate_series,
-)
+from pipeline.atmosphere.series import profile_series
+from pipeline.atmosphere.series.profile_series import Place, TimedProfile
 from pipeline.atmosphere.series.profiles_by_place import add_model_changes
 from pipeline.atmosphere.series.time_windows import TimeWindow, estimate_windows
 from pipeline.atmosphere.soundings import Sounding
 from pipeline.atmosphere.soundings.model_field import ModelField, model_column
-from pipeline.atmosphere.surface_report import (
-    SurfaceReport,
-    parse_metar,
-    station_pressure,
-    surface_report,
-)
+from pipeline.atmosphere.surface_report import SurfaceReport
 from pipeline.batch.plan import Plan, sounding_role
 from pipeline.config import Mission
 from pipeline.config.atmosphere import AtmosphereSection, SurfaceSection
@@ -75,20 +61,13 @@ class ModelAir:
 
 
 def read_model_air(
-    plan: Plan,
-    stations: Stations,
-    samples: AirSamples,
-    flight: TimeAndPlace,
-    *,
-    track: Track | None,
-    ground_h_m: float,
-    ledger: Ledger,
-) -> ModelAir | None:
+    plan: Plan, stations: Stations, samples: AirSamples, flight: TimeAndPlace, *,
+    track: Track | None, ground_h_m: float, ledger: Ledger,
+) -> ModelAir | None:  # fmt: skip
     """The weather model of a mission, None where it names none.
 
     ``ground_h_m`` of the true ground [m above sea level], NaN where it is not known. Refuses
-    (`InputError`) what `read_model_field` and `model_column` refuse, a flight without a time or
-    place, and stations outside the model's area.
+    (`InputError`) a flight without a time or place, and stations outside the model's area.
     """
     section = plan.mission.atmosphere.model
     if section is None:
@@ -116,9 +95,7 @@ def read_model_air(
         high=column.h_m[-1], north=place[0] / DEGREE, east=place[1] / DEGREE,
     )  # fmt: skip
     # It is the air where the flight met it: no distance adds to its errors.
-    column = replace(
-        column, latitude_rad=flight.latitude_rad, longitude_rad=flight.longitude_rad
-    )  # fmt: skip
+    column = replace(column, latitude_rad=flight.latitude_rad, longitude_rad=flight.longitude_rad)
     return ModelAir(field, column, place, track)
 
 
@@ -153,43 +130,30 @@ def sampled_place(
     return None
 
 
-_IMPOSSIBLE_SIGMAS = 4.0
-"""Largest departure of a temperature from the climatology; that of real soundings is 2.9."""
-
-_LIKE_FAHRENHEIT, _LIKELY = 2.5, 2.0
-"""A temperature more than 2.5 sigma too warm, and within 2 if it is Fahrenheit, is Fahrenheit."""
-
-_LIKE_QNH, _IMPOSSIBLE_LEVEL = 3.0, 5.0
-"""A pressure more than 3 sigma too high, and within 2 if it is QNH, is QNH; weather stays in 5."""
-
+_LIKELY = 2.0  # sigma that a value in another unit, or reduced, may be off
+_LIKE_FAHRENHEIT, _IMPOSSIBLE_SIGMAS = 2.5, 4.0  # too warm, or off: real soundings stay in 2.9
+_LIKE_QNH, _IMPOSSIBLE_LEVEL = 3.0, 5.0  # sigma of pressures; weather stays in 5
 _FAR_HOURS = 3.0
 
 
 def read_report(
-    section: SurfaceSection,
-    where: str,
-    flight_ns: int | None,
-    background: Climatology,
+    section: SurfaceSection, where: str, flight_ns: int | None, background: Climatology,
     ledger: Ledger,
-) -> SurfaceReport:
+) -> SurfaceReport:  # fmt: skip
     """The report of a weather station, from its METAR or from numbers.
 
     Refuses (``InputError``) values that the climatology of place and season rules out, such as a
     temperature in Fahrenheit or a pressure reduced to sea level.
     """
     if section.metar is not None:
-        report = parse_metar(
+        report = surface_report.parse_metar(
             section.metar, section.h_msl_m, ledger, flight_ns=flight_ns, where=f"{where}.metar"
         )
     else:
-        report = surface_report(
-            section.h_msl_m,
-            temperature_k=section.temperature_k,
-            pressure_pa=section.pressure_pa,
-            relative_humidity=section.humidity,
-            time_ns=section.time_ns,
-            where=where,
-        )
+        report = surface_report.surface_report(
+            section.h_msl_m, temperature_k=section.temperature_k, pressure_pa=section.pressure_pa,
+            relative_humidity=section.humidity, time_ns=section.time_ns, where=where,
+        )  # fmt: skip
         hours = TimeAndPlace(flight_ns).hours_from(report.time_ns)
         if hours > _FAR_HOURS:  # as `parse_metar` warns of a METAR
             ledger.warning("SURFACE-FAR-IN-TIME", where=where, hours=hours)
@@ -231,7 +195,7 @@ def _refuse_level(
     fall = math.log(float(background.profile.pressure(0.0)) / expected)
     sigma = math.hypot(background.spread.pressure_ratio, 0.02 * fall)
     departure = math.log(report.pressure_pa / expected) / sigma
-    reduced = station_pressure(report.pressure_pa, report.h_m)
+    reduced = surface_report.station_pressure(report.pressure_pa, report.h_m)
     as_qnh = math.log(reduced / expected) / sigma
     mistaken = departure > _LIKE_QNH and abs(as_qnh) < _LIKELY and not is_station
     if not mistaken and abs(departure) <= _IMPOSSIBLE_LEVEL:
@@ -271,17 +235,15 @@ class AirSources:
             levels = f"{h_m.size} levels from {h_m[0]:.0f} to {h_m[-1]:.0f} m"
             lines.append((sounding.kind, f"{sounding.station}{time}: {levels}, {sounding.origin}"))
         for report in self.surface:
-            values = []
-            if np.isfinite(report.temperature_k):
-                values.append(f"{report.temperature_k - ZERO_CELSIUS_K:.1f} C")
-            if np.isfinite(report.pressure_pa):
-                values.append(f"{report.pressure_pa / HECTOPASCAL:.1f} hPa")
-            if np.isfinite(report.vapour_pressure_pa):
-                values.append(f"vapour {report.vapour_pressure_pa / HECTOPASCAL:.1f} hPa")
-            what = f"{report.origin} at {report.h_m:.0f} m: {', '.join(values)}"
-            lines.append(("surface", what))
-        name = self.background.profile.name
-        lines.append(("climatology", f"{name}, {self.background.origin}"))
+            values = {
+                "{:.1f} C": report.temperature_k - ZERO_CELSIUS_K,
+                "{:.1f} hPa": report.pressure_pa / HECTOPASCAL,
+                "vapour {:.1f} hPa": report.vapour_pressure_pa / HECTOPASCAL,
+            }
+            known = ", ".join(text.format(v) for text, v in values.items() if np.isfinite(v))
+            lines.append(("surface", f"{report.origin} at {report.h_m:.0f} m: {known}"))
+        background = self.background
+        lines.append(("climatology", f"{background.profile.name}, {background.origin}"))
         if self.calibration:
             lines.append(("sensors", describe_calibration(self.calibration)))
         return lines
@@ -302,19 +264,13 @@ def describe_calibration(calibration: Mapping[SensorFault, SensorCalibration]) -
 
 
 def read_air_sources(
-    plan: Plan,
-    stations: Stations,
-    samples: AirSamples,
-    ledger: Ledger,
-    *,
-    home_h_msl_m: float | None = None,
-    track: Track | None = None,
-) -> AirSources:
+    plan: Plan, stations: Stations, samples: AirSamples, ledger: Ledger, *,
+    home_h_msl_m: float | None = None, track: Track | None = None,
+) -> AirSources:  # fmt: skip
     """Read the soundings, surface reports and weather model of a mission; choose its climatology.
 
     ``home_h_msl_m`` is the take-off height, that of the ground where the log sampled no air;
     ``track`` where the aircraft was.
-    Refuses what cannot be read, and values that no ground has (``InputError``).
     """
     section = plan.mission.atmosphere
     flight_ns = _middle_exposure_ns(stations)
@@ -328,40 +284,28 @@ def read_air_sources(
     heights = [s.h_m[np.isfinite(s.h_m)] for s in sensors]
     lowest = min((float(h.min()) for h in heights if h.size), default=home_h_msl_m or 0.0)
     background = climatology(
-        section.climatology,
-        latitude_rad=latitude,
-        month=month_of(flight_ns),
-        index=_index_of(section),
-        ground_h_m=lowest,
+        section.climatology, latitude_rad=latitude, month=month_of(flight_ns),
+        index=_index_of(section), ground_h_m=lowest,
         longitude_rad=longitude if known.size else 0.0,
-    )
-    soundings = tuple(
-        replace(
-            read_sounding(
-                plan.input(sounding_role(i)).path,
-                ledger,
-                format_name=s.format,
-                time_ns=flight_ns,
-                latitude_rad=latitude,
-                station_h_m=np.nan if s.station_h_msl_m is None else s.station_h_msl_m,
-            ),
-            across=s.across_coast_or_ridge,
-        )
-        for i, s in enumerate(section.soundings)
-    )
+    )  # fmt: skip
+    soundings: tuple[Sounding, ...] = ()
+    for i, s in enumerate(section.soundings):
+        sounding = read_sounding(
+            plan.input(sounding_role(i)).path, ledger, format_name=s.format, time_ns=flight_ns,
+            latitude_rad=latitude,
+            station_h_m=np.nan if s.station_h_msl_m is None else s.station_h_msl_m,
+        )  # fmt: skip
+        soundings += (replace(sounding, across=s.across_coast_or_ridge),)
     surface = tuple(
         read_report(s, f"atmosphere.surface[{i}]", flight_ns, background, ledger)
         for i, s in enumerate(section.surface)
     )
     flight = TimeAndPlace(flight_ns, latitude, longitude)
-    ground = plan.mission.ground
-    level = ground.constant_m if ground.reference == "msl" else None
+    levels = (_constant_ground_m(plan.mission), home_h_msl_m)
+    ground_h_m = next((h for h in levels if h is not None), math.nan)
     model = read_model_air(
-        plan, stations, samples, flight,
-        track=track,
-        ground_h_m=next((h for h in (level, home_h_msl_m) if h is not None), math.nan),
-        ledger=ledger,
-    )  # fmt: skip
+        plan, stations, samples, flight, track=track, ground_h_m=ground_h_m, ledger=ledger
+    )
     soundings += () if model is None else (model.column,)
     note_source_distances(soundings, surface, flight, ledger)
     calibration = section.sensors.calibration
@@ -386,6 +330,11 @@ def _index_of(section: AtmosphereSection) -> IndexModel:
     return IndexModel(section.index, section.wavelength_m, section.co2_ppm)
 
 
+def _constant_ground_m(mission: Mission) -> float | None:
+    """The one height of the ground above sea level, where the mission file has it."""
+    return mission.ground.constant_m if mission.ground.reference == "msl" else None
+
+
 def adjusted_profiles(
     mission: Mission, stations: Stations, samples: AirSamples, sources: AirSources, ledger: Ledger
 ) -> FlightAir:
@@ -403,23 +352,17 @@ def adjusted_profiles(
         ledger.note("AIR-NOT-ADJUSTED", why)
         external = ExternalSources(sources.soundings, sources.surface)
         unused = no_source_used(samples, external, standard.name, why)
-        adjustment = replace(unadjusted(under_gravity(standard, latitude), why), sources=unused)
+        kept = estimate.unadjusted(estimate.under_gravity(standard, latitude), why)
+        adjustment = replace(kept, sources=unused)
     else:
         adjustment = build_adjusted_profile(
-            samples,
-            standard,
-            latitude,
-            ledger,
+            samples, standard, latitude, ledger,
             settings=SensorSettings(section.board_temperature, sources.calibration),
-            background=sources.background,
-            soundings=sources.soundings,
-            surface=sources.surface,
-            time_ns=sources.time_ns,
-            longitude_rad=sources.longitude_rad,
-        )
-    h_g = sources.lowest_h_m
-    if mission.ground.reference == "msl" and mission.ground.constant_m is not None:
-        h_g = mission.ground.constant_m
+            background=sources.background, soundings=sources.soundings, surface=sources.surface,
+            time_ns=sources.time_ns, longitude_rad=sources.longitude_rad,
+        )  # fmt: skip
+    level = _constant_ground_m(mission)
+    h_g = sources.lowest_h_m if level is None else level
     heights = stations.h_msl_m[stations.ok]
     h_c = [float(h) for h in np.percentile(heights, [0, 50, 100])] if heights.size else [h_g]
     model = sources.model
@@ -429,14 +372,9 @@ def adjusted_profiles(
 
 
 def _profiles_in_time(
-    adjustment: Adjustment,
-    stations: Stations,
-    h_c: list[float],
-    h_g: float,
-    *,
-    model: ModelAir | None,
-    ledger: Ledger,
-) -> FlightAir:
+    adjustment: Adjustment, stations: Stations, h_c: list[float], h_g: float, *,
+    model: ModelAir | None, ledger: Ledger,
+) -> FlightAir:  # fmt: skip
     """Profiles of the exposures; ``h_c`` low, middle and high camera height [m].
 
     Each is of the exposure's time, and of its place where a weather ``model`` knows its air.
@@ -451,15 +389,18 @@ def _profiles_in_time(
             replace(w, air=replace(w.air, sampled_at=model.place_of(adjustment.samples, w)))
             for w in windows
         )
-    series = constant_series(whole, len(stations))
+    series = profile_series.constant_series(whole, len(stations))
     middle = _middle_exposure_ns(stations)
     if middle is not None:
         timed = stations.ok & (stations.time_ns != NO_TIME)
         times = np.where(timed, stations.time_ns, middle)
         if windows:
-            series = interpolate_series([window.air for window in windows], times, h_c, h_g)
+            airs = [window.air for window in windows]
+            series = profile_series.interpolate_series(airs, times, h_c, h_g)
         if adjustment.samples is not None:
-            series = add_ageing(series, times, adjustment.samples, ledger, h_c=max(h_c), h_g=h_g)
+            series = profile_series.add_ageing(
+                series, times, adjustment.samples, ledger, h_c=max(h_c), h_g=h_g
+            )
         if model is not None:
             north = np.where(stations.ok, stations.lat_rad, np.nan)
             east = longitudes_near(stations.lon_rad, model.place[1])

@@ -42,10 +42,7 @@ _POSITION_M, _COMMON_M, _DELAY_S, _OUTLIER = 10.0, 5.0, 1.0, 25.0  # of position
 
 @dataclass(frozen=True, eq=False)
 class CameraImages:
-    """The images of one camera, (k,): names, numbers in them, rows of their files (-1 without).
-
-    ``numbering`` as for `ImageEvidence`: what the numbers are.
-    """
+    """The images of one camera, (k,): names, numbers in them, rows of their files (-1 without)."""
 
     name: Names
     number: Integers
@@ -57,11 +54,7 @@ def assigned_stations(
     plan: Plan, section: EventsSection, events: list[Events], stations: list[Stations], *,
     observations: Observations, ties: TiePoints, ledger: Ledger,
 ) -> list[Stations]:  # fmt: skip
-    """The stations of the events of each camera that have an image, under its name.
-
-    ``stations`` are those of all events, camera by camera. Images whose events are named by the
-    file that has them keep them.
-    """
+    """Of the ``stations`` of all events, camera by camera, those that have an image, as its."""
     if section.csv is not None:
         return stations
     files = None
@@ -88,10 +81,9 @@ def assigned_stations(
             "tie points": tie_likelihood(ties, images, camera, of_events),
             "positions": position_likelihood(images, files, of_events),
         }
-        named, rows, notes = assigned_events(
-            exposed, images, files, section.anchor(exposed.camera), spoken
-        )
-        ledger.extend(notes)
+        likelihoods = {name: spoke for name, spoke in spoken.items() if spoke is not None}
+        anchor = section.anchor(exposed.camera)
+        named, rows = ledger.take(assigned_events(exposed, images, files, anchor, likelihoods))
         chosen.append(named)
         result.append(replace(of_events.rows(rows), image=named.image))
     refuse_repeated_images(chosen)
@@ -102,8 +94,7 @@ def assigned_stations(
 class TieLikelihood:
     """Log likelihood of assignments (k,) of events to the images of one camera, by tie points.
 
-    Rays of images without a usable event count as bad ones under any assignment. ``rays`` are some
-    of ``every`` ray.
+    Rays of images without a usable event count as bad ones; ``rays`` are some of ``every`` ray.
     """
 
     of_events: Orientations
@@ -119,10 +110,7 @@ class TieLikelihood:
         return self.intersected(event).log_likelihood if self.rays.point.size else 0.0
 
     def share_met(self, events: Integers) -> Array:
-        """(c,) share of some points whose rays meet under assignments (c, k), all at once.
-
-        Each ray has all of its station's sigma for itself: more points meet than in `intersected`.
-        """
+        """(c,) share of some points whose rays meet under assignments (c, k); more than jointly."""
         points = np.unique(self.rays.point)
         some = points[np.unique(np.linspace(0, points.size - 1, _POINTS_AT_FIRST).astype(int))]
         rays, m = self.rays.of_points(some), self.of_events.camera.size
@@ -160,10 +148,9 @@ class TieLikelihood:
 def tie_likelihood(
     ties: TiePoints, images: CameraImages, camera: Camera, stations: Stations
 ) -> TieLikelihood | None:
-    """Likelihood by the tie points of one camera; None where they are too few.
+    """Likelihood by the tie points of one camera, and the stations of all its events.
 
-    ``stations`` are those of all its events. Rays of an unusable station count as bad ones: where
-    many are unusable the events of others seem better, so fewer than nine in ten decide nothing.
+    None where points are few, or stations unusable: the events of others would seem better.
     """
     of_camera = np.full(images.name.shape, "camera", object)
     rays = tie_rays(ties, images.name, of_camera, {"camera": camera})
@@ -181,9 +168,8 @@ def position_likelihood(
 ) -> Likelihood | None:
     """Log likelihood of assignments by the positions in the images; None where few have one.
 
-    ``stations`` are those of all events. The positions err by 10 m each, at most five times that,
-    and together by 5 m and by a delay of 1 s: a receiver's last fix. So positions along one line
-    decide nothing that a delay explains; those of lines to and fro do.
+    The positions err by 10 m each, at most five times that, and together by 5 m and a delay of
+    1 s: a receiver's last fix. Along one line they decide nothing; along lines to and fro they do.
     """
     if files is None or len(stations) < 3:
         return None
@@ -225,8 +211,8 @@ def images_of_camera(
 ) -> CameraImages:
     """Images of the observations, and files without any, that a pattern describes, in their order.
 
-    A file without observations is called as the pattern says, or by its path. Where a pattern has
-    no number, the digits that differ most from image to image are the camera's count.
+    A file is called as the pattern says, or by its path. Where a pattern has no number, the digits
+    that differ most are the camera's count.
     """
     text, fields = "", []
     for literal, field, _, _ in string.Formatter().parse(pattern):
@@ -269,27 +255,20 @@ def images_of_camera(
 
 def assigned_events(
     exposed: Events, images: CameraImages, files: ImageTimes | None, anchor: FirstImage | None,
-    spoken: Mapping[str, Likelihood | None],
-) -> tuple[Events, Integers, Notes]:  # fmt: skip
+    likelihoods: Mapping[str, Likelihood],
+) -> tuple[tuple[Events, Integers], Notes]:  # fmt: skip
     """The events that have an image, under its name, and their rows among all events.
 
     The log's own numbers in the names of images decide, and all events keep their names, unless
-    times or tie points contradict (MissionError EVENTS-CONTRADICTED). Everything else is decided
-    by the likelihood, and refused (EVENTS-AMBIGUOUS) where the runner-up is not 1000 times less
-    likely.
+    times or tie points contradict (MissionError EVENTS-CONTRADICTED). Everything else is decided by
+    the likelihood; refused (EVENTS-AMBIGUOUS) where the runner-up is not 1000 times less likely.
     """
     where = f"events.log.{exposed.camera}"
-    likelihoods = {name: function for name, function in spoken.items() if function is not None}
-
-    def tie_points_and_positions(event: Integers) -> float:
-        return sum(function(event) for function in likelihoods.values())
-
-    tie_points = tie_points_and_positions if likelihoods else None
     every = np.arange(exposed.time_ns.size, dtype=np.int64)
     has_names = bool((exposed.image != "").all())
     if images.name.size == 0 or every.size == 0:
         kept = every[: every.size * has_names]
-        return Events(exposed.camera, exposed.image[kept], exposed.time_ns[kept]), kept, ()
+        return (Events(exposed.camera, exposed.image[kept], exposed.time_ns[kept]), kept), ()
     beyond = images.number.max() > every.size
     if images.numbering == "index" and (
         exposed.counts == "always" or (exposed.counts == "maybe" and beyond)
@@ -298,28 +277,28 @@ def assigned_events(
     by_index = images.numbering == "index" and exposed.index is not None
     if images.numbering == "index" and not by_index:
         if has_names:  # the numbers begin anew, but their names do not repeat
-            return exposed, every, ()
+            return (exposed, every), ()
         images = replace(images, numbering="sequence")
     keys, wanted = exposed.image.tolist(), images.name.tolist()
     if by_index and exposed.index is not None and not has_names:
         keys, wanted = exposed.index.tolist(), images.number.tolist()
     row_of = {key: row for row, key in enumerate(keys) if key != ""}
     event_by_name = np.array([row_of.get(key, -1) for key in wanted], np.int64)
-    evidence, ties = evidence_of_images(exposed, images, files), spoken.get("tie points")
+    evidence, ties = evidence_of_images(exposed, images, files), likelihoods.get("tie points")
     assignment = assign(
         CameraEvents((exposed.time_ns - exposed.time_ns[0]) / 1e9, exposed.index),
         evidence,
         first_image=anchor_rows(anchor, images, exposed),
-        tie_points=tie_points,
+        tie_points=(lambda of: sum(f(of) for f in likelihoods.values())) if likelihoods else None,
         share_met=ties.share_met if isinstance(ties, TieLikelihood) else None,
     )
     if isinstance(ties, TieLikelihood) and not ties.fits(assignment.event):
         # No assignment lets the rays meet: mounts, cameras or times are wrong, not the events.
-        rest = {name: likelihood for name, likelihood in spoken.items() if likelihood is not ties}
+        rest = {name: f for name, f in likelihoods.items() if f is not ties}
         return assigned_events(exposed, images, files, anchor, rest)
     names = " and ".join(likelihoods)
-    evidence_of_all = tuple(n.replace("tie points", names) for n in assignment.evidence)
-    assignment = replace(assignment, evidence=evidence_of_all)
+    by = tuple(n.replace("tie points", names) for n in assignment.evidence)
+    assignment = replace(assignment, evidence=by)
     description, event = describe_assignment(assignment, images, exposed), assignment.event
     undecided = assignment.ambiguous
     if by_index:
@@ -346,7 +325,7 @@ def assigned_events(
         what += f"by the rest, and have none: {', '.join(images.name[undecided][:3])}"
         entries.append(loss("EVENTS-UNDECIDED", what, where=where, count=int(undecided.sum())))
     if has_names and np.array_equal(event, event_by_name):
-        return exposed, every, tuple(entries)
+        return (exposed, every), tuple(entries)
     has_event = np.flatnonzero(event >= 0)
     has_event = has_event[np.argsort(event[has_event], kind="stable")]
     rows = event[has_event]
@@ -357,7 +336,7 @@ def assigned_events(
         what += " ..." if unused.size > 8 else ""
         entries.append(note("EVENTS-UNUSED", what, where=where, count=int(unused.size)))
     chosen = Events(exposed.camera, images.name[has_event], exposed.time_ns[rows])
-    return chosen, rows, tuple(entries)
+    return (chosen, rows), tuple(entries)
 
 
 def hole_between(
@@ -366,9 +345,8 @@ def hole_between(
 ) -> str:  # fmt: skip
     """Why images in their order are not those of the events in theirs; empty where they are.
 
-    Exposures without event, or events without image, may lie between them: then a part is shifted,
-    by two or by as many as there are too few, or too many. Tie points that are seen from both parts
-    show it, or positions; where there are none, nothing does.
+    Where exposures without event or events without image lie between, a part is shifted, which
+    positions show, or tie points seen from both parts.
     """
     count, m, event = images.name.size, exposed.time_ns.size, assignment.event
     last = int(images.number.max()) if images.numbering == "counted" else count
@@ -440,19 +418,15 @@ def evidence_of_images(
     exposed: Events, images: CameraImages, files: ImageTimes | None
 ) -> ImageEvidence:
     """Numbers of the images, and their times from the first event on where files have them."""
-    evidence = ImageEvidence(
-        images.name.size,
-        number=images.number,
-        numbering=images.numbering,
-        total=-1 if exposed.lost else None,  # where pulses were lost, equal counts mean nothing
-    )
+    total = -1 if exposed.lost else None  # where pulses were lost, equal counts mean nothing
+    count, numbering = images.name.size, images.numbering
+    evidence = ImageEvidence(count, number=images.number, numbering=numbering, total=total)
     if files is None:
         return evidence
     time_ns = np.append(files.time_ns, NO_TIME)[images.file]
-    timed = time_ns != NO_TIME
+    timed, begin = time_ns != NO_TIME, exposed.time_ns[0]
     if not bool(timed.any()):
         return evidence
-    begin = exposed.time_ns[0]
     return replace(
         evidence,
         time_s=np.where(timed, (np.where(timed, time_ns, begin) - begin) / 1e9, np.nan),
@@ -467,9 +441,8 @@ def describe_assignment(assignment: Assignment, images: CameraImages, exposed: E
     text = f"{assigned} of {images.name.size} images and {exposed.time_ns.size} events"
     if assigned:
         i = int(np.argmax(assignment.event >= 0))
-        number = (
-            assignment.event[i] + 1 if exposed.index is None else exposed.index[assignment.event[i]]
-        )
+        event = assignment.event[i]
+        number = event + 1 if exposed.index is None else exposed.index[event]
         text += f", {images.name[i]} of event {number}"
     text += f", by {', '.join(assignment.evidence)}"
     residual = assignment.residual_s[np.isfinite(assignment.residual_s)]
@@ -481,8 +454,6 @@ def describe_assignment(assignment: Assignment, images: CameraImages, exposed: E
         )
     if assignment.runner_up.size:
         decades = assignment.log_ratio / np.log(10)
-        text += (
-            f"; the next best assignment ({assignment.shift:+d} events) is 10^{decades:.0f} times "
-            "less likely"
-        )
+        text += f"; the next best assignment ({assignment.shift:+d} events) is "
+        text += f"10^{decades:.0f} times less likely"
     return text

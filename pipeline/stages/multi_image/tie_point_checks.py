@@ -10,23 +10,15 @@ from itertools import product
 import numpy as np
 
 from pipeline.block.diagnosis import Finding, StatedMission, diagnosis, scatter_of
-from pipeline.block.image_rays import (
-    MINIMUM_ANGLE_RAD,
-    UNKNOWN_SIGMAS,
-    ImageRays,
-    Orientations,
-    orientations_of,
-    straightened,
-)
+from pipeline.block.image_rays import MINIMUM_ANGLE_RAD, ImageRays, Orientations, straightened
 from pipeline.block.intersection import Intersection, point_heights
-from pipeline.block.oriented_images import SIGMAS_OF_BLOCK
 from pipeline.config import Mission
 from pipeline.flight.heights import HeightSystem, ground_offsets
 from pipeline.flight.stations import Stations
 from pipeline.geodesy import geodetic_of_ecef
 from pipeline.ledger import Ledger
 from pipeline.refraction.camera.camera import Camera
-from pipeline.stages.exposure_setup import cameras_of_mission
+from pipeline.stages.exposure_setup import cameras_of_mission, orientations_of_mission
 from pipeline.tables.geodata.elevation import ElevationModel
 from pipeline.tables.tie_points import TiePoints, tie_rays
 from pipeline.units import Array
@@ -45,14 +37,18 @@ _TO_CHANGE = {
 }
 _OF_RELIEF, _FLAT = 0.2, 0.002  # what a model leaves of it, and at least of the flying height
 _PANE_RAD = 1e-4  # what a window bends, which stays in the rays
+_MISSES = (
+    ": the orientations are not what they should be (rows of other images or cameras, another "
+    "convention, log.path of another flight), or the name of a point is not that of one point in "
+    "all images"
+)
 
 
 @dataclass(frozen=True, eq=False)
 class TieEvidence:
     """Tie points beside the stations of a mission, and the heights that it gives them.
 
-    ``terrain`` is its elevation model, where it has one. ``later`` gives the stations that many
-    seconds later, in their order, where they are those of events.
+    ``later`` gives the stations that many seconds later, where they are those of events.
     """
 
     mission: Mission
@@ -75,10 +71,9 @@ class TieEvidence:
 
     def orientations(self, seconds: float = 0.0) -> Orientations:
         """Of the stations, or of those that many seconds later."""
-        oriented = self.mission.stations.orientation is not None
         at = self.stations if self.later is None else self.later(seconds)
         at = at.with_status(~self.stations.ok, "suspect")
-        return orientations_of(at, SIGMAS_OF_BLOCK if oriented else UNKNOWN_SIGMAS)
+        return orientations_of_mission(self.mission, at)
 
     def rays(self, cameras: Mapping[str, Camera], axes: Mapping[str, str]) -> ImageRays:
         """The apparent rays, with given heights of their points above the ellipsoid."""
@@ -109,9 +104,8 @@ class TieEvidence:
         ground[np.unique(rays.point)[met]] = height = model.heights(row, column)
         evidence = replace(self, ties=replace(self.ties, ground=ground[self.ties.point]))
         left, high = scatter_of(height - h_m), self.stations.h_msl_m[self.stations.ok]
-        if not np.isfinite(left) or left <= _OF_RELIEF * scatter_of(h_m):
-            return evidence, ""
-        if left <= _FLAT * np.nanmedian(high - np.nanmedian(height)):
+        flat = _FLAT * np.nanmedian(high - np.nanmedian(height))
+        if not np.isfinite(left) or left <= _OF_RELIEF * scatter_of(h_m) or left <= flat:
             return evidence, ""
         others, size = [], np.array(model.size)[:, None]
         for exchanged, *reverse in list(product((False, True), repeat=3))[1:]:
@@ -175,8 +169,7 @@ def check_tie_points(evidence: TieEvidence, ledger: Ledger) -> None:
     explained = bool(findings) and findings[-1].sigma_factor < _POOR_FACTOR
     for finding in findings if explained else ():
         what = f"{described(finding)}: by {stated.point.size} tie points"
-        if np.isfinite(finding.log_ratio):
-            decades = finding.log_ratio / np.log(10.0)
+        if np.isfinite(decades := finding.log_ratio / np.log(10.0)):
             what += f" this is 10^{decades:.0f} times as likely as what is stated"
         what += f"; change {_TO_CHANGE.get(finding.code, '{}').format(finding.key)}"
         ledger.finding(finding.code, what, where=finding.key, count=stated.point.size)
@@ -233,10 +226,5 @@ def report_misses(
     share = np.bincount(rays.image[lost], minlength=seen.size) / np.maximum(seen, 1)
     worst = [str(stations.image[k]) for k in np.argsort(-share, kind="stable")[:3] if share[k] > 0]
     what += f"; most of {', '.join(worst)}" if worst else ""
-    what += (
-        ": the orientations are not what they should be (rows of other images or cameras, another "
-        "convention, log.path of another flight), or the name of a point is not that of one point "
-        "in all images"
-    )
-    what += f"; nearest comes, though rays still miss then: {nearest}" if nearest else ""
-    ledger.finding(code, what, where=where, count=size)
+    nearest = nearest and f"; nearest comes, though rays still miss then: {nearest}"
+    ledger.finding(code, f"{what}{_MISSES}{nearest}", where=where, count=size)
