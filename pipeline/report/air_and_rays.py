@@ -7,24 +7,17 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 from rich.padding import Padding
-from rich.table import Column, Table
+from rich.table import Table
 
 from pipeline.atmosphere.estimate.sensors import FAULT_TEXTS
 from pipeline.refraction.angle import RadialTable
 from pipeline.refraction.effect import FlightAir
 from pipeline.refraction.status_codes import STATUS_NAMES
 from pipeline.report import summary
-from pipeline.report.console import (
-    Columns,
-    cells_of,
-    columns_of_table,
-    plain_table,
-    print_indented,
-    shown,
-)
+from pipeline.report.console import plain_table, print_indented, shown
 from pipeline.report.words import significant, with_sigma
 from pipeline.tables.exports.radial import radial_columns
-from pipeline.units import MICRORADIAN
+from pipeline.units import HECTOPASCAL, MICRORADIAN
 
 _STATUS_TEXTS = {
     "beyond_grazing": "the near one of two crossings of the ground's height; with --distance the "
@@ -34,6 +27,37 @@ _STATUS_TEXTS = {
 _OVER_THE_HORIZON = (
     "no metres on the ground: the straight ray in the apparent direction passes over the horizon, "
     "and only the bent one lands"
+)
+
+_PAPER_COLUMNS = (
+    ("h_c [km]", "h_c_m", 1e3, 3),
+    ("h_g [km]", "h_g_m", 1e3, 3),
+    ("zeta [deg]", "zeta_c_deg", 1.0, 4),
+    ("printed", "printed", 1.0, 4),
+    ("as published", "as_published", 1.0, 4),
+    ("exact", "exact", 1.0, 4),
+    ("difference", "difference", 1.0, 4),
+)
+_PROFILE_COLUMNS = (
+    ("h\n[m]", "h_m", 1.0, ".0f"),
+    ("T\n[K]", "temperature_k", 1.0, ".2f"),
+    ("±\n", "sigma_temperature_k", 1.0, "sigma"),
+    ("std\n[K]", "standard_temperature_k", 1.0, ".2f"),
+    ("p\n[hPa]", "pressure_pa", HECTOPASCAL, ".1f"),
+    ("std\n[hPa]", "standard_pressure_pa", HECTOPASCAL, ".1f"),
+    ("e\n[hPa]", "vapour_pressure_pa", HECTOPASCAL, ".2f"),
+    ("std\n[hPa]", "standard_vapour_pressure_pa", HECTOPASCAL, ".2f"),
+    ("N\n[ppm]", "refractivity", 1e-6, ".2f"),
+    ("±\n", "sigma_refractivity", 1e-6, "sigma"),
+    ("std\n[ppm]", "standard_refractivity", 1e-6, ".2f"),
+)
+_RADIAL_COLUMNS = (
+    ("nadir angle [deg]", "nadir_angle_deg", 2),
+    ("R_c [arcsec]", "r_c_arcsec", 3),
+    ("R_c [urad]", "r_c_urad", 2),
+    ("ground [m]", "shift_ground_m", 3),
+    ("radius [px]", "radius_px", 1),
+    ("dr [px]", "dr_px", 4),
 )
 
 
@@ -60,33 +84,38 @@ def print_angle(console: Console, angle: Mapping[str, Any]) -> None:
 def print_paper(console: Console, rows: Sequence[Mapping[str, Any]], notes: Sequence[str]) -> None:
     """The tables of a paper: values as printed, as published, and exact."""
     keys = ("table", "quantity", "unit")
-    columns = columns_of_table("paper")
     for key in dict.fromkeys(tuple(row[name] for name in keys) for row in rows):
-        title = shown(f"Table {key[0]}: {key[1]} [{key[2]}]")
-        table = Table(*_at_right(columns), box=None, title=title, title_justify="left")
+        table = Table(
+            *(shown(head) for head, *_ in _PAPER_COLUMNS), box=None,
+            title=shown(f"Table {key[0]}: {key[1]} [{key[2]}]"), title_justify="left",
+        )  # fmt: skip
+        for column in table.columns:
+            column.justify = "right"
         for row in rows:
             if tuple(row[name] for name in keys) == key:
-                cells = cells_of(row, columns)
-                table.add_row(*(cell.rstrip("0").rstrip(".") for cell in cells))
+                table.add_row(*(
+                    "" if row[name] is None
+                    else f"{row[name] / unit:.{digits}f}".rstrip("0").rstrip(".")
+                    for _, name, unit, digits in _PAPER_COLUMNS
+                ))  # fmt: skip
         console.print(table)
     for note in notes:
         print_indented(console, shown(note))
 
 
-def _at_right(columns: Columns) -> list[Column]:
-    return [Column(shown(head), justify="right") for head, *_ in columns]
-
-
 def print_profile(console: Console, rows: Sequence[Mapping[str, Any]], standard: str) -> None:
     """A profile as a table, each quantity beside that of the standard."""
-    columns = columns_of_table("profile")
-    table = plain_table((*(head for head, *_ in columns), "source\n"), gap=1)
+    table = plain_table((*(head for head, *_ in _PROFILE_COLUMNS), "source\n"), gap=1)
     table.columns[0].justify, table.columns[-1].justify = "right", "left"
     for row in rows:
-        cells = [
-            f"[dim]{text}[/dim]" if name.startswith("standard") else text
-            for (_, name, *_), text in zip(columns, cells_of(row, columns), strict=True)
-        ]
+        cells = []
+        for _, name, unit, digits in _PROFILE_COLUMNS:
+            value = None if row[name] is None else row[name] / unit
+            if digits == "sigma":  # in four characters
+                text = "" if value is None else f"{value:{'.2f' if value < 9.995 else '.1f'}}"
+            else:
+                text = f"{value:{digits}}"
+            cells.append(f"[dim]{text}[/dim]" if name.startswith("standard") else text)
         table.add_row(*cells, row["source"])
     console.print(table)
     console.print(f"N is (n-1)e6; std is {shown(standard)} at the same height", highlight=False)
@@ -133,10 +162,15 @@ def print_radial(console: Console, tables: Sequence[RadialTable]) -> None:
             f"{table.k_rad / MICRORADIAN:.2f} urad, {manual}"
         )
         with_image = bool(np.isfinite(table.radius_px).any())
-        columns = columns_of_table("radial")[: None if with_image else 4]
-        printed = Table(*_at_right(columns), box=None)
+        columns = _RADIAL_COLUMNS if with_image else _RADIAL_COLUMNS[:4]
+        printed = Table(*(shown(head) for head, _, _ in columns), box=None)
+        for column in printed.columns:
+            column.justify = "right"
         for row in radial_rows([table]):
-            cells = cells_of(row, columns)
+            cells = [
+                "" if row[name] is None else f"{row[name]:.{digits}f}"
+                for _, name, digits in columns
+            ]
             if not cells[1] and row["status"] != STATUS_NAMES[0]:
                 cells[1] = row["status"]
             printed.add_row(*cells)

@@ -7,10 +7,7 @@ of lines, so that a line is found by ``grep`` and copied as it is.
 import os
 import re
 import sys
-import tomllib
-from collections.abc import Iterable, Mapping, Sequence
-from functools import cache
-from importlib.resources import files
+from collections.abc import Sequence
 from typing import Any, NoReturn, TextIO
 
 from rich.console import Console
@@ -79,45 +76,6 @@ def plain_table(heads: Sequence[str], *, gap: int) -> Table:
     for column in table.columns[1:]:
         column.justify = "right"
     return table
-
-
-def print_rows(
-    console: Console, heads: Sequence[str], rows: Iterable[Sequence[str]], *, gap: int,
-    left: Sequence[int] = (),
-) -> None:  # fmt: skip
-    """Print texts as a table, two columns to the right; ``left`` : columns that begin there."""
-    table = plain_table(heads, gap=gap)
-    for column in left:
-        table.columns[column].justify = "left"
-    for row in rows:
-        table.add_row(*map(shown, row))
-    print_indented(console, table)
-
-
-Columns = Sequence[tuple[str, str, float, str]]
-"""Of a table: head, key of a row, what one unit of it is, format; see ``columns.toml``."""
-
-
-@cache
-def columns_of_table(name: str) -> Columns:
-    """The columns of a table of ``columns.toml``."""
-    text = (files("pipeline.report") / "data/columns.toml").read_text("utf-8")
-    return [tuple(column) for column in tomllib.loads(text)[name]]
-
-
-def cells_of(row: Mapping[str, Any], columns: Columns) -> list[str]:
-    """The texts of a row; empty where it has no value.
-
-    >>> cells_of({"p": 101325.0, "t": None}, [("p", "p", 100.0, ".1f"), ("T", "t", 1.0, ".0f")])
-    ['1013.2', '']
-    """
-    cells = []
-    for _, name, unit, digits in columns:
-        value = None if row[name] is None else row[name] / unit
-        if digits == "sigma":
-            digits = ".1f" if value is not None and value >= 9.995 else ".2f"
-        cells.append("" if value is None else f"{value:{digits}}")
-    return cells
 
 
 def print_labelled(console: Console, lines: Sequence[tuple[str, str]]) -> None:

@@ -14,15 +14,7 @@ from rich.markup import escape
 from rich.padding import Padding
 
 from pipeline.report import summary
-from pipeline.report.console import (
-    cells_of,
-    columns_of_table,
-    plain_table,
-    print_indented,
-    print_labelled,
-    print_rows,
-    shown,
-)
+from pipeline.report.console import plain_table, print_indented, print_labelled, shown
 from pipeline.report.summary import flagged, next_steps, remarks, verdict
 from pipeline.report.words import count, shortened
 
@@ -47,17 +39,22 @@ def print_run(
     if repeated:
         console.print("  nothing to do: mission file, inputs and code are those of the last run")
     print_indented(console, shown(" ".join([verdict(manifest), *remarks(manifest)])))
-    print_rows(console, summary.CORRECTION_HEAD, summary.correction_rows(manifest), gap=2)
+    table = plain_table(summary.CORRECTION_HEAD, gap=2)
+    for row in summary.correction_rows(manifest):
+        table.add_row(*(shown(cell) for cell in row))
+    print_indented(console, table)
     profile = manifest["profile"]
     effects = summary.effect_lines(profile["effect"], profile["standard"])
     for line in (summary.air_sentences(manifest), *effects):
         print_indented(console, shown(line))
     if sentence := summary.control_sentence(manifest):
         print_indented(console, shown(sentence))
-        rows = summary.control_rows(manifest, _MOST_CONTROL)
-        print_rows(console, summary.CONTROL_HEAD, rows, gap=1)
-    if left_out := flagged(manifest):
-        print_indented(console, f"Flagged rows: {left_out}")
+        table = plain_table(summary.CONTROL_HEAD, gap=1)
+        for row in summary.control_rows(manifest, _MOST_CONTROL):
+            table.add_row(*(shown(cell) for cell in row))
+        print_indented(console, table)
+    if rows := flagged(manifest):
+        print_indented(console, f"Flagged rows: {rows}")
     print_ledger(console, [entry for entry in manifest["ledger"] if entry["kind"] != "note"])
     steps = next_steps(manifest)
     print_labelled(console, [("" if i else "next", step) for i, step in enumerate(steps)])
@@ -113,14 +110,21 @@ def print_status(console: Console, name: str, reasons: Sequence[str]) -> None:
         print_indented(console, f"and {count(len(reasons) - _MOST_REASONS, 'more reason')}")
 
 
+_STATION_COLUMNS = (
+    ("lat\n[deg]", "lat_deg", ".5f"),
+    ("lon\n[deg]", "lon_deg", ".5f"),
+    ("± xy\n[m]", "sigma_horizontal_m", ".2f"),
+    ("h\n[m]", "h_msl_m", ".1f"),
+    ("± h\n[m]", "sigma_height_m", ".2f"),
+    ("tilt\n± deg", "sigma_tilt_deg", ".2f"),
+)
 _FIRST_STATIONS, _LAST_STATIONS = 25, 5
 _BESIDE_NAMES, _SHORTEST_NAME = 63, 17  # characters of the other columns; of an image's name
 
 
 def print_stations(console: Console, rows: Sequence[Mapping[str, Any]]) -> None:
     """The first and last stations as a table, how many there are, and why some cannot be used."""
-    columns = columns_of_table("stations")
-    heads = ("image\n", "UTC\n", *(head for head, *_ in columns), "status\n")
+    heads = ("image\n", "UTC\n", *(head for head, *_ in _STATION_COLUMNS), "status\n")
     table = plain_table(heads, gap=1)
     table.columns[-1].overflow, table.columns[-1].justify = "fold", "left"
     for column in table.columns[:-1]:
@@ -131,8 +135,12 @@ def print_stations(console: Console, rows: Sequence[Mapping[str, Any]]) -> None:
             table.add_row("...")
             continue
         time = f"{row['time_utc']:%H:%M:%S.%f}"[:10] if row["time_utc"] else ""
+        cells = (
+            "" if row[name] is None else f"{row[name]:{digits}}"
+            for _, name, digits in _STATION_COLUMNS
+        )
         name = shortened(row["image"], max(console.width - _BESIDE_NAMES, _SHORTEST_NAME))
-        table.add_row(escape(name), time, *cells_of(row, columns), row["status"])
+        table.add_row(escape(name), time, *cells, row["status"])
     print_indented(console, table)
     if not few:
         hidden = len(rows) - _FIRST_STATIONS - _LAST_STATIONS
@@ -179,15 +187,14 @@ def print_log(console: Console, log: Mapping[str, Any], name: str) -> None:
              f"{log['lost_messages']:,} lost" + (f", {boots} boots" if boots > 1 else "")),
         ],
     )  # fmt: skip
-    roles = [
-        (row["role"], row["channel"] or "-",
-         "" if row["rate_hz"] is None else f"{row['rate_hz']:.3g}",
-         "; also ".join(filter(None, (row["remark"], ", ".join(row["others"])))))
-        for row in log["roles"]
-    ]  # fmt: skip
+    table = plain_table(("role", "channel", "rate [Hz]", "remark"), gap=2)
+    table.columns[1].justify = table.columns[3].justify = "left"
+    for row in log["roles"]:
+        remark = "; also ".join(filter(None, (row["remark"], ", ".join(row["others"]))))
+        rate = "" if row["rate_hz"] is None else f"{row['rate_hz']:.3g}"
+        table.add_row(row["role"], shown(row["channel"] or "-"), rate, shown(remark))
     console.print()
-    heads = "role", "channel", "rate [Hz]", "remark"
-    print_rows(console, heads, roles, gap=2, left=(1, 3))
+    print_indented(console, table)
     table = plain_table(("channel", "samples", "rate [Hz]", "gaps", "gaps [s]"), gap=2)
     # Names are copied into mission files: in one piece, and never cut.
     table.columns[0].overflow = "fold"
@@ -225,11 +232,13 @@ def print_model(console: Console, contents: Mapping[str, Any], name: str) -> Non
             text = f"{len(members)}, {members[0]} to {members[-1]}"
             lines.append(("members", text))
     print_labelled(console, lines)
-    keys = "name", "units", "levels", "long_name"
-    cells = [[str(row[key]) for key in keys] for row in contents["variables"]]
+    table = plain_table(("variable", "unit", "levels", "name"), gap=2)
+    table.columns[1].justify = table.columns[3].justify = "left"
+    for row in contents["variables"]:
+        cells = (str(row[key]) for key in ("name", "units", "levels", "long_name"))
+        table.add_row(*(shown(cell) for cell in cells))
     console.print()
-    heads = "variable", "unit", "levels", "name"
-    print_rows(console, heads, cells, gap=2, left=(1, 3))
+    print_indented(console, table)
 
 
 def print_fields(console: Console, title: str, rows: Sequence[Mapping[str, str]]) -> None:

@@ -61,9 +61,15 @@ class ModelAir:
 
 
 def read_model_air(
-    plan: Plan, stations: Stations, samples: AirSamples, flight: TimeAndPlace, *,
-    track: Track | None, ground_h_m: float, ledger: Ledger,
-) -> ModelAir | None:  # fmt: skip
+    plan: Plan,
+    stations: Stations,
+    samples: AirSamples,
+    flight: TimeAndPlace,
+    *,
+    track: Track | None,
+    ground_h_m: float,
+    ledger: Ledger,
+) -> ModelAir | None:
     """The weather model of a mission, None where it names none.
 
     ``ground_h_m`` of the true ground [m above sea level], NaN where it is not known. Refuses
@@ -137,9 +143,12 @@ _FAR_HOURS = 3.0
 
 
 def read_report(
-    section: SurfaceSection, where: str, flight_ns: int | None, background: Climatology,
+    section: SurfaceSection,
+    where: str,
+    flight_ns: int | None,
+    background: Climatology,
     ledger: Ledger,
-) -> SurfaceReport:  # fmt: skip
+) -> SurfaceReport:
     """The report of a weather station, from its METAR or from numbers.
 
     Refuses (``InputError``) values that the climatology of place and season rules out, such as a
@@ -264,9 +273,14 @@ def describe_calibration(calibration: Mapping[SensorFault, SensorCalibration]) -
 
 
 def read_air_sources(
-    plan: Plan, stations: Stations, samples: AirSamples, ledger: Ledger, *,
-    home_h_msl_m: float | None = None, track: Track | None = None,
-) -> AirSources:  # fmt: skip
+    plan: Plan,
+    stations: Stations,
+    samples: AirSamples,
+    ledger: Ledger,
+    *,
+    home_h_msl_m: float | None = None,
+    track: Track | None = None,
+) -> AirSources:
     """Read the soundings, surface reports and weather model of a mission; choose its climatology.
 
     ``home_h_msl_m`` is the take-off height, that of the ground where the log sampled no air;
@@ -284,10 +298,13 @@ def read_air_sources(
     heights = [s.h_m[np.isfinite(s.h_m)] for s in sensors]
     lowest = min((float(h.min()) for h in heights if h.size), default=home_h_msl_m or 0.0)
     background = climatology(
-        section.climatology, latitude_rad=latitude, month=month_of(flight_ns),
-        index=_index_of(section), ground_h_m=lowest,
+        section.climatology,
+        latitude_rad=latitude,
+        month=month_of(flight_ns),
+        index=_index_of(section),
+        ground_h_m=lowest,
         longitude_rad=longitude if known.size else 0.0,
-    )  # fmt: skip
+    )
     soundings: tuple[Sounding, ...] = ()
     for i, s in enumerate(section.soundings):
         sounding = read_sounding(
@@ -356,11 +373,17 @@ def adjusted_profiles(
         adjustment = replace(kept, sources=unused)
     else:
         adjustment = build_adjusted_profile(
-            samples, standard, latitude, ledger,
+            samples,
+            standard,
+            latitude,
+            ledger,
             settings=SensorSettings(section.board_temperature, sources.calibration),
-            background=sources.background, soundings=sources.soundings, surface=sources.surface,
-            time_ns=sources.time_ns, longitude_rad=sources.longitude_rad,
-        )  # fmt: skip
+            background=sources.background,
+            soundings=sources.soundings,
+            surface=sources.surface,
+            time_ns=sources.time_ns,
+            longitude_rad=sources.longitude_rad,
+        )
     level = _constant_ground_m(mission)
     h_g = sources.lowest_h_m if level is None else level
     heights = stations.h_msl_m[stations.ok]
@@ -372,9 +395,14 @@ def adjusted_profiles(
 
 
 def _profiles_in_time(
-    adjustment: Adjustment, stations: Stations, h_c: list[float], h_g: float, *,
-    model: ModelAir | None, ledger: Ledger,
-) -> FlightAir:  # fmt: skip
+    adjustment: Adjustment,
+    stations: Stations,
+    h_c: list[float],
+    h_g: float,
+    *,
+    model: ModelAir | None,
+    ledger: Ledger,
+) -> FlightAir:
     """Profiles of the exposures; ``h_c`` low, middle and high camera height [m].
 
     Each is of the exposure's time, and of its place where a weather ``model`` knows its air.

@@ -75,9 +75,14 @@ def exposures_of_mission(
 
 
 def exposures_of(
-    stations: Stations, profile: Profile | ProfileSeries, windows: Mapping[str, Window],
-    lenses: Mapping[str, LensInAir], ledger: Ledger, *, radius_m: float | None,
-) -> Exposures:  # fmt: skip
+    stations: Stations,
+    profile: Profile | ProfileSeries,
+    windows: Mapping[str, Window],
+    lenses: Mapping[str, LensInAir],
+    ledger: Ledger,
+    *,
+    radius_m: float | None,
+) -> Exposures:
     """Attitude, height, window and lens of each exposure, and the air beside them.
 
     The air outside is the profile's at the height of the camera, the same that the ray starts in;
@@ -180,9 +185,12 @@ def report_lenses(cameras: Iterable[str], lenses: Mapping[str, LensInAir], ledge
 
 
 def correction_setup(
-    mission: Mission, stations: Stations, air: ProfileSeries, exposures: Exposures, heights:
-    HeightSystem,
-) -> CorrectionSetup:  # fmt: skip
+    mission: Mission,
+    stations: Stations,
+    air: ProfileSeries,
+    exposures: Exposures,
+    heights: HeightSystem,
+) -> CorrectionSetup:
     """Cameras, rays and given ground of a mission. ``heights`` are those of its log."""
     section = mission.ground
     ground: Ground = SlantRangeGround(section.sigma_m)
@@ -190,7 +198,13 @@ def correction_setup(
         offsets = ground_offsets(section.reference_of_values, stations, heights)
         ground = GivenGround(section.constant_m, offsets, section.sigma_m)
     return CorrectionSetup(
-        stations.image, stations.camera, exposures, ground, cameras_of_mission(mission),
+        stations.image,
+        stations.camera,
+        exposures,
+        ground,
+        cameras_of_mission(mission),
         tuple(rays_by(profile, mission.refraction.method) for profile in air.profiles),
-        air.profile_number, mission.refraction.direction, (None,) * len(air.profiles),
-    )  # fmt: skip
+        air.profile_number,
+        mission.refraction.direction,
+        (None,) * len(air.profiles),
+    )

@@ -190,9 +190,12 @@ def elevation_of_mission(
 
 
 def with_terrain(
-    setup: CorrectionSetup, model: ElevationModel | None, stations: Stations, sigma_m: float | None,
+    setup: CorrectionSetup,
+    model: ElevationModel | None,
+    stations: Stations,
+    sigma_m: float | None,
     ledger: Ledger,
-) -> CorrectionSetup:  # fmt: skip
+) -> CorrectionSetup:
     """The setup with heights of the elevation model, where there is one; ``sigma_m`` are its.
 
     Refuses (DEM-OUTSIDE) a model under no station; a loss where it is under some.

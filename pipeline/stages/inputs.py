@@ -288,6 +288,7 @@ def board_as_air(channel: Channel) -> Channel:
         return channel
     units = {"temperature_k": channel.logged_units.get("board_temperature_k", "")}
     return replace(
-        channel, columns=dict(channel.columns) | {"temperature_k": board},
+        channel,
+        columns=dict(channel.columns) | {"temperature_k": board},
         logged_units=dict(channel.logged_units) | units,
-    )  # fmt: skip
+    )

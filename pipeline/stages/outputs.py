@@ -58,9 +58,16 @@ def write_tables(folder: RunFolder, stations: Stations, air: FlightAir) -> None:
 
 
 def manifest_of(
-    plan: Plan, flight: FlightLog, stations: Stations, air: FlightAir, *, statistics: Statistics,
-    setup: CorrectionSetup, causes: Mapping[str, str], ledger: Ledger,
-) -> dict[str, Any]:  # fmt: skip
+    plan: Plan,
+    flight: FlightLog,
+    stations: Stations,
+    air: FlightAir,
+    *,
+    statistics: Statistics,
+    setup: CorrectionSetup,
+    causes: Mapping[str, str],
+    ledger: Ledger,
+) -> dict[str, Any]:
     """The manifest of a run, without its outputs; ``causes`` are those of statuses of rows.
 
     Holds no clock, no host name and no absolute path: the same inputs give the same bytes.
@@ -241,18 +248,26 @@ def _profile(air: FlightAir, stations: Stations) -> dict[str, Any]:
         "effect": [effect.row() for effect in air.effects],
         "sources": [use.row() for use in adjustment.sources],
         "sensors": [
-            {"what": FAULT_TEXTS[fault.fault], "value": round(fault.value, 4),
-             "sigma": round(fault.sigma, 4), "expected_sigma": round(fault.prior_sigma, 4)}
+            {
+                "what": FAULT_TEXTS[fault.fault],
+                "value": round(fault.value, 4),
+                "sigma": round(fault.sigma, 4),
+                "expected_sigma": round(fault.prior_sigma, 4),
+            }
             for fault in (estimate.in_units() for estimate in adjustment.faults)
         ],
         "profiles": len(air.series.timed_profiles),
         "windows": [  # change and sigma of R against that of the whole flight
-            {"start_utc": utc_second(window.start_ns), "end_utc": utc_second(window.end_ns),
-             "change": round(window.change, 5), "sigma": round(window.sigma, 5),
-             "why_not": window.why_not}
+            {
+                "start_utc": utc_second(window.start_ns),
+                "end_utc": utc_second(window.end_ns),
+                "change": round(window.change, 5),
+                "sigma": round(window.sigma, 5),
+                "why_not": window.why_not,
+            }
             for window in air.windows
         ],
-    }  # fmt: skip
+    }
 
 
 def utc_second(time_ns: int) -> str:

@@ -302,9 +302,14 @@ def verify_run(path: Path | Place) -> dict[str, Any]:
 
 
 def export_run(
-    path: Path | Place, name: str, out: Path, options: Mapping[str, Any], *,
-    ground_height_m: float | None = None, force: bool = False,
-) -> tuple[int, Ledger]:  # fmt: skip
+    path: Path | Place,
+    name: str,
+    out: Path,
+    options: Mapping[str, Any],
+    *,
+    ground_height_m: float | None = None,
+    force: bool = False,
+) -> tuple[int, Ledger]:
     """Write a finished run in a format of other programs; rows written, and what was left out.
 
     ``options`` are those of the format, by name; ``ground_height_m`` as for `rebuild_run`.

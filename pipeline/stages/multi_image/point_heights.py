@@ -56,9 +56,15 @@ def with_object_points(
 
 
 def read_points(
-    plan: Plan, role: str, section: PointTable | ControlSection, reference: str, *,
-    key: str, heights: HeightSystem, ledger: Ledger,
-) -> ObjectPoints:  # fmt: skip
+    plan: Plan,
+    role: str,
+    section: PointTable | ControlSection,
+    reference: str,
+    *,
+    key: str,
+    heights: HeightSystem,
+    ledger: Ledger,
+) -> ObjectPoints:
     """The points of a table of the user's, of that ``role``, with heights above sea level.
 
     ``section`` and ``reference`` are what the mission file states of it under ``key``.
