@@ -34,12 +34,16 @@ from pipeline.flight.stations import NO_TIME, Stations
 from pipeline.geodesy import longitudes_near
 from pipeline.ledger import Ledger
 from pipeline.refraction.effect import FlightAir, effects_on_r
+from pipeline.stages.inputs import FlightLog
 from pipeline.tables.soundings import read_sounding
 from pipeline.tables.weather_files import FlightArea, read_model_field
 from pipeline.units import DEGREE, HECTOPASCAL, ZERO_CELSIUS_K, Array, Integers
 
 Track = tuple[Integers, Array, Array]
 """Times [Unix ns], latitudes and longitudes [rad] of a flight as logged."""
+
+Levels = tuple[list[float], float]
+"""Low, middle and high camera height, and height of the ground [m above sea level]."""
 
 _BIN_M = 100.0
 
@@ -61,29 +65,23 @@ class ModelAir:
 
 
 def read_model_air(
-    plan: Plan,
-    stations: Stations,
-    samples: AirSamples,
-    flight: TimeAndPlace,
-    *,
-    track: Track | None,
-    ground_h_m: float,
+    plan: Plan, flight: FlightLog, stations: Stations, samples: AirSamples, middle: TimeAndPlace, *,
     ledger: Ledger,
-) -> ModelAir | None:
-    """The weather model of a mission, None where it names none.
+) -> ModelAir | None:  # fmt: skip
+    """The weather model of a mission, None where it names none; ``middle`` is that of the flight.
 
-    ``ground_h_m`` of the true ground [m above sea level], NaN where it is not known. Refuses
-    (`InputError`) a flight without a time or place, and stations outside the model's area.
+    Refuses (`InputError`) a flight without a time or place, and stations outside its area.
     """
     section = plan.mission.atmosphere.model
     if section is None:
         return None
-    path = plan.input("weather model").path
-    if flight.time_ns is None or not math.isfinite(flight.latitude_rad + flight.longitude_rad):
+    path, track = plan.input("weather model").path, track_of(flight)
+    if middle.time_ns is None or not math.isfinite(middle.latitude_rad + middle.longitude_rad):
         raise InputError.of("MODEL-TIME/flight", path.name)
-    place = sampled_place(samples, track) or (
-        flight.latitude_rad, flight.longitude_rad, flight.time_ns
-    )  # fmt: skip
+    of_middle = middle.latitude_rad, middle.longitude_rad, middle.time_ns
+    place = sampled_place(samples, track) or of_middle
+    levels = (_constant_ground_m(plan.mission), flight.heights.home_h_msl_m)
+    ground_h_m = next((h for h in levels if h is not None), math.nan)
     rows = stations.ok & np.isfinite(stations.lat_rad + stations.lon_rad)
     times = np.where(stations.time_ns[rows] == NO_TIME, place[2], stations.time_ns[rows])
     area = FlightArea(
@@ -101,8 +99,15 @@ def read_model_air(
         high=column.h_m[-1], north=place[0] / DEGREE, east=place[1] / DEGREE,
     )  # fmt: skip
     # It is the air where the flight met it: no distance adds to its errors.
-    column = replace(column, latitude_rad=flight.latitude_rad, longitude_rad=flight.longitude_rad)
+    column = replace(column, latitude_rad=middle.latitude_rad, longitude_rad=middle.longitude_rad)
     return ModelAir(field, column, place, track)
+
+
+def track_of(flight: FlightLog) -> Track | None:
+    """Where the aircraft was by its log."""
+    if (position := flight.roles.get("position")) is None:
+        return None
+    return position.time_ns, position["lat_rad"], position["lon_rad"]
 
 
 def sampled_place(
@@ -273,20 +278,13 @@ def describe_calibration(calibration: Mapping[SensorFault, SensorCalibration]) -
 
 
 def read_air_sources(
-    plan: Plan,
-    stations: Stations,
-    samples: AirSamples,
-    ledger: Ledger,
-    *,
-    home_h_msl_m: float | None = None,
-    track: Track | None = None,
+    plan: Plan, flight: FlightLog, stations: Stations, samples: AirSamples, ledger: Ledger
 ) -> AirSources:
     """Read the soundings, surface reports and weather model of a mission; choose its climatology.
 
-    ``home_h_msl_m`` is the take-off height, that of the ground where the log sampled no air;
-    ``track`` where the aircraft was.
+    Where the log sampled no air, the ground is as high as its take-off.
     """
-    section = plan.mission.atmosphere
+    section, home_h_msl_m = plan.mission.atmosphere, flight.heights.home_h_msl_m
     flight_ns = _middle_exposure_ns(stations)
     orientation = plan.mission.stations.orientation
     if flight_ns is None and orientation is not None:
@@ -317,14 +315,10 @@ def read_air_sources(
         read_report(s, f"atmosphere.surface[{i}]", flight_ns, background, ledger)
         for i, s in enumerate(section.surface)
     )
-    flight = TimeAndPlace(flight_ns, latitude, longitude)
-    levels = (_constant_ground_m(plan.mission), home_h_msl_m)
-    ground_h_m = next((h for h in levels if h is not None), math.nan)
-    model = read_model_air(
-        plan, stations, samples, flight, track=track, ground_h_m=ground_h_m, ledger=ledger
-    )
+    middle = TimeAndPlace(flight_ns, latitude, longitude)
+    model = read_model_air(plan, flight, stations, samples, middle, ledger=ledger)
     soundings += () if model is None else (model.column,)
-    note_source_distances(soundings, surface, flight, ledger)
+    note_source_distances(soundings, surface, middle, ledger)
     calibration = section.sensors.calibration
     if not section.adjust and (soundings or surface or calibration):
         ledger.warning(
@@ -391,22 +385,15 @@ def adjusted_profiles(
     model = sources.model
     if not any(model and use.source == model.column.name and use.fit for use in adjustment.sources):
         model = None
-    return _profiles_in_time(adjustment, stations, h_c, h_g, model=model, ledger=ledger)
+    return _profiles_in_time(adjustment, stations, (h_c, h_g), model, ledger)
 
 
 def _profiles_in_time(
-    adjustment: Adjustment,
-    stations: Stations,
-    h_c: list[float],
-    h_g: float,
-    *,
-    model: ModelAir | None,
+    adjustment: Adjustment, stations: Stations, heights: Levels, model: ModelAir | None,
     ledger: Ledger,
-) -> FlightAir:
-    """Profiles of the exposures; ``h_c`` low, middle and high camera height [m].
-
-    Each is of the exposure's time, and of its place where a weather ``model`` knows its air.
-    """
+) -> FlightAir:  # fmt: skip
+    """Profiles of the exposures, each of its time, and of its place where a ``model`` knows it."""
+    h_c, h_g = heights
     whole = TimedProfile(
         adjustment.time_ns, adjustment.profile, adjustment.covariance,
         sampled_at=None if model is None else model.place,

@@ -185,14 +185,10 @@ def report_lenses(cameras: Iterable[str], lenses: Mapping[str, LensInAir], ledge
 
 
 def correction_setup(
-    mission: Mission,
-    stations: Stations,
-    air: ProfileSeries,
-    exposures: Exposures,
-    heights: HeightSystem,
+    mission: Mission, stations: Stations, air: ProfileSeries, heights: HeightSystem, ledger: Ledger
 ) -> CorrectionSetup:
-    """Cameras, rays and given ground of a mission. ``heights`` are those of its log."""
-    section = mission.ground
+    """Exposures, cameras, rays and given ground of a mission; ``heights`` are those of its log."""
+    section, exposures = mission.ground, exposures_of_mission(mission, stations, air, ledger)
     ground: Ground = SlantRangeGround(section.sigma_m)
     if not section.from_distance:
         offsets = ground_offsets(section.reference_of_values, stations, heights)

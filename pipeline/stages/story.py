@@ -50,7 +50,6 @@ from pipeline.stages.adjusted_profile import AirSources, adjusted_profiles, read
 from pipeline.stages.cabin_air import with_cabin_air
 from pipeline.stages.exposure_setup import (
     correction_setup,
-    exposures_of_mission,
     lenses_of_mission,
     windows_of_mission,
 )
@@ -205,8 +204,8 @@ def check_mission(
 ) -> CorrectedMission:
     """Rehearse a mission: all that `run_mission` does, on a sample, and nothing is written.
 
-    Every station, and observations spread over all images, at most `SAMPLED_ROWS`; of a table with
-    no more than that, all. Raises what a run would; counts are those expected of a run.
+    Every station, and at most `SAMPLED_ROWS` observations spread over all images. Raises what a
+    run would; counts are those expected of a run.
     """
     progress, ref = progress or NoProgress(), MissionRef.of(mission)
     plan = make_plan(ref.load(), ref.folder)
@@ -275,11 +274,7 @@ def prepare_mission(
     samples = ledger.take(
         air_samples(flight.air_roles, flight.heights, plan.mission.max_gap_s, flight.own_suspect)
     )
-    track = None
-    if (position := flight.roles.get("position")) is not None:
-        track = position.time_ns, position["lat_rad"], position["lon_rad"]
-    home = flight.heights.home_h_msl_m
-    sources = read_air_sources(plan, stations, samples, ledger, home_h_msl_m=home, track=track)
+    sources = read_air_sources(plan, flight, stations, samples, ledger)
     air = adjusted_profiles(plan.mission, stations, samples, sources, ledger)
     if air.adjustment.is_measured:
         use_suspect = plan.mission.stations.use_suspect
@@ -297,9 +292,8 @@ def correct_mission(
     mission, air, ledger = prepared.plan.mission, prepared.air, prepared.ledger
     windows, lenses = windows_of_mission(mission), lenses_of_mission(mission)
     stations = with_cabin_air(prepared.stations, windows, lenses, air.series, ledger)
-    exposures = exposures_of_mission(mission, stations, air.series, ledger)
     report_unknown_sigmas(mission, stations, air.series, ledger)
-    setup = correction_setup(mission, stations, air.series, exposures, prepared.flight.heights)
+    setup = correction_setup(mission, stations, air.series, prepared.flight.heights, ledger)
     setup = with_terrain(setup, prepared.terrain, stations, mission.ground.sigma_m, ledger)
     setup = with_intersected_heights(mission, prepared.observations, setup, stations, ledger)
     batch = next(prepared.observations.batches(TYPICAL_ROWS))
@@ -310,8 +304,8 @@ def correct_mission(
     )  # fmt: skip
     statistics = correct(setup)
     facts = plausibility.Facts(
-        mission, stations, exposures, setup.cameras, statistics.sampled_rows(), air.adjustment,
-        takeoff_of(prepared.track(), prepared.flight.heights.home_h_msl_m),
+        mission, stations, setup.exposures, setup.cameras, statistics.sampled_rows(),
+        air.adjustment, takeoff_of(prepared.track(), prepared.flight.heights.home_h_msl_m),
         logged_terrain(prepared.flight.channels, stations.time_ns), prepared.terrain,
     )  # fmt: skip
     causes = plausibility.causes_of_statuses(facts)

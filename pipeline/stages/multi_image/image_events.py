@@ -6,6 +6,7 @@ import re
 import string
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
@@ -59,15 +60,13 @@ def assigned_stations(
         return stations
     files = None
     if section.images is not None:
+        path = section.images.path
         files = read_image_times(plan.input("images").path, section.images.time_zone, ledger)
         absent = sorted(set(observations.images) - set(files.rows_of(observations.images)))
         if len(absent) == len(observations.images):
-            raise InputError.of(
-                "IMAGES-OTHER", section.images.path, absent=absent[0], files=files.file[0]
-            )
+            raise InputError.of("IMAGES-OTHER", path, absent=absent[0], files=files.file[0])
         if absent:
-            what = f"{len(absent)} observed images are not there: {absent[0]} ..."
-            ledger.loss("IMAGES-ABSENT", what, where=section.images.path, count=len(absent))
+            ledger.loss("IMAGES-ABSENT", where=path, count=len(absent), first=absent[0])
     result, chosen = [], []
     for exposed, of_events in zip(events, stations, strict=True):
         pattern = section.patterns[exposed.camera]
@@ -318,23 +317,21 @@ def assigned_events(
         )  # fmt: skip
     entries = [note("EVENTS-ASSIGNED", description, where=where, count=int((event >= 0).sum()))]
     if evidence.time_s is not None and abs(assignment.offset_s) > _DAY_S:
-        what = f"the camera's clock is {assignment.offset_s / 3600:+.1f} h off: images of this day?"
-        entries.append(warning("EXIF-CLOCK", what, where="events.images"))
-    if bool(undecided.any()):
-        what = f"{undecided.sum()} images are of one event by some of the evidence and of another "
-        what += f"by the rest, and have none: {', '.join(images.name[undecided][:3])}"
-        entries.append(loss("EVENTS-UNDECIDED", what, where=where, count=int(undecided.sum())))
+        hours = assignment.offset_s / 3600
+        entries.append(warning("EXIF-CLOCK", where="events.images", hours=hours))
+    if count := int(undecided.sum()):
+        listed = ", ".join(images.name[undecided][:3])
+        entries.append(loss("EVENTS-UNDECIDED", where=where, count=count, images=listed))
     if has_names and np.array_equal(event, event_by_name):
         return (exposed, every), tuple(entries)
     has_event = np.flatnonzero(event >= 0)
     has_event = has_event[np.argsort(event[has_event], kind="stable")]
     rows = event[has_event]
     unused = np.setdiff1d(every, rows)
-    if unused.size:
+    if count := unused.size:
         numbers = unused + 1 if exposed.index is None else exposed.index[unused]
-        what = f"{unused.size} events have no image: {', '.join(map(str, numbers[:8]))}"
-        what += " ..." if unused.size > 8 else ""
-        entries.append(note("EVENTS-UNUSED", what, where=where, count=int(unused.size)))
+        listed = ", ".join(map(str, numbers[:8])) + " ..." * (count > 8)
+        entries.append(note("EVENTS-UNUSED", where=where, count=count, events=listed))
     chosen = Events(exposed.camera, images.name[has_event], exposed.time_ns[rows])
     return (chosen, rows), tuple(entries)
 
@@ -368,20 +365,16 @@ def hole_between(
         cuts = np.concatenate([rank, rank + 1])
         cuts = cuts[np.unique(np.linspace(0, cuts.size - 1, 20).astype(int))] if cuts.size else cuts
     for k in np.unique(cuts[(cuts > 0) & (cuts < count)]).tolist():
-        near = [
-            f.across(order[:k]) if isinstance(f, TieLikelihood) else f for f in likelihoods.values()
-        ]
-        likely = sum(f(event) for f in near)
-        for rows in (order[:k], order[k:]):
-            for shift in (sign * size for size in sizes for sign in (-1, 1)):
-                parted, moved = event.copy(), whole[rows] + shift
-                inside = (moved >= 0) & (moved < m)
-                parted[rows] = np.where(inside, moved, -1)
-                if (
-                    2 * inside.sum() >= rows.size
-                    and sum(f(parted) for f in near) > likely + LOG_RATIO_NEEDED
-                ):
-                    return f"one is missing near {images.name[order[k]]}"
+        of_all = likelihoods.values()
+        near = [f.across(order[:k]) if isinstance(f, TieLikelihood) else f for f in of_all]
+        enough = sum(f(event) for f in near) + LOG_RATIO_NEEDED
+        shifts = [sign * size for size in sizes for sign in (-1, 1)]
+        for rows, shift in product((order[:k], order[k:]), shifts):
+            parted, moved = event.copy(), whole[rows] + shift
+            inside = (moved >= 0) & (moved < m)
+            parted[rows] = np.where(inside, moved, -1)
+            if 2 * inside.sum() >= rows.size and sum(f(parted) for f in near) > enough:
+                return f"one is missing near {images.name[order[k]]}"
     return ""
 
 
@@ -405,11 +398,11 @@ def anchor_rows(
     """Rows of the image and the event that the mission file says belong together."""
     if anchor is None:
         return None
-    row = np.flatnonzero(images.name == anchor.image)
-    if row.size == 0 or anchor.event > exposed.time_ns.size:
+    row, events = np.flatnonzero(images.name == anchor.image), exposed.time_ns.size
+    if row.size == 0 or anchor.event > events:
         raise MissionError.of(
             "EVENTS-FIRST-IMAGE", f"events.first_image.{exposed.camera}", image=anchor.image,
-            event=anchor.event, events=exposed.time_ns.size, first=images.name[0],
+            event=anchor.event, events=events, first=images.name[0],
         )  # fmt: skip
     return int(row[0]), anchor.event - 1
 
@@ -447,11 +440,9 @@ def describe_assignment(assignment: Assignment, images: CameraImages, exposed: E
     text += f", by {', '.join(assignment.evidence)}"
     residual = assignment.residual_s[np.isfinite(assignment.residual_s)]
     if residual.size:
-        text += (
-            f"; times fit to {np.sqrt(np.mean(residual**2)):.3f} s rms, "
-            f"{np.abs(residual).max():.3f} s at most, after {assignment.offset_s:+.3f} s and "
-            f"{1e6 * assignment.drift:+.1f} ppm"
-        )
+        rms, most = np.sqrt(np.mean(residual**2)), np.abs(residual).max()
+        text += f"; times fit to {rms:.3f} s rms, {most:.3f} s at most, "
+        text += f"after {assignment.offset_s:+.3f} s and {1e6 * assignment.drift:+.1f} ppm"
     if assignment.runner_up.size:
         decades = assignment.log_ratio / np.log(10)
         text += f"; the next best assignment ({assignment.shift:+d} events) is "

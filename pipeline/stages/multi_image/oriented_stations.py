@@ -83,10 +83,7 @@ def oriented_stations(
 
 
 def orientation_table(plan: Plan, section: OrientationSection, ledger: Ledger) -> OrientationTable:
-    """The table or the block of orientations, with the mission's names of its cameras.
-
-    Refuses (MissionError BLOCK-CAMERA) images of a camera that the mission file does not have.
-    """
+    """The table or block of orientations, with the mission's names of its cameras (BLOCK-CAMERA)."""
     source = plan.input("orientation").path
     if not section.of_block:
         reader: Callable[..., OrientationTable] = reader_of(ORIENTATIONS, source, section.format)

@@ -114,10 +114,9 @@ class TieEvidence:
             others.append(scatter_of(model.heights(*at) - h_m))
         if min(others) >= 0.5 * left:
             return evidence, ""
-        return evidence, (
-            f"the elevation model is off by {left:.0f} m or more at a tenth of the points, and by "
-            f"{min(others):.0f} m with its rows or columns reversed or exchanged"
-        )
+        what = f"the elevation model is off by {left:.0f} m or more at a tenth of the points, and "
+        what += f"by {min(others):.0f} m with its rows or columns reversed or exchanged"
+        return evidence, what
 
     def other_heights_m(self, rays: ImageRays) -> dict[str, float]:
         """What stations lie too low by, if heights are not what the mission file says."""
@@ -140,8 +139,7 @@ class TieEvidence:
 def check_tie_points(evidence: TieEvidence, ledger: Ledger) -> None:
     """A finding for each part of the mission file that tie points contradict, with its estimate.
 
-    Where no such part explains what the rays miss each other by, one finding lists what comes
-    nearest.
+    Where none explains what the rays miss each other by, one finding lists what comes nearest.
     """
     mission, stations = evidence.mission, evidence.stations
     cameras, oriented = cameras_of_mission(mission), mission.stations.orientation
@@ -151,18 +149,14 @@ def check_tie_points(evidence: TieEvidence, ledger: Ledger) -> None:
     evidence, reordered = evidence.on_terrain()
     rays = evidence.rays(cameras, {})
     of_body = oriented is None or oriented.angles == "roll_pitch_yaw"
-    stated, findings = diagnosis(
-        StatedMission(
-            evidence.orientations(),
-            cameras,
-            evidence.rays,
-            {name: mount.build() for name, mount in mission.mount.items() if of_body},
-            None if evidence.later is None else lru_cache(8)(evidence.orientations),
-            sigma_heights_m=mission.ground.sigma_m or 0.0,
-            other_heights_m=evidence.other_heights_m(rays),
-            one_height=mission.ground.constant_m is not None,
-        )
-    )
+    mounts = {name: mount.build() for name, mount in mission.mount.items() if of_body}
+    shifted = None if evidence.later is None else lru_cache(8)(evidence.orientations)
+    stated, findings = diagnosis(StatedMission(
+        evidence.orientations(), cameras, evidence.rays, mounts, shifted,
+        sigma_heights_m=mission.ground.sigma_m or 0.0,
+        other_heights_m=evidence.other_heights_m(rays),
+        one_height=mission.ground.constant_m is not None,
+    ))  # fmt: skip
     if reordered and not any(finding.code == "TIES-HEIGHT" for finding in findings):
         factor = stated.sigma_factor
         findings += (Finding("TIES-HEIGHT", "ground.height.dem", reordered, np.inf, factor),)
@@ -180,19 +174,15 @@ def check_tie_points(evidence: TieEvidence, ledger: Ledger) -> None:
 
 def described(finding: Finding) -> str:
     """The mistake that is found, and others that tie points do not separate from it."""
-    if not finding.also:
-        return finding.what
-    return f"equally likely by the tie points: {'; or '.join((finding.what, *finding.also))}"
+    equally = "equally likely by the tie points: " if finding.also else ""
+    return equally + "; or ".join((finding.what, *finding.also))
 
 
 def report_misses(
     stations: Stations, stated: Intersection, rays: ImageRays, ledger: Ledger, *,
     code: str, explained: bool, nearest: str,
 ) -> None:  # fmt: skip
-    """How far the rays of tie points miss each other; a finding where no station explains it.
-
-    ``nearest`` is what would explain a part of it.
-    """
+    """How far rays of tie points miss each other; ``nearest`` would explain a part of it."""
     at = np.searchsorted(stated.point, rays.point)
     line = stated.position_m[at] - stated.orientations.centre_m[rays.image]
     miss = np.sqrt(np.mean(stated.residual_rad**2, axis=1))
@@ -200,8 +190,7 @@ def report_misses(
     judged = stated.used | (stated.angle_rad >= MINIMUM_ANGLE_RAD)
     judged[at[stated.bad]] = True
     lost = (stated.bad | np.isnan(miss)) & judged[at]
-    points = int(stated.used.sum())
-    size = stated.point.size
+    points, size = int(stated.used.sum()), stated.point.size
     where = "stations.orientation.path" if code == "ORIENTATION-TIES" else "stations"
     what = f"no rays of {size} tie points meet at an angle that checks anything"
     if points and np.isnan(miss).all():
