@@ -83,7 +83,7 @@ def oriented_stations(
 
 
 def orientation_table(plan: Plan, section: OrientationSection, ledger: Ledger) -> OrientationTable:
-    """The table or block of orientations, with the mission's names of its cameras (BLOCK-CAMERA)."""
+    """The table or block of orientations, with the mission's names of cameras (BLOCK-CAMERA)."""
     source = plan.input("orientation").path
     if not section.of_block:
         reader: Callable[..., OrientationTable] = reader_of(ORIENTATIONS, source, section.format)
