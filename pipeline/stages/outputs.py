@@ -180,7 +180,7 @@ def _heights(mission: Mission, flight: FlightLog, stations: Stations) -> dict[st
     return {
         "all": "above mean sea level",
         "log": of_log,
-        "stations": orientation.path if orientation else height and height.name,
+        "stations": orientation.path if orientation else getattr(height, "name", None),
         "ground": {"reference": ground.reference, "crs": ground.points and ground.points.crs},
         "take_off_h_msl_m": heights.home_h_msl_m,
         "undulation": {

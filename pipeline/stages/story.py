@@ -48,19 +48,11 @@ from pipeline.report.progress import NoProgress, Progress
 from pipeline.stages import correction, plausibility
 from pipeline.stages.adjusted_profile import AirSources, adjusted_profiles, read_air_sources
 from pipeline.stages.cabin_air import with_cabin_air
-from pipeline.stages.exposure_setup import (
-    correction_setup,
-    lenses_of_mission,
-    windows_of_mission,
-)
+from pipeline.stages.exposure_setup import correction_setup, lenses_of_mission, windows_of_mission
 from pipeline.stages.ground_heights import elevation_of_mission, with_terrain
 from pipeline.stages.inputs import FlightLog, read_log, read_observations
+from pipeline.stages.multi_image import point_heights
 from pipeline.stages.multi_image.control import compare_control
-from pipeline.stages.multi_image.point_heights import (
-    check_object_points,
-    with_intersected_heights,
-    with_object_points,
-)
 from pipeline.stages.outputs import manifest_of, observation_metadata, write_tables
 from pipeline.stages.stations import stations_of_mission
 from pipeline.stages.statistics import SAMPLED_ROWS, Statistics
@@ -263,13 +255,13 @@ def prepare_mission(
     observations = read_observations(plan, ledger, most_rows)
     progress.start("reading the log")
     flight = read_log(plan, ledger)
-    observations = with_object_points(plan, observations, flight, ledger)
+    observations = point_heights.with_object_points(plan, observations, flight, ledger)
     terrain = elevation_of_mission(plan, flight.heights, ledger)
     if stations is None:
         stations = stations_of_mission(plan, flight, observations, terrain, ledger)
     else:
         stations = ledger.take(append_unmatched_images(stations, observations.images))
-    check_object_points(observations, stations, ledger)
+    point_heights.check_object_points(observations, stations, ledger)
     ledger.extend(undulation_notes(flight.heights, stations, package_geoid()))
     samples = ledger.take(
         air_samples(flight.air_roles, flight.heights, plan.mission.max_gap_s, flight.own_suspect)
@@ -295,7 +287,9 @@ def correct_mission(
     report_unknown_sigmas(mission, stations, air.series, ledger)
     setup = correction_setup(mission, stations, air.series, prepared.flight.heights, ledger)
     setup = with_terrain(setup, prepared.terrain, stations, mission.ground.sigma_m, ledger)
-    setup = with_intersected_heights(mission, prepared.observations, setup, stations, ledger)
+    setup = point_heights.with_intersected_heights(
+        mission, prepared.observations, setup, stations, ledger
+    )
     batch = next(prepared.observations.batches(TYPICAL_ROWS))
     setup = with_uncertainties(setup, mission, stations, air.series, batch)
     control = compare_control(
