@@ -1,7 +1,4 @@
-"""The locally adjusted profile of a mission: its sources, and the estimate made from them.
-
-Weather reports are refused where a unit must be mistaken.
-"""
+"""The locally adjusted profile of a mission: its sources, checked, and the estimate from them."""
 
 import math
 from collections.abc import Mapping
@@ -199,10 +196,7 @@ def _refuse_temperature(
 def _refuse_level(
     report: SurfaceReport, background: Climatology, where: str, *, is_station: bool
 ) -> None:
-    """Refuse a pressure that no weather makes, or that is usual if it is reduced to sea level.
-
-    The air column below the station adds 2 % of its log-pressure thickness to the sigma.
-    """
+    """Refuse a pressure that no weather makes, or that is usual if it is reduced to sea level."""
     if not math.isfinite(report.pressure_pa):
         return
     expected = float(background.profile.pressure(report.h_m))
@@ -280,10 +274,7 @@ def describe_calibration(calibration: Mapping[SensorFault, SensorCalibration]) -
 def read_air_sources(
     plan: Plan, flight: FlightLog, stations: Stations, samples: AirSamples, ledger: Ledger
 ) -> AirSources:
-    """Read the soundings, surface reports and weather model of a mission; choose its climatology.
-
-    Where the log sampled no air, the ground is as high as its take-off.
-    """
+    """Read soundings, surface reports and weather model of a mission; choose its climatology."""
     section, home_h_msl_m = plan.mission.atmosphere, flight.heights.home_h_msl_m
     flight_ns = _middle_exposure_ns(stations)
     orientation = plan.mission.stations.orientation

@@ -194,10 +194,7 @@ def _first_known(*values: ArrayLike) -> Array:
 def air_in(
     cabin: Cabin, logged: tuple[Array, ...], outside: tuple[Array, Array]
 ) -> tuple[Array, ...]:
-    """(m,) pressure [Pa], temperature [K], vapour pressure [Pa], sigmas of the first two.
-
-    ``logged`` has the same five, ``outside`` pressure and vapour pressure; NaN where unknown.
-    """
+    """(m,) pressure [Pa], temperature [K], vapour pressure [Pa], sigmas of the first two."""
     p_logged, t_logged, e_logged, _, sigma_board = logged
     p_outside, e_outside = outside
     blank = np.full(p_logged.shape, np.nan)

@@ -32,10 +32,7 @@ def cameras_of_mission(mission: Mission) -> dict[str, Camera]:
 def camera_of_rows(
     mission: Mission, given: Names | None, only: str | None, count: int, path: str
 ) -> Names:
-    """(n,) the camera of each row of a table: as its column says, or the only one there is.
-
-    Refuses (MissionError EVENTS-CAMERA) one that the mission lacks.
-    """
+    """(n,) the camera of each row of a table, by its column or the only one (EVENTS-CAMERA)."""
     named = np.full(count, only or next(iter(mission.cameras)), dtype=object)
     named = named if given is None else given
     for name in sorted(set(named.tolist()) - set(mission.cameras)):

@@ -1,7 +1,4 @@
-"""Heights of the observed points, batch by batch, from whatever source the mission file names.
-
-Given heights, ends of slant ranges, heights computed before, and where rays meet a model.
-"""
+"""Heights of the observed points, batch by batch, from any source of a mission file."""
 
 from __future__ import annotations
 

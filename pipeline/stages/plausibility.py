@@ -1,7 +1,4 @@
-"""What looks like a mistake in a mission file: rules, each of which says what it found.
-
-None of them proves a mistake: a mission file can accept one by its code.
-"""
+"""What looks like a mistake in a mission file: rules whose findings it can accept."""
 
 import math
 from collections import Counter
@@ -47,10 +44,7 @@ _KEYS = {
 
 @dataclass(frozen=True, eq=False)
 class Facts:
-    """What the rules look at: a mission, its stations, cameras, and rows that stand for all.
-
-    ``logged_terrain_m`` (s,) is the terrain below stations as `logged_terrain` has it.
-    """
+    """What the rules look at; ``logged_terrain_m`` (s,) is that below stations."""
 
     mission: Mission
     stations: Stations

@@ -47,10 +47,7 @@ def exposure_events(
     plan: Plan, flight: FlightLog, positions: Mapping[str, Channel], observed: tuple[str, ...],
     ledger: Ledger,
 ) -> list[Events]:  # fmt: skip
-    """When each camera was exposed, by images as they are ``observed``, and compared with the log.
-
-    Refuses exposures of other times (EVENTS-SPAN) and images that have two.
-    """
+    """When each camera was exposed, by images as ``observed``; compared with the log."""
     section, differences = plan.mission.events, plan.mission.observations.match_names
     if section is None:
         return []
@@ -201,10 +198,7 @@ def stations_of_mission(
     plan: Plan, flight: FlightLog, observations: Observations, terrain: ElevationModel | None,
     ledger: Ledger,
 ) -> Stations:  # fmt: skip
-    """Position, attitude and air of each exposure, or the status that says what is missing.
-
-    Tie points assign events to images, and are compared with the stations and with ``terrain``.
-    """
+    """Position, attitude and air of each exposure, or a status; checked by tie points."""
     mission, observed = plan.mission, observations.images
     positions = read_camera_events(plan, flight, ledger)
     events = exposure_events(plan, flight, positions, observed, ledger)

@@ -85,10 +85,7 @@ def stations_of(table: pa.Table) -> Stations:
 
 
 def air_of(table: pa.Table, profile_id: pa.ChunkedArray) -> ProfileSeries:
-    """The profiles of ``profile.parquet``, and which belongs to each station's ``profile_id``.
-
-    A station without a profile (its status is not ok) gets the first.
-    """
+    """Profiles of ``profile.parquet``, and which is each station's: the first if it has none."""
     names = pc.unique(table["profile_id"])
     airs = tuple(
         TimedProfile(None, profile_of(table.filter(pc.equal(table["profile_id"], name))))
@@ -249,10 +246,7 @@ def rebuild_run(
 
 
 def database_of(mission: Mission, manifest: dict[str, Any], path: Path) -> Path | None:
-    """COLMAP's database whose keypoints the run read; None where it is gone or has changed.
-
-    It is looked for from the run's folder, as the mission file states both places.
-    """
+    """COLMAP's database that the run read, as seen from its folder; None if gone or changed."""
     here = Path("/?/?/?/?/?")  # in the place of the mission's folder, whose name no table keeps
     stated = mission.observations.path
     if not os.path.isabs(stated):
@@ -287,10 +281,7 @@ def copy_of_run(place: Place) -> Path:
 
 
 def verify_run(path: Path | Place) -> dict[str, Any]:
-    """The manifest of a run whose results are whole and unchanged; refuses any other.
-
-    In object storage, results that are replaced meanwhile are looked at anew.
-    """
+    """The manifest of a run whose results are whole and unchanged; refuses any other."""
     manifest = manifest_of_run(path)
     damage = store.find_damage(path, manifest)
     if damage and isinstance(path, Place) and store.read_manifest(path) != manifest:

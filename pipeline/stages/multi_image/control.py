@@ -97,10 +97,7 @@ def compare_control(
     plan: Plan, observations: Observations, setup: CorrectionSetup, stations: Stations, heights:
     HeightSystem, *, ledger: Ledger,
 ) -> ControlComparison | None:  # fmt: skip
-    """Control points where their rays meet, before and after; None without control, or rays.
-
-    Refuses (InputError CONTROL-MISSING) a table of which no point is in the observations.
-    """
+    """Control points where rays meet, before and after; None without (CONTROL-MISSING)."""
     section = plan.mission.control
     if section is None:
         return None

@@ -147,10 +147,7 @@ class TieLikelihood:
 def tie_likelihood(
     ties: TiePoints, images: CameraImages, camera: Camera, stations: Stations
 ) -> TieLikelihood | None:
-    """Likelihood by the tie points of one camera, and the stations of all its events.
-
-    None where points are few, or stations unusable: the events of others would seem better.
-    """
+    """Likelihood by the tie points of one camera; None where these or usable events are few."""
     of_camera = np.full(images.name.shape, "camera", object)
     rays = tie_rays(ties, images.name, of_camera, {"camera": camera})
     points = np.unique(rays.point)

@@ -235,10 +235,7 @@ def stations_of_table(
 def check_height_above_ground(
     plan: Plan, flight: FlightLog, stations: Stations, observations: Observations, ledger: Ledger
 ) -> Stations:
-    """Stations, and how high they are above the ground of the mission file or first observations.
-
-    Few may be in it; single ones that are far too high are suspect.
-    """
+    """Stations, and a note of their heights above ground; those far too high are suspect."""
     section = plan.mission.ground
     batch = next(observations.batches(plan.mission.output.batch_rows))
     given = batch.ground if batch.ground is not None else np.array([section.constant_m], np.float64)

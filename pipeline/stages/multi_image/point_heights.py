@@ -1,7 +1,4 @@
-"""Heights of points from a table of the user's, or by intersection with the stations held.
-
-Those of a table are checked: in the datum of the stations, and near them.
-"""
+"""Heights of points from a table of the user's, checked, or by intersection."""
 
 from collections import Counter
 from contextlib import ExitStack

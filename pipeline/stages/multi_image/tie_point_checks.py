@@ -88,10 +88,7 @@ class TieEvidence:
         return replace(rays, sigma_rad=sigma, height_m=given)
 
     def on_terrain(self) -> tuple[TieEvidence, str]:
-        """With heights of the elevation model, at the places where the rays meet.
-
-        The text says whether they would meet it better with its rows or columns in another order.
-        """
+        """With heights of the elevation model where rays meet; and whether another order fits."""
         if self.terrain is None:
             return self, ""
         o, model = self.orientations(), self.terrain
