@@ -111,7 +111,7 @@ def exposures_of(
             normal[rows] = _window_normals(window, rotation[rows], aircraft)
         if lens is not None:
             change[rows] = principal_change(lens, pressure, temperature)
-            _check_change(lens, change[rows], pressure, stations.ok[rows], name, ledger)
+            _check_change(lens, change[rows], pressure, stations.ok[rows], name=name, ledger=ledger)
     # Above the top of the profile the air is unknown too; those rows get outside_profile later.
     air_unknown = np.isfinite(outside) & (np.isnan(inside) | np.isnan(change))
     attitude_known = np.isfinite(rotation).all(axis=(1, 2)) & np.isfinite(normal).all(axis=1)
@@ -142,7 +142,7 @@ def _window_normals(window: Window, rotation: Array, aircraft_quaternion: Array)
 
 
 def _check_change(
-    lens: LensInAir, change: Array, pressure_pa: Array, ok: Mask, name: str, ledger: Ledger
+    lens: LensInAir, change: Array, pressure_pa: Array, ok: Mask, *, name: str, ledger: Ledger
 ) -> None:
     """Say how much the air in a lens changes its principal distance [px]; refuse an absurd one."""
     where = f"cameras.{name}.principal_distance"
