@@ -20,7 +20,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from pipeline import refraction
+import pipeline.refraction as refraction
 from pipeline.atmosphere import Profile, standard_atmosphere
 from pipeline.atmosphere.estimate.adjusted_profile import unadjusted
 from pipeline.atmosphere.series.profile_series import ProfileSeries, TimedProfile, constant_series
