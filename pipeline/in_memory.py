@@ -20,6 +20,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
+import pipeline.refraction as refraction
 from pipeline.atmosphere import Profile, standard_atmosphere
 from pipeline.atmosphere.estimate.adjusted_profile import unadjusted
 from pipeline.atmosphere.series.profile_series import ProfileSeries, TimedProfile, constant_series
@@ -28,16 +29,6 @@ from pipeline.config import Mission, load_mission
 from pipeline.errors import UnbendError
 from pipeline.flight.stations import Stations
 from pipeline.ledger import Kind
-from pipeline.refraction import (
-    Camera,
-    Exposures,
-    StationSigmas,
-    bend,
-    correct_observations,
-    height_at_distance,
-    ray_table,
-    uncertainty_of,
-)
 from pipeline.refraction.camera import DISTORTION_MODELS
 from pipeline.refraction.effect import FlightAir
 from pipeline.refraction.kernels.columns import BLOCK, TILE, TerrainGrid
@@ -107,13 +98,13 @@ def correct(
         frame, heights, unit, columns, date, sigmas.
     sections : other sections of a mission file, as ``ground={"height": 120.0}``.
 
-    Returns a table of the kind of ``observations``, with the columns of a run, row by row. What the
-    manifest of a run says of ``uncertainty`` and ``cabin_air``, and its ``ledger``, are in
-    ``attrs`` of a DataFrame, and as JSON in the metadata of an Arrow table.
+    Returns a table of the kind of ``observations`` with the columns of a run, the same to the last
+    bit. ``uncertainty``, ``cabin_air`` and ``ledger`` of the manifest are in ``attrs`` of a
+    DataFrame, and as JSON in the metadata of an Arrow table.
 
     Refuses what a run refuses, with its codes (`UnbendError`); what ends a run with code 3 is a
     UserWarning each. Raises TypeError for what is no table and ValueError for a series of profiles
-    that belongs to other stations. The same numbers as a run, to the last bit.
+    that belongs to other stations.
     """
     taken = sorted({"log", "stations", "events", "atmosphere", "output"} & sections.keys())
     if taken:
@@ -169,9 +160,8 @@ def _arrow(table: pd.DataFrame | pa.Table, name: str) -> pa.Table:
     if isinstance(table, pd.DataFrame):
         return pa.Table.from_pandas(table, preserve_index=False)
     if not isinstance(table, pa.Table):
-        raise TypeError(
-            f"{name} is a pandas DataFrame or a pyarrow Table, no {type(table).__name__}"
-        )
+        kind = type(table).__name__
+        raise TypeError(f"{name} is a pandas DataFrame or a pyarrow Table, no {kind}")
     return table
 
 
@@ -200,19 +190,17 @@ def mission_of_tables(
     stated["columns"] = columns | dict(orientation.get("columns", {}))
     stated["path"] = str(folder / "stations.csv")
     frame.to_csv(stated["path"], index=False)
+    table = {"path": str(folder / "observations.parquet")}
     given = {
-        "log": {"path": "-"},  # the cabin's air of a run's stations may be that of a log
         "ground": {"height": {"column": "h_g_m"}, "reference": "msl"},
         **sections,
         "mission": {"name": "tables", **sections.get("mission", {})},
+        "observations": {**sections.get("observations", {}), **table},
         "stations": {"orientation": stated},
         "output": {"path": str(folder / "results")},
     }
-    given["observations"] = {
-        **given.get("observations", {}), "path": str(folder / "observations.parquet")
-    }  # fmt: skip
-    if "profile_id" not in known:
-        del given["log"]
+    if "profile_id" in known:  # the cabin's air of a run's stations may be that of a log
+        given["log"] = {"path": "-"}
     # JSON is YAML; numbers keep all their digits.
     text = json.dumps(given, default=lambda v: v.item() if hasattr(v, "item") else str(v))
     (folder / "mission.yaml").write_text(text, encoding="utf-8")
@@ -234,11 +222,9 @@ def air_of_stations(profile: Air, placed: pa.Table, stations: Stations) -> Fligh
         series = air_of(profile, ids.cast(pa.string()))
     elif isinstance(profile, ProfileSeries):
         series = profile
-        if series.profile_number.size != placed.num_rows:
-            raise ValueError(
-                f"the profiles are those of {series.profile_number.size} stations, not of the "
-                f"{placed.num_rows} that are given"
-            )
+        if (size := series.profile_number.size) != (given := placed.num_rows):
+            what = f"the profiles are those of {size} stations, not of the {given} that are given"
+            raise ValueError(what)
     if series is None:
         raise TypeError(
             f"a profile is none of {type(profile).__name__}: a Profile, TimedProfile, "
@@ -274,32 +260,32 @@ class _FlatGround:
 def compile_kernels() -> None:
     """Compile all that runs may need into the cache: half a minute of one CPU, 3 MB.
 
-    Each model of cameras with its standard deviations, rays of all kinds, and those over a terrain.
-    What the cache has already is loaded only.
+    Each model of cameras with its standard deviations, rays of all kinds, and over a terrain.
     """
     n = WORTH_A_TABLE + 1
     air, row, one = standard_atmosphere("us1976"), np.zeros(n, np.int64), np.ones(1)
-    outside, table = np.full(1, 2e-4), ray_table(air)
-    down = Exposures(
+    outside, table = np.full(1, 2e-4), refraction.ray_table(air)
+    down = refraction.Exposures(
         one > 0.0, np.diag([1.0, -1.0, -1.0])[None], 0.0 * one, 3000.0 * one, outside,
         outside + 7e-5,
     )  # fmt: skip
-    stations = StationSigmas(1e-3 * one, 1e-3 * one, np.array([[0.0, 0.0, 1.0]]), one)
+    sigmas = refraction.StationSigmas(1e-3 * one, 1e-3 * one, np.array([[0.0, 0.0, 1.0]]), one)
     x, h_g = np.linspace(400.0, 600.0, n), np.linspace(0.0, 100.0, n)
     Kernel.always_compiled = True
     try:
         for model in DISTORTION_MODELS.values():
-            camera = Camera(1000, 1000, 1000.0, 1000.0, 500.0, 500.0, model.Parameters())
-            uncertainty = uncertainty_of(
-                air, None, down, stations, [(camera, one > 0.0)], ground_heights_m=(0.0, 100.0)
+            lens = model.Parameters()
+            camera = refraction.Camera(1000, 1000, 1000.0, 1000.0, 500.0, 500.0, lens)
+            uncertainty = refraction.uncertainty_of(
+                air, None, down, sigmas, [(camera, one > 0.0)], ground_heights_m=(0.0, 100.0)
             )
-            correct_observations(
+            refraction.correct_observations(
                 x, x, h_g, row, down, camera=camera, table=table, uncertainty=uncertainty,
                 sigma_h_g=0.0 * h_g,
             )  # fmt: skip
             camera.rays(x, x)
-        bend(table, 3000.0, 0.0, np.sin([0.1, 1.55, 1.7]), np.cos([0.1, 1.55, 1.7]))
-        height_at_distance(table, 3000.0, 0.6, 0.8, 3000.0)
+        refraction.bend(table, 3000.0, 0.0, np.sin([0.1, 1.55, 1.7]), np.cos([0.1, 1.55, 1.7]))
+        refraction.height_at_distance(table, 3000.0, 0.6, 0.8, 3000.0)
         refract_at_window(np.array([[0.0, 0.0, 1.0]]), 2e-4, 3e-4)
         terrain_heights(
             x, x, row, down, (0.0 * one, 0.0 * one), camera=camera, table=table,

@@ -1,7 +1,4 @@
-"""The locally adjusted profile of a mission: its sources, and the estimate made from them.
-
-Weather reports are refused where a unit must be mistaken.
-"""
+"""The locally adjusted profile of a mission: its sources, checked, and the estimate from them."""
 
 import math
 from collections.abc import Mapping
@@ -9,37 +6,23 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from pipeline.atmosphere import standard_atmosphere
+from pipeline.atmosphere import standard_atmosphere, surface_report
 from pipeline.atmosphere.air_samples import AirSamples
 from pipeline.atmosphere.climatology import Climatology, climatology, month_of
-from pipeline.atmosphere.estimate.adjusted_profile import (
-    Adjustment,
-    build_adjusted_profile,
-    unadjusted,
-    under_gravity,
-)
+from pipeline.atmosphere.estimate import adjusted_profile as estimate
+from pipeline.atmosphere.estimate.adjusted_profile import Adjustment, build_adjusted_profile
 from pipeline.atmosphere.estimate.candidates import ExternalSources, no_source_used
 from pipeline.atmosphere.estimate.external_readings import TimeAndPlace, note_source_distances
 from pipeline.atmosphere.estimate.sensors import FAULT_TEXTS, SensorCalibration, SensorSettings
 from pipeline.atmosphere.estimate.state import SensorFault
 from pipeline.atmosphere.refractive_index import IndexModel
-from pipeline.atmosphere.series.profile_series import (
-    Place,
-    TimedProfile,
-    add_ageing,
-    constant_series,
-    interpolate_series,
-)
+from pipeline.atmosphere.series import profile_series
+from pipeline.atmosphere.series.profile_series import Place, TimedProfile
 from pipeline.atmosphere.series.profiles_by_place import add_model_changes
 from pipeline.atmosphere.series.time_windows import TimeWindow, estimate_windows
 from pipeline.atmosphere.soundings import Sounding
 from pipeline.atmosphere.soundings.model_field import ModelField, model_column
-from pipeline.atmosphere.surface_report import (
-    SurfaceReport,
-    parse_metar,
-    station_pressure,
-    surface_report,
-)
+from pipeline.atmosphere.surface_report import SurfaceReport
 from pipeline.batch.plan import Plan, sounding_role
 from pipeline.config import Mission
 from pipeline.config.atmosphere import AtmosphereSection, SurfaceSection
@@ -48,12 +31,16 @@ from pipeline.flight.stations import NO_TIME, Stations
 from pipeline.geodesy import longitudes_near
 from pipeline.ledger import Ledger
 from pipeline.refraction.effect import FlightAir, effects_on_r
+from pipeline.stages.inputs import FlightLog
 from pipeline.tables.soundings import read_sounding
 from pipeline.tables.weather_files import FlightArea, read_model_field
 from pipeline.units import DEGREE, HECTOPASCAL, ZERO_CELSIUS_K, Array, Integers
 
 Track = tuple[Integers, Array, Array]
 """Times [Unix ns], latitudes and longitudes [rad] of a flight as logged."""
+
+Levels = tuple[list[float], float]
+"""Low, middle and high camera height, and height of the ground [m above sea level]."""
 
 _BIN_M = 100.0
 
@@ -75,30 +62,23 @@ class ModelAir:
 
 
 def read_model_air(
-    plan: Plan,
-    stations: Stations,
-    samples: AirSamples,
-    flight: TimeAndPlace,
-    *,
-    track: Track | None,
-    ground_h_m: float,
+    plan: Plan, flight: FlightLog, stations: Stations, samples: AirSamples, middle: TimeAndPlace, *,
     ledger: Ledger,
-) -> ModelAir | None:
-    """The weather model of a mission, None where it names none.
+) -> ModelAir | None:  # fmt: skip
+    """The weather model of a mission, None where it names none; ``middle`` is that of the flight.
 
-    ``ground_h_m`` of the true ground [m above sea level], NaN where it is not known. Refuses
-    (`InputError`) what `read_model_field` and `model_column` refuse, a flight without a time or
-    place, and stations outside the model's area.
+    Refuses (`InputError`) a flight without a time or place, and stations outside its area.
     """
     section = plan.mission.atmosphere.model
     if section is None:
         return None
-    path = plan.input("weather model").path
-    if flight.time_ns is None or not math.isfinite(flight.latitude_rad + flight.longitude_rad):
+    path, track = plan.input("weather model").path, track_of(flight)
+    if middle.time_ns is None or not math.isfinite(middle.latitude_rad + middle.longitude_rad):
         raise InputError.of("MODEL-TIME/flight", path.name)
-    place = sampled_place(samples, track) or (
-        flight.latitude_rad, flight.longitude_rad, flight.time_ns
-    )  # fmt: skip
+    of_middle = middle.latitude_rad, middle.longitude_rad, middle.time_ns
+    place = sampled_place(samples, track) or of_middle
+    levels = (_constant_ground_m(plan.mission), flight.heights.home_h_msl_m)
+    ground_h_m = next((h for h in levels if h is not None), math.nan)
     rows = stations.ok & np.isfinite(stations.lat_rad + stations.lon_rad)
     times = np.where(stations.time_ns[rows] == NO_TIME, place[2], stations.time_ns[rows])
     area = FlightArea(
@@ -116,10 +96,15 @@ def read_model_air(
         high=column.h_m[-1], north=place[0] / DEGREE, east=place[1] / DEGREE,
     )  # fmt: skip
     # It is the air where the flight met it: no distance adds to its errors.
-    column = replace(
-        column, latitude_rad=flight.latitude_rad, longitude_rad=flight.longitude_rad
-    )  # fmt: skip
+    column = replace(column, latitude_rad=middle.latitude_rad, longitude_rad=middle.longitude_rad)
     return ModelAir(field, column, place, track)
+
+
+def track_of(flight: FlightLog) -> Track | None:
+    """Where the aircraft was by its log."""
+    if (position := flight.roles.get("position")) is None:
+        return None
+    return position.time_ns, position["lat_rad"], position["lon_rad"]
 
 
 def sampled_place(
@@ -153,15 +138,9 @@ def sampled_place(
     return None
 
 
-_IMPOSSIBLE_SIGMAS = 4.0
-"""Largest departure of a temperature from the climatology; that of real soundings is 2.9."""
-
-_LIKE_FAHRENHEIT, _LIKELY = 2.5, 2.0
-"""A temperature more than 2.5 sigma too warm, and within 2 if it is Fahrenheit, is Fahrenheit."""
-
-_LIKE_QNH, _IMPOSSIBLE_LEVEL = 3.0, 5.0
-"""A pressure more than 3 sigma too high, and within 2 if it is QNH, is QNH; weather stays in 5."""
-
+_LIKELY = 2.0  # sigma that a value in another unit, or reduced, may be off
+_LIKE_FAHRENHEIT, _IMPOSSIBLE_SIGMAS = 2.5, 4.0  # too warm, or off: real soundings stay in 2.9
+_LIKE_QNH, _IMPOSSIBLE_LEVEL = 3.0, 5.0  # sigma of pressures; weather stays in 5
 _FAR_HOURS = 3.0
 
 
@@ -178,18 +157,14 @@ def read_report(
     temperature in Fahrenheit or a pressure reduced to sea level.
     """
     if section.metar is not None:
-        report = parse_metar(
+        report = surface_report.parse_metar(
             section.metar, section.h_msl_m, ledger, flight_ns=flight_ns, where=f"{where}.metar"
         )
     else:
-        report = surface_report(
-            section.h_msl_m,
-            temperature_k=section.temperature_k,
-            pressure_pa=section.pressure_pa,
-            relative_humidity=section.humidity,
-            time_ns=section.time_ns,
-            where=where,
-        )
+        report = surface_report.surface_report(
+            section.h_msl_m, temperature_k=section.temperature_k, pressure_pa=section.pressure_pa,
+            relative_humidity=section.humidity, time_ns=section.time_ns, where=where,
+        )  # fmt: skip
         hours = TimeAndPlace(flight_ns).hours_from(report.time_ns)
         if hours > _FAR_HOURS:  # as `parse_metar` warns of a METAR
             ledger.warning("SURFACE-FAR-IN-TIME", where=where, hours=hours)
@@ -221,17 +196,14 @@ def _refuse_temperature(
 def _refuse_level(
     report: SurfaceReport, background: Climatology, where: str, *, is_station: bool
 ) -> None:
-    """Refuse a pressure that no weather makes, or that is usual if it is reduced to sea level.
-
-    The air column below the station adds 2 % of its log-pressure thickness to the sigma.
-    """
+    """Refuse a pressure that no weather makes, or that is usual if it is reduced to sea level."""
     if not math.isfinite(report.pressure_pa):
         return
     expected = float(background.profile.pressure(report.h_m))
     fall = math.log(float(background.profile.pressure(0.0)) / expected)
     sigma = math.hypot(background.spread.pressure_ratio, 0.02 * fall)
     departure = math.log(report.pressure_pa / expected) / sigma
-    reduced = station_pressure(report.pressure_pa, report.h_m)
+    reduced = surface_report.station_pressure(report.pressure_pa, report.h_m)
     as_qnh = math.log(reduced / expected) / sigma
     mistaken = departure > _LIKE_QNH and abs(as_qnh) < _LIKELY and not is_station
     if not mistaken and abs(departure) <= _IMPOSSIBLE_LEVEL:
@@ -271,17 +243,15 @@ class AirSources:
             levels = f"{h_m.size} levels from {h_m[0]:.0f} to {h_m[-1]:.0f} m"
             lines.append((sounding.kind, f"{sounding.station}{time}: {levels}, {sounding.origin}"))
         for report in self.surface:
-            values = []
-            if np.isfinite(report.temperature_k):
-                values.append(f"{report.temperature_k - ZERO_CELSIUS_K:.1f} C")
-            if np.isfinite(report.pressure_pa):
-                values.append(f"{report.pressure_pa / HECTOPASCAL:.1f} hPa")
-            if np.isfinite(report.vapour_pressure_pa):
-                values.append(f"vapour {report.vapour_pressure_pa / HECTOPASCAL:.1f} hPa")
-            what = f"{report.origin} at {report.h_m:.0f} m: {', '.join(values)}"
-            lines.append(("surface", what))
-        name = self.background.profile.name
-        lines.append(("climatology", f"{name}, {self.background.origin}"))
+            values = {
+                "{:.1f} C": report.temperature_k - ZERO_CELSIUS_K,
+                "{:.1f} hPa": report.pressure_pa / HECTOPASCAL,
+                "vapour {:.1f} hPa": report.vapour_pressure_pa / HECTOPASCAL,
+            }
+            known = ", ".join(text.format(v) for text, v in values.items() if np.isfinite(v))
+            lines.append(("surface", f"{report.origin} at {report.h_m:.0f} m: {known}"))
+        background = self.background
+        lines.append(("climatology", f"{background.profile.name}, {background.origin}"))
         if self.calibration:
             lines.append(("sensors", describe_calibration(self.calibration)))
         return lines
@@ -302,21 +272,10 @@ def describe_calibration(calibration: Mapping[SensorFault, SensorCalibration]) -
 
 
 def read_air_sources(
-    plan: Plan,
-    stations: Stations,
-    samples: AirSamples,
-    ledger: Ledger,
-    *,
-    home_h_msl_m: float | None = None,
-    track: Track | None = None,
+    plan: Plan, flight: FlightLog, stations: Stations, samples: AirSamples, ledger: Ledger
 ) -> AirSources:
-    """Read the soundings, surface reports and weather model of a mission; choose its climatology.
-
-    ``home_h_msl_m`` is the take-off height, that of the ground where the log sampled no air;
-    ``track`` where the aircraft was.
-    Refuses what cannot be read, and values that no ground has (``InputError``).
-    """
-    section = plan.mission.atmosphere
+    """Read soundings, surface reports and weather model of a mission; choose its climatology."""
+    section, home_h_msl_m = plan.mission.atmosphere, flight.heights.home_h_msl_m
     flight_ns = _middle_exposure_ns(stations)
     orientation = plan.mission.stations.orientation
     if flight_ns is None and orientation is not None:
@@ -335,35 +294,22 @@ def read_air_sources(
         ground_h_m=lowest,
         longitude_rad=longitude if known.size else 0.0,
     )
-    soundings = tuple(
-        replace(
-            read_sounding(
-                plan.input(sounding_role(i)).path,
-                ledger,
-                format_name=s.format,
-                time_ns=flight_ns,
-                latitude_rad=latitude,
-                station_h_m=np.nan if s.station_h_msl_m is None else s.station_h_msl_m,
-            ),
-            across=s.across_coast_or_ridge,
-        )
-        for i, s in enumerate(section.soundings)
-    )
+    soundings: tuple[Sounding, ...] = ()
+    for i, s in enumerate(section.soundings):
+        sounding = read_sounding(
+            plan.input(sounding_role(i)).path, ledger, format_name=s.format, time_ns=flight_ns,
+            latitude_rad=latitude,
+            station_h_m=np.nan if s.station_h_msl_m is None else s.station_h_msl_m,
+        )  # fmt: skip
+        soundings += (replace(sounding, across=s.across_coast_or_ridge),)
     surface = tuple(
         read_report(s, f"atmosphere.surface[{i}]", flight_ns, background, ledger)
         for i, s in enumerate(section.surface)
     )
-    flight = TimeAndPlace(flight_ns, latitude, longitude)
-    ground = plan.mission.ground
-    level = ground.constant_m if ground.reference == "msl" else None
-    model = read_model_air(
-        plan, stations, samples, flight,
-        track=track,
-        ground_h_m=next((h for h in (level, home_h_msl_m) if h is not None), math.nan),
-        ledger=ledger,
-    )  # fmt: skip
+    middle = TimeAndPlace(flight_ns, latitude, longitude)
+    model = read_model_air(plan, flight, stations, samples, middle, ledger=ledger)
     soundings += () if model is None else (model.column,)
-    note_source_distances(soundings, surface, flight, ledger)
+    note_source_distances(soundings, surface, middle, ledger)
     calibration = section.sensors.calibration
     if not section.adjust and (soundings or surface or calibration):
         ledger.warning(
@@ -386,6 +332,11 @@ def _index_of(section: AtmosphereSection) -> IndexModel:
     return IndexModel(section.index, section.wavelength_m, section.co2_ppm)
 
 
+def _constant_ground_m(mission: Mission) -> float | None:
+    """The one height of the ground above sea level, where the mission file has it."""
+    return mission.ground.constant_m if mission.ground.reference == "msl" else None
+
+
 def adjusted_profiles(
     mission: Mission, stations: Stations, samples: AirSamples, sources: AirSources, ledger: Ledger
 ) -> FlightAir:
@@ -403,7 +354,8 @@ def adjusted_profiles(
         ledger.note("AIR-NOT-ADJUSTED", why)
         external = ExternalSources(sources.soundings, sources.surface)
         unused = no_source_used(samples, external, standard.name, why)
-        adjustment = replace(unadjusted(under_gravity(standard, latitude), why), sources=unused)
+        kept = estimate.unadjusted(estimate.under_gravity(standard, latitude), why)
+        adjustment = replace(kept, sources=unused)
     else:
         adjustment = build_adjusted_profile(
             samples,
@@ -417,30 +369,22 @@ def adjusted_profiles(
             time_ns=sources.time_ns,
             longitude_rad=sources.longitude_rad,
         )
-    h_g = sources.lowest_h_m
-    if mission.ground.reference == "msl" and mission.ground.constant_m is not None:
-        h_g = mission.ground.constant_m
+    level = _constant_ground_m(mission)
+    h_g = sources.lowest_h_m if level is None else level
     heights = stations.h_msl_m[stations.ok]
     h_c = [float(h) for h in np.percentile(heights, [0, 50, 100])] if heights.size else [h_g]
     model = sources.model
     if not any(model and use.source == model.column.name and use.fit for use in adjustment.sources):
         model = None
-    return _profiles_in_time(adjustment, stations, h_c, h_g, model=model, ledger=ledger)
+    return _profiles_in_time(adjustment, stations, (h_c, h_g), model, ledger)
 
 
 def _profiles_in_time(
-    adjustment: Adjustment,
-    stations: Stations,
-    h_c: list[float],
-    h_g: float,
-    *,
-    model: ModelAir | None,
+    adjustment: Adjustment, stations: Stations, heights: Levels, model: ModelAir | None,
     ledger: Ledger,
-) -> FlightAir:
-    """Profiles of the exposures; ``h_c`` low, middle and high camera height [m].
-
-    Each is of the exposure's time, and of its place where a weather ``model`` knows its air.
-    """
+) -> FlightAir:  # fmt: skip
+    """Profiles of the exposures, each of its time, and of its place where a ``model`` knows it."""
+    h_c, h_g = heights
     whole = TimedProfile(
         adjustment.time_ns, adjustment.profile, adjustment.covariance,
         sampled_at=None if model is None else model.place,
@@ -451,15 +395,18 @@ def _profiles_in_time(
             replace(w, air=replace(w.air, sampled_at=model.place_of(adjustment.samples, w)))
             for w in windows
         )
-    series = constant_series(whole, len(stations))
+    series = profile_series.constant_series(whole, len(stations))
     middle = _middle_exposure_ns(stations)
     if middle is not None:
         timed = stations.ok & (stations.time_ns != NO_TIME)
         times = np.where(timed, stations.time_ns, middle)
         if windows:
-            series = interpolate_series([window.air for window in windows], times, h_c, h_g)
+            airs = [window.air for window in windows]
+            series = profile_series.interpolate_series(airs, times, h_c, h_g)
         if adjustment.samples is not None:
-            series = add_ageing(series, times, adjustment.samples, ledger, h_c=max(h_c), h_g=h_g)
+            series = profile_series.add_ageing(
+                series, times, adjustment.samples, ledger, h_c=max(h_c), h_g=h_g
+            )
         if model is not None:
             north = np.where(stations.ok, stations.lat_rad, np.nan)
             east = longitudes_near(stations.lon_rad, model.place[1])

@@ -33,15 +33,11 @@ from pipeline.units import HECTOPASCAL, ZERO_CELSIUS_K, Array, Mask
 USUAL_TEMPERATURE_K = 294.15
 SIGMA_PRESSURISED_K, SIGMA_AMBIENT_K = 5.0, 10.0
 """21 degC, and the standard deviation about it of cabins with and without pressurisation."""
-
 PRESSURISED_PA = 20.0 * HECTOPASCAL
 """A cabin with so much more pressure than the air outside is pressurised."""
-
 BOARD_WARMER_K, SIGMA_BOARD_K = 10.0, 6.0
 """A barometer's board against the air about it: 0 to 20 K warmer in autopilots and their simulator,
 evenly spread (standard deviation 5.8 K); the same 10 K as `atmosphere.estimate.readings` has."""
-
-
 _COLUMNS = (
     "cabin_pressure_pa", "cabin_temperature_k", "cabin_vapour_pressure_pa",
     "sigma_cabin_pressure_pa", "sigma_cabin_temperature_k",
@@ -55,9 +51,7 @@ def cabin_from_log(
     """Stations of a camera with what the log has of its cabin, and what it lacks.
 
     Exposures without the pressure that is to come from the log become suspect (CABIN-MISSING). A
-    temperature that is missing is assumed later (CABIN-TEMPERATURE; a loss where the mission file
-    names the log). The messages name the ``channels`` that could play the role, which none of the
-    ``roles`` outside has. A barometer's board is less `BOARD_WARMER_K` the air (CABIN-BOARD).
+    temperature that is missing is assumed later; a barometer's board is `BOARD_WARMER_K` warmer.
     """
     roles = roles or {}
     notes: Notes = ()
@@ -75,12 +69,11 @@ def cabin_from_log(
             return f"no channel of the log could play cabin_{quantity}"
         return f"log.channels.cabin_{quantity} could be {', '.join(names)}"
 
+    where = f"camera {camera}"
     if cabin.source == "log":
         missing = np.isnan(stations.cabin_pressure_pa)
-        what = (
-            f"no cabin pressure, without which the window cannot be corrected: "
-            f"{could_play('pressure')}"
-        )
+        what = "no cabin pressure, without which the window cannot be corrected: "
+        what += could_play("pressure")
         stations, notes = mark_suspect(stations, camera, missing, "CABIN-MISSING", what)
     of_camera = (stations.camera == camera) & stations.ok
     if cabin.source == "ambient":
@@ -89,25 +82,21 @@ def cabin_from_log(
     count = int((of_camera & np.isnan(stations.cabin_temperature_k)).sum())
     if count and not stated:
         entry = loss if cabin.temperature_logged else fallback
-        what = (
-            f"{count} exposures have no cabin temperature: 21 degC are taken, +- 5 K where the "
-            f"cabin is pressurised, +- 10 K where it is not; {could_play('temperature')}"
-        )
-        notes += (entry("CABIN-TEMPERATURE", what, where=f"camera {camera}", count=count),)
+        able = could_play("temperature")
+        notes += (entry("CABIN-TEMPERATURE", where=where, count=count, able=able),)
     thermometer = roles.get("cabin_temperature")
     if stated or thermometer is None or "board_temperature_k" not in thermometer.columns:
         return stations, notes
     mine = (stations.camera == camera) & np.isfinite(stations.cabin_temperature_k)
-    what = (
-        f"the temperature of the cabin is that of the board of {thermometer.name}, less "
-        f"{BOARD_WARMER_K:.0f} +- {SIGMA_BOARD_K:.0f} K"
-    )
-    entry_of_board = fallback("CABIN-BOARD", what, where=f"camera {camera}", count=int(mine.sum()))
+    notes += (fallback(
+        "CABIN-BOARD", where=where, count=int(mine.sum()), name=thermometer.name,
+        warmer=BOARD_WARMER_K, sigma=SIGMA_BOARD_K,
+    ),)  # fmt: skip
     return replace(
         stations,
         cabin_temperature_k=stations.cabin_temperature_k - BOARD_WARMER_K * mine,
         sigma_cabin_temperature_k=np.where(mine, SIGMA_BOARD_K, stations.sigma_cabin_temperature_k),
-    ), (*notes, entry_of_board)
+    ), notes
 
 
 def _pressurised_after_all(
@@ -123,13 +112,11 @@ def _pressurised_after_all(
         excess = inside - stations.pressure_pa[of_camera]
         excess = excess[np.isfinite(excess)]
         if excess.size and float(np.median(excess)) > PRESSURISED_PA:
-            what = (
-                f"the cabin of {camera} is said to have the pressure of the air outside, but "
-                f"{channel.name} has {np.median(excess) / HECTOPASCAL:.0f} hPa more than that at "
-                "the exposures: if it is in the cabin, give pressure: log"
-            )
-            where = f"cameras.{camera}.window.cabin.pressure"
-            return (finding("CABIN-IMPLAUSIBLE", what, where=where, count=excess.size),)
+            return (finding(
+                "CABIN-IMPLAUSIBLE/pressure", where=f"cameras.{camera}.window.cabin.pressure",
+                count=excess.size, camera=camera, name=channel.name,
+                hpa=np.median(excess) / HECTOPASCAL,
+            ),)  # fmt: skip
     return ()
 
 
@@ -139,9 +126,8 @@ def with_cabin_air(
 ) -> Stations:  # fmt: skip
     """Stations with the air in the cabins of those cameras that it matters to, and its sigmas.
 
-    It matters behind a plane window and, behind any, to a lens of which the mission file says how
-    the air changes it. ``lenses`` are the names of the cameras with such a lens; ``profile`` is the
-    air outside. Sigmas are NaN for numbers of the mission file that have none.
+    It matters behind a plane window and, behind any, to a lens that follows the air, the names of
+    whose cameras are ``lenses``. Sigmas are NaN for numbers of the mission file that have none.
     """
     columns = {name: getattr(stations, name).copy() for name in _COLUMNS}
     h = stations.h_msl_m
@@ -182,16 +168,13 @@ def _implausible_air(name: str, ok: Mask, values: tuple[Array, ...], p_outside: 
         (thin, "less pressure than the air outside"),
         (odd, "a temperature far from 21 degC"),
     ):
-        count = int(wrong.sum())
-        if count:
+        if wrong.any():
             first = int(np.argmax(wrong))
-            what = (
-                f"the cabin of {name} has {what}: {p[first] / HECTOPASCAL:.0f} hPa and "
-                f"{t[first] - ZERO_CELSIUS_K:.0f} degC at the first of {count} exposures; is it "
-                "another sensor, or another unit?"
-            )
-            where = f"cameras.{name}.window.cabin"
-            notes.append(warning("CABIN-IMPLAUSIBLE", what, where=where, count=count))
+            notes.append(warning(
+                "CABIN-IMPLAUSIBLE", where=f"cameras.{name}.window.cabin", count=int(wrong.sum()),
+                name=name, what_is_odd=what, hpa=p[first] / HECTOPASCAL,
+                celsius=t[first] - ZERO_CELSIUS_K,
+            ))  # fmt: skip
     return tuple(notes)
 
 
@@ -211,11 +194,7 @@ def _first_known(*values: ArrayLike) -> Array:
 def air_in(
     cabin: Cabin, logged: tuple[Array, ...], outside: tuple[Array, Array]
 ) -> tuple[Array, ...]:
-    """(m,) pressure [Pa], temperature [K], vapour pressure [Pa], sigmas of the first two.
-
-    ``logged`` has the same five, NaN where the log has none; ``outside`` pressure and vapour
-    pressure [Pa].
-    """
+    """(m,) pressure [Pa], temperature [K], vapour pressure [Pa], sigmas of the first two."""
     p_logged, t_logged, e_logged, _, sigma_board = logged
     p_outside, e_outside = outside
     blank = np.full(p_logged.shape, np.nan)
@@ -236,13 +215,9 @@ def air_in(
         sigma_t = blank
     sigma_p = SIGMA_BAROMETER_PA if cabin.source in ("log", "ambient") else np.nan
     stated = vapour_pressure(cabin.relative_humidity, t, p)
-    return (
-        p,
-        t,
-        _first_known(stated, e_logged, e_outside if cabin.source == "ambient" else 0.0),
-        _first_known(blank, cabin.sigma_pressure_pa, sigma_p),
-        _first_known(blank, cabin.sigma_temperature_k, sigma_t),
-    )
+    e = _first_known(stated, e_logged, e_outside if cabin.source == "ambient" else 0.0)
+    sigmas = (cabin.sigma_pressure_pa, sigma_p), (cabin.sigma_temperature_k, sigma_t)
+    return p, t, e, *(_first_known(blank, *sigma) for sigma in sigmas)
 
 
 def cabin_changes(stations: Stations, lenses: Mapping[str, LensInAir], index: IndexModel) -> Array:

@@ -1,12 +1,13 @@
 """What bends the rays at each exposure: attitude, window, lens, and the air on both sides."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
 from pipeline.atmosphere import Profile
 from pipeline.atmosphere.series.profile_series import ProfileSeries
+from pipeline.block.image_rays import UNKNOWN_SIGMAS, Orientations, orientations_of
+from pipeline.block.oriented_images import SIGMAS_OF_BLOCK
 from pipeline.config import Mission
 from pipeline.errors import MissionError
 from pipeline.flight.heights import HeightSystem, ground_offsets
@@ -22,15 +23,6 @@ from pipeline.stages.ground_heights import GivenGround, Ground, SlantRangeGround
 from pipeline.units import HECTOPASCAL, Array, Mask, Names
 
 
-@dataclass(frozen=True, eq=False)
-class AirAtExposures:
-    """(m,) pressure [Pa], temperature [K] and vapour pressure [Pa] at m exposures."""
-
-    pressure_pa: Array
-    temperature_k: Array
-    vapour_pressure_pa: Array
-
-
 def cameras_of_mission(mission: Mission) -> dict[str, Camera]:
     """The interior orientation of each camera, in COLMAP's pixels."""
     origin = mission.observations.pixel_origin
@@ -40,15 +32,18 @@ def cameras_of_mission(mission: Mission) -> dict[str, Camera]:
 def camera_of_rows(
     mission: Mission, given: Names | None, only: str | None, count: int, path: str
 ) -> Names:
-    """(n,) the camera of each row of a table: as its column says, or the only one there is.
-
-    Refuses (MissionError EVENTS-CAMERA) one that the mission lacks.
-    """
+    """(n,) the camera of each row of a table, by its column or the only one (EVENTS-CAMERA)."""
     named = np.full(count, only or next(iter(mission.cameras)), dtype=object)
     named = named if given is None else given
     for name in sorted(set(named.tolist()) - set(mission.cameras)):
         raise MissionError.of("EVENTS-CAMERA", path, name=name, cameras=", ".join(mission.cameras))
     return named
+
+
+def orientations_of_mission(mission: Mission, stations: Stations) -> Orientations:
+    """The stations held in an intersection, with usual sigmas where theirs are unknown."""
+    oriented = mission.stations.orientation is not None
+    return orientations_of(stations, SIGMAS_OF_BLOCK if oriented else UNKNOWN_SIGMAS)
 
 
 def windows_of_mission(mission: Mission) -> dict[str, Window]:
@@ -68,8 +63,7 @@ def exposures_of_mission(
     for name, camera in mission.cameras.items():
         if camera.calibration == "in_flight_uncorrected":
             ledger.warning("CALIBRATION-IN-FLIGHT", where=f"cameras.{name}.calibration", name=name)
-    windows = windows_of_mission(mission)
-    lenses = lenses_of_mission(mission)
+    windows, lenses = windows_of_mission(mission), lenses_of_mission(mission)
     report_windows(windows, ledger)
     report_lenses(mission.cameras, lenses, ledger)
     return exposures_of(
@@ -88,19 +82,13 @@ def exposures_of(
 ) -> Exposures:
     """Attitude, height, window and lens of each exposure, and the air beside them.
 
-    ``windows`` and ``lenses`` are those of the cameras that have one, by name. The air outside is
-    the profile's at the height of the camera, the same that the ray starts in; that in the cabin is
-    the stations' (`with_cabin_air`). Behind a window the lens is in the cabin's air, else in the
-    air outside. Refuses a change of the principal distance of more than 1 % (MissionError
-    LENS-CHANGE).
+    The air outside is the profile's at the height of the camera, the same that the ray starts in;
+    that in the cabin is the stations' (`with_cabin_air`). Behind a window the lens is in the
+    cabin's air, else in the air outside. Refuses (MissionError LENS-CHANGE) a change of the
+    principal distance of more than 1 %.
     """
-    rotation = matrices_of(stations.quaternion)
-    h = stations.h_msl_m
-    pressure, temperature, vapour = (
-        profile.pressure(h),
-        profile.temperature(h),
-        profile.vapour_pressure(h),
-    )
+    rotation, h = matrices_of(stations.quaternion), stations.h_msl_m
+    air_outside = profile.pressure(h), profile.temperature(h), profile.vapour_pressure(h)
     outside = profile.refractivity(h)
     inside, change = outside.copy(), np.zeros(len(stations))
     normal = np.tile(OPTICAL_AXIS, (len(stations), 1))
@@ -110,21 +98,20 @@ def exposures_of(
             continue
         window, lens = windows.get(name), lenses.get(name)
         plane = window is not None and window.shape == "plane"
-        air = AirAtExposures(pressure[rows], temperature[rows], vapour[rows])
+        air = air_outside
         if window is not None and window.cabin is not None and (plane or lens is not None):
-            air = AirAtExposures(
-                stations.cabin_pressure_pa[rows],
-                stations.cabin_temperature_k[rows],
-                stations.cabin_vapour_pressure_pa[rows],
-            )
+            air = (
+                stations.cabin_pressure_pa, stations.cabin_temperature_k,
+                stations.cabin_vapour_pressure_pa,
+            )  # fmt: skip
+        pressure, temperature, vapour = (values[rows] for values in air)
         if window is not None and plane:
-            inside[rows] = profile.index.refractivity(
-                air.temperature_k, air.pressure_pa, air.vapour_pressure_pa
-            )
+            inside[rows] = profile.index.refractivity(temperature, pressure, vapour)
             aircraft = stations.aircraft_quaternion[rows]
             normal[rows] = _window_normals(window, rotation[rows], aircraft)
         if lens is not None:
-            change[rows] = _principal_change(lens, air, stations.ok[rows], name, ledger)
+            change[rows] = principal_change(lens, pressure, temperature)
+            _check_change(lens, change[rows], pressure, stations.ok[rows], name=name, ledger=ledger)
     # Above the top of the profile the air is unknown too; those rows get outside_profile later.
     air_unknown = np.isfinite(outside) & (np.isnan(inside) | np.isnan(change))
     attitude_known = np.isfinite(rotation).all(axis=(1, 2)) & np.isfinite(normal).all(axis=1)
@@ -154,32 +141,24 @@ def _window_normals(window: Window, rotation: Array, aircraft_quaternion: Array)
     return np.asarray(np.einsum("nij,nj->ni", rotation, in_enu))
 
 
-def _principal_change(
-    lens: LensInAir, air: AirAtExposures, ok: Mask, name: str, ledger: Ledger
-) -> Array:
-    """(m,) change of the principal distance of a camera by the air in its lens [px]."""
-    change = principal_change(lens, air.pressure_pa, air.temperature_k)
+def _check_change(
+    lens: LensInAir, change: Array, pressure_pa: Array, ok: Mask, *, name: str, ledger: Ledger
+) -> None:
+    """Say how much the air in a lens changes its principal distance [px]; refuse an absurd one."""
     where = f"cameras.{name}.principal_distance"
     absurd = is_absurd(lens, change) & ok
     if bool(absurd.any()):
         worst = int(np.argmax(np.where(absurd, np.abs(change), 0.0)))
-        raise MissionError(
-            "LENS-CHANGE",
-            f"the air in the lens would change the principal distance of {name} by "
-            f"{change[worst]:.1f} px of {lens.principal_distance_px:.1f} at "
-            f"{air.pressure_pa[worst] / HECTOPASCAL:.0f} hPa; more than 1 % is no effect of air",
-            where=where,
-            remedy="check the reference and the units: px per hPa and px per K, millimetres "
-            "divided by the pixel pitch",
-        )
+        raise MissionError.of(
+            "LENS-CHANGE", where, name=name, change=change[worst], lens=lens,
+            hpa=pressure_pa[worst] / HECTOPASCAL,
+        )  # fmt: skip
     used = change[ok & np.isfinite(change)]
     if used.size:
-        what = (
-            f"the air in the lens changes the principal distance of {name} by {used.min():.3f} to "
-            f"{used.max():.3f} px of {lens.principal_distance_px:.1f}"
-        )
-        ledger.note("LENS-IN-AIR", what, where=where, count=int(used.size))
-    return change
+        ledger.note(
+            "LENS-IN-AIR", where=where, count=int(used.size), name=name, low=used.min(),
+            high=used.max(), lens=lens,
+        )  # fmt: skip
 
 
 def report_windows(windows: Mapping[str, Window], ledger: Ledger) -> None:
@@ -187,8 +166,7 @@ def report_windows(windows: Mapping[str, Window], ledger: Ledger) -> None:
     for name, window in windows.items():
         where = f"cameras.{name}.window"
         if window.shape == "spherical":
-            what = f"the window of {name} is a sphere about the projection centre: it bends nothing"
-            ledger.note("WINDOW-SPHERICAL", what, where=where)
+            ledger.note("WINDOW-SPHERICAL", where=where, name=name)
         elif window.in_calibration == "glass":
             ledger.note("WINDOW-GLASS", where=where, name=name)
         else:
@@ -199,39 +177,27 @@ def report_lenses(cameras: Iterable[str], lenses: Mapping[str, LensInAir], ledge
     """Note the cameras whose principal distance is not corrected for the air in the lens."""
     uncorrected = [name for name in cameras if name not in lenses]
     if uncorrected:
-        ledger.note(
-            "LENS-NOT-REMOVED", "the effect of the air in the lens on the principal distance of "
-            f"{', '.join(uncorrected)} is not removed: 130 to 310 ppm at 6 km (Meier), about in "
-            "proportion to the height",
-            where="cameras.<name>.principal_distance", count=len(uncorrected),
-        )  # fmt: skip
+        where, names = "cameras.<name>.principal_distance", ", ".join(uncorrected)
+        ledger.note("LENS-NOT-REMOVED", where=where, count=len(uncorrected), names=names)
 
 
 def correction_setup(
-    mission: Mission,
-    stations: Stations,
-    air: ProfileSeries,
-    exposures: Exposures,
-    heights: HeightSystem,
+    mission: Mission, stations: Stations, air: ProfileSeries, heights: HeightSystem, ledger: Ledger
 ) -> CorrectionSetup:
-    """Cameras, rays and ground of a mission. ``heights`` are those of its log."""
+    """Exposures, cameras, rays and given ground of a mission; ``heights`` are those of its log."""
+    section, exposures = mission.ground, exposures_of_mission(mission, stations, air, ledger)
+    ground: Ground = SlantRangeGround(section.sigma_m)
+    if not section.from_distance:
+        offsets = ground_offsets(section.reference_of_values, stations, heights)
+        ground = GivenGround(section.constant_m, offsets, section.sigma_m)
     return CorrectionSetup(
         stations.image,
         stations.camera,
         exposures,
-        ground_of_mission(mission, stations, heights),
+        ground,
         cameras_of_mission(mission),
         tuple(rays_by(profile, mission.refraction.method) for profile in air.profiles),
         air.profile_number,
         mission.refraction.direction,
         (None,) * len(air.profiles),
     )
-
-
-def ground_of_mission(mission: Mission, stations: Stations, heights: HeightSystem) -> Ground:
-    """The source of heights that the mission file names."""
-    section = mission.ground
-    if section.from_distance:
-        return SlantRangeGround(section.sigma_m)
-    offsets = ground_offsets(section.reference_of_values, stations, heights)
-    return GivenGround(section.constant_m, offsets, section.sigma_m)

@@ -1,7 +1,4 @@
-"""Heights of the observed points, batch by batch, from whatever source the mission file names.
-
-Given heights, ends of slant ranges, heights computed before, and where rays meet a model.
-"""
+"""Heights of the observed points, batch by batch, from any source of a mission file."""
 
 from __future__ import annotations
 
@@ -28,12 +25,10 @@ if TYPE_CHECKING:
 
 
 class GroundHeights(NamedTuple):
-    """Heights of the points of a batch above sea level [m] (n,), NaN where unknown.
+    """Heights of the points of a batch above sea level [m], their sigmas, all (n,); NaN unknown.
 
-    ``sigma_m`` (n,) are their standard deviations, NaN where unknown. ``status`` (n,) are codes of
-    `pipeline.refraction.status_codes` for observations that are not simply ok, where a source has
-    such. ``implausible`` counts heights that are numbers, but of no ground on earth. ``distance_m``
-    (n,) are slant ranges, where the source has them.
+    ``status`` are codes of `pipeline.refraction.status_codes`, and ``distance_m`` slant ranges,
+    where a source has them. ``implausible`` counts heights that are of no ground on earth.
     """
 
     h_m: Array
@@ -64,11 +59,9 @@ class Ground(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class GivenGround:
-    """Heights that are given: a constant, or a column; plus an offset.
+    """Heights that are given, a constant or a column, plus the ``offset_m`` (s,) of each station.
 
-    ``offset_m`` (s,) is added per station: minus the undulation for ellipsoidal heights, the
-    take-off height for relative ones. ``sigma_m`` is the standard deviation that all of them share,
-    where there is one.
+    ``sigma_m`` is the standard deviation that all of them share, where there is one.
     """
 
     constant_m: float | None
@@ -79,9 +72,8 @@ class GivenGround:
         self, batch: Batch, station: Integers, setup: CorrectionSetup | None = None
     ) -> GroundHeights:
         """(n,) heights above sea level [m]; NaN where implausible."""
-        given = batch.ground
-        if given is None:
-            given = np.full(len(batch), self.constant_m, dtype=np.float64)
+        constant = np.full(len(batch), self.constant_m, dtype=np.float64)
+        given = constant if batch.ground is None else batch.ground
         plausible = plausible_heights(given)
         offset = np.append(self.offset_m, np.nan)[station]
         # Without a station there is no offset; such an observation gets the status no_station.
@@ -94,9 +86,8 @@ class GivenGround:
         """Those of the constant; of a column those of all land."""
         if self.constant_m is None:
             return LOWEST_GROUND_M, HIGHEST_GROUND_M
-        offset = self.offset_m[np.isfinite(self.offset_m)]
-        if offset.size == 0:
-            offset = np.zeros(1)
+        known = self.offset_m[np.isfinite(self.offset_m)]
+        offset = known if known.size else np.zeros(1)
         return self.constant_m + float(offset.min()), self.constant_m + float(offset.max())
 
 
@@ -153,7 +144,7 @@ _LARGEST_FACTOR = 20.0  # of an error of the model's height, where a ray grazes 
 class TerrainGround:
     """Heights where rays from ``places`` (s,), latitude and longitude [rad], first meet a model.
 
-    ``sigma_m`` is that of the model's heights; that of a landing is larger on slopes that fall away
+    The sigma of a landing is larger than ``sigma_m``, that of the model, on slopes that fall away
     from the camera: by 1 / (1 + tan slope tan zeta), 20 at most.
     """
 
@@ -204,26 +195,20 @@ def with_terrain(
 ) -> CorrectionSetup:
     """The setup with heights of the elevation model, where there is one; ``sigma_m`` are its.
 
-    Refuses (MissionError DEM-OUTSIDE) a model that lies under no station; a loss where it lies
-    under some.
+    Refuses (DEM-OUTSIDE) a model under no station; a loss where it is under some.
     """
     if model is None:
         return setup
     lat, lon = stations.lat_rad, stations.lon_rad
     outside = ~model.covers(lat[stations.ok], lon[stations.ok])
     count, placed = int(outside.sum()), int(stations.ok.sum())
-    what = f"{count} of {placed} stations lie outside the elevation model"
     if count and count == placed:
         first = np.flatnonzero(stations.ok)[0]
         row, column = (float(a[0]) for a in model.nodes(lat[[first]], lon[[first]]))
-        raise MissionError(
-            "DEM-OUTSIDE",
-            f"{what}, which has {model.size[0]} rows and {model.size[1]} columns: the first, at "
-            f"{np.degrees(lat[first]):.4f}, {np.degrees(lon[first]):.4f}, would be in row "
-            f"{row:.0f}, column {column:.0f}",
-            where=model.name,
-            remedy="check ground.height.dem, and ground.height.crs where the file has none",
-        )
+        raise MissionError.of(
+            "DEM-OUTSIDE", model.name, count=count, rows=model.size[0], columns=model.size[1],
+            north=np.degrees(lat[first]), east=np.degrees(lon[first]), row=row, column=column,
+        )  # fmt: skip
     if count:
-        ledger.loss("DEM-OUTSIDE", what, where=model.name, count=count)
+        ledger.loss("DEM-OUTSIDE/some", where=model.name, count=count, total=placed)
     return replace(setup, ground=TerrainGround(model, (lat, lon), sigma_m))

@@ -28,25 +28,17 @@ from pipeline.tables.imports.agreement import compare_with_log
 from pipeline.tables.imports.stated import Stated
 from pipeline.tables.observations import Observations, open_observations
 
-_MOST_KEPT_BYTES = 256_000_000
-"""Of the samples of a log that is kept: more are decoded again, within the memory of a run."""
+_MOST_KEPT_BYTES = 256_000_000  # of the samples of a log: more are decoded again
 
 
 @dataclass(frozen=True, eq=False)
 class FlightLog:
     """A log after its channels were given their roles; these hold plausible values only.
 
-    Where a source of the log is suspect and another replaces it, they hold its samples; ``suspect``
-    are all stretches in which the log contradicts itself.
-
-    ``own`` are the roles as the log fills them, with their ``own_suspect``; in ``roles`` a
-    trajectory has replaced some.
-
-    ``accuracy`` is what it says about the accuracy of its positions and attitudes.
-
-    ``log`` is None, and there are no channels, where the stations come from elsewhere.
-
-    ``heads`` are the attitudes of cameras that have one of their own, such as a gimbal each.
+    Where a source is suspect and another replaces it, they hold its samples; ``suspect`` are all
+    stretches in which the log contradicts itself. ``own`` are the roles as the log fills them, with
+    their ``own_suspect``; in ``roles`` a trajectory has replaced some. ``log`` is None where the
+    stations come from elsewhere; ``heads`` are attitudes of cameras with one of their own.
     """
 
     log: Log | None
@@ -70,10 +62,7 @@ class FlightLog:
 
     @property
     def air_roles(self) -> dict[str, Channel]:
-        """Roles for the samples of the air: at the log's own heights, which are there throughout.
-
-        A trajectory may cover the lines alone, without climb and descent.
-        """
+        """Roles for the air, at the log's own heights: a trajectory may lack climb and descent."""
         return self.roles | self.own
 
 
@@ -97,8 +86,7 @@ def read_observations(plan: Plan, ledger: Ledger, most_rows: int | None = None) 
 def read_log(plan: Plan, ledger: Ledger) -> FlightLog:
     """Read the log, assign its channels to roles, and relate its heights to sea level.
 
-    Without a log a trajectory has all the roles; refuses (MissionError STATIONS-ATTITUDE) one
-    without attitudes.
+    Without a log a trajectory has all the roles; refuses (STATIONS-ATTITUDE) one without attitudes.
     """
     mission, geoid = plan.mission, geoid_of_mission(plan)
     home, undulation_m = mission.ground.home_h_msl_m, mission.mission.undulation_m
@@ -111,10 +99,8 @@ def read_log(plan: Plan, ledger: Ledger) -> FlightLog:
         names = {role: stated.name for role, stated in mission.log.channels.named().items()}
         channels = stated_channels(plan, log.channels)
         for attitude in dict.fromkeys([names.get("attitude", ""), *heads.values()]):
-            payload = with_payload_attitude(
-                channels, names | {"attitude": attitude}, mission.log.max_gap_s
-            )
-            channels = ledger.take(payload)
+            of_one, gap_s = names | {"attitude": attitude}, mission.log.max_gap_s
+            channels = ledger.take(with_payload_attitude(channels, of_one, gap_s))
     elif section is None:
         heights, _ = height_system({}, undulation_m, geoid, stated_home_m=home)
         return FlightLog(None, (), {}, {}, heights)
@@ -133,12 +119,8 @@ def read_log(plan: Plan, ledger: Ledger) -> FlightLog:
     of_head: dict[str, Channel] = {}
     for camera, name in heads.items():
         if name not in able:
-            raise MissionError(
-                "CHANNEL-MISSING",
-                f"the log has no attitudes called {name!r}; it has {', '.join(able) or 'none'}",
-                where=f"mount.{camera}.attitude",
-                remedy="name a channel as `unbend inspect` prints it",
-            )
+            where, there = f"mount.{camera}.attitude", ", ".join(able) or "none"
+            raise MissionError.of("CHANNEL-MISSING/attitude", where, name=name, there=there)
         of_head[camera] = ledger.take(plausible_samples(able[name], "attitude"))
         ledger.extend(gimbal_notes({}, {"attitude": of_head[camera]}, {camera: mounts.pop(camera)}))
     if log is not None:
@@ -156,9 +138,8 @@ def read_log(plan: Plan, ledger: Ledger) -> FlightLog:
             plausible[role] = ledger.take(plausible_samples(trajectory, role))
         plausible.setdefault("height", plausible["position"]) if "position" in plausible else None
         former = ", ".join(f"{role} of {own[role].name}" for role in elsewhere if role in own)
-        what = f"{trajectory.name} gives {', '.join(elsewhere)}" + (
-            f", in place of {former}" if former else ", which the log has not"
-        )
+        what = f"{trajectory.name} gives {', '.join(elsewhere)}, "
+        what += f"in place of {former}" if former else "which the log has not"
         ledger.note("TRAJECTORY-REPLACES", what, where="stations.trajectory")
     suspect = (*(d for d in own_suspect if d.quantity not in elsewhere), *of_trajectory)
     plausible, accuracy = with_accuracy(plausible, channels)
@@ -196,16 +177,16 @@ def stated_channels(plan: Plan, channels: tuple[Channel, ...]) -> tuple[Channel,
     if section.local_origin is not None:
         origin = section.local_origin.build()
         channels = tuple(to_geodetic(channel, origin) for channel in channels)
+    of_air = {"cabin_temperature"}
+    of_air |= {"temperature"} if plan.mission.atmosphere.board_temperature else set()
     named = section.channels.named()
-    outside = ["temperature"] if plan.mission.atmosphere.board_temperature else []
-    for role in [*outside, "cabin_temperature"]:
-        board = named[role].name if role in named else ""
-        channels = tuple(board_as_air(c) if c.name == board else c for c in channels)
+    of_boards = {named[role].name for role in of_air & named.keys()}
+    channels = tuple(board_as_air(c) if c.name in of_boards else c for c in channels)
     for role, stated in named.items():
-        if stated.unit is not None:
+        if (unit := stated.unit) is not None:
+            name = stated.name
             channels = tuple(
-                in_stated_unit(c, role, stated.unit) if c.name == stated.name else c
-                for c in channels
+                in_stated_unit(c, role, unit) if c.name == name else c for c in channels
             )
     return channels
 
@@ -252,26 +233,25 @@ def replaced_roles(plan: Plan, trajectory: Channel) -> tuple[str, ...]:
         return tuple(able)
     for role in section.replaces:
         if role not in able:
-            what = f"it has no {role} ({', '.join(ROLE_COLUMNS[role])}); it has {', '.join(able)}"
-            remedy = "leave that out of stations.trajectory.replaces"
-            raise MissionError("TRAJECTORY-REPLACES", what, where=trajectory.name, remedy=remedy)
+            columns, there = ", ".join(ROLE_COLUMNS[role]), ", ".join(able)
+            raise MissionError.of(
+                "TRAJECTORY-REPLACES", trajectory.name, role=role, columns=columns, able=there
+            )
     return tuple(section.replaces)
 
 
 def read_camera_events(plan: Plan, flight: FlightLog, ledger: Ledger) -> dict[str, Channel]:
     """The exposures of each camera that come from a file with their positions.
 
-    Attitudes of cameras that a file has become those of the aircraft, by the mount. Refuses
-    (MissionError STATIONS-ATTITUDE) a file without, where there is no log and no trajectory.
+    Attitudes of cameras become those of the aircraft, by the mount. Refuses (STATIONS-ATTITUDE) a
+    file without, where there is no log and no trajectory.
     """
     events = {}
     for camera, source in plan.mission.position_events.items():
         path = plan.input(f"events of {camera}").path
         reader = reader_of(CAMERA_EVENTS, path, source.format)
-        around = _time_range(flight.channels)
-        stated = Stated(
-            source.time.system, source.time.week, around, source.heights, grid=source.grid
-        )
+        time, around = source.time, _time_range(flight.channels)
+        stated = Stated(time.system, time.week, around, source.heights, grid=source.grid)
         channel = reader(path, stated, ledger)
         attitude = channel.fits_role("attitude") and not source.times_only
         if attitude:
@@ -285,9 +265,8 @@ def read_camera_events(plan: Plan, flight: FlightLog, ledger: Ledger) -> dict[st
         events[camera] = channel
         places = "" if source.times_only else f", and where the {source.reference_point} was then"
         what = f"{path.name} says when {camera} was exposed{places}"
-        ledger.note(
-            "EVENTS-POSITIONS", what, where=f"events.positions.{camera}", count=len(events[camera])
-        )
+        where = f"events.positions.{camera}"
+        ledger.note("EVENTS-POSITIONS", what, where=where, count=len(channel))
         replaces = ("position", "height", *(["attitude"] if attitude else []))
         compare_with_log(channel, flight.own, flight.heights, ledger, replaces=replaces)
     return events
@@ -299,10 +278,7 @@ def _time_range(channels: tuple[Channel, ...]) -> tuple[int, int] | None:
     placed = [channel for channel in filled if channel.fits_role("position")] or filled
     if not placed:
         return None
-    return (
-        min(int(channel.time_ns[0]) for channel in placed),
-        max(int(channel.time_ns[-1]) for channel in placed),
-    )
+    return min(int(c.time_ns[0]) for c in placed), max(int(c.time_ns[-1]) for c in placed)
 
 
 def board_as_air(channel: Channel) -> Channel:
@@ -310,7 +286,9 @@ def board_as_air(channel: Channel) -> Channel:
     board = channel.columns.get("board_temperature_k")
     if board is None or "temperature_k" in channel.columns:
         return channel
-    units = dict(channel.logged_units)
-    units["temperature_k"] = units.get("board_temperature_k", "")
-    columns = dict(channel.columns) | {"temperature_k": board}
-    return replace(channel, columns=columns, logged_units=units)
+    units = {"temperature_k": channel.logged_units.get("board_temperature_k", "")}
+    return replace(
+        channel,
+        columns=dict(channel.columns) | {"temperature_k": board},
+        logged_units=dict(channel.logged_units) | units,
+    )

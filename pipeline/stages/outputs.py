@@ -27,6 +27,14 @@ from pipeline.tables.refraction_mark import REFRACTION_APPLIED, REFRACTION_KEY, 
 from pipeline.tables.writing import table_of_profiles, table_of_stations, write_parquet
 from pipeline.units import ARCSEC, Array
 
+_MEANING = (
+    "scale_sigma: standard deviation, for the prior, of the one parameter s of the leading mode of "
+    "the air's covariance; the coordinates in the air of s are the corrected ones plus s dx_ds_px, "
+    "s dy_ds_px, behind a plane window too. variance_share: of what the air does to these "
+    "coordinates (sigma_air) it holds so much. Where there are several profiles, s moves each "
+    "along its own leading mode"
+)
+
 
 def observation_metadata(mission: Mission) -> dict[str, str]:
     """What the Parquet metadata of the observations say, beside units and conventions."""
@@ -80,15 +88,10 @@ def manifest_of(
             {"role": item.role, "name": item.name, "sha256": item.sha256} for item in plan.inputs
         ],
         "versions": versions(plan.libraries),
-        "log": log
-        and {
-            "format": log.format,
-            "messages": dict(log.messages),
-            "bad_bytes": log.bad_bytes,
-            "lost_messages": log.lost_messages,
-            "boots": log.boots,
-            "duration_s": round(log.duration_s, 3),
-            "time_base": log.time_base,
+        "log": log and {
+            "format": log.format, "messages": dict(log.messages), "bad_bytes": log.bad_bytes,
+            "lost_messages": log.lost_messages, "boots": log.boots,
+            "duration_s": round(log.duration_s, 3), "time_base": log.time_base,
         },
         "channels": {role: channel.name for role, channel in sorted(flight.roles.items())},
         "stations": dict(sorted(Counter(stations.status.tolist()).items())),
@@ -109,7 +112,7 @@ def manifest_of(
         "cabin_sigma_share": statistics.cabin_share.summary(),
         "ledger": entries,
         "exit_code": exit_code_of(has_losses=ledger.has_losses),
-    }
+    }  # fmt: skip
 
 
 def _flight(stations: Stations, setup: CorrectionSetup, statistics: Statistics) -> dict[str, Any]:
@@ -122,10 +125,8 @@ def _flight(stations: Stations, setup: CorrectionSetup, statistics: Statistics) 
 
     def spread(values: Array, digits: int) -> list[float] | None:
         known = values[np.isfinite(values)]
-        if not known.size:
-            return None
-        parts = known.min(), np.median(known), known.max()
-        return [round(float(part), digits) for part in parts]
+        parts = (known.min(), np.median(known), known.max()) if known.size else ()
+        return [round(float(part), digits) for part in parts] or None
 
     time_ns = stations.time_ns[ok & (stations.time_ns != NO_TIME)]
     rows, cameras = statistics.sampled_rows(), {}
@@ -135,21 +136,20 @@ def _flight(stations: Stations, setup: CorrectionSetup, statistics: Statistics) 
     for number, (name, camera) in enumerate(setup.cameras.items()):
         axis = down[ok & (stations.camera == name)]
         x, y, z = np.median(axis[np.isfinite(axis).all(axis=1)], axis=0) if len(axis) else [0.0] * 3
-        nadir = None
+        nadir = angle = None
         if z > 0.05:
             inside = np.hypot(x, y) < camera.largest_radius * z
             flat = camera if inside else replace(camera, distortion=NO_DISTORTION)
-            nadir = [
-                round(float(v[0]), 1) for v in flat.project(np.array([x / z]), np.array([y / z]))
-            ]
+            at = flat.project(np.array([x / z]), np.array([y / z]))
+            nadir = [round(float(v[0]), 1) for v in at]
+        if (norm := math.hypot(x, y, z)) > 0.0:
+            angle = round(float(np.degrees(np.arccos(z / norm))), 2)
         cameras[name] = {
             "exposures": int((stations.camera == name).sum()),
             "format_px": [camera.width_px, camera.height_px],
             "principal_distance_px": float(f"{camera.fx_px:.10g}"),
             "height_above_ground_m": spread(above[setup.camera_number[rows.station] == number], 1),
-            "axis_nadir_angle_deg": round(float(np.degrees(np.arccos(z / norm))), 2)
-            if (norm := math.hypot(x, y, z)) > 0.0
-            else None,
+            "axis_nadir_angle_deg": angle,
             "nadir_px": nadir,
         }
     return {
@@ -180,11 +180,8 @@ def _heights(mission: Mission, flight: FlightLog, stations: Stations) -> dict[st
     return {
         "all": "above mean sea level",
         "log": of_log,
-        "stations": orientation.path if orientation else height and height.name,
-        "ground": {
-            "reference": ground.reference,
-            "crs": None if ground.points is None else ground.points.crs,
-        },
+        "stations": orientation.path if orientation else getattr(height, "name", None),
+        "ground": {"reference": ground.reference, "crs": ground.points and ground.points.crs},
         "take_off_h_msl_m": heights.home_h_msl_m,
         "undulation": {
             "source": heights.source,
@@ -192,7 +189,7 @@ def _heights(mission: Mission, flight: FlightLog, stations: Stations) -> dict[st
             "max_m": round(float(undulation.max()), 3) if undulation.size else None,
         },
         "deflection": {
-            "geoid": None if geoid is None else geoid.name,
+            "geoid": geoid and geoid.name,
             "north_arcsec": xi and round(xi, 2),
             "east_arcsec": eta and round(eta, 2),
             "applies": orientation is None,
@@ -211,19 +208,14 @@ def air_parameter(setup: CorrectionSetup, statistics: Statistics) -> dict[str, A
         "scale_sigma": sigma,
         "variance_share": float(f"{share:.4g}"),
         "profiles": len(modes),
-        "meaning": "scale_sigma: standard deviation, for the prior, of the one parameter s of the "
-        "leading mode of the air's covariance; the coordinates in the air of s are the corrected "
-        "ones plus s dx_ds_px, s dy_ds_px, behind a plane window too. variance_share: of what the "
-        "air does to these coordinates (sigma_air) it holds so much. Where there are several "
-        "profiles, s moves each along its own leading mode",
+        "meaning": _MEANING,
     }
 
 
 def cabin_parameters(setup: CorrectionSetup) -> dict[str, Any]:
     """Of each camera behind a plane window the refractivity there, and its standard deviation."""
-    made = next((u for u in setup.uncertainties if u is not None), None)
     cameras: dict[str, Any] = {}
-    if made is None:
+    if (made := next(filter(None, setup.uncertainties), None)) is None:
         return cameras
     behind, inside = made.stations[:, WINDOW] >= 0.0, setup.exposures.refractivity_cabin
     for name in setup.cameras:
@@ -265,11 +257,11 @@ def _profile(air: FlightAir, stations: Stations) -> dict[str, Any]:
             for fault in (estimate.in_units() for estimate in adjustment.faults)
         ],
         "profiles": len(air.series.timed_profiles),
-        "windows": [
+        "windows": [  # change and sigma of R against that of the whole flight
             {
                 "start_utc": utc_second(window.start_ns),
                 "end_utc": utc_second(window.end_ns),
-                "change": round(window.change, 5),  # of R against that of the whole flight
+                "change": round(window.change, 5),
                 "sigma": round(window.sigma, 5),
                 "why_not": window.why_not,
             }

@@ -1,7 +1,4 @@
-"""What looks like a mistake in a mission file: rules, each of which says what it found.
-
-None of them proves a mistake: a mission file can accept one by its code.
-"""
+"""What looks like a mistake in a mission file: rules whose findings it can accept."""
 
 import math
 from collections import Counter
@@ -23,10 +20,11 @@ from pipeline.refraction.effect import Effect, effects_on_r
 from pipeline.refraction.image import Exposures
 from pipeline.refraction.status_codes import MISSES_GROUND, OUTSIDE_CAMERA, STATUS_NAMES
 from pipeline.stages.statistics import SampledRows
+from pipeline.tables.geodata.elevation import ElevationModel
 from pipeline.units import Array, Names
 
-Findings = Iterator[tuple[str, str, str]]
-"""Code, key to change, and what was found, was expected, and is the likely mistake."""
+Findings = Iterator[Entry]
+"""What was found, was expected, and is the likely mistake; ``where`` is the key to change."""
 
 _RADIUS_M = 6.371e6
 _FAR_KM = 30.0
@@ -46,12 +44,7 @@ _KEYS = {
 
 @dataclass(frozen=True, eq=False)
 class Facts:
-    """What the rules look at: a mission, its stations, cameras, and rows that stand for all.
-
-    ``camera`` (n,) names the camera of each row, empty without a station. ``logged_terrain_m`` (s,)
-    is the terrain below stations as `logged_terrain` has it, ``model_at_takeoff_m`` the elevation
-    model's height there; NaN where unknown.
-    """
+    """What the rules look at; ``logged_terrain_m`` (s,) is that below stations."""
 
     mission: Mission
     stations: Stations
@@ -61,7 +54,15 @@ class Facts:
     adjustment: Adjustment
     takeoff: Takeoff | None
     logged_terrain_m: Array
-    model_at_takeoff_m: float
+    terrain: ElevationModel | None
+
+    @cached_property
+    def model_at_takeoff_m(self) -> float:
+        """The height of the elevation model where the log begins; NaN where unknown."""
+        if self.takeoff is None or self.terrain is None:
+            return math.nan
+        place = np.array([self.takeoff.lat_rad]), np.array([self.takeoff.lon_rad])
+        return float(self.terrain.heights(*self.terrain.nodes(*place))[0])
 
     @cached_property
     def effects(self) -> tuple[Effect, ...]:
@@ -222,10 +223,12 @@ def ground_beside_others(facts: Facts) -> Findings:
         found.append(("PLAUSIBLE-TERRAIN", key, model_m, apart_m, _TERRAIN_M, where))
     for code, named, height, off_m, allowed, where in found:
         if abs(off_m) > allowed:
-            yield (code, named,
-                   f"the ground lies {height:.0f} m above sea level in the median, {off_m:+.0f} m "
-                   f"from {where}: expected within {allowed:.0f} m; likely "
-                   f"{likely_reading(off_m, height, takeoff_m)}")  # fmt: skip
+            what = (
+                f"the ground lies {height:.0f} m above sea level in the median, {off_m:+.0f} m "
+                f"from {where}: expected within {allowed:.0f} m; likely "
+                f"{likely_reading(off_m, height, takeoff_m)}"
+            )
+            yield finding(code, what, where=named)
 
 
 def field_of_view(facts: Facts) -> Findings:
@@ -234,15 +237,12 @@ def field_of_view(facts: Facts) -> Findings:
         view, key = facts.view_deg(name), facts.key_of(name, "fx_px", "focal_mm")
         least, most = (60.0, 300.0) if is_fisheye(camera) else (3.0, 130.0)
         if not least <= view <= most:
-            yield ("PLAUSIBLE-VIEW", key,
-                   f"camera {name} sees {view:.3g} deg over the diagonal of {camera.width_px} x "
-                   f"{camera.height_px} px with f of {camera.fx_px:g} px, expected {least:g} to "
-                   f"{most:g} deg: likely f in millimetres, or that of other pixels "
-                   "(f_px, fx_px, params, metric.pixel_um)")  # fmt: skip
+            yield finding(
+                "PLAUSIBLE-VIEW/angle", where=key, name=name, camera=camera, view=view,
+                least=least, most=most,
+            )  # fmt: skip
         if abs(camera.fx_px / camera.fy_px - 1.0) > 0.02:
-            yield ("PLAUSIBLE-VIEW", key,
-                   f"fx of camera {name} is {camera.fx_px:g} px and fy {camera.fy_px:g} px, "
-                   "expected within 2 %: likely the value of another camera or unit")  # fmt: skip
+            yield finding("PLAUSIBLE-VIEW/square", where=key, name=name, camera=camera)
 
 
 def principal_point(facts: Facts) -> Findings:
@@ -251,11 +251,10 @@ def principal_point(facts: Facts) -> Findings:
         off_x = abs(camera.cx_px / camera.width_px - 0.5)
         off = max(off_x, abs(camera.cy_px / camera.height_px - 0.5))
         if off > 0.1:
-            yield ("PLAUSIBLE-PRINCIPAL-POINT", facts.key_of(name, "cx_px", "origin"),
-                   f"the principal point of {name} at {camera.cx_px:g}, {camera.cy_px:g} px is "
-                   f"{100.0 * off:.0f} % of the image from its centre, expected up to 10 %: "
-                   "likely an offset from the centre, millimetres, or width_px and height_px "
-                   "exchanged")  # fmt: skip
+            key, percent = facts.key_of(name, "cx_px", "origin"), 100.0 * off
+            yield finding(
+                "PLAUSIBLE-PRINCIPAL-POINT", where=key, name=name, camera=camera, percent=percent
+            )
 
 
 def distortion(facts: Facts) -> Findings:
@@ -263,7 +262,6 @@ def distortion(facts: Facts) -> Findings:
     for name, camera in facts.cameras.items():
         values = {k: v for k, v in camera.distortion._asdict().items() if v}
         view = facts.view_deg(name)
-        where = facts.key_of(name, "distortion", "distortion")
         if not values or view > 130.0 or is_fisheye(camera):
             continue
         u = np.array([0.5, 0.5, -0.5, -0.5]) * camera.width_px / camera.fx_px
@@ -271,15 +269,12 @@ def distortion(facts: Facts) -> Findings:
         u_d, v_d = camera.distort(u, v)
         share = float(np.max(np.hypot(u_d - u, v_d - v) / np.hypot(u, v)))
         if share != 0.0 and not 1e-6 <= share <= (0.3 if view < 90.0 else 1.0):
-            yield ("PLAUSIBLE-DISTORTION", where,
-                   f"the distortion of {name} moves the corners of the image by {share:.2g} of "
-                   "their radius, expected 1e-6 to 0.3: likely coefficients of pixels or "
-                   "millimetres, not of tangents")  # fmt: skip
+            key = facts.key_of(name, "distortion", "distortion")
+            yield finding("PLAUSIBLE-DISTORTION/corners", where=key, name=name, share=share)
         tangential = max(abs(values.get(k, 0.0)) for k in ("p1", "p2"))
         if tangential > 1e-3 and tangential > 3.0 * abs(values.get("k3", 0.0)):
-            yield ("PLAUSIBLE-DISTORTION", facts.key_of(name, "distortion.k3", "distortion"),
-                   f"p1 or p2 of {name} is {tangential:g}, expected below 0.001: likely "
-                   "coefficients in another order (k1, k2, p1, p2, k3; params)")  # fmt: skip
+            key = facts.key_of(name, "distortion.k3", "distortion")
+            yield finding("PLAUSIBLE-DISTORTION/order", where=key, name=name, most=tangential)
 
 
 def extent_of_observations(facts: Facts) -> Findings:
@@ -298,11 +293,11 @@ def extent_of_observations(facts: Facts) -> Findings:
             expected, mistake = "to fill it", "measured in reduced images"
             if x.size < _FEWEST_ROWS or max(x.max() / width, y.max() / height) >= 0.7:
                 continue
-        yield ("PLAUSIBLE-EXTENT", f"cameras.{name}.width_px",
-               f"observations of {name} span x {x.min():.6g} to {x.max():.6g} and y {y.min():.6g} "
-               f"to {y.max():.6g} in an image of {width} x {height} px, {100.0 * outside:.0f} % "
-               f"outside it, expected {expected}: likely {mistake} (width_px, height_px; "
-               "observations.columns.x_px, y_px)")  # fmt: skip
+        yield finding(
+            "PLAUSIBLE-EXTENT", where=f"cameras.{name}.width_px", name=name, camera=camera,
+            x=f"{x.min():.6g} to {x.max():.6g}", y=f"{y.min():.6g} to {y.max():.6g}",
+            outside=100.0 * outside, expected=expected, mistake=mistake,
+        )  # fmt: skip
 
 
 def direction_of_cameras(facts: Facts) -> Findings:
@@ -316,9 +311,8 @@ def direction_of_cameras(facts: Facts) -> Findings:
         elif axis < 10.0 and "oblique" in name.lower():
             expected = f"more than 10 deg off by the name of {name}: likely radians, or exchanged"
         if expected:
-            yield ("PLAUSIBLE-DIRECTION", facts.mission.attitude_key(name),
-                   f"the axis of {name} is {axis:.1f} deg from the nadir in the median, expected "
-                   f"{expected} ({facts.mission.attitude_key(name)})")  # fmt: skip
+            key = facts.mission.attitude_key(name)
+            yield finding("PLAUSIBLE-DIRECTION", where=key, name=name, axis=axis, expected=expected)
 
 
 def stated_numbers(facts: Facts) -> Findings:
@@ -327,31 +321,26 @@ def stated_numbers(facts: Facts) -> Findings:
     for name, mount in mission.mount.items():
         for key in ("roll_deg", "pitch_deg", "yaw_deg"):
             value = getattr(mount, key)
-            steps = math.degrees(value) / 15.0
+            degrees = math.degrees(value)
+            steps = degrees / 15.0
             if value and abs(value) <= math.tau and abs(steps - round(steps)) < 2e-3:
-                yield ("PLAUSIBLE-ANGLE", f"mount.{name}.{key}",
-                       f"{key} of {name} is {value:g}, which is {math.degrees(value):.0f} deg in "
-                       "radians: likely radians, expected degrees")  # fmt: skip
-        length = math.hypot(*mount.lever_arm_m)
+                where = f"mount.{name}.{key}"
+                yield finding(
+                    "PLAUSIBLE-ANGLE", where=where, name=name, angle=key, value=value, deg=degrees
+                )
+        key, length = f"mount.{name}.lever_arm_m", math.hypot(*mount.lever_arm_m)
         if length > 10.0:
-            yield ("PLAUSIBLE-LEVER-ARM", f"mount.{name}.lever_arm_m",
-                   f"the lever arm of {name} is {length:.0f} m long, expected less than 10 m: "
-                   "likely centimetres or millimetres")  # fmt: skip
+            yield finding("PLAUSIBLE-LEVER-ARM/long", where=key, name=name, length=length)
         up = -mount.lever_arm_m[2]
         if up > _HIGHEST_CAMERA_M and mount.build().camera_from_body[2, 2] > 0.5:
-            yield ("PLAUSIBLE-LEVER-ARM", f"mount.{name}.lever_arm_m",
-                   f"{name} looks down and lies {up:.2g} m above the point whose position is "
-                   f"known, expected below it or up to {_HIGHEST_CAMERA_M:g} m above: likely a "
-                   "third number that counts upward, here down is positive")  # fmt: skip
+            most = _HIGHEST_CAMERA_M
+            yield finding("PLAUSIBLE-LEVER-ARM/above", where=key, name=name, up=up, most=most)
     if (sigma := mission.ground.sigma_m or 0.0) > 50.0:
-        yield ("PLAUSIBLE-SIGMA", "ground.sigma_m",
-               f"sigma_m of the ground is {sigma:g} m, expected below 50 m: likely millimetres or "
-               "centimetres, or the height itself")  # fmt: skip
+        yield finding("PLAUSIBLE-SIGMA", where="ground.sigma_m", sigma=sigma)
     for name, source in ((mission.events and mission.events.log) or {}).items():
         if isinstance(source.delay_s, float) and abs(source.delay_s) > 1.0:
-            yield ("PLAUSIBLE-DELAY", f"events.log.{name}.delay_s",
-                   f"delay_s of {name} is {source.delay_s:g} s, expected below 1 s: likely "
-                   "milliseconds, or the offset of a clock")  # fmt: skip
+            key = f"events.log.{name}.delay_s"
+            yield finding("PLAUSIBLE-DELAY", where=key, name=name, delay=source.delay_s)
 
 
 def windows(facts: Facts) -> Findings:
@@ -359,17 +348,12 @@ def windows(facts: Facts) -> Findings:
     mission, windows = facts.mission, {n: c.window for n, c in facts.mission.cameras.items()}
     named = None if mission.log is None else mission.log.channels.cabin_pressure
     if named is not None and not any(windows.values()):
-        first = next(iter(windows))
-        yield ("PLAUSIBLE-WINDOW", f"cameras.{first}.window",
-               "log.channels.cabin_pressure is named, and no camera has a window: expected a "
-               "window, or no channel of a cabin")  # fmt: skip
+        yield finding("PLAUSIBLE-WINDOW/none", where=f"cameras.{next(iter(windows))}.window")
     for name, window in windows.items():
         tilt = 0.0 if window is None else math.degrees(math.acos(window.build().normal[2]))
         if window is not None and window.frame == "camera" and tilt > 35.0:
-            yield ("PLAUSIBLE-WINDOW", f"cameras.{name}.window.frame",
-                   f"the window of {name} leans {tilt:.0f} deg from the optical axis, expected "
-                   "less than 35 deg: likely a normal in the frame of the body "
-                   "(normal, frame)")  # fmt: skip
+            key = f"cameras.{name}.window.frame"
+            yield finding("PLAUSIBLE-WINDOW/leans", where=key, name=name, tilt=tilt)
 
 
 def slant_ranges(facts: Facts) -> Findings:
@@ -378,10 +362,8 @@ def slant_ranges(facts: Facts) -> Findings:
     ratio = facts.rows.distance_m / straight
     ratio = ratio[np.isfinite(ratio) & (facts.nadir_angle_rad < 1.4)]
     if ratio.size and not 0.7 < np.median(ratio) < 1.4:
-        yield ("PLAUSIBLE-DISTANCE", "observations.columns.distance_m",
-               f"slant ranges are {np.median(ratio):.3g} times what the heights of camera and "
-               "ground give in the median, expected 1: likely feet or km, or another "
-               "ground.height")  # fmt: skip
+        key = "observations.columns.distance_m"
+        yield finding("PLAUSIBLE-DISTANCE", where=key, ratio=np.median(ratio))
 
 
 def flagged_rows(facts: Facts) -> Findings:
@@ -390,69 +372,46 @@ def flagged_rows(facts: Facts) -> Findings:
         flagged = facts.rows.status == STATUS_NAMES.index(name)
         share = float(np.sum(facts.rows.weight[flagged]) / np.sum(facts.rows.weight))
         if share > _LARGEST_SHARE:
-            yield ("PLAUSIBLE-FLAGGED", "observations",
-                   f"{100.0 * share:.0f} % of the observations are {name}, expected at most "
-                   f"{100.0 * _LARGEST_SHARE:.0f} %: {cause}")  # fmt: skip
+            yield finding(
+                "PLAUSIBLE-FLAGGED", where="observations", percent=100.0 * share, name=name,
+                most=100.0 * _LARGEST_SHARE, cause=cause,
+            )  # fmt: skip
 
 
 def air_of_flight(facts: Facts) -> Findings:
     """R within a factor of 1.5 of that in US 1976 between the same heights."""
     for effect in facts.effects[:1]:
         if not 1.0 / _LARGEST_FACTOR < effect.factor < _LARGEST_FACTOR:
-            yield ("PLAUSIBLE-AIR", "atmosphere",
-                   f"R at {effect.nadir_deg:.0f} deg from {effect.h_c_m:.0f} to "
-                   f"{effect.h_g_m:.0f} m is {effect.factor:.2f} times that in the standard "
-                   "atmosphere, expected 0.67 to 1.5: likely a barometer or thermometer of "
-                   "another place or unit (log.channels.pressure, "
-                   "log.channels.temperature)")  # fmt: skip
+            yield finding("PLAUSIBLE-AIR", where="atmosphere", effect=effect)
 
 
 def measured_observations(facts: Facts) -> Findings:
     """Refraction is applied to observations for plans, not to those of a flight with a log."""
     mission = facts.mission
     if mission.refraction.direction == "apply" and mission.stations.orientation is None:
-        yield ("PLAUSIBLE-APPLY", "refraction.direction",
-               "direction is apply, and the stations are those of a log: refraction would be put "
-               "twice into observations that were measured; expected remove")  # fmt: skip
+        yield finding("PLAUSIBLE-APPLY", where="refraction.direction")
 
 
 RULES: tuple[Callable[[Facts], Findings], ...] = (
-    ground_beside_others,
-    field_of_view,
-    principal_point,
-    distortion,
-    extent_of_observations,
-    direction_of_cameras,
-    stated_numbers,
-    windows,
-    slant_ranges,
-    flagged_rows,
-    air_of_flight,
+    ground_beside_others, field_of_view, principal_point, distortion, extent_of_observations,
+    direction_of_cameras, stated_numbers, windows, slant_ranges, flagged_rows, air_of_flight,
     measured_observations,
-)
+)  # fmt: skip
 
 
-def findings_of(facts: Facts) -> tuple[Entry, ...]:
-    """What all the rules find."""
-    found = (each for rule in RULES for each in rule(facts))
-    return tuple(finding(code, what, where=key) for code, key, what in found)
+def judge(facts: Facts, ledger: Ledger) -> None:
+    """Findings of all rules, and warnings of those that the mission file accepts.
 
-
-def check_model_is_verified(facts: Facts, ledger: Ledger) -> None:
-    """Say so where nothing of a mission could contradict its elevation model (DEM-UNVERIFIED)."""
-    off = facts.takeoff
+    A warning (DEM-UNVERIFIED) where nothing could contradict its elevation model. Losses cannot be
+    accepted: refuses (MissionError ACCEPT-LOSS) the code of one.
+    """
+    mission, off = facts.mission, facts.takeoff
+    ledger.extend(each for rule in RULES for each in rule(facts))
     verified = off is not None and off.stands and math.isfinite(facts.model_at_takeoff_m)
     verified |= bool(np.isfinite(facts.logged_terrain_m).any())
     verified |= any(entry.code in ("TIES-RESIDUALS", "ORIENTATION-TIES") for entry in ledger)
-    if facts.mission.ground.model is not None and not verified:
+    if mission.ground.model is not None and not verified:
         ledger.warning("DEM-UNVERIFIED", where="ground.height.dem")
-
-
-def accept_findings(mission: Mission, ledger: Ledger) -> None:
-    """Make warnings of the findings that a mission file accepts; losses cannot be accepted.
-
-    Refuses (MissionError ACCEPT-LOSS) the code of a loss.
-    """
     losses = {entry.code for entry in ledger if entry.kind is Kind.LOSS}
     for accepted in mission.accept:
         if accepted.code in losses:

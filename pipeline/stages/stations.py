@@ -12,22 +12,12 @@ from pipeline.batch.plan import Plan
 from pipeline.config import Mission
 from pipeline.config.event_sources import EventsSection
 from pipeline.errors import MissionError
+from pipeline.flight import exposures
 from pipeline.flight.channels import Channel
 from pipeline.flight.evidence.contradictions import contradictions_of_import
 from pipeline.flight.evidence.log_accuracy import LogAccuracy
 from pipeline.flight.evidence.stretches import Stretch, flag_suspect
-from pipeline.flight.exposures import (
-    Events,
-    choose_event_channel,
-    events_of_channel,
-    events_of_table,
-    ground_shot_notes,
-    lag_from_feedback,
-    refuse_repeated_images,
-    span_notes,
-    trigger_notes,
-    unwrapped_numbers,
-)
+from pipeline.flight.exposures import Events, events_of_channel, refuse_repeated_images
 from pipeline.flight.heights import HeightSystem
 from pipeline.flight.image_names import refuse_other_names, renamed
 from pipeline.flight.mount import Mount
@@ -41,7 +31,7 @@ from pipeline.flight.stations import (
 )
 from pipeline.ledger import Ledger
 from pipeline.stages.cabin_air import cabin_from_log
-from pipeline.stages.exposure_setup import camera_of_rows
+from pipeline.stages.exposure_setup import camera_of_rows, windows_of_mission
 from pipeline.stages.inputs import FlightLog, read_camera_events
 from pipeline.stages.multi_image.image_events import assigned_stations
 from pipeline.stages.multi_image.oriented_stations import oriented_stations
@@ -57,22 +47,19 @@ def exposure_events(
     plan: Plan, flight: FlightLog, positions: Mapping[str, Channel], observed: tuple[str, ...],
     ledger: Ledger,
 ) -> list[Events]:  # fmt: skip
-    """When each camera was exposed, by images as they are ``observed``, and compared with the log.
-
-    Refuses exposures of other times (MissionError EVENTS-SPAN) and images that have two.
-    """
+    """When each camera was exposed, by images as ``observed``; compared with the log."""
     section, differences = plan.mission.events, plan.mission.observations.match_names
     if section is None:
         return []
     events = read_events_of_cameras(plan, section, flight, positions, ledger)
-    for k, exposures in enumerate(events):
-        image = renamed(exposures.image, observed, differences, f"events, {exposures.camera}")
-        events[k] = replace(exposures, image=ledger.take(image))
+    for k, one in enumerate(events):
+        image = renamed(one.image, observed, differences, f"events, {one.camera}")
+        events[k] = replace(one, image=ledger.take(image))
     refuse_repeated_images(events)
     if "position" in flight.roles:
         of_other = plan.mission.stations.trajectory is not None
         key = section.time_key + (", stations.trajectory.time" if of_other else "")
-        ledger.extend(span_notes(events, flight.roles["position"], key))
+        ledger.extend(exposures.span_notes(events, flight.roles["position"], key))
     return events
 
 
@@ -80,18 +67,15 @@ def read_events_of_cameras(
     plan: Plan, section: EventsSection, flight: FlightLog, positions: Mapping[str, Channel],
     ledger: Ledger,
 ) -> list[Events]:  # fmt: skip
-    """When each camera was exposed, from the log, a table, or files with positions, by camera.
-
-    Refuses (MissionError EVENTS-CAMERA) a table that names a camera which the mission lacks.
-    """
+    """When each camera was exposed, from the log, a table, or files with positions, by camera."""
     channels = flight.channels
     if section.log is not None:
         events = []
         for camera, source in section.log.items():
-            channel = choose_event_channel(channels, source.channel)
-            ledger.extend(trigger_notes(channels, channel))
+            channel = exposures.choose_event_channel(channels, source.channel)
+            ledger.extend(exposures.trigger_notes(channels, channel))
             if source.delay_s == "from_feedback":
-                lag = ledger.take(lag_from_feedback(channels, channel, camera))
+                lag = ledger.take(exposures.lag_from_feedback(channels, channel, camera))
             else:
                 lag = source.delay_s, 0.0
             exposed = events_of_channel(channel, camera, source.image, *lag)
@@ -112,7 +96,7 @@ def read_events_of_cameras(
     # The log's UTC places the times of a table.
     utc_sigma_s = 0.0 if flight.log is None else float(np.nan_to_num(flight.log.utc_sigma_s))
     return [
-        events_of_table(
+        exposures.events_of_table(
             table.image, camera_of, table.time_ns, camera, csv.delay_s, sigma_s=utc_sigma_s
         )
         for camera in plan.mission.cameras
@@ -124,7 +108,7 @@ def events_of_file(
 ) -> Events:
     """Exposures of a file with positions, named by it or by a pattern."""
     index = channel["event_index"].astype(np.int64)
-    reversed_rows = int(np.count_nonzero(np.diff(unwrapped_numbers(index)) < 0))
+    reversed_rows = int(np.count_nonzero(np.diff(exposures.unwrapped_numbers(index)) < 0))
     if image != "{name}":
         events = ledger.take(events_of_channel(channel, camera, image, delay_s))
         if reversed_rows and "{index" in image:
@@ -146,18 +130,16 @@ def events_of_file(
 
 def _tell_order(fallen: int, channel: Channel, ledger: Ledger) -> None:
     """A warning where most of a file's numbers fall as time goes on."""
-    if 2 * fallen > len(channel) - 1:
-        what = f"{fallen} of {len(channel)} numbers or names fall as time goes on: "
-        what += "images may be in the other order than their exposures"
-        ledger.warning("EVENTS-ORDER", what, where=channel.name, count=fallen)
+    if 2 * fallen > (total := len(channel)) - 1:
+        ledger.warning("EVENTS-ORDER/most", where=channel.name, count=fallen, total=total)
 
 
 @dataclass(frozen=True, eq=False)
 class StationBuilder:
     """Makes the stations of one camera at any times: of its channels, on its mount.
 
-    ``suspect`` are stretches in which these channels are contradicted, ``offsets`` the file that
-    has the ways from the antenna to the camera, where the mount has not.
+    ``offsets`` is the file that has the ways from the antenna to the camera, where the mount has
+    not.
     """
 
     camera: str
@@ -198,8 +180,7 @@ class StationBuilder:
         stations = build_stations(
             events, self.roles, self.mount, self.heights, self.max_gap_s, accuracy=self.accuracy
         )
-        file = self.offsets
-        if file is None:
+        if (file := self.offsets) is None:
             return stations
         # The row of the nearest event: a delay moves all alike, by less than half an interval.
         between = (file.time_ns[:-1] + file.time_ns[1:]) // 2
@@ -217,17 +198,11 @@ def stations_of_mission(
     plan: Plan, flight: FlightLog, observations: Observations, terrain: ElevationModel | None,
     ledger: Ledger,
 ) -> Stations:  # fmt: skip
-    """Position, attitude and air of each exposure, or the status that says what is missing.
-
-    Tie points assign events to images, and are compared with the stations and with ``terrain``.
-    """
+    """Position, attitude and air of each exposure, or a status; checked by tie points."""
     mission, observed = plan.mission, observations.images
     positions = read_camera_events(plan, flight, ledger)
     events = exposure_events(plan, flight, positions, observed, ledger)
-    builders = [
-        StationBuilder.of(plan, flight, exposed.camera, positions.get(exposed.camera))
-        for exposed in events
-    ]
+    builders = [StationBuilder.of(plan, flight, e.camera, positions.get(e.camera)) for e in events]
     use_suspect = mission.stations.use_suspect
     parts = [
         ledger.take(flag_suspect(b.stations(e), b.suspect, use_suspect=use_suspect))
@@ -244,7 +219,7 @@ def stations_of_mission(
         of_cameras = zip(builders, parts, strict=True)
         return join_stations([builder.later(part, seconds) for builder, part in of_cameras])
 
-    moves = mission.stations.orientation is None
+    moves = later if mission.stations.orientation is None else None
     if moves:
         stations = join_stations(parts)
     else:
@@ -252,16 +227,13 @@ def stations_of_mission(
             plan, flight, parts, observations=observations, ties=ties, ledger=ledger
         )
         stations = with_air(oriented, flight.roles, mission.max_gap_s)
-    evidence = TieEvidence(
-        mission, flight.heights, stations, ties, terrain, later if moves else None
-    )
+    evidence = TieEvidence(mission, flight.heights, stations, ties, terrain, moves)
     check_tie_points(evidence, ledger)
     stations = with_cabins(mission, flight, stations, ledger)
     cameras = sorted(set(stations.camera.tolist()).union(exposed.camera for exposed in events))
-    refuse_other_names(
-        {c: stations.image[stations.camera == c].tolist() for c in cameras}, observed
-    )
-    ledger.extend(ground_shot_notes(stations, flight.roles, observed))
+    of_camera = {c: stations.image[stations.camera == c].tolist() for c in cameras}
+    refuse_other_names(of_camera, observed)
+    ledger.extend(exposures.ground_shot_notes(stations, flight.roles, observed))
     stations = ledger.take(append_unmatched_images(stations, observed))
     ledger.extend(unusable_station_notes(stations))
     limits = mission.stations
@@ -275,13 +247,11 @@ def with_cabins(
     mission: Mission, flight: FlightLog, stations: Stations, ledger: Ledger
 ) -> Stations:
     """The stations with the air in the cabin, and flagged where a window's direction is unknown."""
-    for name, camera in mission.cameras.items():
-        cabin = None if camera.window is None else camera.window.build().cabin
-        if cabin is not None and camera.needs_cabin:
-            stations = ledger.take(
-                cabin_from_log(stations, name, cabin, flight.channels, flight.roles)
-            )
-        if camera.window is not None and camera.window.frame == "body":
+    for name, window in windows_of_mission(mission).items():
+        if window.cabin is not None and mission.cameras[name].needs_cabin:
+            logged = cabin_from_log(stations, name, window.cabin, flight.channels, flight.roles)
+            stations = ledger.take(logged)
+        if window.frame == "body":
             stations = ledger.take(flag_missing_aircraft_attitude(stations, name))
     return stations
 

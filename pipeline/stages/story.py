@@ -34,8 +34,6 @@ from pipeline.batch.plan import (
 )
 from pipeline.batch.publication import Publication, rehearse_place
 from pipeline.batch.value_cache import keep, recall
-from pipeline.block.image_rays import UNKNOWN_SIGMAS
-from pipeline.block.oriented_images import SIGMAS_OF_BLOCK
 from pipeline.config.campaign import MissionRef
 from pipeline.errors import storage_errors
 from pipeline.flight.air_samples import air_samples
@@ -44,34 +42,21 @@ from pipeline.flight.stations import Stations, append_unmatched_images, flag_hei
 from pipeline.flight.trajectory import takeoff_of
 from pipeline.ledger import Ledger
 from pipeline.refraction.effect import FlightAir
-from pipeline.report.flown import flown_of
+from pipeline.report.flown import Flown, flown_of
 from pipeline.report.html import write_report
 from pipeline.report.progress import NoProgress, Progress
 from pipeline.stages import correction, plausibility
 from pipeline.stages.adjusted_profile import AirSources, adjusted_profiles, read_air_sources
 from pipeline.stages.cabin_air import with_cabin_air
-from pipeline.stages.exposure_setup import (
-    correction_setup,
-    exposures_of_mission,
-    lenses_of_mission,
-    windows_of_mission,
-)
+from pipeline.stages.exposure_setup import correction_setup, lenses_of_mission, windows_of_mission
 from pipeline.stages.ground_heights import elevation_of_mission, with_terrain
 from pipeline.stages.inputs import FlightLog, read_log, read_observations
+from pipeline.stages.multi_image import point_heights
 from pipeline.stages.multi_image.control import compare_control
-from pipeline.stages.multi_image.point_heights import (
-    check_object_points,
-    with_intersected_heights,
-    with_object_points,
-)
 from pipeline.stages.outputs import manifest_of, observation_metadata, write_tables
 from pipeline.stages.stations import stations_of_mission
 from pipeline.stages.statistics import SAMPLED_ROWS, Statistics
-from pipeline.stages.uncertainty import (
-    TYPICAL_ROWS,
-    report_unknown_sigmas,
-    with_uncertainties,
-)
+from pipeline.stages.uncertainty import TYPICAL_ROWS, report_unknown_sigmas, with_uncertainties
 from pipeline.tables.geodata.elevation import ElevationModel
 from pipeline.tables.geodata.geoid import package_geoid
 from pipeline.tables.observations import Observations
@@ -106,7 +91,7 @@ class PreparedMission:
 
 @dataclass(frozen=True, eq=False)
 class CorrectedMission:
-    """A mission after its observations were corrected: what the report is made of."""
+    """A mission after its observations were corrected."""
 
     prepared: PreparedMission
     stations: Stations
@@ -130,26 +115,21 @@ def run_mission(
     Does nothing where the same inputs, mission file and code gave these results before, unless
     ``force``. ``verify_inputs`` reads inputs that seem unchanged too. ``helpers`` make parts of it.
     """
-    progress = progress or NoProgress()
-    ref = MissionRef.of(mission)
+    progress, ref = progress or NoProgress(), MissionRef.of(mission)
     mission_file = ref.load()
     progress.start("hashing the inputs")
     plan = make_plan(mission_file, ref.folder, verify=verify_inputs)
     with places_named(plan):
-        if isinstance(plan.output, Place):
-            return run_and_publish(
-                plan, plan.output, force=force, progress=progress, helpers=helpers
-            )
-        return run_plan(plan, force=force, progress=progress, helpers=helpers)
+        run = run_and_publish if isinstance(plan.output, Place) else run_plan
+        return run(plan, force=force, progress=progress, helpers=helpers)
 
 
-def run_and_publish(
-    plan: Plan, place: Place, *, force: bool, progress: Progress, helpers: Helpers
-) -> Outcome:
+def run_and_publish(plan: Plan, *, force: bool, progress: Progress, helpers: Helpers) -> Outcome:
     """Run a mission whose results go to object storage: made in the user's cache, then published.
 
     A run whose publication was interrupted is only published.
     """
+    place = Place.of(str(plan.output))
     before = Publication(place, plan.fingerprint)
     earlier = finished_before(plan, force=force)
     if earlier is not None:
@@ -204,10 +184,10 @@ def run_plan(plan: Plan, *, force: bool, progress: Progress, helpers: Helpers = 
 
         corrected = correct_mission(prepared, correct_all)
         progress.start("writing the report")
-        write_results(corrected, folder)
-        check_unchanged(plan.inputs)
-        manifest = corrected.manifest | {"outputs": folder.outputs()}
-        folder.commit(manifest)
+        write_tables(folder, corrected.stations, corrected.air)
+        drawn = corrected.manifest, drawing_of(corrected)
+        manifest = finish_run(plan, folder, *drawn)
+        keep(key_of_drawn(plan.keys["correction"], batch_rows), drawn)
     return outcome_of(plan, manifest, repeated=False)
 
 
@@ -216,8 +196,8 @@ def check_mission(
 ) -> CorrectedMission:
     """Rehearse a mission: all that `run_mission` does, on a sample, and nothing is written.
 
-    Every station, and observations spread over all images, at most `SAMPLED_ROWS`; of a table with
-    no more than that, all. Raises what a run would; counts are those expected of a run.
+    Every station, and at most `SAMPLED_ROWS` observations spread over all images. Raises what a
+    run would; counts are those expected of a run.
     """
     progress, ref = progress or NoProgress(), MissionRef.of(mission)
     plan = make_plan(ref.load(), ref.folder)
@@ -239,10 +219,7 @@ def check_mission(
 
 
 def mission_status(mission: MissionRef | Path | str) -> tuple[Plan, list[str]]:
-    """Why `run_mission` would run a mission now, one reason each; none where it would not.
-
-    Nothing is locked or written, and no input is read that did not change.
-    """
+    """Why `run_mission` would run a mission now, one reason each; nothing is locked or written."""
     ref = MissionRef.of(mission)
     plan = make_plan(ref.load(), ref.folder)
     manifest = store.read_manifest(plan.output, damaged=True)
@@ -268,8 +245,7 @@ def prepare_mission(
 ) -> PreparedMission:
     """Read the observations and the log, build the stations, and estimate the air.
 
-    ``most_rows`` of the observations are drawn for a rehearsal; ``stations`` are those of a run,
-    where they are known.
+    ``most_rows`` are drawn for a rehearsal; ``stations`` are those of a run, where known.
     """
     ledger = Ledger()
     if any(item.place for item in plan.inputs):
@@ -279,22 +255,18 @@ def prepare_mission(
     observations = read_observations(plan, ledger, most_rows)
     progress.start("reading the log")
     flight = read_log(plan, ledger)
-    observations = with_object_points(plan, observations, flight, ledger)
+    observations = point_heights.with_object_points(plan, observations, flight, ledger)
     terrain = elevation_of_mission(plan, flight.heights, ledger)
     if stations is None:
         stations = stations_of_mission(plan, flight, observations, terrain, ledger)
     else:
         stations = ledger.take(append_unmatched_images(stations, observations.images))
-    check_object_points(observations, stations, ledger)
+    point_heights.check_object_points(observations, stations, ledger)
     ledger.extend(undulation_notes(flight.heights, stations, package_geoid()))
     samples = ledger.take(
         air_samples(flight.air_roles, flight.heights, plan.mission.max_gap_s, flight.own_suspect)
     )
-    track = None
-    if (position := flight.roles.get("position")) is not None:
-        track = position.time_ns, position["lat_rad"], position["lon_rad"]
-    home = flight.heights.home_h_msl_m
-    sources = read_air_sources(plan, stations, samples, ledger, home_h_msl_m=home, track=track)
+    sources = read_air_sources(plan, flight, stations, samples, ledger)
     air = adjusted_profiles(plan.mission, stations, samples, sources, ledger)
     if air.adjustment.is_measured:
         use_suspect = plan.mission.stations.use_suspect
@@ -312,16 +284,12 @@ def correct_mission(
     mission, air, ledger = prepared.plan.mission, prepared.air, prepared.ledger
     windows, lenses = windows_of_mission(mission), lenses_of_mission(mission)
     stations = with_cabin_air(prepared.stations, windows, lenses, air.series, ledger)
-    exposures = exposures_of_mission(mission, stations, air.series, ledger)
     report_unknown_sigmas(mission, stations, air.series, ledger)
-    setup = correction_setup(mission, stations, air.series, exposures, prepared.flight.heights)
+    setup = correction_setup(mission, stations, air.series, prepared.flight.heights, ledger)
     setup = with_terrain(setup, prepared.terrain, stations, mission.ground.sigma_m, ledger)
-    if mission.ground.height == "intersected":
-        oriented = mission.stations.orientation is not None
-        setup = with_intersected_heights(
-            prepared.observations, setup, stations, ledger,
-            unknown_sigmas=SIGMAS_OF_BLOCK if oriented else UNKNOWN_SIGMAS,
-        )  # fmt: skip
+    setup = point_heights.with_intersected_heights(
+        mission, prepared.observations, setup, stations, ledger
+    )
     batch = next(prepared.observations.batches(TYPICAL_ROWS))
     setup = with_uncertainties(setup, mission, stations, air.series, batch)
     control = compare_control(
@@ -329,66 +297,52 @@ def correct_mission(
         ledger=ledger,
     )  # fmt: skip
     statistics = correct(setup)
-    takeoff = takeoff_of(prepared.track(), prepared.flight.heights.home_h_msl_m)
-    model_at_takeoff = np.full(1, np.nan)
-    if takeoff is not None and prepared.terrain is not None:
-        place = np.array([takeoff.lat_rad]), np.array([takeoff.lon_rad])
-        model_at_takeoff = prepared.terrain.heights(*prepared.terrain.nodes(*place))
     facts = plausibility.Facts(
-        mission,
-        stations,
-        exposures,
-        setup.cameras,
-        statistics.sampled_rows(),
-        air.adjustment,
-        takeoff,
-        logged_terrain(prepared.flight.channels, stations.time_ns),
-        float(model_at_takeoff[0]),
-    )
+        mission, stations, setup.exposures, setup.cameras, statistics.sampled_rows(),
+        air.adjustment, takeoff_of(prepared.track(), prepared.flight.heights.home_h_msl_m),
+        logged_terrain(prepared.flight.channels, stations.time_ns), prepared.terrain,
+    )  # fmt: skip
     causes = plausibility.causes_of_statuses(facts)
     statistics.report_flagged(ledger, causes)
-    ledger.extend(plausibility.findings_of(facts))
-    plausibility.check_model_is_verified(facts, ledger)
-    plausibility.accept_findings(mission, ledger)
+    plausibility.judge(facts, ledger)
     air = replace(air, effects=facts.effects)
     manifest = manifest_of(
-        prepared.plan,
-        prepared.flight,
-        stations,
-        air,
-        statistics=statistics,
-        setup=setup,
-        causes=causes,
-        ledger=ledger,
-    ) | {"control": None if control is None else control.manifest()}
+        prepared.plan, prepared.flight, stations, air, statistics=statistics, setup=setup,
+        causes=causes, ledger=ledger,
+    ) | {"control": None if control is None else control.manifest()}  # fmt: skip
     return CorrectedMission(prepared, stations, air, setup, statistics, facts, manifest)
 
 
-def write_results(corrected: CorrectedMission, folder: store.RunFolder) -> None:
-    """Write stations, profiles and the report beside the observations."""
-    write_tables(folder, corrected.stations, corrected.air)
+def drawing_of(corrected: CorrectedMission) -> Flown:
+    """What the report draws, beside its manifest."""
+    prepared, setup = corrected.prepared, corrected.setup
+    return flown_of(
+        corrected.stations, corrected.air, prepared.samples, prepared.track(),
+        cameras=setup.cameras,
+        ground_m=corrected.statistics.ground_of_stations(len(corrected.stations)),
+        radius_m=setup.exposures.radius_m,
+        terrain=prepared.terrain,
+    )  # fmt: skip
+
+
+def finish_run(
+    plan: Plan, folder: store.RunFolder, manifest: dict[str, Any], flown: Flown
+) -> dict[str, Any]:
+    """Write the report, and last the manifest, with the outputs, which makes the run finished."""
     report = folder.place("report.html")
     with storage_errors(report):
-        prepared, setup = corrected.prepared, corrected.setup
-        flown = flown_of(
-            corrected.stations, corrected.air, prepared.samples, prepared.track(),
-            cameras=setup.cameras,
-            ground_m=corrected.statistics.ground_of_stations(len(corrected.stations)),
-            radius_m=setup.exposures.radius_m,
-            terrain=prepared.terrain,
-        )  # fmt: skip
-        write_report(report, corrected.manifest, flown)
+        write_report(report, manifest, flown)
     folder.seal("report.html")
-    plan = prepared.plan
-    name = key_of_drawn(plan.keys["correction"], plan.mission.output.batch_rows)
-    keep(name, (corrected.manifest, flown))
+    check_unchanged(plan.inputs)
+    manifest = manifest | {"outputs": folder.outputs()}
+    folder.commit(manifest)
+    return manifest
 
 
 def renew_report(plan: Plan, folder: store.RunFolder) -> dict[str, Any] | None:
     """Write only the report anew, where nothing before it changed; the manifest of that.
 
-    None, and nothing is written, where corrections changed or are damaged, or what the report is
-    made of is not known any more.
+    None where corrections changed or are damaged, or what the report is made of is forgotten.
     """
     earlier, keys = store.read_manifest(plan.folder, damaged=True), plan.keys
     if earlier is None or earlier.get("keys", {}).get("correction") != keys["correction"]:
@@ -406,17 +360,10 @@ def renew_report(plan: Plan, folder: store.RunFolder) -> dict[str, Any] | None:
         "versions": versions(plan.libraries),
     }
     manifest["config"]["output"]["batch_rows"] = earlier["config"]["output"]["batch_rows"]
-    report = folder.place("report.html")
-    with storage_errors(report):
-        write_report(report, manifest, flown)
-    folder.seal("report.html")
     for item in earlier["outputs"]:
         if item["name"] != "report.html":
             folder.leave(item)
-    check_unchanged(plan.inputs)
-    manifest |= {"outputs": folder.outputs()}
-    folder.commit(manifest)
-    return manifest
+    return finish_run(plan, folder, manifest, flown)
 
 
 def read_mission(mission: MissionRef | Path) -> PreparedMission:
@@ -434,8 +381,5 @@ def air_of_mission_or_standard(
         return prepared.air, prepared.samples, prepared.ledger
     standard = standard_atmosphere(atmosphere or "")
     adjustment = unadjusted(standard, f"the standard atmosphere {standard.name}")
-    return (
-        FlightAir(adjustment, constant_series(TimedProfile(None, standard), 0)),
-        AirSamples(),
-        Ledger(),
-    )
+    air = FlightAir(adjustment, constant_series(TimedProfile(None, standard), 0))
+    return air, AirSamples(), Ledger()

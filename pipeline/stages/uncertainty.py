@@ -1,6 +1,5 @@
 """How well air, stations and ground of a mission are known, and the sigmas of the corrections."""
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -10,8 +9,6 @@ from pipeline.atmosphere.series.profile_series import ProfileSeries
 from pipeline.config import Mission
 from pipeline.flight.stations import Stations
 from pipeline.ledger import Ledger
-from pipeline.refraction.camera.camera import Camera
-from pipeline.refraction.image import Exposures
 from pipeline.refraction.uncertainty.budget import StationSigmas, uncertainty_of
 from pipeline.refraction.uncertainty.sigmas import OPEN, SCHEDULED, Uncertainty, window_kind_of
 from pipeline.stages.cabin_air import cabin_changes
@@ -28,43 +25,18 @@ TYPICAL_ROWS = 2000
 def with_uncertainties(
     setup: CorrectionSetup, mission: Mission, stations: Stations, air: ProfileSeries, batch: Batch
 ) -> CorrectionSetup:
-    """The setup with what standard deviations and derivatives are computed from.
+    """The setup with what standard deviations and derivatives are computed from, for each profile.
 
     The leading mode of the air is that of rays to the median height of the points of a ``batch``.
+    None for a profile without covariance where neither the mission file nor a window has anything
+    to compute. Of several profiles each has its own leading mode and all have one parameter: their
+    errors are taken as one, which moves R of all to the same side.
     """
     station = matching_rows(batch.image, pa.array(setup.images, pa.string()))
     heights = setup.ground.heights(batch, station, setup).h_m
     heights = heights[np.isfinite(heights)]
-    uncertainties = uncertainties_of_mission(
-        mission,
-        stations,
-        air,
-        setup.exposures,
-        cameras=setup.cameras,
-        ground_limits_m=setup.ground.limits,
-        typical_ground_m=float(np.median(heights)) if heights.size else None,
-    )
-    return replace(setup, uncertainties=uncertainties)
-
-
-def uncertainties_of_mission(
-    mission: Mission,
-    stations: Stations,
-    air: ProfileSeries,
-    exposures: Exposures,
-    *,
-    cameras: Mapping[str, Camera],
-    ground_limits_m: tuple[float, float],
-    typical_ground_m: float | None,
-) -> tuple[Uncertainty | None, ...]:
-    """What the standard deviations of the corrections are computed from, for each profile.
-
-    ``ground_limits_m`` are the lowest and highest point, ``typical_ground_m`` is one of them, where
-    it is known [m above sea level]. None for a profile without covariance where neither the mission
-    file nor a window has anything to compute. Of several profiles each has its own leading mode and
-    all have one parameter: their errors are taken as one, which moves R of all to the same side.
-    """
-    ground = mission.ground
+    typical_ground_m = float(np.median(heights)) if heights.size else None
+    ground, exposures = mission.ground, setup.exposures
     views = views_of_mission(mission, stations, air)
     cabin = cabin_changes(stations, lenses_of_mission(mission), air.profiles[0].index)
     attitude = station_sigmas(mission, stations)
@@ -75,7 +47,7 @@ def uncertainties_of_mission(
         or bool(((views != OPEN) | np.isfinite(cabin).any(axis=1)).any())
     )
     sigmas = replace(attitude, cabin=cabin)
-    masks = [(camera, stations.camera == name) for name, camera in cameras.items()]
+    masks = [(camera, stations.camera == name) for name, camera in setup.cameras.items()]
     uncertainties: list[Uncertainty | None] = []
     for number, timed in enumerate(air.timed_profiles):
         covariance = timed.covariance
@@ -85,11 +57,12 @@ def uncertainties_of_mission(
         in_profile = replace(exposures, usable=exposures.usable & (air.profile_number == number))
         uncertainties.append(uncertainty_of(
             timed.profile, covariance, in_profile, sigmas, masks, window_kinds=views,
-            ground_heights_m=ground_limits_m, typical_ground_m=typical_ground_m,
+            ground_heights_m=setup.ground.limits, typical_ground_m=typical_ground_m,
         ))  # fmt: skip
     scales = [u.mode.sigma for u in uncertainties if u is not None and u.mode is not None]
     common = float(f"{np.sqrt(np.mean(np.square(scales))):.6g}") if scales else np.nan
-    return tuple(u and u.with_scale(common) for u in uncertainties)
+    scaled = tuple(u and u.with_scale(common) for u in uncertainties)
+    return replace(setup, uncertainties=scaled)
 
 
 def views_of_mission(mission: Mission, stations: Stations, air: ProfileSeries) -> Integers:
@@ -107,10 +80,7 @@ def views_of_mission(mission: Mission, stations: Stations, air: ProfileSeries) -
 
 
 def station_sigmas(mission: Mission, stations: Stations) -> StationSigmas:
-    """Sigmas of attitude and height of each exposure; NaN where unknown.
-
-    Those of the stations; of the attitude the mission file's where a station has none.
-    """
+    """Sigmas of the stations, of the attitude the mission file's where they have none; or NaN."""
     tilt, yaw = stations.sigma_tilt_rad.copy(), stations.sigma_yaw_rad.copy()
     axis = np.tile([0.0, 0.0, 1.0], (len(stations), 1))
     for name, section in mission.mount.items():
@@ -136,16 +106,15 @@ def report_unknown_sigmas(
     heights = int((stations.ok & ~np.isfinite(stations.sigma_height_m)).sum())
     if heights:
         missing.append(f"the height of {heights} stations (not in the log; it does not count)")
+    of_cabins = {
+        "sigma_pressure_hpa": stations.sigma_cabin_pressure_pa,
+        "sigma_temperature_k": stations.sigma_cabin_temperature_k,
+    }
     for name, window in windows_of_mission(mission).items():
-        rows = np.asarray((stations.camera == name) & stations.ok)
-        rows &= window.shape == "plane"
-        for key, sigma in (
-            ("sigma_pressure_hpa", stations.sigma_cabin_pressure_pa),
-            ("sigma_temperature_k", stations.sigma_cabin_temperature_k),
-        ):
+        rows = (stations.camera == name) & stations.ok & (window.shape == "plane")
+        for key, sigma in of_cabins.items():
             if bool(np.isnan(sigma[rows]).any()):
                 missing.append(f"the cabin's air (cameras.{name}.window.cabin.{key})")
     if missing:
-        ledger.note(
-            "SIGMA-UNKNOWN", where="observations", count=len(missing), missing=", ".join(missing)
-        )
+        listed = ", ".join(missing)
+        ledger.note("SIGMA-UNKNOWN", where="observations", count=len(missing), missing=listed)

@@ -236,7 +236,7 @@ def test_a_camera_is_judged_by_its_type(camera, codes):
     facts = Facts(*[None] * len(fields(Facts)))
     mission = SimpleNamespace(cameras={"nadir": SimpleNamespace(model=None, metric=None)})
     facts = replace(facts, mission=mission, cameras={"nadir": camera})
-    found = [entry[0] for rule in (field_of_view, distortion) for entry in rule(facts)]
+    found = [entry.code for rule in (field_of_view, distortion) for entry in rule(facts)]
     assert found == codes
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -96,7 +97,9 @@ def test_the_flights_own_sensors_win(modelled, fields):
 def test_without_sensors_the_air_is_the_models(modelled):
     read = read_mission(modelled.save())
     nothing, ledger = AirSamples(), Ledger()
-    sources = read_air_sources(read.plan, read.stations, nothing, ledger, home_h_msl_m=450.0)
+    heights = replace(read.flight.heights, home_h_msl_m=450.0)
+    flight = replace(read.flight, heights=heights, roles={})
+    sources = read_air_sources(read.plan, flight, read.stations, nothing, ledger)
     air = adjusted_profiles(
         read.plan.mission, read.stations, nothing, sources, ledger
     ).adjustment  # fmt: skip

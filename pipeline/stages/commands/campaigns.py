@@ -106,8 +106,8 @@ def page_row(
 class Selection:
     """Missions in their order, and the campaigns that some are of.
 
-    ``called`` : name and folder of results of all whose mission file can be read; ``refused`` those
-    that share a folder of results with an earlier one; ``known`` what the index says.
+    ``called`` : name and folder of results; ``refused`` : missions that share a folder with an
+    earlier one; ``known`` : what the index says.
     """
 
     missions: tuple[MissionRef, ...]
@@ -148,11 +148,9 @@ def select_missions(
 ) -> Selection:  # fmt: skip
     """The missions of mission files and campaign files; of them only those of ``names``.
 
-    A name is that of a mission, or the path of its file; only a ``part`` is chosen. With ``writes``
-    a page of somebody else is refused. Refuses
-    (ConfigError) a campaign that is wrong, or has two missions of one name or folder
-    (CAMPAIGN-SAME-NAME, CAMPAIGN-SAME-OUTPUT), and a name that no mission has (CAMPAIGN-MISSION).
-    Nothing was touched then.
+    A name is that of a mission, or the path of its file; only a ``part`` is chosen. Refuses
+    (ConfigError) a campaign with two missions of one name or folder, a name that no mission has
+    (CAMPAIGN-MISSION), and with ``writes`` a page of somebody else. Nothing was touched then.
     """
     missions, campaigns = open_configs(configs)
     known = look_up(missions)
@@ -163,8 +161,7 @@ def select_missions(
             continue
         with suppress(UnbendError):  # raised again, and reported, when the mission is run
             mission = ref.load()
-            output = located(mission.output.path, ref.folder)
-            listed.append((ref, mission.mission.name, output))
+            listed.append((ref, mission.mission.name, located(mission.output.path, ref.folder)))
     for campaign in campaigns:
         own = {*campaign.missions}
         refuse_twins(campaign, [item for item in listed if item[0] in own])
@@ -182,10 +179,8 @@ def select_missions(
 
 def keep_unchanged(chosen: Selection, ended: Mapping[MissionRef, MissionEnd]) -> None:
     """Let the index know the missions that are done, so that the next run need not read them."""
-    new = [
-        ref for ref, end in ended.items()
-        if isinstance(end, Outcome) and not (end.repeated and chosen.is_unchanged(ref))
-    ]  # fmt: skip
+    done = {ref: end for ref, end in ended.items() if isinstance(end, Outcome)}
+    new = [ref for ref, end in done.items() if not (end.repeated and chosen.is_unchanged(ref))]
     if new:
         from pipeline.report.html import row_of
 

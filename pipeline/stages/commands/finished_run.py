@@ -36,12 +36,8 @@ from pipeline.tables.exports import ExportCamera, FinishedRun, find_format
 from pipeline.tables.refraction_mark import SIDECAR, sidecar_text
 from pipeline.units import Array, Integers, Names
 
-_MOST_CHECKED = 50_000
-"""Observations of a run that are computed again, spread over all of them."""
-
-_LARGEST_DIFFERENCE_PX = 1e-6
-"""Rounding of what is read back; the sample runs are reproduced to the last bit."""
-
+_MOST_CHECKED = 50_000  # observations of a run that are computed again, spread over all of them
+_LARGEST_DIFFERENCE_PX = 1e-6  # of reading back; the sample runs are reproduced to the last bit
 _LARGEST_CHECKED_RAD = np.radians(80.0)
 """Beyond, an observation may be on the far branch by its distance, which no table keeps."""
 
@@ -69,34 +65,27 @@ def stations_of(table: pa.Table) -> Stations:
         return np.stack([number(f"{prefix}_{axis}") for axis in "wxyz"], axis=1)
 
     def text(name: str) -> Names:
-        if name not in table.schema.names:
-            return np.full(table.num_rows, "", dtype=object)
-        return np.array([value or "" for value in table[name].to_pylist()], dtype=object)
+        there = name in table.schema.names
+        values = table[name].to_pylist() if there else [""] * table.num_rows
+        return np.array([value or "" for value in values], dtype=object)
 
     time = pc.fill_null(table["time_utc"].cast(pa.int64()), int(NO_TIME)).to_numpy()
-    derived: dict[str, Any] = {
-        "image": text("image"),
-        "camera": text("camera"),
-        "status": text("status"),
+    angles = ("lat", "lon", "sigma_tilt", "sigma_yaw")
+    derived: dict[str, Any] = {f"{name}_rad": np.radians(number(f"{name}_deg")) for name in angles}
+    derived |= {name: text(name) for name in ("image", "camera", "status", "suspect_reason")}
+    derived |= {
         "time_ns": time.astype(np.int64),
-        "lat_rad": np.radians(number("lat_deg")),
-        "lon_rad": np.radians(number("lon_deg")),
         "quaternion": quaternion("q"),
         "aircraft_quaternion": quaternion("aircraft_q"),
-        "sigma_tilt_rad": np.radians(number("sigma_tilt_deg")),
-        "sigma_yaw_rad": np.radians(number("sigma_yaw_deg")),
-        "suspect_reason": text("suspect_reason"),
-        "accepted": np.equal(text("status"), SUSPECT) & table["profile_id"].is_valid().to_numpy(),
+        "accepted": np.equal(derived["status"], SUSPECT)
+        & table["profile_id"].is_valid().to_numpy(),
     }
     names = [field.name for field in fields(Stations) if field.name not in derived]
     return Stations(**(derived | {name: number(name) for name in names}))
 
 
 def air_of(table: pa.Table, profile_id: pa.ChunkedArray) -> ProfileSeries:
-    """The profiles of ``profile.parquet``, and which belongs to each station's ``profile_id``.
-
-    A station without a profile (its status is not ok) gets the first.
-    """
+    """Profiles of ``profile.parquet``, and which is each station's: the first if it has none."""
     names = pc.unique(table["profile_id"])
     airs = tuple(
         TimedProfile(None, profile_of(table.filter(pc.equal(table["profile_id"], name))))
@@ -109,8 +98,7 @@ def air_of(table: pa.Table, profile_id: pa.ChunkedArray) -> ProfileSeries:
 def profile_of(table: pa.Table) -> Profile:
     """The profile from a table of one as in ``profile.parquet``; the inverse of `table_of_profile`.
 
-    One row a layer at its lower edge and one at the top of the last, as a run writes it. The
-    refractivity is that of the run to 1e-15 of itself (6e-16 in the sample runs).
+    The refractivity is that of the run to 1e-15 of itself (6e-16 in the sample runs).
     """
     metadata = {key.decode(): value.decode() for key, value in table.schema.metadata.items()}
 
@@ -129,11 +117,8 @@ def profile_of(table: pa.Table) -> Profile:
         source=tuple(table["source"].to_pylist()[:-1]),
     )
     latitude = float(np.radians(float(metadata["latitude"]))) if metadata["latitude"] else None
-    index = IndexModel(
-        metadata["unbend.index"],
-        float(metadata["unbend.wavelength_m"]),
-        float(metadata["unbend.co2_ppm"]),
-    )
+    wavelength_m, co2_ppm = (float(metadata[f"unbend.{n}"]) for n in ("wavelength_m", "co2_ppm"))
+    index = IndexModel(metadata["unbend.index"], wavelength_m, co2_ppm)
     gravity = Gravity(float(metadata["g_phi"]), float(metadata["r_phi"]), latitude)
     name = metadata["unbend.standard"] if metadata["unbend.basis"] == "standard" else "adjusted"
     return Profile(layers, gravity, index, name, float(metadata["unbend.constant_k_per_m"]))
@@ -142,8 +127,7 @@ def profile_of(table: pa.Table) -> Profile:
 def ground_of(run: FinishedRun, constant_m: float | None, ledger: Ledger) -> Array:
     """(s,) median ground height [m above sea level] of the observations of each image, or constant.
 
-    An image without observations gets the median of the others (ledger: EXPORT-GROUND). Memory
-    holds 16 bytes an observation.
+    An image without observations gets the median of the others. Memory: 16 bytes an observation.
     """
     if constant_m is not None:
         return np.full(len(run.stations), constant_m)
@@ -156,19 +140,16 @@ def ground_of(run: FinishedRun, constant_m: float | None, ledger: Ledger) -> Arr
     ground = np.array(by_station.reindex(range(len(run.stations))), dtype=np.float64)
     empty = ~np.isfinite(ground) & run.stations.ok
     if bool(empty.any()) and bool(np.isfinite(ground).any()):
-        median = float(np.nanmedian(ground))
-        ledger.fallback(
-            "EXPORT-GROUND", where="observations", count=int(empty.sum()), median=median
-        )
-        ground[empty] = median
+        ground[empty] = median = float(np.nanmedian(ground))
+        count = int(empty.sum())
+        ledger.fallback("EXPORT-GROUND", where="observations", count=count, median=median)
     return ground
 
 
 def check_reproduced(run: FinishedRun, path: Path) -> None:
     """Refuse a run whose corrections cannot be computed again to 1e-6 px (EXPORT-NOT-REPRODUCED).
 
-    Computes up to 50,000 observations. They differ where the program has changed
-    since, or where the folder does not hold all inputs of the correction.
+    They differ where the program has changed, or the folder lacks an input of the correction.
     """
     parts = run.observations(_CHECKED, _MOST_CHECKED)
     largest = max((largest_difference_px(run, t, station) for station, t in parts), default=0.0)
@@ -207,12 +188,10 @@ def refuse_output(run: Path, out: Path, *, force: bool) -> None:
     for resolve in (os.path.abspath, os.path.realpath):
         if Path(resolve(out)).is_relative_to(resolve(run)):
             raise ConfigError.of("EXPORT-INSIDE-RUN", out)
-    if out.is_dir() or (os.path.lexists(out) and not force):
-        what, other = "the file is there already", "replace it: --force"
-        if out.is_dir():
-            what, other = "there is a folder of that name", "delete it: --force replaces files only"
-        remedy = f"choose another name, or {other}"
-        raise ConfigError("EXPORT-EXISTS", what, where=str(out), remedy=remedy)
+    if out.is_dir():
+        raise ConfigError.of("EXPORT-EXISTS/folder", out)
+    if os.path.lexists(out) and not force:
+        raise ConfigError.of("EXPORT-EXISTS", out)
 
 
 def rebuild_run(
@@ -223,10 +202,10 @@ def rebuild_run(
     ``ground_height_m`` [m above sea level] replaces the ground heights of all images.
     """
     if ground_height_m is not None and not LOWEST_GROUND_M <= ground_height_m <= HIGHEST_GROUND_M:
-        limits = f"{LOWEST_GROUND_M:g} to {HIGHEST_GROUND_M:g} m"
-        what = f"{ground_height_m:g} m is no ground height ({limits})"
-        remedy = "give it in metres above sea level"
-        raise ConfigError("EXPORT-GROUND", what, where="--ground-height", remedy=remedy)
+        raise ConfigError.of(
+            "EXPORT-GROUND/limits", "--ground-height", height=ground_height_m,
+            low=LOWEST_GROUND_M, high=HIGHEST_GROUND_M,
+        )  # fmt: skip
     mission = mission_of(manifest, path)
     if mission.refraction.direction != "remove":
         where = f"{path / 'manifest.json'}, refraction.direction"
@@ -235,6 +214,14 @@ def rebuild_run(
     stations = stations_of(table)
     air = air_of(pq.read_table(path / "profile.parquet"), table["profile_id"])
     windows = exposure_setup.windows_of_mission(mission)
+    cameras = {}
+    for name, camera in exposure_setup.cameras_of_mission(mission).items():
+        section, plane = mission.cameras[name], name in windows and windows[name].shape == "plane"
+        wide, high = (np.nan, np.nan) if section.metric is None else section.metric.pixel_um
+        in_flight = section.calibration == "in_flight_uncorrected"
+        cameras[name] = ExportCamera(
+            camera, plane, wide * 1e-3 if wide == high else np.nan, in_flight
+        )
     outputs = sorted(str(item["name"]) for item in manifest["outputs"])
     run = FinishedRun(
         mission.mission.name,
@@ -243,18 +230,7 @@ def rebuild_run(
         air,
         tuple(rays_by(profile, mission.refraction.method) for profile in air.profiles),
         mission.refraction.method,
-        {
-            name: ExportCamera(
-                camera,
-                name in windows and windows[name].shape == "plane",
-                np.nan
-                if metric is None or metric.pixel_um[0] != metric.pixel_um[1]
-                else metric.pixel_um[0] * 1e-3,
-                mission.cameras[name].calibration == "in_flight_uncorrected",
-            )
-            for name, camera in exposure_setup.cameras_of_mission(mission).items()
-            for metric in (mission.cameras[name].metric,)
-        },
+        cameras,
         partial(ground_of, constant_m=ground_height_m, ledger=ledger),
         mission.observations.pixels,
         tuple(path / name for name in outputs if name.startswith("observations/")),
@@ -270,16 +246,12 @@ def rebuild_run(
 
 
 def database_of(mission: Mission, manifest: dict[str, Any], path: Path) -> Path | None:
-    """COLMAP's database whose keypoints the run read; None where it is gone or has changed.
-
-    It is looked for from the run's folder, as the mission file states both places.
-    """
+    """COLMAP's database that the run read, as seen from its folder; None if gone or changed."""
     here = Path("/?/?/?/?/?")  # in the place of the mission's folder, whose name no table keeps
     stated = mission.observations.path
-    absolute = os.path.isabs(stated)
-    file = path / (
-        stated if absolute else os.path.relpath(here / stated, here / mission.output.path)
-    )
+    if not os.path.isabs(stated):
+        stated = os.path.relpath(here / stated, here / mission.output.path)
+    file = path / stated
     read = {item["sha256"] for item in manifest["inputs"] if item["role"] == "observations"}
     is_it = file.suffix.lower() == ".db" and file.is_file() and hash_file(file) in read
     return file if is_it else None
@@ -309,10 +281,7 @@ def copy_of_run(place: Place) -> Path:
 
 
 def verify_run(path: Path | Place) -> dict[str, Any]:
-    """The manifest of a run whose results are whole and unchanged; refuses any other.
-
-    In object storage, results that are replaced meanwhile are looked at anew.
-    """
+    """The manifest of a run whose results are whole and unchanged; refuses any other."""
     manifest = manifest_of_run(path)
     damage = store.find_damage(path, manifest)
     if damage and isinstance(path, Place) and store.read_manifest(path) != manifest:

@@ -49,13 +49,8 @@ _HEIGHT = re.compile(r"^(h|z)(_.*)?$|height|elev|^alt", re.IGNORECASE)
 _RANGE_UNITS = {"pressure_pa": ("hPa", HECTOPASCAL, 0.0), "relative_humidity": ("%", 0.01, 0.0),
                 "temperature_k": ("°C", 1.0, ZERO_CELSIUS_K)}  # fmt: skip
 _OPENSFM = "reconstruction.json"  # stands for the folder of its project
-_DATUMS = {
-    "ellips": "ellipsoid",
-    "hae": "ellipsoid",
-    "msl": "msl",
-    "ortho": "msl",
-    "agl": "relative",
-}
+_DATUMS = {"ellips": "ellipsoid", "hae": "ellipsoid", "msl": "msl", "ortho": "msl",
+           "agl": "relative"}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -118,10 +113,7 @@ def yaml_text(text: str) -> str:
 
 
 def block_format(path: Path) -> str:
-    """The program whose block a file or folder is, by its files; empty where it is none.
-
-    Refuses (InputError) a folder of nothing that is known.
-    """
+    """The program whose block a file or folder is, by its files; empty for a file of none."""
     if path.is_dir():
         files = {"cameras.bin": "colmap", "cameras.txt": "colmap", _OPENSFM: "opensfm"}
         found = next((name for file, name in files.items() if (path / file).is_file()), "")
@@ -152,8 +144,8 @@ def found_in_log(path: Path) -> FoundLog:
         found.roles += questions_of_role(role, log.channels, found.compartment)
     listed = [f"{role} {channel.name}" for role, channel in roles.items() if role not in asked]
     first, last = utc_text(log.start_ns)[:19], utc_text(log.end_ns)[:19]
-    minutes = f"{log.duration_s / 60.0:.1f} minutes"
-    found.remarks = [f"{first} to {last} UTC, {minutes}; {log.time_base}"]
+    minutes = log.duration_s / 60.0
+    found.remarks = [f"{first} to {last} UTC, {minutes:.1f} minutes; {log.time_base}"]
     position, height = plausible.get("position"), plausible.get("height")
     if position is not None and len(position):
         lat, lon = (np.degrees(np.nanmedian(position[c])) for c in ("lat_rad", "lon_rad"))
@@ -174,14 +166,18 @@ def found_in_log(path: Path) -> FoundLog:
         why = "is in a closed compartment: it does not follow the height"
         found.remarks.append(f"{found.compartment} {why}")
     found.gimbals = ", ".join(c.name for c in log.channels if is_of_gimbal(c.source.message))
-    able = [c for c in log.channels if c.fits_role("events")]
-    best = min((c.rank for c in able), default=0)
-    found.events = tuple(c for c in able if c.rank == best)
+    found.events = best_of([c for c in log.channels if c.fits_role("events")])
     late = [c.name for c in found.events for entry in trigger_notes(log.channels, c)
             if entry.code == "EVENTS-TRIGGER-TIME"]  # fmt: skip
     late += [entry.where for entry in log.ledger if entry.code == "EVENTS-TRIGGER-TIME"]
     found.trigger = ", ".join(dict.fromkeys(late))
     return found
+
+
+def best_of(channels: list[Channel]) -> tuple[Channel, ...]:
+    """Those of the lowest rank."""
+    best = min((c.rank for c in channels), default=0)
+    return tuple(c for c in channels if c.rank == best)
 
 
 def range_text(channel: Channel, role: str) -> str:
@@ -195,11 +191,8 @@ def range_text(channel: Channel, role: str) -> str:
 
 def questions_of_role(role: str, channels: tuple[Channel, ...], compartment: str) -> list[Proposed]:
     """The questions about a role that several channels could play, or none."""
-    able = [c for c in channels if role in c.roles and c.fits_role(role)]
-    best = min((c.rank for c in able), default=0)
-    able = [c for c in able if c.rank == best]
-    names = [c.name for c in able]
-    if not names:
+    able = best_of([c for c in channels if role in c.roles and c.fits_role(role)])
+    if not able:
         none = f"no channel of the log has the {role}; null where stations.trajectory gives it"
         return [Proposed(role, TODO, none)]
     choices = " or ".join(c.name + range_text(c, role) for c in able)
@@ -281,8 +274,7 @@ def proposed_cameras(
 ) -> list[ProposedCamera]:
     """The cameras by the names of the images, each with the channel that counts as they do.
 
-    Where several channels could be a camera's, or names do not count as the log, it is asked for,
-    or left to the evidence (``*``), with a remark.
+    What several channels could be is asked for, or left to the evidence (``*``), with a remark.
     """
     events = () if log is None else log.events
     series = name_series(images)
@@ -309,14 +301,12 @@ def proposed_cameras(
         by = next((by for by, found in fitting.items() if found), "*")
         fits = fitting.get(by, [])
         others = [s for s in series if s is not one]
-        rivals = any(
-            s.counts_as(counts[by][c]) or s.strays(counts[by][c]) for s in others for c in fits
-        )
+        fired = [counts[by][c] for c in fits]
+        rivals = any(s.counts_as(of) or s.strays(of) for s in others for of in fired)
         channel = image = None
         if one is None and count == len(events):
-            remark = "guessed: a camera for each channel; name it by the camera that is fired" * (
-                count > 1
-            )
+            remark = "guessed: a camera for each channel; name it by the camera that is fired"
+            remark *= count > 1
             channel = Proposed("channel", yaml_text(events[number].name), remark)
         elif len(events) == count == 1 or (len(fits) == 1 and not rivals):
             channel = Proposed("channel", yaml_text(fits[0] if fits else events[0].name))
@@ -343,12 +333,10 @@ def proposed_cameras(
 
 
 def propose_mission(log: Path, observations: Path | None, images: Path | None, out: Path) -> str:
-    """The text of a mission file.
+    """The text of a mission file, to be written to ``out``, from whose folder paths count.
 
     ``log`` may be a block with orientations, alone; ``images`` is a folder of images, or
-    exiftool's table of them. ``out`` is the file to be written, from whose folder paths count.
-    Refuses (UnbendError) inputs that cannot be read, and images of which none is in the
-    observations (IMAGES-OTHER).
+    exiftool's table of them. Refuses (IMAGES-OTHER) images of which none is in the observations.
     """
 
     def relative(path: Path | None) -> str:
@@ -368,10 +356,8 @@ def propose_mission(log: Path, observations: Path | None, images: Path | None, o
     table = FoundTable() if observations is None else found_in_table(observations)
     times = None if images is None else read_image_times(images, "", Ledger())
     if times is not None and table.images and not times.rows_of(table.images):
-        what = f"none of the images of the observations is there: {table.images[0]} is not, but "
-        what += f"{times.file[0]} is"
-        remedy = "give the images of this flight"
-        raise InputError("IMAGES-OTHER", what, where=str(images), remedy=remedy)
+        absent, there = table.images[0], times.file[0]
+        raise InputError.of("IMAGES-OTHER/proposal", str(images), absent=absent, files=there)
     files = () if times is None else tuple(Path(str(name)).name for name in times.file)
     cameras = proposed_cameras(found, table.images or files, table.cameras)
     name = re.sub(r"[^A-Za-z0-9._-]+", "-", log.stem).strip("-._")[:100] or "mission"

@@ -17,6 +17,7 @@ from pipeline.refraction.ray import rays_by
 from pipeline.report.summary import control_sentence, effect_lines
 from pipeline.stages.correction import correct_batch
 from pipeline.stages.ground_heights import GroundHeights
+from pipeline.stages.outputs import utc_second
 from pipeline.stages.plausibility import Facts
 from pipeline.stages.story import CorrectedMission
 from pipeline.tables.geodata.geoid import package_geoid
@@ -60,14 +61,10 @@ def rehearsal_lines(checked: CorrectedMission) -> list[tuple[str, str]]:
     stated, of_undulation = heights.undulation_m, heights.source
     if stated is not None and known.size and abs(np.median(known) - stated) > 0.1:
         of_undulation = f"the log's own, not the {stated:g} m of {heights.source}"
-    pixels = {name: _span(facts.of_camera(name, facts.rows.shift_px), 3) for name in facts.cameras}
-    metres = {
-        name: _span(facts.of_camera(name, facts.rows.shift_ground_m), 3) for name in facts.cameras
-    }
-    angles = {
-        name: _span(np.degrees(facts.of_camera(name, facts.nadir_angle_rad)), 2)
-        for name in facts.cameras
-    }
+
+    def spans(values: Array, digits: int) -> str:
+        return _by_camera({n: _span(facts.of_camera(n, values), digits) for n in facts.cameras})
+
     rows = (f"{n:,} {k}" for k, n in checked.statistics.status.items() if n)
     taken = "unknown" if home is None else f"{home.h_msl_m:.0f} m"
     above, control = facts.camera_height_m - facts.rows.h_g_m, control_sentence(checked.manifest)
@@ -77,9 +74,10 @@ def rehearsal_lines(checked: CorrectedMission) -> list[tuple[str, str]]:
         ("heights", f"ground {_span(facts.rows.h_g_m, 4)} m, take-off {taken}, cameras "
          f"{_span(facts.stations.h_msl_m[ok], 5)} m; above ground {_span(above, 4)} m"),
         ("cameras", "; ".join(camera_text(facts, name) for name in facts.cameras)),
-        ("nadir angles", f"{_by_camera(angles)} deg"),
+        ("nadir angles", f"{spans(np.degrees(facts.nadir_angle_rad), 2)} deg"),
         ("time", times_text(checked)),
-        ("shift", f"{_by_camera(pixels)} px; {_by_camera(metres)} m on the ground"),
+        ("shift", f"{spans(facts.rows.shift_px, 3)} px; "
+         f"{spans(facts.rows.shift_ground_m, 3)} m on the ground"),
         ("changes by", changes_text(checked)),
         ("rows", f"{', '.join(rows)}, expected of {checked.statistics.rows:,}"),
         ("vertical", deflection_text(facts)),
@@ -93,12 +91,9 @@ def rehearsal_lines(checked: CorrectedMission) -> list[tuple[str, str]]:
 def _span(values: Array, digits: int) -> str:
     """Lowest to highest of the finite values."""
     known = values[np.isfinite(values)]
-    if not known.size:
-        return "unknown"
-    low, high = (
-        f"{v:.{digits}g}" if abs(v) < 1e4 else f"{v:.0f}" for v in (known.min(), known.max())
-    )
-    return low if low == high else f"{low} to {high}"
+    ends = (known.min(), known.max()) if known.size else ()
+    texts = (f"{v:.{digits}g}" if abs(v) < 1e4 else f"{v:.0f}" for v in ends)
+    return " to ".join(dict.fromkeys(texts)) or "unknown"
 
 
 def _by_camera(texts: Mapping[str, str]) -> str:
@@ -127,9 +122,8 @@ def times_text(checked: CorrectedMission) -> str:
     parts = []
     for label, values in (("log", time), ("events", events)):
         if values.size:
-            first, last = (np.datetime64(int(t), "ns").astype("datetime64[s]") for t in
-                           (values.min(), values.max()))  # fmt: skip
-            parts.append(f"{label} {str(first).replace('T', ' ')} to {str(last)[11:]} UTC")
+            first, last = (utc_second(int(t))[:-1] for t in (values.min(), values.max()))
+            parts.append(f"{label} {first.replace('T', ' ')} to {last[11:]} UTC")
     return "; ".join(parts) or "unknown"
 
 
@@ -155,17 +149,14 @@ def changes_text(checked: CorrectedMission) -> str:
     rows = rows[evenly_spaced(rows.size, _ROWS)]
     if not rows.size:
         return "unknown: no row is corrected"
-    station, h_g, distance = (
-        facts.rows.station[rows],
-        facts.rows.h_g_m[rows],
-        facts.rows.distance_m[rows],
+    station, h_g, distance, x, y = (
+        getattr(facts.rows, name)[rows]
+        for name in ("station", "h_g_m", "distance_m", "x_px", "y_px")
     )
     exposures, setup = setup.exposures, replace(setup, uncertainties=(None,) * len(setup.rays))
-    names = pa.nulls(rows.size, pa.string())
-    x, y = facts.rows.x_px[rows], facts.rows.y_px[rows]
+    names, method = pa.nulls(rows.size, pa.string()), facts.mission.refraction.method
     batch = Batch(names, names, x, y, x, y, None, {}, distance_m=distance)
-    warm = tuple(rays_by(warmer(p, 5.0), facts.mission.refraction.method)
-                 for p in checked.air.series.profiles)  # fmt: skip
+    warm = tuple(rays_by(warmer(profile, 5.0), method) for profile in checked.air.series.profiles)
     turn = Rotation.from_rotvec([math.radians(0.5), 0.0, 0.0]).as_matrix()
     tilted = replace(exposures, rotation=turn @ exposures.rotation)
     higher = replace(exposures, height_m=exposures.height_m + 10.0)
@@ -189,12 +180,8 @@ def warmer(profile: Profile, by_k: float) -> Profile:
     """The air warmer by the same at every height, with the pressure at its bottom."""
     layers = profile.layers
     top = layers.vapour[-1] + layers.vapour_slope[-1] * (layers.edge[-1] - layers.edge[-2])
-    warmer = stack_layers(
-        layers.edge,
-        layers.edge_temperature + by_k,
-        np.append(layers.vapour, top),
-        layers.source,
-        anchor=(float(layers.edge[0]), float(layers.pressure[0])),
-        constant=profile.constant,
-    )
-    return replace(profile, layers=warmer)
+    warmed = stack_layers(
+        layers.edge, layers.edge_temperature + by_k, np.append(layers.vapour, top), layers.source,
+        anchor=(float(layers.edge[0]), float(layers.pressure[0])), constant=profile.constant,
+    )  # fmt: skip
+    return replace(profile, layers=warmed)

@@ -6,17 +6,18 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+from numpy.typing import ArrayLike
 
 from pipeline.batch.plan import Plan
-from pipeline.block.image_rays import UNKNOWN_SIGMAS, ImageRays, orientations_of, sorted_rays
+from pipeline.block.image_rays import ImageRays, sorted_rays
 from pipeline.block.intersection import point_heights
-from pipeline.block.oriented_images import SIGMAS_OF_BLOCK
 from pipeline.errors import InputError
 from pipeline.flight.heights import HeightSystem
 from pipeline.flight.stations import Stations
 from pipeline.geodesy import ecef_of_geodetic, enu_from_ecef
-from pipeline.ledger import Ledger, finding
+from pipeline.ledger import Ledger
 from pipeline.stages.correction import CorrectionSetup, correct_batch
+from pipeline.stages.exposure_setup import orientations_of_mission
 from pipeline.stages.multi_image.point_heights import read_points
 from pipeline.tables.geodata.object_points import ObjectPoints, matching_rows
 from pipeline.tables.observations import Batch, Observations
@@ -37,10 +38,9 @@ _WORSE = 0.25
 class ControlComparison:
     """Intersected minus given places of control points (p, 3), east, north, up [m].
 
-    ``before`` by the rays as measured, ``after`` by the corrected ones; poses are held. NaN where
-    rays do not meet; ``rays`` (p,) of each; ``sigma_m`` (p,) what the sigmas of stations and pixels
-    let a height miss, ``sigma_stated`` whether those of the stations are known. ``unmeasured``
-    control points are in no image.
+    ``before`` by the rays as measured, ``after`` by the corrected ones; NaN where they do not meet.
+    ``sigma_m`` (p,) is what the sigmas of stations and pixels let a height miss, ``sigma_stated``
+    whether those of the stations are known. ``unmeasured`` control points are in no image.
     """
 
     name: tuple[str, ...]
@@ -68,16 +68,17 @@ class ControlComparison:
     def manifest(self) -> dict[str, Any]:
         """For the manifest: millimetres are enough, and null is what is not known."""
 
-        def metres(values: Array) -> list[float | None]:
-            return [None if np.isnan(v) else round(v, 4) for v in values.tolist()]
+        def metres(values: ArrayLike) -> Any:
+            found = [None if np.isnan(v) else round(v, 4) for v in np.atleast_1d(values).tolist()]
+            return found if np.ndim(values) else found[0]
 
+        sigma_m = self.sigma_m if self.sigma_stated else np.full(self.sigma_m.size, np.nan)
+        points = zip(self.name, self.rays.tolist(), self.before, self.after, sigma_m, strict=True)
         return {
             "points": [
                 {"point": name, "rays": rays, "before_m": metres(before), "after_m": metres(after),
-                 "sigma_u_m": metres(sigma)[0] if self.sigma_stated else None}
-                for name, rays, before, after, sigma in zip(
-                    self.name, self.rays.tolist(), self.before, self.after, self.sigma_m[:, None],
-                    strict=True)
+                 "sigma_u_m": metres(sigma)}
+                for name, rays, before, after, sigma in points
             ],
             "used": int(self.used.sum()),
             "unmeasured": self.unmeasured,
@@ -87,9 +88,8 @@ class ControlComparison:
             "mean_before_m": metres(self.before[self.used].mean(axis=0)),
             "mean_after_m": metres(self.after[self.used].mean(axis=0)),
             "part_explained": round(self.part_explained(), 4),
-            "sigma_u_m": metres(np.nanmedian(self.sigma_m[self.used], keepdims=True))[0]
-            if self.sigma_stated
-            else None,
+            "sigma_u_m": metres(np.nanmedian(self.sigma_m[self.used]))
+            if self.sigma_stated else None,
         }  # fmt: skip
 
 
@@ -97,18 +97,13 @@ def compare_control(
     plan: Plan, observations: Observations, setup: CorrectionSetup, stations: Stations, heights:
     HeightSystem, *, ledger: Ledger,
 ) -> ControlComparison | None:  # fmt: skip
-    """Control points where their rays meet, before and after; None without control, or rays.
-
-    Refuses (InputError CONTROL-MISSING) a table of which no point is in the observations; a loss
-    (CONTROL-RAYS) where no rays meet. Findings say what contradicts it, see `judge_control`.
-    """
+    """Control points where rays meet, before and after; None without (CONTROL-MISSING)."""
     section = plan.mission.control
     if section is None:
         return None
     points = read_points(
-        plan, "control", section.crs, section.columns.named, reference=section.reference,
-        key="control", heights=heights, ledger=ledger,
-    )  # fmt: skip
+        plan, "control", section, section.reference, key="control", heights=heights, ledger=ledger
+    )
     setup = replace(setup, uncertainties=(None,) * len(setup.rays))
     images, parts = pa.array(setup.images, pa.string()), [np.empty((9, 0))]
     for batch in observations.batches(_BATCH_ROWS):
@@ -124,8 +119,7 @@ def compare_control(
         )
     measured = measured[:, np.isfinite(measured).all(axis=0) & (measured[1] >= 0)]
     at = np.searchsorted(point, measured[0].astype(np.int64))
-    oriented = plan.mission.stations.orientation is not None
-    orientations = orientations_of(stations, SIGMAS_OF_BLOCK if oriented else UNKNOWN_SIGMAS)
+    orientations = orientations_of_mission(plan.mission, stations)
     station = measured[1].astype(np.int64)
     of_stations = stations.sigma_height_m + stations.sigma_tilt_rad
     places = np.full((2, point.size, 3), np.nan)
@@ -192,48 +186,39 @@ def judge_control(
     """What control points say against themselves, the stations or the correction.
 
     ``off_m`` : median distance of the corrected points from the control in other readings [m].
-    Findings: CONTROL-READING (another reading fits far better), CONTROL-FAR (none does),
-    CONTROL-OUTLIER (single points), CONTROL-WORSE (the correction moves points away from control);
-    a warning CONTROL-NOISE where sigmas of the stations exceed what is to be shown.
     """
     used, where = comparison.used, "control"
     after, count = comparison.after[used], int(comparison.used.sum())
     misses = np.linalg.norm(after, axis=1)
-    effect = float(np.linalg.norm(comparison.rms(comparison.before - comparison.after)))
+    was, now, effect = (
+        float(np.linalg.norm(comparison.rms(moved)))
+        for moved in (comparison.before, comparison.after, comparison.before - comparison.after)
+    )
     stated, known = float(np.median(misses)), comparison.sigma_m[used]
     sigma = float(np.median(known[np.isfinite(known)])) if np.isfinite(known).any() else 0.0
     if stated > max(_FAR_M, _FAR_SIGMAS * sigma, _FAR_EFFECTS * effect):
-        what = f"the rays of {count} control points meet {stated:.4g} m from them, in the median"
         likely = min(off_m, key=lambda reading: np.nan_to_num(off_m[reading], nan=np.inf))
         if off_m[likely] < _BETTER * stated:
-            what += f", {off_m[likely]:.2g} m with {likely}: change control.crs, control.reference "
-            what += "or control.columns"
-            ledger.add(finding("CONTROL-READING", what, where=where, count=count))
+            ledger.finding(
+                "CONTROL-READING", where=where, count=count, stated=stated, likely=likely,
+                off=off_m[likely],
+            )  # fmt: skip
         else:
-            what += f" (sigmas of the stations explain {sigma:.2g} m): points of other names, "
-            what += "another system (control.crs, control.reference), or stations that are off"
-            ledger.add(finding("CONTROL-FAR", what, where=where, count=count))
+            ledger.finding("CONTROL-FAR", where=where, count=count, stated=stated, sigma=sigma)
         return
     apart = np.linalg.norm(after - np.median(after, axis=0), axis=1)
     usual = 1.4826 * float(np.median(apart))
     limit = _FAR_SIGMAS * max(usual, sigma if comparison.sigma_stated else 0.0)
     if count >= _FEWEST and bool((apart > limit).any()):
         names = np.array(comparison.name)[used][apart > limit]
-        what = (
-            f"{names.size} of {count} control points lie up to {apart.max():.2g} m off where the "
-        )
-        what += f"others are {np.median(apart):.2g} m off: {', '.join(names[:5])}; a point of "
-        what += "another name, measured wrongly, or surveyed wrongly"
-        ledger.add(finding("CONTROL-OUTLIER", what, where=where, count=names.size))
-    was, now = (float(np.linalg.norm(comparison.rms(v)))
-                for v in (comparison.before, comparison.after))  # fmt: skip
-    noise, of = (sigma, "sigmas of stations and pixels let control points miss") if (
-        comparison.sigma_stated) else (usual, "the control points scatter")  # fmt: skip
+        ledger.finding(
+            "CONTROL-OUTLIER", where=where, count=names.size, total=count, most=apart.max(),
+            median=np.median(apart), names=", ".join(names[:5]),
+        )  # fmt: skip
+    noise, of = usual, "the control points scatter"
+    if comparison.sigma_stated:
+        noise, of = sigma, "sigmas of stations and pixels let control points miss"
     if noise > effect:
         ledger.warning("CONTROL-NOISE", where=where, count=count, of=of, noise=noise, effect=effect)
     elif now**2 - was**2 > _WORSE * effect**2:
-        what = f"{count} control points are missed by {was:.3g} m before and {now:.3g} m after the "
-        what += "correction (RMS): their heights, the stations or the calibration were adjusted to "
-        what += "images with refraction in, or it was removed before (observations.refraction, "
-        what += "cameras.<name>.calibration)"
-        ledger.add(finding("CONTROL-WORSE", what, where=where, count=count))
+        ledger.finding("CONTROL-WORSE", where=where, count=count, was=was, now=now)

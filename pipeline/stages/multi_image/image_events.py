@@ -6,6 +6,7 @@ import re
 import string
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
@@ -42,10 +43,7 @@ _POSITION_M, _COMMON_M, _DELAY_S, _OUTLIER = 10.0, 5.0, 1.0, 25.0  # of position
 
 @dataclass(frozen=True, eq=False)
 class CameraImages:
-    """The images of one camera, (k,): names, numbers in them, rows of their files (-1 without).
-
-    ``numbering`` as for `ImageEvidence`: what the numbers are.
-    """
+    """The images of one camera, (k,): names, numbers in them, rows of their files (-1 without)."""
 
     name: Names
     number: Integers
@@ -57,24 +55,18 @@ def assigned_stations(
     plan: Plan, section: EventsSection, events: list[Events], stations: list[Stations], *,
     observations: Observations, ties: TiePoints, ledger: Ledger,
 ) -> list[Stations]:  # fmt: skip
-    """The stations of the events of each camera that have an image, under its name.
-
-    ``stations`` are those of all events, camera by camera. Images whose events are named by the
-    file that has them keep them.
-    """
+    """Of the ``stations`` of all events, camera by camera, those that have an image, as its."""
     if section.csv is not None:
         return stations
     files = None
     if section.images is not None:
+        path = section.images.path
         files = read_image_times(plan.input("images").path, section.images.time_zone, ledger)
         absent = sorted(set(observations.images) - set(files.rows_of(observations.images)))
         if len(absent) == len(observations.images):
-            raise InputError.of(
-                "IMAGES-OTHER", section.images.path, absent=absent[0], files=files.file[0]
-            )
+            raise InputError.of("IMAGES-OTHER", path, absent=absent[0], files=files.file[0])
         if absent:
-            what = f"{len(absent)} observed images are not there: {absent[0]} ..."
-            ledger.loss("IMAGES-ABSENT", what, where=section.images.path, count=len(absent))
+            ledger.loss("IMAGES-ABSENT", where=path, count=len(absent), first=absent[0])
     result, chosen = [], []
     for exposed, of_events in zip(events, stations, strict=True):
         pattern = section.patterns[exposed.camera]
@@ -88,10 +80,9 @@ def assigned_stations(
             "tie points": tie_likelihood(ties, images, camera, of_events),
             "positions": position_likelihood(images, files, of_events),
         }
-        named, rows, notes = assigned_events(
-            exposed, images, files, section.anchor(exposed.camera), spoken
-        )
-        ledger.extend(notes)
+        likelihoods = {name: spoke for name, spoke in spoken.items() if spoke is not None}
+        anchor = section.anchor(exposed.camera)
+        named, rows = ledger.take(assigned_events(exposed, images, files, anchor, likelihoods))
         chosen.append(named)
         result.append(replace(of_events.rows(rows), image=named.image))
     refuse_repeated_images(chosen)
@@ -102,8 +93,7 @@ def assigned_stations(
 class TieLikelihood:
     """Log likelihood of assignments (k,) of events to the images of one camera, by tie points.
 
-    Rays of images without a usable event count as bad ones under any assignment. ``rays`` are some
-    of ``every`` ray.
+    Rays of images without a usable event count as bad ones; ``rays`` are some of ``every`` ray.
     """
 
     of_events: Orientations
@@ -119,10 +109,7 @@ class TieLikelihood:
         return self.intersected(event).log_likelihood if self.rays.point.size else 0.0
 
     def share_met(self, events: Integers) -> Array:
-        """(c,) share of some points whose rays meet under assignments (c, k), all at once.
-
-        Each ray has all of its station's sigma for itself: more points meet than in `intersected`.
-        """
+        """(c,) share of some points whose rays meet under assignments (c, k); more than jointly."""
         points = np.unique(self.rays.point)
         some = points[np.unique(np.linspace(0, points.size - 1, _POINTS_AT_FIRST).astype(int))]
         rays, m = self.rays.of_points(some), self.of_events.camera.size
@@ -160,11 +147,7 @@ class TieLikelihood:
 def tie_likelihood(
     ties: TiePoints, images: CameraImages, camera: Camera, stations: Stations
 ) -> TieLikelihood | None:
-    """Likelihood by the tie points of one camera; None where they are too few.
-
-    ``stations`` are those of all its events. Rays of an unusable station count as bad ones: where
-    many are unusable the events of others seem better, so fewer than nine in ten decide nothing.
-    """
+    """Likelihood by the tie points of one camera; None where these or usable events are few."""
     of_camera = np.full(images.name.shape, "camera", object)
     rays = tie_rays(ties, images.name, of_camera, {"camera": camera})
     points = np.unique(rays.point)
@@ -181,9 +164,8 @@ def position_likelihood(
 ) -> Likelihood | None:
     """Log likelihood of assignments by the positions in the images; None where few have one.
 
-    ``stations`` are those of all events. The positions err by 10 m each, at most five times that,
-    and together by 5 m and by a delay of 1 s: a receiver's last fix. So positions along one line
-    decide nothing that a delay explains; those of lines to and fro do.
+    The positions err by 10 m each, at most five times that, and together by 5 m and a delay of
+    1 s: a receiver's last fix. Along one line they decide nothing; along lines to and fro they do.
     """
     if files is None or len(stations) < 3:
         return None
@@ -225,8 +207,8 @@ def images_of_camera(
 ) -> CameraImages:
     """Images of the observations, and files without any, that a pattern describes, in their order.
 
-    A file without observations is called as the pattern says, or by its path. Where a pattern has
-    no number, the digits that differ most from image to image are the camera's count.
+    A file is called as the pattern says, or by its path. Where a pattern has no number, the digits
+    that differ most are the camera's count.
     """
     text, fields = "", []
     for literal, field, _, _ in string.Formatter().parse(pattern):
@@ -269,27 +251,20 @@ def images_of_camera(
 
 def assigned_events(
     exposed: Events, images: CameraImages, files: ImageTimes | None, anchor: FirstImage | None,
-    spoken: Mapping[str, Likelihood | None],
-) -> tuple[Events, Integers, Notes]:  # fmt: skip
+    likelihoods: Mapping[str, Likelihood],
+) -> tuple[tuple[Events, Integers], Notes]:  # fmt: skip
     """The events that have an image, under its name, and their rows among all events.
 
     The log's own numbers in the names of images decide, and all events keep their names, unless
-    times or tie points contradict (MissionError EVENTS-CONTRADICTED). Everything else is decided
-    by the likelihood, and refused (EVENTS-AMBIGUOUS) where the runner-up is not 1000 times less
-    likely.
+    times or tie points contradict (MissionError EVENTS-CONTRADICTED). Everything else is decided by
+    the likelihood; refused (EVENTS-AMBIGUOUS) where the runner-up is not 1000 times less likely.
     """
     where = f"events.log.{exposed.camera}"
-    likelihoods = {name: function for name, function in spoken.items() if function is not None}
-
-    def tie_points_and_positions(event: Integers) -> float:
-        return sum(function(event) for function in likelihoods.values())
-
-    tie_points = tie_points_and_positions if likelihoods else None
     every = np.arange(exposed.time_ns.size, dtype=np.int64)
     has_names = bool((exposed.image != "").all())
     if images.name.size == 0 or every.size == 0:
         kept = every[: every.size * has_names]
-        return Events(exposed.camera, exposed.image[kept], exposed.time_ns[kept]), kept, ()
+        return (Events(exposed.camera, exposed.image[kept], exposed.time_ns[kept]), kept), ()
     beyond = images.number.max() > every.size
     if images.numbering == "index" and (
         exposed.counts == "always" or (exposed.counts == "maybe" and beyond)
@@ -298,28 +273,28 @@ def assigned_events(
     by_index = images.numbering == "index" and exposed.index is not None
     if images.numbering == "index" and not by_index:
         if has_names:  # the numbers begin anew, but their names do not repeat
-            return exposed, every, ()
+            return (exposed, every), ()
         images = replace(images, numbering="sequence")
     keys, wanted = exposed.image.tolist(), images.name.tolist()
     if by_index and exposed.index is not None and not has_names:
         keys, wanted = exposed.index.tolist(), images.number.tolist()
     row_of = {key: row for row, key in enumerate(keys) if key != ""}
     event_by_name = np.array([row_of.get(key, -1) for key in wanted], np.int64)
-    evidence, ties = evidence_of_images(exposed, images, files), spoken.get("tie points")
+    evidence, ties = evidence_of_images(exposed, images, files), likelihoods.get("tie points")
     assignment = assign(
         CameraEvents((exposed.time_ns - exposed.time_ns[0]) / 1e9, exposed.index),
         evidence,
         first_image=anchor_rows(anchor, images, exposed),
-        tie_points=tie_points,
+        tie_points=(lambda of: sum(f(of) for f in likelihoods.values())) if likelihoods else None,
         share_met=ties.share_met if isinstance(ties, TieLikelihood) else None,
     )
     if isinstance(ties, TieLikelihood) and not ties.fits(assignment.event):
         # No assignment lets the rays meet: mounts, cameras or times are wrong, not the events.
-        rest = {name: likelihood for name, likelihood in spoken.items() if likelihood is not ties}
+        rest = {name: f for name, f in likelihoods.items() if f is not ties}
         return assigned_events(exposed, images, files, anchor, rest)
     names = " and ".join(likelihoods)
-    evidence_of_all = tuple(n.replace("tie points", names) for n in assignment.evidence)
-    assignment = replace(assignment, evidence=evidence_of_all)
+    by = tuple(n.replace("tie points", names) for n in assignment.evidence)
+    assignment = replace(assignment, evidence=by)
     description, event = describe_assignment(assignment, images, exposed), assignment.event
     undecided = assignment.ambiguous
     if by_index:
@@ -339,25 +314,23 @@ def assigned_events(
         )  # fmt: skip
     entries = [note("EVENTS-ASSIGNED", description, where=where, count=int((event >= 0).sum()))]
     if evidence.time_s is not None and abs(assignment.offset_s) > _DAY_S:
-        what = f"the camera's clock is {assignment.offset_s / 3600:+.1f} h off: images of this day?"
-        entries.append(warning("EXIF-CLOCK", what, where="events.images"))
-    if bool(undecided.any()):
-        what = f"{undecided.sum()} images are of one event by some of the evidence and of another "
-        what += f"by the rest, and have none: {', '.join(images.name[undecided][:3])}"
-        entries.append(loss("EVENTS-UNDECIDED", what, where=where, count=int(undecided.sum())))
+        hours = assignment.offset_s / 3600
+        entries.append(warning("EXIF-CLOCK", where="events.images", hours=hours))
+    if count := int(undecided.sum()):
+        listed = ", ".join(images.name[undecided][:3])
+        entries.append(loss("EVENTS-UNDECIDED", where=where, count=count, images=listed))
     if has_names and np.array_equal(event, event_by_name):
-        return exposed, every, tuple(entries)
+        return (exposed, every), tuple(entries)
     has_event = np.flatnonzero(event >= 0)
     has_event = has_event[np.argsort(event[has_event], kind="stable")]
     rows = event[has_event]
     unused = np.setdiff1d(every, rows)
-    if unused.size:
+    if count := unused.size:
         numbers = unused + 1 if exposed.index is None else exposed.index[unused]
-        what = f"{unused.size} events have no image: {', '.join(map(str, numbers[:8]))}"
-        what += " ..." if unused.size > 8 else ""
-        entries.append(note("EVENTS-UNUSED", what, where=where, count=int(unused.size)))
+        listed = ", ".join(map(str, numbers[:8])) + " ..." * (count > 8)
+        entries.append(note("EVENTS-UNUSED", where=where, count=count, events=listed))
     chosen = Events(exposed.camera, images.name[has_event], exposed.time_ns[rows])
-    return chosen, rows, tuple(entries)
+    return (chosen, rows), tuple(entries)
 
 
 def hole_between(
@@ -366,9 +339,8 @@ def hole_between(
 ) -> str:  # fmt: skip
     """Why images in their order are not those of the events in theirs; empty where they are.
 
-    Exposures without event, or events without image, may lie between them: then a part is shifted,
-    by two or by as many as there are too few, or too many. Tie points that are seen from both parts
-    show it, or positions; where there are none, nothing does.
+    Where exposures without event or events without image lie between, a part is shifted, which
+    positions show, or tie points seen from both parts.
     """
     count, m, event = images.name.size, exposed.time_ns.size, assignment.event
     last = int(images.number.max()) if images.numbering == "counted" else count
@@ -390,20 +362,16 @@ def hole_between(
         cuts = np.concatenate([rank, rank + 1])
         cuts = cuts[np.unique(np.linspace(0, cuts.size - 1, 20).astype(int))] if cuts.size else cuts
     for k in np.unique(cuts[(cuts > 0) & (cuts < count)]).tolist():
-        near = [
-            f.across(order[:k]) if isinstance(f, TieLikelihood) else f for f in likelihoods.values()
-        ]
-        likely = sum(f(event) for f in near)
-        for rows in (order[:k], order[k:]):
-            for shift in (sign * size for size in sizes for sign in (-1, 1)):
-                parted, moved = event.copy(), whole[rows] + shift
-                inside = (moved >= 0) & (moved < m)
-                parted[rows] = np.where(inside, moved, -1)
-                if (
-                    2 * inside.sum() >= rows.size
-                    and sum(f(parted) for f in near) > likely + LOG_RATIO_NEEDED
-                ):
-                    return f"one is missing near {images.name[order[k]]}"
+        of_all = likelihoods.values()
+        near = [f.across(order[:k]) if isinstance(f, TieLikelihood) else f for f in of_all]
+        enough = sum(f(event) for f in near) + LOG_RATIO_NEEDED
+        shifts = [sign * size for size in sizes for sign in (-1, 1)]
+        for rows, shift in product((order[:k], order[k:]), shifts):
+            parted, moved = event.copy(), whole[rows] + shift
+            inside = (moved >= 0) & (moved < m)
+            parted[rows] = np.where(inside, moved, -1)
+            if 2 * inside.sum() >= rows.size and sum(f(parted) for f in near) > enough:
+                return f"one is missing near {images.name[order[k]]}"
     return ""
 
 
@@ -427,11 +395,11 @@ def anchor_rows(
     """Rows of the image and the event that the mission file says belong together."""
     if anchor is None:
         return None
-    row = np.flatnonzero(images.name == anchor.image)
-    if row.size == 0 or anchor.event > exposed.time_ns.size:
+    row, events = np.flatnonzero(images.name == anchor.image), exposed.time_ns.size
+    if row.size == 0 or anchor.event > events:
         raise MissionError.of(
             "EVENTS-FIRST-IMAGE", f"events.first_image.{exposed.camera}", image=anchor.image,
-            event=anchor.event, events=exposed.time_ns.size, first=images.name[0],
+            event=anchor.event, events=events, first=images.name[0],
         )  # fmt: skip
     return int(row[0]), anchor.event - 1
 
@@ -440,19 +408,15 @@ def evidence_of_images(
     exposed: Events, images: CameraImages, files: ImageTimes | None
 ) -> ImageEvidence:
     """Numbers of the images, and their times from the first event on where files have them."""
-    evidence = ImageEvidence(
-        images.name.size,
-        number=images.number,
-        numbering=images.numbering,
-        total=-1 if exposed.lost else None,  # where pulses were lost, equal counts mean nothing
-    )
+    total = -1 if exposed.lost else None  # where pulses were lost, equal counts mean nothing
+    count, numbering = images.name.size, images.numbering
+    evidence = ImageEvidence(count, number=images.number, numbering=numbering, total=total)
     if files is None:
         return evidence
     time_ns = np.append(files.time_ns, NO_TIME)[images.file]
-    timed = time_ns != NO_TIME
+    timed, begin = time_ns != NO_TIME, exposed.time_ns[0]
     if not bool(timed.any()):
         return evidence
-    begin = exposed.time_ns[0]
     return replace(
         evidence,
         time_s=np.where(timed, (np.where(timed, time_ns, begin) - begin) / 1e9, np.nan),
@@ -467,22 +431,17 @@ def describe_assignment(assignment: Assignment, images: CameraImages, exposed: E
     text = f"{assigned} of {images.name.size} images and {exposed.time_ns.size} events"
     if assigned:
         i = int(np.argmax(assignment.event >= 0))
-        number = (
-            assignment.event[i] + 1 if exposed.index is None else exposed.index[assignment.event[i]]
-        )
+        event = assignment.event[i]
+        number = event + 1 if exposed.index is None else exposed.index[event]
         text += f", {images.name[i]} of event {number}"
     text += f", by {', '.join(assignment.evidence)}"
     residual = assignment.residual_s[np.isfinite(assignment.residual_s)]
     if residual.size:
-        text += (
-            f"; times fit to {np.sqrt(np.mean(residual**2)):.3f} s rms, "
-            f"{np.abs(residual).max():.3f} s at most, after {assignment.offset_s:+.3f} s and "
-            f"{1e6 * assignment.drift:+.1f} ppm"
-        )
+        rms, most = np.sqrt(np.mean(residual**2)), np.abs(residual).max()
+        text += f"; times fit to {rms:.3f} s rms, {most:.3f} s at most, "
+        text += f"after {assignment.offset_s:+.3f} s and {1e6 * assignment.drift:+.1f} ppm"
     if assignment.runner_up.size:
         decades = assignment.log_ratio / np.log(10)
-        text += (
-            f"; the next best assignment ({assignment.shift:+d} events) is 10^{decades:.0f} times "
-            "less likely"
-        )
+        text += f"; the next best assignment ({assignment.shift:+d} events) is "
+        text += f"10^{decades:.0f} times less likely"
     return text

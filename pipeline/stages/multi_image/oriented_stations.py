@@ -8,38 +8,15 @@ import numpy as np
 import pyarrow as pa
 
 from pipeline.batch.plan import Plan
+from pipeline.block import oriented_images
 from pipeline.block.alignment import LOG_RATIO_NEEDED
 from pipeline.block.image_rays import orientations_of, straightened
 from pipeline.block.intersection import intersect
-from pipeline.block.oriented_images import (
-    ECEF,
-    SIGMAS_OF_BLOCK,
-    CartesianFrame,
-    OrientedImages,
-    fitted_frame,
-    flag_above_horizon,
-    flag_far_images,
-    refuse_turned_images,
-    stations_of_images,
-    topocentric,
-)
+from pipeline.block.oriented_images import SIGMAS_OF_BLOCK, CartesianFrame, OrientedImages
 from pipeline.config.station_sources import EnuFrame, KnownPositions, OrientationSection
 from pipeline.errors import InputError, MissionError
-from pipeline.flight.heights import (
-    HIGHEST_GROUND_M,
-    LOWEST_GROUND_M,
-    GeodeticOrigin,
-    ground_offsets,
-)
+from pipeline.flight import heights, rotations
 from pipeline.flight.image_names import renamed
-from pipeline.flight.rotations import (
-    ANGLE_MISTAKES,
-    enu_from_grid,
-    in_turned_frame,
-    opk_of_quaternion,
-    quaternion_of_opk,
-    quaternion_of_rpy,
-)
 from pipeline.flight.stations import NO_TIME, Stations, join_stations
 from pipeline.ledger import Ledger, Notes
 from pipeline.stages.exposure_setup import camera_of_rows, cameras_of_mission
@@ -47,13 +24,7 @@ from pipeline.stages.inputs import FlightLog, user_geoid
 from pipeline.stages.multi_image.tie_point_checks import FEWEST_TIE_POINTS
 from pipeline.tables.geodata.coordinate_systems import places_of
 from pipeline.tables.geodata.object_points import ObjectPoints
-from pipeline.tables.imports import ORIENTATIONS, reader_of
-from pipeline.tables.imports.blocks import (
-    block_reader,
-    block_rows,
-    damage_refused,
-    read_block_images,
-)
+from pipeline.tables.imports import ORIENTATIONS, blocks, reader_of
 from pipeline.tables.imports.stated import Stated
 from pipeline.tables.imports.user_tables import OrientationTable, read_known_positions
 from pipeline.tables.observations import Observations
@@ -61,16 +32,10 @@ from pipeline.tables.tie_points import TiePoints, tie_rays
 from pipeline.units import DEGREE, RADIANS, Array
 
 _FEW_BELOW_GROUND = 0.1
-_GOOD_FACTOR = 2.0
-"""Residuals over those of an adjusted block, that another reading may have."""
-
-_SIGMA_OF_LOG_M = 1.5
-"""Positions of an autopilot that fuses a receiver without corrections."""
-
+_GOOD_FACTOR = 2.0  # residuals over those of an adjusted block, that another reading may have
+_SIGMA_OF_LOG_M = 1.5  # positions of an autopilot that fuses a receiver without corrections
+_HIGHEST_ABOVE_GROUND_M = 15_000.0  # no survey is flown higher, in the median
 _KEYS_OF_READINGS = {"angles are in": "unit", "longitude": "columns (latitude, longitude)"}
-
-_HIGHEST_ABOVE_GROUND_M = 15_000.0
-"""No survey is flown higher, in the median, than that above its ground."""
 
 
 def oriented_stations(
@@ -79,8 +44,7 @@ def oriented_stations(
 ) -> Stations:  # fmt: skip
     """The stations of `stations.orientation`; ``exposed`` are those of the events, if any.
 
-    Refuses (MissionError ORIENTATION-READING) a table whose angles or positions make the rays of
-    the user's tie points meet far better in another reading.
+    Refuses (ORIENTATION-READING) a table by which tie points meet far better in another reading.
     """
     section = plan.mission.stations.orientation
     if section is None:
@@ -90,7 +54,9 @@ def oriented_stations(
     image = renamed(table.image, observations.images, differences, "stations.orientation")
     table = replace(table, image=ledger.take(image))
     stations = stations_of_table(plan, flight, section, table, exposed=exposed, ledger=ledger)
-    stations = ledger.take(flag_far_images(stations, use=plan.mission.stations.use_suspect))
+    stations = ledger.take(
+        oriented_images.flag_far_images(stations, use=plan.mission.stations.use_suspect)
+    )
     stations = check_height_above_ground(plan, flight, stations, observations, ledger)
     rays = tie_rays(ties, stations.image, stations.camera, cameras_of_mission(plan.mission))
     if np.unique(rays.point).size < FEWEST_TIE_POINTS:
@@ -117,15 +83,12 @@ def oriented_stations(
 
 
 def orientation_table(plan: Plan, section: OrientationSection, ledger: Ledger) -> OrientationTable:
-    """The table or the block of orientations, with the mission's names of its cameras.
-
-    Refuses (MissionError BLOCK-CAMERA) images of a camera that the mission file does not have.
-    """
+    """The table or block of orientations, with the mission's names of cameras (BLOCK-CAMERA)."""
     source = plan.input("orientation").path
     if not section.of_block:
         reader: Callable[..., OrientationTable] = reader_of(ORIENTATIONS, source, section.format)
         return reader(source, Stated(columns=section.column_names, angle_unit=section.unit), ledger)
-    table = read_block_images(source, section.format)
+    table = blocks.read_block_images(source, section.format)
     given, names = np.array(table.camera), dict(plan.camera_names)
     own = sorted(set(given.tolist()))
     names |= {own[0]: names[""]} if len(own) == 1 and "" in names else {}
@@ -146,8 +109,8 @@ def block_points(plan: Plan, flight: FlightLog, ledger: Ledger) -> ObjectPoints:
     if section is None:
         raise MissionError("EVENTS-NONE", "the mission names no orientation", where="stations")
     source = plan.input("orientation").path
-    with damage_refused(source, section.format):
-        name, xyz = block_reader(section.format).read_points(source)
+    with blocks.damage_refused(source, section.format):
+        name, xyz = blocks.block_reader(section.format).read_points(source)
     if len(name) == 0:
         raise InputError.of("POINTS-EMPTY", section.path)
     table = orientation_table(plan, section, ledger)
@@ -159,23 +122,21 @@ def block_points(plan: Plan, flight: FlightLog, ledger: Ledger) -> ObjectPoints:
         lat, lon, h = frame.geodetic(xyz)
     if not section.is_msl(table.heights):
         h = h - flight.heights.undulation(lat, lon)
-    if not LOWEST_GROUND_M < np.nanmedian(h) < HIGHEST_GROUND_M:
+    if not heights.LOWEST_GROUND_M < np.nanmedian(h) < heights.HIGHEST_GROUND_M:
         raise InputError.of("ORIENTATION-FRAME", section.path, height_m=np.nanmedian(h))
     points = ObjectPoints(name, lat, lon, h)
     image, usual, apart = [], [], [np.zeros(1)]
-    for batch in block_rows(source, section.format):
+    for batch in blocks.block_rows(source, section.format):
         seen = points.heights(batch["point"], batch["image"])[0]
         seen = seen[np.isfinite(seen)]
         if seen.size:
             image.append(batch["image"][0].as_py())
             usual.append(float(np.median(seen)))
             apart.append(np.abs(seen - usual[-1]))
-    what = (
-        f"{len(name)} points of the block lie {np.nanmin(h):.0f} to {np.nanmax(h):.0f} m above sea "
-        f"level; image points of none take the median of their image, from which its points are "
-        f"{np.median(np.concatenate(apart)):.0f} m away in the median"
-    )
-    ledger.note("GROUND-BLOCK", what, where="ground.height", count=len(name))
+    ledger.note(
+        "GROUND-BLOCK", where="ground.height", count=len(name), low=np.nanmin(h),
+        high=np.nanmax(h), apart=np.median(np.concatenate(apart)),
+    )  # fmt: skip
     of_image = pa.array(image, pa.string()), np.array([*usual, np.nanmedian(h)])
     return replace(points, of_image=of_image)
 
@@ -214,12 +175,14 @@ def other_readings(
             if unit != section.unit:
                 as_unit = angles * (size / RADIANS[section.unit])
                 other[f"if the angles are in {unit}"] = replace(table, angles=as_unit)
-        for what, undone in ANGLE_MISTAKES.items():
+        for what, undone in rotations.ANGLE_MISTAKES.items():
             changed = np.stack(undone(*angles.T), axis=1)
             other[what.format(first, second, last)] = replace(table, angles=changed)
         if last == "kappa":
             order = f"{second}_{first}_kappa"
-            same = opk_of_quaternion(quaternion_of_opk(angles[:, [1, 0, 2]], order), section.angles)
+            same = rotations.opk_of_quaternion(
+                rotations.quaternion_of_opk(angles[:, [1, 0, 2]], order), section.angles
+            )
             other[f"if the angles are {order}"] = replace(table, angles=same)
     if section.is_geodetic:
         swapped = position[:, [1, 0, 2]]
@@ -236,17 +199,17 @@ def stations_of_table(
     mission = plan.mission
     of_body = section.angles == "roll_pitch_yaw"
     if of_body:
-        quaternion = quaternion_of_rpy(table.angles, np.eye(3))
+        quaternion = rotations.quaternion_of_rpy(table.angles, np.eye(3))
     elif section.angles.startswith("quaternion"):
         sense = 1.0 if section.angles == "quaternion" else -1.0
         quaternion = table.angles * [1.0, sense, sense, sense]
     else:
-        quaternion = quaternion_of_opk(table.angles, section.angles)
+        quaternion = rotations.quaternion_of_opk(table.angles, section.angles)
     lat, lon, h = table.position.T
     tilt_rad = 0.0
     if section.frame in ("geographic", "projected"):
-        turn = enu_from_grid(section.convergence_deg * DEGREE + table.convergence_rad)
-        quaternion = in_turned_frame(quaternion, turn.swapaxes(-1, -2))
+        turn = rotations.enu_from_grid(section.convergence_deg * DEGREE + table.convergence_rad)
+        quaternion = rotations.in_turned_frame(quaternion, turn.swapaxes(-1, -2))
     else:
         frame = frame_of_block(plan, flight, section, table, exposed=exposed, ledger=ledger)
         tilt_rad = frame.tilt_rad
@@ -263,46 +226,36 @@ def stations_of_table(
         of_body, sigmas_of_block(section, table, tilt_rad),
     )  # fmt: skip
     mounts = {name: mount.build() for name, mount in mission.mount.items()}
-    stations = stations_of_images(images, mounts, flight.heights)
-    stations = ledger.take(flag_above_horizon(stations))
-    refuse_turned_images(stations)
+    stations = oriented_images.stations_of_images(images, mounts, flight.heights)
+    stations = ledger.take(oriented_images.flag_above_horizon(stations))
+    oriented_images.refuse_turned_images(stations)
     return stations
 
 
 def check_height_above_ground(
     plan: Plan, flight: FlightLog, stations: Stations, observations: Observations, ledger: Ledger
 ) -> Stations:
-    """Stations, with an entry on the height of the cameras above the ground; none may be in it.
-
-    Single ones that are far too high are suspect. The ground is that of the mission file, or of
-    the first observations.
-    """
+    """Stations, and a note of their heights above ground; those far too high are suspect."""
     section = plan.mission.ground
     batch = next(observations.batches(plan.mission.output.batch_rows))
     given = batch.ground if batch.ground is not None else np.array([section.constant_m], np.float64)
     given = given[np.isfinite(given)]
     if section.from_distance or given.size == 0 or not bool(stations.ok.any()):
         return stations
-    ground = ground_offsets(section.reference_of_values, stations, flight.heights) + np.median(
-        given
-    )
-    above = (stations.h_msl_m - ground)[stations.ok]
+    ground = heights.ground_offsets(section.reference_of_values, stations, flight.heights)
+    over = stations.h_msl_m - (ground + np.median(given))
+    above, where = over[stations.ok], "stations.orientation"
     low = int((above <= 0.0).sum())
-    what = (
-        f"the cameras are {np.median(above):.0f} m above the ground in the median, "
-        f"{above.min():.0f} to {above.max():.0f} m"
-    )
-    where = "stations.orientation"
+    what = f"the cameras are {np.median(above):.0f} m above the ground in the median, "
+    what += f"{above.min():.0f} to {above.max():.0f} m"
     if low > _FEW_BELOW_GROUND * above.size:
         raise MissionError.of("ORIENTATION-HEIGHT", where, low=low, total=above.size, what=what)
     with np.errstate(invalid="ignore"):
-        high = stations.ok & (stations.h_msl_m - ground > _HIGHEST_ABOVE_GROUND_M)
-    if 0 < high.sum() <= _FEW_BELOW_GROUND * above.size:
-        text = (
-            f"{int(high.sum())} stations are suspect, the first {stations.image[high][0]}: {what}"
-        )
-        ledger.loss("ORIENTATION-HEIGHT", text, where=where, count=int(high.sum()))
-        use = plan.mission.stations.use_suspect
+        high = stations.ok & (over > _HIGHEST_ABOVE_GROUND_M)
+    count, use = int(high.sum()), plan.mission.stations.use_suspect
+    if 0 < count <= _FEW_BELOW_GROUND * above.size:
+        text = f"{count} stations are suspect, the first {stations.image[high][0]}: {what}"
+        ledger.loss("ORIENTATION-HEIGHT", text, where=where, count=count)
         return stations.as_suspect(high, "far above the others", np.nan, use=use)
     entry = ledger.warning if low > 0 or high.any() else ledger.note
     entry("ORIENTATION-HEIGHT", what, where=where, count=above.size)
@@ -321,10 +274,10 @@ def frame_of_block(
     if table.frame not in (None, frame):
         what = f"by the file its frame is {table.frame}, by the mission file {frame}, which holds"
         ledger.warning("IMPORT-CONTRADICTED", what, where=section.path)
-    if isinstance(frame, GeodeticOrigin):
-        return topocentric(frame)
+    if isinstance(frame, heights.GeodeticOrigin):
+        return oriented_images.topocentric(frame)
     if frame == "ecef":
-        return ECEF
+        return oriented_images.ECEF
     known = section.known_positions
     if isinstance(known, KnownPositions):
         names, sigma_m = known.model_dump(exclude={"path", "sigma_m"}), known.sigma_m
@@ -339,7 +292,9 @@ def frame_of_block(
         stated = np.hypot(of_log.sigma_horizontal_m, of_log.sigma_height_m)[of_log.ok] / np.sqrt(2)
         stated = stated[np.isfinite(stated)]
         sigma_m = float(np.median(stated)) if stated.size else _SIGMA_OF_LOG_M
-    return ledger.take(fitted_frame(table.image, table.position, image, position, sigma_m=sigma_m))
+    return ledger.take(
+        oriented_images.fitted_frame(table.image, table.position, image, position, sigma_m=sigma_m)
+    )
 
 
 def sigmas_of_block(
@@ -352,10 +307,12 @@ def sigmas_of_block(
         "sigma_horizontal_m": (section.sigma_horizontal_m, 1.0),
         "sigma_height_m": (section.sigma_height_m, 1.0),
     }
-    sigmas: dict[str, Array] = {}
-    for name, (constant, unit) in stated.items():
-        value = np.nan if constant is None else constant * unit
-        sigmas[name] = table.sigmas.get(name, np.full(len(table.image), value))
+    sigmas = {
+        name: table.sigmas.get(
+            name, np.full(len(table.image), np.nan if constant is None else constant * unit)
+        )
+        for name, (constant, unit) in stated.items()
+    }
     if tilt_rad > 0.0:
         sigmas["sigma_tilt_rad"] = np.hypot(np.nan_to_num(sigmas["sigma_tilt_rad"]), tilt_rad)
     return sigmas

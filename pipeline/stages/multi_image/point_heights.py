@@ -1,10 +1,6 @@
-"""Heights of points from a table of the user's, or by intersection with the stations held.
-
-Those of a table are checked: in the datum of the stations, and near them.
-"""
+"""Heights of points from a table of the user's, checked, or by intersection."""
 
 from collections import Counter
-from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from tempfile import TemporaryFile
@@ -15,8 +11,10 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from pipeline.batch.plan import Plan
-from pipeline.block.image_rays import ImageRays, Orientations, orientations_of
+from pipeline.block.image_rays import ImageRays, Orientations
 from pipeline.block.intersection import PointHeights, point_heights
+from pipeline.config import Mission
+from pipeline.config.sections import ControlSection, PointTable
 from pipeline.errors import InputError, MissionError
 from pipeline.flight.heights import HeightSystem, known_home_m
 from pipeline.flight.stations import Stations
@@ -24,6 +22,7 @@ from pipeline.geodesy import ecef_of_geodetic
 from pipeline.ledger import Entry, Kind, Ledger
 from pipeline.refraction.image import correct_observations
 from pipeline.stages.correction import CorrectionSetup
+from pipeline.stages.exposure_setup import orientations_of_mission
 from pipeline.stages.ground_heights import ComputedGround
 from pipeline.stages.inputs import FlightLog, user_geoid
 from pipeline.stages.multi_image.oriented_stations import block_points
@@ -40,18 +39,15 @@ _STEEPEST = 20.0
 def with_object_points(
     plan: Plan, observations: Observations, flight: FlightLog, ledger: Ledger
 ) -> Observations:
-    """The observations with heights above sea level from the table of object points, if any.
-
-    Or from the block that orients the images.
-    """
-    section, reference = plan.mission.ground.points, plan.mission.ground.reference
-    if plan.mission.ground.height == "block":
+    """The observations with the object points of a table, or of the block, if any."""
+    ground = plan.mission.ground
+    if ground.height == "block":
         return replace(observations, points=block_points(plan, flight, ledger))
-    if section is None:
+    if ground.points is None:
         return observations
     points = read_points(
-        plan, "object points", section.crs, section.columns.named, reference=reference,
-        key="ground.height", heights=flight.heights, ledger=ledger,
+        plan, "object points", ground.points, ground.reference, key="ground.height",
+        heights=flight.heights, ledger=ledger,
     )  # fmt: skip
     return replace(observations, points=points)
 
@@ -59,28 +55,24 @@ def with_object_points(
 def read_points(
     plan: Plan,
     role: str,
-    crs: str,
-    columns: Mapping[str, str],
-    *,
+    section: PointTable | ControlSection,
     reference: str,
+    *,
     key: str,
     heights: HeightSystem,
     ledger: Ledger,
 ) -> ObjectPoints:
-    """The points of a table of the user's with heights above sea level.
+    """The points of a table of the user's, of that ``role``, with heights above sea level.
 
-    ``role`` is that of the input, ``columns``, ``crs`` and ``reference`` what the mission file
-    states of it under ``key``. Refuses as `read_object_points` and `places_of`.
+    ``section`` and ``reference`` are what the mission file states of it under ``key``.
     """
     path = plan.input(role).path
-    name, value = read_object_points(path, columns, key=f"{key}.columns")
-    axes = ("x", "y") if "x" in value else ("longitude", "latitude")
-    places = ledger.take(
-        places_of(
-            crs, (value[axes[0]], value[axes[1]], value["height"]), heights=reference,
-            geoid=user_geoid(plan), where=str(path), key=f"{key}.crs",
-        )
-    )  # fmt: skip
+    name, value = read_object_points(path, section.columns.named, key=f"{key}.columns")
+    x, y = ("x", "y") if "x" in value else ("longitude", "latitude")
+    places = ledger.take(places_of(
+        section.crs, (value[x], value[y], value["height"]), heights=reference,
+        geoid=user_geoid(plan), where=str(path), key=f"{key}.crs",
+    ))  # fmt: skip
     h = places.h_m
     if places.heights == "ellipsoid":
         h = h - heights.undulation(places.lat_rad, places.lon_rad)
@@ -92,9 +84,8 @@ def read_points(
 def check_object_points(observations: Observations, stations: Stations, ledger: Ledger) -> None:
     """Compare the places of object points with the stations that see them.
 
-    Refuses (InputError) a table that has none of the points (POINTS-MISSING), and points that most
-    stations cannot see because they lie below the horizon (POINTS-FAR); a loss where they are, in
-    the median, seen at more than 87 deg from the nadir.
+    Refuses (InputError) a table without any of the points (POINTS-MISSING), and points below the
+    horizon (POINTS-FAR); a loss where the median one is seen at more than 87 deg from the nadir.
     """
     points = observations.points
     if points is None:
@@ -102,15 +93,12 @@ def check_object_points(observations: Observations, stations: Stations, ledger: 
     batch = next(observations.batches(100_000))
     _, row = points.heights(batch.point, batch.image)
     station = matching_rows(batch.image, pa.array(stations.image, pa.string()))
+    where = "ground.height.points"
     if points.of_image is None and not bool((row >= 0).any()):
-        raise InputError(
-            "POINTS-MISSING",
-            f"none of the points of {len(batch)} observations is in the table: these are "
-            f"{batch.point[0]} ..., the table has {points.name[0]} ...",
-            where="ground.height.points",
-            remedy="write the names as in the observations, or name the column: "
-            "ground.height.columns.point",
-        )
+        raise InputError.of(
+            "POINTS-MISSING/table", where, total=len(batch), point=batch.point[0],
+            first=points.name[0],
+        )  # fmt: skip
     both = (row >= 0) & (station >= 0)
     row, station = row[both], station[both]
     lat, lon, h = points.lat_rad[row], points.lon_rad[row], points.h_m[row]
@@ -124,19 +112,14 @@ def check_object_points(observations: Observations, stations: Stations, ledger: 
     horizon = float(np.median(np.sqrt(2.0 * WGS84_A * above[known])))
     if usual < _STEEPEST * np.median(above[known]):
         return
-    what = f"the object points lie {usual / 1000.0:.0f} km from the stations that see them, in the "
-    what += "median"
     swapped = ecef_of_geodetic(lon, lat, h) - ecef_of_geodetic(*seen)
-    exchanged = float(np.nanmedian(np.linalg.norm(swapped, axis=1)))
+    exchanged, other = float(np.nanmedian(np.linalg.norm(swapped, axis=1))), ""
     if exchanged < 0.1 * usual:
-        what += f"; with latitude and longitude exchanged {exchanged / 1000.0:.0f} km"
+        other = f"; with latitude and longitude exchanged {exchanged / 1000.0:.0f} km"
     if usual > horizon:
-        raise InputError(
-            "POINTS-FAR", f"{what}: behind their horizon", where="ground.height.points",
-            remedy="name the columns, and state the system they are in: ground.height.columns, "
-            "ground.height.crs",
-        )  # fmt: skip
-    ledger.loss("POINTS-FAR", what, where="ground.height.points", count=int(known.sum()))
+        raise InputError.of("POINTS-FAR", where, km=usual / 1000.0, other=other)
+    count = int(known.sum())
+    ledger.loss("POINTS-FAR/steep", where=where, count=count, km=usual / 1000.0, other=other)
 
 
 _RAY = np.dtype([("point", "u8"), ("row", "i8"), ("station", "i8"), ("x", "f8"), ("y", "f8")])
@@ -147,10 +130,10 @@ _POOR = 0.05
 
 
 def with_intersected_heights(
-    observations: Observations, setup: CorrectionSetup, stations: Stations, ledger: Ledger, *,
-    unknown_sigmas: tuple[float, ...],
+    mission: Mission, observations: Observations, setup: CorrectionSetup, stations: Stations,
+    ledger: Ledger,
 ) -> CorrectionSetup:  # fmt: skip
-    """The setup with a ground height and its sigma for each row of the observations.
+    """The setup with intersected ground heights and their sigmas, where the mission file says so.
 
     The rays of a point may lie anywhere in a table of any length: its rows are divided by the hash
     of their points into temporary files of some 300,000 rows, which are intersected one after the
@@ -158,6 +141,8 @@ def with_intersected_heights(
     bytes a row, the rays 40). A rehearsal takes the points of its rows alone. Refuses (MissionError
     GROUND-INTERSECTED) where no point has a height; those without one are NaN.
     """
+    if mission.ground.height != "intersected":
+        return setup
     with TemporaryFile() as file:  # the map keeps it
         heights = np.memmap(file, np.float64, "w+", shape=(2, observations.rows))
     heights[:] = np.nan
@@ -166,7 +151,7 @@ def with_intersected_heights(
         wanted = np.unique(hashes_of(observations.sampled(points=True).point))
         parts, count = [observations.of_points(lambda hashes: rows_among(hashes, wanted))], 1
     images = pa.array(setup.images, pa.string())
-    orientations = orientations_of(stations, unknown_sigmas)
+    orientations = orientations_of_mission(mission, stations)
     counts: Counter[str] = Counter()
     shares = []
     with ExitStack() as stack:

@@ -10,23 +10,15 @@ from itertools import product
 import numpy as np
 
 from pipeline.block.diagnosis import Finding, StatedMission, diagnosis, scatter_of
-from pipeline.block.image_rays import (
-    MINIMUM_ANGLE_RAD,
-    UNKNOWN_SIGMAS,
-    ImageRays,
-    Orientations,
-    orientations_of,
-    straightened,
-)
+from pipeline.block.image_rays import MINIMUM_ANGLE_RAD, ImageRays, Orientations, straightened
 from pipeline.block.intersection import Intersection, point_heights
-from pipeline.block.oriented_images import SIGMAS_OF_BLOCK
 from pipeline.config import Mission
 from pipeline.flight.heights import HeightSystem, ground_offsets
 from pipeline.flight.stations import Stations
 from pipeline.geodesy import geodetic_of_ecef
 from pipeline.ledger import Ledger
 from pipeline.refraction.camera.camera import Camera
-from pipeline.stages.exposure_setup import cameras_of_mission
+from pipeline.stages.exposure_setup import cameras_of_mission, orientations_of_mission
 from pipeline.tables.geodata.elevation import ElevationModel
 from pipeline.tables.tie_points import TiePoints, tie_rays
 from pipeline.units import Array
@@ -45,14 +37,18 @@ _TO_CHANGE = {
 }
 _OF_RELIEF, _FLAT = 0.2, 0.002  # what a model leaves of it, and at least of the flying height
 _PANE_RAD = 1e-4  # what a window bends, which stays in the rays
+_MISSES = (
+    ": the orientations are not what they should be (rows of other images or cameras, another "
+    "convention, log.path of another flight), or the name of a point is not that of one point in "
+    "all images"
+)
 
 
 @dataclass(frozen=True, eq=False)
 class TieEvidence:
     """Tie points beside the stations of a mission, and the heights that it gives them.
 
-    ``terrain`` is its elevation model, where it has one. ``later`` gives the stations that many
-    seconds later, in their order, where they are those of events.
+    ``later`` gives the stations that many seconds later, where they are those of events.
     """
 
     mission: Mission
@@ -75,10 +71,9 @@ class TieEvidence:
 
     def orientations(self, seconds: float = 0.0) -> Orientations:
         """Of the stations, or of those that many seconds later."""
-        oriented = self.mission.stations.orientation is not None
         at = self.stations if self.later is None else self.later(seconds)
         at = at.with_status(~self.stations.ok, "suspect")
-        return orientations_of(at, SIGMAS_OF_BLOCK if oriented else UNKNOWN_SIGMAS)
+        return orientations_of_mission(self.mission, at)
 
     def rays(self, cameras: Mapping[str, Camera], axes: Mapping[str, str]) -> ImageRays:
         """The apparent rays, with given heights of their points above the ellipsoid."""
@@ -93,10 +88,7 @@ class TieEvidence:
         return replace(rays, sigma_rad=sigma, height_m=given)
 
     def on_terrain(self) -> tuple[TieEvidence, str]:
-        """With heights of the elevation model, at the places where the rays meet.
-
-        The text says whether they would meet it better with its rows or columns in another order.
-        """
+        """With heights of the elevation model where rays meet; and whether another order fits."""
         if self.terrain is None:
             return self, ""
         o, model = self.orientations(), self.terrain
@@ -109,9 +101,8 @@ class TieEvidence:
         ground[np.unique(rays.point)[met]] = height = model.heights(row, column)
         evidence = replace(self, ties=replace(self.ties, ground=ground[self.ties.point]))
         left, high = scatter_of(height - h_m), self.stations.h_msl_m[self.stations.ok]
-        if not np.isfinite(left) or left <= _OF_RELIEF * scatter_of(h_m):
-            return evidence, ""
-        if left <= _FLAT * np.nanmedian(high - np.nanmedian(height)):
+        flat = _FLAT * np.nanmedian(high - np.nanmedian(height))
+        if not np.isfinite(left) or left <= _OF_RELIEF * scatter_of(h_m) or left <= flat:
             return evidence, ""
         others, size = [], np.array(model.size)[:, None]
         for exchanged, *reverse in list(product((False, True), repeat=3))[1:]:
@@ -120,10 +111,9 @@ class TieEvidence:
             others.append(scatter_of(model.heights(*at) - h_m))
         if min(others) >= 0.5 * left:
             return evidence, ""
-        return evidence, (
-            f"the elevation model is off by {left:.0f} m or more at a tenth of the points, and by "
-            f"{min(others):.0f} m with its rows or columns reversed or exchanged"
-        )
+        what = f"the elevation model is off by {left:.0f} m or more at a tenth of the points, and "
+        what += f"by {min(others):.0f} m with its rows or columns reversed or exchanged"
+        return evidence, what
 
     def other_heights_m(self, rays: ImageRays) -> dict[str, float]:
         """What stations lie too low by, if heights are not what the mission file says."""
@@ -146,8 +136,7 @@ class TieEvidence:
 def check_tie_points(evidence: TieEvidence, ledger: Ledger) -> None:
     """A finding for each part of the mission file that tie points contradict, with its estimate.
 
-    Where no such part explains what the rays miss each other by, one finding lists what comes
-    nearest.
+    Where none explains what the rays miss each other by, one finding lists what comes nearest.
     """
     mission, stations = evidence.mission, evidence.stations
     cameras, oriented = cameras_of_mission(mission), mission.stations.orientation
@@ -157,26 +146,21 @@ def check_tie_points(evidence: TieEvidence, ledger: Ledger) -> None:
     evidence, reordered = evidence.on_terrain()
     rays = evidence.rays(cameras, {})
     of_body = oriented is None or oriented.angles == "roll_pitch_yaw"
-    stated, findings = diagnosis(
-        StatedMission(
-            evidence.orientations(),
-            cameras,
-            evidence.rays,
-            {name: mount.build() for name, mount in mission.mount.items() if of_body},
-            None if evidence.later is None else lru_cache(8)(evidence.orientations),
-            sigma_heights_m=mission.ground.sigma_m or 0.0,
-            other_heights_m=evidence.other_heights_m(rays),
-            one_height=mission.ground.constant_m is not None,
-        )
-    )
+    mounts = {name: mount.build() for name, mount in mission.mount.items() if of_body}
+    shifted = None if evidence.later is None else lru_cache(8)(evidence.orientations)
+    stated, findings = diagnosis(StatedMission(
+        evidence.orientations(), cameras, evidence.rays, mounts, shifted,
+        sigma_heights_m=mission.ground.sigma_m or 0.0,
+        other_heights_m=evidence.other_heights_m(rays),
+        one_height=mission.ground.constant_m is not None,
+    ))  # fmt: skip
     if reordered and not any(finding.code == "TIES-HEIGHT" for finding in findings):
         factor = stated.sigma_factor
         findings += (Finding("TIES-HEIGHT", "ground.height.dem", reordered, np.inf, factor),)
     explained = bool(findings) and findings[-1].sigma_factor < _POOR_FACTOR
     for finding in findings if explained else ():
         what = f"{described(finding)}: by {stated.point.size} tie points"
-        if np.isfinite(finding.log_ratio):
-            decades = finding.log_ratio / np.log(10.0)
+        if np.isfinite(decades := finding.log_ratio / np.log(10.0)):
             what += f" this is 10^{decades:.0f} times as likely as what is stated"
         what += f"; change {_TO_CHANGE.get(finding.code, '{}').format(finding.key)}"
         ledger.finding(finding.code, what, where=finding.key, count=stated.point.size)
@@ -187,19 +171,15 @@ def check_tie_points(evidence: TieEvidence, ledger: Ledger) -> None:
 
 def described(finding: Finding) -> str:
     """The mistake that is found, and others that tie points do not separate from it."""
-    if not finding.also:
-        return finding.what
-    return f"equally likely by the tie points: {'; or '.join((finding.what, *finding.also))}"
+    equally = "equally likely by the tie points: " if finding.also else ""
+    return equally + "; or ".join((finding.what, *finding.also))
 
 
 def report_misses(
     stations: Stations, stated: Intersection, rays: ImageRays, ledger: Ledger, *,
     code: str, explained: bool, nearest: str,
 ) -> None:  # fmt: skip
-    """How far the rays of tie points miss each other; a finding where no station explains it.
-
-    ``nearest`` is what would explain a part of it.
-    """
+    """How far rays of tie points miss each other; ``nearest`` would explain a part of it."""
     at = np.searchsorted(stated.point, rays.point)
     line = stated.position_m[at] - stated.orientations.centre_m[rays.image]
     miss = np.sqrt(np.mean(stated.residual_rad**2, axis=1))
@@ -207,8 +187,7 @@ def report_misses(
     judged = stated.used | (stated.angle_rad >= MINIMUM_ANGLE_RAD)
     judged[at[stated.bad]] = True
     lost = (stated.bad | np.isnan(miss)) & judged[at]
-    points = int(stated.used.sum())
-    size = stated.point.size
+    points, size = int(stated.used.sum()), stated.point.size
     where = "stations.orientation.path" if code == "ORIENTATION-TIES" else "stations"
     what = f"no rays of {size} tie points meet at an angle that checks anything"
     if points and np.isnan(miss).all():
@@ -233,10 +212,5 @@ def report_misses(
     share = np.bincount(rays.image[lost], minlength=seen.size) / np.maximum(seen, 1)
     worst = [str(stations.image[k]) for k in np.argsort(-share, kind="stable")[:3] if share[k] > 0]
     what += f"; most of {', '.join(worst)}" if worst else ""
-    what += (
-        ": the orientations are not what they should be (rows of other images or cameras, another "
-        "convention, log.path of another flight), or the name of a point is not that of one point "
-        "in all images"
-    )
-    what += f"; nearest comes, though rays still miss then: {nearest}" if nearest else ""
-    ledger.finding(code, what, where=where, count=size)
+    nearest = nearest and f"; nearest comes, though rays still miss then: {nearest}"
+    ledger.finding(code, f"{what}{_MISSES}{nearest}", where=where, count=size)
