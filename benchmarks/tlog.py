@@ -17,7 +17,7 @@ import numpy as np
 
 from pipeline.ingest import open_log
 from pipeline.ingest.buffers import open_view
-from pipeline.ingest.tlog.fields import crc_extras, dialect, name_of, wanted_layouts
+from pipeline.ingest.tlog.channels import crc_extras, dialect, name_of, wanted_layouts
 from pipeline.ingest.tlog.frames import (
     HEAD,
     STAMP,

@@ -158,6 +158,29 @@ def without_stray(rows: DecodedRows, stray: Mask, ledger: Ledger) -> DecodedRows
     return rows.take(~stray)
 
 
+_FAILED = 0.0  # of ``result``: 1 is success, -1 a camera that does not answer (CameraCapture.msg)
+
+
+def captured_rows(rows: DecodedRows, ledger: Ledger) -> DecodedRows:
+    """The rows of a camera without those that report that it took no image.
+
+    An index that is 0 in all of several rows is dropped: mavros never fills it in.
+    """
+    columns: dict[str, Array] = dict(rows.columns)
+    failed = columns.pop("result", np.ones(len(rows))) == _FAILED
+    index = columns.get("event_index", np.empty(0))
+    if index.shape[0] > 1 and not index.any():
+        del columns["event_index"]
+        what = f"all {len(rows)} rows have the index 0: they are numbered from 0 in order"
+        ledger.note("EVENT-NO-INDEX", what, where=rows.name, count=len(rows))
+    rows = replace(rows, columns=columns)
+    if not failed.any():
+        return rows
+    what = f"{int(failed.sum())} of {len(rows)} rows report that the camera took no image"
+    ledger.warning("EVENT-FAILED", what, where=rows.name, count=int(failed.sum()))
+    return rows.take(~failed)
+
+
 def _without_repeats(rows: DecodedRows, ledger: Ledger, *, event: bool) -> DecodedRows:
     """The rows without those of the time of the row before, or equal to any earlier row."""
     if bool(np.all(rows.time_ns[1:] > rows.time_ns[:-1])):

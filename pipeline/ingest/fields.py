@@ -242,3 +242,25 @@ def extract(
         if parts := [result.pop(part) for part in sorted(result) if part.startswith(f"{name}_")]:
             result[name] = kept(joined(parts))
     return result
+
+
+PX4_MESSAGES: Mapping[str, MessageMap] = message_maps("px4")
+"""By name in px4_msgs; PX4 logs the same to .ulg and, over ROS 2, to MCAP."""
+
+
+def topic_of(message: str) -> str:
+    """The topic under which PX4 logs a message.
+
+    >>> topic_of("VehicleGpsPosition")
+    'vehicle_gps_position'
+    """
+    return re.sub(r"(?<=[a-z])(?=[A-Z])", "_", message).lower()
+
+
+PX4_TOPICS: Mapping[str, MessageMap] = {topic_of(name): spec for name, spec in PX4_MESSAGES.items()}
+
+UTC_FIELD = "time_utc_usec"
+"""Unix time [us] in the messages of receivers, beside their time since boot."""
+
+CAPTURE_UTC_FIELD = "timestamp_utc"
+"""Unix time [us] of an exposure by the autopilot's own clock, which it sets now and then."""

@@ -12,18 +12,20 @@ from pipeline.flight.clock import LAST_US, SECONDS_PER_WEEK
 from pipeline.ingest import boot_clock
 from pipeline.ingest.buffers import open_view
 from pipeline.ingest.dataflash.channels import (
+    ACCURACY,
     RECEIVERS,
     channels_of,
     clock_of,
+    instance_of,
     stamps,
     wanted_fields,
 )
-from pipeline.ingest.dataflash.records import FMT_START, RecordWalker, find_records
-from pipeline.ingest.dataflash.tables import (
-    ACCURACY,
+from pipeline.ingest.dataflash.records import (
+    FMT_START,
     INSTANCE_FIELDS,
+    RecordWalker,
     decode,
-    instance_of,
+    find_records,
     without_objects,
 )
 from pipeline.ingest.fields import is_number

@@ -15,7 +15,7 @@ import numpy as np
 from pipeline.ingest.boot_clock import Stamps, nanoseconds, timeline
 from pipeline.ingest.dataflash.channels import wanted_fields
 from pipeline.ingest.dataflash.log import contents_of
-from pipeline.ingest.dataflash.tables import merge_tables
+from pipeline.ingest.dataflash.records import merge_tables
 from pipeline.ingest.log import Contents, DamagedBytes, LogFormat, Table
 from pipeline.ingest.stacking import PLACE
 from pipeline.ledger import Ledger

@@ -11,12 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.flight.channels import Source, TimeArray
-from pipeline.ingest.fields import MessageMap
+from pipeline.ingest.fields import CAPTURE_UTC_FIELD, UTC_FIELD, MessageMap
 from pipeline.ingest.mcap.cdr import SchemaError, decode, decode_plan, steps_of
-from pipeline.ingest.mcap.fields import LABELS, PLAIN_JSON
 from pipeline.ingest.mcap.file_format import Messages
 from pipeline.ingest.mcap.samples import (
+    LABELS,
     LOG_TIME,
+    PLAIN_JSON,
     SEQUENCE,
     STAMP,
     TopicSamples,
@@ -24,7 +25,6 @@ from pipeline.ingest.mcap.samples import (
     since_boot,
     stamp_of,
 )
-from pipeline.ingest.px4_fields import CAPTURE_UTC_FIELD, UTC_FIELD
 from pipeline.ingest.stacking import PLACE, column_of, in_order
 from pipeline.units import Mask, Rows
 

@@ -1,6 +1,9 @@
-"""Messages of a telemetry log as they were sent -> channels; which of them are exposures."""
+"""Messages of a telemetry log as they were sent -> channels: the wanted ones, by the dialect."""
 
-from dataclasses import replace
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -17,7 +20,7 @@ from pipeline.ingest.channel_builder import (
     channel_of,
     with_both_heights,
 )
-from pipeline.ingest.fields import extract
+from pipeline.ingest.fields import MessageMap, extract, message_maps
 from pipeline.ingest.tlog.clock import (
     CLOCK_FIELDS,
     LATEST_NS,
@@ -28,9 +31,108 @@ from pipeline.ingest.tlog.clock import (
     clock_field,
     unix_us,
 )
-from pipeline.ingest.tlog.fields import LABELS, MESSAGES, PARAM_VALUE, message_of_name
 from pipeline.ledger import Ledger
 from pipeline.units import Rows
+
+MESSAGES: Mapping[str, MessageMap] = message_maps("tlog")
+"""A key with a dot is a second channel out of the same message."""
+
+LABELS: Mapping[str, str] = {"CAMERA_IMAGE_CAPTURED": "file_url", "STATUSTEXT": "text"}
+"""Messages with a text that belongs to each row."""
+
+# Fields that tell instances apart, where the dialect names none, or a number beside the name.
+_INSTANCES = {
+    "DEBUG_FLOAT_ARRAY": "name", "CAMERA_FEEDBACK": "cam_idx", "CAMERA_IMAGE_CAPTURED": "camera_id",
+    "GIMBAL_DEVICE_ATTITUDE_STATUS": "gimbal_device_id",
+}  # fmt: skip
+
+SYSTEM_TIME, PARAM_VALUE = "SYSTEM_TIME", "PARAM_VALUE"
+
+
+@dataclass(frozen=True)
+class Message:
+    """One message of the dialect.
+
+    ``dtype`` of the payload in the order of the wire; ``fields`` in the order of the definition;
+    ``texts`` those of them that are char arrays; ``instance_field`` or "".
+    """
+
+    number: int
+    name: str
+    crc_extra: int
+    dtype: np.dtype[Any]
+    fields: tuple[str, ...]
+    texts: frozenset[str]
+    instance_field: str
+
+
+@cache
+def dialect() -> Mapping[int, Message]:
+    """The library's union of all dialects, by number."""
+    from pymavlink.dialects.v20 import all as library
+
+    messages = {}
+    for number, definition in library.mavlink_map.items():
+        kinds = zip(definition.fieldnames, definition.fieldtypes, strict=True)
+        name, names = str(definition.msgname), tuple(definition.fieldnames)
+        layout = layout_of(definition.unpacker.format, definition.ordered_fieldnames)
+        texts = frozenset(field for field, kind in kinds if kind == "char")
+        instance = _INSTANCES.get(name, definition.instance_field or "")
+        messages[int(number)] = Message(
+            int(number), name, int(definition.crc_extra), layout, names, texts, instance
+        )
+    return messages
+
+
+def crc_extras() -> dict[int, int]:
+    """CRC_EXTRA by message id."""
+    return {number: message.crc_extra for number, message in dialect().items()}
+
+
+@cache
+def message_of_name() -> Mapping[str, Message]:
+    """The same by name."""
+    return {message.name: message for message in dialect().values()}
+
+
+def name_of(number: int) -> str:
+    """The name of a message, made up where the dialect does not know it."""
+    known = dialect().get(number)
+    return f"UNKNOWN_{number}" if known is None else known.name
+
+
+def wanted_layouts() -> dict[int, np.dtype[Any]]:
+    """The layouts of the messages that channels and clocks are made of, by number.
+
+    Only the fields that are needed for it, each at its place.
+    """
+    wanted = {
+        SYSTEM_TIME: {"time_unix_usec"},
+        PARAM_VALUE: {"param_id", "param_value"},
+        "CAMERA_IMAGE_CAPTURED": {"capture_result", "time_utc"},
+        "STATUSTEXT": {"id", "chunk_seq"},
+    }
+    for key, spec in MESSAGES.items():
+        fields = {name.partition(".")[0] for column in spec.columns for name in column.fields}
+        wanted.setdefault(key.partition(".")[0], set()).update(fields, {LABELS.get(key, "")})
+    result = {}
+    for message in (m for m in dialect().values() if m.name in wanted):
+        kept = wanted[message.name] | {message.instance_field, *CLOCK_FIELDS}
+        names = message.dtype.names or ()
+        result[message.number] = message.dtype[[name for name in names if name in kept]]
+    return result
+
+
+def layout_of(layout: str, fields: list[str]) -> np.dtype[Any]:
+    """The numpy type of a struct format such as ``<If10s``, which has one item a field.
+
+    >>> layout_of("<If10s", ["time_boot_ms", "value", "name"]).itemsize
+    18
+    """
+    items = re.findall(r"(\d*)([a-zA-Z])", layout)
+    kinds = [f"S{count or 1}" if kind == "s" else f"{count}<{kind}" for count, kind in items]
+    return np.dtype(list(zip(fields, kinds, strict=True)))
+
 
 Group = tuple[int, Any]
 """Who sent a message (system times 256 plus component), and its instance as sent, or None."""

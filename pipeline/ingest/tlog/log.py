@@ -11,8 +11,16 @@ from pipeline.flight.channels import Channel
 from pipeline.flight.clock import stray_times
 from pipeline.ingest.buffers import open_view
 from pipeline.ingest.log import Contents, LogFormat, Table
-from pipeline.ingest.tlog import fields
-from pipeline.ingest.tlog.channels import channels_of, label_of, times_of
+from pipeline.ingest.tlog.channels import (
+    MESSAGES,
+    channels_of,
+    crc_extras,
+    label_of,
+    message_of_name,
+    name_of,
+    times_of,
+    wanted_layouts,
+)
 from pipeline.ingest.tlog.clock import (
     MICROSECOND,
     Clocks,
@@ -27,28 +35,28 @@ from pipeline.ingest.tlog.scan import SILENT_US, Scan, Silence
 from pipeline.ledger import Ledger
 
 SILENT_NS = SILENT_US * MICROSECOND
-_CARRIED = {key.partition(".")[0] for key in fields.MESSAGES}
+_CARRIED = {key.partition(".")[0] for key in MESSAGES}
 # Messages whose time is that of the exposure, not of sending.
-_LATE = {key for key, spec in fields.MESSAGES.items() if spec.event}
+_LATE = {key for key, spec in MESSAGES.items() if spec.event}
 
 
 def read_log(path: Path, ledger: Ledger) -> Contents:
     """The contents of a telemetry log."""
-    wanted = fields.wanted_layouts()
+    wanted = wanted_layouts()
     with open_view(path) as data:
-        late = {number for number in wanted if fields.name_of(number) in _LATE}
-        result = Scan(data, fields.crc_extras(), wanted, late)
+        late = {number for number in wanted if name_of(number) in _LATE}
+        result = Scan(data, crc_extras(), wanted, late)
     damaged = _report_damage(result, wanted, path, ledger)
     if not result.steady:
         _replace_stray_stamps(result, ledger, path.name)
-    sent = {fields.name_of(number): result.sent.pop(number) for number in [*result.sent]}
+    sent = {name_of(number): result.sent.pop(number) for number in [*result.sent]}
     parts = [part for name, part in sent.items() if name in _CARRIED]
     sources = {int(n) for p in parts for b in p.blocks() for n in np.unique(b["source"])}
     clocks = clocks_of(result.clock.readings({source >> 8 for source in sources}), ledger)
     clocks = with_borrowed_clocks(clocks, parts, ledger)
     channels, parameters = channels_of(sent, clocks, ledger)
     lost = _report_link(result, clocks, channels, path, ledger)
-    counts = {fields.name_of(key): count for key, count in result.counts.items() if count}
+    counts = {name_of(key): count for key, count in result.counts.items() if count}
     return Contents(
         counts, tuple(channels), result.bad_bytes + damaged, lost, clocks.boots,
         clocks.description, partial(_table, path, clocks), parameters,
@@ -80,7 +88,7 @@ def _report_damage(result: Scan, needed: Container[int], path: Path, ledger: Led
     damaged = 0
     for number, rejected in sorted(result.failed.items()):
         where = f"{path.name}, first at byte {rejected.first}"
-        name = f"{fields.name_of(number)} (id {number})"
+        name = f"{name_of(number)} (id {number})"
         if result.counts[number] or number in needed:
             damaged += rejected.size
             what = f"{rejected.count} messages {name} fail their checksum"
@@ -149,13 +157,11 @@ def _replace_stray_stamps(result: Scan, ledger: Ledger, where: str) -> None:
 
 def _table(path: Path, clocks: Clocks, name: str, instance: str | None) -> Table:
     """All messages of one type with their time, their sender and their fields as sent."""
-    message = fields.message_of_name().get(name)
+    message = message_of_name().get(name)
     if message is None:
         return {}
     with open_view(path) as data:
-        sent = Scan(data, fields.crc_extras(), {message.number: message.dtype}).sent.get(
-            message.number
-        )
+        sent = Scan(data, crc_extras(), {message.number: message.dtype}).sent.get(message.number)
     if sent is None:
         return {}
     rows = sent.whole()

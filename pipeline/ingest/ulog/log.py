@@ -21,10 +21,9 @@ from pipeline.ingest.boot_clock import (
     timeline,
 )
 from pipeline.ingest.buffers import open_view
-from pipeline.ingest.channel_builder import DecodedRows, channel_of, without_stray
-from pipeline.ingest.fields import MessageMap, extract
+from pipeline.ingest.channel_builder import DecodedRows, captured_rows, channel_of, without_stray
+from pipeline.ingest.fields import CAPTURE_UTC_FIELD, PX4_TOPICS, UTC_FIELD, MessageMap, extract
 from pipeline.ingest.log import Contents, LogFormat, Table
-from pipeline.ingest.px4_fields import CAPTURE_UTC_FIELD, TOPICS, UTC_FIELD, captured_rows
 from pipeline.ingest.ulog import records
 from pipeline.ledger import Ledger
 
@@ -40,7 +39,7 @@ TopicRows = Mapping[tuple[str, int], NDArray[Any]]
 
 def read_log(path: Path, ledger: Ledger) -> Contents:
     """The contents of a PX4 log."""
-    messages = _messages(path, list(TOPICS))
+    messages = _messages(path, list(PX4_TOPICS))
     messages.report_damage(ledger, path.name)
     numbered = {topic for topic, instance in messages.rows if instance}
     names = {
@@ -51,7 +50,8 @@ def read_log(path: Path, ledger: Ledger) -> Contents:
     channels = []
     for (topic, instance), rows in messages.rows.items():
         source = Source(topic, str(instance) if topic in numbered else None)
-        spec, name, boot_ns = TOPICS[topic], names[topic, instance], nanoseconds(rows["timestamp"])
+        spec, name = PX4_TOPICS[topic], names[topic, instance]
+        boot_ns = nanoseconds(rows["timestamp"])
         fields = {_ELEMENT.sub(r".\1", field): rows[field] for field in _names(rows)}
         columns = extract(fields, spec.columns)
         if "flags" in columns:
@@ -146,7 +146,7 @@ def _clock(
     by_role: dict[str, list[UtcReadings]] = {"position": [], "events": []}
     for field, role in ((UTC_FIELD, "position"), (CAPTURE_UTC_FIELD, "events")):
         for (topic, instance), rows in rows_of.items():
-            if role in TOPICS[topic].roles and field in _names(rows):
+            if role in PX4_TOPICS[topic].roles and field in _names(rows):
                 boot_ns, utc_us = nanoseconds(rows["timestamp"]), microseconds(rows[field])
                 usable = (utc_us > UNIX_US_FROM) & ~stray_times(boot_ns)
                 fix = rows["fix_type"] if "fix_type" in _names(rows) else np.empty(0)
