@@ -76,10 +76,7 @@ ACCURACY = columns_of_group("accuracy")
 
 
 def instance_of(table: Table) -> NDArray[Any]:
-    """The instance of each row, -1 where the message has none.
-
-    Only integers tell instances apart: in PID messages I is a term of the controller.
-    """
+    """The instance of each row, -1 without; integers only: I of PID messages is none."""
     for field in INSTANCE_FIELDS:
         if field in table and table[field].dtype.kind in "iu":
             return table[field]
@@ -139,13 +136,8 @@ def _receiver_utc(line: Timeline, table: Table, name: str, ledger: Ledger) -> It
             fixes = (boot == number) & (fix >= LOWEST_FIX)
             full, repaired = full_weeks(week[fixes], FIRST_WEEK)
             if repaired:
-                ledger.warning(
-                    "TIME-WEEK-ROLLOVER",
-                    f"{repaired} GPS rows have week {int(week[fixes][0])}, before logs of this "
-                    f"kind existed: the receiver counts modulo 1024, taken as {int(full[0])}",
-                    where=f"{label}, boot {number}",
-                    count=repaired,
-                )
+                where, weeks = f"{label}, boot {number}", {"week": week[fixes][0], "full": full[0]}
+                ledger.warning("TIME-WEEK-ROLLOVER", where=where, count=repaired, **weeks)
                 week = week.astype(np.int64)
                 week[fixes] = full
         utc_ns = utc_of_gps(week, table["GMS"][rows] / 1000.0)
@@ -221,12 +213,8 @@ def _instances(
         if stray.any():
             count = int(counts[stray].sum())
             names = ", ".join(str(number) for number in numbers[stray].tolist()[:8])
-            what = (
-                f"{count} rows are of instances ({names}) that no other row has, beside "
-                f"{counts.max()} of instance {numbers[np.argmax(counts)]}: damage, they are not "
-                "used"
-            )
-            ledger.loss("LOG-INSTANCE", what, where=message, count=count)
+            most = {"most": counts.max(), "instance": numbers[np.argmax(counts)]}
+            ledger.loss("LOG-INSTANCE", where=message, count=count, names=names, **most)
         numbers = numbers[~stray]
     for which in numbers.tolist():
         label = str(which) if is_named or which >= 0 else None
@@ -237,10 +225,7 @@ def _instances(
 
 
 def _report_fields(message: str, spec: MessageMap, table: Table, ledger: Ledger) -> None:
-    """Enter fields that hold no numbers, and columns of roles for which there is no field at all.
-
-    Either is damage of a definition, of a letter or of a name.
-    """
+    """Enter fields that hold no numbers, and columns of roles that have no field."""
     count = len(next(iter(table.values()))) if table else 0
     odd = {
         field: column.name
@@ -265,11 +250,7 @@ def _report_fields(message: str, spec: MessageMap, table: Table, ledger: Ledger)
 
 
 def _join_accuracy(table: Table, other: Table) -> Table:
-    """The table of fixes with the fields of the accuracy of equal instance and time.
-
-    Times repeat where the vehicle was restarted: then rows belong together that are near each
-    other in the file. An autopilot writes the accuracy behind the fix.
-    """
+    """The table of fixes with the accuracy of equal instance and time, logged behind the fix."""
     fields = [field for spec in ACCURACY for field in spec.fields if field in other]
     if not fields or "TimeUS" not in other or not other[PLACE].size:
         return table

@@ -1,11 +1,11 @@
-"""Records of an ArduPilot DataFlash log: their definitions, their places, recovery after damage.
+"""Records of an ArduPilot DataFlash log: definitions, places, recovery after damage, tables.
 
-A record is 0xA3 0x95, a type byte and a payload whose length the FMT record of that type gave.
-There is no checksum: a record is confirmed when the next one begins where it ends. All places where
-a record may begin are found at once in a block of the file; where each ends on the next, nothing
-has to be walked.
+A record is 0xA3 0x95, a type byte and a payload whose length the FMT record of that type gave. It
+is confirmed when the next one begins where it ends: there is no checksum. All places where one may
+begin are found at once in a block of the file; where each ends on the next, nothing is walked.
 """
 
+import struct
 from collections import Counter, deque
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -25,12 +25,8 @@ HEADER = 3
 FMT_TYPE = 128
 FMT_LENGTH = 89
 FMT_START = MAGIC + bytes([FMT_TYPE])
-_FMT_PAYLOAD = (
-    bytes([FMT_TYPE, FMT_LENGTH])
-    + b"FMT".ljust(4, b"\0")
-    + b"BBnNZ".ljust(16, b"\0")
-    + b"Type,Length,Name,Format,Columns".ljust(64, b"\0")
-)
+_FMT_FIELDS = (FMT_TYPE, FMT_LENGTH, b"FMT", b"BBnNZ", b"Type,Length,Name,Format,Columns")
+_FMT_PAYLOAD = struct.pack("<BB4s16s64s", *_FMT_FIELDS)
 LINKS = 3  # records in a row that confirm a place to continue after damage
 LONGEST = 255  # bytes of a record: its length is one byte
 REACH = 1 << 14  # [bytes] first searched after damage: the next record is seldom farther
@@ -50,18 +46,13 @@ DIVISORS = {"c": 100.0, "C": 100.0, "e": 100.0, "E": 100.0, "L": 1e7}
 
 @dataclass(frozen=True)
 class RecordDefinition:
-    """The definition of a record type by an FMT record: its name, and where its fields are.
-
-    ``divisors`` of the scaled fields by field name: values are integers that are to be divided.
-    ``letters`` by field name: the format letters of ArduPilot's LogStructure.h.
-    """
+    """A record type by its FMT record; ``divisors`` of the scaled fields by name."""
 
     type_id: int
     name: str
     length: int
     dtype: np.dtype[Any]
     divisors: Mapping[str, float]
-    letters: Mapping[str, str]
 
     @property
     def fields(self) -> tuple[str, ...]:
@@ -104,18 +95,15 @@ def define(payload: bytes) -> RecordDefinition | None:
     dtype = np.dtype(
         {"names": list(fields), "formats": kinds, "offsets": offsets, "itemsize": length}
     )
-    coded = zip(fields, codes, strict=True)
-    divisors = {field: DIVISORS[code] for field, code in coded if code in DIVISORS}
-    letters_of = dict(zip(fields, codes, strict=True))
-    return RecordDefinition(type_id, name, length, dtype, divisors, letters_of)
+    divisors = {n: DIVISORS[c] for n, c in zip(fields, codes, strict=True) if c in DIVISORS}
+    return RecordDefinition(type_id, name, length, dtype, divisors)
 
 
 @dataclass(frozen=True)
 class RecordBlock:
-    """The records that begin in one block of the file: 6 bytes for each.
+    """The records that begin in one block of the file at ``base``: 6 bytes for each.
 
-    ``base`` is the block's place, ``at`` (n,) the records' places behind it, rising; ``numbers``
-    (n,) their definitions.
+    ``at`` (n,) their places behind it, rising; ``numbers`` (n,) their definitions.
     """
 
     base: int
@@ -147,15 +135,10 @@ class _Candidates:
 
 
 class RecordWalker(DamagedBytes):
-    """One pass over a file: the definitions, and where the records are, in the order of the file.
+    """One pass over a file: where the records of some ``names`` (None for all) are, in its order.
 
-    After the pass ``wanted`` has the blocks of the wanted records, ``definitions`` are all that
-    occurred, and ``refused`` describes FMT records that are not valid.
-
-    Parameters
-    ----------
-    data : the file.
-    names : the message types whose records are wanted; all where it is None.
+    After it ``wanted`` has their blocks, ``definitions`` are all that occurred, ``refused``
+    describes FMT records that are not valid.
     """
 
     def __init__(self, data: FileView, names: Collection[str] | None = None) -> None:
@@ -331,11 +314,10 @@ class RecordWalker(DamagedBytes):
 
 
 def find_records(data: FileView, names: Collection[str] | None = None) -> RecordWalker:
-    """Find every whole record of a DataFlash log.
+    """Where the records of some types are, or of all, and the damage between them.
 
-    ``data``: the file. ``names``: the message types whose places are wanted; all where it is None.
-    Returns where the records are, and the damage between them. A flipped type byte costs that one
-    record; after any damage reading continues where a chain of three records begins.
+    A flipped type byte costs that record; after damage reading continues at a chain of three
+    records.
     """
     walker = RecordWalker(data, names)
     deque(walker.blocks(), 0)
@@ -343,11 +325,9 @@ def find_records(data: FileView, names: Collection[str] | None = None) -> Record
 
 
 def read_records(found: RecordWalker, wanted: Mask) -> Iterator[tuple[int, NDArray[Any], Integers]]:
-    """The records of some definitions, a block of the file at a time.
+    """The records of wanted definitions, a block of the file at a time.
 
-    ``wanted``: for each definition, whether its records are wanted. Yields the number of a
-    definition, its records in a block as a structured array, and their places in the file; those of
-    one definition come in the order of the file.
+    Yields the number of a definition, its records as a structured array, and their places.
     """
     for block in found.wanted:
         rows = np.flatnonzero(wanted[block.numbers])
@@ -371,14 +351,12 @@ INSTANCE_FIELDS = ("I", "Instance", "Id", "C")
 
 
 def decode(found: RecordWalker, wanted: Mapping[str, Callable[[str], bool]]) -> dict[str, Table]:
-    """The columns of some message types, in one pass over the file.
+    """The columns of some message types, in one pass over the file, with `PLACE`.
 
-    ``wanted``: for each message type, which of its fields are wanted. Returns those that the log
-    has, with `PLACE`, the byte where each row begins. Numbers have the type they are logged in;
-    scaled ones (letters c, C, e, E, L) are float64 and divided, as pymavlink does; characters are
-    text. Memory: the columns, and a block of the file. Types of one name that differ in their
-    fields are one table; what a row does not have is NaN or empty. A field that was text and number
-    is a column of objects (`without_objects`).
+    ``wanted``: by type, which fields. Numbers keep their type; scaled ones (c, C, e, E, L) are
+    float64 and divided, as pymavlink does; characters are text. Types of one name are one table:
+    what a row does not have is NaN or empty, a field that was text and number is of objects
+    (`without_objects`).
     """
     tables: dict[int, Table] = {}
     for number, count in enumerate(found.counts.tolist()):
@@ -408,9 +386,7 @@ def decode(found: RecordWalker, wanted: Mapping[str, Callable[[str], bool]]) -> 
 
 
 def texts(raw: NDArray[np.bytes_]) -> NDArray[np.str_]:
-    """Character fields as text, cut at the first NUL.
-
-    UTF-8, or Latin-1 where a field is not valid UTF-8, which is what pymavlink does.
+    """Character fields as text, cut at the first NUL: UTF-8, else Latin-1, as pymavlink does.
 
     >>> texts(np.array([b"GPS", b"30\\xb0", b"a\\0b"]))
     array(['GPS', '30°', 'a'], dtype='<U3')
@@ -427,11 +403,7 @@ def texts(raw: NDArray[np.bytes_]) -> NDArray[np.str_]:
 
 
 def merge_tables(several: list[Table]) -> Table:
-    """Tables of one message whose definition changed in the file, in the order of the file.
-
-    Every value is as it is logged, see `join_pieces`; missing numbers of instances, which
-    separate rows, are -1.
-    """
+    """Tables of one message whose definition changed, as one; missing instances are -1."""
     if len(several) == 1:
         return several[0]
     for name in INSTANCE_FIELDS:

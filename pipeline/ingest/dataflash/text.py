@@ -1,7 +1,6 @@
 """ArduPilot logs as text (.log): FMT lines and rows -> the same channels as a binary log.
 
-Mission Planner and mavlogdump write them: one message a line, fields after commas, scaled fields
-already in their unit. A place in the file is the first byte of a line.
+Mission Planner and mavlogdump write a message a line, scaled. A place is the first byte of a line.
 """
 
 import re

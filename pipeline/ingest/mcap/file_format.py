@@ -1,8 +1,7 @@
 """What lies in an MCAP file: records, messages and chunks, and what proves that they do.
 
-A chunk states how large its records are. It is inflated as far as the limits allow, and the
-inflated bytes have to agree with it; a decompression bomb therefore costs what its head may state,
-not what it holds.
+A chunk is inflated as far as the limits allow, and has to agree with its head: a decompression bomb
+costs what its head may state, not what it holds.
 """
 
 from __future__ import annotations
@@ -93,10 +92,9 @@ class Definition:
 
 @dataclass(frozen=True)
 class Messages:
-    """Messages in the order of the file, one row each, and the bytes in which they lie.
+    """Messages in the order of the file, their bytes, and how many records were too ``short``.
 
     ``begin`` and ``length`` of the encoded message; of a large one only the beginning is there.
-    ``short`` is the number of records too short for a message.
     """
 
     data: Bytes
@@ -186,10 +184,7 @@ def messages_follow(raw: memoryview, place: int, channels: Set[int]) -> bool:
 
 @dataclass(frozen=True)
 class MessageRuns:
-    """Places where a message record may begin, and how far they follow each other.
-
-    ``at`` and ``end`` (n,) of each candidate; ``breaks`` those that the next does not follow.
-    """
+    """Places where messages may begin and end; ``breaks`` are those that no next one follows."""
 
     at: Integers
     end: Integers
@@ -220,10 +215,7 @@ class MessageRuns:
 
 @dataclass(frozen=True)
 class Chunk:
-    """The head of a chunk, and where its records lie in the file.
-
-    ``size`` of the records when inflated; ``rest`` bytes of the record behind them.
-    """
+    """The head of a chunk, its records' ``size`` when inflated and where they lie in the file."""
 
     first_time: int
     last_time: int
@@ -246,16 +238,6 @@ class Chunk:
         """Whether it may be inflated at once; packing adds some bytes a block at the worst."""
         return self.size <= WHOLE and self.length <= self.size + self.size // 64 + 4096
 
-    @property
-    def too_large(self) -> str:
-        """Why the chunk is not inflated; empty where it is."""
-        if self.size <= MAX_CHUNK and self.size <= max(FREE_CHUNK, MAX_RATIO * self.length):
-            return ""
-        return (
-            f"a chunk of {self.length} bytes would inflate to {self.size}; the limit is "
-            f"{MAX_CHUNK}, and {MAX_RATIO} times its own size beyond {FREE_CHUNK}: it is skipped"
-        )
-
 
 class InflationBudget:
     """How much the chunks of a file may inflate to together; it grows with the file's size.
@@ -270,15 +252,14 @@ class InflationBudget:
 
     def too_large(self, chunk: Chunk) -> str:
         """Why the chunk is not inflated; empty where it is, and its bytes are subtracted."""
-        if chunk.too_large:
-            return chunk.too_large
+        what = f"a chunk of {chunk.length} bytes would inflate to {chunk.size}"
+        if chunk.size > min(MAX_CHUNK, max(FREE_CHUNK, MAX_RATIO * chunk.length)):
+            limits = f"the limit is {MAX_CHUNK}, and {MAX_RATIO} times its own size"
+            return f"{what}; {limits} beyond {FREE_CHUNK}: it is skipped"
         cost = chunk.size if chunk.small else 2 * chunk.size
         if cost > self.left:
-            return (
-                f"a chunk of {chunk.length} bytes would inflate to {chunk.size}, and the chunks "
-                f"before it left {self.left} of the {self.limit} bytes that all chunks of a file "
-                f"of this size may: it is skipped"
-            )
+            left = f"the chunks before it left {self.left} of the {self.limit} bytes"
+            return f"{what}, and {left} that all chunks of a file of this size may: it is skipped"
         self.left -= cost
         return ""
 

@@ -107,10 +107,7 @@ def make_names_unique(series: list[TopicSamples]) -> None:
 
 
 def boots_of_topics(line: Timeline, series: Sequence[TopicSamples]) -> Timeline:
-    """The boots at which the time of at least one topic steps back, of those of the whole log.
-
-    Messages that come late, and chunks that hold one topic each, step back only against others.
-    """
+    """The boots at which the time of one topic at least steps back: messages may come late."""
     starts = np.flatnonzero(np.diff(line.boot) > 0) + 1
     confirmed = np.zeros(starts.shape, np.bool_)
     for samples in series if starts.size else ():
@@ -129,12 +126,9 @@ def boot_clock_of(
 ) -> BootClock:
     """UTC of the clock since boot that PX4's messages count.
 
-    Parameters
-    ----------
-    line : the boots, by the messages of all topics together.
-    series : receivers among them give UTC, cameras where no receiver has a fix.
-    recorder : log_time of these messages, for boots without any UTC; None where no message counts
-        time since boot.
+    ``line``: by the messages of all topics. Receivers of ``series`` give UTC, cameras where none
+    has a fix. ``recorder``: log_time, for boots without; None where no message counts time since
+    boot.
     """
     if line.boots > 1:
         line = boots_of_topics(line, series)
@@ -202,10 +196,7 @@ MAX_CONTRADICTIONS = 1000  # definitions that differ from an earlier one; no log
 
 
 class MessageCounts:
-    """Messages by channel, and steps of their sequence numbers.
-
-    ``stated`` by channel and ``stated_total`` are the log's own statistics, None without.
-    """
+    """Messages by channel, steps of their numbers; ``stated`` by the log's own statistics."""
 
     def __init__(self) -> None:
         self.counts = np.zeros(CHANNEL_NUMBERS, np.int64)
@@ -277,12 +268,10 @@ class MessageCounts:
         ]
         if total != self.stated_total or wrong:
             topics = ", ".join(names.get(number, f"channel {number}") for number in wrong[:8])
-            what = f"{total} messages were read, the log's statistics state {self.stated_total}" + (
-                f"; they differ for {topics}" if topics else ""
-            )
-            ledger.loss(
-                "LOG-INCONSISTENT", what, where=where, count=max(abs(self.stated_total - total), 1)
-            )
+            what = f"{total} messages were read, the log's statistics state {self.stated_total}"
+            what += f"; they differ for {topics}" if topics else ""
+            count = max(abs(self.stated_total - total), 1)
+            ledger.loss("LOG-INCONSISTENT", what, where=where, count=count)
         return max(self.stated_total - total, skipped, 0)
 
 
@@ -392,15 +381,10 @@ class McapReader:
                 elif kind == ("protobuf", "protobuf"):
                     decoder = protobuf_decoder(schema, spec, wanted)
                 elif schema is not None:
-                    what = (
-                        f"{name} is encoded as {encoding} with a {schema.encoding} schema, not as "
-                        "ROS 2 CDR, protobuf or JSON: counted, not read"
-                    )
-                    self.ledger.note("LOG-NOT-ROS2", what, where=channel.topic)
+                    kinds = {"encoding": encoding, "schema": schema.encoding}
+                    self.ledger.note("LOG-NOT-ROS2", where=channel.topic, name=name, **kinds)
             except ImportError:
-                what = "which needs the package mcap-protobuf-support: counted, not read"
-                where = channel.topic
-                self.ledger.loss("LOG-NO-PROTOBUF", f"{name} is protobuf, {what}", where=where)
+                self.ledger.loss("LOG-NO-PROTOBUF", where=channel.topic, name=name)
             except _SCHEMA_ERRORS as error:
                 decoder = error
             if decoder is not None:
@@ -418,14 +402,8 @@ class McapReader:
         for code, what, at, count in self.damage.entries():
             self.ledger.loss(code, what, where=f"{self.where}, byte {at}", count=count)
         if self.contradictions:
-            examples = ", ".join(sorted(self.contradictions)[:8])
-            self.ledger.loss(
-                "LOG-INCONSISTENT",
-                f"{len(self.contradictions)} definitions come twice and differ ({examples}): the "
-                "first is used",
-                where=self.where,
-                count=len(self.contradictions),
-            )
+            count, examples = len(self.contradictions), ", ".join(sorted(self.contradictions)[:8])
+            self.ledger.loss("LOG-INCONSISTENT", where=self.where, count=count, examples=examples)
         for topic in self.topics.values():
             if topic.failed:
                 self.ledger.loss("LOG-DECODE", topic.misfit, where=topic.name, count=topic.failed)

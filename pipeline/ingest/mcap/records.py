@@ -1,10 +1,8 @@
 """The records of an MCAP file in their order: definitions one by one, messages by the thousand.
 
-The definitions are parsed by the mcap library; the records are read here, because the library's
-readers give nothing for a truncated file, inflate chunks without a limit and lose messages silently
-when the summary is damaged. After bytes that are no record, reading continues at the next place
-that is proved by what stands there: the head of a chunk, or messages of known channels that follow
-each other.
+Definitions are parsed by the mcap library, whose readers give nothing for a truncated file, inflate
+chunks without a limit and lose messages silently. After damage, reading continues at the next place
+that is proved: the head of a chunk, or messages of known channels that follow each other.
 """
 
 import zlib
@@ -55,10 +53,7 @@ MAX_DEFINITION = 16 << 20  # [bytes] of a schema, channel or statistics record
 
 
 def walk(data: FileView, damage: Damage) -> Iterator[Definition | Messages]:
-    """The definitions and messages of a file.
-
-    ``data``: the file; where it does not begin with `MAGIC`, its head is damaged or lost.
-    ``damage``: filled on the way with what is cut off, corrupt or too large.
+    """The definitions and messages of a file; ``damage`` is filled on the way.
 
     A summary that its checksum proves comes first: its definitions serve where those among the
     messages are damaged. A definition may come several times.
@@ -82,10 +77,7 @@ class _RecordWalk:
         self.ends, self.ended = 0, False  # records that end the data; whether one was checked
 
     def summary(self) -> Iterator[Definition]:
-        """The definitions in the summary, where its checksum holds.
-
-        Where bytes are missing before it, it is not where the footer says: it follows the data end.
-        """
+        """Definitions of the summary, if its checksum holds; if moved, it follows the data end."""
         at = self.data.size - len(MAGIC) - FOOT.size
         if at < RECORD.size or self.data[at + FOOT.size : self.data.size] != MAGIC:
             return
@@ -127,10 +119,7 @@ class _RecordWalk:
         return Definition(opcode, content, at)
 
     def records(self) -> Iterator[Definition | Messages]:
-        """The records from the beginning of the file to its footer.
-
-        They begin behind the mark; where that is damaged, at the header record or what follows it.
-        """
+        """The records from behind the mark, or from the header record on, to the footer."""
         at = len(MAGIC) if self.data[0 : len(MAGIC)] == MAGIC else 0
         if not at:
             for place in range(len(MAGIC) + 1):

@@ -70,10 +70,8 @@ def known_name(schema: str) -> str:
 def finished(schema: str, columns: Mapping[str, Array]) -> dict[str, Array]:
     """Columns as decoded -> columns in use: one attitude convention, sigmas, a fix as in MAVLink.
 
-    Parameters
-    ----------
-    columns : (n,) arrays by name. An Imu whose first covariance is -1 has no orientation
-        (sensor_msgs/Imu); a NavSatFix whose covariance type is 0 does not know its accuracy.
+    An Imu whose first covariance is -1 has no orientation (sensor_msgs/Imu); a NavSatFix whose
+    covariance type is 0 does not know its accuracy.
     """
     result = dict(columns)
     if schema.endswith("/GimbalDeviceAttitudeStatus") and "flags" in result:
@@ -154,10 +152,10 @@ def _first(value: Any, names: tuple[str, ...]) -> Any:
 class TopicSamples:
     """What was read of one topic, or of one name in it.
 
-    ``stamp_ns`` are the messages' own times, 0 without; ``log_ns`` the recorder's with the row of
-    the first, only where they are needed; ``utc_us`` UTC beside the time since boot. ``counted``
-    says that the stamps are microseconds, which may count from a boot: then ``places`` are those of
-    the messages among all of the log; else ``sequence`` are their numbers.
+    ``stamp_ns`` own times, 0 without; ``log_ns`` the recorder's by their first row, where needed;
+    ``utc_us`` UTC beside the time since boot. ``counted`` stamps are microseconds, which may count
+    from a boot: then ``places`` are those in the whole log; else ``sequence`` are the messages'
+    numbers.
     """
 
     name: str
@@ -215,10 +213,9 @@ class TopicSamples:
         return UtcReadings(words, places, stamp_ns, utc_us * 1000, usable, _copied(fix))
 
     def rows(self, clock: BootClock, ledger: Ledger) -> tuple[DecodedRows, int]:
-        """All of it, which is handed over, and how many messages had no time of their own.
+        """All of it, handed over, and how many messages had no time of their own.
 
-        In the order of the file or of their numbers, never of log_time: a recorder whose clock was
-        set back would shuffle two parts of the flight into each other.
+        Never in the order of log_time: a clock that was set back would shuffle parts of the flight.
         """
         stamp_ns = self.stamp_ns.whole()
         log_ns = np.zeros(stamp_ns.shape, np.int64)
@@ -235,13 +232,8 @@ class TopicSamples:
         order = None if self.counted else in_sequence(self.sequence.whole(), time_ns)
         if order is not None:
             moved = int(np.count_nonzero(order != np.arange(len(rows))))
-            ledger.note(
-                "LOG-REORDERED",
-                f"{moved} of {len(rows)} messages are elsewhere in the file than their numbers and "
-                "times say: they are put in order",
-                where=f"{self.name}, first at row {np.flatnonzero(np.diff(order) != 1)[0] + 1}",
-                count=moved,
-            )
+            where = f"{self.name}, first at row {np.flatnonzero(np.diff(order) != 1)[0] + 1}"
+            ledger.note("LOG-REORDERED", where=where, count=moved, total=len(rows))
             rows = rows.take(order)
         if good is not None:
             rows = without_stray(rows, ~good, ledger)
@@ -253,11 +245,10 @@ def _copied(store: ColumnStore) -> NDArray[Any]:
 
 
 def in_sequence(sequence: NDArray[np.uint32], time_ns: TimeArray) -> Rows | None:
-    """The order of messages by their numbers, where that puts times right that step back.
+    """The order by (n,) numbers, where that puts times right that step back, else None.
 
-    ``sequence``, ``time_ns``: (n,) in the order of the file; a chunk of it may be elsewhere. None
-    where times rise as they stand, or where numbers repeat or disagree with the times: of a clock
-    that was set back, and of a recorder that counts anew.
+    Numbers that repeat or disagree with the times are of a recorder that counts anew, or a set
+    clock.
 
     >>> in_sequence(np.array([0, 1, 4, 2], np.uint32), np.array([10, 11, 14, 12]))
     array([0, 1, 3, 2])
@@ -273,10 +264,8 @@ def in_sequence(sequence: NDArray[np.uint32], time_ns: TimeArray) -> Rows | None
 def own_times(columns: Columns, time_field: str, count: int) -> tuple[TimeArray, bool]:
     """The messages' own times [ns], 0 without, and whether they are counted in microseconds.
 
-    Parameters
-    ----------
-    columns : (count,) the fields as decoded; ``time_field`` names one of type Time, or of
-        microseconds, which may be Unix time or count from a boot.
+    ``time_field`` names a Time of the (count,) columns, or microseconds from a boot or of Unix
+    time.
     """
     if STAMP in columns:
         return columns[STAMP], False
@@ -297,12 +286,10 @@ def since_boot(stamp_ns: TimeArray) -> Mask:
 
 
 def good_rows(places: TimeArray, stamp_ns: TimeArray, clock: BootClock) -> Mask:
-    """Which messages have a time that fits the log.
+    """Which messages of a topic, at (n,) places and stamps [ns], have a time that fits the log.
 
-    ``places``, ``stamp_ns``: (n,) of a topic, [ns] counted.
-
-    One that fits none of its neighbours in the log may have come late: it is used where it lies
-    between its neighbours of the same topic, and within the times of the log.
+    One that fits none of its neighbours there may have come late: it is used where it lies between
+    its neighbours of the same topic, and within the times of the log.
     """
     line, counted = clock.line, since_boot(stamp_ns)
     good = np.asarray(line.good(places) | ~counted, np.bool_)

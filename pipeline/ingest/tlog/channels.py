@@ -51,11 +51,7 @@ SYSTEM_TIME, PARAM_VALUE = "SYSTEM_TIME", "PARAM_VALUE"
 
 @dataclass(frozen=True)
 class Message:
-    """One message of the dialect.
-
-    ``dtype`` of the payload in the order of the wire; ``fields`` in the order of the definition;
-    ``texts`` those of them that are char arrays; ``instance_field`` or "".
-    """
+    """One message: ``dtype`` as on the wire, ``fields`` as defined, those of ``texts`` are char."""
 
     number: int
     name: str
@@ -102,10 +98,7 @@ def name_of(number: int) -> str:
 
 
 def wanted_layouts() -> dict[int, np.dtype[Any]]:
-    """The layouts of the messages that channels and clocks are made of, by number.
-
-    Only the fields that are needed for it, each at its place.
-    """
+    """The layouts, by number, of the fields that channels and clocks are made of."""
     wanted = {
         SYSTEM_TIME: {"time_unix_usec"},
         PARAM_VALUE: {"param_id", "param_value"},
@@ -241,13 +234,7 @@ def _series(keys: list[str], store: ColumnStore, clocks: Clocks) -> list[_Series
 def times_of(
     rows: NDArray[Any], field: str, clocks: Clocks, source: Key
 ) -> tuple[TimeArray, NDArray[np.int16]]:
-    """UTC [ns] of messages by their own time, or by when they were received, and their boot.
-
-    Parameters
-    ----------
-    rows : (n,) of one sender, as a scan keeps them.
-    field : the message's own time, or "".
-    """
+    """UTC [ns] and boot of (n,) messages of a sender, by their own time or that of reception."""
     at, host_ns, clock = rows["at"], rows["host_us"] * MICROSECOND, clocks.of(source)
     if not field:
         return clock.utc_of_host(at, host_ns), clock.boot(at)
@@ -283,10 +270,7 @@ def text_of(value: bytes) -> str:
 
 
 def whole_texts(rows: DecodedRows, records: NDArray[Any]) -> DecodedRows:
-    """The texts of an autopilot, those of more than 50 characters joined from their chunks.
-
-    Chunks of a text have the same id, which is not 0, and count from 0; a missing one is "...".
-    """
+    """An autopilot's texts; chunks of one id, not 0, are joined, "..." stands for missing ones."""
     texts: list[str] = []
     firsts: list[int] = []
     open_texts: dict[int, tuple[int, int]] = {}  # by id, the text and the number of the next chunk
@@ -304,10 +288,10 @@ def whole_texts(rows: DecodedRows, records: NDArray[Any]) -> DecodedRows:
 
 
 def distinct_exposures(table: NDArray[Any], name: str, ledger: Ledger) -> Rows:
-    """The rows of CAMERA_FEEDBACK that are exposures of a camera: no empty ones, each once.
+    """The rows of CAMERA_FEEDBACK that are exposures, each time once with its first index.
 
     ArduPilot repeats a row while it waits for the next pulse, sometimes already with the next
-    index: exposures differ by their time, and the first row of a time has its index.
+    index.
     """
     empty = (table["time_usec"] == 0) & (table["lat"] == 0) & (table["lng"] == 0)
     rows = np.flatnonzero(~empty)
@@ -326,20 +310,13 @@ def distinct_exposures(table: NDArray[Any], name: str, ledger: Ledger) -> Rows:
         ledger.note("EVENTS-TRIGGER-TIME/distinct-exposures", where=name, count=by_unix)
     unseen = np.setdiff1d(indices, indices[first])
     if unseen.shape[0]:
-        what = (
-            f"{unseen.shape[0]} image numbers never got a time of their own (the first is "
-            f"{int(unseen[0])}): the camera was triggered and its feedback was lost"
-        )
-        ledger.warning("EVENT-NO-PULSE", what, where=name, count=int(unseen.shape[0]))
+        number = int(unseen[0])
+        ledger.warning("EVENT-NO-PULSE/feedback", where=name, count=unseen.size, first=number)
     return rows[first]
 
 
 def captured_images(table: NDArray[Any], name: str, ledger: Ledger) -> Rows:
-    """The rows of CAMERA_IMAGE_CAPTURED that are images, each once.
-
-    ``capture_result`` is 0 where the camera failed; a camera repeats a row on request, with the
-    same index and time.
-    """
+    """The rows of CAMERA_IMAGE_CAPTURED that are images, each once: cameras repeat some."""
     failed = table["capture_result"] == 0
     rows = np.flatnonzero(~failed)
     keys = table["time_boot_ms"][rows].astype(np.int64) << 32

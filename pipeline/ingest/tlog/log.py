@@ -30,8 +30,7 @@ from pipeline.ingest.tlog.clock import (
     clocks_of,
     with_borrowed_clocks,
 )
-from pipeline.ingest.tlog.frames import frame_length
-from pipeline.ingest.tlog.scan import SILENT_US, Scan, Silence
+from pipeline.ingest.tlog.scan import SILENT_US, Scan, Silence, frame_length
 from pipeline.ledger import Ledger
 
 SILENT_NS = SILENT_US * MICROSECOND
@@ -78,13 +77,8 @@ def _report_damage(result: Scan, needed: Container[int], path: Path, ledger: Led
     if result.unknown:
         count = sum(rejected.count for rejected in result.unknown.values())
         first = min(rejected.first for rejected in result.unknown.values())
-        ledger.warning(
-            "LOG-UNKNOWN-ID",
-            f"{count} messages have ids that the dialect does not know "
-            f"({', '.join(str(key) for key in sorted(result.unknown)[:8])}): not checked, not read",
-            where=f"{path.name}, first at byte {first}",
-            count=count,
-        )
+        where, ids = f"{path.name}, first at byte {first}", sorted(result.unknown)[:8]
+        ledger.warning("LOG-UNKNOWN-ID", where=where, count=count, ids=", ".join(map(str, ids)))
     damaged = 0
     for number, rejected in sorted(result.failed.items()):
         where = f"{path.name}, first at byte {rejected.first}"
@@ -111,28 +105,19 @@ def _report_link(
             # after seconds of silence no message overtakes another: the step is a loss
             lost[silence.source] += silence.backward
     for (system, component), count in sorted((+lost).items()):
-        what = (
-            f"at least {count} messages of system {system}, component {component} are missing by "
-            "their sequence numbers, which begin again after 256: the radio link lost them"
-        )
-        ledger.loss("LOG-LINK-LOSS", what, where=path.name, count=count)
+        sender = {"system": system, "component": component}
+        ledger.loss("LOG-LINK-LOSS/radio", where=path.name, count=count, **sender)
     for (system, component), silences in sorted(silent.items()):
+        where, seconds = f"{path.name}, first before byte {silences[0].at}", SILENT_US / 1e6
         ledger.loss(
-            "LOG-GAP",
-            f"nothing of system {system}, component {component} was recorded {len(silences)} times "
-            f"for more than {SILENT_US / 1e6:.0f} s, {sum(s.seconds for s in silences):.1f} s "
-            "together, while its clock advanced: the link was down, or bytes are missing",
-            where=f"{path.name}, first before byte {silences[0].at}",
-            count=len(silences),
-        )
+            "LOG-GAP/sender", where=where, count=len(silences), system=system, component=component,
+            least=seconds, seconds=sum(silence.seconds for silence in silences),
+        )  # fmt: skip
     return lost.total()
 
 
 def _replace_stray_stamps(result: Scan, ledger: Ledger, where: str) -> None:
-    """Replace stamps of the ground station that jump away and back by the one before.
-
-    The stamps are not covered by the checksum.
-    """
+    """Replace stamps of the ground station, which no checksum covers, that jump and return."""
     stores = [*result.sent.values(), result.clock.rows]
     blocks = [block for store in stores[:-1] for block in store.blocks()]
     if not blocks:
