@@ -108,27 +108,19 @@ def timeline(blocks: Iterable[Stamps]) -> Timeline:
     >>> timeline([(np.arange(10), time_ns)]).boot_of(np.array([4, 5]))
     array([0, 1], dtype=int16)
     """
-    first: list[int] = []
-    begin: list[int] = []
-    end: list[int] = []
-    length: list[int] = []
+    stretches: list[list[int]] = []  # the first place, the first and last time, how many records
     for places, time_ns in blocks:
         if not places.shape[0]:
             continue
         cuts = np.flatnonzero(np.abs(np.diff(time_ns)) > BOOT_STEP_NS) + 1
-        starts = np.append(0, cuts)
-        stops = np.append(cuts, time_ns.shape[0])
-        lengths = (stops - starts).tolist()
-        lasts = time_ns[stops - 1].tolist()
-        if end and abs(int(time_ns[0]) - end[-1]) <= BOOT_STEP_NS:  # goes on from the block before
-            end[-1] = lasts.pop(0)
-            length[-1] += lengths.pop(0)
-            starts = starts[1:]
-        first += places[starts].tolist()
-        begin += time_ns[starts].tolist()
-        end += lasts
-        length += lengths
-    starts, begins, ends, counts = np.array([first, begin, end, length], np.int64)
+        starts, stops = np.append(0, cuts), np.append(cuts, time_ns.shape[0])
+        columns = (places[starts], time_ns[starts], time_ns[stops - 1], stops - starts)
+        rows = np.stack(columns, axis=1).tolist()
+        if stretches and abs(rows[0][1] - stretches[-1][2]) <= BOOT_STEP_NS:  # goes on
+            _, _, last, more = rows.pop(0)
+            stretches[-1][2:] = [last, stretches[-1][3] + more]
+        stretches += rows
+    starts, begins, ends, counts = np.array(stretches, np.int64).reshape(-1, 4).T.copy()
     stray = stray_stretches(begins, ends, counts)
     steady = ~stray
     back = begins[steady][1:] - ends[steady][:-1] < -BOOT_STEP_NS

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from pipeline.errors import LogError
-from pipeline.units import Rows
+from pipeline.units import Integers, Rows
 
 SPAN = 4 << 20  # [bytes] read at once; 1 to 16 MiB are equally fast
 BEHIND = 4096  # [bytes] kept before the place asked for: recovery after damage goes back
@@ -106,6 +106,25 @@ def gather(data: NDArray[np.uint8], places: NDArray[Any], size: int) -> NDArray[
     every: NDArray[Any] = np.ndarray((max(data.shape[0] - size + 1, 0),), f"V{size}", data, 0, (1,))
     rows: NDArray[Any] = every[places]
     return rows
+
+
+class Runs:
+    """Places, rising, where messages may begin and end; a run ends where the next does not follow.
+
+    >>> Runs(np.array([0, 4, 9]), np.array([4, 8, 12])).starting_at(0)
+    slice(0, 2, None)
+    """
+
+    def __init__(self, at: Integers, end: Integers) -> None:
+        self.at, self.end = at, end
+        self._breaks = np.flatnonzero(np.append(at[1:], -1) != end)
+
+    def starting_at(self, place: int) -> slice:
+        """Those that follow each other from a place on; empty when none begins there."""
+        first = int(np.searchsorted(self.at, place))
+        if first == self.at.shape[0] or self.at[first] != place:
+            return slice(first, first)
+        return slice(first, int(self._breaks[np.searchsorted(self._breaks, first)]) + 1)
 
 
 class _Arena:

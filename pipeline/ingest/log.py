@@ -14,8 +14,6 @@ from pipeline.errors import LogError
 from pipeline.flight.channels import Channel
 from pipeline.ledger import Ledger
 
-HASH_BLOCK = 1 << 20
-
 Table = dict[str, NDArray[Any]]
 """The columns of one message type, all of one length, named and measured as the log has them.
 
@@ -213,9 +211,6 @@ def describe(channel: Channel) -> dict[str, Any]:
 
 
 def hash_file(path: Path) -> str:
-    """SHA-256 of a file, in hexadecimal, read in blocks of 1 MiB."""
-    digest = hashlib.sha256()
+    """SHA-256 of a file, in hexadecimal."""
     with path.open("rb") as stream:
-        while block := stream.read(HASH_BLOCK):
-            digest.update(block)
-    return digest.hexdigest()
+        return hashlib.file_digest(stream, "sha256").hexdigest()

@@ -8,17 +8,17 @@ begin are found at once in a block of the file; where each ends on the next, not
 import struct
 from collections import Counter, deque
 from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.ingest.buffers import SPAN, FileView, allocate, gather
+from pipeline.ingest.buffers import SPAN, FileView, Runs, allocate, gather
 from pipeline.ingest.log import DamagedBytes, Table
 from pipeline.ingest.stacking import PLACE, in_order
 from pipeline.ledger import Ledger
-from pipeline.units import Integers, Mask, Rows
+from pipeline.units import Integers, Mask
 
 MAGIC = b"\xa3\x95"
 HEADER = 3
@@ -115,23 +115,12 @@ class RecordBlock:
         return self.base + int(self.at[-1]) + LONGEST if self.at.size else self.base
 
 
-@dataclass
-class _Candidates:
-    """Where a record may begin in one block: places, type bytes and the lengths of these types.
+class _Candidates(Runs):
+    """Where a record may begin in one block, and the type bytes there."""
 
-    ``breaks`` are the rows whose record does not end at the place of the next row.
-    """
-
-    places: Integers
-    types: NDArray[np.uint8]
-    lengths: Integers = field(default_factory=lambda: np.empty(0, np.int64))
-    breaks: Rows = field(default_factory=lambda: np.empty(0, np.intp))
-
-    def link(self, length_of: Integers) -> None:
-        """Set the lengths and the breaks; again when a length has changed."""
-        self.lengths = length_of[self.types]
-        links = self.places[:-1] + self.lengths[:-1] == self.places[1:]
-        self.breaks = np.append(np.flatnonzero(~links), self.places.shape[0] - 1)
+    def __init__(self, places: Integers, types: NDArray[np.uint8], length_of: Integers) -> None:
+        super().__init__(places, places + length_of[types])
+        self.types = types
 
 
 class RecordWalker(DamagedBytes):
@@ -187,30 +176,26 @@ class RecordWalker(DamagedBytes):
         begin, end = at, min(at + SPAN, self.size - HEADER + 1)
         raw = self.data.array(begin, end + HEADER - 1)
         rows = np.flatnonzero((raw[:-2] == MAGIC[0]) & (raw[1:-1] == MAGIC[1]))
-        block = _Candidates(rows + begin, raw[rows + 2])
-        block.link(self.length_of)
+        block = _Candidates(rows + begin, raw[rows + 2], self.length_of)
         while at < end:
-            row = int(np.searchsorted(block.places, at))
-            if row == block.places.shape[0] or block.places[row] != at:
-                at = self._resume(at)
-                continue
-            stop = int(block.breaks[np.searchsorted(block.breaks, row)]) + 1
-            if not 0 < block.lengths[stop - 1] <= self.size - block.places[stop - 1]:
+            run = block.starting_at(at)
+            row, stop = run.start, run.stop
+            if stop > row and not block.at[stop - 1] < block.end[stop - 1] <= self.size:
                 stop -= 1  # its type is unknown, or the file ends in it
             if stop == row:
                 at = self._resume(at)
                 continue
             stop = self._keep(block, row, stop)
-            at = int(block.places[stop - 1] + block.lengths[stop - 1])
+            at = int(block.end[stop - 1])
             if block.types[stop - 1] == FMT_TYPE:
-                block.link(self.length_of)
+                block = _Candidates(block.at, block.types, self.length_of)
         return at
 
     def _keep(self, block: _Candidates, row: int, stop: int) -> int:
         """Keep a run of records; it ends early where an FMT record redefines the following ones."""
         definitions = row + np.flatnonzero(block.types[row:stop] == FMT_TYPE)
         for place in definitions.tolist():
-            at = int(block.places[place])
+            at = int(block.at[place])
             payload = self.data[at + HEADER : at + FMT_LENGTH]
             number = self.seen.get(payload)
             if number is None:
@@ -234,7 +219,7 @@ class RecordWalker(DamagedBytes):
     def _enter(self, block: _Candidates, row: int, stop: int) -> None:
         if row < stop:
             numbers = self.number_of[block.types[row:stop]]
-            self.runs.append((block.places[row:stop], numbers))
+            self.runs.append((block.at[row:stop], numbers))
 
     def _flush(self, keep: int) -> Iterator[RecordBlock]:
         """Pack the runs into blocks; the last record may be kept back, as damage may include it."""

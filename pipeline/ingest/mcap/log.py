@@ -25,8 +25,7 @@ from pipeline.ingest.buffers import open_view
 from pipeline.ingest.channel_builder import channel_of
 from pipeline.ingest.log import Contents, LogFormat, Table
 from pipeline.ingest.mcap.cdr import SchemaError
-from pipeline.ingest.mcap.file_format import MAGIC, Damage, Definition, Messages, Opcode
-from pipeline.ingest.mcap.records import walk
+from pipeline.ingest.mcap.records import MAGIC, Damage, Definition, Messages, Opcode, walk
 from pipeline.ingest.mcap.samples import (
     LOG_TIME,
     PLAIN_JSON,

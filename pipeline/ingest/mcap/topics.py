@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pipeline.flight.channels import Source, TimeArray
 from pipeline.ingest.fields import CAPTURE_UTC_FIELD, UTC_FIELD, MessageMap
 from pipeline.ingest.mcap.cdr import SchemaError, decode, decode_plan, steps_of
-from pipeline.ingest.mcap.file_format import Messages
+from pipeline.ingest.mcap.records import Messages
 from pipeline.ingest.mcap.samples import (
     LABELS,
     LOG_TIME,
