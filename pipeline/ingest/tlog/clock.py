@@ -381,11 +381,11 @@ def _with_checked_clock(
     if lender is None:
         ledger.fallback("TIME-HOST-CLOCK", where=where, count=count)
         return clocks
-    values = {"where": where, "lender": lender[1], "late": _seconds(late)}
+    late_by = _seconds(late)
     if EARLIEST_NS <= np.median(late) <= LATEST_NS:
-        ledger.note("TIME-BORROWED", count=count, **values)
+        ledger.note("TIME-BORROWED", where=where, count=count, lender=lender[1], late=late_by)
         return clocks
-    ledger.loss("TIME-BORROWED/not", count=count, **values)
+    ledger.loss("TIME-BORROWED/not", where=where, count=count, lender=lender[1], late=late_by)
     joined = np.concatenate([part[part["boot_ns"] > 0] for part, _ in parts])
     joined = joined[np.argsort(joined["at"], kind="stable")]
     sender = _fit_sender(joined, clocks.of(source), source, ledger)

@@ -105,8 +105,9 @@ def _report_link(
             # after seconds of silence no message overtakes another: the step is a loss
             lost[silence.source] += silence.backward
     for (system, component), count in sorted((+lost).items()):
-        sender = {"system": system, "component": component}
-        ledger.loss("LOG-LINK-LOSS/radio", where=path.name, count=count, **sender)
+        ledger.loss(
+            "LOG-LINK-LOSS/radio", where=path.name, count=count, system=system, component=component
+        )
     for (system, component), silences in sorted(silent.items()):
         where, seconds = f"{path.name}, first before byte {silences[0].at}", SILENT_US / 1e6
         ledger.loss(
