@@ -136,8 +136,10 @@ def _receiver_utc(line: Timeline, table: Table, name: str, ledger: Ledger) -> It
             fixes = (boot == number) & (fix >= LOWEST_FIX)
             full, repaired = full_weeks(week[fixes], FIRST_WEEK)
             if repaired:
-                where, weeks = f"{label}, boot {number}", {"week": week[fixes][0], "full": full[0]}
-                ledger.warning("TIME-WEEK-ROLLOVER", where=where, count=repaired, **weeks)
+                where, before, after = f"{label}, boot {number}", week[fixes][0], full[0]
+                ledger.warning(
+                    "TIME-WEEK-ROLLOVER", where=where, count=repaired, week=before, full=after
+                )
                 week = week.astype(np.int64)
                 week[fixes] = full
         utc_ns = utc_of_gps(week, table["GMS"][rows] / 1000.0)
@@ -213,8 +215,10 @@ def _instances(
         if stray.any():
             count = int(counts[stray].sum())
             names = ", ".join(str(number) for number in numbers[stray].tolist()[:8])
-            most = {"most": counts.max(), "instance": numbers[np.argmax(counts)]}
-            ledger.loss("LOG-INSTANCE", where=message, count=count, names=names, **most)
+            most, main = counts.max(), numbers[np.argmax(counts)]
+            ledger.loss(
+                "LOG-INSTANCE", where=message, count=count, names=names, most=most, instance=main
+            )
         numbers = numbers[~stray]
     for which in numbers.tolist():
         label = str(which) if is_named or which >= 0 else None

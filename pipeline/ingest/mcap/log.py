@@ -380,8 +380,10 @@ class McapReader:
                 elif kind == ("protobuf", "protobuf"):
                     decoder = protobuf_decoder(schema, spec, wanted)
                 elif schema is not None:
-                    kinds = {"encoding": encoding, "schema": schema.encoding}
-                    self.ledger.note("LOG-NOT-ROS2", where=channel.topic, name=name, **kinds)
+                    where, of = channel.topic, schema.encoding
+                    self.ledger.note(
+                        "LOG-NOT-ROS2", where=where, name=name, encoding=encoding, schema=of
+                    )
             except ImportError:
                 self.ledger.loss("LOG-NO-PROTOBUF", where=channel.topic, name=name)
             except _SCHEMA_ERRORS as error:

@@ -309,8 +309,7 @@ def _fit_sender(
         maps.append(clock_map(stamped_ns[rows], clock.utc(at[rows], boot_ns[rows])))
         if fit is not None and not clock.utc_known[number]:
             place, spread_ms = f"{where}, boot {number}", fit.spread_ns / 1e6
-            key = "TIME-HOST-CLOCK/stamps"
-            ledger.fallback(key, where=place, count=count, spread_ms=spread_ms)
+            ledger.fallback("TIME-HOST-CLOCK/stamps", where=place, count=count, spread_ms=spread_ms)
     mark = np.ones(boot.shape, np.bool_)
     mark[1:] = (np.diff(boot_ns // NANOSECONDS_PER_SECOND) != 0) | (np.diff(boot) != 0)
     return SenderClock(at[mark], boot_ns[mark], clock, tuple(counts), tuple(maps))
