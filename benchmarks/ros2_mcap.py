@@ -16,8 +16,8 @@ import time
 from pathlib import Path
 
 from pipeline.ingest import open_log
-from pipeline.ingest.mcap.fields import SCHEMAS, known_name
 from pipeline.ingest.mcap.log import MCAP
+from pipeline.ingest.mcap.samples import SCHEMAS, known_name
 from pipeline.ledger import Ledger
 
 STAMP = struct.Struct("<iI")  # header.stamp, behind four bytes of encapsulation

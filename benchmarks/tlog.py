@@ -17,18 +17,18 @@ import numpy as np
 
 from pipeline.ingest import open_log
 from pipeline.ingest.buffers import open_view
-from pipeline.ingest.tlog.fields import crc_extras, dialect, name_of, wanted_layouts
-from pipeline.ingest.tlog.frames import (
+from pipeline.ingest.tlog.channels import crc_extras, dialect, name_of, wanted_layouts
+from pipeline.ingest.tlog.scan import (
     HEAD,
     STAMP,
     Frames,
+    Scan,
     candidates,
     checksums,
     checksums_hold,
     frame_length,
     headers,
 )
-from pipeline.ingest.tlog.scan import Scan
 
 NEEDED = tuple(sorted(map(name_of, wanted_layouts())))
 LIBRARY_BYTES = 10_000_000

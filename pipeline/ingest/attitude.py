@@ -16,12 +16,7 @@ _YAW_LOCK, _YAW_IN_VEHICLE_FRAME, _YAW_IN_EARTH_FRAME = 16, 32, 64
 
 
 def unit_quaternions(q: Array) -> Array:
-    """The same rotations with q_w >= 0 and unit length; NaN where the length is zero or infinite.
-
-    Parameters
-    ----------
-    q : (n, 4) w, x, y, z.
-    """
+    """(n, 4) w, x, y, z -> the same rotations, q_w >= 0; NaN where the length is 0 or infinite."""
     with np.errstate(over="ignore", invalid="ignore"):
         length = np.linalg.norm(q, axis=1, keepdims=True)
         unit = q / np.where((length > 0.0) & np.isfinite(length), length, np.nan)
@@ -29,10 +24,7 @@ def unit_quaternions(q: Array) -> Array:
 
 
 def replace_in_blocks(rotation: Callable[[Array], Array], parts: Sequence[Array]) -> None:
-    """Replace four columns by the quaternions that a function gives for their (n, 4) numbers.
-
-    Some rows at a time: the temporary arrays of all rows would be the peak of memory.
-    """
+    """Replace four columns by the quaternions of their (n, 4) numbers, some rows at a time."""
     for begin in range(0, parts[0].shape[0], BLOCK):
         block = slice(begin, begin + BLOCK)
         q = rotation(np.stack([part[block] for part in parts], axis=1))
@@ -41,10 +33,7 @@ def replace_in_blocks(rotation: Callable[[Array], Array], parts: Sequence[Array]
 
 
 def quaternion_of_euler(roll_rad: Array, pitch_rad: Array, yaw_rad: Array) -> Array:
-    """The quaternion of yaw about down, then pitch about right, then roll about forward.
-
-    ``roll_rad``, ``pitch_rad``, ``yaw_rad``: (n,) [rad], any range. Returns (n, 4) w, x, y, z.
-    Source: MAVLink ATTITUDE and DataFlash ATT use this order (Z-Y-X).
+    """(n,) angles [rad] of any range, Z-Y-X as in MAVLink ATTITUDE and ATT -> (n, 4) w, x, y, z.
 
     >>> quaternion_of_euler(np.zeros(1), np.zeros(1), np.array([np.pi / 2])).round(4)
     array([[0.7071, 0.    , 0.    , 0.7071]])
@@ -65,11 +54,10 @@ def quaternion_of_euler(roll_rad: Array, pitch_rad: Array, yaw_rad: Array) -> Ar
 
 
 def ned_frd_of_enu_flu(q: Array) -> Array:
-    """ROS attitude (REP 103: east-north-up, body forward-left-up) -> north-east-down, FRD.
+    """Attitude of ROS (REP 103: east-north-up, forward-left-up) -> NED and FRD; (n, 4) w, x, y, z.
 
-    ``q``: (n, 4) w, x, y, z with v_enu = R(q) v_flu. Returns (n, 4) w, x, y, z: the product of (0,
-    s, s, 0), q and (0, 1, 0, 0), s = 1/sqrt(2), which exchange the axes of the world and of the
-    body.
+    The product of (0, s, s, 0), q and (0, 1, 0, 0), s = 1/sqrt(2), exchanges the axes of both
+    frames.
 
     >>> ned_frd_of_enu_flu(np.array([[1.0, 0.0, 0.0, 0.0]])).round(4)  # x forward, facing east
     array([[0.7071, 0.    , 0.    , 0.7071]])

@@ -1,7 +1,6 @@
 """Power-ups of a vehicle, and UTC minus time since boot of each, for all log formats.
 
-A log is a sequence of records at rising places (bytes, or numbers of messages), many of which carry
-the time since boot and few of which carry UTC as well.
+Places in a log rise: bytes, or numbers of messages. Few of its records carry UTC.
 """
 
 from __future__ import annotations
@@ -102,34 +101,26 @@ _FEWEST_RECORDS = 10  # without a second between them, of sensors; parameters co
 def timeline(blocks: Iterable[Stamps]) -> Timeline:
     """Power-ups and stray stamps, from all times since boot of a log in its order.
 
-    A step back by more than 1 s is a power-up, unless few stamps in a row are a glitch
-    (`stray_stretches`). A power-up whose time is later shows only against UTC: `fit_boot_clock`.
+    A step back by more than 1 s is a power-up, unless `stray_stretches` has it; see
+    `fit_boot_clock`.
 
     >>> time_ns = np.array([5, 6, 7, 8, 9, 2, 3, 4, 5, 6]) * 10**9
     >>> timeline([(np.arange(10), time_ns)]).boot_of(np.array([4, 5]))
     array([0, 1], dtype=int16)
     """
-    first: list[int] = []
-    begin: list[int] = []
-    end: list[int] = []
-    length: list[int] = []
+    stretches: list[list[int]] = []  # the first place, the first and last time, how many records
     for places, time_ns in blocks:
         if not places.shape[0]:
             continue
         cuts = np.flatnonzero(np.abs(np.diff(time_ns)) > BOOT_STEP_NS) + 1
-        starts = np.append(0, cuts)
-        stops = np.append(cuts, time_ns.shape[0])
-        lengths = (stops - starts).tolist()
-        lasts = time_ns[stops - 1].tolist()
-        if end and abs(int(time_ns[0]) - end[-1]) <= BOOT_STEP_NS:  # goes on from the block before
-            end[-1] = lasts.pop(0)
-            length[-1] += lengths.pop(0)
-            starts = starts[1:]
-        first += places[starts].tolist()
-        begin += time_ns[starts].tolist()
-        end += lasts
-        length += lengths
-    starts, begins, ends, counts = np.array([first, begin, end, length], np.int64)
+        starts, stops = np.append(0, cuts), np.append(cuts, time_ns.shape[0])
+        columns = (places[starts], time_ns[starts], time_ns[stops - 1], stops - starts)
+        rows = np.stack(columns, axis=1).tolist()
+        if stretches and abs(rows[0][1] - stretches[-1][2]) <= BOOT_STEP_NS:  # goes on
+            _, _, last, more = rows.pop(0)
+            stretches[-1][2:] = [last, stretches[-1][3] + more]
+        stretches += rows
+    starts, begins, ends, counts = np.array(stretches, np.int64).reshape(-1, 4).T.copy()
     stray = stray_stretches(begins, ends, counts)
     steady = ~stray
     back = begins[steady][1:] - ends[steady][:-1] < -BOOT_STEP_NS
@@ -139,11 +130,7 @@ def timeline(blocks: Iterable[Stamps]) -> Timeline:
 
 
 def report_timeline(line: Timeline, ledger: Ledger) -> None:
-    """Enter stray stamps and silences of a log whose places are bytes.
-
-    What is logged now and then before sensors are or after them, as parameters of a vehicle that
-    is not armed, begins and ends no silence.
-    """
+    """Enter stray stamps, and silences between sensors, of a log whose places are bytes."""
     if line.stray.any():
         count = int(line.length[line.stray].sum())
         what = f"{count} records carry a time that fits none of their neighbours"
@@ -155,22 +142,15 @@ def report_timeline(line: Timeline, ledger: Ledger) -> None:
     inside = (after > steady[0]) & (after <= steady[-1]) if steady.size else after < 0
     after, silence = after[inside], silence[inside]
     if after.size:
-        ledger.warning(
-            "LOG-GAP",
-            f"{after.size} times nothing was logged for more than 1 s, "
-            f"{silence.sum() / 1e9:.1f} s together: the logger stopped, or bytes are missing",
-            where=f"first before byte {int(line.first[after[0]])}",
-            count=int(after.size),
-        )
+        where, together = f"first before byte {int(line.first[after[0]])}", silence.sum() / 1e9
+        ledger.warning("LOG-GAP", where=where, count=int(after.size), seconds=together)
 
 
 @dataclass(frozen=True)
 class UtcReadings:
     """UTC beside the time since boot, by one source, (n,) in the order of the log.
 
-    ``source`` describes it, such as "rows of GPS[0]"; ``places``; ``boot_ns`` and ``utc_ns``, of
-    which rows with ``usable`` False (no UTC, a stray stamp) do not count; ``fix`` as a receiver
-    reports it, empty for other sources.
+    ``usable`` False: no UTC, a stray stamp. ``fix`` of a receiver, empty for other sources.
     """
 
     source: str
@@ -195,10 +175,9 @@ class UtcReadings:
 
 @dataclass(frozen=True)
 class BootClock:
-    """UTC of a clock that begins anew at each boot.
+    """UTC of a clock that begins anew at each boot of ``line``.
 
-    ``line`` the boots; ``fits`` of each, None where no source gives UTC; ``utc_known`` whether a
-    source of UTC gives it, or only the recorder's clock.
+    ``fits`` is None where no source gives UTC; ``utc_known`` False where only the recorder does.
     """
 
     line: Timeline
@@ -229,20 +208,14 @@ def fit_boot_clock(
 ) -> BootClock:
     """One offset of UTC from the time since boot, for each boot; how well it fits is reported.
 
-    Parameters
-    ----------
-    line : the boots that steps back of the time show.
-    sources : receivers, or the vehicle's own messages. In each boot the one with the most rows is
-        used, by their median; another that differs by more than 1 s is a loss.
-    recorder : the clock of the recorder of the log. It is used in boots without UTC.
-    where : the vehicle, for the ledger.
-    cameras : exposures by the autopilot's clock, which it sets by its receiver now and then: they
-        count where none of ``sources`` has UTC.
-    utc_of : what gives UTC in this format; a boot without it counts time as if in 1970.
+    ``sources``: in each boot the one with the most rows is used, by their median; another that
+    differs by more than 1 s is a loss. ``cameras`` count where none of them has UTC, ``recorder``
+    (the recorder's clock) in boots without any. ``where``, ``utc_of``: the vehicle and what gives
+    UTC in this format, for the ledger. Without UTC a boot counts as if in 1970.
 
-    A boot is also split where nothing was recorded for more than 1 s and UTC minus time since boot
-    is different after it by more than 1 s, and stays so: the time of a new boot may be later than
-    the last of the one before. Where it steps while the time runs on, a clock was set: no boot.
+    A boot is also split where nothing was recorded for more than 1 s and the offset is another
+    after it by more than 1 s, and stays so. Where it steps while the time runs on, a clock was set:
+    no boot.
     """
     sources = [source.sound(line) for source in sources]
     if not any(source.places.size for source in sources):
@@ -327,9 +300,7 @@ def _best_fit(
     for source, fit in fits:
         apart = fit.offset_ns - best.offset_ns
         if abs(apart) > BOOT_STEP_NS:
-            what = (
-                f"{fit.rows} {source.source} give a UTC {apart / 1e9:+.3f} s from that of "
-                f"{best.rows} {chosen.source}, which are used"
-            )
+            what = f"{fit.rows} {source.source} give a UTC {apart / 1e9:+.3f} s from that of"
+            what += f" {best.rows} {chosen.source}, which are used"
             ledger.loss("TIME-SOURCES", what, where=place, count=fit.rows)
     return best

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from pipeline.errors import LogError
-from pipeline.units import Rows
+from pipeline.units import Integers, Rows
 
 SPAN = 4 << 20  # [bytes] read at once; 1 to 16 MiB are equally fast
 BEHIND = 4096  # [bytes] kept before the place asked for: recovery after damage goes back
@@ -36,11 +36,10 @@ Bytes = NDArray[np.uint8]
 
 
 class FileView:
-    """The bytes of a file, read in spans when they are asked for.
+    """The bytes of a file, to where it ended at the beginning, read in spans when asked for.
 
-    Not a memory map: a file that is cut while it is mapped ends the process, Windows cannot replace
-    a mapped file, and its pages count as the process's memory. A file that grows while it is read
-    is read to where it ended at the beginning.
+    No memory map: a file that is cut while it is mapped ends the process, Windows cannot replace
+    it.
     """
 
     def __init__(self, stream: io.FileIO | io.BytesIO, size: int, name: str = "") -> None:
@@ -109,6 +108,25 @@ def gather(data: NDArray[np.uint8], places: NDArray[Any], size: int) -> NDArray[
     return rows
 
 
+class Runs:
+    """Places, rising, where messages may begin and end; a run ends where the next does not follow.
+
+    >>> Runs(np.array([0, 4, 9]), np.array([4, 8, 12])).starting_at(0)
+    slice(0, 2, None)
+    """
+
+    def __init__(self, at: Integers, end: Integers) -> None:
+        self.at, self.end = at, end
+        self._breaks = np.flatnonzero(np.append(at[1:], -1) != end)
+
+    def starting_at(self, place: int) -> slice:
+        """Those that follow each other from a place on; empty when none begins there."""
+        first = int(np.searchsorted(self.at, place))
+        if first == self.at.shape[0] or self.at[first] != place:
+            return slice(first, first)
+        return slice(first, int(self._breaks[np.searchsorted(self._breaks, first)]) + 1)
+
+
 class _Arena:
     """Memory of columns: ``private`` bytes in maps of their own, others in ``regions`` of files."""
 
@@ -163,10 +181,7 @@ class _Arena:
 
 
 def _mapped_file(size: int) -> mmap.mmap | None:
-    """A map of a temporary file whose bytes are reserved on the disk; None without space there.
-
-    On POSIX the file has no name, on Windows it is deleted when its last handle is closed.
-    """
+    """A map of a temporary file whose bytes are reserved on the disk; None without space there."""
     try:
         with tempfile.TemporaryFile() as file:
             if hasattr(os, "posix_fallocate"):
@@ -188,11 +203,9 @@ if hasattr(os, "register_at_fork"):  # Windows has no fork
 def allocate(count: int, dtype: DTypeLike) -> NDArray[Any]:
     """(count,) rows with any values in them.
 
-    Up to `PRIVATE` bytes are in memory of the process's own, further ones in a temporary file (of
-    the folder ``TMPDIR``) if there is space for it. Both return to the system when the last array
-    on them is deleted: pieces of the heap that are freed between others in use fit no column of a
-    long log, and a process would keep about twice what it needs. After a fork, parent and child
-    see what the other writes to an array in a file.
+    Up to `PRIVATE` bytes are the process's own, further ones in a temporary file (of ``TMPDIR``) if
+    there is space; both return to the system with the last array on them. After a fork, parent and
+    child see what the other writes to an array in a file.
 
     >>> column = allocate(3, "f8")
     >>> column[:] = 1.5

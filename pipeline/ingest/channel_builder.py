@@ -37,17 +37,10 @@ class DecodedRows:
     def take(self, rows: Mask | Rows) -> DecodedRows:
         """The rows of a mask or an index."""
         kept = np.asarray(np.flatnonzero(rows) if rows.dtype == np.bool_ else rows, np.intp)
-        return DecodedRows(
-            self.name,
-            self.source,
-            copy_rows(self.time_ns, kept),
-            copy_rows(self.boot, kept),
-            {name: copy_rows(column, kept) for name, column in self.columns.items()},
-            {
-                name: tuple(np.asarray(label, object)[rows].tolist())
-                for name, label in self.labels.items()
-            },
-        )
+        times = copy_rows(self.time_ns, kept), copy_rows(self.boot, kept)
+        columns = {name: copy_rows(column, kept) for name, column in self.columns.items()}
+        labels = {n: tuple(np.asarray(t, object)[rows].tolist()) for n, t in self.labels.items()}
+        return DecodedRows(self.name, self.source, *times, columns, labels)
 
 
 class GrowingColumns:
@@ -147,15 +140,32 @@ def without_stray(rows: DecodedRows, stray: Mask, ledger: Ledger) -> DecodedRows
     """The rows without those whose time since boot fits none of their neighbours."""
     if not stray.any():
         return rows
-    count = int(np.count_nonzero(stray))
-    ledger.loss(
-        "TIME-STRAY",
-        f"{count} of {len(rows)} rows carry a time that fits none of their neighbours: they are "
-        "not used",
-        where=f"{rows.name}, first at row {np.argmax(stray)}",
-        count=count,
-    )
+    count, where = int(np.count_nonzero(stray)), f"{rows.name}, first at row {np.argmax(stray)}"
+    ledger.loss("TIME-STRAY/rows", where=where, count=count, total=len(rows))
     return rows.take(~stray)
+
+
+_FAILED = 0.0  # of ``result``: 1 is success, -1 a camera that does not answer (CameraCapture.msg)
+
+
+def captured_rows(rows: DecodedRows, ledger: Ledger) -> DecodedRows:
+    """The rows of a camera without those that report that it took no image.
+
+    An index that is 0 in all of several rows is dropped: mavros never fills it in.
+    """
+    columns: dict[str, Array] = dict(rows.columns)
+    failed = columns.pop("result", np.ones(len(rows))) == _FAILED
+    index = columns.get("event_index", np.empty(0))
+    if index.shape[0] > 1 and not index.any():
+        del columns["event_index"]
+        what = f"all {len(rows)} rows have the index 0: they are numbered from 0 in order"
+        ledger.note("EVENT-NO-INDEX", what, where=rows.name, count=len(rows))
+    rows = replace(rows, columns=columns)
+    if not failed.any():
+        return rows
+    what = f"{int(failed.sum())} of {len(rows)} rows report that the camera took no image"
+    ledger.warning("EVENT-FAILED", what, where=rows.name, count=int(failed.sum()))
+    return rows.take(~failed)
 
 
 def _without_repeats(rows: DecodedRows, ledger: Ledger, *, event: bool) -> DecodedRows:
@@ -203,25 +213,15 @@ HEIGHT_OPTION = "GPS_DRV_OPTIONS"
 _HEIGHT_ELLIPSOID = 1 << 4
 
 
-def selects_ellipsoid(value: float) -> bool:
-    """Whether this value of `HEIGHT_OPTION` selects heights above the ellipsoid.
-
-    >>> selects_ellipsoid(16.0), selects_ellipsoid(0.0), selects_ellipsoid(float("nan"))
-    (True, False, False)
-    """
-    # Parameters are floats; a damaged one may hold anything.
-    return 0.0 <= value < 2**15 and bool(int(value) & _HEIGHT_ELLIPSOID)
-
-
 def with_both_heights(
     channels: Iterable[Channel], parameters: Mapping[str, float], ledger: Ledger, where: str
 ) -> list[Channel]:
     """The channels with both heights, where the receiver gave the undulation with one of them.
 
-    Where the autopilot's setting selects it, what stands as height above sea level is above the
-    ellipsoid; ``where`` the settings stand.
+    ``where``: of the settings, which may say that heights above sea level are above the ellipsoid.
     """
-    ellipsoidal = selects_ellipsoid(parameters.get(HEIGHT_OPTION, 0.0))
+    value = parameters.get(HEIGHT_OPTION, 0.0)  # a float; of damaged ones anything
+    ellipsoidal = 0.0 <= value < 2**15 and bool(int(value) & _HEIGHT_ELLIPSOID)
     if ellipsoidal:
         ledger.note("HEIGHT-ELLIPSOID", where=where, height_option=HEIGHT_OPTION)
     result = []

@@ -66,10 +66,9 @@ _NUMBERS_OF = {"cdegC": "degC", "%": "percent", "c%": "percent"}
 
 @dataclass(frozen=True)
 class FieldColumn:
-    """One column of a channel, and the field of a message that it is read from.
+    """One column of a channel, and the names of its field in all versions, newest first.
 
-    ``fields`` are the names of the field in all versions, newest first; ``missing`` is the value in
-    the log that means unknown, ``floor`` the value below which it means unknown.
+    ``missing`` is the value in the log that means unknown, as do those below ``floor``.
     """
 
     name: str
@@ -83,12 +82,11 @@ class FieldColumn:
 class MessageMap:
     """One message and the channel it becomes.
 
-    ``id_field`` names the field that tells instances apart, ``time_field`` the message's own time,
-    both where the format itself does not;
-    ``spare_rank`` is the rank of all instances but the first, where those are spares. Where it is
-    not given all have the same rank: instance numbers do not show which thermometer is outside.
-    ``position`` drops rows without a fix, ``attitude`` turns Euler angles into a quaternion.
-    ``text_field`` names the text of what the autopilot says: such a channel has no columns.
+    ``id_field`` tells instances apart, ``time_field`` is the message's own time, where the format
+    has neither. ``spare_rank``: of all instances but the first, where those are spares (numbers do
+    not show which thermometer is outside). ``position`` drops rows without a fix, ``attitude``
+    makes quaternions of Euler angles, ``text_field`` is what the autopilot says: a channel without
+    columns.
     """
 
     columns: tuple[FieldColumn, ...]
@@ -181,13 +179,9 @@ def to_si(raw: NDArray[Any], spec: FieldColumn) -> Array:
 def in_stated_unit(channel: Channel, role: str, unit: str) -> Channel:
     """The channel with the column of a role in SI, where its numbers are really in another unit.
 
-    ``role``: a role that the mission file names the channel for. ``unit``: the unit that it states,
-    one of `STATED_UNITS`.
-
-    A bare ``value`` becomes the column; numbers that were converted from the unit in which the
-    format defines them are converted back first. For example: SCALED_PRESSURE is defined in hPa; a
-    sensor whose driver sends kPa has 81.25 for 81,250 Pa, read as 8125 Pa; stated as kPa it is
-    81,250 Pa. Raises MissionError (CHANNEL-UNIT).
+    ``unit``: of `STATED_UNITS`, by the mission file. A bare ``value`` becomes the column; else
+    numbers are converted back first: SCALED_PRESSURE is in hPa; a driver that sends kPa has 81.25
+    for 81,250 Pa, read as 8125 Pa, stated as kPa 81,250 Pa. Raises MissionError (CHANNEL-UNIT).
     """
     column, factor, offset = STATED_UNITS[unit]
     if column not in ROLE_COLUMNS[role]:
@@ -242,3 +236,25 @@ def extract(
         if parts := [result.pop(part) for part in sorted(result) if part.startswith(f"{name}_")]:
             result[name] = kept(joined(parts))
     return result
+
+
+PX4_MESSAGES: Mapping[str, MessageMap] = message_maps("px4")
+"""By name in px4_msgs; PX4 logs the same to .ulg and, over ROS 2, to MCAP."""
+
+
+def topic_of(message: str) -> str:
+    """The topic under which PX4 logs a message.
+
+    >>> topic_of("VehicleGpsPosition")
+    'vehicle_gps_position'
+    """
+    return re.sub(r"(?<=[a-z])(?=[A-Z])", "_", message).lower()
+
+
+PX4_TOPICS: Mapping[str, MessageMap] = {topic_of(name): spec for name, spec in PX4_MESSAGES.items()}
+
+UTC_FIELD = "time_utc_usec"
+"""Unix time [us] in the messages of receivers, beside their time since boot."""
+
+CAPTURE_UTC_FIELD = "timestamp_utc"
+"""Unix time [us] of an exposure by the autopilot's own clock, which it sets now and then."""

@@ -14,8 +14,6 @@ from pipeline.errors import LogError
 from pipeline.flight.channels import Channel
 from pipeline.ledger import Ledger
 
-HASH_BLOCK = 1 << 20
-
 Table = dict[str, NDArray[Any]]
 """The columns of one message type, all of one length, named and measured as the log has them.
 
@@ -28,17 +26,10 @@ if in 1970, where UTC is unknown), ``boot``, ``system``, ``component``.
 class Contents:
     """The result of reading a file of one format.
 
-    Parameters
-    ----------
-    messages : count of every message type or topic, wanted or not.
-    channels : none is empty in a `Log`, where they are sorted by name.
-    bad_bytes : bytes that belong to no valid message.
-    lost_messages : missing by the log's own numbering or statistics.
-    boots : how often the vehicle was powered up in it.
-    time_base : a description of the source of its UTC.
-    table : decodes all messages of one type or topic; with an instance (None for all) only those.
-    parameters : the autopilot's settings by name, as logged, the last value of each.
-    utc_sigma_s : sigma of its UTC [s], NaN where that is unknown.
+    ``messages`` by type or topic, wanted or not; ``channels`` (in a `Log` sorted, none empty);
+    ``bad_bytes`` of no valid message; ``lost_messages`` by the log's own numbers; ``boots`` of the
+    vehicle; ``time_base`` of its UTC in words; ``table`` decodes all messages of a type, or of one
+    instance; ``parameters`` as last logged; ``utc_sigma_s`` [s] of its UTC, NaN where unknown.
     """
 
     messages: Mapping[str, int]
@@ -54,11 +45,10 @@ class Contents:
 
 @dataclass(frozen=True)
 class LogFormat:
-    """A log format: what the registry needs to recognise a file and to read it.
+    """A log format: ``title`` in messages; ``extensions`` in lower case with dot, the usual first.
 
-    ``name`` is its identifier, ``title`` its name in messages; ``extensions`` are in lower case,
-    with their dot, the usual one first. ``matches`` says whether the first 64 KiB of a file look
-    like this format; ``read`` decodes the wanted messages, and enters what is damaged or skipped.
+    ``matches`` says whether the first 64 KiB of a file look like it; ``read`` decodes the wanted
+    messages, and enters what is damaged or skipped.
     """
 
     name: str
@@ -70,14 +60,9 @@ class LogFormat:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Log(Contents):
-    """A log that was read: its contents, and the damage, repairs and assumptions on the way.
+    """A log that was read, and in ``ledger`` what was repaired, assumed, skipped and lost.
 
-    Parameters
-    ----------
-    path, size_bytes, sha256 : the file; hashed before it was read, if it begins as a log does.
-    format : the name of its format, such as ``dataflash``.
-    start_ns, end_ns : Unix time [ns] of the first and the last sample of any channel.
-    ledger : what was repaired, assumed, skipped and lost.
+    ``start_ns``, ``end_ns``: Unix time [ns] of the first and the last sample of any channel.
     """
 
     path: Path
@@ -174,11 +159,7 @@ def _available(name: str, names: list[str]) -> str:
 
 @dataclass
 class DamagedBytes:
-    """Bytes outside all messages of a log whose format has no end mark.
-
-    ``bad_bytes`` belong to no message, the first at ``first_bad``; ``cut_bytes`` to a last message
-    that the end of the file cuts off.
-    """
+    """Bytes outside all messages; ``cut_bytes`` of a last one that the end of the file cuts off."""
 
     bad_bytes: int = 0
     first_bad: int = -1
@@ -230,9 +211,6 @@ def describe(channel: Channel) -> dict[str, Any]:
 
 
 def hash_file(path: Path) -> str:
-    """SHA-256 of a file, in hexadecimal, read in blocks of 1 MiB."""
-    digest = hashlib.sha256()
+    """SHA-256 of a file, in hexadecimal."""
     with path.open("rb") as stream:
-        while block := stream.read(HASH_BLOCK):
-            digest.update(block)
-    return digest.hexdigest()
+        return hashlib.file_digest(stream, "sha256").hexdigest()

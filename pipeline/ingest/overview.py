@@ -18,9 +18,9 @@ _CABIN = ("cabin_pressure", "cabin_temperature", "cabin_humidity")
 def flight_of(position: Channel, height: Channel) -> dict[str, Any]:
     """Place, day and heights of a flight, from its channels of position and height.
 
-    Latitude and longitude are those where the log begins, to 0.001 degrees (100 m). Heights in
-    metres above ``height_reference``, from the 0.1 to the 99.9 percentile: single wild samples do
-    not count. ``take_off_m`` is known where the log begins standing still.
+    Latitude and longitude where the log begins, to 0.001 degrees (100 m). Heights [m] above
+    ``height_reference``, 0.1 to 99.9 percentile; ``take_off_m`` where the log begins standing
+    still.
     """
     known = np.isfinite(position["lat_rad"] + position["lon_rad"])
     if not bool(known.any()):
@@ -47,11 +47,10 @@ def flight_of(position: Channel, height: Channel) -> dict[str, Any]:
 
 
 def roles_of(channels: Sequence[Channel]) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    """The flight (`flight_of`), and a row for each role: its channel, or why there is none.
+    """The flight (`flight_of`), and for each role its channel as of a mission file that names none.
 
-    As for a mission file that names no channel and has no window: ``channel`` (None without one),
-    ``rate_hz``, ``samples``, ``remark`` (whether the samples can be true, or what is lacking) and
-    ``others`` that could be named.
+    ``rate_hz``, ``samples``, a ``remark`` (true samples, or what is lacking), ``others`` to be
+    named.
     """
     chosen, notes = assign_roles(channels, {}, needs_cabin=False)
     height = chosen.get("height")

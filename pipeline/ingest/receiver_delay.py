@@ -1,8 +1,7 @@
 """The delay of a GNSS receiver: an autopilot stamps a fix 80 to 220 ms after its epoch.
 
 UTC comes from these stamps, so until here it is late for everything but the fixes themselves. The
-positions of the autopilot's filter already allow for the delay: they keep their relation to every
-other message, and move along the axis of UTC with it.
+positions of the autopilot's filter already allow for it, and move along the axis of UTC.
 """
 
 import re
@@ -53,10 +52,9 @@ class ReceiverDelay:
 
 
 def with_receiver_delay(contents: Contents, ledger: Ledger) -> Contents:
-    """The contents of a log with all times in UTC, but for those of the fixes later by the delay.
+    """The contents with all times in UTC: later by the delay, but for fixes, which get their epoch.
 
-    Fixes get the time of their epoch. The ledger has the accuracy of UTC. Logs without a receiver
-    of an autopilot, and logs whose stamps are UTC by themselves, are returned as they are.
+    Logs without a receiver of an autopilot, or stamped in UTC, are returned as they are.
     """
     fixes = [c for c in contents.channels if c.source.message in _RECEIVERS and len(c)]
     if not fixes:
@@ -71,10 +69,8 @@ def with_receiver_delay(contents: Contents, ledger: Ledger) -> Contents:
         delays[channel.name] = known or stated_delay(channel, contents.parameters, texts)
     first = max(fixes, key=len)  # UTC is from the receiver with the most rows
     utc = delays[first.name]
-    what = (
-        f"UTC is accurate to {utc.sigma_s * 1e3:.0f} ms (1 sigma): fixes are stamped "
-        f"{utc.delay_s * 1e3:.0f} ms after their epoch, {utc.origin}"
-    )
+    what = f"UTC is accurate to {utc.sigma_s * 1e3:.0f} ms (1 sigma): fixes are stamped"
+    what += f" {utc.delay_s * 1e3:.0f} ms after their epoch, {utc.origin}"
     ledger.note("TIME-FIT", what, where=first.name, count=len(first))
     later_ns = round(utc.delay_s * 1e9)
 
@@ -114,14 +110,11 @@ def stated_delay(
 
 
 def estimated_delay(receiver: Channel, fused: Channel) -> ReceiverDelay | None:
-    """The delay of fixes behind the positions of the filter that follows them.
+    """The delay of fixes behind the positions of the filter that follows them, both as stamped.
 
-    ``receiver``, ``fused``: positions on one clock, as stamped.
-
-    Slow errors of the receiver are in both, so that fixes lie behind by the speed times the delay.
-    The median of all rows in fast flight; None where they are few or do not agree. Accuracy
-    against the truth of two simulator flights: 1 ms for the positions of the filter, which
-    themselves lead by 11 and 21 ms.
+    Fixes lie behind by the speed times the delay: the median of all rows in fast flight; None where
+    they are few or do not agree. Accuracy against the truth of two simulator flights: 1 ms for the
+    positions of the filter, which themselves lead by 11 and 21 ms.
     """
     limit = fused.gap_limit_s()
 

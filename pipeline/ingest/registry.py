@@ -34,14 +34,12 @@ _UNREADABLE = (
 
 
 def open_log(path: Path | str, sha256: str | None = None, *, needs_channels: bool = True) -> Log:
-    """Read a flight log of any format in `FORMATS`.
+    """Read a flight log of any format in `FORMATS`; its content and its extension have to agree.
 
-    ``path``: the file; its content and its extension have to agree. ``sha256``: its hash, where the
-    caller has taken it already; else it is taken here. ``needs_channels``: refuse a log without
-    any. False where only `Log.message` is asked for; start and end are 0 in a log without channels.
-    Returns the log with its channels in SI. Raises LogError (LOG-MISSING, LOG-EMPTY, LOG-FORMAT,
-    LOG-NO-MESSAGES, LOG-UNREADABLE, LOG-CHANGED; of PX4 logs LOG-ULOG) when nothing can be used.
-    Damage is no reason to refuse: it is counted in the ledger of the log.
+    ``sha256``: its hash, if already taken. ``needs_channels``: refuse a log without any; without
+    them start and end are 0. Damage is no reason to refuse: it is counted in the ledger of the log.
+    Raises LogError (LOG-MISSING, LOG-EMPTY, LOG-FORMAT, LOG-NO-MESSAGES, LOG-UNREADABLE,
+    LOG-CHANGED; of PX4 logs LOG-ULOG) when nothing can be used.
     """
     path = Path(path)
     try:

@@ -16,11 +16,10 @@ _WORD = 1 << 64
 
 
 def column_of(values: list[Any]) -> NDArray[Any]:
-    """Values of any kind as one column; None is a message that has none.
+    """Values of one field, a message each (None without), as one column.
 
-    ``values``: of one field, a message each. Returns bool, int64, uint64 or float64 where that
-    alters no number (NaN where one is missing), str where all are texts ("" where one is missing),
-    else the values as objects.
+    bool, int64, uint64 or float64 where that alters no number (NaN where one is missing), str where
+    all are texts ("" where one is missing), else objects.
 
     >>> column_of([2**60 + 1, -5]).tolist(), column_of([1, None]), column_of([1, "n/a"])
     ([1152921504606846977, -5], array([ 1., nan]), array([1, 'n/a'], dtype=object))
@@ -64,10 +63,9 @@ def in_order(tables: Sequence[Table]) -> Table:
 
 
 def join_pieces(pieces: Sequence[NDArray[Any] | int]) -> NDArray[Any]:
-    """Pieces of a column end to end; an integer stands for so many rows without it.
+    """Pieces of a column end to end; an integer stands for so many rows without it (NaN, or "").
 
-    Missing numbers are NaN, missing texts empty. What no type of numpy holds is as `column_of` has
-    it: numbers beside texts, arrays of several lengths, integers beyond 2^53 beside others.
+    What no type of numpy holds without loss is as `column_of` has it.
 
     >>> join_pieces([np.array([1.5]), 1]), join_pieces([np.array(["a"]), np.array([7])])
     (array([1.5, nan]), array(['a', 7], dtype=object))

@@ -16,7 +16,7 @@ from house import House, measure, report
 
 # The same module name in several rooms, where it is the same thing seen from each.
 SAME_THING = {
-    "log", "records", "channels", "fields", "clock",  # formats, and of all
+    "log", "records", "channels", "clock",  # formats, and of all
     "stations", "adjusted_profile", "air_samples",  # computed, and as a stage
     "image", "ray",  # for a caller, and compiled
     "sensors",  # estimated, and simulated

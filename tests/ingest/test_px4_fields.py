@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pipeline.flight.channels import Source
-from pipeline.ingest.channel_builder import DecodedRows
-from pipeline.ingest.px4_fields import captured_rows
+from pipeline.ingest.channel_builder import DecodedRows, captured_rows
 from pipeline.ledger import Ledger
 
 

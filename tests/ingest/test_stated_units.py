@@ -8,10 +8,10 @@ import pytest
 from pipeline.errors import MissionError
 from pipeline.flight.channels import Channel, Source
 from pipeline.ingest.channel_builder import DecodedRows, channel_of
-from pipeline.ingest.dataflash.tables import MESSAGES as DATAFLASH
+from pipeline.ingest.dataflash.channels import MESSAGES as DATAFLASH
+from pipeline.ingest.fields import PX4_MESSAGES as PX4
 from pipeline.ingest.fields import STATED_UNITS, extract, in_stated_unit
-from pipeline.ingest.px4_fields import MESSAGES as PX4
-from pipeline.ingest.tlog.fields import MESSAGES as MAVLINK
+from pipeline.ingest.tlog.channels import MESSAGES as MAVLINK
 from pipeline.ledger import Ledger
 
 

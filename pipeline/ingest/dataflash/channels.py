@@ -2,8 +2,10 @@
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pipeline.flight.channels import ROLE_COLUMNS, Channel, Source
 from pipeline.flight.clock import SECONDS_PER_WEEK, STRAY_ROWS, full_weeks, utc_of_gps
@@ -20,16 +22,14 @@ from pipeline.ingest.boot_clock import (
 )
 from pipeline.ingest.buffers import FileView, copy_rows, gather
 from pipeline.ingest.channel_builder import DecodedRows, channel_of, with_both_heights
-from pipeline.ingest.dataflash.records import HEADER, RecordWalker
-from pipeline.ingest.dataflash.tables import (
-    ACCURACY,
-    ACCURACY_MESSAGES,
-    INSTANCE_FIELDS,
-    MESSAGES,
-    instance_of,
-    texts_of,
+from pipeline.ingest.dataflash.records import HEADER, INSTANCE_FIELDS, RecordWalker
+from pipeline.ingest.fields import (
+    MessageMap,
+    columns_of_group,
+    extract,
+    is_number,
+    message_maps,
 )
-from pipeline.ingest.fields import MessageMap, extract, is_number
 from pipeline.ingest.log import Table
 from pipeline.ingest.stacking import PLACE
 from pipeline.ledger import Ledger
@@ -40,6 +40,48 @@ FIRST_WEEK = 1_721  # 2012-12-30: no log that defines its own records is older
 _WEEKS = 1 << 13  # until 2137: the fit is by the median, which more than half of the rows decide
 _OF_TIME = ("GMS", "GWk", "Status", "Week", "T")
 STRAY_SHARE = 100  # rows of an instance for each row of one that is damage
+
+MESSAGES: Mapping[str, MessageMap] = message_maps("dataflash")
+
+# What EV and ERR mean, as far as they concern the filter and the receivers (AP_Logger.h); in ERR
+# the second number is 0 where the trouble is over.
+EVENTS = {60: "EKF_ALT_RESET", 62: "EKF_YAW_RESET", 67: "GPS_PRIMARY_CHANGED"}
+ERRORS = {
+    3: "COMPASS", 7: "FAILSAFE_GPS", 11: "GPS", 12: "CRASH_CHECK", 16: "EKFCHECK",
+    17: "FAILSAFE_EKFINAV", 18: "BARO", 24: "EKF_PRIMARY", 29: "FAILSAFE_VIBE",
+    31: "FAILSAFE_DEADRECKON",
+}  # fmt: skip
+
+
+def texts_of(message: str, field: str, table: Table) -> tuple[str, ...] | None:
+    """What the autopilot says in each row of MSG, EV or ERR; None where no text is defined.
+
+    >>> texts_of("ERR", "Subsys", {"Subsys": np.array([16], "u1"), "ECode": np.array([2], "u1")})
+    ('ERR EKFCHECK 2',)
+    """
+    words = table.get(field)
+    if words is None or words.dtype.kind != ("U" if message == "MSG" else "u"):
+        return None
+    if message == "MSG":
+        return tuple(words.tolist())
+    names = EVENTS if message == "EV" else ERRORS
+    codes = table["ECode"].tolist() if "ECode" in table else [""] * words.shape[0]
+    pairs = zip(words.tolist(), codes, strict=True)
+    return tuple(f"{message} {names.get(number, number)} {code}".strip() for number, code in pairs)
+
+
+# Accuracy and the ellipsoidal height come in a message of their own, at the time of the GPS row.
+ACCURACY_MESSAGES = {"GPS": "GPA", "GPS2": "GPA2"}
+ACCURACY = columns_of_group("accuracy")
+
+
+def instance_of(table: Table) -> NDArray[Any]:
+    """The instance of each row, -1 without; integers only: I of PID messages is none."""
+    for field in INSTANCE_FIELDS:
+        if field in table and table[field].dtype.kind in "iu":
+            return table[field]
+    rows = len(next(iter(table.values()))) if table else 0
+    return np.full(rows, -1, np.int8)
 
 
 def stamps(data: FileView, walker: RecordWalker) -> Iterator[Stamps]:
@@ -94,12 +136,9 @@ def _receiver_utc(line: Timeline, table: Table, name: str, ledger: Ledger) -> It
             fixes = (boot == number) & (fix >= LOWEST_FIX)
             full, repaired = full_weeks(week[fixes], FIRST_WEEK)
             if repaired:
+                where, before, after = f"{label}, boot {number}", week[fixes][0], full[0]
                 ledger.warning(
-                    "TIME-WEEK-ROLLOVER",
-                    f"{repaired} GPS rows have week {int(week[fixes][0])}, before logs of this "
-                    f"kind existed: the receiver counts modulo 1024, taken as {int(full[0])}",
-                    where=f"{label}, boot {number}",
-                    count=repaired,
+                    "TIME-WEEK-ROLLOVER", where=where, count=repaired, week=before, full=after
                 )
                 week = week.astype(np.int64)
                 week[fixes] = full
@@ -176,12 +215,10 @@ def _instances(
         if stray.any():
             count = int(counts[stray].sum())
             names = ", ".join(str(number) for number in numbers[stray].tolist()[:8])
-            what = (
-                f"{count} rows are of instances ({names}) that no other row has, beside "
-                f"{counts.max()} of instance {numbers[np.argmax(counts)]}: damage, they are not "
-                "used"
+            most, main = counts.max(), numbers[np.argmax(counts)]
+            ledger.loss(
+                "LOG-INSTANCE", where=message, count=count, names=names, most=most, instance=main
             )
-            ledger.loss("LOG-INSTANCE", what, where=message, count=count)
         numbers = numbers[~stray]
     for which in numbers.tolist():
         label = str(which) if is_named or which >= 0 else None
@@ -192,10 +229,7 @@ def _instances(
 
 
 def _report_fields(message: str, spec: MessageMap, table: Table, ledger: Ledger) -> None:
-    """Enter fields that hold no numbers, and columns of roles for which there is no field at all.
-
-    Either is damage of a definition, of a letter or of a name.
-    """
+    """Enter fields that hold no numbers, and columns of roles that have no field."""
     count = len(next(iter(table.values()))) if table else 0
     odd = {
         field: column.name
@@ -220,11 +254,7 @@ def _report_fields(message: str, spec: MessageMap, table: Table, ledger: Ledger)
 
 
 def _join_accuracy(table: Table, other: Table) -> Table:
-    """The table of fixes with the fields of the accuracy of equal instance and time.
-
-    Times repeat where the vehicle was restarted: then rows belong together that are near each
-    other in the file. An autopilot writes the accuracy behind the fix.
-    """
+    """The table of fixes with the accuracy of equal instance and time, logged behind the fix."""
     fields = [field for spec in ACCURACY for field in spec.fields if field in other]
     if not fields or "TimeUS" not in other or not other[PLACE].size:
         return table

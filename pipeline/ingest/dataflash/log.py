@@ -12,18 +12,20 @@ from pipeline.flight.clock import LAST_US, SECONDS_PER_WEEK
 from pipeline.ingest import boot_clock
 from pipeline.ingest.buffers import open_view
 from pipeline.ingest.dataflash.channels import (
+    ACCURACY,
     RECEIVERS,
     channels_of,
     clock_of,
+    instance_of,
     stamps,
     wanted_fields,
 )
-from pipeline.ingest.dataflash.records import FMT_START, RecordWalker, find_records
-from pipeline.ingest.dataflash.tables import (
-    ACCURACY,
+from pipeline.ingest.dataflash.records import (
+    FMT_START,
     INSTANCE_FIELDS,
+    RecordWalker,
     decode,
-    instance_of,
+    find_records,
     without_objects,
 )
 from pipeline.ingest.fields import is_number
@@ -81,12 +83,8 @@ def contents_of(
 ) -> Contents:
     """The contents of a log, binary or text.
 
-    Parameters
-    ----------
-    damage, counts : bytes of no message, and the messages of each type.
-    line : the power-ups.
-    tables : the wanted fields of the wanted types; they are used up.
-    reread : reads all fields of some types, when they are asked for.
+    ``damage``, ``counts``: bytes of no message, messages by type. ``tables``: the wanted fields,
+    used up. ``reread``: reads all fields of some types, when they are asked for.
     """
     timed = timed_tables(tables, ledger)
     clock, time_base = clock_of(line, timed, ledger)
@@ -107,11 +105,7 @@ def contents_of(
 
 
 def timed_tables(tables: dict[str, Table], ledger: Ledger) -> dict[str, Table]:
-    """The tables with a time since boot, without the rows that lack it.
-
-    Columns are dropped which a damaged definition makes no numbers, or no text, where these are
-    needed.
-    """
+    """The tables with a time since boot, without rows that lack it or columns of a wrong kind."""
     result, timeless = {}, {}
     old = not any("TimeUS" in table for table in tables.values())
     for name in list(tables):
@@ -151,11 +145,7 @@ def timed_tables(tables: dict[str, Table], ledger: Ledger) -> dict[str, Table]:
 
 
 def with_time(name: str, columns: Table) -> Table:
-    """A table with the field TimeUS; before 2015 the time since boot was in milliseconds.
-
-    It was TimeMS, except in rows of receivers: there TimeMS is the time of the week, and T the time
-    since boot.
-    """
+    """A table with TimeUS; until 2015 that was TimeMS, in rows of receivers T."""
     time_ms = columns.get("T" if name in RECEIVERS else "TimeMS")
     if "TimeUS" in columns or time_ms is None or not is_number(time_ms):
         return columns
@@ -169,10 +159,7 @@ def with_time(name: str, columns: Table) -> Table:
 
 
 def exposures_by_last_fix(exposures: Table, receiver: Table, ledger: Ledger) -> Table:
-    """Exposures with only the GPS time of the last fix: they are half an interval behind it.
-
-    A row whose fix is not in the log stays at the time of the record before it.
-    """
+    """Exposures with only the GPS time of the last fix: half an interval behind it."""
     time_us = exposures["TimeUS"].copy()
     fix_us, fix_ms = (np.empty(0, np.int64),) * 2
     if {"GMS", "GWk", "Status"} <= receiver.keys():
@@ -187,14 +174,11 @@ def exposures_by_last_fix(exposures: Table, receiver: Table, ledger: Ledger) -> 
         row = np.minimum(np.searchsorted(fix_ms, own_ms), fix_ms.size - 1)
         known = fix_ms[row] == own_ms
         time_us[known] = fix_us[row[known]] + round(interval_s * 5e5)
-    what = (
-        f"{time_us.size} exposures have no time since boot: {int(known.sum())} get that of the "
-        f"fix that they name and half an interval of the receiver ({interval_s / 2.0:.3f} s), with "
-        f"a sigma of {interval_s / np.sqrt(12.0):.3f} s; {int((~known).sum())} get the time of the "
-        "record before them"
-    )
-    ledger.fallback("EVENTS-FIX-TIME", what, where="CAM", count=time_us.size)
     sigma_s = np.full(time_us.shape, interval_s / np.sqrt(12.0))
+    ledger.fallback(
+        "EVENTS-FIX-TIME", where="CAM", count=time_us.size, known=int(known.sum()),
+        half_s=interval_s / 2.0, sigma_s=sigma_s[0], unknown=int((~known).sum()),
+    )  # fmt: skip
     return exposures | {"TimeUS": time_us, "sigma_time_s": sigma_s}
 
 

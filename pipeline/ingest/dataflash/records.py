@@ -1,34 +1,32 @@
-"""Records of an ArduPilot DataFlash log: their definitions, their places, recovery after damage.
+"""Records of an ArduPilot DataFlash log: definitions, places, recovery after damage, tables.
 
-A record is 0xA3 0x95, a type byte and a payload whose length the FMT record of that type gave.
-There is no checksum: a record is confirmed when the next one begins where it ends. All places where
-a record may begin are found at once in a block of the file; where each ends on the next, nothing
-has to be walked.
+A record is 0xA3 0x95, a type byte and a payload whose length the FMT record of that type gave. It
+is confirmed when the next one begins where it ends: there is no checksum. All places where one may
+begin are found at once in a block of the file; where each ends on the next, nothing is walked.
 """
 
+import struct
 from collections import Counter, deque
-from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.ingest.buffers import SPAN, FileView, gather
-from pipeline.ingest.log import DamagedBytes
-from pipeline.units import Integers, Mask, Rows
+from pipeline.ingest.buffers import SPAN, FileView, Runs, allocate, gather
+from pipeline.ingest.log import DamagedBytes, Table
+from pipeline.ingest.stacking import PLACE, in_order
+from pipeline.ledger import Ledger
+from pipeline.units import Integers, Mask
 
 MAGIC = b"\xa3\x95"
 HEADER = 3
 FMT_TYPE = 128
 FMT_LENGTH = 89
 FMT_START = MAGIC + bytes([FMT_TYPE])
-_FMT_PAYLOAD = (
-    bytes([FMT_TYPE, FMT_LENGTH])
-    + b"FMT".ljust(4, b"\0")
-    + b"BBnNZ".ljust(16, b"\0")
-    + b"Type,Length,Name,Format,Columns".ljust(64, b"\0")
-)
+_FMT_FIELDS = (FMT_TYPE, FMT_LENGTH, b"FMT", b"BBnNZ", b"Type,Length,Name,Format,Columns")
+_FMT_PAYLOAD = struct.pack("<BB4s16s64s", *_FMT_FIELDS)
 LINKS = 3  # records in a row that confirm a place to continue after damage
 LONGEST = 255  # bytes of a record: its length is one byte
 REACH = 1 << 14  # [bytes] first searched after damage: the next record is seldom farther
@@ -48,18 +46,13 @@ DIVISORS = {"c": 100.0, "C": 100.0, "e": 100.0, "E": 100.0, "L": 1e7}
 
 @dataclass(frozen=True)
 class RecordDefinition:
-    """The definition of a record type by an FMT record: its name, and where its fields are.
-
-    ``divisors`` of the scaled fields by field name: values are integers that are to be divided.
-    ``letters`` by field name: the format letters of ArduPilot's LogStructure.h.
-    """
+    """A record type by its FMT record; ``divisors`` of the scaled fields by name."""
 
     type_id: int
     name: str
     length: int
     dtype: np.dtype[Any]
     divisors: Mapping[str, float]
-    letters: Mapping[str, str]
 
     @property
     def fields(self) -> tuple[str, ...]:
@@ -102,18 +95,15 @@ def define(payload: bytes) -> RecordDefinition | None:
     dtype = np.dtype(
         {"names": list(fields), "formats": kinds, "offsets": offsets, "itemsize": length}
     )
-    coded = zip(fields, codes, strict=True)
-    divisors = {field: DIVISORS[code] for field, code in coded if code in DIVISORS}
-    letters_of = dict(zip(fields, codes, strict=True))
-    return RecordDefinition(type_id, name, length, dtype, divisors, letters_of)
+    divisors = {n: DIVISORS[c] for n, c in zip(fields, codes, strict=True) if c in DIVISORS}
+    return RecordDefinition(type_id, name, length, dtype, divisors)
 
 
 @dataclass(frozen=True)
 class RecordBlock:
-    """The records that begin in one block of the file: 6 bytes for each.
+    """The records that begin in one block of the file at ``base``: 6 bytes for each.
 
-    ``base`` is the block's place, ``at`` (n,) the records' places behind it, rising; ``numbers``
-    (n,) their definitions.
+    ``at`` (n,) their places behind it, rising; ``numbers`` (n,) their definitions.
     """
 
     base: int
@@ -125,35 +115,19 @@ class RecordBlock:
         return self.base + int(self.at[-1]) + LONGEST if self.at.size else self.base
 
 
-@dataclass
-class _Candidates:
-    """Where a record may begin in one block: places, type bytes and the lengths of these types.
+class _Candidates(Runs):
+    """Where a record may begin in one block, and the type bytes there."""
 
-    ``breaks`` are the rows whose record does not end at the place of the next row.
-    """
-
-    places: Integers
-    types: NDArray[np.uint8]
-    lengths: Integers = field(default_factory=lambda: np.empty(0, np.int64))
-    breaks: Rows = field(default_factory=lambda: np.empty(0, np.intp))
-
-    def link(self, length_of: Integers) -> None:
-        """Set the lengths and the breaks; again when a length has changed."""
-        self.lengths = length_of[self.types]
-        links = self.places[:-1] + self.lengths[:-1] == self.places[1:]
-        self.breaks = np.append(np.flatnonzero(~links), self.places.shape[0] - 1)
+    def __init__(self, places: Integers, types: NDArray[np.uint8], length_of: Integers) -> None:
+        super().__init__(places, places + length_of[types])
+        self.types = types
 
 
 class RecordWalker(DamagedBytes):
-    """One pass over a file: the definitions, and where the records are, in the order of the file.
+    """One pass over a file: where the records of some ``names`` (None for all) are, in its order.
 
-    After the pass ``wanted`` has the blocks of the wanted records, ``definitions`` are all that
-    occurred, and ``refused`` describes FMT records that are not valid.
-
-    Parameters
-    ----------
-    data : the file.
-    names : the message types whose records are wanted; all where it is None.
+    After it ``wanted`` has their blocks, ``definitions`` are all that occurred, ``refused``
+    describes FMT records that are not valid.
     """
 
     def __init__(self, data: FileView, names: Collection[str] | None = None) -> None:
@@ -202,30 +176,26 @@ class RecordWalker(DamagedBytes):
         begin, end = at, min(at + SPAN, self.size - HEADER + 1)
         raw = self.data.array(begin, end + HEADER - 1)
         rows = np.flatnonzero((raw[:-2] == MAGIC[0]) & (raw[1:-1] == MAGIC[1]))
-        block = _Candidates(rows + begin, raw[rows + 2])
-        block.link(self.length_of)
+        block = _Candidates(rows + begin, raw[rows + 2], self.length_of)
         while at < end:
-            row = int(np.searchsorted(block.places, at))
-            if row == block.places.shape[0] or block.places[row] != at:
-                at = self._resume(at)
-                continue
-            stop = int(block.breaks[np.searchsorted(block.breaks, row)]) + 1
-            if not 0 < block.lengths[stop - 1] <= self.size - block.places[stop - 1]:
+            run = block.starting_at(at)
+            row, stop = run.start, run.stop
+            if stop > row and not block.at[stop - 1] < block.end[stop - 1] <= self.size:
                 stop -= 1  # its type is unknown, or the file ends in it
             if stop == row:
                 at = self._resume(at)
                 continue
             stop = self._keep(block, row, stop)
-            at = int(block.places[stop - 1] + block.lengths[stop - 1])
+            at = int(block.end[stop - 1])
             if block.types[stop - 1] == FMT_TYPE:
-                block.link(self.length_of)
+                block = _Candidates(block.at, block.types, self.length_of)
         return at
 
     def _keep(self, block: _Candidates, row: int, stop: int) -> int:
         """Keep a run of records; it ends early where an FMT record redefines the following ones."""
         definitions = row + np.flatnonzero(block.types[row:stop] == FMT_TYPE)
         for place in definitions.tolist():
-            at = int(block.places[place])
+            at = int(block.at[place])
             payload = self.data[at + HEADER : at + FMT_LENGTH]
             number = self.seen.get(payload)
             if number is None:
@@ -249,7 +219,7 @@ class RecordWalker(DamagedBytes):
     def _enter(self, block: _Candidates, row: int, stop: int) -> None:
         if row < stop:
             numbers = self.number_of[block.types[row:stop]]
-            self.runs.append((block.places[row:stop], numbers))
+            self.runs.append((block.at[row:stop], numbers))
 
     def _flush(self, keep: int) -> Iterator[RecordBlock]:
         """Pack the runs into blocks; the last record may be kept back, as damage may include it."""
@@ -329,11 +299,10 @@ class RecordWalker(DamagedBytes):
 
 
 def find_records(data: FileView, names: Collection[str] | None = None) -> RecordWalker:
-    """Find every whole record of a DataFlash log.
+    """Where the records of some types are, or of all, and the damage between them.
 
-    ``data``: the file. ``names``: the message types whose places are wanted; all where it is None.
-    Returns where the records are, and the damage between them. A flipped type byte costs that one
-    record; after any damage reading continues where a chain of three records begins.
+    A flipped type byte costs that record; after damage reading continues at a chain of three
+    records.
     """
     walker = RecordWalker(data, names)
     deque(walker.blocks(), 0)
@@ -341,11 +310,9 @@ def find_records(data: FileView, names: Collection[str] | None = None) -> Record
 
 
 def read_records(found: RecordWalker, wanted: Mask) -> Iterator[tuple[int, NDArray[Any], Integers]]:
-    """The records of some definitions, a block of the file at a time.
+    """The records of wanted definitions, a block of the file at a time.
 
-    ``wanted``: for each definition, whether its records are wanted. Yields the number of a
-    definition, its records in a block as a structured array, and their places in the file; those of
-    one definition come in the order of the file.
+    Yields the number of a definition, its records as a structured array, and their places.
     """
     for block in found.wanted:
         rows = np.flatnonzero(wanted[block.numbers])
@@ -363,3 +330,90 @@ def read_records(found: RecordWalker, wanted: Mask) -> Iterator[tuple[int, NDArr
             # Every place of the block seen as a record: the wanted ones are then one copy each.
             rows_of_type = gather(raw, at, form.length).view(form.dtype)
             yield number, rows_of_type, at.astype(np.int64) + block.base
+
+
+INSTANCE_FIELDS = ("I", "Instance", "Id", "C")
+
+
+def decode(found: RecordWalker, wanted: Mapping[str, Callable[[str], bool]]) -> dict[str, Table]:
+    """The columns of some message types, in one pass over the file, with `PLACE`.
+
+    ``wanted``: by type, which fields. Numbers keep their type; scaled ones (c, C, e, E, L) are
+    float64 and divided, as pymavlink does; characters are text. Types of one name are one table:
+    what a row does not have is NaN or empty, a field that was text and number is of objects
+    (`without_objects`).
+    """
+    tables: dict[int, Table] = {}
+    for number, count in enumerate(found.counts.tolist()):
+        form = found.definitions[number]
+        if form.name in wanted and count:
+            table = tables[number] = {PLACE: allocate(count, np.int64)}
+            for name in filter(wanted[form.name], form.fields):
+                kind = np.dtype(np.float64) if name in form.divisors else form.dtype[name]
+                table[name] = allocate(count, (kind.base, kind.shape))
+    filled = dict.fromkeys(tables, 0)
+    mask = np.array([number in tables for number in range(len(found.definitions))], np.bool_)
+    for number, rows, places in read_records(found, mask):
+        part = slice(filled[number], filled[number] + places.shape[0])
+        filled[number] = part.stop
+        for name, column in tables[number].items():
+            divisor = found.definitions[number].divisors.get(name)
+            if divisor is None:
+                column[part] = places if name == PLACE else rows[name]
+            else:
+                np.divide(rows[name], divisor, out=column[part])
+    by_name: dict[str, list[Table]] = {}
+    for number in sorted(tables):
+        columns = tables.pop(number).items()
+        table = {name: texts(part) if part.dtype.kind == "S" else part for name, part in columns}
+        by_name.setdefault(found.definitions[number].name, []).append(table)
+    return {name: merge_tables(several) for name, several in by_name.items()}
+
+
+def texts(raw: NDArray[np.bytes_]) -> NDArray[np.str_]:
+    """Character fields as text, cut at the first NUL: UTF-8, else Latin-1, as pymavlink does.
+
+    >>> texts(np.array([b"GPS", b"30\\xb0", b"a\\0b"]))
+    array(['GPS', '30°', 'a'], dtype='<U3')
+    """
+    different, places = np.unique(raw, return_inverse=True)
+    words = []
+    for value in different.tolist():
+        try:
+            word = value.decode("utf-8")
+        except UnicodeDecodeError:
+            word = value.decode("latin-1")
+        words.append(word.split("\0", 1)[0])
+    return np.array(words, np.str_)[places] if words else np.empty(0, "U1")
+
+
+def merge_tables(several: list[Table]) -> Table:
+    """Tables of one message whose definition changed, as one; missing instances are -1."""
+    if len(several) == 1:
+        return several[0]
+    for name in INSTANCE_FIELDS:
+        present = [table[name] for table in several if name in table]
+        if present and all(column.dtype.kind in "iu" for column in present):
+            for table in several:
+                table.setdefault(name, np.full(table[PLACE].size, -1))
+    return in_order(several)
+
+
+def without_objects(table: Table, name: str, ledger: Ledger) -> Table:
+    """A table without objects: the last value of a column decides between text and numbers."""
+    columns = dict(table)
+    for label, column in table.items():
+        if column.dtype.kind != "O":
+            continue
+        known = [value for value in column.tolist() if value is not None]
+        kind = str if isinstance(known[-1], str) else (int, float)
+        lost = sum(not isinstance(value, kind) for value in known)
+        if kind is str:
+            words = [value if isinstance(value, str) else "" for value in column.tolist()]
+            columns[label] = np.array(words, np.str_)
+        else:
+            numbers = [value if isinstance(value, kind) else np.nan for value in column.tolist()]
+            columns[label] = np.array(numbers, np.float64)
+        if lost:
+            ledger.loss("LOG-REDEFINED", where=name, count=lost, total=len(known), field=label)
+    return columns

@@ -1,7 +1,6 @@
 """ArduPilot logs as text (.log): FMT lines and rows -> the same channels as a binary log.
 
-Mission Planner and mavlogdump write them: one message a line, fields after commas, scaled fields
-already in their unit. A place in the file is the first byte of a line.
+Mission Planner and mavlogdump write a message a line, scaled. A place is the first byte of a line.
 """
 
 import re
@@ -15,7 +14,7 @@ import numpy as np
 from pipeline.ingest.boot_clock import Stamps, nanoseconds, timeline
 from pipeline.ingest.dataflash.channels import wanted_fields
 from pipeline.ingest.dataflash.log import contents_of
-from pipeline.ingest.dataflash.tables import merge_tables
+from pipeline.ingest.dataflash.records import merge_tables
 from pipeline.ingest.log import Contents, DamagedBytes, LogFormat, Table
 from pipeline.ingest.stacking import PLACE
 from pipeline.ledger import Ledger

@@ -1,8 +1,7 @@
 """CDR, the encoding of ROS 2 messages: all messages of a topic decoded at once, step by step.
 
-Every message has a cursor; a step reads at all cursors and moves them on. Numbers are aligned to
-their size, so the layout of a run depends on where it begins modulo 8, which texts before it shift.
-The steps follow from the definition of the message (.msg) and of those inside it.
+A step reads at the cursors of all messages and moves them on. Numbers are aligned to their size, so
+the layout of a run depends on where it begins modulo 8, which texts before it shift.
 """
 
 from __future__ import annotations
@@ -11,6 +10,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -101,10 +101,7 @@ def short(name: str) -> str:
 
 @dataclass
 class _Flattener:
-    """Flattening: definitions that were parsed, and how many steps there are so far.
-
-    Some lines can nest millions of steps, which therefore are counted before they are kept.
-    """
+    """Flattening; steps are counted before they are kept: some lines can nest millions of them."""
 
     definitions: Mapping[str, str]
     parsed: dict[str, list[tuple[str, str, str]]] = field(default_factory=dict)
@@ -177,10 +174,9 @@ ALIGN = 8
 
 @dataclass(frozen=True)
 class DecodePlan:
-    """The steps of a message as far as they are wanted: runs of numbers, texts and sequences.
+    """The wanted steps of a message: runs of numbers, texts, sequences; ``rest`` behind all else.
 
-    Of sequences nothing is kept but, of those in ``counted``, how many elements they have; ``rest``
-    stand behind all else.
+    Of sequences nothing is kept but, where ``counted``, how many elements they have.
     """
 
     steps: tuple[tuple[NumberField, ...] | TextField | SequenceField, ...]
@@ -190,14 +186,11 @@ class DecodePlan:
 
 
 def decode_plan(steps: Sequence[MessageField], wanted: frozenset[str] | None = None) -> DecodePlan:
-    """What to do to get at some columns of a message.
+    """What to do to get at some columns of a message of these steps.
 
-    Parameters
-    ----------
-    steps : of its definition.
-    wanted : paths, also of single elements of an array, as ``q.0``; None for every number and text
-        that each message has once, arrays as arrays, and of sequences how many elements they have
-        (``path[]``; -1 where the message ends before that).
+    ``wanted``: paths, also of single elements, as ``q.0``; None for every number and text that each
+    message has once, arrays as arrays, and how many elements sequences have (``path[]``; -1 where
+    the message ends before that).
     """
     parts: list[MessageField] = []
     for step in steps:
@@ -230,24 +223,16 @@ def _runs(
 ) -> list[tuple[NumberField, ...] | TextField | SequenceField]:
     """Steps with neighbouring numbers put together."""
     result: list[tuple[NumberField, ...] | TextField | SequenceField] = []
-    run: list[NumberField] = []
-    for step in steps:
-        if isinstance(step, NumberField):
-            run.append(step)
-            continue
-        if run:
-            result.append(tuple(run))
-            run = []
-        result.append(step)
-    return [*result, tuple(run)] if run else result
+    for _, group in groupby(steps, lambda step: isinstance(step, NumberField)):
+        part = list(group)
+        run = tuple(step for step in part if isinstance(step, NumberField))
+        result += [run] if run else [s for s in part if not isinstance(s, NumberField)]
+    return result
 
 
 @dataclass
 class _Cursors:
-    """The messages still read: rows, beginnings, lengths, and the place ``at`` of the next field.
-
-    All without the encapsulation; ``big`` where numbers are big-endian.
-    """
+    """Messages still read, without the encapsulation, and the place ``at`` of the next field."""
 
     data: Bytes
     row: Rows
@@ -279,11 +264,10 @@ def decode(
 ) -> tuple[Rows, dict[str, NDArray[Any]]]:
     """Decode messages of one definition.
 
-    ``data``: the bytes they lie in. ``begin``, ``length``: (n,) of each, with the encapsulation.
-    ``plan``: from `decode_plan`. Returns the rows that could be read, and their columns: numbers of
-    their own kind, arrays as (m, count), texts as str. A message that ends too early, gives a
-    length beyond its end or is encapsulated as anything but plain CDR (DDS-RTPS 2.2, section 10;
-    not parameter lists, not XCDR2) is left out. Both byte orders.
+    ``begin``, ``length``: (n,) of each in ``data``, with the encapsulation. Returns the rows that
+    could be read, and their columns: numbers of their own kind, arrays as (m, count), texts as str.
+    Left out are messages that end too early, and anything but plain CDR of either byte order
+    (DDS-RTPS 2.2, section 10; not parameter lists, not XCDR2).
 
     >>> data = np.frombuffer(b"\\0\\1\\0\\0" + b"\\2\\0\\0\\0a\\0\\7\\0", np.uint8)
     >>> plan = decode_plan([TextField("s"), NumberField("x", "u2")])

@@ -1,47 +1,52 @@
 """The records of an MCAP file in their order: definitions one by one, messages by the thousand.
 
-The definitions are parsed by the mcap library; the records are read here, because the library's
-readers give nothing for a truncated file, inflate chunks without a limit and lose messages silently
-when the summary is damaged. After bytes that are no record, reading continues at the next place
-that is proved by what stands there: the head of a chunk, or messages of known channels that follow
-each other.
+Definitions are parsed by the mcap library, whose readers give nothing for a truncated file, inflate
+chunks without a limit and lose messages silently. After damage, reading continues at the next place
+that is proved: the head of a chunk, or messages of known channels that follow each other.
 """
 
+from __future__ import annotations
+
+import struct
 import zlib
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterator, Set
+from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
-from pipeline.ingest.buffers import Bytes, FileView
-from pipeline.ingest.mcap.file_format import (
+from pipeline.ingest.buffers import Bytes, FileView, Runs, gather
+from pipeline.ingest.mcap.chunks import (
     BLOCK,
     COMPRESSIONS,
-    FOOT,
-    LARGE_MESSAGE,
-    LINKS,
-    MAGIC,
-    NEAR,
-    RECORD,
     Chunk,
-    Damage,
-    Definition,
     InflationBudget,
-    MessageRuns,
-    Messages,
-    Opcode,
-    candidate_places,
     chunk_head,
     chunk_stream,
     inflate,
     large_chunk_fault,
-    messages_at,
-    messages_follow,
-    next_message_place,
-    raw_of,
-    record_at,
 )
-from pipeline.units import Integers
+from pipeline.units import Integers, Rows
 
+MAGIC = b"\x89MCAP0\r\n"
+RECORD = struct.Struct("<BQ")
+MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
+FOOT = struct.Struct("<QQI")  # start of the summary, of its offsets, checksum
+
+
+class Opcode:
+    """The kinds of records."""
+
+    HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK = 0x01, 0x02, 0x03, 0x04, 0x05, 0x06
+    STATISTICS, DATA_END, LAST = 0x0B, 0x0F, 0x0F
+    PRIVATE = 0x80  # from here on they belong to applications; those between are not given out
+
+
+LARGE_MESSAGE = 1 << 16  # [bytes] of what is wanted only images are larger ...
+NEAR = 1 << 16  # [bytes] searched first: damage is seldom large
+LINKS = 3  # records in a row that prove a message after damage
+NAMED = 8  # losses of one kind that are named one by one
 DEFINITIONS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS)
 
 NO_FOOTER = (
@@ -54,11 +59,144 @@ MESSAGE_START = 4096  # [bytes] ... and of those the header is wanted
 MAX_DEFINITION = 16 << 20  # [bytes] of a schema, channel or statistics record
 
 
-def walk(data: FileView, damage: Damage) -> Iterator[Definition | Messages]:
-    """The definitions and messages of a file.
+@dataclass
+class Damage:
+    """What could not be read: (code, what, byte offset, bytes); many of a kind as one."""
 
-    ``data``: the file; where it does not begin with `MAGIC`, its head is damaged or lost.
-    ``damage``: filled on the way with what is cut off, corrupt or too large.
+    losses: list[tuple[str, str, int, int]] = field(default_factory=list)
+    seen: Counter[str] = field(default_factory=Counter)
+    more: Counter[str] = field(default_factory=Counter)
+    bad_bytes: int = 0
+
+    def add(self, code: str, what: str, at: int, count: int) -> None:
+        self.bad_bytes += count
+        self.seen[code] += 1
+        if self.seen[code] <= NAMED:
+            self.losses.append((code, what, at, count))
+        else:
+            self.more[code] += count
+
+    def entries(self) -> Iterator[tuple[str, str, int, int]]:
+        """The losses, those beyond the first few of a kind in one line."""
+        yield from self.losses
+        for code, count in self.more.items():
+            last = [at for kind, _, at, _ in self.losses if kind == code][-1]
+            yield code, f"{self.seen[code] - NAMED} more places like that", last, count
+
+
+@dataclass(frozen=True)
+class Definition:
+    """A schema, channel or statistics record, and where it or its chunk begins."""
+
+    opcode: int
+    content: bytes
+    at: int
+
+
+@dataclass(frozen=True)
+class Messages:
+    """Messages in the order of the file, their bytes, and how many records were too ``short``.
+
+    ``begin`` and ``length`` of the encoded message; of a large one only the beginning is there.
+    """
+
+    data: Bytes
+    channel: NDArray[np.uint16]
+    sequence: NDArray[np.uint32]
+    log_time: Integers
+    begin: Integers
+    length: Integers
+    short: int
+
+    def __len__(self) -> int:
+        return int(self.channel.shape[0])
+
+
+_HEADER = np.dtype(
+    {
+        "names": ["length", "channel", "sequence", "log_time"],
+        "formats": ["<u8", "<u2", "<u4", "<u8"],
+        "offsets": [1, 9, 11, 15],
+        "itemsize": RECORD.size + MESSAGE.size,
+    }
+)
+_LAST_NS = np.uint64(2**63 - 1)  # log_time is unsigned in the file; times inside are int64
+
+
+def messages_at(data: Bytes, starts: Integers) -> Messages:
+    """The messages whose records begin at these places."""
+    size = _HEADER.itemsize
+    inside = starts[starts + size <= data.shape[0]]
+    head = gather(data, inside, size).view(_HEADER)
+    good = head["length"].astype(np.int64) >= MESSAGE.size
+    head, begin = head[good], inside[good] + size
+    channel, sequence = head["channel"].copy(), head["sequence"].copy()
+    log_time = np.minimum(head["log_time"], _LAST_NS).astype(np.int64)
+    length, short = head["length"].astype(np.int64) - MESSAGE.size, starts.shape[0] - head.shape[0]
+    return Messages(data, channel, sequence, log_time, begin, length, int(short))
+
+
+def raw_of(view: Bytes) -> memoryview:
+    return memoryview(view)  # type: ignore[arg-type]  # an array is a buffer
+
+
+def record_at(raw: bytes | memoryview, at: int) -> tuple[int, int]:
+    """Opcode and length of the record that begins here."""
+    opcode, length = RECORD.unpack_from(raw, at)
+    return int(opcode), int(length)
+
+
+def candidate_places(view: Bytes, opcodes: tuple[int, ...]) -> Rows:
+    """Places with one of these opcodes and a length below 4 GiB."""
+    count = view.shape[0] - RECORD.size + 1
+    if count <= 0:
+        return np.empty(0, np.intp)
+    may = np.isin(view[:count], np.array(opcodes, np.uint8))
+    for byte in range(5, RECORD.size):
+        may &= view[byte : byte + count] == 0
+    return np.flatnonzero(may)
+
+
+def next_message_place(view: Bytes, begin: int, channels: Set[int]) -> int:
+    """The first place of a chunk behind ``begin`` where messages follow, or the chunk's end."""
+    raw = raw_of(view)
+    for at in range(begin + 1, view.shape[0], NEAR):
+        near = view[at : at + NEAR + RECORD.size - 1]
+        for place in candidate_places(near, (Opcode.MESSAGE,)).tolist():
+            if messages_follow(raw, at + place, channels):
+                return int(at + place)
+    return int(view.shape[0])
+
+
+def messages_follow(raw: memoryview, place: int, channels: Set[int]) -> bool:
+    """Whether messages of known channels follow each other from here on."""
+    for _ in range(LINKS):
+        if place == len(raw):
+            return True
+        if place + RECORD.size + MESSAGE.size > len(raw):
+            return False
+        opcode, length = record_at(raw, place)
+        channel = int.from_bytes(raw[place + 9 : place + 11], "little")
+        if opcode != Opcode.MESSAGE or not MESSAGE.size <= length <= LARGE_MESSAGE:
+            return False
+        if channel not in channels:
+            return False
+        place += RECORD.size + length
+    return place <= len(raw)
+
+
+def message_runs(view: Bytes) -> Runs:
+    """The places with the opcode of a message and a length that ends inside ``view``."""
+    count = max(view.shape[0] - RECORD.size + 1, 0)
+    at = np.flatnonzero(view[:count] == Opcode.MESSAGE).astype(np.int64)
+    length = gather(view, at + 1, 8).view("<u8")
+    inside = length <= (view.shape[0] - RECORD.size - at).astype(np.uint64)
+    at = at[inside]
+    return Runs(at, at + RECORD.size + length[inside].astype(np.int64))
+
+
+def walk(data: FileView, damage: Damage) -> Iterator[Definition | Messages]:
+    """The definitions and messages of a file; ``damage`` is filled on the way.
 
     A summary that its checksum proves comes first: its definitions serve where those among the
     messages are damaged. A definition may come several times.
@@ -82,10 +220,7 @@ class _RecordWalk:
         self.ends, self.ended = 0, False  # records that end the data; whether one was checked
 
     def summary(self) -> Iterator[Definition]:
-        """The definitions in the summary, where its checksum holds.
-
-        Where bytes are missing before it, it is not where the footer says: it follows the data end.
-        """
+        """Definitions of the summary, if its checksum holds; if moved, it follows the data end."""
         at = self.data.size - len(MAGIC) - FOOT.size
         if at < RECORD.size or self.data[at + FOOT.size : self.data.size] != MAGIC:
             return
@@ -127,10 +262,7 @@ class _RecordWalk:
         return Definition(opcode, content, at)
 
     def records(self) -> Iterator[Definition | Messages]:
-        """The records from the beginning of the file to its footer.
-
-        They begin behind the mark; where that is damaged, at the header record or what follows it.
-        """
+        """The records from behind the mark, or from the header record on, to the footer."""
         at = len(MAGIC) if self.data[0 : len(MAGIC)] == MAGIC else 0
         if not at:
             for place in range(len(MAGIC) + 1):
@@ -287,7 +419,7 @@ class _RecordWalk:
     def _inside(self, view: Bytes, at: int) -> Iterator[Definition | Messages]:
         """The records of an inflated chunk: messages by the run, between them definitions."""
         raw, place, size = raw_of(view), 0, int(view.shape[0])
-        runs, starts = MessageRuns.of(view), [np.empty(0, np.int64)]
+        runs, starts = message_runs(view), [np.empty(0, np.int64)]
         while place < size:
             run = runs.starting_at(place)
             if run.stop > run.start:

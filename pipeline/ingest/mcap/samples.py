@@ -1,8 +1,8 @@
-"""Messages of a topic as they are read: their times in any form, and columns in SI."""
+"""Which messages of MCAP logs are wanted, their times in any form, and their columns in SI."""
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
@@ -11,15 +11,92 @@ from numpy.typing import NDArray
 
 from pipeline.flight.channels import Source, TimeArray
 from pipeline.flight.clock import BOOT_STEP_NS, UNIX_NS_FROM, UNIX_US_FROM
-from pipeline.ingest.boot_clock import BootClock, Timeline, UtcReadings, microseconds, nanoseconds
+from pipeline.ingest.attitude import earth_frame_attitude, ned_frd_of_enu_flu, replace_in_blocks
+from pipeline.ingest.boot_clock import (
+    LOWEST_FIX,
+    BootClock,
+    Timeline,
+    UtcReadings,
+    microseconds,
+    nanoseconds,
+)
 from pipeline.ingest.buffers import ColumnStore
-from pipeline.ingest.channel_builder import DecodedRows, GrowingColumns, without_stray
-from pipeline.ingest.fields import MessageMap, extract
-from pipeline.ingest.mcap.fields import LABELS, finished
-from pipeline.ingest.px4_fields import CAPTURE_UTC_FIELD, UTC_FIELD, captured_rows
+from pipeline.ingest.channel_builder import (
+    DecodedRows,
+    GrowingColumns,
+    captured_rows,
+    without_stray,
+)
+from pipeline.ingest.fields import (
+    CAPTURE_UTC_FIELD,
+    PX4_MESSAGES,
+    UTC_FIELD,
+    FieldColumn,
+    MessageMap,
+    extract,
+    message_maps,
+)
+from pipeline.ingest.mcap.cdr import short
 from pipeline.ingest.stacking import PLACE
 from pipeline.ledger import Ledger
-from pipeline.units import NANOSECONDS_PER_SECOND, Mask, Rows
+from pipeline.units import NANOSECONDS_PER_SECOND, Array, Mask, Rows
+
+_NAMED_VALUE_INT = 4.0  # DebugValue.TYPE_NAMED_VALUE_INT: the value is in another field
+
+_PX4 = {f"px4_msgs/{name}": spec for name, spec in PX4_MESSAGES.items()}
+_STAMPS = {"mavros_msgs/CamIMUStamp": "frame_stamp"}
+_WITH_HEADER = {
+    name: replace(spec, time_field=_STAMPS.get(name, "header.stamp"))
+    for name, spec in message_maps("ros").items()
+}
+SCHEMAS: Mapping[str, MessageMap] = _WITH_HEADER | _PX4 | message_maps("foxglove")
+
+PLAIN_JSON = MessageMap((FieldColumn("value", ("value",)),))
+"""JSON of a schema of the user's own: a time and a value, of a role only when it is named."""
+
+LABELS: Mapping[str, str] = {"file_url": "file_url", "frame_id": "header.frame_id frame_id"}
+"""Texts that belong to each event, and where they may be."""
+
+
+def known_name(schema: str) -> str:
+    """The name of a message in `SCHEMAS`, whatever the encoding writes between its parts.
+
+    >>> known_name("sensor_msgs/msg/NavSatFix"), known_name("foxglove_msgs/msg/RawImage")
+    ('sensor_msgs/NavSatFix', 'foxglove.RawImage')
+    """
+    return short(schema).replace("foxglove_msgs/", "foxglove.")
+
+
+def finished(schema: str, columns: Mapping[str, Array]) -> dict[str, Array]:
+    """Columns as decoded -> columns in use: one attitude convention, sigmas, a fix as in MAVLink.
+
+    An Imu whose first covariance is -1 has no orientation (sensor_msgs/Imu); a NavSatFix whose
+    covariance type is 0 does not know its accuracy.
+    """
+    result = dict(columns)
+    if schema.endswith("/GimbalDeviceAttitudeStatus") and "flags" in result:
+        result = earth_frame_attitude(result)
+    if schema.endswith("/DebugValue"):
+        kind, whole = result.pop("kind", None), result.pop("integer", None)
+        if kind is not None and whole is not None:
+            result["value"] = np.where(kind == _NAMED_VALUE_INT, whole, result["value"])
+    if "ros_w" in result:
+        q = [result.pop(f"ros_{axis}") for axis in "wxyz"]
+        replace_in_blocks(ned_frd_of_enu_flu, q)
+        if "covariance_0" in result:
+            unknown = result.pop("covariance_0") == -1.0
+            for part in q:
+                part[unknown] = np.nan
+        result |= {f"q_{axis}": part for axis, part in zip("wxyz", q, strict=True)}
+    if "status" in result:
+        result["fix"] = np.where(result.pop("status") >= 0.0, float(LOWEST_FIX), 0.0)
+    if "covariance_type" in result:
+        known = result.pop("covariance_type") > 0.0
+        variances = [result.pop(f"variance_{k}", np.full(known.shape, np.nan)) for k in range(3)]
+        east, north, up = (np.where(known, np.maximum(part, 0.0), np.nan) for part in variances)
+        result |= {"sigma_h_m": np.sqrt(east / 2.0 + north / 2.0), "sigma_v_m": np.sqrt(up)}
+    return result
+
 
 Columns = Mapping[str, NDArray[Any]]
 STAMP, LOG_TIME, SEQUENCE = "\0stamp_ns", "\0log_ns", "\0sequence"
@@ -75,10 +152,10 @@ def _first(value: Any, names: tuple[str, ...]) -> Any:
 class TopicSamples:
     """What was read of one topic, or of one name in it.
 
-    ``stamp_ns`` are the messages' own times, 0 without; ``log_ns`` the recorder's with the row of
-    the first, only where they are needed; ``utc_us`` UTC beside the time since boot. ``counted``
-    says that the stamps are microseconds, which may count from a boot: then ``places`` are those of
-    the messages among all of the log; else ``sequence`` are their numbers.
+    ``stamp_ns`` own times, 0 without; ``log_ns`` the recorder's by their first row, where needed;
+    ``utc_us`` UTC beside the time since boot. ``counted`` stamps are microseconds, which may count
+    from a boot: then ``places`` are those in the whole log; else ``sequence`` are the messages'
+    numbers.
     """
 
     name: str
@@ -136,10 +213,9 @@ class TopicSamples:
         return UtcReadings(words, places, stamp_ns, utc_us * 1000, usable, _copied(fix))
 
     def rows(self, clock: BootClock, ledger: Ledger) -> tuple[DecodedRows, int]:
-        """All of it, which is handed over, and how many messages had no time of their own.
+        """All of it, handed over, and how many messages had no time of their own.
 
-        In the order of the file or of their numbers, never of log_time: a recorder whose clock was
-        set back would shuffle two parts of the flight into each other.
+        Never in the order of log_time: a clock that was set back would shuffle parts of the flight.
         """
         stamp_ns = self.stamp_ns.whole()
         log_ns = np.zeros(stamp_ns.shape, np.int64)
@@ -156,13 +232,8 @@ class TopicSamples:
         order = None if self.counted else in_sequence(self.sequence.whole(), time_ns)
         if order is not None:
             moved = int(np.count_nonzero(order != np.arange(len(rows))))
-            ledger.note(
-                "LOG-REORDERED",
-                f"{moved} of {len(rows)} messages are elsewhere in the file than their numbers and "
-                "times say: they are put in order",
-                where=f"{self.name}, first at row {np.flatnonzero(np.diff(order) != 1)[0] + 1}",
-                count=moved,
-            )
+            where = f"{self.name}, first at row {np.flatnonzero(np.diff(order) != 1)[0] + 1}"
+            ledger.note("LOG-REORDERED", where=where, count=moved, total=len(rows))
             rows = rows.take(order)
         if good is not None:
             rows = without_stray(rows, ~good, ledger)
@@ -174,11 +245,10 @@ def _copied(store: ColumnStore) -> NDArray[Any]:
 
 
 def in_sequence(sequence: NDArray[np.uint32], time_ns: TimeArray) -> Rows | None:
-    """The order of messages by their numbers, where that puts times right that step back.
+    """The order by (n,) numbers, where that puts times right that step back, else None.
 
-    ``sequence``, ``time_ns``: (n,) in the order of the file; a chunk of it may be elsewhere. None
-    where times rise as they stand, or where numbers repeat or disagree with the times: of a clock
-    that was set back, and of a recorder that counts anew.
+    Numbers that repeat or disagree with the times are of a recorder that counts anew, or a set
+    clock.
 
     >>> in_sequence(np.array([0, 1, 4, 2], np.uint32), np.array([10, 11, 14, 12]))
     array([0, 1, 3, 2])
@@ -194,10 +264,8 @@ def in_sequence(sequence: NDArray[np.uint32], time_ns: TimeArray) -> Rows | None
 def own_times(columns: Columns, time_field: str, count: int) -> tuple[TimeArray, bool]:
     """The messages' own times [ns], 0 without, and whether they are counted in microseconds.
 
-    Parameters
-    ----------
-    columns : (count,) the fields as decoded; ``time_field`` names one of type Time, or of
-        microseconds, which may be Unix time or count from a boot.
+    ``time_field`` names a Time of the (count,) columns, or microseconds from a boot or of Unix
+    time.
     """
     if STAMP in columns:
         return columns[STAMP], False
@@ -218,12 +286,10 @@ def since_boot(stamp_ns: TimeArray) -> Mask:
 
 
 def good_rows(places: TimeArray, stamp_ns: TimeArray, clock: BootClock) -> Mask:
-    """Which messages have a time that fits the log.
+    """Which messages of a topic, at (n,) places and stamps [ns], have a time that fits the log.
 
-    ``places``, ``stamp_ns``: (n,) of a topic, [ns] counted.
-
-    One that fits none of its neighbours in the log may have come late: it is used where it lies
-    between its neighbours of the same topic, and within the times of the log.
+    One that fits none of its neighbours there may have come late: it is used where it lies between
+    its neighbours of the same topic, and within the times of the log.
     """
     line, counted = clock.line, since_boot(stamp_ns)
     good = np.asarray(line.good(places) | ~counted, np.bool_)

@@ -11,12 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.flight.channels import Source, TimeArray
-from pipeline.ingest.fields import MessageMap
+from pipeline.ingest.fields import CAPTURE_UTC_FIELD, UTC_FIELD, MessageMap
 from pipeline.ingest.mcap.cdr import SchemaError, decode, decode_plan, steps_of
-from pipeline.ingest.mcap.fields import LABELS, PLAIN_JSON
-from pipeline.ingest.mcap.file_format import Messages
+from pipeline.ingest.mcap.records import Messages
 from pipeline.ingest.mcap.samples import (
+    LABELS,
     LOG_TIME,
+    PLAIN_JSON,
     SEQUENCE,
     STAMP,
     TopicSamples,
@@ -24,7 +25,6 @@ from pipeline.ingest.mcap.samples import (
     since_boot,
     stamp_of,
 )
-from pipeline.ingest.px4_fields import CAPTURE_UTC_FIELD, UTC_FIELD
 from pipeline.ingest.stacking import PLACE, column_of, in_order
 from pipeline.units import Mask, Rows
 
@@ -42,9 +42,9 @@ columns, and how many values were left out."""
 class Topic:
     """A topic that is read, of one name of schema, and where its messages go.
 
-    With ``series`` they become channels, one for each name that the messages give (`rows_by_name`),
-    without them the ``blocks`` of a table, those apart whose times are counted in microseconds.
-    ``odd`` values are no numbers where one is wanted.
+    To ``series`` of channels, one for each name in them (`rows_by_name`), or, where that is None,
+    to the ``blocks`` of a table, counted times apart. ``odd`` values are no numbers where one is
+    wanted.
     """
 
     name: str
@@ -113,10 +113,7 @@ class Topic:
 
 
 def rows_by_name(columns: Columns, field: str) -> Iterable[tuple[str | None, slice | Mask]]:
-    """The names in messages, and the rows of each; None where the messages have no names.
-
-    ``index`` is the name of those whose name is empty.
-    """
+    """The names in messages (of empty ones the ``index``) or None, and the rows of each."""
     if not field or field not in columns:
         yield None, slice(None)
         return
@@ -156,10 +153,7 @@ def object_decoder(
     spec: MessageMap,
     wanted: frozenset[str] | None,
 ) -> Decoder:
-    """Messages that a library decodes one by one, such as protobuf and JSON.
-
-    ``wanted`` fields become columns, those of ``spec`` of numbers; None takes all there are.
-    """
+    """Messages that a library decodes one by one; ``wanted`` fields become columns, None: all."""
 
     def values_of(raw: bytes) -> dict[str, Any]:
         message = parse(raw)
@@ -184,25 +178,18 @@ def object_decoder(
                 value = number(values[name])
                 odd += value is None
                 values[name] = np.nan if value is None else value
-        return list(decoded), columns_of([*decoded.values()]), odd
+        found = [*decoded.values()]
+        names = dict.fromkeys(name for values in found for name in values)
+        columns = {name: column_of([values.get(name) for values in found]) for name in names}
+        if STAMP in columns:
+            columns[STAMP] = columns[STAMP].astype(np.int64)
+        return list(decoded), columns, odd
 
     return decoder
 
 
-def columns_of(decoded: list[dict[str, Any]]) -> Columns:
-    """Messages as dictionaries -> columns, where missing as `column_of` says."""
-    names = dict.fromkeys(name for values in decoded for name in values)
-    result = {name: column_of([values.get(name) for values in decoded]) for name in names}
-    if STAMP in result:
-        result[STAMP] = result[STAMP].astype(np.int64)
-    return result
-
-
 def flat(value: Any, path: str, wanted: frozenset[str] | None) -> Iterable[tuple[str, Any]]:
-    """The numbers and texts of an object by their paths; of long arrays and bytes the length.
-
-    Of what is wanted also values that are neither, but not what is empty.
-    """
+    """Numbers and texts of an object by path; of long arrays the length, of what is wanted all."""
     if wanted is not None and path in wanted and value is not None:
         yield path, value
     if isinstance(value, bool | int | float | str):

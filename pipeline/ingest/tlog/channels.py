@@ -1,6 +1,9 @@
-"""Messages of a telemetry log as they were sent -> channels; which of them are exposures."""
+"""Messages of a telemetry log as they were sent -> channels: the wanted ones, by the dialect."""
 
-from dataclasses import replace
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -17,7 +20,7 @@ from pipeline.ingest.channel_builder import (
     channel_of,
     with_both_heights,
 )
-from pipeline.ingest.fields import extract
+from pipeline.ingest.fields import MessageMap, extract, message_maps
 from pipeline.ingest.tlog.clock import (
     CLOCK_FIELDS,
     LATEST_NS,
@@ -28,9 +31,101 @@ from pipeline.ingest.tlog.clock import (
     clock_field,
     unix_us,
 )
-from pipeline.ingest.tlog.fields import LABELS, MESSAGES, PARAM_VALUE, message_of_name
 from pipeline.ledger import Ledger
 from pipeline.units import Rows
+
+MESSAGES: Mapping[str, MessageMap] = message_maps("tlog")
+"""A key with a dot is a second channel out of the same message."""
+
+LABELS: Mapping[str, str] = {"CAMERA_IMAGE_CAPTURED": "file_url", "STATUSTEXT": "text"}
+"""Messages with a text that belongs to each row."""
+
+# Fields that tell instances apart, where the dialect names none, or a number beside the name.
+_INSTANCES = {
+    "DEBUG_FLOAT_ARRAY": "name", "CAMERA_FEEDBACK": "cam_idx", "CAMERA_IMAGE_CAPTURED": "camera_id",
+    "GIMBAL_DEVICE_ATTITUDE_STATUS": "gimbal_device_id",
+}  # fmt: skip
+
+SYSTEM_TIME, PARAM_VALUE = "SYSTEM_TIME", "PARAM_VALUE"
+
+
+@dataclass(frozen=True)
+class Message:
+    """One message: ``dtype`` as on the wire, ``fields`` as defined, those of ``texts`` are char."""
+
+    number: int
+    name: str
+    crc_extra: int
+    dtype: np.dtype[Any]
+    fields: tuple[str, ...]
+    texts: frozenset[str]
+    instance_field: str
+
+
+@cache
+def dialect() -> Mapping[int, Message]:
+    """The library's union of all dialects, by number."""
+    from pymavlink.dialects.v20 import all as library
+
+    messages = {}
+    for number, definition in library.mavlink_map.items():
+        kinds = zip(definition.fieldnames, definition.fieldtypes, strict=True)
+        name, names = str(definition.msgname), tuple(definition.fieldnames)
+        layout = layout_of(definition.unpacker.format, definition.ordered_fieldnames)
+        texts = frozenset(field for field, kind in kinds if kind == "char")
+        instance = _INSTANCES.get(name, definition.instance_field or "")
+        messages[int(number)] = Message(
+            int(number), name, int(definition.crc_extra), layout, names, texts, instance
+        )
+    return messages
+
+
+def crc_extras() -> dict[int, int]:
+    """CRC_EXTRA by message id."""
+    return {number: message.crc_extra for number, message in dialect().items()}
+
+
+@cache
+def message_of_name() -> Mapping[str, Message]:
+    """The same by name."""
+    return {message.name: message for message in dialect().values()}
+
+
+def name_of(number: int) -> str:
+    """The name of a message, made up where the dialect does not know it."""
+    known = dialect().get(number)
+    return f"UNKNOWN_{number}" if known is None else known.name
+
+
+def wanted_layouts() -> dict[int, np.dtype[Any]]:
+    """The layouts, by number, of the fields that channels and clocks are made of."""
+    wanted = {
+        SYSTEM_TIME: {"time_unix_usec"},
+        PARAM_VALUE: {"param_id", "param_value"},
+        "CAMERA_IMAGE_CAPTURED": {"capture_result", "time_utc"},
+        "STATUSTEXT": {"id", "chunk_seq"},
+    }
+    for key, spec in MESSAGES.items():
+        fields = {name.partition(".")[0] for column in spec.columns for name in column.fields}
+        wanted.setdefault(key.partition(".")[0], set()).update(fields, {LABELS.get(key, "")})
+    result = {}
+    for message in (m for m in dialect().values() if m.name in wanted):
+        kept = wanted[message.name] | {message.instance_field, *CLOCK_FIELDS}
+        names = message.dtype.names or ()
+        result[message.number] = message.dtype[[name for name in names if name in kept]]
+    return result
+
+
+def layout_of(layout: str, fields: list[str]) -> np.dtype[Any]:
+    """The numpy type of a struct format such as ``<If10s``, which has one item a field.
+
+    >>> layout_of("<If10s", ["time_boot_ms", "value", "name"]).itemsize
+    18
+    """
+    items = re.findall(r"(\d*)([a-zA-Z])", layout)
+    kinds = [f"S{count or 1}" if kind == "s" else f"{count}<{kind}" for count, kind in items]
+    return np.dtype(list(zip(fields, kinds, strict=True)))
+
 
 Group = tuple[int, Any]
 """Who sent a message (system times 256 plus component), and its instance as sent, or None."""
@@ -139,13 +234,7 @@ def _series(keys: list[str], store: ColumnStore, clocks: Clocks) -> list[_Series
 def times_of(
     rows: NDArray[Any], field: str, clocks: Clocks, source: Key
 ) -> tuple[TimeArray, NDArray[np.int16]]:
-    """UTC [ns] of messages by their own time, or by when they were received, and their boot.
-
-    Parameters
-    ----------
-    rows : (n,) of one sender, as a scan keeps them.
-    field : the message's own time, or "".
-    """
+    """UTC [ns] and boot of (n,) messages of a sender, by their own time or that of reception."""
     at, host_ns, clock = rows["at"], rows["host_us"] * MICROSECOND, clocks.of(source)
     if not field:
         return clock.utc_of_host(at, host_ns), clock.boot(at)
@@ -181,10 +270,7 @@ def text_of(value: bytes) -> str:
 
 
 def whole_texts(rows: DecodedRows, records: NDArray[Any]) -> DecodedRows:
-    """The texts of an autopilot, those of more than 50 characters joined from their chunks.
-
-    Chunks of a text have the same id, which is not 0, and count from 0; a missing one is "...".
-    """
+    """An autopilot's texts; chunks of one id, not 0, are joined, "..." stands for missing ones."""
     texts: list[str] = []
     firsts: list[int] = []
     open_texts: dict[int, tuple[int, int]] = {}  # by id, the text and the number of the next chunk
@@ -202,10 +288,10 @@ def whole_texts(rows: DecodedRows, records: NDArray[Any]) -> DecodedRows:
 
 
 def distinct_exposures(table: NDArray[Any], name: str, ledger: Ledger) -> Rows:
-    """The rows of CAMERA_FEEDBACK that are exposures of a camera: no empty ones, each once.
+    """The rows of CAMERA_FEEDBACK that are exposures, each time once with its first index.
 
     ArduPilot repeats a row while it waits for the next pulse, sometimes already with the next
-    index: exposures differ by their time, and the first row of a time has its index.
+    index.
     """
     empty = (table["time_usec"] == 0) & (table["lat"] == 0) & (table["lng"] == 0)
     rows = np.flatnonzero(~empty)
@@ -224,20 +310,13 @@ def distinct_exposures(table: NDArray[Any], name: str, ledger: Ledger) -> Rows:
         ledger.note("EVENTS-TRIGGER-TIME/distinct-exposures", where=name, count=by_unix)
     unseen = np.setdiff1d(indices, indices[first])
     if unseen.shape[0]:
-        what = (
-            f"{unseen.shape[0]} image numbers never got a time of their own (the first is "
-            f"{int(unseen[0])}): the camera was triggered and its feedback was lost"
-        )
-        ledger.warning("EVENT-NO-PULSE", what, where=name, count=int(unseen.shape[0]))
+        number = int(unseen[0])
+        ledger.warning("EVENT-NO-PULSE/feedback", where=name, count=unseen.size, first=number)
     return rows[first]
 
 
 def captured_images(table: NDArray[Any], name: str, ledger: Ledger) -> Rows:
-    """The rows of CAMERA_IMAGE_CAPTURED that are images, each once.
-
-    ``capture_result`` is 0 where the camera failed; a camera repeats a row on request, with the
-    same index and time.
-    """
+    """The rows of CAMERA_IMAGE_CAPTURED that are images, each once: cameras repeat some."""
     failed = table["capture_result"] == 0
     rows = np.flatnonzero(~failed)
     keys = table["time_boot_ms"][rows].astype(np.int64) << 32

@@ -1,11 +1,9 @@
 """The clocks of a telemetry log: each sender's boots, and its time in UTC.
 
-A sender's messages carry time since its boot; its SYSTEM_TIME ties that to UTC. The stamps of the
-log are the ground station's clock: seconds off UTC and irregular by the radio link, so they only
-place messages without a time of their own among those that have one.
-
-Cameras and gimbals have no SYSTEM_TIME: their times since boot may be those of the autopilot's
-clock, or of their own, which the times at which their messages were received show.
+Messages carry time since boot; SYSTEM_TIME ties that to UTC. The log's stamps are of the ground
+station, seconds off UTC and irregular by the radio link: they place messages without a time among
+those with one. Cameras and gimbals have no SYSTEM_TIME: whether they count by the autopilot's clock
+or their own, the reception of their messages shows.
 """
 
 from __future__ import annotations
@@ -70,8 +68,8 @@ EARLIEST_NS, LATEST_NS = -2 * NANOSECONDS_PER_SECOND, 10 * NANOSECONDS_PER_SECON
 class Sampler:
     """Samples of the senders' clocks, taken from messages while a log is scanned.
 
-    Each sender's clock is sampled every `SAMPLE_MS`; every `STEADY_MS` while its difference from
-    the ground station's clock is constant within `DELAY_US`; and at all messages with UTC.
+    Each is sampled every `SAMPLE_MS`, or `STEADY_MS` while its difference from the ground station's
+    is constant within `DELAY_US`, and at all messages with UTC.
     """
 
     def __init__(self) -> None:
@@ -131,11 +129,10 @@ def by_source(rows: NDArray[Any]) -> Iterator[tuple[Key, Mask | slice]]:
 
 @dataclass(frozen=True)
 class SenderClock:
-    """One sender's clock.
+    """One sender's clock and its boots in UTC.
 
-    ``at`` and ``boot_ns`` (n,): its readings each second, and at the begin of each boot, in the
-    order of the log, empty where no clock is known; ``clock`` its boots and their UTC. By boot:
-    ``counts`` of readings, ``maps`` from the ground station's clock to UTC.
+    ``at``, ``boot_ns`` (n,): readings each second and at each boot, empty where none is known. By
+    boot: ``counts`` of readings, ``maps`` from the ground station's clock to UTC.
     """
 
     at: Integers
@@ -153,11 +150,7 @@ class SenderClock:
         return np.maximum(np.searchsorted(self.at, at, side="right") - 1, 0)
 
     def boot_places(self, at: Integers, boot_ns: TimeArray) -> Integers:
-        """Places whose boot is that of times since boot.
-
-        The first messages of a boot may come before the first reading of its clock: they get the
-        place of that.
-        """
+        """Places of that boot: messages may come before the first reading of its clock."""
         if self.clock.line.boots == 1:
             return at
         row = self._row(at)
@@ -179,10 +172,7 @@ class SenderClock:
     def utc_of_boot(
         self, at: Integers, host_ns: TimeArray, boot_ns: TimeArray, turn: int
     ) -> TimeArray:
-        """UTC [ns] of times since boot; where no clock is known, the log's own stamps.
-
-        ``turn`` is the time [ns] after which a count of 32 bits wraps.
-        """
+        """UTC [ns] of times since boot that wrap after ``turn`` [ns]; the log's without a clock."""
         if not self.at.size:
             return host_ns
         near = np.asarray(self.boot_ns[self._row(at)], np.int64)
@@ -197,10 +187,7 @@ _HOST_CLOCK = SenderClock(
 
 @dataclass(frozen=True)
 class Clocks:
-    """All senders of a log; ``boots`` of the vehicle; ``description`` of the time base.
-
-    ``wrong_utc`` are senders whose own UTC, which images carry, is wrong.
-    """
+    """All senders of a log, the vehicle's ``boots``; ``wrong_utc``: of images of these senders."""
 
     senders: Mapping[Key, SenderClock]
     boots: int
@@ -220,11 +207,7 @@ class Clocks:
         return _HOST_CLOCK if lender is None else self.senders[lender]
 
     def advanced(self, source: Key, at: int, least_ns: int) -> bool:
-        """Whether a sender's clock advances by so much at a place of the file, within a boot.
-
-        It does not at a restart, nor where only the ground station's clock was set. True where the
-        sender has no clock.
-        """
+        """Whether a sender's clock, if known, advances by so much at a place, within a boot."""
         sender = self.senders.get(source, _HOST_CLOCK)
         row = int(np.searchsorted(sender.at, at))
         if not 0 < row < sender.at.shape[0]:
@@ -233,11 +216,6 @@ class Clocks:
         step = int(sender.boot_ns[row] - sender.boot_ns[row - 1])
         return bool(boots[0] == boots[1]) and step >= least_ns
 
-    def with_own(self, source: Key, readings: Readings, ledger: Ledger) -> Clocks:
-        """These clocks and one more, set by the ground station's stamps through its lender's."""
-        sender = _fit_sender(readings, self.of(source), source, ledger)
-        return replace(self, senders={**self.senders, source: sender})
-
 
 def clock_field(names: Container[str]) -> str:
     """The field of a message that has its time, or ""."""
@@ -245,10 +223,7 @@ def clock_field(names: Container[str]) -> str:
 
 
 def unrolled(stamp_ns: TimeArray, near_ns: TimeArray, turn: int) -> TimeArray:
-    """Stamps of a counter that wrapped, completed where they then fit the sender's clock.
-
-    ``stamp_ns``: (n,) [ns] as sent. ``near_ns``: (n,) [ns] the sender's clock about then, which
-    does not wrap. ``turn``: [ns] after which the counter wraps.
+    """(n,) stamps [ns] of a counter that wraps after ``turn``, completed where near the clock.
 
     >>> unrolled(np.array([5 * 10**9]), np.array([ROUND_US + 4 * 10**9]), ROUND_US) - ROUND_US
     array([5000000000])
@@ -291,10 +266,9 @@ def _some(readings: Readings, rows: Mask) -> Readings:
 
 
 def overtaken(readings: Readings) -> Mask:
-    """Which readings are of messages that others overtook: of one sender, (n,).
+    """Which (n,) readings of a sender are of messages that others overtook, without a restart.
 
-    They are up to `LATEST_NS` older than a reading before them, and their sender was on as long
-    before that one was received: it was not restarted.
+    They are up to `LATEST_NS` older than one before them, received when the sender was on as long.
     """
     boot_ns, host_ns = readings["boot_ns"], readings["host_us"] * MICROSECOND
     newest = np.maximum.accumulate(boot_ns)
@@ -334,12 +308,8 @@ def _fit_sender(
         rows = slice(sum(counts[:number]), sum(counts[:number]) + count)
         maps.append(clock_map(stamped_ns[rows], clock.utc(at[rows], boot_ns[rows])))
         if fit is not None and not clock.utc_known[number]:
-            what = (
-                f"no SYSTEM_TIME with UTC: the clock is set by the stamps of {count} messages, "
-                "which are the ground station's and may be seconds off UTC; they agree within "
-                f"{fit.spread_ns / 1e6:.0f} ms (p5 to p95)"
-            )
-            ledger.fallback("TIME-HOST-CLOCK", what, where=f"{where}, boot {number}", count=count)
+            place, spread_ms = f"{where}, boot {number}", fit.spread_ns / 1e6
+            ledger.fallback("TIME-HOST-CLOCK/stamps", where=place, count=count, spread_ms=spread_ms)
     mark = np.ones(boot.shape, np.bool_)
     mark[1:] = (np.diff(boot_ns // NANOSECONDS_PER_SECOND) != 0) | (np.diff(boot) != 0)
     return SenderClock(at[mark], boot_ns[mark], clock, tuple(counts), tuple(maps))
@@ -349,9 +319,7 @@ OWN_UTC = "time_utc"
 
 
 def with_borrowed_clocks(clocks: Clocks, sent: Sequence[ColumnStore], ledger: Ledger) -> Clocks:
-    """The clocks, with one for each sender whose times do not fit the clock that it would borrow.
-
-    ``sent``: the messages of each type that become channels.
+    """The clocks, with one for each sender whose times do not fit the clock it would borrow.
 
     The UTC that images carry is not used where it does not fit the time of their reception.
     """
@@ -400,11 +368,7 @@ def _with_checked_clock(
         delay.append(received[rest] - stamped)
     late = np.concatenate(by_utc)
     if late.size and not EARLIEST_NS <= np.median(late) <= LATEST_NS:
-        what = (
-            f"the UTC of {late.size} images is {_seconds(late)} before they were received: that "
-            "camera's clock is wrong, its time since boot is used"
-        )
-        ledger.loss("TIME-OWN-UTC", what, where=where, count=int(late.size))
+        ledger.loss("TIME-OWN-UTC", where=where, count=late.size, late=_seconds(late))
         clocks = replace(clocks, wrong_utc=clocks.wrong_utc | {source})
         for part, _ in parts:
             part["utc_ns"] = 0
@@ -416,20 +380,15 @@ def _with_checked_clock(
     if lender is None:
         ledger.fallback("TIME-HOST-CLOCK", where=where, count=count)
         return clocks
+    late_by = _seconds(late)
     if EARLIEST_NS <= np.median(late) <= LATEST_NS:
-        ledger.note(
-            "TIME-BORROWED", where=where, count=count, lender=lender[1], late=_seconds(late)
-        )
+        ledger.note("TIME-BORROWED", where=where, count=count, lender=lender[1], late=late_by)
         return clocks
-    what = (
-        f"the times since boot of {count} messages are not those of component {lender[1]}, by "
-        f"which they would be {_seconds(late)} old when they were received: their clock is set by "
-        "that, and exposures may be late by the delay of the link"
-    )
-    ledger.loss("TIME-BORROWED", what, where=where, count=count)
+    ledger.loss("TIME-BORROWED/not", where=where, count=count, lender=lender[1], late=late_by)
     joined = np.concatenate([part[part["boot_ns"] > 0] for part, _ in parts])
     joined = joined[np.argsort(joined["at"], kind="stable")]
-    return clocks.with_own(source, joined, ledger)
+    sender = _fit_sender(joined, clocks.of(source), source, ledger)
+    return replace(clocks, senders={**clocks.senders, source: sender})
 
 
 def _seconds(late: TimeArray) -> str:

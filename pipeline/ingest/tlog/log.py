@@ -11,8 +11,16 @@ from pipeline.flight.channels import Channel
 from pipeline.flight.clock import stray_times
 from pipeline.ingest.buffers import open_view
 from pipeline.ingest.log import Contents, LogFormat, Table
-from pipeline.ingest.tlog import fields
-from pipeline.ingest.tlog.channels import channels_of, label_of, times_of
+from pipeline.ingest.tlog.channels import (
+    MESSAGES,
+    channels_of,
+    crc_extras,
+    label_of,
+    message_of_name,
+    name_of,
+    times_of,
+    wanted_layouts,
+)
 from pipeline.ingest.tlog.clock import (
     MICROSECOND,
     Clocks,
@@ -22,33 +30,32 @@ from pipeline.ingest.tlog.clock import (
     clocks_of,
     with_borrowed_clocks,
 )
-from pipeline.ingest.tlog.frames import frame_length
-from pipeline.ingest.tlog.scan import SILENT_US, Scan, Silence
+from pipeline.ingest.tlog.scan import SILENT_US, Scan, Silence, frame_length
 from pipeline.ledger import Ledger
 
 SILENT_NS = SILENT_US * MICROSECOND
-_CARRIED = {key.partition(".")[0] for key in fields.MESSAGES}
+_CARRIED = {key.partition(".")[0] for key in MESSAGES}
 # Messages whose time is that of the exposure, not of sending.
-_LATE = {key for key, spec in fields.MESSAGES.items() if spec.event}
+_LATE = {key for key, spec in MESSAGES.items() if spec.event}
 
 
 def read_log(path: Path, ledger: Ledger) -> Contents:
     """The contents of a telemetry log."""
-    wanted = fields.wanted_layouts()
+    wanted = wanted_layouts()
     with open_view(path) as data:
-        late = {number for number in wanted if fields.name_of(number) in _LATE}
-        result = Scan(data, fields.crc_extras(), wanted, late)
+        late = {number for number in wanted if name_of(number) in _LATE}
+        result = Scan(data, crc_extras(), wanted, late)
     damaged = _report_damage(result, wanted, path, ledger)
     if not result.steady:
         _replace_stray_stamps(result, ledger, path.name)
-    sent = {fields.name_of(number): result.sent.pop(number) for number in [*result.sent]}
+    sent = {name_of(number): result.sent.pop(number) for number in [*result.sent]}
     parts = [part for name, part in sent.items() if name in _CARRIED]
     sources = {int(n) for p in parts for b in p.blocks() for n in np.unique(b["source"])}
     clocks = clocks_of(result.clock.readings({source >> 8 for source in sources}), ledger)
     clocks = with_borrowed_clocks(clocks, parts, ledger)
     channels, parameters = channels_of(sent, clocks, ledger)
     lost = _report_link(result, clocks, channels, path, ledger)
-    counts = {fields.name_of(key): count for key, count in result.counts.items() if count}
+    counts = {name_of(key): count for key, count in result.counts.items() if count}
     return Contents(
         counts, tuple(channels), result.bad_bytes + damaged, lost, clocks.boots,
         clocks.description, partial(_table, path, clocks), parameters,
@@ -70,17 +77,12 @@ def _report_damage(result: Scan, needed: Container[int], path: Path, ledger: Led
     if result.unknown:
         count = sum(rejected.count for rejected in result.unknown.values())
         first = min(rejected.first for rejected in result.unknown.values())
-        ledger.warning(
-            "LOG-UNKNOWN-ID",
-            f"{count} messages have ids that the dialect does not know "
-            f"({', '.join(str(key) for key in sorted(result.unknown)[:8])}): not checked, not read",
-            where=f"{path.name}, first at byte {first}",
-            count=count,
-        )
+        where, ids = f"{path.name}, first at byte {first}", sorted(result.unknown)[:8]
+        ledger.warning("LOG-UNKNOWN-ID", where=where, count=count, ids=", ".join(map(str, ids)))
     damaged = 0
     for number, rejected in sorted(result.failed.items()):
         where = f"{path.name}, first at byte {rejected.first}"
-        name = f"{fields.name_of(number)} (id {number})"
+        name = f"{name_of(number)} (id {number})"
         if result.counts[number] or number in needed:
             damaged += rejected.size
             what = f"{rejected.count} messages {name} fail their checksum"
@@ -103,28 +105,20 @@ def _report_link(
             # after seconds of silence no message overtakes another: the step is a loss
             lost[silence.source] += silence.backward
     for (system, component), count in sorted((+lost).items()):
-        what = (
-            f"at least {count} messages of system {system}, component {component} are missing by "
-            "their sequence numbers, which begin again after 256: the radio link lost them"
-        )
-        ledger.loss("LOG-LINK-LOSS", what, where=path.name, count=count)
-    for (system, component), silences in sorted(silent.items()):
         ledger.loss(
-            "LOG-GAP",
-            f"nothing of system {system}, component {component} was recorded {len(silences)} times "
-            f"for more than {SILENT_US / 1e6:.0f} s, {sum(s.seconds for s in silences):.1f} s "
-            "together, while its clock advanced: the link was down, or bytes are missing",
-            where=f"{path.name}, first before byte {silences[0].at}",
-            count=len(silences),
+            "LOG-LINK-LOSS/radio", where=path.name, count=count, system=system, component=component
         )
+    for (system, component), silences in sorted(silent.items()):
+        where, seconds = f"{path.name}, first before byte {silences[0].at}", SILENT_US / 1e6
+        ledger.loss(
+            "LOG-GAP/sender", where=where, count=len(silences), system=system, component=component,
+            least=seconds, seconds=sum(silence.seconds for silence in silences),
+        )  # fmt: skip
     return lost.total()
 
 
 def _replace_stray_stamps(result: Scan, ledger: Ledger, where: str) -> None:
-    """Replace stamps of the ground station that jump away and back by the one before.
-
-    The stamps are not covered by the checksum.
-    """
+    """Replace stamps of the ground station, which no checksum covers, that jump and return."""
     stores = [*result.sent.values(), result.clock.rows]
     blocks = [block for store in stores[:-1] for block in store.blocks()]
     if not blocks:
@@ -149,13 +143,11 @@ def _replace_stray_stamps(result: Scan, ledger: Ledger, where: str) -> None:
 
 def _table(path: Path, clocks: Clocks, name: str, instance: str | None) -> Table:
     """All messages of one type with their time, their sender and their fields as sent."""
-    message = fields.message_of_name().get(name)
+    message = message_of_name().get(name)
     if message is None:
         return {}
     with open_view(path) as data:
-        sent = Scan(data, fields.crc_extras(), {message.number: message.dtype}).sent.get(
-            message.number
-        )
+        sent = Scan(data, crc_extras(), {message.number: message.dtype}).sent.get(message.number)
     if sent is None:
         return {}
     rows = sent.whole()

@@ -21,10 +21,9 @@ from pipeline.ingest.boot_clock import (
     timeline,
 )
 from pipeline.ingest.buffers import open_view
-from pipeline.ingest.channel_builder import DecodedRows, channel_of, without_stray
-from pipeline.ingest.fields import MessageMap, extract
+from pipeline.ingest.channel_builder import DecodedRows, captured_rows, channel_of, without_stray
+from pipeline.ingest.fields import CAPTURE_UTC_FIELD, PX4_TOPICS, UTC_FIELD, MessageMap, extract
 from pipeline.ingest.log import Contents, LogFormat, Table
-from pipeline.ingest.px4_fields import CAPTURE_UTC_FIELD, TOPICS, UTC_FIELD, captured_rows
 from pipeline.ingest.ulog import records
 from pipeline.ledger import Ledger
 
@@ -40,7 +39,7 @@ TopicRows = Mapping[tuple[str, int], NDArray[Any]]
 
 def read_log(path: Path, ledger: Ledger) -> Contents:
     """The contents of a PX4 log."""
-    messages = _messages(path, list(TOPICS))
+    messages = _messages(path, list(PX4_TOPICS))
     messages.report_damage(ledger, path.name)
     numbered = {topic for topic, instance in messages.rows if instance}
     names = {
@@ -51,7 +50,8 @@ def read_log(path: Path, ledger: Ledger) -> Contents:
     channels = []
     for (topic, instance), rows in messages.rows.items():
         source = Source(topic, str(instance) if topic in numbered else None)
-        spec, name, boot_ns = TOPICS[topic], names[topic, instance], nanoseconds(rows["timestamp"])
+        spec, name = PX4_TOPICS[topic], names[topic, instance]
+        boot_ns = nanoseconds(rows["timestamp"])
         fields = {_ELEMENT.sub(r".\1", field): rows[field] for field in _names(rows)}
         columns = extract(fields, spec.columns)
         if "flags" in columns:
@@ -88,16 +88,13 @@ def _messages(path: Path, topics: list[str]) -> records.ULogMessages:
     refusal = partial(LogError, "LOG-ULOG", where=str(path))
     with open_view(path) as data:
         if data.size < records.FILE_HEADER:
-            raise refusal(
-                f"it ends after {data.size} of {records.FILE_HEADER} bytes of its header",
-                remedy="copy it again from the vehicle",
-            )
+            what = f"it ends after {data.size} of {records.FILE_HEADER} bytes of its header"
+            raise refusal(what, remedy="copy it again from the vehicle")
         flags = records.flags_of(data)[0]
         if flags[0] & ~records.APPENDED or any(flags[1:]):
-            raise refusal(
-                f"it sets incompatible flags ({flags.hex()}) that this version does not know",
-                remedy="copy it again from the vehicle, or convert it with a newer tool of PX4",
-            )
+            what = f"it sets incompatible flags ({flags.hex()}) that this version does not know"
+            remedy = "copy it again from the vehicle, or convert it with a newer tool of PX4"
+            raise refusal(what, remedy=remedy)
         return records.ULogMessages(data, topics)
 
 
@@ -106,10 +103,9 @@ def _names(rows: NDArray[Any]) -> tuple[str, ...]:
 
 
 def report_silences(messages: records.ULogMessages, name: str, ledger: Ledger) -> None:
-    """Enter the times in which no topic has a message, though some come at regular intervals.
+    """Enter the times in which no topic has a message: whole ones were cut out, or never logged.
 
-    The format does not number messages: nothing else shows that whole ones were cut out. Stamps of
-    a topic that were sampled before the logger began, and stray ones, do not count.
+    Stamps of a topic that were sampled before the logger began, and stray ones, do not count.
     """
     parts, shortest = [], float(LONGEST_INTERVAL_NS)
     for rows in messages.rows.values():
@@ -128,15 +124,10 @@ def report_silences(messages: records.ULogMessages, name: str, ledger: Ledger) -
     if not silent.any():
         return
     first_s = float(time_ns[-1] - steps[np.argmax(silent) :].sum()) * 1e-9
-    rate = messages.counts.total() / float(steps[~silent].sum())
-    ledger.loss(
-        "LOG-GAP",
-        f"{int(silent.sum())} times nothing was logged, {steps[silent].sum() / 1e9:.3f} s "
-        f"together, about {round(rate * float(steps[silent].sum()))} messages: they were cut out, "
-        "or the logger stopped",
-        where=f"{name}, first {first_s:.3f} s after boot",
-        count=int(silent.sum()),
-    )
+    count, silent_ns = int(silent.sum()), float(steps[silent].sum())
+    missing = round(messages.counts.total() / float(steps[~silent].sum()) * silent_ns)
+    where, seconds = f"{name}, first {first_s:.3f} s after boot", silent_ns / 1e9
+    ledger.loss("LOG-GAP/messages", where=where, count=count, seconds=seconds, messages=missing)
 
 
 def _clock(
@@ -146,7 +137,7 @@ def _clock(
     by_role: dict[str, list[UtcReadings]] = {"position": [], "events": []}
     for field, role in ((UTC_FIELD, "position"), (CAPTURE_UTC_FIELD, "events")):
         for (topic, instance), rows in rows_of.items():
-            if role in TOPICS[topic].roles and field in _names(rows):
+            if role in PX4_TOPICS[topic].roles and field in _names(rows):
                 boot_ns, utc_us = nanoseconds(rows["timestamp"]), microseconds(rows[field])
                 usable = (utc_us > UNIX_US_FROM) & ~stray_times(boot_ns)
                 fix = rows["fix_type"] if "fix_type" in _names(rows) else np.empty(0)

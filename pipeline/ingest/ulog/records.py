@@ -1,9 +1,8 @@
 """The messages of a ULog file: definitions, the walk over the file, rows decoded into columns.
 
-Source: PX4 User Guide, "ULog File Format". Rows are equal bit for bit to those of pyulog, which the
-tests use as the reference. A message counts when its kind is known, it ends inside the file, and,
-as data, it has the size that its format defines; after damage the walk goes on where three messages
-follow each other.
+Source: PX4 User Guide, "ULog File Format"; rows are those of pyulog, bit for bit. A message counts
+when its kind is known, it ends inside the file, and, as data, it has the size of its format; after
+damage the walk goes on where three messages follow each other.
 """
 
 import re
@@ -85,10 +84,9 @@ def flat_fields(
 
 
 class ULogDefinitions:
-    """Formats by name; of subscriptions by number the ``topics`` (name, instance) and ``sizes``.
+    """Formats by name; by number the ``topics`` (name, instance), ``sizes`` without, with padding.
 
-    Sizes of data [bytes] are those without and with the padding at the end. ``columns`` are what
-    rows of a topic hold; a format without a timestamp has none.
+    ``columns`` are what rows of a topic hold; a format without a timestamp has none.
     """
 
     def __init__(self) -> None:
@@ -130,12 +128,9 @@ class ULogDefinitions:
 class ULogMessages(DamagedBytes):
     """The messages of a file with a whole header, those of the ``wanted`` topics as rows.
 
-    ``counts`` the data messages by topic; ``rows`` of the wanted topics by name and instance, each
-    a structured array; ``timeless`` topics, whose format has no timestamp: they have no rows.
-    ``damaged_values`` counts parameters and items of information whose value does not have the
-    length of its type; ``dropouts_ms`` the durations in which the logger lost messages. ``texts``
-    what the vehicle says, with its time since boot [us]; ``parameters`` by name, the last value of
-    each.
+    ``counts`` by topic; ``rows`` by name and instance; ``timeless`` topics have no timestamp and no
+    rows; ``damaged_values``: parameters and information of a wrong length; ``dropouts_ms`` of the
+    logger; ``texts`` with their time since boot [us]; ``parameters``: the last value of each.
     """
 
     def __init__(self, data: FileView, wanted: Collection[str]) -> None:
@@ -217,10 +212,7 @@ class ULogMessages(DamagedBytes):
         }
 
     def _length(self, raw: bytes, place: int, base: int, *, loose: bool = False) -> int:
-        """The length of the message that begins here; 0 where none does.
-
-        ``loose`` takes data of a topic that is not known, whose definition may be what was lost.
-        """
+        """The length of a message that begins here, or 0; ``loose``: also of unknown topics."""
         if place + HEAD.size > len(raw):
             return 0
         size, kind = HEAD.unpack_from(raw, place)

@@ -16,7 +16,7 @@ import pytest
 
 from pipeline.errors import LogError
 from pipeline.ingest import Log, open_log
-from pipeline.ingest.mcap.file_format import MAX_CHUNK
+from pipeline.ingest.mcap.chunks import MAX_CHUNK
 
 SECOND = 10**9
 START = 1_763_073_169 * SECOND + 920_749_554

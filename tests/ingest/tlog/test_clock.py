@@ -309,7 +309,7 @@ REPOSITORY = Path(__file__).resolve().parents[3]
 
 def frames_of(data: bytes) -> list[bytes]:
     """The frames of a log without damage, each with the stamp before it."""
-    from pipeline.ingest.tlog.frames import frame_length
+    from pipeline.ingest.tlog.scan import frame_length
 
     frames, at = [], 0
     while at < len(data) and (length := frame_length(data[at : at + 400], 0)):
