@@ -260,9 +260,9 @@ def flag_far_images(stations: Stations, *, use: bool) -> tuple[Stations, Notes]:
     if not bool(far.any()):
         return stations, ()
     first = int(np.argmax(far))
-    sizes = {"limit_km": limit / 1000.0, "away_km": distance[first] / 1000.0}
     entry = loss("ORIENTATION-FAR", where="stations.orientation", count=int(far.sum()),
-                 total=int(stations.ok.sum()), first=stations.image[first], **sizes)  # fmt: skip
+                 total=int(stations.ok.sum()), first=stations.image[first],
+                 limit_km=limit / 1000.0, away_km=distance[first] / 1000.0)  # fmt: skip
     return stations.as_suspect(far, "far from all others", distance, use=use), (entry,)
 
 

@@ -6,7 +6,6 @@ Every device in a log has a clock of its own. What leaves this module is int64 U
 from bisect import bisect_left
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -276,11 +275,12 @@ def clock_fit_note(source: str, fit: ClockOffset, where: str) -> Entry:
 
     p5 to p95 do not see a tenth of the rows: the farthest counts as well, and rows that stay away.
     """
-    values: dict[str, Any] = {"source": source, "spread": fit.spread_ns / 1e6}
-    values["largest"] = fit.largest_ns / 1e6
+    spread, largest = fit.spread_ns / 1e6, fit.largest_ns / 1e6
     steady = fit.spread_ns <= LARGEST_SPREAD_NS and fit.largest_ns <= BOOT_STEP_NS
     if steady and not fit.stepped:
-        return note("TIME-FIT", where=where, count=fit.rows, **values)
+        return note("TIME-FIT", where=where, count=fit.rows, source=source, spread=spread,
+                    largest=largest)  # fmt: skip
     where = f"{where}, first {fit.first_far_ns / 1e9:.3f} s after boot"
     limit = LARGEST_SPREAD_NS / 1e6
-    return loss("TIME-FIT/stepped", where=where, count=fit.far, limit=limit, **values)
+    return loss("TIME-FIT/stepped", where=where, count=fit.far, source=source, spread=spread,
+                largest=largest, limit=limit)  # fmt: skip

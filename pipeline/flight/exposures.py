@@ -55,11 +55,13 @@ def lag_from_feedback(
         apart = (shots.time_ns[second] - trigger.time_ns[first]) * 1e-9
         lags = np.append(lags, apart[(apart > 0.0) & (apart < LONGEST_LAG_S)])
     if lags.size < FEWEST_PAIRS:
-        where, found = f"events.log.{camera}.delay_s", {"name": trigger.name, "count": lags.size}
-        raise MissionError.of("EVENTS-FEEDBACK", where, needed=FEWEST_PAIRS, **found)
+        where, needed = f"events.log.{camera}.delay_s", FEWEST_PAIRS
+        raise MissionError.of(
+            "EVENTS-FEEDBACK", where, name=trigger.name, found=lags.size, needed=needed
+        )
     low, middle, high = np.percentile(lags, [16.0, 50.0, 84.0])
-    sizes = {"lag_ms": middle * 1e3, "scatter_ms": (high - low) * 5e2, "camera": camera}
-    entry = note("EVENTS-SHUTTER-LAG", where=trigger.name, count=int(lags.size), **sizes)
+    entry = note("EVENTS-SHUTTER-LAG", where=trigger.name, count=int(lags.size), camera=camera,
+                 lag_ms=middle * 1e3, scatter_ms=(high - low) * 5e2)  # fmt: skip
     return (float(middle), float(high - low) / 2.0), (entry,)
 
 
@@ -135,10 +137,12 @@ def _skipped_numbers(channel: Channel, index: Integers) -> Notes:
             f"{_sent(low + 1)}" if gap == 1 else f"{_sent(low + 1)} to {_sent(low + gap)}"
             for low, gap in holes
         ]
-        numbers: dict[str, Any] = {"first": _sent(int(known[0])), "last": _sent(int(known[-1]))}
-        numbers["listed"] = ", ".join(first) + (" ..." if np.count_nonzero(gaps) > 4 else "")
+        listed = ", ".join(first) + (" ..." if np.count_nonzero(gaps) > 4 else "")
         where = channel.name if channel.boot[-1] == 0 else f"{channel.name}, boot {boot}"
-        notes.append(loss("EVENTS-LOST/numbers", where=where, count=missing, **numbers))
+        notes.append(
+            loss("EVENTS-LOST/numbers", where=where, count=missing, listed=listed,
+                 first=_sent(int(known[0])), last=_sent(int(known[-1])))
+        )  # fmt: skip
     return tuple(notes)
 
 
@@ -244,10 +248,16 @@ def trigger_notes(channels: tuple[Channel, ...], chosen: Channel) -> Notes:
         fired = [c for c in channels if c.source.message == "CAM" and _of_one_camera(trigger, c)]
         names, events = ", ".join(c.name for c in fired), sum(map(len, fired))
         if len(trigger) > events:
-            sizes: dict[str, Any] = {"sent": len(trigger), "trigger": trigger.name}
             lost = len(trigger) - events
             notes.append(
-                loss("EVENTS-LOST/triggers", where=names, count=lost, events=events, **sizes)
+                loss(
+                    "EVENTS-LOST/triggers",
+                    where=names,
+                    count=lost,
+                    events=events,
+                    sent=len(trigger),
+                    trigger=trigger.name,
+                )
             )
     return tuple(notes)
 

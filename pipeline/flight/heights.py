@@ -100,9 +100,12 @@ def height_system(
     homes = homes[is_set] if bool(is_set.any()) else homes
     if position is not None and homes.size:
         low, middle, high = np.percentile(homes, [5.0, 50.0, 95.0])
-        home = float(middle) if high - low <= STEADY_HOME_M else None
-        key = "HEIGHT-HOME/changes" if home is None else "HEIGHT-HOME/steady"
-        notes.append(note(key, where=position.name, low=low, high=high, height=middle))
+        steady = bool(high - low <= STEADY_HOME_M)
+        home, where = float(middle) if steady else None, position.name
+        notes.append(
+            note("HEIGHT-HOME/steady", where=where, height=middle) if steady
+            else note("HEIGHT-HOME/changes", where=where, low=low, high=high)
+        )  # fmt: skip
     home = home if stated_home_m is None else stated_home_m
     system = HeightSystem(undulation, home, geoid, offset, source, one_height)
     return system, tuple(notes)
@@ -147,7 +150,8 @@ def undulation_notes(heights: HeightSystem, stations: Stations, egm96: GeoidGrid
         if abs(other) < min(USUAL_GEOID_M, abs(off)):
             what += f"; with the other sign it is {other:+.1f} m from it: the undulation is the "
             what += "ellipsoidal height minus the height above sea level"
-        notes.append(_by_size(off)("HEIGHT-GEOID", what, where=where, count=size))
+        entry = _by_size(off)
+        notes.append(entry("HEIGHT-GEOID", what, where=where, count=size))
     return tuple(notes)
 
 

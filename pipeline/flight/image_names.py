@@ -97,9 +97,10 @@ def refuse_other_names(exposures: Mapping[str, Collection[str]], images: Iterabl
         near = proposal(unknown, names)
         called = f", which are called like {next(iter(names))!r}" if names else ""
         more = called + (f"; {near}" if near else "")
-        sizes = {"unknown": len(unknown), "image": unknown[0], "exposures": len(names)}
-        where = f"observations, {camera}"
-        raise MissionError.of("IMAGES-OTHER/camera", where, camera=camera, more=more, **sizes)
+        raise MissionError.of(
+            "IMAGES-OTHER/camera", f"observations, {camera}", unknown=len(unknown),
+            image=unknown[0], exposures=len(names), camera=camera, more=more,
+        )  # fmt: skip
 
 
 _MOST_SERIES = 12

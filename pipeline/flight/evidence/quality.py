@@ -74,9 +74,10 @@ def plausible_samples(channel: Channel, role: str) -> tuple[Channel, Notes]:
         median = float(np.median(values[finite])) if finite.any() else np.nan
         for low, high, unit in _WRONG_UNITS.get(column, ()):
             if low <= median <= high:
-                where, shown = f"channel {channel.name}, role {role}", {"unit": unit, "role": role}
-                shown |= {"column": column, "name": channel.name}
-                raise MissionError.of("CHANNEL-UNIT", where, median=median, **shown)
+                raise MissionError.of(
+                    "CHANNEL-UNIT", f"channel {channel.name}, role {role}", median=median,
+                    unit=unit, role=role, column=column, name=channel.name,
+                )  # fmt: skip
         missing = int(np.count_nonzero(~finite)) - channel.masked.get(column, 0)
         if missing > 0:
             notes.append(_range_loss(channel, column, missing, "not a number"))
