@@ -78,9 +78,8 @@ class Axis:
 
     def predicted(self, clocks: Array) -> Array:
         """(c, k) places of the images among the events, for (c, 2) offsets and drifts."""
-        return np.asarray(
-            self.images + clocks[:, :1] + clocks[:, 1:] * (self.images - self.images.mean())
-        )
+        drifted = clocks[:, 1:] * (self.images - self.images.mean())
+        return np.asarray(self.images + clocks[:, :1] + drifted)
 
     def partners(self, clocks: Array) -> Integers:
         """(c, k) the nearest event of each image within reach, -1 for none; no event twice."""
@@ -97,11 +96,8 @@ class Axis:
     def candidate_offsets(self, most: int) -> Array:
         """Offsets at which many images meet an event: the highest peaks of all differences."""
         bin_width = max(0.5, 2.0 * float(np.median(self.sigma))) if self.is_time else 1.0
-        voters = np.unique(
-            np.linspace(0, self.images.size - 1, min(self.images.size, _MOST_VOTERS)).astype(
-                np.int64
-            )
-        )
+        count = min(self.images.size, _MOST_VOTERS)
+        voters = np.unique(np.linspace(0, self.images.size - 1, count).astype(np.int64))
         offset = (self.events[None, :] - self.images[voters, None]).ravel()
         if np.isfinite(self.offset_sigma):
             offset = offset[np.abs(offset - self.offset) <= _WINDOW * self.offset_sigma + bin_width]
@@ -137,7 +133,7 @@ class Axis:
         spans = (has[-1] - has[0] + 1, rows[has[-1]] - rows[has[0]] + 1) if has.size else (1, 1)
         images, events = (1.0 - max(1, has.size) / span for span in spans)
         near = _nearest(self.events, self.predicted(best[None])[0])
-        steps = np.array([-6, -5, -4, -3, -2, -1, 1, 2, 3, 4, 5, 6])
+        steps = np.delete(np.arange(-6, 7), 6)
         beside = np.clip(near + steps[:, None], 0, self.events.size - 1)
         shifts = np.median(self.events[beside] - self.events[near], axis=1)
         clocks = np.concatenate([clocks, self.fitted(best[0] + shifts)])
@@ -201,9 +197,8 @@ class Axis:
     def price_of_pauses(self, clocks: Array, rows: Integers, shares: tuple[float, float]) -> Array:
         """(c,) log probability of the pauses in which there is neither an event nor an image.
 
-        In a flight of constant intervals an assignment with one pair more has one image and one
-        event less without a partner, but also one more place where both are missing: it is not
-        more likely.
+        In a flight of constant intervals an assignment with one pair more also has one more place
+        where both are missing: it is not more likely.
         """
         step = np.diff(self.events[np.append(True, np.diff(self.pulse) > 0)]) / self.interval
         odd = np.abs(step - np.rint(step)) > _CONSTANT
@@ -227,9 +222,8 @@ class Axis:
         back = _first_parts(pairs.reversed_from(self.events.size), shares)[:, ::-1, ::-1]
         parts = _first_parts(pairs, shares)
         joint = (parts + back - pairs.weight)[0]
-        log_p = np.where(
-            pairs.weight[0] > _NEVER / 2, joint - logsumexp(parts + pairs.after), -np.inf
-        )
+        able = pairs.weight[0] > _NEVER / 2
+        log_p = np.where(able, joint - logsumexp(parts + pairs.after), -np.inf)
         best = np.argmax(log_p, axis=1)[:, None]
         highest = np.take_along_axis(log_p, best, 1)
         column = pairs.low[0][:, None] + np.arange(log_p.shape[1])
@@ -247,8 +241,7 @@ class Axis:
 
 
 def _nearest(events: Array, places: Array) -> Integers:
-    right = np.clip(np.searchsorted(events, places), 1, max(1, events.size - 1))
-    right = np.minimum(right, events.size - 1)
+    right = np.clip(np.searchsorted(events, places), min(1, events.size - 1), events.size - 1)
     left = np.maximum(right - 1, 0)
     return np.where(places - events[left] <= events[right] - places, left, right)
 
@@ -256,9 +249,9 @@ def _nearest(events: Array, places: Array) -> Integers:
 def _first_parts(pairs: Pairs, shares: tuple[float, float]) -> Array:
     """(c, k, w) log likelihood of all alignments that end with a pair (forward algorithm).
 
-    Row by row of images. ``ended`` are alignments up to an image and an event that end with a pair
-    or with images without events, ``run`` the same with events without images behind; of what lies
-    left of the window only their sum is kept, in the first place.
+    ``ended`` are alignments up to an image and an event that end with a pair or with images without
+    events, ``run`` the same with events without images behind; of what lies left of the window only
+    their sum is kept, in the first place.
     """
     log_image, log_event = np.log(shares)
     count, images, width = pairs.weight.shape

@@ -146,28 +146,19 @@ class ImageEvidence:
 
 @dataclass(frozen=True, eq=False)
 class Assignment:
-    """The best assignment of events to images, and how much better it is than the runner-up.
+    """The best assignment of events to images (k,), and how much better it is than its rival."""
 
-    ``event`` (k,) row of the event of each image, -1 for none; ``residual_s`` (k,) event minus
-    image time after offset and drift [s], NaN where times have not spoken; ``ambiguous`` (k,)
-    images between two events, of which neither is 1000 times as likely: they have none;
-    ``runner_up`` (k,) events of the best rival. ``log_ratio`` is the natural logarithm of the
-    likelihood ratio (infinite without a rival). ``reason`` says why it is refused, empty where it
-    is not; ``evidence`` what has spoken. ``offset_s`` is event minus camera time at the middle
-    image, ``sigma_s`` what the residuals show of one image's time; NaN without times.
-    """
-
-    event: Integers
-    residual_s: Array
-    ambiguous: Mask
-    repeated: Mask
-    runner_up: Integers
-    log_ratio: float
-    reason: str
-    evidence: tuple[str, ...]
-    offset_s: float = np.nan
+    event: Integers  # row of the event of each image, -1 for none
+    residual_s: Array  # event minus image time after offset and drift, NaN without times
+    ambiguous: Mask  # between two events, of which neither is 1000 times as likely: they have none
+    repeated: Mask  # (m,) as of `CameraEvents`
+    runner_up: Integers  # events of the best rival
+    log_ratio: float  # natural logarithm of the likelihood ratio, infinite without a rival
+    reason: str  # why it is refused, or empty
+    evidence: tuple[str, ...]  # what has spoken
+    offset_s: float = np.nan  # event minus camera time at the middle image
     drift: float = np.nan
-    sigma_s: float = np.nan
+    sigma_s: float = np.nan  # what the residuals show of one image's time
 
     @property
     def accepted(self) -> bool:
@@ -281,12 +272,9 @@ def likelihoods_by_points(
 
 
 def _empty(events: CameraEvents, images: ImageEvidence, reason: str) -> Assignment:
-    k = images.count
-    event, residual_s = np.full(k, -1, np.int64), np.full(k, np.nan)
-    return Assignment(
-        event, residual_s, np.zeros(k, np.bool_), events.repeated, runner_up=event.copy(),
-        log_ratio=0.0, reason=reason, evidence=(),
-    )  # fmt: skip
+    none, unknown = np.full(images.count, -1, np.int64), np.full(images.count, np.nan)
+    nothing = np.zeros(images.count, np.bool_)
+    return Assignment(none, unknown, nothing, events.repeated, none.copy(), 0.0, reason, ())
 
 
 def why_refused(
@@ -302,20 +290,15 @@ def why_refused(
     if between > _MOST_AMBIGUOUS * images.count:
         return f"{between} of {images.count} images lie between two events"
     if axis.is_time and found.sigma_s > _LARGEST_SIGMA * axis.interval:
-        return (
-            f"the times fit no better than by chance: residuals of {found.sigma_s:.2g} s, events "
-            f"{axis.interval:.2g} s apart"
-        )
+        sizes = f"residuals of {found.sigma_s:.2g} s, events {axis.interval:.2g} s apart"
+        return f"the times fit no better than by chance: {sizes}"
     if axis.is_time and has < 3 and len(found.evidence) == 1 and np.isinf(axis.offset_sigma):
         return f"{has} images have no rhythm"
     if found.log_ratio >= LOG_RATIO_NEEDED:
         return ""
     if found.evidence[-1] == "names (counted)" and not images.names_speak(events):
-        return (
-            f"{images.count} images counted up to {int(np.max(axis.images))} and "
-            f"{events.time_s.size} events: numbers alone do not decide which image has which event"
-        )
-    return (
-        f"shifted by {found.shift:+d} events it is only {np.exp(max(0.0, found.log_ratio)):.3g} "
-        "times less likely"
-    )
+        counts = f"counted up to {int(np.max(axis.images))} and {events.time_s.size} events"
+        why = "numbers alone do not decide which image has which event"
+        return f"{images.count} images {counts}: {why}"
+    times = f"{np.exp(max(0.0, found.log_ratio)):.3g} times less likely"
+    return f"shifted by {found.shift:+d} events it is only {times}"

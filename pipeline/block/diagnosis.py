@@ -10,13 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pipeline.block.alignment import LOG_RATIO_NEEDED
-from pipeline.block.calibration_mistakes import between, mistaken_calibrations
 from pipeline.block.image_rays import ImageRays, Orientations, straightened
 from pipeline.block.intersection import Intersection, intersect
 from pipeline.flight.mount import Mount
@@ -40,6 +39,8 @@ _KEYS = {
     "TIES-HEIGHT": "ground", "TIES-PIXELS": "observations.columns", "TIES-CAMERAS": "cameras",
     "TIES-CALIBRATION": "cameras.{}",
 }  # fmt: skip
+
+_LEAST_PX = 1.0  # that a principal point moves
 
 _WORSE_THAN_FLAT, _FLAT = 1.1, 0.002  # of the relief, and at least of the flying height
 _SETTLED = 0.05  # of its sigma: an amount that changes by less is the most likely one
@@ -126,19 +127,14 @@ class _Reading:
 
 @dataclass(frozen=True)
 class Finding:
-    """A contradiction: code, key of the mission file, and one sentence with number and sigma.
-
-    ``log_ratio`` is the natural logarithm of its likelihood over that of what is stated,
-    ``sigma_factor`` what residuals of the rays alone are then over what their sigmas say; ``also``
-    says the same of others that are nearly as likely.
-    """
+    """A contradiction: code, key of the mission file, and one sentence with number and sigma."""
 
     code: str
     key: str
     what: str
-    log_ratio: float
-    sigma_factor: float
-    also: tuple[str, ...] = ()
+    log_ratio: float  # natural logarithm of its likelihood over that of what is stated
+    sigma_factor: float  # residuals of the rays alone over what their sigmas say, then
+    also: tuple[str, ...] = ()  # the same of others that are nearly as likely
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,10 +221,7 @@ def estimated(
     mission: StatedMission, current: _Reading, now: Intersection, hypotheses: list[_Hypothesis],
     beside: Array,
 ) -> list[tuple[float, float, _Hypothesis]]:  # fmt: skip
-    """What each hypothesis alone gains at its most likely amount, and that: both linear.
-
-    Errors ``beside`` them are estimated with each (`Intersection.likely_amounts`).
-    """
+    """What each hypothesis alone, with errors ``beside``, gains at its best amount, and that."""
     before, changes = now.misses(*current.held(mission)), [np.zeros((now.bad.size, 2, 0))]
     for h in hypotheses:
         step = h.x or h.step
@@ -243,9 +236,8 @@ def likely_calibrations(
 ) -> list[tuple[float, _Hypothesis, _Reading, Intersection, str]]:
     """Other calibrations that are likely: by how much, how read, what is then found, and the text.
 
-    A principal point that is off turns rays nearly as a mount does. Only what mounts do not explain
-    that are turned to where the rays meet best speaks of a calibration: the sigma of an offset is
-    0.2 to 1 px of 2,000 points of a block 3 km above ground.
+    A principal point that is off turns rays nearly as a mount does: only what no mount explains,
+    turned to where the rays meet best, speaks of a calibration.
     """
     turns = [now.orientations.turns_of(camera) for camera in current.cameras]
     others = list(other_calibrations(current))
@@ -267,9 +259,8 @@ def scattered_heights(mission: StatedMission, found: Intersection, factor: float
     """Why given heights of single points are none of theirs; empty where stated sigmas explain it.
 
     A tenth of them is then farther from where the rays meet than 3 % of the flying height, and than
-    sigmas explain, times the ``factor`` of the rays' own residuals. Or they leave more of the
-    points' relief than one height for all does, whatever the sigmas: heights of this ground leave
-    less, those of another place, or turned, add their own.
+    sigmas explain, times the ``factor`` of the rays' own residuals; or they leave more of the
+    points' relief than one height for all does, as those of another place do.
     """
     given = mission.rays(mission.cameras, {})
     if given.height_m is None or mission.one_height or not found.used.any():
@@ -284,10 +275,8 @@ def scattered_heights(mission: StatedMission, found: Intersection, factor: float
     allowed = max(0.03 * above, max(1.0, factor) * allowed)
     far = float(np.quantile(np.abs(off), 0.9))
     left, relief = scatter_of(off), scatter_of(met_m)
-    text = (
-        f"given heights of a tenth of {off.size} points are {far:.0f} m or more from where their "
-    )
-    text += "rays meet, expected "
+    text = f"given heights of a tenth of {off.size} points are {far:.0f} m or more from where "
+    text += "their rays meet, expected "
     likely = ": no heights, holes that hold a number, or heights of other points or another place"
     if far > allowed:
         return f"{text}within {allowed:.0f} m{likely}"
@@ -357,6 +346,48 @@ def other_calibrations(now: _Reading) -> Iterator[_Hypothesis]:
 
         name = next(iter(other)) if len(other) == 1 else ""
         yield _Hypothesis("TIES-CALIBRATION", what, name, reading, 1.0, 0.25)
+
+
+def mistaken_calibrations(cameras: Mapping[str, Camera]) -> Iterator[tuple[str, dict[str, Camera]]]:
+    """What is wrong with calibrations, and the right ones of each camera alone, all or two."""
+    groups = dict.fromkeys([*((name,) for name in cameras), tuple(cameras)])
+    for group, axes in product(groups, list(product((False, True), (1, -1), (1, -1)))[1:]):
+        other = {n: with_other_axes(cameras[n], *axes) for n in group}
+        moved = ((c.cx_px - cameras[n].cx_px, c.cy_px - cameras[n].cy_px) for n, c in other.items())
+        if min(max(abs(x), abs(y)) for x, y in moved) > _LEAST_PX:
+            places = (f"{c.cx_px:.1f}, {c.cy_px:.1f} px in {n}" for n, c in other.items())
+            what = f"the principal point is at {' and '.join(places)}"
+            yield f"{what}: what is stated counts along other axes", other
+    for group in groups:
+        of = {n: cameras[n].distortion for n in group}
+        other = {n: replace(cameras[n], distortion=lens._replace(**{
+            key: -value for key, value in lens._asdict().items() if value and key[0] in "kpq"
+        })) for n, lens in of.items()}  # fmt: skip
+        if all(other[n] != cameras[n] for n in group):
+            what = f"the coefficients of distortion of {' and '.join(group)}"
+            yield f"{what} have the other sign: those of corrections, or the reverse", other
+    for a, b in combinations(cameras, 2):
+        of_a, of_b = cameras[a], cameras[b]
+        a_of_b = replace(of_b, width_px=of_a.width_px, height_px=of_a.height_px)
+        b_of_a = replace(of_a, width_px=of_b.width_px, height_px=of_b.height_px)
+        if a_of_b != of_a and type(of_a.distortion) is type(of_b.distortion):
+            yield f"the calibrations of {a} and {b} are each other's", {a: a_of_b, b: b_of_a}
+
+
+def with_other_axes(camera: Camera, exchanged: bool, along_x: int, along_y: int) -> Camera:
+    """The principal point with its offset from the centre along other axes."""
+    half = 0.5 * camera.width_px, 0.5 * camera.height_px
+    x, y = camera.cx_px - half[0], camera.cy_px - half[1]
+    x, y = (y, x) if exchanged else (x, y)
+    return replace(camera, cx_px=half[0] + along_x * x, cy_px=half[1] + along_y * y)
+
+
+def between(camera: Camera, other: Camera, x: float) -> Camera:
+    """A calibration that is 0 of the way to another, or 1, or anywhere on or beyond it."""
+    names = ("fx_px", "fy_px", "cx_px", "cy_px")
+    mixed = {n: (1.0 - x) * getattr(camera, n) + x * getattr(other, n) for n in names}
+    lens = (p + x * (q - p) for p, q in zip(camera.distortion, other.distortion, strict=True))
+    return replace(camera, **mixed, distortion=type(camera.distortion)(*lens))
 
 
 def _at_once(reading: _Reading) -> Callable[[float], _Reading]:
@@ -429,10 +460,8 @@ def _refined(
         return replace(h, reading=_at_once(reading), label=label), 0.0
     x, step, sigma = h.x, h.step, float("inf")
     for _ in range((4 if points is not None else 1) if step else 0):
-        low, middle, high = (
-            h.reading(at).intersected(mission, points).log_likelihood
-            for at in (x - step, x, x + step)
-        )
+        tried = (h.reading(at).intersected(mission, points) for at in (x - step, x, x + step))
+        low, middle, high = (found.log_likelihood for found in tried)
         curve = low - 2.0 * middle + high
         if curve < 0.0:
             sigma = step / float(np.sqrt(-curve))

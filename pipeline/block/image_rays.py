@@ -6,7 +6,7 @@ points (least squares of the angles across the rays), and derivatives of what th
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property, lru_cache
 from typing import Any
 
@@ -47,11 +47,8 @@ class Orientations:
 
     def assigned(self, row: Integers) -> Orientations:
         """Orientations of images (k,), each that of a row, or none for -1: a hypothesis."""
-        centre = np.where(row[:, None] >= 0, self.centre_m[row], np.nan)
-        return Orientations(
-            self.camera[row], centre, self.camera_from_ecef[row], self.enu_from_ecef[row],
-            self.sigma[row],
-        )  # fmt: skip
+        camera, centre, *rest = (getattr(self, field.name)[row] for field in fields(self))
+        return Orientations(camera, np.where(row[:, None] >= 0, centre, np.nan), *rest)
 
     def turned(self, rotation: Array, camera: str) -> Orientations:
         """With one camera turned by a rotation vector [rad] in its own frame (mount angles)."""
@@ -71,11 +68,10 @@ class Orientations:
 def orientations_of(
     stations: Stations, unknown_sigmas: tuple[float, ...] = UNKNOWN_SIGMAS
 ) -> Orientations:
-    """Orientations of stations; a sigma that is not stated is ``unknown_sigmas``'.
+    """Orientations of stations, NaN where not ok; a sigma not stated is ``unknown_sigmas``'.
 
-    One that is stated as 0 is 1 mm or 1 microradian: residuals are counted in units of it.
-    What is not ok is NaN. Heights of which only that above mean sea level is known count from
-    there: rays meet as well.
+    One that is stated as 0 is 1 mm or 1 microradian: residuals are counted in units of it. Heights
+    count from mean sea level where only that is known: rays meet as well.
     """
     lat, lon, h = stations.lat_rad, stations.lon_rad, stations.h_ellipsoid_m
     centre = ecef_of_geodetic(lat, lon, np.where(np.isfinite(h), h, stations.h_msl_m))
@@ -83,10 +79,8 @@ def orientations_of(
     usable = stations.ok & np.all(np.isfinite(stations.quaternion), axis=1)
     q = np.where(usable[:, None], stations.quaternion, [1.0, 0.0, 0.0, 0.0])
     tilt, horizontal = stations.sigma_tilt_rad, stations.sigma_horizontal_m
-    sigma = np.stack(
-        [horizontal, horizontal, stations.sigma_height_m, tilt, tilt, stations.sigma_yaw_rad],
-        axis=1,
-    )
+    level = [horizontal, horizontal, stations.sigma_height_m]
+    sigma = np.stack([*level, tilt, tilt, stations.sigma_yaw_rad], axis=1)
     return Orientations(
         camera=stations.camera,
         centre_m=np.where(usable[:, None], centre, np.nan),
@@ -115,12 +109,10 @@ class ImageRays:
     def of_points(self, points: Integers) -> ImageRays:
         """The rays of some points."""
         keep = np.isin(self.point, points)
+        image, point = self.image[keep], self.point[keep]
         sigma = np.broadcast_to(self.sigma_rad, keep.shape)[keep]
         height = None if self.height_m is None else self.height_m[keep]
-        return ImageRays(
-            self.image[keep], self.point[keep], self.direction[keep], sigma, height,
-            self.sigma_height_m,
-        )  # fmt: skip
+        return ImageRays(image, point, self.direction[keep], sigma, height, self.sigma_height_m)
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,9 +181,8 @@ class SortedRays:
         # A rotation is linear up to the square of its angle, which is added to the pixel's sigma.
         enu, angles = o.enu_from_ecef[self.image], o.sigma[self.image, 3:] ** 2
         along = np.einsum("rij,rj->ri", enu, u) ** 2
-        curved = np.sqrt(
-            np.sum(angles * along, axis=1) * np.sum(angles * (1.0 - along), axis=1) / 8.0
-        )
+        curved = np.sum(angles * along, axis=1) * np.sum(angles * (1.0 - along), axis=1)
+        curved = np.sqrt(curved / 8.0)
         sigma = np.hypot(self.sigma, curved)
         weight = np.where(good, 1.0 / sigma, 0.0)[:, None, None]
         A = weight * self.across / distance[:, None, None]
@@ -233,10 +224,9 @@ def sorted_rays(o: Orientations, rays: ImageRays) -> SortedRays:
 def straightened(o: Orientations, rays: ImageRays) -> ImageRays:
     """Apparent rays as the straight chords that they bend about, under some orientations.
 
-    Refraction of the standard atmosphere us1976 (spherical, radius 6,371 km) between the heights of
-    camera and point is removed: given heights, else those at which the apparent rays meet. That of
-    a day differs by some 1e-5 rad at 45 degrees. What has no orientation, or no ground below it,
-    stays.
+    Refraction of us1976 (spherical, radius 6,371 km) between the heights of camera and point is
+    removed: given heights, else those at which the apparent rays meet. That of a day differs by
+    some 1e-5 rad at 45 degrees. What has no orientation, or no ground below it, stays.
     """
     r = sorted_rays(o, rays)
     h_c = geodetic_of_ecef(*(r.centre + r.origin).T)[2]

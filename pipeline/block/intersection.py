@@ -98,9 +98,8 @@ class Intersection:
         step = np.einsum("pij,pj->pi", system.half_inverse, np.nan_to_num(up))
         along = _blocks(step[:, None, :], np.arange(self.point.size), self.point.size)
         by_stations = along @ system.Z
-        variance = (
-            np.sum(step**2, axis=1) + np.asarray(by_stations.multiply(by_stations).sum(1))[:, 0]
-        )
+        variance = np.asarray(by_stations.multiply(by_stations).sum(1))[:, 0]
+        variance = np.sum(step**2, axis=1) + variance
         return np.where(self.used, np.sqrt(variance), np.nan)
 
     def shared_errors(self, change: Array) -> tuple[Array, Array]:
@@ -119,8 +118,7 @@ class Intersection:
         """What the log likelihood gains (k,) by each change alone, and its amount: least squares.
 
         ``changes`` (r, 2, k) [rad] is what a unit of each adds to `misses`; ``beside`` (s, 6, b)
-        are errors that stations share (`shared_errors`), estimated with any of them. Linear, of
-        the good rays.
+        are errors that stations share (`shared_errors`), estimated with each. Linear.
         """
         s, count = self.system, changes.shape[2]
         scaled = (beside / self.orientations.sigma[:, :, None]).reshape(s.J.shape[1], -1)
@@ -225,9 +223,9 @@ def intersect(
 
     All that changes the rays or the stations is a hypothesis whose ``log_likelihood`` may be
     compared with others of the same rays: another assignment (`Orientations.assigned`), mount
-    (`turned`), focal length (other directions, and sigmas), time offset (other orientations). Rays
-    of images without orientation count as bad ones. Linear in the errors of stations: where their
-    attitude is not known to a degree, the square of its sigma is added to the pixel's.
+    (`turned`), focal length or time offset. Rays of images without orientation count as bad ones.
+    Linear in the errors of stations: where their attitude is not known to a degree, the square of
+    its sigma is added to the pixel's.
     """
     o = orientations
     r = sorted_rays(o, rays)
@@ -307,10 +305,9 @@ def point_heights(
 ) -> PointHeights:
     """The heights at which the rays of each point meet best.
 
-    Least squares under the covariance that the sigmas of pixels and stations give each ray; rays of
-    one point are of different images, so those are independent. ``sigma_m`` is what these sigmas
-    give the height, enlarged where the rays miss by more than they say. The time goes with the
-    number of rays.
+    Least squares under the covariance that the sigmas of pixels and stations give each ray, each of
+    another image. ``sigma_m`` is what these sigmas give the height, enlarged where the rays miss by
+    more than they say. The time goes with the number of rays.
     """
     r, points = sorted_rays(orientations, rays), np.unique(rays.point)
     good, position = r.oriented, r.positions(r.oriented)

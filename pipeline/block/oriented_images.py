@@ -24,26 +24,17 @@ from pipeline.geodesy import ecef_of_geodetic, enu_from_ecef, geodetic_of_ecef, 
 from pipeline.ledger import Notes, loss, note, warning
 from pipeline.units import Array, Integers, Mask, Names
 
+# A vertical that known positions determine no better than this is none (1 deg is 5 % of R).
 LARGEST_FIT_TILT_RAD = np.radians(1.0)
-"""A vertical that known positions determine no better than this is none (1 deg is 5 % of R)."""
-
-LARGEST_FIT_RESIDUAL = 0.02
-"""Residuals of a fit, in parts of the extent of the known positions, above which it is no fit."""
-
-USUAL_FIT_RESIDUAL, USUAL_FIT_SIGMAS = 0.003, 5.0
-"""Largest residual, in parts of the extent and in sigmas, above which a fit is reported."""
-
-FIT_OUTLIER = 4.0
-"""A known position that the others predict worse than by this many times their residuals."""
+# Residuals in parts of the extent of the known positions above which a fit is none; the largest
+# one, in parts of it and in sigmas, above which it is reported; and in residuals of the others.
+LARGEST_FIT_RESIDUAL, USUAL_FIT_RESIDUAL, USUAL_FIT_SIGMAS, FIT_OUTLIER = 0.02, 0.003, 5.0, 4.0
+# An image beyond both, the latter in median distances from the middle, is elsewhere.
+FAR_M, FAR_FACTOR = 10_000.0, 20.0
+FEW_LOOK_UP = 0.1  # of so few images above the horizon each is flagged; more have another cause
 
 SIGMAS_OF_BLOCK = (0.3, 0.3, 0.5, *np.radians([0.02, 0.02, 0.05]))
 """East, north, up [m], tilts and yaw [rad] of adjusted stations without sigmas: judgement."""
-
-FAR_M, FAR_FACTOR = 10_000.0, 20.0
-"""An image beyond both, the latter in median distances from the middle, is elsewhere."""
-
-FEW_LOOK_UP = 0.1
-"""Of so few images that look above the horizon, each is flagged; more have another cause."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,9 +82,9 @@ def fitted_frame(
 
     Least squares with equal weights (Umeyama 1991; the rotation by scipy's align_vectors). Refuses
     (MissionError) fewer than three images that are in both, positions on a line, and residuals of
-    more than 2 % of the extent: then it is another model, a mirrored one, or the names are others.
-    Warns of three positions, which nothing checks; a residual above 5 sigmas and 0.3 % of the
-    extent, and a position that contradicts the others, are losses.
+    more than 2 % of the extent (another model, a mirrored one, other names). Warns of three
+    positions; a residual above 5 sigmas and 0.3 % of the extent, and a position that contradicts
+    the others, are losses.
     """
     where = "stations.orientation.known_positions"
     names, model, earth = _positions_of_both(image, xyz, known_image, known)
@@ -115,10 +106,6 @@ def fitted_frame(
         raise MissionError.of(
             "ORIENTATION-LINE", where, size=names.size, sigma=sigma, tilt=np.degrees(tilt)
         )
-    what = (
-        f"the model was fitted to {names.size} known positions: scale {frame.scale:.6g}, {fit}; "
-        f"its vertical is good to {np.degrees(tilt):.2g} deg, with {sigma:.2g} m of sigma"
-    )
     contradictions = _contradictions_of_fit(names, model, earth, residual, sigma_m)
     frame = replace(frame, tilt_rad=tilt)
     entry = loss if contradictions else note
@@ -128,8 +115,11 @@ def fitted_frame(
             "nothing checks three positions: an error of one height leaves no residual, and the "
             "vertical is only as good as they are; give more"
         )
-    what = "; ".join([what, *contradictions])
-    return frame, (entry("ORIENTATION-FIT", what, where=where, count=names.size),)
+    made = entry(
+        "ORIENTATION-FIT/made", where=where, count=names.size, scale=frame.scale, fit=fit,
+        tilt=np.degrees(tilt), sigma=sigma, more="".join(f"; {text}" for text in contradictions),
+    )  # fmt: skip
+    return frame, (made,)
 
 
 def _positions_of_both(
@@ -140,11 +130,9 @@ def _positions_of_both(
     pairs = [(row[name], k) for k, name in enumerate(known_image.tolist()) if name in row]
     usable = [(i, k) for i, k in pairs if np.isfinite(xyz[i]).all() and np.isfinite(known[k]).all()]
     if len(usable) < 3:
+        where = "stations.orientation.known_positions"
         raise MissionError.of(
-            "ORIENTATION-KNOWN",
-            "stations.orientation.known_positions",
-            usable=len(usable),
-            known=known_image.size,
+            "ORIENTATION-KNOWN", where, usable=len(usable), known=known_image.size
         )
     of_model, of_earth = np.array(usable).T
     return image[of_model], xyz[of_model], ecef_of_geodetic(*known[of_earth].T)
@@ -256,9 +244,8 @@ def flag_above_horizon(stations: Stations) -> tuple[Stations, Notes]:
         raise MissionError.of("ORIENTATION-UP", where, what=what, first=first)
     reason = np.where(up, "looks above the horizon", stations.suspect_reason)
     stations = replace(stations, suspect_reason=reason).with_status(up, SUSPECT)
-    return stations, (
-        loss("ORIENTATION-UP", f"{what}: suspect; {first}", where=where, count=count),
-    )
+    entry = loss("ORIENTATION-UP", f"{what}: suspect; {first}", where=where, count=count)
+    return stations, (entry,)
 
 
 def flag_far_images(stations: Stations, *, use: bool) -> tuple[Stations, Notes]:
@@ -273,12 +260,9 @@ def flag_far_images(stations: Stations, *, use: bool) -> tuple[Stations, Notes]:
     if not bool(far.any()):
         return stations, ()
     first = int(np.argmax(far))
-    what = (
-        f"{int(far.sum())} of {int(stations.ok.sum())} images are more than "
-        f"{limit / 1000.0:.0f} km from the middle of all: suspect; the first is "
-        f"{stations.image[first]}, {distance[first] / 1000.0:.0f} km away"
-    )
-    entry = loss("ORIENTATION-FAR", what, where="stations.orientation", count=int(far.sum()))
+    entry = loss("ORIENTATION-FAR", where="stations.orientation", count=int(far.sum()),
+                 total=int(stations.ok.sum()), first=stations.image[first],
+                 limit_km=limit / 1000.0, away_km=distance[first] / 1000.0)  # fmt: skip
     return stations.as_suspect(far, "far from all others", distance, use=use), (entry,)
 
 

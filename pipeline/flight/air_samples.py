@@ -56,8 +56,7 @@ def air_samples(
         known = np.isfinite(h)
         accepted = known & ~covered(contradicted, channel.time_ns)
         if count := int(np.count_nonzero(known & ~accepted)):
-            what = f"{count} readings are not used, at heights that other evidence contradicts"
-            notes.append(warning("AIR-SUSPECT-HEIGHT", what, where=channel.name, count=count))
+            notes.append(warning("AIR-SUSPECT-HEIGHT", where=channel.name, count=count))
         if role == "pressure" and height.roles and "height" not in height.roles:
             accepted &= h < np.min(h[accepted], initial=np.inf) + LEVEL_M
             notes.append(warning("AIR-HEIGHT-FUSED", where=height.name, level=LEVEL_M))
@@ -66,11 +65,8 @@ def air_samples(
             since_s = (channel.time_ns - on_ground_ns[np.maximum(last, 0)]) * 1e-9
             soaked = (last >= 0) & (since_s < SOAK_SECONDS) & accepted
             if count := int(np.count_nonzero(soaked)):
-                what = (
-                    f"{count} readings on the ground or within {SOAK_SECONDS:.0f} s of take-off "
-                    "are not used"
-                )
-                notes.append(note("AIR-GROUND-SOAK", what, where=channel.name, count=count))
+                where, seconds = channel.name, SOAK_SECONDS
+                notes.append(note("AIR-GROUND-SOAK", where=where, count=count, seconds=seconds))
             accepted &= ~soaked
         samples[role] = SensorSamples(channel.time_ns, h, channel[column], accepted, channel.name)
     # When the aircraft last stood before it was away for a minute or more.

@@ -72,15 +72,13 @@ class Channel:
     value (of a named value, in the mission file's unit).
 
     Of a receiver: fix (GPS_FIX_TYPE of MAVLink: 3 is 3D, 6 RTK fixed), satellites, hdop, sigma_h_m
-    (of one horizontal axis), sigma_v_m, sigma_speed_m_s;
-    gps_week and gps_week_s, the epoch of the row in GPS time, as logged (a week may count modulo
-    1024). Of a filter: innovation_velocity, innovation_position,
-    innovation_height, innovation_compass (largest innovation over the gate: what is above 1 is
-    rejected); filter_flags, whose bits 0 to 9 are those of MAVLink's EKF_STATUS_FLAGS in all
+    (of one horizontal axis), sigma_v_m, sigma_speed_m_s; gps_week (may count modulo 1024) and
+    gps_week_s, the epoch of the row in GPS time. Of a filter: innovation_velocity,
+    innovation_position, innovation_height, innovation_compass (largest innovation over the gate:
+    above 1 it is rejected); filter_flags, whose bits 0 to 9 are MAVLink's EKF_STATUS_FLAGS in all
     formats, 10 never healthy, 15 GPS glitch, 18 dead reckoning; filter_timeouts and filter_faults
     (bits of ArduPilot's XKF4.TS and FS); vibration_m_s2 (of the worst axis), clipping (count since
-    boot). What the autopilot says is a channel without columns and with the label ``text``; texts
-    of one time are lines of one row.
+    boot). What the autopilot says is a channel without columns, with the label ``text``.
     """
 
     name: str

@@ -43,10 +43,9 @@ SET_BACKS = 16  # a clock that was set back more often than this is no clock
 def utc_of_gps(week: ArrayLike, seconds: ArrayLike) -> TimeArray:
     """UTC of a GPS week and the seconds of that week.
 
-    ``week``: (...) GPS week since 1980-01-06, full (not modulo 1024). ``seconds``: (...) [s]
-    seconds of the week; may exceed a week. Returns Unix time [ns], int64, exact to 1 ns for
-    milliseconds of the week. During a leap second the result repeats the second before, as Unix
-    time does. Leap seconds by date: IERS Bulletin C.
+    ``week``: (...) since 1980-01-06, full (not modulo 1024). ``seconds``: (...) [s], may exceed a
+    week. Returns Unix time [ns], int64, exact to 1 ns for milliseconds of the week; a leap second
+    repeats the second before. Leap seconds by date: IERS Bulletin C.
 
     >>> utc_of_gps(1928, 432017.0)  # 2016-12-23 00:00:00 UTC: 17 leap seconds, not 18
     array(1482451200000000000)
@@ -64,9 +63,8 @@ def utc_of_gps(week: ArrayLike, seconds: ArrayLike) -> TimeArray:
 def full_weeks(week: ArrayLike, first: int) -> tuple[Integers, int]:
     """GPS weeks that a receiver counts modulo 1024 -> full weeks.
 
-    ``week``: (n,) as reported. ``first``: the first week that is possible. The receiver is one that
-    rolls over where the median is before it, which is unambiguous for 1024 weeks (19.6 years) from
-    then on. Returns (n,) full weeks, and how many were changed: none, or all before ``first``.
+    ``week``: (n,) as reported. ``first``: the first week that is possible; a receiver whose median
+    is before it rolls over. Returns (n,) full weeks, and how many were changed.
 
     >>> full_weeks([276, 276, 277], first=1773)
     (array([2324, 2324, 2325]), 3)
@@ -83,9 +81,8 @@ def stray_times(time_ns: TimeArray, limit_ns: int = BOOT_STEP_NS) -> Mask:
     """Mark time stamps far from those on both sides, which agree with each other.
 
     ``time_ns``: (n,) [ns] in the order of the file. ``limit_ns``: [ns] how far is far. Returns (n,)
-    True where a stamp is stray, as after a flipped bit; up to `STRAY_ROWS` in a row. Gaps and new
-    boots are not: there both sides disagree. At the ends of the file as few rows are stray where
-    time steps back from or to them, since a boot of so few rows is none.
+    True where a stamp is stray, up to `STRAY_ROWS` in a row. Gaps and new boots are not: there both
+    sides disagree. At the ends of the file so few rows are stray where time steps back.
 
     >>> stray_times(np.array([0.0, 0.1, 70.0, 0.3, 0.4]) * 1e9)
     array([False, False,  True, False, False])
@@ -106,8 +103,7 @@ def stray_stretches(
     """Mark the stray ones of stretches of time stamps, as `stray_times` does for the stamps.
 
     ``begin``, ``end``: (n,) [ns] the first and the last stamp of each stretch, in the order of the
-    file. Within a stretch stamps are near each other, from one to the next they are not.
-    ``length``: (n,) how many stamps each has. Returns (n,) True where a stretch is stray.
+    file; ``length``: (n,) how many stamps each has. Returns (n,) True where a stretch is stray.
 
     >>> begin, end = np.array([0, 70, 2]) * 10**9, np.array([1, 70, 9]) * 10**9
     >>> stray_stretches(begin, end, np.array([9, 1, 9]))
@@ -162,8 +158,8 @@ def rows_in_time_order(time_ns: TimeArray) -> tuple[Rows, NDArray[np.int16]]:
     ``time_ns``: (n,) [ns] in the order of the file. Returns (m,) rows whose times increase
     strictly, and (m,) the number of the stretch between two settings of the clock, from 0. Few rows
     out of order are left out (`longest_increasing`); more than `STRAY_ROWS` in a row are a clock
-    that was set. Rows of before that the clock then passed again are left out: which of the two was
-    meant is unknowable, and stretches must not mix.
+    that was set, and what it passed before and passes again is left out: which was meant, is
+    unknowable.
 
     >>> rows_in_time_order(np.array([0, 1, 90, 91, 92, 93, 94, 40, 41, 42, 43, 44, 45, 46]))[0]
     array([ 0,  1,  7,  8,  9, 10, 11, 12, 13,  2,  3,  4,  5,  6])
@@ -212,10 +208,9 @@ class ClockOffset:
 def fit_offset(utc_ns: TimeArray, boot_ns: TimeArray) -> ClockOffset | None:
     """The offset of a boot clock from UTC, robust against late and wrong rows.
 
-    ``utc_ns``: (n,) [ns] UTC as a receiver or the vehicle reports it. ``boot_ns``: (n,) [ns] time
-    since boot of the same rows. Returns the median offset, or None without rows. Measured on real
-    logs: rows scatter by 20-39 ms (p5-p95), the first row alone errs by up to 17 ms, and slopes
-    fitted over less than ten minutes are noise; hence a constant per boot.
+    ``utc_ns``: (n,) [ns] as a receiver or the vehicle reports it, ``boot_ns``: (n,) [ns] of the
+    same rows. The median, or None without rows: in real logs rows scatter by 20-39 ms (p5-p95), the
+    first one errs by up to 17 ms, and slopes over less than ten minutes are noise.
 
     >>> fit_offset(np.array([1_000, 2_000, 99_000]), np.array([0, 1_000, 2_000])).offset_ns
     1000
@@ -240,12 +235,9 @@ def fit_offset(utc_ns: TimeArray, boot_ns: TimeArray) -> ClockOffset | None:
 def new_readings(time_ns: TimeArray) -> Mask:
     """Mark the rows whose time differs from the row before.
 
-    A receiver that is logged faster than it reports repeats its time (200 ms steps at 10 Hz were
-    seen); the repeats are late by up to the step and would bias an offset.
+    A receiver that is logged faster than it reports repeats its time; repeats are late.
     """
-    keep = np.ones(time_ns.shape, np.bool_)
-    keep[1:] = np.diff(time_ns) != 0
-    return keep
+    return np.append(np.ones(min(1, time_ns.size), np.bool_), np.diff(time_ns) != 0)
 
 
 def clock_map(from_ns: TimeArray, to_ns: TimeArray) -> Callable[[TimeArray], TimeArray]:
@@ -253,8 +245,7 @@ def clock_map(from_ns: TimeArray, to_ns: TimeArray) -> Callable[[TimeArray], Tim
 
     ``from_ns``, ``to_ns``: (n,) [ns] simultaneous readings, n >= 1, in any order; a reading of the
     second clock that falls back behind an earlier one (senders do overtake) is raised to it.
-    Returns a function of (m,) times [ns]; outside the readings the nearest difference is kept, so
-    nothing is extrapolated but the running of the clock itself.
+    Returns a function of (m,) times [ns], with the nearest difference outside the readings.
 
     >>> clock_map(np.array([0, 10]), np.array([100, 120]))(np.array([-1, 5, 12]))
     array([ 99, 110, 122])
@@ -284,17 +275,12 @@ def clock_fit_note(source: str, fit: ClockOffset, where: str) -> Entry:
 
     p5 to p95 do not see a tenth of the rows: the farthest counts as well, and rows that stay away.
     """
-    what = (
-        f"UTC from {source}, which agree within {fit.spread_ns / 1e6:.0f} ms (p5 to p95), the "
-        f"farthest is {fit.largest_ns / 1e6:.0f} ms off"
-    )
+    spread, largest = fit.spread_ns / 1e6, fit.largest_ns / 1e6
     steady = fit.spread_ns <= LARGEST_SPREAD_NS and fit.largest_ns <= BOOT_STEP_NS
     if steady and not fit.stepped:
-        return note("TIME-FIT", what, where=where, count=fit.rows)
-    return loss(
-        "TIME-FIT",
-        f"{what}, {fit.far} are off by more than {LARGEST_SPREAD_NS / 1e6:.0f} ms: one of the two "
-        "clocks stepped, and exposures by UTC may be that far off",
-        where=f"{where}, first {fit.first_far_ns / 1e9:.3f} s after boot",
-        count=fit.far,
-    )
+        return note("TIME-FIT", where=where, count=fit.rows, source=source, spread=spread,
+                    largest=largest)  # fmt: skip
+    where = f"{where}, first {fit.first_far_ns / 1e9:.3f} s after boot"
+    limit = LARGEST_SPREAD_NS / 1e6
+    return loss("TIME-FIT/stepped", where=where, count=fit.far, source=source, spread=spread,
+                largest=largest, limit=limit)  # fmt: skip

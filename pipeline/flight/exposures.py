@@ -55,20 +55,13 @@ def lag_from_feedback(
         apart = (shots.time_ns[second] - trigger.time_ns[first]) * 1e-9
         lags = np.append(lags, apart[(apart > 0.0) & (apart < LONGEST_LAG_S)])
     if lags.size < FEWEST_PAIRS:
-        raise MissionError(
-            "EVENTS-FEEDBACK",
-            f"{trigger.name} has {lags.size} triggers whose shutter pulse was logged too; "
-            f"{FEWEST_PAIRS} are needed to measure the lag",
-            where=f"events.log.{camera}.delay_s",
-            remedy="give the lag in seconds; or name the channel of the triggers (TRIG) of a "
-            "camera with a feedback pin",
+        where, needed = f"events.log.{camera}.delay_s", FEWEST_PAIRS
+        raise MissionError.of(
+            "EVENTS-FEEDBACK", where, name=trigger.name, found=lags.size, needed=needed
         )
     low, middle, high = np.percentile(lags, [16.0, 50.0, 84.0])
-    what = (
-        f"the shutter of {camera} opens {middle * 1e3:.0f} ms after its trigger, with a scatter of "
-        f"{(high - low) * 5e2:.0f} ms, by {lags.size} triggers whose shutter pulse was logged too"
-    )
-    entry = note("EVENTS-SHUTTER-LAG", what, where=trigger.name, count=int(lags.size))
+    entry = note("EVENTS-SHUTTER-LAG", where=trigger.name, count=int(lags.size), camera=camera,
+                 lag_ms=middle * 1e3, scatter_ms=(high - low) * 5e2)  # fmt: skip
     return (float(middle), float(high - low) / 2.0), (entry,)
 
 
@@ -85,10 +78,8 @@ def events_of_channel(
     the number as the log has it, which may count modulo 65536.
     """
     index = channel["event_index"].astype(np.int64)
-    names = [
-        "" if "*" in pattern else pattern.format(index=int(i), n=n)
-        for n, i in enumerate(index, start=1)
-    ]
+    names = ["" if "*" in pattern else pattern.format(index=int(i), n=n)
+             for n, i in enumerate(index, start=1)]  # fmt: skip
     notes = _skipped_numbers(channel, index)
     time_ns = channel.time_ns + round(delay_s * 1e9)
     logged = np.nan_to_num(channel.columns.get("sigma_time_s", np.zeros(len(channel))))
@@ -108,10 +99,7 @@ def events_of_table(
     *,
     sigma_s: float = 0.0,
 ) -> Events:
-    """Exposures of one camera from a table.
-
-    ``delay_s`` [s] is added to the table's times, whose sigma [s] against the log is ``sigma_s``.
-    """
+    """Exposures of one camera from a table, ``delay_s`` [s] later, with ``sigma_s`` [s]."""
     rows = camera_of == camera
     return Events(camera, image[rows], time_ns[rows] + round(delay_s * 1e9), sigma_s)
 
@@ -149,13 +137,12 @@ def _skipped_numbers(channel: Channel, index: Integers) -> Notes:
             f"{_sent(low + 1)}" if gap == 1 else f"{_sent(low + 1)} to {_sent(low + gap)}"
             for low, gap in holes
         ]
-        more = " ..." if np.count_nonzero(gaps) > 4 else ""
-        what = (
-            f"{missing} numbers between {_sent(int(known[0]))} and {_sent(int(known[-1]))} "
-            f"have no event: {', '.join(first)}{more}"
-        )
+        listed = ", ".join(first) + (" ..." if np.count_nonzero(gaps) > 4 else "")
         where = channel.name if channel.boot[-1] == 0 else f"{channel.name}, boot {boot}"
-        notes.append(loss("EVENTS-LOST", what, where=where, count=missing))
+        notes.append(
+            loss("EVENTS-LOST/numbers", where=where, count=missing, listed=listed,
+                 first=_sent(int(known[0])), last=_sent(int(known[-1])))
+        )  # fmt: skip
     return tuple(notes)
 
 
@@ -196,17 +183,11 @@ def span_notes(events: list[Events], position: Channel, key: str) -> Notes:
         for span in ((int(time_ns[0]), int(time_ns[-1])), (first, last))
     ]
     fitting = f"{shift * 1e-9:+.6g} s would bring {time_ns.size - left if left else 'all'} of them"
-    what = (
-        f"{beyond} of {time_ns.size} events lie beyond the flight: events {spans[0]}, "
-        f"{position.name} {spans[1]}; "
-        f"{fitting if left < beyond else 'no offset would bring more of them'} into it"
-    )
+    fitting = fitting if left < beyond else "no offset would bring more of them"
+    what = f"{beyond} of {time_ns.size} events lie beyond the flight: events {spans[0]}, "
+    what += f"{position.name} {spans[1]}; {fitting} into it"
     if 2 * beyond > time_ns.size:
-        raise MissionError(
-            "EVENTS-SPAN", what, where=key,
-            remedy=f"check {key} (GPS time is 18 s ahead of UTC, local time by its zone), or add "
-            "the offset to delay_s; or name the events and the log of one flight",
-        )  # fmt: skip
+        raise MissionError.of("EVENTS-SPAN", key, what=what, stated=key)
     return (warning("EVENTS-SPAN", what, where=key, count=beyond),)
 
 
@@ -267,11 +248,17 @@ def trigger_notes(channels: tuple[Channel, ...], chosen: Channel) -> Notes:
         fired = [c for c in channels if c.source.message == "CAM" and _of_one_camera(trigger, c)]
         names, events = ", ".join(c.name for c in fired), sum(map(len, fired))
         if len(trigger) > events:
-            what = (
-                f"{len(trigger)} triggers of {trigger.name}, {events} shutter events of {names}: "
-                f"{len(trigger) - events} pulses were lost, their images have no station"
+            lost = len(trigger) - events
+            notes.append(
+                loss(
+                    "EVENTS-LOST/triggers",
+                    where=names,
+                    count=lost,
+                    events=events,
+                    sent=len(trigger),
+                    trigger=trigger.name,
+                )
             )
-            notes.append(loss("EVENTS-LOST", what, where=names, count=len(trigger) - events))
     return tuple(notes)
 
 

@@ -3,7 +3,7 @@
 Local positions (motion capture, visual odometry) get a place on the earth, and with it heights.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -64,71 +64,65 @@ def height_system(
     """Undulation and take-off height, from the mission file, the log itself or a geoid.
 
     The take-off height is known where the height of the position above sea level and above home
-    differ by one value. Before an autopilot sets its home, it gives both heights alike; those rows
-    do not count.
+    differ by one value, but for rows that give both alike: there the home is not set.
     """
-    undulation, home = stated_undulation_m, None
-    offset, one_height, source = 0.0, False, "mission.undulation_m"
-    notes: list[Entry] = []
-    height, position = roles.get("height"), roles.get("position")
+    undulation, home, offset, one_height = stated_undulation_m, None, 0.0, False
+    source = "mission.undulation_m"
     if undulation is None:
         source = "unknown" if geoid is None else geoid.name
+    notes: list[Entry] = []
+    height, position = roles.get("height"), roles.get("position")
     both = np.empty(0) if height is None else _difference(height, "h_ellipsoid_m", "h_msl_m")
     if height is not None and both.size:
-        count, own = int(both.size), float(np.median(both))
+        where, count, own = height.name, int(both.size), float(np.median(both))
+        of_grid = np.full(len(height), np.nan)
+        if undulation is None and geoid is not None:
+            of_grid = geoid.undulation(height["lat_rad"], height["lon_rad"])
         one_height = not both.any()  # as some receivers on a CAN bus do
         if one_height:
-            here = undulation
-            if here is None and geoid is not None:
-                of_grid = geoid.undulation(height["lat_rad"], height["lon_rad"])
-                here = float(np.nanmedian(of_grid)) if np.isfinite(of_grid).any() else None
+            here = _median(of_grid) if undulation is None else undulation
             size = "" if here is None else f" of {here:.1f} m"
-            notes.append(
-                warning("HEIGHT-SAME", where=height.name, count=count, source=source, size=size)
-            )
+            notes.append(warning("HEIGHT-SAME", where=where, count=count, source=source, size=size))
         elif undulation is None:
             source = f"the two heights of {height.name}"
             if geoid is None:
                 undulation = own
-            else:
-                of_grid = geoid.undulation(height["lat_rad"], height["lon_rad"])
-                apart = height["h_ellipsoid_m"] - height["h_msl_m"] - of_grid
-                offset = float(np.nanmedian(apart)) if np.isfinite(apart).any() else 0.0
+            apart = height["h_ellipsoid_m"] - height["h_msl_m"] - of_grid
+            offset = _median(apart) or 0.0
         elif abs(undulation - own) > USUAL_GEOID_M:
-            what = (
-                f"mission.undulation_m is {undulation:.1f} m, the two heights of {height.name} are "
-                f"{own:.1f} m apart: those of the log are used where it has both"
+            entry = _by_size(undulation - own)
+            stated = undulation
+            notes.append(
+                entry("HEIGHT-GEOID/log", where=where, count=count, stated=stated, own=own)
             )
-            notes.append(_by_size(undulation - own, what, height.name, count))
     homes = np.empty(0) if position is None else _difference(position, "h_msl_m", "h_home_m")
     is_set = np.abs(homes) > 0.01
     homes = homes[is_set] if bool(is_set.any()) else homes
     if position is not None and homes.size:
         low, middle, high = np.percentile(homes, [5.0, 50.0, 95.0])
-        what = (
-            f"the take-off height of {position.name} changes between {low:.1f} and {high:.1f} m: "
-            "it is not used"
-        )
-        if high - low <= STEADY_HOME_M:
-            home, what = float(middle), f"take-off height {middle:.2f} m above mean sea level"
-        notes.append(note("HEIGHT-HOME", what, where=position.name))
+        steady = bool(high - low <= STEADY_HOME_M)
+        home, where = float(middle) if steady else None, position.name
+        notes.append(
+            note("HEIGHT-HOME/steady", where=where, height=middle) if steady
+            else note("HEIGHT-HOME/changes", where=where, low=low, high=high)
+        )  # fmt: skip
     home = home if stated_home_m is None else stated_home_m
     system = HeightSystem(undulation, home, geoid, offset, source, one_height)
     return system, tuple(notes)
 
 
-def _by_size(off_m: float, what: str, where: str, count: int) -> Entry:
+def _median(values: Array) -> float | None:
+    """That of the known values."""
+    return float(np.nanmedian(values)) if np.isfinite(values).any() else None
+
+
+def _by_size(off_m: float) -> Callable[..., Entry]:
     """An undulation that is off: a warning, beyond 10 m a finding."""
-    entry = finding if abs(off_m) > LARGEST_GEOID_M else warning
-    return entry("HEIGHT-GEOID", what, where=where, count=count)
+    return finding if abs(off_m) > LARGEST_GEOID_M else warning
 
 
 def undulation_notes(heights: HeightSystem, stations: Stations, egm96: GeoidGrid) -> Notes:
-    """Which undulation is used at the stations; what speaks against it, by EGM96.
-
-    A difference of more than 3 m is a warning and of more than 10 m a finding (HEIGHT-GEOID), with
-    what the other sign would give.
-    """
+    """Which undulation is used at the stations; what speaks against it, by EGM96."""
     placed = np.isfinite(stations.lat_rad)
     lat, lon = stations.lat_rad[placed], stations.lon_rad[placed]
     used, where = heights.undulation(lat, lon), "mission.geoid"
@@ -156,7 +150,8 @@ def undulation_notes(heights: HeightSystem, stations: Stations, egm96: GeoidGrid
         if abs(other) < min(USUAL_GEOID_M, abs(off)):
             what += f"; with the other sign it is {other:+.1f} m from it: the undulation is the "
             what += "ellipsoidal height minus the height above sea level"
-        notes.append(_by_size(off, what, where, size))
+        entry = _by_size(off)
+        notes.append(entry("HEIGHT-GEOID", what, where=where, count=size))
     return tuple(notes)
 
 
@@ -171,10 +166,7 @@ def _difference(channel: Channel, first: str, second: str) -> Array:
 def heights_at(
     height: Channel, time_ns: Integers, heights: HeightSystem, max_gap_s: float
 ) -> tuple[Array, Array]:
-    """Heights above sea level and above the ellipsoid, each from the other where it must be.
-
-    Local positions (motion capture, visual odometry) get a place on the earth, and with it heights.
-    """
+    """(n,) heights [m] above sea level and above the ellipsoid at instants [Unix ns]."""
     h_msl = interpolate(height, "h_msl_m", time_ns, max_gap_s)
     h_ell = interpolate(height, "h_ellipsoid_m", time_ns, max_gap_s)
     if heights.one_height:
@@ -217,7 +209,7 @@ def known_home_m(heights: HeightSystem) -> float:
 
 @dataclass(frozen=True)
 class GeodeticOrigin:
-    """Where east = north = up = 0 lies; radians and metres above the ellipsoid."""
+    """Where east = north = up = 0 lies."""
 
     lat_rad: float
     lon_rad: float
@@ -254,13 +246,10 @@ def logged_terrain(channels: Iterable[Channel], time_ns: Integers) -> Array:
     place.
     """
     height = np.full(time_ns.size, np.nan)
-    for channel in channels:
-        if "h_terrain_m" not in channel.columns:
-            continue
-        nothing = np.zeros(len(channel))
-        healthy = channel.columns.get("terrain_status", nothing) == _HEALTHY
-        placed = channel.columns.get("lat_rad", nothing + 1.0) != 0.0
-        healthy |= (channel.columns.get("terrain_spacing_m", nothing) > 0.0) & placed
+    for channel in (c for c in channels if "h_terrain_m" in c.columns):
+        placed = channel.get("lat_rad") != 0.0
+        healthy = (channel.get("terrain_spacing_m") > 0.0) & placed
+        healthy |= channel.get("terrain_status") == _HEALTHY
         of_grid = np.where(healthy, channel["h_terrain_m"], np.nan)
         channel = replace(channel, columns=dict(channel.columns) | {"h_terrain_m": of_grid})
         known = interpolate(channel, "h_terrain_m", time_ns, _LONGEST_GAP_S)

@@ -14,7 +14,7 @@ from pipeline.flight.rotations import (
     quaternions_of,
 )
 from pipeline.flight.trajectory import attitude_at
-from pipeline.ledger import Entry, Kind, Notes, note, warning
+from pipeline.ledger import Notes, note, warning
 from pipeline.units import Array
 
 _Q = ("q_w", "q_x", "q_y", "q_z")
@@ -63,12 +63,10 @@ def payload_attitude(
 
     Roll and pitch of gimbals are to the horizon, so only the yaw of the aircraft is added:
     v_ned = Rz(yaw of the aircraft) Rz(yaw) Ry(pitch) Rx(roll) v_payload, then comes the mount
-    (boresight) of the camera. ``aircraft`` is the channel of its attitude, interpolated at the
-    gimbal's times. Source: MAVLink's common.xml, GIMBAL_DEVICE_FLAGS_YAW_IN_VEHICLE_FRAME and
-    MOUNT_ORIENTATION. MOUNT_STATUS is not defined so far, and autopilots send the angles of servos
-    in it: where they counter roll and pitch of the aircraft (a slope of -1; in a real log, -1.00)
-    they are to the aircraft, v_ned = R(aircraft) Rz(yaw) Ry(pitch) Rx(roll) v_payload. Angles
-    beyond a turn are none: old autopilots send a place there.
+    (boresight) of the camera (common.xml of MAVLink: GIMBAL_DEVICE_FLAGS_YAW_IN_VEHICLE_FRAME and
+    MOUNT_ORIENTATION). MOUNT_STATUS may hold the angles of servos: where they counter roll and
+    pitch of the aircraft (a slope of -1) they are to it, v_ned = R(aircraft) Rz(yaw) Ry(pitch)
+    Rx(roll) v_payload. Angles beyond a turn are none: old autopilots send a place there.
     """
     known = np.stack([gimbal.get(name) for name in _Q], 1)
     if f"gimbal_{_Q[0]}" in gimbal.columns:
@@ -114,8 +112,8 @@ def with_payload_attitude(
         return channels, ()
     own = named.get("aircraft_attitude")
     able = [c for c in channels if c.name == own or "attitude" in c.roles]
-    able = sorted(able, key=lambda c: (c.name != own, c.rank))
-    aircraft = next((c for c in able if c.fits_role("attitude")), None)
+    able = [c for c in able if c.fits_role("attitude")]
+    aircraft = min(able, key=lambda c: (c.name != own, c.rank), default=None)
     payload, notes = payload_attitude(gimbals[0], aircraft, max_gap_s)
     return tuple(payload if c is gimbals[0] else c for c in channels), notes
 
@@ -125,11 +123,7 @@ def gimbal_notes(
 ) -> Notes:
     """How each camera sits on the gimbal that plays the attitude, or that none is followed.
 
-    Parameters
-    ----------
-    messages : count of every message type or topic of the log.
-    roles : the channel of each role.
-    mounts : by camera.
+    ``messages`` : count of every message type or topic of the log. ``mounts`` : by camera.
     """
     attitude = roles.get("attitude")
     if attitude is None or not is_of_gimbal(attitude.source.message):
@@ -147,17 +141,11 @@ def gimbal_notes(
             continue
         from_forward = float(np.degrees(np.arccos(np.clip(optical_axis[0], -1.0, 1.0))))
         from_nadir = float(np.degrees(np.arccos(np.clip(np.median(cosine), -1.0, 1.0))))
+        entry = warning if from_forward > _LARGEST_AXIS_ANGLE_DEG else note
         notes.append(
-            Entry(
-                Kind.WARNING if from_forward > _LARGEST_AXIS_ANGLE_DEG else Kind.NOTE,
-                "GIMBAL-FRAME",
-                f"{attitude.name} is the attitude: that of a gimbal's payload (forward, "
-                f"right, down), along whose forward axis a camera with pitch_deg: 90 looks. By its "
-                f"mount {camera} looks {from_forward:.0f} deg away from that axis, and in the "
-                f"median {from_nadir:.0f} deg from straight down",
-                where=f"mount.{camera}",
-            )
-        )
+            entry("GIMBAL-FRAME", where=f"mount.{camera}", camera=camera, attitude=attitude.name,
+                  forward=from_forward, nadir=from_nadir)
+        )  # fmt: skip
     return tuple(notes)
 
 

@@ -26,13 +26,12 @@ def assign_roles(
 ) -> tuple[dict[str, Channel], Notes]:
     """The channel of each role that can be filled, by role.
 
-    ``channels``: all channels of the log. ``named``: role -> channel named in the mission file.
-    ``needs_cabin``: whether the window asks for cabin air from the log. ``elsewhere``: roles that a
-    file other than the log fills: there they are not missed.
+    ``named``: role -> channel named in the mission file. ``needs_cabin``: whether the window asks
+    for cabin air from the log. ``elsewhere``: roles that a file other than the log fills.
 
     The notes hold each choice, and each role left empty. Named channels that are absent refuse the
     mission where the role is needed, and are a loss where it is not. ``aircraft_attitude`` is only
-    ever named. The event channels are chosen by `choose_event_channel`, one for each camera.
+    ever named; `choose_event_channel` chooses those of events, one for each camera.
     """
     everything = tuple(channels)
     by_name = {channel.name: channel for channel in everything}
@@ -49,7 +48,7 @@ def assign_roles(
         if outside is not None and inside is not None and outside.name == inside.name:
             where = f"log.channels.{role}, log.channels.cabin_{role}"
             raise MissionError.of("CHANNEL-TWICE", where, name=outside.name, role=role)
-    free = tuple(c for c in everything if c.name not in {c.name for c in filled.values()})
+    free = [c for c in everything if c.name not in {c.name for c in filled.values()}]
     for role in ("height", "position", "attitude", "airspeed"):
         notes += _fill(filled, role, everything, named)
     if "height" not in filled and "position" in filled:
@@ -60,23 +59,17 @@ def assign_roles(
         if needs_cabin and not {role, inside_role} & (filled.keys() | named.keys()):
             # Where both are needed, a sensor that may be outside or in the cabin gets neither role.
             either = [c.name for c in everything if {role, inside_role} <= set(c.roles)]
-            what = (
-                f"{', '.join(either)}: is it the {role} outside or in the cabin? none of them is "
-                f"used; name log.channels.{role} and log.channels.{inside_role}"
-            )
             if either:
-                notes.append(warning("ROLE-AMBIGUOUS", what, where=f"log.channels.{role}"))
+                where, listed = f"log.channels.{role}", ", ".join(either)
+                notes.append(warning("ROLE-AMBIGUOUS/cabin", where=where, listed=listed, role=role))
             continue
         notes += _fill(filled, role, everything, named)
         if needs_cabin:
             notes += _fill(filled, inside_role, everything, named)
     for role in ("position", "attitude"):  # what the cabin lacks is reported camera by camera
         if role not in {*filled, *named, *elsewhere}:
-            what = (
-                f"no channel of the log can be taken for the {role.replace('_', ' ')}; it has "
-                + (", ".join(by_name) or "no channel at all")
-            )
-            notes.append(loss("CHANNEL-MISSING", what, where=f"log.channels.{role}"))
+            there, where = ", ".join(by_name) or "no channel at all", f"log.channels.{role}"
+            notes.append(loss("CHANNEL-MISSING/role", where=where, role=role, there=there))
     return filled, tuple(notes)
 
 
@@ -107,14 +100,12 @@ def _fill(
     # A channel may serve a role it was not named for, except that inside is never outside.
     inside = role.startswith("cabin_")
     used = {c.name for r, c in filled.items() if r.startswith("cabin_") != inside}
-    candidates = [
-        c for c in channels if role in c.roles and c.fits_role(role) and c.name not in used
-    ]
-    notes: list[Entry] = []
-    shown = role.replace("_", " ")
+    able = (c for c in channels if role in c.roles and c.fits_role(role))
+    candidates = [c for c in able if c.name not in used]
+    notes, shown = list[Entry](), role.replace("_", " ")
     while candidates:
-        best = min(candidate.rank for candidate in candidates)
-        equals = [candidate for candidate in candidates if candidate.rank == best]
+        best = min(c.rank for c in candidates)
+        equals = [c for c in candidates if c.rank == best]
         if len(equals) == 1 or role in _SPARES:
             filled[role] = equals[0]
             notes.append(note("ROLE", f"{shown}: {equals[0].name}", where=role))
@@ -122,20 +113,15 @@ def _fill(
         names = ", ".join(c.name for c in equals)
         what = f"{names} could each be the {shown}; none of them is used"
         notes.append(warning("ROLE-AMBIGUOUS", what, where=f"log.channels.{role}"))
-        candidates = [candidate for candidate in candidates if candidate.rank > best]
+        candidates = [c for c in candidates if c.rank > best]
     return tuple(notes)
 
 
 def _fill_barometers(
-    filled: dict[str, Channel],
-    free: tuple[Channel, ...],
-    named: Mapping[str, str],
-    needs_cabin: bool,
+    filled: dict[str, Channel], free: list[Channel], named: Mapping[str, str], needs_cabin: bool
 ) -> Notes:
     """Distinguish barometers outside and in the cabin by how their pressure follows height."""
-    barometers = sorted(
-        (c for c in free if "pressure" in c.roles), key=lambda channel: (channel.rank, channel.name)
-    )
+    barometers = sorted((c for c in free if "pressure" in c.roles), key=lambda c: (c.rank, c.name))
     height = filled.get("height")
     settled = filled.keys() | named.keys()
     seek_cabin = needs_cabin and "cabin_pressure" not in settled

@@ -71,11 +71,11 @@ def matrices_of(quaternion: Array) -> Array:
 
 def quaternions_of(matrix: Array) -> Array:
     """(n, 4) quaternions w, x, y, z, w >= 0, of (n, 3, 3) rotation matrices."""
-    return _where_known(
-        lambda m: _rotation().from_matrix(m).as_quat(canonical=True, scalar_first=True),
-        matrix,
-        (4,),
-    )
+
+    def turned(m: Array) -> Array:
+        return _rotation().from_matrix(m).as_quat(canonical=True, scalar_first=True)
+
+    return _where_known(turned, matrix, (4,))
 
 
 def quaternion_of_opk(angles: Array, order: str = "omega_phi_kappa") -> Array:
@@ -115,9 +115,8 @@ def quaternion_of_rpy(angles: Array, camera_from_body: Array = CAMERA_AT_REST) -
     >>> quaternion_of_rpy(np.zeros((1, 3))).round(6).tolist()
     [[0.0, 1.0, 0.0, 0.0]]
     """
-    return quaternions_of(
-        camera_from_body @ ned_from_body(angles).transpose(0, 2, 1) @ NED_FROM_ENU
-    )
+    body_from_ned = ned_from_body(angles).transpose(0, 2, 1)
+    return quaternions_of(camera_from_body @ body_from_ned @ NED_FROM_ENU)
 
 
 def ned_from_body(angles: Array) -> Array:
@@ -185,9 +184,7 @@ def rotation_vectors(quaternion: Array) -> Array:
 
 
 def _euler_matrices(axes: _Axes, angles: Array) -> Array:
-    return _where_known(
-        lambda known: _rotation().from_euler(axes, known).as_matrix(), angles, (3, 3)
-    )
+    return _where_known(lambda a: _rotation().from_euler(axes, a).as_matrix(), angles, (3, 3))
 
 
 def _euler_angles(axes: _Axes, matrix: Array) -> Array:

@@ -60,50 +60,42 @@ def build_stations(
         return _with_first(stations, [*missing, (np.ones(n, np.bool_), NO_ATTITUDE)])
     turning = trajectory.attitude_at(roles["attitude"], time_ns, max_gap_s)
     attitude = turning.quaternion
-    missing += [
-        *_not_covered(turning.coverage),
-        (np.asarray(np.isnan(attitude).any(axis=1)), NO_ATTITUDE),
-        (np.isnan(h_msl) & np.isnan(h_ellipsoid), IN_GAP),
-        (np.isnan(h_msl), HEIGHT_REFERENCE_UNKNOWN),
-    ]
+    missing += _not_covered(turning.coverage)
+    missing.append((np.asarray(np.isnan(attitude).any(axis=1)), NO_ATTITUDE))
+    missing.append((np.isnan(h_msl) & np.isnan(h_ellipsoid), IN_GAP))
+    missing.append((np.isnan(h_msl), HEIGHT_REFERENCE_UNKNOWN))
     stations = _with_first(stations, missing)
     bend, speed_down, sigma_bend = np.zeros((3, n))
     if height.height_column is not None:
-        bend, speed_down, sigma_bend = trajectory.bend_of_heights(
-            height, height.height_column, time_ns, max_gap_s
-        )
+        bends = trajectory.bend_of_heights(height, height.height_column, time_ns, max_gap_s)
+        bend, speed_down, sigma_bend = bends
     # Time, and with it the sampled rates, acts along one direction: half of it on each axis.
     late = events.sigma_time_s
     of_time = np.square(late) * np.square(track.velocity_m_s).mean(axis=1)
     horizontal, _ = accuracy.positions(position, time_ns)
     _, vertical = accuracy.positions(height, time_ns)
     gimbal = is_of_gimbal(roles["attitude"].source.message)
-    tilt, yaw = (LogAccuracy() if gimbal else accuracy).attitude(
-        roles["attitude"], time_ns, track.lat_rad
-    )
+    of_attitude = LogAccuracy() if gimbal else accuracy
+    tilt, yaw = of_attitude.attitude(roles["attitude"], time_ns, track.lat_rad)
     tilt = tilt if mount.sigma_tilt_rad is None else np.full(n, mount.sigma_tilt_rad)
     yaw = yaw if mount.sigma_yaw_rad is None else np.full(n, mount.sigma_yaw_rad)
-    of_turn = np.square(turning.sigma_rad) + np.square(
-        turning.rate_rad_s * np.reshape(late, (-1, 1))
-    )
+    turned = turning.rate_rad_s * np.reshape(late, (-1, 1))
+    of_turn = np.square(turning.sigma_rad) + np.square(turned)
+    of_track = np.square(track.sigma_m).mean(axis=1)
+    of_climb = np.square(late * speed_down)
+    known = np.isfinite(attitude).all(axis=1) & np.isfinite(track.lat_rad)
     stations = replace(
         stations,
         lat_rad=track.lat_rad,
         lon_rad=track.lon_rad,
         h_msl_m=h_msl + bend,
         h_ellipsoid_m=h_ellipsoid + bend,
-        sigma_horizontal_m=np.sqrt(
-            np.square(horizontal) + np.square(track.sigma_m).mean(axis=1) + of_time
-        ),
-        sigma_height_m=np.sqrt(
-            np.square(vertical) + np.square(sigma_bend) + np.square(late * speed_down)
-        ),
+        quaternion=_from_enu(np.where(known[:, None], attitude, np.nan), mount.camera_from_body),
+        sigma_horizontal_m=np.sqrt(np.square(horizontal) + of_track + of_time),
+        sigma_height_m=np.sqrt(np.square(vertical) + np.square(sigma_bend) + of_climb),
         sigma_tilt_rad=np.sqrt(np.square(tilt) + of_turn[:, :2].mean(axis=1)),
         sigma_yaw_rad=np.sqrt(np.square(yaw) + of_turn[:, 2]),
     )
-    known = np.isfinite(attitude).all(axis=1) & np.isfinite(stations.lat_rad)
-    of_camera = _from_enu(np.where(known[:, None], attitude, np.nan), mount.camera_from_body)
-    stations = replace(stations, quaternion=of_camera)
     if any(mount.lever_arm_m) and known.any():
         step = np.full((n, 3), np.nan)
         ned_from_body = Rotation.from_quat(attitude[known], scalar_first=True)
@@ -144,12 +136,10 @@ def with_air(stations: Stations, roles: Mapping[str, Channel], max_gap_s: float)
     """Stations with the air that was measured outside and inside at the exposure."""
 
     def reading(role: str, column: str) -> Array:
-        channel = roles.get(role)
+        channel, time_ns = roles.get(role), stations.time_ns
         if channel is None:
-            return np.full(len(stations), np.nan)
-        return trajectory.interpolate(
-            channel, column, stations.time_ns, channel.gap_limit_s(max_gap_s)
-        )
+            return np.full(time_ns.size, np.nan)
+        return trajectory.interpolate(channel, column, time_ns, channel.gap_limit_s(max_gap_s))
 
     columns: dict[str, Any] = {}
     for prefix in ("", "cabin_"):
@@ -163,15 +153,10 @@ def with_air(stations: Stations, roles: Mapping[str, Channel], max_gap_s: float)
 
 
 def flag_missing_aircraft_attitude(stations: Stations, camera: str) -> tuple[Stations, Notes]:
-    """Mark exposures behind a window that is fixed to the aircraft as suspect without its attitude.
-
-    For a camera whose window has its normal in the body frame.
-    """
+    """Mark exposures as suspect without the attitude of the aircraft that a window is fixed to."""
     missing = np.asarray(np.isnan(stations.aircraft_quaternion).any(axis=1))
-    what = (
-        "no attitude of the aircraft (log.channels.aircraft_attitude): the direction of its "
-        "window, seen from the camera, is not known"
-    )
+    what = "no attitude of the aircraft (log.channels.aircraft_attitude): the direction of its "
+    what += "window, seen from the camera, is not known"
     return mark_suspect(stations, camera, missing, "AIRCRAFT-ATTITUDE-MISSING", what)
 
 

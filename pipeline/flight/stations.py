@@ -33,15 +33,12 @@ class Stations:
     """Exposures; (s,) arrays, SI and radians, NaN where unknown.
 
     ``quaternion`` (s, 4) is w, x, y, z with v_camera = R(q) v_enu, east-north-up at the station,
-    up along the ellipsoid normal, w >= 0; ``aircraft_quaternion`` likewise with v_body, the body
-    forward, right, down. Positions are those of the projection centre.
-    ``pressure_pa``, ``temperature_k`` and ``vapour_pressure_pa`` were measured outside at the
-    exposure, the ``cabin_`` columns inside, or are stated or assumed there. ``sigma_tilt_rad`` is
-    that of the attitude about each of the body's level axes, ``sigma_yaw_rad`` about its vertical
-    one. ``suspect_reason`` is empty but for stations that contradict other evidence, which may be
-    ``suspect_m`` off [m].
-    ``status`` is ok or names what is missing; ``accepted`` (s,) are suspect ones that are used all
-    the same, as the mission file wants.
+    up along the ellipsoid normal, w >= 0; ``aircraft_quaternion`` likewise with v_body (forward,
+    right, down). Positions are those of the projection centre. Air was measured at the exposure;
+    that of the cabin may be stated or assumed. ``sigma_tilt_rad`` is about each of the body's level
+    axes, ``sigma_yaw_rad`` about its vertical one. ``suspect_reason`` is empty but for stations
+    that contradict other evidence, which may be ``suspect_m`` off. ``status`` is ok or names what
+    is missing; ``accepted`` are suspect ones that the mission file wants used all the same.
     """
 
     image: Names
@@ -119,10 +116,8 @@ class Stations:
         # Only the difference counts here, so any height will do where the ellipsoidal is unknown.
         start = self.h_ellipsoid_m[at]
         start = np.where(np.isfinite(start), start, np.nan_to_num(self.h_msl_m[at]))
-        lat, lon, h_msl, h_ellipsoid = (
-            values.copy()
-            for values in (self.lat_rad, self.lon_rad, self.h_msl_m, self.h_ellipsoid_m)
-        )
+        place = (self.lat_rad, self.lon_rad, self.h_msl_m, self.h_ellipsoid_m)
+        lat, lon, h_msl, h_ellipsoid = (values.copy() for values in place)
         lat[at], lon[at], end = offset_geodetic(lat[at], lon[at], start, enu_m[at])
         h_msl[at] += end - start
         h_ellipsoid[at] += end - start
@@ -142,18 +137,13 @@ class Stations:
 def empty_stations(image: Names, camera: Names, status: str) -> Stations:
     """Stations of which only the name is known."""
     n = image.shape[0]
-    blank: dict[str, Any] = {
-        field.name: np.full((n, 4) if field.name in _QUATERNIONS else n, np.nan)
-        for field in fields(Stations)
-    }
+    blank: dict[str, Any] = {field.name: np.full(n, np.nan) for field in fields(Stations)}
+    blank |= {name: np.full((n, 4), np.nan) for name in _QUATERNIONS}
     blank |= {
-        "image": image,
-        "camera": camera,
-        "time_ns": np.full(n, NO_TIME, np.int64),
+        "image": image, "camera": camera, "status": np.full(n, status, dtype=object),
+        "time_ns": np.full(n, NO_TIME, np.int64), "accepted": np.zeros(n, dtype=np.bool_),
         "suspect_reason": np.full(n, "", dtype=object),
-        "accepted": np.zeros(n, dtype=np.bool_),
-        "status": np.full(n, status, dtype=object),
-    }
+    }  # fmt: skip
     return Stations(**blank)
 
 
@@ -178,8 +168,8 @@ def station_columns(stations: Stations) -> dict[str, Any]:
         else:
             columns[name] = values
     del columns["accepted"]
-    reasons = [reason or None for reason in stations.suspect_reason]
     columns = {{"time_ns": "time_utc"}.get(name, name): v for name, v in columns.items()}
+    reasons = [reason or None for reason in stations.suspect_reason]
     return columns | {"time_utc": time, "suspect_reason": reasons}
 
 
@@ -221,23 +211,17 @@ _SCALE_M_PER_K = 29.27  # the gas constant of dry air over gravity: scale height
 def flag_height_misfits(
     stations: Stations, profile: Profile | ProfileSeries, *, use_suspect: bool = False
 ) -> tuple[Stations, Notes]:
-    """Mark stations as suspect whose GNSS height contradicts their barometer.
+    """Mark stations whose pressure is more than 8 hPa from that of the flight's profile.
 
-    The profile was made from the whole flight; a station where the pressure measured and that of
-    the profile are more than 8 hPa apart has a wrong height, or its barometer failed. They stay
-    usable with ``use_suspect``.
+    Their height is wrong, or their barometer failed. They stay usable with ``use_suspect``.
     """
     misfit = stations.pressure_pa - profile.pressure(stations.h_msl_m)
     with np.errstate(invalid="ignore"):
         wrong = stations.ok & (np.abs(misfit) > LARGEST_PRESSURE_MISFIT_PA)
     if not bool(wrong.any()):
         return stations, ()
-    worst = float(np.nanmax(np.abs(misfit[wrong]))) / HECTOPASCAL
-    what = (
-        f"{int(wrong.sum())} stations are suspect: barometer and GNSS height are up to "
-        f"{worst:.0f} hPa apart there, the first {stations.image[np.argmax(wrong)]}"
-    )
-    entry = loss("STATIONS-HEIGHT", what, count=int(wrong.sum()))
+    worst, first = float(np.nanmax(np.abs(misfit[wrong]))), stations.image[np.argmax(wrong)]
+    entry = loss("STATIONS-HEIGHT", count=int(wrong.sum()), worst=worst / HECTOPASCAL, first=first)
     off_m = np.abs(misfit) * _SCALE_M_PER_K * profile.temperature(stations.h_msl_m)
     off_m = off_m / stations.pressure_pa
     reason = "barometer and GNSS height contradict each other"
@@ -260,10 +244,7 @@ def sigma_notes(
     max_height_m: float | None,
     max_tilt_rad: float | None,
 ) -> Notes:
-    """How well the stations are known, and a loss for each limit that some of them exceed.
-
-    A station whose sigma is unknown exceeds a limit.
-    """
+    """How well stations are known; a loss for each limit that some, or unknown ones, exceed."""
     notes, medians = [], []
     for what, sigma, limit, factor, unit in (
         ("position (per axis)", stations.sigma_horizontal_m, max_horizontal_m, 1.0, "m"),
@@ -272,19 +253,16 @@ def sigma_notes(
     ):
         sigma = sigma[stations.ok] * factor
         is_known = bool(np.isfinite(sigma).any())
-        medians.append(
-            f"{what} {np.nanmedian(sigma):.2f} {unit}" if is_known else f"{what} unknown"
-        )
+        medians.append(what + (f" {np.nanmedian(sigma):.2f} {unit}" if is_known else " unknown"))
         large = np.zeros(sigma.size, bool) if limit is None else ~(sigma <= limit * factor)
         if limit is not None and bool(large.any()):
             worst = int(np.argmax(np.nan_to_num(sigma, nan=np.inf)))
             size = f"{sigma[worst]:.2f} {unit}" if np.isfinite(sigma[worst]) else "an unknown sigma"
-            text = (
-                f"{int(large.sum())} of {sigma.size} stations are known worse than the mission "
-                f"needs: {what} {limit * factor:g} {unit}, the worst is "
-                f"{stations.image[stations.ok][worst]} with {size}"
-            )
-            notes.append(loss("STATIONS-SIGMA", text, where="stations", count=int(large.sum())))
+            notes.append(
+                loss("STATIONS-SIGMA/worse", where="stations", count=int(large.sum()), size=size,
+                     total=sigma.size, quantity=what, limit=limit * factor, unit=unit,
+                     worst=stations.image[stations.ok][worst])
+            )  # fmt: skip
     if bool(stations.ok.any()):
         what = f"sigmas of the stations, in the median: {', '.join(medians)}"
         notes.append(note("STATIONS-SIGMA", what, where="stations", count=int(stations.ok.sum())))

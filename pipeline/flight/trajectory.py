@@ -22,16 +22,12 @@ INSIDE, OUTSIDE_CHANNEL, GAP_IN_CHANNEL = 0, 1, 2
 
 @dataclass(frozen=True, eq=False)
 class Bracket:
-    """Neighbouring samples of instants: (m,) rows before and after, and the fraction between.
-
-    ``coverage`` is INSIDE, OUTSIDE_CHANNEL or GAP_IN_CHANNEL; where it is not INSIDE the rest
-    means nothing.
-    """
+    """Neighbouring samples of instants: (m,) rows before and after, and the fraction between."""
 
     before: Rows
     after: Rows
     fraction: Array
-    coverage: NDArray[np.uint8]
+    coverage: NDArray[np.uint8]  # INSIDE, or else the rest means nothing
 
 
 def bracket(channel: Channel, time_ns: TimeArray, max_gap_s: float) -> Bracket:
@@ -97,29 +93,25 @@ class Attitudes:
 
 
 def with_slopes(channel: Channel, donors: Iterable[Channel], names: tuple[str, ...]) -> Channel:
-    """The channel with columns (`VELOCITY`, `RATES`) that another one of the same sender has.
+    """The channel with columns (`VELOCITY`, `RATES`) of the first donor of the same sender.
 
-    ``donors`` the best first. Without one, or where it has them itself, it is returned as it is.
+    Without one, or where it has them itself, it is returned as it is.
     """
-    if all(name in channel.columns for name in names):
+    able = (d for d in donors if d.source.system == channel.source.system)
+    donor = next((d for d in able if all(name in d.columns for name in names)), None)
+    if donor is None or all(name in channel.columns for name in names):
         return channel
-    for donor in donors:
-        if all(name in donor.columns for name in names) and (
-            donor.source.system == channel.source.system
-        ):
-            limit = donor.gap_limit_s(0.5)
-            slopes = {n: interpolate(donor, n, channel.time_ns, limit) for n in names}
-            return replace(channel, columns=dict(channel.columns) | slopes)
-    return channel
+    limit = donor.gap_limit_s(0.5)
+    slopes = {n: interpolate(donor, n, channel.time_ns, limit) for n in names}
+    return replace(channel, columns=dict(channel.columns) | slopes)
 
 
 def track_at(channel: Channel, time_ns: TimeArray, max_gap_s: float) -> Track:
     """Places at instants, by a cubic through the neighbouring samples with their velocities.
 
-    Velocities as logged (`VELOCITY`), else those of parabolas through three samples. The normal
-    vector of the ellipsoid is interpolated, so the 180th meridian and the poles are no special
-    places. Every tenth of the 10 Hz samples of a simulator flight at 35 m/s with turns, against
-    all of them: 0.04 m rms, without velocities 0.06 m, along straight lines 0.29 m.
+    Velocities as logged (`VELOCITY`), else those of parabolas through three samples; the normal
+    vector of the ellipsoid is interpolated. 1 Hz against 10 Hz samples of a simulator flight at
+    35 m/s with turns: 0.04 m rms, without velocities 0.06 m, along straight lines 0.29 m.
     """
     place = bracket(channel, time_ns, max_gap_s)
     lat, lon = channel["lat_rad"], channel["lon_rad"]
@@ -154,10 +146,7 @@ def track_at(channel: Channel, time_ns: TimeArray, max_gap_s: float) -> Track:
 def bend_of_heights(
     channel: Channel, column: str, time_ns: TimeArray, max_gap_s: float
 ) -> tuple[Array, Array, Array]:
-    """What to add to heights that are linear in time [m], the speed down [m/s], and a sigma [m].
-
-    See `track_at`; the sigma is that of the interpolation alone.
-    """
+    """As `track_at`: what to add to linear heights [m], the speed down [m/s], and a sigma [m]."""
     values, place = channel[column], bracket(channel, time_ns, max_gap_s)
 
     def metres_down(first: Rows, second: Rows) -> Array:
@@ -186,42 +175,38 @@ def attitude_at(channel: Channel, time_ns: TimeArray, max_gap_s: float) -> Attit
     quaternion, rate, sigma = (np.full((time_ns.size, k), np.nan) for k in (4, 3, 3))
     if not bool(good.any()):
         return Attitudes(quaternion, rate, sigma, place.coverage)
-    place_of_good = Bracket(
-        place.before[good], place.after[good], place.fraction[good], place.coverage[good]
-    )
+    coverage = place.coverage
+    place = Bracket(place.before[good], place.after[good], place.fraction[good], coverage[good])
 
     def turn(first: Rows, second: Rows) -> Array:
-        return rotation_vectors(
-            quaternion_products(unit[first] * [-1.0, -1.0, -1.0, 1.0], unit[second])
-        )
+        back = unit[first] * [-1.0, -1.0, -1.0, 1.0]
+        return rotation_vectors(quaternion_products(back, unit[second]))
 
     curve = _Curve(channel, RATES, turn, _LIMITS_RAD, RATE_LAG_S)
-    step, bend = curve.between(place_of_good)
-    rate[good], sigma[good] = curve.rate(place_of_good), curve.sigma(place_of_good)
-    between = step * place_of_good.fraction[:, None] + bend
+    step, bend = curve.between(place)
+    rate[good], sigma[good] = curve.rate(place), curve.sigma(place)
+    between = step * place.fraction[:, None] + bend
     angle = lengths(between)[:, None]
     small = np.concatenate([np.sinc(angle / (2.0 * np.pi)) / 2.0 * between, np.cos(angle / 2.0)], 1)
-    found = quaternion_products(unit[place_of_good.before], small)
+    found = quaternion_products(unit[place.before], small)
     quaternion[good] = np.where(found[:, 3:] < 0.0, -found, found)[:, [3, 0, 1, 2]]
-    return Attitudes(quaternion, rate, sigma, place.coverage)
+    return Attitudes(quaternion, rate, sigma, coverage)
 
 
 @dataclass(frozen=True, eq=False)
 class _Curve:
     """Cubics through neighbouring samples of a channel.
 
-    ``slopes`` columns with the slope at each sample [per s]; without them it is that of the
-    parabola through the sample and both its neighbours. ``difference`` (m, k) of the samples of two
-    arrays of rows. Slopes that differ from the straight line by more than the first of ``limits``
-    over an interval, and by more than the second [per s^2] can do in it, contradict the samples.
-    Slopes settle late, by ``lag_s``: over shorter intervals the samples alone are better.
+    Slopes at samples are those of columns, or of the parabola through the sample and both its
+    neighbours. They contradict the samples where they differ from the straight line by more than
+    the first of ``limits`` over an interval, and by more than the second [per s^2] can do in it.
     """
 
     channel: Channel
-    slopes: tuple[str, ...]
-    difference: Callable[[Rows, Rows], Array]
+    slopes: tuple[str, ...]  # columns [per s]
+    difference: Callable[[Rows, Rows], Array]  # (m, k) of the samples of two arrays of rows
     limits: tuple[float, float]
-    lag_s: float = 0.0
+    lag_s: float = 0.0  # of the slopes: over shorter intervals the samples alone are better
 
     def _seconds(self, first: Rows, second: Rows) -> Array:
         """(m, 1) [s] between rows; NaN where the vehicle restarted."""
@@ -295,15 +280,12 @@ class _Curve:
 
 @dataclass(frozen=True, eq=False)
 class Takeoff:
-    """Where the log begins: latitude, longitude [rad], above sea level [m].
-
-    ``stands`` where it stands still there, at this height.
-    """
+    """Where the log begins."""
 
     lat_rad: float
     lon_rad: float
     h_msl_m: float
-    stands: bool = True
+    stands: bool = True  # still there, at this height
 
 
 def takeoff_of(

@@ -14,8 +14,8 @@ import pandas as pd
 import pytest
 import yaml
 
-from pipeline.block.name_series import name_series
 from pipeline.flight.channels import Channel, Source
+from pipeline.flight.image_names import name_series
 from pipeline.stages.commands import mission_proposal
 from pipeline.stages.commands.mission_proposal import FoundLog, propose_mission, proposed_cameras
 from tests.ingest.ulog.test_log import flight

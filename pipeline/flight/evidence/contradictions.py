@@ -6,11 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.flight.channels import Channel
-from pipeline.flight.evidence.filter_health import (
-    attitude_evidence,
-    filter_evidence,
-    message_evidence,
-)
+from pipeline.flight.evidence import filter_health as health
 from pipeline.flight.evidence.quality import subset
 from pipeline.flight.evidence.sources import (
     BESIDE_S,
@@ -59,17 +55,18 @@ def examine(
 ) -> tuple[dict[str, Channel], tuple[Stretch, ...], Notes]:
     """What all evidence of a log says against the position, height and attitude of its roles.
 
-    Returns the roles, with the samples of a better source where there is one; the suspect
-    stretches, which name it; and notes on other sensors that are wrong.
+    Returns the roles with the samples of better sources; the suspect stretches, which name them;
+    and notes on other sensors that are wrong.
     """
-    receivers = [c for c in channels if is_receiver(c)]
-    evidence = [*filter_evidence(channels), *message_evidence(channels)] if receivers else []
+    evidence = list[Stretch]()
+    if any(map(is_receiver, channels)):
+        evidence = health.filter_evidence(channels) + health.message_evidence(channels)
     attitude, result, notes = roles.get(ATTITUDE), dict(roles), list[Entry]()
     found, turned = list[Stretch](), list[Stretch]()
     of_vehicle = attitude is not None and not is_of_gimbal(attitude.source.message)
     if attitude is not None and of_vehicle:
         turned = [s for s in evidence if s.quantity == ATTITUDE]
-        turned += attitude_evidence(attitude, channels)
+        turned += health.attitude_evidence(attitude, channels)
     for quantity in (POSITION, HEIGHT):
         mine = roles.get(quantity)
         if mine is None or len(with_places(mine, quantity)) <= _FEWEST:
@@ -111,49 +108,33 @@ def examine(
 def sources_of(
     quantity: str, mine: Channel, channels: Sequence[Channel], roles: Mapping[str, Channel]
 ) -> Sources:
-    """Compare the source of a quantity with all others, receivers first; heights with barometers.
-
-    The height of a barometer is that of the flight's own relation of pressure and height.
-    """
+    """Compare the source of a quantity with all others, receivers first, and barometers."""
     moving = sorted(channels, key=is_receiver)  # a filter's velocity is smoother than a receiver's
-    others = [
-        c
-        for c in sorted(channels, key=lambda c: (not is_receiver(c), c.rank))
-        if c.name != mine.name and POSITION in c.roles
-        and len(with_places(c, quantity)) > _FEWEST
-    ]  # fmt: skip
+    others = [c for c in channels if c.name != mine.name and POSITION in c.roles]
+    others = [c for c in others if len(with_places(c, quantity)) > _FEWEST]
+    others.sort(key=lambda c: (not is_receiver(c), c.rank))
     pressure, barometers = roles.get("pressure"), list[Channel]()
     if pressure is not None and quantity == HEIGHT:
-        barometers = [pressure] + [
-            c
-            for c in channels
-            if "pressure" in c.roles and c.name != pressure.name and follows_height(c, mine)
-        ]
+        more = (c for c in channels if "pressure" in c.roles and c.name != pressure.name)
+        barometers = [pressure, *(c for c in more if follows_height(c, mine))]
         heights = (height_of_pressure(c, mine) for c in barometers)
         others += [h for h in heights if h is not None]
     own, steady_until_ns = source_path(mine, quantity, [mine, *moving]), None
     if own.lasting_ns.size:  # what is better after a step than before it was wrong before
-        sigma = mine.columns.get(
-            "sigma_v_m" if quantity == HEIGHT else "sigma_h_m", np.ones(len(mine))
-        )
-        later = mine.time_ns > own.lasting_ns[0]
+        name = "sigma_v_m" if quantity == HEIGHT else "sigma_h_m"
+        sigma, later = mine.columns.get(name, np.ones(len(mine))), mine.time_ns > own.lasting_ns[0]
         if not np.median(sigma[later]) < 0.5 * np.median(sigma[~later]):
             steady_until_ns = int(own.lasting_ns[0])
     differences = []
     for other in others:
         path = source_path(other, quantity, [other, *moving])
-        velocity = velocity_at([mine, *moving], quantity, path.channel.time_ns)
-        differences.append(
-            difference(mine, path, quantity, velocity, steady_until_ns=steady_until_ns)
-        )
+        speed = velocity_at([mine, *moving], quantity, path.channel.time_ns)
+        differences.append(difference(mine, path, quantity, speed, steady_until_ns=steady_until_ns))
     return Sources(quantity, own, tuple(differences), tuple(c.name for c in barometers))
 
 
 def contradictions_of(sources: Sources, while_on: Channel) -> tuple[list[Stretch], list[Stretch]]:
-    """Where a source contradicts itself or the others, and where only the barometer is wrong.
-
-    ``while_on`` is a channel that goes on where a receiver has no fix.
-    """
+    """Where a source contradicts itself or the others, and where only the barometer is wrong."""
     own, name, quantity = sources.own, sources.own.channel.name, sources.quantity
     found, drifts = own_contradictions(own, quantity), list[Stretch]()
     receivers = [d.other for d in sources.differences if is_receiver(d.other.channel)]
@@ -221,8 +202,7 @@ def receiver_is_right(sources: Sources, d: Difference, a: int, b: int) -> bool:
     """Whether a receiver's height is confirmed where a barometer, or a filter by it, departs.
 
     By its own vertical velocity from 10 s before to the greatest difference and about the end, or
-    by a source that does not depend on that barometer and agrees all the time. ``a`` and ``b`` are
-    rows of the other source of ``d``.
+    by a source that does not depend on that barometer and agrees all the time (rows a to b).
     """
     mine, time_ns, beside_ns = sources.own.channel, d.other.channel.time_ns, int(BESIDE_S * SECOND)
     begin_ns, end_ns = time_ns[a] - beside_ns, time_ns[b] + beside_ns
@@ -257,9 +237,8 @@ def contradictions_of_import(
 ) -> tuple[Stretch, ...]:
     """Stretches in which an imported channel steps, or leaves what the log has in the same roles.
 
-    ``own`` are the roles as the log fills them, ``own_suspect`` the stretches in which these are
-    suspect: there they say nothing against others. Steps are looked for at 1 Hz and faster. What
-    the channel's own standard deviations (three of them) explain is no contradiction.
+    ``own`` are the roles as the log fills them, but for ``own_suspect`` stretches. Steps are looked
+    for at 1 Hz and faster. What three of the channel's own sigmas explain is no contradiction.
     """
     found = []
     for quantity in (q for q in (POSITION, HEIGHT) if q in quantities):

@@ -90,8 +90,7 @@ def message_evidence(channels: Sequence[Channel]) -> list[Stretch]:
     for channel in channels:
         texts = channel.labels.get("text", ())
         for row, text in enumerate(texts):
-            lines = [line for line in text.splitlines() if _TROUBLE.search(line)]
-            for line in lines:
+            for line in filter(_TROUBLE.search, text.splitlines()):
                 begin = int(channel.time_ns[row]) - SECOND // 2
                 end = begin + 5 * SECOND
                 if not _MOMENTARY.search(line):

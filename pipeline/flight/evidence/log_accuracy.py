@@ -46,10 +46,9 @@ class LogAccuracy:
     def positions(self, channel: Channel, time_ns: TimeArray) -> tuple[Array, Array]:
         """(m,) sigmas of positions of a channel, per horizontal axis and of heights [m].
 
-        What the channel itself reports; in height with the scatter about that of the filter, whose
-        own drift is slow. The output of a filter that reports nothing has the sigmas of the
-        receiver that it follows, and its innovations beside them; where fixes are more than 1 s
-        apart, it drifts away from the last.
+        What the channel itself reports; in height with the scatter about that of the filter, which
+        drifts slowly. A filter that reports nothing has the sigmas of its receiver and its own
+        innovations; where fixes are more than 1 s apart, it drifts away from the last.
         """
         own = any(name in channel.columns for name in ("sigma_h_m", "sigma_v_m", "hdop"))
         source = channel if own else self.receiver
@@ -89,10 +88,10 @@ class LogAccuracy:
         velocity, as the sigma of unit weight does, and a compass shows it times the tangent of the
         field's dip (that of a dipole along the earth's axis, 2 tan(latitude)) as yaw.
         """
-        if "sigma_tilt_rad" in channel.columns and "sigma_yaw_rad" in channel.columns:
-            limit = channel.gap_limit_s()
-            tilt = interpolate(channel, "sigma_tilt_rad", time_ns, limit)
-            return tilt, interpolate(channel, "sigma_yaw_rad", time_ns, limit)
+        names, limit = ("sigma_tilt_rad", "sigma_yaw_rad"), channel.gap_limit_s()
+        if all(name in channel.columns for name in names):
+            tilt, yaw = (interpolate(channel, name, time_ns, limit) for name in names)
+            return tilt, yaw
         gates = np.full(time_ns.shape, 0.2)  # one sigma, where no innovations are logged
         if self.health is not None:
             gates = self.innovation("velocity", time_ns)
@@ -130,19 +129,15 @@ def with_accuracy(
 ) -> tuple[dict[str, Channel], LogAccuracy]:
     """The channels of the roles with velocities and body rates, and how accurate they are.
 
-    Position, height and attitude get the columns of other channels of the same sender. Those of a
-    gimbal do not: the body rates are the aircraft's.
+    They get the columns of other channels of the same sender; a gimbal does not, whose body rates
+    are the aircraft's.
     """
     result, everything = dict(roles), tuple(channels)
     by_rank = sorted(everything, key=lambda channel: (channel.rank, channel.name))
-    for role, names in (
-        ("position", VELOCITY),
-        ("height", VELOCITY),
-        ("attitude", RATES),
-        ("aircraft_attitude", RATES),
-    ):
-        if role in roles and not is_of_gimbal(roles[role].source.message):
-            result[role] = with_slopes(roles[role], by_rank, names)
+    for role in {"position", "height", "attitude", "aircraft_attitude"} & roles.keys():
+        if not is_of_gimbal(roles[role].source.message):
+            slopes = RATES if "attitude" in role else VELOCITY
+            result[role] = with_slopes(roles[role], by_rank, slopes)
     system = roles["position"].source.system if "position" in roles else None
     own = [channel for channel in by_rank if channel.source.system == system and len(channel)]
     receivers = [c for c in own if "height" in c.roles and {"sigma_h_m", "hdop"} & c.columns.keys()]

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from itertools import compress
 from typing import NamedTuple
 
 import numpy as np
@@ -48,23 +49,19 @@ _ROLES_WITH_JUMPS = ("position", "attitude", "pressure", "temperature", "humidit
 
 
 class _Distance(NamedTuple):
-    """How far samples of two sets of rows are apart, how fast that can change, and what is noise.
-
-    ``rate`` is in units of the distance per second, ``noise`` a step that is no jump whatever the
-    interval.
-    """
+    """How far samples of two sets of rows are apart, and what is no jump."""
 
     between: Callable[[Channel, Rows, Rows], Array]
-    rate: float
-    noise: float
+    rate: float  # per second
+    noise: float  # whatever the interval
 
 
 def plausible_samples(channel: Channel, role: str) -> tuple[Channel, Notes]:
     """The channel without the samples that are missing or impossible in the columns of its role.
 
     Impossible is a value out of range, or one that is reached and left faster than air or aircraft
-    can change: each is counted in the notes, those apart that `mask_impossible_values` has counted.
-    Refuses a channel whose median shows a wrong unit (hPa where Pa is due).
+    can change; the notes count those that `mask_impossible_values` has not. Refuses a channel whose
+    median shows a wrong unit (hPa where Pa is due).
     """
     notes: list[Entry] = []
     if role in ("position", "height"):
@@ -77,19 +74,15 @@ def plausible_samples(channel: Channel, role: str) -> tuple[Channel, Notes]:
         median = float(np.median(values[finite])) if finite.any() else np.nan
         for low, high, unit in _WRONG_UNITS.get(column, ()):
             if low <= median <= high:
-                raise MissionError(
-                    "CHANNEL-UNIT",
-                    f"the median of {column} is {median:.4g}: that looks like {unit}",
-                    where=f"channel {channel.name}, role {role}",
-                    remedy=f"say so in the mission file: log.channels.{role}: "
-                    f"{{name: {channel.name}, unit: {unit}}}",
-                )
+                raise MissionError.of(
+                    "CHANNEL-UNIT", f"channel {channel.name}, role {role}", median=median,
+                    unit=unit, role=role, column=column, name=channel.name,
+                )  # fmt: skip
         missing = int(np.count_nonzero(~finite)) - channel.masked.get(column, 0)
         if missing > 0:
             notes.append(_range_loss(channel, column, missing, "not a number"))
         outside = _outside(values, column)
-        if outside.any():
-            count = int(np.count_nonzero(outside))
+        if count := int(np.count_nonzero(outside)):
             notes.append(_range_loss(channel, column, count, _limits(column)))
         keep &= finite & ~outside
     jumps, reported = _jumps(channel, keep, role)
@@ -117,11 +110,10 @@ def mask_impossible_values(channel: Channel) -> tuple[Channel, Notes]:
         median = float(np.nanmedian(channel[column]))
         if not low <= median <= high:
             odd.add(column)
-            what = (
-                f"the median of {column} is {median:.4g}, {_limits(column)}: it has another unit, "
-                "or does not measure air or aircraft; its samples are not checked"
-            )
-            notes.append(warning("SENSOR-ODD", what, where=channel.name, count=len(channel)))
+            notes.append(
+                warning("SENSOR-ODD", where=channel.name, count=len(channel), column=column,
+                        median=median, limits=_limits(column))
+            )  # fmt: skip
             continue
         count = int(np.count_nonzero(outside))
         notes.append(_range_loss(channel, column, count, _limits(column)))
@@ -151,10 +143,8 @@ def mask_impossible_values(channel: Channel) -> tuple[Channel, Notes]:
 
 def _known(channel: Channel, role: str) -> Mask:
     """The rows in which all columns of a role are known."""
-    known = np.ones(len(channel), np.bool_)
-    for column in ROLE_COLUMNS[role]:
-        known &= np.isfinite(channel[column])
-    return known
+    columns = [channel[name] for name in ROLE_COLUMNS[role]]
+    return np.asarray(np.isfinite(columns).all(axis=0))
 
 
 def _outside(values: Array, column: str) -> Mask:
@@ -192,12 +182,11 @@ def _mask_heights(channel: Channel) -> tuple[Channel, Notes]:
             wild[jumps] = True
             notes += reported
         if bool(wild.any()):
-            first = int(np.flatnonzero(wild)[0])
-            what = (
-                f"{int(wild.sum())} of {len(channel)} values of {column} are impossible or jump "
-                f"there and back, the first {height[first]:.0f} m in row {first}; not used"
-            )
-            notes.append(loss("SENSOR-RANGE", what, where=channel.name, count=int(wild.sum())))
+            row = int(np.argmax(wild))
+            notes.append(
+                loss("SENSOR-RANGE/heights", where=channel.name, count=int(wild.sum()),
+                     total=len(channel), column=column, height=height[row], row=row)
+            )  # fmt: skip
             columns[column] = np.where(wild, np.nan, height)
     return replace(channel, columns=columns), tuple(notes)
 
@@ -205,11 +194,10 @@ def _mask_heights(channel: Channel) -> tuple[Channel, Notes]:
 def _jumps(channel: Channel, known: Mask, role: str) -> tuple[Rows, Notes]:
     """Few samples in a row that a role's columns cannot reach from those around them."""
     where = f"{channel.name}, as {role}"
-    distances = [_STEPS[name] for name in (role, *ROLE_COLUMNS[role]) if name in _STEPS]
     notes: list[Entry] = []
     stray = np.zeros(len(channel), np.bool_)
-    for distance in distances:
-        rows, reported = _stray_rows(channel, known, distance, where)
+    for name in (name for name in (role, *ROLE_COLUMNS[role]) if name in _STEPS):
+        rows, reported = _stray_rows(channel, known, _STEPS[name], where)
         stray[rows] = True
         notes += reported
     jumps = np.flatnonzero(stray)
@@ -223,17 +211,12 @@ def _jumps(channel: Channel, known: Mask, role: str) -> tuple[Rows, Notes]:
         stays = after == 0  # what comes behind is another attitude than what was before
         stays[inner] = _angle(channel, i, j) > np.maximum(limit, _TURN_NOISE_RAD)
         lost = jumps[~stays]
-        if stays.any():
-            count = int(np.count_nonzero(stays))
-            what = f"not used: {count} samples in which the filter was aligned or reset"
-            notes.append(note("ATTITUDE-ALIGNED", what, where=where, count=count))
+        if count := int(np.count_nonzero(stays)):
+            notes.append(note("ATTITUDE-ALIGNED", where=where, count=count))
     if lost.size:
-        time_s = (channel.time_ns[lost[0]] - channel.time_ns[0]) * 1e-9
-        text = (
-            f"{lost.size} of {len(channel)} samples jump faster than a vehicle or the air can "
-            f"change, the first {time_s:.3f} s after the first sample; not used"
-        )
-        notes.append(loss("SENSOR-JUMP", text, where=where, count=int(lost.size)))
+        time_s, total = (channel.time_ns[lost[0]] - channel.time_ns[0]) * 1e-9, len(channel)
+        count = int(lost.size)
+        notes.append(loss("SENSOR-JUMP", where=where, count=count, total=total, time_s=time_s))
     return jumps, tuple(notes)
 
 
@@ -289,12 +272,8 @@ def _stray_rows(
     if rows.size < 3 or first.size == 1:
         return rows[:0], ()
     if first.size > _MOST_STRETCHES:
-        what = (
-            f"{first.size - 1} of {rows.size} samples are farther from the one before than a "
-            "vehicle or the air can change: which of them are wrong cannot be decided"
-        )
-        noisy = warning("SENSOR-NOISE", what, where=where, count=int(first.size - 1))
-        return rows[:0], (noisy,)
+        count = int(first.size - 1)
+        return rows[:0], (warning("SENSOR-NOISE", where=where, count=count, total=rows.size),)
     length = np.diff(np.append(first, rows.size))
     begin_row, end_row = rows[first], rows[first + length - 1]
     # From the longest stretch on, both ways, a stretch is kept that is reached from the last one
@@ -314,13 +293,7 @@ def _stray_rows(
 
 def subset(channel: Channel, keep: Mask) -> Channel:
     """The samples of a channel that a mask keeps."""
-    return replace(
-        channel,
-        time_ns=channel.time_ns[keep],
-        boot=channel.boot[keep],
-        columns={name: values[keep] for name, values in channel.columns.items()},
-        labels={
-            name: tuple(np.array(values, dtype=object)[keep])
-            for name, values in channel.labels.items()
-        },
-    )
+    columns = {name: values[keep] for name, values in channel.columns.items()}
+    labels = {name: tuple(compress(values, keep)) for name, values in channel.labels.items()}
+    time_ns, boot = channel.time_ns[keep], channel.boot[keep]
+    return replace(channel, time_ns=time_ns, boot=boot, columns=columns, labels=labels)

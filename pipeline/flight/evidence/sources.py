@@ -33,19 +33,16 @@ class SourcePath:
     """One source of positions or heights, and what it says against itself.
 
     ``stepped_m`` (n, 2) north and east, or (n, 1) up, is how far its own steps have carried it from
-    where it was before and is later; ``good`` (n,) where it has not stepped away and reports a
-    useful accuracy; ``part`` (n,) numbers what lies between restarts and steps that do not return.
-    ``step_ns`` and ``lasting_ns`` are the times of all steps and of those, ``fastest_m_s`` the
-    speed of the worst.
+    where it was before and is later.
     """
 
     channel: Channel
     stepped_m: Array
-    good: Mask
-    part: Rows
-    step_ns: TimeArray
-    lasting_ns: TimeArray
-    fastest_m_s: float
+    good: Mask  # (n,) where it has not stepped away and reports a useful accuracy
+    part: Rows  # (n,) number of what lies between restarts and steps that do not return
+    step_ns: TimeArray  # of all steps
+    lasting_ns: TimeArray  # of those that do not return
+    fastest_m_s: float  # the worst step
 
 
 def is_receiver(channel: Channel) -> bool:
@@ -56,7 +53,7 @@ def is_receiver(channel: Channel) -> bool:
 def places_of(channel: Channel, quantity: str) -> tuple[Array, Array]:
     """(n, k) places of a channel, and (n - 1, k) metres from each to the next.
 
-    Places are latitude and longitude [rad], unwrapped, or a height [m] above any one surface.
+    Latitude and longitude [rad], unwrapped, or a height [m] above any one surface.
     """
     if quantity == HEIGHT:
         h = channel[channel.height_column or "h_msl_m"][:, None]
@@ -94,9 +91,9 @@ def source_path(channel: Channel, quantity: str, channels: Iterable[Channel]) ->
     """A source with the steps that no vehicle makes, whatever happens between them.
 
     A step is what neither the velocity (of the first of ``channels`` that has one) nor the speed of
-    the neighbouring samples explains: more than 3 m horizontally, 5 m in height, and several times
-    what is usual in the channel. Steps add up; from the one that leaves to the one that returns the
-    source is away. One without return parts the channel: which side is right, it does not show.
+    neighbouring samples explains: more than 3 m, 5 m in height, and several times what is usual.
+    From the one that leaves to the one that returns the source is away; one without return parts
+    the channel.
     """
     channel = with_places(channel, quantity)
     time_ns, n = channel.time_ns, len(channel)
@@ -147,17 +144,15 @@ def source_path(channel: Channel, quantity: str, channels: Iterable[Channel]) ->
 class Difference:
     """How far a source is from another, at the times of the other.
 
-    ``apart_m`` (n, k) from the other less its own steps and its constant lag ``lag_s``; ``off_m``
-    (n,) beyond the usual offset. NaN where either is missing, or the other's accuracy is poor.
-    ``limit_m`` is the largest ``off_m`` that is noise, ``scatter_m`` its standard deviation.
+    NaN where either is missing, or the other's accuracy is poor.
     """
 
     other: SourcePath
-    apart_m: Array
-    off_m: Array
+    apart_m: Array  # (n, k) from the other less its own steps and its constant lag ``lag_s``
+    off_m: Array  # (n,) beyond the usual offset
     lag_s: float
-    limit_m: float
-    scatter_m: float
+    limit_m: float  # the largest ``off_m`` that is noise
+    scatter_m: float  # its standard deviation
 
     @property
     def apart(self) -> list[tuple[int, int]]:
@@ -179,15 +174,14 @@ def difference(
 
     The usual offset is the median, or that of a tenth of the flight or more in which the two agree:
     positions, and heights of receivers, near 0; other heights before ``steady_until_ns``, when
-    ``mine`` stepped and did not return. A fault longer than half a flight is so no usual offset.
+    ``mine`` stepped and did not return.
     """
     time_ns = other.channel.time_ns
     theirs, _ = places_of(other.channel, quantity)
     own, _ = places_of(mine, quantity)
     gap_s = mine.gap_limit_s(2.0)
-    columns = {str(k): own[:, k] for k in range(own.shape[1])}
-    placed = replace(mine, columns=columns, labels={})
-    own = np.stack([interpolate(placed, name, time_ns, gap_s) for name in columns], axis=1)
+    placed = replace(mine, columns=dict(zip("xy", own.T, strict=False)), labels={})
+    own = np.stack([interpolate(placed, n, time_ns, gap_s) for n in placed.columns], axis=1)
     apart = own - theirs if quantity == HEIGHT else metres(own - theirs, theirs[:, 0])
     apart += other.stepped_m
     known = np.isfinite(apart).all(axis=1) & other.good
@@ -244,8 +238,8 @@ def moved(channel: Channel, rows: Mask, by_m: Array, height_column: str | None) 
 def height_of_pressure(barometer: Channel, height: Channel) -> Channel | None:
     """A barometer as a source of heights, by the flight's own relation of height and ln p.
 
-    A parabola, fitted twice (what is farther off than three standard deviations is left out), or a
-    line of standard air where the flight spans under 300 m. None for one that gives no heights.
+    A parabola, fitted twice without outliers, or a line of standard air where the flight spans
+    under 300 m. None for one that gives no heights.
     """
     column = height.height_column
     if column is None or "pressure_pa" not in barometer.columns:
@@ -277,27 +271,26 @@ LARGEST_DRIFT_M_S2 = 0.02
 
 @dataclass(frozen=True, eq=False)
 class Sources:
-    """The source that plays the role of a quantity, and its difference from each other one.
-
-    ``barometers`` names those compared, first the one that plays the role of the pressure.
-    """
+    """The source that plays the role of a quantity, and its difference from each other one."""
 
     quantity: str
     own: SourcePath
     differences: tuple[Difference, ...]
-    barometers: tuple[str, ...] = ()
+    barometers: tuple[str, ...] = ()  # those compared, first the one of the role of the pressure
 
 
 def replacement_for(sources: Sources, stretch: Stretch) -> tuple[Difference, list[Array]] | None:
     """The source that replaces a suspect one where it is plain who is wrong, and two offsets.
 
     Who is wrong has steps of its own, a poor accuracy or no fix: the source itself, or, where that
-    is a filter, one of several receivers. The replacement has none of these from 10 s before to
-    10 s after, and agrees before and after, where its offsets are taken. A filter or a barometer
-    replaces a receiver for at most 60 s.
+    is a filter, one of several receivers. The replacement has none of these, and agrees for 10 s
+    before and after. A filter or a barometer replaces a receiver for at most 60 s.
     """
     own, long = sources.own, stretch.end_ns - stretch.begin_ns > LONGEST_REPLACED_S * SECOND
     wide = replace(stretch, begin_ns=stretch.begin_ns - SECOND, end_ns=stretch.end_ns + SECOND)
+    margin = int(BESIDE_S * SECOND)
+    before = replace(wide, begin_ns=wide.begin_ns - margin, end_ns=wide.begin_ns)
+    after = replace(wide, begin_ns=wide.end_ns, end_ns=wide.end_ns + margin)
 
     def fails(track: SourcePath) -> bool:
         rows = wide.covers(track.channel.time_ns)
@@ -312,15 +305,9 @@ def replacement_for(sources: Sources, stretch: Stretch) -> tuple[Difference, lis
         channel = d.other.channel
         if fails(d.other) or (not is_receiver(channel) and (long or not is_receiver(own.channel))):
             continue
-        margin = int(BESIDE_S * SECOND)
-        before = replace(wide, begin_ns=wide.begin_ns - margin, end_ns=wide.begin_ns)
-        after = replace(wide, begin_ns=wide.end_ns, end_ns=wide.end_ns + margin)
         known = np.isfinite(d.off_m)
         sides = [side.covers(channel.time_ns) & known for side in (before, after)]
-        if all(
-            np.count_nonzero(side) > 4 and np.percentile(d.off_m[side], 90.0) < d.limit_m
-            for side in sides
-        ):
+        if all(s.sum() > 4 and np.percentile(d.off_m[s], 90.0) < d.limit_m for s in sides):
             return d, [np.median(d.apart_m[side], axis=0) for side in sides]
     return None
 
@@ -357,14 +344,11 @@ def with_replaced(
     fill |= moved(other, inside, 0.5 * (offsets[0] + offsets[1]), channel.height_column)
     unknown = np.full(np.count_nonzero(inside), np.nan)
     fill[sigma] = np.hypot(np.nan_to_num(fill.get(sigma, unknown)), spread)
-    joined, rows = np.unique(
-        np.concatenate([channel.time_ns[keep], time_ns[inside]]), return_index=True
-    )
-
-    def column(name: str) -> Array:
-        mine = channel.get(name)[keep]
-        return np.concatenate([mine, fill.get(name, unknown)])[rows]
-
+    both = np.concatenate([channel.time_ns[keep], time_ns[inside]])
+    joined, rows = np.unique(both, return_index=True)
     boot = np.concatenate([channel.boot[keep], other.boot[inside]])[rows]
-    columns = {name: column(name) for name in (*channel.columns, sigma)}
+    columns = {
+        name: np.concatenate([channel.get(name)[keep], fill.get(name, unknown)])[rows]
+        for name in (*channel.columns, sigma)
+    }
     return replace(channel, time_ns=joined, boot=boot, columns=columns, labels={})

@@ -18,19 +18,14 @@ SECOND = 1_000_000_000
 
 @dataclass(frozen=True, order=True)
 class Stretch:
-    """From ``begin_ns`` to ``end_ns`` a quantity is suspect.
-
-    ``quantity`` is position, height or attitude; ``reason`` the evidence, in plain words; ``off_m``
-    how far off it may be [m], NaN where that is unknown; ``replaced_by`` the channel whose samples
-    replace the suspect ones, or empty.
-    """
+    """From ``begin_ns`` to ``end_ns`` a quantity is suspect."""
 
     begin_ns: int
     end_ns: int
-    quantity: str
-    reason: str
-    off_m: float = np.nan
-    replaced_by: str = ""
+    quantity: str  # position, height or attitude
+    reason: str  # the evidence, in plain words
+    off_m: float = np.nan  # how far off it may be, NaN where unknown
+    replaced_by: str = ""  # the channel whose samples replace the suspect ones
 
     def covers(self, time_ns: TimeArray) -> Mask:
         """Which instants lie in it."""
@@ -39,9 +34,7 @@ class Stretch:
     @property
     def when(self) -> str:
         """From when to when, UTC."""
-        begin, end = (
-            np.datetime64(t, "ns").astype("datetime64[s]") for t in (self.begin_ns, self.end_ns)
-        )
+        begin, end = np.array([self.begin_ns, self.end_ns], "datetime64[ns]").astype("M8[s]")
         return f"{begin} to {end} UTC"
 
     def meets(self, other: Stretch) -> bool:
@@ -51,10 +44,8 @@ class Stretch:
 
 def covered(stretches: Sequence[Stretch], time_ns: TimeArray) -> Mask:
     """Which instants lie in any of several stretches."""
-    inside = np.zeros(time_ns.shape, np.bool_)
-    for stretch in stretches:
-        inside |= stretch.covers(time_ns)
-    return inside
+    inside = [np.zeros(time_ns.shape, np.bool_), *(s.covers(time_ns) for s in stretches)]
+    return np.asarray(np.logical_or.reduce(inside))
 
 
 def merged(stretches: Sequence[Stretch]) -> list[Stretch]:
@@ -92,10 +83,7 @@ def beside(time_ns: TimeArray, a: int, b: int) -> tuple[int, int]:
 def flag_suspect(
     stations: Stations, stretches: Sequence[Stretch], *, use_suspect: bool
 ) -> tuple[Stations, Notes]:
-    """Mark the stations in suspect stretches, and note those whose samples were replaced.
-
-    With ``use_suspect`` they stay usable; the loss is entered all the same.
-    """
+    """Mark stations in suspect stretches, usable with ``use_suspect``; note replaced samples."""
     notes, usable = [], stations.ok
     for stretch in stretches:
         rows = stretch.covers(stations.time_ns) & usable

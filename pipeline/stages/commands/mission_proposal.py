@@ -16,13 +16,13 @@ import numpy as np
 import pyarrow.parquet as pq
 from jinja2 import Environment, StrictUndefined
 
-from pipeline.block.name_series import NameSeries, name_series
 from pipeline.config.reading import TODO
 from pipeline.errors import InputError, MissionError
 from pipeline.flight.channels import ROLE_COLUMNS, Channel
 from pipeline.flight.evidence.quality import plausible_samples
 from pipeline.flight.exposures import trigger_notes
 from pipeline.flight.heights import height_system
+from pipeline.flight.image_names import NameSeries, name_series
 from pipeline.flight.mount import is_of_gimbal
 from pipeline.flight.roles import assign_roles
 from pipeline.ingest import open_log

@@ -15,10 +15,10 @@ from pipeline.block.alignment import LOG_RATIO_NEEDED
 from pipeline.block.assignment import Assignment, CameraEvents, ImageEvidence, assign
 from pipeline.block.image_rays import ImageRays, Orientations, orientations_of, straightened
 from pipeline.block.intersection import Intersection, intersect, point_heights
-from pipeline.block.name_series import name_series
 from pipeline.config.event_sources import EventsSection, FirstImage
 from pipeline.errors import InputError, MissionError
 from pipeline.flight.exposures import Events, refuse_repeated_images
+from pipeline.flight.image_names import name_series
 from pipeline.flight.stations import Stations
 from pipeline.geodesy import principal_radii
 from pipeline.ledger import Ledger, Notes, loss, note, warning
