@@ -466,7 +466,8 @@ def _parquet_records(
     encoded = None if only is None else only[:1]
     with (
         damage_in_table(path),
-        pq.ParquetFile(path, memory_map=True, read_dictionary=encoded) as file,
+        # A buffer for each column: neither pages of the file nor whole row groups stay in memory.
+        pq.ParquetFile(path, read_dictionary=encoded, buffer_size=1 << 20) as file,
     ):
         groups = [file.metadata.row_group(i).num_rows for i in range(file.num_row_groups)]
         begins = np.cumsum([0, *groups])
