@@ -465,10 +465,9 @@ def _parquet_records(
 ) -> Iterator[pa.RecordBatch]:
     # Images have few names: the first of some columns is left as it is encoded.
     encoded = None if only is None else only[:1]
-    with (
-        damage_in_table(path),
-        pq.ParquetFile(path, memory_map=True, read_dictionary=encoded) as file,
-    ):
+    # What is read ahead stays in memory until the end, as do the pages of a memory map.
+    opened = partial(pq.ParquetFile, path, pre_buffer=False, buffer_size=1 << 20)
+    with damage_in_table(path), opened(read_dictionary=encoded) as file:
         groups = [file.metadata.row_group(i).num_rows for i in range(file.num_row_groups)]
         begins = np.cumsum([0, *groups])
         group = max(int(np.searchsorted(begins, first, "right")) - 1, 0)

@@ -269,3 +269,16 @@ def test_floats_are_split_by_bytes_and_all_else_has_a_dictionary(tmp_path):
                      "pair.a": False, "pair.b": False}  # fmt: skip
     assert {c.path_in_schema for c in columns if c.has_dictionary_page} >= {"name", "count"}
     assert not any(c.has_dictionary_page for c in columns if split[c.path_in_schema])
+
+
+def test_what_was_read_of_a_large_table_does_not_stay_in_memory(tmp_path):
+    path, rows = tmp_path / "large.parquet", 400_000
+    numbers = np.random.default_rng(0).uniform(0.0, 1000.0, (2, rows))
+    names = pa.array(["a"] * rows)
+    columns = {"image": names, "point": names, "x_px": numbers[0], "y_px": numbers[1]}
+    pq.write_table(pa.table(columns), path, row_group_size=10_000)
+    observations = open_observations(path, COLUMNS, None, Ledger())
+    before, most = pa.total_allocated_bytes(), 0
+    for _ in observations.batches(10_000):
+        most = max(most, pa.total_allocated_bytes() - before)
+    assert most < path.stat().st_size / 2

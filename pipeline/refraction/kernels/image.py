@@ -280,51 +280,87 @@ def straight_reach(rays, far, distance):  # type: ignore[no-untyped-def]
         distance[i] = _reach(rays.cos_c[i], rays.h_c[i], rays.h_g[i], rays.r_e[i], far[i])
 
 
-@entry(rows=0, most=24_000)
-def shift_back(observed, camera, exposures, traced, shifts):  # type: ignore[no-untyped-def]
-    """Fill the shifts in the image and on the ground that refraction angles amount to."""
-    h_g, exposure = observed.h_g, observed.exposure
-    rays, r_c, status = traced
+@within
+def _shift_in_image(span, rays, scratch, camera, exposure, shifts):  # type: ignore[no-untyped-def]
+    """Fill dx and dy of one exposure; ``scratch`` as `shift_back` has it.
+
+    ``exposure`` holds its rotation and what is added to the principal distance.
+    """
+    first, last = span
+    turn, change_px = exposure
+    dx, dy, _ = shifts
     fx, fy, parameters = camera.fx, camera.fy, camera.distortion
-    dx, dy, shift_ground = shifts
-    apparent, lower, seen = np.empty(3), np.empty(3), np.empty(3)
-    for i in range(h_g.size):
-        if math.isnan(r_c[i]):
-            dx[i] = dy[i] = shift_ground[i] = math.nan
-            continue
-        turn = exposures.rotation[exposure[i]]
-        for k in range(3):
-            apparent[k] = rays[APPARENT + k, i]
-        # The direction turns towards the nadir; zero for a ray at the nadir.
-        sin_z, cos_z = rays[SIN, i], rays[COS, i]
-        half, sin_r = math.sin(0.5 * r_c[i]), math.sin(r_c[i])
-        back = -2.0 * (half * half)
-        inward = sin_r * cos_z / sin_z if sin_z > 0.0 else 0.0
-        lower[0], lower[1] = apparent[0] * (back - inward), apparent[1] * (back - inward)
-        lower[2] = apparent[2] * back - sin_r * sin_z
-        u, v, change_px = rays[U, i], rays[V, i], exposures.change_px[exposure[i]]
-        for k in range(3):
-            seen[k] = rays[THROUGH + k, i] + (
-                turn[k, 0] * lower[0] + turn[k, 1] * lower[1] + turn[k, 2] * lower[2]
-            )
-        depth = 1.0 / math.sqrt(u * u + v * v + 1.0) + seen[2]
-        u_0, v_0 = distort(u, v, parameters)
-        u_1, v_1 = distort(
-            u + (seen[0] - u * seen[2]) / depth, v + (seen[1] - v * seen[2]) / depth, parameters
-        )
+    u, v, lower, seen = rays[U], rays[V], scratch[2:5], scratch[5:8]
+    l_0, l_1, l_2 = lower[0], lower[1], lower[2]
+    for k in range(3):
+        t_0, t_1, t_2 = turn[k, 0], turn[k, 1], turn[k, 2]
+        through, moved = rays[THROUGH + k], seen[k]
+        for i in range(first, last):
+            moved[i] = through[i] + (t_0 * l_0[i] + t_1 * l_1[i] + t_2 * l_2[i])
+    s_0, s_1, s_2 = seen[0], seen[1], seen[2]
+    for i in range(first, last):
+        depth = 1.0 / math.sqrt(u[i] * u[i] + v[i] * v[i] + 1.0) + s_2[i]
+        u_0, v_0 = distort(u[i], v[i], parameters)
+        u_1 = u[i] + (s_0[i] - u[i] * s_2[i]) / depth
+        u_1, v_1 = distort(u_1, v[i] + (s_1[i] - v[i] * s_2[i]) / depth, parameters)
         dx[i] = fx * (u_1 - u_0) - change_px * u_0
         dy[i] = fy * (v_1 - v_0) - change_px * v_0
-        far, radius, h_c = status[i] == FAR_BRANCH, rays[RADIUS, i], rays[H_C, i]
-        for k in range(3):  # the direction inside the window, east-north-up
-            seen[k] = apparent[k] - (
-                turn[0, k] * rays[THROUGH, i]
-                + turn[1, k] * rays[THROUGH + 1, i]
-                + turn[2, k] * rays[THROUGH + 2, i]
-            )
-        raw = _reach(-seen[2], h_c, h_g[i], radius, far)
-        true = _reach(-apparent[2] - lower[2], h_c, h_g[i], radius, far)
-        apart2 = 0.0
-        for k in range(3):
-            apart = seen[k] * raw - (apparent[k] + lower[k]) * true
-            apart2 += apart * apart
-        shift_ground[i] = math.sqrt(apart2)
+
+
+@within
+def _shift_on_ground(span, rays, scratch, turn, target, shift_ground):  # type: ignore[no-untyped-def]
+    """Fill how far apart straight rays land, that inside the window and the true one."""
+    first, last = span
+    h_g, status = target
+    lower, seen, radius, h_c = scratch[2:5], scratch[5:8], rays[RADIUS], rays[H_C]
+    through_0, through_1, through_2 = rays[THROUGH], rays[THROUGH + 1], rays[THROUGH + 2]
+    for k in range(3):  # the direction inside the window, east-north-up
+        t_0, t_1, t_2 = turn[0, k], turn[1, k], turn[2, k]
+        apparent, inside = rays[APPARENT + k], seen[k]
+        for i in range(first, last):
+            inside[i] = apparent[i] - (t_0 * through_0[i] + t_1 * through_1[i] + t_2 * through_2[i])
+    east, north, up = rays[APPARENT], rays[APPARENT + 1], rays[APPARENT + 2]
+    for i in range(first, last):
+        far = status[i] == FAR_BRANCH
+        raw = _reach(-seen[2, i], h_c[i], h_g[i], radius[i], far)
+        true = _reach(-up[i] - lower[2, i], h_c[i], h_g[i], radius[i], far)
+        x = seen[0, i] * raw - (east[i] + lower[0, i]) * true
+        y = seen[1, i] * raw - (north[i] + lower[1, i]) * true
+        z = seen[2, i] * raw - (up[i] + lower[2, i]) * true
+        shift_ground[i] = math.sqrt(x * x + y * y + z * z)
+
+
+@entry(rows=0, most=24_000)
+def shift_back(observed, camera, exposures, traced, shifts):  # type: ignore[no-untyped-def]
+    """Fill the shifts in the image and on the ground that refraction angles amount to.
+
+    Rows of ``scratch``: sines of half the angle and of the angle, change of the direction outside
+    (3), and room for three more.
+    """
+    exposure, target = observed.exposure, (observed.h_g, traced.status)
+    rays, r_c = traced.rays, traced.r_c
+    scratch = np.empty((8, r_c.size))
+    half, sin_r, lower = scratch[0], scratch[1], scratch[2:5]
+    for i in range(r_c.size):
+        half[i], sin_r[i] = math.sin(0.5 * r_c[i]), math.sin(r_c[i])
+    for i in range(r_c.size):
+        # The direction turns towards the nadir; zero for a ray at the nadir.
+        sin_z, cos_z = rays[SIN, i], rays[COS, i]
+        back = -2.0 * (half[i] * half[i])
+        inward = sin_r[i] * cos_z / sin_z if sin_z > 0.0 else 0.0
+        lower[0, i] = rays[APPARENT, i] * (back - inward)
+        lower[1, i] = rays[APPARENT + 1, i] * (back - inward)
+        lower[2, i] = rays[APPARENT + 2, i] * back - sin_r[i] * sin_z
+    last = np.uint64(0)
+    while last < r_c.size:
+        first, last = last, last + np.uint64(1)
+        while last < exposure.size and exposure[last] == exposure[first]:
+            last += np.uint64(1)
+        span, e = (first, last), exposure[first]
+        if 0 <= e < exposures.usable.size:
+            turn = exposures.rotation[e]
+            _shift_in_image(span, rays, scratch, camera, (turn, exposures.change_px[e]), shifts)
+            _shift_on_ground(span, rays, scratch, turn, target, shifts.ground)
+    for i in range(r_c.size):
+        if math.isnan(r_c[i]):
+            shifts.dx[i] = shifts.dy[i] = shifts.ground[i] = math.nan
