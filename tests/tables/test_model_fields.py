@@ -166,6 +166,10 @@ def test_model_levels_in_grib_give_the_same_air(tmp_path):
     np.testing.assert_allclose(found.vapour_pressure_pa[1:], vapour_pressure_pa(h), rtol=5e-3)
 
 
+def with_wrong_level(fields, dimension, level, kelvin):
+    return fields.assign(t=fields.t + kelvin * (fields[dimension] == level))
+
+
 MODEL_LEVELS_REFUSED = {
     "91 levels": (lambda f: f.assign_coords(hybrid=f.hybrid - 46.0), "MODEL-LEVELS",
                   "run from 14 to 91, 78 in all: the lowest of ERA5 is 137"),
@@ -175,6 +179,10 @@ MODEL_LEVELS_REFUSED = {
         lnsp=np.exp(f.lnsp)), "MODEL-UNITS", "z or lnsp has another unit"),
     "heights of the ground divided twice": (lambda f: f.assign(z=f.z * 9.80665),
                                             "MODEL-UNITS", "z or lnsp has another unit"),
+    "one warm level": (lambda f: with_wrong_level(f, "hybrid", 120.0, 30.0), "MODEL-LEVELS",
+                       r"K on level 120 to 2\d\d\.\d K on level 119"),
+    "one cold level at the ground": (lambda f: with_wrong_level(f, "hybrid", 137.0, -30.0),
+                                     "MODEL-LEVELS", r"K on level 137 to 2\d\d\.\d K on level 136"),
 }  # fmt: skip
 
 
@@ -373,6 +381,24 @@ def test_levels_with_missing_values_and_under_the_ground_are_left_out_and_counte
     holes.t[:, 4:, 0, 1] = np.nan
     with pytest.raises(InputError, match="0 levels above the ground"):
         column(read(netcdf(tmp_path / "more.nc", holes)), ground_h_m=1000.0)
+
+
+@pytest.mark.parametrize("kelvin", [30.0, -30.0])
+@pytest.mark.parametrize("hpa", [950, 850, 700, 500, 350])
+def test_a_single_wrong_level_is_refused_with_its_number(fields, tmp_path, hpa, kelvin):
+    wrong = with_wrong_level(fields, "pressure_level", hpa, kelvin)
+    with pytest.raises(InputError, match=f"K on {hpa} hPa.*no air does so") as refused:
+        read(netcdf(tmp_path / "wrong.nc", wrong))
+    assert refused.value.code == "MODEL-LEVELS"
+
+
+def test_a_layer_that_is_not_as_thick_as_its_air_is_told_of(fields, tmp_path):
+    """A cold lowest level could be an inversion; its height says that it is none."""
+    cold = with_wrong_level(fields, "pressure_level", 1000.0, -28.0)
+    found, (told,) = column(read(netcdf(tmp_path / "cold.nc", cold)), ground_h_m=50.0)
+    assert told.code == "MODEL-LAYER"
+    assert "between 1000 and 975 hPa" in told.what
+    assert found.pressure_pa[0] > 99_000.0
 
 
 def test_below_the_lowest_level_sigma_grows(fields, tmp_path):
