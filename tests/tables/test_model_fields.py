@@ -195,6 +195,32 @@ def test_model_levels_that_make_no_column_are_refused(tmp_path, what):
     assert refused.value.code == code
 
 
+@pytest.mark.parametrize("ground_m", [150.0, 400.0, 900.0, 2000.0])
+def test_a_ground_in_metres_without_a_unit_is_found_by_pressure_or_the_missions(tmp_path, ground_m):
+    """As geopotential it would lie at a tenth, and all levels with it."""
+
+    def still(*_):
+        return H, temperature_k(H), PRESSURE, np.maximum(vapour_pressure_pa(H), 1e-3)
+
+    nodes = ((48.0, 47.0), (8.0, 8.5, 9.0), ("2026-05-14T10", "2026-05-14T11"), ground_m)
+    right = on_model_levels(still, *nodes)
+    ledger = Ledger()
+    usual, _ = column(
+        read(netcdf(tmp_path / "right.nc", right), ledger=ledger), ground_h_m=ground_m
+    )
+    assert not list(ledger)
+    metres = netcdf(tmp_path / "metres.nc", right.assign(z=right.z / 9.80665))
+    field = read(metres, ledger=ledger)
+    if ground_m < 500.0:
+        with pytest.raises(InputError, match=f"in metres at {ground_m:.0f} m") as refused:
+            column(field, ground_h_m=ground_m)
+        assert refused.value.code == "MODEL-UNITS"
+        return
+    found, _ = column(field, ground_h_m=ground_m)
+    np.testing.assert_allclose(found.h_m, usual.h_m, atol=0.1)
+    assert [(e.code, e.count) for e in ledger] == [("MODEL-GROUND-UNIT", 12)]
+
+
 def test_gfs_has_relative_humidity_and_geopotential_metres(fields, tmp_path):
     """Around Greenwich, longitudes from 0 to 360 in a file that goes round the earth."""
     around = np.arange(0.0, 360.0, 90.0).tolist()

@@ -49,6 +49,8 @@ _SPECIFIC, _RELATIVE = (-1e-3, 1e-6, 0.05), (-0.3, 0.05, _MOST_FRACTION)
 _OVERTURNS_K, _INVERSION_K, _INVERSION_K_PER_M, _THICKNESS_K = 8.0, 20.0, 0.05, 10.0
 """From level to level: cooler than by the adiabat, warmer, this per metre; the mean of two against
 their heights. ERA5 and columns of 22 soundings reach 2, 1 and 5 K above the ground."""
+_WEATHER_LOG_P = 0.045  # of sea-level pressure: 969 to 1060 hPa
+_ANOTHER_GROUND_M = 50.0
 _EARTH_KM, _SEA_LEVEL_PA, _SCALE_HEIGHT_M = 6371.0, 101_325.0, 8000.0
 _WIDEST_STEP, _ROUNDING = 0.2, 1e-9  # of nodes [rad]
 _GROUND_M, _SURFACE_LOG_P = (-600.0, 9000.0), 0.25
@@ -84,7 +86,8 @@ class ModelField:
         increasing.
     temperature_k, humidity : (t, l, y, x); the latter specific [kg/kg], or ``relative`` [1].
     height : (t, l, y, x) geopotential heights of pressure levels [m'].
-    surface : (t, 1, y, x) geopotential height of the ground [m'], if known.
+    surface : (t, 1, y, x) geopotential height of the ground [m'], if known; ``ground_has_unit`` is
+        false where the file states none and geopotential is only likely.
     log_surface_pa : (t, 1, y, x) ln of surface pressure [Pa], for model levels.
     """
 
@@ -101,6 +104,7 @@ class ModelField:
     lead_h: Array = field(default_factory=_MISSING)
     relative: bool = False
     on_model_levels: bool = False
+    ground_has_unit: bool = True
 
     def columns(self, latitude_rad: Array, longitude_rad: Array, time_ns: Integers) -> ModelColumns:
         """The air over places (n,) at times (n,), interpolated between nodes and in time.
@@ -244,6 +248,9 @@ def checked_field(field: ModelField, where: str) -> tuple[ModelField, Notes]:
         if not _GROUND_M[0] <= float(np.nanmin(ground)) <= float(np.nanmax(ground)) <= _GROUND_M[1]:
             raise refused(f"its ground is up to {np.nanmax(ground):.6g} m high")
         if field.on_model_levels:
+            if not field.ground_has_unit:
+                field, notes = _likely_ground(field, where)
+                ground = field.surface
             expected = math.log(_SEA_LEVEL_PA) - ground / _SCALE_HEIGHT_M
             off = float(np.nanmax(np.abs(field.log_surface_pa - expected)))
             if off > _SURFACE_LOG_P:
@@ -255,7 +262,7 @@ def checked_field(field: ModelField, where: str) -> tuple[ModelField, Notes]:
         full = 0.5 * (half[:, 1:] + half[:, :-1])
         shape = (*surface_pa.shape, full.shape[1])
         refuse_wrong_level(field, np.moveaxis(full.reshape(shape), -1, 1), where)
-        return field, ()
+        return field, notes
     lowest = float(field.level[-1])
     if not _SURFACE_PA[0] <= lowest <= _SURFACE_PA[1]:
         factor = next((f for f in (HECTOPASCAL, 1.0 / HECTOPASCAL)
@@ -274,6 +281,25 @@ def checked_field(field: ModelField, where: str) -> tuple[ModelField, Notes]:
                       "1 is geopotential metres, 9.807 geopotential")  # fmt: skip
     refuse_wrong_level(field, field.level[:, None, None], where)
     return field, notes
+
+
+def _likely_ground(field: ModelField, where: str) -> tuple[ModelField, Notes]:
+    """The ground in metres where the surface pressure is weather at no height else, and noted."""
+    warmth = field.temperature_k[:, -1:]
+
+    def departure(height: Array) -> float:
+        """Of the pressure reduced to sea level from its mean, as a logarithm."""
+        middle = warmth + 0.5 * EXTENSION_LAPSE * height
+        reduced = field.log_surface_pa + HYDROSTATIC_CONSTANT * height / middle
+        return abs(float(np.nanmedian(reduced)) - math.log(_SEA_LEVEL_PA))
+
+    metres = field.surface * STANDARD_GRAVITY
+    off, other = departure(field.surface), departure(metres)
+    if off < _WEATHER_LOG_P or other > _WEATHER_LOG_P:
+        return field, ()
+    highest = float(np.nanmax(metres))
+    repaired = fallback("MODEL-GROUND-UNIT", where=where, count=metres.size, highest=highest)
+    return replace(field, surface=metres, ground_has_unit=True), (repaired,)
 
 
 def refuse_wrong_level(field: ModelField, pressure_pa: Array, where: str) -> None:
@@ -347,6 +373,11 @@ def model_column(
     if math.isnan(ground):
         ground = 0.0 if math.isnan(surface) else surface
         notes.append(fallback("MODEL-GROUND", where=where, ground=ground))
+    elif not field.ground_has_unit and abs(surface - ground) > (
+        _ANOTHER_GROUND_M + 2.0 * abs(STANDARD_GRAVITY * surface - ground)
+    ):
+        raise InputError.of("MODEL-UNITS/ground", where, surface=surface, ground=ground,
+                            metres=STANDARD_GRAVITY * surface)  # fmt: skip
     bottom = ground if math.isnan(surface) else max(surface, ground)
     with np.errstate(invalid="ignore"):
         under = known & (height < bottom)
