@@ -6,6 +6,9 @@ import numpy as np
 
 from pipeline.units import HYDROSTATIC_CONSTANT, Array
 
+ADIABATIC_K_PER_M = 9.8e-3
+"""Unsaturated air whose temperature falls faster overturns within minutes [K/m']."""
+
 COLDEST_K, WARMEST_K = 180.0, 335.0
 """Temperatures that air has; what pressure implies outside them is not the air outside [K]."""
 

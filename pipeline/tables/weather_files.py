@@ -330,7 +330,7 @@ def read_model_field(
             height=np.empty(0) if height is None else part.values(height, level),
             surface=np.empty(0) if surface is None else part.values(surface, fixed=True) / metre,
             log_surface_pa=part.values(log_surface) if of_model else np.empty(0),
-            relative=specific is None, on_model_levels=of_model,
+            relative=specific is None, on_model_levels=of_model, ground_has_unit=unit != "z",
         )  # fmt: skip
     return ledger.take(checked_field(field, where))
 

@@ -166,6 +166,10 @@ def test_model_levels_in_grib_give_the_same_air(tmp_path):
     np.testing.assert_allclose(found.vapour_pressure_pa[1:], vapour_pressure_pa(h), rtol=5e-3)
 
 
+def with_wrong_level(fields, dimension, level, kelvin):
+    return fields.assign(t=fields.t + kelvin * (fields[dimension] == level))
+
+
 MODEL_LEVELS_REFUSED = {
     "91 levels": (lambda f: f.assign_coords(hybrid=f.hybrid - 46.0), "MODEL-LEVELS",
                   "run from 14 to 91, 78 in all: the lowest of ERA5 is 137"),
@@ -175,6 +179,10 @@ MODEL_LEVELS_REFUSED = {
         lnsp=np.exp(f.lnsp)), "MODEL-UNITS", "z or lnsp has another unit"),
     "heights of the ground divided twice": (lambda f: f.assign(z=f.z * 9.80665),
                                             "MODEL-UNITS", "z or lnsp has another unit"),
+    "one warm level": (lambda f: with_wrong_level(f, "hybrid", 120.0, 30.0), "MODEL-LEVELS",
+                       r"K on level 120 to 2\d\d\.\d K on level 119"),
+    "one cold level at the ground": (lambda f: with_wrong_level(f, "hybrid", 137.0, -30.0),
+                                     "MODEL-LEVELS", r"K on level 137 to 2\d\d\.\d K on level 136"),
 }  # fmt: skip
 
 
@@ -185,6 +193,32 @@ def test_model_levels_that_make_no_column_are_refused(tmp_path, what):
     with pytest.raises(InputError, match=words) as refused:
         read(netcdf(tmp_path / "levels.nc", change(whole)))
     assert refused.value.code == code
+
+
+@pytest.mark.parametrize("ground_m", [150.0, 400.0, 900.0, 2000.0])
+def test_a_ground_in_metres_without_a_unit_is_found_by_pressure_or_the_missions(tmp_path, ground_m):
+    """As geopotential it would lie at a tenth, and all levels with it."""
+
+    def still(*_):
+        return H, temperature_k(H), PRESSURE, np.maximum(vapour_pressure_pa(H), 1e-3)
+
+    nodes = ((48.0, 47.0), (8.0, 8.5, 9.0), ("2026-05-14T10", "2026-05-14T11"), ground_m)
+    right = on_model_levels(still, *nodes)
+    ledger = Ledger()
+    usual, _ = column(
+        read(netcdf(tmp_path / "right.nc", right), ledger=ledger), ground_h_m=ground_m
+    )
+    assert not list(ledger)
+    metres = netcdf(tmp_path / "metres.nc", right.assign(z=right.z / 9.80665))
+    field = read(metres, ledger=ledger)
+    if ground_m < 500.0:
+        with pytest.raises(InputError, match=f"in metres at {ground_m:.0f} m") as refused:
+            column(field, ground_h_m=ground_m)
+        assert refused.value.code == "MODEL-UNITS"
+        return
+    found, _ = column(field, ground_h_m=ground_m)
+    np.testing.assert_allclose(found.h_m, usual.h_m, atol=0.1)
+    assert [(e.code, e.count) for e in ledger] == [("MODEL-GROUND-UNIT", 12)]
 
 
 def test_gfs_has_relative_humidity_and_geopotential_metres(fields, tmp_path):
@@ -373,6 +407,24 @@ def test_levels_with_missing_values_and_under_the_ground_are_left_out_and_counte
     holes.t[:, 4:, 0, 1] = np.nan
     with pytest.raises(InputError, match="0 levels above the ground"):
         column(read(netcdf(tmp_path / "more.nc", holes)), ground_h_m=1000.0)
+
+
+@pytest.mark.parametrize("kelvin", [30.0, -30.0])
+@pytest.mark.parametrize("hpa", [950, 850, 700, 500, 350])
+def test_a_single_wrong_level_is_refused_with_its_number(fields, tmp_path, hpa, kelvin):
+    wrong = with_wrong_level(fields, "pressure_level", hpa, kelvin)
+    with pytest.raises(InputError, match=f"K on {hpa} hPa.*no air does so") as refused:
+        read(netcdf(tmp_path / "wrong.nc", wrong))
+    assert refused.value.code == "MODEL-LEVELS"
+
+
+def test_a_layer_that_is_not_as_thick_as_its_air_is_told_of(fields, tmp_path):
+    """A cold lowest level could be an inversion; its height says that it is none."""
+    cold = with_wrong_level(fields, "pressure_level", 1000.0, -28.0)
+    found, (told,) = column(read(netcdf(tmp_path / "cold.nc", cold)), ground_h_m=50.0)
+    assert told.code == "MODEL-LAYER"
+    assert "between 1000 and 975 hPa" in told.what
+    assert found.pressure_pa[0] > 99_000.0
 
 
 def test_below_the_lowest_level_sigma_grows(fields, tmp_path):

@@ -10,7 +10,7 @@ from pipeline.atmosphere.estimate.readings import part_of
 from pipeline.atmosphere.estimate.sensors import Barometer, Humidities, Thermometer
 from pipeline.atmosphere.estimate.solver import Estimate, layout_of, solve
 from pipeline.atmosphere.estimate.state import air_of, prior_of
-from pipeline.atmosphere.hypsometry import COLDEST_K, WARMEST_K, hats
+from pipeline.atmosphere.hypsometry import ADIABATIC_K_PER_M, COLDEST_K, WARMEST_K, hats
 from pipeline.atmosphere.refractive_index import (
     dew_point,
     saturated_lapse,
@@ -18,12 +18,9 @@ from pipeline.atmosphere.refractive_index import (
 )
 from pipeline.units import ZERO_CELSIUS_K
 
-ADIABATIC_K_PER_M = 9.8e-3
-"""Unsaturated air whose temperature falls faster overturns within minutes [K/m']."""
-
 OVERTURNING_M, SUNNY_M = 500.0, 100.0
-"""... but over less height than the first a lag may show it, and over the second above the ground a
-sunny field does [m']."""
+"""A steeper fall over less height than the first may be a lag, and over the second above the ground
+a sunny field [m']."""
 
 CERTAIN = 3.0
 """Sigmas by which a lapse rate must exceed the adiabatic one."""

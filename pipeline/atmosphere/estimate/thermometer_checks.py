@@ -42,8 +42,8 @@ def thermometer_is_outside(
     """Whether the thermometer of a flight with a barometer can be outside.
 
     ``made`` is an estimate with both. Not passed where its readings, in the mean or in their change
-    with height, are not those that the estimate without them predicts, though the barometer does
-    not lose pressure; where within half an hour they differ from those of any air that the
+    with height, are not those that the estimate without them predicts, though the barometer is not
+    seen to lose pressure; where within half an hour they differ from those of any air that the
     barometer allows; or where the barometer differs from any air that the thermometer allows, and
     fits plausible air of its own. All without soundings and stations; the last two with drifts of
     the expected size, since a large one could hide any contradiction.
@@ -58,9 +58,10 @@ def thermometer_is_outside(
     others = [readings for readings in flown.sets if not isinstance(readings, Thermometer)]
     prior = prior_of(layout, background, moisture or background)
     without = solve(layout, prior, others, background.profile)
-    for readings in flown.sets:
-        if isinstance(readings, Thermometer) and not (check := is_predicted(readings, without)):
-            return PASSED if barometer_loses_pressure(made) else check
+    warm = (s for s in flown.sets if isinstance(s, Thermometer))
+    check = next((check for s in warm if not (check := is_predicted(s, without))), PASSED)
+    if not check and not barometer_loses_pressure(made):
+        return check
     expected = replace(settings, usual_errors_only=True)
     estimate_of = partial(estimate, background=background, settings=expected, moisture=moisture)
     drifted = indoors or max(made.drift_scales.values(), default=1.0) > LARGE_DRIFT

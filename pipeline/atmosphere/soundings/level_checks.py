@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from pipeline.atmosphere.hypsometry import ADIABATIC_K_PER_M
 from pipeline.atmosphere.refractive_index import (
     refractivity_gyer,
     vapour_pressure,
@@ -34,7 +35,6 @@ FEWEST_LEVELS = 5
 
 _COLDEST_K, _WARMEST_K = 150.0, 340.0
 _HIGHEST_PA = 110_000.0
-_ADIABAT_K_PER_M = 9.8e-3
 # Readings rounded to 0.1 K err by 1 K/km over 100 m, and by 5e-4 of n - 1 from level to level.
 _SLICE_M = 100.0
 _STEEPER_K_PER_M = 1e-3
@@ -300,7 +300,7 @@ def _note_unusual_air(sounding: Sounding, where: str, ledger: Ledger) -> None:
     """Report layers that are unstable, or in which air grows denser upwards, as near hot ground."""
     grid = np.arange(sounding.h_m[0], sounding.h_m[-1], _SLICE_M)
     lapse = -np.diff(np.interp(grid, sounding.h_m, sounding.temperature_k)) / _SLICE_M
-    steep = lapse > _ADIABAT_K_PER_M + _STEEPER_K_PER_M
+    steep = lapse > ADIABATIC_K_PER_M + _STEEPER_K_PER_M
     if count := int(steep.sum()):
         i = int(np.argmax(lapse))
         ledger.warning(

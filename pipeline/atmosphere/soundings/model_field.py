@@ -19,12 +19,13 @@ from itertools import product
 
 import numpy as np
 
+from pipeline.atmosphere.hypsometry import ADIABATIC_K_PER_M
 from pipeline.atmosphere.refractive_index import vapour_pressure
 from pipeline.atmosphere.soundings.level_checks import FEWEST_LEVELS
 from pipeline.atmosphere.soundings.levels import ColumnErrors, Sounding
 from pipeline.errors import InputError
 from pipeline.geodesy import longitudes_near, normal_gravity
-from pipeline.ledger import Entry, Notes, fallback, note
+from pipeline.ledger import Entry, Notes, fallback, note, warning
 from pipeline.units import (
     DEGREE,
     HECTOPASCAL,
@@ -45,6 +46,11 @@ _SURFACE_PA = (30_000.0, 110_000.0)  # the highest pressure of levels that reach
 _COLDEST_K, _WARMEST_K, _MOST_FRACTION = 150.0, 340.0, 1.6
 _SPECIFIC, _RELATIVE = (-1e-3, 1e-6, 0.05), (-0.3, 0.05, _MOST_FRACTION)
 """Of the driest level at least, where spectral models go below 0; of the wettest from, to."""
+_OVERTURNS_K, _INVERSION_K, _INVERSION_K_PER_M, _THICKNESS_K = 8.0, 20.0, 0.05, 10.0
+"""From level to level: cooler than by the adiabat, warmer, this per metre; the mean of two against
+their heights. ERA5 and columns of 22 soundings reach 2, 1 and 5 K above the ground."""
+_WEATHER_LOG_P = 0.045  # of sea-level pressure: 969 to 1060 hPa
+_ANOTHER_GROUND_M = 50.0
 _EARTH_KM, _SEA_LEVEL_PA, _SCALE_HEIGHT_M = 6371.0, 101_325.0, 8000.0
 _WIDEST_STEP, _ROUNDING = 0.2, 1e-9  # of nodes [rad]
 _GROUND_M, _SURFACE_LOG_P = (-600.0, 9000.0), 0.25
@@ -80,7 +86,8 @@ class ModelField:
         increasing.
     temperature_k, humidity : (t, l, y, x); the latter specific [kg/kg], or ``relative`` [1].
     height : (t, l, y, x) geopotential heights of pressure levels [m'].
-    surface : (t, 1, y, x) geopotential height of the ground [m'], if known.
+    surface : (t, 1, y, x) geopotential height of the ground [m'], if known; ``ground_has_unit`` is
+        false where the file states none and geopotential is only likely.
     log_surface_pa : (t, 1, y, x) ln of surface pressure [Pa], for model levels.
     """
 
@@ -97,6 +104,7 @@ class ModelField:
     lead_h: Array = field(default_factory=_MISSING)
     relative: bool = False
     on_model_levels: bool = False
+    ground_has_unit: bool = True
 
     def columns(self, latitude_rad: Array, longitude_rad: Array, time_ns: Integers) -> ModelColumns:
         """The air over places (n,) at times (n,), interpolated between nodes and in time.
@@ -133,16 +141,20 @@ class ModelField:
             p = 0.5 * (half[:, 1:] + half[:, :-1])
         else:
             p = np.broadcast_to(self.level, t.shape)
-        if self.relative:
-            vapour = vapour_pressure(humidity, t, p) / p
-        else:
-            vapour = humidity / (_RATIO + VAPOUR_DEFICIT * humidity)
-        vapour = np.maximum(vapour, 0.0)
+        vapour = self.vapour(humidity, t, p)
         if self.on_model_levels:
             height = level_heights(half, t / (1.0 - VAPOUR_DEFICIT * vapour), surface)
         else:
             height = at(self.height)
         return ModelColumns(height, np.log(p), t, vapour, surface)
+
+    def vapour(self, humidity: Array, temperature_k: Array, pressure_pa: Array) -> Array:
+        """e/p of the file's humidities, at least 0: spectral models go below."""
+        if self.relative:
+            vapour = vapour_pressure(humidity, temperature_k, pressure_pa) / pressure_pa
+        else:
+            vapour = humidity / (_RATIO + VAPOUR_DEFICIT * humidity)
+        return np.maximum(vapour, 0.0)
 
     def refuse_outside(self, latitude_rad: Array, longitude_rad: Array) -> None:
         """Refuse (`InputError`) places (n,) outside the grid, or in a hole of it: how far."""
@@ -236,13 +248,21 @@ def checked_field(field: ModelField, where: str) -> tuple[ModelField, Notes]:
         if not _GROUND_M[0] <= float(np.nanmin(ground)) <= float(np.nanmax(ground)) <= _GROUND_M[1]:
             raise refused(f"its ground is up to {np.nanmax(ground):.6g} m high")
         if field.on_model_levels:
+            if not field.ground_has_unit:
+                field, notes = _likely_ground(field, where)
+                ground = field.surface
             expected = math.log(_SEA_LEVEL_PA) - ground / _SCALE_HEIGHT_M
             off = float(np.nanmax(np.abs(field.log_surface_pa - expected)))
             if off > _SURFACE_LOG_P:
                 raise refused(f"ln of surface pressure is up to {off:.3g} from that of its "
                               "ground's height: z or lnsp has another unit")  # fmt: skip
     if field.on_model_levels:
-        return field, ()
+        surface_pa = np.exp(field.log_surface_pa[:, 0])
+        half = half_levels(surface_pa.ravel())[:, int(field.level[0]) - 1 :]
+        full = 0.5 * (half[:, 1:] + half[:, :-1])
+        shape = (*surface_pa.shape, full.shape[1])
+        refuse_wrong_level(field, np.moveaxis(full.reshape(shape), -1, 1), where)
+        return field, notes
     lowest = float(field.level[-1])
     if not _SURFACE_PA[0] <= lowest <= _SURFACE_PA[1]:
         factor = next((f for f in (HECTOPASCAL, 1.0 / HECTOPASCAL)
@@ -255,11 +275,56 @@ def checked_field(field: ModelField, where: str) -> tuple[ModelField, Notes]:
     thickness = -HYDROSTATIC_CONSTANT * np.diff(field.height[0], axis=0)
     ratio = float(np.nanmedian(thickness / layers))
     if abs(ratio / STANDARD_GRAVITY - 1.0) < _THICKNESS_RATIO:
-        return replace(field, height=field.height / STANDARD_GRAVITY), notes
-    if abs(ratio - 1.0) < _THICKNESS_RATIO:
-        return field, notes
-    raise refused(f"layers are {ratio:.4g} times as thick as pressure and temperature imply: 1 is "
-                  "geopotential metres, 9.807 geopotential")  # fmt: skip
+        field = replace(field, height=field.height / STANDARD_GRAVITY)
+    elif not abs(ratio - 1.0) < _THICKNESS_RATIO:
+        raise refused(f"layers are {ratio:.4g} times as thick as pressure and temperature imply: "
+                      "1 is geopotential metres, 9.807 geopotential")  # fmt: skip
+    refuse_wrong_level(field, field.level[:, None, None], where)
+    return field, notes
+
+
+def _likely_ground(field: ModelField, where: str) -> tuple[ModelField, Notes]:
+    """The ground in metres where the surface pressure is weather at no height else, and noted."""
+    warmth = field.temperature_k[:, -1:]
+
+    def departure(height: Array) -> float:
+        """Of the pressure reduced to sea level from its mean, as a logarithm."""
+        middle = warmth + 0.5 * EXTENSION_LAPSE * height
+        reduced = field.log_surface_pa + HYDROSTATIC_CONSTANT * height / middle
+        return abs(float(np.nanmedian(reduced)) - math.log(_SEA_LEVEL_PA))
+
+    metres = field.surface * STANDARD_GRAVITY
+    off, other = departure(field.surface), departure(metres)
+    if off < _WEATHER_LOG_P or other > _WEATHER_LOG_P:
+        return field, ()
+    highest = float(np.nanmax(metres))
+    repaired = fallback("MODEL-GROUND-UNIT", where=where, count=metres.size, highest=highest)
+    return replace(field, surface=metres, ground_has_unit=True), (repaired,)
+
+
+def refuse_wrong_level(field: ModelField, pressure_pa: Array, where: str) -> None:
+    """Refuse (`InputError`) temperatures that no air has one above the other, as of a wrong level.
+
+    ``pressure_pa`` (l, 1, 1) or (t, l, y, x). Air overturns where it cools upwards faster than
+    9.8 K/km, and warms by more than 20 K only over some height.
+    """
+    t, log_p = field.temperature_k, np.log(pressure_pa)
+    thick = 0.5 * (t[:, 1:] + t[:, :-1]) * np.diff(log_p, axis=-3) / HYDROSTATIC_CONSTANT  # [m']
+    warmer = -np.diff(t, axis=1)  # upwards
+    beyond = np.fmax(
+        -warmer - ADIABATIC_K_PER_M * thick - _OVERTURNS_K,
+        warmer - _INVERSION_K_PER_M * thick - _INVERSION_K,
+    )
+    if not bool(np.any(beyond > 0.0)):
+        return
+    i, upper, y, x = np.unravel_index(int(np.nanargmax(beyond)), beyond.shape)
+    on = {row: f"level {field.level[row]:.0f}" if field.on_model_levels
+          else f"{field.level[row] / HECTOPASCAL:g} hPa" for row in (upper, upper + 1)}  # fmt: skip
+    raise InputError.of(
+        "MODEL-LEVELS/jump", where, lower=on[upper + 1], upper=on[upper],
+        lower_k=t[i, upper + 1, y, x], upper_k=t[i, upper, y, x], thick=thick[i, upper, y, x],
+        north=field.latitude_rad[y] / DEGREE, east=field.longitude_rad[x] / DEGREE,
+    )  # fmt: skip
 
 
 LOW_K, ALOFT_K, LOW_M, ALOFT_M = 2.0, 1.0, 1000.0, 1500.0
@@ -308,6 +373,11 @@ def model_column(
     if math.isnan(ground):
         ground = 0.0 if math.isnan(surface) else surface
         notes.append(fallback("MODEL-GROUND", where=where, ground=ground))
+    elif not field.ground_has_unit and abs(surface - ground) > (
+        _ANOTHER_GROUND_M + 2.0 * abs(STANDARD_GRAVITY * surface - ground)
+    ):
+        raise InputError.of("MODEL-UNITS/ground", where, surface=surface, ground=ground,
+                            metres=STANDARD_GRAVITY * surface)  # fmt: skip
     bottom = ground if math.isnan(surface) else max(surface, ground)
     with np.errstate(invalid="ignore"):
         under = known & (height < bottom)
@@ -322,6 +392,17 @@ def model_column(
     if missing := int((~known & (log_p >= above[:1].max(initial=-math.inf))).sum()):
         notes.append(fallback("MODEL-MISSING", where=where, count=missing, total=known.size))
     height, t, vapour, log_p = height[used], t[used], vapour[used], log_p[used]
+    if field.height.size:  # which heights of model levels are not
+        virtual = t / (1.0 - VAPOUR_DEFICIT * vapour)
+        mean = 0.5 * (virtual[1:] + virtual[:-1])
+        implied = -HYDROSTATIC_CONSTANT * np.diff(height) / np.diff(log_p)
+        worst = int(np.argmax(np.abs(implied - mean)))
+        if abs(implied[worst] - mean[worst]) > _THICKNESS_K:
+            lower, upper = np.exp(log_p[worst : worst + 2]) / HECTOPASCAL
+            notes.append(warning(
+                "MODEL-LAYER", where=where, lower=lower, upper=upper, mean=mean[worst],
+                implied=implied[worst], count=int(np.sum(np.abs(implied - mean) > _THICKNESS_K)),
+            ))  # fmt: skip
     above = height - ground
     days = float(np.interp(time_ns, field.time_ns, field.lead_h)) / 24.0 if field.lead_h.size else 0
     sigma = np.interp(above, [LOW_M, ALOFT_M], [LOW_K, ALOFT_K])

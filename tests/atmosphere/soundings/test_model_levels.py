@@ -6,8 +6,16 @@ import math
 
 import numpy as np
 import pytest
+from scipy.integrate import cumulative_trapezoid
 
-from pipeline.atmosphere.soundings.model_field import ModelField, half_levels, level_coefficients
+from pipeline.atmosphere.soundings.model_field import (
+    ModelField,
+    checked_field,
+    half_levels,
+    level_coefficients,
+    model_column,
+)
+from tests.model_files import PRESSURE_LEVELS
 
 # "L137 model level definitions", ECMWF: pressures of the half levels 1 to 137 [hPa] over a surface
 # of 1013.25 hPa.
@@ -82,3 +90,38 @@ def test_heights_and_pressures_of_model_levels_are_those_of_known_air(first):
     p = np.exp(full)
     np.testing.assert_allclose(e, p * np.interp(at, height, q) / (
         0.622 + 0.378 * np.interp(at, height, q)), rtol=1e-6)  # fmt: skip
+
+
+def test_real_columns_on_coarse_and_model_levels_are_air(flights):
+    """Nine soundings and five extremes: inversions of 15 K, a desert's noon, tropopauses."""
+    for balloon in (*flights.balloons(), *flights.extremes()):
+        lowest, fine = balloon.H[0], np.arange(balloon.H[0], balloon.H[-1], 5.0)
+        t = np.interp(fine, balloon.H, balloon.t)
+        vapour = np.exp(np.interp(fine, balloon.H, np.log(balloon.e))) / balloon.p0
+        fall = 9.80665 * 28.9644 / 8314.32 * (1.0 - 0.378 * vapour) / t
+        log_p = np.log(balloon.p0) - cumulative_trapezoid(fall, fine, initial=0.0)
+        half = half_levels(np.array([balloon.p0]))[0]
+        full = 0.5 * (half[1:] + half[:-1])
+        first = int(np.argmax(full > np.exp(log_p[-1])))
+        on = {
+            "model": full[first:],
+            "coarse": 100.0 * np.array([200, 250, 300, 400, 500, 700, 850, 925, 1000.0]),
+            "fine": 100.0 * np.array(PRESSURE_LEVELS[::-1], float),
+        }
+        for kind, p in on.items():
+            p = p[(p > np.exp(log_p[-1])) & (p < balloon.p0)]
+            kelvin, water, height = (
+                np.interp(-np.log(p), -log_p, v)[None, :, None, None] for v in (t, vapour, fine)
+            )
+            of_model = kind == "model"
+            one, level = np.ones((1, 1, 1, 1)), np.arange(first + 1.0, 138.0) if of_model else p
+            field = ModelField(
+                balloon.name, np.zeros(1, np.int64), np.zeros(1), np.zeros(1), level, kelvin,
+                0.622 * water / (1.0 - 0.378 * water), on_model_levels=of_model,
+                height=np.empty(0) if of_model else height, surface=lowest * one,
+                log_surface_pa=np.log(balloon.p0) * one,
+            )  # fmt: skip
+            checked, notes = checked_field(field, balloon.name)
+            _, more = model_column(checked, (0.0, 0.0, 0), ground_h_m=float(lowest))
+            assert {entry.code for entry in (*notes, *more)} <= {
+                "MODEL-UNDERGROUND", "MODEL-EXTENDED"}, (balloon.name, kind)  # fmt: skip
