@@ -20,9 +20,6 @@ _INCH_OF_MERCURY_PA = 3386.389
 _QNH_PA = (85_000.0, 110_000.0)
 _GROUND_K = (180.0, 333.0)
 _STATION_M = (-500.0, 6_000.0)
-_DAY_NS = 86_400 * NANOSECONDS_PER_SECOND
-_FAR_HOURS = 3.0
-
 # Half a step of the report's digits, and what an inspected station's sensor may be off.
 _TENTHS = re.compile(r"\sT[01]\d{3}[01]\d{3}(?=\s|=|$)")
 _WHOLE_K, _TENTH_K = 0.5, 0.3
@@ -32,18 +29,11 @@ _QNH_SIGMA_PA = 50.0
 
 @dataclass(frozen=True)
 class SurfaceReport:
-    """The air at the height of a weather station.
+    """The air at the height ``h_m`` above sea level of a weather station, NaN where not reported.
 
-    Parameters
-    ----------
-    h_m : height of the station above mean sea level [m].
-    pressure_pa : pressure at that height [Pa], NaN where not reported.
-    temperature_k : [K], NaN where not reported.
-    vapour_pressure_pa : [Pa], NaN where not reported.
-    time_ns : [Unix ns]; None if unknown.
-    origin : ``METAR KOUN`` or ``mission file``.
-    sigma_temperature_k, sigma_pressure_pa : rounding and sensor, not how far away the station is.
-    distance_m : from the flight; ``across`` a coast or a ridge.
+    ``time_ns`` [Unix ns], None if unknown. ``origin``: ``METAR KOUN`` or ``mission file``. The
+    sigmas are of rounding and sensor, not of how far away the station is: ``distance_m`` from the
+    flight, ``across`` a coast or a ridge.
     """
 
     h_m: float
@@ -66,9 +56,8 @@ class SurfaceReport:
 def station_pressure(altimeter_setting_pa: float, h_m: float) -> float:
     """Pressure at a station from its altimeter setting (QNH) [Pa].
 
-    p = (QNH^a - p0^a L h / T0)^(1/a) with a = 0.190263, the ICAO troposphere: the inverse of how
-    the station made its QNH, so exact whatever the air. ``h_m`` : elevation [m], -500 to 6000.
-    Source: ICAO Doc 7488.
+    p = (QNH^a - p0^a L h / T0)^(1/a) with a = 0.190263, the ICAO troposphere (ICAO Doc 7488): the
+    inverse of how the station made its QNH. ``h_m`` : elevation [m], -500 to 6000.
 
     >>> round(station_pressure(101325.0, 1000.0), 0)
     89875.0
@@ -78,22 +67,14 @@ def station_pressure(altimeter_setting_pa: float, h_m: float) -> float:
 
 
 def parse_metar(
-    text: str,
-    station_h_m: float,
-    ledger: Ledger,
-    *,
-    flight_ns: int | None = None,
+    text: str, station_h_m: float, ledger: Ledger, *, flight_ns: int | None = None,
     where: str = "METAR",
-) -> SurfaceReport:
+) -> SurfaceReport:  # fmt: skip
     """The air of a METAR or SPECI: temperature, dew point and altimeter setting.
 
-    Parameters
-    ----------
-    text : the report, on one line or several.
-    station_h_m : elevation of the station [m above sea level]; a METAR has none.
-    flight_ns : a time of the flight [Unix ns]: a METAR has only the day of the month, and the
-        nearest such day is taken. Without it the report has no time.
-    where : where the text stands, for refusals.
+    ``station_h_m``: elevation of the station [m above sea level]; a METAR has none. ``flight_ns``:
+    a time of the flight [Unix ns]: a METAR has only the day of the month, and the nearest such day
+    is taken; without it the report has no time. ``where`` the text stands, for refusals.
 
     Temperatures are whole degrees, tenths where the remarks have a T group. An altimeter setting
     is rounded down, by ICAO's rule to whole hPa and by FAA's to 0.01 inch, so half a step is
@@ -107,7 +88,9 @@ def parse_metar(
     """
     _refuse_height(station_h_m, where)
     flat = " ".join(text.split()).rstrip("=").strip()
-    report = _decode(flat, ledger, where)
+    report, complaints = _decode(flat, where)
+    if complaints:
+        ledger.note("METAR-GROUPS", "; ".join(complaints), where=where, count=len(complaints))
     t, dew = (
         math.nan if value is None else float(value.value("C")) + ZERO_CELSIUS_K
         for value in (report.temp, report.dewpt)
@@ -124,7 +107,7 @@ def parse_metar(
         if number < low or number > high:
             place = f"{where}: {flat[:80]!r}"
             raise InputError.of("METAR-RANGE", place, quantity=quantity, number=number, unit=unit)
-    time_ns = _nearest_day(flat, flight_ns, ledger, where)
+    time_ns = _nearest_day(flat, flight_ns)
     if dew > t:
         celsius, dew_c = t - ZERO_CELSIUS_K, dew - ZERO_CELSIUS_K
         ledger.warning("METAR-DEW-POINT", where=where, count=1, dew_c=dew_c, celsius=celsius)
@@ -144,8 +127,8 @@ def parse_metar(
     return SurfaceReport(station_h_m, pressure, t, e, time_ns, origin, sigma)
 
 
-def _decode(flat: str, ledger: Ledger, where: str) -> Any:
-    """A report as the package ``metar`` reads it; groups it does not know are in the ledger."""
+def _decode(flat: str, where: str) -> tuple[Any, list[str]]:
+    """A report as the package ``metar`` reads it, and its complaints of groups it cannot read."""
     from metar import Metar
 
     with warnings.catch_warnings(record=True) as caught:
@@ -156,17 +139,17 @@ def _decode(flat: str, ledger: Ledger, where: str) -> Any:
             # Month and year only keep it from guessing; January has every day.
             report = Metar.Metar(flat, month=1, year=2000, strict=False)
         except (Metar.ParserError, ValueError, TypeError) as error:
-            raise _no_metar(f"the report does not parse: {error}", flat, where) from None
-    complaints = "; ".join(" ".join(str(warning.message).split()) for warning in caught)
+            why = f"the report does not parse: {error}"
+            raise InputError.of("METAR-PARSE", f"{where}: {flat[:80]!r}", why=why) from None
+    complaints = [" ".join(str(warning.message).split()) for warning in caught]
     if report.station_id is None or (report.temp is None and report.press is None):
         why = "no station, or neither temperature nor altimeter setting, is found"
-        raise _no_metar(f"{why}: {complaints}" if complaints else why, flat, where)
-    if complaints:
-        ledger.note("METAR-GROUPS", complaints, where=where, count=len(caught))
-    return report
+        why = ": ".join([why, "; ".join(complaints)] if complaints else [why])
+        raise InputError.of("METAR-PARSE", f"{where}: {flat[:80]!r}", why=why)
+    return report, complaints
 
 
-def _nearest_day(flat: str, flight_ns: int | None, ledger: Ledger, where: str) -> int | None:
+def _nearest_day(flat: str, flight_ns: int | None) -> int | None:
     """The time of the group DDHHMMZ on the nearest day with that number."""
     group = re.search(r"\s(\d\d)(\d\d)(\d\d)Z\s", flat + " ")
     if group is None or flight_ns is None:
@@ -179,11 +162,7 @@ def _nearest_day(flat: str, flight_ns: int | None, ledger: Ledger, where: str) -
     same = [d for d in days if int((d - d.astype("datetime64[M]")).astype(np.int64)) + 1 == day]
     at = (hour * 3600 + minute * 60) * NANOSECONDS_PER_SECOND
     times = [int(d.astype("datetime64[ns]").astype(np.int64)) + at for d in same]
-    nearest = min(times, key=lambda time: abs(time - flight_ns))
-    hours = abs(nearest - flight_ns) / (_DAY_NS / 24)
-    if hours > _FAR_HOURS:
-        ledger.warning("METAR-FAR-IN-TIME", where=where, hours=hours)
-    return nearest
+    return min(times, key=lambda time: abs(time - flight_ns))
 
 
 def surface_report(
@@ -197,12 +176,9 @@ def surface_report(
 ) -> SurfaceReport:
     """A surface report from numbers.
 
-    Parameters
-    ----------
-    h_m : height of the instruments [m above sea level], -500 to 6000.
-    temperature_k, pressure_pa : [K], [Pa] at that height, not reduced to the sea; NaN if unknown.
-    relative_humidity : 0 to 1 over water; needs the temperature.
-    where : where the numbers stand, for refusals.
+    ``h_m``: height of the instruments [m above sea level], -500 to 6000. ``temperature_k``,
+    ``pressure_pa`` at that height, not reduced to the sea; NaN if unknown. ``relative_humidity``: 0
+    to 1 over water; needs the temperature. ``where`` the numbers stand, for refusals.
 
     Raises ``InputError`` where values cannot be those of air at the ground, as Fahrenheit taken
     for Celsius, or QNH taken for the station's pressure 650 m up, are not. Missions are also
@@ -233,8 +209,3 @@ def surface_report(
 def _refuse_height(h_m: float, where: str) -> None:
     if not _STATION_M[0] <= h_m <= _STATION_M[1]:
         raise InputError.of("SURFACE-HEIGHT", where, height_m=h_m)
-
-
-def _no_metar(what: str, flat: str, where: str) -> InputError:
-    remedy = "give it as the station sent it: METAR EDDF 221150Z 24011KT 9999 SCT040 12/08 Q1013"
-    return InputError("METAR-PARSE", what, where=f"{where}: {flat[:80]!r}", remedy=remedy)

@@ -12,7 +12,7 @@ from pipeline.atmosphere.climatology import Climatology, climatology, month_of
 from pipeline.atmosphere.estimate import adjusted_profile as estimate
 from pipeline.atmosphere.estimate.adjusted_profile import Adjustment, build_adjusted_profile
 from pipeline.atmosphere.estimate.candidates import ExternalSources, no_source_used
-from pipeline.atmosphere.estimate.external_readings import TimeAndPlace, note_source_distances
+from pipeline.atmosphere.estimate.external_readings import TimeAndPlace, distance_notes
 from pipeline.atmosphere.estimate.sensors import FAULT_TEXTS, SensorCalibration, SensorSettings
 from pipeline.atmosphere.estimate.state import SensorFault
 from pipeline.atmosphere.refractive_index import IndexModel
@@ -141,7 +141,6 @@ def sampled_place(
 _LIKELY = 2.0  # sigma that a value in another unit, or reduced, may be off
 _LIKE_FAHRENHEIT, _IMPOSSIBLE_SIGMAS = 2.5, 4.0  # too warm, or off: real soundings stay in 2.9
 _LIKE_QNH, _IMPOSSIBLE_LEVEL = 3.0, 5.0  # sigma of pressures; weather stays in 5
-_FAR_HOURS = 3.0
 
 
 def read_report(
@@ -165,9 +164,6 @@ def read_report(
             section.h_msl_m, temperature_k=section.temperature_k, pressure_pa=section.pressure_pa,
             relative_humidity=section.humidity, time_ns=section.time_ns, where=where,
         )  # fmt: skip
-        hours = TimeAndPlace(flight_ns).hours_from(report.time_ns)
-        if hours > _FAR_HOURS:  # as `parse_metar` warns of a METAR
-            ledger.warning("SURFACE-FAR-IN-TIME", where=where, hours=hours)
     _refuse_temperature(report, background, where, is_celsius=section.metar is not None)
     _refuse_level(report, background, where, is_station=section.metar is not None)
     metres, across = 1e3 * section.distance_km, section.across_coast_or_ridge
@@ -309,7 +305,7 @@ def read_air_sources(
     middle = TimeAndPlace(flight_ns, latitude, longitude)
     model = read_model_air(plan, flight, stations, samples, middle, ledger=ledger)
     soundings += () if model is None else (model.column,)
-    note_source_distances(soundings, surface, middle, ledger)
+    ledger.extend(distance_notes(soundings, surface, middle))
     calibration = section.sensors.calibration
     if not section.adjust and (soundings or surface or calibration):
         ledger.warning(

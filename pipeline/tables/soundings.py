@@ -53,8 +53,10 @@ def read_sounding(
         why = "it is netCDF-4 (HDF5); only the classic format is read"
         raise InputError.of("SOUNDING-NETCDF", path, why=why)
     if data.startswith(_NETCDF3):
-        raw = nearest_in_time([_netcdf(path)], time_ns, path.name, ledger)
-        sounding = check_levels(raw, ledger, latitude_rad=latitude_rad, station_h_m=station_h_m)
+        raw = nearest_in_time([_netcdf(path)], time_ns, path.name)
+        sounding = ledger.take(
+            check_levels(raw, latitude_rad=latitude_rad, station_h_m=station_h_m)
+        )
     else:
         try:
             text = data.decode("utf-8-sig")

@@ -5,7 +5,7 @@ the result says in words why the profile is what it is. The estimate itself is m
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -14,32 +14,10 @@ import numpy as np
 from pipeline.atmosphere.air_samples import AirSamples
 from pipeline.atmosphere.climatology import Climatology, climatology, month_of
 from pipeline.atmosphere.covariance import ProfileCovariance
-from pipeline.atmosphere.estimate import sensor_checks
-from pipeline.atmosphere.estimate.candidates import (
-    Candidate,
-    ExternalSources,
-    SourceUse,
-    UsedSamples,
-    candidates,
-    reason_unadjusted,
-    source_usage,
-)
-from pipeline.atmosphere.estimate.estimate_checks import (
-    UNCHANGED,
-    Check,
-    has_information,
-    hygrometer_is_outside,
-    is_better_than_background,
-    is_plausible,
-)
+from pipeline.atmosphere.estimate import candidates, estimate_checks, sensor_checks, sensors
+from pipeline.atmosphere.estimate.candidates import Candidate, ExternalSources, SourceUse
 from pipeline.atmosphere.estimate.external_readings import TimeAndPlace, reason_uninformative
-from pipeline.atmosphere.estimate.sensors import (
-    Barometer,
-    Humidities,
-    SensorSettings,
-    Temperatures,
-    Thermometer,
-)
+from pipeline.atmosphere.estimate.sensors import SensorSettings
 from pipeline.atmosphere.estimate.solver import Estimate, FaultEstimate, estimate
 from pipeline.atmosphere.estimate.thermometer_checks import MISFIT, thermometer_is_outside
 from pipeline.atmosphere.layers import BAROMETRIC, MEASURED, RELAXED, STANDARD, stack_layers
@@ -47,7 +25,7 @@ from pipeline.atmosphere.profile import Profile
 from pipeline.atmosphere.soundings import Sounding
 from pipeline.atmosphere.surface_report import SurfaceReport
 from pipeline.geodesy import normal_gravity
-from pipeline.ledger import Ledger
+from pipeline.ledger import Entry, Ledger, Notes, fallback, loss, note, warning
 from pipeline.units import Array, Mask
 
 WIDEST_GAP_M = 400.0
@@ -55,8 +33,6 @@ WIDEST_GAP_M = 400.0
 
 FEWEST_TO_INFLATE = 5
 """The estimator never inflates the sigmas of fewer readings."""
-
-LEFT_OUT = "with it no air fits what the flight measured"
 
 UNMEASURED, UNADJUSTED = "climatology", "standard"
 """Bases of a profile without any measurement."""
@@ -117,12 +93,12 @@ def build_adjusted_profile(
     settings : calibration of the sensors; by default none is known.
     background : the climatology to relax to; by default the standard, with the spread about it.
     soundings, surface : balloons and stations near the flight, weighted by age and distance;
-        those that are too far in either to have any information are left out.
+        those too far in either to have any information are left out.
     time_ns, longitude_rad : of the flight, for age and distance; without samples this time gives
         the season.
 
-    Where nothing has enough information, or the estimate fails its checks, the background is
-    returned with its own sigma, and the reason.
+    Where nothing has enough information, or no estimate passes its checks, it is the background
+    with its own sigma, and the reason.
 
     On nine real soundings (tests/atmosphere/test_estimate_montecarlo.py) the RMS error of R at
     1 / 3 / 6 / 10 km, where US 1976 errs by 20 / 13 / 7 / 7 %: clean sensors in climb and descent
@@ -131,46 +107,40 @@ def build_adjusted_profile(
     1.4 / 0.6 % at 3 / 6 km.
     """
     standard = under_gravity(standard, latitude_rad)
-    sensors = (samples.temperature, samples.pressure, samples.humidity)
-    middles = (sensor.middle_ns for sensor in sensors if sensor is not None)
+    middles = (s.middle_ns for s in (samples.temperature, samples.pressure, samples.humidity) if s)
     middle = next((middle for middle in middles if middle is not None), time_ns)
     flight = TimeAndPlace(middle, latitude_rad, longitude_rad)
-    month = month_of(flight.time_ns)
-    moisture = climatology(latitude_rad=latitude_rad, month=month, index=standard.index)
+    expected = partial(climatology, latitude_rad=latitude_rad, month=month_of(middle))
+    moisture = expected(index=standard.index)
     if background is None:
-        named = climatology(standard.name, latitude_rad=latitude_rad, month=month)
-        background = replace(named, profile=standard)
+        background = replace(expected(standard.name), profile=standard)
     moisture = background if background.has_humidity else moisture
-    samples, settings = sensor_checks.subtract_known_biases(
-        samples, settings or SensorSettings(), ledger
+    samples, settings = ledger.take(
+        sensor_checks.subtract_known_biases(samples, settings or SensorSettings())
     )
-    usable = sensor_checks.usable_sensors(samples, standard, settings, ledger)
-    indoors = sensor_checks.is_maybe_indoors(usable, standard, settings, ledger)
+    usable = ledger.take(sensor_checks.usable_sensors(samples, standard))
+    indoors = ledger.take(sensor_checks.is_maybe_indoors(usable, standard, settings))
     settings = replace(settings, maybe_indoors=indoors)
-    unused: dict[str, str] = {}
     external = ExternalSources(tuple(soundings), tuple(surface))
-    for source in external.sources:
-        why = reason_uninformative(source, flight)
-        if why is not None:
-            unused[source.name] = why
-            ledger.loss("AIR-SOURCE-FAR", f"{source.name} is not used: {why}", where=source.name)
+    whys = {source.name: reason_uninformative(source, flight) for source in external.sources}
+    unused = {name: why for name, why in whys.items() if why is not None}
+    for name, why in unused.items():
+        ledger.loss("AIR-SOURCE-FAR", f"{name} is not used: {why}", where=name)
     near = [sounding for sounding in soundings if sounding.name not in unused]
     reports = [report for report in surface if report.name not in unused]
-    tried: list[AirSamples] = []
-    faults: list[str] = []
-    refused: dict[str, str] = {}
-    passed = _first_that_passes(
-        candidates(usable, near, reports), background, settings, tried, faults,
-        refused=refused, moisture=moisture, flight=flight, ledger=ledger,
-    )  # fmt: skip
-    usage = partial(source_usage, external=external, background=background, standard=standard.name)
-    if passed is None:  # the background itself, in layers fine enough to carry its covariance
+    choices = candidates.candidates(usable, near, reports)
+    trials = ledger.take(_first_that_passes(choices, background, settings, moisture, flight))
+    flown = candidates.UsedSamples(samples, usable, trials.tried, refused=trials.refused)
+    usage = partial(
+        candidates.source_usage, external=external, background=background, standard=standard.name
+    )
+    if trials.passed is None:  # the background, in layers fine enough to carry its covariance
         profile = background.profile
         is_standard = profile.name == standard.name
         kept = f"the {'standard atmosphere' if is_standard else 'climatology'} {profile.name}"
-        reason = reason_unadjusted(usable, faults, kept)
+        reason = candidates.reason_unadjusted(usable, trials.faults, kept)
         ledger.fallback("AIR-STANDARD", reason)
-        sensor_checks.note_unused_calibration(set(settings.calibration), ledger)
+        ledger.extend(sensor_checks.unused_calibration(set(settings.calibration)))
         made = estimate(AirSamples(), background)
         edge = made.profile.layers.edge
         t_m, _, vapour = profile.state(profile.gravity.height(edge))
@@ -180,47 +150,49 @@ def build_adjusted_profile(
         )  # fmt: skip
         profile = replace(profile, layers=layers)
         covariance = replace(made.covariance, profile=profile)
-        basis = UNADJUSTED if is_standard else UNMEASURED
-        sources = usage(UsedSamples(samples, usable, tried, refused=refused), (), unused=unused)
-        return Adjustment(profile, standard, basis, reason, None, covariance, sources=sources)
-    candidate, made = passed
+        basis, uses = UNADJUSTED if is_standard else UNMEASURED, usage(flown, (), unused=unused)
+        return Adjustment(profile, standard, basis, reason, None, covariance, sources=uses)
+    candidate, made = trials.passed
     for name in candidate.external.left_out:
-        unused[name] = LEFT_OUT
-        ledger.loss("AIR-SOURCE-REFUSED", f"{name} is not used: {LEFT_OUT}", where=name)
+        unused[name] = why = "with it no air fits what the flight measured"
+        ledger.loss("AIR-SOURCE-REFUSED", f"{name} is not used: {why}", where=name)
     profile = replace(made.profile, layers=replace(made.profile.layers, source=_sources(made)))
-    sensor_checks.note_pressure_level(profile, background, candidate.samples.pressure, ledger)
-    _note_estimate(candidate, made, ledger)
-    sensor_checks.check_calibration(made, settings, ledger)
+    ledger.add(sensor_checks.pressure_level(profile, background, candidate.samples.pressure))
+    ledger.extend(_notes(candidate, made))
+    ledger.extend(sensor_checks.check_calibration(made, settings))
     for readings in made.readings.sets:
-        if isinstance(readings, Barometer):  # of a part of the flight pressure changes since here
+        if isinstance(readings, sensors.Barometer):  # pressure changes since here, in parts too
             settings = replace(settings, highest=readings.highest)
-    flown = UsedSamples(samples, usable, tried, candidate.samples, refused)
-    used_ns = candidate.main.middle_ns if candidate.main is not None else None
+    uses = usage(replace(flown, used=candidate.samples), made.fits, unused=unused)
     return Adjustment(
-        profile, standard, candidate.basis, candidate.reason, used_ns,
-        replace(made.covariance, profile=profile), made.faults,
-        usage(flown, made.fits, unused=unused), made.readings.rejected,
+        profile, standard, candidate.basis, candidate.reason,
+        None if candidate.main is None else candidate.main.middle_ns,
+        replace(made.covariance, profile=profile), made.faults, uses, made.readings.rejected,
         samples=candidate.samples, settings=settings, moisture=moisture,
     )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class _Trials:
+    """The samples of the estimates that were ``tried``, why they failed, and the one that
+    ``passed``; ``refused`` are the sensors that are not used, by their quantity, and why."""
+
+    tried: Sequence[AirSamples]
+    faults: Sequence[str]
+    refused: Mapping[str, str]
+    passed: tuple[Candidate, Estimate] | None = None
 
 
 def _first_that_passes(
     choices: Sequence[Candidate],
     background: Climatology,
     settings: SensorSettings,
-    tried: list[AirSamples],
-    faults: list[str],
-    *,
-    refused: dict[str, str],
     moisture: Climatology,
     flight: TimeAndPlace,
-    ledger: Ledger,
-) -> tuple[Candidate, Estimate] | None:
-    """The first estimate that passes its checks; all that were ``tried``, and their ``faults``.
-
-    ``refused`` receives the sensors that are not used, by their quantity, and why.
-    """
-    remaining = list(choices)
+) -> tuple[_Trials, Notes]:
+    """The first estimate that passes its checks."""
+    remaining, notes = list(choices), list[Entry]()
+    tried, faults, refused = list[AirSamples](), list[str](), dict[str, str]()
     while remaining:
         candidate = remaining.pop(0)
         tried.append(candidate.samples)
@@ -234,41 +206,49 @@ def _first_that_passes(
         if not check and candidate.main is not None:
             remaining = [other for other in remaining if other.samples.temperature is None]
             refused["temperature"] = check.reason
-            ledger.loss("AIR-THERMOMETER", f"{name} is not used: {check.reason}", where=name)
-        elif not (check := hygrometer_is_outside(made, moisture)):
+            notes.append(loss("AIR-THERMOMETER", f"{name} is not used: {check.reason}", where=name))
+        elif not (check := estimate_checks.hygrometer_is_outside(made, moisture)):
             humidity = candidate.samples.humidity
-            where = humidity.name if humidity is not None else ""
+            name = humidity.name if humidity is not None else ""
             refused["humidity"] = check.reason
-            ledger.loss("AIR-HYGROMETER", f"{where} is not used: {check.reason}", where=where)
+            notes.append(loss("AIR-HYGROMETER", f"{name} is not used: {check.reason}", where=name))
             remaining = [
                 replace(other, samples=replace(other.samples, humidity=None))
                 for other in (candidate, *remaining)
             ]
             continue
         elif candidate.basis == "barometer" and not (
-            check := has_information(made, background, moisture)
+            check := estimate_checks.has_information(made, background, moisture)
         ):
-            check = Check(f"{candidate.reason}, but {check.reason}")
+            check = estimate_checks.Check(f"{candidate.reason}, but {check.reason}")
             remaining = [other for other in remaining if other.basis != "barometer"]
         else:
-            check = is_plausible(made, background)
-            check = check and is_better_than_background(made, background, moisture)
+            check = estimate_checks.is_plausible(made, background)
+            check = check and estimate_checks.is_better_than_background(made, background, moisture)
             if check:
-                return candidate, made
+                return _Trials(tried, faults, refused, (candidate, made)), tuple(notes)
             what = f"the air estimated from {candidate.reason} is not used: {check.reason}"
-            ledger.loss("AIR-IMPLAUSIBLE", what, where=name)
+            notes.append(loss("AIR-IMPLAUSIBLE", what, where=name))
         faults.append(check.reason)
-    return None
+    return _Trials(tried, faults, refused), tuple(notes)
 
 
 def _sources(made: Estimate) -> tuple[str, ...]:
     """Source of each layer: a thermometer's heights, a barometer's, neighbours, or nothing."""
     edge = made.profile.layers.edge
     middle = 0.5 * (edge[1:] + edge[:-1])
-    warm = _covered(middle, made, (Thermometer, Temperatures), WIDEST_GAP_M)
-    weighed = _covered(middle, made, (Barometer,), 2.0 * WIDEST_GAP_M)
+
+    def covered(kinds: tuple[type, ...], widest: float) -> Mask:
+        """Between two readings of some kinds, at most ``widest`` apart."""
+        heights = [s.height for s in made.readings.sets if isinstance(s, kinds)]
+        at: Array = np.sort(np.concatenate([*heights, [-np.inf, np.inf]]))
+        above = np.searchsorted(at, middle)
+        return np.asarray(at[above] - at[above - 1] <= widest)
+
+    warm = covered((sensors.Thermometer, sensors.Temperatures), WIDEST_GAP_M)
+    weighed = covered((sensors.Barometer,), 2.0 * WIDEST_GAP_M)
     sigma = made.covariance.sigma_temperature(made.profile.break_heights_m)
-    learnt = sigma < UNCHANGED * made.background_sigma_k
+    learnt = sigma < estimate_checks.UNCHANGED * made.background_sigma_k
     between = np.where(learnt[1:] | learnt[:-1], RELAXED, STANDARD)
     source = np.where(warm, MEASURED, np.where(weighed, BAROMETRIC, between))
     return tuple(str(name) for name in source)
@@ -284,47 +264,25 @@ def unadjusted(standard: Profile, reason: str) -> Adjustment:
     return Adjustment(standard, standard, UNADJUSTED, reason)
 
 
-def _covered(middle: Array, made: Estimate, kinds: tuple[type, ...], widest: float) -> Mask:
-    """Whether heights lie between two readings of some kinds, at most ``widest`` apart."""
-    heights = [s.height for s in made.readings.sets if isinstance(s, kinds)]
-    if not heights:
-        return np.zeros(middle.size, dtype=bool)
-    at = np.sort(np.concatenate(heights))
-    above = np.searchsorted(at, middle)
-    inside = (above > 0) & (above < at.size)
-    upper, lower = np.minimum(above, at.size - 1), np.maximum(above - 1, 0)
-    return np.asarray(inside & (at[upper] - at[lower] <= widest))
-
-
-def _note_estimate(candidate: Candidate, made: Estimate, ledger: Ledger) -> None:
-    """Report substitutes, estimated sensor faults, readings that do not fit, and outliers."""
+def _notes(candidate: Candidate, made: Estimate) -> Iterator[Entry]:
+    """Substitutes, estimated sensor faults, readings that do not fit, and outliers."""
     if candidate.basis == "barometer":
         where = candidate.main.name if candidate.main else ""
-        ledger.fallback("AIR-BAROMETRIC", candidate.reason, where=where)
-    if not any(isinstance(readings, Humidities) for readings in made.readings.sets):
-        what = "no humidity measured outside: that of the climatology is taken"
-        ledger.fallback("AIR-HUMIDITY-EXPECTED", what)
+        yield fallback("AIR-BAROMETRIC", candidate.reason, where=where)
+    if not any(isinstance(readings, sensors.Humidities) for readings in made.readings.sets):
+        yield fallback("AIR-HUMIDITY-EXPECTED")
     if not made.converged:
-        ledger.warning("AIR-UNSETTLED", "the estimate did not converge: its last step still moved")
+        yield warning("AIR-UNSETTLED")
     learnt = [f for f in made.faults if f.sigma < 0.7 * f.prior_sigma]
     if learnt:
-        ledger.note("AIR-SENSORS", "; ".join(map(sensor_checks.described_fault, learnt)))
+        yield note("AIR-SENSORS", "; ".join(map(sensor_checks.described_fault, learnt)))
     for fit in made.fits:
-        few = fit.count < FEWEST_TO_INFLATE
-        if fit.sigma_inflation > MISFIT or (few and fit.rms > MISFIT):
-            remark = "robust weights let the other readings prevail"
-            if fit.sigma_inflation > MISFIT:
-                remark = f"sigma inflation factor {fit.sigma_inflation:.0f}"
-            what = (
-                f"residuals of {fit.name} ({fit.quantity}) are {fit.rms:.1f} times what its errors "
-                f"explain: {remark}"
-            )
-            ledger.warning("AIR-MISFIT", what, where=fit.name, count=fit.count)
+        inflated = fit.sigma_inflation > MISFIT
+        if inflated or (fit.count < FEWEST_TO_INFLATE and fit.rms > MISFIT):
+            key = "AIR-MISFIT" if inflated else "AIR-MISFIT/few"
+            yield warning(key, where=fit.name, count=fit.count, fit=fit)
     for name, rejected in made.readings.rejected.items():
-        if bool(rejected.any()):
+        if count := int(rejected.sum()):
             sensor = getattr(candidate.samples, name)
-            what = (
-                f"{int(rejected.sum())} of {int(sensor.accepted.sum())} readings are far from "
-                "their neighbours in height and time and are not used"
-            )
-            ledger.note("AIR-OUTLIERS", what, where=sensor.name, count=int(rejected.sum()))
+            total = int(sensor.accepted.sum())
+            yield note("AIR-OUTLIERS", where=sensor.name, count=count, total=total)

@@ -7,7 +7,7 @@ weight rho^2.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +18,7 @@ from pipeline.atmosphere.estimate.state import TOP_M, Drift
 from pipeline.atmosphere.refractive_index import enhancement_factor, saturation_vapour_pressure
 from pipeline.atmosphere.soundings import Sounding
 from pipeline.atmosphere.surface_report import SurfaceReport
-from pipeline.ledger import Ledger
+from pipeline.ledger import Entry, fallback, warning
 from pipeline.units import Array, Mask
 
 SPREAD_K, SPREAD_RH = 5.0, 0.3
@@ -45,6 +45,9 @@ MOST_GROWTH = 9.0
 
 UNDATED_SOUNDING_H, UNDATED_REPORT_H, UNPLACED_M = 6.0, 3.0, 100e3
 """Assumed where unknown: soundings are released every twelve hours, stations are near."""
+
+FAR_REPORT_H = 3.0
+"""A surface report from longer before or after is reported."""
 
 _EARTH_M = 6.371e6
 _MOST_EXPONENT = 50.0  # exp of it is finite, and far beyond MOST_GROWTH
@@ -153,42 +156,30 @@ def reason_uninformative(source: Sounding | SurfaceReport, flight: TimeAndPlace)
     return f"it is {far} from the flight: the climatology is as accurate"
 
 
-def note_source_distances(
-    soundings: Sequence[Sounding],
-    surface: Sequence[SurfaceReport],
-    flight: TimeAndPlace,
-    ledger: Ledger,
-) -> None:
-    """Report sources without time or place, and soundings from far away."""
+def distance_notes(
+    soundings: Sequence[Sounding], surface: Sequence[SurfaceReport], flight: TimeAndPlace
+) -> Iterator[Entry]:
+    """Sources without time or place, soundings from far away and reports hours away."""
     for sounding in soundings:
         name = sounding.name
         if sounding.time_ns is None:
-            what = (
-                f"the sounding has no time: it is taken as {UNDATED_SOUNDING_H:.0f} hours from the "
-                "flight"
-            )
-            ledger.fallback("SOUNDING-UNDATED", what, where=name)
+            yield fallback("SOUNDING-UNDATED", where=name, hours=UNDATED_SOUNDING_H)
         metres = flight.metres_from(sounding.latitude_rad, sounding.longitude_rad)
         if not math.isfinite(metres) and math.isfinite(flight.latitude_rad):
-            what = (
-                f"the sounding has no position: it is taken as {UNPLACED_M / 1e3:.0f} km from the "
-                "flight"
-            )
-            ledger.fallback("SOUNDING-UNPLACED", what, where=name)
+            yield fallback("SOUNDING-UNPLACED", where=name, km=UNPLACED_M / 1e3)
         if metres > FAR_M:
             growth = variance_growth(0.0, metres)
-            worth = f"temperatures are {SPREAD_K * math.sqrt(growth):.1f} K less certain for that"
-            what = f"the sounding is {metres / 1e3:.0f} km from the flight: " + (
-                worth if growth <= MOST_GROWTH else "it has no information on its air"
-            )
-            ledger.warning("SOUNDING-FAR-AWAY", what, where=name)
+            key = "SOUNDING-FAR-AWAY" if growth <= MOST_GROWTH else "SOUNDING-FAR-AWAY/useless"
+            kelvin = SPREAD_K * math.sqrt(growth)
+            yield warning(key, where=name, km=metres / 1e3, kelvin=kelvin)
     for report in surface:
+        hours = flight.hours_from(report.time_ns)
         if report.time_ns is None and flight.time_ns is not None:
-            what = (
-                f"the report has no time: it is taken as {UNDATED_REPORT_H:.0f} hours from the "
-                "flight"
-            )
-            ledger.fallback("SURFACE-UNDATED", what, where=report.name)
+            yield fallback("SURFACE-UNDATED", where=report.name, hours=UNDATED_REPORT_H)
+        if hours > FAR_REPORT_H:
+            is_metar = report.origin.startswith("METAR")
+            key = "METAR-FAR-IN-TIME" if is_metar else "SURFACE-FAR-IN-TIME"
+            yield warning(key, where=report.name, hours=hours)
 
 
 def sounding_departures(
@@ -201,22 +192,22 @@ def sounding_departures(
         inside = _inside(sounding, background)
         if not bool(inside.any()):
             continue
-        height = gravity.geopotential_height(sounding.h_m[inside])
-        knots = np.arange(height[0], height[-1] + DEPARTURE_STEP_M, DEPARTURE_STEP_M)
         errors, levels = sounding.errors, gravity.geopotential_height(sounding.h_m)
-
-        def at_knots(sigma: Array | float, knots: Array = knots, levels: Array = levels) -> Array:
-            return np.asarray(np.interp(knots, levels, np.broadcast_to(sigma, levels.shape)))
-
+        height = levels[inside]
+        knots = np.arange(height[0], height[-1] + DEPARTURE_STEP_M, DEPARTURE_STEP_M)
+        own_k, own_rh = (
+            np.interp(knots, levels, np.broadcast_to(sigma, levels.shape))
+            for sigma in (errors.temperature_k, errors.relative_humidity)
+        )
         hours, metres = hours_and_metres(sounding, flight)
         low = background.profile.pressure(gravity.height(knots)) > LOW_PA
         growth = np.where(
             low, variance_growth(hours, ROUGHER * metres), variance_growth(hours, metres)
         )
-        own, later = at_knots(errors.temperature_k) ** 2, SPREAD_K**2 * growth
+        own, later = own_k**2, SPREAD_K**2 * growth
         share = float(np.mean(own) / np.mean(own + later))
         length = share * errors.temperature_length_m + (1.0 - share) * LATER_LENGTH_M
-        humid = np.hypot(at_knots(errors.relative_humidity), SPREAD_RH * np.sqrt(growth))
+        humid = np.hypot(own_rh, SPREAD_RH * np.sqrt(growth))
         departures += [
             Drift(f"{sensors.SOUNDING_DEPARTURE} {i}", knots, np.sqrt(own + later), length),
             Drift(f"{sensors.SOUNDING_HUMIDITY} {i}", knots, humid, errors.humidity_length_m),

@@ -2,23 +2,19 @@
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from pipeline.atmosphere.air_samples import (
-    BIN_M,
-    AirSamples,
-    SensorSamples,
-    bin_by_height,
-    climb_of,
-)
+from pipeline.atmosphere import air_samples
+from pipeline.atmosphere.air_samples import BIN_M, AirSamples, SensorSamples, bin_by_height
 from pipeline.atmosphere.climatology import Climatology
 from pipeline.atmosphere.estimate.sensors import FAULT_TEXTS, SensorCalibration, SensorSettings
 from pipeline.atmosphere.estimate.solver import Estimate, FaultEstimate
 from pipeline.atmosphere.estimate.state import SensorFault
 from pipeline.atmosphere.hypsometry import Fall, fall_of_pressure
 from pipeline.atmosphere.profile import Profile
-from pipeline.ledger import Ledger
+from pipeline.ledger import Entry, Notes, fallback, loss, note, warning
 from pipeline.units import HECTOPASCAL, Mask
 
 CLIMB_TO_COMPARE_M = 200.0
@@ -52,6 +48,7 @@ UNEXPECTED = 2.0
 LOST_SHARE, LOST_SIGMAS = 0.01, 3.0
 """A static pressure that loses more of its change than this, by so many sigmas, is a warning."""
 
+_MISSION_KEY = "atmosphere.sensors"
 _LEAST_LEARNT = 0.05  # of the expected sigma: an estimate that gained less is no evidence
 _READINGS = {
     SensorFault.THERMOMETER_BIAS: "temperature",
@@ -61,8 +58,8 @@ _READINGS = {
 
 
 def subtract_known_biases(
-    samples: AirSamples, settings: SensorSettings, ledger: Ledger
-) -> tuple[AirSamples, SensorSettings]:
+    samples: AirSamples, settings: SensorSettings
+) -> tuple[tuple[AirSamples, SensorSettings], Notes]:
     """Samples without the known biases, and settings in which the rest of these is 0.
 
     Biases are subtracted before any sensor is checked. The report lists what remains, for example
@@ -76,24 +73,21 @@ def subtract_known_biases(
         corrected[sensor] = replace(readings, value=readings.value - known.mean)
         rest[fault] = SensorCalibration(0.0, known.sigma, known.mean)
         texts.append(f"{FAULT_TEXTS[fault]} of {readings.name} {known.mean:g}")
-    if texts:
-        what = f"subtracted from the readings by the mission file: {'; '.join(texts)}"
-        ledger.note("AIR-CALIBRATED", what, where="atmosphere.sensors", count=len(texts))
-    return replace(samples, **corrected), replace(settings, calibration=rest)
+    told = note("AIR-CALIBRATED", where=_MISSION_KEY, count=len(texts), biases="; ".join(texts))
+    result = replace(samples, **corrected), replace(settings, calibration=rest)
+    return result, (told,) if texts else ()
 
 
-def check_calibration(made: Estimate, settings: SensorSettings, ledger: Ledger) -> None:
-    """Report a stated calibration that the flight contradicts, and those that are not used.
+def check_calibration(made: Estimate, settings: SensorSettings) -> Notes:
+    """A stated calibration that the flight contradicts, those that are not used, and large errors.
 
-    An error that is not stated is reported where it is larger than any working sensor's.
-
-    If both are right, an estimate departs from what was expected by a sigma whose square is that
-    of the expectation less that of the estimate. One wrong value makes others seem wrong, so only
-    the worst is named.
+    Errors that are not stated are reported where they are larger than any working sensor's. If
+    calibration and flight are right, an estimate departs from what was expected by a sigma whose
+    square is that of the expectation less that of the estimate. One wrong value makes others seem
+    wrong, so only the worst is named.
     """
     expected = {fault.name: fault.mean for fault in made.readings.faults}
-    worst, text = CONTRADICTED, ""
-    large = []
+    worst, notes, large = CONTRADICTED, [], []
     for estimated in made.faults:
         known, prior = settings.calibration.get(estimated.fault), estimated.prior_sigma
         learnt = prior**2 - estimated.sigma**2
@@ -109,19 +103,14 @@ def check_calibration(made: Estimate, settings: SensorSettings, ledger: Ledger) 
         if abs(change) > worst * math.sqrt(learnt):
             worst = abs(change) / math.sqrt(learnt)
             stated = mean + known.subtracted
-            by_flight = stated + change * prior**2 / learnt
-            text = (
-                f"{FAULT_TEXTS[estimated.fault]}: {stated:.3g} ± {prior:.2g} by the mission file, "
-                f"{by_flight:.3g} by the flight alone, {worst:.0f} sigma away: one of the two is "
-                "wrong, or another sensor"
-            )
-    if text:
-        ledger.warning("AIR-CALIBRATION", text, where="atmosphere.sensors")
+            notes = [warning(
+                "AIR-CALIBRATION", where=_MISSION_KEY, fault=FAULT_TEXTS[estimated.fault],
+                stated=stated, prior=prior, flown=stated + change * prior**2 / learnt, sigmas=worst,
+            )]  # fmt: skip
     if large:
-        what = f"{'; '.join(large)}: larger than a working sensor's, or another source is wrong"
-        ledger.warning("AIR-SENSORS", what, count=len(large))
+        notes.append(warning("AIR-SENSORS/large", count=len(large), faults="; ".join(large)))
     drifts = {drift.name for drift in made.readings.drifts}
-    note_unused_calibration(set(settings.calibration) - set(expected) - drifts, ledger)
+    return *notes, *unused_calibration(set(settings.calibration) - set(expected) - drifts)
 
 
 def described_fault(estimated: FaultEstimate) -> str:
@@ -131,34 +120,41 @@ def described_fault(estimated: FaultEstimate) -> str:
     return f"{FAULT_TEXTS[f.fault]} {f.value:.{digits}f} ± {f.sigma:.{digits}f}"
 
 
-def note_unused_calibration(faults: set[SensorFault], ledger: Ledger) -> None:
-    """Report stated calibrations of faults that no sensor in use has."""
-    if faults:
-        texts = sorted(FAULT_TEXTS[fault] for fault in faults)
-        what = f"no sensor in use has a {', '.join(texts)}"
-        ledger.note("AIR-CALIBRATION-UNUSED", what, where="atmosphere.sensors", count=len(faults))
+def unused_calibration(faults: set[SensorFault]) -> Notes:
+    """What is reported of stated calibrations of faults that no sensor in use has."""
+    if not faults:
+        return ()
+    what = f"no sensor in use has a {', '.join(sorted(FAULT_TEXTS[fault] for fault in faults))}"
+    return (note("AIR-CALIBRATION-UNUSED", what, where=_MISSION_KEY, count=len(faults)),)
 
 
-def usable_sensors(
-    samples: AirSamples, standard: Profile, settings: SensorSettings, ledger: Ledger
-) -> AirSamples:
+def usable_sensors(samples: AirSamples, standard: Profile) -> tuple[AirSamples, Notes]:
     """The samples without the sensors that contradict physics, or one another.
 
     Readings of a sensor must not stay the same during a climb. Pressure must fall with GNSS height
     as it does in air of 180 to 335 K.
     """
-    pressure = samples.pressure
-    if pressure is not None:
-        stuck = pressure.value[_stuck(pressure, "pressure")]
-        if stuck.size:
-            _reject_pressure(pressure, f"stays at {stuck[0]:.0f} Pa", ledger)
-            pressure = None
-    temperature = _without_stuck(samples.temperature, "temperature", ledger)
-    humidity = _without_stuck(samples.humidity, "humidity", ledger)
-    samples = replace(samples, temperature=temperature, pressure=pressure, humidity=humidity)
+    notes: list[Entry] = []
+    kept: dict[str, Any] = {}
+    for name in ("pressure", "temperature", "humidity"):
+        sensor: SensorSamples | None = getattr(samples, name)
+        if sensor is None or not bool((stuck := _stuck(sensor, name)).any()):
+            continue
+        value, extent = sensor.value[stuck][0], np.ptp(sensor.h_m[stuck])
+        if name == "pressure":
+            kept[name] = None
+            notes.append(_indoors(sensor, f"stays at {value:.0f} Pa"))
+            continue
+        rest = replace(sensor, accepted=sensor.accepted & ~stuck)
+        kept[name] = rest if bool(rest.accepted.any()) else None
+        notes.append(loss(
+            "AIR-STUCK", where=sensor.name, count=int(stuck.sum()), value=value, extent=extent,
+            total=int(sensor.accepted.sum()),
+        ))  # fmt: skip
+    samples = replace(samples, **kept)
+    pressure, gravity = samples.pressure, standard.gravity
     if pressure is None or pressure.extent_m < CLIMB_TO_COMPARE_M:
-        return samples
-    gravity = standard.gravity
+        return samples, tuple(notes)
     with np.errstate(invalid="ignore", divide="ignore"):
         departure = np.log(pressure.value) - np.log(standard.pressure(pressure.h_m))
     at = gravity.geopotential_height(pressure.h_m)
@@ -168,14 +164,19 @@ def usable_sensors(
     if not fall.is_of_air:
         implied = fall.implied_k
         what = "does not fall with height" if implied is None else f"implies {implied:.0f} K"
-        _reject_pressure(pressure, what, ledger)
-        return replace(samples, pressure=None)
-    return samples
+        notes.append(_indoors(pressure, what))
+        samples = replace(samples, pressure=None)
+    return samples, tuple(notes)
+
+
+def _indoors(pressure: SensorSamples, what: str) -> Entry:
+    extent = pressure.extent_m
+    return loss("AIR-NOT-OUTSIDE", where=pressure.name, what_is_odd=what, extent=extent)
 
 
 def is_maybe_indoors(
-    samples: AirSamples, standard: Profile, settings: SensorSettings, ledger: Ledger
-) -> bool:
+    samples: AirSamples, standard: Profile, settings: SensorSettings
+) -> tuple[bool, Notes]:
     """Whether nothing in a short climb shows that the thermometer is outside.
 
     Indoors temperatures change little, and with time: in the descent the same height reads another
@@ -183,11 +184,11 @@ def is_maybe_indoors(
     """
     temperature = samples.temperature
     if temperature is None or samples.pressure is None or settings.board_temperature:
-        return False
+        return False, ()
     extent, at = temperature.extent_m, standard.gravity.geopotential_height(temperature.h_m)
     if not STUCK_M <= extent < SHORT_CLIMB_M:
-        return False
-    climb = climb_of((temperature.time_ns - temperature.time_ns[0]) * 1e-9, at)
+        return False, ()
+    climb = air_samples.climb_of((temperature.time_ns - temperature.time_ns[0]) * 1e-9, at)
     ways = []
     for way in (climb >= 0.0, climb < 0.0):
         part = replace(temperature, accepted=temperature.accepted & way)
@@ -198,40 +199,9 @@ def is_maybe_indoors(
     _, binned = bin_by_height(at, temperature, BIN_M)
     by_height = float(np.ptp(binned)) if binned.size else 0.0
     if not binned.size or by_height >= max(ISOTHERMAL_K, by_time):
-        return False
-    what = (
-        f"{temperature.name} changes by {by_height:.1f} K over {extent:.0f} m of height, and by "
-        f"{by_time:.1f} K between climb and descent: if it is indoors its temperatures are not "
-        "those of the air outside, and over so little height the barometer cannot show it. Its "
-        "error is expected to be that of a circuit board's"
-    )
-    ledger.warning("AIR-ISOTHERMAL", what, where=temperature.name)
-    return True
-
-
-def _without_stuck(sensor: SensorSamples | None, name: str, ledger: Ledger) -> SensorSamples | None:
-    """A sensor without the readings during which it was stuck."""
-    if sensor is None:
-        return None
-    stuck = _stuck(sensor, name)
-    if not bool(stuck.any()):
-        return sensor
-    what = (
-        f"{int(stuck.sum())} of {int(sensor.accepted.sum())} readings of {sensor.name} are exactly "
-        f"{sensor.value[stuck][0]:.6g} over {np.ptp(sensor.h_m[stuck]):.0f} m of height: the "
-        "sensor is stuck, and they are not used"
-    )
-    ledger.loss("AIR-STUCK", what, where=sensor.name, count=int(stuck.sum()))
-    kept = replace(sensor, accepted=sensor.accepted & ~stuck)
-    return kept if bool(kept.accepted.any()) else None
-
-
-def _reject_pressure(pressure: SensorSamples, what: str, ledger: Ledger) -> None:
-    text = (
-        f"the pressure of {pressure.name} {what} over {pressure.extent_m:.0f} m of GNSS height: "
-        "it is not that of the air outside and is not used"
-    )
-    ledger.loss("AIR-NOT-OUTSIDE", text, where=pressure.name)
+        return False, ()
+    return True, (warning("AIR-ISOTHERMAL", where=temperature.name, extent=extent,
+                          by_height=by_height, by_time=by_time),)  # fmt: skip
 
 
 def _stuck(sensor: SensorSamples, name: str) -> Mask:
@@ -254,34 +224,28 @@ def _stuck(sensor: SensorSamples, name: str) -> Mask:
     return stuck
 
 
-def note_pressure_level(
-    profile: Profile, background: Climatology, pressure: SensorSamples | None, ledger: Ledger
-) -> None:
-    """Report the residuals of the measured pressures, and whether their level is plausible.
+def pressure_level(
+    profile: Profile, background: Climatology, pressure: SensorSamples | None
+) -> Entry:
+    """The residuals of the measured pressures, and whether their level is plausible.
 
     Pressure reduced to sea level should lie within 5 sigma of the climatology's (about 50 hPa; the
     deepest lows reach 6); 10 sigma, a tenth of the pressure, are no weather.
     """
     if pressure is None or not bool(pressure.accepted.any()):
-        level = "its level is that of a sounding, a station or the climatology"
-        ledger.fallback("AIR-NO-BAROMETER", f"no static pressure outside: {level}")
-        return
+        return fallback("AIR-NO-BAROMETER")
     h, measured = pressure.used()
-    residual = np.abs(measured - profile.pressure(h))
+    residual = np.abs(measured - profile.pressure(h)) / HECTOPASCAL
     at_sea = float(profile.pressure(0.0))
     departure = np.log(at_sea / float(background.profile.pressure(0.0)))
     sigmas = abs(float(departure)) / background.spread.pressure_ratio
-    what = (
-        f"pressure anchored to {pressure.name}: residuals of "
-        f"{float(np.nanmedian(residual)) / HECTOPASCAL:.2f} hPa in the median, "
-        f"{np.nanmax(residual) / HECTOPASCAL:.2f} hPa at most; {at_sea / HECTOPASCAL:.0f} hPa at "
-        "sea level"
-    )
-    report = ledger.note
+    make, remark = note, ""
+    if sigmas > UNLIKELY_SIGMAS:
+        make, remark = warning, f", {sigmas:.0f} sigma from the climatology"
     if sigmas > IMPOSSIBLE_SIGMAS:
-        report = ledger.loss
-        what += f", {sigmas:.0f} sigma from the climatology: the barometer or its unit is wrong"
-    elif sigmas > UNLIKELY_SIGMAS:
-        report = ledger.warning
-        what += f", {sigmas:.0f} sigma from the climatology"
-    report("AIR-ANCHOR", what, where=pressure.name, count=int(measured.size))
+        make, remark = loss, f"{remark}: the barometer or its unit is wrong"
+    return make(
+        "AIR-ANCHOR", where=pressure.name, count=int(measured.size), remark=remark,
+        median=float(np.nanmedian(residual)), largest=np.nanmax(residual),
+        at_sea=at_sea / HECTOPASCAL,
+    )  # fmt: skip

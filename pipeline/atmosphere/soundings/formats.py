@@ -10,6 +10,7 @@ And a plain CSV of levels, whose column names state the units.
 import math
 import re
 from collections.abc import Callable, Iterator
+from itertools import pairwise
 
 import numpy as np
 
@@ -25,7 +26,7 @@ from pipeline.atmosphere.soundings.levels import (
     utc_ns,
 )
 from pipeline.errors import InputError
-from pipeline.ledger import Ledger
+from pipeline.ledger import Ledger, Notes, loss, note, warning
 from pipeline.units import NANOSECONDS_PER_SECOND, ZERO_CELSIUS_K, Array
 
 _HEADER = re.compile(r"#[A-Z0-9]{11} \d{4} \d\d \d\d \d\d ")
@@ -43,7 +44,7 @@ def is_igra_derived(text: str) -> bool:
     return is_igra(text) and len(text.split("\n", 1)[0].rstrip()) > 75
 
 
-def parse_igra(text: str, where: str, _: Ledger) -> list[RawLevels]:
+def parse_igra(text: str, where: str) -> list[RawLevels]:
     """The ascents of an IGRA v2 file."""
     return [
         RawLevels(
@@ -57,14 +58,14 @@ def parse_igra(text: str, where: str, _: Ledger) -> list[RawLevels]:
             latitude_rad=radians(number(header[55:62]) * 1e-4, 90.0),
             longitude_rad=radians(number(header[63:71]) * 1e-4, 180.0),
             origin="IGRA v2",
-            where=f"{where}, line {at}",
-            lines_missing=_igra_levels_announced(header) - len(lines),
+            where=at,
+            notes=_igra_lines_missing(header, lines, at),
         )
         for header, lines, at in _igra_blocks(text, where)
     ]
 
 
-def parse_igra_derived(text: str, where: str, _: Ledger) -> list[RawLevels]:
+def parse_igra_derived(text: str, where: str) -> list[RawLevels]:
     """The ascents of an IGRA v2 file of derived parameters; it knows no position."""
     ascents = []
     for header, lines, at in _igra_blocks(text, where):
@@ -78,30 +79,24 @@ def parse_igra_derived(text: str, where: str, _: Ledger) -> list[RawLevels]:
                 time_ns=_igra_time_ns(header),
                 station=header[1:12],
                 origin="IGRA v2 derived",
-                where=f"{where}, line {at}",
-                lines_missing=_igra_levels_announced(header) - len(lines),
+                where=at,
+                notes=_igra_lines_missing(header, lines, at),
             )
         )
     return ascents
 
 
-def _igra_blocks(text: str, where: str) -> Iterator[tuple[str, list[str], int]]:
-    """Header, its level lines, and the header's line number."""
+def _igra_blocks(text: str, where: str) -> Iterator[tuple[str, list[str], str]]:
+    """Header, its level lines, and where the header stands."""
     lines = text.splitlines()
     heads = [i for i, line in enumerate(lines) if line.startswith("#")]
     if not heads:
-        what = "is no IGRA file: none of its lines begins with # as the header of a sounding does"
-        remedy = "leave out format, or name the one that the file has"
-        raise InputError("SOUNDING-FORMAT", what, where=where, remedy=remedy)
-    for head, after in zip(heads, [*heads[1:], len(lines)], strict=True):
+        raise InputError.of("SOUNDING-FORMAT/igra", where)
+    for head, after in pairwise([*heads, len(lines)]):
+        at = f"{where}, line {head + 1}"
         if not _HEADER.match(lines[head]):
-            raise InputError(
-                "SOUNDING-FORMAT",
-                f"{lines[head][:24]!r} is no header of an IGRA sounding",
-                where=f"{where}, line {head + 1}",
-                remedy="fetch the station's file again",
-            )
-        yield lines[head], [line for line in lines[head + 1 : after] if line.strip()], head + 1
+            raise InputError.of("SOUNDING-FORMAT/header", at, header=lines[head][:24])
+        yield lines[head], [line for line in lines[head + 1 : after] if line.strip()], at
 
 
 def _igra_column(lines: list[str], first: int, last: int, scale: float) -> Array:
@@ -109,10 +104,10 @@ def _igra_column(lines: list[str], first: int, last: int, scale: float) -> Array
     return numbers(line[first - 1 : last] for line in lines) * scale
 
 
-def _igra_levels_announced(header: str) -> int:
-    """How many levels the header promises."""
-    count = number(header[32:36])
-    return int(count) if np.isfinite(count) else 0
+def _igra_lines_missing(header: str, lines: list[str], at: str) -> Notes:
+    """What is reported where the header promises more levels."""
+    missing = number(header[32:36]) - len(lines)
+    return (loss("SOUNDING-TRUNCATED", where=at, count=int(missing)),) if missing > 0.0 else ()
 
 
 def _igra_time_ns(header: str) -> int | None:
@@ -163,7 +158,7 @@ def is_wyoming_csv(text: str) -> bool:
     return _CSV_COLUMNS["pressure"] in first and _CSV_COLUMNS["height"] in first
 
 
-def parse_wyoming_list(text: str, where: str, _: Ledger) -> list[RawLevels]:
+def parse_wyoming_list(text: str, where: str) -> list[RawLevels]:
     """The ascent of a text list, with or without the page around it."""
     plain = _TAG.sub("", text)
     titles = _TITLES.search(plain)
@@ -216,15 +211,12 @@ def _header_field(text: str, what: str) -> str:
     return match.group(1) if match else ""
 
 
-def parse_wyoming_csv(text: str, where: str, _: Ledger) -> list[RawLevels]:
+def parse_wyoming_csv(text: str, where: str) -> list[RawLevels]:
     """The ascent of a Wyoming CSV; its time is that of the first level."""
     columns = table(text.splitlines(), where)
     missing = [name for name in _CSV_COLUMNS.values() if name not in columns]
     if missing:
-        what = f"the Wyoming CSV has no column {missing[0]!r}"
-        raise InputError(
-            "SOUNDING-COLUMN", what, where=where, remedy="fetch the file again, with all columns"
-        )
+        raise InputError.of("SOUNDING-COLUMN/wyoming", where, missing=missing[0])
     values = {key: numbers(columns[name]) for key, name in _CSV_COLUMNS.items()}
     first = {name: next(iter(columns.get(name, [])), "") for name in ("time", "latitude",
                                                                      "longitude")}  # fmt: skip
@@ -274,7 +266,7 @@ def is_plain(text: str) -> bool:
     )
 
 
-def parse_plain(text: str, where: str, ledger: Ledger) -> list[RawLevels]:
+def parse_plain(text: str, where: str) -> list[RawLevels]:
     """The ascent of a plain CSV; other columns are not read, which is noted."""
     columns = {name.lower(): fields for name, fields in table(text.splitlines(), where).items()}
     values: dict[str, Array] = {}
@@ -288,20 +280,17 @@ def parse_plain(text: str, where: str, ledger: Ledger) -> list[RawLevels]:
     for needed in ("pressure", "temperature"):
         if needed not in values:
             names = [name for name, (quantity, _) in PLAIN_COLUMNS.items() if quantity == needed]
-            what = f"no column gives the {needed} with its unit; there are {', '.join(columns)}"
-            raise InputError(
-                "SOUNDING-COLUMN", what, where=where, remedy=f"name the column {' or '.join(names)}"
-            )
-    other = sorted(set(columns) - set(PLAIN_COLUMNS) - set(_PLACE))
-    if other:
+            raise InputError.of("SOUNDING-COLUMN", where, needed=needed, present=", ".join(columns),
+                                names=" or ".join(names))  # fmt: skip
+    notes: Notes = ()
+    if other := sorted(set(columns) - set(PLAIN_COLUMNS) - set(_PLACE)):
         what = f"columns that are not read: {', '.join(other)}"
-        ledger.note("SOUNDING-COLUMNS-UNUSED", what, where=where, count=len(other))
+        notes = (note("SOUNDING-COLUMNS-UNUSED", what, where=where, count=len(other)),)
     geopotential = "height" not in values
     time = next((text.strip() for text in columns.get("time_utc", []) if text.strip()), "")
     time_ns = utc_ns(time)
     if time and time_ns is None:
-        what = f"time_utc {time[:40]!r} is no time like 2026-05-14T10:20:00Z: the sounding has none"
-        ledger.warning("SOUNDING-TIME", what, where=where, count=1)
+        notes += (warning("SOUNDING-TIME", where=where, count=1, time=time[:40]),)
     unknown = np.full(values["pressure"].shape, np.nan)
     first = {name: next(iter(columns.get(name, [])), "") for name in _PLACE}
     return [
@@ -320,6 +309,7 @@ def parse_plain(text: str, where: str, ledger: Ledger) -> list[RawLevels]:
             origin="plain CSV",
             where=where,
             column_of=column_of,
+            notes=notes,
         )
     ]
 
@@ -328,7 +318,7 @@ FAR_HOURS = 6.0
 """A sounding farther in time is reported: the boundary layer has changed."""
 
 
-FORMATS: dict[str, tuple[Callable[[str], bool], Callable[[str, str, Ledger], list[RawLevels]]]] = {
+FORMATS: dict[str, tuple[Callable[[str], bool], Callable[[str, str], list[RawLevels]]]] = {
     "igra_derived": (is_igra_derived, parse_igra_derived),
     "igra": (is_igra, parse_igra),
     "wyoming_csv": (is_wyoming_csv, parse_wyoming_csv),
@@ -376,29 +366,22 @@ def parse_sounding(
             begins = text.lstrip()[:60].splitlines()
             raise InputError.of("SOUNDING-FORMAT", where, begins=begins[0] if begins else "")
     if name not in FORMATS:
-        what = f"no format of soundings is called {name!r}"
-        raise InputError(
-            "SOUNDING-FORMAT", what, where=where, remedy=f"one of auto, {', '.join(FORMATS)}"
-        )
-    ascents = FORMATS[name][1](text, where, ledger)
-    raw = nearest_in_time(ascents, time_ns, where, ledger)
-    return check_levels(raw, ledger, latitude_rad=latitude_rad, station_h_m=station_h_m)
+        names = ", ".join(FORMATS)
+        raise InputError.of("SOUNDING-FORMAT/name", where, name=name, names=names)
+    raw = nearest_in_time(FORMATS[name][1](text, where), time_ns, where)
+    return ledger.take(check_levels(raw, latitude_rad=latitude_rad, station_h_m=station_h_m))
 
 
-def nearest_in_time(
-    ascents: list[RawLevels], time_ns: int | None, where: str, ledger: Ledger
-) -> RawLevels:
+def nearest_in_time(ascents: list[RawLevels], time_ns: int | None, where: str) -> RawLevels:
     """Of several ascents the one released nearest to a time; without a time, the only one."""
     full = [raw for raw in ascents if raw.pressure_pa.size]
     if not full:
-        raise InputError(
-            "SOUNDING-EMPTY", "the file holds no levels", where=where, remedy="fetch it again"
-        )
-    if len(full) < len(ascents):  # a file that was cut off may end with a header
-        count = len(ascents) - len(full)
-        ledger.loss("SOUNDING-CUT-OFF", where=where, count=count)
+        raise InputError.of("SOUNDING-EMPTY", where)
+    notes: Notes = ()
+    if count := len(ascents) - len(full):  # a file that was cut off may end with a header
+        notes = (loss("SOUNDING-CUT-OFF", where=where, count=count),)
     if len(full) == 1 and (time_ns is None or full[0].time_ns is None):
-        return full[0]
+        return full[0].noting(*notes)
     if time_ns is None:
         raise InputError.of("SOUNDING-CHOICE", where, total=len(full))
     dated = [(abs(raw.time_ns - time_ns), raw) for raw in full if raw.time_ns is not None]
@@ -407,7 +390,7 @@ def nearest_in_time(
     apart, raw = min(dated, key=lambda pair: pair[0])
     hours = apart / NANOSECONDS_PER_SECOND / 3600.0
     if hours > FAR_HOURS:
-        ledger.warning("SOUNDING-FAR-IN-TIME", where=raw.where, hours=hours)
+        notes += (warning("SOUNDING-FAR-IN-TIME", where=raw.where, hours=hours),)
     if len(full) > 1:
-        ledger.note("SOUNDING-CHOSEN", where=raw.where, count=len(full), hours=hours)
-    return raw
+        notes += (note("SOUNDING-CHOSEN", where=raw.where, count=len(full), hours=hours),)
+    return raw.noting(*notes)

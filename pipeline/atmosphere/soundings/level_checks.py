@@ -6,20 +6,18 @@ that is unusual but physical (steep layers, an index that grows with height) is 
 """
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
+from pipeline.atmosphere import refractive_index
 from pipeline.atmosphere.hypsometry import ADIABATIC_K_PER_M
-from pipeline.atmosphere.refractive_index import (
-    refractivity_gyer,
-    vapour_pressure,
-    virtual_temperature,
-)
+from pipeline.atmosphere.refractive_index import vapour_pressure
 from pipeline.atmosphere.soundings.levels import RawLevels, Sounding
 from pipeline.errors import InputError
 from pipeline.geodesy import normal_gravity
-from pipeline.ledger import Ledger
+from pipeline.ledger import Entry, Notes, fallback, loss, note, warning
 from pipeline.units import (
     DEGREE,
     HECTOPASCAL,
@@ -33,8 +31,12 @@ from pipeline.units import (
 FEWEST_LEVELS = 5
 """With fewer a sounding has less information than the climatology and a surface report."""
 
-_COLDEST_K, _WARMEST_K = 150.0, 340.0
-_HIGHEST_PA = 110_000.0
+COLDEST_K, WARMEST_K, HIGHEST_PA = 150.0, 340.0, 110_000.0
+"""What levels of soundings and of weather models have, from the ground to the stratosphere."""
+
+THICKNESS_RATIO = 0.03
+"""Heights and the pressures and temperatures they were computed from agree within this share."""
+
 # Readings rounded to 0.1 K err by 1 K/km over 100 m, and by 5e-4 of n - 1 from level to level.
 _SLICE_M = 100.0
 _STEEPER_K_PER_M = 1e-3
@@ -42,46 +44,41 @@ _INDEX_ROUNDING = 5e-4
 _UNKNOWN_LATITUDE_RAD = 45.0 * DEGREE
 
 # No sounding begins above 25 km, nor below the Dead Sea.
-_GROUND_PA = (2_500.0, 110_000.0)
+_GROUND_PA = (2_500.0, HIGHEST_PA)
 # The warmest level of a sounding: air below -75 C or above 60 C is nowhere near the ground.
 _WARMEST_LEVEL_K = (198.0, 333.0)
-_THICKNESS_RATIO = 0.03
 
 WILD = 0.05
 """Share of a column that may be invalid without the rest being refused."""
 
 
 def check_levels(
-    raw: RawLevels, ledger: Ledger, *, latitude_rad: float = math.nan, station_h_m: float = math.nan
-) -> Sounding:
-    """Levels from the ground up, one at a height, from those of a file.
+    raw: RawLevels, *, latitude_rad: float = math.nan, station_h_m: float = math.nan
+) -> tuple[Sounding, Notes]:
+    """Levels from the ground up, one at a height, from those of a file in its order.
 
-    ``raw``: the levels in the order of the file. ``latitude_rad``: of the mission [rad], used where
-    the file has none. ``station_h_m``: height of the lowest level [m above sea level], where the
-    file has no heights. Raises ``InputError`` where units are wrong, heights are missing or
-    contradict pressure and temperature, or fewer than five levels are left. Geopotential metres
-    become metres with Lambert's gravity at the latitude; ignoring it would cost up to 30 m at 10
-    km.
+    ``latitude_rad``: of the mission [rad], used where the file has none. ``station_h_m``: height of
+    the lowest level [m above sea level], where the file has no heights. Raises ``InputError`` where
+    units are wrong, heights are missing or contradict pressure and temperature, or fewer than five
+    levels are left. Geopotential metres become metres with Lambert's gravity at the latitude;
+    ignoring it would cost up to 30 m at 10 km.
     """
     refuse_wrong_units(raw)
     latitude = raw.latitude_rad if math.isfinite(raw.latitude_rad) else latitude_rad
     if not math.isfinite(latitude):
-        ledger.fallback("SOUNDING-LATITUDE", where=raw.where)
+        raw = raw.noting(fallback("SOUNDING-LATITUDE", where=raw.where))
         latitude = _UNKNOWN_LATITUDE_RAD
     gravity = normal_gravity(latitude)
     if not raw.geopotential:
         raw = replace(raw, h_m=gravity.geopotential_height(raw.h_m), geopotential=True)
-    raw = _complete_levels(raw, ledger)
-    raw = replace(raw, vapour_pressure_pa=_vapour_pressure(raw, ledger))
-    start = float(gravity.geopotential_height(station_h_m))
-    raw = replace(raw, h_m=_heights(raw, start, ledger))
-    raw = _rising_levels(raw, ledger)
+    raw = _with_vapour_pressure(_complete_levels(raw))
+    raw = _with_heights(raw, float(gravity.geopotential_height(station_h_m)))
+    raw = _rising_levels(raw)
     h, p, t, e = gravity.height(raw.h_m), raw.pressure_pa, raw.temperature_k, _vapour(raw)
     sounding = Sounding(
         h, p, t, e, raw.time_ns, raw.station, raw.latitude_rad, raw.longitude_rad, raw.origin
     )
-    _note_unusual_air(sounding, raw.where, ledger)
-    return sounding
+    return sounding, (*raw.notes, *_unusual_air(sounding, raw.where))
 
 
 def refuse_wrong_units(raw: RawLevels) -> None:
@@ -134,7 +131,7 @@ def refuse_wrong_heights(raw: RawLevels, h: Array, rise: Array) -> None:
     if not bool(thick.any()):
         return
     ratio = float(np.median((h[apart:] - h[:-apart])[thick] / far[thick]))
-    if abs(ratio - 1.0) > _THICKNESS_RATIO:
+    if abs(ratio - 1.0) > THICKNESS_RATIO:
         raise InputError.of("SOUNDING-INCONSISTENT", raw.where, ratio=ratio)
 
 
@@ -153,7 +150,6 @@ def _refusal(raw: RawLevels, quantity: str, what: str, remedy: str) -> InputErro
 
 def _take(raw: RawLevels, keep: Mask | Rows) -> RawLevels:
     """Some of the levels, in the order of ``keep``."""
-
     columns = {name: part[keep] for name, part in vars(raw).items() if isinstance(part, np.ndarray)}
     return replace(raw, **columns)  # type: ignore[arg-type]
 
@@ -165,62 +161,60 @@ def _refuse_few(raw: RawLevels) -> RawLevels:
     return raw
 
 
-def _complete_levels(raw: RawLevels, ledger: Ledger) -> RawLevels:
+def _complete_levels(raw: RawLevels) -> RawLevels:
     """The levels with possible pressure and temperature, by falling pressure."""
-    if raw.lines_missing > 0:
-        ledger.loss("SOUNDING-TRUNCATED", where=raw.where, count=raw.lines_missing)
     p, t = raw.pressure_pa, raw.temperature_k
     has = np.isfinite(p) & np.isfinite(t)
-    possible = (p > 0.0) & (p <= _HIGHEST_PA) & (t >= _COLDEST_K) & (t <= _WARMEST_K)
-    missing, impossible = int((~has).sum()), int((has & ~possible).sum())
-    if missing:
-        ledger.note("SOUNDING-MISSING", where=raw.where, count=missing, total=p.size)
-    if impossible:
-        worst = int(np.flatnonzero(has & ~possible)[0])
-        hpa, kelvin = p[worst] / HECTOPASCAL, t[worst]
-        ledger.loss("SOUNDING-RANGE", where=raw.where, count=impossible, hpa=hpa, kelvin=kelvin)
+    possible = (p > 0.0) & (p <= HIGHEST_PA) & (t >= COLDEST_K) & (t <= WARMEST_K)
+    if missing := int((~has).sum()):
+        raw = raw.noting(note("SOUNDING-MISSING", where=raw.where, count=missing, total=p.size))
+    if (wrong := np.flatnonzero(has & ~possible)).size:
+        hpa, kelvin, count = p[wrong[0]] / HECTOPASCAL, t[wrong[0]], int(wrong.size)
+        raw = raw.noting(
+            loss("SOUNDING-RANGE", where=raw.where, count=count, hpa=hpa, kelvin=kelvin)
+        )
     raw = _refuse_few(_take(raw, has & possible))
-    up = int((np.diff(raw.pressure_pa) > 0.0).sum())
-    if up:
-        ledger.warning("SOUNDING-UNSORTED", where=raw.where, count=up)
+    if up := int((np.diff(raw.pressure_pa) > 0.0).sum()):
         raw = _take(raw, np.argsort(-raw.pressure_pa, kind="stable"))
+        raw = raw.noting(warning("SOUNDING-UNSORTED", where=raw.where, count=up))
     return raw
 
 
-def _vapour_pressure(raw: RawLevels, ledger: Ledger) -> Array:
+def _with_vapour_pressure(raw: RawLevels) -> RawLevels:
     """Vapour pressure [Pa] from what there is, at most saturation over water; NaN if nothing."""
-    t, p = raw.temperature_k, raw.pressure_pa
-    e = np.full(t.shape, np.nan)
-    if raw.vapour_pressure_pa is not None:
-        e = raw.vapour_pressure_pa.copy()
+    t, p, e, where = raw.temperature_k, raw.pressure_pa, _vapour(raw).copy(), raw.where
     if raw.dew_point_k is not None:
         dew = raw.dew_point_k
-        impossible = np.isfinite(dew) & ~((dew >= _COLDEST_K) & (dew <= _WARMEST_K))
+        impossible = np.isfinite(dew) & ~((dew >= COLDEST_K) & (dew <= WARMEST_K))
         if count := int(impossible.sum()):
             first = dew[impossible][0]
-            ledger.warning("SOUNDING-HUMIDITY-RANGE", where=raw.where, count=count, first=first)
+            raw = raw.noting(warning(
+                "SOUNDING-HUMIDITY-RANGE", where=where, count=count, first=first))  # fmt: skip
         dew = np.where(impossible, np.nan, dew)
         e = np.where(np.isfinite(e), e, vapour_pressure(1.0, dew, p))
     if raw.relative_humidity is not None:
         e = np.where(np.isfinite(e), e, vapour_pressure(raw.relative_humidity, t, p))
     negative = np.isfinite(e) & (e < 0.0)
     if count := int(negative.sum()):
-        ledger.warning("SOUNDING-HUMIDITY-NEGATIVE", where=raw.where, count=count)
+        raw = raw.noting(warning("SOUNDING-HUMIDITY-NEGATIVE", where=where, count=count))
         e[negative] = np.nan
     saturated = vapour_pressure(1.0, t, p)
     # A rounded dew point, 0.05 K of it, may pass saturation by 0.4 %: not reported.
     over = np.isfinite(e) & (e > saturated * 1.005)
     if count := int(over.sum()):
         percent = 100.0 * np.max(e[over] / saturated[over])
-        ledger.warning("SOUNDING-HUMIDITY-OVER", where=raw.where, count=count, percent=percent)
-    return np.asarray(np.minimum(e, saturated))
+        raw = raw.noting(warning(
+            "SOUNDING-HUMIDITY-OVER", where=where, count=count, percent=percent))  # fmt: skip
+    return replace(raw, vapour_pressure_pa=np.minimum(e, saturated))
 
 
-def _heights(raw: RawLevels, start: float, ledger: Ledger) -> Array:
+def _with_heights(raw: RawLevels, start: float) -> RawLevels:
     """Geopotential heights [m'], computed where the file has none; ``start`` of the lowest."""
     h = raw.h_m.copy()
     # Hypsometric height of each level above the first, by trapezoids in ln p.
-    virtual = virtual_temperature(raw.temperature_k, raw.pressure_pa, np.nan_to_num(_vapour(raw)))
+    virtual = refractive_index.virtual_temperature(
+        raw.temperature_k, raw.pressure_pa, np.nan_to_num(_vapour(raw))
+    )
     fall = -np.diff(np.log(raw.pressure_pa))
     steps = 0.5 * (virtual[1:] + virtual[:-1]) * fall / HYDROSTATIC_CONSTANT
     rise = np.concatenate([[0.0], np.cumsum(steps)])
@@ -231,13 +225,13 @@ def _heights(raw: RawLevels, start: float, ledger: Ledger) -> Array:
     known = np.isfinite(h)
     refuse_wrong_heights(raw, h[known], rise[known])
     if count := int((~known).sum()):
-        ledger.fallback("SOUNDING-HEIGHTS", where=raw.where, count=count)
+        raw = raw.noting(fallback("SOUNDING-HEIGHTS", where=raw.where, count=count))
         # The departure of the reported heights from the hypsometric ones, carried to the gaps.
         h = np.where(known, h, rise + np.interp(rise, rise[known], (h - rise)[known]))
-    return h
+    return replace(raw, h_m=h)
 
 
-def _rising_levels(raw: RawLevels, ledger: Ledger) -> RawLevels:
+def _rising_levels(raw: RawLevels) -> RawLevels:
     """Means of levels of one pressure or one height, without those out of order.
 
     The fewest levels are dropped whose removal lets height rise as pressure falls.
@@ -246,9 +240,8 @@ def _rising_levels(raw: RawLevels, ledger: Ledger) -> RawLevels:
     raw = _mean_of_runs(raw, raw.pressure_pa)
     # Centimetres: rounding in a conversion does not make two heights different.
     raw = _mean_of_runs(raw, np.round(raw.h_m, 2))
-    merged = before - raw.pressure_pa.size
-    if merged:
-        ledger.note("SOUNDING-DUPLICATE", where=raw.where, count=merged)
+    if merged := before - raw.pressure_pa.size:
+        raw = raw.noting(note("SOUNDING-DUPLICATE", where=raw.where, count=merged))
     # The longest strictly increasing subsequence of heights, by patience sorting.
     tails: list[int] = []
     before_it = np.full(raw.h_m.size, -1, dtype=np.intp)
@@ -260,11 +253,10 @@ def _rising_levels(raw: RawLevels, ledger: Ledger) -> RawLevels:
     while chain and before_it[chain[-1]] >= 0:
         chain.append(int(before_it[chain[-1]]))
     keep = np.array(chain[::-1], dtype=np.intp)
-    dropped = raw.h_m.size - keep.size
-    if dropped:
-        out = np.setdiff1d(np.arange(raw.h_m.size), keep)[0]
-        h, hpa = raw.h_m[out], raw.pressure_pa[out] / HECTOPASCAL
-        ledger.warning("SOUNDING-ORDER", where=raw.where, count=dropped, height_m=h, hpa=hpa)
+    if (out := np.setdiff1d(np.arange(raw.h_m.size), keep)).size:
+        h, hpa = raw.h_m[out[0]], raw.pressure_pa[out[0]] / HECTOPASCAL
+        raw = raw.noting(warning(
+            "SOUNDING-ORDER", where=raw.where, count=out.size, height_m=h, hpa=hpa))  # fmt: skip
     return _refuse_few(_take(raw, keep))
 
 
@@ -281,14 +273,10 @@ def _mean_of_runs(raw: RawLevels, key: Array) -> RawLevels:
         return np.where(count > 0.0, total / np.maximum(count, 1.0), np.nan)
 
     return replace(
-        raw,
-        h_m=mean(raw.h_m),
-        pressure_pa=mean(raw.pressure_pa),
-        temperature_k=mean(raw.temperature_k),
-        vapour_pressure_pa=mean(_vapour(raw)),
-        dew_point_k=None,
-        relative_humidity=None,
-    )
+        raw, h_m=mean(raw.h_m), pressure_pa=mean(raw.pressure_pa),
+        temperature_k=mean(raw.temperature_k), vapour_pressure_pa=mean(_vapour(raw)),
+        dew_point_k=None, relative_humidity=None,
+    )  # fmt: skip
 
 
 def _vapour(raw: RawLevels) -> Array:
@@ -296,21 +284,21 @@ def _vapour(raw: RawLevels) -> Array:
     return np.full(raw.pressure_pa.shape, np.nan) if e is None else e
 
 
-def _note_unusual_air(sounding: Sounding, where: str, ledger: Ledger) -> None:
-    """Report layers that are unstable, or in which air grows denser upwards, as near hot ground."""
+def _unusual_air(sounding: Sounding, where: str) -> Iterator[Entry]:
+    """Layers that are unstable, or in which air grows denser upwards, as near hot ground."""
     grid = np.arange(sounding.h_m[0], sounding.h_m[-1], _SLICE_M)
     lapse = -np.diff(np.interp(grid, sounding.h_m, sounding.temperature_k)) / _SLICE_M
     steep = lapse > ADIABATIC_K_PER_M + _STEEPER_K_PER_M
     if count := int(steep.sum()):
         i = int(np.argmax(lapse))
-        ledger.warning(
+        yield warning(
             "SOUNDING-SUPERADIABATIC", where=where, count=count, k_per_km=1e3 * lapse[i],
             height_m=grid[i], over_m=_SLICE_M * count,
         )  # fmt: skip
-    n = refractivity_gyer(
+    n = refractive_index.refractivity_gyer(
         sounding.temperature_k, sounding.pressure_pa, np.nan_to_num(sounding.vapour_pressure_pa)
     )
     rising = np.diff(n) > _INDEX_ROUNDING * n[:-1]
     if count := int(rising.sum()):
         lowest = sounding.h_m[int(np.argmax(rising))]
-        ledger.warning("SOUNDING-INDEX-RISES", where=where, count=count, lowest=lowest)
+        yield warning("SOUNDING-INDEX-RISES", where=where, count=count, lowest=lowest)

@@ -3,12 +3,13 @@
 import csv
 import math
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 
 import numpy as np
 
 from pipeline.errors import InputError
+from pipeline.ledger import Entry, Notes
 from pipeline.units import HECTOPASCAL, NANOSECONDS_PER_SECOND, ZERO_CELSIUS_K, Array
 
 FILLS = (-9999.0, -9999.9, -8888.0, -99999.0, 99999.0, 999999.0, -999.0)
@@ -101,9 +102,10 @@ class Sounding:
 class RawLevels:
     """The levels of one ascent in the order of the file; (n,) arrays, NaN where there is nothing.
 
-    ``h_m`` are heights above sea level [m]; they are geopotential metres where ``geopotential``
-    is true. Of humidity a file has one or more of: dew point [K], vapour pressure [Pa], relative
-    humidity over water [1].
+    ``h_m`` are heights above sea level [m], geopotential where ``geopotential`` is true. Of
+    humidity a file has one or more of: dew point [K], vapour pressure [Pa], relative humidity over
+    water [1]. ``column_of`` each quantity is the file's column, which states its unit; ``notes``
+    are what is to be reported of the file and of what became of its levels.
     """
 
     h_m: Array
@@ -119,9 +121,12 @@ class RawLevels:
     longitude_rad: float = math.nan
     origin: str = ""
     where: str = ""
-    lines_missing: int = 0
     column_of: Mapping[str, str] = field(default_factory=dict)
-    """The file's column of each quantity, which states its unit; for refusals."""
+    notes: Notes = ()
+
+    def noting(self, *notes: Entry) -> "RawLevels":
+        """The same with more notes."""
+        return replace(self, notes=(*self.notes, *notes))
 
 
 def to_si(value: Array, unit: str) -> Array:

@@ -21,7 +21,13 @@ import numpy as np
 
 from pipeline.atmosphere.hypsometry import ADIABATIC_K_PER_M
 from pipeline.atmosphere.refractive_index import vapour_pressure
-from pipeline.atmosphere.soundings.level_checks import FEWEST_LEVELS
+from pipeline.atmosphere.soundings.level_checks import (
+    COLDEST_K,
+    FEWEST_LEVELS,
+    HIGHEST_PA,
+    THICKNESS_RATIO,
+    WARMEST_K,
+)
 from pipeline.atmosphere.soundings.levels import ColumnErrors, Sounding
 from pipeline.errors import InputError
 from pipeline.geodesy import longitudes_near, normal_gravity
@@ -41,9 +47,8 @@ MODEL_LEVELS = 137
 """Of ERA5 and of ECMWF's forecasts since 2013."""
 
 _RATIO = 0.622  # of the molar masses of water and dry air
-_THICKNESS_RATIO = 0.03  # as `level_checks`: heights come from the same temperatures
-_SURFACE_PA = (30_000.0, 110_000.0)  # the highest pressure of levels that reach the ground
-_COLDEST_K, _WARMEST_K, _MOST_FRACTION = 150.0, 340.0, 1.6
+_SURFACE_PA = (30_000.0, HIGHEST_PA)  # the highest pressure of levels that reach the ground
+_MOST_FRACTION = 1.6
 _SPECIFIC, _RELATIVE = (-1e-3, 1e-6, 0.05), (-0.3, 0.05, _MOST_FRACTION)
 """Of the driest level at least, where spectral models go below 0; of the wettest from, to."""
 _OVERTURNS_K, _INVERSION_K, _INVERSION_K_PER_M, _THICKNESS_K = 8.0, 20.0, 0.05, 10.0
@@ -233,7 +238,7 @@ def checked_field(field: ModelField, where: str) -> tuple[ModelField, Notes]:
     if not bool(np.isfinite(t + q).any()):
         raise refused("no value of temperature and humidity around the flight")
     low, high = float(np.nanmin(t)), float(np.nanmax(t))
-    if not _COLDEST_K <= low <= high <= _WARMEST_K:
+    if not COLDEST_K <= low <= high <= WARMEST_K:
         raise refused(f"temperatures from {low:.6g} to {high:.6g} K: that is no air")
     if field.relative and np.nanmax(q) > _MOST_FRACTION:
         field = replace(field, humidity=q / 100.0)
@@ -274,9 +279,9 @@ def checked_field(field: ModelField, where: str) -> tuple[ModelField, Notes]:
     layers = 0.5 * (t[0, 1:] + t[0, :-1]) * np.diff(np.log(field.level))[:, None, None]
     thickness = -HYDROSTATIC_CONSTANT * np.diff(field.height[0], axis=0)
     ratio = float(np.nanmedian(thickness / layers))
-    if abs(ratio / STANDARD_GRAVITY - 1.0) < _THICKNESS_RATIO:
+    if abs(ratio / STANDARD_GRAVITY - 1.0) < THICKNESS_RATIO:
         field = replace(field, height=field.height / STANDARD_GRAVITY)
-    elif not abs(ratio - 1.0) < _THICKNESS_RATIO:
+    elif not abs(ratio - 1.0) < THICKNESS_RATIO:
         raise refused(f"layers are {ratio:.4g} times as thick as pressure and temperature imply: "
                       "1 is geopotential metres, 9.807 geopotential")  # fmt: skip
     refuse_wrong_level(field, field.level[:, None, None], where)

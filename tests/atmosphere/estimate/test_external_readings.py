@@ -17,8 +17,8 @@ from pipeline.atmosphere.estimate.candidates import candidates
 from pipeline.atmosphere.estimate.external_readings import (
     UNPLACED_M,
     TimeAndPlace,
+    distance_notes,
     hours_and_metres,
-    note_source_distances,
     reason_uninformative,
     sounding_departures,
     surface_readings,
@@ -286,6 +286,13 @@ def test_what_has_no_time_or_place_is_told(flights):
     report = SurfaceReport(100.0, 1e5, 290.0, math.nan, origin="mission file")
     for change, given, expected in (
         (placed, report, ["SURFACE-UNDATED"]),
+        (placed, replace(report, time_ns=truth.start_ns + 4 * HOUR), ["SURFACE-FAR-IN-TIME"]),
+        (
+            placed,
+            replace(report, time_ns=truth.start_ns - 4 * HOUR, origin="METAR EDDF"),
+            ["METAR-FAR-IN-TIME"],
+        ),
+        (placed, replace(report, time_ns=truth.start_ns + 2 * HOUR), []),
         (placed | {"time_ns": None}, None, ["SOUNDING-UNDATED"]),
         ({}, None, ["SOUNDING-UNPLACED"]),
         (placed | {"longitude_rad": 0.25}, None, ["SOUNDING-FAR-AWAY"]),
@@ -293,7 +300,7 @@ def test_what_has_no_time_or_place_is_told(flights):
     ):
         ledger = Ledger()
         surface = [given] if given else []
-        note_source_distances([balloon_of(truth, **change)], surface, flight, ledger)
+        ledger.extend(distance_notes([balloon_of(truth, **change)], surface, flight))
         assert codes(ledger) == expected
 
 

@@ -118,11 +118,11 @@ def test_coarse_steps_and_level_flight_are_no_standstill(flights, airs):
     h = samples.temperature.h_m
     isothermal = np.round(275.0 - 1.5e-3 * (h - h.min()))  # 670 m for each degree
     for given in (samples, whole, with_t(samples, isothermal)):
-        usable_sensors(replace(given, pressure=None), US1976, SensorSettings(), ledger)
+        ledger.take(usable_sensors(replace(given, pressure=None), US1976))
     level = np.full(2000, 1500.0) + np.linspace(0.0, 250.0, 2000)
     stamps = np.arange(2000, dtype=np.int64) * 10**9
     same = SensorSamples(stamps, level, np.full(2000, 280.0), np.ones(2000, bool), "level")
-    kept = usable_sensors(AirSamples(same), US1976, SensorSettings(), ledger)
+    kept = ledger.take(usable_sensors(AirSamples(same), US1976))
     assert kept.temperature.accepted.all()
     assert list(ledger) == []
 
@@ -133,7 +133,7 @@ def test_humidity_may_stay_at_its_ends_but_not_between(flights, airs):
     for value, stuck in ((1.0, False), (0.0, False), (0.43, True)):
         same = replace(samples.humidity, value=np.full(samples.humidity.value.size, value))
         ledger = Ledger()
-        kept = usable_sensors(replace(samples, humidity=same), US1976, SensorSettings(), ledger)
+        kept = ledger.take(usable_sensors(replace(samples, humidity=same), US1976))
         assert (kept.humidity is None) is stuck
         assert losses(ledger) == (["AIR-STUCK"] if stuck else [])
 
@@ -246,7 +246,7 @@ def test_readings_of_no_place_are_refused_beside_a_barometer(flights, airs):
     jumps = np.where(seconds_of(samples) // 40.0 % 2.0 < 1.0, 3.0, -3.0)
     ledger = Ledger()
     wild = with_t(samples, t.value + jumps)
-    assert usable_sensors(wild, US1976, SensorSettings(), ledger).temperature is not None
+    assert ledger.take(usable_sensors(wild, US1976)).temperature is not None
     adjusted, ledger = adjust(truth, wild)
     assert losses(ledger) == ["AIR-THERMOMETER"]
     assert "within 30 minutes" in next(e.what for e in ledger)
@@ -294,12 +294,12 @@ def test_a_thermometer_that_reads_the_same_over_little_height_is_told_of(flights
     noise = np.random.default_rng(2).normal(0.0, 0.2, samples.temperature.value.size)
     ledger = Ledger()
     constant = with_t(samples, truth.t[0] - 1.0 + noise)
-    assert is_maybe_indoors(constant, US1976, SensorSettings(), ledger)
+    assert ledger.take(is_maybe_indoors(constant, US1976, SensorSettings()))
     assert [(e.code, e.kind) for e in ledger] == [("AIR-ISOTHERMAL", Kind.WARNING)]
     ledger = Ledger()
-    assert not is_maybe_indoors(samples, US1976, SensorSettings(), ledger)
+    assert not ledger.take(is_maybe_indoors(samples, US1976, SensorSettings()))
     board = SensorSettings(board_temperature=True)
-    assert not is_maybe_indoors(constant, US1976, board, ledger)
+    assert not ledger.take(is_maybe_indoors(constant, US1976, board))
     assert list(ledger) == []
 
 
