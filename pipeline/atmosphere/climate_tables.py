@@ -63,10 +63,8 @@ def climate_profile(
 ) -> Profile:
     """One of the tables as a profile, under Lambert's gravity of its own latitude by default.
 
-    ``name`` : one of `climate_names`. The temperatures are those of the table; pressure is
-    hydrostatic from its surface pressure, with the humidity of the table: within 0.12 % of AFGL's
-    printed pressures up to 10 km and 0.5 % up to 30 km. Below the sea the lowest layer goes on,
-    isothermal where it is an inversion.
+    ``name`` : one of `climate_names`. Pressure is hydrostatic from the table's surface pressure and
+    humidity: within 0.12 % of AFGL's printed pressures up to 10 km and 0.5 % up to 30 km.
 
     >>> climate_profile("afgl1986_tropical").temperature([0.0, 5000.0]).round(2).tolist()
     [299.7, 270.3]
@@ -79,12 +77,11 @@ def climate_profile(
     gravity = gravity or lambert_gravity(rows[0]["latitude_deg"] * DEGREE)
     table = gravity.geopotential_height([row["h_m"] for row in rows])
     edge = _edges(table)
-    temperature = np.interp(edge, table, [row["temperature_k"] for row in rows])
-    log_water = np.log([row["water_ppmv"] * 1e-6 for row in rows])
-    vapour = np.exp(np.interp(edge, table, log_water))
+    t = np.interp(edge, table, [row["temperature_k"] for row in rows])
+    vapour = np.exp(np.interp(edge, table, np.log([row["water_ppmv"] * 1e-6 for row in rows])))
     surface_pa = rows[0]["pressure_pa"]
     return hydrostatic_profile(
-        edge, temperature, lambda _: vapour, surface_pa, gravity, index=index, name=name
+        edge, t, lambda _: vapour, surface_pa, gravity, index=index, name=name
     )
 
 
@@ -97,11 +94,8 @@ def supplements_profile(
     """The Supplements 1966 at a latitude and season.
 
     Temperature, relative humidity and surface pressure are linear in latitude between 15, 30, 45,
-    60 and 75 degrees and constant beyond; between mid-January and mid-July they follow a cosine of
-    the year. South of the equator the year is shifted by half.
-
-    ``latitude_rad``: [rad], north positive. ``month``: 1.0 is mid-January, 7.0 mid-July; any real
-    number, modulo 12.
+    60 and 75 degrees and constant beyond; over the year they follow `season`. ``latitude_rad``:
+    north positive. ``month``: any real number, modulo 12.
 
     >>> supplements_profile(0.25 * 3.141592653589793, 7.0).temperature(0.0).round(2).item()
     294.15
@@ -109,13 +103,13 @@ def supplements_profile(
     degrees = abs(latitude_rad) / DEGREE
     summer = 0.5 - 0.5 * season(latitude_rad, month)
     nodes = np.array([15.0, 30.0, 45.0, 60.0, 75.0])
+    share = {"annual": 1.0, "january": 1.0 - summer, "july": summer}
     parts = []
-    weights = [np.interp(degrees, nodes, row) for row in np.eye(nodes.size)]
-    for latitude, weight in zip(nodes, weights, strict=True):
+    for latitude, row in zip(nodes, np.eye(nodes.size), strict=True):
+        weight = float(np.interp(degrees, nodes, row))
         for column in _supplements().values():
             if column.latitude_deg == latitude and weight > 0.0:
-                share = {"annual": 1.0, "january": 1.0 - summer, "july": summer}[column.season]
-                parts.append((float(weight) * share, column))
+                parts.append((weight * share[column.season], column))
     return _mean_of_columns(parts, gravity or lambert_gravity(latitude_rad), index, SUPPLEMENTS)
 
 
@@ -178,17 +172,12 @@ def _mean_of_columns(
 ) -> Profile:
     """Weighted mean of columns in temperature, relative humidity and surface pressure."""
     edge = _edges(*(column.edge for _, column in parts))
-    temperature = sum(
-        (w * np.interp(edge, c.edge, c.temperature) for w, c in parts), np.zeros(edge.size)
-    )
-    humidity = sum(
-        (w * np.interp(edge, c.edge, c.relative_humidity) for w, c in parts), np.zeros(edge.size)
-    )
-    e = humidity * saturation_vapour_pressure(temperature)
+    zero = np.zeros(edge.size)
+    t = sum((w * np.interp(edge, c.edge, c.temperature) for w, c in parts), zero)
+    humidity = sum((w * np.interp(edge, c.edge, c.relative_humidity) for w, c in parts), zero)
+    e = humidity * saturation_vapour_pressure(t)
     surface = sum(w * c.sea_level_pa for w, c in parts)
-    return hydrostatic_profile(
-        edge, temperature, lambda p: e / p, surface, gravity, index=index, name=name
-    )
+    return hydrostatic_profile(edge, t, lambda p: e / p, surface, gravity, index=index, name=name)
 
 
 def hydrostatic_profile(
@@ -206,15 +195,14 @@ def hydrostatic_profile(
     Below the lowest edge the lowest layer goes on, isothermal where it is an inversion.
     """
     lapse = min((temperature[1] - temperature[0]) / (edge[1] - edge[0]), 0.0)
-    lowest = temperature[0] + lapse * (LOWEST_GEOPOTENTIAL_M - edge[0])
-    below = np.concatenate([[LOWEST_GEOPOTENTIAL_M], edge])
-    t = np.concatenate([[lowest], temperature])
+    below = np.append(LOWEST_GEOPOTENTIAL_M, edge)
+    t = np.append(temperature[0] + lapse * (LOWEST_GEOPOTENTIAL_M - edge[0]), temperature)
     source = (STANDARD,) * (below.size - 1)
     pressure = surface_pa * np.exp(-edge / 7500.0)
     # Pressure depends on humidity by less than 1 %, so each round gains more than two digits.
     for _ in range(6):
         vapour = vapour_of(pressure)
-        vapour = np.concatenate([vapour[:1], vapour])
+        vapour = np.append(vapour[:1], vapour)
         layers = stack_layers(
             below, t / (1.0 - VAPOUR_DEFICIT * vapour), vapour, source, anchor=(0.0, surface_pa)
         )

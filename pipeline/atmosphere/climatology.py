@@ -7,7 +7,7 @@ for all of them, increased by how far each departs from the US Supplements 1966.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -32,15 +32,11 @@ _DRY_ABOVE_M = 12_000.0
 
 @dataclass(frozen=True, eq=False)
 class Spread:
-    """How far the air of one day is from a climatology: one-sigma and correlation.
+    """How far the air of one day is from a climatology.
 
-    Parameters
-    ----------
-    h_m : (k,) heights above sea level [m], increasing.
-    temperature_k : (k,) sigma of temperature there [K]; linear between, constant beyond.
-    relative_humidity : (k,) sigma of relative humidity over water [1].
-    humidity_correlation_m : departures of humidity correlate as exp(-dh / this) over heights dh.
-    pressure_ratio : sigma of ln p at sea level.
+    One sigma (k,) of temperature [K] and of relative humidity over water [1] at increasing heights
+    ``h_m`` (k,) above sea level, linear between and constant beyond; ``pressure_ratio`` that of
+    ln p at sea level. Humidity correlates as exp(-dh / ``humidity_correlation_m``) over heights dh.
     """
 
     h_m: Array
@@ -66,13 +62,12 @@ class Spread:
         wet = (profile.vapour_pressure(h) - expected.vapour_pressure(h)) / saturated
         wet = np.where(h < _DRY_ABOVE_M, wet, 0.0)
         level = float(np.log(profile.pressure(0.0) / expected.pressure(0.0)))
-        return replace(
-            self,
-            h_m=h,
-            temperature_k=np.hypot(self.temperature_k[inside], off),
+        return Spread(
+            h, temperature_k=np.hypot(self.temperature_k[inside], off),
             relative_humidity=np.hypot(self.relative_humidity[inside], wet),
+            humidity_correlation_m=self.humidity_correlation_m,
             pressure_ratio=math.hypot(self.pressure_ratio, level),
-        )
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,15 +100,10 @@ def climatology(
 ) -> Climatology:
     """The air to expect at a place and season, with its spread.
 
-    Parameters
-    ----------
-    name : one of `known_names`. ``auto`` is the Supplements 1966 by
-        latitude and season.
-    latitude_rad : [rad], north positive; gives gravity too.
-    month : 1.0 is mid-January, 7.0 mid-July; see `month_of`.
-    index : of the refractive index.
-    ground_h_m : height of the ground [m above sea level], on which the boundary layer stands.
-    longitude_rad : [rad], used by NRLMSIS only.
+    ``name``: one of `known_names`; ``auto`` is the Supplements 1966 by latitude and season.
+    ``latitude_rad``: north positive; gives gravity too. ``month``: 1.0 is mid-January, 7.0
+    mid-July; see `month_of`. ``ground_h_m``: of the ground [m above sea level], on which the
+    boundary layer stands. ``longitude_rad``: used by NRLMSIS only.
 
     Raises ``PhysicsError`` where the name is unknown, the latitude is beyond the pole, or the
     package behind NRLMSIS is not installed.

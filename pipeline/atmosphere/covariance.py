@@ -32,25 +32,21 @@ _VAPOUR_STEP = 0.05  # of e/p
 
 
 def air_jacobian(profile: Profile, h: ArrayLike, anchor_height_m: float) -> Array:
-    """Derivatives of N = n - 1 at heights with respect to what the profile is made of.
+    """Derivatives of N = n - 1 at heights with respect to what a profile of m layers is made of.
 
-    Parameters
-    ----------
-    profile : m layers.
-    h : (n,) heights [m above sea level]; rows of heights outside the profile are NaN.
-    anchor_height_m : where pressure stays as it is when temperatures change [m above sea level].
+    ``h``: (n,) heights [m above sea level]; rows of heights outside the profile are NaN.
+    ``anchor_height_m``: where pressure stays when temperatures change [m above sea level].
 
     Returns (n, 2m + 3), in the order of `ProfileCovariance.matrix`: with respect to T_M at the
     m + 1 edges of the layers [1/K], e/p held, pressure following by hydrostatics from the anchor;
-    to ln p at the anchor, where one height is as good as another; and to e/p at the edges, T_M
-    held (so pressure stays).
+    to ln p, the same at any height; and to e/p at the edges, T_M held (so pressure stays).
 
     A thermometer measures T = T_M (1 - 0.378 e/p). With x_k for e/p at edge k, the derivative with
     respect to T_k at fixed x_k is that for T_M,k divided by (1 - 0.378 x_k); the one with respect
     to x_k at fixed T_k is that for x_k + that for T_M,k * 0.378 T_M,k / (1 - 0.378 x_k).
 
-    Raises `PhysicsError` for an anchor outside the profile. Against
-    30-digit arithmetic 3e-13 of the largest derivative.
+    Raises `PhysicsError` for an anchor outside the profile. Against 30-digit arithmetic 3e-13 of
+    the largest derivative.
 
     >>> from pipeline.atmosphere import standard_atmosphere
     >>> air = air_jacobian(standard_atmosphere("us1976"), [0.0, 8000.0], 0.0)
@@ -63,13 +59,9 @@ def air_jacobian(profile: Profile, h: ArrayLike, anchor_height_m: float) -> Arra
     by_t, by_log_p, by_vapour = _index_partials(profile.index, t_m * dryness, p, vapour)
     weights = hats(profile.layers.edge, profile.gravity.geopotential_height(h))
     log_pressure = log_pressure_jacobian(profile, h, anchor_height_m)
-    return np.column_stack(
-        [
-            by_log_p[:, None] * log_pressure + (by_t * dryness)[:, None] * weights,
-            by_log_p,
-            (by_vapour - VAPOUR_DEFICIT * t_m * by_t)[:, None] * weights,
-        ]
-    )
+    by_virtual = by_log_p[:, None] * log_pressure + (by_t * dryness)[:, None] * weights
+    by_fraction = (by_vapour - VAPOUR_DEFICIT * t_m * by_t)[:, None] * weights
+    return np.column_stack([by_virtual, by_log_p, by_fraction])
 
 
 def log_pressure_jacobian(profile: Profile, h: ArrayLike, anchor_height_m: float) -> Array:
@@ -104,9 +96,8 @@ def _index_partials(
         """``shifted`` (8, n): N at -4 ... -1, 1 ... 4 steps."""
         return np.asarray(_STENCIL @ (shifted[4:] - shifted[3::-1]) / step)
 
-    steps = np.array([-4.0, -3.0, -2.0, -1.0, 1.0, 2.0, 3.0, 4.0])[:, None]
-    warmer = t * (1.0 + _TEMPERATURE_STEP * steps)
-    denser = p * (1.0 + _PRESSURE_STEP * steps)
+    steps = np.append(np.arange(-4.0, 0.0), np.arange(1.0, 5.0))[:, None]
+    warmer, denser = t * (1.0 + _TEMPERATURE_STEP * steps), p * (1.0 + _PRESSURE_STEP * steps)
     moister = vapour + _VAPOUR_STEP * steps
     return (
         differences(_TEMPERATURE_STEP, index.refractivity(warmer, p, vapour * p)) / t,
@@ -130,14 +121,11 @@ def plane_rule(h_c: float, h_g: float, steps: int) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class ProfileCovariance:
-    """One-sigma and correlation of a profile.
+    """One-sigma and correlation of a profile with k edges of layers.
 
-    Parameters
-    ----------
-    profile : the profile, with k edges of layers.
-    anchor_m : geopotential height [m'] at which ln p is a state of its own.
-    matrix : (2k + 1, 2k + 1) covariance of T_M at the edges [K], ln p at the anchor, and e/p at
-        the edges, in this order. For any quantity with gradient g by them, sigma^2 = g^T C g.
+    ``matrix``: (2k + 1, 2k + 1) covariance of T_M at the edges [K], ln p at the geopotential height
+    ``anchor_m`` [m'], and e/p at the edges, in this order. For any quantity with gradient g by
+    them, sigma^2 = g^T C g.
     """
 
     profile: Profile
@@ -189,9 +177,8 @@ class ProfileCovariance:
     def relative_sigma(self, h_c: float, h_g: float) -> float:
         """sigma_R/R of rays from a camera at ``h_c`` to the ground at ``h_g`` [m], to first order.
 
-        In the plane, see `plane_rule`; the ratio differs from the spherical one by less than 1 %
-        of itself below 75 degrees. This is the sigma of the one scale factor of R that a whole
-        flight shares.
+        In the plane (`plane_rule`), where the ratio differs by less than 1 % of itself below 75
+        degrees: the sigma of the one scale factor of R that a whole flight shares.
         """
         h, weight = plane_rule(h_c, h_g, RAY_STEPS)
         r = float(weight @ self.profile.refractivity(h))

@@ -37,9 +37,8 @@ class Fall:
 def fall_of_pressure(height: Array, log_pressure: Array) -> Fall:
     """The mean virtual temperature that the fall of pressure with height implies.
 
-    ``height`` (n,) heights [m'], or [m]: 0.5 % apart; ``log_pressure`` (n,) ln p there; at least
-    three. By the slope of a straight line (Gyer 1996, Eq. 53, over the whole range); 1000 m of
-    height give it to about 2 K.
+    ``height`` (n,) heights [m'], or [m]: 0.5 % apart; ``log_pressure`` (n,) ln p there; n > 2. By
+    the slope of a straight line (Gyer 1996, Eq. 53); 1000 m of height give it to about 2 K.
 
     >>> h = np.array([0.0, 1000.0, 2000.0])
     >>> round(fall_of_pressure(h, -h / 8000.0).implied_k, 2)
@@ -53,17 +52,11 @@ def fall_of_pressure(height: Array, log_pressure: Array) -> Fall:
 
 
 def column(edge: Array, virtual: Array, height: Array) -> tuple[Array, Array]:
-    """Integral of dH/T_M from the lowest edge to heights, and its gradient.
+    """Integral of dH/T_M from the lowest edge to heights (m,) [m'] within the edges, and gradient.
 
-    Parameters
-    ----------
-    edge, virtual : (k,) geopotential heights [m'], increasing, and T_M there [K], linear between.
-    height : (m,) heights within the edges [m'].
-
-    Returns
-    -------
-    integral : (m,) [m'/K]; ln p = ln p_0 - (G M0 / R*) times this is Gyer 1996, Eq. 52 and 53.
-    gradient : (m, k) its derivatives by T_M at the edges [m'/K2].
+    ``edge``, ``virtual``: (k,) geopotential heights [m'], increasing, and T_M there [K], linear
+    between. Returns the integral (m,) [m'/K]: ln p = ln p_0 - (G M0 / R*) times this is Gyer 1996,
+    Eq. 52 and 53; and its derivatives (m, k) by T_M at the edges [m'/K2].
 
     In a layer of thickness D from T_0 to T_1 = T_0 (1 + x) the integral is D ln(1 + x) / (T_0 x);
     its derivative by T_1 is -D/T_0^2 times the integral of u/(1 + x u)^2 over u from 0 to 1,

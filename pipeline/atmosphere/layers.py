@@ -34,15 +34,9 @@ def pressure_gradient_layer(
     """Pressure [Pa] in a layer with a temperature gradient (Gyer 1996, Eq. 52).
 
     p = p_b (T_b / (T_b + L_b dH)) ** (G M0 / (R* L_b)), with L_b in the exponent (the paper
-    prints T_b) and the unit geopotential G, since gravity is already in H.
-
-    Parameters
-    ----------
-    pressure_base, temperature_base : values at the base [Pa], [K].
-    lapse : L_b, gradient of temperature [K per geopotential metre], not zero; however small, the
-        result goes over into Eq. 53 without loss of digits.
-    rise : dH, geopotential metres above the base; negative below it.
-    constant : G M0 / R* [K per geopotential metre].
+    prints T_b) and the unit geopotential G, since gravity is already in H. ``lapse``: L_b [K/m'],
+    not zero; however small, the result goes over into Eq. 53 without loss of digits. ``rise``: dH
+    [m'], negative below the base. ``constant``: G M0 / R* [K/m'].
 
     >>> float(pressure_gradient_layer(101325.0, 288.15, -0.0065, 11000.0).round(2))
     22632.06
@@ -74,14 +68,9 @@ def pressure_isothermal_layer(
 class Layers:
     """Layers between geopotential heights, from the ground up.
 
-    Parameters
-    ----------
-    edge : (m + 1,) boundaries [m'], increasing; layer i spans edge[i] to edge[i + 1].
-    temperature : (m,) T_M at the lower edge [K].
-    lapse : (m,) gradient of T_M [K/m'].
-    pressure : (m,) at the lower edge [Pa].
-    vapour : (m,) e/p at the lower edge; vapour_slope : (m,) its gradient [1/m'].
-    source : (m,) measured | barometric | relaxed | standard.
+    ``edge``: (m + 1,) boundaries [m'], increasing. The others (m,): T_M [K], ``pressure`` [Pa] and
+    ``vapour`` e/p at the lower edge, gradients of T_M [K/m'] and of e/p [1/m'], and ``source``:
+    measured | barometric | relaxed | standard.
     """
 
     edge: Array
@@ -126,13 +115,9 @@ def stack_layers(
     anchor: tuple[float, float],
     constant: float = HYDROSTATIC_CONSTANT,
 ) -> Layers:
-    """Layers through temperatures at their edges, with pressure by Eq. 52-53 from one anchor.
+    """Layers through T_M [K] and e/p (m + 1,) at their edges [m'], with pressure by Eq. 52-53.
 
-    Parameters
-    ----------
-    edge, temperature, vapour : (m + 1,) geopotential heights [m'], T_M [K] and e/p there.
-    source : (m,) where each layer comes from.
-    anchor : geopotential height [m'] within the edges and the pressure there [Pa].
+    ``anchor``: a geopotential height [m'] within the edges and the pressure there [Pa].
     """
     thickness = np.diff(edge)
     warming = np.diff(temperature)

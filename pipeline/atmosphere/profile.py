@@ -19,16 +19,9 @@ from pipeline.units import HYDROSTATIC_CONSTANT, VAPOUR_DEFICIT, Array, Rows
 class Profile:
     """Temperature, pressure, humidity and refractivity as functions of height.
 
-    Heights are metres above mean sea level, of any shape; outside ``bottom_m`` to ``top_m``
-    the functions return NaN.
-
-    Parameters
-    ----------
-    layers : the layers in geopotential height.
-    gravity : how height becomes geopotential height.
-    index : the formula of the refractive index, and the wavelength.
-    name : a standard's name, or ``adjusted``.
-    constant : G M0 / R* of the model [K/m'].
+    Heights are metres above mean sea level, of any shape; outside ``bottom_m`` to ``top_m`` the
+    functions return NaN. ``name`` is a standard's, or ``adjusted``; ``constant`` G M0 / R* of the
+    model [K/m'].
     """
 
     layers: Layers
@@ -57,10 +50,8 @@ class Profile:
 
     def layer_of(self, h: ArrayLike) -> Rows:
         """Number of the layer at a height, -1 outside the profile."""
-        geopotential = self.gravity.geopotential_height(h)
-        edge = self.layers.edge
-        # A height computed from an edge may miss it by a rounding error.
-        slack = 1e-7
+        geopotential, edge = self.gravity.geopotential_height(h), self.layers.edge
+        slack = 1e-7  # a height computed from an edge may miss it by a rounding error
         i = np.clip(np.searchsorted(edge, geopotential, side="right") - 1, 0, edge.size - 2)
         inside = (geopotential >= edge[0] - slack) & (geopotential <= edge[-1] + slack)
         return np.where(inside, i, -1)
@@ -199,8 +190,7 @@ def profile_from_table(
     be mirrors in the sky. ``h`` [m above sea level], (n,), increasing.
     """
     edge = gravity.geopotential_height(h)
-    t = np.asarray(temperature_k, np.float64)
-    p = np.asarray(pressure_pa, np.float64)
+    t, p = np.asarray(temperature_k, np.float64), np.asarray(pressure_pa, np.float64)
     vapour = np.broadcast_to(np.asarray(vapour_pressure_pa, np.float64), t.shape) / p
     t_m = t / (1.0 - VAPOUR_DEFICIT * vapour)
     anchor = (float(edge[0]), float(p[0]))

@@ -28,10 +28,11 @@ def refractivity_gyer(
     >>> float((refractivity_gyer(288.16, 101325.0) * 1e6).round(2))
     277.19
     """
-    temperature_k = np.asarray(temperature_k, dtype=np.float64)
     p_mbar = np.asarray(pressure_pa, dtype=np.float64) / HECTOPASCAL
     e_mbar = np.asarray(vapour_pressure_pa, dtype=np.float64) / HECTOPASCAL
-    return np.asarray((78.831e-6 * p_mbar - 11.036e-6 * e_mbar) / temperature_k)
+    return np.asarray(
+        (78.831e-6 * p_mbar - 11.036e-6 * e_mbar) / np.asarray(temperature_k, np.float64)
+    )
 
 
 def saturation_vapour_pressure(temperature_k: ArrayLike) -> Array:
@@ -117,11 +118,9 @@ def virtual_temperature(
 
 def _compressibility(t: Array, p: Array, x_w: Array) -> Array:
     """Z of moist air (Ciddor 1996, Eq. 12; BIPM density equation)."""
-    c = t - ZERO_CELSIUS_K
+    c, ratio = t - ZERO_CELSIUS_K, p / t
     first = 1.58123e-6 - 2.9331e-8 * c + 1.1043e-10 * c * c
-    water = 5.707e-6 - 2.051e-8 * c
-    water_squared = 1.9898e-4 - 2.376e-6 * c
-    ratio = p / t
+    water, water_squared = 5.707e-6 - 2.051e-8 * c, 1.9898e-4 - 2.376e-6 * c
     return np.asarray(
         1.0
         - ratio * (first + water * x_w + water_squared * x_w * x_w)
@@ -149,8 +148,7 @@ def refractivity_ciddor(
         what = f"a wavelength of {wavelength_m:g} m lies outside 0.23e-6 to 2.0e-6 m"
         remedy = "give the wavelength of vacuum in metres, for example 0.55e-6"
         raise PhysicsError("AIR-WAVELENGTH", what, remedy=remedy)
-    t = np.asarray(temperature_k, dtype=np.float64)
-    p = np.asarray(pressure_pa, dtype=np.float64)
+    t, p = np.asarray(temperature_k, np.float64), np.asarray(pressure_pa, np.float64)
     with np.errstate(invalid="ignore"):
         x_w = np.where(p > 0.0, np.asarray(vapour_pressure_pa, np.float64) / p, 0.0)
 
@@ -161,12 +159,10 @@ def refractivity_ciddor(
         295.235 + 2.6422 * sigma2 - 0.032380 * sigma2**2 + 0.004028 * sigma2**3
     )
 
-    gas_constant = 8.314510
+    gas_constant, m_w = 8.314510, 0.018015
     m_a = 1e-3 * (28.9635 + 12.011e-6 * (co2_ppm - 400.0))
-    m_w = 0.018015
-    zero, one = np.asarray(0.0), np.asarray(1.0)
-    z_air = _compressibility(np.asarray(288.15), np.asarray(101325.0), zero)
-    z_vapour = _compressibility(np.asarray(293.15), np.asarray(1333.0), one)
+    z_air = _compressibility(*map(np.asarray, (288.15, 101325.0, 0.0)))
+    z_vapour = _compressibility(*map(np.asarray, (293.15, 1333.0, 1.0)))
     density_air_standard = 101325.0 * m_a / (z_air * gas_constant * 288.15)
     density_vapour_standard = 1333.0 * m_w / (z_vapour * gas_constant * 293.15)
 

@@ -15,17 +15,8 @@ from functools import partial
 
 import numpy as np
 
-from pipeline.atmosphere.climate_tables import (
-    AFGL_ORIGIN,
-    LOWEST_GEOPOTENTIAL_M,
-    SUPPLEMENTS,
-    SUPPLEMENTS_ORIGIN,
-    climate_names,
-    climate_profile,
-    hydrostatic_profile,
-    read_models,
-    supplements_profile,
-)
+from pipeline.atmosphere import climate_tables as tables
+from pipeline.atmosphere.climate_tables import AFGL_ORIGIN, SUPPLEMENTS, SUPPLEMENTS_ORIGIN
 from pipeline.atmosphere.layers import STANDARD, stack_layers
 from pipeline.atmosphere.profile import Profile
 from pipeline.atmosphere.refractive_index import DEFAULT_WAVELENGTH_M, IndexModel
@@ -88,19 +79,19 @@ def _tabulated_profile(name: str, place: SeasonAndPlace, index: IndexModel) -> P
 
     Without a latitude under the gravity of the table's own, or of the standard's definition.
     """
-    if name in climate_names():
-        return climate_profile(name, index, place.gravity)
-    rows = read_models("standard_atmospheres.csv")[name]
+    if name in tables.climate_names():
+        return tables.climate_profile(name, index, place.gravity)
+    rows = tables.read_models("standard_atmospheres.csv")[name]
     first = rows[0]
     gravity = place.gravity or Gravity(first["g0_m_s2"], first["r0_m"])
     edge = np.array([row["geopotential_m"] for row in rows])
     temperature = np.array([row["temperature_k"] for row in rows])
     lapse = (temperature[1] - temperature[0]) / (edge[1] - edge[0])
     # The troposphere's lapse rate goes on down, as ISO 2533 tabulates it.
-    if edge[0] > LOWEST_GEOPOTENTIAL_M:
-        down = LOWEST_GEOPOTENTIAL_M - edge[0]
-        edge = np.concatenate([[LOWEST_GEOPOTENTIAL_M], edge])
-        temperature = np.concatenate([[temperature[0] + lapse * down], temperature])
+    if edge[0] > tables.LOWEST_GEOPOTENTIAL_M:
+        down = tables.LOWEST_GEOPOTENTIAL_M - edge[0]
+        edge = np.append(tables.LOWEST_GEOPOTENTIAL_M, edge)
+        temperature = np.append(temperature[0] + lapse * down, temperature)
     constant = STANDARD_GRAVITY * first["m0_kg_per_kmol"] / first["r_star_j_per_kmol_k"]
     dry, source, anchor = np.zeros(edge.size), (STANDARD,) * (edge.size - 1), (0.0, SEA_LEVEL_PA)
     layers = stack_layers(edge, temperature, dry, source, anchor=anchor, constant=constant)
@@ -108,7 +99,7 @@ def _tabulated_profile(name: str, place: SeasonAndPlace, index: IndexModel) -> P
 
 
 def _supplements(place: SeasonAndPlace, index: IndexModel) -> Profile:
-    return supplements_profile(place.latitude_rad or 0.0, place.month, index, place.gravity)
+    return tables.supplements_profile(place.latitude_rad or 0.0, place.month, index, place.gravity)
 
 
 def _msis(place: SeasonAndPlace, index: IndexModel) -> Profile:
@@ -128,18 +119,14 @@ def _msis(place: SeasonAndPlace, index: IndexModel) -> Profile:
     h = np.arange(0.0, _MSIS_TOP_M + 1.0, _MSIS_STEP_M)
     answer = pymsis.calculate(
         np.datetime64("2001-01-01T12:00") + np.timedelta64(day % 365, "D"),
-        place.longitude_rad / DEGREE,
-        latitude / DEGREE,
-        h / 1000.0,
-        f107s=[_SOLAR_FLUX],
-        f107as=[_SOLAR_FLUX],
-        aps=[[_GEOMAGNETIC] * 7],
-        version=2.1,
-    )
+        place.longitude_rad / DEGREE, latitude / DEGREE, h / 1000.0, f107s=[_SOLAR_FLUX],
+        f107as=[_SOLAR_FLUX], aps=[[_GEOMAGNETIC] * 7], version=2.1,
+    )  # fmt: skip
     t = np.asarray(answer, dtype=np.float64).reshape(h.size, -1)[:, _MSIS_TEMPERATURE]
     gravity, surface = gravity_at(latitude), float(_supplements(place, index).pressure(0.0))
-    edge = gravity.geopotential_height(h)
-    return hydrostatic_profile(edge, t, np.zeros_like, surface, gravity, index=index, name=MSIS)
+    return tables.hydrostatic_profile(
+        gravity.geopotential_height(h), t, np.zeros_like, surface, gravity, index=index, name=MSIS
+    )
 
 
 _OF_SEASON = AtmosphereModel(_supplements, SUPPLEMENTS_ORIGIN, True, needs_place=True)
@@ -153,7 +140,7 @@ ATMOSPHERES: dict[str, AtmosphereModel] = {
             SUPPLEMENTS_ORIGIN if name.startswith(SUPPLEMENTS) else AFGL_ORIGIN,
             has_humidity=True,
         )
-        for name in climate_names()
+        for name in tables.climate_names()
     },
     MSIS: AtmosphereModel(
         _msis, "NRLMSIS 2.1 (Emmert et al. 2022), temperature only", False, needs_place=True
@@ -162,7 +149,7 @@ ATMOSPHERES: dict[str, AtmosphereModel] = {
         name: AtmosphereModel(
             partial(_tabulated_profile, name), f"standard atmosphere {name}", has_humidity=False
         )
-        for name in read_models("standard_atmospheres.csv")
+        for name in tables.read_models("standard_atmospheres.csv")
     },
 }
 """All atmospheres by name; `known_names`, mission files and the command line follow from it."""
@@ -195,13 +182,10 @@ def standard_atmosphere(
 ) -> Profile:
     """A standard atmosphere as a profile.
 
-    Parameters
-    ----------
-    name : one of `standard_names`.
-    index : ``ciddor`` or ``gyer`` (Eq. 13, 0.589 um whatever the wavelength).
-    wavelength_m : wavelength of vacuum [m].
-    latitude : [rad] gives normal gravity, as the profile of a mission has; by default the
-        standard keeps the gravity of its own definition, a climatology that of its latitude.
+    ``name``: one of `standard_names`. ``index``: ``ciddor`` or ``gyer`` (Eq. 13, 0.589 um whatever
+    the wavelength). ``wavelength_m``: of vacuum [m]. ``latitude`` [rad] gives normal gravity, as
+    the profile of a mission has; by default the standard keeps the gravity of its own definition, a
+    climatology that of its latitude.
 
     Agrees with the tables of its definition to their last printed digit.
 

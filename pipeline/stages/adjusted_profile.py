@@ -385,7 +385,9 @@ def _profiles_in_time(
         adjustment.time_ns, adjustment.profile, adjustment.covariance,
         sampled_at=None if model is None else model.place,
     )  # fmt: skip
-    windows = estimate_windows(adjustment, h_c, h_g, ledger) if max(h_c) > h_g + 1.0 else ()
+    windows: tuple[TimeWindow, ...] = ()
+    if max(h_c) > h_g + 1.0:
+        windows = ledger.take(estimate_windows(adjustment, h_c, h_g))
     if model is not None:
         windows = tuple(
             replace(w, air=replace(w.air, sampled_at=model.place_of(adjustment.samples, w)))
@@ -400,8 +402,8 @@ def _profiles_in_time(
             airs = [window.air for window in windows]
             series = profile_series.interpolate_series(airs, times, h_c, h_g)
         if adjustment.samples is not None:
-            series = profile_series.add_ageing(
-                series, times, adjustment.samples, ledger, h_c=max(h_c), h_g=h_g
+            series = ledger.take(
+                profile_series.add_ageing(series, times, adjustment.samples, max(h_c), h_g)
             )
         if model is not None:
             north = np.where(stations.ok, stations.lat_rad, np.nan)

@@ -429,7 +429,7 @@ def two_airs(mission, baseline, monkeypatch, names=ENDS):
         return tuple(
             TimeWindow(int(t), int(t) + 1, TimedProfile(int(t), air), 0.1, 0.01)
             for t, air in zip((times[0], times[-1]), airs, strict=True)
-        )
+        ), ()
 
     monkeypatch.setattr(batch_air, "estimate_windows", windows)
 

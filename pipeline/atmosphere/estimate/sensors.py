@@ -11,11 +11,8 @@ from pipeline.atmosphere.estimate.state import AirAtKnots, Fault, Layout, Sensor
 from pipeline.atmosphere.hypsometry import hats
 from pipeline.units import Array
 
-HEAT_CAPACITY = 1005.0
-"""c_p of dry air [J kg-1 K-1]."""
-
-GAS_CONSTANT_DRY = 287.05
-"""R of dry air [J kg-1 K-1]."""
+HEAT_CAPACITY, GAS_CONSTANT_DRY = 1005.0, 287.05
+"""c_p and R of dry air [J kg-1 K-1]."""
 
 SEA_LEVEL_DENSITY = 1.225
 """Airspeeds of pitot tubes are calibrated for it [kg m-3]."""
@@ -83,13 +80,13 @@ class SensorCalibration:
 
 @dataclass(frozen=True)
 class SensorSettings:
-    """What the mission file states of the sensors.
+    """What the mission file states of the sensors, and what is known of them.
 
     ``board_temperature``: the thermometer sits on a circuit board and is used all the same, as the
-    air plus an unknown 10 K that wanders. ``calibration`` of the sensors, by fault.
-    ``usual_errors_only``: no larger drift, no rare fault. ``maybe_indoors``: nothing shows that the
-    thermometer is outside, and its errors are expected to be those of a board's. ``highest``: ln of
-    the pressure [Pa] from which a lost share of change counts, where readings are a flight's part.
+    air plus an unknown 10 K that wanders. ``usual_errors_only``: no larger drift, no rare fault.
+    ``maybe_indoors``: nothing shows that the thermometer is outside: its errors are expected to be
+    a board's. ``highest``: ln of the pressure [Pa] from which a lost share of change counts, where
+    readings are a flight's part.
     """
 
     board_temperature: bool = False
@@ -165,16 +162,18 @@ class Thermometer(Readings):
         decay = np.exp(x[layout.fault(SensorFault.TRANSIENT_DECAY)])
         left = np.exp(-self.since_s / decay)
         transient = x[layout.fault(SensorFault.TAKEOFF_TRANSIENT)]
-        jacobian[:, layout.fault(SensorFault.THERMOMETER_BIAS)] = 1.0
-        jacobian[:, layout.fault(SensorFault.THERMOMETER_LAG)] = by_lag
-        jacobian[:, layout.fault(SensorFault.TAKEOFF_TRANSIENT)] = left
-        jacobian[:, layout.fault(SensorFault.TRANSIENT_DECAY)] = (
-            transient * left * self.since_s / decay
-        )
         reading += x[layout.fault(SensorFault.THERMOMETER_BIAS)] + transient * left
+        by_fault = {
+            SensorFault.THERMOMETER_BIAS: 1.0,
+            SensorFault.THERMOMETER_LAG: by_lag,
+            SensorFault.TAKEOFF_TRANSIENT: left,
+            SensorFault.TRANSIENT_DECAY: transient * left * self.since_s / decay,
+        }
         if self.heating is not None:
-            jacobian[:, layout.fault(SensorFault.RECOVERY_FACTOR)] = self.heating
+            by_fault[SensorFault.RECOVERY_FACTOR] = self.heating
             reading += self.heating * x[layout.fault(SensorFault.RECOVERY_FACTOR)]
+        for fault, derivative in by_fault.items():
+            jacobian[:, layout.fault(fault)] = derivative
         drift, where = layout.drift(SensorFault.THERMOMETER_DRIFT)
         jacobian[:, where] = hats(drift.knot, self.seconds)
         return reading + jacobian[:, where] @ x[where], jacobian

@@ -63,19 +63,16 @@ class FaultEstimate:
         if self.fault is not SensorFault.TRANSIENT_DECAY:
             return self
         time = float(np.exp(self.value))
-        return replace(
-            self, value=time, sigma=time * self.sigma, prior_sigma=time * self.prior_sigma
-        )
+        return FaultEstimate(self.fault, time, time * self.sigma, time * self.prior_sigma)
 
 
 @dataclass(frozen=True)
 class Fit:
-    """How a set of readings fits, and its information content.
+    """How a set of readings fits: ``count`` of bins or levels, ``rms`` residual in sigmas, and the
+    factor by which its sigmas were multiplied.
 
-    ``count`` of bins or levels; ``rms`` residual in sigmas; ``sigma_inflation`` the factor by which
-    its sigmas were multiplied; ``signal_freedom`` its degrees of freedom for signal (the trace of
-    its share of the information times the covariance: Rodgers 2000, Eq. 2.80), which is its weight
-    among the sources.
+    ``signal_freedom`` are its degrees of freedom for signal, its weight among the sources: the
+    trace of its share of the information times the covariance (Rodgers 2000, Eq. 2.80).
     """
 
     name: str
@@ -88,11 +85,9 @@ class Fit:
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """The air of a flight.
+    """The air of a flight, in layers between the knots.
 
-    ``profile`` has layers between the knots; ``covariance`` is that of the profile;
-    ``background_sigma_k`` (k,) prior sigma of temperature at the knots; ``readings`` what was
-    measured, with the outliers among the accepted samples of each sensor; ``state`` the solution
+    ``background_sigma_k`` (k,) prior sigma of temperature at the knots; ``state`` the solution
     itself, and ``converged`` whether temperatures moved by less than 2 mK in the last step;
     ``drift_scales`` the sigma of each drift over the expected one, by the residuals.
     """
@@ -152,19 +147,13 @@ def estimate(
 ) -> Estimate:
     """The air by samples, soundings and surface reports, with its covariance.
 
-    Parameters
-    ----------
-    samples : of the flight, or of a part of it.
-    background : the climatology: expected air, spread, gravity and formula of the index.
-    settings : calibration of the sensors; by default none is known.
-    moisture : expected humidity, where the background is a dry standard.
-    soundings, surface : of places and times near the flight.
-    flight : when and where it was; without it the samples give the time.
-    known : sensor faults as estimated before, which replace the expected ones.
+    ``samples`` of the flight, or of a part of it; without any it is the background with its own
+    covariance. ``moisture``: expected humidity, where the background is a dry standard. ``flight``:
+    when and where it was; without it the samples give the time. ``known``: sensor faults as
+    estimated before, which replace the expected ones.
 
-    With no samples at all it is the background with its own covariance. Cost grows linearly with
-    the number of samples (binning) and with the cube of about 300 states: 4 hours of three
-    sensors at 10 Hz, 144,000 samples each, take 0.6 s on one core.
+    Cost grows linearly with the number of samples (binning) and with the cube of about 300 states:
+    4 hours of three sensors at 10 Hz, 144,000 samples each, take 0.6 s on one core.
 
     >>> from pipeline.atmosphere.climatology import climatology
     >>> made = estimate(AirSamples(), climatology(latitude_rad=0.8, month=7.0))
@@ -175,27 +164,26 @@ def estimate(
     readings = collect_readings(
         samples, background, settings, soundings=soundings, surface=surface, flight=flight
     )
-    before = {estimated.fault: estimated for estimated in known}
-    faults = [
-        replace(fault, mean=before[fault.name].value, sigma=before[fault.name].sigma, rare=1.0)
-        if fault.name in before
+    before = {f.fault: f for f in known}
+    faults = tuple(
+        replace(fault, mean=f.value, sigma=f.sigma, rare=1.0)
+        if (f := before.get(fault.name))
         else fault
         for fault in readings.faults
-    ]
-    readings = replace(readings, faults=tuple(faults))
+    )
+    readings = replace(readings, faults=faults)
     layout = layout_of(readings, background)
     prior = prior_of(layout, background, moisture or background)
     solution = solve(layout, prior, readings.sets, background.profile)
-    profile, covariance = solution.profile(background.profile)
     sigma = np.sqrt(np.diag(solution.covariance))
     estimated = tuple(
         FaultEstimate(fault.name, float(solution.x[i]), float(sigma[i]), fault.prior_sigma)
         for i, fault in enumerate(layout.faults, layout.level + 1)
     )
-    of_solution = (
-        estimated, solution.fits, readings, solution.x, solution.converged, solution.drift_scales,
+    return Estimate(
+        *solution.profile(background.profile), prior.sigma_temperature, estimated, solution.fits,
+        readings, solution.x, solution.converged, solution.drift_scales,
     )  # fmt: skip
-    return Estimate(profile, covariance, prior.sigma_temperature, *of_solution)
 
 
 def layout_of(readings: FlightReadings, background: Climatology) -> Layout:
@@ -215,13 +203,11 @@ def solve(
     """Gauss-Newton with iterated weights; C = (J^T W J + B^-1)^-1.
 
     Where the residuals of a set of readings are larger than its sigmas, or neighbours in it
-    correlate (its errors are not independent, as the weights assume), its sigmas are multiplied by
-    an inflation factor until they fit, so that C is not too small. The sigma of a drift follows
-    from the drift itself (`drift_variances`). ``start`` is a state near the solution; without it
-    the iteration begins at the prior, with a loss that has one minimum.
-
-    Lag times the shape of T(H) is not linear, and whole steps may oscillate (in 38 of 84 flights,
-    by 0.1 to 0.3 K): a step that turns back is halved.
+    correlate, its sigmas are multiplied by an inflation factor until they fit, so that C is not too
+    small. The sigma of a drift follows from the drift itself (`drift_variances`). ``start`` is a
+    state near the solution; without it the iteration begins at the prior, with a loss that has one
+    minimum. Lag times the shape of T(H) is not linear, and whole steps may oscillate (in 38 of 84
+    flights, by 0.1 to 0.3 K): a step that turns back is halved.
     """
     x = prior.mean.copy() if start is None else start
     pressure = background.pressure(background.gravity.height(layout.knot))

@@ -1,7 +1,4 @@
-"""The air along a flight: profiles at several times, and the one of each exposure.
-
-And how much less is known of it when it was sampled long ago.
-"""
+"""The air along a flight: profiles at several times, the one of each exposure, and its ageing."""
 
 from __future__ import annotations
 
@@ -19,7 +16,7 @@ from pipeline.atmosphere.hypsometry import hats
 from pipeline.atmosphere.layers import stack_layers
 from pipeline.atmosphere.profile import Profile
 from pipeline.atmosphere.refractive_index import IndexModel, saturation_vapour_pressure
-from pipeline.ledger import Ledger
+from pipeline.ledger import Notes, note
 from pipeline.units import Array, Integers
 
 FINEST_CHANGE = 5e-4
@@ -81,20 +78,18 @@ def sample_ages(
     ]
     if not any(bins.size for bins, _ in visits):
         return [SampleAges(np.zeros(1), np.zeros(1)) for _ in time_ns]
-    both = np.unique(
-        np.concatenate([np.stack([bins.astype(np.int64), at]) for bins, at in visits], axis=1),
-        axis=1,
-    )
+    both = np.hstack([np.stack([bins.astype(np.int64), at]) for bins, at in visits])
+    both = np.unique(both, axis=1)
     inside = (both[0] + 1 >= h_g / _BIN_M) & (both[0] <= h_c / _BIN_M)
     number, minute = both[:, inside] if bool(inside.any()) else both
     bins = np.unique(number)
     visited = [minute[number == i] for i in bins]
-    middles = (bins + 0.5) * _BIN_M
+    fresh = (FRESH_S / 3600.0) ** 2
     ages = []
     for now in time_ns:
         apart = np.array([np.abs(at - now // _MINUTE_NS).min() / 60.0 for at in visited])
-        fresh = (FRESH_S / 3600.0) ** 2
-        ages.append(SampleAges(middles, np.sqrt(np.maximum(apart**2 - fresh, 0.0))))
+        hours = np.sqrt(np.maximum(apart**2 - fresh, 0.0))
+        ages.append(SampleAges((bins + 0.5) * _BIN_M, hours))
     return ages
 
 
@@ -107,9 +102,8 @@ def change_sigma(above_ground_m: Array, hours: Array | float) -> Array:
 def covariance_with_ageing(covariance: ProfileCovariance, ages: SampleAges) -> ProfileCovariance:
     """A covariance with what the air changes in its age added.
 
-    Temperatures wander by `change_sigma`, neighbours within 1500 m alike, and carry pressure with
-    them from the height that was sampled last, where ln p itself changes by 5e-4 an hour; relative
-    humidity by 0.1 in four hours.
+    Temperatures wander by `change_sigma`, neighbours alike, and carry pressure with them from the
+    height that was sampled last, where ln p itself changes too; so does relative humidity.
     """
     profile = covariance.profile
     edge = profile.layers.edge
@@ -136,9 +130,9 @@ def covariance_with_ageing(covariance: ProfileCovariance, ages: SampleAges) -> P
 class TimedProfile:
     """The air at a time [Unix ns], with its covariance where there is one.
 
-    Between ``neighbours`` (the earlier and the later profile and the share of the later) the
-    covariance is computed when it is needed: hundreds of them would fill memory. ``ages`` are the
-    ages of its samples, where these are old; ``sampled_at`` is where they were taken.
+    Between ``neighbours`` (the earlier and the later profile and the share of the later) it is
+    computed when needed: hundreds of them would fill memory. ``ages`` are those of its samples,
+    where these are old; ``sampled_at`` is where they were taken.
     """
 
     time_ns: int | None
@@ -179,15 +173,12 @@ class TimedProfile:
 
         In the plane; ``h_c``, ``h_g`` heights of cameras and ground [m above sea level].
         """
-        changes = [
-            np.log(_plane(self.profile, h, h_g) / _plane(other.profile, h, h_g)) for h in h_c
-        ]
-        return float(max(changes, key=abs))
 
+        def r(air: TimedProfile, h_c: float) -> float:
+            h, weight = plane_rule(h_c, h_g, _STEPS)
+            return float(weight @ air.profile.refractivity(h))
 
-def _plane(profile: Profile, h_c: float, h_g: float) -> float:
-    h, weight = plane_rule(h_c, h_g, _STEPS)
-    return float(weight @ profile.refractivity(h))
+        return float(max((np.log(r(self, h) / r(other, h)) for h in h_c), key=abs))
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,10 +237,9 @@ def interpolate_series(
     """The air at the times of exposures, linear in time between ``nodes`` and constant beyond.
 
     ``nodes``: two or more, in the order of time. ``time_ns``: (s,) of the exposures [Unix ns].
-    ``h_c``, ``h_g``: heights of cameras and ground [m above sea level].
-
-    Between nodes stand just so many profiles that R of the cameras changes by less than 0.05 %
-    from one to the next; an exposure takes the nearest in time, and what none takes is left out.
+    ``h_c``, ``h_g``: heights of cameras and ground [m above sea level]. Between nodes stand just so
+    many profiles that R of the cameras changes by less than 0.05 % from one to the next; an
+    exposure takes the nearest in time, and what none takes is left out.
     """
     if any(node.time_ns is None for node in nodes):
         raise ValueError("air along a flight needs times")
@@ -262,32 +252,22 @@ def interpolate_series(
     times = np.array([at[i] + round(share * int(at[i + 1] - at[i])) for i, share in places])
     nearest = np.searchsorted(times[:-1] + np.diff(times) // 2, time_ns, side="left")
     used, number = np.unique(nearest, return_inverse=True)
-    airs = tuple(
-        interpolate_profiles(nodes[places[u][0]], nodes[places[u][0] + 1], places[u][1])
-        for u in used
-    )
+    between = [(nodes[i], nodes[i + 1], share) for i, share in (places[u] for u in used)]
+    airs = tuple(interpolate_profiles(*pair) for pair in between)
     return ProfileSeries(airs, number.astype(np.int64))
 
 
 def add_ageing(
-    series: ProfileSeries,
-    time_ns: Integers,
-    samples: AirSamples,
-    ledger: Ledger,
-    *,
-    h_c: float,
-    h_g: float,
-) -> ProfileSeries:
+    series: ProfileSeries, time_ns: Integers, samples: AirSamples, h_c: float, h_g: float
+) -> tuple[ProfileSeries, Notes]:
     """The same air, with the sigmas that it has for exposures long after, or before, its samples.
 
     ``time_ns``: (s,) of the exposures [Unix ns]. ``samples``: what the air was estimated from.
-    ``h_c``, ``h_g``: heights of the highest camera and of the ground [m above sea level].
-
-    Exposures are taken together in quarters of an hour; air that was sampled within half an hour
-    stays as it is.
+    ``h_c``, ``h_g``: heights of the highest camera and of the ground [m above sea level]. Exposures
+    are taken together in quarters of an hour; air sampled within half an hour stays as it is.
     """
     if time_ns.size == 0:
-        return series
+        return series, ()
     start = int(time_ns.min())
     slot = (time_ns - start) // SLOT_NS
     pairs, group = np.unique(np.stack([series.profile_number, slot]), axis=1, return_inverse=True)
@@ -295,7 +275,7 @@ def add_ageing(
     middles = [start + round(float(s) * 1e9) for s in since]
     ages = sample_ages(samples, middles, h_g, h_c)
     if all(age.is_fresh for age in ages):
-        return series
+        return series, ()
     airs: list[TimedProfile] = []
     place: dict[tuple[int, int], int] = {}
     new = np.zeros(len(ages), np.int64)
@@ -307,14 +287,12 @@ def add_ageing(
             airs.append(air if age.is_fresh else replace(air, time_ns=middles[i], ages=age))
         new[i] = place[key]
     oldest = max(ages, key=lambda age: float(age.hours.max()))
-    h = float(oldest.h_m[int(np.argmax(oldest.hours))])
-    ledger.note(
-        "AIR-AGED",
-        f"some exposures are {np.hypot(oldest.hours.max(), FRESH_S / 3600.0):.1f} h from when the "
-        f"air at {h:.0f} m was sampled: the sigmas of the air grow with that time",
+    told = note(
+        "AIR-AGED", hours=np.hypot(oldest.hours.max(), FRESH_S / 3600.0),
+        height_m=oldest.h_m[int(np.argmax(oldest.hours))],
         count=int(np.isin(new[group], [i for i, air in enumerate(airs) if air.ages]).sum()),
-    )
-    return ProfileSeries(tuple(airs), new[group])
+    )  # fmt: skip
+    return ProfileSeries(tuple(airs), new[group]), (told,)
 
 
 def interpolate_profiles(a: TimedProfile, b: TimedProfile, share: float) -> TimedProfile:

@@ -7,6 +7,7 @@ too.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -18,16 +19,9 @@ from pipeline.atmosphere.estimate.adjusted_profile import Adjustment
 from pipeline.atmosphere.estimate.candidates import SMALLEST_CLIMB_M
 from pipeline.atmosphere.estimate.estimate_checks import is_better_than_background, is_plausible
 from pipeline.atmosphere.estimate.solver import estimate
-from pipeline.atmosphere.series.profile_series import (
-    CHANGE_LOG_P_PER_H,
-    CHANGE_RH,
-    FRESH_S,
-    SampleAges,
-    TimedProfile,
-    change_sigma,
-    covariance_with_ageing,
-)
-from pipeline.ledger import Ledger
+from pipeline.atmosphere.series import profile_series
+from pipeline.atmosphere.series.profile_series import SampleAges, TimedProfile
+from pipeline.ledger import Notes, fallback, note
 
 MOST_WINDOWS = 12  # each as long as the air stays fresh, or longer
 
@@ -68,13 +62,11 @@ def time_windows(samples: AirSamples) -> tuple[tuple[int, int], ...]:
     ()
     """
     sensor = _deciding_sensor(samples)
-    if sensor is None:
+    if sensor is None or not bool(sensor.accepted.any()):
         return ()
     time = sensor.time_ns[sensor.accepted]
-    if time.size == 0:
-        return ()
     first, last = int(time[0]), int(time[-1]) + 1
-    count = min(MOST_WINDOWS, int((last - first) * 1e-9 / FRESH_S))
+    count = min(MOST_WINDOWS, int((last - first) * 1e-9 / profile_series.FRESH_S))
     edges = [first + (last - first) * i // max(count, 1) for i in range(max(count, 1) + 1)]
     parts = list(pairwise(edges))
     while len(parts) > 1:
@@ -122,12 +114,11 @@ def part_of_flight(samples: AirSamples, start_ns: int, end_ns: int) -> AirSample
 
 
 def estimate_windows(
-    whole: Adjustment, h_c: Sequence[float], h_g: float, ledger: Ledger
-) -> tuple[TimeWindow, ...]:
+    whole: Adjustment, h_c: Sequence[float], h_g: float
+) -> tuple[tuple[TimeWindow, ...], Notes]:
     """The air of each window of a flight, in the order of time; none where one profile is enough.
 
-    ``whole``: the air of the whole flight, from `build_adjusted_profile`. ``h_c``, ``h_g``: heights
-    of cameras and of the ground [m above sea level], for the change of R.
+    ``h_c``, ``h_g``: heights of cameras and of the ground [m above sea level], for the change of R.
 
     A window whose estimate fails its checks, or predicts its own held-out readings worse than the
     whole flight does, keeps the air of the whole. One profile is enough where R departs from that
@@ -135,53 +126,48 @@ def estimate_windows(
     """
     samples, covariance, moisture = whole.samples, whole.covariance, whole.moisture
     if samples is None or covariance is None or moisture is None:
-        return ()
+        return (), ()
     parts = time_windows(samples)
     if len(parts) < 2:
-        return ()
+        return (), ()
     hours = (parts[-1][1] - parts[0][0]) / 3.6e12
     background = _whole_flight_as_background(covariance, moisture.spread, hours)
     # Where the readings of a window cannot be used: the whole's air, changed as over the flight.
     anywhere = SampleAges(np.array([covariance.anchor_height_m]), np.array([hours]))
-    fallback = TimedProfile(None, whole.profile, covariance_with_ageing(covariance, anywhere))
+    aged = profile_series.covariance_with_ageing(covariance, anywhere)
+    changed = TimedProfile(None, whole.profile, aged)
     windows = []
     for start_ns, end_ns in parts:
         part = part_of_flight(samples, start_ns, end_ns)
         deciding = _deciding_sensor(part)
         visited_ns = deciding.middle_of_heights_ns if deciding is not None else None
         middle_ns = (start_ns + end_ns) // 2 if visited_ns is None else visited_ns
-        air = replace(fallback, time_ns=middle_ns)
+        air = replace(changed, time_ns=middle_ns)
         own, why_not = _own_air(part, air, whole, background)
         if own is None or own.own_covariance is None:
             windows.append(TimeWindow(start_ns, end_ns, air, why_not=why_not))
             continue
-        change = own.change_from(fallback, h_c, h_g)
+        change = own.change_from(changed, h_c, h_g)
         sigma = own.own_covariance.relative_sigma(max(h_c), h_g)
         windows.append(TimeWindow(start_ns, end_ns, own, change, sigma))
     estimated = [window for window in windows if not window.why_not]
     if not estimated:
-        what = f"one profile for {hours:.1f} h: no part of it has enough information"
-        ledger.note("AIR-WINDOWS", what)
-        return ()
+        return (), (note("AIR-WINDOWS/none", hours=hours),)
     departure = float(np.sqrt(np.mean([(w.change / w.sigma) ** 2 for w in estimated])))
-    largest = 100.0 * max(abs(w.change) for w in estimated)
+    told = partial(
+        note, hours=hours, total=len(parts), sigmas=departure,
+        largest=100.0 * max(abs(w.change) for w in estimated),
+    )  # fmt: skip
     if departure < SIGNIFICANT:
-        ledger.note(
-            "AIR-WINDOWS",
-            f"one profile for {hours:.1f} h: over {len(parts)} windows R changes by "
-            f"{largest:.2f} % at most, {departure:.1f} sigma",
-        )
-        return ()
-    what = (
-        f"the air changes: {len(parts)} windows in {hours:.1f} h, R departs from that of the whole "
-        f"flight by up to {largest:.2f} %, {departure:.1f} sigma"
-    )
-    ledger.note("AIR-WINDOWS", what, count=len(parts))
+        return (), (told("AIR-WINDOWS/one"),)
+    notes = [told("AIR-WINDOWS", count=len(parts))]
     for w in windows:
         if w.why_not:
             when = np.datetime64(w.air.time_ns, "ns").astype("datetime64[s]")
-            ledger.fallback("AIR-WINDOW", f"about {when} the whole flight's air: {w.why_not}")
-    return tuple(windows)
+            notes.append(
+                fallback("AIR-WINDOW", f"about {when} the whole flight's air: {w.why_not}")
+            )
+    return tuple(windows), tuple(notes)
 
 
 def _whole_flight_as_background(
@@ -190,17 +176,17 @@ def _whole_flight_as_background(
     """The whole flight as what is expected in a part of it; ``spread`` of the climatology."""
     profile = covariance.profile
     h = spread.h_m[(spread.h_m > profile.bottom_m) & (spread.h_m < profile.top_m)]
-    lowest = float(covariance.anchor_height_m)
-    change = change_sigma(h - lowest, hours)
-    level = float(np.hypot(covariance.sigma_log_pressure(0.0)[0], CHANGE_LOG_P_PER_H * hours))
+    change = profile_series.change_sigma(h - covariance.anchor_height_m, hours)
+    weather = profile_series.CHANGE_LOG_P_PER_H * hours
+    level = float(np.hypot(covariance.sigma_log_pressure(0.0)[0], weather))
     temperature = np.hypot(covariance.sigma_temperature(h), change)
-    humidity = np.minimum(spread.sigma_relative_humidity(h), CHANGE_RH)
+    humidity = np.minimum(spread.sigma_relative_humidity(h), profile_series.CHANGE_RH)
     of_flight = Spread(h, temperature, humidity, spread.humidity_correlation_m, level)
     return Climatology(profile, of_flight, "the whole flight", True)
 
 
 def _own_air(
-    part: AirSamples, fallback: TimedProfile, whole: Adjustment, background: Climatology
+    part: AirSamples, air: TimedProfile, whole: Adjustment, background: Climatology
 ) -> tuple[TimedProfile | None, str]:
     """The air of a window by its own readings, or None and why they cannot be used."""
     if _deciding_sensor(part) is None:
@@ -222,4 +208,4 @@ def _own_air(
     profile = replace(made.profile, layers=layers)
     doubled = COUNTED_TWICE * made.covariance.matrix
     covariance = replace(made.covariance, profile=profile, matrix=doubled)
-    return TimedProfile(fallback.time_ns, profile, covariance), ""
+    return TimedProfile(air.time_ns, profile, covariance), ""

@@ -124,7 +124,7 @@ def flown(flights, day, seed):
     samples = fly(flights, day, sensors, np.random.default_rng(seed))
     ledger = Ledger()
     whole = build_adjusted_profile(samples, US1976, day.truths[0].latitude, ledger)
-    windows = estimate_windows(whole, [day.ground + CLIMB], day.ground, ledger)
+    windows = ledger.take(estimate_windows(whole, [day.ground + CLIMB], day.ground))
     return day, whole, windows, ledger
 
 
@@ -190,7 +190,7 @@ def test_a_window_uses_what_is_known_of_the_sensors(changing):
         calibration={SensorFault.THERMOMETER_DRIFT: SensorCalibration(sigma=5.0)}
     )
     h_c, h_g = float(whole.samples.temperature.h_m.max()), 400.0
-    others = estimate_windows(replace(whole, settings=drifting), [h_c], h_g, Ledger())
+    others, _ = estimate_windows(replace(whole, settings=drifting), [h_c], h_g)
     for window, other in zip(windows, others, strict=True):
         if not (window.why_not or other.why_not):
             sigmas = [w.air.covariance.sigma_temperature([2000.0]).item() for w in (window, other)]
@@ -208,7 +208,7 @@ def test_a_window_that_falls_back_is_less_certain(changing):
     wild = replace(t, value=t.value + np.where(spoilt, noise[: t.value.size], 0.0))
     ledger = Ledger()
     air = replace(whole, samples=replace(samples, temperature=wild))
-    windows = estimate_windows(air, [day.ground + CLIMB], day.ground, ledger)
+    windows = ledger.take(estimate_windows(air, [day.ground + CLIMB], day.ground))
     fallen = [w for w in windows if w.why_not]
     assert fallen
     assert len(fallen) < len(windows)
@@ -293,9 +293,9 @@ def test_sigma_grows_with_the_time_since_the_air_was_sampled(level):
     flight, whole = level
     times, ledger = flight.times(), Ledger()
     top, ground = flight.ground + CLIMB, flight.ground
-    assert estimate_windows(whole, [top], ground, Ledger()) == ()
+    assert estimate_windows(whole, [top], ground)[0] == ()
     one = constant_series(TimedProfile(whole.time_ns, whole.profile, whole.covariance), times.size)
-    series = add_ageing(one, times, whole.samples, ledger, h_c=top, h_g=ground)
+    series = ledger.take(add_ageing(one, times, whole.samples, top, ground))
     sigma = sigmas_of_r(series, flight)
     assert sigma[0] == pytest.approx(whole.covariance.relative_sigma(top, ground))
     assert np.all(np.diff(sigma[1:]) > 0.0)
@@ -338,17 +338,13 @@ def test_fresh_air_stays_as_it_is(changing):
     ledger = Ledger()
     top, times = day.ground + CLIMB, day.times[:-1]  # in the end it was low 40 minutes ago
     unaged = interpolate_series([w.air for w in windows], times, [top], day.ground)
-    assert (
-        add_ageing(unaged, times, whole.samples, ledger, h_c=top, h_g=day.ground + 300.0) is unaged
-    )
+    assert ledger.take(add_ageing(unaged, times, whole.samples, top, day.ground + 300.0)) is unaged
     assert list(ledger) == []
     nothing = AirSamples(
         SensorSamples(np.empty(0, np.int64), *[np.empty(0)] * 2, np.empty(0, bool))
     )
     assert all(age.is_fresh for age in sample_ages(nothing, day.times, 0.0, 3000.0))
-    assert add_ageing(
-        constant_series(windows[0].air, 0), np.empty(0, np.int64), nothing, ledger, h_c=1.0, h_g=0.0
-    )
+    assert add_ageing(constant_series(windows[0].air, 0), np.empty(0, np.int64), nothing, 1.0, 0.0)
 
 
 # ---- windows of time
@@ -420,7 +416,7 @@ def test_every_reading_belongs_to_one_window():
 
 def test_a_flight_that_nothing_was_measured_in_has_no_windows():
     found = build_adjusted_profile(AirSamples(), US1976, 0.8, Ledger())
-    assert estimate_windows(found, [3000.0], 0.0, Ledger()) == ()
+    assert estimate_windows(found, [3000.0], 0.0) == ((), ())
 
 
 # ---- between two profiles
