@@ -123,14 +123,15 @@ def season(latitude_rad: float, month: float) -> float:
     return math.cos(2.0 * math.pi * (month - 1.0 + shift) / 12.0)
 
 
-def _rows(file: str) -> list[dict[str, str]]:
+def rows_of(file: str) -> list[dict[str, str]]:
+    """The rows of a table of ``data``."""
     text = resources.files("pipeline.atmosphere").joinpath(f"data/{file}")
     return list(csv.DictReader(text.read_text(encoding="ascii").splitlines()))
 
 
 @lru_cache(maxsize=1)
 def _supplements() -> dict[str, _SupplementsColumn]:
-    rows = _rows("supplements1966.csv")
+    rows = rows_of("supplements1966.csv")
     columns = {}
     for name in dict.fromkeys(row["name"] for row in rows):
         levels = [row for row in rows if row["name"] == name]
@@ -149,7 +150,7 @@ def _supplements() -> dict[str, _SupplementsColumn]:
 def read_models(file: str) -> dict[str, list[dict[str, float]]]:
     """The rows of each model in a table of ``data`` that names them."""
     models: dict[str, list[dict[str, float]]] = {}
-    for row in _rows(file):
+    for row in rows_of(file):
         name = row.pop("name")
         models.setdefault(name, []).append({key: float(value) for key, value in row.items()})
     return models

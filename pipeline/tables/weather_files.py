@@ -7,7 +7,7 @@ import re
 import traceback
 import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import reduce
 from pathlib import Path
@@ -15,13 +15,9 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.atmosphere.soundings import model_field
 from pipeline.atmosphere.soundings.level_checks import FEWEST_LEVELS
-from pipeline.atmosphere.soundings.model_field import (
-    MODEL_LEVELS,
-    ModelField,
-    checked_field,
-    too_few_levels,
-)
+from pipeline.atmosphere.soundings.model_field import ModelField
 from pipeline.errors import InputError
 from pipeline.geodesy import longitudes_near
 from pipeline.ledger import Ledger
@@ -43,6 +39,7 @@ _NAMES = {
 }
 _MODEL_LEVELS, _OF_MODEL = ("hybrid", "model_level"), re.compile("model|hybrid|sigma")
 _LEVELS = ("level", "pressure_level", "plev", "lev", *_MODEL_LEVELS)
+_LEVEL = re.compile(rf"isobaric|({'|'.join(_LEVELS)})$")
 _LATITUDE, _LONGITUDE = ("latitude", "lat"), ("longitude", "lon")
 _MEMBERS, _VERSIONS = ("number", "member", "realization", "ensemble"), ("expver",)
 _TIMES, _RUNS = ("valid_time", "time"), ("forecast_reference_time", "reftime")
@@ -54,11 +51,9 @@ _READ_GRID = "latitude-longitude"
 
 def is_model_file(path: Path) -> bool:
     """Whether a file begins like netCDF or GRIB."""
-    try:
-        with path.open("rb") as file:
-            return file.read(4) in _ENGINES
-    except OSError:
-        return False
+    with suppress(OSError), path.open("rb") as file:
+        return file.read(4) in _ENGINES
+    return False
 
 
 @contextmanager
@@ -156,8 +151,8 @@ class _Levels:
 
 def _levels(field: Any) -> _Levels | None:
     """The levels of a field, None where it is that of one level."""
-    name = next((str(d) for d in field.dims if str(d).lower() in _LEVELS
-                 or str(d).lower().startswith("isobaric")), None)  # fmt: skip
+    names = (str(d) for d in field.dims if _LEVEL.match(str(d).lower()))
+    name = next(names, None)
     if name is None or name not in field.coords:
         return None
     attributes = {key: str(text).lower() for key, text in field[name].attrs.items()}
@@ -288,10 +283,9 @@ def read_model_field(
 ) -> ModelField:
     """The fields of a weather model around a flight; only that part of the file is read.
 
-    ``member`` of an ensemble. Refuses (`InputError`): what is no such file or is damaged
-    (MODEL-FORMAT, MODEL-UNREADABLE, MODEL-TRUNCATED), a projected grid (MODEL-GRID), fields that
-    are missing (MODEL-VARIABLE), an ensemble without a member (MODEL-MEMBER), levels that make no
-    column (MODEL-LEVELS), another time (MODEL-TIME), units (MODEL-UNITS).
+    ``member`` of an ensemble. Refuses (`InputError`) files of another kind or damaged, projected
+    grids, missing fields, an ensemble without a member, levels that make no column, another time
+    and wrong units, each with a code of its own (MODEL-...).
     """
     where = path.name
     with open_datasets(path) as (datasets, _):
@@ -300,7 +294,7 @@ def read_model_field(
             raise InputError.of("MODEL-GRID", where, grid=grid)
         levels = None if t is None else _levels(t)
         if levels is not None and levels.values.size < FEWEST_LEVELS and not levels.of_model:
-            raise too_few_levels(levels.values, where, "in all")
+            raise model_field.too_few_levels(levels.values, where, "in all")
         found = {name: _find(datasets, name) for name in _NAMES}
         surface, log_surface = found["surface geopotential"], found["log surface pressure"]
         specific, humidity = found["specific humidity"], found["relative humidity"]
@@ -317,7 +311,8 @@ def read_model_field(
             raise InputError.of("MODEL-VARIABLE", where, lacking=", no ".join(lacking), held=held)
         part = _Part.of(t, area, where, member)
         level = np.sort(levels.values)
-        if of_model and not np.array_equal(level, np.arange(level[0], MODEL_LEVELS + 1.0)):
+        whole = np.arange(level[0], model_field.MODEL_LEVELS + 1.0)
+        if of_model and not np.array_equal(level, whole):
             raise InputError.of(
                 "MODEL-LEVELS/hybrid", where, first=level[0], last=level[-1], total=level.size
             )
@@ -332,7 +327,7 @@ def read_model_field(
             log_surface_pa=part.values(log_surface) if of_model else np.empty(0),
             relative=specific is None, on_model_levels=of_model, ground_has_unit=unit != "z",
         )  # fmt: skip
-    return ledger.take(checked_field(field, where))
+    return ledger.take(model_field.checked_field(field, where))
 
 
 @dataclass(frozen=True, eq=False)
@@ -358,10 +353,9 @@ class _Part:
         if name is not None and (member is not None or name in field.dims):
             members = np.atleast_1d(field[name].values).tolist()
             if member not in members:
-                low, high = min(members), max(members)
-                if member is None:
-                    raise InputError.of("MODEL-MEMBER/which", where, low=low, high=high)
-                raise InputError.of("MODEL-MEMBER", where, low=low, high=high, member=member)
+                key = "MODEL-MEMBER/which" if member is None else "MODEL-MEMBER"
+                extent = {"low": min(members), "high": max(members)}
+                raise InputError.of(key, where, member=member, **extent)
             if name in field.dims:
                 chosen[name] = members.index(member)
         elif member is not None:
@@ -392,16 +386,13 @@ class _Part:
             high = int(np.searchsorted(node, place.max())) + 2
             chosen[axis] = rows[low:high]
             nodes.append(node[low:high])
-        known = (*chosen, *(d for d in field.dims if str(d).lower() in _VERSIONS))
         levels = _levels(field)
-        unknown = {
-            str(d): size
-            for d, size in field.sizes.items()
-            if size > 1 and d not in known and (levels is None or d != levels.name)
-        }
+        known = {*chosen, _dimension(field, _VERSIONS), levels and levels.name}
+        unknown = [
+            f"{d} ({size})" for d, size in field.sizes.items() if size > 1 and d not in known
+        ]
         if unknown:
-            dimensions = ", ".join(f"{name} ({size})" for name, size in unknown.items())
-            raise InputError.of("MODEL-VARIABLE/dimension", where, dimensions=dimensions)
+            raise InputError.of("MODEL-VARIABLE/dimension", where, dimensions=", ".join(unknown))
         labels = {name: field[name].values for name in chosen}
         return cls(time_ns[times], lead_h[times], nodes[0], nodes[1], chosen, labels, where)
 

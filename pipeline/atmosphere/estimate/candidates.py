@@ -5,6 +5,7 @@ And afterwards: how each source was used, or why it was not.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain
 
 from pipeline.atmosphere.air_samples import AirSamples, SensorSamples
 from pipeline.atmosphere.climatology import Climatology
@@ -52,10 +53,8 @@ class ExternalSources:
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """Samples and external sources for one estimate; ``basis`` is the word for it, and why.
-
-    ``main`` is the sensor that it rests on.
-    """
+    """Samples and external sources for one estimate: the word for it, and why; it rests on the
+    ``main`` sensor."""
 
     basis: str
     reason: str
@@ -85,8 +84,8 @@ def candidates(
         ]
     if everything.names:
         choices.append(ExternalSources(left_out=everything.names))
-    columns = [_with_own_sensors(samples, external) for external in choices]
-    ordered = [candidate for row in zip(*columns, strict=True) for candidate in row]
+    columns = (_with_own_sensors(samples, external) for external in choices)
+    ordered = list(chain.from_iterable(zip(*columns, strict=True)))
     no_thermometer = replace(samples, temperature=None)
     for external in choices:
         if external.names:
@@ -109,17 +108,14 @@ def _with_own_sensors(samples: AirSamples, external: ExternalSources) -> list[Ca
     def add(basis: str, reason: str, used: AirSamples, main: SensorSamples) -> None:
         choices.append(Candidate(basis, external.described(reason), used, external, main))
 
+    column = "" if high is None else f"{high.name} against GNSS height over {high.extent_m:.0f} m"
     if warm is not None:
         basis = "thermometer"
         reason = f"temperatures of {warm.name} over {warm.extent_m:.0f} m of height"
         if high is not None:
             h_warm, h_high = warm.used()[0], high.used()[0]
             if max(h_high.max() - h_warm.max(), h_warm.min() - h_high.min()) > BEYOND_M:
-                basis = "both"
-                reason += (
-                    f"; above and below them {high.name} against GNSS height over "
-                    f"{high.extent_m:.0f} m"
-                )
+                basis, reason = "both", f"{reason}; above and below them {column}"
         add(basis, reason, samples, warm)
     if high is not None:
         why = "no thermometer outside"
@@ -128,9 +124,7 @@ def _with_own_sensors(samples: AirSamples, external: ExternalSources) -> list[Ca
         elif temperature is not None:
             extent = f"{temperature.extent_m:.0f} m of height"
             why = f"the thermometer {temperature.name} spans only {extent}"
-        reason = (
-            f"{why}: temperatures from {high.name} against GNSS height over {high.extent_m:.0f} m"
-        )
+        reason = f"{why}: temperatures from {column}"
         add("barometer", reason, replace(samples, temperature=None), high)
     if warm is not None and pressure is not None:
         reason = f"temperatures of {warm.name} alone, without {pressure.name}"
@@ -199,9 +193,8 @@ class SourceUse:
 
 @dataclass(frozen=True, eq=False)
 class UsedSamples:
-    """Samples of a flight: ``given`` by its log, ``usable`` by the sensor checks, of the estimates
-    that were ``tried``, and of the one that is ``used``, None where there is none; and why a sensor
-    was ``refused``, by its quantity."""
+    """Samples ``given`` by a log, ``usable`` by the sensor checks, of the estimates that were
+    ``tried``, and of the one ``used``; and why a sensor was ``refused``, by its quantity."""
 
     given: AirSamples
     usable: AirSamples
@@ -236,11 +229,8 @@ def source_usage(
     background: Climatology,
     standard: str,
 ) -> tuple[SourceUse, ...]:
-    """Every source with its fit, or in words why it is not used.
-
-    ``external`` are all soundings and reports of the mission, ``unused`` those that were left out,
-    by name, and why.
-    """
+    """Every source with its fit, or in words why it is not used: ``unused`` are the ``external``
+    ones that were left out, by name, and why."""
     uses = [SourceUse(fit.name, fit=fit) for fit in fits]
     for name in INSTRUMENTS:
         why = flown.why_not(name)
@@ -250,10 +240,8 @@ def source_usage(
         if not sources:
             uses.append(SourceUse(kind, "none in the mission file"))
     for name in external.names:
-        if name in unused:
-            uses.append(SourceUse(name, unused[name]))
-        elif flown.used is None:
-            uses.append(SourceUse(name, NO_ESTIMATE))
+        if name in unused or flown.used is None:
+            uses.append(SourceUse(name, unused.get(name, NO_ESTIMATE)))
     name = background.profile.name
     uses.append(SourceUse(f"{name} ({background.origin})" if name != standard else name))
     if name != standard:

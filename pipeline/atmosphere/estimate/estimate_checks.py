@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pipeline.atmosphere import refractive_index
 from pipeline.atmosphere.climatology import Climatology
 from pipeline.atmosphere.covariance import RAY_STEPS, plane_rule
 from pipeline.atmosphere.estimate.readings import part_of
@@ -11,11 +12,7 @@ from pipeline.atmosphere.estimate.sensors import Barometer, Humidities, Thermome
 from pipeline.atmosphere.estimate.solver import Estimate, layout_of, solve
 from pipeline.atmosphere.estimate.state import air_of, prior_of
 from pipeline.atmosphere.hypsometry import ADIABATIC_K_PER_M, COLDEST_K, WARMEST_K, hats
-from pipeline.atmosphere.refractive_index import (
-    dew_point,
-    saturated_lapse,
-    saturation_vapour_pressure,
-)
+from pipeline.errors import texts
 from pipeline.units import ZERO_CELSIUS_K
 
 OVERTURNING_M, SUNNY_M = 500.0, 100.0
@@ -55,6 +52,11 @@ class Check:
 
     reason: str = ""
 
+    @classmethod
+    def failed(cls, key: str, **values: object) -> "Check":
+        """Not passed, for the reason of a key in ``texts.toml``."""
+        return cls(texts()[key]["what"].format_map(values))
+
     def __bool__(self) -> bool:
         return not self.reason
 
@@ -83,10 +85,8 @@ def is_plausible(made: Estimate, background: Climatology) -> Check:
     departure = (t - background.profile.temperature(height)) / sigma
     worst = int(np.argmax(np.abs(departure)))
     if abs(departure[worst]) > FARTHEST:
-        return Check(
-            f"{t[worst]:.0f} K at {height[worst]:.0f} m is {abs(departure[worst]):.1f} sigma from "
-            "the climatology"
-        )
+        far = f"{t[worst]:.0f} K at {height[worst]:.0f} m is {abs(departure[worst]):.1f} sigma"
+        return Check(f"{far} from the climatology")
     over = round(OVERTURNING_M / 50.0)
     h, t, height = (values[round(SUNNY_M / 50.0) :] for values in (h, t, height))
     if h.size > over:
@@ -98,29 +98,27 @@ def is_plausible(made: Estimate, background: Climatology) -> Check:
         steepest = int(np.argmax(excess))
         if excess[steepest] > 0.0:
             lapse = (t[steepest] - t[steepest + over]) / OVERTURNING_M * 1000.0
-            return Check(
-                f"temperature falls by {lapse:.1f} K/km above {height[steepest]:.0f} m: air "
-                "overturns at 9.8 K/km"
-            )
+            where = f"above {height[steepest]:.0f} m: air overturns at 9.8 K/km"
+            return Check(f"temperature falls by {lapse:.1f} K/km {where}")
     return PASSED
 
 
-def has_information(made: Estimate, background: Climatology, moisture: Climatology | None) -> Check:
+def has_information(made: Estimate, background: Climatology, moisture: Climatology) -> Check:
     """Whether an estimate is more certain than it were without the flight's own sensors.
 
     By the sigma of R between the lowest and the highest measurement: a barometer beside a GNSS
     height that drifts has information on temperature from some 200 m of climb.
     """
     layout, profile = layout_of(made.readings, background), background.profile
-    prior = prior_of(layout, background, moisture or background)
+    prior = prior_of(layout, background, moisture)
     others = [s for s in made.readings.sets if not isinstance(s, Thermometer | Barometer)]
     without = solve(layout, prior, others, profile).profile(profile)
     low, high = (float(profile.gravity.height(h)) for h in (made.readings.low, made.readings.high))
     h, weight = plane_rule(max(high, low + LEAST_RAY_M), low, RAY_STEPS)
-    sigmas = []
-    for covariance in (made.covariance, without[1]):
-        gradient = weight[None] @ covariance.refractivity_gradient(h)
-        sigmas.append(float(covariance.sigma_of(gradient)[0]))
+    sigmas = [
+        float(covariance.sigma_of(weight[None] @ covariance.refractivity_gradient(h))[0])
+        for covariance in (made.covariance, without[1])
+    ]
     if sigmas[0] < UNCHANGED * sigmas[1]:
         return PASSED
     kept = 100.0 * sigmas[0] / sigmas[1]
@@ -128,10 +126,7 @@ def has_information(made: Estimate, background: Climatology, moisture: Climatolo
 
 
 def is_better_than_background(
-    made: Estimate,
-    background: Climatology,
-    moisture: Climatology | None,
-    name: str = "the climatology",
+    made: Estimate, background: Climatology, moisture: Climatology, name: str = "the climatology"
 ) -> Check:
     """Whether an estimate predicts held-out readings better than its background (``name``) does.
 
@@ -141,15 +136,13 @@ def is_better_than_background(
     """
     measured = made.readings
     layout = layout_of(measured, background)
-    prior = prior_of(layout, background, moisture or background)
-    used, held_out = [], []
-    for readings in measured.sets:
+    prior = prior_of(layout, background, moisture)
+    used, held_out = list(measured.sets), []
+    for i, readings in enumerate(measured.sets):
         odd = np.arange(readings.height.size) % 2 == 1
         if isinstance(readings, Thermometer | Barometer) and bool(odd.any()):
-            used.append(part_of(readings, ~odd))
+            used[i] = part_of(readings, ~odd)
             held_out.append(part_of(readings, odd))
-        else:
-            used.append(readings)
     if not held_out:
         return PASSED
     profile = background.profile
@@ -160,17 +153,15 @@ def is_better_than_background(
         residuals = (readings.value - readings.predict(a)[0] for a in (air, expected))
         # Median distance from the median, as one sigma.
         by_estimate, by_background = (
-            float(1.4826 * np.median(np.abs(residual - np.median(residual))))
-            for residual in residuals
+            float(1.4826 * np.median(np.abs(r - np.median(r)))) for r in residuals
         )
         is_pressure = isinstance(readings, Barometer)
         if by_estimate > max(by_background, HARMLESS_LOG_P if is_pressure else HARMLESS_K):
             unit, factor = ("%", 100.0) if is_pressure else ("K", 1.0)
-            return Check(
-                f"readings of {readings.name} that were held out differ by "
-                f"{factor * by_estimate:.2f} {unit} from the estimate and by "
-                f"{factor * by_background:.2f} {unit} from {name}"
-            )
+            return Check.failed(
+                "AIR-IMPLAUSIBLE/held_out", sensor=readings.name, unit=unit, name=name,
+                by_estimate=factor * by_estimate, by_background=factor * by_background,
+            )  # fmt: skip
     return PASSED
 
 
@@ -185,19 +176,19 @@ def hygrometer_is_outside(made: Estimate, moisture: Climatology) -> Check:
         if not isinstance(readings, Humidities) or readings.fault is None:
             continue
         h = gravity.height(readings.height)
-        dew = dew_point(readings.value * saturation_vapour_pressure(made.profile.temperature(h)))
-        usual = dew_point(moisture.profile.vapour_pressure(h))
+        saturated = refractive_index.saturation_vapour_pressure(made.profile.temperature(h))
+        dew = refractive_index.dew_point(readings.value * saturated)
+        usual = refractive_index.dew_point(moisture.profile.vapour_pressure(h))
         # d ln e_s / dT is about 5400 K / T^2.
         share = spread.sigma_relative_humidity(h) / np.maximum(moisture.relative_humidity(h), 0.01)
         sigma = np.hypot(spread.sigma_temperature(h), usual**2 / 5400.0 * share)
         limit = np.minimum(usual + WETTEST_SIGMAS * sigma, HIGHEST_DEW_POINT_K)
         worst = int(np.argmax(dew - limit))
         if dew[worst] > limit[worst]:
-            return Check(
-                f"{100.0 * readings.value[worst]:.0f} % of relative humidity at {h[worst]:.0f} m "
-                f"is a dew point of {dew[worst] - ZERO_CELSIUS_K:.1f} C, and no air there has more "
-                f"than {limit[worst] - ZERO_CELSIUS_K:.1f} C"
-            )
+            return Check.failed(
+                "AIR-HYGROMETER/dew_point", height_m=h[worst], percent=100.0 * readings.value[worst],
+                dew_c=dew[worst] - ZERO_CELSIUS_K, limit_c=limit[worst] - ZERO_CELSIUS_K,
+            )  # fmt: skip
         wet = readings.height[readings.value >= CLOUD_RH]
         if wet.size == 0 or np.ptp(wet) < CLOUD_M:
             continue
@@ -205,11 +196,11 @@ def hygrometer_is_outside(made: Estimate, moisture: Climatology) -> Check:
         inside = (readings.height >= ends[0]) & (readings.height <= ends[1])
         t = made.profile.temperature(gravity.height(ends))
         lapse = float(t[0] - t[1]) / float(np.ptp(ends))
-        adiabat = float(saturated_lapse(t, made.profile.pressure(gravity.height(ends))).mean())
+        p = made.profile.pressure(gravity.height(ends))
+        adiabat = float(refractive_index.saturated_lapse(t, p).mean())
         if wet.size >= CLOUD_SHARE * inside.sum() and lapse > adiabat + CLOUD_EXCESS_K_PER_M:
-            return Check(
-                f"{100.0 * CLOUD_RH:.0f} % and more from {ends[0]:.0f} to {ends[1]:.0f} m, where "
-                f"temperature falls by {1e3 * lapse:.1f} K/km: saturated air overturns at "
-                f"{1e3 * adiabat:.1f} K/km"
-            )
+            return Check.failed(
+                "AIR-HYGROMETER/cloud", percent=100.0 * CLOUD_RH, low=ends[0], high=ends[1],
+                lapse=1e3 * lapse, adiabat=1e3 * adiabat,
+            )  # fmt: skip
     return PASSED

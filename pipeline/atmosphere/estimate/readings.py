@@ -12,24 +12,8 @@ import numpy as np
 
 from pipeline.atmosphere.air_samples import AirSamples, SensorSamples, climb_of
 from pipeline.atmosphere.climatology import Climatology
-from pipeline.atmosphere.estimate import external_readings
-from pipeline.atmosphere.estimate.sensors import (
-    BAROMETER_FAULTS,
-    DYNAMIC_PRESSURE_ERROR,
-    HYGROMETER_BIAS,
-    RECOVERY_FACTOR,
-    THERMOMETER_FAULTS,
-    Barometer,
-    FlownHeights,
-    Humidities,
-    Pressures,
-    Readings,
-    SensorCalibration,
-    SensorSettings,
-    Thermometer,
-    dynamic_of,
-    heating_of,
-)
+from pipeline.atmosphere.estimate import external_readings, sensors
+from pipeline.atmosphere.estimate.sensors import Readings, SensorCalibration, SensorSettings
 from pipeline.atmosphere.estimate.state import TOP_M, Drift, Fault, SensorFault
 from pipeline.atmosphere.profile import Profile
 from pipeline.atmosphere.soundings import Sounding
@@ -93,11 +77,8 @@ _OwnReadings = tuple[list[Readings], list[Fault], list[Drift], dict[str, Mask]]
 
 @dataclass(frozen=True, eq=False)
 class FlightReadings:
-    """Everything that was measured, and the faults it may have.
-
-    ``low`` and ``high`` are the lowest and highest geopotential height [m'] with a measurement;
-    ``rejected`` the outliers among the samples of each sensor.
-    """
+    """Everything that was measured, from ``low`` to ``high`` [m'], and the faults it may have;
+    ``rejected`` are the outliers among the samples of each sensor."""
 
     sets: tuple[Readings, ...]
     faults: tuple[Fault, ...]
@@ -118,17 +99,16 @@ def collect_readings(
 ) -> FlightReadings:
     """The readings of a flight in bins, and of soundings and stations, with their faults.
 
-    ``background`` gives gravity, and the shape that bins are averaged about. Soundings and stations
-    are weighted by their age and distance from ``flight``, without it by their age at the start of
-    the samples.
+    Bins are averaged about ``background``. Soundings and stations are weighted by their age and
+    distance from ``flight``, without it by their age at the start of the samples.
     """
-    sensors = {
+    instruments = {
         name: sensor
         for name in ("pressure", "temperature", "humidity")
         if (sensor := getattr(samples, name)) is not None
         and bool(_usable(sensor, background.profile).any())
     }
-    start_ns = min((int(sensor.time_ns[0]) for sensor in sensors.values()), default=None)
+    start_ns = min((int(sensor.time_ns[0]) for sensor in instruments.values()), default=None)
     flight = flight or external_readings.TimeAndPlace(start_ns)
     external: list[Readings] = []
     for number, sounding in enumerate(soundings):
@@ -137,11 +117,10 @@ def collect_readings(
         external += external_readings.surface_readings(report, background, flight)
     own: _OwnReadings = ([], [], [], {})
     if start_ns is not None:
-        own = _sensor_readings(samples, sensors, background.profile, start_ns, settings)
+        own = _sensor_readings(samples, instruments, background.profile, start_ns, settings)
     sets, expected, drifts, rejected = own
-    heights = np.concatenate(
-        [readings.height for readings in (*external, *sets)] or [np.array(UNMEASURED_M)]
-    )
+    measured = [readings.height for readings in (*external, *sets)]
+    heights = np.concatenate(measured or [np.array(UNMEASURED_M)])
     faults = []
     for fault in expected:
         known = settings.calibration.get(fault.name, SensorCalibration())
@@ -151,7 +130,7 @@ def collect_readings(
         faults.append(replace(usual, mean=mean, sigma=known.sigma_or(usual.sigma)))
     at_sea, level = np.zeros(1), np.array([background.spread.pressure_ratio])
     log_pressure = np.log(background.profile.pressure(at_sea))
-    at_sea_level = Pressures("climatology", at_sea, log_pressure, level, robust=False)
+    at_sea_level = sensors.Pressures("climatology", at_sea, log_pressure, level, robust=False)
     drifts += external_readings.sounding_departures(soundings, background, flight)
     span = float(heights.min()), float(heights.max())
     every = at_sea_level, *external, *sets
@@ -160,63 +139,59 @@ def collect_readings(
 
 def _sensor_readings(
     samples: AirSamples,
-    sensors: Mapping[str, SensorSamples],
+    instruments: Mapping[str, SensorSamples],
     profile: Profile,
     start_ns: int,
     settings: SensorSettings,
 ) -> _OwnReadings:
     """The readings of the flight's own sensors, with their faults and drifts."""
-    sets: list[Readings] = []
-    faults: list[Fault] = []
-    drifts: list[Drift] = []
+    sets, faults, drifts = list[Readings](), list[Fault](), list[Drift]()
     rejected: dict[str, Mask] = {}
-    end_ns = max(int(sensor.time_ns[-1]) for sensor in sensors.values())
+    end_ns = max(int(sensor.time_ns[-1]) for sensor in instruments.values())
     duration = max((end_ns - start_ns) * 1e-9, 1.0)
-    alone = "temperature" not in sensors
-    step_s = ALONE_STEP_S if alone or settings.usual_errors_only else DRIFT_STEP_S
-    steps = 1 + min(MOST_DRIFT_STEPS, int(duration / step_s))
-    knots = np.linspace(0.0, duration, steps + 1)
-    binning = _Binning.of_flight(sensors, profile, start_ns, duration)
-    if (sensor := sensors.get("pressure")) is not None:
+    alone, usual_only = "temperature" not in instruments, settings.usual_errors_only
+    step_s = ALONE_STEP_S if alone or usual_only else DRIFT_STEP_S
+    knots = np.linspace(0.0, duration, 2 + min(MOST_DRIFT_STEPS, int(duration / step_s)))
+    binning = _Binning.of_flight(instruments, profile, start_ns, duration)
+    if (sensor := instruments.get("pressure")) is not None:
         with np.errstate(invalid="ignore", divide="ignore"):
             departure = np.log(sensor.value) - np.log(profile.pressure(sensor.h_m))
         bins = binning.bins(sensor, departure, LEAST_SCATTER_LOG_P)
         rejected["pressure"] = bins.rejected
         value = bins.value + np.log(profile.pressure(profile.gravity.height(bins.height)))
         speed = binning.airspeed_at(bins.seconds, samples.airspeed)
-        dynamic = None if speed is None else dynamic_of(speed)
-        sigma = np.hypot(bins.sigma, AIR_NOISE_LOG_P)
+        dynamic = None if speed is None else sensors.dynamic_of(speed)
         least, most = BAROMETER_SCALES
-        scales = (least, 1.0) if settings.usual_errors_only else (least if alone else 1.0, most)
+        scales = (least, 1.0) if usual_only else (least if alone else 1.0, most)
         highest = float(value.max()) if settings.highest is None else settings.highest
-        of_bins = bins.height, value, sigma, bins.seconds
-        sets.append(Barometer(sensor.name, *of_bins, highest, dynamic))
-        faults += BAROMETER_FAULTS
-        faults += [] if dynamic is None else [DYNAMIC_PRESSURE_ERROR]
+        of_bins = bins.height, value, np.hypot(bins.sigma, AIR_NOISE_LOG_P), bins.seconds
+        sets.append(sensors.Barometer(sensor.name, *of_bins, highest, dynamic))
+        faults += sensors.BAROMETER_FAULTS
+        faults += [] if dynamic is None else [sensors.DYNAMIC_PRESSURE_ERROR]
         drifts.append(Drift(SensorFault.BAROMETER_DRIFT, knots, 1.0, 1200.0, scales=scales))
-    if (sensor := sensors.get("temperature")) is not None:
-        climbing = sensors.get("pressure", sensor)
+    if (sensor := instruments.get("temperature")) is not None:
+        climbing = instruments.get("pressure", sensor)
         rejected["temperature"], warm = _thermometer(sensor, samples, climbing, binning)
         sets.append(warm)
         board = settings.board_temperature or settings.maybe_indoors
-        bias = replace(THERMOMETER_FAULTS[0], sigma=BOARD_BIAS_K if board else USUAL_BIAS_K)
-        faults += [bias, *THERMOMETER_FAULTS[1:]]
-        faults += [] if warm.heating is None else [RECOVERY_FACTOR]
+        bias = replace(sensors.THERMOMETER_FAULTS[0], sigma=BOARD_BIAS_K if board else USUAL_BIAS_K)
+        faults += [bias, *sensors.THERMOMETER_FAULTS[1:]]
+        faults += [] if warm.heating is None else [sensors.RECOVERY_FACTOR]
         known = settings.calibration.get(SensorFault.THERMOMETER_DRIFT, SensorCalibration())
         sun = SUN_ON_PROBE if known.sigma is None else (0.0, SUN_ON_PROBE[1])
         drift = known.sigma_or(BOARD_DRIFT_K if board else USUAL_DRIFT_K)
         least, most = THERMOMETER_SCALES
-        is_known = known.sigma is not None or board or settings.usual_errors_only
-        scales = least, least if is_known else most
+        scales = least, least if known.sigma is not None or board or usual_only else most
         drifts.append(Drift(SensorFault.THERMOMETER_DRIFT, knots, drift, 900.0, sun, scales))
-    if (sensor := sensors.get("humidity")) is not None:
+    if (sensor := instruments.get("humidity")) is not None:
         high_bins = replace(binning, width_m=2.0 * binning.width_m)
         bins = high_bins.bins(sensor, sensor.value, LEAST_SCATTER_RH)
-        sigmas = np.hypot(bins.sigma, AIR_NOISE_RH)
-        bias_of = SensorFault.HYGROMETER_BIAS
-        sets.append(Humidities(sensor.name, bins.height, bins.value, sigmas, fault=bias_of))
+        fault, sigma = sensors.HYGROMETER_BIAS, np.hypot(bins.sigma, AIR_NOISE_RH)
+        sets.append(
+            sensors.Humidities(sensor.name, bins.height, bins.value, sigma, fault=fault.name)
+        )
         rejected["humidity"] = bins.rejected
-        faults.append(HYGROMETER_BIAS)
+        faults.append(fault)
     return sets, faults, drifts, rejected
 
 
@@ -253,16 +228,12 @@ class _Binning:
 
     @classmethod
     def of_flight(
-        cls,
-        sensors: Mapping[str, SensorSamples],
-        profile: Profile,
-        start_ns: int,
-        duration_s: float,
+        cls, own: Mapping[str, SensorSamples], profile: Profile, start_ns: int, duration_s: float
     ) -> _Binning:
         """Thin bins in a shallow flight, thicker where many climbs would fill too many."""
-        extent = max(sensor.extent_m for sensor in sensors.values())
+        extent = max(sensor.extent_m for sensor in own.values())
         climbed = 0.0
-        for sensor in sensors.values():  # climb and descent, from heights a quarter minute apart
+        for sensor in own.values():  # climb and descent, from heights a quarter minute apart
             known = np.isfinite(sensor.h_m)
             if known.sum() >= 2:
                 seconds = _seconds(sensor, int(sensor.time_ns[0]))
@@ -275,9 +246,8 @@ class _Binning:
     def bins(self, sensor: SensorSamples, departure: Array, floor: float) -> Bins:
         """Means of a departure from the profile that is averaged about."""
         height = self.profile.gravity.geopotential_height(sensor.h_m)
-        seconds, usable = _seconds(sensor, self.start_ns), _usable(sensor, self.profile)
-        size = {"width": self.width_m, "slice_s": self.slice_s, "floor": floor}
-        return bin_readings(seconds, height, departure, usable, **size)
+        rows = _seconds(sensor, self.start_ns), height, departure, _usable(sensor, self.profile)
+        return bin_readings(*rows, width=self.width_m, slice_s=self.slice_s, floor=floor)
 
     def airspeed_at(self, seconds: Array, sensor: SensorSamples | None) -> Array | None:
         """Indicated airspeed [m/s] at times, or None."""
@@ -290,7 +260,7 @@ class _Binning:
 
 def _thermometer(
     sensor: SensorSamples, samples: AirSamples, climbing: SensorSamples, binning: _Binning
-) -> tuple[Mask, Thermometer]:
+) -> tuple[Mask, sensors.Thermometer]:
     """Outliers and readings of a thermometer.
 
     Where the take-off is not known, it is when ``climbing`` first left the lowest 20 m.
@@ -309,25 +279,21 @@ def _thermometer(
     value = bins.value + profile.temperature(h)
     speed = binning.airspeed_at(bins.seconds, samples.airspeed)
     known = np.isfinite(sensor.h_m)
-    heights = FlownHeights(
-        _seconds(sensor, start_ns)[known], profile.gravity.geopotential_height(sensor.h_m[known])
-    )
+    flown = profile.gravity.geopotential_height(sensor.h_m[known])
+    heights = sensors.FlownHeights(_seconds(sensor, start_ns)[known], flown)
     last = np.maximum(np.searchsorted(takeoffs, bins.seconds, side="right") - 1, 0)
     since_s = np.maximum(bins.seconds - takeoffs[last], 0.0)
-    heating = None if speed is None else heating_of(speed, profile.pressure(h), value)
-    sigma = np.hypot(bins.sigma, AIR_NOISE_K)
-    return bins.rejected, Thermometer(
-        sensor.name, bins.height, value, sigma, bins.seconds, since_s, heights, heating
-    )
+    heating = None if speed is None else sensors.heating_of(speed, profile.pressure(h), value)
+    of_bins = bins.height, value, np.hypot(bins.sigma, AIR_NOISE_K), bins.seconds
+    return bins.rejected, sensors.Thermometer(sensor.name, *of_bins, since_s, heights, heating)
 
 
 @dataclass(frozen=True, eq=False)
 class Bins:
     """Means of readings in bins; (m,) arrays, in no particular order.
 
-    ``seconds`` mean time since the epoch that `bin_readings` was given, ``height`` mean
-    geopotential [m'], ``value`` mean, ``sigma`` of the mean from the scatter of the readings,
-    ``count`` of the readings averaged. ``rejected`` (n,) the outliers among all the readings.
+    ``sigma`` of the mean from the scatter of the readings, ``count`` of those averaged;
+    ``rejected`` (n,) the outliers among all the readings.
     """
 
     seconds: Array
@@ -351,12 +317,10 @@ def bin_readings(
     """Means without outliers, of readings alike in height, direction and time.
 
     ``seconds``, ``height``, ``value``: (n,) time [s], geopotential height [m'], reading in any
-    unit, best as a departure from something that follows the height (the bin's median must mean
-    something). ``accepted``: (n,) readings to use. ``width``, ``slice_s``: of a bin, in height [m']
-    and in time [s]. ``floor``: smallest scatter that is assumed, unit of ``value``.
-
-    Scatter is 1.4826 times the median absolute deviation, that of the sensor or of the bin,
-    whichever is larger. Cost grows as n log n.
+    unit, best as a departure from something that follows the height. ``accepted``: (n,) readings
+    to use. ``width``, ``slice_s``: of a bin, in height [m'] and in time [s]. ``floor``: smallest
+    scatter that is assumed. Scatter is 1.4826 times the median absolute deviation, that of the
+    sensor or of the bin, whichever is larger.
     """
     # +1 climbing, 0 level, -1 descending: by the change of height over ten seconds.
     rate = climb_of(seconds, height) / 10.0

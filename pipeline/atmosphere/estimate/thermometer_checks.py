@@ -39,14 +39,14 @@ def thermometer_is_outside(
     moisture: Climatology | None,
     settings: SensorSettings,
 ) -> Check:
-    """Whether the thermometer of a flight with a barometer can be outside.
+    """Whether the thermometer of a flight with a barometer (``made``: with both) can be outside.
 
-    ``made`` is an estimate with both. Not passed where its readings, in the mean or in their change
-    with height, are not those that the estimate without them predicts, though the barometer is not
-    seen to lose pressure; where within half an hour they differ from those of any air that the
-    barometer allows; or where the barometer differs from any air that the thermometer allows, and
-    fits plausible air of its own. All without soundings and stations; the last two with drifts of
-    the expected size, since a large one could hide any contradiction.
+    Not passed where its readings, in the mean or in their change with height, are not those that
+    the estimate without them predicts, though the barometer is not seen to lose pressure; where
+    within half an hour no air that the barometer allows has them; or where the barometer differs
+    from any air that the thermometer allows, and fits plausible air of its own. All without
+    soundings and stations; the last two with drifts of the expected size, since a large one could
+    hide any contradiction.
     """
     temperature, pressure = samples.temperature, samples.pressure
     if temperature is None or pressure is None or settings.board_temperature:
@@ -75,21 +75,17 @@ def thermometer_is_outside(
         }
         inflated_k = _inflated_sigma_k(estimate_of(replace(samples, **early)))
         if inflated_k > MISFIT_K:
-            return Check(
-                f"its readings within {TOGETHER_S / 60.0:.0f} minutes, beside {pressure.name} "
-                f"against GNSS height, fit physical air only with errors of {inflated_k:.1f} K, "
-                f"limit {MISFIT_K:.1f} K"
-            )
+            return Check.failed(
+                "AIR-THERMOMETER/together", minutes=TOGETHER_S / 60.0, barometer=pressure.name,
+                kelvin=inflated_k, limit=MISFIT_K,
+            )  # fmt: skip
     if drifted or _sigma_inflation(made, Barometer) > MISFIT:
         inflation = _sigma_inflation(estimate_of(samples), Barometer)
         alone = estimate_of(replace(samples, temperature=None))
         fits = _sigma_inflation(alone, Barometer) <= MISFIT and is_plausible(alone, background)
         if inflation > MISFIT and fits:
-            return Check(
-                f"{pressure.name} against GNSS height fits plausible air, but with these "
-                f"temperatures only with a sigma inflation factor of {inflation:.0f}, limit "
-                f"{MISFIT:.0f}"
-            )
+            return Check.failed("AIR-THERMOMETER/barometer", barometer=pressure.name,
+                                inflation=inflation, limit=MISFIT)  # fmt: skip
     return PASSED
 
 
@@ -129,10 +125,7 @@ def is_predicted(thermometer: Thermometer, without: Solution) -> Check:
         limit = float(np.hypot(largest, COMPARED_SIGMAS * sigma) + abs(weights @ moist))
         seen = float(weights @ (thermometer.value - predicted))
         if abs(seen) > limit:
-            return Check(
-                f"it {what} {seen:+.1f} K against what pressure and GNSS height imply, limit "
-                f"{limit:.1f} K (log.channels.temperature)"
-            )
+            return Check.failed("AIR-THERMOMETER/predicted", seen=seen, limit=limit, reads=what)
     return PASSED
 
 

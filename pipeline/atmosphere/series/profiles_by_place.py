@@ -45,14 +45,12 @@ def add_model_changes(
 ) -> tuple[ProfileSeries, Notes]:
     """The air of each exposure's own place, where a flight is longer than 30 km or two hours.
 
-    ``time_ns``, ``latitude_rad``, ``longitude_rad``: (s,) of the exposures, NaN where not known,
-    longitudes going on across the 180th meridian. Profiles of ``series`` have ``sampled_at``, or
-    neighbours that have it. ``h_c``, ``h_g``: heights of cameras and of the ground [m above sea
-    level]. Exposures share a profile where R differs by less than 0.05 %.
-
-    What a model's differences leave ages the air by 1.5 h per 100 km from where it was
-    ``measured``. A ray at 45 degrees ends as far away as the camera is high: to trace it in the
-    column under the camera is worth that distance too (docs/pages/air/weather_model.md).
+    Times and places (s,) of the exposures, NaN where not known, longitudes going on across the
+    180th meridian. Profiles of ``series`` have ``sampled_at``, or neighbours that have it. ``h_c``,
+    ``h_g``: heights of cameras and of the ground [m above sea level]. Exposures share a profile
+    where R differs by less than 0.05 %. What a model's differences leave ages the air by 1.5 h per
+    100 km from where it was ``measured``; a ray at 45 degrees ends as far away as the camera is
+    high, so that counts as a distance too (docs/pages/air/weather_model.md).
     """
     known = np.flatnonzero(np.isfinite(latitude_rad + longitude_rad))
     if known.size == 0:
@@ -138,7 +136,7 @@ def changed_air(
     change = np.zeros((3, edge.size + 1))
     for place, weight in _origins(air):
         there = origins[place]
-        low, high = (f(here[0][k], there[0][k]) for f, k in ((max, 0), (min, -1)))
+        low, high = max(here[0][0], there[0][0]), min(here[0][-1], there[0][-1])
         at = np.clip(np.append(edge, anchor), low, high)
         for j in range(3):
             difference = np.interp(at, here[0], here[1][j]) - np.interp(at, there[0], there[1][j])

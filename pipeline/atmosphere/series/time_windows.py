@@ -1,8 +1,7 @@
 """The air of a long flight in windows of time, each estimated by itself.
 
-The estimate of the whole flight is the background of each window, so that heights which a window
-did not visit keep the estimate of the rest of the flight; estimated sensor faults are carried over
-too.
+The whole flight's estimate is the background of each window, so that heights which a window did not
+visit keep that of the rest of the flight; estimated sensor faults are carried over too.
 """
 
 from collections.abc import Sequence
@@ -55,8 +54,7 @@ class TimeWindow:
 def time_windows(samples: AirSamples) -> tuple[tuple[int, int], ...]:
     """Parts of a flight [Unix ns], each half an hour or more, that span enough height.
 
-    A part that spans less height than `build_adjusted_profile` needs is joined with its shorter
-    neighbour. One part where the flight is short or the samples span too little height.
+    A part that spans less is joined with its shorter neighbour, until there is one part only.
 
     >>> time_windows(AirSamples())
     ()
@@ -66,8 +64,8 @@ def time_windows(samples: AirSamples) -> tuple[tuple[int, int], ...]:
         return ()
     time = sensor.time_ns[sensor.accepted]
     first, last = int(time[0]), int(time[-1]) + 1
-    count = min(MOST_WINDOWS, int((last - first) * 1e-9 / profile_series.FRESH_S))
-    edges = [first + (last - first) * i // max(count, 1) for i in range(max(count, 1) + 1)]
+    count = max(1, min(MOST_WINDOWS, int((last - first) * 1e-9 / profile_series.FRESH_S)))
+    edges = [first + (last - first) * i // count for i in range(count + 1)]
     parts = list(pairwise(edges))
     while len(parts) > 1:
         extents = [_part(sensor, *part).extent_m for part in parts]

@@ -341,14 +341,11 @@ def parse_sounding(
 ) -> Sounding:
     """The sounding of a text, in whichever format; of several the one nearest in time.
 
-    Parameters
-    ----------
-    text : IGRA v2 (soundings or derived), University of Wyoming list or CSV, or a plain CSV with
-        columns such as h_m, pressure_hpa, temperature_c, dew_point_c.
-    where : the file's name, for refusals and the ledger.
-    format_name : one of `FORMATS`, or ``auto``.
-    time_ns : of the flight [Unix ns]; needed to choose where the text holds several soundings.
-    latitude_rad, station_h_m : [rad], [m above sea level] where the text has none.
+    ``text``: IGRA v2 (soundings or derived), University of Wyoming list or CSV, or a plain CSV with
+    columns such as h_m, pressure_hpa, temperature_c, dew_point_c. ``where``: the file's name, for
+    refusals and the ledger. ``format_name``: one of `FORMATS`, or ``auto``. ``time_ns``: of the
+    flight [Unix ns]; needed to choose where the text holds several soundings. ``latitude_rad``
+    [rad], ``station_h_m`` [m above sea level] where the text has none.
 
     Raises ``InputError``: no such format, wrong units, contradictory heights, fewer than five
     levels. Repairs are counted in the ledger.

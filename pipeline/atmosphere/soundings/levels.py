@@ -51,21 +51,14 @@ class ColumnErrors:
 
 @dataclass(frozen=True, eq=False)
 class Sounding:
-    """Levels of one ascent, or of another column of air, from the ground up.
+    """Levels (n,) of one ascent, or of another column of air, from the ground up.
 
-    Parameters
-    ----------
-    h_m : (n,) geometric heights above mean sea level [m], strictly increasing.
-    pressure_pa : (n,) [Pa], strictly decreasing.
-    temperature_k : (n,) temperature of the thermometer [K].
-    vapour_pressure_pa : (n,) partial pressure of water [Pa]; NaN where it was not measured.
-    time_ns : release of the balloon, or the hour of the observation [Unix ns]; None if unknown.
-    station : identifier or name as the file has it, may be empty.
-    latitude_rad, longitude_rad : [rad], NaN where the file has none.
-    origin : which format it was read as, for the manifest.
-    kind : first word of its name, and the basis of an estimate that rests on it.
-    errors : of the column; age and distance add to them.
-    across : whether a coast or a ridge is between it and the flight.
+    ``h_m``: geometric heights above mean sea level [m], strictly increasing; pressure is strictly
+    decreasing, vapour pressure NaN where it was not measured. ``time_ns``: release of the balloon,
+    or the hour of the observation [Unix ns], None if unknown; ``station`` as the file has it, may
+    be empty; position NaN where the file has none; ``origin``: the format it was read as; ``kind``:
+    first word of its name, and the basis of an estimate that rests on it; ``errors`` of the column,
+    to which age and distance add; ``across`` a coast or a ridge from the flight.
     """
 
     h_m: Array

@@ -10,15 +10,14 @@ Soc. 146, sections 5 and 6; Graham et al. 2019, Geophys. Res. Lett. 46, p. 6138)
 over 2 km of height, and how a forecast ages, are set by judgement.
 """
 
-import csv
 import math
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
-from importlib import resources
 from itertools import product
 
 import numpy as np
 
+from pipeline.atmosphere.climate_tables import rows_of
 from pipeline.atmosphere.hypsometry import ADIABATIC_K_PER_M
 from pipeline.atmosphere.refractive_index import vapour_pressure
 from pipeline.atmosphere.soundings.level_checks import (
@@ -79,21 +78,14 @@ class ModelColumns:
 
 @dataclass(frozen=True, eq=False)
 class ModelField:
-    """A model's fields as its file has them.
+    """A model's fields as its file, ``name``, has them; times, nodes and levels are increasing.
 
-    Parameters
-    ----------
-    name : the file's, for messages.
-    time_ns : (t,) [Unix ns], increasing; ``lead_h`` (t,) hours since the forecast began, 0 of an
-        analysis.
-    latitude_rad, longitude_rad : (y,), (x,) [rad], increasing.
-    level : (l,) pressures [Pa], or numbers of ECMWF's model levels (``on_model_levels``),
-        increasing.
-    temperature_k, humidity : (t, l, y, x); the latter specific [kg/kg], or ``relative`` [1].
-    height : (t, l, y, x) geopotential heights of pressure levels [m'].
-    surface : (t, 1, y, x) geopotential height of the ground [m'], if known; ``ground_has_unit`` is
-        false where the file states none and geopotential is only likely.
-    log_surface_pa : (t, 1, y, x) ln of surface pressure [Pa], for model levels.
+    ``time_ns`` (t,) [Unix ns]; ``lead_h`` (t,) hours since the forecast began, 0 of an analysis;
+    ``level`` (l,) pressures [Pa], or numbers of ECMWF's model levels (``on_model_levels``).
+    Fields (t, l, y, x): temperature, ``humidity`` specific [kg/kg], or ``relative`` [1], and
+    ``height`` geopotential of pressure levels [m']. Of the ground (t, 1, y, x): ``surface`` its
+    geopotential height [m'], if known (``ground_has_unit`` is false where the file states none and
+    geopotential is only likely); for model levels ``log_surface_pa`` ln of surface pressure [Pa].
     """
 
     name: str
@@ -114,16 +106,18 @@ class ModelField:
     def columns(self, latitude_rad: Array, longitude_rad: Array, time_ns: Integers) -> ModelColumns:
         """The air over places (n,) at times (n,), interpolated between nodes and in time.
 
-        Bilinear in latitude and longitude and linear in time, on each level; beyond the first and
-        the last time that time's. On model levels p = (p_upper + p_lower)/2 of the half levels and
-        H by the hydrostatic equation in the model's own form (IFS documentation CY41R2, part III,
-        Eq. 2.21 to 2.23); against an integrated column 1e-4 of p up to 30 km.
+        Linear in latitude, longitude and time, on each level; beyond the first and the last time
+        that time's. On model levels p = (p_upper + p_lower)/2 of the half levels and H by the
+        hydrostatic equation in the model's own form (IFS documentation CY41R2, part III, Eq. 2.21
+        to 2.23); against an integrated column 1e-4 of p up to 30 km.
         """
         longitude_rad = longitudes_near(longitude_rad, float(self.longitude_rad.mean()))
-        nodes = (self.time_ns - self.time_ns[0], self.latitude_rad, self.longitude_rad)
-        wanted = (time_ns - self.time_ns[0], latitude_rad, longitude_rad)
-        axes = [np.interp(x, node, np.arange(node.size)) for x, node in zip(
-            wanted, nodes, strict=True)]  # fmt: skip
+        pairs = (
+            (time_ns - self.time_ns[0], self.time_ns - self.time_ns[0]),
+            (latitude_rad, self.latitude_rad),
+            (longitude_rad, self.longitude_rad),
+        )
+        axes = [np.interp(x, node, np.arange(node.size)) for x, node in pairs]
 
         def at(field: Array) -> Array:
             total = np.zeros((time_ns.size, field.shape[1]))
@@ -192,8 +186,7 @@ def _outside(node: Array, x: Array) -> Array:
 @cache
 def level_coefficients() -> Array:
     """(2, 138): a [Pa] and b of the half levels."""
-    text = resources.files("pipeline.atmosphere").joinpath("data/ecmwf_l137.csv")
-    rows = csv.DictReader(text.read_text(encoding="ascii").splitlines())
+    rows = rows_of("ecmwf_l137.csv")
     return np.array([[float(row["a_pa"]), float(row["b"])] for row in rows]).T
 
 
