@@ -186,8 +186,9 @@ def hygrometer_is_outside(made: Estimate, moisture: Climatology) -> Check:
         worst = int(np.argmax(dew - limit))
         if dew[worst] > limit[worst]:
             return Check.failed(
-                "AIR-HYGROMETER/dew_point", height_m=h[worst], percent=100.0 * readings.value[worst],
-                dew_c=dew[worst] - ZERO_CELSIUS_K, limit_c=limit[worst] - ZERO_CELSIUS_K,
+                "AIR-HYGROMETER/dew_point", percent=100.0 * readings.value[worst],
+                height_m=h[worst], dew_c=dew[worst] - ZERO_CELSIUS_K,
+                limit_c=limit[worst] - ZERO_CELSIUS_K,
             )  # fmt: skip
         wet = readings.height[readings.value >= CLOUD_RH]
         if wet.size == 0 or np.ptp(wet) < CLOUD_M:

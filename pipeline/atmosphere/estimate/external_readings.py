@@ -100,8 +100,7 @@ class TimeAndPlace:
         >>> round(TimeAndPlace(None, 0.0, 0.0).metres_from(0.0, 0.1))
         637100
         """
-        north = latitude_rad - self.latitude_rad
-        east = longitude_rad - self.longitude_rad
+        north, east = latitude_rad - self.latitude_rad, longitude_rad - self.longitude_rad
         if not math.isfinite(north):
             return math.nan
         east = east if math.isfinite(east) else 0.0
@@ -147,13 +146,13 @@ def reason_uninformative(source: Sounding | SurfaceReport, flight: TimeAndPlace)
     if variance_growth(hours, metres) <= MOST_GROWTH:
         return None
     metres /= ROUGHER if source.across else 1.0
+    old, far = f"{hours:.0f} hours", f"{metres / 1e3:.0f} km"
+    away = f"{old} and {far}"
     if variance_growth(hours) > MOST_GROWTH:
-        far = f"{hours:.0f} hours"
+        away = old
     elif variance_growth(0.0, metres) > MOST_GROWTH:
-        far = f"{metres / 1e3:.0f} km"
-    else:
-        far = f"{hours:.0f} hours and {metres / 1e3:.0f} km"
-    return f"it is {far} from the flight: the climatology is as accurate"
+        away = far
+    return f"it is {away} from the flight: the climatology is as accurate"
 
 
 def distance_notes(
@@ -233,25 +232,21 @@ def sounding_readings(
     inside = _inside(sounding, background)
     if not bool(inside.any()):
         return []
-    rh = _relative_humidity(
-        sounding.vapour_pressure_pa, sounding.temperature_k, sounding.pressure_pa
-    )
-    name = sounding.name
-    readings: list[sensors.Readings] = []
-    h, t = _thinned(height[inside], sounding.temperature_k[inside])
-    departure = f"{sensors.SOUNDING_DEPARTURE} {number}"
-    readings.append(sensors.Temperatures(name, h, t, np.full(h.size, LEVEL_K), departure))
+    e, t, p = sounding.vapour_pressure_pa, sounding.temperature_k, sounding.pressure_pa
+    rh, name = _relative_humidity(e, t, p), sounding.name
+    h, mean_t = _thinned(height[inside], t[inside])
+    departure, sigma = f"{sensors.SOUNDING_DEPARTURE} {number}", np.full(h.size, LEVEL_K)
+    readings: list[sensors.Readings] = [sensors.Temperatures(name, h, mean_t, sigma, departure)]
     moist = inside & np.isfinite(rh) & (height < HUMIDITY_BELOW_M)
     if bool(moist.any()):
         h, u = _thinned(height[moist], rh[moist])
         departure = f"{sensors.SOUNDING_HUMIDITY} {number}"
         readings.append(sensors.Humidities(name, h, u, np.full(h.size, LEVEL_RH), drift=departure))
-    lowest = int(np.flatnonzero(inside)[0])
-    level = np.log(sounding.pressure_pa[lowest : lowest + 1])
+    lowest = np.flatnonzero(inside)[:1]
     hours, metres = hours_and_metres(sounding, flight)
     weather = np.hypot(WEATHER_LOG_P_PER_H * hours, WEATHER_LOG_P_PER_M * metres)
     sigma = np.array([float(np.hypot(sounding.errors.log_pressure, weather))])
-    readings.append(sensors.Pressures(name, height[lowest : lowest + 1], level, sigma))
+    readings.append(sensors.Pressures(name, height[lowest], np.log(p[lowest]), sigma))
     return readings
 
 

@@ -11,6 +11,7 @@ import math
 import re
 from collections.abc import Callable, Iterator
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -115,20 +116,28 @@ def _igra_time_ns(header: str) -> int | None:
 
     The release time has no date: 2303 of the sounding of 00 UTC is the evening before.
     """
-    year, month, day, hour = header[13:17], header[18:20], header[21:23], int(header[24:26])
-    start = utc_ns(f"{year}-{month}-{day}")
-    if start is None:
+    midnight, hour = utc_ns(header[13:23].replace(" ", "-")), int(header[24:26])
+    release, seconds = number(header[27:31]), 3600 * hour
+    if release // 100 < 24 and release % 100 < 60:
+        seconds = 3600 * int(release // 100) + 60 * int(release % 100)
+        if hour != _NO_HOUR:
+            seconds += _DAY_S * round((3600 * hour - seconds) / _DAY_S)
+    elif hour == _NO_HOUR:
         return None
-    midnight = start // NANOSECONDS_PER_SECOND
-    release = number(header[27:31])
-    is_known = np.isfinite(release) and release // 100 < 24 and release % 100 < 60
-    if not is_known:
-        nominal = None if hour == _NO_HOUR else midnight + 3600 * hour
-        return None if nominal is None else nominal * NANOSECONDS_PER_SECOND
-    seconds = 3600 * int(release // 100) + 60 * int(release % 100)
-    if hour != _NO_HOUR:
-        seconds += _DAY_S * round((3600 * hour - seconds) / _DAY_S)
-    return (midnight + seconds) * NANOSECONDS_PER_SECOND
+    return None if midnight is None else midnight + seconds * NANOSECONDS_PER_SECOND
+
+
+def _wyoming(columns: list[Array], **more: Any) -> RawLevels:
+    """Levels of pressure, height, temperature, dew point and humidity in Wyoming's units."""
+    p, h, t, dew, relative = columns
+    return RawLevels(
+        h_m=h,
+        pressure_pa=to_si(p, "hpa"),
+        temperature_k=to_si(t, "c"),
+        dew_point_k=to_si(dew, "c"),
+        relative_humidity=to_si(relative, "percent"),
+        **more,
+    )
 
 
 _WIDTH = 7
@@ -175,40 +184,33 @@ def parse_wyoming_list(text: str, where: str) -> list[RawLevels]:
             elif rows:
                 break
     # Nominal time: ``Observation time: 110522/1200``, or ``12Z 22 May 2011`` in the heading.
-    time_ns, stamp = None, _header_field(plain, "Observation time")
-    match = _DATE.search(plain)
-    if re.fullmatch(r"\d{6}/\d{4}", stamp):
+    time_ns, match = None, _DATE.search(plain)
+    if numeric := re.search(r"Observation time:\s*(\d{6}/\d{4})(?!\S)", plain):
         # Two digits of the year: the list goes back to 1973.
+        stamp = numeric[1]
         century = "19" if stamp[:2] >= "73" else "20"
         day = f"{century}{stamp[:2]}-{stamp[2:4]}-{stamp[4:6]}"
         time_ns = utc_ns(f"{day}T{stamp[7:9]}:{stamp[9:11]}")
     elif match is not None and match["month"] in _MONTHS:
         month = _MONTHS.index(match["month"]) + 1
         time_ns = utc_ns(f"{match['year']}-{month:02d}-{int(match['day']):02d}T{match['hour']}:00")
-    p, h, t, dew = (numbers(row[i] for row in rows) for i in range(4))
-    relative = numbers(row[4] if len(row) > 4 else "" for row in rows)
+    columns = [numbers(row[i] if len(row) > i else "" for row in rows) for i in range(5)]
+    if titles is None:  # the fifth column of a page without its titles is another
+        columns[4] = np.full(len(rows), np.nan)
+    of_station = r"Station (identifier|number|latitude|longitude):\s*(\S+)"
+    station = dict(re.findall(of_station, plain)[::-1])  # the first of each
     return [
-        RawLevels(
-            h_m=h,
-            pressure_pa=to_si(p, "hpa"),
-            temperature_k=to_si(t, "c"),
-            dew_point_k=to_si(dew, "c"),
-            relative_humidity=to_si(relative, "percent") if titles is not None else None,
+        _wyoming(
+            columns,
             time_ns=time_ns,
-            station=_header_field(plain, "Station identifier")
-            or _header_field(plain, "Station number"),
-            latitude_rad=radians(number(_header_field(plain, "Station latitude")), 90.0),
-            longitude_rad=radians(number(_header_field(plain, "Station longitude")), 180.0),
+            station=station.get("identifier") or station.get("number", ""),
+            latitude_rad=radians(number(station.get("latitude", "")), 90.0),
+            longitude_rad=radians(number(station.get("longitude", "")), 180.0),
             origin="University of Wyoming list",
             where=where,
             column_of={"pressure": "PRES hPa", "temperature": "TEMP C", "dew point": "DWPT C"},
         )
     ]
-
-
-def _header_field(text: str, what: str) -> str:
-    match = re.search(rf"{what}:\s*(\S+)", text)
-    return match.group(1) if match else ""
 
 
 def parse_wyoming_csv(text: str, where: str) -> list[RawLevels]:
@@ -217,21 +219,16 @@ def parse_wyoming_csv(text: str, where: str) -> list[RawLevels]:
     missing = [name for name in _CSV_COLUMNS.values() if name not in columns]
     if missing:
         raise InputError.of("SOUNDING-COLUMN/wyoming", where, missing=missing[0])
-    values = {key: numbers(columns[name]) for key, name in _CSV_COLUMNS.items()}
-    first = {name: next(iter(columns.get(name, [])), "") for name in ("time", "latitude",
-                                                                     "longitude")}  # fmt: skip
-    latitude, longitude = number(first["latitude"]), number(first["longitude"])
-    nowhere = latitude < -90.0  # both are -99.99 for a station whose place is not known
+    time, north, east = (
+        next(iter(columns.get(name, [])), "") for name in ("time", "latitude", "longitude")
+    )
+    nowhere = number(north) < -90.0  # both are -99.99 for a station whose place is not known
     return [
-        RawLevels(
-            h_m=values["height"],
-            pressure_pa=to_si(values["pressure"], "hpa"),
-            temperature_k=to_si(values["temperature"], "c"),
-            dew_point_k=to_si(values["dew point"], "c"),
-            relative_humidity=to_si(values["relative humidity"], "percent"),
-            time_ns=utc_ns(first["time"]),
-            latitude_rad=radians(latitude, 90.0),
-            longitude_rad=np.nan if nowhere else radians(longitude, 180.0),
+        _wyoming(
+            [numbers(columns[name]) for name in _CSV_COLUMNS.values()],
+            time_ns=utc_ns(time),
+            latitude_rad=radians(number(north), 90.0),
+            longitude_rad=np.nan if nowhere else radians(number(east), 180.0),
             origin="University of Wyoming CSV",
             where=where,
             column_of=_CSV_COLUMNS,
