@@ -6,8 +6,7 @@ import numpy as np
 
 from pipeline.units import Array, Integers, Mask
 
-BIN_M = 50.0
-"""Thickness of the layers where temperature was measured [m']."""
+BIN_M = 50.0  # thickness of the layers where temperature was measured [m']
 
 _FEWEST_IN_BIN = 3
 

@@ -28,8 +28,7 @@ SUPPLEMENTS_ORIGIN = (
 AFGL_ORIGIN = "AFGL 1986 model atmospheres (AFGL-TR-86-0110)"
 _AFGL_FILE = "afgl1986.csv"
 
-LOWEST_GEOPOTENTIAL_M = -5000.0
-"""As far down as the atmospheres of this package go."""
+LOWEST_GEOPOTENTIAL_M = -5000.0  # as far down as the atmospheres of this package go
 
 # Humidity bends between breakpoints; a layer's e/p is linear, so layers are at most this thick
 # where there is water: halving it moves R from 10 km by 7e-6 at most.

@@ -26,8 +26,7 @@ HUMIDITY_CORRELATION_M = 1000.0
 _NO_SEASON = 4.0
 _SPREAD_TOP_M, _SPREAD_STEP_M = 30_000.0, 250.0
 _BOUNDARY_LAYER_M = 1500.0
-_DRY_ABOVE_M = 12_000.0
-"""Above, all humidities weigh less than 1e-4 of n - 1."""
+_DRY_ABOVE_M = 12_000.0  # above, all humidities weigh less than 1e-4 of n - 1
 
 
 @dataclass(frozen=True, eq=False)

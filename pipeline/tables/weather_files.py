@@ -23,8 +23,7 @@ from pipeline.geodesy import longitudes_near
 from pipeline.ledger import Ledger
 from pipeline.units import DEGREE, HECTOPASCAL, STANDARD_GRAVITY, Array, Integers
 
-FARTHEST_H = 6.0
-"""Farther from every time of the file a flight is refused [h]."""
+FARTHEST_H = 6.0  # farther from every time of the file a flight is refused [h]
 
 _ENGINES = {b"CDF\x01": "scipy", b"CDF\x02": "scipy", b"\x89HDF": "h5netcdf", b"GRIB": "cfgrib"}
 _READERS = ("xarray", "scipy", "h5netcdf", "h5py", "cfgrib", "eccodes", "gribapi")
@@ -353,9 +352,10 @@ class _Part:
         if name is not None and (member is not None or name in field.dims):
             members = np.atleast_1d(field[name].values).tolist()
             if member not in members:
-                key = "MODEL-MEMBER/which" if member is None else "MODEL-MEMBER"
-                extent = {"low": min(members), "high": max(members)}
-                raise InputError.of(key, where, member=member, **extent)
+                low, high = min(members), max(members)
+                if member is None:
+                    raise InputError.of("MODEL-MEMBER/which", where, low=low, high=high)
+                raise InputError.of("MODEL-MEMBER", where, low=low, high=high, member=member)
             if name in field.dims:
                 chosen[name] = members.index(member)
         elif member is not None:

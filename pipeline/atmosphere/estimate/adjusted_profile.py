@@ -31,11 +31,8 @@ from pipeline.units import Array, Mask
 WIDEST_GAP_M = 400.0
 """Between two measured heights farther apart than this the layers are called relaxed [m']."""
 
-FEWEST_TO_INFLATE = 5
-"""The estimator never inflates the sigmas of fewer readings."""
-
-UNMEASURED, UNADJUSTED = "climatology", "standard"
-"""Bases of a profile without any measurement."""
+FEWEST_TO_INFLATE = 5  # the estimator never inflates the sigmas of fewer readings
+UNMEASURED, UNADJUSTED = "climatology", "standard"  # bases of a profile without any measurement
 
 
 @dataclass(frozen=True, eq=False)
@@ -279,8 +276,10 @@ def _notes(candidate: Candidate, made: Estimate) -> Iterator[Entry]:
     for fit in made.fits:
         inflated = fit.sigma_inflation > MISFIT
         if inflated or (fit.count < FEWEST_TO_INFLATE and fit.rms > MISFIT):
-            key = "AIR-MISFIT" if inflated else "AIR-MISFIT/few"
-            yield warning(key, where=fit.name, count=fit.count, fit=fit)
+            remark = "robust weights let the other readings prevail"
+            if inflated:
+                remark = f"sigma inflation factor {fit.sigma_inflation:.0f}"
+            yield warning("AIR-MISFIT", where=fit.name, count=fit.count, fit=fit, remark=remark)
     for name, rejected in made.readings.rejected.items():
         if count := int(rejected.sum()):
             sensor = getattr(candidate.samples, name)

@@ -13,8 +13,7 @@ from pipeline.atmosphere.estimate.solver import Fit
 from pipeline.atmosphere.soundings import Sounding
 from pipeline.atmosphere.surface_report import SurfaceReport
 
-SMALLEST_CLIMB_M = 300.0
-"""A thermometer needs this much sampled height [m]."""
+SMALLEST_CLIMB_M = 300.0  # a thermometer needs this much sampled height [m]
 
 BEYOND_M = 500.0
 """A barometer that sampled so much more height than the thermometer is named beside it [m']."""

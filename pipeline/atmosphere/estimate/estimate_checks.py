@@ -19,23 +19,18 @@ OVERTURNING_M, SUNNY_M = 500.0, 100.0
 """A steeper fall over less height than the first may be a lag, and over the second above the ground
 a sunny field [m']."""
 
-CERTAIN = 3.0
-"""Sigmas by which a lapse rate must exceed the adiabatic one."""
+CERTAIN = 3.0  # sigmas by which a lapse rate must exceed the adiabatic one
 
 FARTHEST = 5.0
 """Sigmas of the climatology that no air of the real soundings comes near (2.9 at most)."""
 
-UNCHANGED = 0.95
-"""Where a sigma is still this much of the climatology's, nothing was learnt."""
-
-LEAST_RAY_M = 100.0
-"""Height over which sigmas of R are compared where less was flown [m]."""
+UNCHANGED = 0.95  # where a sigma is still this much of the climatology's, nothing was learnt
+LEAST_RAY_M = 100.0  # height over which sigmas of R are compared where less was flown [m]
 
 HARMLESS_K, HARMLESS_LOG_P = 1.0, 1e-3
 """Held-out residuals of so little are no reason to fall back: a sharp inversion leaves them."""
 
-HIGHEST_DEW_POINT_K = 308.15
-"""The highest ever reported near the ground, 35 C on the Persian Gulf."""
+HIGHEST_DEW_POINT_K = 308.15  # the highest ever reported near the ground, 35 C on the Persian Gulf
 
 WETTEST_SIGMAS = 4.0
 """Sigmas above the climatology's dew point that no air of the real soundings comes near."""

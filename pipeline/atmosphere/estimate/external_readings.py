@@ -21,8 +21,7 @@ from pipeline.atmosphere.surface_report import SurfaceReport
 from pipeline.ledger import Entry, fallback, warning
 from pipeline.units import Array, Mask
 
-SPREAD_K, SPREAD_RH = 5.0, 0.3
-"""Of the climatology in the free troposphere."""
+SPREAD_K, SPREAD_RH = 5.0, 0.3  # of the climatology in the free troposphere
 
 MEMORY_H = 167.0
 """tau: the variance of temperature grows by 0.3 K2 an hour, 0.95 K in three hours, 2.9 K in a day.
@@ -36,8 +35,7 @@ from 500 km on, where the climate changes too."""
 LOW_PA, ROUGHER = 85_000.0, 2.0
 """In the air below 850 hPa, and across a coast or a ridge, a distance counts so many times."""
 
-FAR_M = 200e3
-"""A sounding from farther away is reported: its temperatures are 1.4 K less certain."""
+FAR_M = 200e3  # a sounding from farther away is reported: its temperatures are 1.4 K less certain
 
 MOST_GROWTH = 9.0
 """A reading whose variance is that many times the climatology's weighs a tenth: after 8 days, or
@@ -46,8 +44,7 @@ MOST_GROWTH = 9.0
 UNDATED_SOUNDING_H, UNDATED_REPORT_H, UNPLACED_M = 6.0, 3.0, 100e3
 """Assumed where unknown: soundings are released every twelve hours, stations are near."""
 
-FAR_REPORT_H = 3.0
-"""A surface report from longer before or after is reported."""
+FAR_REPORT_H = 3.0  # a surface report from longer before or after is reported
 
 _EARTH_M = 6.371e6
 _MOST_EXPONENT = 50.0  # exp of it is finite, and far beyond MOST_GROWTH
@@ -58,8 +55,7 @@ like departures from the climatology."""
 
 DEPARTURE_STEP_M = 500.0
 
-LEVEL_K, LEVEL_RH = 0.4, 0.04
-"""Independent errors of a level of a sounding."""
+LEVEL_K, LEVEL_RH = 0.4, 0.04  # independent errors of a level of a sounding
 
 WEATHER_LOG_P_PER_H, WEATHER_LOG_P_PER_M = 5e-4, 1.5e-8
 """Pressure changes by 0.5 hPa an hour, and by 1.5 hPa over 100 km: a wind of 12 m/s."""
@@ -70,8 +66,7 @@ STATION_K, STATION_RH, STATION_LOG_P = 1.5, 0.06, 5e-4
 STATION_K2_PER_H = 2.0
 """Near the ground the day warms the air by some 5 K from dawn to noon, as in `series`."""
 
-THIN_M = 100.0
-"""Levels of a sounding are averaged over this [m']."""
+THIN_M = 100.0  # levels of a sounding are averaged over this [m']
 
 HUMIDITY_BELOW_M = 12_000.0
 
@@ -168,17 +163,17 @@ def distance_notes(
             yield fallback("SOUNDING-UNPLACED", where=name, km=UNPLACED_M / 1e3)
         if metres > FAR_M:
             growth = variance_growth(0.0, metres)
-            key = "SOUNDING-FAR-AWAY" if growth <= MOST_GROWTH else "SOUNDING-FAR-AWAY/useless"
-            kelvin = SPREAD_K * math.sqrt(growth)
-            yield warning(key, where=name, km=metres / 1e3, kelvin=kelvin)
+            worth = f"temperatures are {SPREAD_K * math.sqrt(growth):.1f} K less certain for that"
+            worth = worth if growth <= MOST_GROWTH else "it has no information on its air"
+            yield warning("SOUNDING-FAR-AWAY", where=name, km=metres / 1e3, worth=worth)
     for report in surface:
         hours = flight.hours_from(report.time_ns)
         if report.time_ns is None and flight.time_ns is not None:
             yield fallback("SURFACE-UNDATED", where=report.name, hours=UNDATED_REPORT_H)
-        if hours > FAR_REPORT_H:
-            is_metar = report.origin.startswith("METAR")
-            key = "METAR-FAR-IN-TIME" if is_metar else "SURFACE-FAR-IN-TIME"
-            yield warning(key, where=report.name, hours=hours)
+        if hours > FAR_REPORT_H and report.origin.startswith("METAR"):
+            yield warning("METAR-FAR-IN-TIME", where=report.name, hours=hours)
+        elif hours > FAR_REPORT_H:
+            yield warning("SURFACE-FAR-IN-TIME", where=report.name, hours=hours)
 
 
 def sounding_departures(

@@ -20,8 +20,7 @@ from pipeline.atmosphere.soundings import Sounding
 from pipeline.atmosphere.surface_report import SurfaceReport
 from pipeline.units import Array, Integers, Mask, Rows
 
-CLIMBING_M_S = 0.5
-"""Slower than this an aircraft flies level; lag has a sign only above it [m/s]."""
+CLIMBING_M_S = 0.5  # slower than this an aircraft flies level; lag has a sign only above it [m/s]
 
 OUTLIER_SIGMA = 4.5
 """Readings farther from the median of their bin are outliers: 7 in a million of normal errors."""
@@ -55,17 +54,13 @@ BAROMETER_SCALES, THERMOMETER_SCALES = (0.1, 8.0), (1.0, 3.0)
 heights of a survey receiver wander by centimetres, those of an autopilot's by metres. Beside a
 thermometer no drift becomes smaller: its errors hide drifts (R erred by 1.3 sigma, not 1.15)."""
 
-UNMEASURED_M = (0.0, 6000.0)
-"""Where knots are fine if nothing was measured [m']."""
-
-LONG_AGO_S = -1e5
-"""Take-off of a log that begins in the air [s]."""
+UNMEASURED_M = (0.0, 6000.0)  # where knots are fine if nothing was measured [m']
+LONG_AGO_S = -1e5  # take-off of a log that begins in the air [s]
 
 BOARD_BIAS_K, BOARD_DRIFT_K = 10.0, 5.0
 """A board is so much warmer than the air, and that changes by so much within a quarter hour."""
 
-USUAL_BIAS_K, USUAL_DRIFT_K = 3.0, 0.4
-"""The same of a thermometer outside."""
+USUAL_BIAS_K, USUAL_DRIFT_K = 3.0, 0.4  # the same of a thermometer outside
 
 SUN_ON_PROBE = 0.2, 60.0
 """What headings and clouds change of the sun on a probe: sigma [K] and correlation time [s]; none

@@ -14,17 +14,15 @@ from pipeline.atmosphere.estimate.solver import Estimate, FaultEstimate
 from pipeline.atmosphere.estimate.state import SensorFault
 from pipeline.atmosphere.hypsometry import Fall, fall_of_pressure
 from pipeline.atmosphere.profile import Profile
-from pipeline.ledger import Entry, Notes, fallback, loss, note, warning
+from pipeline.ledger import Entry, Kind, Notes, fallback, loss, note, warning
 from pipeline.units import HECTOPASCAL, Mask
 
-CLIMB_TO_COMPARE_M = 200.0
-"""Over less height the fall of pressure shows nothing [m]."""
+CLIMB_TO_COMPARE_M = 200.0  # over less height the fall of pressure shows nothing [m]
 
 SHORT_CLIMB_M = 1000.0
 """Over less height the barometer cannot show that a thermometer is indoors [m]."""
 
-ISOTHERMAL_K = 1.0
-"""A thermometer that reads the same within this may be indoors [K]."""
+ISOTHERMAL_K = 1.0  # a thermometer that reads the same within this may be indoors [K]
 
 STUCK_M, FEWEST_STUCK = 300.0, 5
 """A sensor with so many equal readings over so much height is stuck [m]."""
@@ -33,8 +31,7 @@ SLOWEST = {"temperature": 2e-3, "pressure": 5.0, "humidity": 1e-4}
 """Change a metre that coarse steps may hide: a thermometer that reports whole degrees may read the
 same over 800 m of isothermal air [K/m, Pa/m, 1/m]."""
 
-DRY, MOIST = 0.02, 0.97
-"""Beyond these relative humidities a constant reading is plausible."""
+DRY, MOIST = 0.02, 0.97  # beyond these relative humidities a constant reading is plausible
 
 UNLIKELY_SIGMAS, IMPOSSIBLE_SIGMAS = 5.0, 10.0
 """Departures of pressure at sea level from the climatology, whose sigma is about 1 %."""
@@ -239,13 +236,14 @@ def pressure_level(
     at_sea = float(profile.pressure(0.0))
     departure = np.log(at_sea / float(background.profile.pressure(0.0)))
     sigmas = abs(float(departure)) / background.spread.pressure_ratio
-    make, remark = note, ""
+    kind, remark = Kind.NOTE, ""
     if sigmas > UNLIKELY_SIGMAS:
-        make, remark = warning, f", {sigmas:.0f} sigma from the climatology"
+        kind, remark = Kind.WARNING, f", {sigmas:.0f} sigma from the climatology"
     if sigmas > IMPOSSIBLE_SIGMAS:
-        make, remark = loss, f"{remark}: the barometer or its unit is wrong"
-    return make(
+        kind, remark = Kind.LOSS, f"{remark}: the barometer or its unit is wrong"
+    entry = note(
         "AIR-ANCHOR", where=pressure.name, count=int(measured.size), remark=remark,
         median=float(np.nanmedian(residual)), largest=np.nanmax(residual),
         at_sea=at_sea / HECTOPASCAL,
     )  # fmt: skip
+    return replace(entry, kind=kind)

@@ -11,11 +11,8 @@ from pipeline.atmosphere.estimate.state import AirAtKnots, Fault, Layout, Sensor
 from pipeline.atmosphere.hypsometry import hats
 from pipeline.units import Array
 
-HEAT_CAPACITY, GAS_CONSTANT_DRY = 1005.0, 287.05
-"""c_p and R of dry air [J kg-1 K-1]."""
-
-SEA_LEVEL_DENSITY = 1.225
-"""Airspeeds of pitot tubes are calibrated for it [kg m-3]."""
+HEAT_CAPACITY, GAS_CONSTANT_DRY = 1005.0, 287.05  # c_p and R of dry air [J kg-1 K-1]
+SEA_LEVEL_DENSITY = 1.225  # airspeeds of pitot tubes are calibrated for it [kg m-3]
 
 THERMOMETER_FAULTS = (
     Fault(SensorFault.THERMOMETER_BIAS, 0.0, 3.0),

@@ -15,27 +15,18 @@ from scipy import linalg
 from pipeline.atmosphere.air_samples import AirSamples
 from pipeline.atmosphere.climatology import Climatology
 from pipeline.atmosphere.covariance import ProfileCovariance
+from pipeline.atmosphere.estimate import state as states
 from pipeline.atmosphere.estimate.external_readings import TimeAndPlace
 from pipeline.atmosphere.estimate.readings import FlightReadings, collect_readings
 from pipeline.atmosphere.estimate.sensors import Readings, SensorSettings
-from pipeline.atmosphere.estimate.state import (
-    AirAtKnots,
-    Layout,
-    Prior,
-    SensorFault,
-    air_of,
-    place_humid_knots,
-    place_knots,
-    prior_of,
-)
+from pipeline.atmosphere.estimate.state import AirAtKnots, Layout, Prior, SensorFault, air_of
 from pipeline.atmosphere.layers import RELAXED, stack_layers
 from pipeline.atmosphere.profile import Profile
 from pipeline.atmosphere.soundings import Sounding
 from pipeline.atmosphere.surface_report import SurfaceReport
 from pipeline.units import Array
 
-FREEDOM = 4.0
-"""Degrees of freedom of Student's loss: a bin 5 sigma off weighs a sixth."""
+FREEDOM = 4.0  # degrees of freedom of Student's loss: a bin 5 sigma off weighs a sixth
 
 _HUBER = 3.0  # of the first iterations, while residuals are still those of the background
 _HUBER_STEPS, _MOST_STEPS = 3, 80
@@ -173,7 +164,7 @@ def estimate(
     )
     readings = replace(readings, faults=faults)
     layout = layout_of(readings, background)
-    prior = prior_of(layout, background, moisture or background)
+    prior = states.prior_of(layout, background, moisture or background)
     solution = solve(layout, prior, readings.sets, background.profile)
     sigma = np.sqrt(np.diag(solution.covariance))
     estimated = tuple(
@@ -188,8 +179,8 @@ def estimate(
 
 def layout_of(readings: FlightReadings, background: Climatology) -> Layout:
     """Knots for the heights that were measured; ln p is a state at the lowest of them."""
-    knot = place_knots(readings.low, readings.high, background.profile.layers.edge)
-    humid = place_humid_knots(readings.low, readings.high)
+    knot = states.place_knots(readings.low, readings.high, background.profile.layers.edge)
+    humid = states.place_humid_knots(readings.low, readings.high)
     return Layout(knot, humid, readings.low, readings.faults, readings.drifts)
 
 

@@ -22,8 +22,7 @@ from pipeline.units import Array, Integers
 FINEST_CHANGE = 5e-4
 """Profiles follow each other so closely that R changes by less than this from one to the next."""
 
-SLOT_NS = 900 * 10**9
-"""Exposures within a quarter of an hour share the age of their air [ns]."""
+SLOT_NS = 900 * 10**9  # exposures within a quarter of an hour share the age of their air [ns]
 
 _STEPS = 100  # trapezia of the plane integral
 _SLIVER_M = 1.0  # edges of two profiles nearer than this become one [m']
@@ -35,14 +34,12 @@ sigma, with the same scale height as the spread of the climatology. Set by judge
 layer warms by some 5 K from dawn to noon."""
 
 CHANGE_LOG_P_PER_H = 5e-4
-CHANGE_RH, CHANGE_RH_IN_H = 0.1, 4.0
-"""Of relative humidity, reached after four hours."""
+CHANGE_RH, CHANGE_RH_IN_H = 0.1, 4.0  # of relative humidity, reached after four hours
 
 FRESH_S = 1800.0
 """In half an hour the air of a calm day changes by some 0.5 K at the ground: R by 0.2 %."""
 
-Place = tuple[float, float, int]
-"""Latitude, longitude [rad] and time [Unix ns]."""
+Place = tuple[float, float, int]  # latitude, longitude [rad] and time [Unix ns]
 
 _BIN_M, _MINUTE_NS = 100.0, 60 * 10**9
 

@@ -21,8 +21,7 @@ from pipeline.atmosphere.soundings.model_field import ModelColumns, ModelField
 from pipeline.ledger import Notes, note
 from pipeline.units import VAPOUR_DEFICIT, Array, Integers
 
-LONG_KM, LONG_H = 30.0, 2.0
-"""In a shorter flight the air of one place and time is that of all."""
+LONG_KM, LONG_H = 30.0, 2.0  # in a shorter flight the air of one place and time is that of all
 
 HOURS_PER_KM = 0.015
 """The air changes over 100 km as in 3 h (Sun et al. 2010, J. Geophys. Res. 115, D23104). Half of

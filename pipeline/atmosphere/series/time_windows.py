@@ -6,7 +6,6 @@ visit keep that of the rest of the flight; estimated sensor faults are carried o
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -152,13 +151,11 @@ def estimate_windows(
     if not estimated:
         return (), (note("AIR-WINDOWS/none", hours=hours),)
     departure = float(np.sqrt(np.mean([(w.change / w.sigma) ** 2 for w in estimated])))
-    told = partial(
-        note, hours=hours, total=len(parts), sigmas=departure,
-        largest=100.0 * max(abs(w.change) for w in estimated),
-    )  # fmt: skip
+    largest, count = 100.0 * max(abs(w.change) for w in estimated), len(parts)
     if departure < SIGNIFICANT:
-        return (), (told("AIR-WINDOWS/one"),)
-    notes = [told("AIR-WINDOWS", count=len(parts))]
+        return (), (note("AIR-WINDOWS/one", hours=hours, total=count, sigmas=departure,
+                         largest=largest),)  # fmt: skip
+    notes = [note("AIR-WINDOWS", hours=hours, count=count, sigmas=departure, largest=largest)]
     for w in windows:
         if w.why_not:
             when = np.datetime64(w.air.time_ns, "ns").astype("datetime64[s]")

@@ -311,8 +311,7 @@ def parse_plain(text: str, where: str) -> list[RawLevels]:
     ]
 
 
-FAR_HOURS = 6.0
-"""A sounding farther in time is reported: the boundary layer has changed."""
+FAR_HOURS = 6.0  # a sounding farther in time is reported: the boundary layer has changed
 
 
 FORMATS: dict[str, tuple[Callable[[str], bool], Callable[[str, str], list[RawLevels]]]] = {

@@ -48,8 +48,7 @@ _GROUND_PA = (2_500.0, HIGHEST_PA)
 # The warmest level of a sounding: air below -75 C or above 60 C is nowhere near the ground.
 _WARMEST_LEVEL_K = (198.0, 333.0)
 
-WILD = 0.05
-"""Share of a column that may be invalid without the rest being refused."""
+WILD = 0.05  # share of a column that may be invalid without the rest being refused
 
 
 def check_levels(

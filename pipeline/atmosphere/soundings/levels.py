@@ -15,11 +15,8 @@ from pipeline.units import HECTOPASCAL, NANOSECONDS_PER_SECOND, ZERO_CELSIUS_K, 
 FILLS = (-9999.0, -9999.9, -8888.0, -99999.0, 99999.0, 999999.0, -999.0)
 """Numbers that mean a missing value. 9999 is not among them: it may be a height."""
 
-LARGEST = 1e7
-"""Larger values in any unit are invalid, such as the fill of netCDF, 9.97e36."""
-
-_YEARS = (1900, 2200)
-"""Soundings are younger; beyond 2262 nanoseconds do not fit into 64 bits."""
+LARGEST = 1e7  # larger values in any unit are invalid, such as the fill of netCDF, 9.97e36
+_YEARS = (1900, 2200)  # soundings are younger; beyond 2262 nanoseconds do not fit into 64 bits
 
 _UNIT: dict[str, Callable[[Array], Array]] = {
     "pa": lambda value: value,

@@ -20,13 +20,8 @@ import numpy as np
 from pipeline.atmosphere.climate_tables import rows_of
 from pipeline.atmosphere.hypsometry import ADIABATIC_K_PER_M
 from pipeline.atmosphere.refractive_index import vapour_pressure
-from pipeline.atmosphere.soundings.level_checks import (
-    COLDEST_K,
-    FEWEST_LEVELS,
-    HIGHEST_PA,
-    THICKNESS_RATIO,
-    WARMEST_K,
-)
+from pipeline.atmosphere.soundings import level_checks
+from pipeline.atmosphere.soundings.level_checks import FEWEST_LEVELS, THICKNESS_RATIO
 from pipeline.atmosphere.soundings.levels import ColumnErrors, Sounding
 from pipeline.errors import InputError
 from pipeline.geodesy import longitudes_near, normal_gravity
@@ -42,11 +37,13 @@ from pipeline.units import (
     Rows,
 )
 
-MODEL_LEVELS = 137
-"""Of ERA5 and of ECMWF's forecasts since 2013."""
+MODEL_LEVELS = 137  # of ERA5 and of ECMWF's forecasts since 2013
 
 _RATIO = 0.622  # of the molar masses of water and dry air
-_SURFACE_PA = (30_000.0, HIGHEST_PA)  # the highest pressure of levels that reach the ground
+_SURFACE_PA = (
+    30_000.0,
+    level_checks.HIGHEST_PA,
+)  # the highest pressure of levels that reach the ground
 _MOST_FRACTION = 1.6
 _SPECIFIC, _RELATIVE = (-1e-3, 1e-6, 0.05), (-0.3, 0.05, _MOST_FRACTION)
 """Of the driest level at least, where spectral models go below 0; of the wettest from, to."""
@@ -231,7 +228,7 @@ def checked_field(field: ModelField, where: str) -> tuple[ModelField, Notes]:
     if not bool(np.isfinite(t + q).any()):
         raise refused("no value of temperature and humidity around the flight")
     low, high = float(np.nanmin(t)), float(np.nanmax(t))
-    if not COLDEST_K <= low <= high <= WARMEST_K:
+    if not level_checks.COLDEST_K <= low <= high <= level_checks.WARMEST_K:
         raise refused(f"temperatures from {low:.6g} to {high:.6g} K: that is no air")
     if field.relative and np.nanmax(q) > _MOST_FRACTION:
         field = replace(field, humidity=q / 100.0)
