@@ -13,11 +13,10 @@ _FEWEST_IN_BIN = 3
 
 @dataclass(frozen=True, eq=False)
 class SensorSamples:
-    """One sensor's readings against height; (n,) arrays.
+    """One sensor's readings against height above sea level; (n,) arrays.
 
-    ``time_ns`` UTC, ``h_m`` above sea level, ``value`` in SI (K, Pa, or relative humidity 0-1),
-    ``accepted`` is False for readings that a gate has rejected (they are shown, not used), and is
-    made False where height or value is NaN.
+    ``value`` in SI (K, Pa, or relative humidity 0-1); ``accepted`` is False for readings that a
+    gate has rejected (they are shown, not used), and is made False where height or value is NaN.
     """
 
     time_ns: Integers
@@ -44,9 +43,7 @@ class SensorSamples:
     def middle_ns(self) -> int | None:
         """Middle of the time that the accepted readings span [Unix ns]."""
         used = self.time_ns[self.accepted]
-        if used.size == 0:
-            return None
-        return int(used[0]) + (int(used[-1]) - int(used[0])) // 2
+        return int(used[0]) + (int(used[-1]) - int(used[0])) // 2 if used.size else None
 
     @property
     def middle_of_heights_ns(self) -> int | None:
@@ -65,11 +62,8 @@ class SensorSamples:
 
 @dataclass(frozen=True, eq=False)
 class AirSamples:
-    """What a flight measured of the air outside; None where there was no sensor.
-
-    ``airspeed`` is indicated [m/s]; ``takeoff_ns`` the times [Unix ns] at which the aircraft left
-    the ground, increasing, None where they are not known.
-    """
+    """What a flight measured of the air outside; ``airspeed`` is indicated [m/s]; ``takeoff_ns``
+    the times [Unix ns] at which the aircraft left the ground. None where not known."""
 
     temperature: SensorSamples | None = None
     pressure: SensorSamples | None = None
@@ -83,9 +77,8 @@ def bin_by_height(
 ) -> tuple[Array, Array]:
     """Medians of the accepted readings in bins of height, climb and descent weighing alike.
 
-    The lag of a sensor has opposite signs in climb and descent, so where a bin holds both, their
-    two medians are averaged. ``value`` replaces the readings themselves. Returns the mean heights
-    [m'] and the values of bins with at least three readings, from the ground up.
+    The lag of a sensor has opposite signs there. ``value`` replaces the readings themselves.
+    Returns mean heights [m'] and values of bins with three readings or more, from the ground up.
     """
     seconds = np.asarray((samples.time_ns - samples.time_ns[:1]) * 1e-9, np.float64)
     rising = climb_of(seconds, geopotential) >= 0.0
@@ -94,15 +87,16 @@ def bin_by_height(
     height, reading, rising = geopotential[use], reading[use], rising[use]
     number = np.floor(height / width).astype(np.int64)
     order = np.argsort(number, kind="stable")
-    heights, values = [], []
+    bins = []
     for inside in np.split(order, np.flatnonzero(np.diff(number[order])) + 1):
         if inside.size < _FEWEST_IN_BIN:
             continue
         both = [inside[rising[inside]], inside[~rising[inside]]]
         parts = [rows for rows in both if rows.size >= _FEWEST_IN_BIN] or [inside]
-        heights.append(float(np.mean([height[rows].mean() for rows in parts])))
-        values.append(float(np.mean([np.median(reading[rows]) for rows in parts])))
-    return np.array(heights), np.array(values)
+        means = [(height[rows].mean(), np.median(reading[rows])) for rows in parts]
+        bins.append(np.mean(means, axis=0))
+    heights, values = np.array(bins).reshape(-1, 2).T
+    return heights, values
 
 
 def climb_of(seconds: Array, height: Array) -> Array:

@@ -148,9 +148,9 @@ def expected_spread(latitude_rad: float, month: float, ground_h_m: float = 0.0) 
     0.15 in the lowest kilometre and above 12 km. Pressure at sea level: 0.6 % in the tropics,
     1.0 % in middle latitudes, 1.3 % in their winter.
 
-    These contain the day's weather, the hour, and the place along the parallel. They are
-    judgement, not published figures: set on eight real ascents of five sites, whose departures
-    they overstate by a third (RMS 0.74 of sigma), because five sites are few.
+    These contain the day's weather, the hour, and the place along the parallel. They are judgement,
+    set on eight real ascents of five sites, whose departures they overstate by a third (RMS 0.74 of
+    sigma), because five sites are few.
     """
     degrees = abs(latitude_rad) / DEGREE
     winter = 0.5 + 0.5 * season(latitude_rad, month)

@@ -37,10 +37,8 @@ AUTO = "auto"
 
 @dataclass(frozen=True)
 class SeasonAndPlace:
-    """Where and when a profile is wanted; ``latitude_rad`` None for a standard on its own.
-
-    ``month`` 1.0 is mid-January, 7.0 mid-July.
-    """
+    """Where and when a profile is wanted, see `climatology`; ``latitude_rad`` None for a standard
+    on its own."""
 
     latitude_rad: float | None = None
     month: float = 4.0
@@ -54,11 +52,8 @@ class SeasonAndPlace:
 
 @dataclass(frozen=True)
 class AtmosphereModel:
-    """An atmosphere by name: how it becomes a profile, and where its numbers are from.
-
-    ``has_humidity`` is false where the model has no water vapour at all; ``needs_place`` is true
-    where it has no profile without a latitude and a season.
-    """
+    """How an atmosphere becomes a profile, and where its numbers are from; whether it has water
+    vapour at all, and ``needs_place``: a latitude and a season."""
 
     profile: Callable[[SeasonAndPlace, IndexModel], Profile]
     origin: str
@@ -75,10 +70,8 @@ def gravity_at(latitude_rad: float) -> Gravity:
 
 
 def _tabulated_profile(name: str, place: SeasonAndPlace, index: IndexModel) -> Profile:
-    """A climate table, or a standard from its breakpoints, dry.
-
-    Without a latitude under the gravity of the table's own, or of the standard's definition.
-    """
+    """A climate table, or a standard from its breakpoints, dry; without a latitude under the
+    gravity of its own."""
     if name in tables.climate_names():
         return tables.climate_profile(name, index, place.gravity)
     rows = tables.read_models("standard_atmospheres.csv")[name]

@@ -165,10 +165,8 @@ def _levels(field: Any) -> _Levels | None:
 
 
 def _find(datasets: Sequence[Any], quantity: str) -> Any | None:
-    """The field of a quantity on levels, or of the surface; there model levels keep the first.
-
-    Of several on levels the one with most: GRIB has those above 1 hPa apart.
-    """
+    """The field of a quantity of the surface, or on levels; of several the one with most levels:
+    GRIB has those above 1 hPa apart."""
     upper: list[tuple[int, int, Any]] = []
     surface: list[Any] = []
     for dataset in datasets:
@@ -331,10 +329,8 @@ def read_model_field(
 
 @dataclass(frozen=True, eq=False)
 class _Part:
-    """The part of each field that is read: nodes around the flight, times about it, one member.
-
-    ``chosen`` are rows by dimension, ``labels`` the coordinates of these dimensions in the file.
-    """
+    """The part of each field that is read, nodes and times about the flight and one member:
+    ``chosen`` rows by dimension, and the ``labels`` of these dimensions in the file."""
 
     time_ns: Integers
     lead_h: Array
@@ -397,10 +393,8 @@ class _Part:
         return cls(time_ns[times], lead_h[times], nodes[0], nodes[1], chosen, labels, where)
 
     def values(self, field: Any, level: Array | None = None, *, fixed: bool = False) -> Array:
-        """A field as (t, l, y, x), NaN where it has no value; of the surface l is 1.
-
-        Refuses a field of other times, but of what is ``fixed``, as the ground.
-        """
+        """A field as (t, l, y, x), NaN where it has no value; of the surface l is 1. Refuses other
+        times, but of what is ``fixed``, as the ground."""
         levels = _levels(field)
         version, axes = _dimension(field, _VERSIONS), list(self.chosen)[-2:]
         time = next((d for d in self.chosen if d not in axes and d in field.dims

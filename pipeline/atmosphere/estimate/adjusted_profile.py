@@ -19,7 +19,6 @@ from pipeline.atmosphere.estimate.candidates import Candidate, ExternalSources, 
 from pipeline.atmosphere.estimate.external_readings import TimeAndPlace, reason_uninformative
 from pipeline.atmosphere.estimate.sensors import SensorSettings
 from pipeline.atmosphere.estimate.solver import Estimate, FaultEstimate, estimate
-from pipeline.atmosphere.estimate.thermometer_checks import MISFIT, thermometer_is_outside
 from pipeline.atmosphere.layers import BAROMETRIC, MEASURED, RELAXED, STANDARD, stack_layers
 from pipeline.atmosphere.profile import Profile
 from pipeline.atmosphere.soundings import Sounding
@@ -199,7 +198,9 @@ def _first_that_passes(
             flight=flight,
         )  # fmt: skip
         name = candidate.main.name if candidate.main is not None else ""
-        check = thermometer_is_outside(candidate.samples, made, background, moisture, settings)
+        check = estimate_checks.thermometer_is_outside(
+            candidate.samples, made, background, moisture, settings
+        )
         if not check and candidate.main is not None:
             remaining = [other for other in remaining if other.samples.temperature is None]
             refused["temperature"] = check.reason
@@ -274,8 +275,8 @@ def _notes(candidate: Candidate, made: Estimate) -> Iterator[Entry]:
     if learnt:
         yield note("AIR-SENSORS", "; ".join(map(sensor_checks.described_fault, learnt)))
     for fit in made.fits:
-        inflated = fit.sigma_inflation > MISFIT
-        if inflated or (fit.count < FEWEST_TO_INFLATE and fit.rms > MISFIT):
+        inflated = fit.sigma_inflation > estimate_checks.MISFIT
+        if inflated or (fit.count < FEWEST_TO_INFLATE and fit.rms > estimate_checks.MISFIT):
             remark = "robust weights let the other readings prevail"
             if inflated:
                 remark = f"sigma inflation factor {fit.sigma_inflation:.0f}"

@@ -116,10 +116,8 @@ def variance_growth(hours: float, metres: float = 0.0) -> float:
 
 
 def hours_and_metres(source: Sounding | SurfaceReport, flight: TimeAndPlace) -> tuple[float, float]:
-    """Hours and metres between a source and the flight; twice the metres across a coast or a ridge.
-
-    Six hours and 100 km where those of a sounding are not known; three hours of a surface report.
-    """
+    """Hours and metres between a source and the flight, as assumed where they are not known; twice
+    the metres across a coast or a ridge."""
     hours = flight.hours_from(source.time_ns)
     if isinstance(source, Sounding):
         undated_h = UNDATED_SOUNDING_H
@@ -219,10 +217,8 @@ def _inside(sounding: Sounding, background: Climatology) -> Mask:
 def sounding_readings(
     sounding: Sounding, number: int, background: Climatology, flight: TimeAndPlace
 ) -> list[sensors.Readings]:
-    """Temperatures and humidities of a balloon, and its pressure at the lowest level.
-
-    ``number`` is its place among the soundings, by which `sounding_departures` names its departure.
-    """
+    """Temperatures and humidities of a balloon, and its pressure at the lowest level; ``number`` is
+    its place among the soundings, which names its departure."""
     height = background.profile.gravity.geopotential_height(sounding.h_m)
     inside = _inside(sounding, background)
     if not bool(inside.any()):

@@ -62,10 +62,8 @@ _STEP_S = 0.5
 
 @dataclass(frozen=True)
 class SensorCalibration:
-    """What a calibration states of a sensor fault before the flight; None where it is silent.
-
-    ``subtracted`` is the part of it that was subtracted from the readings already.
-    """
+    """What a calibration states of a sensor fault, None where it is silent; ``subtracted`` is the
+    part of it that was subtracted from the readings already."""
 
     mean: float | None = None
     sigma: float | None = None
@@ -95,10 +93,8 @@ class SensorSettings:
 
 @dataclass(frozen=True, eq=False)
 class Readings(ABC):
-    """A set of readings (m,) at heights (m,) [m'], with the sigma (m,) of independent errors.
-
-    ``robust`` readings lose weight where they do not fit.
-    """
+    """Readings (m,) at heights (m,) [m'], with the sigma (m,) of independent errors; ``robust``
+    ones lose weight where they do not fit."""
 
     quantity: ClassVar[str]
     name: str
@@ -125,10 +121,8 @@ class FlownHeights:
 
 @dataclass(frozen=True, eq=False)
 class Thermometer(Readings):
-    """Means of a thermometer in bins [K].
-
-    ``since_s`` time since take-off [s]; ``heating`` V^2/(2 c_p) of the true airspeed [K], or None.
-    """
+    """Means of a thermometer in bins [K]; ``since_s`` take-off [s]; ``heating`` V^2/(2 c_p) of the
+    true airspeed [K], or None."""
 
     quantity = "temperature"
     seconds: Array
@@ -140,9 +134,8 @@ class Thermometer(Readings):
         """T as a sensor with a memory reads it, with its faults.
 
         T_read(t) = integral of T(H(t - s)) exp(-s/lag)/lag ds + bias + b_0 exp(-t/tau) +
-        r V^2/(2 c_p) + drift(t). To first order in the lag the integral is T - lag dT/dt: a climb
-        into colder air reads warm, a descent cold. It follows the heights really flown, so a
-        climb after a long stand or a level run needs no other formula.
+        r V^2/(2 c_p) + drift(t). A climb into colder air reads warm, a descent cold; the integral
+        follows the heights really flown, after a long stand or a level run too.
         """
         layout, x = air.layout, air.x
         jacobian = np.zeros((self.value.size, layout.size))
@@ -178,11 +171,8 @@ class Thermometer(Readings):
 
 @dataclass(frozen=True, eq=False)
 class Barometer(Readings):
-    """Means of ln of a static pressure [Pa] in bins of GNSS height.
-
-    ``highest`` ln of the pressure from which a lost share of its change counts; ``dynamic``
-    pressure q = rho_0 V^2/2 of the indicated airspeed [Pa], or None.
-    """
+    """Means of ln of a static pressure [Pa] in bins of GNSS height; ``highest`` of it, from which a
+    lost share of its change counts; ``dynamic`` pressure rho_0 V^2/2 [Pa], or None."""
 
     quantity = "pressure"
     seconds: Array

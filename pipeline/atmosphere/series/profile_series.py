@@ -46,10 +46,8 @@ _BIN_M, _MINUTE_NS = 100.0, 60 * 10**9
 
 @dataclass(frozen=True, eq=False)
 class SampleAges:
-    """Hours (n,) that the air of heights (n,) [m] has changed for since, or until, it was sampled.
-
-    sqrt(t^2 - (1/2 h)^2): nothing within half an hour, and nearly t in the end.
-    """
+    """Hours (n,) that the air of heights (n,) [m] has changed for since, or until, it was sampled:
+    sqrt(t^2 - (1/2 h)^2), nothing within half an hour, and nearly t in the end."""
 
     h_m: Array
     hours: Array
@@ -63,11 +61,8 @@ class SampleAges:
 def sample_ages(
     samples: AirSamples, time_ns: Sequence[int], h_g: float, h_c: float
 ) -> list[SampleAges]:
-    """How old the air between two heights [m above sea level] is at times [Unix ns].
-
-    By the nearest readings of thermometer or barometer before or after, in bins of 100 m; a bin
-    without readings is as old as its neighbours.
-    """
+    """How old the air between two heights [m above sea level] is at times [Unix ns], by the nearest
+    readings of thermometer or barometer before or after, in bins of 100 m."""
     visits = [
         (np.floor(s.h_m[s.accepted] / _BIN_M), s.time_ns[s.accepted] // _MINUTE_NS)
         for s in (samples.temperature, samples.pressure)
@@ -180,10 +175,8 @@ class TimedProfile:
 
 @dataclass(frozen=True, eq=False)
 class ProfileSeries:
-    """Profiles in the order of time, and which of them belongs to each of (s,) exposures.
-
-    Its functions of height are those of a `Profile`, for (s,) heights, one of each exposure.
-    """
+    """Profiles in the order of time, and which of them belongs to each of (s,) exposures; functions
+    of height are those of a `Profile`, for (s,) heights, one of each exposure."""
 
     timed_profiles: tuple[TimedProfile, ...]
     profile_number: Integers
@@ -293,11 +286,8 @@ def add_ageing(
 
 
 def interpolate_profiles(a: TimedProfile, b: TimedProfile, share: float) -> TimedProfile:
-    """The air between two times: (1 - share) of one and share of the other.
-
-    T_M and e/p are mixed at the edges of both, ln p at one height; pressure follows by Eq. 52-53.
-    Under the same gravity.
-    """
+    """The air between two times: (1 - share) of one and share of the other, under one gravity: T_M
+    and e/p at the edges of both, ln p at one height; pressure follows by Eq. 52-53."""
     if a.time_ns is None or b.time_ns is None:
         raise ValueError("air between two times needs both")
     if share in (0.0, 1.0):

@@ -124,10 +124,8 @@ def changed_air(
     origins: Mapping[Place, tuple[Array, Array]],
     h_g: float,
 ) -> TimedProfile:
-    """The air with the model's change to a column from where the air was sampled.
-
-    Below the lowest and above the highest level of both columns the change is that there.
-    """
+    """The air with the model's change to a column from where the air was sampled, below the lowest
+    and above the highest level of both columns that there."""
     profile = air.profile
     layers, gravity = profile.layers, profile.gravity
     edge = layers.edge

@@ -37,10 +37,8 @@ of R were 1.1 to 1.6 sigma RMS in six sets of flights."""
 
 @dataclass(frozen=True, eq=False)
 class TimeWindow:
-    """A part of the flight [Unix ns] and its air; ``change`` is ln of its R over the whole's.
-
-    ``why_not`` says in words why its own estimate is not used, and is empty where it is.
-    """
+    """A part of the flight [Unix ns] and its air; ``change`` is ln of its R over the whole's;
+    ``why_not`` says why its own estimate is not used."""
 
     start_ns: int
     end_ns: int
@@ -92,11 +90,8 @@ def _part(sensor: SensorSamples, start_ns: int, end_ns: int) -> SensorSamples:
 
 
 def part_of_flight(samples: AirSamples, start_ns: int, end_ns: int) -> AirSamples:
-    """What a flight measured from one time until before another [Unix ns].
-
-    Take-offs stay those of the whole flight; where they are not known, a part that begins after
-    the first sample begins in the air.
-    """
+    """What a flight measured from one time until before another [Unix ns]. Take-offs stay; where
+    they are not known, a part that begins after the first sample begins in the air."""
     parts = {
         name: _part(sensor, start_ns, end_ns)
         for name in ("temperature", "pressure", "humidity", "airspeed")

@@ -118,11 +118,10 @@ def refuse_wrong_units(raw: RawLevels) -> None:
 
 
 def refuse_wrong_heights(raw: RawLevels, h: Array, rise: Array) -> None:
-    """Refuse heights that are not those of pressures and temperatures.
+    """Refuse heights ``h`` (n,) [m'] that are not those by the hypsometric equation, ``rise``.
 
-    ``h`` and ``rise`` (n,) [m']: heights of the file and by the hypsometric equation. A balloon's
-    heights are computed from its pressures and temperatures and agree to 0.05 %; feet, Fahrenheit
-    or another balloon's heights do not. A single wrong level does not move the median.
+    A balloon's heights are computed by it and agree to 0.05 %; feet, Fahrenheit or another
+    balloon's heights do not. A single wrong level does not move the median.
     """
     apart = max(1, h.size // 4)
     far = rise[apart:] - rise[:-apart]
@@ -231,12 +230,9 @@ def _with_heights(raw: RawLevels, start: float) -> RawLevels:
 
 
 def _rising_levels(raw: RawLevels) -> RawLevels:
-    """Means of levels of one pressure or one height, without those out of order.
-
-    The fewest levels are dropped whose removal lets height rise as pressure falls.
-    """
-    before = raw.pressure_pa.size
-    raw = _mean_of_runs(raw, raw.pressure_pa)
+    """Means of levels of one pressure or one height, without the fewest levels whose removal lets
+    height rise as pressure falls."""
+    before, raw = raw.pressure_pa.size, _mean_of_runs(raw, raw.pressure_pa)
     # Centimetres: rounding in a conversion does not make two heights different.
     raw = _mean_of_runs(raw, np.round(raw.h_m, 2))
     if merged := before - raw.pressure_pa.size:

@@ -60,11 +60,8 @@ _MISSING = partial(np.empty, 0)
 
 @dataclass(frozen=True, eq=False)
 class ModelColumns:
-    """The air over n places: (n, l) arrays from the top down, NaN where a field has no value.
-
-    ``height`` geopotential [m'], ``log_pressure`` of [Pa], ``temperature_k``, ``vapour`` e/p;
-    ``surface`` (n,) geopotential height of the model's ground [m'], NaN where it is not known.
-    """
+    """The air over n places: (n, l) arrays from the top down, NaN where a field has no value;
+    heights are geopotential [m'], ``vapour`` is e/p, ``surface`` (n,) the model's ground."""
 
     height: Array
     log_pressure: Array
@@ -298,11 +295,8 @@ def _likely_ground(field: ModelField, where: str) -> tuple[ModelField, Notes]:
 
 
 def refuse_wrong_level(field: ModelField, pressure_pa: Array, where: str) -> None:
-    """Refuse (`InputError`) temperatures that no air has one above the other, as of a wrong level.
-
-    ``pressure_pa`` (l, 1, 1) or (t, l, y, x). Air overturns where it cools upwards faster than
-    9.8 K/km, and warms by more than 20 K only over some height.
-    """
+    """Refuse (`InputError`) temperatures that no air has one above the other: it overturns where it
+    cools by more than 9.8 K/km. ``pressure_pa`` (l, 1, 1) or (t, l, y, x)."""
     t, log_p = field.temperature_k, np.log(pressure_pa)
     thick = 0.5 * (t[:, 1:] + t[:, :-1]) * np.diff(log_p, axis=-3) / HYDROSTATIC_CONSTANT  # [m']
     warmer = -np.diff(t, axis=1)  # upwards
