@@ -1,10 +1,13 @@
 """What a flight measured of the air, against height, and its robust binning."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
 
 import numpy as np
 
-from pipeline.units import Array, Integers, Mask
+from pipeline.units import Array, Integers, Mask, Rows
+
+Record = TypeVar("Record", bound=Any)
 
 BIN_M = 50.0  # thickness of the layers where temperature was measured [m']
 
@@ -70,6 +73,19 @@ class AirSamples:
     humidity: SensorSamples | None = None
     airspeed: SensorSamples | None = None
     takeoff_ns: Integers | None = None
+
+    @property
+    def sensors(self) -> dict[str, SensorSamples]:
+        """Those of the air that there are, by their quantity."""
+        every = {"temperature": self.temperature, "pressure": self.pressure}
+        every["humidity"] = self.humidity
+        return {name: sensor for name, sensor in every.items() if sensor is not None}
+
+
+def part_of(record: Record, rows: Mask | Rows | slice) -> Record:
+    """The same with some rows of all its arrays."""
+    arrays = {name: v[rows] for name, v in vars(record).items() if isinstance(v, np.ndarray)}
+    return replace(record, **arrays)
 
 
 def bin_by_height(

@@ -1,9 +1,8 @@
 """Tables of the air by latitude and season, with humidity, as profiles.
 
-``data/supplements1966.csv``: the nine profiles of the U.S. Standard Atmosphere Supplements, 1966,
-reconstructed from public tables descended from it (temperatures to 0.05 K below 25 km, above
-that extrapolated). ``data/afgl1986.csv``: the six model atmospheres of Anderson et al. 1986, AFGL
-Atmospheric Constituent Profiles (0-120 km), AFGL-TR-86-0110, to 80 km.
+The nine profiles of the U.S. Standard Atmosphere Supplements, 1966, reconstructed from public
+tables descended from it (to 0.05 K below 25 km, above that extrapolated), and the six of Anderson
+et al. 1986, AFGL Atmospheric Constituent Profiles (0-120 km), AFGL-TR-86-0110, to 80 km.
 """
 
 import csv

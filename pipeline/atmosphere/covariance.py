@@ -1,12 +1,9 @@
 """Derivatives of a profile's air, and the covariance of an estimated profile.
 
-The layers are linear in T_M and in e/p between their edges, with pressure by Eq. 52-53 of Gyer 1996
-from one anchor (`pipeline.atmosphere.layers.stack_layers`). With phi_k the hat function of edge k,
-
-    T_M(H) = sum of phi_k T_k,   ln p(H) = ln p(anchor) - (G M0 / R*) * integral of dH / T_M,
-
-so that d ln p(H) / d T_k = (G M0 / R*) * integral from the anchor to H of phi_k / T_M^2 dH: see
-`pipeline.atmosphere.hypsometry.column`. Layers must meet in T_M, as `stack_layers` makes them.
+Layers meet in T_M and e/p, and are linear between their edges (`layers.stack_layers`). With phi_k
+the hat function of edge k, T_M(H) = sum of phi_k T_k and ln p(H) = ln p(anchor) - (G M0 / R*) *
+integral of dH / T_M, so that d ln p(H) / d T_k = (G M0 / R*) * integral from the anchor to H of
+phi_k / T_M^2 dH (`hypsometry.column`).
 """
 
 from dataclasses import dataclass
@@ -22,9 +19,8 @@ from pipeline.units import VAPOUR_DEFICIT, Array
 
 RAY_STEPS = 200  # trapezia of the plane integral: 1e-5 of R over 10 km
 
-# Of the index formula itself, so that a new one is still one function: central differences of
-# eighth order. N is a rational function of T, p and e/p whose poles are far away, so that long
-# steps are exact: with these the derivatives keep 13 digits.
+# Central differences of eighth order of the index formula itself, so that a new one is still one
+# function. Its poles in T, p and e/p are far away: with long steps derivatives keep 13 digits.
 _STENCIL = np.array([4.0 / 5.0, -1.0 / 5.0, 4.0 / 105.0, -1.0 / 280.0])
 _TEMPERATURE_STEP = 0.007  # of T
 _PRESSURE_STEP = 0.05  # of p
@@ -145,11 +141,9 @@ class ProfileCovariance:
     def sigma_temperature(self, h: ArrayLike) -> Array:
         """One sigma of temperature [K] at heights ``h`` (n,) [m above sea level]."""
         height = np.atleast_1d(np.asarray(h, np.float64))
-        weights = self._weights(height)
-        t_m, _, vapour = self.profile.state(height)
+        weights, (t_m, _, vapour) = self._weights(height), self.profile.state(height)
         by_t_m, by_vapour = 1.0 - VAPOUR_DEFICIT * vapour, -VAPOUR_DEFICIT * t_m
-        level = np.zeros(height.size)
-        blocks = (by_t_m[:, None] * weights, level, by_vapour[:, None] * weights)
+        blocks = (by_t_m[:, None] * weights, np.zeros(height.size), by_vapour[:, None] * weights)
         return self.sigma_of(np.column_stack(blocks))
 
     def sigma_log_pressure(self, h: ArrayLike) -> Array:

@@ -59,9 +59,8 @@ def column(edge: Array, virtual: Array, height: Array) -> tuple[Array, Array]:
     Eq. 52 and 53; and its derivatives (m, k) by T_M at the edges [m'/K2].
 
     In a layer of thickness D from T_0 to T_1 = T_0 (1 + x) the integral is D ln(1 + x) / (T_0 x);
-    its derivative by T_1 is -D/T_0^2 times the integral of u/(1 + x u)^2 over u from 0 to 1,
-    which is (ln(1 + x) - x/(1 + x)) / x^2 = 1/2 - 2 x/3 + 3 x^2/4 - ...; by T_0 it is what that
-    leaves of -D/(T_0 T_1).
+    its derivative by T_1 is -D/T_0^2 (ln(1 + x) - x/(1 + x)) / x^2, the last factor 1/2 - 2 x/3 +
+    3 x^2/4 - ...; by T_0 it is what that leaves of -D/(T_0 T_1).
 
     >>> edge, virtual = np.array([0.0, 1000.0]), np.array([250.0, 250.0])
     >>> integral, gradient = column(edge, virtual, np.array([500.0]))
@@ -76,12 +75,10 @@ def column(edge: Array, virtual: Array, height: Array) -> tuple[Array, Array]:
     part, by_base, by_inside = _layer(height - edge[i], virtual[i], inside)
     integral = np.concatenate([[0.0], np.cumsum(whole)])[i] + part
 
-    at_edge = np.zeros(edge.size)
-    at_edge[:-1] += by_lower
-    at_edge[1:] += by_upper
+    below = np.append(0.0, by_upper)
+    at_edge = np.append(by_lower, 0.0) + below
     gradient = np.where(np.arange(edge.size) < i[:, None], at_edge, 0.0)
     row = np.arange(height.size)
-    below = np.concatenate([[0.0], by_upper])
     gradient[row, i] = below[i] + by_base + (1.0 - share) * by_inside
     gradient[row, i + 1] = share * by_inside
     return integral, gradient

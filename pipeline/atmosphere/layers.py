@@ -119,11 +119,9 @@ def stack_layers(
 
     ``anchor``: a geopotential height [m'] within the edges and the pressure there [Pa].
     """
-    thickness = np.diff(edge)
-    warming = np.diff(temperature)
+    thickness, warming = np.diff(edge), np.diff(temperature)
     warming[np.abs(warming) < _ISOTHERMAL_K] = 0.0
-    base = temperature[:-1]
-    lapse = warming / thickness
+    base, lapse = temperature[:-1], warming / thickness
     fall = log_pressure_fall(base, lapse, thickness, constant)
     log_p = np.concatenate([[0.0], np.cumsum(fall)])
     height, pressure = anchor
@@ -137,12 +135,7 @@ def stack_layers(
 
 def log_pressure_fall(base: Array, lapse: Array, rise: Array, constant: float) -> Array:
     """ln(p / p_b) by Eq. 52 where the lapse rate is not zero, by Eq. 53 where it is."""
-    gradient = lapse != 0.0
-    safe = np.where(gradient, lapse, 1.0)
-    return np.asarray(
-        np.where(
-            gradient,
-            np.log(pressure_gradient_layer(1.0, base, safe, rise, constant)),
-            np.log(pressure_isothermal_layer(1.0, base, rise, constant)),
-        )
-    )
+    safe = np.where(lapse != 0.0, lapse, 1.0)
+    by_52 = np.log(pressure_gradient_layer(1.0, base, safe, rise, constant))
+    by_53 = np.log(pressure_isothermal_layer(1.0, base, rise, constant))
+    return np.asarray(np.where(lapse != 0.0, by_52, by_53))

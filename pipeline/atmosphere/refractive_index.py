@@ -22,8 +22,8 @@ def refractivity_gyer(
 ) -> Array:
     """Refractivity n - 1 at 0.589 um as the papers use it (Gyer 1996, Eq. 13).
 
-    Arguments broadcast. Reproduces Gyer's Table 2 to its last digit. Its vapour term has the
-    right sign and a tenth too little weight; for humid air prefer `refractivity_ciddor`.
+    Reproduces Gyer's Table 2 to its last digit. Its vapour term has a tenth too little weight; for
+    humid air prefer `refractivity_ciddor`.
 
     >>> float((refractivity_gyer(288.16, 101325.0) * 1e6).round(2))
     277.19
@@ -97,11 +97,9 @@ def vapour_pressure(
     >>> float(vapour_pressure(0.5, 293.15, 101325.0).round(1))
     1174.3
     """
-    return np.asarray(
-        np.asarray(relative_humidity, np.float64)
-        * enhancement_factor(temperature_k, pressure_pa)
-        * saturation_vapour_pressure(temperature_k)
-    )
+    humidity = np.asarray(relative_humidity, np.float64)
+    held = humidity * enhancement_factor(temperature_k, pressure_pa)
+    return np.asarray(held * saturation_vapour_pressure(temperature_k))
 
 
 def virtual_temperature(

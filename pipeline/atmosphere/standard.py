@@ -1,11 +1,9 @@
 """The registry of atmospheres, and the standard atmospheres, each with its own constants.
 
-A new atmosphere is one function and a line in `ATMOSPHERES`: its name in mission files, on the
-command line and in refusals follows. The breakpoints of the standards stand in
-``data/standard_atmospheres.csv``: US Standard Atmosphere 1976 and 1962, ICAO 1993 (ISO 2533), ARDC
-Model Atmosphere 1959 (the one behind the tables of Gyer 1996 and Bertram 1966) and ICAN
-(Saastamoinen 1974). The US Supplements 1966 and AFGL 1986 are in `climate_tables`; NRLMSIS 2.1
-comes from the package pymsis, temperature only, because it has no water.
+A new atmosphere is one function and a line in `ATMOSPHERES`. The breakpoints of the standards stand
+in ``data/standard_atmospheres.csv``: US Standard Atmosphere 1976 and 1962, ICAO 1993 (ISO 2533),
+ARDC Model Atmosphere 1959 (behind the tables of Gyer 1996 and Bertram 1966) and ICAN (Saastamoinen
+1974). NRLMSIS 2.1 comes from the package pymsis, temperature only, because it has no water.
 """
 
 import math
@@ -46,8 +44,13 @@ class SeasonAndPlace:
 
     @property
     def gravity(self) -> Gravity | None:
-        """Normal gravity of the latitude, None without one."""
-        return None if self.latitude_rad is None else gravity_at(self.latitude_rad)
+        """Normal gravity of the latitude, None without one; `PhysicsError` beyond the pole."""
+        if self.latitude_rad is None:
+            return None
+        if not abs(self.latitude_rad) <= math.pi / 2.0 + 1e-12:
+            what = f"a latitude of {self.latitude_rad:g} rad lies beyond the pole"
+            raise PhysicsError("ATMOSPHERE-LATITUDE", what, remedy="give it in radians")
+        return normal_gravity(self.latitude_rad)
 
 
 @dataclass(frozen=True)
@@ -59,14 +62,6 @@ class AtmosphereModel:
     origin: str
     has_humidity: bool
     needs_place: bool = False
-
-
-def gravity_at(latitude_rad: float) -> Gravity:
-    """Normal gravity at a latitude [rad]; raises `PhysicsError` for one beyond the pole."""
-    if not abs(latitude_rad) <= math.pi / 2.0 + 1e-12:
-        what = f"a latitude of {latitude_rad:g} rad lies beyond the pole"
-        raise PhysicsError("ATMOSPHERE-LATITUDE", what, remedy="give it in radians")
-    return normal_gravity(latitude_rad)
 
 
 def _tabulated_profile(name: str, place: SeasonAndPlace, index: IndexModel) -> Profile:
@@ -116,7 +111,8 @@ def _msis(place: SeasonAndPlace, index: IndexModel) -> Profile:
         f107as=[_SOLAR_FLUX], aps=[[_GEOMAGNETIC] * 7], version=2.1,
     )  # fmt: skip
     t = np.asarray(answer, dtype=np.float64).reshape(h.size, -1)[:, _MSIS_TEMPERATURE]
-    gravity, surface = gravity_at(latitude), float(_supplements(place, index).pressure(0.0))
+    gravity = place.gravity or normal_gravity(latitude)
+    surface = float(_supplements(place, index).pressure(0.0))
     return tables.hydrostatic_profile(
         gravity.geopotential_height(h), t, np.zeros_like, surface, gravity, index=index, name=MSIS
     )

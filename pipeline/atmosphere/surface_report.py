@@ -77,9 +77,8 @@ def parse_metar(
     is taken; without it the report has no time. ``where`` the text stands, for refusals.
 
     Temperatures are whole degrees, tenths where the remarks have a T group. An altimeter setting
-    is rounded down, by ICAO's rule to whole hPa and by FAA's to 0.01 inch, so half a step is
-    added. Raises ``InputError`` where the report does not parse or has values that do not occur at
-    the ground.
+    is rounded down, to whole hPa (ICAO) or 0.01 inch (FAA), so half a step is added. Raises
+    ``InputError`` where the report does not parse or its values do not occur at the ground.
 
     >>> text = "METAR EDDF 221150Z 24011KT 9999 SCT040 M05/M10 Q1013"
     >>> report = parse_metar(text, 111.0, Ledger())
@@ -109,12 +108,10 @@ def parse_metar(
             raise InputError.of("METAR-RANGE", place, quantity=quantity, number=number, unit=unit)
     time_ns = _nearest_day(flat, flight_ns)
     if dew > t:
-        celsius, dew_c = t - ZERO_CELSIUS_K, dew - ZERO_CELSIUS_K
+        celsius, dew_c, dew = t - ZERO_CELSIUS_K, dew - ZERO_CELSIUS_K, t
         ledger.warning("METAR-DEW-POINT", where=where, count=1, dew_c=dew_c, celsius=celsius)
-        dew = t
-    quantities = (("temperature", t), ("dew point", dew), ("altimeter setting", qnh))
-    missing = [quantity for quantity, value in quantities if not math.isfinite(value)]
-    if missing:
+    quantities = {"temperature": t, "dew point": dew, "altimeter setting": qnh}
+    if missing := [name for name, value in quantities.items() if not math.isfinite(value)]:
         what = f"no {' and no '.join(missing)} can be read in {flat[:80]!r}"
         if not math.isfinite(t) and math.isfinite(dew):
             what += "; the dew point alone gives no humidity without the temperature"

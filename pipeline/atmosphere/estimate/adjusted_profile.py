@@ -103,7 +103,7 @@ def build_adjusted_profile(
     1.4 / 0.6 % at 3 / 6 km.
     """
     standard = under_gravity(standard, latitude_rad)
-    middles = (s.middle_ns for s in (samples.temperature, samples.pressure, samples.humidity) if s)
+    middles = (sensor.middle_ns for sensor in samples.sensors.values())
     middle = next((middle for middle in middles if middle is not None), time_ns)
     flight = TimeAndPlace(middle, latitude_rad, longitude_rad)
     expected = partial(climatology, latitude_rad=latitude_rad, month=month_of(middle))

@@ -140,18 +140,18 @@ def _if_tall(sensor: SensorSamples | None, least_m: float) -> SensorSamples | No
 
 def reason_unadjusted(samples: AirSamples, faults: Sequence[str], kept: str) -> str:
     """Why the background ``kept`` is used: no estimate passed its checks, or none was possible."""
-    temperature, pressure = samples.temperature, samples.pressure
-    kept += " is kept unchanged"
+    t = samples.temperature
     if faults:
-        return f"no estimate passed its checks, the first because {faults[0]}: {kept}"
-    if temperature is None and pressure is None:
-        return f"no thermometer and no barometer outside that can be used: {kept}"
-    if temperature is None:
-        return f"the barometer has no reading at a known height: {kept}"
-    return (
-        f"the thermometer {temperature.name} spans {temperature.extent_m:.0f} m of height (at "
-        f"least {SMALLEST_CLIMB_M:.0f} m are needed), and there is no barometer: {kept}"
-    )
+        why = f"no estimate passed its checks, the first because {faults[0]}"
+    elif t is not None:
+        least = f"at least {SMALLEST_CLIMB_M:.0f} m are needed"
+        spans = f"spans {t.extent_m:.0f} m of height ({least})"
+        why = f"the thermometer {t.name} {spans}, and there is no barometer"
+    elif samples.pressure is not None:
+        why = "the barometer has no reading at a known height"
+    else:
+        why = "no thermometer and no barometer outside that can be used"
+    return f"{why}: {kept} is kept unchanged"
 
 
 @dataclass(frozen=True)

@@ -2,14 +2,15 @@
 
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
 from pipeline.atmosphere import refractive_index
-from pipeline.atmosphere.air_samples import AirSamples
+from pipeline.atmosphere.air_samples import AirSamples, part_of
 from pipeline.atmosphere.climatology import Climatology
 from pipeline.atmosphere.covariance import RAY_STEPS, plane_rule
-from pipeline.atmosphere.estimate.readings import collect_readings, part_of
+from pipeline.atmosphere.estimate.readings import collect_readings
 from pipeline.atmosphere.estimate.sensor_checks import LOST_SIGMAS
 from pipeline.atmosphere.estimate.sensors import Barometer, Humidities, SensorSettings, Thermometer
 from pipeline.atmosphere.estimate.solver import Estimate, Solution, estimate, layout_of, solve
@@ -251,10 +252,9 @@ def thermometer_is_outside(
     if drifted or _inflated_sigma_k(made) > MISFIT_K:
         # The flight until half an hour after its thermometer's first accepted reading.
         until = int(temperature.time_ns[temperature.accepted][0]) + round(TOGETHER_S * 1e9)
-        early = {
+        early: dict[str, Any] = {
             name: replace(sensor, accepted=sensor.accepted & (sensor.time_ns <= until))
-            for name in ("temperature", "pressure", "humidity")
-            if (sensor := getattr(samples, name)) is not None
+            for name, sensor in samples.sensors.items()
         }
         inflated_k = _inflated_sigma_k(estimate_of(replace(samples, **early)))
         if inflated_k > MISFIT_K:

@@ -99,9 +99,8 @@ def collect_readings(
     """
     instruments = {
         name: sensor
-        for name in ("pressure", "temperature", "humidity")
-        if (sensor := getattr(samples, name)) is not None
-        and bool(_usable(sensor, background.profile).any())
+        for name, sensor in samples.sensors.items()
+        if bool(_usable(sensor, background.profile).any())
     }
     start_ns = min((int(sensor.time_ns[0]) for sensor in instruments.values()), default=None)
     flight = flight or external_readings.TimeAndPlace(start_ns)
@@ -188,17 +187,6 @@ def _sensor_readings(
         rejected["humidity"] = bins.rejected
         faults.append(fault)
     return sets, faults, drifts, rejected
-
-
-def part_of(readings: Readings, rows: Mask) -> Readings:
-    """Some rows of a set of readings."""
-    size = readings.value.size
-    columns = {
-        name: values[rows]
-        for name, values in vars(readings).items()
-        if isinstance(values, np.ndarray) and values.shape == (size,)
-    }
-    return replace(readings, **columns)  # type: ignore[arg-type]
 
 
 def _usable(sensor: SensorSamples, profile: Profile) -> Mask:

@@ -133,9 +133,8 @@ def usable_sensors(samples: AirSamples, standard: Profile) -> tuple[AirSamples, 
     """
     notes: list[Entry] = []
     kept: dict[str, Any] = {}
-    for name in ("pressure", "temperature", "humidity"):
-        sensor: SensorSamples | None = getattr(samples, name)
-        if sensor is None or not bool((stuck := _stuck(sensor, name)).any()):
+    for name, sensor in samples.sensors.items():
+        if not bool((stuck := _stuck(sensor, name)).any()):
             continue
         value, extent = sensor.value[stuck][0], np.ptp(sensor.h_m[stuck])
         if name == "pressure":

@@ -1,9 +1,8 @@
 """The air of a flight by robust least squares from everything that was measured.
 
 Gauss-Newton on the state of `state`, with the observation equations of `sensors`: minimise
-sum rho((y - f(x))/sigma) + (x - x_b)^T B^-1 (x - x_b). The loss rho is Student's for readings and
-square for the background, so that outliers among the readings lose weight and the background keeps
-its own.
+sum rho((y - f(x))/sigma) + (x - x_b)^T B^-1 (x - x_b). The loss rho is Student's for readings, so
+that outliers lose weight, and square for the background.
 """
 
 from collections.abc import Mapping, Sequence
@@ -107,14 +106,13 @@ class Solution:
 
     def profile(self, background: Profile) -> tuple[Profile, ProfileCovariance]:
         """The layers of the state, and the covariance of what defines them: T_M, ln p, e/p."""
-        air, layout = self.air, self.air.layout
+        air, layout, constant = self.air, self.air.layout, background.constant
         k = layout.knot.size
-        source, constant = (RELAXED,) * (k - 1), background.constant
-        anchor = (layout.reference, float(np.exp(self.x[layout.level])))
         layers = stack_layers(
-            layout.knot, air.virtual, air.vapour, source, anchor=anchor, constant=constant
-        )
-        profile = Profile(layers, background.gravity, background.index, "adjusted", constant)
+            layout.knot, air.virtual, air.vapour, (RELAXED,) * (k - 1), constant=constant,
+            anchor=(layout.reference, float(np.exp(self.x[layout.level]))),
+        )  # fmt: skip
+        profile = Profile(layers, background.gravity, background.index, constant=constant)
         by_state = np.zeros((2 * k + 1, layout.size))
         by_state[:k, layout.temperature] = np.diag(air.virtual_by_t)
         by_state[:k, layout.humidity] = air.virtual_by_rh[:, None] * air.spreading

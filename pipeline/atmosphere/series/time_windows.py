@@ -10,7 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from pipeline.atmosphere.air_samples import AirSamples, SensorSamples
+from pipeline.atmosphere.air_samples import AirSamples, SensorSamples, part_of
 from pipeline.atmosphere.climatology import Climatology, Spread
 from pipeline.atmosphere.covariance import ProfileCovariance
 from pipeline.atmosphere.estimate.adjusted_profile import Adjustment
@@ -82,11 +82,7 @@ def _deciding_sensor(samples: AirSamples) -> SensorSamples | None:
 
 
 def _part(sensor: SensorSamples, start_ns: int, end_ns: int) -> SensorSamples:
-    rows = slice(*np.searchsorted(sensor.time_ns, [start_ns, end_ns]))
-    return SensorSamples(
-        sensor.time_ns[rows], sensor.h_m[rows], sensor.value[rows], sensor.accepted[rows],
-        sensor.name,
-    )  # fmt: skip
+    return part_of(sensor, slice(*np.searchsorted(sensor.time_ns, [start_ns, end_ns])))
 
 
 def part_of_flight(samples: AirSamples, start_ns: int, end_ns: int) -> AirSamples:

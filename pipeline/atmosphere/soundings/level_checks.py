@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.atmosphere import refractive_index
+from pipeline.atmosphere.air_samples import part_of
 from pipeline.atmosphere.hypsometry import ADIABATIC_K_PER_M
 from pipeline.atmosphere.refractive_index import vapour_pressure
 from pipeline.atmosphere.soundings.levels import RawLevels, Sounding
@@ -24,8 +25,6 @@ from pipeline.units import (
     HYDROSTATIC_CONSTANT,
     ZERO_CELSIUS_K,
     Array,
-    Mask,
-    Rows,
 )
 
 FEWEST_LEVELS = 5
@@ -146,12 +145,6 @@ def _refusal(raw: RawLevels, quantity: str, what: str, remedy: str) -> InputErro
     return InputError("SOUNDING-UNITS", text, where=raw.where, remedy=remedy)
 
 
-def _take(raw: RawLevels, keep: Mask | Rows) -> RawLevels:
-    """Some of the levels, in the order of ``keep``."""
-    columns = {name: part[keep] for name, part in vars(raw).items() if isinstance(part, np.ndarray)}
-    return replace(raw, **columns)  # type: ignore[arg-type]
-
-
 def _refuse_few(raw: RawLevels) -> RawLevels:
     count = raw.pressure_pa.size
     if count < FEWEST_LEVELS:
@@ -171,9 +164,9 @@ def _complete_levels(raw: RawLevels) -> RawLevels:
         raw = raw.noting(
             loss("SOUNDING-RANGE", where=raw.where, count=count, hpa=hpa, kelvin=kelvin)
         )
-    raw = _refuse_few(_take(raw, has & possible))
+    raw = _refuse_few(part_of(raw, has & possible))
     if up := int((np.diff(raw.pressure_pa) > 0.0).sum()):
-        raw = _take(raw, np.argsort(-raw.pressure_pa, kind="stable"))
+        raw = part_of(raw, np.argsort(-raw.pressure_pa, kind="stable"))
         raw = raw.noting(warning("SOUNDING-UNSORTED", where=raw.where, count=up))
     return raw
 
@@ -252,7 +245,7 @@ def _rising_levels(raw: RawLevels) -> RawLevels:
         h, hpa = raw.h_m[out[0]], raw.pressure_pa[out[0]] / HECTOPASCAL
         raw = raw.noting(warning(
             "SOUNDING-ORDER", where=raw.where, count=out.size, height_m=h, hpa=hpa))  # fmt: skip
-    return _refuse_few(_take(raw, keep))
+    return _refuse_few(part_of(raw, keep))
 
 
 def _mean_of_runs(raw: RawLevels, key: Array) -> RawLevels:

@@ -3,11 +3,11 @@
 ECMWF's 137 model levels lie between half levels of pressure a + b p_s; `data/ecmwf_l137.csv` has
 a and b of ECMWF's L137 definition (a to six decimals, b to nine digits as in its GRIB files).
 
-A column at the place and time of a flight is taken as a sounding is. Its errors are those of a good
-analysis. Against radiosondes ERA5 departs by about 1 K in the free troposphere and up to 2 K in the
-lowest kilometre, and by 10 to 15 % in relative humidity (Hersbach et al. 2020, Q. J. R. Meteorol.
-Soc. 146, sections 5 and 6; Graham et al. 2019, Geophys. Res. Lett. 46, p. 6138); the correlation
-over 2 km of height, and how a forecast ages, are set by judgement.
+A column at the place and time of a flight is taken as a sounding is, with the errors of a good
+analysis. Against radiosondes ERA5 departs by about 1 K in the free troposphere, up to 2 K in the
+lowest kilometre, and 10 to 15 % in relative humidity (Hersbach et al. 2020, Q. J. R. Meteorol. Soc.
+146, sections 5 and 6; Graham et al. 2019, Geophys. Res. Lett. 46, p. 6138); correlation over 2 km
+of height, and how a forecast ages, are set by judgement.
 """
 
 import math
@@ -212,9 +212,9 @@ def level_heights(half: Array, virtual: Array, surface: Array) -> Array:
 def checked_field(field: ModelField, where: str) -> tuple[ModelField, Notes]:
     """A field whose units are what its numbers can only be; repairs are noted.
 
-    Pressures in hPa or Pa by the highest, which has to be between 300 and 1100 hPa; geopotential
-    [m2/s2] or geopotential metres by the hydrostatic equation; relative humidity in percent or as
-    a fraction. Refuses (`InputError`) what is neither.
+    Pressures in hPa or Pa, by the highest between 300 and 1100 hPa; geopotential [m2/s2] or metres
+    of it by the hydrostatic equation; relative humidity in percent or as a fraction. Refuses
+    (`InputError`) what is neither.
     """
 
     def refused(what: str) -> InputError:
@@ -346,14 +346,11 @@ def model_column(
 
     ``ground_h_m`` of the true ground, NaN where it is not known; ``highest_h_m`` of the highest
     camera [m above sea level]. Levels under the ground, the model's or the true one, are left out;
-    where the lowest level is more than 20 m above the true ground the column goes on down to it,
-    with growing sigma. Refuses (`InputError`) fewer than five levels (MODEL-LEVELS). Its time is
-    the file's nearest to the flight.
+    where the lowest is more than 20 m above the true ground the column goes on down to it, with
+    growing sigma. Refuses (`InputError`) fewer than five levels. Its time is the file's nearest.
     """
-    latitude, longitude, time_ns = place
-    where = field.name
-    notes: list[Entry] = []
-    gravity = normal_gravity(latitude)
+    (latitude, longitude, time_ns), where = place, field.name
+    notes, gravity = list[Entry](), normal_gravity(latitude)
     air = field.columns(np.array([latitude]), np.array([longitude]), np.array([time_ns]))
     height, t, vapour = (a[0, ::-1] for a in (air.height, air.temperature_k, air.vapour))
     log_p, surface = air.log_pressure[0, ::-1], float(air.surface[0])
