@@ -1,8 +1,5 @@
-"""What the air is like without any measurement, and how far from that it may be.
-
-The expected profile is one of `standard.ATMOSPHERES`; the spread is the same model of one sigma
-for all of them, increased by how far each departs from the US Supplements 1966.
-"""
+"""What the air is like without any measurement, one of `standard.ATMOSPHERES`, and how far from
+that it may be: one model for all, and how far each departs from the US Supplements 1966."""
 
 from __future__ import annotations
 
@@ -71,11 +68,8 @@ class Spread:
 
 @dataclass(frozen=True, eq=False)
 class Climatology:
-    """The expected profile, its spread, and in words which tables it comes from.
-
-    Where ``has_humidity`` is false the profile is dry because the model says nothing of water,
-    not because the air is.
-    """
+    """The expected profile, its spread, and in words which tables it comes from; where it has no
+    humidity the profile is dry because the model says nothing of water."""
 
     profile: Profile
     spread: Spread

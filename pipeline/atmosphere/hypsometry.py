@@ -19,11 +19,8 @@ _SERIES = (-1.0) ** _ORDER * (_ORDER + 1.0) / (_ORDER + 2.0)
 
 @dataclass(frozen=True)
 class Fall:
-    """How pressure falls with height.
-
-    ``implied_k`` is the mean virtual temperature [K] that the fall implies, None where pressure
-    does not fall; ``unexplained`` the RMS of ln p about a parabola in height.
-    """
+    """How pressure falls with height: the mean virtual temperature [K] that this implies, None
+    where it does not fall, and the RMS of ln p ``unexplained`` by a parabola in height."""
 
     implied_k: float | None
     unexplained: float

@@ -1,8 +1,7 @@
 """Layers of the air: Gyer 1996, Eq. 52 and 53.
 
-Temperatures of the layers are molecular-scale (virtual) temperatures T_M, as in the papers: dry air
-of that temperature has the density of the moist air. In each layer T_M and the vapour fraction e/p
-are linear in geopotential height; pressure follows in closed form.
+In each layer the virtual temperature T_M (dry air of it has the density of the moist air) and the
+vapour fraction e/p are linear in geopotential height; pressure follows in closed form.
 """
 
 from __future__ import annotations

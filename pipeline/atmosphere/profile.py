@@ -107,10 +107,8 @@ class Profile:
         return self.index.refractivity(t, p, vapour * p)
 
     def at_level(self, h: ArrayLike, pressure_pa: ArrayLike) -> Profile:
-        """The profile with its pressure at the level of measured ones, in the median.
-
-        ``h`` (n,) heights [m above sea level], ``pressure_pa`` (n,) what was measured there.
-        """
+        """The profile with its pressure at the level of those measured (n,) at heights (n,) [m
+        above sea level], in the median."""
         log_ratio = np.log(np.asarray(pressure_pa, np.float64) / self.pressure(h))
         known = log_ratio[np.isfinite(log_ratio)]
         if known.size == 0:

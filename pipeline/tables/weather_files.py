@@ -1,7 +1,5 @@
-"""A file of a weather model, netCDF or GRIB: what is in it, and its fields around a flight.
-
-The only module that uses xarray. It imports pyproj first: loaded after ecCodes, pyproj crashes.
-"""
+"""A file of a weather model, netCDF or GRIB: what is in it, and its fields around a flight; the
+only module that uses xarray. It imports pyproj first: loaded after ecCodes, pyproj crashes."""
 
 import re
 import traceback

@@ -38,12 +38,10 @@ UNMEASURED, UNADJUSTED = "climatology", "standard"  # bases of a profile without
 class Adjustment:
     """A profile, and how it was made.
 
-    ``basis`` is thermometer | both | barometer | sounding | surface | climatology | standard;
-    ``reason`` says why in words; ``time_ns`` is the middle of the samples that were used.
-    ``covariance`` is that of the profile, None for a standard atmosphere as it is; ``faults`` the
-    sensor faults as estimated; ``sources`` how each source was used, or why not; ``rejected`` the
-    outliers among each sensor's samples. ``samples``, ``settings`` and ``moisture`` are what the
-    estimate was made from, None where there is no estimate.
+    ``basis`` is thermometer | both | barometer | sounding | surface | climatology | standard, and
+    ``reason`` why; ``time_ns`` is the middle of the samples that were used. ``covariance`` is None
+    for a standard as it is; ``rejected`` are the outliers among each sensor's samples. ``samples``,
+    ``settings`` and ``moisture`` are what the estimate was made from, None where there is none.
     """
 
     profile: Profile

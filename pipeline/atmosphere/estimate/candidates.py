@@ -1,7 +1,5 @@
-"""What an estimate can use: which sensors span enough height, with which soundings and stations.
-
-And afterwards: how each source was used, or why it was not.
-"""
+"""What an estimate can use: sensors that span enough height, with which soundings and stations; and
+afterwards how each source was used, or why it was not."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -65,11 +63,9 @@ class Candidate:
 def candidates(
     samples: AirSamples, soundings: Sequence[Sounding], surface: Sequence[SurfaceReport]
 ) -> list[Candidate]:
-    """What an estimate can use, the best first; the next is tried if the estimate fails its checks.
-
-    Every choice of the flight's own sensors comes with all soundings and stations, then without
-    each of them, then without all: one bad level of a balloon must not cost what the flight saw.
-    """
+    """What an estimate can use, the best first: every choice of the flight's own sensors with all
+    soundings and stations, then without each of them, then without all, as one bad level of a
+    balloon must not cost what the flight saw."""
     everything = ExternalSources(tuple(soundings), tuple(surface))
     choices = [everything]
     if 1 < len(everything.names) <= MOST_LEFT_OUT_ONE_BY_ONE:
@@ -95,10 +91,8 @@ def candidates(
 
 
 def _with_own_sensors(samples: AirSamples, external: ExternalSources) -> list[Candidate]:
-    """Thermometer and barometer, the barometer alone, the thermometer alone.
-
-    A barometer over any height: the sigma of its estimate says whether it is used.
-    """
+    """Thermometer and barometer, the barometer alone (over any height: the sigma of its estimate
+    says whether it is used), the thermometer alone."""
     temperature, pressure = samples.temperature, samples.pressure
     warm = _if_tall(temperature, SMALLEST_CLIMB_M)
     high = _if_tall(pressure, 0.0)

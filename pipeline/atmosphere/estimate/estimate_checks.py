@@ -139,12 +139,9 @@ def has_information(made: Estimate, background: Climatology, moisture: Climatolo
 def is_better_than_background(
     made: Estimate, background: Climatology, moisture: Climatology, name: str = "the climatology"
 ) -> Check:
-    """Whether an estimate predicts held-out readings better than its background (``name``) does.
-
-    Every other bin of thermometer and barometer is held out; the estimate from the others must
-    predict them, about their median, better than the background. Consistent readings do, even if
-    all of them have the same error; unrelated noise does not.
-    """
+    """Whether an estimate predicts held-out readings better than its background (``name``) does:
+    every other bin of thermometer and barometer, about their median. Consistent readings do, even
+    if all of them have the same error; unrelated noise does not."""
     measured = made.readings
     layout = layout_of(measured, background)
     prior = prior_of(layout, background, moisture)
@@ -282,12 +279,10 @@ def barometer_loses_pressure(made: Estimate) -> bool:
 
 
 def is_predicted(thermometer: Thermometer, without: Solution) -> Check:
-    """Whether temperatures are those that an estimate without them predicts.
-
-    In the mean over their heights, and in the change from the lower to the upper half of these;
-    within the sigma of the prediction, and of all faults that a thermometer may have. Pressure
-    implies virtual temperatures: in air as dry as a desert's, temperatures as high as these.
-    """
+    """Whether temperatures are those that an estimate without them predicts, in the mean over their
+    heights and in the change from the lower to the upper half of these, within the sigma of the
+    prediction and of all faults of a thermometer. Pressure implies virtual temperatures: in air as
+    dry as a desert's, temperatures as high as these."""
     air, layout, height = without.air, without.air.layout, thermometer.height
     moist = np.interp(height, layout.knot, air.virtual - air.temperature)
     predicted, jacobian = thermometer.predict(air)

@@ -1,9 +1,8 @@
 """Soundings, weather stations and the climatology as readings, weighted by their age and distance.
 
-The air's departure from its climatology persists: after a time t and over a distance d it
-correlates by rho = exp(-t/tau - max(d/(tau v), (d/L)^2/2)) with what it was. An old or far reading
-with an error of variance s^2 (1/rho^2 - 1), where s is the spread of the climatology, has the
-weight rho^2.
+After a time t and over a distance d the air's departure from its climatology correlates by
+rho = exp(-t/tau - max(d/(tau v), (d/L)^2/2)) with what it was. An old or far reading with an error
+of variance s^2 (1/rho^2 - 1), where s is the spread of the climatology, has the weight rho^2.
 """
 
 import math
@@ -57,9 +56,7 @@ DEPARTURE_STEP_M = 500.0
 
 LEVEL_K, LEVEL_RH = 0.4, 0.04  # independent errors of a level of a sounding
 
-WEATHER_LOG_P_PER_H, WEATHER_LOG_P_PER_M = 5e-4, 1.5e-8
-"""Pressure changes by 0.5 hPa an hour, and by 1.5 hPa over 100 km: a wind of 12 m/s."""
-
+WEATHER_LOG_P_PER_H, WEATHER_LOG_P_PER_M = 5e-4, 1.5e-8  # 0.5 hPa an hour; a wind of 12 m/s
 STATION_K, STATION_RH, STATION_LOG_P = 1.5, 0.06, 5e-4
 """Two metres above the grass is not yet the free air; a station's pressure is good to 0.5 hPa."""
 
@@ -251,11 +248,11 @@ def surface_readings(
         metres *= ROUGHER
     name, pressure = report.name, report.pressure_pa
     readings: list[sensors.Readings] = []
-    if np.isfinite(report.temperature_k):
+    if np.isfinite(t := report.temperature_k):
         of_air = STATION_K**2 + report.sigma_temperature_k**2 + STATION_K2_PER_H * hours
         of_air += SPREAD_K**2 * variance_growth(0.0, metres)
         sigma = np.array([np.sqrt(of_air)])
-        readings.append(sensors.Temperatures(name, height, np.array([report.temperature_k]), sigma))
+        readings.append(sensors.Temperatures(name, height, np.array([t]), sigma))
     if np.isfinite(pressure):
         instrument = np.hypot(STATION_LOG_P, report.sigma_pressure_pa / pressure)
         weather = np.hypot(WEATHER_LOG_P_PER_H * hours, WEATHER_LOG_P_PER_M * report.distance_m)
@@ -263,7 +260,7 @@ def surface_readings(
         readings.append(sensors.Pressures(name, height, np.log([pressure]), sigma))
     else:
         pressure = float(background.profile.pressure(report.h_m))
-    rh = _relative_humidity(report.vapour_pressure_pa, report.temperature_k, pressure)
+    rh = _relative_humidity(report.vapour_pressure_pa, t, pressure)
     if bool(np.isfinite(rh)):
         growth = variance_growth(hours, metres)
         sigma = np.array([np.hypot(STATION_RH, SPREAD_RH * np.sqrt(growth))])

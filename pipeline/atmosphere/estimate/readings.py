@@ -44,10 +44,9 @@ AIR_NOISE_K, AIR_NOISE_LOG_P, AIR_NOISE_RH = 0.15, 3e-5, 0.03
 LEAST_SCATTER_K, LEAST_SCATTER_LOG_P, LEAST_SCATTER_RH = 0.05, 5e-5, 0.01
 
 DRIFT_STEP_S, ALONE_STEP_S, MOST_DRIFT_STEPS = 45.0, 15.0, 60
-"""Knots of drifts; with 300 s the sigma of R over 1 km was 2.3 % and the error 4.1 %. Of a
-barometer alone nearer: between knots 45 s apart a walk is too smooth for a climb of a minute (over
-300 m errors of 1.35 sigma RMS, not 1), and where it judges a thermometer: 1 in 100 that work were
-refused over 500 m."""
+"""Knots of drifts; with 300 s the sigma of R over 1 km was 2.3 % and the error 4.1 %. Nearer of a
+barometer alone (a walk between knots 45 s apart is too smooth for a climb of a minute: over 300 m
+errors of 1.35 sigma RMS), and where it judges a thermometer (1 in 100 good ones failed)."""
 
 BAROMETER_SCALES, THERMOMETER_SCALES = (0.1, 8.0), (1.0, 3.0)
 """Smallest and largest factor of the sigma of a drift that the residuals of a flight may give it:

@@ -57,11 +57,8 @@ _READINGS = {
 def subtract_known_biases(
     samples: AirSamples, settings: SensorSettings
 ) -> tuple[tuple[AirSamples, SensorSettings], Notes]:
-    """Samples without the known biases, and settings in which the rest of these is 0.
-
-    Biases are subtracted before any sensor is checked. The report lists what remains, for example
-    0.3 K after 12.0 K were subtracted.
-    """
+    """Samples without the known biases, before any check, and settings in which these are 0; the
+    report lists what remains, for example 0.3 K after 12.0 K were subtracted."""
     corrected, rest, texts = {}, dict(settings.calibration), []
     for fault, sensor in _READINGS.items():
         known, readings = rest.get(fault), getattr(samples, sensor)
@@ -76,12 +73,12 @@ def subtract_known_biases(
 
 
 def check_calibration(made: Estimate, settings: SensorSettings) -> Notes:
-    """A stated calibration that the flight contradicts, those that are not used, and large errors.
+    """A stated calibration that the flight contradicts, those that are not used, and errors that
+    nobody stated and no working sensor has.
 
-    Errors that are not stated are reported where they are larger than any working sensor's. If
-    calibration and flight are right, an estimate departs from what was expected by a sigma whose
-    square is that of the expectation less that of the estimate. One wrong value makes others seem
-    wrong, so only the worst is named.
+    If both are right, an estimate departs from what was expected by a sigma whose square is that of
+    the expectation less that of the estimate. One wrong value makes others seem wrong, so only the
+    worst is named.
     """
     expected = {fault.name: fault.mean for fault in made.readings.faults}
     worst, notes, large = CONTRADICTED, [], []
@@ -126,11 +123,8 @@ def unused_calibration(faults: set[SensorFault]) -> Notes:
 
 
 def usable_sensors(samples: AirSamples, standard: Profile) -> tuple[AirSamples, Notes]:
-    """The samples without the sensors that contradict physics, or one another.
-
-    Readings of a sensor must not stay the same during a climb. Pressure must fall with GNSS height
-    as it does in air of 180 to 335 K.
-    """
+    """The samples without sensors that contradict physics: readings must not stay the same during a
+    climb, and pressure must fall with GNSS height as it does in air of 180 to 335 K."""
     notes: list[Entry] = []
     kept: dict[str, Any] = {}
     for name, sensor in samples.sensors.items():
@@ -173,11 +167,8 @@ def _indoors(pressure: SensorSamples, what: str) -> Entry:
 def is_maybe_indoors(
     samples: AirSamples, standard: Profile, settings: SensorSettings
 ) -> tuple[bool, Notes]:
-    """Whether nothing in a short climb shows that the thermometer is outside.
-
-    Indoors temperatures change little, and with time: in the descent the same height reads another
-    temperature, farther from that of the climb than heights are from each other.
-    """
+    """Whether nothing in a short climb shows that the thermometer is outside: indoors temperatures
+    change little, and more with time (from climb to descent) than from height to height."""
     temperature = samples.temperature
     if temperature is None or samples.pressure is None or settings.board_temperature:
         return False, ()
@@ -223,11 +214,9 @@ def _stuck(sensor: SensorSamples, name: str) -> Mask:
 def pressure_level(
     profile: Profile, background: Climatology, pressure: SensorSamples | None
 ) -> Entry:
-    """The residuals of the measured pressures, and whether their level is plausible.
-
-    Pressure reduced to sea level should lie within 5 sigma of the climatology's (about 50 hPa; the
-    deepest lows reach 6); 10 sigma, a tenth of the pressure, are no weather.
-    """
+    """The residuals of the measured pressures, and whether their level is plausible: at sea level
+    within 5 sigma of the climatology's (about 50 hPa; the deepest lows reach 6); 10 sigma, a tenth
+    of the pressure, are no weather."""
     if pressure is None or not bool(pressure.accepted.any()):
         return fallback("AIR-NO-BAROMETER")
     h, measured = pressure.used()

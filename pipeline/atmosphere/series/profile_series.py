@@ -142,11 +142,8 @@ class TimedProfile:
 
     @property
     def covariance(self) -> ProfileCovariance | None:
-        """That of the estimate, and the change of the air since it was sampled.
-
-        Between two profiles it is (1 - share) C_a + share C_b: the largest that it can be, however
-        their errors correlate.
-        """
+        """That of the estimate, and the change of the air since it was sampled; between two
+        profiles (1 - share) C_a + share C_b, the most that it can be."""
         covariance = self.own_covariance
         if self.neighbours is not None:
             a, b, share = self.neighbours
@@ -161,10 +158,8 @@ class TimedProfile:
         return covariance_with_ageing(covariance, self.ages)
 
     def change_from(self, other: TimedProfile, h_c: Sequence[float], h_g: float) -> float:
-        """ln R of this air over that of another, the largest of several cameras.
-
-        In the plane; ``h_c``, ``h_g`` heights of cameras and ground [m above sea level].
-        """
+        """ln R of this air over that of another in the plane, the largest of several cameras at
+        ``h_c`` over the ground at ``h_g`` [m above sea level]."""
 
         def r(air: TimedProfile, h_c: float) -> float:
             h, weight = plane_rule(h_c, h_g, _STEPS)

@@ -1,10 +1,9 @@
 """The formats of soundings, and which one a text is in.
 
-The Integrated Global Radiosonde Archive, version 2, and its derived parameters (NOAA NCEI,
-igra2-data-format.txt and igra2-derived-format.txt): fixed columns; -9999 missing, -8888 removed by
-the archive's own checks. The University of Wyoming: the text list of its web page, with columns
-seven places wide in which a field may be blank, and its CSV. The heights of both are geopotential.
-And a plain CSV of levels, whose column names state the units.
+IGRA, version 2, and its derived parameters (NOAA NCEI, igra2-data-format.txt and
+igra2-derived-format.txt): fixed columns; -9999 missing, -8888 removed by the archive's own checks.
+The University of Wyoming: the list of its web page, with columns seven places wide in which a field
+may be blank, and its CSV. The heights of both are geopotential. A plain CSV states its units.
 """
 
 import math
@@ -112,10 +111,8 @@ def _igra_lines_missing(header: str, lines: list[str], at: str) -> Notes:
 
 
 def _igra_time_ns(header: str) -> int | None:
-    """The release of the balloon, the nominal hour without one.
-
-    The release time has no date: 2303 of the sounding of 00 UTC is the evening before.
-    """
+    """The release of the balloon, the nominal hour without one. The release has no date: 2303 of
+    the sounding of 00 UTC is the evening before."""
     midnight, hour = utc_ns(header[13:23].replace(" ", "-")), int(header[24:26])
     release, seconds = number(header[27:31]), 3600 * hour
     if release // 100 < 24 and release % 100 < 60:

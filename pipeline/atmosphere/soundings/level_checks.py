@@ -1,8 +1,7 @@
 """From the levels of a file to a `Sounding`: refusals, and repairs that are counted.
 
-Units that cannot be what the file states are refused, because a silent repair may be wrong.
-Everything that is dropped, averaged, clipped or computed is in the ledger with its number. Air
-that is unusual but physical (steep layers, an index that grows with height) is kept, and reported.
+Units that cannot be what the file states are refused, as a silent repair may be wrong. Air that is
+unusual but physical (steep layers, an index that grows with height) is kept, and reported.
 """
 
 import math

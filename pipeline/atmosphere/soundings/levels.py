@@ -19,12 +19,9 @@ LARGEST = 1e7  # larger values in any unit are invalid, such as the fill of netC
 _YEARS = (1900, 2200)  # soundings are younger; beyond 2262 nanoseconds do not fit into 64 bits
 
 _UNIT: dict[str, Callable[[Array], Array]] = {
-    "pa": lambda value: value,
+    **dict.fromkeys(("pa", "k", "m", "1"), lambda value: value),
     "hpa": lambda value: value * HECTOPASCAL,
-    "k": lambda value: value,
     "c": lambda value: value + ZERO_CELSIUS_K,
-    "m": lambda value: value,
-    "1": lambda value: value,
     "percent": lambda value: value / 100.0,
 }
 
@@ -33,10 +30,9 @@ _UNIT: dict[str, Callable[[Array], Array]] = {
 class ColumnErrors:
     """Errors of a column of air where and when it was taken, beside those of single levels.
 
-    ``temperature_k`` and ``relative_humidity`` are one sigma at each of the levels, or of all;
-    errors at heights d apart correlate as exp(-d / length). ``log_pressure`` is the sigma of ln p
-    at the lowest level. The defaults are a balloon's (instrument, and its way with the wind): set
-    by judgement, not measured here.
+    One sigma at each of the levels, or of all; at heights d apart they correlate as
+    exp(-d / length). ``log_pressure`` is that of ln p at the lowest level. The defaults are a
+    balloon's (instrument, and its way with the wind), set by judgement.
     """
 
     temperature_k: Array | float = 1.2
@@ -80,9 +76,8 @@ class Sounding:
         return " ".join(word for word in (self.kind, self.station, when) if word)
 
     def __post_init__(self) -> None:
-        shape = self.h_m.shape
-        columns = (self.pressure_pa, self.temperature_k, self.vapour_pressure_pa)
-        if len(shape) != 1 or any(column.shape != shape for column in columns):
+        columns = (self.h_m, self.pressure_pa, self.temperature_k, self.vapour_pressure_pa)
+        if any(column.shape != (self.h_m.size,) for column in columns):
             raise ValueError("the columns of a sounding are vectors of one length")
         if not bool(np.all(np.diff(self.h_m) > 0.0) and np.all(np.diff(self.pressure_pa) < 0.0)):
             raise ValueError("a sounding rises, and its pressure falls")
@@ -161,7 +156,7 @@ def table(lines: Iterable[str], where: str) -> dict[str, list[str]]:
 
 
 def utc_ns(text: str) -> int | None:
-    """Nanoseconds of a time as ISO 8601 writes it, UTC without an offset; None where it is none.
+    """Nanoseconds of a time in ISO 8601, UTC without an offset; None where it is none.
 
     >>> utc_ns("2011-05-22 12:00:00") == utc_ns("2011-05-22T14:00:00+02:00") == 1306065600 * 10**9
     True
