@@ -78,7 +78,8 @@ class Channel:
     above 1 it is rejected); filter_flags, whose bits 0 to 9 are MAVLink's EKF_STATUS_FLAGS in all
     formats, 10 never healthy, 15 GPS glitch, 18 dead reckoning; filter_timeouts and filter_faults
     (bits of ArduPilot's XKF4.TS and FS); vibration_m_s2 (of the worst axis), clipping (count since
-    boot). What the autopilot says is a channel without columns, with the label ``text``.
+    boot). What the autopilot says is a channel without columns, with the label ``text``, of which
+    rows of one time are the lines of one text.
     """
 
     name: str

@@ -193,6 +193,9 @@ def compare_methods(
         hold its difference from 0.589 um too.
     h_c, h_g : heights of cameras (h,) and ground above sea level [m].
     nadir_angle : (z,) apparent nadir angles [rad], ascending.
+    radius : of the sphere [m].
+
+    The reference is good to 1e-9 arcsec.
 
     >>> from pipeline.atmosphere import standard_atmosphere
     >>> from pipeline.units import ARCSEC, DEGREE

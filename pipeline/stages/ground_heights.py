@@ -59,7 +59,8 @@ class Ground(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class GivenGround:
-    """Heights that are given, a constant or a column, plus the ``offset_m`` (s,) of each station.
+    """Heights that are given, a constant or a column, plus the ``offset_m`` (s,) of each station:
+    minus the undulation for ellipsoidal heights, the take-off's height for relative ones.
 
     ``sigma_m`` is the standard deviation that all of them share, where there is one.
     """

@@ -47,9 +47,10 @@ _SURFACE_PA = (
 _MOST_FRACTION = 1.6
 _SPECIFIC, _RELATIVE = (-1e-3, 1e-6, 0.05), (-0.3, 0.05, _MOST_FRACTION)
 """Of the driest level at least, where spectral models go below 0; of the wettest from, to."""
-_OVERTURNS_K, _INVERSION_K, _INVERSION_K_PER_M, _THICKNESS_K = 8.0, 20.0, 0.05, 10.0
+_OVERTURNS_K, _INVERSION_K, _INVERSION_K_PER_M, _THICKNESS_K = 8.0, 25.0, 0.05, 10.0
 """From level to level: cooler than by the adiabat, warmer, this per metre; the mean of two against
-their heights. ERA5 and columns of 22 soundings reach 2, 1 and 5 K above the ground."""
+their heights. ERA5 and columns of 22 soundings reach 2, 1 and 5 K above the ground; inversions of
+30 K within 200 m stand over ice plateaus in winter."""
 _WEATHER_LOG_P = 0.045  # of sea-level pressure: 969 to 1060 hPa
 _ANOTHER_GROUND_M = 50.0
 _EARTH_KM, _SEA_LEVEL_PA, _SCALE_HEIGHT_M = 6371.0, 101_325.0, 8000.0

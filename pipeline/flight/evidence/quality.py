@@ -143,8 +143,10 @@ def mask_impossible_values(channel: Channel) -> tuple[Channel, Notes]:
 
 def _known(channel: Channel, role: str) -> Mask:
     """The rows in which all columns of a role are known."""
-    columns = [channel[name] for name in ROLE_COLUMNS[role]]
-    return np.asarray(np.isfinite(columns).all(axis=0))
+    known = np.ones(len(channel), np.bool_)
+    for column in ROLE_COLUMNS[role]:
+        known &= np.isfinite(channel[column])
+    return known
 
 
 def _outside(values: Array, column: str) -> Mask:

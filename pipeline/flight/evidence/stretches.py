@@ -44,8 +44,10 @@ class Stretch:
 
 def covered(stretches: Sequence[Stretch], time_ns: TimeArray) -> Mask:
     """Which instants lie in any of several stretches."""
-    inside = [np.zeros(time_ns.shape, np.bool_), *(s.covers(time_ns) for s in stretches)]
-    return np.asarray(np.logical_or.reduce(inside))
+    inside = np.zeros(time_ns.shape, np.bool_)
+    for stretch in stretches:
+        inside |= stretch.covers(time_ns)
+    return inside
 
 
 def merged(stretches: Sequence[Stretch]) -> list[Stretch]:

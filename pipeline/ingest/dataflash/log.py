@@ -174,12 +174,12 @@ def exposures_by_last_fix(exposures: Table, receiver: Table, ledger: Ledger) -> 
         row = np.minimum(np.searchsorted(fix_ms, own_ms), fix_ms.size - 1)
         known = fix_ms[row] == own_ms
         time_us[known] = fix_us[row[known]] + round(interval_s * 5e5)
-    sigma_s = np.full(time_us.shape, interval_s / np.sqrt(12.0))
+    sigma_s = interval_s / np.sqrt(12.0)
     ledger.fallback(
         "EVENTS-FIX-TIME", where="CAM", count=time_us.size, known=int(known.sum()),
-        half_s=interval_s / 2.0, sigma_s=sigma_s[0], unknown=int((~known).sum()),
+        half_s=interval_s / 2.0, sigma_s=sigma_s, unknown=int((~known).sum()),
     )  # fmt: skip
-    return exposures | {"TimeUS": time_us, "sigma_time_s": sigma_s}
+    return exposures | {"TimeUS": time_us, "sigma_time_s": np.full(time_us.shape, sigma_s)}
 
 
 def _gps_ms(week: NDArray[Any], time_ms: NDArray[Any]) -> Integers:

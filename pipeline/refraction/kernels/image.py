@@ -281,13 +281,13 @@ def straight_reach(rays, far, distance):  # type: ignore[no-untyped-def]
 
 
 @within
-def _shift_in_image(span, rays, scratch, camera, exposure, shifts):  # type: ignore[no-untyped-def]
+def _shift_in_image(span, rays, scratch, exposure, shifts):  # type: ignore[no-untyped-def]
     """Fill dx and dy of one exposure; ``scratch`` as `shift_back` has it.
 
-    ``exposure`` holds its rotation and what is added to the principal distance.
+    ``exposure`` holds its camera, its rotation, and what is added to the principal distance.
     """
     first, last = span
-    turn, change_px = exposure
+    camera, turn, change_px = exposure
     dx, dy, _ = shifts
     fx, fy, parameters = camera.fx, camera.fy, camera.distortion
     u, v, lower, seen = rays[U], rays[V], scratch[2:5], scratch[5:8]
@@ -308,10 +308,13 @@ def _shift_in_image(span, rays, scratch, camera, exposure, shifts):  # type: ign
 
 
 @within
-def _shift_on_ground(span, rays, scratch, turn, target, shift_ground):  # type: ignore[no-untyped-def]
-    """Fill how far apart straight rays land, that inside the window and the true one."""
+def _shift_on_ground(span, rays, scratch, landing, shift_ground):  # type: ignore[no-untyped-def]
+    """Fill how far apart straight rays land, that inside the window and the true one.
+
+    ``landing`` holds the rotation of the exposure, and ground height and status of the rows.
+    """
     first, last = span
-    h_g, status = target
+    turn, h_g, status = landing
     lower, seen, radius, h_c = scratch[2:5], scratch[5:8], rays[RADIUS], rays[H_C]
     through_0, through_1, through_2 = rays[THROUGH], rays[THROUGH + 1], rays[THROUGH + 2]
     for k in range(3):  # the direction inside the window, east-north-up
@@ -337,7 +340,7 @@ def shift_back(observed, camera, exposures, traced, shifts):  # type: ignore[no-
     Rows of ``scratch``: sines of half the angle and of the angle, change of the direction outside
     (3), and room for three more.
     """
-    exposure, target = observed.exposure, (observed.h_g, traced.status)
+    exposure, h_g, status = observed.exposure, observed.h_g, traced.status
     rays, r_c = traced.rays, traced.r_c
     scratch = np.empty((8, r_c.size))
     half, sin_r, lower = scratch[0], scratch[1], scratch[2:5]
@@ -358,9 +361,9 @@ def shift_back(observed, camera, exposures, traced, shifts):  # type: ignore[no-
             last += np.uint64(1)
         span, e = (first, last), exposure[first]
         if 0 <= e < exposures.usable.size:
-            turn = exposures.rotation[e]
-            _shift_in_image(span, rays, scratch, camera, (turn, exposures.change_px[e]), shifts)
-            _shift_on_ground(span, rays, scratch, turn, target, shifts.ground)
+            turn, change_px = exposures.rotation[e], exposures.change_px[e]
+            _shift_in_image(span, rays, scratch, (camera, turn, change_px), shifts)
+            _shift_on_ground(span, rays, scratch, (turn, h_g, status), shifts.ground)
     for i in range(r_c.size):
         if math.isnan(r_c[i]):
             shifts.dx[i] = shifts.dy[i] = shifts.ground[i] = math.nan

@@ -97,7 +97,10 @@ def compare_control(
     plan: Plan, observations: Observations, setup: CorrectionSetup, stations: Stations, heights:
     HeightSystem, *, ledger: Ledger,
 ) -> ControlComparison | None:  # fmt: skip
-    """Control points where rays meet, before and after; None without (CONTROL-MISSING)."""
+    """Control points where their rays meet, before and after; None without control, or rays.
+
+    Refuses (CONTROL-MISSING) a table of which no point is observed; CONTROL-RAYS is a loss.
+    """
     section = plan.mission.control
     if section is None:
         return None

@@ -101,8 +101,9 @@ class TieEvidence:
         ground[np.unique(rays.point)[met]] = height = model.heights(row, column)
         evidence = replace(self, ties=replace(self.ties, ground=ground[self.ties.point]))
         left, high = scatter_of(height - h_m), self.stations.h_msl_m[self.stations.ok]
-        flat = _FLAT * np.nanmedian(high - np.nanmedian(height))
-        if not np.isfinite(left) or left <= _OF_RELIEF * scatter_of(h_m) or left <= flat:
+        if not np.isfinite(left) or left <= _OF_RELIEF * scatter_of(h_m):
+            return evidence, ""
+        if left <= _FLAT * np.nanmedian(high - np.nanmedian(height)):
             return evidence, ""
         others, size = [], np.array(model.size)[:, None]
         for exchanged, *reverse in list(product((False, True), repeat=3))[1:]:

@@ -4,7 +4,7 @@ Lengths in images are in units of the longer side, counted from the image's cent
 corner of pixels (w/2, h/2) of COLMAP's: a pixel (0, 0) of OpenSfM's is the centre of the upper left
 one. Image points have nine decimals (OpenSfM itself writes six: 0.007 px at 14,000 px), good to
 1e-5 px up to 20,000 px. The frame is topocentric about reference_lla, east, north, up. Names of
-images and cameras are those of the run; tracks are numbers, as the ids of `colmap_model`.
+images and cameras are those of the run; tracks are numbers, as the ids of `colmap_files`.
 """
 
 import json
