@@ -34,8 +34,8 @@ def pressure_gradient_layer(
 
     p = p_b (T_b / (T_b + L_b dH)) ** (G M0 / (R* L_b)), with L_b in the exponent (the paper
     prints T_b) and the unit geopotential G, since gravity is already in H. ``lapse``: L_b [K/m'],
-    not zero; however small, the result goes over into Eq. 53 without loss of digits. ``rise``: dH
-    [m'], negative below the base. ``constant``: G M0 / R* [K/m'].
+    not zero; however small, the result goes over into Eq. 53 without loss of digits. Base in [Pa]
+    and [K]; ``rise``: dH [m'], negative below it. ``constant``: G M0 / R* [K/m'].
 
     >>> float(pressure_gradient_layer(101325.0, 288.15, -0.0065, 11000.0).round(2))
     22632.06

@@ -274,8 +274,8 @@ def _thermometer(
 class Bins:
     """Means of readings in bins; (m,) arrays, in no particular order.
 
-    ``sigma`` of the mean from the scatter of the readings, ``count`` of those averaged;
-    ``rejected`` (n,) the outliers among all the readings.
+    Mean ``seconds`` since the epoch, geopotential ``height`` [m'] and value; ``sigma`` of it from
+    the scatter of the ``count`` readings; ``rejected`` (n,) the outliers among all.
     """
 
     seconds: Array

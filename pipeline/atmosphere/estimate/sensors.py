@@ -121,8 +121,8 @@ class FlownHeights:
 
 @dataclass(frozen=True, eq=False)
 class Thermometer(Readings):
-    """Means of a thermometer in bins [K]; ``since_s`` take-off [s]; ``heating`` V^2/(2 c_p) of the
-    true airspeed [K], or None."""
+    """Means of a thermometer in bins [K]; ``since_s`` time since take-off [s]; ``heating``
+    V^2/(2 c_p) of the true airspeed [K], or None."""
 
     quantity = "temperature"
     seconds: Array
@@ -171,8 +171,9 @@ class Thermometer(Readings):
 
 @dataclass(frozen=True, eq=False)
 class Barometer(Readings):
-    """Means of ln of a static pressure [Pa] in bins of GNSS height; ``highest`` of it, from which a
-    lost share of its change counts; ``dynamic`` pressure rho_0 V^2/2 [Pa], or None."""
+    """Means of ln of a static pressure [Pa] in bins of GNSS height; ``highest`` ln of it, from
+    which a lost share of change counts; ``dynamic`` pressure rho_0 V^2/2 of the indicated airspeed
+    [Pa], or None."""
 
     quantity = "pressure"
     seconds: Array

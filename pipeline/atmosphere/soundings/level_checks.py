@@ -5,7 +5,6 @@ unusual but physical (steep layers, an index that grows with height) is kept, an
 """
 
 import math
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -17,7 +16,7 @@ from pipeline.atmosphere.refractive_index import vapour_pressure
 from pipeline.atmosphere.soundings.levels import RawLevels, Sounding
 from pipeline.errors import InputError
 from pipeline.geodesy import normal_gravity
-from pipeline.ledger import Entry, Notes, fallback, loss, note, warning
+from pipeline.ledger import Notes, fallback, loss, note, warning
 from pipeline.units import (
     DEGREE,
     HECTOPASCAL,
@@ -75,7 +74,22 @@ def check_levels(
     sounding = Sounding(
         h, p, t, e, raw.time_ns, raw.station, raw.latitude_rad, raw.longitude_rad, raw.origin
     )
-    return sounding, (*raw.notes, *_unusual_air(sounding, raw.where))
+    notes, where = list(raw.notes), raw.where
+    # Layers that are unstable, or in which air grows denser upwards, as near hot ground.
+    grid = np.arange(h[0], h[-1], _SLICE_M)
+    lapse = -np.diff(np.interp(grid, h, t)) / _SLICE_M
+    if count := int((lapse > ADIABATIC_K_PER_M + _STEEPER_K_PER_M).sum()):
+        i = int(np.argmax(lapse))
+        notes.append(warning(
+            "SOUNDING-SUPERADIABATIC", where=where, count=count, k_per_km=1e3 * lapse[i],
+            height_m=grid[i], over_m=_SLICE_M * count,
+        ))  # fmt: skip
+    n = refractive_index.refractivity_gyer(t, p, np.nan_to_num(e))
+    rising = np.diff(n) > _INDEX_ROUNDING * n[:-1]
+    if count := int(rising.sum()):
+        lowest = h[int(np.argmax(rising))]
+        notes.append(warning("SOUNDING-INDEX-RISES", where=where, count=count, lowest=lowest))
+    return sounding, tuple(notes)
 
 
 def refuse_wrong_units(raw: RawLevels) -> None:
@@ -269,23 +283,3 @@ def _mean_of_runs(raw: RawLevels, key: Array) -> RawLevels:
 def _vapour(raw: RawLevels) -> Array:
     e = raw.vapour_pressure_pa
     return np.full(raw.pressure_pa.shape, np.nan) if e is None else e
-
-
-def _unusual_air(sounding: Sounding, where: str) -> Iterator[Entry]:
-    """Layers that are unstable, or in which air grows denser upwards, as near hot ground."""
-    grid = np.arange(sounding.h_m[0], sounding.h_m[-1], _SLICE_M)
-    lapse = -np.diff(np.interp(grid, sounding.h_m, sounding.temperature_k)) / _SLICE_M
-    steep = lapse > ADIABATIC_K_PER_M + _STEEPER_K_PER_M
-    if count := int(steep.sum()):
-        i = int(np.argmax(lapse))
-        yield warning(
-            "SOUNDING-SUPERADIABATIC", where=where, count=count, k_per_km=1e3 * lapse[i],
-            height_m=grid[i], over_m=_SLICE_M * count,
-        )  # fmt: skip
-    n = refractive_index.refractivity_gyer(
-        sounding.temperature_k, sounding.pressure_pa, np.nan_to_num(sounding.vapour_pressure_pa)
-    )
-    rising = np.diff(n) > _INDEX_ROUNDING * n[:-1]
-    if count := int(rising.sum()):
-        lowest = sounding.h_m[int(np.argmax(rising))]
-        yield warning("SOUNDING-INDEX-RISES", where=where, count=count, lowest=lowest)
