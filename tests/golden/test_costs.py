@@ -255,8 +255,8 @@ THINGS = {
         {"pipeline/tables/exports/toy.py": EXPORT},
         {
             "pipeline/tables/exports/__init__.py": (
-                ("maps, opk, radial\n", "maps, opk, radial, toy\n"),
-                ("maps, opk, *BLOCKS", "maps, opk, toy, *BLOCKS"),
+                ("    station_files,\n)", "    station_files,\n    toy,\n)"),
+                ("opensfm_project, bingo,", "opensfm_project, bingo, toy,"),
             )
         },
     ),

@@ -14,7 +14,13 @@ import numpy as np
 from pipeline.atmosphere.air_samples import AirSamples
 from pipeline.atmosphere.climatology import Climatology, climatology, month_of
 from pipeline.atmosphere.covariance import ProfileCovariance
-from pipeline.atmosphere.estimate import candidates, estimate_checks, sensor_checks, sensors
+from pipeline.atmosphere.estimate import (
+    candidates,
+    estimate_checks,
+    sensor_checks,
+    sensors,
+    thermometer_checks,
+)
 from pipeline.atmosphere.estimate.candidates import Candidate, ExternalSources, SourceUse
 from pipeline.atmosphere.estimate.external_readings import TimeAndPlace, reason_uninformative
 from pipeline.atmosphere.estimate.sensors import SensorSettings
@@ -196,7 +202,7 @@ def _first_that_passes(
             flight=flight,
         )  # fmt: skip
         name = candidate.main.name if candidate.main is not None else ""
-        check = estimate_checks.thermometer_is_outside(
+        check = thermometer_checks.thermometer_is_outside(
             candidate.samples, made, background, moisture, settings
         )
         if not check and candidate.main is not None:

@@ -251,7 +251,7 @@ def _system(crs: str, heights: str, where: str, key: str) -> tuple[Any, Any]:
         of_system = "ellipsoid"
     if of_system != heights:
         raise InputError.of("CRS-VERTICAL/stated", where, named=key, name=whole.name,
-                            of_system=of_system, heights=heights)  # fmt: skip
+                            these=of_system, heights=heights)  # fmt: skip
     if heights == "ellipsoid" and abs(ellipsoid.semi_major_metre - WGS84_A) > 1.0:
         raise InputError.of("CRS-VERTICAL/ellipsoid", where, named=key, name=horizontal.name,
                             ellipsoid=ellipsoid.name)  # fmt: skip

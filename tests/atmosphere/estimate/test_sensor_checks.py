@@ -23,11 +23,11 @@ from pipeline.atmosphere.estimate.estimate_checks import (
     PASSED,
     hygrometer_is_outside,
     is_plausible,
-    thermometer_is_outside,
 )
 from pipeline.atmosphere.estimate.sensor_checks import is_maybe_indoors, usable_sensors
 from pipeline.atmosphere.estimate.sensors import SensorSettings
 from pipeline.atmosphere.estimate.solver import estimate
+from pipeline.atmosphere.estimate.thermometer_checks import thermometer_is_outside
 from pipeline.ledger import Kind, Ledger
 
 US1976 = standard_atmosphere("us1976")
