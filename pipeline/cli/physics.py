@@ -21,11 +21,10 @@ def _methods() -> list[str]:
     return list(METHODS)
 
 
-def _atmospheres() -> list[str]:
-    return list(import_module("pipeline.atmosphere.standard").ATMOSPHERES)
-
-
-_NAMED = typer.Option(help="name of a standard atmosphere", autocompletion=_atmospheres)
+_NAMED = typer.Option(
+    help="name of a standard atmosphere",
+    autocompletion=lambda: list(import_module("pipeline.atmosphere.standard").ATMOSPHERES),
+)
 Atmosphere = Annotated[str, _NAMED]
 Radius = Annotated[float, typer.Option(help="radius of the earth, metres")]
 

@@ -79,21 +79,18 @@ class TrajectoryColumns(PoseColumns):
 
     @model_validator(mode="after")
     def _check_groups(self) -> Self:
-        geodetic, cartesian, angles, quaternion = (
-            self._has(*names.split())
-            for names in ("latitude longitude height", "x y z", "roll pitch yaw", "q_w q_x q_y q_z")
-        )
+        complete = []
+        for names in ("latitude longitude height", "x y z", "roll pitch yaw", "q_w q_x q_y q_z"):
+            given = [name for name in names.split() if name in self.named]
+            if given and len(given) < len(names.split()):
+                raise ValueError(f"{given[0]} needs {', '.join(names.split())}")
+            complete.append(bool(given))
+        geodetic, cartesian, angles, quaternion = complete
         if geodetic == cartesian:
             raise ValueError("give either latitude, longitude, height or x, y, z")
         if angles and quaternion:
             raise ValueError("give either roll, pitch, yaw or q_w, q_x, q_y, q_z")
         return self
-
-    def _has(self, *names: str) -> bool:
-        given = [name for name in names if name in self.named]
-        if given and len(given) < len(names):
-            raise ValueError(f"{given[0]} needs {', '.join(names)}")
-        return bool(given)
 
 
 class TrajectorySection(Section):

@@ -55,7 +55,14 @@ def refuse_marked(path: Path, direction: Direction = "remove") -> None:
     files = sorted(p for p in path.iterdir() if p.is_file()) if path.is_dir() else [path]
     folder = path if path.is_dir() else path.parent
     sidecars = sorted(p for p in folder.glob(f"*{SIDECAR}") if p.is_file())
-    named = [(sidecar, *item) for sidecar in sidecars for item in _named_in(sidecar)]
+    named = []
+    for sidecar in sidecars:
+        try:
+            items = json.loads(sidecar.read_text(encoding="utf-8"))["files"]
+            named += [(sidecar, str(item["name"]), str(item["sha256"])) for item in items]
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            name = type(error).__name__
+            raise InputError.of("OBS-MARK-UNREADABLE", sidecar, name=name) from None
     by_content = {sha256: sidecar for sidecar, _, sha256 in named}
     by_name = {name: sidecar for sidecar, name, _ in named}
     for file in files:
@@ -92,15 +99,6 @@ def refuse_done(path: Path, schema: pa.Schema, direction: Direction) -> None:
     if removing:
         raise InputError.of("OBS-ALREADY-CORRECTED", path, why=why)
     raise InputError.of("OBS-ALREADY-DISPLACED", path, why=why)
-
-
-def _named_in(sidecar: Path) -> list[tuple[str, str]]:
-    """Name and SHA-256 of the files that a sidecar names."""
-    try:
-        files = json.loads(sidecar.read_text(encoding="utf-8"))["files"]
-        return [(str(item["name"]), str(item["sha256"])) for item in files]
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError.of("OBS-MARK-UNREADABLE", sidecar, name=type(error).__name__) from None
 
 
 def _database_is_marked(path: Path) -> bool:
