@@ -11,7 +11,7 @@ import os
 import pickle
 from contextlib import suppress
 from dataclasses import is_dataclass
-from enum import Enum
+from enum import Enum, EnumType
 from typing import Any
 
 from pipeline.caches import kept_values
@@ -88,6 +88,8 @@ def recall(name: str) -> Any:
 
 class _Reader(pickle.Unpickler):
     def find_class(self, module: str, name: str) -> Any:
+        if (module, name) == ("builtins", "getattr"):
+            return self.member
         room = module.partition(".")[0]
         if name in _OTHERS.get(room, ()):
             return super().find_class(module, name)
@@ -97,3 +99,10 @@ class _Reader(pickle.Unpickler):
             if plain or (isinstance(found, type) and is_dataclass(found)):
                 return found
         raise pickle.UnpicklingError(f"{module}.{name} is no plain value")
+
+    @staticmethod
+    def member(of: Any, name: str) -> Any:
+        """A member of an enumeration, which Python before 3.11.4 writes as its attribute."""
+        if isinstance(of, EnumType) and name in of.__members__:
+            return of[name]
+        raise pickle.UnpicklingError(f"{name} is no member of an enumeration")

@@ -16,6 +16,7 @@ import pipeline
 from pipeline import caches
 from pipeline.batch import keys, value_cache
 from pipeline.errors import LogError
+from pipeline.ledger import Kind, Ledger
 from pipeline.stages import correction, inputs
 from pipeline.stages.commands.finished_run import verify_run
 from pipeline.stages.story import mission_status, run_mission
@@ -59,6 +60,22 @@ def test_what_goes_while_the_folder_is_read_leaves_nothing_open(cache):
     value_cache.keep(named(0), 1)
     gc.collect()
     assert value_cache.recall(named(0)) == 1
+
+
+class Attribute:
+    """Written as Python before 3.11.4 writes members of enumerations."""
+
+    def __init__(self, of, name):
+        self.words = of, name
+
+    def __reduce__(self):
+        return getattr, self.words
+
+
+def test_members_of_enumerations_are_read_as_older_pythons_wrote_them():
+    assert value_cache.unpacked(value_cache.packed(Attribute(Kind, "LOSS"))) is Kind.LOSS
+    for other in (Attribute(Kind, "mro"), Attribute(Ledger, "loss")):
+        assert value_cache.unpacked(value_cache.packed(other)) is None
 
 
 def test_without_a_cache_nothing_is_kept_and_nothing_fails(cache):
