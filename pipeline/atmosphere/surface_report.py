@@ -46,6 +46,7 @@ class SurfaceReport:
     sigma_pressure_pa: float = _QNH_SIGMA_PA
     distance_m: float = 0.0
     across: bool = False
+    is_metar: bool = False
 
     @property
     def name(self) -> str:
@@ -121,7 +122,7 @@ def parse_metar(
     e = float(vapour_pressure(1.0, dew, pressure if math.isfinite(pressure) else _SEA_LEVEL_PA))
     sigma = _TENTH_K if _TENTHS.search(flat) else _WHOLE_K
     origin = f"METAR {report.station_id}".strip()
-    return SurfaceReport(station_h_m, pressure, t, e, time_ns, origin, sigma)
+    return SurfaceReport(station_h_m, pressure, t, e, time_ns, origin, sigma, is_metar=True)
 
 
 def _decode(flat: str, where: str) -> tuple[Any, list[str]]:

@@ -248,17 +248,10 @@ def trigger_notes(channels: tuple[Channel, ...], chosen: Channel) -> Notes:
         fired = [c for c in channels if c.source.message == "CAM" and _of_one_camera(trigger, c)]
         names, events = ", ".join(c.name for c in fired), sum(map(len, fired))
         if len(trigger) > events:
-            lost = len(trigger) - events
-            notes.append(
-                loss(
-                    "EVENTS-LOST/triggers",
-                    where=names,
-                    count=lost,
-                    events=events,
-                    sent=len(trigger),
-                    trigger=trigger.name,
-                )
-            )
+            notes.append(loss(
+                "EVENTS-LOST/triggers", where=names, count=len(trigger) - events, events=events,
+                sent=len(trigger), trigger=trigger.name,
+            ))  # fmt: skip
     return tuple(notes)
 
 

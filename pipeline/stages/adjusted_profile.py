@@ -31,13 +31,10 @@ from pipeline.flight.stations import NO_TIME, Stations
 from pipeline.geodesy import longitudes_near
 from pipeline.ledger import Ledger
 from pipeline.refraction.effect import FlightAir, effects_on_r
-from pipeline.stages.inputs import FlightLog
+from pipeline.stages.inputs import FlightLog, Track
 from pipeline.tables.soundings import read_sounding
 from pipeline.tables.weather_files import FlightArea, read_model_field
-from pipeline.units import DEGREE, HECTOPASCAL, ZERO_CELSIUS_K, Array, Integers
-
-Track = tuple[Integers, Array, Array]
-"""Times [Unix ns], latitudes and longitudes [rad] of a flight as logged."""
+from pipeline.units import DEGREE, HECTOPASCAL, ZERO_CELSIUS_K
 
 Levels = tuple[list[float], float]
 """Low, middle and high camera height, and height of the ground [m above sea level]."""
@@ -72,7 +69,7 @@ def read_model_air(
     section = plan.mission.atmosphere.model
     if section is None:
         return None
-    path, track = plan.input("weather model").path, track_of(flight)
+    path, track = plan.input("weather model").path, flight.track
     if middle.time_ns is None or not math.isfinite(middle.latitude_rad + middle.longitude_rad):
         raise InputError.of("MODEL-TIME/flight", path.name)
     of_middle = middle.latitude_rad, middle.longitude_rad, middle.time_ns
@@ -98,13 +95,6 @@ def read_model_air(
     # It is the air where the flight met it: no distance adds to its errors.
     column = replace(column, latitude_rad=middle.latitude_rad, longitude_rad=middle.longitude_rad)
     return ModelAir(field, column, place, track)
-
-
-def track_of(flight: FlightLog) -> Track | None:
-    """Where the aircraft was by its log."""
-    if (position := flight.roles.get("position")) is None:
-        return None
-    return position.time_ns, position["lat_rad"], position["lon_rad"]
 
 
 def sampled_place(

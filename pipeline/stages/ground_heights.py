@@ -73,8 +73,9 @@ class GivenGround:
         self, batch: Batch, station: Integers, setup: CorrectionSetup | None = None
     ) -> GroundHeights:
         """(n,) heights above sea level [m]; NaN where implausible."""
-        constant = np.full(len(batch), self.constant_m, dtype=np.float64)
-        given = constant if batch.ground is None else batch.ground
+        given = batch.ground
+        if given is None:
+            given = np.full(len(batch), self.constant_m, dtype=np.float64)
         plausible = plausible_heights(given)
         offset = np.append(self.offset_m, np.nan)[station]
         # Without a station there is no offset; such an observation gets the status no_station.

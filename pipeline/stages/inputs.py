@@ -27,8 +27,12 @@ from pipeline.tables.imports import CAMERA_EVENTS, TRAJECTORIES, reader_of
 from pipeline.tables.imports.agreement import compare_with_log
 from pipeline.tables.imports.stated import Stated
 from pipeline.tables.observations import Observations, open_observations
+from pipeline.units import Array, Integers
 
 _MOST_KEPT_BYTES = 256_000_000  # of the samples of a log: more are decoded again
+
+Track = tuple[Integers, Array, Array]
+"""Times [Unix ns], latitudes and longitudes [rad] of a flight."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +63,13 @@ class FlightLog:
         fixed = aircraft is not None and not is_of_gimbal(aircraft.source.message)
         own = {"aircraft_attitude": aircraft} if aircraft is not None and fixed else {}
         return own | self.roles | {"attitude": self.heads[camera]}
+
+    @property
+    def track(self) -> Track | None:
+        """Where the aircraft was, None where no position is known."""
+        if (position := self.roles.get("position")) is None:
+            return None
+        return position.time_ns, position["lat_rad"], position["lon_rad"]
 
     @property
     def air_roles(self) -> dict[str, Channel]:

@@ -399,7 +399,7 @@ RULES: tuple[Callable[[Facts], Findings], ...] = (
 )  # fmt: skip
 
 
-def judge(facts: Facts, ledger: Ledger) -> None:
+def report_findings(facts: Facts, ledger: Ledger) -> None:
     """Findings of all rules, and warnings of those that the mission file accepts.
 
     A warning (DEM-UNVERIFIED) where nothing could contradict its elevation model. Losses cannot be

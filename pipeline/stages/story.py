@@ -79,14 +79,12 @@ class PreparedMission:
 
     def track(self) -> tuple[NDArray[np.int64], Array, Array, Array]:
         """(n,) time [Unix ns], latitude, longitude [rad], height above sea level [m] as logged."""
-        position, height = (self.flight.roles.get(role) for role in ("position", "height"))
-        if position is None or height is None:
+        track, height = self.flight.track, self.flight.roles.get("height")
+        if track is None or height is None:
             none = np.empty(0)
             return np.empty(0, np.int64), none, none, none
-        h_msl, _ = heights_at(
-            height, position.time_ns, self.flight.heights, self.plan.mission.max_gap_s
-        )
-        return position.time_ns, position["lat_rad"], position["lon_rad"], h_msl
+        gap_s = self.plan.mission.max_gap_s
+        return *track, heights_at(height, track[0], self.flight.heights, gap_s)[0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,16 +118,19 @@ def run_mission(
     progress.start("hashing the inputs")
     plan = make_plan(mission_file, ref.folder, verify=verify_inputs)
     with places_named(plan):
-        run = run_and_publish if isinstance(plan.output, Place) else run_plan
+        run = run_plan
+        if isinstance(plan.output, Place):
+            run = partial(run_and_publish, place=plan.output)
         return run(plan, force=force, progress=progress, helpers=helpers)
 
 
-def run_and_publish(plan: Plan, *, force: bool, progress: Progress, helpers: Helpers) -> Outcome:
+def run_and_publish(
+    plan: Plan, *, place: Place, force: bool, progress: Progress, helpers: Helpers
+) -> Outcome:
     """Run a mission whose results go to object storage: made in the user's cache, then published.
 
     A run whose publication was interrupted is only published.
     """
-    place = Place.of(str(plan.output))
     before = Publication(place, plan.fingerprint)
     earlier = finished_before(plan, force=force)
     if earlier is not None:
@@ -304,7 +305,7 @@ def correct_mission(
     )  # fmt: skip
     causes = plausibility.causes_of_statuses(facts)
     statistics.report_flagged(ledger, causes)
-    plausibility.judge(facts, ledger)
+    plausibility.report_findings(facts, ledger)
     air = replace(air, effects=facts.effects)
     manifest = manifest_of(
         prepared.plan, prepared.flight, stations, air, statistics=statistics, setup=setup,

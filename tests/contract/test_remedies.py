@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 
 from pipeline.atmosphere.soundings.formats import PLAIN_COLUMNS
+from pipeline.batch import plan
 from pipeline.config import Mission
 from pipeline.errors import texts
 
@@ -49,3 +50,11 @@ def test_remedies_name_keys_that_exist():
     assert len(words) >= 7
     assert "station_h_msl_m" in words
     assert {word: files for word, files in words.items() if word not in known} == {}
+
+
+def test_inputs_stand_under_keys_that_exist():
+    """Under a key that is misspelt no path is found, and that input would not be hashed."""
+    known = keys_of_mission_files(Mission.model_json_schema())
+    words = {word for key in plan._INPUTS.values() for word in key.split(".")}
+    assert words - {"<name>"} <= known
+    assert len(plan._INPUTS) >= 16

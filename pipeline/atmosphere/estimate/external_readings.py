@@ -165,7 +165,7 @@ def distance_notes(
         hours = flight.hours_from(report.time_ns)
         if report.time_ns is None and flight.time_ns is not None:
             yield fallback("SURFACE-UNDATED", where=report.name, hours=UNDATED_REPORT_H)
-        if hours > FAR_REPORT_H and report.origin.startswith("METAR"):
+        if hours > FAR_REPORT_H and report.is_metar:
             yield warning("METAR-FAR-IN-TIME", where=report.name, hours=hours)
         elif hours > FAR_REPORT_H:
             yield warning("SURFACE-FAR-IN-TIME", where=report.name, hours=hours)

@@ -67,9 +67,9 @@ def subtract_known_biases(
         corrected[sensor] = replace(readings, value=readings.value - known.mean)
         rest[fault] = SensorCalibration(0.0, known.sigma, known.mean)
         texts.append(f"{FAULT_TEXTS[fault]} of {readings.name} {known.mean:g}")
-    told = note("AIR-CALIBRATED", where=_MISSION_KEY, count=len(texts), biases="; ".join(texts))
+    entry = note("AIR-CALIBRATED", where=_MISSION_KEY, count=len(texts), biases="; ".join(texts))
     result = replace(samples, **corrected), replace(settings, calibration=rest)
-    return result, (told,) if texts else ()
+    return result, (entry,) if texts else ()
 
 
 def check_calibration(made: Estimate, settings: SensorSettings) -> Notes:

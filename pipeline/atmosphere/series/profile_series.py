@@ -272,12 +272,12 @@ def add_ageing(
             airs.append(air if age.is_fresh else replace(air, time_ns=middles[i], ages=age))
         new[i] = place[key]
     oldest = max(ages, key=lambda age: float(age.hours.max()))
-    told = note(
+    aged = note(
         "AIR-AGED", hours=np.hypot(oldest.hours.max(), FRESH_S / 3600.0),
         height_m=oldest.h_m[int(np.argmax(oldest.hours))],
         count=int(np.isin(new[group], [i for i, air in enumerate(airs) if air.ages]).sum()),
     )  # fmt: skip
-    return ProfileSeries(tuple(airs), new[group]), (told,)
+    return ProfileSeries(tuple(airs), new[group]), (aged,)
 
 
 def interpolate_profiles(a: TimedProfile, b: TimedProfile, share: float) -> TimedProfile:

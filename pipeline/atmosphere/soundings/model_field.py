@@ -40,10 +40,7 @@ from pipeline.units import (
 MODEL_LEVELS = 137  # of ERA5 and of ECMWF's forecasts since 2013
 
 _RATIO = 0.622  # of the molar masses of water and dry air
-_SURFACE_PA = (
-    30_000.0,
-    level_checks.HIGHEST_PA,
-)  # the highest pressure of levels that reach the ground
+_SURFACE_PA = 30_000.0, level_checks.HIGHEST_PA  # the highest of levels that reach the ground
 _MOST_FRACTION = 1.6
 _SPECIFIC, _RELATIVE = (-1e-3, 1e-6, 0.05), (-0.3, 0.05, _MOST_FRACTION)
 """Of the driest level at least, where spectral models go below 0; of the wettest from, to."""

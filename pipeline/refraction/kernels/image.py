@@ -222,20 +222,27 @@ def _flag_without_ray(span, rays, outside, r_cc, status):  # type: ignore[no-unt
                 rays[k, i] = math.nan
 
 
-@entry(rows=0, most=24_000)
-def outgoing_rays(observed, camera, exposures, rays, status_and_r_cc):  # type: ignore[no-untyped-def]
-    """Fill the matrix of rays, a status where there is no ray to follow, and R_cc.
+@within
+def _end_of_exposure(exposure, first):  # type: ignore[no-untyped-def]
+    """The row after the last that follows ``first`` and is of the same exposure.
 
     Rows are unsigned: an index that might count from the end would keep the compiler from vectors.
     """
+    last = first + np.uint64(1)
+    while last < exposure.size and exposure[last] == exposure[first]:
+        last += np.uint64(1)
+    return last
+
+
+@entry(rows=0, most=24_000)
+def outgoing_rays(observed, camera, exposures, rays, status_and_r_cc):  # type: ignore[no-untyped-def]
+    """Fill the matrix of rays, a status where there is no ray to follow, and R_cc."""
     x, y, h_g, _, exposure = observed
     status, r_cc = status_and_r_cc
     scratch = np.empty((4, x.size))
     last = np.uint64(0)
     while last < x.size:
-        first, last = last, last + np.uint64(1)
-        while last < exposure.size and exposure[last] == exposure[first]:
-            last += np.uint64(1)
+        first, last = last, _end_of_exposure(exposure, last)
         span, e = (first, last), exposure[first]
         station = 0 <= e < exposures.usable.size and exposures.usable[e]
         then = OK if station else NO_STATION
@@ -356,9 +363,7 @@ def shift_back(observed, camera, exposures, traced, shifts):  # type: ignore[no-
         lower[2, i] = rays[APPARENT + 2, i] * back - sin_r[i] * sin_z
     last = np.uint64(0)
     while last < r_c.size:
-        first, last = last, last + np.uint64(1)
-        while last < exposure.size and exposure[last] == exposure[first]:
-            last += np.uint64(1)
+        first, last = last, _end_of_exposure(exposure, last)
         span, e = (first, last), exposure[first]
         if 0 <= e < exposures.usable.size:
             turn, change_px = exposures.rotation[e], exposures.change_px[e]

@@ -289,7 +289,7 @@ def test_what_has_no_time_or_place_is_told(flights):
         (placed, replace(report, time_ns=truth.start_ns + 4 * HOUR), ["SURFACE-FAR-IN-TIME"]),
         (
             placed,
-            replace(report, time_ns=truth.start_ns - 4 * HOUR, origin="METAR EDDF"),
+            replace(report, time_ns=truth.start_ns - 4 * HOUR, is_metar=True),
             ["METAR-FAR-IN-TIME"],
         ),
         (placed, replace(report, time_ns=truth.start_ns + 2 * HOUR), []),
