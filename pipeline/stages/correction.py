@@ -31,10 +31,7 @@ from pipeline.refraction.ray import PublishedRays
 from pipeline.refraction.ray_table import RayTable
 from pipeline.refraction.status_codes import NO_STATION
 from pipeline.refraction.uncertainty.sigmas import Sigmas, Uncertainty
-from pipeline.stages.ground_heights import (
-    Ground,
-    GroundHeights,
-)
+from pipeline.stages.ground_heights import Ground, GroundHeights
 from pipeline.stages.statistics import SAMPLED_ROWS, SampledRows, Statistics
 from pipeline.tables.geodata.object_points import matching_rows
 from pipeline.tables.observations import Batch, Observations

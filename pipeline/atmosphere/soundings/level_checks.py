@@ -17,13 +17,7 @@ from pipeline.atmosphere.soundings.levels import RawLevels, Sounding
 from pipeline.errors import InputError
 from pipeline.geodesy import normal_gravity
 from pipeline.ledger import Notes, fallback, loss, note, warning
-from pipeline.units import (
-    DEGREE,
-    HECTOPASCAL,
-    HYDROSTATIC_CONSTANT,
-    ZERO_CELSIUS_K,
-    Array,
-)
+from pipeline.units import DEGREE, HECTOPASCAL, HYDROSTATIC_CONSTANT, ZERO_CELSIUS_K, Array
 
 FEWEST_LEVELS = 5
 """With fewer a sounding has less information than the climatology and a surface report."""

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from scipy.ndimage import median_filter
+from numpy.lib.stride_tricks import sliding_window_view
 
 from pipeline.flight.channels import Channel, TimeArray
 from pipeline.flight.evidence.quality import subset
@@ -99,7 +99,8 @@ def source_path(channel: Channel, quantity: str, channels: Iterable[Channel]) ->
     time_ns, n = channel.time_ns, len(channel)
     _, moved = places_of(channel, quantity)
     dt = np.diff(time_ns)[:, None] * 1e-9
-    rest = (moved / dt) - median_filter(moved / dt, size=(7, 1), mode="nearest")
+    around = sliding_window_view(np.pad(moved / dt, ((3, 3), (0, 0)), mode="edge"), 7, axis=0)
+    rest = moved / dt - np.partition(around, 3, axis=-1)[..., 3]  # about the median of seven
     velocity = velocity_at(channels, quantity, time_ns)
     by_velocity = moved / dt - 0.5 * (velocity[1:] + velocity[:-1])
     smaller = np.linalg.norm(by_velocity, axis=1) < np.linalg.norm(rest, axis=1)

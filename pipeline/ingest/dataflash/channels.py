@@ -23,13 +23,7 @@ from pipeline.ingest.boot_clock import (
 from pipeline.ingest.buffers import FileView, copy_rows, gather
 from pipeline.ingest.channel_builder import DecodedRows, channel_of, with_both_heights
 from pipeline.ingest.dataflash.records import HEADER, INSTANCE_FIELDS, RecordWalker
-from pipeline.ingest.fields import (
-    MessageMap,
-    columns_of_group,
-    extract,
-    is_number,
-    message_maps,
-)
+from pipeline.ingest.fields import MessageMap, columns_of_group, extract, is_number, message_maps
 from pipeline.ingest.log import Table
 from pipeline.ingest.stacking import PLACE
 from pipeline.ledger import Ledger
