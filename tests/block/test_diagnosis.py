@@ -14,7 +14,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from pipeline.block.diagnosis import StatedMission, diagnosis
+from pipeline.block.diagnosis import StatedMission, diagnosis, with_other_axes
 from pipeline.block.image_rays import ImageRays, Orientations, straightened
 from pipeline.flight.mount import Mount
 from pipeline.refraction.camera.brown_conrady import BrownConrady
@@ -191,6 +191,18 @@ def mirrored(camera: Camera) -> Camera:
 
 def exchanged_axes(camera: Camera) -> Camera:
     return replace(camera, cx_px=camera.cy_px, cy_px=camera.cx_px)
+
+
+@pytest.mark.parametrize(
+    ("axes", "cx", "cy"),
+    [((False, 1, 1), 60.0, 30.0), ((False, -1, 1), 40.0, 30.0), ((False, 1, -1), 60.0, 50.0),
+     ((True, 1, 1), 40.0, 50.0), ((True, -1, 1), 60.0, 50.0), ((True, 1, -1), 40.0, 30.0)],
+)  # fmt: skip
+def test_a_principal_point_along_other_axes(axes, cx, cy):
+    """10 px right of the centre of 100 x 80 px, and 10 px above it."""
+    camera = Camera(100, 80, 50.0, 50.0, 60.0, 30.0)
+    other = with_other_axes(camera, *axes)
+    assert (other.cx_px, other.cy_px) == (cx, cy)
 
 
 def other_sign(camera: Camera) -> Camera:
