@@ -18,6 +18,7 @@ from typing import Any
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 import yaml
@@ -104,6 +105,15 @@ class MissionFolder:
 
     def measurements(self) -> pa.Table:
         return pq.read_table(self.folder / "observations.parquet").replace_schema_metadata(None)
+
+    def measured_often(self, copies: int) -> pa.Table:
+        """The measurements over and over, each time of other points."""
+        once, parts = self.measurements(), []
+        place = once.schema.get_field_index("point")
+        for number in range(copies):
+            point = pc.binary_join_element_wise(once["point"].cast(pa.string()), str(number), "-")
+            parts.append(once.set_column(place, "point", point))
+        return pa.concat_tables(parts).combine_chunks()
 
     def observe(self, table: pa.Table, name: str = "own.parquet") -> None:
         """Make a table the observations of the mission."""

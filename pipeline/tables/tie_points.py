@@ -26,7 +26,8 @@ class TiePoints:
     """Observations of points in two or more images, (n,): in COLMAP's pixels, by point.
 
     ``image`` are rows of ``images``; ``point`` counts from 0. ``ground`` is the given
-    height of the point [m], NaN where none is.
+    height of the point [m], NaN where none is. ``repeated`` names a point and its image for each
+    row read that repeats one.
     """
 
     images: tuple[str, ...]
@@ -35,6 +36,7 @@ class TiePoints:
     x_px: Array
     y_px: Array
     ground: Array
+    repeated: tuple[str, ...] = ()
 
 
 def draw_tie_points(observations: Observations, most: int) -> TiePoints:
@@ -55,7 +57,10 @@ def draw_tie_points(observations: Observations, most: int) -> TiePoints:
         {"image": image, "point": point, "x": batch.x_px, "y": batch.y_px, "ground": given}
     )
     known = (image >= 0) & batch.point.is_valid().to_numpy(zero_copy_only=False)
-    table = table[known].dropna(subset=["x", "y"]).drop_duplicates(["image", "point"])
+    table = table[known].dropna(subset=["x", "y"])
+    again = table.index[table.duplicated(["image", "point"])]
+    repeated = tuple(f"{batch.point[row]} in {batch.image[row]}" for row in again.tolist())
+    table = table.drop(again)
     table = table[table.groupby("point")["image"].transform("size") > 1]
     # In the order of hashes, the first point of an image comes before the second of any.
     table = table.sort_values(["point", "image"])
@@ -71,6 +76,7 @@ def draw_tie_points(observations: Observations, most: int) -> TiePoints:
         table["x"].to_numpy(),
         table["y"].to_numpy(),
         table["ground"].to_numpy(),
+        repeated,
     )
 
 

@@ -164,8 +164,8 @@ def write_trajectory(path: Path, recipe: str) -> None:
 
 def write_sounding(path: Path, recipe: str) -> None:
     h = np.arange(400.0, 12001.0, 200.0)
-    temperature = 288.15 - 0.0065 * (h - 400.0)
-    pressure = 974.0 * (temperature / 288.15) ** (9.80665 * 0.0289644 / 8.31432 / 0.0065)
+    temperature = 294.15 - 0.0065 * (h - 400.0)
+    pressure = 974.0 * (temperature / 294.15) ** (9.80665 * 0.0289644 / 8.31432 / 0.0065)
     year, colder = (2024, 12.0) if recipe else (2025, 0.0)
     pd.DataFrame(
         {

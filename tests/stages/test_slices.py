@@ -36,7 +36,7 @@ def tree(folder: Path) -> dict[str, str]:
 @pytest.fixture
 def large(mission):
     """A mission of a dozen parts."""
-    mission.observe(pa.concat_tables([mission.measurements()] * COPIES))
+    mission.observe(mission.measured_often(COPIES))
     mission.config["output"]["batch_rows"] = BATCH_ROWS
     return mission
 

@@ -6,6 +6,7 @@ import csv
 import json
 
 import numpy as np
+import pyarrow as pa
 import pytest
 from pymavlink.dialects.v20 import all as dialect
 
@@ -92,6 +93,14 @@ def test_a_limit_that_stations_exceed_ends_with_3(mission):
     assert ended.code == 3, ended.text
     assert "STATIONS-SIGMA" in ended.text
     assert "attitude (about a level axis)" in ended.text
+
+
+def test_a_table_joined_with_itself_ends_with_3(mission):
+    table = mission.measurements()
+    mission.observe(pa.concat_tables([table, table]))
+    ended = mission.run("--force")
+    assert ended.code == 3, ended.text
+    assert f"a point twice in an image, {table.num_rows} times" in " ".join(ended.text.split())
 
 
 def test_a_lag_from_feedback_needs_triggers(mission):

@@ -49,6 +49,7 @@ def test_points_of_one_image_and_unusable_rows_are_left_out(tmp_path):
     }
     assert found == {("a", 10, 20), ("b", 11, 21), ("b", 1, 2), ("c", 3, 4)}
     assert sorted(np.bincount(ties.point)) == [2, 2]
+    assert ties.repeated == ("2 in a",)
 
 
 def test_every_image_has_some_of_the_few_that_are_drawn(tmp_path):

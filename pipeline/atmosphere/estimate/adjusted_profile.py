@@ -128,8 +128,18 @@ def build_adjusted_profile(
         ledger.loss("AIR-SOURCE-FAR", f"{name} is not used: {why}", where=name)
     near = [sounding for sounding in soundings if sounding.name not in unused]
     reports = [report for report in surface if report.name not in unused]
+    try_all = partial(
+        _first_that_passes, background=background, settings=settings, moisture=moisture,
+        flight=flight,
+    )  # fmt: skip
+    own = try_all(candidates.candidates(usable, (), ()))[0].passed if near else None
+    against = estimate_checks.reasons_against(near, own and own[1], background, flight)
+    for name, why in against.items():
+        ledger.loss("AIR-SOURCE-REFUSED", f"{name} is not used: {why}", where=name)
+    unused |= against
+    near = [sounding for sounding in near if sounding.name not in unused]
     choices = candidates.candidates(usable, near, reports)
-    trials = ledger.take(_first_that_passes(choices, background, settings, moisture, flight))
+    trials = ledger.take(try_all(choices))
     flown = candidates.UsedSamples(samples, usable, trials.tried, refused=trials.refused)
     usage = partial(
         candidates.source_usage, external=external, background=background, standard=standard.name

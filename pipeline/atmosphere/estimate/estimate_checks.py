@@ -1,5 +1,6 @@
 """Checks of an estimate: physical air that predicts readings held out, and sensors that fit it."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,12 +9,18 @@ from pipeline.atmosphere import refractive_index
 from pipeline.atmosphere.air_samples import part_of
 from pipeline.atmosphere.climatology import Climatology
 from pipeline.atmosphere.covariance import RAY_STEPS, plane_rule
+from pipeline.atmosphere.estimate.external_readings import (
+    LEVEL_K,
+    TimeAndPlace,
+    sounding_departures,
+)
 from pipeline.atmosphere.estimate.sensors import Barometer, Humidities, Thermometer
 from pipeline.atmosphere.estimate.solver import Estimate, layout_of, solve
 from pipeline.atmosphere.estimate.state import air_of, prior_of
 from pipeline.atmosphere.hypsometry import ADIABATIC_K_PER_M, COLDEST_K, WARMEST_K, hats
+from pipeline.atmosphere.soundings import Sounding
 from pipeline.errors import texts
-from pipeline.units import ZERO_CELSIUS_K
+from pipeline.units import HECTOPASCAL, ZERO_CELSIUS_K, Array
 
 OVERTURNING_M, SUNNY_M = 500.0, 100.0
 """A steeper fall over less height than the first may be a lag, and over the second above the ground
@@ -39,6 +46,18 @@ CLOUD_RH, CLOUD_SHARE = 0.97, 0.9
 CLOUD_M, CLOUD_EXCESS_K_PER_M = 1000.0, 3e-3
 """Air whose readings are saturated, nine of ten over so much height [m'], does not cool by 3 K/km
 more than the saturated adiabat."""
+
+DRIEST_RH, DRY_BELOW_M = 0.011, 3000.0
+"""No air below is as dry as this throughout: the sensor is dead, or fractions are taken for per
+cent."""
+
+UNLIKELY_COLUMN = 4.0
+"""Sigmas of the climatology by which the lowest pressure of a column, or its temperatures in the
+mean of the lowest 3 km, may be off: 10 hPa, or 90 m of height, are one sigma of pressure."""
+
+LEAST_COMMON_M, CONTRADICTED_K, CONTRADICTED = 300.0, 2.0, 4.5
+"""A column and the flight's own sensors contradict each other if they share so much height [m'] and
+differ in the mean by so much, and by so many sigma."""
 
 MISFIT = 5.0  # readings with a larger sigma inflation factor disagree with the others
 
@@ -96,6 +115,69 @@ def is_plausible(made: Estimate, background: Climatology) -> Check:
             where = f"above {height[steepest]:.0f} m: air overturns at 9.8 K/km"
             return Check(f"temperature falls by {lapse:.1f} K/km {where}")
     return PASSED
+
+
+def reasons_against(
+    columns: Sequence[Sounding], own: Estimate | None, background: Climatology, flight: TimeAndPlace
+) -> dict[str, str]:
+    """Why columns are not used, by name: the climatology or the flight's ``own`` sensors."""
+    reasons = {}
+    for column in columns:
+        check = column_is_plausible(column, background)
+        if check and own is not None:
+            check = column_agrees(column, own, background, flight)
+        if not check:
+            reasons[column.name] = check.reason
+    return reasons
+
+
+def column_is_plausible(column: Sounding, background: Climatology) -> Check:
+    """Whether the climatology can have the lowest pressure and the temperatures of a column, whose
+    heights may be those above ground, or in feet, and which may be of another season."""
+    profile, spread = background.profile, background.spread
+    h, expected = float(column.h_m[0]), float(profile.pressure(column.h_m[0]))
+    fall = float(np.log(profile.pressure(0.0) / expected))
+    sigmas = np.log(column.pressure_pa[0] / expected) / np.hypot(spread.pressure_ratio, 0.02 * fall)
+    if abs(sigmas) > UNLIKELY_COLUMN:
+        return Check.failed(
+            "AIR-SOURCE-REFUSED/level", hpa=column.pressure_pa[0] / HECTOPASCAL, height_m=h,
+            sigmas=abs(sigmas), expected_hpa=expected / HECTOPASCAL,
+        )  # fmt: skip
+    heights: Array = column.h_m[column.h_m < h + 3000.0]
+    departure = column.temperature_k[: heights.size] - profile.temperature(heights)
+    sigmas = float(np.mean(departure / spread.sigma_temperature(heights)))
+    if abs(sigmas) > UNLIKELY_COLUMN:
+        return Check.failed(
+            "AIR-SOURCE-REFUSED/climate", kelvin=float(departure.mean()), sigmas=abs(sigmas)
+        )
+    return PASSED
+
+
+def column_agrees(
+    column: Sounding, own: Estimate, background: Climatology, flight: TimeAndPlace
+) -> Check:
+    """Whether temperatures of a column are, in the mean over the heights that both know, those that
+    the flight's ``own`` sensors give, within the uncertainty of these, its age and distance."""
+    gravity, edge = background.profile.gravity, own.profile.layers.edge
+    levels = gravity.geopotential_height(column.h_m)
+    low, high = max(own.readings.low, levels[0]), min(own.readings.high, levels[-1])
+    departures = sounding_departures((column,), background, flight)
+    if high - low < LEAST_COMMON_M or not departures:
+        return PASSED
+    h = np.linspace(low, high, 30)
+    measured = np.interp(h, levels, column.temperature_k)
+    mean = float(np.mean(measured - own.profile.temperature(gravity.height(h))))
+    # The variance of the mean of T(h); that of T_M stands for it.
+    parts = (
+        (hats(edge, h).mean(axis=0), own.covariance.matrix[: edge.size, : edge.size]),
+        (hats(departures[0].knot, h).mean(axis=0), departures[0].covariance()),
+    )
+    sigma = float(np.sqrt(LEVEL_K**2 + sum(weight @ matrix @ weight for weight, matrix in parts)))
+    if abs(mean) <= max(CONTRADICTED_K, CONTRADICTED * sigma):
+        return PASSED
+    return Check.failed(
+        "AIR-SOURCE-REFUSED/flight", kelvin=mean, sigmas=abs(mean) / sigma, extent=high - low
+    )
 
 
 def has_information(made: Estimate, background: Climatology, moisture: Climatology) -> Check:
@@ -163,6 +245,8 @@ def hygrometer_is_outside(made: Estimate, moisture: Climatology) -> Check:
         if not isinstance(readings, Humidities) or readings.fault is None:
             continue
         h = gravity.height(readings.height)
+        if h.min() < DRY_BELOW_M and readings.value.max() <= DRIEST_RH:
+            return Check.failed("AIR-HYGROMETER/dry", percent=100.0 * readings.value.max())
         saturated = refractive_index.saturation_vapour_pressure(made.profile.temperature(h))
         dew = refractive_index.dew_point(readings.value * saturated)
         usual = refractive_index.dew_point(moisture.profile.vapour_pressure(h))

@@ -24,14 +24,14 @@ TOP_M = 32_000.0  # above, the background's own breakpoints suffice [m']
 HUMID_M, HUMID_TOP_M = 250.0, 15_000.0
 """Knots of humidity; above the highest vapour weighs less than 1e-5 of n - 1 [m']."""
 
-ROUGH_K, ROUGH_ALOFT_K = 2.1, 1.2
+ROUGH_K, ROUGH_ALOFT_K = 2.0, 1.2
 ROUGH_BELOW_M, SMOOTH_ABOVE_M = 2000.0, 4000.0
 KINKED_LENGTH_M, SMOOTH_LENGTH_M, BROAD_LENGTH_M = 600.0, 500.0, 5000.0
-KINKED_SHARES, KINKED_BELOW_M = (1.0, 0.4), 300.0
+KINKED_SHARES, KINKED_BELOW_M = (1.0, 0.55), 300.0
 """Structure of T about a climatology, from nine real ascents: over 50, 100, 200 and 500 m it
 changes by 0.5, 1.0, 1.7, 2.8 K RMS in the lowest 1.5 km, and by 0.2, 0.3, 0.5, 1.0 K above. So it
 grows in proportion to the distance, as in straight lines, but for inversions, which lie near the
-ground more often: all of it is a process with kinks at the ground, and 0.4 of it from 300 m on.
+ground more often: all of it is a process with kinks at the ground, and 0.55 of it from 300 m on.
 (Kinks everywhere: the sigma of R by a barometer over 500 m is 2.3 times its error, now 1.9.)"""
 
 SURFACE_K, SURFACE_M = 1.5, 40.0

@@ -8,7 +8,7 @@ may be blank, and its CSV. The heights of both are geopotential. A plain CSV sta
 
 import math
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -210,6 +210,17 @@ def parse_wyoming_list(text: str, where: str) -> list[RawLevels]:
     ]
 
 
+LONGEST_ASCENT_H = 4.0  # a balloon rises for two hours, and falls for one
+
+
+def _refuse_several(times: Sequence[str], where: str) -> None:
+    """Refuse (`InputError`) rows of one table that no single ascent takes so long for."""
+    known = [t for t in map(utc_ns, times) if t is not None]
+    hours = (max(known) - min(known)) / 3.6e12 if known else 0.0
+    if hours > LONGEST_ASCENT_H:
+        raise InputError.of("SOUNDING-CHOICE/rows", where, hours=hours)
+
+
 def parse_wyoming_csv(text: str, where: str) -> list[RawLevels]:
     """The ascent of a Wyoming CSV; its time is that of the first level."""
     columns = table(text.splitlines(), where)
@@ -219,6 +230,7 @@ def parse_wyoming_csv(text: str, where: str) -> list[RawLevels]:
     time, north, east = (
         next(iter(columns.get(name, [])), "") for name in ("time", "latitude", "longitude")
     )
+    _refuse_several(columns.get("time", []), where)
     nowhere = number(north) < -90.0  # both are -99.99 for a station whose place is not known
     return [
         _wyoming(
@@ -283,6 +295,7 @@ def parse_plain(text: str, where: str) -> list[RawLevels]:
     geopotential = "height" not in values
     time = next((text.strip() for text in columns.get("time_utc", []) if text.strip()), "")
     time_ns = utc_ns(time)
+    _refuse_several(columns.get("time_utc", []), where)
     if time and time_ns is None:
         notes += (warning("SOUNDING-TIME", where=where, count=1, time=time[:40]),)
     unknown = np.full(values["pressure"].shape, np.nan)

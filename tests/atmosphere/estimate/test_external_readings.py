@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 from itertools import pairwise
 
@@ -455,6 +456,46 @@ def test_a_bad_balloon_does_not_cost_the_flight(flights, ascents, above, per_km)
     assert abs(truth.error(both.profile, 3000.0)) < 0.005
 
 
+@pytest.mark.parametrize(
+    ("kelvin", "thermometer"), [(-8.0, True), (12.0, True), (-15.0, False), (15.0, False)]
+)
+def test_a_balloon_that_contradicts_the_flight_is_left_out(flights, ascents, kelvin, thermometer):
+    """All its temperatures are wrong by so much, which a bias and a lost pressure would explain."""
+    truth = ascents["2023"]
+    rng = np.random.default_rng(1)
+    how = {"descent": True, "thermometer": thermometer, "humidity": "none"}
+    samples = flights.fly(truth, 3000.0, flights.surveyed(rng), rng, **how)
+    alone, _ = adjusted(truth, samples)
+    good = balloon_of(truth)
+    _, ledger = adjusted(truth, samples, soundings=[good])
+    assert codes(ledger, Kind.LOSS) == []
+    wrong = replace(good, temperature_k=good.temperature_k + kelvin)
+    made, ledger = adjusted(truth, samples, soundings=[wrong])
+    (lost,) = [entry for entry in ledger if entry.kind is Kind.LOSS]
+    assert (lost.code, lost.where) == ("AIR-SOURCE-REFUSED", wrong.name)
+    difference = float(re.search(r"are ([-+][\d.]+) K from those of the flight", lost.what)[1])
+    assert difference == pytest.approx(kelvin, abs=2.5)
+    assert truth.error(made.profile, 3000.0) == truth.error(alone.profile, 3000.0)
+    (use,) = [use for use in made.sources if use.source == wrong.name]
+    assert "one of both is wrong" in use.why_not
+
+
+@pytest.mark.parametrize(
+    ("metres", "kelvin", "what"),
+    [(0.0, 0.0, None), (-550.0, 0.0, "may count from the ground"), (0.0, -32.0, "climatology")],
+)
+def test_a_balloon_that_no_climate_has_is_left_out(ascents, metres, kelvin, what):
+    """Heights above ground, or air of another season; without any sensor of a flight."""
+    truth = ascents["2023"]
+    good = balloon_of(truth)
+    wrong = replace(good, h_m=good.h_m + metres, temperature_k=good.temperature_k + kelvin)
+    made, ledger = adjusted(truth, soundings=[wrong])
+    lost = [entry for entry in ledger if entry.kind is Kind.LOSS]
+    assert [entry.code for entry in lost] == ([] if what is None else ["AIR-SOURCE-REFUSED"])
+    assert made.basis == ("sounding" if what is None else "climatology")
+    assert what is None or what in lost[0].what
+
+
 def test_sources_are_doubted_one_by_one_before_sensors_are(flights, ascents):
     truth = ascents["2023"]
     samples = flights.fly(truth, 3000.0, flights.Sensors(), np.random.default_rng(1))
@@ -490,7 +531,7 @@ def test_the_reason_after_estimates_that_could_not_stand(flights, ascents):
     assert "are needed" not in why
     uses = {use.source: use.why_not for use in made.sources}
     assert "no estimate with it passed its checks" in uses["thermometer thermometer"]
-    assert "no estimate with it passed its checks" in uses[bad.name]
+    assert "from the climatology of place and season" in uses[bad.name]
     short = flights.fly(truth, 250.0, flights.REALISTIC, np.random.default_rng(1), barometer=False)
     made, ledger = adjusted(truth, short)
     (why,) = [entry.what for entry in ledger if entry.code == "AIR-STANDARD"]

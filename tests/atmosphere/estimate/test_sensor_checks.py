@@ -182,6 +182,14 @@ def test_a_hygrometer_stuck_at_saturation_through_a_desert(flights, airs, thermo
     assert good.samples.humidity is not None
 
 
+@pytest.mark.parametrize("value", [-0.01, 0.0, 0.008])
+def test_a_hygrometer_that_is_dead_or_in_fractions(flights, airs, value):
+    samples = flown(flights, airs[DESERT], 800.0, gate_s=0.0)
+    _, ledger = adjust(airs[DESERT], stuck_wet(samples, value))
+    (entry,) = [e for e in ledger if e.code == "AIR-HYGROMETER"]
+    assert f"it reads {100 * value:.1f} % of relative humidity at most" in entry.what
+
+
 def test_a_dew_point_above_that_of_any_air(flights, airs):
     """Saturated at 315 K, on the ground of a desert; and 4 sigma too wet for an arctic winter."""
     samples = flown(flights, airs[DESERT], 800.0, gate_s=0.0)  # humidity of the lowest 200 m

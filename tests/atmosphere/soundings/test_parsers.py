@@ -606,3 +606,18 @@ def test_the_century_of_a_wyoming_list(stamp, year):
     page = WYOMING_PAGE.replace("110522/1200", f"{stamp}/1200")
     when = np.datetime64(parse_sounding(page, Ledger()).time_ns, "ns")
     assert str(when.astype("datetime64[h]")) == f"{year}-{stamp[2:4]}-{stamp[4:]}T12"
+
+
+@pytest.mark.parametrize("hours", [2, 5])
+def test_rows_of_two_ascents_in_one_table(hours):
+    rows = [
+        f"{950.0 - 45.0 * k:.1f},{15.0 - 2.5 * k:.1f},2025-06-12T{at:02d}:00:00Z"
+        for at in (6, 6 + hours)
+        for k in range(10)
+    ]
+    text = "\n".join(["pressure_hpa,temperature_c,time_utc", *rows])
+    if hours < 4:
+        parse_sounding(text, Ledger(), station_h_m=540.0)
+        return
+    with pytest.raises(InputError, match=r"SOUNDING-CHOICE.*up to 5\.0 hours apart"):
+        parse_sounding(text, Ledger(), station_h_m=540.0)
