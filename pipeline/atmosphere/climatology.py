@@ -81,6 +81,11 @@ class Climatology:
         saturated = saturation_vapour_pressure(self.profile.temperature(h))
         return self.profile.vapour_pressure(h) / saturated
 
+    def sigma_log_pressure(self, h_m: float) -> float:
+        """One sigma of ln p at a height [m above sea level]: at sea level, and 2 % of the fall."""
+        fall = math.log(float(self.profile.pressure(0.0)) / float(self.profile.pressure(h_m)))
+        return math.hypot(self.spread.pressure_ratio, 0.02 * fall)
+
 
 def climatology(
     name: str = AUTO,

@@ -186,8 +186,7 @@ def _refuse_level(
     if not math.isfinite(report.pressure_pa):
         return
     expected = float(background.profile.pressure(report.h_m))
-    fall = math.log(float(background.profile.pressure(0.0)) / expected)
-    sigma = math.hypot(background.spread.pressure_ratio, 0.02 * fall)
+    sigma = background.sigma_log_pressure(report.h_m)
     departure = math.log(report.pressure_pa / expected) / sigma
     reduced = surface_report.station_pressure(report.pressure_pa, report.h_m)
     as_qnh = math.log(reduced / expected) / sigma

@@ -209,7 +209,7 @@ def stations_of_mission(
         for b, e in zip(builders, events, strict=True)
     ]
     ties = draw_tie_points(observations, MOST_TIE_POINTS)
-    if ties.repeated and not observations.is_block:  # of a block all are told of where it is opened
+    if ties.repeated and not observations.is_block:  # those of a block: where it is opened
         count, first = len(ties.repeated), ties.repeated[0]
         ledger.loss("OBS-REPEATED-POINT", where=observations.path.name, count=count, first=first)
     if mission.events is not None:

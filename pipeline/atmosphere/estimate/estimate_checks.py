@@ -9,16 +9,13 @@ from pipeline.atmosphere import refractive_index
 from pipeline.atmosphere.air_samples import part_of
 from pipeline.atmosphere.climatology import Climatology
 from pipeline.atmosphere.covariance import RAY_STEPS, plane_rule
-from pipeline.atmosphere.estimate.external_readings import (
-    LEVEL_K,
-    TimeAndPlace,
-    sounding_departures,
-)
+from pipeline.atmosphere.estimate import external_readings
 from pipeline.atmosphere.estimate.sensors import Barometer, Humidities, Thermometer
 from pipeline.atmosphere.estimate.solver import Estimate, layout_of, solve
 from pipeline.atmosphere.estimate.state import air_of, prior_of
 from pipeline.atmosphere.hypsometry import ADIABATIC_K_PER_M, COLDEST_K, WARMEST_K, hats
 from pipeline.atmosphere.soundings import Sounding
+from pipeline.atmosphere.soundings.level_checks import DRIEST_RH
 from pipeline.errors import texts
 from pipeline.units import HECTOPASCAL, ZERO_CELSIUS_K, Array
 
@@ -47,17 +44,12 @@ CLOUD_M, CLOUD_EXCESS_K_PER_M = 1000.0, 3e-3
 """Air whose readings are saturated, nine of ten over so much height [m'], does not cool by 3 K/km
 more than the saturated adiabat."""
 
-DRIEST_RH, DRY_BELOW_M = 0.011, 3000.0
-"""No air below is as dry as this throughout: the sensor is dead, or fractions are taken for per
-cent."""
+DRY_BELOW_M = 3000.0  # no air below is as dry as `DRIEST_RH` throughout
 
-UNLIKELY_COLUMN = 4.0
-"""Sigmas of the climatology by which the lowest pressure of a column, or its temperatures in the
-mean of the lowest 3 km, may be off: 10 hPa, or 90 m of height, are one sigma of pressure."""
+UNLIKELY_COLUMN = 4.0  # sigmas of the climatology; 10 hPa, or 90 m of height, are one of pressure
 
 LEAST_COMMON_M, CONTRADICTED_K, CONTRADICTED = 300.0, 2.0, 4.5
-"""A column and the flight's own sensors contradict each other if they share so much height [m'] and
-differ in the mean by so much, and by so many sigma."""
+"""Sensors contradict a column that shares so much height [m'], by so much and so many sigma."""
 
 MISFIT = 5.0  # readings with a larger sigma inflation factor disagree with the others
 
@@ -118,7 +110,10 @@ def is_plausible(made: Estimate, background: Climatology) -> Check:
 
 
 def reasons_against(
-    columns: Sequence[Sounding], own: Estimate | None, background: Climatology, flight: TimeAndPlace
+    columns: Sequence[Sounding],
+    own: Estimate | None,
+    background: Climatology,
+    flight: external_readings.TimeAndPlace,
 ) -> dict[str, str]:
     """Why columns are not used, by name: the climatology or the flight's ``own`` sensors."""
     reasons = {}
@@ -134,34 +129,31 @@ def reasons_against(
 def column_is_plausible(column: Sounding, background: Climatology) -> Check:
     """Whether the climatology can have the lowest pressure and the temperatures of a column, whose
     heights may be those above ground, or in feet, and which may be of another season."""
-    profile, spread = background.profile, background.spread
-    h, expected = float(column.h_m[0]), float(profile.pressure(column.h_m[0]))
-    fall = float(np.log(profile.pressure(0.0) / expected))
-    sigmas = np.log(column.pressure_pa[0] / expected) / np.hypot(spread.pressure_ratio, 0.02 * fall)
+    profile, h = background.profile, float(column.h_m[0])
+    expected = float(profile.pressure(h))
+    sigmas = float(np.log(column.pressure_pa[0] / expected)) / background.sigma_log_pressure(h)
     if abs(sigmas) > UNLIKELY_COLUMN:
         return Check.failed(
             "AIR-SOURCE-REFUSED/level", hpa=column.pressure_pa[0] / HECTOPASCAL, height_m=h,
             sigmas=abs(sigmas), expected_hpa=expected / HECTOPASCAL,
         )  # fmt: skip
     heights: Array = column.h_m[column.h_m < h + 3000.0]
-    departure = column.temperature_k[: heights.size] - profile.temperature(heights)
-    sigmas = float(np.mean(departure / spread.sigma_temperature(heights)))
+    off = column.temperature_k[: heights.size] - profile.temperature(heights)
+    sigmas = float(np.mean(off / background.spread.sigma_temperature(heights)))
     if abs(sigmas) > UNLIKELY_COLUMN:
-        return Check.failed(
-            "AIR-SOURCE-REFUSED/climate", kelvin=float(departure.mean()), sigmas=abs(sigmas)
-        )
+        return Check.failed("AIR-SOURCE-REFUSED/climate", kelvin=off.mean(), sigmas=abs(sigmas))
     return PASSED
 
 
 def column_agrees(
-    column: Sounding, own: Estimate, background: Climatology, flight: TimeAndPlace
+    column: Sounding, own: Estimate, background: Climatology, flight: external_readings.TimeAndPlace
 ) -> Check:
     """Whether temperatures of a column are, in the mean over the heights that both know, those that
     the flight's ``own`` sensors give, within the uncertainty of these, its age and distance."""
     gravity, edge = background.profile.gravity, own.profile.layers.edge
     levels = gravity.geopotential_height(column.h_m)
     low, high = max(own.readings.low, levels[0]), min(own.readings.high, levels[-1])
-    departures = sounding_departures((column,), background, flight)
+    departures = external_readings.sounding_departures((column,), background, flight)
     if high - low < LEAST_COMMON_M or not departures:
         return PASSED
     h = np.linspace(low, high, 30)
@@ -172,7 +164,9 @@ def column_agrees(
         (hats(edge, h).mean(axis=0), own.covariance.matrix[: edge.size, : edge.size]),
         (hats(departures[0].knot, h).mean(axis=0), departures[0].covariance()),
     )
-    sigma = float(np.sqrt(LEVEL_K**2 + sum(weight @ matrix @ weight for weight, matrix in parts)))
+    sigma = float(
+        np.sqrt(sum(w @ matrix @ w for w, matrix in parts) + external_readings.LEVEL_K**2)
+    )
     if abs(mean) <= max(CONTRADICTED_K, CONTRADICTED * sigma):
         return PASSED
     return Check.failed(

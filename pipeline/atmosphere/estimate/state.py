@@ -32,7 +32,7 @@ KINKED_SHARES, KINKED_BELOW_M = (1.0, 0.55), 300.0
 changes by 0.5, 1.0, 1.7, 2.8 K RMS in the lowest 1.5 km, and by 0.2, 0.3, 0.5, 1.0 K above. So it
 grows in proportion to the distance, as in straight lines, but for inversions, which lie near the
 ground more often: all of it is a process with kinks at the ground, and 0.55 of it from 300 m on.
-(Kinks everywhere: the sigma of R by a barometer over 500 m is 2.3 times its error, now 1.9.)"""
+(Kinks everywhere: the sigma of R by a barometer over 500 m is 2.3 times its error, now 2.0.)"""
 
 SURFACE_K, SURFACE_M = 1.5, 40.0
 """Air near the ground is warmer in the sun, or colder at night, than that above it by so much, less

@@ -92,11 +92,11 @@ def add_model_changes(
     numbers = series.profile_number.copy()
     numbers[known] = new[number.ravel()]
     used, numbers = np.unique(numbers, return_inverse=True)
-    told = note(
+    entry = note(
         "AIR-BY-PLACE", count=len(place_of), length_km=length_km, hours=hours,
         percent=100.0 * largest,
     )  # fmt: skip
-    return ProfileSeries(tuple(airs[u] for u in used), numbers.astype(np.int64)), (told,)
+    return ProfileSeries(tuple(airs[u] for u in used), numbers.astype(np.int64)), (entry,)
 
 
 def _origins(air: TimedProfile) -> list[tuple[Place, float]]:

@@ -25,6 +25,8 @@ FEWEST_LEVELS = 5
 COLDEST_K, WARMEST_K, HIGHEST_PA = 150.0, 340.0, 110_000.0
 """What levels of soundings and of weather models have, from the ground to the stratosphere."""
 
+DRIEST_RH = 0.011  # relative humidities that reach no more are dead, or per cent of per cent
+
 THICKNESS_RATIO = 0.03
 """Heights and the pressures and temperatures they were computed from agree within this share."""
 
@@ -114,7 +116,7 @@ def refuse_wrong_units(raw: RawLevels) -> None:
     wet = None if raw.relative_humidity is None else _largest(raw.relative_humidity)
     # Sensors read up to 1.1 in cloud. All of a sounding below 1 % does not happen: the lowest
     # kilometre holds more, even over deserts.
-    if wet is not None and (wet > 1.5 or wet <= 0.011):
+    if wet is not None and (wet > 1.5 or wet <= DRIEST_RH):
         raise _refusal(raw, "relative humidity", f"the highest is {wet:.4g} as a fraction of one",
                        "relative_humidity (0 to 1) or relative_humidity_percent")  # fmt: skip
     e = None if raw.vapour_pressure_pa is None else _largest(raw.vapour_pressure_pa)
