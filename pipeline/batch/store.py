@@ -14,7 +14,7 @@ import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from errno import EACCES
+from errno import EACCES, EPERM, EROFS
 from pathlib import Path
 from typing import Any
 from uuid import uuid4
@@ -289,10 +289,10 @@ def lock_folder(path: Path) -> FileLock:
         lock.acquire()
     except Timeout:
         raise OutputInUseError.of("OUTPUT-IN-USE", path) from None
-    except PermissionError as error:
-        with storage_errors(path):
-            raise error
     except (OSError, NotImplementedError) as error:
+        with storage_errors(path):
+            if getattr(error, "errno", None) in (EACCES, EPERM, EROFS):
+                raise
         raise StorageError.of("STORAGE-LOCK", path, error=error) from None
     return lock
 

@@ -31,8 +31,10 @@ _POOR_FIT, _FEW_MEET = 2.0, 0.7
 _FEW_BAD = 0.1  # of the rays of a camera: so many are no sign of a mistake
 _WORTH_A_LOOK = 0.3 * LOG_RATIO_NEEDED
 
-# What matters to nobody: turns [rad], principal distance and height as shares, time [s].
-_SMALL = {"TIES-MOUNT": np.radians(0.3), "TIES-FOCAL": 0.01, "TIES-HEIGHT": 0.01, "TIES-TIME": 0.1}
+# What matters to nobody: turns [rad], principal distance, height and distortion in the corners of
+# the image as shares, time [s].
+_SMALL = {"TIES-MOUNT": np.radians(0.3), "TIES-FOCAL": 0.01, "TIES-HEIGHT": 0.01, "TIES-TIME": 0.1,
+          "TIES-CALIBRATION": 0.003}  # fmt: skip
 
 _KEYS = {
     "TIES-MOUNT": "mount.{}", "TIES-FOCAL": "cameras.{}", "TIES-TIME": "events",
@@ -330,6 +332,7 @@ def small_errors(
             yield _Hypothesis("TIES-MOUNT", "", name, _at_once(now.turned(name, turn)))
     up = _Hypothesis("TIES-HEIGHT", "", "", lambda x: replace(now, up_m=now.up_m + x), 0.0, 1.0)
     others = [up, *(_scaled(now, (name,), 1.0, "") for name in names)]
+    others += [_distorted(now, name) for name in names if np.isfinite(_k1(now.cameras[name]))]
     others += [_later(now, 0.0)] if mission.shifted is not None else []
     for gain, x, h in estimated(mission, now, found, others, np.zeros((o.camera.size, 6, 0))):
         if gain >= least:
@@ -404,6 +407,21 @@ def _scaled(now: _Reading, names: tuple[str, ...], factor: float, label: str) ->
         return replace(now, cameras={**now.cameras, **scaled})
 
     return _Hypothesis("TIES-FOCAL", label, names[0], reading, float(np.log(factor)), 0.005)
+
+
+def _k1(camera: Camera) -> float:
+    """The first coefficient of radial distortion, NaN in a model without it."""
+    return float(camera.distortion._asdict().get("k1", np.nan))
+
+
+def _distorted(now: _Reading, name: str) -> _Hypothesis:
+    camera, k1 = now.cameras[name], _k1(now.cameras[name])
+
+    def reading(x: float) -> _Reading:
+        other = replace(camera, distortion=camera.distortion._replace(k1=k1 + x))
+        return replace(now, cameras={**now.cameras, name: other})
+
+    return _Hypothesis("TIES-CALIBRATION", "", name, reading, 0.0, 0.005)
 
 
 def _later(now: _Reading, seconds: float) -> _Hypothesis:
@@ -490,6 +508,12 @@ def _described(
         text = f"the principal distance of {h.camera} is {size:.0f} px +- {size * sigma:.2g}, not "
         text += f"{stated:g}" + (f": it is {h.label}" if h.label else "")
         return text if abs(np.log(size / stated)) > explained else ""
+    if h.code == "TIES-CALIBRATION":
+        was, own = mission.cameras[h.camera], reading.cameras[h.camera]
+        k1, stated = _k1(own), _k1(was)
+        corner = 0.25 * ((was.width_px / was.fx_px) ** 2 + (was.height_px / was.fy_px) ** 2)
+        text = f"the radial distortion k1 of {h.camera} is {k1:.4f} +- {sigma:.2g}, not {stated:g}"
+        return text if abs(k1 - stated) > max(least / corner, _SIGMAS * sigma) else ""
     if h.code == "TIES-HEIGHT":
         x, spread = reading.up_m, _SIGMAS * float(np.hypot(sigma, heights_m))
         text = f"the stations lie {abs(x):.1f} m +- {sigma:.2g} too {'low' if x > 0 else 'high'} "

@@ -122,6 +122,20 @@ class GnssSection(Section):
     sigma_height_m: float | None = Field(None, ge=0.01, le=100)
 
 
+_CALIBRATED = {
+    SensorFault.THERMOMETER_BIAS: ("thermometer", "bias_k"),
+    SensorFault.THERMOMETER_LAG: ("thermometer", "lag_s"),
+    SensorFault.TAKEOFF_TRANSIENT: ("thermometer", "transient_k"),
+    SensorFault.RECOVERY_FACTOR: ("thermometer", "recovery"),
+    SensorFault.THERMOMETER_DRIFT: ("thermometer", "drift_k"),
+    SensorFault.PRESSURE_OFFSET: ("barometer", "offset_hpa"),
+    SensorFault.PRESSURE_SCALE: ("barometer", "scale"),
+    SensorFault.HYGROMETER_BIAS: ("hygrometer", "bias"),
+    SensorFault.GNSS_HEIGHT_OFFSET: ("gnss", "height_m"),
+}
+"""Section and key of a fault's value, and of its sigma behind ``sigma_``."""
+
+
 class SensorsSection(Section):
     """Calibrations of the sensors; what is not given has its default sigma."""
 
@@ -133,28 +147,16 @@ class SensorsSection(Section):
     @property
     def calibration(self) -> dict[SensorFault, SensorCalibration]:
         """By sensor fault, in SI."""
-        warm, high = self.thermometer, self.barometer
-        moist, gnss = self.hygrometer, self.gnss
-        every = {
-            SensorFault.THERMOMETER_BIAS: SensorCalibration(warm.bias_k, warm.sigma_bias_k),
-            SensorFault.THERMOMETER_LAG: SensorCalibration(warm.lag_s, warm.sigma_lag_s),
-            SensorFault.TAKEOFF_TRANSIENT: SensorCalibration(
-                warm.transient_k, warm.sigma_transient_k
-            ),
-            SensorFault.RECOVERY_FACTOR: SensorCalibration(warm.recovery, warm.sigma_recovery),
-            SensorFault.THERMOMETER_DRIFT: SensorCalibration(None, warm.sigma_drift_k),
-            SensorFault.PRESSURE_OFFSET: SensorCalibration(
-                _pascal(high.offset_hpa), _pascal(high.sigma_offset_hpa)
-            ),
-            SensorFault.PRESSURE_SCALE: SensorCalibration(None, high.sigma_scale),
-            SensorFault.HYGROMETER_BIAS: SensorCalibration(moist.bias, moist.sigma_bias),
-            SensorFault.GNSS_HEIGHT_OFFSET: SensorCalibration(None, gnss.sigma_height_m),
-        }
-        return {name: known for name, known in every.items() if known != SensorCalibration()}
-
-
-def _pascal(hpa: float | None) -> float | None:
-    return None if hpa is None else hpa * HECTOPASCAL
+        stated = {}
+        for fault, (sensor, key) in _CALIBRATED.items():
+            section = getattr(self, sensor)
+            unit = HECTOPASCAL if key.endswith("_hpa") else 1.0
+            values = getattr(section, key, None), getattr(section, f"sigma_{key}")
+            mean, sigma = (None if value is None else unit * value for value in values)
+            if mean is not None or sigma is not None:
+                path = f"atmosphere.sensors.{sensor}.{key}"
+                stated[fault] = SensorCalibration(mean, sigma, path=path)
+        return stated
 
 
 class AtmosphereSection(Section):

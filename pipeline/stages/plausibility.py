@@ -289,6 +289,8 @@ def extent_of_observations(facts: Facts) -> Findings:
         expected, mistake = "none outside", "millimetres, or images of another size"
         if x.max() <= height and y.max() <= width:
             mistake = "width and height, or x and y, exchanged"
+        if x.min() < -0.2 * width and y.min() < -0.2 * height:
+            mistake = "counted from the centre of the image, not from its upper left corner"
         if outside <= 0.01:
             expected, mistake = "to fill it", "measured in reduced images"
             if x.size < _FEWEST_ROWS or max(x.max() / width, y.max() / height) >= 0.7:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import subprocess
@@ -295,14 +296,16 @@ def test_a_disk_without_locks_is_refused_with_its_words(tmp_path: Path, monkeypa
     assert refusal.value.code == "STORAGE-LOCK"
 
 
+@pytest.mark.parametrize("number", [errno.EACCES, errno.EPERM, errno.EROFS])
 def test_a_folder_that_may_not_be_written_to_is_not_taken_for_a_disk_without_locks(
-    tmp_path: Path, monkeypatch
+    tmp_path: Path, monkeypatch, number
 ) -> None:
     def acquire(*_: object, **__: object) -> None:
-        raise PermissionError(13, "Permission denied", str(tmp_path / ".lock"))
+        raise OSError(number, os.strerror(number), str(tmp_path / ".lock"))
 
     monkeypatch.setattr(store.FileLock, "acquire", acquire)
-    with pytest.raises(StorageError, match="Permission denied") as refusal, open_folder(tmp_path):
+    words = pytest.raises(StorageError, match=os.strerror(number))
+    with words as refusal, open_folder(tmp_path):
         pass
     assert (refusal.value.code, refusal.value.where) == ("STORAGE-WRITE", str(tmp_path / ".lock"))
 

@@ -235,14 +235,36 @@ def test_calibrations_that_are_each_others(make):
     assert finding.what == "the calibrations of camera0 and camera1 are each other's"
 
 
+BARREL = {name: replace(c, distortion=BrownConrady(k1=0.06)) for name, c in CAMERAS.items()}
+
+
+@pytest.mark.parametrize(
+    ("lenses", "names"), drawn(*product((CAMERAS, BARREL), (("camera1",), tuple(CAMERAS))))
+)
+def test_a_distortion_that_is_not_stated(make, lenses, names):
+    """It is no other principal distance, height or principal point; k2 of the lens goes into k1."""
+    unstated = {n: replace(lenses[n], distortion=BrownConrady()) for n in names}
+    mission = make(3, calibrations=lenses)
+    findings = diagnosis(replace(mission, cameras=lenses | unstated))[1]
+    assert {(f.code, f.key) for f in findings} == {
+        ("TIES-CALIBRATION", f"cameras.{name}") for name in names
+    }
+    for finding in findings:
+        name = finding.key.removeprefix("cameras.")
+        k1 = float(finding.what.split(" is ")[1].split()[0])
+        assert finding.what.startswith(f"the radial distortion k1 of {name} is ")
+        assert k1 == pytest.approx(lenses[name].distortion.k1, rel=0.3)
+    assert findings[-1].sigma_factor < 1.6
+
+
 @pytest.mark.parametrize("seed", range(BLOCKS // 2))
 def test_calibrations_that_drifted_are_not_taken_for_mistaken_ones(make, seed):
-    """The principal point by a fifth of its offset, the distortion by a tenth."""
+    """The principal point by a fifth of its offset, the distortion by up to 15 %."""
     rng = np.random.default_rng(seed)
     drifted = {
         name: replace(
             c, cx_px=c.cx_px + rng.normal(0.0, 8.0), cy_px=c.cy_px + rng.normal(0.0, 8.0),
-            distortion=BrownConrady(*(np.array(c.distortion) * rng.normal(1.0, 0.1, 5)).tolist()),
+            distortion=BrownConrady(*(p * rng.uniform(0.85, 1.15) for p in c.distortion)),
         )
         for name, c in CAMERAS.items()
     }  # fmt: skip

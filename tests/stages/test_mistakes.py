@@ -31,7 +31,6 @@ COUNT = min(int(os.environ.get("UNBEND_MISTAKES", "6")), len(LIST["mistakes"]))
 DRAWN = random.Random(SEED).sample(LIST["mistakes"], COUNT)
 
 MISSED = {
-    "thermometer-bias-sign": "a stated calibration is taken for known",
     "orientation-date-of-processing": "without a log nothing else has the date",
     "cameras-exchanged-in-events": "both fire at the same moments: nothing changes",
     "pixel-origin-centre": "half a pixel",

@@ -48,6 +48,11 @@ def exchanged(table):
     table["x_px"], table["y_px"] = table["y_px"].copy(), table["x_px"].copy()
 
 
+def centred(table):
+    table["x_px"] -= 7000.0
+    table["y_px"] -= 5300.0
+
+
 NADIR = "cameras__nadir__"
 SIZE = {"width_px": 14000, "height_px": 10600, "calibration": "laboratory"}
 METRIC = SIZE | {
@@ -86,6 +91,8 @@ FOUND = {
                        "cameras.nadir.width_px", "measured in reduced images"),
     "x and y": (rows(exchanged), "PLAUSIBLE-EXTENT", "observations.columns.x_px",
                 "width and height, or x and y, exchanged"),
+    "from the centre": (many(rows(centred)), "PLAUSIBLE-EXTENT", "cameras.nadir.width_px",
+                        "counted from the centre of the image"),
     "width and height": (config(**{NADIR + "width_px": 10600, NADIR + "height_px": 14000}),
                          "PLAUSIBLE-EXTENT", "cameras.nadir.width_px", "exchanged"),
     "gimbal": (config(mount__nadir__pitch_deg=-90.0), "PLAUSIBLE-DIRECTION", "mount.nadir",

@@ -5,9 +5,10 @@ the result says in words why the profile is what it is. The estimate itself is m
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -30,13 +31,14 @@ from pipeline.atmosphere.profile import Profile
 from pipeline.atmosphere.soundings import Sounding
 from pipeline.atmosphere.surface_report import SurfaceReport
 from pipeline.geodesy import normal_gravity
-from pipeline.ledger import Entry, Ledger, Notes, fallback, loss, note, warning
+from pipeline.ledger import Entry, Ledger, Notes, fallback, finding, loss, note, warning
 from pipeline.units import Array, Mask
 
 WIDEST_GAP_M = 400.0
 """Between two measured heights farther apart than this the layers are called relaxed [m']."""
 
 FEWEST_TO_INFLATE = 5  # the estimator never inflates the sigmas of fewer readings
+_NO_AIR_FITS = "with it no air fits what the flight measured"
 UNMEASURED, UNADJUSTED = "climatology", "standard"  # bases of a profile without any measurement
 
 
@@ -124,18 +126,16 @@ def build_adjusted_profile(
     external = ExternalSources(tuple(soundings), tuple(surface))
     whys = {source.name: reason_uninformative(source, flight) for source in external.sources}
     unused = {name: why for name, why in whys.items() if why is not None}
-    for name, why in unused.items():
-        ledger.loss("AIR-SOURCE-FAR", f"{name} is not used: {why}", where=name)
+    ledger.extend(_left_out("AIR-SOURCE-FAR", unused))
     near = [sounding for sounding in soundings if sounding.name not in unused]
     reports = [report for report in surface if report.name not in unused]
+    make = partial(_estimate_of, background=background, moisture=moisture, flight=flight)
     try_all = partial(
-        _first_that_passes, background=background, settings=settings, moisture=moisture,
-        flight=flight,
-    )  # fmt: skip
+        _first_that_passes, make=make, background=background, settings=settings, moisture=moisture
+    )
     own = try_all(candidates.candidates(usable, (), ()))[0].passed if near else None
     against = estimate_checks.reasons_against(near, own and own[1], background, flight)
-    for name, why in against.items():
-        ledger.loss("AIR-SOURCE-REFUSED", f"{name} is not used: {why}", where=name)
+    ledger.extend(_left_out("AIR-SOURCE-REFUSED", against))
     unused |= against
     near = [sounding for sounding in near if sounding.name not in unused]
     choices = candidates.candidates(usable, near, reports)
@@ -144,32 +144,28 @@ def build_adjusted_profile(
     usage = partial(
         candidates.source_usage, external=external, background=background, standard=standard.name
     )
-    if trials.passed is None:  # the background, in layers fine enough to carry its covariance
-        profile = background.profile
-        is_standard = profile.name == standard.name
-        kept = f"the {'standard atmosphere' if is_standard else 'climatology'} {profile.name}"
+    if trials.passed is None:
+        is_standard = background.profile.name == standard.name
+        kept = "standard atmosphere" if is_standard else "climatology"
+        kept = f"the {kept} {background.profile.name}"
         reason = candidates.reason_unadjusted(usable, trials.faults, kept)
         ledger.fallback("AIR-STANDARD", reason)
         ledger.extend(sensor_checks.unused_calibration(set(settings.calibration)))
-        made = estimate(AirSamples(), background)
-        edge = made.profile.layers.edge
-        t_m, _, vapour = profile.state(profile.gravity.height(edge))
-        layers = stack_layers(
-            edge, t_m, vapour, (STANDARD,) * (edge.size - 1),
-            anchor=(0.0, float(profile.pressure(0.0))), constant=profile.constant,
-        )  # fmt: skip
-        profile = replace(profile, layers=layers)
-        covariance = replace(made.covariance, profile=profile)
+        covariance = covariance_of_background(background)
         basis, uses = UNADJUSTED if is_standard else UNMEASURED, usage(flown, (), unused=unused)
-        return Adjustment(profile, standard, basis, reason, None, covariance, sources=uses)
+        return Adjustment(
+            covariance.profile, standard, basis, reason, None, covariance, sources=uses
+        )
     candidate, made = trials.passed
-    for name in candidate.external.left_out:
-        unused[name] = why = "with it no air fits what the flight measured"
-        ledger.loss("AIR-SOURCE-REFUSED", f"{name} is not used: {why}", where=name)
+    misfits = dict.fromkeys(candidate.external.left_out, _NO_AIR_FITS)
+    ledger.extend(_left_out("AIR-SOURCE-REFUSED", misfits))
+    unused |= misfits
     profile = replace(made.profile, layers=replace(made.profile.layers, source=_sources(made)))
     ledger.add(sensor_checks.pressure_level(profile, background, candidate.samples.pressure))
     ledger.extend(_notes(candidate, made))
-    ledger.extend(sensor_checks.check_calibration(made, settings))
+    ledger.extend(
+        sensor_checks.check_calibration(made, settings, lambda s: make(candidate, settings=s))
+    )
     for readings in made.readings.sets:
         if isinstance(readings, sensors.Barometer):  # pressure changes since here, in parts too
             settings = replace(settings, highest=readings.highest)
@@ -195,10 +191,10 @@ class _Trials:
 
 def _first_that_passes(
     choices: Sequence[Candidate],
+    make: Callable[..., Estimate],
     background: Climatology,
     settings: SensorSettings,
     moisture: Climatology,
-    flight: TimeAndPlace,
 ) -> tuple[_Trials, Notes]:
     """The first estimate that passes its checks."""
     remaining, notes = list(choices), list[Entry]()
@@ -206,11 +202,7 @@ def _first_that_passes(
     while remaining:
         candidate = remaining.pop(0)
         tried.append(candidate.samples)
-        made = estimate(
-            candidate.samples, background, settings=settings, moisture=moisture,
-            soundings=candidate.external.soundings, surface=candidate.external.surface,
-            flight=flight,
-        )  # fmt: skip
+        made = make(candidate, settings=settings)
         name = candidate.main.name if candidate.main is not None else ""
         check = thermometer_checks.thermometer_is_outside(
             candidate.samples, made, background, moisture, settings
@@ -243,6 +235,32 @@ def _first_that_passes(
             notes.append(loss("AIR-IMPLAUSIBLE", what, where=name))
         faults.append(check.reason)
     return _Trials(tried, faults, refused), tuple(notes)
+
+
+def _left_out(code: str, reasons: Mapping[str, str]) -> Iterator[Entry]:
+    """What is reported of sources that are not used, by their names."""
+    for name, why in reasons.items():
+        yield loss(code, f"{name} is not used: {why}", where=name)
+
+
+def covariance_of_background(background: Climatology) -> ProfileCovariance:
+    """Of the background as it is, in layers fine enough to carry its covariance."""
+    made, profile = estimate(AirSamples(), background), background.profile
+    edge = made.profile.layers.edge
+    t_m, _, vapour = profile.state(profile.gravity.height(edge))
+    layers = stack_layers(
+        edge, t_m, vapour, (STANDARD,) * (edge.size - 1),
+        anchor=(0.0, float(profile.pressure(0.0))), constant=profile.constant,
+    )  # fmt: skip
+    return replace(made.covariance, profile=replace(profile, layers=layers))
+
+
+def _estimate_of(candidate: Candidate, **how: Any) -> Estimate:
+    """The estimate from a candidate's samples and sources; ``how`` as `estimate` takes it."""
+    external = candidate.external
+    return estimate(
+        candidate.samples, soundings=external.soundings, surface=external.surface, **how
+    )
 
 
 def _sources(made: Estimate) -> tuple[str, ...]:
@@ -289,12 +307,10 @@ def _notes(candidate: Candidate, made: Estimate) -> Iterator[Entry]:
     if learnt:
         yield note("AIR-SENSORS", "; ".join(map(sensor_checks.described_fault, learnt)))
     for fit in made.fits:
-        inflated = fit.sigma_inflation > estimate_checks.MISFIT
-        if inflated or (fit.count < FEWEST_TO_INFLATE and fit.rms > estimate_checks.MISFIT):
-            remark = "robust weights let the other readings prevail"
-            if inflated:
-                remark = f"sigma inflation factor {fit.sigma_inflation:.0f}"
-            yield warning("AIR-MISFIT", where=fit.name, count=fit.count, fit=fit, remark=remark)
+        if fit.sigma_inflation > estimate_checks.MISFIT:
+            yield warning("AIR-MISFIT", where=fit.name, count=fit.count, fit=fit)
+        elif fit.count < FEWEST_TO_INFLATE and fit.rms > estimate_checks.MISFIT:
+            yield finding("AIR-CONTRADICTED", where=fit.name, count=fit.count, fit=fit)
     for name, rejected in made.readings.rejected.items():
         if count := int(rejected.sum()):
             sensor = getattr(candidate.samples, name)

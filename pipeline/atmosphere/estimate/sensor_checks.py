@@ -1,6 +1,7 @@
 """Sensor checks: known biases are subtracted, then sensors are checked by physics."""
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -9,12 +10,12 @@ import numpy as np
 from pipeline.atmosphere import air_samples
 from pipeline.atmosphere.air_samples import BIN_M, AirSamples, SensorSamples, bin_by_height
 from pipeline.atmosphere.climatology import Climatology
-from pipeline.atmosphere.estimate.sensors import FAULT_TEXTS, SensorCalibration, SensorSettings
+from pipeline.atmosphere.estimate.sensors import FAULT_TEXTS, SensorSettings
 from pipeline.atmosphere.estimate.solver import Estimate, FaultEstimate
 from pipeline.atmosphere.estimate.state import SensorFault
 from pipeline.atmosphere.hypsometry import Fall, fall_of_pressure
 from pipeline.atmosphere.profile import Profile
-from pipeline.ledger import Entry, Kind, Notes, fallback, loss, note, warning
+from pipeline.ledger import Entry, Kind, Notes, fallback, finding, loss, note, warning
 from pipeline.units import HECTOPASCAL, Mask
 
 CLIMB_TO_COMPARE_M = 200.0  # over less height the fall of pressure shows nothing [m]
@@ -46,7 +47,7 @@ LOST_SHARE, LOST_SIGMAS = 0.01, 3.0
 """A static pressure that loses more of its change than this, by so many sigmas, is a warning."""
 
 _MISSION_KEY = "atmosphere.sensors"
-_LEAST_LEARNT = 0.05  # of the expected sigma: an estimate that gained less is no evidence
+_LEARNT = 0.7  # of the usual sigma: an estimate that gained less is no evidence
 _READINGS = {
     SensorFault.THERMOMETER_BIAS: "temperature",
     SensorFault.PRESSURE_OFFSET: "pressure",
@@ -65,46 +66,50 @@ def subtract_known_biases(
         if known is None or not known.mean or readings is None:
             continue
         corrected[sensor] = replace(readings, value=readings.value - known.mean)
-        rest[fault] = SensorCalibration(0.0, known.sigma, known.mean)
+        rest[fault] = replace(known, mean=0.0, subtracted=known.mean)
         texts.append(f"{FAULT_TEXTS[fault]} of {readings.name} {known.mean:g}")
     entry = note("AIR-CALIBRATED", where=_MISSION_KEY, count=len(texts), biases="; ".join(texts))
     result = replace(samples, **corrected), replace(settings, calibration=rest)
     return result, (entry,) if texts else ()
 
 
-def check_calibration(made: Estimate, settings: SensorSettings) -> Notes:
+def check_calibration(
+    made: Estimate, settings: SensorSettings, estimated: Callable[[SensorSettings], Estimate]
+) -> Notes:
     """A stated calibration that the flight contradicts, those that are not used, and errors that
     nobody stated and no working sensor has.
 
-    If both are right, an estimate departs from what was expected by a sigma whose square is that of
-    the expectation less that of the estimate. One wrong value makes others seem wrong, so only the
-    worst is named.
+    Each stated value is compared with an estimate without it, in which the other sensors have their
+    usual errors: a rare fault would explain a wrong calibration away. One wrong value makes others
+    seem wrong, so only the worst is named.
     """
-    expected = {fault.name: fault.mean for fault in made.readings.faults}
+    mean = {fault.name: fault.mean for fault in made.readings.faults}
     worst, notes, large = CONTRADICTED, [], []
-    for estimated in made.faults:
-        known, prior = settings.calibration.get(estimated.fault), estimated.prior_sigma
-        learnt = prior**2 - estimated.sigma**2
-        limit = UNEXPECTED * prior + estimated.sigma
-        if estimated.fault == SensorFault.PRESSURE_SCALE:
-            limit = max(LOST_SHARE, LOST_SIGMAS * estimated.sigma)
-        if known is None and abs(estimated.value - expected[estimated.fault]) > limit:
-            large.append(described_fault(estimated))
-        if known is None or learnt < (_LEAST_LEARNT * prior) ** 2:
+    for fault in made.faults:
+        name, known = fault.fault, settings.calibration.get(fault.fault)
+        if known is None:
+            limit = UNEXPECTED * fault.prior_sigma + fault.sigma
+            if name == SensorFault.PRESSURE_SCALE:
+                limit = max(LOST_SHARE, LOST_SIGMAS * fault.sigma)
+            if abs(fault.value - mean[name]) > limit:
+                large.append(described_fault(fault))
             continue
-        mean = expected[estimated.fault]
-        change = estimated.value - mean
-        if abs(change) > worst * math.sqrt(learnt):
-            worst = abs(change) / math.sqrt(learnt)
-            stated = mean + known.subtracted
-            notes = [warning(
-                "AIR-CALIBRATION", where=_MISSION_KEY, fault=FAULT_TEXTS[estimated.fault],
-                stated=stated, prior=prior, flown=stated + change * prior**2 / learnt, sigmas=worst,
+        others = {n: value for n, value in settings.calibration.items() if n != name}
+        usual = name != SensorFault.PRESSURE_SCALE
+        free = estimated(replace(settings, calibration=others, usual_errors_only=usual))
+        flown = next(other for other in free.faults if other.fault == name)
+        sigmas = abs(flown.value - mean[name]) / math.hypot(flown.sigma, fault.prior_sigma)
+        if flown.sigma < _LEARNT * flown.prior_sigma and sigmas > worst:
+            worst = sigmas
+            notes = [finding(
+                "AIR-CALIBRATION", where=known.path, fault=FAULT_TEXTS[name], sigmas=sigmas,
+                stated=mean[name] + known.subtracted, prior=fault.prior_sigma,
+                flown=flown.value + known.subtracted, sigma=flown.sigma,
             )]  # fmt: skip
     if large:
         notes.append(warning("AIR-SENSORS/large", count=len(large), faults="; ".join(large)))
     drifts = {drift.name for drift in made.readings.drifts}
-    return *notes, *unused_calibration(set(settings.calibration) - set(expected) - drifts)
+    return *notes, *unused_calibration(set(settings.calibration) - set(mean) - drifts)
 
 
 def described_fault(estimated: FaultEstimate) -> str:

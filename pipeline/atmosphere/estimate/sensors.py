@@ -63,11 +63,12 @@ _STEP_S = 0.5
 @dataclass(frozen=True)
 class SensorCalibration:
     """What a calibration states of a sensor fault, None where it is silent; ``subtracted`` is the
-    part of it that was subtracted from the readings already."""
+    part of it that was subtracted from the readings already, ``path`` where it is stated."""
 
     mean: float | None = None
     sigma: float | None = None
     subtracted: float = 0.0
+    path: str = field(default="atmosphere.sensors", compare=False)
 
     def sigma_or(self, usual: float) -> float:
         return usual if self.sigma is None else self.sigma

@@ -17,13 +17,16 @@ from pipeline.atmosphere.soundings.levels import RawLevels, Sounding
 from pipeline.errors import InputError
 from pipeline.geodesy import normal_gravity
 from pipeline.ledger import Notes, fallback, loss, note, warning
-from pipeline.units import DEGREE, HECTOPASCAL, HYDROSTATIC_CONSTANT, ZERO_CELSIUS_K, Array
+from pipeline.units import DEGREE, HECTOPASCAL, HYDROSTATIC_CONSTANT, ZERO_CELSIUS_K, Array, Mask
 
 FEWEST_LEVELS = 5
 """With fewer a sounding has less information than the climatology and a surface report."""
 
 COLDEST_K, WARMEST_K, HIGHEST_PA = 150.0, 340.0, 110_000.0
 """What levels of soundings and of weather models have, from the ground to the stratosphere."""
+
+TOO_WET, MOST_TOO_WET = 1.5, 0.2
+"""A relative humidity that no air has, and the share of levels that may have it by mistake."""
 
 DRIEST_RH = 0.011  # relative humidities that reach no more are dead, or per cent of per cent
 
@@ -40,6 +43,8 @@ _UNKNOWN_LATITUDE_RAD = 45.0 * DEGREE
 _GROUND_PA = (2_500.0, HIGHEST_PA)
 # The warmest level of a sounding: air below -75 C or above 60 C is nowhere near the ground.
 _WARMEST_LEVEL_K = (198.0, 333.0)
+
+_FILLS_C = np.array([-99.0, -99.9, -99.99])  # of files of temperatures, none of which is so cold
 
 WILD = 0.05  # share of a column that may be invalid without the rest being refused
 
@@ -164,7 +169,7 @@ def _refuse_few(raw: RawLevels) -> RawLevels:
 def _complete_levels(raw: RawLevels) -> RawLevels:
     """The levels with possible pressure and temperature, by falling pressure."""
     p, t = raw.pressure_pa, raw.temperature_k
-    has = np.isfinite(p) & np.isfinite(t)
+    has = np.isfinite(p) & np.isfinite(t) & ~_is_fill(t)
     possible = (p > 0.0) & (p <= HIGHEST_PA) & (t >= COLDEST_K) & (t <= WARMEST_K)
     if missing := int((~has).sum()):
         raw = raw.noting(note("SOUNDING-MISSING", where=raw.where, count=missing, total=p.size))
@@ -180,11 +185,17 @@ def _complete_levels(raw: RawLevels) -> RawLevels:
     return raw
 
 
+def _is_fill(kelvin: Array) -> Mask:
+    """Which temperatures or dew points are -99.9 C and the like: numbers for a missing value."""
+    return np.asarray(np.any(np.abs(kelvin[:, None] - ZERO_CELSIUS_K - _FILLS_C) < 1e-6, axis=1))
+
+
 def _with_vapour_pressure(raw: RawLevels) -> RawLevels:
     """Vapour pressure [Pa] from what there is, at most saturation over water; NaN if nothing."""
     t, p, e, where = raw.temperature_k, raw.pressure_pa, _vapour(raw).copy(), raw.where
     if raw.dew_point_k is not None:
         dew = raw.dew_point_k
+        dew = np.where(_is_fill(dew), np.nan, dew)
         impossible = np.isfinite(dew) & ~((dew >= COLDEST_K) & (dew <= WARMEST_K))
         if count := int(impossible.sum()):
             first = dew[impossible][0]
@@ -203,6 +214,12 @@ def _with_vapour_pressure(raw: RawLevels) -> RawLevels:
     over = np.isfinite(e) & (e > saturated * 1.005)
     if count := int(over.sum()):
         percent = 100.0 * np.max(e[over] / saturated[over])
+        wet = float(np.mean(e[np.isfinite(e)] > TOO_WET * saturated[np.isfinite(e)]))
+        if wet > MOST_TOO_WET:
+            raise _refusal(raw, "humidity", f"{100.0 * wet:.0f} % of the levels have more than "
+                           f"{100.0 * TOO_WET:.0f} %: they look like dew-point depressions, or "
+                           "temperatures or humidities of another unit",
+                           "dew_point_c, relative_humidity or vapour_pressure_hpa")  # fmt: skip
         raw = raw.noting(warning(
             "SOUNDING-HUMIDITY-OVER", where=where, count=count, percent=percent))  # fmt: skip
     return replace(raw, vapour_pressure_pa=np.minimum(e, saturated))

@@ -25,7 +25,8 @@ from pipeline.units import Array
 
 FEWEST_TIE_POINTS = 10
 _FEET = 1.0 - 0.3048
-_POOR_FACTOR = 5.0  # residuals over what the stations' sigmas say, where no station explains them
+# Residuals over what the stations' sigmas say, after findings that explain them in part, or not.
+_PART_FACTOR, _POOR_FACTOR = 1.5, 5.0
 _TO_CHANGE = {
     "TIES-HEIGHT": "ground.height (its column or unit), ground.reference, mission.undulation_m, or "
     "what the heights of the stations count from",
@@ -164,6 +165,11 @@ def check_tie_points(evidence: TieEvidence, ledger: Ledger) -> None:
         if np.isfinite(decades := finding.log_ratio / np.log(10.0)):
             what += f" this is 10^{decades:.0f} times as likely as what is stated"
         what += f"; change {_TO_CHANGE.get(finding.code, '{}').format(finding.key)}"
+        if (factor := findings[-1].sigma_factor) > _PART_FACTOR:
+            what += (
+                f"; rays then still miss by {factor:.1f} times what the stations' sigmas explain: "
+            )
+            what += "these are too small, or there is another mistake, beside this or in its place"
         ledger.finding(finding.code, what, where=finding.key, count=stated.point.size)
     nearest = "; ".join(described(finding) + f" ({finding.key})" for finding in findings)
     code = "TIES-RESIDUALS" if oriented is None else "ORIENTATION-TIES"

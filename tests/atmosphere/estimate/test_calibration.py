@@ -14,7 +14,7 @@ from pipeline.atmosphere.estimate.readings import collect_readings
 from pipeline.atmosphere.estimate.sensors import FAULT_TEXTS, SensorCalibration, SensorSettings
 from pipeline.atmosphere.estimate.solver import estimate
 from pipeline.atmosphere.estimate.state import SensorFault
-from pipeline.ledger import Ledger
+from pipeline.ledger import Kind, Ledger
 
 US1976 = standard_atmosphere("us1976")
 HYGROMETER = SensorFault.HYGROMETER_BIAS
@@ -135,6 +135,17 @@ def test_a_flight_that_contradicts_the_calibration_says_so(flights, truth):
     assert alone == pytest.approx(4.0, abs=0.8)
     _, ledger = flown(flights, truth, sensors, {BIAS: SensorCalibration(4.0, 0.1)})
     assert not [e for e in ledger if e.code.startswith("AIR-CALIBRATION")]
+
+
+@pytest.mark.parametrize("off", [-5.0, 5.0])
+def test_no_rare_fault_of_the_barometer_explains_a_wrong_calibration(flights, truth, off):
+    """Of the barometer nothing is known: lost pressure explains what the thermometer reads."""
+    stated = flights.REALISTIC.bias_k + off
+    given = {BIAS: SensorCalibration(stated, 0.1)}
+    _, ledger = flown(flights, truth, flights.REALISTIC, given, descent=True)
+    (entry,) = [e for e in ledger if e.code == "AIR-CALIBRATION"]
+    assert entry.kind is Kind.FINDING
+    assert f"{stated:.3g} ± 0.1 by the mission file" in entry.what
 
 
 def test_a_calibration_that_is_right_is_seldom_contradicted(flights, truth):

@@ -359,8 +359,9 @@ def test_qnh_taken_for_the_pressure_of_the_station(flights, ascents):
     h = truth.h[:3000:100]
     off = np.log(made.profile.pressure(h) / truth.p[:3000:100])
     assert np.all(np.abs(off) < 2.0 * made.covariance.sigma_log_pressure(h))
-    (told,) = [e for e in ledger if e.code == "AIR-MISFIT" and "(pressure)" in e.what]
-    assert told.kind is Kind.WARNING
+    (told,) = [e for e in ledger if e.code == "AIR-CONTRADICTED"]
+    assert told.kind is Kind.FINDING
+    assert "(pressure)" in told.what
     assert "prevail" in told.what
     assert abs(truth.error(made.profile, 3000.0)) < 2.0 * sigma_of_r(made, truth)
 

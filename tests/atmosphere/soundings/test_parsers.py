@@ -258,6 +258,7 @@ def test_unsorted_levels_are_sorted():
     (air(dew_point_c=None, relative_humidity=55.0 + 0.0 * HEIGHTS), "fraction of one"),
     (air(dew_point_c=None, relative_humidity_percent=0.55 + 0.0 * HEIGHTS), "fraction of one"),
     (air(dew_point_c=None, vapour_pressure_hpa=850.0 + 0.0 * HEIGHTS), "vapour pressure"),
+    (air(dew_point_c=4.0 + 0.002 * HEIGHTS), "depressions"),
 ])  # fmt: skip
 def test_wrong_units_are_refused(levels, words):
     error = refusal(levels)
@@ -304,6 +305,16 @@ def test_humidity_over_saturation_is_clipped():
     s, said = read(air(dew_point_c=None, relative_humidity_percent=wet))
     assert said == {"SOUNDING-HUMIDITY-OVER": 1, "SOUNDING-HUMIDITY-NEGATIVE": 1}
     assert np.isnan(s.vapour_pressure_pa[1])
+
+
+@pytest.mark.parametrize("fill", [-99.0, -99.9, -99.99])
+def test_fills_of_temperatures_are_no_air(fill):
+    s, said = read(changed("temperature_c", 3, fill))
+    assert said == {"SOUNDING-MISSING": 1}
+    assert s.h_m.size == HEIGHTS.size - 1
+    s, said = read(changed("dew_point_c", 3, fill))
+    assert said == {}
+    assert np.isnan(s.vapour_pressure_pa[3])
 
 
 @pytest.mark.parametrize(("i", "height"), [(4, 800.0), (4, 5200.0)])
