@@ -637,6 +637,10 @@ def test_intersected_heights_are_compared_with_those_given(crossing):
     assert ground.kind == "finding"
     assert float(re.search(r"lie ([0-9.]+) m", ground.what)[1]) == pytest.approx(60, abs=6)
     assert "too high" in ground.what
+    assert "rays still miss" not in ground.what
+    table["omega"] += np.random.default_rng(1).normal(0.0, 0.2, len(table))
+    told = ledger_of(crossing, table.assign(height=table["height"] + 60.0))
+    assert "rays still miss by" in told["TIES-HEIGHT"].what
 
 
 @pytest.mark.parametrize(

@@ -166,9 +166,7 @@ def check_tie_points(evidence: TieEvidence, ledger: Ledger) -> None:
             what += f" this is 10^{decades:.0f} times as likely as what is stated"
         what += f"; change {_TO_CHANGE.get(finding.code, '{}').format(finding.key)}"
         if (factor := findings[-1].sigma_factor) > _PART_FACTOR:
-            what += (
-                f"; rays then still miss by {factor:.1f} times what the stations' sigmas explain: "
-            )
+            what += f"; rays still miss by {factor:.1f} times what the stations' sigmas explain: "
             what += "these are too small, or there is another mistake, beside this or in its place"
         ledger.finding(finding.code, what, where=finding.key, count=stated.point.size)
     nearest = "; ".join(described(finding) + f" ({finding.key})" for finding in findings)
