@@ -137,12 +137,12 @@ def test_a_flight_that_contradicts_the_calibration_says_so(flights, truth):
     assert not [e for e in ledger if e.code.startswith("AIR-CALIBRATION")]
 
 
-@pytest.mark.parametrize("off", [-5.0, 5.0])
+@pytest.mark.parametrize("off", [-5.0, 3.5])
 def test_no_rare_fault_of_the_barometer_explains_a_wrong_calibration(flights, truth, off):
     """Of the barometer nothing is known: lost pressure explains what the thermometer reads."""
     stated = flights.REALISTIC.bias_k + off
     given = {BIAS: SensorCalibration(stated, 0.1)}
-    _, ledger = flown(flights, truth, flights.REALISTIC, given, descent=True)
+    _, ledger = flown(flights, truth, flights.REALISTIC, given)
     (entry,) = [e for e in ledger if e.code == "AIR-CALIBRATION"]
     assert entry.kind is Kind.FINDING
     assert f"{stated:.3g} ± 0.1 by the mission file" in entry.what
