@@ -8,7 +8,7 @@ is 1000 times as likely as what is stated, and larger than the stated sigmas exp
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import combinations, product
 
@@ -23,7 +23,7 @@ from pipeline.flight.rotations import ANGLE_MISTAKES, CAMERA_AT_REST, UNIT_MISTA
 from pipeline.refraction.camera.camera import Camera
 from pipeline.units import Array, Integers
 
-_RANKING_POINTS, _DECIDED_BY_ALL, _MOST_FINDINGS, _FEWEST_HEIGHTS = 200, 4, 3, 10
+_RANKING_POINTS, _DECIDED_BY_ALL, _MOST_STEPS, _FEWEST_HEIGHTS = 200, 4, 4, 10
 _SIGMAS = 4.0  # beyond which a stated sigma does not explain an error that all stations share
 
 # Misses over sigmas, and the share of points whose rays meet, beyond which anything may be wrong.
@@ -34,7 +34,7 @@ _WORTH_A_LOOK = 0.3 * LOG_RATIO_NEEDED
 # What matters to nobody: turns [rad], principal distance, height and distortion in the corners of
 # the image as shares, time [s].
 _SMALL = {"TIES-MOUNT": np.radians(0.3), "TIES-FOCAL": 0.01, "TIES-HEIGHT": 0.01, "TIES-TIME": 0.1,
-          "TIES-CALIBRATION": 0.003}  # fmt: skip
+          "TIES-CALIBRATION": 0.0015}  # fmt: skip
 
 _KEYS = {
     "TIES-MOUNT": "mount.{}", "TIES-FOCAL": "cameras.{}", "TIES-TIME": "events",
@@ -153,7 +153,7 @@ class _Hypothesis:
 
 def _subject(h: _Hypothesis) -> tuple[str, str]:
     """What two hypotheses have in common that are one: calibrations do not meet when estimated."""
-    return h.code, h.label if h.code == "TIES-CALIBRATION" else h.camera
+    return h.code, (h.label or h.camera) if h.code == "TIES-CALIBRATION" else h.camera
 
 
 def diagnosis(mission: StatedMission) -> tuple[Intersection, tuple[Finding, ...]]:
@@ -172,7 +172,7 @@ def diagnosis(mission: StatedMission) -> tuple[Intersection, tuple[Finding, ...]
     some = stated.point[np.unique(np.linspace(0, size - 1, _RANKING_POINTS).astype(int))[:size]]
     findings: list[Finding] = []
 
-    for _ in range(_MOST_FINDINGS):
+    for _ in range(_MOST_STEPS):
         if now.misfit <= LOG_RATIO_NEEDED:  # nothing can be more likely by as much
             break
         poor = not now.sigma_factor < _POOR_FIT or now.used.mean() < _FEW_MEET
@@ -191,14 +191,17 @@ def diagnosis(mission: StatedMission) -> tuple[Intersection, tuple[Finding, ...]
             found = reading.intersected(mission)
             gain = found.log_likelihood - now.log_likelihood
             text = _described(mission, h, reading, found, sigma)
-            if gain > LOG_RATIO_NEEDED and text:
+            if gain > LOG_RATIO_NEEDED:
                 best.append((gain, h, reading, found, text))
-        if not best:
+        if not any(text for *_, text in best):
             break
-        # Of equals, that which has a name.
+        # Of equals, that which has a name. What is more likely and matters to nobody is no finding,
+        # and neither is then what it explains.
         best.sort(key=lambda item: -item[0] - LOG_RATIO_NEEDED * bool(item[1].label))
         gain, chosen, current, now, text = best[0]
-        other = {_subject(h): t for g, h, _, _, t in best if g > (1.0 - _MARGIN) * gain}
+        if not text:
+            continue
+        other = {_subject(h): t for g, h, _, _, t in best if t and g > (1.0 - _MARGIN) * gain}
         other.pop(_subject(chosen), None)
         key = _KEYS[chosen.code].format(chosen.camera).rstrip(".")
         key = "stations.orientation" if "mount" in key and not mission.mounts else key
@@ -331,8 +334,11 @@ def small_errors(
             turn = Rotation.from_rotvec(vector).as_matrix()
             yield _Hypothesis("TIES-MOUNT", "", name, _at_once(now.turned(name, turn)))
     up = _Hypothesis("TIES-HEIGHT", "", "", lambda x: replace(now, up_m=now.up_m + x), 0.0, 1.0)
-    others = [up, *(_scaled(now, (name,), 1.0, "") for name in names)]
-    others += [_distorted(now, name) for name in names if np.isfinite(_k1(now.cameras[name]))]
+    groups = dict.fromkeys([*((name,) for name in names), tuple(names)])
+    others = [up, *(_scaled(now, group, 1.0, "") for group in groups)]
+    others += [
+        _distorted(now, group) for group in groups if np.isfinite(_k1(now.cameras, group)).all()
+    ]
     others += [_later(now, 0.0)] if mission.shifted is not None else []
     for gain, x, h in estimated(mission, now, found, others, np.zeros((o.camera.size, 6, 0))):
         if gain >= least:
@@ -406,22 +412,28 @@ def _scaled(now: _Reading, names: tuple[str, ...], factor: float, label: str) ->
         }
         return replace(now, cameras={**now.cameras, **scaled})
 
-    return _Hypothesis("TIES-FOCAL", label, names[0], reading, float(np.log(factor)), 0.005)
+    return _Hypothesis("TIES-FOCAL", label, _only(names), reading, float(np.log(factor)), 0.005)
 
 
-def _k1(camera: Camera) -> float:
-    """The first coefficient of radial distortion, NaN in a model without it."""
-    return float(camera.distortion._asdict().get("k1", np.nan))
+def _k1(cameras: Mapping[str, Camera], names: Iterable[str]) -> Array:
+    """The first coefficients of radial distortion, NaN in a model without it."""
+    return np.array([cameras[name].distortion._asdict().get("k1", np.nan) for name in names])
 
 
-def _distorted(now: _Reading, name: str) -> _Hypothesis:
-    camera, k1 = now.cameras[name], _k1(now.cameras[name])
-
+def _distorted(now: _Reading, names: tuple[str, ...]) -> _Hypothesis:
     def reading(x: float) -> _Reading:
-        other = replace(camera, distortion=camera.distortion._replace(k1=k1 + x))
-        return replace(now, cameras={**now.cameras, name: other})
+        other = {
+            name: replace(c := now.cameras[name], distortion=c.distortion._replace(k1=k1 + x))
+            for name, k1 in zip(names, _k1(now.cameras, names).tolist(), strict=True)
+        }
+        return replace(now, cameras={**now.cameras, **other})
 
-    return _Hypothesis("TIES-CALIBRATION", "", name, reading, 0.0, 0.005)
+    return _Hypothesis("TIES-CALIBRATION", "", _only(names), reading, 0.0, 0.005)
+
+
+def _only(names: tuple[str, ...]) -> str:
+    """The name of one camera, empty where there are several."""
+    return names[0] if len(names) == 1 else ""
 
 
 def _later(now: _Reading, seconds: float) -> _Hypothesis:
@@ -502,18 +514,26 @@ def _described(
     least = _SMALL.get(h.code, 0.0)
     if h.code == "TIES-MOUNT":
         return _turn_of(mission, h, reading, found)
+    names = (h.camera,) if h.camera else tuple(mission.cameras)
+    of = f"of {' and '.join(names)} is"
     if h.code == "TIES-FOCAL":
-        stated, size = mission.cameras[h.camera].fx_px, reading.cameras[h.camera].fx_px
+        stated, size = (
+            np.array([cameras[name].fx_px for name in names])
+            for cameras in (mission.cameras, reading.cameras)
+        )
         explained = max(least, _SIGMAS * float(np.hypot(sigma, heights_m / above)))
-        text = f"the principal distance of {h.camera} is {size:.0f} px +- {size * sigma:.2g}, not "
-        text += f"{stated:g}" + (f": it is {h.label}" if h.label else "")
-        return text if abs(np.log(size / stated)) > explained else ""
+        text = (
+            f"the principal distance {of} {_listed(size, '.0f')} px +- {size[0] * sigma:.2g}, not "
+        )
+        text += _listed(stated, "g") + (f": it is {h.label}" if h.label else "")
+        return text if np.abs(np.log(size / stated)).max() > explained else ""
     if h.code == "TIES-CALIBRATION":
-        was, own = mission.cameras[h.camera], reading.cameras[h.camera]
-        k1, stated = _k1(own), _k1(was)
-        corner = 0.25 * ((was.width_px / was.fx_px) ** 2 + (was.height_px / was.fy_px) ** 2)
-        text = f"the radial distortion k1 of {h.camera} is {k1:.4f} +- {sigma:.2g}, not {stated:g}"
-        return text if abs(k1 - stated) > max(least / corner, _SIGMAS * sigma) else ""
+        stated, k1 = (_k1(cameras, names) for cameras in (mission.cameras, reading.cameras))
+        every = (mission.cameras[name] for name in names)
+        corner = 0.5 * max(np.hypot(c.width_px / c.fx_px, c.height_px / c.fy_px) for c in every)
+        explained = max(least / corner**2, _SIGMAS * sigma)
+        text = f"the radial distortion k1 {of} {_listed(k1, '.4f')} +- {sigma:.2g}, not "
+        return text + _listed(stated, "g") if np.abs(k1 - stated).max() > explained else ""
     if h.code == "TIES-HEIGHT":
         x, spread = reading.up_m, _SIGMAS * float(np.hypot(sigma, heights_m))
         text = f"the stations lie {abs(x):.1f} m +- {sigma:.2g} too {'low' if x > 0 else 'high'} "
@@ -534,6 +554,10 @@ def _described(
         axes = "x and y are exchanged" if h.label == "exchanged" else "y counts upward"
         return f"in the pixels of {h.camera} {axes}"
     return f"the images of {h.label} are each other's"
+
+
+def _listed(values: Array, form: str) -> str:
+    return " and ".join(format(value, form) for value in values)
 
 
 def _turn_of(mission: StatedMission, h: _Hypothesis, reading: _Reading, found: Intersection) -> str:
