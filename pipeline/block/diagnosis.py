@@ -195,9 +195,8 @@ def diagnosis(mission: StatedMission) -> tuple[Intersection, tuple[Finding, ...]
                 best.append((gain, h, reading, found, text))
         if not any(text for *_, text in best):
             break
-        # Of equals, that which has a name. What is more likely and matters to nobody is no finding,
-        # and neither is then what it explains.
-        best.sort(key=lambda item: -item[0] - LOG_RATIO_NEEDED * bool(item[1].label))
+        # What is more likely and matters to nobody is no finding, nor is what it explains.
+        best.sort(key=lambda item: -item[0] - _log_odds(item[1]))
         gain, chosen, current, now, text = best[0]
         if not text:
             continue
@@ -214,6 +213,13 @@ def diagnosis(mission: StatedMission) -> tuple[Intersection, tuple[Finding, ...]
     if text := scattered_heights(mission, now, factor):
         findings.append(Finding("TIES-HEIGHT", "ground", text, np.inf, factor))
     return stated, tuple(findings)
+
+
+def _log_odds(h: _Hypothesis) -> float:
+    """How likely a mistake is beforehand, as a natural logarithm: more if it has a name, less if
+    all cameras have it alike."""
+    alike = h.code in ("TIES-FOCAL", "TIES-CALIBRATION") and not h.camera and not h.label
+    return LOG_RATIO_NEEDED * (bool(h.label) - 2.0 * alike)
 
 
 def _likelihood(mission: StatedMission, reading: _Reading, points: Integers) -> float:
