@@ -76,18 +76,11 @@ class Flight:
         gate = self.airborne(time_s)
         climb = np.arctan2(velocity[2], np.maximum(ground_speed, 30.0))
         roll = np.arctan(ground_speed * rate / STANDARD_GRAVITY)
-        return State(
-            time_s,
-            lat,
-            lon,
-            FIELD_HEIGHT_M + up,
-            roll + gate * _wander(time_s, 0.8, (7.3, 11.9, 29.0), 0.4),
-            climb + np.radians(1.5) + gate * _wander(time_s, 0.6, (6.1, 13.7, 41.0), 1.3),
-            heading + gate * _wander(time_s, 0.7, (9.7, 17.3, 37.0), 2.6),
-            ground_speed,
-            velocity[2],
-            heading,
-        )
+        roll += gate * _wander(time_s, 0.8, (7.3, 11.9, 29.0), 0.4)
+        pitch = climb + np.radians(1.5) + gate * _wander(time_s, 0.6, (6.1, 13.7, 41.0), 1.3)
+        yaw = heading + gate * _wander(time_s, 0.7, (9.7, 17.3, 37.0), 2.6)
+        place = lat, lon, FIELD_HEIGHT_M + up
+        return State(time_s, *place, roll, pitch, yaw, ground_speed, velocity[2], heading)
 
 
 def _wander(time_s: Array, size_deg: float, periods_s: tuple[float, ...], phase: float) -> Array:
@@ -236,7 +229,7 @@ class AirState:
 
     pressure_pa: Array
     temperature_k: Array
-    vapour_pa: Array
+    vapour_pressure_pa: Array
     humidity: Array
     n: Array
 
@@ -254,6 +247,5 @@ def cabin_air(air: TrueAir, h_msl_m: Array, time_s: Array) -> AirState:
     temperature = temperature + 0.4 * np.sin(2.0 * np.pi * time_s / 121.0)
     humidity = 0.30 + 0.03 * np.sin(2.0 * np.pi * time_s / 540.0)
     vapour = humidity * saturation_pressure_pa(temperature)
-    return AirState(
-        pressure, temperature, vapour, humidity, edlen_index(pressure, temperature, vapour)
-    )
+    n = edlen_index(pressure, temperature, vapour)
+    return AirState(pressure, temperature, vapour, humidity, n)

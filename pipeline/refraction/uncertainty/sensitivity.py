@@ -330,19 +330,13 @@ def sensitivity(
     traced = _derivatives(profile, (h_c, h_g, zeta_c, radius), air)
     edges = profile.layers.edge.size
     d_log_pressure = traced.gradient[..., edges]
+    d_h_c, d_h_g, d_zeta_c = np.moveaxis(traced.place, -1, 0)
     return Sensitivity(
-        edge_height_m=profile.break_heights_m,
-        r_c=traced.r_c,
-        d_temperature=traced.gradient[..., :edges],
-        d_vapour=traced.gradient[..., edges + 1 :],
-        d_log_pressure=d_log_pressure,
-        d_pressure=d_log_pressure / profile.pressure(anchor_height_m),
-        d_h_c=traced.place[..., 0],
-        d_h_g=traced.place[..., 1],
-        d_zeta_c=traced.place[..., 2],
-        status=traced.status,
-        valid=traced.valid,
-    )
+        profile.break_heights_m, traced.r_c, traced.gradient[..., :edges],
+        traced.gradient[..., edges + 1 :], d_log_pressure,
+        d_log_pressure / profile.pressure(anchor_height_m), d_h_c, d_h_g, d_zeta_c,
+        traced.status, traced.valid,
+    )  # fmt: skip
 
 
 class _Derivatives(NamedTuple):
