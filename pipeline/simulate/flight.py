@@ -54,6 +54,10 @@ class State:
         rows = {name: np.interp(time_s, self.time_s, row) for name, row in vars(self).items()}
         return State(**rows)
 
+    def rows(self, which: slice) -> State:
+        """Some of the times."""
+        return State(*(row[which] for row in vars(self).values()))
+
 
 @dataclass(frozen=True, eq=False)
 class Flight:

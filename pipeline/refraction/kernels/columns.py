@@ -105,9 +105,7 @@ class ObservationColumns(NamedTuple):
 
     def part(self, rows: slice) -> ObservationColumns:
         """Some of the rows."""
-        return ObservationColumns(
-            self.x[rows], self.y[rows], self.h_g[rows], self.sigma_h_g[rows], self.exposure[rows]
-        )
+        return ObservationColumns._make(values[rows] for values in self)
 
 
 class TracedColumns(NamedTuple):

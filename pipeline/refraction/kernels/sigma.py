@@ -116,9 +116,11 @@ def _by_heights(ray, d_zeta, n_g, s):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _towards(axis, east, north, sin_z, cos_z):  # type: ignore[no-untyped-def]
-    """How far a turn towards the nadir moves the ray along an axis of the camera."""
-    return -cos_z * (axis[0] * east + axis[1] * north) - sin_z * axis[2]
+def _turns(axis, east, north, sin_z, cos_z):  # type: ignore[no-untyped-def]
+    """Parts along an axis of the camera of unit vectors towards the nadir, and across the ray's
+    vertical plane."""
+    towards = -cos_z * (axis[0] * east + axis[1] * north) - sin_z * axis[2]
+    return towards, axis[1] * east - axis[0] * north
 
 
 @jit
@@ -159,22 +161,6 @@ def _in_the_image(along, across, motion, air, s):  # type: ignore[no-untyped-def
     turned2 += s[of.YAW2] * (by_yaw * by_yaw)
     lift = (along * d_h_c + window * s[of.WINDOW_BEND]) * s[of.SIGMA_H]
     return by_air, math.sqrt(turned2 + lift * lift), along * d_h_g
-
-
-@jit
-def _axes(turn, sin_z, cos_z, east, north):  # type: ignore[no-untyped-def]
-    """Unit vectors in the camera: towards the nadir, and across the ray's vertical plane."""
-    t = (
-        _towards(turn[0], east, north, sin_z, cos_z),
-        _towards(turn[1], east, north, sin_z, cos_z),
-        _towards(turn[2], east, north, sin_z, cos_z),
-    )
-    q = (
-        turn[0][1] * east - turn[0][0] * north,
-        turn[1][1] * east - turn[1][0] * north,
-        turn[2][1] * east - turn[2][0] * north,
-    )
-    return t, q
 
 
 @within
@@ -226,7 +212,10 @@ def _spread(room, count, camera, exposure):  # type: ignore[no-untyped-def]
         east = room[of.APPARENT, i] * inverse if leans else 1.0
         north = room[of.APPARENT + 1, i] * inverse if leans else 0.0
         swing = r * inverse if leans else d_zeta
-        t, q = _axes(turn, sin_z, cos_z, east, north)
+        t_0, q_0 = _turns(turn[0], east, north, sin_z, cos_z)
+        t_1, q_1 = _turns(turn[1], east, north, sin_z, cos_z)
+        t_2, q_2 = _turns(turn[2], east, north, sin_z, cos_z)
+        t, q = (t_0, t_1, t_2), (q_0, q_1, q_2)
         u, v = room[of.U, i], room[of.V, i]
         point = (u, v, math.sqrt(u * u + v * v + 1.0))
         # How far it turns towards the nadir and across per unit of dN_c - dN_cc.
