@@ -5,14 +5,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pipeline.flight import rotations
 from pipeline.flight.channels import Channel
-from pipeline.flight.rotations import (
-    CAMERA_AT_REST,
-    down_in_body,
-    matrices_of,
-    ned_from_body,
-    quaternions_of,
-)
+from pipeline.flight.rotations import CAMERA_AT_REST, down_in_body
 from pipeline.flight.trajectory import attitude_at
 from pipeline.ledger import Notes, note, warning
 from pipeline.units import Array
@@ -70,18 +65,18 @@ def payload_attitude(
     """
     known = np.stack([gimbal.get(name) for name in _Q], 1)
     if f"gimbal_{_Q[0]}" in gimbal.columns:
-        to_nose = matrices_of(np.stack([gimbal[f"gimbal_{name}"] for name in _Q], axis=1))
+        to_nose = rotations.matrices_of(np.stack([gimbal[f"gimbal_{name}"] for name in _Q], axis=1))
     elif "gimbal_yaw_rad" in gimbal.columns:
         angles = np.stack([gimbal[f"gimbal_{name}_rad"] for name in ("roll", "pitch", "yaw")], 1)
         angles[(np.abs(angles) > 2.0 * np.pi).any(axis=1)] = np.nan
-        to_nose = ned_from_body(angles)
+        to_nose = rotations.ned_from_body(angles)
     else:
         return gimbal, ()
     missing = np.isnan(known).any(axis=1) & np.isfinite(to_nose).all(axis=(1, 2))
     if aircraft is None or not bool(missing.any()):
         return gimbal, ()
     attitude = attitude_at(aircraft, gimbal.time_ns[missing], max_gap_s).quaternion
-    turned = matrices_of(attitude)
+    turned = rotations.matrices_of(attitude)
     added = f"that of {aircraft.name} is added"
     if is_of_gimbal(gimbal.source.message, "MOUNTSTATUS") and (
         slope_of(roll_and_pitch(to_nose[missing]), roll_and_pitch(turned)) < _COUNTERED
@@ -90,8 +85,8 @@ def payload_attitude(
     else:
         level = np.zeros((turned.shape[0], 3))
         level[:, 2] = np.arctan2(turned[:, 1, 0], turned[:, 0, 0])
-        turned = ned_from_body(level)
-    known[missing] = quaternions_of(turned @ to_nose[missing])
+        turned = rotations.ned_from_body(level)
+    known[missing] = rotations.quaternions_of(turned @ to_nose[missing])
     entry = note(
         "GIMBAL-YAW", where=gimbal.name, count=int(missing.sum()), total=len(gimbal), added=added
     )

@@ -9,15 +9,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from pipeline.errors import MissionError
+from pipeline.simulate import flight as plan
 from pipeline.simulate import optics
-from pipeline.simulate.flight import (
-    UNDULATION_M,
-    AirState,
-    Flight,
-    cabin_air,
-    geographic,
-    terrain_m,
-)
+from pipeline.simulate.flight import UNDULATION_M, AirState, Flight
 from pipeline.simulate.sensors import unix_ns
 from pipeline.simulate.true_air import TrueAir, relative_humidity, temperature_k, vapour_pressure_pa
 from pipeline.units import Array, Integers
@@ -109,7 +103,7 @@ def stations(
     shots = names, np.repeat(np.arange(len(cameras)), count), unix_ns(time_s)
     place = positions, np.arcsin(up[:, 2]), np.arctan2(up[:, 1], up[:, 0]), height
     attitude = rotation, np.stack([optics.quaternion(r) for r in rotation])
-    return TrueStations(*shots, *place, *attitude, outside, cabin_air(air, msl, time_s))
+    return TrueStations(*shots, *place, *attitude, outside, plan.cabin_air(air, msl, time_s))
 
 
 def _candidates(spacing_m: float, flight: Flight, rng: np.random.Generator) -> GroundPoints:
@@ -121,8 +115,8 @@ def _candidates(spacing_m: float, flight: Flight, rng: np.random.Generator) -> G
     place = np.stack([axis.ravel() for axis in grid], axis=-1)
     place += rng.uniform(-0.45, 0.45, place.shape) * spacing_m
     place = place[rng.permutation(len(place))]
-    lat, lon = geographic(place[:, 0], place[:, 1])
-    h_msl = np.round(terrain_m(place[:, 0], place[:, 1]), 3)
+    lat, lon = plan.geographic(place[:, 0], place[:, 1])
+    h_msl = np.round(plan.terrain_m(place[:, 0], place[:, 1]), 3)
     return GroundPoints((), lat, lon, h_msl, optics.to_ecef(lat, lon, h_msl + UNDULATION_M))
 
 

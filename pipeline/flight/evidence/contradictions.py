@@ -8,19 +8,10 @@ import numpy as np
 from pipeline.flight.channels import Channel
 from pipeline.flight.evidence import filter_health as health
 from pipeline.flight.evidence import sources as src
+from pipeline.flight.evidence import stretches as spans
 from pipeline.flight.evidence.quality import subset
 from pipeline.flight.evidence.sources import SourcePath, Sources, is_receiver, velocity_at
-from pipeline.flight.evidence.stretches import (
-    ATTITUDE,
-    HEIGHT,
-    POSITION,
-    SECOND,
-    Stretch,
-    beside,
-    covered,
-    merged,
-    runs,
-)
+from pipeline.flight.evidence.stretches import ATTITUDE, HEIGHT, POSITION, SECOND, Stretch, merged
 from pipeline.flight.mount import is_of_gimbal
 from pipeline.flight.roles import follows_height
 from pipeline.ledger import Entry, Notes, warning
@@ -69,7 +60,7 @@ def examine(
             path = src.source_path(mine, POSITION, [mine, *sorted(channels, key=is_receiver)])
             away = [s for s in own_contradictions(path, POSITION) if np.isfinite(s.off_m)]
             suspect += [replace(s, quantity=HEIGHT, off_m=np.nan) for s in away]
-            good = sources.own.good & ~covered(away, sources.own.channel.time_ns)
+            good = sources.own.good & ~spans.covered(away, sources.own.channel.time_ns)
             sources = replace(sources, own=replace(sources.own, good=good))
         for drift in merged(drifts):
             pressure = result["pressure"]
@@ -138,7 +129,7 @@ def contradictions_of(sources: Sources, while_on: Channel) -> tuple[list[Stretch
             reason = f"{name} and {other.channel.name} are {off_m:.0f} m apart"
             if other.stepped_m[a : b + 1].any():
                 reason = f"{other.channel.name} steps at {other.fastest_m_s:.0f} m/s; {reason}"
-            stretch = Stretch(*beside(time_ns, a, b), quantity, reason, off_m)
+            stretch = Stretch(*spans.beside(time_ns, a, b), quantity, reason, off_m)
             of_receiver = is_receiver(own.channel) and not is_receiver(other.channel)
             if quantity == HEIGHT and of_receiver and receiver_is_right(sources, d, a, b):
                 # A filter's height follows the barometer: it says nothing of its own.
@@ -153,18 +144,18 @@ def own_contradictions(track: SourcePath, quantity: str) -> list[Stretch]:
     """Where a source has stepped away from itself, or reports a poor accuracy."""
     time_ns, name, found = track.channel.time_ns, track.channel.name, []
     away = np.linalg.norm(track.stepped_m, axis=1)
-    for a, b in runs(time_ns, away > 0.0, away > 0.0):
+    for a, b in spans.runs(time_ns, away > 0.0, away > 0.0):
         off_m = float(away[a : b + 1].max())
         reason = f"{name} steps by {off_m:.0f} m at {track.fastest_m_s:.0f} m/s"
-        found.append(Stretch(*beside(time_ns, a, b), quantity, reason, off_m))
+        found.append(Stretch(*spans.beside(time_ns, a, b), quantity, reason, off_m))
     for time in track.lasting_ns.tolist():
         reason = f"{name} steps at {track.fastest_m_s:.0f} m/s and does not return"
         wide = src.LONGEST_REPLACED_S // 2 * SECOND
         found.append(Stretch(int(time - wide), int(time + wide), quantity, reason))
     poor = ~track.good & (away == 0.0)
-    for a, b in runs(time_ns, poor, poor):
+    for a, b in spans.runs(time_ns, poor, poor):
         reason = f"{name} reports an accuracy worse than {src.WORST_ACCURACY_M:g} m"
-        found.append(Stretch(*beside(time_ns, a, b), quantity, reason))
+        found.append(Stretch(*spans.beside(time_ns, a, b), quantity, reason))
     return found
 
 
@@ -243,13 +234,14 @@ def contradictions_of_import(
             # Heights above two surfaces are apart where nothing lags.
             speed = still if quantity == HEIGHT else velocity_at(moving, quantity, mine.time_ns)
             apart = src.difference(log, whole, quantity, speed)
-            silent = covered([s for s in own_suspect if s.quantity == quantity], mine.time_ns)
+            silent = spans.covered([s for s in own_suspect if s.quantity == quantity], mine.time_ns)
             off = np.where(silent, 0.0, np.nan_to_num(apart.off_m))
             limit = max(apart.limit_m, LEAST_M[quantity])
-            for a, b in runs(mine.time_ns, off > 0.5 * limit, off > limit):
+            for a, b in spans.runs(mine.time_ns, off > 0.5 * limit, off > limit):
                 off_m = float(off[a : b + 1].max())
                 reason = f"{mine.name} and {log.name} are {off_m:.0f} m apart"
-                stretches.append(Stretch(*beside(mine.time_ns, a, b), quantity, reason, off_m))
+                ends = spans.beside(mine.time_ns, a, b)
+                stretches.append(Stretch(*ends, quantity, reason, off_m))
         for stretch in merged(stretches):
             reported = float(stated[stretch.covers(mine.time_ns)].max(initial=0.0))
             if not stretch.off_m < _SIGMAS * reported:

@@ -14,13 +14,8 @@ from numpy.typing import ArrayLike
 
 from pipeline.atmosphere.profile import Profile
 from pipeline.errors import PhysicsError
-from pipeline.refraction.published.column import (
-    at_45_degrees,
-    downward,
-    finite,
-    mean,
-    times_tangent,
-)
+from pipeline.refraction.published import column
+from pipeline.refraction.published.column import at_45_degrees, downward, finite, times_tangent
 from pipeline.units import HECTOPASCAL, Array, Rows
 
 STEP_M = 1000.0
@@ -67,7 +62,7 @@ def plane_first_term(
     """
     w_c = _squared(profile, h_c)
     if step is None:
-        column = mean(profile, _squared, h_g, h_c) - w_c
+        excess = column.mean(profile, _squared, h_g, h_c) - w_c
     else:
         count, width = _intervals(profile, h_c, h_g, step)
 
@@ -75,8 +70,8 @@ def plane_first_term(
             return _squared(profile, h) - w_c.ravel()[used]
 
         total = _eq_31(above_w_c, h_g, width, np.zeros(h_g.shape), count)
-        column = np.where(h_c > h_g, total / np.where(h_c > h_g, h_c - h_g, 1.0), 0.0)
-    return 0.5 * column / (1.0 + w_c)
+        excess = np.where(h_c > h_g, total / np.where(h_c > h_g, h_c - h_g, 1.0), 0.0)
+    return 0.5 * excess / (1.0 + w_c)
 
 
 def plane(
@@ -95,7 +90,7 @@ def plane(
     """
     h_c, h_g, zeta_c = finite(h_c, h_g, zeta_c)
     w_c = _squared(profile, h_c)
-    m_1, m_2, m_3 = (mean(profile, power, h_g, h_c) for power in _POWERS)
+    m_1, m_2, m_3 = (column.mean(profile, power, h_g, h_c) for power in _POWERS)
     n2_c = 1.0 + w_c
     u_1 = (m_1 - w_c) / n2_c
     u_2 = (m_2 - w_c * (2.0 * m_1 - w_c)) / n2_c**2
@@ -133,7 +128,7 @@ def plane_moist(profile: Profile, h_c: Array, h_g: Array) -> Array:
     rise = np.where(rise > 0.0, rise, np.nan)
     dry = (profile.pressure(h_g) - p_c) / (profile.constant * rise)
     dry = (dry - p_c / profile.virtual_temperature(h_c)) / HECTOPASCAL
-    wet = mean(profile, _wetness, h_g, h_c) - _wetness(profile, h_c)
+    wet = column.mean(profile, _wetness, h_g, h_c) - _wetness(profile, h_c)
     return np.where(h_c == h_g, 0.0, k * dry + (0.378 * k - w) * wet) * 1e-6
 
 

@@ -293,8 +293,7 @@ def ray_weights(
     >>> (ray.r_c * 1e6).round(4).item(), (one_percent_denser * 1e6).round(4).item()
     (60.6689, 0.6065)
     """
-    traced = _derivatives(profile, (h_c, h_g, zeta_c, radius), lambda h: np.eye(h.size))
-    return RayWeights(traced.height_m, traced.gradient, traced.r_c, traced.status, traced.valid)
+    return _derivatives(profile, (h_c, h_g, zeta_c, radius), lambda h: np.eye(h.size))[0]
 
 
 def sensitivity(
@@ -327,33 +326,24 @@ def sensitivity(
     ([0.0, -413.824, 58.604], [-0.0, -11.8448])
     """
     air = partial(air_jacobian, profile, anchor_height_m=anchor_height_m)
-    traced = _derivatives(profile, (h_c, h_g, zeta_c, radius), air)
+    (_, gradient, r_c, status, valid), place = _derivatives(
+        profile, (h_c, h_g, zeta_c, radius), air
+    )
     edges = profile.layers.edge.size
-    d_log_pressure = traced.gradient[..., edges]
-    d_h_c, d_h_g, d_zeta_c = np.moveaxis(traced.place, -1, 0)
+    d_log_pressure = gradient[..., edges]
+    d_h_c, d_h_g, d_zeta_c = np.moveaxis(place, -1, 0)
     return Sensitivity(
-        profile.break_heights_m, traced.r_c, traced.gradient[..., :edges],
-        traced.gradient[..., edges + 1 :], d_log_pressure,
-        d_log_pressure / profile.pressure(anchor_height_m), d_h_c, d_h_g, d_zeta_c,
-        traced.status, traced.valid,
+        profile.break_heights_m, r_c, gradient[..., :edges], gradient[..., edges + 1 :],
+        d_log_pressure, d_log_pressure / profile.pressure(anchor_height_m), d_h_c, d_h_g, d_zeta_c,
+        status, valid,
     )  # fmt: skip
-
-
-class _Derivatives(NamedTuple):
-    """Of R_c of rays: ``gradient`` (..., k) by the air, ``place`` (..., 3) by h_c, h_g, zeta_c."""
-
-    height_m: Array
-    gradient: Array
-    place: Array
-    r_c: Array
-    status: NDArray[np.uint8]
-    valid: Mask
 
 
 def _derivatives(
     profile: Profile, rays: tuple[ArrayLike, ...], air_of: Callable[[Array], Array]
-) -> _Derivatives:
-    """Derivatives by what changes N at heights (n,), as ``air_of`` (n, k) has it."""
+) -> tuple[RayWeights, Array]:
+    """Derivatives (..., k) by what changes N at heights (n,), as ``air_of`` (n, k) has it, and
+    (..., 3) by h_c, h_g and zeta_c."""
     shape, (h_c, h_g, zeta_c, radius) = as_columns(*rays)
     safe = np.where((zeta_c >= 0.0) & (zeta_c <= np.pi), zeta_c, np.nan)
     r_c, status = bend(ray_table(profile), h_c, h_g, np.sin(safe), np.cos(safe), radius=radius)
@@ -374,7 +364,6 @@ def _derivatives(
         rows = traced[first : first + at_once]
         weight, place[rows], valid[rows] = trace_adjoints(pieces, columns.rows(rows))
         gradient[rows] = weight @ air
-    return _Derivatives(
-        height_m, gradient.reshape(*shape, air.shape[1]), place.reshape(*shape, 3),
-        r_c.reshape(shape), status.reshape(shape), valid.reshape(shape),
-    )  # fmt: skip
+    gradient, place = gradient.reshape(*shape, air.shape[1]), place.reshape(*shape, 3)
+    of_rays = r_c.reshape(shape), status.reshape(shape), valid.reshape(shape)
+    return RayWeights(height_m, gradient, *of_rays), place
