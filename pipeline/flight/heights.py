@@ -30,8 +30,6 @@ nowhere [m]."""
 class HeightSystem:
     """How the two kinds of height go together; without undulation and geoid that is unknown.
 
-    Parameters
-    ----------
     undulation_m : ellipsoidal height minus height above sea level, the same everywhere.
     home_h_msl_m : height of the take-off point.
     geoid : its undulations plus ``offset_m`` (the log's own minus the grid's) hold where

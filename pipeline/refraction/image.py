@@ -175,7 +175,7 @@ def correct_observations(
         traced = of.TracedColumns(rays, r_c, np.where(seen == OK, bent, seen))
         part["r_c_rad"][:], status[rows] = r_c, traced.status
         part["zeta_c_rad"][:] = np.arctan2(rays[of.SIN], rays[of.COS])
-        shifts = of.ShiftColumns(part["dx_px"], part["dy_px"], part["shift_ground_m"])
+        shifts = part["dx_px"], part["dy_px"], part["shift_ground_m"]
         kernel.shift_back(observed, *setup, traced, shifts)
         part["x_px"][:] = observed.x + part["dx_px"]
         part["y_px"][:] = observed.y + part["dy_px"]

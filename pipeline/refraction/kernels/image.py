@@ -277,7 +277,7 @@ def _shift_in_image(span, rays, scratch, exposure, shifts):  # type: ignore[no-u
     """
     first, last = span
     camera, turn, change_px = exposure
-    dx, dy, _ = shifts
+    dx, dy = shifts
     fx, fy, parameters = camera.fx, camera.fy, camera.distortion
     u, v, lower, seen = rays[of.U], rays[of.V], scratch[2:5], scratch[5:8]
     l_0, l_1, l_2 = lower[0], lower[1], lower[2]
@@ -330,7 +330,7 @@ def shift_back(observed, camera, exposures, traced, shifts):  # type: ignore[no-
     (3), and room for three more.
     """
     exposure, h_g, status = observed.exposure, observed.h_g, traced.status
-    rays, r_c = traced.rays, traced.r_c
+    rays, r_c, (dx, dy, ground) = traced.rays, traced.r_c, shifts
     scratch = np.empty((8, r_c.size))
     half, sin_r, lower = scratch[0], scratch[1], scratch[2:5]
     for i in range(r_c.size):
@@ -349,8 +349,8 @@ def shift_back(observed, camera, exposures, traced, shifts):  # type: ignore[no-
         span, e = (first, last), exposure[first]
         if 0 <= e < exposures.usable.size:
             turn, change_px = exposures.rotation[e], exposures.change_px[e]
-            _shift_in_image(span, rays, scratch, (camera, turn, change_px), shifts)
-            _shift_on_ground(span, rays, scratch, (turn, h_g, status), shifts.ground)
+            _shift_in_image(span, rays, scratch, (camera, turn, change_px), (dx, dy))
+            _shift_on_ground(span, rays, scratch, (turn, h_g, status), ground)
     for i in range(r_c.size):
         if math.isnan(r_c[i]):
-            shifts.dx[i] = shifts.dy[i] = shifts.ground[i] = math.nan
+            dx[i] = dy[i] = ground[i] = math.nan
