@@ -220,9 +220,7 @@ def fit_offset(utc_ns: TimeArray, boot_ns: TimeArray) -> ClockOffset | None:
     apart = (difference - base).astype(np.float64)
     low, middle, high = np.percentile(apart, (5.0, 50.0, 95.0))
     largest = max(float(apart.max() - middle), float(middle - apart.min()))
-    offset = ClockOffset(
-        base + round(middle), round(high - low), int(utc_ns.shape[0]), round(largest)
-    )
+    offset = ClockOffset(base + round(middle), round(high - low), utc_ns.size, round(largest))
     if largest <= LARGEST_SPREAD_NS:
         return offset
     far = np.abs(apart - middle) > LARGEST_SPREAD_NS

@@ -88,11 +88,8 @@ def height_system(
             apart = height["h_ellipsoid_m"] - height["h_msl_m"] - of_grid
             offset = _median(apart) or 0.0
         elif abs(undulation - own) > USUAL_GEOID_M:
-            entry = _by_size(undulation - own)
-            stated = undulation
-            notes.append(
-                entry("HEIGHT-GEOID/log", where=where, count=count, stated=stated, own=own)
-            )
+            entry, stated = _by_size(undulation - own), undulation
+            notes += [entry("HEIGHT-GEOID/log", where=where, count=count, stated=stated, own=own)]
     homes = np.empty(0) if position is None else _difference(position, "h_msl_m", "h_home_m")
     is_set = np.abs(homes) > 0.01
     homes = homes[is_set] if bool(is_set.any()) else homes

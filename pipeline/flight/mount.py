@@ -87,9 +87,8 @@ def payload_attitude(
         level[:, 2] = np.arctan2(turned[:, 1, 0], turned[:, 0, 0])
         turned = rotations.ned_from_body(level)
     known[missing] = rotations.quaternions_of(turned @ to_nose[missing])
-    entry = note(
-        "GIMBAL-YAW", where=gimbal.name, count=int(missing.sum()), total=len(gimbal), added=added
-    )
+    where, count, total = gimbal.name, int(missing.sum()), len(gimbal)
+    entry = note("GIMBAL-YAW", where=where, count=count, total=total, added=added)
     columns = dict(gimbal.columns) | dict(zip(_Q, known.T, strict=True))
     return replace(gimbal, columns=columns), (entry,)
 

@@ -39,12 +39,7 @@ class PublishedRays:
     method: Method
 
     def bend(
-        self,
-        h_c: ArrayLike,
-        h_g: ArrayLike,
-        sin_zeta_c: ArrayLike,
-        cos_zeta_c: ArrayLike,
-        radius: ArrayLike,
+        self, h_c: ArrayLike, h_g: ArrayLike, sin_z: ArrayLike, cos_z: ArrayLike, radius: ArrayLike
     ) -> tuple[Array, NDArray[np.uint8]]:
         """Refraction angles by the method, each with a status; arguments as for `bend`.
 
@@ -52,7 +47,7 @@ class PublishedRays:
         reads it or not; ``outside_profile`` where it does not cover the heights (a ground above the
         camera among them), ``misses_ground`` where it has no ray in that direction.
         """
-        h_c, h_g, sin_z, cos_z, radius = finite(h_c, h_g, sin_zeta_c, cos_zeta_c, radius)
+        h_c, h_g, sin_z, cos_z, radius = finite(h_c, h_g, sin_z, cos_z, radius)
         zeta_c = np.arctan2(sin_z, cos_z)
         good = np.isfinite(h_c) & np.isfinite(h_g) & (radius > 0.0)
         good &= (zeta_c >= 0.0) & (zeta_c <= math.pi)

@@ -59,9 +59,8 @@ def height_at_distance(
     >>> h_g.round(4).item(), status.item()
     (600.2176, 0)
     """
-    shape, (h_c, sin_z, cos_z, distance, radius) = as_columns(
-        h_c, sin_zeta_c, cos_zeta_c, distance, radius
-    )
+    shape, columns = as_columns(h_c, sin_zeta_c, cos_zeta_c, distance, radius)
+    h_c, sin_z, cos_z, distance, radius = columns
     height, status = np.empty(h_c.shape), np.empty(h_c.shape, np.uint8)
     rays = RayColumns(h_c, height, sin_z, cos_z, radius, distance)  # h_g is not read
     if isinstance(table, PublishedRays):
@@ -105,13 +104,7 @@ def target_heights(
 
 
 def target_rays(
-    x_px: Array,
-    y_px: Array,
-    exposure: Integers,
-    exposures: Exposures,
-    *,
-    camera: Camera,
-    ideal: bool,
+    x: Array, y: Array, exposure: Integers, exposures: Exposures, *, camera: Camera, ideal: bool
 ) -> Array:
     """The matrix of rays (RAY_ROWS, n) of pixels as in `target_heights`, NaN where there is none;
     where ``ideal`` they are the straight chords themselves."""
@@ -126,9 +119,9 @@ def target_rays(
             cx_px=camera.cx_px + _MARGIN_PX,
             cy_px=camera.cy_px + _MARGIN_PX,
         )
-        x_px, y_px = x_px + _MARGIN_PX, y_px + _MARGIN_PX
-    anywhere = np.zeros(x_px.size)
-    observed = ObservationColumns(x_px, y_px, anywhere, anywhere, exposure)
+        x, y = x + _MARGIN_PX, y + _MARGIN_PX
+    anywhere = np.zeros(x.size)
+    observed = ObservationColumns(x, y, anywhere, anywhere, exposure)
     rays, _, _ = outgoing_rays(observed, camera.constants, exposures.columns)
     return rays
 

@@ -190,10 +190,8 @@ def observe(
     up = optics.height_and_up(block.ecef_m)[1][station]
     down = -np.sum(rays.apparent * up, axis=-1)
     zeta = np.arctan2(np.linalg.norm(np.cross(rays.apparent, up), axis=-1), down)
-    (x, y), (x_true, y_true) = measured, true
-    return TrueObservations(
-        station, point, x, y, x_true, y_true, zeta, rays.r_c_rad, r_cc, rays.miss_m
-    )
+    (x, y), (x_true, y_true), r_c = measured, true, rays.r_c_rad
+    return TrueObservations(station, point, x, y, x_true, y_true, zeta, r_c, r_cc, rays.miss_m)
 
 
 def write_table(path: Path, columns: dict[str, object]) -> None:

@@ -194,11 +194,8 @@ def fly(height_above_ground_m: float, lines: int, exposures_per_line: int) -> Fl
     up += 4.0 * np.sin(2.0 * np.pi * time / 53.0) * _smoothstep(up / 200.0)
     east = _integral(gate * SPEED_M_S * np.sin(heading))
     north = _integral(gate * SPEED_M_S * np.cos(heading))
-    shots = [
-        start + LINE_MARGIN_M + EXPOSURE_SPACING_M * i
-        for start in starts
-        for i in range(exposures_per_line)
-    ]
+    along = EXPOSURE_SPACING_M * np.arange(exposures_per_line)
+    shots = np.add.outer(np.array(starts) + LINE_MARGIN_M, along).ravel()
     # The camera's clock ticks in whole microseconds, and never in step with the other sensors.
     exposure = np.interp(shots, distance, time) + 0.043 * np.sin(7.0 * np.arange(len(shots)))
     return Flight(

@@ -95,9 +95,7 @@ def ray_ends(
 
     first = np.concatenate([np.zeros(3 * count), (direction * n_start[:, None]).ravel()])
     floor = np.repeat([1e-9, 1e-15], 3 * count)
-    solution = solve_ivp(
-        slope, (0.0, 1.0), first, method="DOP853", rtol=1e-12, atol=floor, t_eval=[1.0]
-    )
+    solution = solve_ivp(slope, (0.0, 1.0), first, "DOP853", [1.0], rtol=1e-12, atol=floor)
     if not solution.success:
         raise PhysicsError("SIM-ODE", f"the rays did not integrate: {solution.message}")
     return np.asarray(solution.y[: 3 * count, -1].reshape(count, 3))

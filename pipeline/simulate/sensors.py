@@ -129,10 +129,9 @@ def unix_ns(time_s: Array) -> Integers:
 
 def gps_week_ms(time_s: Array) -> tuple[Integers, Integers]:
     """GPS week and milliseconds of the week (n,) of times since the log began [s]."""
-    gps_ns = (
-        unix_ns(time_s) - units.UNIX_NS_OF_GPS_EPOCH + LEAP_SECONDS * units.NANOSECONDS_PER_SECOND
-    )
-    week, rest = np.divmod(gps_ns, 604_800 * units.NANOSECONDS_PER_SECOND)
+    second = units.NANOSECONDS_PER_SECOND
+    gps_ns = unix_ns(time_s) - units.UNIX_NS_OF_GPS_EPOCH + LEAP_SECONDS * second
+    week, rest = np.divmod(gps_ns, 604_800 * second)
     return week, rest // 1_000_000
 
 

@@ -55,12 +55,9 @@ class _Format:
         return [(row[0], self.pack(*row)) for row in sensors.rows_of(time_us, *columns)]
 
 
-_ANNOUNCED = tomllib.loads(
-    files("pipeline.simulate").joinpath("data/dataflash.toml").read_text("utf-8")
-)
-FORMATS = {
-    name: _Format(number, name, *texts) for name, (number, *texts) in _ANNOUNCED["formats"].items()
-}
+_DATA = files("pipeline.simulate").joinpath("data/dataflash.toml")
+_ANNOUNCED = tomllib.loads(_DATA.read_text("utf-8"))
+FORMATS = {k: _Format(v[0], k, *v[1:]) for k, v in _ANNOUNCED["formats"].items()}
 _SHUTTER_LAG_US = 85_000
 
 
@@ -113,9 +110,8 @@ def _position_rows(samples: sensors.LoggedSamples) -> list[Row]:
 
 def _degrees(at: State) -> tuple[Array, ...]:
     """Latitude, longitude, roll, pitch; yaw in [0, 360) after rounding to the last digit."""
-    lat, lon, roll, pitch, yaw = np.degrees(
-        [at.lat_rad, at.lon_rad, at.roll_rad, at.pitch_rad, at.yaw_rad]
-    )
+    angles = [at.lat_rad, at.lon_rad, at.roll_rad, at.pitch_rad, at.yaw_rad]
+    lat, lon, roll, pitch, yaw = np.degrees(angles)
     return lat, lon, roll, pitch, np.round(yaw % 360.0, 2) % 360.0
 
 

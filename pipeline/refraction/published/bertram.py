@@ -20,9 +20,7 @@ INDEX_PER_DENSITY = 0.000226
 LOWEST_M = -1000.0
 
 # Bertram's entries: every 1000 m from 500 m (Table 1), every 3000 m from 20,500 m (Table 2).
-NODES_M = np.concatenate(
-    [[0.0], np.arange(500.0, 20_501.0, 1000.0), np.arange(23_500.0, 80_501.0, 3000.0)]
-)
+NODES_M = np.r_[0.0, 500.0:20_501.0:1000.0, 23_500.0:80_501.0:3000.0]
 INTERVAL_M = np.concatenate([np.full(21, 1000.0), np.full(20, 3000.0)])
 """Interval of the densities whose difference gives the gradient, for each step between nodes."""
 

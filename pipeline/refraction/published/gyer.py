@@ -161,16 +161,14 @@ def gyer1996(
     h_c, h_g, zeta_c, radius = finite(h_c, h_g, zeta_c, radius)
     usable = downward(h_c, h_g, zeta_c)
     r_c = np.full(usable.shape, np.nan)
-    theta = subtended_angle(
-        profile, h_c[usable], h_g[usable], zeta_c[usable], radius[usable], step=step
-    )
+    rays = h_c[usable], h_g[usable], zeta_c[usable], radius[usable]
+    theta = subtended_angle(profile, *rays, step=step)
     # Eq. 11 as printed.
     r_camera, r_ground = radius[usable] + h_c[usable], radius[usable] + h_g[usable]
     excess, tangent = r_camera / r_ground - np.cos(theta), np.tan(zeta_c[usable])
+    sine = np.sin(theta)
     with np.errstate(invalid="ignore", divide="ignore"):
-        r_c[usable] = np.arctan(
-            (tangent * excess - np.sin(theta)) / (tangent * np.sin(theta) + excess)
-        )
+        r_c[usable] = np.arctan((tangent * excess - sine) / (tangent * sine + excess))
     return np.where(usable & (h_c == h_g), 0.0, r_c)
 
 

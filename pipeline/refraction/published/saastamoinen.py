@@ -62,9 +62,8 @@ def saastamoinen1974_ican(profile: Profile, h_c: Array, h_g: Array) -> Array:
 
 def _eq_5(c_1: float, c_2: float, h_c: Array, h_g: Array) -> Array:
     """R [rad] where n = n_0 + c_1 z + c_2 z^2."""
-    return np.asarray(
-        -0.5 * c_1 * (h_c - h_g) * (1.0 + 2.0 * c_2 / (3.0 * c_1) * (2.0 * h_c + h_g))
-    )
+    ratio = 2.0 * c_2 / (3.0 * c_1)
+    return np.asarray(-0.5 * c_1 * (h_c - h_g) * (1.0 + ratio * (2.0 * h_c + h_g)))
 
 
 @at_45_degrees
@@ -189,9 +188,8 @@ def saastamoinen1974_series(profile: Profile, h_c: Array, h_g: Array) -> Array:
     warming = profile.virtual_temperature(h_c) - t_g
     beta = warming / np.where(rise > 0.0, rise, 1.0)
     y = rise / t_g
-    total, product = np.ones(
-        (2, *y.shape)
-    )  # (-1)^n / n! (34.1 + 2 beta) ... (34.1 + (n + 1) beta) y^n
+    # (-1)^n / n! (34.1 + 2 beta) ... (34.1 + (n + 1) beta) y^n
+    total, product = np.ones((2, *y.shape))
     for n in range(1, _SERIES_TERMS + 1):
         product = product * -(34.1 + (n + 1.0) * beta) * y / n
         total += 2.0 / (n + 2.0) * product

@@ -208,12 +208,10 @@ def _integrals(pieces: Pieces, rays: Rays, n_c: Array) -> tuple[Array, Array, Ar
     return theta, density.sum(axis=(1, 2)), moments, least
 
 
-def _by_target_height(
-    pieces: Pieces, rays: Rays, n_c: Array, chord: Array, cos_beta: Array
-) -> Array:
+def _by_target_height(air: Pieces, rays: Rays, n_c: Array, chord: Array, cos_beta: Array) -> Array:
     """dR_c/dh_g, with sin(beta) - sin(z_g) from r_g sin(beta) = r_c sin(zeta_c - R_c)."""
-    target, at_target = _at(pieces, rays.h_g, rays.h_c)
-    n_g = np.sum(pieces.coefficient[target] * at_target, axis=1)
+    target, at_target = _at(air, rays.h_g, rays.h_c)
+    n_g = np.sum(air.coefficient[target] * at_target, axis=1)
     r_c, r_g = rays.radius + rays.h_c, rays.radius + rays.h_g
     s = r_c * np.sin(rays.zeta_c)
     excess = r_g * (n_g - n_c) / (1.0 + n_c) - (rays.h_c - rays.h_g) + _lift(rays)
@@ -326,9 +324,8 @@ def sensitivity(
     ([0.0, -413.824, 58.604], [-0.0, -11.8448])
     """
     air = partial(air_jacobian, profile, anchor_height_m=anchor_height_m)
-    (_, gradient, r_c, status, valid), place = _derivatives(
-        profile, (h_c, h_g, zeta_c, radius), air
-    )
+    traced, place = _derivatives(profile, (h_c, h_g, zeta_c, radius), air)
+    _, gradient, r_c, status, valid = traced
     edges = profile.layers.edge.size
     d_log_pressure = gradient[..., edges]
     d_h_c, d_h_g, d_zeta_c = np.moveaxis(place, -1, 0)
