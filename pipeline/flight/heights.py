@@ -3,7 +3,7 @@
 Local positions (motion capture, visual odometry) get a place on the earth, and with it heights.
 """
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -116,21 +116,23 @@ def _by_size(off_m: float) -> Callable[..., Entry]:
     return finding if abs(off_m) > LARGEST_GEOID_M else warning
 
 
-def undulation_notes(heights: HeightSystem, stations: Stations, egm96: GeoidGrid) -> Notes:
+def undulation_notes(
+    heights: HeightSystem, stations: Stations, egm96: GeoidGrid
+) -> Iterator[Entry]:
     """Which undulation is used at the stations; what speaks against it, by EGM96."""
     placed = np.isfinite(stations.lat_rad)
     lat, lon = stations.lat_rad[placed], stations.lon_rad[placed]
     used, where = heights.undulation(lat, lon), "mission.geoid"
-    known, notes = np.isfinite(used), []
+    known = np.isfinite(used)
     if heights.undulation_m is not None:
         where = "mission.undulation_m"
     if not bool(known.all()):
         count = int((~known).sum())
         grid = heights.source if heights.geoid is None else heights.geoid.name
         what = f"{count} of {known.size} stations lie outside {grid}, or in its holes"
-        notes.append(loss("GEOID-OUTSIDE", what, where=where, count=count))
+        yield loss("GEOID-OUTSIDE", what, where=where, count=count)
     if not bool(known.any()):
-        return tuple(notes)
+        return
     used, of_egm = used[known], egm96.undulation(lat, lon)[known]
     there, size = used, int(used.size)
     if heights.source.startswith("the two heights"):
@@ -138,7 +140,7 @@ def undulation_notes(heights: HeightSystem, stations: Stations, egm96: GeoidGrid
         there = np.where(np.isfinite(own[placed][known]), own[placed][known], used)
     ends = dict.fromkeys(f"{h:.2f}" for h in (there.min(), there.max()))
     what = f"undulation of {' to '.join(ends)} m, by {heights.source}"
-    notes.append(note("HEIGHT-UNDULATION", what, where=where, count=size))
+    yield note("HEIGHT-UNDULATION", what, where=where, count=size)
     off, other = float(np.median(used - of_egm)), float(np.median(-used - of_egm))
     if abs(off) > USUAL_GEOID_M:
         what += f", is {off:+.1f} m from EGM96, which has {np.median(of_egm):.1f} m here"
@@ -146,8 +148,7 @@ def undulation_notes(heights: HeightSystem, stations: Stations, egm96: GeoidGrid
             what += f"; with the other sign it is {other:+.1f} m from it: the undulation is the "
             what += "ellipsoidal height minus the height above sea level"
         entry = _by_size(off)
-        notes.append(entry("HEIGHT-GEOID", what, where=where, count=size))
-    return tuple(notes)
+        yield entry("HEIGHT-GEOID", what, where=where, count=size)
 
 
 def _difference(channel: Channel, first: str, second: str) -> Array:

@@ -1,6 +1,6 @@
 """How a camera sits in the aircraft, or on a gimbal whose attitude the mission file names."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,7 +9,7 @@ from pipeline.flight import rotations
 from pipeline.flight.channels import Channel
 from pipeline.flight.rotations import CAMERA_AT_REST, down_in_body
 from pipeline.flight.trajectory import attitude_at
-from pipeline.ledger import Notes, note, warning
+from pipeline.ledger import Entry, Notes, note, warning
 from pipeline.units import Array
 
 _Q = ("q_w", "q_x", "q_y", "q_z")
@@ -114,7 +114,7 @@ def with_payload_attitude(
 
 def gimbal_notes(
     messages: Mapping[str, int], roles: Mapping[str, Channel], mounts: Mapping[str, Mount]
-) -> Notes:
+) -> Iterator[Entry]:
     """How each camera sits on the gimbal that plays the attitude, or that none is followed.
 
     ``messages`` : count of every message type or topic of the log. ``mounts`` : by camera.
@@ -123,10 +123,9 @@ def gimbal_notes(
     if attitude is None or not is_of_gimbal(attitude.source.message):
         listed = [f"{count} {name}" for name, count in messages.items()
                   if count and is_of_gimbal(name)]  # fmt: skip
-        if not listed:
-            return ()
-        return (warning("GIMBAL-IGNORED", listed=", ".join(listed)),)
-    notes = []
+        if listed:
+            yield warning("GIMBAL-IGNORED", listed=", ".join(listed))
+        return
     for camera, mount in mounts.items():
         optical_axis = mount.camera_from_body[2]
         cosine = optical_axis @ down_in_body(attitude)
@@ -136,11 +135,8 @@ def gimbal_notes(
         from_forward = float(np.degrees(np.arccos(np.clip(optical_axis[0], -1.0, 1.0))))
         from_nadir = float(np.degrees(np.arccos(np.clip(np.median(cosine), -1.0, 1.0))))
         entry = warning if from_forward > _LARGEST_AXIS_ANGLE_DEG else note
-        notes.append(
-            entry("GIMBAL-FRAME", where=f"mount.{camera}", camera=camera, attitude=attitude.name,
-                  forward=from_forward, nadir=from_nadir)
-        )  # fmt: skip
-    return tuple(notes)
+        yield entry("GIMBAL-FRAME", where=f"mount.{camera}", camera=camera, attitude=attitude.name,
+                    forward=from_forward, nadir=from_nadir)  # fmt: skip
 
 
 def roll_and_pitch(ned_from_body: Array) -> Array:
