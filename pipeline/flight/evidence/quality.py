@@ -256,7 +256,7 @@ _STEPS: Mapping[str, _Distance] = {
 
 
 def _stray_rows(channel: Channel, known: Mask, step: _Distance, where: str) -> tuple[Rows, Notes]:
-    """Rows that neither side reaches at the rate of a distance, up to `STRAY_ROWS` in a row."""
+    """Rows that neither side reaches at the rate of a step, up to `STRAY_ROWS` in a row."""
     rows = np.flatnonzero(known)
 
     def far(i: Rows, j: Rows) -> Mask:

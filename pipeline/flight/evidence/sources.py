@@ -332,8 +332,8 @@ def drifted(own: SourcePath, d: Difference, stretch: Stretch) -> list[Stretch]:
 def with_replaced(channel: Channel, d: Difference, stretch: Stretch, by_m: list[Array]) -> Channel:
     """The channel with the samples of another source in a stretch, its lag and offset taken out.
 
-    The offset is the mean of those before and after; half their difference and the usual
-    difference of the two go into the standard deviation, with the source's own.
+    ``by_m`` are the offsets before and after, of which the mean counts; half their difference and
+    the usual difference of the two go into the standard deviation, with the source's own.
     """
     other, sigma = d.other.channel, "sigma_v_m" if stretch.quantity == HEIGHT else "sigma_h_m"
     time_ns = other.time_ns - round(d.lag_s * 1e9)

@@ -1,8 +1,8 @@
 """Gyer 1996: the spherical form in steps of a kilometre, the plane form, and that of moist air.
 
 Eq. 24 as printed has three misprints; from Eq. 22 its second term carries (n - n_c)^2 (n + n_c)^2
-over n_c^4 cos^2 zeta_c, its third (n - n_c)^3 (n + n_c)^3 over n_c^6 cos^4 zeta_c with the sign
-of the first. Eq. 32 is printed with jumbled indices; it means Eq. 31 over all intervals.
+over n_c^4 cos^2 zeta_c, its third (n - n_c)^3 (n + n_c)^3 over n_c^6 cos^4 zeta_c with the sign of
+the first. Eq. 32 is printed with jumbled indices; it means Eq. 31 over all intervals.
 """
 
 import math
@@ -110,9 +110,9 @@ def _wetness(profile: Profile, h: Array) -> Array:
 def plane_moist(profile: Profile, h_c: Array, h_g: Array) -> Array:
     """R_c [rad] of moist air by hydrostatics, without an integral over the dry part.
 
-    R = k ((p_g - p_c) / (gamma dH) - p_c / Tv_c) + (0.378 k - w) (mean(e/T) - e_c / T_c) with
-    gamma = G M0 / R* and dH the geopotential height difference: since dp = -gamma p / Tv dH, the
-    mean of p / Tv needs only the pressures at both ends.
+    R = k ((p_g - p_c) / (gamma dH) - p_c / Tv_c) + (0.378 k - w) (mean(e/T) - e_c / T_c) with gamma
+    = G M0 / R* and dH the geopotential height difference: since dp = -gamma p / Tv dH, the mean of
+    p / Tv needs only the pressures at both ends.
 
     k and w are those of 0.589 um for Gyer's index, else of 0.55 um. In dry air and below 60 degrees
     within 0.3 % of the spherical form up to 12 km, most of it the curvature of the earth.
@@ -148,9 +148,9 @@ def gyer1996(
     P_90, thin shells (Eq. 33-35) take the place of Eq. 31 in the two lowest intervals, as for
     zeta_g = 90 degrees; NaN for rays that miss the ground.
 
-    Reproduces his Tables 3 and 4 within 0.015 arcsec. Against the converged integral the step
-    costs 0.035 arcsec up to 80 degrees and up to 7.8 arcsec at 85 degrees and 25 km; Eq. 11
-    cancels to 1e-6 of R_c at 120 m above ground, to 1 % at 1 m.
+    Reproduces his Tables 3 and 4 within 0.015 arcsec. Against the converged integral the step costs
+    0.035 arcsec up to 80 degrees and up to 7.8 arcsec at 85 degrees and 25 km; Eq. 11 cancels to
+    1e-6 of R_c at 120 m above ground, to 1 % at 1 m.
 
     >>> from pipeline.atmosphere import standard_atmosphere
     >>> from pipeline.units import ARCSEC, DEGREE
