@@ -49,8 +49,6 @@ class Source:
 class Channel:
     """One series of measurements from one source.
 
-    Parameters
-    ----------
     name : the word the config takes, for example ``BARO[1]`` or ``/cabin/pressure``.
     time_ns : (n,) UTC, Unix nanoseconds, strictly increasing.
     columns : (n,) arrays by name, SI and radians, NaN where unknown.

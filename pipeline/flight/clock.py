@@ -77,29 +77,27 @@ def full_weeks(week: ArrayLike, first: int) -> tuple[Integers, int]:
     return full, int(np.count_nonzero(early))
 
 
-def stray_times(time_ns: TimeArray, limit_ns: int = BOOT_STEP_NS) -> Mask:
-    """Mark time stamps far from those on both sides, which agree with each other.
+def stray_times(time_ns: TimeArray) -> Mask:
+    """Mark time stamps a second from those on both sides, which agree with each other.
 
-    ``time_ns``: (n,) [ns] in the order of the file. ``limit_ns``: [ns] how far is far. Returns (n,)
-    True where a stamp is stray, up to `STRAY_ROWS` in a row. Gaps and new boots are not: there both
-    sides disagree. At the ends of the file so few rows are stray where time steps back.
+    ``time_ns``: (n,) [ns] in the order of the file. Returns (n,) True where a stamp is stray, up to
+    `STRAY_ROWS` in a row. Gaps and new boots are not: there both sides disagree. At the ends of the
+    file so few rows are stray where time steps back.
 
     >>> stray_times(np.array([0.0, 0.1, 70.0, 0.3, 0.4]) * 1e9)
     array([False, False,  True, False, False])
     """
     n = time_ns.shape[0]
     steps = np.diff(time_ns)
-    first = np.concatenate([[0], np.flatnonzero(np.abs(steps, out=steps) > limit_ns) + 1])
+    first = np.concatenate([[0], np.flatnonzero(np.abs(steps, out=steps) > BOOT_STEP_NS) + 1])
     if n == 0 or first.shape[0] == 1:
         return np.zeros(n, np.bool_)
     length = np.diff(np.append(first, n))
     begin, end = time_ns[first], time_ns[first + length - 1]
-    return np.repeat(stray_stretches(begin, end, length, limit_ns), length)
+    return np.repeat(stray_stretches(begin, end, length), length)
 
 
-def stray_stretches(
-    begin: TimeArray, end: TimeArray, length: Integers, limit_ns: int = BOOT_STEP_NS
-) -> Mask:
+def stray_stretches(begin: TimeArray, end: TimeArray, length: Integers) -> Mask:
     """Mark the stray ones of stretches of time stamps, as `stray_times` does for the stamps.
 
     ``begin``, ``end``: (n,) [ns] the first and the last stamp of each stretch, in the order of the
@@ -117,8 +115,8 @@ def stray_stretches(
     stray[-1] = short[-1] and not short[-2] and begin[-1] < end[-2]
     last = begin[1] if stray[0] else end[0]  # the last stamp that is not stray
     for k in range(1, begin.shape[0] - 1):
-        far = abs(begin[k] - last) > limit_ns
-        stray[k] = short[k] and far and abs(begin[k + 1] - last) <= limit_ns
+        far = abs(begin[k] - last) > BOOT_STEP_NS
+        stray[k] = short[k] and far and abs(begin[k + 1] - last) <= BOOT_STEP_NS
         last = last if stray[k] else end[k]
     return stray
 
@@ -222,9 +220,7 @@ def fit_offset(utc_ns: TimeArray, boot_ns: TimeArray) -> ClockOffset | None:
     apart = (difference - base).astype(np.float64)
     low, middle, high = np.percentile(apart, (5.0, 50.0, 95.0))
     largest = max(float(apart.max() - middle), float(middle - apart.min()))
-    offset = ClockOffset(
-        base + round(middle), round(high - low), int(utc_ns.shape[0]), round(largest)
-    )
+    offset = ClockOffset(base + round(middle), round(high - low), utc_ns.size, round(largest))
     if largest <= LARGEST_SPREAD_NS:
         return offset
     far = np.abs(apart - middle) > LARGEST_SPREAD_NS

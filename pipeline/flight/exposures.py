@@ -1,6 +1,6 @@
 """Camera pulses become exposures: their channel, the names of their images, and lost pulses."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -11,7 +11,7 @@ from pipeline.errors import MissionError
 from pipeline.flight.air_samples import times_on_the_ground
 from pipeline.flight.channels import Channel
 from pipeline.flight.stations import Stations
-from pipeline.ledger import Notes, loss, note, warning
+from pipeline.ledger import Entry, Notes, loss, note, warning
 from pipeline.units import Array, Integers, Names
 
 
@@ -80,7 +80,7 @@ def events_of_channel(
     index = channel["event_index"].astype(np.int64)
     names = ["" if "*" in pattern else pattern.format(index=int(i), n=n)
              for n, i in enumerate(index, start=1)]  # fmt: skip
-    notes = _skipped_numbers(channel, index)
+    notes = tuple(_skipped_numbers(channel, index))
     time_ns = channel.time_ns + round(delay_s * 1e9)
     logged = np.nan_to_num(channel.columns.get("sigma_time_s", np.zeros(len(channel))))
     late = np.hypot(logged, sigma_s)
@@ -123,9 +123,8 @@ def unwrapped_numbers(index: Integers) -> Integers:
     return np.asarray(index + _COUNT_ROUND * np.append(0, rounds), np.int64)
 
 
-def _skipped_numbers(channel: Channel, index: Integers) -> Notes:
+def _skipped_numbers(channel: Channel, index: Integers) -> Iterator[Entry]:
     """A loss for each power-up in which numbers between others have no event."""
-    notes = []
     for boot in np.unique(channel.boot):
         known = np.unique(unwrapped_numbers(index[channel.boot == boot]))
         gaps = np.diff(known) - 1
@@ -139,11 +138,9 @@ def _skipped_numbers(channel: Channel, index: Integers) -> Notes:
         ]
         listed = ", ".join(first) + (" ..." if np.count_nonzero(gaps) > 4 else "")
         where = channel.name if channel.boot[-1] == 0 else f"{channel.name}, boot {boot}"
-        notes.append(
-            loss("EVENTS-LOST/numbers", where=where, count=missing, listed=listed,
-                 first=_sent(int(known[0])), last=_sent(int(known[-1])))
-        )  # fmt: skip
-    return tuple(notes)
+        begin, end = _sent(int(known[0])), _sent(int(known[-1]))
+        yield loss("EVENTS-LOST/numbers", where=where, count=missing, listed=listed, first=begin,
+                   last=end)  # fmt: skip
 
 
 def _sent(counted: int) -> int:
@@ -229,30 +226,24 @@ def choose_event_channel(channels: tuple[Channel, ...], name: str | None) -> Cha
     raise MissionError.of("EVENTS-CHANNEL", "events.log", text=what, there=there)
 
 
-def trigger_notes(channels: tuple[Channel, ...], chosen: Channel) -> Notes:
+def trigger_notes(channels: tuple[Channel, ...], chosen: Channel) -> Iterator[Entry]:
     """How many triggers have no shutter event, and whether the events are triggers themselves.
 
     ArduPilot logs TRIG at the trigger and CAM at the feedback of a camera with a feedback pin, and
     without one CAM alone, at the trigger. Cameras fire apart: the rows of an instance belong to one
     camera.
     """
-    notes = []
     triggers = [c for c in channels if c.source.message == "TRIG" and _of_one_camera(c, chosen)]
     if chosen.source.message in ("TRIG", "CAMERA_TRIGGER") or (
         chosen.source.message == "CAM" and not triggers
     ):
-        notes.append(note("EVENTS-TRIGGER-TIME", where=chosen.name, count=len(chosen)))
-    if chosen.source.message != "CAM":
-        return tuple(notes)
-    for trigger in triggers:
+        yield note("EVENTS-TRIGGER-TIME", where=chosen.name, count=len(chosen))
+    for trigger in triggers if chosen.source.message == "CAM" else ():
         fired = [c for c in channels if c.source.message == "CAM" and _of_one_camera(trigger, c)]
         names, events = ", ".join(c.name for c in fired), sum(map(len, fired))
         if len(trigger) > events:
-            notes.append(loss(
-                "EVENTS-LOST/triggers", where=names, count=len(trigger) - events, events=events,
-                sent=len(trigger), trigger=trigger.name,
-            ))  # fmt: skip
-    return tuple(notes)
+            yield loss("EVENTS-LOST/triggers", where=names, count=len(trigger) - events,
+                       events=events, sent=len(trigger), trigger=trigger.name)  # fmt: skip
 
 
 def _of_one_camera(trigger: Channel, shots: Channel) -> bool:

@@ -3,7 +3,7 @@
 Local positions (motion capture, visual odometry) get a place on the earth, and with it heights.
 """
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,8 +30,6 @@ nowhere [m]."""
 class HeightSystem:
     """How the two kinds of height go together; without undulation and geoid that is unknown.
 
-    Parameters
-    ----------
     undulation_m : ellipsoidal height minus height above sea level, the same everywhere.
     home_h_msl_m : height of the take-off point.
     geoid : its undulations plus ``offset_m`` (the log's own minus the grid's) hold where
@@ -90,11 +88,8 @@ def height_system(
             apart = height["h_ellipsoid_m"] - height["h_msl_m"] - of_grid
             offset = _median(apart) or 0.0
         elif abs(undulation - own) > USUAL_GEOID_M:
-            entry = _by_size(undulation - own)
-            stated = undulation
-            notes.append(
-                entry("HEIGHT-GEOID/log", where=where, count=count, stated=stated, own=own)
-            )
+            entry, stated = _by_size(undulation - own), undulation
+            notes += [entry("HEIGHT-GEOID/log", where=where, count=count, stated=stated, own=own)]
     homes = np.empty(0) if position is None else _difference(position, "h_msl_m", "h_home_m")
     is_set = np.abs(homes) > 0.01
     homes = homes[is_set] if bool(is_set.any()) else homes
@@ -121,21 +116,23 @@ def _by_size(off_m: float) -> Callable[..., Entry]:
     return finding if abs(off_m) > LARGEST_GEOID_M else warning
 
 
-def undulation_notes(heights: HeightSystem, stations: Stations, egm96: GeoidGrid) -> Notes:
+def undulation_notes(
+    heights: HeightSystem, stations: Stations, egm96: GeoidGrid
+) -> Iterator[Entry]:
     """Which undulation is used at the stations; what speaks against it, by EGM96."""
     placed = np.isfinite(stations.lat_rad)
     lat, lon = stations.lat_rad[placed], stations.lon_rad[placed]
     used, where = heights.undulation(lat, lon), "mission.geoid"
-    known, notes = np.isfinite(used), []
+    known = np.isfinite(used)
     if heights.undulation_m is not None:
         where = "mission.undulation_m"
     if not bool(known.all()):
         count = int((~known).sum())
         grid = heights.source if heights.geoid is None else heights.geoid.name
         what = f"{count} of {known.size} stations lie outside {grid}, or in its holes"
-        notes.append(loss("GEOID-OUTSIDE", what, where=where, count=count))
+        yield loss("GEOID-OUTSIDE", what, where=where, count=count)
     if not bool(known.any()):
-        return tuple(notes)
+        return
     used, of_egm = used[known], egm96.undulation(lat, lon)[known]
     there, size = used, int(used.size)
     if heights.source.startswith("the two heights"):
@@ -143,7 +140,7 @@ def undulation_notes(heights: HeightSystem, stations: Stations, egm96: GeoidGrid
         there = np.where(np.isfinite(own[placed][known]), own[placed][known], used)
     ends = dict.fromkeys(f"{h:.2f}" for h in (there.min(), there.max()))
     what = f"undulation of {' to '.join(ends)} m, by {heights.source}"
-    notes.append(note("HEIGHT-UNDULATION", what, where=where, count=size))
+    yield note("HEIGHT-UNDULATION", what, where=where, count=size)
     off, other = float(np.median(used - of_egm)), float(np.median(-used - of_egm))
     if abs(off) > USUAL_GEOID_M:
         what += f", is {off:+.1f} m from EGM96, which has {np.median(of_egm):.1f} m here"
@@ -151,8 +148,7 @@ def undulation_notes(heights: HeightSystem, stations: Stations, egm96: GeoidGrid
             what += f"; with the other sign it is {other:+.1f} m from it: the undulation is the "
             what += "ellipsoidal height minus the height above sea level"
         entry = _by_size(off)
-        notes.append(entry("HEIGHT-GEOID", what, where=where, count=size))
-    return tuple(notes)
+        yield entry("HEIGHT-GEOID", what, where=where, count=size)
 
 
 def _difference(channel: Channel, first: str, second: str) -> Array:

@@ -1,20 +1,15 @@
 """How a camera sits in the aircraft, or on a gimbal whose attitude the mission file names."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pipeline.flight import rotations
 from pipeline.flight.channels import Channel
-from pipeline.flight.rotations import (
-    CAMERA_AT_REST,
-    down_in_body,
-    matrices_of,
-    ned_from_body,
-    quaternions_of,
-)
+from pipeline.flight.rotations import CAMERA_AT_REST, down_in_body
 from pipeline.flight.trajectory import attitude_at
-from pipeline.ledger import Notes, note, warning
+from pipeline.ledger import Entry, Notes, note, warning
 from pipeline.units import Array
 
 _Q = ("q_w", "q_x", "q_y", "q_z")
@@ -70,18 +65,18 @@ def payload_attitude(
     """
     known = np.stack([gimbal.get(name) for name in _Q], 1)
     if f"gimbal_{_Q[0]}" in gimbal.columns:
-        to_nose = matrices_of(np.stack([gimbal[f"gimbal_{name}"] for name in _Q], axis=1))
+        to_nose = rotations.matrices_of(np.stack([gimbal[f"gimbal_{name}"] for name in _Q], axis=1))
     elif "gimbal_yaw_rad" in gimbal.columns:
         angles = np.stack([gimbal[f"gimbal_{name}_rad"] for name in ("roll", "pitch", "yaw")], 1)
         angles[(np.abs(angles) > 2.0 * np.pi).any(axis=1)] = np.nan
-        to_nose = ned_from_body(angles)
+        to_nose = rotations.ned_from_body(angles)
     else:
         return gimbal, ()
     missing = np.isnan(known).any(axis=1) & np.isfinite(to_nose).all(axis=(1, 2))
     if aircraft is None or not bool(missing.any()):
         return gimbal, ()
     attitude = attitude_at(aircraft, gimbal.time_ns[missing], max_gap_s).quaternion
-    turned = matrices_of(attitude)
+    turned = rotations.matrices_of(attitude)
     added = f"that of {aircraft.name} is added"
     if is_of_gimbal(gimbal.source.message, "MOUNTSTATUS") and (
         slope_of(roll_and_pitch(to_nose[missing]), roll_and_pitch(turned)) < _COUNTERED
@@ -90,11 +85,10 @@ def payload_attitude(
     else:
         level = np.zeros((turned.shape[0], 3))
         level[:, 2] = np.arctan2(turned[:, 1, 0], turned[:, 0, 0])
-        turned = ned_from_body(level)
-    known[missing] = quaternions_of(turned @ to_nose[missing])
-    entry = note(
-        "GIMBAL-YAW", where=gimbal.name, count=int(missing.sum()), total=len(gimbal), added=added
-    )
+        turned = rotations.ned_from_body(level)
+    known[missing] = rotations.quaternions_of(turned @ to_nose[missing])
+    where, count, total = gimbal.name, int(missing.sum()), len(gimbal)
+    entry = note("GIMBAL-YAW", where=where, count=count, total=total, added=added)
     columns = dict(gimbal.columns) | dict(zip(_Q, known.T, strict=True))
     return replace(gimbal, columns=columns), (entry,)
 
@@ -120,7 +114,7 @@ def with_payload_attitude(
 
 def gimbal_notes(
     messages: Mapping[str, int], roles: Mapping[str, Channel], mounts: Mapping[str, Mount]
-) -> Notes:
+) -> Iterator[Entry]:
     """How each camera sits on the gimbal that plays the attitude, or that none is followed.
 
     ``messages`` : count of every message type or topic of the log. ``mounts`` : by camera.
@@ -129,10 +123,9 @@ def gimbal_notes(
     if attitude is None or not is_of_gimbal(attitude.source.message):
         listed = [f"{count} {name}" for name, count in messages.items()
                   if count and is_of_gimbal(name)]  # fmt: skip
-        if not listed:
-            return ()
-        return (warning("GIMBAL-IGNORED", listed=", ".join(listed)),)
-    notes = []
+        if listed:
+            yield warning("GIMBAL-IGNORED", listed=", ".join(listed))
+        return
     for camera, mount in mounts.items():
         optical_axis = mount.camera_from_body[2]
         cosine = optical_axis @ down_in_body(attitude)
@@ -142,11 +135,8 @@ def gimbal_notes(
         from_forward = float(np.degrees(np.arccos(np.clip(optical_axis[0], -1.0, 1.0))))
         from_nadir = float(np.degrees(np.arccos(np.clip(np.median(cosine), -1.0, 1.0))))
         entry = warning if from_forward > _LARGEST_AXIS_ANGLE_DEG else note
-        notes.append(
-            entry("GIMBAL-FRAME", where=f"mount.{camera}", camera=camera, attitude=attitude.name,
-                  forward=from_forward, nadir=from_nadir)
-        )  # fmt: skip
-    return tuple(notes)
+        yield entry("GIMBAL-FRAME", where=f"mount.{camera}", camera=camera, attitude=attitude.name,
+                    forward=from_forward, nadir=from_nadir)  # fmt: skip
 
 
 def roll_and_pitch(ned_from_body: Array) -> Array:

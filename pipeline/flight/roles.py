@@ -1,7 +1,7 @@
 """Which channel plays which role: named by the user, or chosen where it is unambiguous."""
 
 import difflib
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 
 import numpy as np
 
@@ -93,55 +93,52 @@ def _named_but_absent(channels: tuple[Channel, ...], role: str, name: str) -> En
 
 def _fill(
     filled: dict[str, Channel], role: str, channels: tuple[Channel, ...], named: Mapping[str, str]
-) -> Notes:
+) -> Iterator[Entry]:
     """Fill a role that was not named, from the candidates of the best rank."""
     if role in filled or role in named:
-        return ()
+        return
     # A channel may serve a role it was not named for, except that inside is never outside.
     inside = role.startswith("cabin_")
     used = {c.name for r, c in filled.items() if r.startswith("cabin_") != inside}
     able = (c for c in channels if role in c.roles and c.fits_role(role))
     candidates = [c for c in able if c.name not in used]
-    notes, shown = list[Entry](), role.replace("_", " ")
+    shown = role.replace("_", " ")
     while candidates:
         best = min(c.rank for c in candidates)
         equals = [c for c in candidates if c.rank == best]
         if len(equals) == 1 or role in _SPARES:
             filled[role] = equals[0]
-            notes.append(note("ROLE", f"{shown}: {equals[0].name}", where=role))
+            yield note("ROLE", f"{shown}: {equals[0].name}", where=role)
             break
         names = ", ".join(c.name for c in equals)
         what = f"{names} could each be the {shown}; none of them is used"
-        notes.append(warning("ROLE-AMBIGUOUS", what, where=f"log.channels.{role}"))
+        yield warning("ROLE-AMBIGUOUS", what, where=f"log.channels.{role}")
         candidates = [c for c in candidates if c.rank > best]
-    return tuple(notes)
 
 
 def _fill_barometers(
     filled: dict[str, Channel], free: list[Channel], named: Mapping[str, str], needs_cabin: bool
-) -> Notes:
+) -> Iterator[Entry]:
     """Distinguish barometers outside and in the cabin by how their pressure follows height."""
     barometers = sorted((c for c in free if "pressure" in c.roles), key=lambda c: (c.rank, c.name))
     height = filled.get("height")
     settled = filled.keys() | named.keys()
     seek_cabin = needs_cabin and "cabin_pressure" not in settled
     if height is None or ("pressure" in settled and not seek_cabin):
-        return ()
-    notes: list[Entry] = []
+        return
     indoors = [channel for channel in barometers if follows_height(channel, height) is False]
     if "pressure" not in settled:
-        notes += [note("BARO-NOT-OUTSIDE", where=channel.name) for channel in indoors]
+        yield from (note("BARO-NOT-OUTSIDE", where=channel.name) for channel in indoors)
         outside = [channel for channel in barometers if channel not in indoors]
         if outside:
             filled["pressure"] = outside[0]
-            notes.append(note("ROLE", f"pressure: {outside[0].name}", where="pressure"))
+            yield note("ROLE", f"pressure: {outside[0].name}", where="pressure")
     if seek_cabin and len(indoors) == 1:
         filled["cabin_pressure"] = indoors[0]
-        notes.append(note("ROLE", f"cabin pressure: {indoors[0].name}", where="cabin_pressure"))
+        yield note("ROLE", f"cabin pressure: {indoors[0].name}", where="cabin_pressure")
     elif seek_cabin and indoors:
         what = f"{', '.join(c.name for c in indoors)} could each be the cabin pressure"
-        notes.append(warning("ROLE-AMBIGUOUS", what, where="log.channels.cabin_pressure"))
-    return tuple(notes)
+        yield warning("ROLE-AMBIGUOUS", what, where="log.channels.cabin_pressure")
 
 
 def follows_height(barometer: Channel, height: Channel) -> bool | None:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pipeline.atmosphere.refractive_index import vapour_pressure
+from pipeline.flight import stations as at
 from pipeline.flight import trajectory
 from pipeline.flight.channels import Channel
 from pipeline.flight.evidence.log_accuracy import LogAccuracy
@@ -16,16 +17,7 @@ from pipeline.flight.exposures import Events
 from pipeline.flight.heights import HeightSystem, heights_at
 from pipeline.flight.mount import Mount, is_of_gimbal
 from pipeline.flight.rotations import NED_FROM_ENU, quaternion_products
-from pipeline.flight.stations import (
-    HEIGHT_REFERENCE_UNKNOWN,
-    IN_GAP,
-    NO_ATTITUDE,
-    NO_POSITION,
-    OUTSIDE_LOG,
-    STATION_OK,
-    Stations,
-    empty_stations,
-)
+from pipeline.flight.stations import STATION_OK, Stations, empty_stations
 from pipeline.ledger import Notes, loss
 from pipeline.units import Array, Mask
 
@@ -51,19 +43,19 @@ def build_stations(
     camera = np.full(n, events.camera, dtype=object)
     stations = replace(empty_stations(events.image, camera, STATION_OK), time_ns=time_ns)
     if "position" not in roles:
-        return stations.with_status(np.ones(n, bool), NO_POSITION)
+        return stations.with_status(np.ones(n, bool), at.NO_POSITION)
     position, height = roles["position"], roles["height"]
     track = trajectory.track_at(position, time_ns, max_gap_s)
     h_msl, h_ellipsoid = heights_at(height, time_ns, heights, max_gap_s)
-    missing = [*_not_covered(track.coverage), (np.isnan(track.lat_rad), NO_POSITION)]
+    missing = [*_not_covered(track.coverage), (np.isnan(track.lat_rad), at.NO_POSITION)]
     if "attitude" not in roles:
-        return _with_first(stations, [*missing, (np.ones(n, np.bool_), NO_ATTITUDE)])
+        return _with_first(stations, [*missing, (np.ones(n, np.bool_), at.NO_ATTITUDE)])
     turning = trajectory.attitude_at(roles["attitude"], time_ns, max_gap_s)
     attitude = turning.quaternion
     missing += _not_covered(turning.coverage)
-    missing.append((np.asarray(np.isnan(attitude).any(axis=1)), NO_ATTITUDE))
-    missing.append((np.isnan(h_msl) & np.isnan(h_ellipsoid), IN_GAP))
-    missing.append((np.isnan(h_msl), HEIGHT_REFERENCE_UNKNOWN))
+    missing.append((np.asarray(np.isnan(attitude).any(axis=1)), at.NO_ATTITUDE))
+    missing.append((np.isnan(h_msl) & np.isnan(h_ellipsoid), at.IN_GAP))
+    missing.append((np.isnan(h_msl), at.HEIGHT_REFERENCE_UNKNOWN))
     stations = _with_first(stations, missing)
     bend, speed_down, sigma_bend = np.zeros((3, n))
     if height.height_column is not None:
@@ -118,7 +110,7 @@ def _with_first(stations: Stations, missing: Sequence[tuple[Mask, str]]) -> Stat
 def _not_covered(coverage: NDArray[np.uint8]) -> list[tuple[Mask, str]]:
     """Where a channel has a gap, or has ended."""
     outside = (coverage != trajectory.INSIDE) & (coverage != trajectory.GAP_IN_CHANNEL)
-    return [(coverage == trajectory.GAP_IN_CHANNEL, IN_GAP), (outside, OUTSIDE_LOG)]
+    return [(coverage == trajectory.GAP_IN_CHANNEL, at.IN_GAP), (outside, at.OUTSIDE_LOG)]
 
 
 def _from_enu(attitude: Array, frame_from_body: Array) -> Array:

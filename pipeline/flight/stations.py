@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -12,7 +13,7 @@ from pipeline.atmosphere.profile import Profile
 from pipeline.atmosphere.series.profile_series import ProfileSeries
 from pipeline.flight.image_names import proposal
 from pipeline.geodesy import offset_geodetic
-from pipeline.ledger import Notes, loss, note
+from pipeline.ledger import Entry, Notes, loss, note
 from pipeline.units import DEGREE, HECTOPASCAL, Array, Integers, Mask, Names
 
 STATION_OK = "ok"
@@ -228,14 +229,12 @@ def flag_height_misfits(
     return stations.as_suspect(wrong, reason, off_m, use=use_suspect), (entry,)
 
 
-def unusable_station_notes(stations: Stations) -> Notes:
+def unusable_station_notes(stations: Stations) -> Iterator[Entry]:
     """A loss for each reason why stations cannot be used."""
-    notes = []
     for status in sorted(set(stations.status.tolist()) - {STATION_OK, UNMATCHED}):
         images = stations.image[stations.status == status]
         what = f"{images.size} exposures are {status}: {_first_three(images)}"
-        notes.append(loss("STATIONS-FLAGGED", what, count=int(images.size)))
-    return tuple(notes)
+        yield loss("STATIONS-FLAGGED", what, count=int(images.size))
 
 
 def sigma_notes(
@@ -243,9 +242,9 @@ def sigma_notes(
     max_horizontal_m: float | None,
     max_height_m: float | None,
     max_tilt_rad: float | None,
-) -> Notes:
+) -> Iterator[Entry]:
     """How well stations are known; a loss for each limit that some, or unknown ones, exceed."""
-    notes, medians = [], []
+    medians = []
     for what, sigma, limit, factor, unit in (
         ("position (per axis)", stations.sigma_horizontal_m, max_horizontal_m, 1.0, "m"),
         ("height", stations.sigma_height_m, max_height_m, 1.0, "m"),
@@ -258,12 +257,9 @@ def sigma_notes(
         if limit is not None and bool(large.any()):
             worst = int(np.argmax(np.nan_to_num(sigma, nan=np.inf)))
             size = f"{sigma[worst]:.2f} {unit}" if np.isfinite(sigma[worst]) else "an unknown sigma"
-            notes.append(
-                loss("STATIONS-SIGMA/worse", where="stations", count=int(large.sum()), size=size,
-                     total=sigma.size, quantity=what, limit=limit * factor, unit=unit,
-                     worst=stations.image[stations.ok][worst])
-            )  # fmt: skip
+            yield loss("STATIONS-SIGMA/worse", where="stations", count=int(large.sum()), size=size,
+                       total=sigma.size, quantity=what, limit=limit * factor, unit=unit,
+                       worst=stations.image[stations.ok][worst])  # fmt: skip
     if bool(stations.ok.any()):
         what = f"sigmas of the stations, in the median: {', '.join(medians)}"
-        notes.append(note("STATIONS-SIGMA", what, where="stations", count=int(stations.ok.sum())))
-    return tuple(notes)
+        yield note("STATIONS-SIGMA", what, where="stations", count=int(stations.ok.sum()))

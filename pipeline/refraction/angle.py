@@ -185,7 +185,6 @@ def compare_methods(
     nadir_angle: Array,
     *,
     methods: tuple[str, ...] = ray.METHODS[1:],
-    radius: float = ray.DEFAULT_RADIUS_M,
 ) -> Comparison:
     """Errors of refraction methods against ``spherical``.
 
@@ -193,7 +192,6 @@ def compare_methods(
         hold its difference from 0.589 um too.
     h_c, h_g : heights of cameras (h,) and ground above sea level [m].
     nadir_angle : (z,) apparent nadir angles [rad], ascending.
-    radius : of the sphere [m].
 
     The reference is good to 1e-9 arcsec.
 
@@ -207,7 +205,7 @@ def compare_methods(
     """
     angles = np.asarray(nadir_angle, dtype=np.float64)
     heights = np.asarray(h_c, dtype=np.float64)
-    at = (profile, heights[:, None], h_g, angles[None, :], radius)
+    at = (profile, heights[:, None], h_g, angles[None, :])
     exact = ray.refraction_angle(*at)
     error = np.stack([ray.refraction_angle(*at, method=method) - exact for method in methods])
     return Comparison(methods, heights, h_g, angles, exact, error)

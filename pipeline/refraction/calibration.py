@@ -123,9 +123,8 @@ def refuse_impossible(camera: Camera) -> None:
     folded &= (x >= 0.0) & (x <= camera.width_px) & (y >= 0.0) & (y <= camera.height_px)
     if folded.any():
         i, k = np.argwhere(folded)[0]
-        raise PhysicsError.of(
-            "CAMERA-TURNS", off_axis_deg=np.degrees(theta[i, 0]), x=x[i, k], y=y[i, k]
-        )
+        off_axis_deg = np.degrees(theta[i, 0])
+        raise PhysicsError.of("CAMERA-TURNS", off_axis_deg=off_axis_deg, x=x[i, k], y=y[i, k])
 
 
 DIRECTIONS = {"right": (1.0, 0.0), "left": (-1.0, 0.0), "down": (0.0, 1.0), "up": (0.0, -1.0)}

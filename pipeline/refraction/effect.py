@@ -1,7 +1,6 @@
 """The air of a flight, and R in it beside R in the standard, with sigma."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -70,19 +69,12 @@ class FlightAir:
 
 
 def effects_on_r(
-    profile: Profile,
-    standard: Profile,
-    covariance: ProfileCovariance | None,
-    h_c: float,
-    h_g: float,
-    *,
-    angles_deg: Sequence[float] = ANGLES_DEG,
+    air: Profile, standard: Profile, covariance: ProfileCovariance | None, h_c: float, h_g: float
 ) -> tuple[Effect, ...]:
-    """R at some nadir angles in an air and in the standard; none where no ray looks down.
+    """R at `ANGLES_DEG` in an air and in the standard; none where no ray looks down.
 
-    ``covariance`` of ``profile`` gives sigma^2 = g^T C g with the derivatives g of `sensitivity`.
-    Heights of camera and ground are above sea level [m], apparent nadir angles [deg] below the
-    horizon's.
+    ``covariance`` of ``air`` gives sigma^2 = g^T C g with the derivatives g of `sensitivity`.
+    Heights of camera and ground are above sea level [m].
 
     >>> from pipeline.atmosphere import standard_atmosphere
     >>> air = standard_atmosphere("us1976")
@@ -91,14 +83,14 @@ def effects_on_r(
     """
     if not h_c > h_g + _LEAST_CLIMB_M:
         return ()
-    zeta = np.asarray(angles_deg) * DEGREE
-    ours, theirs = (refraction_angle(air, h_c, h_g, zeta) for air in (profile, standard))
+    zeta = np.asarray(ANGLES_DEG) * DEGREE
+    ours, theirs = (refraction_angle(each, h_c, h_g, zeta) for each in (air, standard))
     sigma = np.full(zeta.shape, np.nan)
     if covariance is not None:
-        s = sensitivity(profile, h_c, h_g, zeta, anchor_height_m=covariance.anchor_height_m)
+        s = sensitivity(air, h_c, h_g, zeta, anchor_height_m=covariance.anchor_height_m)
         sigma = covariance.sigma_of(s.gradient)
     return tuple(
         Effect(float(a), h_c, h_g, float(r), float(t), float(s))
-        for a, r, t, s in zip(angles_deg, ours, theirs, sigma, strict=True)
+        for a, r, t, s in zip(ANGLES_DEG, ours, theirs, sigma, strict=True)
         if np.isfinite(r) and np.isfinite(t)
     )

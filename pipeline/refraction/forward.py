@@ -1,7 +1,7 @@
 """The other direction: from ideal pixels to what a camera in this air measures, for planning."""
 
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -76,7 +76,7 @@ def apply_refraction(
     ideal = np.stack([x_px, y_px], axis=1).astype(np.float64)
     ideal[~np.isfinite(ideal).all(axis=1)] = np.nan
     distance = np.full(x_px.shape, np.nan) if distance_m is None else distance_m
-    targets = _Targets(h_g, distance, exposure)
+    targets = h_g, distance, exposure
     start = _starting_points(ideal, targets, exposures, camera, table)
     columns = _removals_to(ideal, start, targets, exposures, camera=camera, table=table)
     for along, name in enumerate(("x_px", "y_px")):  # the removal as a displacement
@@ -111,12 +111,8 @@ def apply_refraction(
     return replace(displaced, sigmas=sigmas)
 
 
-class _Targets(NamedTuple):
-    """Heights of targets [m], slant ranges [m], NaN where unknown, and rows of exposures."""
-
-    h_g: Array
-    distance: Array
-    exposure: Integers
+# Heights of targets [m], slant ranges [m], NaN where unknown, and rows of exposures.
+_Targets = tuple[Array, Array, Integers]
 
 
 def _starting_points(
@@ -134,12 +130,13 @@ def _starting_points(
     """
     point = ideal.copy()
     x, y = ideal.T
-    rays = target_rays(x, y, targets.exposure, exposures, camera=camera, ideal=True)
-    level = np.flatnonzero(np.isfinite(targets.h_g) & (np.abs(rays[of.COS]) < _NEARLY_LEVEL))
+    h_g, distance, exposure = targets
+    rays = target_rays(x, y, exposure, exposures, camera=camera, ideal=True)
+    level = np.flatnonzero(np.isfinite(h_g) & (np.abs(rays[of.COS]) < _NEARLY_LEVEL))
     if level.size == 0:
         return point
-    row = targets.exposure[level]
-    apparent = _apparent(rays[:, level], targets.h_g[level], targets.distance[level], table)
+    row = exposure[level]
+    apparent = _apparent(rays[:, level], h_g[level], distance[level], table)
     inside = np.einsum("nij,nj->ni", exposures.rotation[row], apparent)
     outside, cabin = exposures.refractivity_outside[row], exposures.refractivity_cabin[row]
     inside += refract_at_window(inside, outside, cabin, exposures.normals[row])[0]

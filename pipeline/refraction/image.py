@@ -175,7 +175,7 @@ def correct_observations(
         traced = of.TracedColumns(rays, r_c, np.where(seen == OK, bent, seen))
         part["r_c_rad"][:], status[rows] = r_c, traced.status
         part["zeta_c_rad"][:] = np.arctan2(rays[of.SIN], rays[of.COS])
-        shifts = of.ShiftColumns(part["dx_px"], part["dy_px"], part["shift_ground_m"])
+        shifts = part["dx_px"], part["dy_px"], part["shift_ground_m"]
         kernel.shift_back(observed, *setup, traced, shifts)
         part["x_px"][:] = observed.x + part["dx_px"]
         part["y_px"][:] = observed.y + part["dy_px"]
@@ -211,9 +211,8 @@ def straight_reach(
     """
     shape, (h_c, h_g, cosine, radius, far) = as_columns(h_c, h_g, cos_zeta, radius, far)
     distance = np.empty(h_c.shape)
-    kernel.straight_reach(
-        of.RayColumns(h_c, h_g, cosine, cosine, radius, distance), far != 0.0, distance
-    )
+    rays = of.RayColumns(h_c, h_g, cosine, cosine, radius, distance)
+    kernel.straight_reach(rays, far != 0.0, distance)
     return distance.reshape(shape)
 
 
@@ -246,7 +245,6 @@ def lattice_nodes(camera: Camera, columns: int, rows: int) -> tuple[Array, Array
     """
     if columns < 2 or rows < 2:
         raise ValueError("a lattice has at least two columns and two rows")
-    x, y = np.meshgrid(
-        np.linspace(0.0, camera.width_px, columns), np.linspace(0.0, camera.height_px, rows)
-    )
+    sides = (camera.width_px, columns), (camera.height_px, rows)
+    x, y = np.meshgrid(*(np.linspace(0.0, length, count) for length, count in sides))
     return x.ravel(), y.ravel()

@@ -132,17 +132,14 @@ def table_7(air: Profile) -> Iterator[Figures]:
     r_cc = (cabin - outside) / (1.0 + outside)
     exact_cc = refract_at_window(ray, cabin, outside)[1]
     at = h_c, 0.0, 45.0
-    for name, key, n in (
-        ("n_c - 1", "n_c_minus_1_e6", outside * 1e6),
-        ("n_cc - 1", "n_cc_minus_1_e6", cabin * 1e6),
+    for name, unit, key, size, first, second in (
+        ("n_c - 1", "1e-6", "n_c_minus_1_e6", 1e-6, outside, outside),
+        ("n_cc - 1", "1e-6", "n_cc_minus_1_e6", 1e-6, cabin, cabin),
+        ("R_c", "arcsec", "r_c_arcsec", ARCSEC, r_c, exact),
+        ("R_cc", "arcsec", "r_cc_arcsec", ARCSEC, r_cc, exact_cc),
+        ("R_c - R_cc", "arcsec", "r_c_minus_r_cc_arcsec", ARCSEC, r_c - r_cc, exact - exact_cc),
     ):
-        yield "7", name, "1e-6", *at, table[key], n, n
-    for name, key, first, second in (
-        ("R_c", "r_c_arcsec", r_c, exact),
-        ("R_cc", "r_cc_arcsec", r_cc, exact_cc),
-        ("R_c - R_cc", "r_c_minus_r_cc_arcsec", r_c - r_cc, exact - exact_cc),
-    ):
-        yield "7", name, "arcsec", *at, table[key], first / ARCSEC, second / ARCSEC
+        yield "7", name, unit, *at, table[key], first / size, second / size
 
 
 def saastamoinen_rows() -> Iterator[Figures]:

@@ -59,9 +59,8 @@ def height_at_distance(
     >>> h_g.round(4).item(), status.item()
     (600.2176, 0)
     """
-    shape, (h_c, sin_z, cos_z, distance, radius) = as_columns(
-        h_c, sin_zeta_c, cos_zeta_c, distance, radius
-    )
+    shape, columns = as_columns(h_c, sin_zeta_c, cos_zeta_c, distance, radius)
+    h_c, sin_z, cos_z, distance, radius = columns
     height, status = np.empty(h_c.shape), np.empty(h_c.shape, np.uint8)
     rays = RayColumns(h_c, height, sin_z, cos_z, radius, distance)  # h_g is not read
     if isinstance(table, PublishedRays):
@@ -105,13 +104,7 @@ def target_heights(
 
 
 def target_rays(
-    x_px: Array,
-    y_px: Array,
-    exposure: Integers,
-    exposures: Exposures,
-    *,
-    camera: Camera,
-    ideal: bool,
+    x: Array, y: Array, exposure: Integers, exposures: Exposures, *, camera: Camera, ideal: bool
 ) -> Array:
     """The matrix of rays (RAY_ROWS, n) of pixels as in `target_heights`, NaN where there is none;
     where ``ideal`` they are the straight chords themselves."""
@@ -126,9 +119,9 @@ def target_rays(
             cx_px=camera.cx_px + _MARGIN_PX,
             cy_px=camera.cy_px + _MARGIN_PX,
         )
-        x_px, y_px = x_px + _MARGIN_PX, y_px + _MARGIN_PX
-    anywhere = np.zeros(x_px.size)
-    observed = ObservationColumns(x_px, y_px, anywhere, anywhere, exposure)
+        x, y = x + _MARGIN_PX, y + _MARGIN_PX
+    anywhere = np.zeros(x.size)
+    observed = ObservationColumns(x, y, anywhere, anywhere, exposure)
     rays, _, _ = outgoing_rays(observed, camera.constants, exposures.columns)
     return rays
 
@@ -358,10 +351,16 @@ def _charts(lat_rad: Array, lon_rad: Array, needed: Array, terrain: Terrain) -> 
     left = np.arange(needed.size)
     for _ in range(12):
         at = np.concatenate([_NODES, _CHECKS]) * reach[left, None, None]
-        place = np.repeat(lat_rad[left], at.shape[1]), np.repeat(lon_rad[left], at.shape[1])
+        lat, lon = np.repeat(lat_rad[left], at.shape[1]), np.repeat(lon_rad[left], at.shape[1])
         east, north = at.reshape(-1, 2).T
-        nodes = np.stack(terrain.nodes(*_places_about(*place, east, north)), axis=-1)
-        nodes = nodes.reshape(left.size, -1, 2)
+        # The ends of arcs in the vertical planes of the places.
+        azimuth = np.arctan2(east, north)
+        radius = euler_radius(lat, azimuth)
+        angle = np.hypot(east, north) / radius
+        across, up = radius * np.sin(angle), -2.0 * radius * np.sin(0.5 * angle) ** 2
+        enu = np.stack([across * np.sin(azimuth), across * np.cos(azimuth), up], axis=-1)
+        lat, lon, _ = offset_geodetic(lat, lon, np.zeros(lat.size), enu)
+        nodes = np.stack(terrain.nodes(lat, lon), axis=-1).reshape(left.size, -1, 2)
         if terrain.grid.around:
             turns = (nodes[..., 1] - nodes[:, :1, 1]) / terrain.grid.around
             nodes[..., 1] -= terrain.grid.around * np.round(turns)
@@ -380,16 +379,6 @@ def _charts(lat_rad: Array, lon_rad: Array, needed: Array, terrain: Terrain) -> 
 def _terms(at: Array) -> Array:
     """(k, 15) terms of the polynomials at (k, 2) east and north in units of the reach."""
     return np.stack([at[:, 0] ** i * at[:, 1] ** j for i, j in _POWERS], axis=1)
-
-
-def _places_about(lat_rad: Array, lon_rad: Array, east: Array, north: Array) -> tuple[Array, Array]:
-    """Latitude and longitude [rad] of ends of arcs in the vertical planes of places; (n,) each."""
-    azimuth = np.arctan2(east, north)
-    radius = euler_radius(lat_rad, azimuth)
-    angle = np.hypot(east, north) / radius
-    across, up = radius * np.sin(angle), -2.0 * radius * np.sin(0.5 * angle) ** 2
-    enu = np.stack([across * np.sin(azimuth), across * np.cos(azimuth), up], axis=-1)
-    return offset_geodetic(lat_rad, lon_rad, np.zeros(lat_rad.size), enu)[:2]
 
 
 def _follow(

@@ -8,13 +8,5 @@ from pipeline.simulate.mission import Simulated, SimulationOptions, mission_yaml
 from pipeline.simulate.optics import shoot
 from pipeline.simulate.true_air import TrueAir, edlen_index, true_air
 
-__all__ = [
-    "Simulated",
-    "SimulationOptions",
-    "TrueAir",
-    "edlen_index",
-    "mission_yaml",
-    "shoot",
-    "simulate",
-    "true_air",
-]
+__all__ = ["Simulated", "SimulationOptions", "TrueAir", "edlen_index", "mission_yaml", "shoot"]
+__all__ += ["simulate", "true_air"]

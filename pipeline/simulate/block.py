@@ -9,15 +9,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from pipeline.errors import MissionError
+from pipeline.simulate import flight as plan
 from pipeline.simulate import optics
-from pipeline.simulate.flight import (
-    UNDULATION_M,
-    AirState,
-    Flight,
-    cabin_air,
-    geographic,
-    terrain_m,
-)
+from pipeline.simulate.flight import UNDULATION_M, AirState, Flight
 from pipeline.simulate.sensors import unix_ns
 from pipeline.simulate.true_air import TrueAir, relative_humidity, temperature_k, vapour_pressure_pa
 from pipeline.units import Array, Integers
@@ -90,9 +84,8 @@ def stations(
     reference = optics.to_ecef(truth.lat_rad, truth.lon_rad, truth.h_msl_m + UNDULATION_M)
     axes = optics.enu_axes(truth.lat_rad, truth.lon_rad)
     angles = zip(truth.roll_rad, truth.pitch_rad, truth.yaw_rad, strict=True)
-    enu_from_body = np.stack(
-        [optics.NED_FROM_ENU.T @ optics.body_rotation(*rotation) for rotation in angles]
-    )
+    turns = [optics.NED_FROM_ENU.T @ optics.body_rotation(*rotation) for rotation in angles]
+    enu_from_body = np.stack(turns)
     ecef, rotations = [], []
     for camera in cameras:
         offset = enu_from_body @ np.array(camera.lever_arm_m)
@@ -106,19 +99,11 @@ def stations(
     count = len(flight.exposure_s)
     vapour, humidity = vapour_pressure_pa(msl), relative_humidity(msl)
     outside = AirState(air.pressure_pa(msl), temperature_k(msl), vapour, humidity, air.n(msl))
-    return TrueStations(
-        tuple(f"{c.name}_{i:05d}" for c in cameras for i in range(1, count + 1)),
-        np.repeat(np.arange(len(cameras)), count),
-        unix_ns(time_s),
-        positions,
-        np.arcsin(up[:, 2]),
-        np.arctan2(up[:, 1], up[:, 0]),
-        height,
-        rotation,
-        np.stack([optics.quaternion(r) for r in rotation]),
-        outside,
-        cabin_air(air, msl, time_s),
-    )
+    names = tuple(f"{c.name}_{i:05d}" for c in cameras for i in range(1, count + 1))
+    shots = names, np.repeat(np.arange(len(cameras)), count), unix_ns(time_s)
+    place = positions, np.arcsin(up[:, 2]), np.arctan2(up[:, 1], up[:, 0]), height
+    attitude = rotation, np.stack([optics.quaternion(r) for r in rotation])
+    return TrueStations(*shots, *place, *attitude, outside, plan.cabin_air(air, msl, time_s))
 
 
 def _candidates(spacing_m: float, flight: Flight, rng: np.random.Generator) -> GroundPoints:
@@ -130,8 +115,8 @@ def _candidates(spacing_m: float, flight: Flight, rng: np.random.Generator) -> G
     place = np.stack([axis.ravel() for axis in grid], axis=-1)
     place += rng.uniform(-0.45, 0.45, place.shape) * spacing_m
     place = place[rng.permutation(len(place))]
-    lat, lon = geographic(place[:, 0], place[:, 1])
-    h_msl = np.round(terrain_m(place[:, 0], place[:, 1]), 3)
+    lat, lon = plan.geographic(place[:, 0], place[:, 1])
+    h_msl = np.round(plan.terrain_m(place[:, 0], place[:, 1]), 3)
     return GroundPoints((), lat, lon, h_msl, optics.to_ecef(lat, lon, h_msl + UNDULATION_M))
 
 
@@ -205,10 +190,8 @@ def observe(
     up = optics.height_and_up(block.ecef_m)[1][station]
     down = -np.sum(rays.apparent * up, axis=-1)
     zeta = np.arctan2(np.linalg.norm(np.cross(rays.apparent, up), axis=-1), down)
-    (x, y), (x_true, y_true) = measured, true
-    return TrueObservations(
-        station, point, x, y, x_true, y_true, zeta, rays.r_c_rad, r_cc, rays.miss_m
-    )
+    (x, y), (x_true, y_true), r_c = measured, true, rays.r_c_rad
+    return TrueObservations(station, point, x, y, x_true, y_true, zeta, r_c, r_cc, rays.miss_m)
 
 
 def write_table(path: Path, columns: dict[str, object]) -> None:
@@ -238,31 +221,20 @@ def write_tables(
     write_table(truth / "stations.parquet", station_columns(block, cameras))
     # -100 m to 30 km, 5 m apart up to 5 km and 50 m above.
     h = np.concatenate([np.arange(-100.0, 5000.0, 5.0), np.arange(5000.0, 30_001.0, 50.0)])
-    profile: dict[str, object] = {
-        "h_m": h,
-        "temperature_k": temperature_k(h),
-        "pressure_pa": air.pressure_pa(h),
-        "vapour_pressure_pa": vapour_pressure_pa(h),
-        "refractivity": air.n(h) - 1.0,
-    }
-    write_table(truth / "profile.parquet", profile)
-    ground: dict[str, object] = {
-        "point": list(points.name),
-        "lat_deg": np.degrees(points.lat_rad),
-        "lon_deg": np.degrees(points.lon_rad),
-        "h_msl_m": points.h_msl_m,
-        "h_ellipsoid_m": points.h_msl_m + UNDULATION_M,
-    }
-    write_table(truth / "points.parquet", ground)
+    of_air = {"temperature_k": temperature_k(h), "pressure_pa": air.pressure_pa(h)}
+    of_air |= {"vapour_pressure_pa": vapour_pressure_pa(h), "refractivity": air.n(h) - 1.0}
+    write_table(truth / "profile.parquet", {"h_m": h, **of_air})
+    place = {"lat_deg": np.degrees(points.lat_rad), "lon_deg": np.degrees(points.lon_rad)}
+    place |= {"h_msl_m": points.h_msl_m, "h_ellipsoid_m": points.h_msl_m + UNDULATION_M}
+    write_table(truth / "points.parquet", {"point": list(points.name), **place})
 
 
 def station_columns(
     stations: TrueStations, cameras: tuple[optics.SimulatedCamera, ...]
 ) -> dict[str, object]:
     """truth/stations.parquet: one row an image."""
-    outside, cabin = stations.outside, stations.cabin
     q = stations.quaternion
-    return {
+    columns = {
         "image": list(stations.image),
         "camera": [cameras[k].name for k in stations.camera],
         "time_utc": pa.array(stations.time_ns, pa.timestamp("ns", tz="UTC")),
@@ -271,15 +243,11 @@ def station_columns(
         "h_msl_m": stations.h_msl_m,
         "h_ellipsoid_m": stations.h_ellipsoid_m,
         **{name: q[:, i].copy() for i, name in enumerate(("q_w", "q_x", "q_y", "q_z"))},
-        "pressure_pa": outside.pressure_pa,
-        "temperature_k": outside.temperature_k,
-        "vapour_pressure_pa": outside.vapour_pa,
-        "cabin_pressure_pa": cabin.pressure_pa,
-        "cabin_temperature_k": cabin.temperature_k,
-        "cabin_vapour_pressure_pa": cabin.vapour_pa,
-        "n_outside": outside.n,
-        "n_cabin": cabin.n,
     }
+    for prefix, air in (("", stations.outside), ("cabin_", stations.cabin)):
+        for name in ("pressure_pa", "temperature_k", "vapour_pressure_pa"):
+            columns[prefix + name] = getattr(air, name)
+    return columns | {"n_outside": stations.outside.n, "n_cabin": stations.cabin.n}
 
 
 def observation_columns(
@@ -290,20 +258,13 @@ def observation_columns(
     rng: np.random.Generator,
 ) -> tuple[dict[str, object], dict[str, object]]:
     """observations.parquet, as a photogrammetrist has it, and truth/observations.parquet."""
-    names = {
-        "image": [stations.image[k] for k in seen.station],
-        "point": [points.name[k] for k in seen.point],
-    }
-    quality = rng.integers(1, 6, len(seen.station))
-    error = noise_px * rng.standard_normal((2, len(seen.station)))
+    images, named = [stations.image[k] for k in seen.station], [points.name[k] for k in seen.point]
+    names: dict[str, object] = {"image": images, "point": named}
+    quality = rng.integers(1, 6, len(seen.station)).astype(np.int32)
+    x, y = noise_px * rng.standard_normal((2, len(seen.station)))
     h_g = points.h_msl_m[seen.point]
-    measured: dict[str, object] = {
-        **names,
-        "x_px": seen.x_px + error[0],
-        "y_px": seen.y_px + error[1],
-        "h_g_m": h_g,
-        "quality": quality.astype(np.int32),
-    }
+    measured = {**names, "x_px": seen.x_px + x, "y_px": seen.y_px + y, "h_g_m": h_g}
+    measured["quality"] = quality
     known = "x_px", "y_px", "x_true_px", "y_true_px", "zeta_c_rad", "r_c_rad", "r_cc_rad"
     truth: dict[str, object] = {**names, **{n: getattr(seen, n) for n in known}, "h_g_m": h_g}
     return measured, truth

@@ -54,6 +54,10 @@ class State:
         rows = {name: np.interp(time_s, self.time_s, row) for name, row in vars(self).items()}
         return State(**rows)
 
+    def rows(self, which: slice) -> State:
+        """Some of the times."""
+        return State(*(row[which] for row in vars(self).values()))
+
 
 @dataclass(frozen=True, eq=False)
 class Flight:
@@ -76,18 +80,11 @@ class Flight:
         gate = self.airborne(time_s)
         climb = np.arctan2(velocity[2], np.maximum(ground_speed, 30.0))
         roll = np.arctan(ground_speed * rate / STANDARD_GRAVITY)
-        return State(
-            time_s,
-            lat,
-            lon,
-            FIELD_HEIGHT_M + up,
-            roll + gate * _wander(time_s, 0.8, (7.3, 11.9, 29.0), 0.4),
-            climb + np.radians(1.5) + gate * _wander(time_s, 0.6, (6.1, 13.7, 41.0), 1.3),
-            heading + gate * _wander(time_s, 0.7, (9.7, 17.3, 37.0), 2.6),
-            ground_speed,
-            velocity[2],
-            heading,
-        )
+        roll += gate * _wander(time_s, 0.8, (7.3, 11.9, 29.0), 0.4)
+        pitch = climb + np.radians(1.5) + gate * _wander(time_s, 0.6, (6.1, 13.7, 41.0), 1.3)
+        yaw = heading + gate * _wander(time_s, 0.7, (9.7, 17.3, 37.0), 2.6)
+        place = lat, lon, FIELD_HEIGHT_M + up
+        return State(time_s, *place, roll, pitch, yaw, ground_speed, velocity[2], heading)
 
 
 def _wander(time_s: Array, size_deg: float, periods_s: tuple[float, ...], phase: float) -> Array:
@@ -197,11 +194,8 @@ def fly(height_above_ground_m: float, lines: int, exposures_per_line: int) -> Fl
     up += 4.0 * np.sin(2.0 * np.pi * time / 53.0) * _smoothstep(up / 200.0)
     east = _integral(gate * SPEED_M_S * np.sin(heading))
     north = _integral(gate * SPEED_M_S * np.cos(heading))
-    shots = [
-        start + LINE_MARGIN_M + EXPOSURE_SPACING_M * i
-        for start in starts
-        for i in range(exposures_per_line)
-    ]
+    along = EXPOSURE_SPACING_M * np.arange(exposures_per_line)
+    shots = np.add.outer(np.array(starts) + LINE_MARGIN_M, along).ravel()
     # The camera's clock ticks in whole microseconds, and never in step with the other sensors.
     exposure = np.interp(shots, distance, time) + 0.043 * np.sin(7.0 * np.arange(len(shots)))
     return Flight(
@@ -236,7 +230,7 @@ class AirState:
 
     pressure_pa: Array
     temperature_k: Array
-    vapour_pa: Array
+    vapour_pressure_pa: Array
     humidity: Array
     n: Array
 
@@ -254,6 +248,5 @@ def cabin_air(air: TrueAir, h_msl_m: Array, time_s: Array) -> AirState:
     temperature = temperature + 0.4 * np.sin(2.0 * np.pi * time_s / 121.0)
     humidity = 0.30 + 0.03 * np.sin(2.0 * np.pi * time_s / 540.0)
     vapour = humidity * saturation_pressure_pa(temperature)
-    return AirState(
-        pressure, temperature, vapour, humidity, edlen_index(pressure, temperature, vapour)
-    )
+    n = edlen_index(pressure, temperature, vapour)
+    return AirState(pressure, temperature, vapour, humidity, n)

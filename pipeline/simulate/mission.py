@@ -89,13 +89,11 @@ def simulate(
     air = true_air(FIELD_LAT_RAD)
     pair = cameras(chosen.focal_px)
     flight = fly(chosen.height_above_ground_m, chosen.lines, chosen.exposures_per_line)
-    draw_points, draw_image = (np.random.default_rng([chosen.seed, branch]) for branch in (0, 1))
+    of_points, of_image = (np.random.default_rng([chosen.seed, branch]) for branch in (0, 1))
 
     begin("rays")
     block = stations(flight, air, pair)
-    points, station, point = choose_points(
-        flight, block, pair, chosen.points_per_image, draw_points
-    )
+    points, station, point = choose_points(flight, block, pair, chosen.points_per_image, of_points)
     seen = observe(air, block, points, pair, station=station, point=point)
 
     begin("tables")
@@ -106,7 +104,7 @@ def simulate(
     with storage_errors(out):
         write_tables(
             out, air, block, points, seen,
-            cameras=pair, noise_px=chosen.image_noise_px, rng=draw_image,
+            cameras=pair, noise_px=chosen.image_noise_px, rng=of_image,
         )  # fmt: skip
         samples = sensors.sample(flight, air, chosen.seed, tuple(c.name for c in pair))
         for kind, path in logs.items():

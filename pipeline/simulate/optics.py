@@ -38,14 +38,8 @@ def to_ecef(lat_rad: Array, lon_rad: Array, h_ellipsoid_m: Array) -> Array:
     """Earth-centred coordinates (..., 3) [m] of WGS84 latitude, longitude [rad], height [m]."""
     normal = WGS84_A / np.sqrt(1.0 - _E2 * np.sin(lat_rad) ** 2)
     across = (normal + h_ellipsoid_m) * np.cos(lat_rad)
-    return np.stack(
-        [
-            across * np.cos(lon_rad),
-            across * np.sin(lon_rad),
-            (normal * (1.0 - _E2) + h_ellipsoid_m) * np.sin(lat_rad),
-        ],
-        axis=-1,
-    )
+    z = (normal * (1.0 - _E2) + h_ellipsoid_m) * np.sin(lat_rad)
+    return np.stack([across * np.cos(lon_rad), across * np.sin(lon_rad), z], axis=-1)
 
 
 def height_and_up(ecef_m: Array) -> tuple[Array, Array]:
@@ -101,9 +95,7 @@ def ray_ends(
 
     first = np.concatenate([np.zeros(3 * count), (direction * n_start[:, None]).ravel()])
     floor = np.repeat([1e-9, 1e-15], 3 * count)
-    solution = solve_ivp(
-        slope, (0.0, 1.0), first, method="DOP853", rtol=1e-12, atol=floor, t_eval=[1.0]
-    )
+    solution = solve_ivp(slope, (0.0, 1.0), first, "DOP853", [1.0], rtol=1e-12, atol=floor)
     if not solution.success:
         raise PhysicsError("SIM-ODE", f"the rays did not integrate: {solution.message}")
     return np.asarray(solution.y[: 3 * count, -1].reshape(count, 3))
@@ -211,13 +203,9 @@ def body_rotation(roll: float, pitch: float, yaw: float) -> Array:
     """
     cr, sr, cp, sp = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch)
     cy, sy = np.cos(yaw), np.sin(yaw)
-    return np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-    )
+    north = [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr]
+    east = [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr]
+    return np.array([north, east, [-sp, cp * sr, cp * cr]])
 
 
 def quaternion(rotation: Array) -> Array:

@@ -5,23 +5,20 @@ All three logs carry (a subset of) these samples, so they differ in nothing but 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.ndimage import gaussian_filter1d
 
+from pipeline import units
 from pipeline.simulate.flight import UNDULATION_M, Flight, State, cabin_air
 from pipeline.simulate.true_air import TrueAir, relative_humidity, temperature_k
-from pipeline.units import (
-    NANOSECONDS_PER_SECOND,
-    UNIX_NS_OF_GPS_EPOCH,
-    WGS84_A,
-    ZERO_CELSIUS_K,
-    Array,
-    Integers,
-)
+from pipeline.units import Array, Integers
 
-LOG_BEGINS_UNIX_NS = 1_749_720_600 * NANOSECONDS_PER_SECOND  # 2025-06-12T09:30:00Z
+LOG_BEGINS_UNIX_NS = 1_749_720_600 * units.NANOSECONDS_PER_SECOND  # 2025-06-12T09:30:00Z
 LOG_BEGINS_BOOT_US = 25_000_000
 LEAP_SECONDS = 18  # GPS minus UTC since 2017
 
@@ -132,9 +129,16 @@ def unix_ns(time_s: Array) -> Integers:
 
 def gps_week_ms(time_s: Array) -> tuple[Integers, Integers]:
     """GPS week and milliseconds of the week (n,) of times since the log began [s]."""
-    gps_ns = unix_ns(time_s) - UNIX_NS_OF_GPS_EPOCH + LEAP_SECONDS * NANOSECONDS_PER_SECOND
-    week, rest = np.divmod(gps_ns, 604_800 * NANOSECONDS_PER_SECOND)
+    second = units.NANOSECONDS_PER_SECOND
+    gps_ns = unix_ns(time_s) - units.UNIX_NS_OF_GPS_EPOCH + LEAP_SECONDS * second
+    week, rest = np.divmod(gps_ns, 604_800 * second)
     return week, rest // 1_000_000
+
+
+def rows_of(time_us: Integers, *columns: ArrayLike) -> Iterator[tuple[Any, ...]]:
+    """Rows of (n,) times and columns, which are (n,) or one value for all."""
+    values = (np.broadcast_to(column, time_us.shape).tolist() for column in (time_us, *columns))
+    return zip(*values, strict=True)
 
 
 def sample(flight: Flight, air: TrueAir, seed: int, camera_names: tuple[str, ...]) -> LoggedSamples:
@@ -168,8 +172,8 @@ def _displaced(truth: State, rng: np.random.Generator, samples: float) -> State:
     east = _noise(rng, count, GNSS_HORIZONTAL_M, samples)
     return replace(
         truth,
-        lat_rad=lat + north / WGS84_A,
-        lon_rad=truth.lon_rad + east / (WGS84_A * np.cos(lat)),
+        lat_rad=lat + north / units.WGS84_A,
+        lon_rad=truth.lon_rad + east / (units.WGS84_A * np.cos(lat)),
         h_msl_m=truth.h_msl_m + _noise(rng, count, GNSS_VERTICAL_M, samples),
     )
 
@@ -181,9 +185,9 @@ def _read_out(fast: tuple[Array, Array, Array], slow: tuple[Array, Array, Array]
     return BoxSamples(
         fast_s,
         _digits(pressure_pa, PRESSURE_DIGIT_PA),
-        ZERO_CELSIUS_K + _digits(board_k - ZERO_CELSIUS_K, TEMPERATURE_DIGIT_K),
+        units.ZERO_CELSIUS_K + _digits(board_k - units.ZERO_CELSIUS_K, TEMPERATURE_DIGIT_K),
         slow_s,
-        ZERO_CELSIUS_K + _digits(air_k - ZERO_CELSIUS_K, TEMPERATURE_DIGIT_K),
+        units.ZERO_CELSIUS_K + _digits(air_k - units.ZERO_CELSIUS_K, TEMPERATURE_DIGIT_K),
         np.clip(_digits(humidity, HUMIDITY_DIGIT), 0.0, 1.0),
     )
 

@@ -10,16 +10,9 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.interpolate import BSpline, make_interp_spline
 
+from pipeline import units
 from pipeline.errors import PhysicsError
-from pipeline.units import (
-    GAS_CONSTANT_1976,
-    MOLAR_MASS_AIR,
-    VAPOUR_DEFICIT,
-    WGS84_A,
-    WGS84_F,
-    ZERO_CELSIUS_K,
-    Array,
-)
+from pipeline.units import Array
 
 WAVELENGTH_UM = 0.55
 LOWEST_M = -300.0
@@ -88,11 +81,11 @@ def normal_gravity(lat_rad: float, h_m: float) -> float:
     9.806198
     """
     s2 = float(np.sin(lat_rad)) ** 2
-    eccentricity2 = WGS84_F * (2.0 - WGS84_F)
+    eccentricity2 = units.WGS84_F * (2.0 - units.WGS84_F)
     at_ellipsoid = 9.7803253359 * (1.0 + 0.00193185265241 * s2) / (1.0 - eccentricity2 * s2) ** 0.5
     m = 0.00344978650684
-    first = 2.0 / WGS84_A * (1.0 + WGS84_F + m - 2.0 * WGS84_F * s2) * h_m
-    return float(at_ellipsoid * (1.0 - first + 3.0 * h_m**2 / WGS84_A**2))
+    first = 2.0 / units.WGS84_A * (1.0 + units.WGS84_F + m - 2.0 * units.WGS84_F * s2) * h_m
+    return float(at_ellipsoid * (1.0 - first + 3.0 * h_m**2 / units.WGS84_A**2))
 
 
 def edlen_index(
@@ -109,7 +102,7 @@ def edlen_index(
     >>> f"{float(n - 1.0):.4e}"
     '2.7180e-04'
     """
-    t = temperature - ZERO_CELSIUS_K
+    t = temperature - units.ZERO_CELSIUS_K
     s = 1.0 / wavelength_um**2
     standard = 1e-8 * (8342.54 + 2_406_147.0 / (130.0 - s) + 15_998.0 / (38.9 - s))
     x = (1.0 + 1e-8 * (0.601 - 0.00972 * t) * pressure_pa) / (1.0 + 0.003661 * t)
@@ -152,9 +145,9 @@ def true_air(lat_rad: float) -> TrueAir:
 
     def slope(h: float, log_p: Array) -> Array:
         height = np.array(h)
-        moist = 1.0 - VAPOUR_DEFICIT * vapour_pressure_pa(height) / np.exp(log_p)
-        molar_weight = MOLAR_MASS_AIR * normal_gravity(lat_rad, h)
-        return np.asarray(-molar_weight * moist / (GAS_CONSTANT_1976 * temperature_k(height)))
+        moist = 1.0 - units.VAPOUR_DEFICIT * vapour_pressure_pa(height) / np.exp(log_p)
+        molar_weight = units.MOLAR_MASS_AIR * normal_gravity(lat_rad, h)
+        return np.asarray(-molar_weight * moist / (units.GAS_CONSTANT_1976 * temperature_k(height)))
 
     knots = np.arange(LOWEST_M, HIGHEST_M + 1.0, 10.0)
     log_p = np.empty_like(knots)

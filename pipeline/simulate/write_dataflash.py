@@ -8,10 +8,12 @@ from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from pipeline.simulate import sensors
+from pipeline.simulate.flight import State
 from pipeline.simulate.true_air import FIELD_HEIGHT_M
-from pipeline.units import ZERO_CELSIUS_K, Array
+from pipeline.units import ZERO_CELSIUS_K, Array, Integers
 
 Row = tuple[int, bytes]
 
@@ -48,13 +50,14 @@ class _Format:
         ]
         return _MAGIC + bytes([self.type_id]) + self.struct.pack(*body)
 
+    def rows(self, time_us: Integers, *columns: ArrayLike) -> list[Row]:
+        """A record for each of (n,) times; columns are (n,), or one value for all."""
+        return [(row[0], self.pack(*row)) for row in sensors.rows_of(time_us, *columns)]
 
-_ANNOUNCED = tomllib.loads(
-    files("pipeline.simulate").joinpath("data/dataflash.toml").read_text("utf-8")
-)
-FORMATS = {
-    name: _Format(number, name, *texts) for name, (number, *texts) in _ANNOUNCED["formats"].items()
-}
+
+_DATA = files("pipeline.simulate").joinpath("data/dataflash.toml")
+_ANNOUNCED = tomllib.loads(_DATA.read_text("utf-8"))
+FORMATS = {k: _Format(v[0], k, *v[1:]) for k, v in _ANNOUNCED["formats"].items()}
 _SHUTTER_LAG_US = 85_000
 
 
@@ -87,91 +90,67 @@ def write_dataflash(path: Path, samples: sensors.LoggedSamples) -> int:
 
 def _position_rows(samples: sensors.LoggedSamples) -> list[Row]:
     """GPS and GPA of the receiver; ATT and POS at 10 Hz, half the rate of the autopilot."""
-    g, nav = samples.gnss, samples.navigation
+    g, nav = samples.gnss, samples.navigation.rows(slice(None, None, 2))
     week, ms = sensors.gps_week_ms(g.time_s)
-    written = sensors.boot_us(g.time_s + g.log_delay_s)
-    taken_ms = sensors.boot_us(g.time_s) // 1000
-    lat, lon = np.degrees(g.lat_rad), np.degrees(g.lon_rad)
-    course = np.degrees(g.course_rad) % 360.0
-    rows: list[Row] = []
-    for i, time in enumerate(written.tolist()):
-        rows.append((time, FORMATS["GPS"].pack(
-            time, 0, 6, int(ms[i]), int(week[i]), 18, 0.71, lat[i], lon[i], g.h_msl_m[i],
-            g.speed_m_s[i], course[i], -g.climb_m_s[i], 0.0, 1,
-        )))  # fmt: skip
-        rows.append((time, FORMATS["GPA"].pack(
-            time, 0, 1.1, sensors.GNSS_HORIZONTAL_M, sensors.GNSS_VERTICAL_M, 0.05, 0.0, 1,
-            int(taken_ms[i]), 200, g.h_ellipsoid_m[i], 0, 0,
-        )))  # fmt: skip
-    times = sensors.boot_us(nav.time_s)
-    lat, lon = np.degrees(nav.lat_rad), np.degrees(nav.lon_rad)
-    roll, pitch = np.degrees(nav.roll_rad), np.degrees(nav.pitch_rad)
-    yaw = _centidegrees(np.degrees(nav.yaw_rad))
-    for i in range(0, len(times), 2):
-        time = int(times[i])
-        rows.append((time, FORMATS["ATT"].pack(
-            time, roll[i], roll[i], pitch[i], pitch[i], yaw[i], yaw[i], 0.0, 0.0, 3
-        )))  # fmt: skip
-        above = nav.h_msl_m[i] - FIELD_HEIGHT_M
-        rows.append((time, FORMATS["POS"].pack(
-            time, lat[i], lon[i], nav.h_msl_m[i], above, above
-        )))  # fmt: skip
-    return rows
+    written, taken_ms = sensors.boot_us(g.time_s + g.log_delay_s), sensors.boot_us(g.time_s) // 1000
+    lat, lon, course = np.degrees([g.lat_rad, g.lon_rad, g.course_rad])
+    rows = FORMATS["GPS"].rows(
+        written, 0, 6, ms, week, 18, 0.71, lat, lon, g.h_msl_m, g.speed_m_s, course % 360.0,
+        -g.climb_m_s, 0.0, 1,
+    )  # fmt: skip
+    rows += FORMATS["GPA"].rows(
+        written, 0, 1.1, sensors.GNSS_HORIZONTAL_M, sensors.GNSS_VERTICAL_M, 0.05, 0.0, 1, taken_ms,
+        200, g.h_ellipsoid_m, 0, 0,
+    )  # fmt: skip
+    lat, lon, roll, pitch, yaw = _degrees(nav)
+    times, above = sensors.boot_us(nav.time_s), nav.h_msl_m - FIELD_HEIGHT_M
+    rows += FORMATS["ATT"].rows(times, roll, roll, pitch, pitch, yaw, yaw, 0.0, 0.0, 3)
+    return rows + FORMATS["POS"].rows(times, lat, lon, nav.h_msl_m, above, above)
 
 
-def _centidegrees(degrees: Array) -> Array:
-    """Headings (n,) in [0, 360) after rounding to the column's last digit."""
-    return np.asarray(np.round(degrees % 360.0, 2) % 360.0)
+def _degrees(at: State) -> tuple[Array, ...]:
+    """Latitude, longitude, roll, pitch; yaw in [0, 360) after rounding to the last digit."""
+    angles = [at.lat_rad, at.lon_rad, at.roll_rad, at.pitch_rad, at.yaw_rad]
+    lat, lon, roll, pitch, yaw = np.degrees(angles)
+    return lat, lon, roll, pitch, np.round(yaw % 360.0, 2) % 360.0
 
 
 def _air_rows(samples: sensors.LoggedSamples) -> list[Row]:
     """BARO and HYGR of both boxes, ARSP of a pitot with the outside thermometer in it."""
     rows: list[Row] = []
     for instance, box in enumerate((samples.outside, samples.cabin)):
-        board = box.board_k - ZERO_CELSIUS_K
+        board, celsius = box.board_k - ZERO_CELSIUS_K, box.temperature_k - ZERO_CELSIUS_K
         # ArduPilot's Alt is a height in the standard atmosphere against the pressure at boot.
         height = 44_330.8 * (1.0 - (box.pressure_pa / 101_325.0) ** 0.190263)
-        above = height - height[0]
-        for i, time in enumerate(sensors.boot_us(box.pressure_time_s).tolist()):
-            rows.append((time, FORMATS["BARO"].pack(
-                time, instance, above[i], above[i] + FIELD_HEIGHT_M, box.pressure_pa[i], board[i],
-                0.0, time // 1000, 0.0, board[0], 1,
-            )))  # fmt: skip
-        celsius = box.temperature_k - ZERO_CELSIUS_K
-        for i, time in enumerate(sensors.boot_us(box.time_s).tolist()):
-            rows.append((time, FORMATS["HYGR"].pack(
-                time, instance, 100.0 * box.humidity[i], celsius[i]
-            )))  # fmt: skip
+        above, times = height - height[0], sensors.boot_us(box.pressure_time_s)
+        rows += FORMATS["BARO"].rows(
+            times, instance, above, above + FIELD_HEIGHT_M, box.pressure_pa, board, 0.0,
+            times // 1000, 0.0, board[0], 1,
+        )  # fmt: skip
+        humidity = 100.0 * box.humidity
+        rows += FORMATS["HYGR"].rows(sensors.boot_us(box.time_s), instance, humidity, celsius)
     box, nav = samples.outside, samples.navigation
     speed = np.interp(box.time_s, nav.time_s, nav.speed_m_s)
     pressure = np.interp(box.time_s, box.pressure_time_s, box.pressure_pa)
     dynamic = 0.5 * pressure / (287.05 * box.temperature_k) * speed**2
-    indicated = np.sqrt(2.0 * dynamic / 1.225)
-    celsius = box.temperature_k - ZERO_CELSIUS_K
-    for i, time in enumerate(sensors.boot_us(box.time_s).tolist()):
-        rows.append((time, FORMATS["ARSP"].pack(
-            time, 0, indicated[i], dynamic[i], celsius[i], dynamic[i], 0.0, 1, 1, 1.0, 0.0, 0
-        )))  # fmt: skip
-    return rows
+    indicated, celsius = np.sqrt(2.0 * dynamic / 1.225), box.temperature_k - ZERO_CELSIUS_K
+    return rows + FORMATS["ARSP"].rows(
+        sensors.boot_us(box.time_s), 0, indicated, dynamic, celsius, dynamic, 0.0, 1, 1, 1.0, 0.0, 0
+    )
 
 
 def _camera_rows(samples: sensors.LoggedSamples) -> list[Row]:
     """TRIG at the command and CAM at the shutter, one of each for every camera."""
-    nav, gnss = samples.navigation, samples.gnss
-    shutter = sensors.boot_us(samples.exposure_s)
-    rows: list[Row] = []
+    gnss, shutter, rows = samples.gnss, sensors.boot_us(samples.exposure_s), list[Row]()
     for message, times_us in (("TRIG", shutter - _SHUTTER_LAG_US), ("CAM", shutter)):
-        at = (times_us - sensors.LOG_BEGINS_BOOT_US) * 1e-6
-        shot = nav.between(np.asarray(at, np.float64))
-        lat, lon, alt = np.degrees(shot.lat_rad), np.degrees(shot.lon_rad), shot.h_msl_m
-        roll, pitch = np.degrees(shot.roll_rad), np.degrees(shot.pitch_rad)
-        yaw = _centidegrees(np.degrees(shot.yaw_rad))
+        at = np.asarray((times_us - sensors.LOG_BEGINS_BOOT_US) * 1e-6, np.float64)
+        shot = samples.navigation.between(at)
+        lat, lon, roll, pitch, yaw = _degrees(shot)
         last_fix = np.searchsorted(gnss.time_s + gnss.log_delay_s, at, side="right") - 1
         week, ms = sensors.gps_week_ms(gnss.time_s[last_fix])
         for instance in range(len(samples.camera_names)):
-            for i, time in enumerate(times_us.tolist()):
-                rows.append((time, FORMATS[message].pack(
-                    time, instance, i + 1, int(ms[i]), int(week[i]), lat[i], lon[i], alt[i],
-                    alt[i] - FIELD_HEIGHT_M, gnss.h_msl_m[last_fix[i]], roll[i], pitch[i], yaw[i],
-                )))  # fmt: skip
+            rows += FORMATS[message].rows(
+                times_us, instance, np.arange(at.size) + 1, ms, week, lat, lon, shot.h_msl_m,
+                shot.h_msl_m - FIELD_HEIGHT_M, gnss.h_msl_m[last_fix], roll, pitch, yaw,
+            )  # fmt: skip
     return rows

@@ -123,4 +123,4 @@ def test_stations_that_are_known_worse_than_needed_are_a_loss_for_each_limit():
     for median in ("2.00 m", "1.00 m", "0.20 deg"):
         assert median in said.what
     assert [entry.kind for entry in sigma_notes(known, None, None, None)] == ["note"]
-    assert sigma_notes(known.with_status(known.ok, "in_gap"), 1.0, 1.0, 1.0) == ()
+    assert not list(sigma_notes(known.with_status(known.ok, "in_gap"), 1.0, 1.0, 1.0))

@@ -255,16 +255,14 @@ _STEPS: Mapping[str, _Distance] = {
 }
 
 
-def _stray_rows(
-    channel: Channel, known: Mask, distance: _Distance, where: str
-) -> tuple[Rows, Notes]:
-    """Rows that neither side reaches at the rate of a distance, up to `STRAY_ROWS` in a row."""
+def _stray_rows(channel: Channel, known: Mask, step: _Distance, where: str) -> tuple[Rows, Notes]:
+    """Rows that neither side reaches at the rate of a step, up to `STRAY_ROWS` in a row."""
     rows = np.flatnonzero(known)
 
     def far(i: Rows, j: Rows) -> Mask:
         seconds = 1e-9 * (channel.time_ns[j] - channel.time_ns[i])
-        limit = np.maximum(distance.rate * seconds, distance.noise)
-        return np.asarray(distance.between(channel, i, j) > limit, np.bool_)
+        limit = np.maximum(step.rate * seconds, step.noise)
+        return np.asarray(step.between(channel, i, j) > limit, np.bool_)
 
     edges = [np.zeros(1, np.intp)]
     for begin in range(0, rows.size - 1, _BLOCK):

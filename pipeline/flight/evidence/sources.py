@@ -329,20 +329,18 @@ def drifted(own: SourcePath, d: Difference, stretch: Stretch) -> list[Stretch]:
     return [replace(stretch, quantity=ATTITUDE, reason=reason, off_m=np.nan)]
 
 
-def with_replaced(
-    channel: Channel, d: Difference, stretch: Stretch, offsets: list[Array]
-) -> Channel:
+def with_replaced(channel: Channel, d: Difference, stretch: Stretch, by_m: list[Array]) -> Channel:
     """The channel with the samples of another source in a stretch, its lag and offset taken out.
 
-    The offset is the mean of those before and after; half their difference and the usual
-    difference of the two go into the standard deviation, with the source's own.
+    ``by_m`` are the offsets before and after, of which the mean counts; half their difference and
+    the usual difference of the two go into the standard deviation, with the source's own.
     """
     other, sigma = d.other.channel, "sigma_v_m" if stretch.quantity == HEIGHT else "sigma_h_m"
     time_ns = other.time_ns - round(d.lag_s * 1e9)
     inside, keep = stretch.covers(time_ns), ~stretch.covers(channel.time_ns)
-    spread = np.hypot(0.5 * float(np.linalg.norm(offsets[1] - offsets[0])), d.scatter_m)
+    spread = np.hypot(0.5 * float(np.linalg.norm(by_m[1] - by_m[0])), d.scatter_m)
     fill = {name: values[inside] for name, values in other.columns.items()}
-    fill |= moved(other, inside, 0.5 * (offsets[0] + offsets[1]), channel.height_column)
+    fill |= moved(other, inside, 0.5 * (by_m[0] + by_m[1]), channel.height_column)
     unknown = np.full(np.count_nonzero(inside), np.nan)
     fill[sigma] = np.hypot(np.nan_to_num(fill.get(sigma, unknown)), spread)
     both = np.concatenate([channel.time_ns[keep], time_ns[inside]])

@@ -105,9 +105,7 @@ class ObservationColumns(NamedTuple):
 
     def part(self, rows: slice) -> ObservationColumns:
         """Some of the rows."""
-        return ObservationColumns(
-            self.x[rows], self.y[rows], self.h_g[rows], self.sigma_h_g[rows], self.exposure[rows]
-        )
+        return ObservationColumns._make(values[rows] for values in self)
 
 
 class TracedColumns(NamedTuple):
@@ -118,19 +116,9 @@ class TracedColumns(NamedTuple):
     status: NDArray[np.uint8]
 
 
-class ShiftColumns(NamedTuple):
-    """Shifts in the image [px] and on the ground [m], to be filled."""
-
-    dx: Array
-    dy: Array
-    ground: Array
-
-
 class AirTables(NamedTuple):
     """Tables of sigma_R, dR/dzeta and the leading mode, of c cameras, w ways, v kinds of windows.
 
-    Parameters
-    ----------
     way_first : root of the first way [m^0.5], ``way_step`` before the next.
     coarse_step, incidence_step : spacing of the factors in the root of the way and in
         1 / sqrt(cos z) at the ground, from 1.

@@ -263,9 +263,8 @@ def angle_to(ray, theta, h_g):  # type: ignore[no-untyped-def]
     """R_c of the point at height h_g where the ray has subtended theta (Gyer 1996, Eq. 11)."""
     across, half = math.sin(theta), math.sin(0.5 * theta)
     along = (ray.h_c - h_g) / (ray.r_e + h_g) + 2.0 * (half * half)
-    return math.atan2(
-        ray.sin_c * along - ray.cos_c * across, ray.cos_c * along + ray.sin_c * across
-    )
+    aside = ray.sin_c * along - ray.cos_c * across
+    return math.atan2(aside, ray.cos_c * along + ray.sin_c * across)
 
 
 @jit

@@ -9,28 +9,10 @@ import math
 
 import numpy as np
 
+from pipeline.refraction import status_codes as codes
 from pipeline.refraction.camera import model_of
-from pipeline.refraction.kernels.columns import (
-    APPARENT,
-    COS,
-    H_C,
-    RADIUS,
-    RAY_ROWS,
-    SIN,
-    THROUGH,
-    U,
-    V,
-)
+from pipeline.refraction.kernels import columns as of
 from pipeline.refraction.kernels.jit import OfType, entry, jit, within
-from pipeline.refraction.status_codes import (
-    BAD_MEASUREMENT,
-    FAR_BRANCH,
-    NO_GROUND,
-    NO_STATION,
-    OK,
-    OUTSIDE_CAMERA,
-    OUTSIDE_PROFILE,
-)
 
 distort = OfType(lambda parameters: model_of(parameters).distort)
 slopes = OfType(lambda parameters: model_of(parameters).slopes)
@@ -57,7 +39,7 @@ def _ideal(span, pixels, camera, change_px, rays):  # type: ignore[no-untyped-de
     fx, fy = camera.fx + change_px, camera.fy + change_px
     cx, cy, width, height = camera.cx, camera.cy, camera.width, camera.height
     parameters = camera.distortion
-    u, v, u_d, v_d = rays[U], rays[V], rays[THROUGH], rays[THROUGH + 1]
+    u, v, u_d, v_d = rays[of.U], rays[of.V], rays[of.THROUGH], rays[of.THROUGH + 1]
     for i in range(first, last):
         u_d[i] = (x[i] - cx) / fx
         v_d[i] = (y[i] - cy) / fy
@@ -150,7 +132,7 @@ def _leave_camera(span, rays, scratch, exposure, r_cc):  # type: ignore[no-untyp
     """
     first, last = span
     normal, excess, turn, curvature = exposure
-    u, v, d, along = rays[U], rays[V], scratch[:3], scratch[3]
+    u, v, d, along = rays[of.U], rays[of.V], scratch[:3], scratch[3]
     for i in range(first, last):
         d[2, i] = 1.0 / math.sqrt(u[i] * u[i] + v[i] * v[i] + 1.0)
     for i in range(first, last):
@@ -162,16 +144,16 @@ def _leave_camera(span, rays, scratch, exposure, r_cc):  # type: ignore[no-untyp
     else:
         _refract(span, rays, d, (normal, excess), (along, r_cc))
     for k in range(3):
-        change, inside, part = rays[THROUGH + k], d[k], normal[k]
+        change, inside, part = rays[of.THROUGH + k], d[k], normal[k]
         for i in range(first, last):
             change[i] = excess * inside[i] + along[i] * part
     for k in range(3):
-        change, inside = rays[THROUGH + k], d[k]
+        change, inside = rays[of.THROUGH + k], d[k]
         for i in range(first, last):
             inside[i] += change[i]
     d_0, d_1, d_2 = d[0], d[1], d[2]
     for k in range(3):
-        t_0, t_1, t_2, apparent = turn[0, k], turn[1, k], turn[2, k], rays[APPARENT + k]
+        t_0, t_1, t_2, apparent = turn[0, k], turn[1, k], turn[2, k], rays[of.APPARENT + k]
         for i in range(first, last):
             apparent[i] = t_0 * d_0[i] + t_1 * d_1[i] + t_2 * d_2[i]
     _angles_outside(span, rays, curvature)
@@ -185,8 +167,8 @@ def _angles_outside(span, rays, curvature):  # type: ignore[no-untyped-def]
     """
     first, last = span
     meridian, vertical = curvature[0], curvature[1]
-    east, north, up = rays[APPARENT], rays[APPARENT + 1], rays[APPARENT + 2]
-    sine, cosine, radius = rays[SIN], rays[COS], rays[RADIUS]
+    east, north, up = rays[of.APPARENT], rays[of.APPARENT + 1], rays[of.APPARENT + 2]
+    sine, cosine, radius = rays[of.SIN], rays[of.COS], rays[of.RADIUS]
     for i in range(first, last):
         # Rounding may leave the sine of a level ray 1e-16 above one.
         length = math.sqrt(east[i] * east[i] + north[i] * north[i])
@@ -203,22 +185,22 @@ def _angles_outside(span, rays, curvature):  # type: ignore[no-untyped-def]
 def _flag_without_ray(span, rays, outside, r_cc, status):  # type: ignore[no-untyped-def]
     """Give observations without a ray their status, and take the numbers out of all of those."""
     first, last = span
-    u = rays[U]
+    u = rays[of.U]
     for i in range(first, last):
-        if status[i] == OK:
+        if status[i] == codes.OK:
             if math.isnan(u[i]):
-                status[i] = OUTSIDE_CAMERA
+                status[i] = codes.OUTSIDE_CAMERA
             elif math.isnan(outside):
-                status[i] = OUTSIDE_PROFILE
+                status[i] = codes.OUTSIDE_PROFILE
             elif math.isnan(r_cc[i]):
-                status[i] = OUTSIDE_CAMERA
+                status[i] = codes.OUTSIDE_CAMERA
             elif abs(r_cc[i]) > 0.01:  # its series is not good near total reflection
-                x, y, z = rays[THROUGH, i], rays[THROUGH + 1, i], rays[THROUGH + 2, i]
+                x, y, z = rays[of.THROUGH, i], rays[of.THROUGH + 1, i], rays[of.THROUGH + 2, i]
                 turned = 2.0 * math.asin(0.5 * math.sqrt(x * x + y * y + z * z))
                 r_cc[i] = math.copysign(turned, r_cc[i])
-        if status[i] != OK:
+        if status[i] != codes.OK:
             r_cc[i] = math.nan
-            for k in range(RAY_ROWS):
+            for k in range(of.RAY_ROWS):
                 rays[k, i] = math.nan
 
 
@@ -245,16 +227,16 @@ def outgoing_rays(observed, camera, exposures, rays, status_and_r_cc):  # type: 
         first, last = last, _end_of_exposure(exposure, last)
         span, e = (first, last), exposure[first]
         station = 0 <= e < exposures.usable.size and exposures.usable[e]
-        then = OK if station else NO_STATION
+        then = codes.OK if station else codes.NO_STATION
         for i in range(first, last):
-            grounded = then if math.isfinite(h_g[i]) or not station else NO_GROUND
+            grounded = then if math.isfinite(h_g[i]) or not station else codes.NO_GROUND
             seen = math.isfinite(x[i]) and math.isfinite(y[i])
-            status[i] = grounded if seen else BAD_MEASUREMENT
+            status[i] = grounded if seen else codes.BAD_MEASUREMENT
         outside = math.nan
         if station:
             outside, height = exposures.outside[e], exposures.height[e]
             for i in range(first, last):
-                rays[H_C, i] = height
+                rays[of.H_C, i] = height
             _ideal(span, (x, y), camera, exposures.change_px[e], rays)
             excess = (exposures.cabin[e] - outside) / (1.0 + outside)
             exposure_e = (
@@ -295,13 +277,13 @@ def _shift_in_image(span, rays, scratch, exposure, shifts):  # type: ignore[no-u
     """
     first, last = span
     camera, turn, change_px = exposure
-    dx, dy, _ = shifts
+    dx, dy = shifts
     fx, fy, parameters = camera.fx, camera.fy, camera.distortion
-    u, v, lower, seen = rays[U], rays[V], scratch[2:5], scratch[5:8]
+    u, v, lower, seen = rays[of.U], rays[of.V], scratch[2:5], scratch[5:8]
     l_0, l_1, l_2 = lower[0], lower[1], lower[2]
     for k in range(3):
         t_0, t_1, t_2 = turn[k, 0], turn[k, 1], turn[k, 2]
-        through, moved = rays[THROUGH + k], seen[k]
+        through, moved = rays[of.THROUGH + k], seen[k]
         for i in range(first, last):
             moved[i] = through[i] + (t_0 * l_0[i] + t_1 * l_1[i] + t_2 * l_2[i])
     s_0, s_1, s_2 = seen[0], seen[1], seen[2]
@@ -322,16 +304,16 @@ def _shift_on_ground(span, rays, scratch, landing, shift_ground):  # type: ignor
     """
     first, last = span
     turn, h_g, status = landing
-    lower, seen, radius, h_c = scratch[2:5], scratch[5:8], rays[RADIUS], rays[H_C]
-    through_0, through_1, through_2 = rays[THROUGH], rays[THROUGH + 1], rays[THROUGH + 2]
+    lower, seen, radius, h_c = scratch[2:5], scratch[5:8], rays[of.RADIUS], rays[of.H_C]
+    through_0, through_1, through_2 = rays[of.THROUGH], rays[of.THROUGH + 1], rays[of.THROUGH + 2]
     for k in range(3):  # the direction inside the window, east-north-up
         t_0, t_1, t_2 = turn[0, k], turn[1, k], turn[2, k]
-        apparent, inside = rays[APPARENT + k], seen[k]
+        apparent, inside = rays[of.APPARENT + k], seen[k]
         for i in range(first, last):
             inside[i] = apparent[i] - (t_0 * through_0[i] + t_1 * through_1[i] + t_2 * through_2[i])
-    east, north, up = rays[APPARENT], rays[APPARENT + 1], rays[APPARENT + 2]
+    east, north, up = rays[of.APPARENT], rays[of.APPARENT + 1], rays[of.APPARENT + 2]
     for i in range(first, last):
-        far = status[i] == FAR_BRANCH
+        far = status[i] == codes.FAR_BRANCH
         raw = _reach(-seen[2, i], h_c[i], h_g[i], radius[i], far)
         true = _reach(-up[i] - lower[2, i], h_c[i], h_g[i], radius[i], far)
         x = seen[0, i] * raw - (east[i] + lower[0, i]) * true
@@ -348,27 +330,27 @@ def shift_back(observed, camera, exposures, traced, shifts):  # type: ignore[no-
     (3), and room for three more.
     """
     exposure, h_g, status = observed.exposure, observed.h_g, traced.status
-    rays, r_c = traced.rays, traced.r_c
+    rays, r_c, (dx, dy, ground) = traced.rays, traced.r_c, shifts
     scratch = np.empty((8, r_c.size))
     half, sin_r, lower = scratch[0], scratch[1], scratch[2:5]
     for i in range(r_c.size):
         half[i], sin_r[i] = math.sin(0.5 * r_c[i]), math.sin(r_c[i])
     for i in range(r_c.size):
         # The direction turns towards the nadir; zero for a ray at the nadir.
-        sin_z, cos_z = rays[SIN, i], rays[COS, i]
+        sin_z, cos_z = rays[of.SIN, i], rays[of.COS, i]
         back = -2.0 * (half[i] * half[i])
         inward = sin_r[i] * cos_z / sin_z if sin_z > 0.0 else 0.0
-        lower[0, i] = rays[APPARENT, i] * (back - inward)
-        lower[1, i] = rays[APPARENT + 1, i] * (back - inward)
-        lower[2, i] = rays[APPARENT + 2, i] * back - sin_r[i] * sin_z
+        lower[0, i] = rays[of.APPARENT, i] * (back - inward)
+        lower[1, i] = rays[of.APPARENT + 1, i] * (back - inward)
+        lower[2, i] = rays[of.APPARENT + 2, i] * back - sin_r[i] * sin_z
     last = np.uint64(0)
     while last < r_c.size:
         first, last = last, _end_of_exposure(exposure, last)
         span, e = (first, last), exposure[first]
         if 0 <= e < exposures.usable.size:
             turn, change_px = exposures.rotation[e], exposures.change_px[e]
-            _shift_in_image(span, rays, scratch, (camera, turn, change_px), shifts)
-            _shift_on_ground(span, rays, scratch, (turn, h_g, status), shifts.ground)
+            _shift_in_image(span, rays, scratch, (camera, turn, change_px), (dx, dy))
+            _shift_on_ground(span, rays, scratch, (turn, h_g, status), ground)
     for i in range(r_c.size):
         if math.isnan(r_c[i]):
-            shifts.dx[i] = shifts.dy[i] = shifts.ground[i] = math.nan
+            dx[i] = dy[i] = ground[i] = math.nan

@@ -140,9 +140,7 @@ def _linked(function: Any, compiled: bool) -> Callable[..., Any]:
         value = within.get(name)
         if isinstance(value, OfType) or (isinstance(value, FunctionType) and value in _INLINED):
             names[name] = _linked(value, compiled)
-    copy = FunctionType(
-        function.__code__, {**within, **names}, function.__name__, function.__defaults__
-    )
+    copy = FunctionType(function.__code__, within | names, function.__name__, function.__defaults__)
     copy.__module__, copy.__qualname__ = function.__module__, function.__qualname__
     if not compiled:
         return copy

@@ -230,21 +230,18 @@ def _ray_height(table, ray, distance):  # type: ignore[no-untyped-def]
     r_c = ray.r_e + h_c
     fall = distance * (distance - 2.0 * r_c * ray.cos_c)
     start = h_c + fall / (r_c + math.sqrt(max(r_c * r_c + fall, 0.0)))
+    turn = turning_height(table, ray) if ray.cos_c > 0.0 else math.nan
     if ray.cos_c <= 0.0:
         search = _Search(h_c, top, level, start, 0.0, 1.0)
-        return _search_height(table, ray, distance, search)
-    turn = turning_height(table, ray)
-    if math.isnan(turn):
+    elif math.isnan(turn):
         search = _Search(bottom, h_c, min(level, bottom), start, 0.0, -1.0)
-        return _search_height(table, ray, distance, search)
-    half = subtended(table, ray, turn, h_c, True)
-    if math.sqrt(chord2(ray, half, turn)) >= distance:
+    elif math.sqrt(chord2(ray, subtended(table, ray, turn, h_c, True), turn)) >= distance:
         search = _Search(turn, h_c, turn, start, 0.0, -1.0)
-        return _search_height(table, ray, distance, search)
-    around = subtended_through_turn(table, ray)
-    if not around > 0.0:
-        return math.nan, MISSES_GROUND  # its lowest point lies under all land
-    search = _Search(turn, top, turn, start, around, 1.0)
+    else:
+        around = subtended_through_turn(table, ray)
+        if not around > 0.0:
+            return math.nan, MISSES_GROUND  # its lowest point lies under all land
+        search = _Search(turn, top, turn, start, around, 1.0)
     return _search_height(table, ray, distance, search)
 
 

@@ -10,17 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pipeline.refraction.kernels.columns import (
-    BLOCK,
-    CHART_DEGREE,
-    EMERGES,
-    HIDDEN,
-    LANDED,
-    NO_TERRAIN,
-    PASSES,
-    TILE,
-    WAITS,
-)
+from pipeline.refraction.kernels import columns as of
 from pipeline.refraction.kernels.jit import entry, jit
 
 # Above all land [m]; and so deep under the ground a ray is not followed any further.
@@ -172,10 +162,10 @@ def _box_at(grid, row, column, height):  # type: ignore[no-untyped-def]
     if grid.around > 0:  # columns go round the earth
         turn = math.floor(column / grid.around) * grid.around
     i, j = math.floor(row), math.floor(column) - turn
-    p, q = i // TILE, j // TILE
-    top, left = p * TILE, q * TILE
+    p, q = i // of.TILE, j // of.TILE
+    top, left = p * of.TILE, q * of.TILE
     cell = i - top, j - left
-    bottom, right = top + TILE, left + TILE
+    bottom, right = top + of.TILE, left + of.TILE
     if grid.around > 0 and right > grid.around:
         right = grid.around
     low, high, slot, tile = np.inf, -np.inf, -1, -1
@@ -187,10 +177,10 @@ def _box_at(grid, row, column, height):  # type: ignore[no-untyped-def]
             if slot < 0:
                 slot = -2
             else:
-                k, m = cell[0] // BLOCK, cell[1] // BLOCK
+                k, m = cell[0] // of.BLOCK, cell[1] // of.BLOCK
                 low, high = grid.block_low[slot, k, m], grid.block_high[slot, k, m]
-                top, left = top + k * BLOCK, left + m * BLOCK
-                bottom, right = top + BLOCK, min(left + BLOCK, right)
+                top, left = top + k * of.BLOCK, left + m * of.BLOCK
+                bottom, right = top + of.BLOCK, min(left + of.BLOCK, right)
     edges = float(top), float(bottom), float(left + turn), float(right + turn)
     return tile, slot, cell, low, high, edges
 
@@ -200,10 +190,10 @@ def _change(side, now, gap, t):  # type: ignore[no-untyped-def]
     """What becomes of a ray that is on a side of the terrain (1 above, -1 under) after another (0
     where that is unknown), perhaps behind a gap; LANDED where the terrain has a step."""
     if side == 0 and now < 0:
-        return NO_TERRAIN if gap or t > 0.0 else HIDDEN
+        return of.NO_TERRAIN if gap or t > 0.0 else of.HIDDEN
     if side > 0 and now < 0:
-        return NO_TERRAIN if gap else LANDED
-    return EMERGES if side < 0 and now > 0 else WAITS
+        return of.NO_TERRAIN if gap else of.LANDED
+    return of.EMERGES if side < 0 and now > 0 else of.WAITS
 
 
 @jit
@@ -216,10 +206,10 @@ def _follow(path, grid, ray, state):  # type: ignore[no-untyped-def]
     """
     end, t, side, gap = state.end[ray], state.t[ray], state.side[ray], state.gap[ray]
     landed = not math.isnan(state.height[ray])
-    result = WAITS
+    result = of.WAITS
     state.wanted[ray] = -1
     at = _place(path, t)
-    while result == WAITS and t < end:
+    while result == of.WAITS and t < end:
         row, column, height, _, _, cosine = at
         v_row, v_column, rise = _velocity(path, at)
         if height > _SKY_M:
@@ -254,24 +244,24 @@ def _follow(path, grid, ray, state):  # type: ignore[no-untyped-def]
         now = 1 if f > (_CLOSE_M if side < 0 else 0.0) else -1
         result = _change(side, now, gap, t)
         side, gap = now, False
-        if result == LANDED:  # at a step of the terrain
+        if result == of.LANDED:  # at a step of the terrain
             state.distance[ray], state.height[ray], state.factor[ray] = t, height, 1.0
-            landed, result = True, WAITS
-        elif near and not landed and (f_1 <= 0.0 or f_turn <= 0.0) and result == WAITS:
+            landed, result = True, of.WAITS
+        elif near and not landed and (f_1 <= 0.0 or f_turn <= 0.0) and result == of.WAITS:
             share = (t_turn - t) / step
             found = _crossing(path, patch, (t, t_turn), (f, f_turn), square * share * share)
             state.distance[ray], state.height[ray] = found
             state.factor[ray] = abs((after[2] - height) * share / (f_turn - f))
             landed, f_turn = True, f_1
-        if landed and result == WAITS:
+        if landed and result == of.WAITS:
             side = -1
             if max(f_1, f_turn) > _CLOSE_M:
-                result = EMERGES
+                result = of.EMERGES
             elif f_1 < -_DEEP_M:
-                result = LANDED
+                result = of.LANDED
         t, at = t + step, after
-    if t >= end and result == WAITS:
-        result = LANDED if landed else (PASSES if side != 0 and not gap else NO_TERRAIN)
+    if t >= end and result == of.WAITS:
+        result = of.LANDED if landed else (of.PASSES if side != 0 and not gap else of.NO_TERRAIN)
     state.t[ray], state.side[ray], state.gap[ray], state.result[ray] = t, side, gap, result
 
 
@@ -281,14 +271,14 @@ def follow_rays(rays, which, grid, state):  # type: ignore[no-untyped-def]
 
     ``rays`` is a `TerrainRays`; the columns of ``state``, a `TerrainState`, are changed.
     """
-    row, column, easts, norths = np.ones((4, CHART_DEGREE + 1))
+    row, column, easts, norths = np.ones((4, of.CHART_DEGREE + 1))
     for i in which:
         row[:] = column[:] = 0.0
         chart, term = rays.chart[i], 0
         east, north = rays.east[i] / rays.reach[chart], rays.north[i] / rays.reach[chart]
-        for power in range(CHART_DEGREE):
+        for power in range(of.CHART_DEGREE):
             easts[power + 1], norths[power + 1] = east * easts[power], north * norths[power]
-        for degree in range(CHART_DEGREE + 1):
+        for degree in range(of.CHART_DEGREE + 1):
             for power in range(degree + 1):
                 share = easts[degree - power] * norths[power]
                 row[degree] += rays.charts[chart, 0, term] * share
@@ -315,8 +305,8 @@ def extremes_of_tile(tile, low, high):  # type: ignore[no-untyped-def]
     for k in range(low.shape[0]):
         for m in range(low.shape[1]):
             least, most = np.inf, -np.inf
-            for i in range(k * BLOCK, (k + 1) * BLOCK + 1):
-                for j in range(m * BLOCK, (m + 1) * BLOCK + 1):
+            for i in range(k * of.BLOCK, (k + 1) * of.BLOCK + 1):
+                for j in range(m * of.BLOCK, (m + 1) * of.BLOCK + 1):
                     if tile[i, j] < least:
                         least = tile[i, j]
                     if tile[i, j] > most:

@@ -34,9 +34,10 @@ if hasattr(os, "register_at_fork"):  # Windows has no fork
     os.register_at_fork(after_in_child=_pool.cache_clear)
 
 
-def in_blocks(function: Callable[[slice], None], rows: int, *, at_once: int = BLOCK_ROWS) -> None:
+def in_blocks(function: Callable[[slice], None], rows: int) -> None:
     """Call ``function`` with slices that cover all rows once, on several cores where it pays."""
-    blocks = [slice(start, min(start + at_once, rows)) for start in range(0, rows, at_once)]
+    starts = range(0, rows, BLOCK_ROWS)
+    blocks = [slice(start, min(start + BLOCK_ROWS, rows)) for start in starts]
     if len(blocks) <= 1:
         for block in blocks:
             function(block)

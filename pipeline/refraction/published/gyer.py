@@ -1,8 +1,8 @@
 """Gyer 1996: the spherical form in steps of a kilometre, the plane form, and that of moist air.
 
 Eq. 24 as printed has three misprints; from Eq. 22 its second term carries (n - n_c)^2 (n + n_c)^2
-over n_c^4 cos^2 zeta_c, its third (n - n_c)^3 (n + n_c)^3 over n_c^6 cos^4 zeta_c with the sign
-of the first. Eq. 32 is printed with jumbled indices; it means Eq. 31 over all intervals.
+over n_c^4 cos^2 zeta_c, its third (n - n_c)^3 (n + n_c)^3 over n_c^6 cos^4 zeta_c with the sign of
+the first. Eq. 32 is printed with jumbled indices; it means Eq. 31 over all intervals.
 """
 
 import math
@@ -14,13 +14,8 @@ from numpy.typing import ArrayLike
 
 from pipeline.atmosphere.profile import Profile
 from pipeline.errors import PhysicsError
-from pipeline.refraction.published.column import (
-    at_45_degrees,
-    downward,
-    finite,
-    mean,
-    times_tangent,
-)
+from pipeline.refraction.published import column
+from pipeline.refraction.published.column import at_45_degrees, downward, finite, times_tangent
 from pipeline.units import HECTOPASCAL, Array, Rows
 
 STEP_M = 1000.0
@@ -55,7 +50,6 @@ def plane_first_term(
 ) -> Array:
     """R_c [rad] in flat layers, first term (Gyer 1996, Eq. 24): the plane form of his Table 5.
 
-    Arguments as in `pipeline.refraction.published`.
     The integral is exact, or with ``step`` [m] the sum of Eq. 31, which reproduces Table 5 within
     0.31 arcsec. Meant for zeta_c up to 60 degrees and aircraft heights, where it is 0.1 arcsec
     short of the spherical form at 10 km; at 75 degrees it is 0.7, at 85 degrees 25 arcsec short.
@@ -68,7 +62,7 @@ def plane_first_term(
     """
     w_c = _squared(profile, h_c)
     if step is None:
-        column = mean(profile, _squared, h_g, h_c) - w_c
+        excess = column.mean(profile, _squared, h_g, h_c) - w_c
     else:
         count, width = _intervals(profile, h_c, h_g, step)
 
@@ -76,8 +70,8 @@ def plane_first_term(
             return _squared(profile, h) - w_c.ravel()[used]
 
         total = _eq_31(above_w_c, h_g, width, np.zeros(h_g.shape), count)
-        column = np.where(h_c > h_g, total / np.where(h_c > h_g, h_c - h_g, 1.0), 0.0)
-    return 0.5 * column / (1.0 + w_c)
+        excess = np.where(h_c > h_g, total / np.where(h_c > h_g, h_c - h_g, 1.0), 0.0)
+    return 0.5 * excess / (1.0 + w_c)
 
 
 def plane(
@@ -85,7 +79,6 @@ def plane(
 ) -> Array:
     """R_c [rad] in flat layers with the two further terms (Gyer 1996, Eq. 24, misprints mended).
 
-    Arguments as in `pipeline.refraction.published`.
     The further terms are 0.02 arcsec at 60 degrees and 10 km. Beyond that the first term alone errs
     less, by chance: the further ones lower R_c while the curvature of the earth raises it.
 
@@ -97,7 +90,7 @@ def plane(
     """
     h_c, h_g, zeta_c = finite(h_c, h_g, zeta_c)
     w_c = _squared(profile, h_c)
-    m_1, m_2, m_3 = (mean(profile, power, h_g, h_c) for power in _POWERS)
+    m_1, m_2, m_3 = (column.mean(profile, power, h_g, h_c) for power in _POWERS)
     n2_c = 1.0 + w_c
     u_1 = (m_1 - w_c) / n2_c
     u_2 = (m_2 - w_c * (2.0 * m_1 - w_c)) / n2_c**2
@@ -117,10 +110,9 @@ def _wetness(profile: Profile, h: Array) -> Array:
 def plane_moist(profile: Profile, h_c: Array, h_g: Array) -> Array:
     """R_c [rad] of moist air by hydrostatics, without an integral over the dry part.
 
-    Arguments as in `pipeline.refraction.published`.
-    R = k ((p_g - p_c) / (gamma dH) - p_c / Tv_c) + (0.378 k - w) (mean(e/T) - e_c / T_c) with
-    gamma = G M0 / R* and dH the geopotential height difference: since dp = -gamma p / Tv dH, the
-    mean of p / Tv needs only the pressures at both ends.
+    R = k ((p_g - p_c) / (gamma dH) - p_c / Tv_c) + (0.378 k - w) (mean(e/T) - e_c / T_c) with gamma
+    = G M0 / R* and dH the geopotential height difference: since dp = -gamma p / Tv dH, the mean of
+    p / Tv needs only the pressures at both ends.
 
     k and w are those of 0.589 um for Gyer's index, else of 0.55 um. In dry air and below 60 degrees
     within 0.3 % of the spherical form up to 12 km, most of it the curvature of the earth.
@@ -136,7 +128,7 @@ def plane_moist(profile: Profile, h_c: Array, h_g: Array) -> Array:
     rise = np.where(rise > 0.0, rise, np.nan)
     dry = (profile.pressure(h_g) - p_c) / (profile.constant * rise)
     dry = (dry - p_c / profile.virtual_temperature(h_c)) / HECTOPASCAL
-    wet = mean(profile, _wetness, h_g, h_c) - _wetness(profile, h_c)
+    wet = column.mean(profile, _wetness, h_g, h_c) - _wetness(profile, h_c)
     return np.where(h_c == h_g, 0.0, k * dry + (0.378 * k - w) * wet) * 1e-6
 
 
@@ -151,15 +143,14 @@ def gyer1996(
 ) -> Array:
     """R_c [rad] through spherical layers as Gyer computed it (1996, Eq. 1, 11, 12, 31, 33-35).
 
-    Arguments as in `pipeline.refraction.published`.
     ``step`` [m] is the widest interval of Eq. 31, whose equal intervals fill the height difference.
     The profile must reach one interval beyond either end. Where the interval below the ground holds
     P_90, thin shells (Eq. 33-35) take the place of Eq. 31 in the two lowest intervals, as for
     zeta_g = 90 degrees; NaN for rays that miss the ground.
 
-    Reproduces his Tables 3 and 4 within 0.015 arcsec. Against the converged integral the step
-    costs 0.035 arcsec up to 80 degrees and up to 7.8 arcsec at 85 degrees and 25 km; Eq. 11
-    cancels to 1e-6 of R_c at 120 m above ground, to 1 % at 1 m.
+    Reproduces his Tables 3 and 4 within 0.015 arcsec. Against the converged integral the step costs
+    0.035 arcsec up to 80 degrees and up to 7.8 arcsec at 85 degrees and 25 km; Eq. 11 cancels to
+    1e-6 of R_c at 120 m above ground, to 1 % at 1 m.
 
     >>> from pipeline.atmosphere import standard_atmosphere
     >>> from pipeline.units import ARCSEC, DEGREE
@@ -170,16 +161,14 @@ def gyer1996(
     h_c, h_g, zeta_c, radius = finite(h_c, h_g, zeta_c, radius)
     usable = downward(h_c, h_g, zeta_c)
     r_c = np.full(usable.shape, np.nan)
-    theta = subtended_angle(
-        profile, h_c[usable], h_g[usable], zeta_c[usable], radius[usable], step=step
-    )
+    rays = h_c[usable], h_g[usable], zeta_c[usable], radius[usable]
+    theta = subtended_angle(profile, *rays, step=step)
     # Eq. 11 as printed.
     r_camera, r_ground = radius[usable] + h_c[usable], radius[usable] + h_g[usable]
     excess, tangent = r_camera / r_ground - np.cos(theta), np.tan(zeta_c[usable])
+    sine = np.sin(theta)
     with np.errstate(invalid="ignore", divide="ignore"):
-        r_c[usable] = np.arctan(
-            (tangent * excess - np.sin(theta)) / (tangent * np.sin(theta) + excess)
-        )
+        r_c[usable] = np.arctan((tangent * excess - sine) / (tangent * sine + excess))
     return np.where(usable & (h_c == h_g), 0.0, r_c)
 
 

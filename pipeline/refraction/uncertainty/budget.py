@@ -250,35 +250,30 @@ def uncertainty_of(
         window_kinds=np.unique(kinds[kinds != sigmas.OPEN]).tolist(),
         mode=mode,
     )
-    return Uncertainty(
-        tables, _station_columns(profile, exposures, stations, kinds, camera_m), mode
-    )
+    columns = _station_columns(profile, exposures, stations, kinds, camera_m)
+    return Uncertainty(tables, columns, mode)
 
 
 def _station_columns(
-    profile: Profile,
-    exposures: Exposures,
-    stations: StationSigmas,
-    kinds: Integers,
-    camera_m: Array,
+    profile: Profile, exposures: Exposures, stations: StationSigmas, kinds: Integers, at_m: Array
 ) -> Array:
-    """(s, 19) columns `N` to `CABIN` of `kernels.columns`, beside tables at ``camera_m``; ``kinds``
-    (s,) are those of windows."""
+    """(s, 19) columns `N` to `CABIN` of `kernels.columns`, beside tables for cameras ``at_m``;
+    ``kinds`` (s,) are those of windows."""
     n = exposures.refractivity_outside
-    h = np.where(exposures.usable & np.isfinite(n), exposures.height_m, camera_m[0])
+    h = np.where(exposures.usable & np.isfinite(n), exposures.height_m, at_m[0])
     table = np.full((h.size, of.STATION_COLUMNS), np.nan)
     # Slopes over half a metre below and above, within the profile.
     low = np.maximum(h - _SLOPE_STEP_M, profile.bottom_m)
     high = np.minimum(h + _SLOPE_STEP_M, profile.top_m)
     slope = (profile.refractivity(high) - profile.refractivity(low)) / (high - low)
     thinner = np.log(profile.pressure(high) / profile.pressure(low)) / (high - low)
-    node = np.clip(np.searchsorted(camera_m, h, side="right") - 1, 0, camera_m.size - 2)
+    node = np.clip(np.searchsorted(at_m, h, side="right") - 1, 0, at_m.size - 2)
     axis = np.einsum("sji,sj->si", exposures.rotation, stations.yaw_axis)
     table[:, of.N] = n
     table[:, of.BEND] = slope / (1.0 + n)
     table[:, of.NODE] = node
-    table[:, of.SHARE] = (h - camera_m[node]) / (camera_m[node + 1] - camera_m[node])
-    table[:, of.SPAN] = (h - camera_m[0]) / (camera_m[-1] - camera_m[0])
+    table[:, of.SHARE] = (h - at_m[node]) / (at_m[node + 1] - at_m[node])
+    table[:, of.SPAN] = (h - at_m[0]) / (at_m[-1] - at_m[0])
     table[:, of.TILT2] = stations.tilt_rad**2
     table[:, of.YAW2] = stations.yaw_rad**2 - stations.tilt_rad**2
     table[:, of.AXIS_E], table[:, of.AXIS_N] = axis[:, 0], axis[:, 1]

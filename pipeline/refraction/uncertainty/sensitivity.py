@@ -208,12 +208,10 @@ def _integrals(pieces: Pieces, rays: Rays, n_c: Array) -> tuple[Array, Array, Ar
     return theta, density.sum(axis=(1, 2)), moments, least
 
 
-def _by_target_height(
-    pieces: Pieces, rays: Rays, n_c: Array, chord: Array, cos_beta: Array
-) -> Array:
+def _by_target_height(air: Pieces, rays: Rays, n_c: Array, chord: Array, cos_beta: Array) -> Array:
     """dR_c/dh_g, with sin(beta) - sin(z_g) from r_g sin(beta) = r_c sin(zeta_c - R_c)."""
-    target, at_target = _at(pieces, rays.h_g, rays.h_c)
-    n_g = np.sum(pieces.coefficient[target] * at_target, axis=1)
+    target, at_target = _at(air, rays.h_g, rays.h_c)
+    n_g = np.sum(air.coefficient[target] * at_target, axis=1)
     r_c, r_g = rays.radius + rays.h_c, rays.radius + rays.h_g
     s = r_c * np.sin(rays.zeta_c)
     excess = r_g * (n_g - n_c) / (1.0 + n_c) - (rays.h_c - rays.h_g) + _lift(rays)
@@ -293,8 +291,7 @@ def ray_weights(
     >>> (ray.r_c * 1e6).round(4).item(), (one_percent_denser * 1e6).round(4).item()
     (60.6689, 0.6065)
     """
-    traced = _derivatives(profile, (h_c, h_g, zeta_c, radius), lambda h: np.eye(h.size))
-    return RayWeights(traced.height_m, traced.gradient, traced.r_c, traced.status, traced.valid)
+    return _derivatives(profile, (h_c, h_g, zeta_c, radius), lambda h: np.eye(h.size))[0]
 
 
 def sensitivity(
@@ -327,39 +324,23 @@ def sensitivity(
     ([0.0, -413.824, 58.604], [-0.0, -11.8448])
     """
     air = partial(air_jacobian, profile, anchor_height_m=anchor_height_m)
-    traced = _derivatives(profile, (h_c, h_g, zeta_c, radius), air)
+    traced, place = _derivatives(profile, (h_c, h_g, zeta_c, radius), air)
+    _, gradient, r_c, status, valid = traced
     edges = profile.layers.edge.size
-    d_log_pressure = traced.gradient[..., edges]
+    d_log_pressure = gradient[..., edges]
+    d_h_c, d_h_g, d_zeta_c = np.moveaxis(place, -1, 0)
     return Sensitivity(
-        edge_height_m=profile.break_heights_m,
-        r_c=traced.r_c,
-        d_temperature=traced.gradient[..., :edges],
-        d_vapour=traced.gradient[..., edges + 1 :],
-        d_log_pressure=d_log_pressure,
-        d_pressure=d_log_pressure / profile.pressure(anchor_height_m),
-        d_h_c=traced.place[..., 0],
-        d_h_g=traced.place[..., 1],
-        d_zeta_c=traced.place[..., 2],
-        status=traced.status,
-        valid=traced.valid,
-    )
-
-
-class _Derivatives(NamedTuple):
-    """Of R_c of rays: ``gradient`` (..., k) by the air, ``place`` (..., 3) by h_c, h_g, zeta_c."""
-
-    height_m: Array
-    gradient: Array
-    place: Array
-    r_c: Array
-    status: NDArray[np.uint8]
-    valid: Mask
+        profile.break_heights_m, r_c, gradient[..., :edges], gradient[..., edges + 1 :],
+        d_log_pressure, d_log_pressure / profile.pressure(anchor_height_m), d_h_c, d_h_g, d_zeta_c,
+        status, valid,
+    )  # fmt: skip
 
 
 def _derivatives(
     profile: Profile, rays: tuple[ArrayLike, ...], air_of: Callable[[Array], Array]
-) -> _Derivatives:
-    """Derivatives by what changes N at heights (n,), as ``air_of`` (n, k) has it."""
+) -> tuple[RayWeights, Array]:
+    """Derivatives (..., k) by what changes N at heights (n,), as ``air_of`` (n, k) has it, and
+    (..., 3) by h_c, h_g and zeta_c."""
     shape, (h_c, h_g, zeta_c, radius) = as_columns(*rays)
     safe = np.where((zeta_c >= 0.0) & (zeta_c <= np.pi), zeta_c, np.nan)
     r_c, status = bend(ray_table(profile), h_c, h_g, np.sin(safe), np.cos(safe), radius=radius)
@@ -380,7 +361,6 @@ def _derivatives(
         rows = traced[first : first + at_once]
         weight, place[rows], valid[rows] = trace_adjoints(pieces, columns.rows(rows))
         gradient[rows] = weight @ air
-    return _Derivatives(
-        height_m, gradient.reshape(*shape, air.shape[1]), place.reshape(*shape, 3),
-        r_c.reshape(shape), status.reshape(shape), valid.reshape(shape),
-    )  # fmt: skip
+    gradient, place = gradient.reshape(*shape, air.shape[1]), place.reshape(*shape, 3)
+    of_rays = r_c.reshape(shape), status.reshape(shape), valid.reshape(shape)
+    return RayWeights(height_m, gradient, *of_rays), place

@@ -202,20 +202,16 @@ def _cabin_errors(profile: Profile, root: CovarianceRoot, h: Array, kind: int) -
 
 
 def _in_the_plane(
-    profile: Profile,
-    root: CovarianceRoot | None,
-    camera: Array,
-    way: Array,
-    window_kinds: Sequence[int],
+    profile: Profile, root: CovarianceRoot | None, camera: Array, way: Array, kinds: Sequence[int]
 ) -> dict[str, Array]:
     """The tables for ways (w,) [m]; the first column of ``root`` is the leading mode."""
     lowest, columns_at = columns_of_air(profile, root, camera[0] - way[-1], camera[-1])
     shape = (camera.size, way.size)
     sigma, angle, mode = np.full(shape, np.nan), np.empty(shape), np.full(shape, np.nan)
-    behind = np.full((len(window_kinds), 2, *shape), np.nan)
-    lean, mode_lean = np.full((2, len(window_kinds), camera.size), np.nan)
+    behind = np.full((len(kinds), 2, *shape), np.nan)
+    lean, mode_lean = np.full((2, len(kinds), camera.size), np.nan)
     at_camera, above = columns_at(camera)
-    cabins = [_cabin_errors(profile, root, camera, v) for v in window_kinds] if root else []
+    cabins = [_cabin_errors(profile, root, camera, v) for v in kinds] if root else []
     for row, height in enumerate(camera):
         reach = np.maximum(np.minimum(way, height - lowest), _SHORTEST_M)[:, None]
         mean = (above[row] - columns_at(height - reach[:, 0])[1]) / reach
