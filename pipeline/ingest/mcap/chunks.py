@@ -99,50 +99,28 @@ def chunk_head(data: FileView, at: int, length: int) -> Chunk | None:
 
 
 def inflate(data: FileView, chunk: Chunk) -> bytes | Fault:
-    """The records of a chunk of at most `WHOLE` bytes, or why they cannot be used."""
-    import lz4.frame  # type: ignore[import-untyped]  # it ships neither stubs nor a marker
+    """The records of a chunk, or why they cannot be used; of a large one nothing is kept."""
     import zstandard
 
-    records, limit = data[chunk.begin : chunk.begin + chunk.length], chunk.size + 1
-    try:
-        if chunk.compression == "zstd":
-            inflater = zstandard.ZstdDecompressor(max_window_size=MAX_WINDOW)
-            with inflater.stream_reader(records) as stream:
-                records = bytes(stream.read(limit))
-        elif chunk.compression == "lz4":
-            lz4_inflater = lz4.frame.LZ4FrameDecompressor()
-            records = bytes(lz4_inflater.decompress(records, max_length=limit))
-    except inflating_errors() as error:
-        return "LOG-BAD-BYTES", f"a chunk does not inflate ({error})"
-    records = records[:limit]
-    return chunk_fault(chunk, len(records), zlib.crc32(records) if chunk.crc else 0) or records
-
-
-def chunk_fault(chunk: Chunk, size: int, crc: int) -> Fault | None:
-    """Why so many inflated bytes with this checksum are not those of the chunk."""
-    if size != chunk.size:
-        inflated = f"{size} bytes" if size < chunk.size else "more"
-        return "LOG-BAD-BYTES", f"a chunk inflates to {inflated}, its head states {chunk.size}"
-    return ("LOG-CRC", "a chunk fails its checksum") if crc != chunk.crc else None
-
-
-def large_chunk_fault(data: FileView, chunk: Chunk) -> Fault | None:
-    """Why the records of a large chunk cannot be used; its bytes are inflated and not kept."""
-    size = crc = 0
+    blocks, size, crc = list[bytes](), 0, 0
     try:
         with chunk_stream(data, chunk) as stream:
             while size <= chunk.size and (block := stream.read(BLOCK)):
                 size += len(block)
                 crc = zlib.crc32(block, crc) if chunk.crc else 0
-    except inflating_errors() as error:
+                blocks += [block] if chunk.small else []
+    except (zstandard.ZstdError, RuntimeError, EOFError) as error:  # of damaged bytes
         return "LOG-BAD-BYTES", f"a chunk does not inflate ({error})"
-    return chunk_fault(chunk, size, crc)
+    if size != chunk.size:
+        inflated = f"{size} bytes" if size < chunk.size else "more"
+        return "LOG-BAD-BYTES", f"a chunk inflates to {inflated}, its head states {chunk.size}"
+    return ("LOG-CRC", "a chunk fails its checksum") if crc != chunk.crc else b"".join(blocks)
 
 
 @contextmanager
 def chunk_stream(data: FileView, chunk: Chunk) -> Iterator[IO[bytes]]:
     """The records of a chunk as a stream."""
-    import lz4.frame
+    import lz4.frame  # type: ignore[import-untyped]  # it ships neither stubs nor a marker
     import zstandard
 
     packed: Any = io.BufferedReader(_Packed(data, chunk), BLOCK)
@@ -172,10 +150,3 @@ class _Packed(io.RawIOBase):
         buffer[: len(block)] = block
         self.at += len(block)
         return len(block)
-
-
-def inflating_errors() -> tuple[type[Exception], ...]:
-    """What the inflaters raise on damaged bytes."""
-    import zstandard
-
-    return (zstandard.ZstdError, RuntimeError, EOFError)

@@ -25,7 +25,7 @@ from pipeline.ingest.buffers import open_view
 from pipeline.ingest.channel_builder import channel_of
 from pipeline.ingest.log import Contents, LogFormat, Table
 from pipeline.ingest.mcap.cdr import SchemaError
-from pipeline.ingest.mcap.records import MAGIC, Damage, Definition, Messages, Opcode, walk
+from pipeline.ingest.mcap.records import MAGIC, Damage, Definition, Messages, Opcode, RecordWalk
 from pipeline.ingest.mcap.samples import (
     LOG_TIME,
     PLAIN_JSON,
@@ -297,7 +297,7 @@ class McapReader:
     def through(self, path: Path) -> Iterator[Stamps]:
         """Read the file; yields places and times since boot of the messages that count it."""
         with open_view(path) as data:
-            for part in walk(data, self.damage):
+            for part in RecordWalk(data, self.damage):
                 if isinstance(part, Definition):
                     self._define(part)
                     continue
