@@ -12,17 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.flight import clock
 from pipeline.flight.channels import TimeArray
-from pipeline.flight.clock import (
-    BOOT_STEP_NS,
-    LAST_US,
-    STRAY_ROWS,
-    ClockOffset,
-    clock_fit_note,
-    fit_offset,
-    new_readings,
-    stray_stretches,
-)
 from pipeline.ledger import Ledger
 from pipeline.units import Integers, Mask, Rows
 
@@ -68,7 +59,7 @@ class Timeline:
         """The stretches before which nothing was recorded for a while, and for how long [ns]."""
         steady = np.flatnonzero(~self.stray)
         silence = self.begin[steady][1:] - self.end[steady][:-1]
-        long = silence > BOOT_STEP_NS
+        long = silence > clock.BOOT_STEP_NS
         return steady[1:][long], silence[long]
 
     def _stretch(self, places: Integers) -> Rows:
@@ -82,10 +73,10 @@ def microseconds(raw: NDArray[Any]) -> TimeArray:
     True
     """
     if raw.dtype.kind == "f":
-        return np.asarray(np.nan_to_num(raw, nan=LAST_US).clip(0, LAST_US), np.int64)
+        return np.asarray(np.nan_to_num(raw, nan=clock.LAST_US).clip(0, clock.LAST_US), np.int64)
     # what is below 0 becomes huge
-    cut: NDArray[np.uint64] = np.minimum(raw.astype(np.uint64, copy=False), np.uint64(LAST_US))
-    return cut.view(np.int64)
+    unsigned = raw.astype(np.uint64, copy=False)
+    return np.asarray(np.minimum(unsigned, np.uint64(clock.LAST_US)).view(np.int64), np.int64)
 
 
 def nanoseconds(raw: NDArray[Any]) -> TimeArray:
@@ -112,18 +103,18 @@ def timeline(blocks: Iterable[Stamps]) -> Timeline:
     for places, time_ns in blocks:
         if not places.shape[0]:
             continue
-        cuts = np.flatnonzero(np.abs(np.diff(time_ns)) > BOOT_STEP_NS) + 1
+        cuts = np.flatnonzero(np.abs(np.diff(time_ns)) > clock.BOOT_STEP_NS) + 1
         starts, stops = np.append(0, cuts), np.append(cuts, time_ns.shape[0])
         columns = (places[starts], time_ns[starts], time_ns[stops - 1], stops - starts)
         rows = np.stack(columns, axis=1).tolist()
-        if stretches and abs(rows[0][1] - stretches[-1][2]) <= BOOT_STEP_NS:  # goes on
+        if stretches and abs(rows[0][1] - stretches[-1][2]) <= clock.BOOT_STEP_NS:  # goes on
             _, _, last, more = rows.pop(0)
             stretches[-1][2:] = [last, stretches[-1][3] + more]
         stretches += rows
     starts, begins, ends, counts = np.array(stretches, np.int64).reshape(-1, 4).T.copy()
-    stray = stray_stretches(begins, ends, counts)
+    stray = clock.stray_stretches(begins, ends, counts)
     steady = ~stray
-    back = begins[steady][1:] - ends[steady][:-1] < -BOOT_STEP_NS
+    back = begins[steady][1:] - ends[steady][:-1] < -clock.BOOT_STEP_NS
     number = np.append(0, np.cumsum(back)).astype(np.int16)
     boot = number[np.maximum(np.cumsum(steady) - 1, 0)] if starts.size else np.empty(0, "i2")
     return Timeline(starts, begins, ends, counts, stray, boot)
@@ -165,7 +156,7 @@ class UtcReadings:
         good = self.usable & line.good(self.places)
         if self.fix.size:
             good &= self.fix >= LOWEST_FIX
-        good[good] = new_readings(self.utc_ns if bool(good.all()) else self.utc_ns[good])
+        good[good] = clock.new_readings(self.utc_ns if bool(good.all()) else self.utc_ns[good])
         if bool(good.all()):
             return self
         return UtcReadings(
@@ -181,7 +172,7 @@ class BootClock:
     """
 
     line: Timeline
-    fits: tuple[ClockOffset | None, ...]
+    fits: tuple[clock.ClockOffset | None, ...]
     utc_known: tuple[bool, ...]
 
     @property
@@ -261,7 +252,7 @@ def _split_boots(line: Timeline, source: UtcReadings, decided: Mask) -> Timeline
     for number in np.unique(boots).tolist():
         rows = np.flatnonzero(boots == number)
         offset = _without_glitches(source.utc_ns[rows] - source.boot_ns[rows])
-        for row in np.flatnonzero(np.abs(np.diff(offset)) > BOOT_STEP_NS).tolist():
+        for row in np.flatnonzero(np.abs(np.diff(offset)) > clock.BOOT_STEP_NS).tolist():
             places = source.places[rows[row : row + 2]]
             between = slice(*np.searchsorted(at, places, side="right"))
             if silence[between].size:
@@ -271,7 +262,7 @@ def _split_boots(line: Timeline, source: UtcReadings, decided: Mask) -> Timeline
 
 def _without_glitches(offset_ns: TimeArray) -> TimeArray:
     """The running median of offsets: steps remain, glitches of up to `STRAY_ROWS` rows do not."""
-    half = min(STRAY_ROWS, offset_ns.shape[0] - 1)
+    half = min(clock.STRAY_ROWS, offset_ns.shape[0] - 1)
     if half < 1:
         return offset_ns
     padded = np.pad(offset_ns, half, mode="reflect")
@@ -283,23 +274,23 @@ def _without_glitches(offset_ns: TimeArray) -> TimeArray:
     return steady
 
 
-def _fit_boot(line: Timeline, number: int, source: UtcReadings) -> ClockOffset | None:
+def _fit_boot(line: Timeline, number: int, source: UtcReadings) -> clock.ClockOffset | None:
     rows = line.boot_of(source.places) == number
-    return fit_offset(source.utc_ns[rows], source.boot_ns[rows])
+    return clock.fit_offset(source.utc_ns[rows], source.boot_ns[rows])
 
 
 def _best_fit(
-    by_source: Sequence[tuple[UtcReadings, ClockOffset | None]], place: str, ledger: Ledger
-) -> ClockOffset | None:
+    by_source: Sequence[tuple[UtcReadings, clock.ClockOffset | None]], place: str, ledger: Ledger
+) -> clock.ClockOffset | None:
     """The offset of a boot by the source with the most rows; sources that differ are losses."""
     fits = [(source, fit) for source, fit in by_source if fit is not None]
     if not fits:
         return None
     chosen, best = max(fits, key=lambda pair: pair[1].rows)
-    ledger.add(clock_fit_note(f"{best.rows} {chosen.source}", best, place))
+    ledger.add(clock.clock_fit_note(f"{best.rows} {chosen.source}", best, place))
     for source, fit in fits:
         apart = fit.offset_ns - best.offset_ns
-        if abs(apart) > BOOT_STEP_NS:
+        if abs(apart) > clock.BOOT_STEP_NS:
             what = f"{fit.rows} {source.source} give a UTC {apart / 1e9:+.3f} s from that of"
             what += f" {best.rows} {chosen.source}, which are used"
             ledger.loss("TIME-SOURCES", what, where=place, count=fit.rows)

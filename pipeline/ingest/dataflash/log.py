@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pipeline.flight.clock import LAST_US, SECONDS_PER_WEEK
 from pipeline.ingest import boot_clock
 from pipeline.ingest.buffers import open_view
+from pipeline.ingest.dataflash import records
 from pipeline.ingest.dataflash.channels import (
     ACCURACY,
     RECEIVERS,
@@ -20,14 +21,6 @@ from pipeline.ingest.dataflash.channels import (
     stamps,
     wanted_fields,
 )
-from pipeline.ingest.dataflash.records import (
-    FMT_START,
-    INSTANCE_FIELDS,
-    RecordWalker,
-    decode,
-    find_records,
-    without_objects,
-)
 from pipeline.ingest.fields import is_number
 from pipeline.ingest.log import Contents, DamagedBytes, LogFormat, Table
 from pipeline.ingest.stacking import PLACE
@@ -35,7 +28,7 @@ from pipeline.ledger import Ledger
 from pipeline.units import Integers
 
 # Fields that are used as they are logged, without a field map that checks that they are numbers.
-_NUMBERS = {*INSTANCE_FIELDS, "TimeUS", "GMS", "GWk", "Week", "Status", "Value"} | {
+_NUMBERS = {*records.INSTANCE_FIELDS, "TimeUS", "GMS", "GWk", "Week", "Status", "Value"} | {
     field for column in ACCURACY for field in column.fields
 }
 _TIMELESS = {"CAM", "MSG", "EV", "ERR", "PARM"}  # rows without a time until 2015
@@ -45,9 +38,9 @@ def read_log(path: Path, ledger: Ledger) -> Contents:
     """The contents of a binary log."""
     wanted = wanted_fields()
     with open_view(path) as data:
-        walker = RecordWalker(data, wanted)
+        walker = records.RecordWalker(data, wanted)
         line = boot_clock.timeline(stamps(data, walker))
-        tables = decode(walker, wanted)
+        tables = records.decode(walker, wanted)
     walker.report_bytes(ledger, path.name, "record")
     for refused in walker.refused:
         what = f"an FMT record is not valid: {refused}"
@@ -60,16 +53,16 @@ def read_log(path: Path, ledger: Ledger) -> Contents:
 
 
 DATAFLASH = LogFormat(
-    "dataflash", "ArduPilot DataFlash", (".bin",), lambda head: head.startswith(FMT_START), read_log
+    "dataflash", "ArduPilot DataFlash", (".bin",), lambda h: h.startswith(records.START), read_log
 )
 
 
 def read_tables(path: Path, names: Collection[str] | None = None) -> dict[str, Table]:
     """All messages of some types, or of every type, with all their fields and `PLACE`."""
     with open_view(path) as data:
-        found = find_records(data, names)
+        found = records.find_records(data, names)
         chosen = found.message_counts() if names is None else names
-        return decode(found, dict.fromkeys(chosen, lambda _: True))
+        return records.decode(found, dict.fromkeys(chosen, lambda _: True))
 
 
 def contents_of(
@@ -109,7 +102,7 @@ def timed_tables(tables: dict[str, Table], ledger: Ledger) -> dict[str, Table]:
     result, timeless = {}, {}
     old = not any("TimeUS" in table for table in tables.values())
     for name in list(tables):
-        table = without_objects(tables.pop(name), name, ledger)
+        table = records.without_objects(tables.pop(name), name, ledger)
         count = table[PLACE].size
         odd = [
             field

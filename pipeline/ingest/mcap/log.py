@@ -24,6 +24,7 @@ from pipeline.ingest.boot_clock import (
 from pipeline.ingest.buffers import open_view
 from pipeline.ingest.channel_builder import channel_of
 from pipeline.ingest.log import Contents, LogFormat, Table
+from pipeline.ingest.mcap import topics
 from pipeline.ingest.mcap.cdr import SchemaError
 from pipeline.ingest.mcap.records import MAGIC, Damage, Definition, Messages, Opcode, RecordWalk
 from pipeline.ingest.mcap.samples import (
@@ -35,16 +36,6 @@ from pipeline.ingest.mcap.samples import (
     TopicSamples,
     known_name,
     times_of,
-)
-from pipeline.ingest.mcap.topics import (
-    MAX_NAMES,
-    Decoder,
-    Topic,
-    cdr_decoder,
-    json_decoder,
-    paths_of,
-    protobuf_decoder,
-    rows_by_name,
 )
 from pipeline.ingest.stacking import PLACE, in_order
 from pipeline.ledger import Ledger
@@ -94,9 +85,9 @@ MCAP = LogFormat("mcap", "MCAP", (".mcap",), lambda head: head.startswith(MAGIC)
 
 def make_names_unique(series: list[TopicSamples]) -> None:
     """Channels of one topic that has several schemas get the schema into their names."""
-    topics = Counter(samples.name for samples in series)
+    of_topic = Counter(samples.name for samples in series)
     for samples in series:
-        if topics[samples.name] > 1:
+        if of_topic[samples.name] > 1:
             samples.name += f" ({samples.source.message})"
     names: Counter[str] = Counter()
     for samples in series:  # time since boot and Unix time under one name and schema
@@ -169,7 +160,7 @@ def _table(path: Path, clock: BootClock, name: str, instance: str | None) -> Tab
             table: Table = {"time_ns": time_ns, "boot": boot, "log_time_ns": log_ns}
             table |= block
             if instance is not None:
-                rows = dict(rows_by_name(table, topic.spec.id_field)).get(instance, slice(0))
+                rows = dict(topics.rows_by_name(table, topic.spec.id_field)).get(instance, slice(0))
                 table = {column: values[rows] for column, values in table.items()}
             if table[PLACE].shape[0]:
                 tables.append(table)
@@ -266,9 +257,9 @@ class MessageCounts:
             if self.stated and self.stated.get(number, 0) != self.counts[number]
         ]
         if total != self.stated_total or wrong:
-            topics = ", ".join(names.get(number, f"channel {number}") for number in wrong[:8])
+            apart = ", ".join(names.get(number, f"channel {number}") for number in wrong[:8])
             what = f"{total} messages were read, the log's statistics state {self.stated_total}"
-            what += f"; they differ for {topics}" if topics else ""
+            what += f"; they differ for {apart}" if apart else ""
             count = max(abs(self.stated_total - total), 1)
             ledger.loss("LOG-INCONSISTENT", what, where=where, count=count)
         return max(self.stated_total - total, skipped, 0)
@@ -288,9 +279,9 @@ class McapReader:
         self.names: dict[int, str] = {}
         self.contradictions: set[str] = set()
         self.raw: dict[tuple[int, bytes], bytes] = {}
-        self.topic_of: dict[int, tuple[Topic, Decoder]] = {}
-        self.decoders: dict[tuple[int, str], Decoder | Exception] = {}
-        self.topics: dict[tuple[str, str], Topic] = {}
+        self.topic_of: dict[int, tuple[topics.Topic, topics.Decoder]] = {}
+        self.decoders: dict[tuple[int, str], topics.Decoder | Exception] = {}
+        self.topics: dict[tuple[str, str], topics.Topic] = {}
         self.seen = 0  # messages, of any channel
         self.recorded: list[Integers] = []
 
@@ -301,7 +292,7 @@ class McapReader:
                 if isinstance(part, Definition):
                     self._define(part)
                     continue
-                shares: dict[tuple[str, str], list[tuple[Decoder, Rows]]] = {}
+                shares: dict[tuple[str, str], list[tuple[topics.Decoder, Rows]]] = {}
                 for number in self.counts.take(part, self.names):
                     if number in self.topic_of:
                         topic, decoder = self.topic_of[number]
@@ -370,15 +361,16 @@ class McapReader:
         key = (channel.schema_id, channel.message_encoding)
         decoder = self.decoders.get(key)  # thousands of channels may share a schema
         if decoder is None:
-            encoding, wanted = channel.message_encoding, None if self.only else paths_of(spec)
+            encoding = channel.message_encoding
+            wanted = None if self.only else topics.paths_of(spec)
             kind = (encoding, schema.encoding if schema is not None else "")
             try:
                 if encoding == "json":
-                    decoder = json_decoder(spec, wanted)
+                    decoder = topics.json_decoder(spec, wanted)
                 elif kind == ("cdr", "ros2msg"):
-                    decoder = cdr_decoder(schema.name, schema.data.decode(), wanted)
+                    decoder = topics.cdr_decoder(schema.name, schema.data.decode(), wanted)
                 elif kind == ("protobuf", "protobuf"):
-                    decoder = protobuf_decoder(schema, spec, wanted)
+                    decoder = topics.protobuf_decoder(schema, spec, wanted)
                 elif schema is not None:
                     where, of = channel.topic, schema.encoding
                     self.ledger.note(
@@ -394,7 +386,7 @@ class McapReader:
             what = f"the schema of {name} cannot be parsed ({decoder}): the topic is not read"
             self.ledger.loss("LOG-SCHEMA", what, where=channel.topic)
         elif decoder is not None:
-            topic = Topic(channel.topic, name, spec, None if self.only else {})
+            topic = topics.Topic(channel.topic, name, spec, None if self.only else {})
             topic = self.topics.setdefault((channel.topic, name), topic)
             self.topic_of[channel.id] = (topic, decoder)
 
@@ -411,8 +403,7 @@ class McapReader:
             if topic.lost_values:
                 self.ledger.loss("LOG-DECODE", where=topic.name, count=topic.lost_values)
             if topic.nameless:
-                self.ledger.loss(
-                    "LOG-TOO-LARGE", where=topic.name, count=topic.nameless, max_names=MAX_NAMES
-                )
+                most, count = topics.MAX_NAMES, topic.nameless
+                self.ledger.loss("LOG-TOO-LARGE", where=topic.name, count=count, max_names=most)
         damaged = bool(self.damage.losses)
         return self.counts.report(self.names, self.ledger, self.where, damaged=damaged)

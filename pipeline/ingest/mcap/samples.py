@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from pipeline.flight.channels import Source, TimeArray
 from pipeline.flight.clock import BOOT_STEP_NS, UNIX_NS_FROM, UNIX_US_FROM
+from pipeline.ingest import fields
 from pipeline.ingest.attitude import earth_frame_attitude, ned_frd_of_enu_flu, replace_in_blocks
 from pipeline.ingest.boot_clock import (
     LOWEST_FIX,
@@ -27,15 +28,6 @@ from pipeline.ingest.channel_builder import (
     captured_rows,
     without_stray,
 )
-from pipeline.ingest.fields import (
-    CAPTURE_UTC_FIELD,
-    PX4_MESSAGES,
-    UTC_FIELD,
-    FieldColumn,
-    MessageMap,
-    extract,
-    message_maps,
-)
 from pipeline.ingest.mcap.cdr import short
 from pipeline.ingest.stacking import PLACE
 from pipeline.ledger import Ledger
@@ -43,15 +35,15 @@ from pipeline.units import NANOSECONDS_PER_SECOND, Array, Mask, Rows
 
 _NAMED_VALUE_INT = 4.0  # DebugValue.TYPE_NAMED_VALUE_INT: the value is in another field
 
-_PX4 = {f"px4_msgs/{name}": spec for name, spec in PX4_MESSAGES.items()}
+_PX4 = {f"px4_msgs/{name}": spec for name, spec in fields.PX4_MESSAGES.items()}
 _STAMPS = {"mavros_msgs/CamIMUStamp": "frame_stamp"}
 _WITH_HEADER = {
     name: replace(spec, time_field=_STAMPS.get(name, "header.stamp"))
-    for name, spec in message_maps("ros").items()
+    for name, spec in fields.message_maps("ros").items()
 }
-SCHEMAS: Mapping[str, MessageMap] = _WITH_HEADER | _PX4 | message_maps("foxglove")
+SCHEMAS: Mapping[str, fields.MessageMap] = _WITH_HEADER | _PX4 | fields.message_maps("foxglove")
 
-PLAIN_JSON = MessageMap((FieldColumn("value", ("value",)),))
+PLAIN_JSON = fields.MessageMap((fields.FieldColumn("value", ("value",)),))
 """JSON of a schema of the user's own: a time and a value, of a role only when it is named."""
 
 LABELS: Mapping[str, str] = {"file_url": "file_url", "frame_id": "header.frame_id frame_id"}
@@ -160,7 +152,7 @@ class TopicSamples:
 
     name: str
     source: Source
-    spec: MessageMap
+    spec: fields.MessageMap
     counted: bool = False
     stamp_ns: ColumnStore = field(default_factory=lambda: ColumnStore("i8"))
     places: ColumnStore = field(default_factory=lambda: ColumnStore("i8"))
@@ -182,11 +174,11 @@ class TopicSamples:
             self.sequence.add(columns[SEQUENCE])
         if not bool(columns[STAMP].all()):
             self.log_ns.append((before, columns[LOG_TIME]))
-        utc = columns.get(UTC_FIELD if self.spec.position else CAPTURE_UTC_FIELD)
+        utc = columns.get(fields.UTC_FIELD if self.spec.position else fields.CAPTURE_UTC_FIELD)
         if utc is not None and utc.dtype.kind in "iu":
             self.utc_us.add(microseconds(utc))
         numbers = {name: part for name, part in columns.items() if part.dtype.kind in "biuf"}
-        values = finished(self.source.message, extract(numbers, self.spec.columns))
+        values = finished(self.source.message, fields.extract(numbers, self.spec.columns))
         self.columns.add(values, count)
         if self.spec.event:
             for name, paths in LABELS.items():

@@ -21,16 +21,7 @@ from pipeline.ingest.channel_builder import (
     with_both_heights,
 )
 from pipeline.ingest.fields import MessageMap, extract, message_maps
-from pipeline.ingest.tlog.clock import (
-    CLOCK_FIELDS,
-    LATEST_NS,
-    MICROSECOND,
-    Clocks,
-    Key,
-    by_source,
-    clock_field,
-    unix_us,
-)
+from pipeline.ingest.tlog import clock
 from pipeline.ledger import Ledger
 from pipeline.units import Rows
 
@@ -110,7 +101,7 @@ def wanted_layouts() -> dict[int, np.dtype[Any]]:
         wanted.setdefault(key.partition(".")[0], set()).update(fields, {LABELS.get(key, "")})
     result = {}
     for message in (m for m in dialect().values() if m.name in wanted):
-        kept = wanted[message.name] | {message.instance_field, *CLOCK_FIELDS}
+        kept = wanted[message.name] | {message.instance_field, *clock.CLOCK_FIELDS}
         names = message.dtype.names or ()
         result[message.number] = message.dtype[[name for name in names if name in kept]]
     return result
@@ -132,7 +123,7 @@ Group = tuple[int, Any]
 
 
 def channels_of(
-    sent: dict[str, ColumnStore], clocks: Clocks, ledger: Ledger
+    sent: dict[str, ColumnStore], clocks: clock.Clocks, ledger: Ledger
 ) -> tuple[list[Channel], dict[str, float]]:
     """The channels of the wanted messages, whose memory is freed on the way, and the parameters."""
     channels = []
@@ -151,7 +142,7 @@ def channels_of(
             late = spec.event  # the link delivers exposures late, and others overtake each other
             if not bool(np.all(rows.time_ns[1:] >= rows.time_ns[:-1])):
                 newest = np.maximum.accumulate(rows.time_ns)
-                late |= int(np.max(newest - rows.time_ns)) < LATEST_NS
+                late |= int(np.max(newest - rows.time_ns)) < clock.LATEST_NS
             rows = rows.take(np.argsort(rows.time_ns, kind="stable")) if late else rows
             channel = channel_of(rows, spec, ledger)
             if channel is not None:
@@ -169,7 +160,7 @@ def channels_of(
 class _Series:
     """A channel during reading: the messages of one sender and instance."""
 
-    def __init__(self, key: str, sender: Key, label: str | None) -> None:
+    def __init__(self, key: str, sender: clock.Key, label: str | None) -> None:
         self.key, self.spec = key, MESSAGES[key]
         self.source = Source(key.partition(".")[0], label, *sender)
         self.name = key if label is None else f"{key}[{label}]"
@@ -177,12 +168,12 @@ class _Series:
         self.columns = GrowingColumns(self.spec)
         self.sent: list[NDArray[Any]] = []
 
-    def add(self, rows: NDArray[Any], clocks: Clocks) -> None:
+    def add(self, rows: NDArray[Any], clocks: clock.Clocks) -> None:
         """Add the next messages."""
         records, fields = rows["records"], {}
         names = records.dtype.names or ()
         sender = (self.source.system or 0, self.source.component or 0)
-        time_ns, boot = times_of(rows, clock_field(names), clocks, sender)
+        time_ns, boot = times_of(rows, clock.clock_field(names), clocks, sender)
         self.time_ns.add(time_ns)
         self.boot.add(boot)
         for name in names:
@@ -209,12 +200,12 @@ class _Series:
         return DecodedRows(self.name, self.source, *times, self.columns.whole(), texts)
 
 
-def _series(keys: list[str], store: ColumnStore, clocks: Clocks) -> list[_Series]:
+def _series(keys: list[str], store: ColumnStore, clocks: clock.Clocks) -> list[_Series]:
     """The series of one message, for each key, sender and instance."""
     by_group: dict[Group, list[_Series]] = {}
     field = message_of_name()[keys[0]].instance_field
     for block in store.drained():
-        for sender, of_sender in by_source(block):
+        for sender, of_sender in clock.by_source(block):
             rows = block[of_sender]
             for value in np.unique(rows["records"][field]) if field else (None,):
                 group = (sender[0] * 256 + sender[1], None if value is None else value.item())
@@ -232,30 +223,30 @@ def _series(keys: list[str], store: ColumnStore, clocks: Clocks) -> list[_Series
 
 
 def times_of(
-    rows: NDArray[Any], field: str, clocks: Clocks, source: Key
+    rows: NDArray[Any], field: str, clocks: clock.Clocks, source: clock.Key
 ) -> tuple[TimeArray, NDArray[np.int16]]:
     """UTC [ns] and boot of (n,) messages of a sender, by their own time or that of reception."""
-    at, host_ns, clock = rows["at"], rows["host_us"] * MICROSECOND, clocks.of(source)
+    at, host_ns, own = rows["at"], rows["host_us"] * clock.MICROSECOND, clocks.of(source)
     if not field:
-        return clock.utc_of_host(at, host_ns), clock.boot(at)
-    unit, turn = CLOCK_FIELDS[field]
+        return own.utc_of_host(at, host_ns), own.boot(at)
+    unit, turn = clock.CLOCK_FIELDS[field]
     stamp = microseconds(rows["records"][field])
     since_boot = stamp * unit
-    placed = clock.boot_places(at, since_boot)
-    time_ns = clock.utc_of_boot(placed, host_ns, since_boot, turn)
-    boot = clock.boot(placed)
+    placed = own.boot_places(at, since_boot)
+    time_ns = own.utc_of_boot(placed, host_ns, since_boot, turn)
+    boot = own.boot(placed)
     if field == "time_boot_ms":
-        own_us = unix_us(rows["records"])
+        own_us = clock.unix_us(rows["records"])
         if source in clocks.wrong_utc or not own_us.any():
             return time_ns, boot
-        return np.where(own_us > 0, own_us * MICROSECOND, time_ns), boot
+        return np.where(own_us > 0, own_us * clock.MICROSECOND, time_ns), boot
     # time_usec: Unix time from some senders, time since boot from others, 0 when not known
     time_ns = np.where(stamp > UNIX_US_FROM, since_boot, time_ns)
     other = (stamp == 0) | (stamp > UNIX_US_FROM)
     if other.any():
-        boot[other] = clock.boot(at[other])
+        boot[other] = own.boot(at[other])
         unknown = stamp == 0
-        time_ns[unknown] = clock.utc_of_host(at[unknown], host_ns[unknown])
+        time_ns[unknown] = own.utc_of_host(at[unknown], host_ns[unknown])
     return time_ns, boot
 
 

@@ -11,6 +11,7 @@ from pipeline.flight.channels import Channel
 from pipeline.flight.clock import stray_times
 from pipeline.ingest.buffers import open_view
 from pipeline.ingest.log import Contents, LogFormat, Table
+from pipeline.ingest.tlog import clock
 from pipeline.ingest.tlog.channels import (
     MESSAGES,
     channels_of,
@@ -21,19 +22,10 @@ from pipeline.ingest.tlog.channels import (
     times_of,
     wanted_layouts,
 )
-from pipeline.ingest.tlog.clock import (
-    MICROSECOND,
-    Clocks,
-    Key,
-    by_source,
-    clock_field,
-    clocks_of,
-    with_borrowed_clocks,
-)
 from pipeline.ingest.tlog.scan import SILENT_US, Scan, Silence, frame_length
 from pipeline.ledger import Ledger
 
-SILENT_NS = SILENT_US * MICROSECOND
+SILENT_NS = SILENT_US * clock.MICROSECOND
 _CARRIED = {key.partition(".")[0] for key in MESSAGES}
 # Messages whose time is that of the exposure, not of sending.
 _LATE = {key for key, spec in MESSAGES.items() if spec.event}
@@ -51,8 +43,8 @@ def read_log(path: Path, ledger: Ledger) -> Contents:
     sent = {name_of(number): result.sent.pop(number) for number in [*result.sent]}
     parts = [part for name, part in sent.items() if name in _CARRIED]
     sources = {int(n) for p in parts for b in p.blocks() for n in np.unique(b["source"])}
-    clocks = clocks_of(result.clock.readings({source >> 8 for source in sources}), ledger)
-    clocks = with_borrowed_clocks(clocks, parts, ledger)
+    clocks = clock.clocks_of(result.clock.readings({source >> 8 for source in sources}), ledger)
+    clocks = clock.with_borrowed_clocks(clocks, parts, ledger)
     channels, parameters = channels_of(sent, clocks, ledger)
     lost = _report_link(result, clocks, channels, path, ledger)
     counts = {name_of(key): count for key, count in result.counts.items() if count}
@@ -93,12 +85,12 @@ def _report_damage(result: Scan, needed: Container[int], path: Path, ledger: Led
 
 
 def _report_link(
-    result: Scan, clocks: Clocks, channels: list[Channel], path: Path, ledger: Ledger
+    result: Scan, clocks: clock.Clocks, channels: list[Channel], path: Path, ledger: Ledger
 ) -> int:
     """Enter the messages of the senders of channels that the link lost; returns the least count."""
     carriers = {(channel.source.system, channel.source.component) for channel in channels}
     lost = Counter({key: count for key, count in result.lost.items() if key in carriers})
-    silent: dict[Key, list[Silence]] = {}
+    silent: dict[clock.Key, list[Silence]] = {}
     for silence in result.silences:
         if silence.source in carriers and clocks.advanced(silence.source, silence.at, SILENT_NS):
             silent.setdefault(silence.source, []).append(silence)
@@ -127,7 +119,7 @@ def _replace_stray_stamps(result: Scan, ledger: Ledger, where: str) -> None:
     order = np.argsort(at, kind="stable")
     at = at[order]
     host_us = np.concatenate([block["host_us"] for block in blocks])[order]
-    stray = stray_times(host_us * MICROSECOND)
+    stray = stray_times(host_us * clock.MICROSECOND)
     count = int(np.count_nonzero(stray))
     if count == 0 or bool(stray.all()):
         return
@@ -141,7 +133,7 @@ def _replace_stray_stamps(result: Scan, ledger: Ledger, where: str) -> None:
             block["host_us"][replaced] = good[before[place[replaced]]]
 
 
-def _table(path: Path, clocks: Clocks, name: str, instance: str | None) -> Table:
+def _table(path: Path, clocks: clock.Clocks, name: str, instance: str | None) -> Table:
     """All messages of one type with their time, their sender and their fields as sent."""
     message = message_of_name().get(name)
     if message is None:
@@ -160,8 +152,8 @@ def _table(path: Path, clocks: Clocks, name: str, instance: str | None) -> Table
     if not len(rows):
         return {}
     time_ns, boot = np.empty(len(rows), np.int64), np.empty(len(rows), np.int16)
-    field = clock_field(message.fields)
-    for source, of_source in by_source(rows):
+    field = clock.clock_field(message.fields)
+    for source, of_source in clock.by_source(rows):
         time_ns[of_source], boot[of_source] = times_of(rows[of_source], field, clocks, source)
     table: Table = {
         "time_ns": time_ns,
