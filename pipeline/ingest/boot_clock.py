@@ -92,8 +92,7 @@ _FEWEST_RECORDS = 10  # without a second between them, of sensors; parameters co
 def timeline(blocks: Iterable[Stamps]) -> Timeline:
     """Power-ups and stray stamps, from all times since boot of a log in its order.
 
-    A step back by more than 1 s is a power-up, unless `stray_stretches` has it; see
-    `fit_boot_clock`.
+    A step back by more than 1 s is a power-up, unless `stray_stretches` has it.
 
     >>> time_ns = np.array([5, 6, 7, 8, 9, 2, 3, 4, 5, 6]) * 10**9
     >>> timeline([(np.arange(10), time_ns)]).boot_of(np.array([4, 5]))
@@ -175,19 +174,15 @@ class BootClock:
     fits: tuple[clock.ClockOffset | None, ...]
     utc_known: tuple[bool, ...]
 
-    @property
-    def offsets(self) -> Integers:
-        """UTC minus time since boot [ns] of each boot, 0 where it is unknown."""
-        return np.array([fit.offset_ns if fit else 0 for fit in self.fits], np.int64)
-
     def utc(self, places: Integers, boot_ns: TimeArray) -> TimeArray:
-        """UTC [ns] of times since boot at places of the log."""
-        utc_ns = self.offsets[self.line.boot_of(places)]
+        """UTC [ns] of times since boot at places of the log; these where UTC is unknown."""
+        offsets = np.array([fit.offset_ns if fit else 0 for fit in self.fits], np.int64)
+        utc_ns = offsets[self.line.boot_of(places)]
         utc_ns += boot_ns  # memory has its peak here
         return utc_ns
 
 
-def fit_boot_clock(
+def fit_clock(
     line: Timeline,
     sources: Sequence[UtcReadings],
     ledger: Ledger,
@@ -201,12 +196,11 @@ def fit_boot_clock(
 
     ``sources``: in each boot the one with the most rows is used, by their median; another that
     differs by more than 1 s is a loss. ``cameras`` count where none of them has UTC, ``recorder``
-    (the recorder's clock) in boots without any. ``where``, ``utc_of``: the vehicle and what gives
-    UTC in this format, for the ledger. Without UTC a boot counts as if in 1970.
+    in boots without any; without UTC a boot counts as if in 1970. ``where``, ``utc_of``: the
+    vehicle and what gives UTC in this format, for the ledger.
 
-    A boot is also split where nothing was recorded for more than 1 s and the offset is another
-    after it by more than 1 s, and stays so. Where it steps while the time runs on, a clock was set:
-    no boot.
+    A boot is also split where nothing was recorded for more than 1 s and the offset is another by
+    more than 1 s from there on. Where it steps while the time runs on, a clock was set: no boot.
     """
     sources = [source.sound(line) for source in sources]
     if not any(source.places.size for source in sources):

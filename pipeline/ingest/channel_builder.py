@@ -43,7 +43,7 @@ class DecodedRows:
         return DecodedRows(self.name, self.source, *times, columns, labels)
 
 
-class GrowingColumns:
+class ColumnStores:
     """Columns made piece by piece; one takes memory when it has its first value, NaN before."""
 
     def __init__(self, spec: MessageMap) -> None:

@@ -83,10 +83,9 @@ class MessageMap:
     """One message and the channel it becomes.
 
     ``id_field`` tells instances apart, ``time_field`` is the message's own time, where the format
-    has neither. ``spare_rank``: of all instances but the first, where those are spares (numbers do
-    not show which thermometer is outside). ``position`` drops rows without a fix, ``attitude``
-    makes quaternions of Euler angles, ``text_field`` is what the autopilot says: a channel without
-    columns.
+    has neither. ``spare_rank``: of all instances but the first, which are spares (numbers do not
+    show which thermometer is outside). ``position`` drops rows without a fix, ``attitude`` makes
+    quaternions of Euler angles, ``text_field`` is what the autopilot says: no columns.
     """
 
     columns: tuple[FieldColumn, ...]

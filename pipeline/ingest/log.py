@@ -47,8 +47,7 @@ class Contents:
 class LogFormat:
     """A log format: ``title`` in messages; ``extensions`` in lower case with dot, the usual first.
 
-    ``matches`` says whether the first 64 KiB of a file look like it; ``read`` decodes the wanted
-    messages, and enters what is damaged or skipped.
+    ``matches`` says whether the first 64 KiB of a file look like it.
     """
 
     name: str
@@ -94,12 +93,11 @@ class Log(Contents):
         return dict(self.messages)
 
     def message(self, name: str, instance: str | None = None) -> Table:
-        """All messages of one type as columns, in the order of the file.
+        """All messages of one type as columns of one length, with the log's names and units.
 
         ``name``: a type or topic of `message_types`, or a channel, upper or lower case.
-        ``instance``: only those, where the type has instances. Returns columns of one length with
-        the names and units that the log has; damaged rows are in them. Raises LogError
-        (LOG-NO-TYPE, LOG-NO-TABLE).
+        ``instance``: only those, where the type has instances. In the order of the file, damaged
+        rows included. Raises LogError (LOG-NO-TYPE, LOG-NO-TABLE).
         """
         if name not in self.messages:
             types = {kind.lower(): (kind, None) for kind in self.messages}
@@ -131,23 +129,13 @@ class Log(Contents):
         from pipeline.ingest.overview import roles_of
 
         flight, roles = roles_of(self.channels)
-        return {
-            "format": self.format,
-            "sha256": self.sha256,
-            "size_bytes": self.size_bytes,
-            "messages": dict(self.messages),
-            "bad_bytes": self.bad_bytes,
-            "lost_messages": self.lost_messages,
-            "boots": self.boots,
+        own = ("format", "sha256", "size_bytes", "messages", "bad_bytes", "lost_messages", "boots")
+        return {name: getattr(self, name) for name in own} | {
             "channels": [describe(channel) for channel in self.channels],
-            "start_utc": utc_text(self.start_ns),
-            "end_utc": utc_text(self.end_ns),
-            "duration_s": self.duration_s,
-            "flight": flight,
-            "roles": roles,
-            "time_base": self.time_base,
-            "ledger": self.ledger.rows(),
-        }
+            "start_utc": utc_text(self.start_ns), "end_utc": utc_text(self.end_ns),
+            "duration_s": self.duration_s, "flight": flight, "roles": roles,
+            "time_base": self.time_base, "ledger": self.ledger.rows(),
+        }  # fmt: skip
 
 
 def _available(name: str, names: list[str]) -> str:
@@ -196,18 +184,15 @@ def describe(channel: Channel) -> dict[str, Any]:
     if "events" in channel.roles or not channel.columns or len(channel) < 3:
         gaps = []  # events and texts come when they come
     return {
-        "name": channel.name,
-        "roles": list(channel.roles),
-        "columns": sorted(channel.columns),
-        "samples": len(channel),
-        "rate_hz": channel.rate_hz,
+        "name": channel.name, "roles": list(channel.roles), "columns": sorted(channel.columns),
+        "samples": len(channel), "rate_hz": channel.rate_hz,
         "start_utc": utc_text(int(channel.time_ns[0])),
         "end_utc": utc_text(int(channel.time_ns[-1])),
         "gaps": [
             {"start_utc": utc_text(int(channel.time_ns[row])), "seconds": float(steps[row])}
             for row in gaps
         ],
-    }
+    }  # fmt: skip
 
 
 def hash_file(path: Path) -> str:

@@ -12,7 +12,7 @@ import numpy as np
 
 from pipeline.flight.channels import Channel, TimeArray
 from pipeline.flight.trajectory import interpolate
-from pipeline.geodesy import principal_radii
+from pipeline.geodesy import principal_radii, wrapped
 from pipeline.ingest.log import Contents, Table
 from pipeline.ledger import Ledger
 from pipeline.units import Array
@@ -131,8 +131,8 @@ def estimated_delay(receiver: Channel, fused: Channel) -> ReceiverDelay | None:
     delay_s, half_ns = 0.1, round(2.5e8)
     for _ in range(4):
         at = time_ns - round(delay_s * 1e9)
-        apart = _wrapped(fixes - places(at)) * scale
-        speed = _wrapped(places(at + half_ns) - places(at - half_ns)) * scale / (2e-9 * half_ns)
+        apart = wrapped(fixes - places(at)) * scale
+        speed = wrapped(places(at + half_ns) - places(at - half_ns)) * scale / (2e-9 * half_ns)
         square = (speed**2).sum(axis=0)
         known = np.isfinite(square) & np.isfinite(apart).all(axis=0)
         if np.count_nonzero(known) < _LEAST_ROWS:
@@ -156,8 +156,3 @@ def estimated_delay(receiver: Channel, fused: Channel) -> ReceiverDelay | None:
         float(np.hypot(sigma_s, _FILTER_SIGMA_S)),
         what,
     )
-
-
-def _wrapped(angle: Array) -> Array:
-    """Differences of angles within half a turn."""
-    return np.asarray((angle + np.pi) % (2.0 * np.pi) - np.pi, np.float64)

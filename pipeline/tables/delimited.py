@@ -96,26 +96,17 @@ def csv_names(path: Path) -> list[str]:
 
 
 def scan_csv(
-    path: Path,
-    names: Collection[str],
-    image: str,
-    point: str,
-    numbers: Collection[str],
-    *,
+    path: Path, names: Collection[str], texts: tuple[str, str], numbers: Collection[str],
     add_names: Callable[[pa.StringArray], None] | None = None,
-) -> CsvScan:
+) -> CsvScan:  # fmt: skip
     """Read a CSV once from end to end, to know the type of each of its columns.
 
-    Parameters
-    ----------
-    names : of all columns.
-    image, point : columns of names, which are text even where all are digits.
-    numbers : columns that should be float64, and are unless a value is no number.
-    add_names : called with the images of the next rows.
+    ``texts`` are the columns of images and points, text even where all are digits, ``numbers``
+    float64 unless a value is no number. ``add_names`` is called with the images of the next rows.
     """
+    image = texts[0]
     kinds: dict[str, tuple[_Kind, ...]] = {
-        name: (_NUMBER,) if name in numbers else () if name in (image, point) else _KINDS
-        for name in names
+        name: (_NUMBER,) if name in numbers else () if name in texts else _KINDS for name in names
     }
     filled = set(numbers)
     rows, images = 0, set()

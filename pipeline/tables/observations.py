@@ -27,10 +27,8 @@ from pipeline.tables.refraction_mark import Direction, refuse_done
 from pipeline.tables.schemas import DISPLACED_COLUMNS, OBSERVATION_COLUMNS
 from pipeline.tables.text_columns import (
     Hashes,
-    WantedColumn,
     hashes_of,
     is_text,
-    refuse_ambiguous_names,
     refuse_other_pixels,
     require_columns,
 )
@@ -290,9 +288,9 @@ class Observations:
             ground, row = self.points.heights(point, image)
             no_point = int(((row < 0) & np.isnan(ground)).sum())
         if self.distance_column is not None:
-            distance, no_distance = _at_least(0.0, arrays[self.distance_column], above=True)
+            distance, no_distance = _at_least_zero(arrays[self.distance_column], above=True)
         if self.sigma_column is not None:
-            sigma, no_sigma = _at_least(0.0, arrays[self.sigma_column])
+            sigma, no_sigma = _at_least_zero(arrays[self.sigma_column])
         return Batch(
             image=image,
             point=point,
@@ -325,19 +323,13 @@ def open_observations(
 ) -> Observations:
     """Check a table of observations: its columns, its marks, its images.
 
-    Parameters
-    ----------
-    path : ``.csv`` or ``.parquet``, or what ``file_format`` says.
-    columns : image, point, x_px, y_px -> the user's name of the column; distance_m too, where
-        there is one: it passes through as the user's own.
-    ground_column : the column of ground heights, or None where none has them.
-    ground_is_msl : whether these heights are above mean sea level, as our ``h_g_m`` is; any other
-        column of that name is the user's own and leaves as ``h_g_m_input``.
-    sigma_column : the column of standard deviations of the ground heights, which passes through.
-    direction : whether refraction will be removed from these observations or applied to them.
-    pixels : where the table counts its pixels from.
-    most_rows : draw that many rows, spread over the images, for `Observations.sampled`.
-    file_format : csv, parquet, or one of `BLOCKS`; by default the ending says it.
+    ``columns`` : image, point, x_px, y_px -> the user's name of the column; distance_m too, where
+    there is one: it passes through as the user's own. ``ground_column`` and ``sigma_column`` have
+    heights of the ground and their standard deviations; heights that are not above mean sea level,
+    as our ``h_g_m`` is (``ground_is_msl``), leave as ``h_g_m_input`` where they are called that.
+    ``direction`` : whether refraction will be removed or applied. ``most_rows`` : draw that many
+    rows, spread over the images, for `Observations.sampled`. ``file_format`` : csv, parquet, or one
+    of `BLOCKS`; by default the ending says it.
 
     Refuses a table to which that was done already, one that lacks a column, or repeats a name. A
     point that stands twice in one image of a block is a loss.
@@ -346,26 +338,19 @@ def open_observations(
     kind = file_format or {"txt": "csv", "pq": "parquet"}.get(ending, ending)
     schema, records = _opened(path, kind)
     named = {role: name for role, name in columns.items() if name is not None}
-    wanted = [WantedColumn(r, name, f"observations.columns.{r}") for r, name in named.items()]
+    wanted = [(role, name, f"observations.columns.{role}") for role, name in named.items()]
     if ground_column:
-        wanted.append(WantedColumn("ground height", ground_column, "ground.height.column"))
+        wanted.append(("ground height", ground_column, "ground.height.column"))
     if sigma_column:
-        wanted.append(WantedColumn("sigma of the ground", sigma_column, "ground.sigma_column"))
-    refuse_ambiguous_names(path, schema, wanted)
+        wanted.append(("sigma of the ground", sigma_column, "ground.sigma_column"))
     refuse_done(path, schema, direction)
     refuse_other_pixels(path, schema, direction, named)
     require_columns(path, schema, wanted)
     sample, has_points = None if most_rows is None else RowSample(most_rows), kind not in BLOCKS
     if kind == "csv":
         numbers = {named["x_px"], named["y_px"], ground_column or ""} & set(schema.names)
-        scan = scan_csv(
-            path,
-            schema.names,
-            named["image"],
-            named["point"],
-            numbers,
-            add_names=None if sample is None else sample.add,
-        )
+        add = None if sample is None else sample.add
+        scan = scan_csv(path, schema.names, (named["image"], named["point"]), numbers, add)
         rows, images, records = scan.rows, scan.images, partial(_csv_records, path, scan.types)
         schema = pa.schema(list(scan.types.items()))
         require_columns(path, schema, wanted)  # now with the types that the values have
@@ -519,14 +504,11 @@ def _as_float(column: pa.Array) -> Array:
     )
 
 
-def _at_least(lowest: float, column: pa.Array, *, above: bool = False) -> tuple[Array, int]:
-    """Finite values from the lowest on (``above``: greater than it), else NaN; how many are not.
-
-    Null is no value, and does not count.
-    """
+def _at_least_zero(column: pa.Array, *, above: bool = False) -> tuple[Array, int]:
+    """Finite values from 0 on (``above``: greater), else NaN; how many but for nulls are not."""
     values = _as_float(column)
     with np.errstate(invalid="ignore"):
-        sound = np.isfinite(values) & ((values > lowest) if above else (values >= lowest))
+        sound = np.isfinite(values) & ((values > 0.0) if above else (values >= 0.0))
     absent = column.is_null().to_numpy(zero_copy_only=False)
     if not is_text(column.type):
         absent = absent | np.isnan(values)

@@ -40,13 +40,11 @@ def sidecar_text(files: Mapping[str, Path], about: Mapping[str, Any]) -> str:
 def refuse_marked(path: Path, direction: Direction = "remove") -> None:
     """Refuse a file of observations from which refraction was removed, if it is to be removed.
 
-    ``path`` is a file, or a folder of which every file is looked at. Refused (InputError) are:
-
-    * a database with the mark, and a file whose content a sidecar in its folder names, under
-      whatever name (OBS-ALREADY-CORRECTED);
-    * a file whose name a sidecar has with another content (OBS-MARK-CHANGED): another program has
-      written to it, or it is another file;
-    * any file beside a sidecar that cannot be read (OBS-MARK-UNREADABLE).
+    ``path`` is a file, or a folder of which every file is looked at. Refused (InputError) are a
+    database with the mark, and a file whose content a sidecar in its folder names, under whatever
+    name (OBS-ALREADY-CORRECTED); a file whose name a sidecar has with another content
+    (OBS-MARK-CHANGED): another program has written to it, or it is another file; any file beside a
+    sidecar that cannot be read (OBS-MARK-UNREADABLE).
 
     Files are hashed only where there is a sidecar. Parquet and CSV: `refuse_done`.
     """

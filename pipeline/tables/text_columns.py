@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -60,11 +60,7 @@ def text_table(
             codes[0], f"is no readable CSV: {str(error).strip()}", where=str(path),
             remedy="a table has a header line, commas, and as many fields in every row",
         ) from None  # fmt: skip
-    for quantity, name in wanted.items():
-        if name not in names:
-            raise no_such_column(
-                codes[1], path, name, there=names, key=f"{key}.{quantity}", quantity=quantity
-            )
+    require_names(codes[1], path, names, ((q, n, f"{key}.{q}") for q, n in wanted.items()))
     return rows.iloc[1:].set_axis(names, axis="columns").reset_index(drop=True)
 
 
@@ -151,16 +147,14 @@ def utc_of_weeks(week: Array | int, seconds: Array, system: str) -> TimeArray:
     return np.where(known, start + np.rint(seconds * 1e9).astype(np.int64), 0)
 
 
-def utc_of_columns(
-    table: pd.DataFrame, time_utc: str | None, gps_week: str | None, gps_seconds: str | None
-) -> tuple[TimeArray, Mask]:
+def utc_of_columns(table: pd.DataFrame, names: Mapping[str, str]) -> tuple[TimeArray, Mask]:
     """(n,) Unix nanoseconds from a column of UTC times, or GPS week and seconds; which are good.
 
     Times without a zone are UTC; GPS seconds are reduced by the leap seconds of their date.
     """
-    if time_utc is not None:
-        return utc_of_dates(table[time_utc])
-    week, seconds = numbers(table[gps_week]), numbers(table[gps_seconds])
+    if "time_utc" in names:
+        return utc_of_dates(table[names["time_utc"]])
+    week, seconds = (numbers(table[names[part]]) for part in ("gps_week", "gps_seconds"))
     good = np.isfinite(week) & np.isfinite(seconds) & (week > 0) & (week == np.floor(week))
     good &= (seconds >= 0.0) & (seconds <= 604_800.0)
     return utc_of_weeks(np.where(good, week, np.nan), seconds, "gpst"), good
@@ -202,56 +196,43 @@ def rows_among(hashes: Hashes, wanted: Hashes) -> Integers:
     return rows[np.isin(hashes[rows], wanted)]
 
 
-class WantedColumn(NamedTuple):
-    """A quantity, the user's name of its column, and the key of the mission file for that."""
+def require_names(
+    code: str, path: Path, there: Sequence[str], wanted: Iterable[tuple[str, str, str]]
+) -> None:
+    """Refuse a table that lacks a column, with the name it may have been meant to be.
 
-    quantity: str
-    name: str
-    key: str
+    ``wanted`` : quantity, the user's name of its column, and the key of the mission file for that.
 
-
-def no_such_column(
-    code: str, path: Path, name: str, *, there: Sequence[str], key: str, quantity: str = ""
-) -> InputError:
-    """The refusal of a table that lacks a column, with the name it may have been meant to be.
-
-    ``there`` are the names of its columns, ``key`` is the mission file's, ``quantity`` what the
-    column was to hold.
-
-    >>> print(no_such_column("A-B", Path("o.csv"), "x_px", there=["image", "x_pix"], key="x"))
-    A-B: there is no column 'x_px'; perhaps 'x_pix'?; there is image, x_pix
+    >>> require_names("A-B", Path("o.csv"), ["image", "x_pix"], [("x", "x_px", "k")])
+    Traceback (most recent call last):
+    pipeline.errors.InputError: A-B: there is no column 'x_px' for the x; perhaps 'x_pix'?; there \
+is image, x_pix
       where: o.csv
-      to do: say what it is called: x
+      to do: say what it is called: k
     """
-    near = difflib.get_close_matches(name, there, 1, 0.5)
-    hint = f"; perhaps {near[0]!r}?" if near else ""
-    reason = f" for the {quantity}" if quantity else ""
-    return InputError(
-        code,
-        f"there is no column {name!r}{reason}{hint}; there is {', '.join(there)}",
-        where=str(path),
-        remedy=f"say what it is called: {key}",
-    )
-
-
-def refuse_ambiguous_names(path: Path, schema: pa.Schema, wanted: Sequence[WantedColumn]) -> None:
-    """Refuse a table with two columns of one name, and one column for two quantities."""
-    twice = sorted({name for name in schema.names if schema.names.count(name) > 1})
-    if twice:
-        raise InputError.of("OBS-REPEATED-COLUMN", path, twice=", ".join(twice))
-    names = [column.name for column in wanted]
-    shared = sorted({name for name in names if names.count(name) > 1})
-    if shared:
-        raise InputError.of("OBS-COLUMN", path, shared=shared[0])
-
-
-def require_columns(path: Path, schema: pa.Schema, wanted: Sequence[WantedColumn]) -> None:
-    """Refuse a table that lacks a column, or has one of neither text nor numbers."""
     for quantity, name, key in wanted:
-        if name not in schema.names:
-            raise no_such_column(
-                "OBS-COLUMN", path, name, there=schema.names, key=key, quantity=quantity
+        if name not in there:
+            near = difflib.get_close_matches(name, there, 1, 0.5)
+            hint = f"; perhaps {near[0]!r}?" if near else ""
+            what = (
+                f"there is no column {name!r} for the {quantity}{hint}; there is {', '.join(there)}"
             )
+            raise InputError(code, what, where=str(path), remedy=f"say what it is called: {key}")
+
+
+def require_columns(path: Path, schema: pa.Schema, wanted: Sequence[tuple[str, str, str]]) -> None:
+    """Refuse a table that lacks a column or has two of one name, and one column for two quantities.
+
+    ``wanted`` : quantities, the user's names of their columns, which have to hold text or numbers,
+    and the keys of the mission file for these.
+    """
+    names = [name for _, name, _ in wanted]
+    if twice := sorted({name for name in schema.names if schema.names.count(name) > 1}):
+        raise InputError.of("OBS-REPEATED-COLUMN", path, twice=", ".join(twice))
+    if shared := sorted({name for name in names if names.count(name) > 1}):
+        raise InputError.of("OBS-COLUMN", path, shared=shared[0])
+    require_names("OBS-COLUMN", path, schema.names, wanted)
+    for quantity, name, _ in wanted:
         kind = schema.field(name).type
         if not (is_text(kind) or is_number(kind)):
             named = quantity in ("image", "point")

@@ -34,14 +34,6 @@ if TYPE_CHECKING:
     from pipeline.atmosphere.estimate.adjusted_profile import Adjustment
 
 
-def geo_metadata(column: str) -> dict[str, str]:
-    """The entry ``geo`` of a file's metadata, for a column of points in EPSG:4979."""
-    system = json.loads(files("pipeline.tables").joinpath("data/wgs84_3d.json").read_text("utf-8"))
-    described = {"encoding": "WKB", "geometry_types": ["Point", "Point Z"], "crs": system}
-    geo = {"version": "1.1.0", "primary_column": column, "columns": {column: described}}
-    return {"geo": json.dumps(geo)}
-
-
 def points_wkb(lon_deg: Array, lat_deg: Array, h_ellipsoid_m: Array) -> list[bytes | None]:
     """(n,) points; without height where that is unknown (NaN), None where there is no position.
 
@@ -65,22 +57,17 @@ def table_of(columns: Mapping[str, Any], schema: pa.Schema) -> pa.Table:
     rows = len(next(iter(columns.values())))
     arrays = []
     for item in schema:
-        values = columns.get(item.name)
-        if values is None:
-            arrays.append(pa.nulls(rows, item.type))
-        elif isinstance(values, pa.Array):
-            arrays.append(values)
-        elif isinstance(values, np.ndarray) and values.dtype.kind == "f":
+        values, gaps = columns.get(item.name), True
+        if isinstance(values, np.ndarray) and values.dtype.kind == "f":
             # Most columns have no gap, some nothing else: a look takes less than a bit a row.
-            gaps = np.isnan(values)
-            some = bool(gaps.any())
-            arrays.append(
-                pa.nulls(rows, item.type)
-                if some and bool(gaps.all())
-                else pa.array(values, item.type, from_pandas=some)
-            )
-        else:
-            arrays.append(pa.array(values, item.type, from_pandas=True))
+            missing = np.isnan(values)
+            gaps = bool(missing.any())
+            values = None if gaps and bool(missing.all()) else values
+        if values is None:
+            values = pa.nulls(rows, item.type)
+        if not isinstance(values, pa.Array):
+            values = pa.array(values, item.type, from_pandas=gaps)
+        arrays.append(values)
     return pa.table(arrays, schema=schema)
 
 
@@ -124,7 +111,7 @@ def profile_ids(series: ProfileSeries) -> list[str]:
 
 
 def table_of_stations(stations: Stations, series: ProfileSeries) -> pa.Table:
-    """``stations.parquet``, which is GeoParquet."""
+    """``stations.parquet``, which is GeoParquet: points in EPSG:4979."""
     columns = station_columns(stations)
     columns["geometry"] = points_wkb(
         columns["lon_deg"], columns["lat_deg"], columns["h_ellipsoid_m"]
@@ -132,7 +119,10 @@ def table_of_stations(stations: Stations, series: ProfileSeries) -> pa.Table:
     ids = np.array(profile_ids(series), dtype=object)[series.profile_number]
     ids[~stations.ok] = None
     columns["profile_id"] = ids
-    return table_of(columns, schema_of(STATION_COLUMNS, geo_metadata("geometry")))
+    system = json.loads(files("pipeline.tables").joinpath("data/wgs84_3d.json").read_text("utf-8"))
+    described = {"encoding": "WKB", "geometry_types": ["Point", "Point Z"], "crs": system}
+    geo = {"version": "1.1.0", "primary_column": "geometry", "columns": {"geometry": described}}
+    return table_of(columns, schema_of(STATION_COLUMNS, {"geo": json.dumps(geo)}))
 
 
 def rows_of_stations(stations: Stations) -> list[dict[str, Any]]:

@@ -15,7 +15,7 @@ from pipeline.ingest.boot_clock import (
     Stamps,
     Timeline,
     UtcReadings,
-    fit_boot_clock,
+    fit_clock,
     microseconds,
     nanoseconds,
     report_timeline,
@@ -102,7 +102,7 @@ def clock_of(line: Timeline, tables: Mapping[str, Table], ledger: Ledger) -> tup
     for name in RECEIVERS:
         if name in tables:
             sources += _receiver_utc(line, tables[name], name, ledger)
-    clock = fit_boot_clock(line, sources, ledger, utc_of="GPS row with a fix and a week")
+    clock = fit_clock(line, sources, ledger, utc_of="GPS row with a fix and a week")
     if unknown := clock.utc_known.count(False):
         return clock, f"vehicle clock; UTC is unknown in {unknown} of {len(clock.fits)} boots"
     rows = sum(fit.rows for fit in clock.fits if fit is not None)

@@ -339,9 +339,8 @@ def decode(found: RecordWalker, wanted: Mapping[str, Callable[[str], bool]]) -> 
     """The columns of some message types, in one pass over the file, with `PLACE`.
 
     ``wanted``: by type, which fields. Numbers keep their type; scaled ones (c, C, e, E, L) are
-    float64 and divided, as pymavlink does; characters are text. Types of one name are one table:
-    what a row does not have is NaN or empty, a field that was text and number is of objects
-    (`without_objects`).
+    float64, divided as pymavlink does; characters are text. Types of one name are one table: what a
+    row lacks is NaN or empty, a field that was text and number is of objects (`without_objects`).
     """
     tables: dict[int, Table] = {}
     for number, count in enumerate(found.counts.tolist()):
@@ -408,12 +407,9 @@ def without_objects(table: Table, name: str, ledger: Ledger) -> Table:
         known = [value for value in column.tolist() if value is not None]
         kind = str if isinstance(known[-1], str) else (int, float)
         lost = sum(not isinstance(value, kind) for value in known)
-        if kind is str:
-            words = [value if isinstance(value, str) else "" for value in column.tolist()]
-            columns[label] = np.array(words, np.str_)
-        else:
-            numbers = [value if isinstance(value, kind) else np.nan for value in column.tolist()]
-            columns[label] = np.array(numbers, np.float64)
+        missing, dtype = ("", np.str_) if kind is str else (np.nan, np.float64)
+        values = [value if isinstance(value, kind) else missing for value in column.tolist()]
+        columns[label] = np.array(values, dtype)
         if lost:
             ledger.loss("LOG-REDEFINED", where=name, count=lost, total=len(known), field=label)
     return columns

@@ -70,11 +70,10 @@ MessageField = NumberField | TextField | SequenceField
 
 
 def steps_of(name: str, text: str) -> tuple[MessageField, ...]:
-    """The steps of a message from the definitions that a log has of it.
+    """The steps of a message from the definitions that a log has of it; names are joined by dots.
 
     ``name``: of the message, ``sensor_msgs/msg/Imu``. ``text``: its definition, and those of the
-    messages in it below lines of ``=`` and ``MSG: name``. Raises SchemaError. Names are joined by
-    dots.
+    messages in it below lines of ``=`` and ``MSG: name``. Raises SchemaError.
 
     >>> steps_of("a/msg/B", "C c\\nstring s\\n===\\nMSG: a/C\\nfloat64[3] x")
     (NumberField(path='c.x', kind='f8', count=3, array=True), TextField(path='s'))

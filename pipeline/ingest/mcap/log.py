@@ -13,14 +13,7 @@ import numpy as np
 
 from pipeline.errors import LogError
 from pipeline.flight.clock import BOOT_STEP_NS, UNIX_NS_FROM
-from pipeline.ingest.boot_clock import (
-    BootClock,
-    Stamps,
-    Timeline,
-    UtcReadings,
-    fit_boot_clock,
-    timeline,
-)
+from pipeline.ingest.boot_clock import BootClock, Stamps, Timeline, UtcReadings, fit_clock, timeline
 from pipeline.ingest.buffers import open_view
 from pipeline.ingest.channel_builder import channel_of
 from pipeline.ingest.log import Contents, LogFormat, Table
@@ -131,7 +124,7 @@ def boot_clock_of(
         if readings is not None:
             (receivers if samples.spec.position else cameras).append(readings)
     utc_of = "GNSS message with a fix and no log_time"
-    clock = fit_boot_clock(line, receivers, ledger, recorder, cameras=cameras, utc_of=utc_of)
+    clock = fit_clock(line, receivers, ledger, recorder, cameras=cameras, utc_of=utc_of)
     for number, (fit, known) in enumerate(zip(clock.fits, clock.utc_known, strict=True)):
         if fit is not None and not known:
             ledger.fallback("TIME-LOG-TIME", where=f"boot {number}", count=fit.rows)

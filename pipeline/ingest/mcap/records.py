@@ -305,10 +305,8 @@ class RecordWalk:
             self.damage.add("LOG-BAD-BYTES", what, at, self.data.size - end)
         start = int(FOOT.unpack(self.data[at + RECORD.size : end - len(MAGIC)])[0])
         if not self.damage.losses and (self.data_end < 0 or start not in (0, self.data_end)):
-            what = (
-                f"the footer says that the summary begins at byte {start}, the data end at "
-                f"{self.data_end}: a part of the file is missing"
-            )
+            what = f"the footer says that the summary begins at byte {start}, the data end at "
+            what += f"{self.data_end}: a part of the file is missing"
             self.damage.add("LOG-INCONSISTENT", what, at, 0)
         return -1
 
@@ -389,9 +387,8 @@ class RecordWalk:
                 starts.append(runs.at[run])
                 place = int(runs.end[run.stop - 1])
                 continue
-            opcode, length = (
-                RECORD.unpack_from(raw, place) if place + RECORD.size <= size else (0, 0)
-            )
+            whole = place + RECORD.size <= size
+            opcode, length = RECORD.unpack_from(raw, place) if whole else (0, 0)
             end = place + RECORD.size + length
             if opcode not in (Opcode.SCHEMA, Opcode.CHANNEL) or end > size:
                 last = int(starts[-1][-1]) if starts[-1].size else place

@@ -22,12 +22,7 @@ from pipeline.ingest.boot_clock import (
     nanoseconds,
 )
 from pipeline.ingest.buffers import ColumnStore
-from pipeline.ingest.channel_builder import (
-    DecodedRows,
-    GrowingColumns,
-    captured_rows,
-    without_stray,
-)
+from pipeline.ingest.channel_builder import ColumnStores, DecodedRows, captured_rows, without_stray
 from pipeline.ingest.mcap.cdr import short
 from pipeline.ingest.stacking import PLACE
 from pipeline.ledger import Ledger
@@ -145,9 +140,8 @@ class TopicSamples:
     """What was read of one topic, or of one name in it.
 
     ``stamp_ns`` own times, 0 without; ``log_ns`` the recorder's by their first row, where needed;
-    ``utc_us`` UTC beside the time since boot. ``counted`` stamps are microseconds, which may count
-    from a boot: then ``places`` are those in the whole log; else ``sequence`` are the messages'
-    numbers.
+    ``utc_us`` UTC beside the time since boot. ``counted`` stamps are microseconds, maybe from a
+    boot: then ``places`` are those in the whole log; else ``sequence`` are the messages' numbers.
     """
 
     name: str
@@ -162,7 +156,7 @@ class TopicSamples:
     labels: dict[str, list[str]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self.columns = GrowingColumns(self.spec)
+        self.columns = ColumnStores(self.spec)
 
     def add(self, columns: Columns) -> None:
         """The next messages, as decoded."""
@@ -256,8 +250,7 @@ def in_sequence(sequence: NDArray[np.uint32], time_ns: TimeArray) -> Rows | None
 def own_times(columns: Columns, time_field: str, count: int) -> tuple[TimeArray, bool]:
     """The messages' own times [ns], 0 without, and whether they are counted in microseconds.
 
-    ``time_field`` names a Time of the (count,) columns, or microseconds from a boot or of Unix
-    time.
+    ``time_field`` names a Time of the (count,) columns, or microseconds from a boot or 1970.
     """
     if STAMP in columns:
         return columns[STAMP], False

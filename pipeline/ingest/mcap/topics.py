@@ -43,8 +43,7 @@ class Topic:
     """A topic that is read, of one name of schema, and where its messages go.
 
     To ``series`` of channels, one for each name in them (`rows_by_name`), or, where that is None,
-    to the ``blocks`` of a table, counted times apart. ``odd`` values are no numbers where one is
-    wanted.
+    to the ``blocks`` of a table, counted times apart. ``odd`` values are wanted and no numbers.
     """
 
     name: str

@@ -14,16 +14,11 @@ from pipeline.flight.clock import UNIX_US_FROM
 from pipeline.ingest.attitude import earth_frame_attitude
 from pipeline.ingest.boot_clock import microseconds
 from pipeline.ingest.buffers import ColumnStore
-from pipeline.ingest.channel_builder import (
-    DecodedRows,
-    GrowingColumns,
-    channel_of,
-    with_both_heights,
-)
+from pipeline.ingest.channel_builder import ColumnStores, DecodedRows, channel_of, with_both_heights
 from pipeline.ingest.fields import MessageMap, extract, message_maps
 from pipeline.ingest.tlog import clock
 from pipeline.ledger import Ledger
-from pipeline.units import Rows
+from pipeline.units import Mask, Rows
 
 MESSAGES: Mapping[str, MessageMap] = message_maps("tlog")
 """A key with a dot is a second channel out of the same message."""
@@ -118,10 +113,6 @@ def layout_of(layout: str, fields: list[str]) -> np.dtype[Any]:
     return np.dtype(list(zip(fields, kinds, strict=True)))
 
 
-Group = tuple[int, Any]
-"""Who sent a message (system times 256 plus component), and its instance as sent, or None."""
-
-
 def channels_of(
     sent: dict[str, ColumnStore], clocks: clock.Clocks, ledger: Ledger
 ) -> tuple[list[Channel], dict[str, float]]:
@@ -165,7 +156,7 @@ class _Series:
         self.source = Source(key.partition(".")[0], label, *sender)
         self.name = key if label is None else f"{key}[{label}]"
         self.time_ns, self.boot = ColumnStore("i8"), ColumnStore("i2")
-        self.columns = GrowingColumns(self.spec)
+        self.columns = ColumnStores(self.spec)
         self.sent: list[NDArray[Any]] = []
 
     def add(self, rows: NDArray[Any], clocks: clock.Clocks) -> None:
@@ -202,7 +193,7 @@ class _Series:
 
 def _series(keys: list[str], store: ColumnStore, clocks: clock.Clocks) -> list[_Series]:
     """The series of one message, for each key, sender and instance."""
-    by_group: dict[Group, list[_Series]] = {}
+    by_group: dict[tuple[int, Any], list[_Series]] = {}  # by sender, and instance as sent or None
     field = message_of_name()[keys[0]].instance_field
     for block in store.drained():
         for sender, of_sender in clock.by_source(block):
@@ -281,43 +272,41 @@ def whole_texts(rows: DecodedRows, records: NDArray[Any]) -> DecodedRows:
 def distinct_exposures(table: NDArray[Any], name: str, ledger: Ledger) -> Rows:
     """The rows of CAMERA_FEEDBACK that are exposures, each time once with its first index.
 
-    ArduPilot repeats a row while it waits for the next pulse, sometimes already with the next
-    index.
+    ArduPilot repeats a row while it waits for the next pulse, maybe already with the next index.
     """
     empty = (table["time_usec"] == 0) & (table["lat"] == 0) & (table["lng"] == 0)
-    rows = np.flatnonzero(~empty)
-    times, indices = table["time_usec"][rows], table["img_idx"][rows].astype(np.uint64)
-    keys = np.where(times == 0, indices, times)
-    first = np.sort(np.unique(keys, return_index=True)[1])
-    empties, repeats = int(empty.sum()), int(rows.shape[0] - first.shape[0])
-    if empties:
+    if empties := int(empty.sum()):
         what = f"{empties} of {table.shape[0]} rows have neither time nor place: no exposure"
         ledger.note("EVENT-EMPTY", what, where=name, count=empties)
-    if repeats:
-        what = f"{repeats} of {table.shape[0]} rows repeat the time of an exposure"
-        ledger.note("EVENT-REPEAT", what, where=name, count=repeats)
+    times, indices = table["time_usec"], table["img_idx"].astype(np.uint64)
+    keys = np.where(times == 0, indices, times)
+    first = _first_of_each(keys, ~empty, "the time of an exposure", name, ledger)
     by_unix = int(np.count_nonzero(times[first] > UNIX_US_FROM))
     if by_unix:
         ledger.note("EVENTS-TRIGGER-TIME/distinct-exposures", where=name, count=by_unix)
-    unseen = np.setdiff1d(indices, indices[first])
+    unseen = np.setdiff1d(indices[~empty], indices[first])
     if unseen.shape[0]:
         number = int(unseen[0])
         ledger.warning("EVENT-NO-PULSE/feedback", where=name, count=unseen.size, first=number)
-    return rows[first]
+    return first
 
 
 def captured_images(table: NDArray[Any], name: str, ledger: Ledger) -> Rows:
     """The rows of CAMERA_IMAGE_CAPTURED that are images, each once: cameras repeat some."""
     failed = table["capture_result"] == 0
-    rows = np.flatnonzero(~failed)
-    keys = table["time_boot_ms"][rows].astype(np.int64) << 32
-    keys |= table["image_index"][rows].astype(np.int64) & 0xFFFFFFFF
-    first = np.sort(np.unique(keys, return_index=True)[1])
-    failures, repeats = int(failed.sum()), int(rows.shape[0] - first.shape[0])
-    if failures:
+    if failures := int(failed.sum()):
         what = f"{failures} of {table.shape[0]} rows report that the camera took no image"
         ledger.warning("EVENT-FAILED", what, where=name, count=failures)
-    if repeats:
-        what = f"{repeats} of {table.shape[0]} rows repeat an image"
+    keys = table["time_boot_ms"].astype(np.int64) << 32
+    keys |= table["image_index"].astype(np.int64) & 0xFFFFFFFF
+    return _first_of_each(keys, ~failed, "an image", name, ledger)
+
+
+def _first_of_each(keys: NDArray[Any], good: Mask, of: str, name: str, ledger: Ledger) -> Rows:
+    """The first of the good rows of each key."""
+    rows = np.flatnonzero(good)
+    first = np.sort(np.unique(keys[rows], return_index=True)[1])
+    if repeats := int(rows.size - first.size):
+        what = f"{repeats} of {keys.size} rows repeat {of}"
         ledger.note("EVENT-REPEAT", what, where=name, count=repeats)
-    return np.asarray(rows[first], np.intp)
+    return rows[first]

@@ -17,13 +17,7 @@ from numpy.typing import NDArray
 
 from pipeline.flight.channels import TimeArray
 from pipeline.flight.clock import BOOT_STEP_NS, STRAY_ROWS, UNIX_US_FROM, clock_map, stray_times
-from pipeline.ingest.boot_clock import (
-    BootClock,
-    UtcReadings,
-    fit_boot_clock,
-    microseconds,
-    timeline,
-)
+from pipeline.ingest.boot_clock import BootClock, UtcReadings, fit_clock, microseconds, timeline
 from pipeline.ingest.buffers import ColumnStore
 from pipeline.ledger import Ledger
 from pipeline.units import NANOSECONDS_PER_SECOND, Integers, Mask, Rows
@@ -300,7 +294,7 @@ def _fit_sender(
     host_ns = leader.utc_of_host(at, stamped_ns)
     system_time = UtcReadings("SYSTEM_TIME messages", at, boot_ns, sent_utc, sent_utc > 0)
     received = UtcReadings("stamps", at, boot_ns, host_ns, np.ones(at.shape, np.bool_))
-    clock = fit_boot_clock(timeline([(at, boot_ns)]), [system_time], ledger, received, where)
+    clock = fit_clock(timeline([(at, boot_ns)]), [system_time], ledger, received, where)
     boot = clock.line.boot_of(at)
     counts = np.bincount(boot, minlength=clock.line.boots).tolist()
     maps = []

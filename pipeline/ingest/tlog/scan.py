@@ -1,10 +1,9 @@
 """Scanning a telemetry log in stretches: frames checked, wanted payloads kept, the rest counted.
 
-A frame is accepted when its checksum holds. Between accepted frames lie those that cannot be
-checked (an id outside the dialect), those whose checksum fails, and bytes of no message.
-
-A frame is the ground station's big-endian clock in microseconds (8 bytes) and a MAVLink 1 (0xFE)
-or MAVLink 2 (0xFD) packet. Everything is done for all frames of a stretch of the file at once.
+A frame is the ground station's big-endian clock in microseconds (8 bytes) and a MAVLink 1 (0xFE) or
+MAVLink 2 (0xFD) packet. It is accepted when its checksum holds. Between accepted frames lie those
+that cannot be checked (an id outside the dialect), those whose checksum fails, and bytes of no
+message. Everything is done for all frames of a stretch of the file at once.
 """
 
 from __future__ import annotations
@@ -191,8 +190,7 @@ def checksums(
 ) -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
     """The checksums of packets of one length, and those that stand behind them.
 
-    ``first``: (n,) where the ``covered`` bytes begin, behind the magic byte. ``extra``: (n,)
-    CRC_EXTRA.
+    The ``covered`` bytes begin at ``first`` (n,), behind the magic byte; ``extra`` (n,): CRC_EXTRA.
     """
     odd = covered & 1  # then the row begins a byte before, so that words lie on even places
     size = odd + covered + CHECKSUM
@@ -228,8 +226,7 @@ SILENT_US = 3_000_000  # every component sends a HEARTBEAT each second: three in
 class Silence:
     """More than `SILENT_US` without a message of a sender, before the byte ``at``.
 
-    ``backward``: messages missing by a step of the sequence that is otherwise taken as backward, or
-    0.
+    ``backward``: messages missing by a step of the sequence otherwise taken as backward, or 0.
     """
 
     source: Key

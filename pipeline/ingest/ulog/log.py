@@ -13,13 +13,7 @@ from pipeline.errors import LogError
 from pipeline.flight.channels import Source
 from pipeline.flight.clock import STRAY_ROWS, UNIX_US_FROM, stray_times
 from pipeline.ingest.attitude import earth_frame_attitude
-from pipeline.ingest.boot_clock import (
-    UtcReadings,
-    fit_boot_clock,
-    microseconds,
-    nanoseconds,
-    timeline,
-)
+from pipeline.ingest.boot_clock import UtcReadings, fit_clock, microseconds, nanoseconds, timeline
 from pipeline.ingest.buffers import open_view
 from pipeline.ingest.channel_builder import DecodedRows, captured_rows, channel_of, without_stray
 from pipeline.ingest.fields import CAPTURE_UTC_FIELD, PX4_TOPICS, UTC_FIELD, MessageMap, extract
@@ -146,7 +140,7 @@ def _clock(
                 by_role[role].append(readings)
     receivers, cameras = by_role.values()
     utc_of = "GPS row with a fix and UTC"
-    clock = fit_boot_clock(_ONE_BOOT, receivers, ledger, cameras=cameras, utc_of=utc_of)
+    clock = fit_clock(_ONE_BOOT, receivers, ledger, cameras=cameras, utc_of=utc_of)
     if fit := clock.fits[0]:
         return fit.offset_ns, f"vehicle clock, set to UTC by the median of {fit.rows} rows"
     return 0, "vehicle clock; UTC is unknown"

@@ -273,9 +273,8 @@ class ULogMessages(DamagedBytes):
         """Where in the file messages go on after a place that begins none."""
         at = base + place
         skipped = self._length(raw, place, base, loose=True)  # data whose definition was lost
-        unknown = (
-            int.from_bytes(raw[place + 3 : place + 5], "little") not in self._definitions.sizes
-        )
+        number = int.from_bytes(raw[place + 3 : place + 5], "little")
+        unknown = number not in self._definitions.sizes
         if skipped and unknown and self._linked(raw, place + skipped, base):
             self.drop(at, at + skipped)
             return at + skipped

@@ -15,13 +15,9 @@ from pipeline.tables.schemas import columns_of, schema_of
 from pipeline.tables.writing import table_of
 from pipeline.units import ARCSEC, DEGREE, MICRORADIAN, Array, Integers
 
-_MOST_ROWS = 250_000
-"""Rows held in memory at a time."""
-
+_MOST_ROWS = 250_000  # held in memory at a time
 _LARGEST_DEG, _STEP_DEG = 80.0, 1.0
-
-_SAME_HEIGHT = 0.02
-"""Heights above ground within 2 % of each other share a table: R differs by less than 2 %."""
+_SAME_HEIGHT = 0.02  # heights above ground within 2 % share a table: R differs by less than 2 %
 
 
 def lattice_tables(

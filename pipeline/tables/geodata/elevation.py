@@ -213,12 +213,9 @@ def open_elevation(
 ) -> tuple[ElevationModel, Notes]:
     """The model in some rasters that lie on one grid; anything that GDAL reads, GeoTIFF and COG.
 
-    Parameters
-    ----------
-    paths : one raster, or tiles of one; where they overlap the first has its way.
-    crs : the coordinate system, where the files have none.
-    reference : what the heights count from, msl or ellipsoid.
-    undulation : of places [rad], for heights above the ellipsoid.
+    ``paths`` : one raster, or tiles of one; where they overlap the first has its way. ``crs`` : the
+    coordinate system, where the files have none. ``reference`` : what the heights count from, msl
+    or ellipsoid; for the latter ``undulation`` of places [rad].
 
     Values belong to centres of cells and are bilinear between. Refuses (InputError) what is no
     raster of heights (DEM-UNREADABLE, DEM-RASTER, DEM-UNIT), rasters of several grids (DEM-TILES),

@@ -31,9 +31,7 @@ from pipeline.tables.text_columns import (
 )
 from pipeline.units import RADIANS, Array, Integers, Mask, Names
 
-_SINCE_EPOCH_S = 1e8
-"""Seconds beyond this count from an epoch, not from the beginning of a week."""
-
+_SINCE_EPOCH_S = 1e8  # seconds beyond this count from an epoch, not from the beginning of a week
 _AS_THEY_ARE = (
     "v_north_m_s", "v_east_m_s", "v_down_m_s", "sigma_h_m", "sigma_v_m", "q_w", "q_x", "q_y", "q_z",
 )  # fmt: skip
@@ -192,8 +190,7 @@ def read_orientation(path: Path, stated: Stated, ledger: Ledger) -> OrientationT
         sigmas[f"{tilt}_rad"] = sigmas.pop(tilt) * RADIANS[unit]
     time_ns = np.full(len(table), NO_TIME, np.int64)
     if "time_utc" in names or "gps_week" in names:
-        clock = [names.get(name) for name in ("time_utc", "gps_week", "gps_seconds")]
-        read_ns, good = utc_of_columns(table, *clock)
+        read_ns, good = utc_of_columns(table, names)
         time_ns[good] = read_ns[good]
         if bad := int((~good).sum()):
             ledger.loss("ORIENTATION-TIME", where=path.name, count=bad, line=np.argmin(good) + 2)
@@ -269,8 +266,7 @@ def read_events(path: Path, columns: Mapping[str, str], ledger: Ledger) -> Event
     """
     table = text_table(path, columns, codes=("EVENTS-CSV", "EVENTS-COLUMN"),
                        key="events.csv.columns")  # fmt: skip
-    clock = [columns.get(name) for name in ("time_utc", "gps_week", "gps_seconds")]
-    time_ns, good = utc_of_columns(table, *clock)
+    time_ns, good = utc_of_columns(table, columns)
     if not bool(good.all()):
         rows = np.flatnonzero(~good)
         what = f"{rows.size} rows have no readable time, the first in line {rows[0] + 2}"
