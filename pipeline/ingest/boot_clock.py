@@ -3,8 +3,6 @@
 Places in a log rise: bytes, or numbers of messages. Few of its records carry UTC.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -20,8 +18,8 @@ from pipeline.units import Integers, Mask, Rows
 LOWEST_FIX = 3  # 3D; both GPS_FIX_TYPE of MAVLink and GPS.Status of ArduPilot
 _BLOCK = 65_536  # rows
 
+# Places of records in the log, rising, and their times since boot [ns].
 Stamps = tuple[Integers, TimeArray]
-"""Places of records in the log, rising, and their times since boot [ns]."""
 
 
 @dataclass(frozen=True)
@@ -124,9 +122,8 @@ def report_timeline(line: Timeline, ledger: Ledger) -> None:
     if line.stray.any():
         count = int(line.length[line.stray].sum())
         what = f"{count} records carry a time that fits none of their neighbours"
-        ledger.loss(
-            "TIME-STRAY", what, where=f"first at byte {int(line.first[line.stray][0])}", count=count
-        )
+        where = f"first at byte {int(line.first[line.stray][0])}"
+        ledger.loss("TIME-STRAY", what, where=where, count=count)
     after, silence = line.silences()
     steady = np.flatnonzero(~line.stray & (line.length >= _FEWEST_RECORDS))
     inside = (after > steady[0]) & (after <= steady[-1]) if steady.size else after < 0
@@ -150,7 +147,7 @@ class UtcReadings:
     usable: Mask
     fix: NDArray[Any] = field(default_factory=lambda: np.empty(0))
 
-    def sound(self, line: Timeline) -> UtcReadings:
+    def sound(self, line: Timeline) -> "UtcReadings":
         """The rows without stray stamps, with a fix, and with another UTC than the row before."""
         good = self.usable & line.good(self.places)
         if self.fix.size:
@@ -158,9 +155,9 @@ class UtcReadings:
         good[good] = clock.new_readings(self.utc_ns if bool(good.all()) else self.utc_ns[good])
         if bool(good.all()):
             return self
-        return UtcReadings(
-            self.source, self.places[good], self.boot_ns[good], self.utc_ns[good], good[good]
-        )
+        columns = (self.places, self.boot_ns, self.utc_ns)
+        places, boot_ns, utc_ns = (column[good] for column in columns)
+        return UtcReadings(self.source, places, boot_ns, utc_ns, good[good])
 
 
 @dataclass(frozen=True)
@@ -245,7 +242,7 @@ def _split_boots(line: Timeline, source: UtcReadings, decided: Mask) -> Timeline
     boot = line.boot.copy()
     for number in np.unique(boots).tolist():
         rows = np.flatnonzero(boots == number)
-        offset = _without_glitches(source.utc_ns[rows] - source.boot_ns[rows])
+        offset = without_glitches(source.utc_ns[rows] - source.boot_ns[rows])
         for row in np.flatnonzero(np.abs(np.diff(offset)) > clock.BOOT_STEP_NS).tolist():
             places = source.places[rows[row : row + 2]]
             between = slice(*np.searchsorted(at, places, side="right"))
@@ -254,7 +251,7 @@ def _split_boots(line: Timeline, source: UtcReadings, decided: Mask) -> Timeline
     return replace(line, boot=boot)
 
 
-def _without_glitches(offset_ns: TimeArray) -> TimeArray:
+def without_glitches(offset_ns: TimeArray) -> TimeArray:
     """The running median of offsets: steps remain, glitches of up to `STRAY_ROWS` rows do not."""
     half = min(clock.STRAY_ROWS, offset_ns.shape[0] - 1)
     if half < 1:

@@ -51,18 +51,14 @@ _ANY_NUMBER = _whole(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?", _
 
 _NUMBER = _Kind(pa.float64(), _ANY_NUMBER)
 _CODE = _Kind(pa.string(), _ANY_NUMBER)
+_PLAIN_NUMBER = _whole(
+    "-?(?:0|[1-9][0-9]{0,14})", rf"[-+]?(?:(?:0|[1-9][0-9]*)\.[0-9]*|\.[0-9]+)(?:{_POWER})?",
+    f"[-+]?(?:0|[1-9][0-9]*){_POWER}", _WORDS,
+)  # fmt: skip
 # In order of preference. The digits are as many as int64 and float64 hold exactly.
 _KINDS = (
     _Kind(pa.int64(), _whole("0", "-?[1-9][0-9]{0,17}", "-?[1-8][0-9]{18}")),
-    _Kind(
-        pa.float64(),
-        _whole(
-            "-?(?:0|[1-9][0-9]{0,14})",
-            rf"[-+]?(?:(?:0|[1-9][0-9]*)\.[0-9]*|\.[0-9]+)(?:{_POWER})?",
-            f"[-+]?(?:0|[1-9][0-9]*){_POWER}",
-            _WORDS,
-        ),
-    ),
+    _Kind(pa.float64(), _PLAIN_NUMBER),
     _Kind(pa.bool_(), "^(?:true|True|TRUE|false|False|FALSE)$"),
     _Kind(pa.date32(), f"^{_DAY}$", parsed=True),
     _Kind(pa.timestamp("s"), f"^{_SECOND}$", parsed=True),
@@ -125,12 +121,9 @@ def scan_csv(
     except (pa.ArrowInvalid, OSError) as error:
         raise _refusal(path, error) from None
     chosen = {name: next(iter(left), None) for name, left in kinds.items() if name in filled}
-    return CsvScan(
-        rows,
-        images - {None},
-        {name: kind.type if (kind := chosen.get(name)) else pa.string() for name in names},
-        tuple(name for name, kind in chosen.items() if kind is _CODE),
-    )
+    types = {name: kind.type if (kind := chosen.get(name)) else pa.string() for name in names}
+    codes = tuple(name for name, kind in chosen.items() if kind is _CODE)
+    return CsvScan(rows, images - {None}, types, codes)
 
 
 def open_csv(
@@ -140,18 +133,11 @@ def open_csv(
 
     ``NA`` is a country, and ``nan`` reads as a number where one is due.
     """
-    return pa_csv.open_csv(
-        path,
-        read_options=pa_csv.ReadOptions(block_size=_BLOCK_BYTES),
-        parse_options=pa_csv.ParseOptions(newlines_in_values=True),
-        convert_options=pa_csv.ConvertOptions(
-            column_types=types,
-            include_columns=only,
-            null_values=[""],
-            strings_can_be_null=True,
-            quoted_strings_can_be_null=False,
-        ),
-    )
+    read = pa_csv.ReadOptions(block_size=_BLOCK_BYTES)
+    parse = pa_csv.ParseOptions(newlines_in_values=True)
+    nulls = {"null_values": [""], "strings_can_be_null": True, "quoted_strings_can_be_null": False}
+    convert = pa_csv.ConvertOptions(column_types=types, include_columns=only, **nulls)
+    return pa_csv.open_csv(path, read, parse, convert)
 
 
 def _refusal(path: Path, error: object) -> InputError:

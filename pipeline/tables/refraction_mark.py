@@ -21,12 +21,8 @@ Direction = Literal["remove", "apply"]
 REFRACTION_KEY = b"unbend.refraction"
 REFRACTION_REMOVED = b"removed"
 REFRACTION_APPLIED = b"applied"
-
 SIDECAR = ".unbend.json"
-
-MARK_TABLE = "unbend"
-"""Table of a database: key and value, of which one is the mark."""
-
+MARK_TABLE = "unbend"  # of a database: key and value, of which one is the mark
 _SQLITE = b"SQLite format 3\0"
 
 
@@ -69,9 +65,8 @@ def refuse_marked(path: Path, direction: Direction = "remove") -> None:
             why = f"{by_content[digest].name} names its content"
             raise InputError.of("OBS-ALREADY-CORRECTED", file, why=why)
         if _database_is_marked(file):
-            raise InputError.of(
-                "OBS-ALREADY-CORRECTED", file, why=f"its table {MARK_TABLE} says so"
-            )
+            why = f"its table {MARK_TABLE} says so"
+            raise InputError.of("OBS-ALREADY-CORRECTED", file, why=why)
         if file.name in by_name:
             raise InputError.of("OBS-MARK-CHANGED", file, name=by_name[file.name].name)
 

@@ -13,9 +13,8 @@ from pipeline.errors import InputError
 from pipeline.ledger import Ledger
 from pipeline.units import NANOSECONDS_PER_SECOND, Array
 
+# Room for decades of one station; a larger file is of another kind, and would fill memory.
 LARGEST_BYTES = 200_000_000
-"""Room for decades of one station; a larger file is of another kind, and would fill memory."""
-
 _LATEST_S = 7_258_118_400  # the year 2200
 
 _NETCDF3, _HDF5 = b"CDF", b"\x89HDF"

@@ -1,7 +1,5 @@
 """Columns by the user's names: what is refused, and small tables as text, numbers and times."""
 
-from __future__ import annotations
-
 import difflib
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -18,20 +16,12 @@ from pipeline.flight.channels import TimeArray
 from pipeline.flight.clock import SECONDS_PER_WEEK, utc_of_gps
 from pipeline.refraction.kernels.jit import entry
 from pipeline.tables.refraction_mark import Direction
-from pipeline.units import (
-    NANOSECONDS_PER_SECOND,
-    RADIANS,
-    UNIX_NS_OF_GPS_EPOCH,
-    AngleUnit,
-    Array,
-    Integers,
-    Mask,
-)
+from pipeline.units import RADIANS, UNIX_NS_OF_GPS_EPOCH, AngleUnit, Array, Mask
 
 Hashes = NDArray[np.uint64]
 
 _FEW_NAMES = 50_000  # take less time letter by letter than compiled code takes to load
-_WEEK_NS = SECONDS_PER_WEEK * NANOSECONDS_PER_SECOND
+_WEEK_NS = SECONDS_PER_WEEK * 10**9
 
 
 def text_table(
@@ -71,12 +61,11 @@ def split_lines(lines: Sequence[str], names: Sequence[str], separator: str) -> p
     [['1', '2'], ['4', '']]
     """
     rows = [re.split(separator, line.strip()) for line in lines]
-    return pd.DataFrame(
-        [(row + [""] * len(names))[: len(names)] for row in rows], columns=list(names), dtype=str
-    )
+    fields = [(row + [""] * len(names))[: len(names)] for row in rows]
+    return pd.DataFrame(fields, columns=list(names), dtype=str)
 
 
-def numbers(text: pd.Series[str]) -> Array:
+def numbers(text: "pd.Series[str]") -> Array:
     """(n,) numbers of fields, NaN where one is none; -0 keeps its sign."""
     try:
         return text.to_numpy(object).astype(np.float64)
@@ -89,13 +78,10 @@ def numbers_of(table: pd.DataFrame, name: str, path: Path, code: str) -> Array:
     values = numbers(table[name])
     wrong = np.flatnonzero(~np.isfinite(values) & (table[name].str.strip() != "").to_numpy())
     if wrong.size:
-        raise InputError(
-            code,
-            f"{wrong.size} fields of column {name} are no numbers, the first "
-            f"{table[name].iloc[wrong[0]]!r}",
-            where=f"{path}, line {wrong[0] + 2}",
-            remedy="write decimal numbers with a point, and leave what is unknown empty",
-        )
+        what = f"{wrong.size} fields of column {name} are no numbers, the first "
+        what += repr(table[name].iloc[wrong[0]])
+        remedy = "write decimal numbers with a point, and leave what is unknown empty"
+        raise InputError(code, what, where=f"{path}, line {wrong[0] + 2}", remedy=remedy)
     return values
 
 
@@ -110,16 +96,14 @@ def angles_in_radians(given: Array, unit: AngleUnit, path: Path, code: str, key:
         return given * RADIANS[unit]
     worst = float(np.nanmax(np.abs(given)))
     likely = next((other for other in turn if worst <= turn[other]), None)
-    raise InputError(
-        code,
-        f"{int(beyond.sum())} rows have an angle of more than a turn ({turn[unit]:g} {unit}), "
-        f"up to {worst:g}" + (f"; is the unit {likely}?" if likely else ""),
-        where=f"{path}, line {int(np.argmax(beyond)) + 2}",
-        remedy=f"state {key} (deg, rad or grad), or name the columns of angles",
-    )
+    what = f"{int(beyond.sum())} rows have an angle of more than a turn ({turn[unit]:g} {unit}), "
+    what += f"up to {worst:g}" + (f"; is the unit {likely}?" if likely else "")
+    where = f"{path}, line {int(np.argmax(beyond)) + 2}"
+    remedy = f"state {key} (deg, rad or grad), or name the columns of angles"
+    raise InputError(code, what, where=where, remedy=remedy)
 
 
-def utc_of_dates(text: pd.Series[str], system: str = "utc") -> tuple[TimeArray, Mask]:
+def utc_of_dates(text: "pd.Series[str]", system: str = "utc") -> tuple[TimeArray, Mask]:
     """(n,) Unix nanoseconds of dates with a time of day in UTC or GPS time; which are good.
 
     ISO 8601, or with slashes between year, month and day; zones are honoured.
@@ -130,7 +114,7 @@ def utc_of_dates(text: pd.Series[str], system: str = "utc") -> tuple[TimeArray, 
     time_ns = np.where(good, stamps.to_numpy("datetime64[ns]").astype(np.int64), 0)
     if system == "gpst":
         week, rest = np.divmod(time_ns - UNIX_NS_OF_GPS_EPOCH, _WEEK_NS)
-        time_ns = utc_of_gps(week, rest / NANOSECONDS_PER_SECOND)
+        time_ns = utc_of_gps(week, rest / 1e9)
     return time_ns, good
 
 
@@ -188,7 +172,7 @@ def hashes_of(names: pa.StringArray) -> Hashes:
     return np.asarray(found ^ (found >> np.uint64(32)))
 
 
-def rows_among(hashes: Hashes, wanted: Hashes) -> Integers:
+def rows_among(hashes: Hashes, wanted: Hashes) -> NDArray[np.int64]:
     """The rows whose hash is a wanted one; by their last 20 bits first, which leaves few."""
     maybe, mask = np.zeros(1 << 20, np.bool_), np.uint64((1 << 20) - 1)  # fits into a cache
     maybe[wanted & mask] = True
@@ -214,9 +198,8 @@ is image, x_pix
         if name not in there:
             near = difflib.get_close_matches(name, there, 1, 0.5)
             hint = f"; perhaps {near[0]!r}?" if near else ""
-            what = (
-                f"there is no column {name!r} for the {quantity}{hint}; there is {', '.join(there)}"
-            )
+            what = f"there is no column {name!r} for the {quantity}{hint}; there is "
+            what += ", ".join(there)
             raise InputError(code, what, where=str(path), remedy=f"say what it is called: {key}")
 
 
@@ -250,12 +233,8 @@ def is_text(kind: Any) -> bool:
 def is_number(kind: Any) -> bool:
     """Whether an Arrow type is a number or null throughout, a dictionary of these included."""
     kind = kind.value_type if pa.types.is_dictionary(kind) else kind
-    return bool(
-        pa.types.is_floating(kind)
-        or pa.types.is_integer(kind)
-        or pa.types.is_decimal(kind)
-        or pa.types.is_null(kind)
-    )
+    numbers = (pa.types.is_floating, pa.types.is_integer, pa.types.is_decimal, pa.types.is_null)
+    return any(is_such(kind) for is_such in numbers)
 
 
 def refuse_other_pixels(

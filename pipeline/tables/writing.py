@@ -4,8 +4,6 @@ Source: OGC GeoParquet 1.1.0; OGC 06-103r4 (well-known binary). In a geometry th
 first, whatever the order of the axes in the coordinate reference system.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import struct
@@ -78,30 +76,25 @@ def table_of_observations(
     x, y = pixels.from_colmap(corrections.x_px), pixels.from_colmap(corrections.y_px)
     names, sigmas = pa.array(STATUS_NAMES), corrections.sigmas
     spread = {} if sigmas is None else sigmas.named()
-    return table_of(
-        {
-            "image": batch.image,
-            "point": batch.point,
-            "x_px": batch.x_given_px,
-            "y_px": batch.y_given_px,
-            "x_corrected_px": x,
-            "y_corrected_px": y,
-            "x_displaced_px": x,  # the schema holds one of the two pairs
-            "y_displaced_px": y,
-            "zeta_c_rad": corrections.zeta_c_rad,
-            "r_c_rad": corrections.r_c_rad,
-            "r_cc_rad": corrections.r_cc_rad,
-            "h_g_m": h_g,
-            "status": names.take(pa.array(corrections.status)),
-        }
-        | spread
-        | batch.users,
-        schema,
-    )
+    columns = {
+        "image": batch.image,
+        "point": batch.point,
+        "x_px": batch.x_given_px,
+        "y_px": batch.y_given_px,
+        "x_corrected_px": x,
+        "y_corrected_px": y,
+        "x_displaced_px": x,  # the schema holds one of the two pairs
+        "y_displaced_px": y,
+        "zeta_c_rad": corrections.zeta_c_rad,
+        "r_c_rad": corrections.r_c_rad,
+        "r_cc_rad": corrections.r_cc_rad,
+        "h_g_m": h_g,
+        "status": names.take(pa.array(corrections.status)),
+    }
+    return table_of(columns | spread | batch.users, schema)
 
 
-PROFILE_ID = "flight"
-"""Of the one profile of a flight; where there are several, flight-001 and so on."""
+PROFILE_ID = "flight"  # of the one profile of a flight; of several, flight-001 and so on
 
 
 def profile_ids(series: ProfileSeries) -> list[str]:
@@ -113,9 +106,8 @@ def profile_ids(series: ProfileSeries) -> list[str]:
 def table_of_stations(stations: Stations, series: ProfileSeries) -> pa.Table:
     """``stations.parquet``, which is GeoParquet: points in EPSG:4979."""
     columns = station_columns(stations)
-    columns["geometry"] = points_wkb(
-        columns["lon_deg"], columns["lat_deg"], columns["h_ellipsoid_m"]
-    )
+    places = (columns[name] for name in ("lon_deg", "lat_deg", "h_ellipsoid_m"))
+    columns["geometry"] = points_wkb(*places)
     ids = np.array(profile_ids(series), dtype=object)[series.profile_number]
     ids[~stations.ok] = None
     columns["profile_id"] = ids
@@ -134,17 +126,15 @@ def rows_of_stations(stations: Stations) -> list[dict[str, Any]]:
 
 
 def table_of_profiles(
-    adjustment: Adjustment, series: ProfileSeries, heights: ArrayLike | None = None
+    adjustment: "Adjustment", series: ProfileSeries, heights: ArrayLike | None = None
 ) -> pa.Table:
     """``profile.parquet``: the profiles along a flight, one after the other."""
-    return pa.concat_tables(
-        table_of_profile(adjustment, name, heights, air)
-        for name, air in zip(profile_ids(series), series.timed_profiles, strict=True)
-    )
+    named = zip(profile_ids(series), series.timed_profiles, strict=True)
+    return pa.concat_tables(table_of_profile(adjustment, n, heights, air) for n, air in named)
 
 
 def table_of_profile(
-    adjustment: Adjustment,
+    adjustment: "Adjustment",
     profile_id: str,
     heights: ArrayLike | None = None,
     air: TimedProfile | None = None,
@@ -171,7 +161,7 @@ def table_of_profile(
     if covariance is not None:
         columns["sigma_temperature_k"] = covariance.sigma_temperature(h)
         columns["sigma_refractivity"] = covariance.sigma_refractivity(h)
-    gravity = profile.gravity
+    gravity, latitude = profile.gravity, profile.gravity.latitude_rad
     extra = {
         "unbend.basis": adjustment.basis,
         "unbend.reason": adjustment.reason,
@@ -179,9 +169,7 @@ def table_of_profile(
         "unbend.index": profile.index.name,
         "unbend.wavelength_m": repr(profile.index.wavelength_m),
         "unbend.co2_ppm": repr(profile.index.co2_ppm),
-        "latitude": ""
-        if gravity.latitude_rad is None
-        else repr(math.degrees(gravity.latitude_rad)),
+        "latitude": "" if latitude is None else repr(math.degrees(latitude)),
         "g_phi": repr(gravity.g_phi),
         "r_phi": repr(gravity.r_phi),
         "units": "latitude deg, g_phi m s-2, r_phi m",

@@ -13,8 +13,7 @@ from pipeline.ingest import boot_clock
 from pipeline.ingest.buffers import open_view
 from pipeline.ingest.dataflash import channels, records
 from pipeline.ingest.fields import is_number
-from pipeline.ingest.log import Contents, DamagedBytes, LogFormat, Table
-from pipeline.ingest.stacking import PLACE
+from pipeline.ingest.log import PLACE, Contents, DamagedBytes, LogFormat, Table
 from pipeline.ledger import Ledger
 from pipeline.units import Integers
 
@@ -133,9 +132,8 @@ def with_time(name: str, columns: Table) -> Table:
     time_ms = columns.get("T" if name in channels.RECEIVERS else "TimeMS")
     if "TimeUS" in columns or time_ms is None or not is_number(time_ms):
         return columns
-    columns = columns | {
-        "TimeUS": np.minimum(boot_clock.microseconds(time_ms), LAST_US // 1000) * 1000
-    }
+    time_us = np.minimum(boot_clock.microseconds(time_ms), LAST_US // 1000) * 1000
+    columns = columns | {"TimeUS": time_us}
     if name in channels.RECEIVERS:
         renamed = {"GMS": "TimeMS", "GWk": "Week"}
         columns |= {new: columns[old] for new, old in renamed.items() if old in columns}

@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.ingest.buffers import SPAN, FileView, Runs, allocate, gather
-from pipeline.ingest.log import DamagedBytes, Table
-from pipeline.ingest.stacking import PLACE, in_order
+from pipeline.ingest.log import PLACE, DamagedBytes, Table, in_order
 from pipeline.ledger import Ledger
 from pipeline.units import Integers, Mask
 
@@ -72,10 +71,8 @@ def define(payload: bytes) -> RecordDefinition | None:
     """The definition in the payload of an FMT record (86 bytes); None when it is not valid."""
     type_id, length = payload[0], payload[1]
     try:
-        name, codes, columns = (
-            part.split(b"\0", 1)[0].decode("ascii")
-            for part in (payload[2:6], payload[6:22], payload[22:86])
-        )
+        parts = payload[2:6], payload[6:22], payload[22:86]
+        name, codes, columns = (part.split(b"\0", 1)[0].decode("ascii") for part in parts)
     except UnicodeDecodeError:
         return None
     if not name.isidentifier() or not set(codes) <= set(FORMAT_LETTERS):
@@ -301,8 +298,7 @@ class RecordWalker(DamagedBytes):
 def find_records(data: FileView, names: Collection[str] | None = None) -> RecordWalker:
     """Where the records of some types are, or of all, and the damage between them.
 
-    A flipped type byte costs that record; after damage reading continues at a chain of three
-    records.
+    A flipped type byte costs that record; after it reading goes on at three in a row.
     """
     walker = RecordWalker(data, names)
     deque(walker.blocks(), 0)

@@ -1,7 +1,6 @@
 """Chunks of an MCAP file, inflated as far as the limits allow.
 
-A chunk has to agree with its head: a decompression bomb costs what that may state, not what it
-holds.
+A chunk has to agree with its head: a bomb costs what that may state, not what it holds.
 """
 
 import io
@@ -103,9 +102,10 @@ def inflate(data: FileView, chunk: Chunk) -> bytes | Fault:
     import zstandard
 
     blocks, size, crc = list[bytes](), 0, 0
+    step = chunk.size + 1 if chunk.small else BLOCK
     try:
         with chunk_stream(data, chunk) as stream:
-            while size <= chunk.size and (block := stream.read(BLOCK)):
+            while size <= chunk.size and (block := stream.read(step)):
                 size += len(block)
                 crc = zlib.crc32(block, crc) if chunk.crc else 0
                 blocks += [block] if chunk.small else []
@@ -124,9 +124,12 @@ def chunk_stream(data: FileView, chunk: Chunk) -> Iterator[IO[bytes]]:
     import zstandard
 
     packed: Any = io.BufferedReader(_Packed(data, chunk), BLOCK)
+    if chunk.small:
+        packed = io.BytesIO(data[chunk.begin : chunk.begin + chunk.length])
     if chunk.compression == "zstd":
         inflater = zstandard.ZstdDecompressor(max_window_size=MAX_WINDOW)
-        yield io.BufferedReader(inflater.stream_reader(packed), BLOCK)
+        stream = inflater.stream_reader(packed)
+        yield stream if chunk.small else io.BufferedReader(stream, BLOCK)
     elif chunk.compression == "lz4":
         yield io.BufferedReader(lz4.frame.LZ4FrameFile(packed), BLOCK)
     else:

@@ -5,8 +5,6 @@ chunks without a limit and lose messages silently. After damage, reading continu
 that is proved: the head of a chunk, or messages of known channels that follow each other.
 """
 
-from __future__ import annotations
-
 import struct
 import zlib
 from collections import Counter
@@ -38,6 +36,7 @@ LARGE_MESSAGE = 1 << 16  # [bytes] of what is wanted only images are larger ...
 NEAR = 1 << 16  # [bytes] searched first: damage is seldom large
 LINKS = 3  # records in a row that prove a message after damage
 NAMED = 8  # losses of one kind that are named one by one
+PROVING = (Opcode.FOOTER, Opcode.MESSAGE, Opcode.CHUNK, Opcode.DATA_END)
 DEFINITIONS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS)
 
 NO_FOOTER = (
@@ -103,14 +102,10 @@ class Messages:
         return int(self.channel.shape[0])
 
 
-_HEADER = np.dtype(
-    {
-        "names": ["length", "channel", "sequence", "log_time"],
-        "formats": ["<u8", "<u2", "<u4", "<u8"],
-        "offsets": [1, 9, 11, 15],
-        "itemsize": RECORD.size + MESSAGE.size,
-    }
-)
+_HEADER = np.dtype([
+    ("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"),
+    ("log_time", "<u8"), ("publish_time", "<u8"),
+])  # fmt: skip
 _LAST_NS = np.uint64(2**63 - 1)  # log_time is unsigned in the file; times inside are int64
 
 
@@ -177,10 +172,10 @@ class RecordWalk:
         self.ends, self.ended = 0, False  # records that end the data; whether one was checked
 
     def __iter__(self) -> Iterator[Definition | Messages]:
-        yield from self._summary()
-        yield from self._records()
+        yield from self.summary()
+        yield from self.records()
 
-    def _summary(self) -> Iterator[Definition]:
+    def summary(self) -> Iterator[Definition]:
         """Definitions of the summary, if its checksum holds; if moved, it follows the data end."""
         at = self.data.size - len(MAGIC) - FOOT.size
         if at < RECORD.size or self.data[at + FOOT.size : self.data.size] != MAGIC:
@@ -191,9 +186,8 @@ class RecordWalk:
             return
         end = at + FOOT.size - 4
         if not 0 < start <= at or self._checksum(start, end) != crc:
-            self.damage.add(
-                "LOG-CRC", "the summary is not where the footer says, or fails its checksum", at, 0
-            )
+            what = "the summary is not where the footer says, or fails its checksum"
+            self.damage.add("LOG-CRC", what, at, 0)
             mark, start = RECORD.pack(Opcode.DATA_END, 4), -1
             for _ in range(LINKS):
                 start = self.data.find(mark, start + 1, at)
@@ -222,7 +216,7 @@ class RecordWalk:
             self.channels.add(int.from_bytes(content[:2], "little"))
         return Definition(opcode, content, at)
 
-    def _records(self) -> Iterator[Definition | Messages]:
+    def records(self) -> Iterator[Definition | Messages]:
         """The records from behind the mark, or from the header record on, to the footer."""
         at = len(MAGIC) if self.data[0 : len(MAGIC)] == MAGIC else 0
         if not at:
@@ -397,9 +391,8 @@ class RecordWalk:
                 if next_place < place:  # the length of the last message is what is damaged
                     starts[-1] = starts[-1][:-1]
                     lost = next_place - last
-                self.damage.add(
-                    "LOG-BAD-BYTES", f"{lost} of {size} bytes of a chunk are no record", at, lost
-                )
+                what = f"{lost} of {size} bytes of a chunk are no record"
+                self.damage.add("LOG-BAD-BYTES", what, at, lost)
                 place = next_place
                 continue
             if length <= MAX_DEFINITION:
@@ -437,9 +430,7 @@ class RecordWalk:
         place, begin, reach = -1, self.before + 1, NEAR
         while place < 0 and begin < self.data.size:
             view = self.data.array(begin, begin + reach)
-            candidates = candidate_places(
-                view, (Opcode.FOOTER, Opcode.MESSAGE, Opcode.CHUNK, Opcode.DATA_END)
-            ).tolist()
+            candidates = candidate_places(view, PROVING).tolist()
             place = next((begin + k for k in candidates if self._proves(begin + k)), -1)
             if begin + view.shape[0] >= self.data.size:
                 break

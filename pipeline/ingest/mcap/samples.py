@@ -23,8 +23,8 @@ from pipeline.ingest.boot_clock import (
 )
 from pipeline.ingest.buffers import ColumnStore
 from pipeline.ingest.channel_builder import ColumnStores, DecodedRows, captured_rows, without_stray
+from pipeline.ingest.log import PLACE
 from pipeline.ingest.mcap.cdr import short
-from pipeline.ingest.stacking import PLACE
 from pipeline.ledger import Ledger
 from pipeline.units import NANOSECONDS_PER_SECOND, Array, Mask, Rows
 
@@ -38,11 +38,10 @@ _WITH_HEADER = {
 }
 SCHEMAS: Mapping[str, fields.MessageMap] = _WITH_HEADER | _PX4 | fields.message_maps("foxglove")
 
+# JSON of a schema of the user's own: a time and a value, of a role only when it is named.
 PLAIN_JSON = fields.MessageMap((fields.FieldColumn("value", ("value",)),))
-"""JSON of a schema of the user's own: a time and a value, of a role only when it is named."""
-
+# Texts that belong to each event, and where they may be.
 LABELS: Mapping[str, str] = {"file_url": "file_url", "frame_id": "header.frame_id frame_id"}
-"""Texts that belong to each event, and where they may be."""
 
 
 def known_name(schema: str) -> str:
@@ -233,8 +232,7 @@ def _copied(store: ColumnStore) -> NDArray[Any]:
 def in_sequence(sequence: NDArray[np.uint32], time_ns: TimeArray) -> Rows | None:
     """The order by (n,) numbers, where that puts times right that step back, else None.
 
-    Numbers that repeat or disagree with the times are of a recorder that counts anew, or a set
-    clock.
+    Numbers that repeat or contradict the times are of a recorder that counts anew, or a set clock.
 
     >>> in_sequence(np.array([0, 1, 4, 2], np.uint32), np.array([10, 11, 14, 12]))
     array([0, 1, 3, 2])

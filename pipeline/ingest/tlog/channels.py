@@ -20,17 +20,10 @@ from pipeline.ingest.tlog import clock
 from pipeline.ledger import Ledger
 from pipeline.units import Mask, Rows
 
+# A key with a dot is a second channel out of the same message.
 MESSAGES: Mapping[str, MessageMap] = message_maps("tlog")
-"""A key with a dot is a second channel out of the same message."""
-
+# Messages with a text that belongs to each row.
 LABELS: Mapping[str, str] = {"CAMERA_IMAGE_CAPTURED": "file_url", "STATUSTEXT": "text"}
-"""Messages with a text that belongs to each row."""
-
-# Fields that tell instances apart, where the dialect names none, or a number beside the name.
-_INSTANCES = {
-    "DEBUG_FLOAT_ARRAY": "name", "CAMERA_FEEDBACK": "cam_idx", "CAMERA_IMAGE_CAPTURED": "camera_id",
-    "GIMBAL_DEVICE_ATTITUDE_STATUS": "gimbal_device_id",
-}  # fmt: skip
 
 SYSTEM_TIME, PARAM_VALUE = "SYSTEM_TIME", "PARAM_VALUE"
 
@@ -59,7 +52,8 @@ def dialect() -> Mapping[int, Message]:
         name, names = str(definition.msgname), tuple(definition.fieldnames)
         layout = layout_of(definition.unpacker.format, definition.ordered_fieldnames)
         texts = frozenset(field for field, kind in kinds if kind == "char")
-        instance = _INSTANCES.get(name, definition.instance_field or "")
+        own = MESSAGES[name].id_field if name in MESSAGES else ""
+        instance = own or definition.instance_field or ""
         messages[int(number)] = Message(
             int(number), name, int(definition.crc_extra), layout, names, texts, instance
         )

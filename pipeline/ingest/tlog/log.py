@@ -1,7 +1,6 @@
 """MAVLink telemetry logs (.tlog): frames -> channels in UTC."""
 
 from collections import Counter
-from collections.abc import Container
 from functools import partial
 from pathlib import Path
 
@@ -27,7 +26,22 @@ def read_log(path: Path, ledger: Ledger) -> Contents:
     with open_view(path) as data:
         late = {number for number in wanted if channels.name_of(number) in _LATE}
         result = Scan(data, channels.crc_extras(), wanted, late)
-    damaged = _report_damage(result, wanted, path, ledger)
+    result.report_bytes(ledger, path.name, "message")
+    if result.unknown:
+        count = sum(rejected.count for rejected in result.unknown.values())
+        first = min(rejected.first for rejected in result.unknown.values())
+        where, ids = f"{path.name}, first at byte {first}", sorted(result.unknown)[:8]
+        ledger.warning("LOG-UNKNOWN-ID", where=where, count=count, ids=", ".join(map(str, ids)))
+    damaged = 0
+    for number, rejected in sorted(result.failed.items()):
+        where = f"{path.name}, first at byte {rejected.first}"
+        name = f"{channels.name_of(number)} (id {number})"
+        if result.counts[number] or number in wanted:
+            damaged += rejected.size
+            what = f"{rejected.count} messages {name} fail their checksum"
+            ledger.loss("LOG-CRC", what, where=where, count=rejected.count)
+        else:
+            ledger.warning("LOG-DIALECT", where=where, count=rejected.count, name=name)
     if not result.steady:
         _replace_stray_stamps(result, ledger, path.name)
     sent = {channels.name_of(number): result.sent.pop(number) for number in [*result.sent]}
@@ -51,27 +65,6 @@ def is_tlog(head: bytes) -> bool:
 
 
 TLOG = LogFormat("tlog", "MAVLink telemetry", (".tlog", ".rlog"), is_tlog, read_log)
-
-
-def _report_damage(result: Scan, needed: Container[int], path: Path, ledger: Ledger) -> int:
-    """Enter the damage; returns the number of bytes of damaged frames."""
-    result.report_bytes(ledger, path.name, "message")
-    if result.unknown:
-        count = sum(rejected.count for rejected in result.unknown.values())
-        first = min(rejected.first for rejected in result.unknown.values())
-        where, ids = f"{path.name}, first at byte {first}", sorted(result.unknown)[:8]
-        ledger.warning("LOG-UNKNOWN-ID", where=where, count=count, ids=", ".join(map(str, ids)))
-    damaged = 0
-    for number, rejected in sorted(result.failed.items()):
-        where = f"{path.name}, first at byte {rejected.first}"
-        name = f"{channels.name_of(number)} (id {number})"
-        if result.counts[number] or number in needed:
-            damaged += rejected.size
-            what = f"{rejected.count} messages {name} fail their checksum"
-            ledger.loss("LOG-CRC", what, where=where, count=rejected.count)
-        else:
-            ledger.warning("LOG-DIALECT", where=where, count=rejected.count, name=name)
-    return damaged
 
 
 def _report_link(

@@ -1,7 +1,6 @@
 """PX4 logs (.ulg) -> channels in UTC."""
 
 import re
-from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -27,8 +26,7 @@ LONGEST_INTERVAL_NS = 200_000_000  # of a topic that shows whether anything was 
 _ONE_BOOT = timeline([(np.zeros(1, np.int64), np.zeros(1, np.int64))])  # a log a boot
 _ELEMENT = re.compile(r"\[(\d+)\]")
 
-TopicRows = Mapping[tuple[str, int], NDArray[Any]]
-"""Rows as logged, by topic and instance."""
+Topic = tuple[str, int]  # its name and the instance
 
 
 def read_log(path: Path, ledger: Ledger) -> Contents:
@@ -124,9 +122,7 @@ def report_silences(messages: records.ULogMessages, name: str, ledger: Ledger) -
     ledger.loss("LOG-GAP/messages", where=where, count=count, seconds=seconds, messages=missing)
 
 
-def _clock(
-    rows_of: TopicRows, names: Mapping[tuple[str, int], str], ledger: Ledger
-) -> tuple[int, str]:
+def _clock(rows_of: dict[Topic, Any], names: dict[Topic, str], ledger: Ledger) -> tuple[int, str]:
     """UTC minus time since boot [ns], and where it comes from."""
     by_role: dict[str, list[UtcReadings]] = {"position": [], "events": []}
     for field, role in ((UTC_FIELD, "position"), (CAPTURE_UTC_FIELD, "events")):

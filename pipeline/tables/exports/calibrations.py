@@ -97,9 +97,8 @@ def write_calibrations(run: FinishedRun, values: Values, path: Path, ledger: Led
             ledger.loss("EXPORT-RESIDUAL", what, where=where, count=fitted.stations.size)
     (path / "calibration.txt").write_text(report_of(found), encoding="utf-8")
     for_images = [(run.stations.image[i], f.camera_name, f.name) for f in found for i in f.stations]
-    pd.DataFrame(for_images, columns=["image", "camera", "calibration"]).to_csv(
-        path / "images.csv", index=False
-    )
+    images = pd.DataFrame(for_images, columns=["image", "camera", "calibration"])
+    images.to_csv(path / "images.csv", index=False)
     pd.concat(map(radial_corrections, found)).to_csv(path / "corrections.csv", index=False)
     write_cameras(found, path)
     return len(for_images)
@@ -196,9 +195,8 @@ def as_written(camera: Camera, name: str, ledger: Ledger) -> Camera:
         return camera
     x, y = lattice_nodes(camera, 2 * _COLUMNS, 2 * _ROWS)
     u, v, covered = camera.rays(x, y)
-    pixels = fit.SeenRays(
-        np.stack([u, v], axis=1)[covered], np.stack([x, y], axis=1)[covered], np.ones(covered.sum())
-    )
+    uv, xy = (np.stack(pair, axis=1)[covered] for pair in ((u, v), (x, y)))
+    pixels = fit.SeenRays(uv, xy, np.ones(covered.sum()))
     lens = camera.distortion
     plain = replace(camera, distortion=BrownConrady(lens.k1, lens.k2, lens.k3))
     written = fit.changed_camera(plain, pixels, fit.FULL)
@@ -264,9 +262,8 @@ def write_cameras(found: Sequence[FittedCalibration], path: Path) -> None:
         }.items():  # fmt: skip
             ElementTree.SubElement(root, tag).text = str(value)
         ElementTree.indent(root)
-        ElementTree.ElementTree(root).write(
-            path / f"{fitted.name}.xml", encoding="UTF-8", xml_declaration=True
-        )
+        tree = ElementTree.ElementTree(root)
+        tree.write(path / f"{fitted.name}.xml", encoding="UTF-8", xml_declaration=True)
         # OpenCV: the centre of the first pixel is (0, 0).
         matrix = [fx, 0.0, cx - 0.5, 0.0, fy, cy - 0.5, 0.0, 0.0, 1.0]
         yaml = f"%YAML:1.0\n---\nimage_width: {w}\nimage_height: {h}\n"

@@ -173,10 +173,8 @@ def write_database(run: FinishedRun, _: Values, path: Path, ledger: Ledger) -> i
             database.executemany(f"INSERT INTO {table} VALUES ({marks})", rows)
         for i, _camera, here in block.images():
             xy = np.stack([block.x_px[here], block.y_px[here]], axis=1).astype("<f4")
-            marks = "(?, ?, 2, ?)"
-            database.execute(
-                f"INSERT INTO keypoints VALUES {marks}", (i + 1, len(xy), xy.tobytes())
-            )
+            keypoints = i + 1, len(xy), xy.tobytes()
+            database.execute("INSERT INTO keypoints VALUES (?, ?, 2, ?)", keypoints)
         tied, source = 0, run.database()
         for table, *row in match_rows(block) if source is None else copied_rows(block, source):
             marks = "?, ?, 2, ?" if table == "matches" else "?, ?, 2, ?, ?" + ", NULL" * 7

@@ -128,7 +128,7 @@ def block_of(run: FinishedRun, ledger: Ledger, *, intersect: bool = True) -> Exp
     if intersect:
         up = enu_from_ecef(stations.lat_rad[rows], stations.lon_rad[rows])[:, 2]
         up = up @ frame.enu_from_ecef.T
-        block.point_m[:], met = intersected_points(block, up, stations.h_msl_m[rows], h_g)
+        block.point_m[:], met = intersected(block, up, stations.h_msl_m[rows], h_g)
         if apart := int(np.sum(~met)):
             ledger.fallback("EXPORT-POINT-HEIGHT", where="observations", count=apart)
     lat, lon, h = frame.origin_deg.tolist()
@@ -177,9 +177,7 @@ def read_image_points(
     return table.take(kept[np.argsort(image[kept], kind="stable")]), coded.dictionary
 
 
-def intersected_points(
-    block: ExportedBlock, up: Array, h_c: Array, h_g: Array
-) -> tuple[Array, Mask]:
+def intersected(block: ExportedBlock, up: Array, h_c: Array, h_g: Array) -> tuple[Array, Mask]:
     """(t, 3) points by least squares of the angles across their rays, and whether these meet (t,).
 
     Where they do not meet at 3 degrees or more it is the mean of where they reach the ground.

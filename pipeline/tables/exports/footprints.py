@@ -58,13 +58,10 @@ def stations_in_one_frame(run: FinishedRun, rows: Integers) -> OneFrame:
     axes = geodesy.enu_from_ecef(lat, lon) @ to_origin.T  # from the frame to the station's own
     horizontal = stations.sigma_horizontal_m[rows]
     sigma = np.stack([horizontal, horizontal, stations.sigma_height_m[rows]], axis=1)
-    return OneFrame(
-        np.array(origin_deg),
-        to_origin,
-        (geodesy.ecef_of_geodetic(lat, lon, h) - geodesy.ecef_of_geodetic(*origin)) @ to_origin.T,
-        in_turned_frame(stations.quaternion[rows], axes),
-        np.swapaxes(axes, 1, 2) @ (sigma[:, :, None] ** 2 * axes),
-    )
+    moved = geodesy.ecef_of_geodetic(lat, lon, h) - geodesy.ecef_of_geodetic(*origin)
+    turned = in_turned_frame(stations.quaternion[rows], axes)
+    covariance = np.swapaxes(axes, 1, 2) @ (sigma[:, :, None] ** 2 * axes)
+    return OneFrame(np.array(origin_deg), to_origin, moved @ to_origin.T, turned, covariance)
 
 
 def footprints(run: FinishedRun, ledger: Ledger) -> Array:
@@ -98,9 +95,8 @@ def ground_corners(
     height = np.where(np.isfinite(stations.h_ellipsoid_m), stations.h_ellipsoid_m, stations.h_msl_m)
     for name, camera in cameras.items():
         width, depth = camera.width_px, camera.height_px
-        u, v, _ = camera.rays(
-            np.array([0.0, 0.0, width, width]), np.array([0.0, depth, depth, 0.0])
-        )
+        at = np.array([0.0, 0.0, width, width]), np.array([0.0, depth, depth, 0.0])
+        u, v, _ = camera.rays(*at)
         rays = np.stack([u, v, np.ones(4)], axis=1) / np.sqrt(u * u + v * v + 1.0)[:, None]
         rows = np.flatnonzero((stations.camera == name) & (ground_m < stations.h_msl_m))
         for corner, ray in enumerate(rays):

@@ -69,9 +69,8 @@ def read_mrk(path: Path, stated: Stated, ledger: Ledger) -> Channel:
     return channel_of_rows(path, "MRK", time_ns, columns, ledger, readable=readable)
 
 
+# Another zone or projection is farther away; another datum, or rounded degrees, are nearer.
 FARTHEST_FROM_GRID_M = 5000.0
-"""Another zone or projection is farther away; another datum, or rounded degrees, are nearer [m]."""
-
 _TITLES = re.compile(
     r"EVENT|TIME(?=\s*\(s\))|EASTING|NORTHING|(?:ELLIPSOID|ORTHOMETRIC)(?=\s+HEIGHT)|OMEGA|PHI"
     r"|KAPPA|ROLL|PITCH|HEADING|LAT\b|LONG\b|\bID\b",

@@ -19,9 +19,7 @@ from pipeline.ledger import Ledger
 from pipeline.tables.imports.stated import Stated, channel_of_rows, not_of_format
 from pipeline.units import ARCSEC, Array
 
-FASTEST_M_S = 700.0
-"""No aircraft that takes pictures flies faster [m/s]."""
-
+FASTEST_M_S = 700.0  # no aircraft that takes pictures flies faster
 _ROW, _SIGMA_ROW = 17, 10
 _ARCMIN = 60.0 * ARCSEC
 _MOVING_M_S = 2.0
@@ -39,11 +37,8 @@ def read_sbet(path: Path, stated: Stated, ledger: Ledger) -> Channel:
     order = np.argsort(time_ns, kind="stable")
     rows, time_ns = rows[order], time_ns[order]
     seconds = (time_ns - time_ns[0]) * 1e-9
-    columns: dict[str, Array] = {
-        "lat_rad": rows[:, 1],
-        "lon_rad": wrapped(rows[:, 2]),
-        stated.height_column(path, ledger): rows[:, 3],
-    }
+    surface = stated.height_column(path, ledger)
+    columns = {"lat_rad": rows[:, 1], "lon_rad": wrapped(rows[:, 2]), surface: rows[:, 3]}
     sign, velocity = wander_sign(path, seconds, rows, ledger)
     if velocity is not None:
         columns |= {"v_north_m_s": velocity.real, "v_east_m_s": velocity.imag}

@@ -1,7 +1,5 @@
 """The user's CSV, by its names of columns, units and orders: trajectories, orientations, events."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -110,7 +108,7 @@ def from_grid_north(columns: dict[str, Array], convergence_rad: Array) -> dict[s
 
 
 def _utc(
-    path: Path, text: pd.Series[str], value: dict[str, Array], stated: Stated, ledger: Ledger
+    path: Path, text: "pd.Series[str]", value: dict[str, Array], stated: Stated, ledger: Ledger
 ) -> tuple[TimeArray, Mask]:
     """UTC of the rows, and which have a readable time."""
     system, seconds = stated.system_of(path, ledger), value["time"]
@@ -261,8 +259,7 @@ def read_events(path: Path, columns: Mapping[str, str], ledger: Ledger) -> Event
     """Read a table of exposures; a row without a readable time is a loss in the ledger.
 
     ``columns`` : image, time_utc or gps_week and gps_seconds, and camera where it is there -> the
-    user's names. Times without a zone are UTC; GPS seconds are reduced by the leap seconds of
-    their date.
+    user's names. Times without a zone are UTC; GPS seconds are reduced by leap seconds.
     """
     table = text_table(path, columns, codes=("EVENTS-CSV", "EVENTS-COLUMN"),
                        key="events.csv.columns")  # fmt: skip
