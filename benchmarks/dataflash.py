@@ -19,7 +19,7 @@ from pipeline.ingest import open_log
 from pipeline.ingest.buffers import view_of_bytes
 from pipeline.ingest.dataflash.log import read_tables
 from pipeline.ingest.dataflash.records import HEADER, find_records
-from pipeline.ingest.stacking import PLACE
+from pipeline.ingest.log import PLACE
 
 NEEDED = ("GPS", "GPA", "ATT", "BARO", "POS", "CAM", "TRIG", "ARSP", "HYGR")
 WEEK_MS = 604_800_000

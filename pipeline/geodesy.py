@@ -139,6 +139,11 @@ def longitudes_near(longitude_rad: Array, reference_rad: ArrayLike) -> Array:
     return np.asarray(np.unwrap([reference, longitude_rad], axis=0)[1])
 
 
+def wrapped(angle_rad: Array) -> Array:
+    """Angles in [-pi, pi)."""
+    return np.asarray((angle_rad + np.pi) % (2.0 * np.pi) - np.pi)
+
+
 def ecef_of_geodetic(latitude_rad: Array, longitude_rad: Array, h_ellipsoid: Array) -> Array:
     """(n, 3) earth-centred coordinates [m] of (n,) geodetic ones on WGS84.
 

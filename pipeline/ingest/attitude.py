@@ -41,23 +41,15 @@ def quaternion_of_euler(roll_rad: Array, pitch_rad: Array, yaw_rad: Array) -> Ar
     cr, sr = np.cos(roll_rad / 2.0), np.sin(roll_rad / 2.0)
     cp, sp = np.cos(pitch_rad / 2.0), np.sin(pitch_rad / 2.0)
     cy, sy = np.cos(yaw_rad / 2.0), np.sin(yaw_rad / 2.0)
-    q = np.stack(
-        [
-            cr * cp * cy + sr * sp * sy,
-            sr * cp * cy - cr * sp * sy,
-            cr * sp * cy + sr * cp * sy,
-            cr * cp * sy - sr * sp * cy,
-        ],
-        axis=1,
-    )
-    return unit_quaternions(q)
+    w, x = cr * cp * cy + sr * sp * sy, sr * cp * cy - cr * sp * sy
+    y, z = cr * sp * cy + sr * cp * sy, cr * cp * sy - sr * sp * cy
+    return unit_quaternions(np.stack([w, x, y, z], axis=1))
 
 
 def ned_frd_of_enu_flu(q: Array) -> Array:
     """Attitude of ROS (REP 103: east-north-up, forward-left-up) -> NED and FRD; (n, 4) w, x, y, z.
 
-    The product of (0, s, s, 0), q and (0, 1, 0, 0), s = 1/sqrt(2), exchanges the axes of both
-    frames.
+    The product of (0, s, s, 0), q and (0, 1, 0, 0), s = 1/sqrt(2), exchanges both frames' axes.
 
     >>> ned_frd_of_enu_flu(np.array([[1.0, 0.0, 0.0, 0.0]])).round(4)  # x forward, facing east
     array([[0.7071, 0.    , 0.    , 0.7071]])

@@ -3,8 +3,6 @@
 Places in a log rise: bytes, or numbers of messages. Few of its records carry UTC.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -12,25 +10,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.flight import clock
 from pipeline.flight.channels import TimeArray
-from pipeline.flight.clock import (
-    BOOT_STEP_NS,
-    LAST_US,
-    STRAY_ROWS,
-    ClockOffset,
-    clock_fit_note,
-    fit_offset,
-    new_readings,
-    stray_stretches,
-)
 from pipeline.ledger import Ledger
 from pipeline.units import Integers, Mask, Rows
 
 LOWEST_FIX = 3  # 3D; both GPS_FIX_TYPE of MAVLink and GPS.Status of ArduPilot
 _BLOCK = 65_536  # rows
 
+# Places of records in the log, rising, and their times since boot [ns].
 Stamps = tuple[Integers, TimeArray]
-"""Places of records in the log, rising, and their times since boot [ns]."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +57,7 @@ class Timeline:
         """The stretches before which nothing was recorded for a while, and for how long [ns]."""
         steady = np.flatnonzero(~self.stray)
         silence = self.begin[steady][1:] - self.end[steady][:-1]
-        long = silence > BOOT_STEP_NS
+        long = silence > clock.BOOT_STEP_NS
         return steady[1:][long], silence[long]
 
     def _stretch(self, places: Integers) -> Rows:
@@ -82,10 +71,10 @@ def microseconds(raw: NDArray[Any]) -> TimeArray:
     True
     """
     if raw.dtype.kind == "f":
-        return np.asarray(np.nan_to_num(raw, nan=LAST_US).clip(0, LAST_US), np.int64)
+        return np.asarray(np.nan_to_num(raw, nan=clock.LAST_US).clip(0, clock.LAST_US), np.int64)
     # what is below 0 becomes huge
-    cut: NDArray[np.uint64] = np.minimum(raw.astype(np.uint64, copy=False), np.uint64(LAST_US))
-    return cut.view(np.int64)
+    unsigned = raw.astype(np.uint64, copy=False)
+    return np.asarray(np.minimum(unsigned, np.uint64(clock.LAST_US)).view(np.int64), np.int64)
 
 
 def nanoseconds(raw: NDArray[Any]) -> TimeArray:
@@ -101,8 +90,7 @@ _FEWEST_RECORDS = 10  # without a second between them, of sensors; parameters co
 def timeline(blocks: Iterable[Stamps]) -> Timeline:
     """Power-ups and stray stamps, from all times since boot of a log in its order.
 
-    A step back by more than 1 s is a power-up, unless `stray_stretches` has it; see
-    `fit_boot_clock`.
+    A step back by more than 1 s is a power-up, unless `stray_stretches` has it.
 
     >>> time_ns = np.array([5, 6, 7, 8, 9, 2, 3, 4, 5, 6]) * 10**9
     >>> timeline([(np.arange(10), time_ns)]).boot_of(np.array([4, 5]))
@@ -112,18 +100,18 @@ def timeline(blocks: Iterable[Stamps]) -> Timeline:
     for places, time_ns in blocks:
         if not places.shape[0]:
             continue
-        cuts = np.flatnonzero(np.abs(np.diff(time_ns)) > BOOT_STEP_NS) + 1
+        cuts = np.flatnonzero(np.abs(np.diff(time_ns)) > clock.BOOT_STEP_NS) + 1
         starts, stops = np.append(0, cuts), np.append(cuts, time_ns.shape[0])
         columns = (places[starts], time_ns[starts], time_ns[stops - 1], stops - starts)
         rows = np.stack(columns, axis=1).tolist()
-        if stretches and abs(rows[0][1] - stretches[-1][2]) <= BOOT_STEP_NS:  # goes on
+        if stretches and abs(rows[0][1] - stretches[-1][2]) <= clock.BOOT_STEP_NS:  # goes on
             _, _, last, more = rows.pop(0)
             stretches[-1][2:] = [last, stretches[-1][3] + more]
         stretches += rows
     starts, begins, ends, counts = np.array(stretches, np.int64).reshape(-1, 4).T.copy()
-    stray = stray_stretches(begins, ends, counts)
+    stray = clock.stray_stretches(begins, ends, counts)
     steady = ~stray
-    back = begins[steady][1:] - ends[steady][:-1] < -BOOT_STEP_NS
+    back = begins[steady][1:] - ends[steady][:-1] < -clock.BOOT_STEP_NS
     number = np.append(0, np.cumsum(back)).astype(np.int16)
     boot = number[np.maximum(np.cumsum(steady) - 1, 0)] if starts.size else np.empty(0, "i2")
     return Timeline(starts, begins, ends, counts, stray, boot)
@@ -134,9 +122,8 @@ def report_timeline(line: Timeline, ledger: Ledger) -> None:
     if line.stray.any():
         count = int(line.length[line.stray].sum())
         what = f"{count} records carry a time that fits none of their neighbours"
-        ledger.loss(
-            "TIME-STRAY", what, where=f"first at byte {int(line.first[line.stray][0])}", count=count
-        )
+        where = f"first at byte {int(line.first[line.stray][0])}"
+        ledger.loss("TIME-STRAY", what, where=where, count=count)
     after, silence = line.silences()
     steady = np.flatnonzero(~line.stray & (line.length >= _FEWEST_RECORDS))
     inside = (after > steady[0]) & (after <= steady[-1]) if steady.size else after < 0
@@ -160,17 +147,17 @@ class UtcReadings:
     usable: Mask
     fix: NDArray[Any] = field(default_factory=lambda: np.empty(0))
 
-    def sound(self, line: Timeline) -> UtcReadings:
+    def sound(self, line: Timeline) -> "UtcReadings":
         """The rows without stray stamps, with a fix, and with another UTC than the row before."""
         good = self.usable & line.good(self.places)
         if self.fix.size:
             good &= self.fix >= LOWEST_FIX
-        good[good] = new_readings(self.utc_ns if bool(good.all()) else self.utc_ns[good])
+        good[good] = clock.new_readings(self.utc_ns if bool(good.all()) else self.utc_ns[good])
         if bool(good.all()):
             return self
-        return UtcReadings(
-            self.source, self.places[good], self.boot_ns[good], self.utc_ns[good], good[good]
-        )
+        columns = (self.places, self.boot_ns, self.utc_ns)
+        places, boot_ns, utc_ns = (column[good] for column in columns)
+        return UtcReadings(self.source, places, boot_ns, utc_ns, good[good])
 
 
 @dataclass(frozen=True)
@@ -181,22 +168,18 @@ class BootClock:
     """
 
     line: Timeline
-    fits: tuple[ClockOffset | None, ...]
+    fits: tuple[clock.ClockOffset | None, ...]
     utc_known: tuple[bool, ...]
 
-    @property
-    def offsets(self) -> Integers:
-        """UTC minus time since boot [ns] of each boot, 0 where it is unknown."""
-        return np.array([fit.offset_ns if fit else 0 for fit in self.fits], np.int64)
-
     def utc(self, places: Integers, boot_ns: TimeArray) -> TimeArray:
-        """UTC [ns] of times since boot at places of the log."""
-        utc_ns = self.offsets[self.line.boot_of(places)]
+        """UTC [ns] of times since boot at places of the log; these where UTC is unknown."""
+        offsets = np.array([fit.offset_ns if fit else 0 for fit in self.fits], np.int64)
+        utc_ns = offsets[self.line.boot_of(places)]
         utc_ns += boot_ns  # memory has its peak here
         return utc_ns
 
 
-def fit_boot_clock(
+def fit_clock(
     line: Timeline,
     sources: Sequence[UtcReadings],
     ledger: Ledger,
@@ -210,12 +193,11 @@ def fit_boot_clock(
 
     ``sources``: in each boot the one with the most rows is used, by their median; another that
     differs by more than 1 s is a loss. ``cameras`` count where none of them has UTC, ``recorder``
-    (the recorder's clock) in boots without any. ``where``, ``utc_of``: the vehicle and what gives
-    UTC in this format, for the ledger. Without UTC a boot counts as if in 1970.
+    in boots without any; without UTC a boot counts as if in 1970. ``where``, ``utc_of``: the
+    vehicle and what gives UTC in this format, for the ledger.
 
-    A boot is also split where nothing was recorded for more than 1 s and the offset is another
-    after it by more than 1 s, and stays so. Where it steps while the time runs on, a clock was set:
-    no boot.
+    A boot is also split where nothing was recorded for more than 1 s and the offset is another by
+    more than 1 s from there on. Where it steps while the time runs on, a clock was set: no boot.
     """
     sources = [source.sound(line) for source in sources]
     if not any(source.places.size for source in sources):
@@ -260,8 +242,8 @@ def _split_boots(line: Timeline, source: UtcReadings, decided: Mask) -> Timeline
     boot = line.boot.copy()
     for number in np.unique(boots).tolist():
         rows = np.flatnonzero(boots == number)
-        offset = _without_glitches(source.utc_ns[rows] - source.boot_ns[rows])
-        for row in np.flatnonzero(np.abs(np.diff(offset)) > BOOT_STEP_NS).tolist():
+        offset = without_glitches(source.utc_ns[rows] - source.boot_ns[rows])
+        for row in np.flatnonzero(np.abs(np.diff(offset)) > clock.BOOT_STEP_NS).tolist():
             places = source.places[rows[row : row + 2]]
             between = slice(*np.searchsorted(at, places, side="right"))
             if silence[between].size:
@@ -269,9 +251,9 @@ def _split_boots(line: Timeline, source: UtcReadings, decided: Mask) -> Timeline
     return replace(line, boot=boot)
 
 
-def _without_glitches(offset_ns: TimeArray) -> TimeArray:
+def without_glitches(offset_ns: TimeArray) -> TimeArray:
     """The running median of offsets: steps remain, glitches of up to `STRAY_ROWS` rows do not."""
-    half = min(STRAY_ROWS, offset_ns.shape[0] - 1)
+    half = min(clock.STRAY_ROWS, offset_ns.shape[0] - 1)
     if half < 1:
         return offset_ns
     padded = np.pad(offset_ns, half, mode="reflect")
@@ -283,23 +265,23 @@ def _without_glitches(offset_ns: TimeArray) -> TimeArray:
     return steady
 
 
-def _fit_boot(line: Timeline, number: int, source: UtcReadings) -> ClockOffset | None:
+def _fit_boot(line: Timeline, number: int, source: UtcReadings) -> clock.ClockOffset | None:
     rows = line.boot_of(source.places) == number
-    return fit_offset(source.utc_ns[rows], source.boot_ns[rows])
+    return clock.fit_offset(source.utc_ns[rows], source.boot_ns[rows])
 
 
 def _best_fit(
-    by_source: Sequence[tuple[UtcReadings, ClockOffset | None]], place: str, ledger: Ledger
-) -> ClockOffset | None:
+    by_source: Sequence[tuple[UtcReadings, clock.ClockOffset | None]], place: str, ledger: Ledger
+) -> clock.ClockOffset | None:
     """The offset of a boot by the source with the most rows; sources that differ are losses."""
     fits = [(source, fit) for source, fit in by_source if fit is not None]
     if not fits:
         return None
     chosen, best = max(fits, key=lambda pair: pair[1].rows)
-    ledger.add(clock_fit_note(f"{best.rows} {chosen.source}", best, place))
+    ledger.add(clock.clock_fit_note(f"{best.rows} {chosen.source}", best, place))
     for source, fit in fits:
         apart = fit.offset_ns - best.offset_ns
-        if abs(apart) > BOOT_STEP_NS:
+        if abs(apart) > clock.BOOT_STEP_NS:
             what = f"{fit.rows} {source.source} give a UTC {apart / 1e9:+.3f} s from that of"
             what += f" {best.rows} {chosen.source}, which are used"
             ledger.loss("TIME-SOURCES", what, where=place, count=fit.rows)

@@ -38,8 +38,7 @@ Bytes = NDArray[np.uint8]
 class FileView:
     """The bytes of a file, to where it ended at the beginning, read in spans when asked for.
 
-    No memory map: a file that is cut while it is mapped ends the process, Windows cannot replace
-    it.
+    No memory map: a file that is cut while it is mapped ends the process.
     """
 
     def __init__(self, stream: io.FileIO | io.BytesIO, size: int, name: str = "") -> None:
@@ -204,8 +203,7 @@ def allocate(count: int, dtype: DTypeLike) -> NDArray[Any]:
     """(count,) rows with any values in them.
 
     Up to `PRIVATE` bytes are the process's own, further ones in a temporary file (of ``TMPDIR``) if
-    there is space; both return to the system with the last array on them. After a fork, parent and
-    child see what the other writes to an array in a file.
+    there is space. After a fork, parent and child see what the other writes to an array in a file.
 
     >>> column = allocate(3, "f8")
     >>> column[:] = 1.5

@@ -1,7 +1,5 @@
 """Decoded rows -> a channel: rows without a fix, attitudes, rising time, both heights."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
@@ -34,7 +32,7 @@ class DecodedRows:
     def __len__(self) -> int:
         return int(self.time_ns.shape[0])
 
-    def take(self, rows: Mask | Rows) -> DecodedRows:
+    def take(self, rows: Mask | Rows) -> "DecodedRows":
         """The rows of a mask or an index."""
         kept = np.asarray(np.flatnonzero(rows) if rows.dtype == np.bool_ else rows, np.intp)
         times = copy_rows(self.time_ns, kept), copy_rows(self.boot, kept)
@@ -43,7 +41,7 @@ class DecodedRows:
         return DecodedRows(self.name, self.source, *times, columns, labels)
 
 
-class GrowingColumns:
+class ColumnStores:
     """Columns made piece by piece; one takes memory when it has its first value, NaN before."""
 
     def __init__(self, spec: MessageMap) -> None:

@@ -13,49 +13,12 @@ from numpy.typing import NDArray
 
 from pipeline.errors import MissionError
 from pipeline.flight.channels import ROLE_COLUMNS, Channel
-from pipeline.units import DEGREE, HECTOPASCAL, ZERO_CELSIUS_K, Array
+from pipeline.units import Array
 
-# unit in the log -> (divisor, factor, offset): SI = value / divisor * factor + offset. Division
-# where the log holds scaled integers: x / 1e7 is the nearest double, x * 1e-7 is not.
-UNITS: Mapping[str, tuple[float, float, float]] = {
-    "": (1.0, 1.0, 0.0),
-    "deg": (1.0, DEGREE, 0.0),
-    "degE7": (1e7, DEGREE, 0.0),
-    "cdeg": (100.0, DEGREE, 0.0),
-    "mm": (1e3, 1.0, 0.0),
-    "m plane": (2**0.5, 1.0, 0.0),  # a distance rms in the plane, per axis
-    "mm plane": (1e3 * 2**0.5, 1.0, 0.0),
-    "cm": (100.0, 1.0, 0.0),
-    "ms": (1e3, 1.0, 0.0),
-    "1/100": (100.0, 1.0, 0.0),
-    "-": (1.0, -1.0, 0.0),  # of the other sign
-    "hPa": (1.0, HECTOPASCAL, 0.0),
-    "degC": (1.0, 1.0, ZERO_CELSIUS_K),
-    "cdegC": (100.0, 1.0, ZERO_CELSIUS_K),
-    "%": (100.0, 1.0, 0.0),
-    "c%": (1e4, 1.0, 0.0),
-}
-
-# Bits 0 to 9 of the flags of a filter are the same everywhere; of others, where they are -> where
-# they are in `Channel.columns`. Sources: EKF_STATUS_FLAGS and ESTIMATOR_STATUS_FLAGS of MAVLink's
-# common.xml, nav_filter_status in ArduPilot's AP_Nav_Common.h (XKF4.SS).
-FLAGS: Mapping[str, tuple[tuple[int, int], ...]] = {
-    "EKF_STATUS_FLAGS": ((10, 10), (15, 15)),
-    "ESTIMATOR_STATUS_FLAGS": ((10, 15),),
-    "nav_filter_status": ((14, 15), (18, 18)),
-}
-
-# unit that a mission file may state -> (column, factor, offset): SI = number * factor + offset
-STATED_UNITS: Mapping[str, tuple[str, float, float]] = {
-    "Pa": ("pressure_pa", 1.0, 0.0),
-    "hPa": ("pressure_pa", HECTOPASCAL, 0.0),
-    "kPa": ("pressure_pa", 1000.0, 0.0),
-    "K": ("temperature_k", 1.0, 0.0),
-    "degC": ("temperature_k", 1.0, ZERO_CELSIUS_K),
-    "fraction": ("relative_humidity", 1.0, 0.0),
-    "percent": ("relative_humidity", 0.01, 0.0),
-    "m/s": ("airspeed_m_s", 1.0, 0.0),
-}
+MAPS = tomllib.loads(files("pipeline.ingest").joinpath("data/messages.toml").read_text("utf-8"))
+UNITS: Mapping[str, tuple[float, float, float]] = MAPS["units"]
+FLAGS: Mapping[str, list[tuple[int, int]]] = MAPS["flags"]
+STATED_UNITS: Mapping[str, tuple[str, float, float]] = MAPS["stated_units"]
 _COLUMN = re.compile(
     r"([\w ]+) = ([^\[ ]+(?: [^\[ ]+)*?)(?: \[(.+)\])?(?: unless (\S+))?(?: from (\S+))?"
 )
@@ -83,10 +46,9 @@ class MessageMap:
     """One message and the channel it becomes.
 
     ``id_field`` tells instances apart, ``time_field`` is the message's own time, where the format
-    has neither. ``spare_rank``: of all instances but the first, where those are spares (numbers do
-    not show which thermometer is outside). ``position`` drops rows without a fix, ``attitude``
-    makes quaternions of Euler angles, ``text_field`` is what the autopilot says: a channel without
-    columns.
+    has neither. ``spare_rank``: of all instances but the first, which are spares (numbers do not
+    show which thermometer is outside). ``position`` drops rows without a fix, ``attitude`` makes
+    quaternions of Euler angles, ``text_field`` is what the autopilot says: no columns.
     """
 
     columns: tuple[FieldColumn, ...]
@@ -126,7 +88,7 @@ FieldColumn(name='t_k', fields=('t',), unit='degC', missing=0.0, floor=None)]
 @cache
 def message_maps(section: str) -> dict[str, MessageMap]:
     """The messages of a format that are wanted: a section of ``data/messages.toml``."""
-    given, maps = _messages(), dict[str, MessageMap]()
+    given, maps = MAPS, dict[str, MessageMap]()
     for name, stated in given[section].items():
         same = maps.get(stated.get("like", ""), MessageMap(()))
         own = {key: value for key, value in stated.items() if key != "like"}
@@ -136,17 +98,6 @@ def message_maps(section: str) -> dict[str, MessageMap]:
             own["roles"] = tuple(own["roles"])
         maps[name] = replace(same, **({"rank": MessageMap.rank, "spare_rank": None} | own))
     return maps
-
-
-@cache
-def columns_of_group(name: str) -> tuple[FieldColumn, ...]:
-    """The columns of a group in ``data/messages.toml``."""
-    return tuple(parse_columns([f"@{name}"], _messages()["groups"]))
-
-
-@cache
-def _messages() -> dict[str, Any]:
-    return tomllib.loads(files("pipeline.ingest").joinpath("data/messages.toml").read_text("utf-8"))
 
 
 def to_si(raw: NDArray[Any], spec: FieldColumn) -> Array:
@@ -241,20 +192,10 @@ def extract(
 PX4_MESSAGES: Mapping[str, MessageMap] = message_maps("px4")
 """By name in px4_msgs; PX4 logs the same to .ulg and, over ROS 2, to MCAP."""
 
+PX4_TOPICS: Mapping[str, MessageMap] = {  # vehicle_gps_position of VehicleGpsPosition
+    re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower(): spec for name, spec in PX4_MESSAGES.items()
+}
 
-def topic_of(message: str) -> str:
-    """The topic under which PX4 logs a message.
-
-    >>> topic_of("VehicleGpsPosition")
-    'vehicle_gps_position'
-    """
-    return re.sub(r"(?<=[a-z])(?=[A-Z])", "_", message).lower()
-
-
-PX4_TOPICS: Mapping[str, MessageMap] = {topic_of(name): spec for name, spec in PX4_MESSAGES.items()}
-
-UTC_FIELD = "time_utc_usec"
-"""Unix time [us] in the messages of receivers, beside their time since boot."""
-
-CAPTURE_UTC_FIELD = "timestamp_utc"
-"""Unix time [us] of an exposure by the autopilot's own clock, which it sets now and then."""
+# Unix time [us] of receivers, beside their time since boot; of an exposure, by the autopilot's own
+# clock, which it sets now and then.
+UTC_FIELD, CAPTURE_UTC_FIELD = "time_utc_usec", "timestamp_utc"

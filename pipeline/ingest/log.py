@@ -1,8 +1,8 @@
-"""What a log is once it is read, and what a log format has to offer."""
+"""What a log is once it is read, what a log format has to offer, and tables of its messages."""
 
 import difflib
 import hashlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,11 @@ Table = dict[str, NDArray[Any]]
 Where a format knows them it adds, first and in lower case: ``time_ns`` (int64, UTC; from boot, as
 if in 1970, where UTC is unknown), ``boot``, ``system``, ``component``.
 """
+
+
+PLACE = "\0place"  # the column of the places of messages in the log, beside their fields
+EXACT = 1 << 53  # every integer up to here is a float64
+_WORD = 1 << 64
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,8 +52,7 @@ class Contents:
 class LogFormat:
     """A log format: ``title`` in messages; ``extensions`` in lower case with dot, the usual first.
 
-    ``matches`` says whether the first 64 KiB of a file look like it; ``read`` decodes the wanted
-    messages, and enters what is damaged or skipped.
+    ``matches`` says whether the first 64 KiB of a file look like it.
     """
 
     name: str
@@ -94,19 +98,16 @@ class Log(Contents):
         return dict(self.messages)
 
     def message(self, name: str, instance: str | None = None) -> Table:
-        """All messages of one type as columns, in the order of the file.
+        """All messages of one type as columns of one length, with the log's names and units.
 
         ``name``: a type or topic of `message_types`, or a channel, upper or lower case.
-        ``instance``: only those, where the type has instances. Returns columns of one length with
-        the names and units that the log has; damaged rows are in them. Raises LogError
-        (LOG-NO-TYPE, LOG-NO-TABLE).
+        ``instance``: only those, where the type has instances. In the order of the file, damaged
+        rows included. Raises LogError (LOG-NO-TYPE, LOG-NO-TABLE).
         """
         if name not in self.messages:
             types = {kind.lower(): (kind, None) for kind in self.messages}
-            of_channels = {
-                c.name.lower(): (c.source.message, c.source.instance) for c in self.channels
-            }
-            kind, of_channel = (of_channels | types).get(name.lower(), (name, None))
+            own = {c.name.lower(): (c.source.message, c.source.instance) for c in self.channels}
+            kind, of_channel = (own | types).get(name.lower(), (name, None))
             name, instance = kind, instance or of_channel
         if name not in self.messages:
             what = f"no message of type {name}"
@@ -131,23 +132,13 @@ class Log(Contents):
         from pipeline.ingest.overview import roles_of
 
         flight, roles = roles_of(self.channels)
-        return {
-            "format": self.format,
-            "sha256": self.sha256,
-            "size_bytes": self.size_bytes,
-            "messages": dict(self.messages),
-            "bad_bytes": self.bad_bytes,
-            "lost_messages": self.lost_messages,
-            "boots": self.boots,
+        own = ("format", "sha256", "size_bytes", "messages", "bad_bytes", "lost_messages", "boots")
+        return {name: getattr(self, name) for name in own} | {
             "channels": [describe(channel) for channel in self.channels],
-            "start_utc": utc_text(self.start_ns),
-            "end_utc": utc_text(self.end_ns),
-            "duration_s": self.duration_s,
-            "flight": flight,
-            "roles": roles,
-            "time_base": self.time_base,
-            "ledger": self.ledger.rows(),
-        }
+            "start_utc": utc_text(self.start_ns), "end_utc": utc_text(self.end_ns),
+            "duration_s": self.duration_s, "flight": flight, "roles": roles,
+            "time_base": self.time_base, "ledger": self.ledger.rows(),
+        }  # fmt: skip
 
 
 def _available(name: str, names: list[str]) -> str:
@@ -196,21 +187,95 @@ def describe(channel: Channel) -> dict[str, Any]:
     if "events" in channel.roles or not channel.columns or len(channel) < 3:
         gaps = []  # events and texts come when they come
     return {
-        "name": channel.name,
-        "roles": list(channel.roles),
-        "columns": sorted(channel.columns),
-        "samples": len(channel),
-        "rate_hz": channel.rate_hz,
+        "name": channel.name, "roles": list(channel.roles), "columns": sorted(channel.columns),
+        "samples": len(channel), "rate_hz": channel.rate_hz,
         "start_utc": utc_text(int(channel.time_ns[0])),
         "end_utc": utc_text(int(channel.time_ns[-1])),
         "gaps": [
             {"start_utc": utc_text(int(channel.time_ns[row])), "seconds": float(steps[row])}
             for row in gaps
         ],
-    }
+    }  # fmt: skip
 
 
 def hash_file(path: Path) -> str:
     """SHA-256 of a file, in hexadecimal."""
     with path.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def column_of(values: list[Any]) -> NDArray[Any]:
+    """Values of one field, a message each (None without), as one column.
+
+    bool, int64, uint64 or float64 where that alters no number (NaN where one is missing), str where
+    all are texts ("" where one is missing), else objects.
+
+    >>> column_of([2**60 + 1, -5]).tolist(), column_of([1, None]), column_of([1, "n/a"])
+    ([1152921504606846977, -5], array([ 1., nan]), array([1, 'n/a'], dtype=object))
+    """
+    kinds = {type(value) for value in values}
+    whole, there = type(None) not in kinds, kinds - {type(None)}
+    if there == {str}:
+        return np.array(["" if value is None else value for value in values], np.str_)
+    if there == {bool} and whole:
+        return np.array(values, np.bool_)
+    if there and there <= {bool, int} and whole:
+        low, high = min(values), max(values)
+        if low >= -_WORD // 2 and high < _WORD // 2:
+            return np.array(values, np.int64)
+        if low >= 0 and high < _WORD:
+            return np.array(values, np.uint64)
+    if there <= {bool, int, float} and all(
+        not isinstance(value, int)
+        or abs(value) <= EXACT
+        or (abs(value) < _WORD and int(float(value)) == value)
+        for value in values
+    ):
+        return np.array([np.nan if value is None else value for value in values], np.float64)
+    result = np.empty(len(values), object)
+    for k, value in enumerate(values):  # at once, lists of one length would be an array
+        result[k] = value
+    return result
+
+
+def in_order(tables: Sequence[Table]) -> Table:
+    """Tables with `PLACE` as one in the order of the log, columns as `join_pieces`; used up."""
+    whole = tables[0]
+    if len(tables) > 1:
+        names = dict.fromkeys(name for table in tables for name in table)
+        pairs = [(table, table[PLACE].shape[0]) for table in tables]
+        whole = {name: join_pieces([t.pop(name, count) for t, count in pairs]) for name in names}
+    if bool(np.all(whole[PLACE][1:] > whole[PLACE][:-1])):
+        return whole
+    order = np.argsort(whole[PLACE], kind="stable")
+    return {name: column[order] for name, column in whole.items()}
+
+
+def join_pieces(pieces: Sequence[NDArray[Any] | int]) -> NDArray[Any]:
+    """Pieces of a column end to end; an integer stands for so many rows without it (NaN, or "").
+
+    What no type of numpy holds without loss is as `column_of` has it.
+
+    >>> join_pieces([np.array([1.5]), 1]), join_pieces([np.array(["a"]), np.array([7])])
+    (array([1.5, nan]), array(['a', 7], dtype=object))
+    """
+    arrays = [piece for piece in pieces if isinstance(piece, np.ndarray)]
+    kinds, shapes = {a.dtype.kind for a in arrays}, {a.shape[1:] for a in arrays}
+    if len(shapes) == 1 and (kinds == {"U"} or kinds <= set("biuf")):
+        is_float = "f" in kinds or len(arrays) < len(pieces)
+        kind = next((a.dtype for a in arrays if a.dtype.kind in "fU"), np.dtype(np.float64))
+        missing = "" if kinds == {"U"} else np.nan
+        filled = [
+            np.full((p, *arrays[0].shape[1:]), missing, kind) if isinstance(p, int) else p
+            for p in pieces
+        ]
+        joined = np.concatenate(filled)
+        large = (a for a in arrays if a.dtype.kind in "iu" and a.dtype.itemsize == 8 and a.size)
+        if joined.dtype.kind != "f" or (
+            is_float and all(a.min() >= -EXACT and a.max() <= EXACT for a in large)
+        ):
+            return joined
+    values: list[Any] = []
+    for piece in pieces:
+        values += [None] * piece if isinstance(piece, int) else piece.tolist()
+    return column_of(values)

@@ -18,9 +18,8 @@ _CABIN = ("cabin_pressure", "cabin_temperature", "cabin_humidity")
 def flight_of(position: Channel, height: Channel) -> dict[str, Any]:
     """Place, day and heights of a flight, from its channels of position and height.
 
-    Latitude and longitude where the log begins, to 0.001 degrees (100 m). Heights [m] above
-    ``height_reference``, 0.1 to 99.9 percentile; ``take_off_m`` where the log begins standing
-    still.
+    Latitude and longitude where the log begins, to 0.001 degrees. Heights [m] above
+    ``height_reference``, 0.1 to 99.9 percentile; ``take_off_m`` where it begins standing still.
     """
     known = np.isfinite(position["lat_rad"] + position["lon_rad"])
     if not bool(known.any()):
@@ -49,8 +48,7 @@ def flight_of(position: Channel, height: Channel) -> dict[str, Any]:
 def roles_of(channels: Sequence[Channel]) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     """The flight (`flight_of`), and for each role its channel as of a mission file that names none.
 
-    ``rate_hz``, ``samples``, a ``remark`` (true samples, or what is lacking), ``others`` to be
-    named.
+    ``rate_hz``, ``samples``, a ``remark`` (true samples, or what lacks), ``others`` to be named.
     """
     chosen, notes = assign_roles(channels, {}, needs_cabin=False)
     height = chosen.get("height")

@@ -12,7 +12,7 @@ import numpy as np
 
 from pipeline.flight.channels import Channel, TimeArray
 from pipeline.flight.trajectory import interpolate
-from pipeline.geodesy import principal_radii
+from pipeline.geodesy import principal_radii, wrapped
 from pipeline.ingest.log import Contents, Table
 from pipeline.ledger import Ledger
 from pipeline.units import Array
@@ -29,10 +29,8 @@ _SETTINGS = (
 _LATER_UBLOX = re.compile(r"u-blox \d+ HW: 0*(7|8|A|19)0000\b")
 _DELAY_OF_LATER_S, _DELAY_OF_OTHERS_S = 0.12, 0.22
 
-STATED_SIGMA_S = 0.04
-"""A receiver's delay by its setting, or by what its driver takes for granted."""
-UNKNOWN_SIGMA_S = 0.15
-"""Without a setting and an estimate nothing is applied; delays reach 0.22 s."""
+STATED_SIGMA_S = 0.04  # of the delay by its setting, or by what the driver takes for granted
+UNKNOWN_SIGMA_S = 0.15  # without a setting and an estimate nothing is applied; 0.22 s are reached
 # A filter that allows for a wrong delay leads or lags by the difference, which the estimate takes
 # up: 11 and 21 ms on the logs of ArduPilot's simulator.
 _FILTER_SIGMA_S = 0.015
@@ -131,8 +129,8 @@ def estimated_delay(receiver: Channel, fused: Channel) -> ReceiverDelay | None:
     delay_s, half_ns = 0.1, round(2.5e8)
     for _ in range(4):
         at = time_ns - round(delay_s * 1e9)
-        apart = _wrapped(fixes - places(at)) * scale
-        speed = _wrapped(places(at + half_ns) - places(at - half_ns)) * scale / (2e-9 * half_ns)
+        apart = wrapped(fixes - places(at)) * scale
+        speed = wrapped(places(at + half_ns) - places(at - half_ns)) * scale / (2e-9 * half_ns)
         square = (speed**2).sum(axis=0)
         known = np.isfinite(square) & np.isfinite(apart).all(axis=0)
         if np.count_nonzero(known) < _LEAST_ROWS:
@@ -151,13 +149,5 @@ def estimated_delay(receiver: Channel, fused: Channel) -> ReceiverDelay | None:
     if sigma_s > _FILTER_SIGMA_S or not -_LEAST_DELAY_S < delay_s < _LARGEST_DELAY_S:
         return None
     what = f"estimated from {behind.size} of them against {fused.name}"
-    return ReceiverDelay(
-        delay_s if delay_s > _LEAST_DELAY_S else 0.0,
-        float(np.hypot(sigma_s, _FILTER_SIGMA_S)),
-        what,
-    )
-
-
-def _wrapped(angle: Array) -> Array:
-    """Differences of angles within half a turn."""
-    return np.asarray((angle + np.pi) % (2.0 * np.pi) - np.pi, np.float64)
+    applied_s = delay_s if delay_s > _LEAST_DELAY_S else 0.0
+    return ReceiverDelay(applied_s, float(np.hypot(sigma_s, _FILTER_SIGMA_S)), what)

@@ -19,9 +19,7 @@ from pipeline.ledger import Ledger
 FORMATS: tuple[LogFormat, ...] = (MCAP, ULOG, DATAFLASH, DATAFLASH_TEXT, TLOG)
 
 HEAD_BYTES = 1 << 16
-SUFFIXES = tuple(suffix for form in FORMATS for suffix in form.extensions)
-"""The extensions of all log formats, in lower case, with their dot."""
-
+SUFFIXES = tuple(suffix for form in FORMATS for suffix in form.extensions)  # lower case, with dot
 KNOWN = ", ".join(f"{form.title} ({' '.join(form.extensions)})" for form in FORMATS)
 
 # Related files that cannot be read, by their first bytes, and how to convert them.
@@ -105,10 +103,8 @@ def _read(form: LogFormat, path: Path, ledger: Ledger, needs_channels: bool) -> 
         remedy = f"check that it is the whole log; known are {KNOWN}"
         raise LogError("LOG-FORMAT", what, where=str(path), remedy=remedy)
     if needs_channels and all(channel.is_evidence for channel in channels):
-        kinds = ", ".join(sorted(contents.messages)[:12])
-        raise LogError.of(
-            "LOG-NO-MESSAGES", path, total=sum(contents.messages.values()), kinds=kinds
-        )
+        kinds, total = ", ".join(sorted(contents.messages)[:12]), sum(contents.messages.values())
+        raise LogError.of("LOG-NO-MESSAGES", path, total=total, kinds=kinds)
     messages = dict(sorted(contents.messages.items()))
     contents = replace(contents, messages=messages, channels=tuple(channels))
     return with_receiver_delay(contents, ledger)

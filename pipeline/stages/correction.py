@@ -119,7 +119,7 @@ def correct_stream(
     whatever the number of rows. ``progress`` is called with the number of rows of every part.
     """
     columns = OBSERVATION_COLUMNS if setup.direction == "remove" else DISPLACED_COLUMNS
-    schema = schema_of(columns, metadata, list(observations.user_fields))
+    schema = schema_of(columns, metadata, observations.user_fields)
     there: dict[int, Statistics] = {}
 
     def correct_part(number: int, batch: Batch) -> Statistics:

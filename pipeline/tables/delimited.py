@@ -51,18 +51,14 @@ _ANY_NUMBER = _whole(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?", _
 
 _NUMBER = _Kind(pa.float64(), _ANY_NUMBER)
 _CODE = _Kind(pa.string(), _ANY_NUMBER)
+_PLAIN_NUMBER = _whole(
+    "-?(?:0|[1-9][0-9]{0,14})", rf"[-+]?(?:(?:0|[1-9][0-9]*)\.[0-9]*|\.[0-9]+)(?:{_POWER})?",
+    f"[-+]?(?:0|[1-9][0-9]*){_POWER}", _WORDS,
+)  # fmt: skip
 # In order of preference. The digits are as many as int64 and float64 hold exactly.
 _KINDS = (
     _Kind(pa.int64(), _whole("0", "-?[1-9][0-9]{0,17}", "-?[1-8][0-9]{18}")),
-    _Kind(
-        pa.float64(),
-        _whole(
-            "-?(?:0|[1-9][0-9]{0,14})",
-            rf"[-+]?(?:(?:0|[1-9][0-9]*)\.[0-9]*|\.[0-9]+)(?:{_POWER})?",
-            f"[-+]?(?:0|[1-9][0-9]*){_POWER}",
-            _WORDS,
-        ),
-    ),
+    _Kind(pa.float64(), _PLAIN_NUMBER),
     _Kind(pa.bool_(), "^(?:true|True|TRUE|false|False|FALSE)$"),
     _Kind(pa.date32(), f"^{_DAY}$", parsed=True),
     _Kind(pa.timestamp("s"), f"^{_SECOND}$", parsed=True),
@@ -96,26 +92,17 @@ def csv_names(path: Path) -> list[str]:
 
 
 def scan_csv(
-    path: Path,
-    names: Collection[str],
-    image: str,
-    point: str,
-    numbers: Collection[str],
-    *,
+    path: Path, names: Collection[str], texts: tuple[str, str], numbers: Collection[str],
     add_names: Callable[[pa.StringArray], None] | None = None,
-) -> CsvScan:
+) -> CsvScan:  # fmt: skip
     """Read a CSV once from end to end, to know the type of each of its columns.
 
-    Parameters
-    ----------
-    names : of all columns.
-    image, point : columns of names, which are text even where all are digits.
-    numbers : columns that should be float64, and are unless a value is no number.
-    add_names : called with the images of the next rows.
+    ``texts`` are the columns of images and points, text even where all are digits, ``numbers``
+    float64 unless a value is no number. ``add_names`` is called with the images of the next rows.
     """
+    image = texts[0]
     kinds: dict[str, tuple[_Kind, ...]] = {
-        name: (_NUMBER,) if name in numbers else () if name in (image, point) else _KINDS
-        for name in names
+        name: (_NUMBER,) if name in numbers else () if name in texts else _KINDS for name in names
     }
     filled = set(numbers)
     rows, images = 0, set()
@@ -134,12 +121,9 @@ def scan_csv(
     except (pa.ArrowInvalid, OSError) as error:
         raise _refusal(path, error) from None
     chosen = {name: next(iter(left), None) for name, left in kinds.items() if name in filled}
-    return CsvScan(
-        rows,
-        images - {None},
-        {name: kind.type if (kind := chosen.get(name)) else pa.string() for name in names},
-        tuple(name for name, kind in chosen.items() if kind is _CODE),
-    )
+    types = {name: kind.type if (kind := chosen.get(name)) else pa.string() for name in names}
+    codes = tuple(name for name, kind in chosen.items() if kind is _CODE)
+    return CsvScan(rows, images - {None}, types, codes)
 
 
 def open_csv(
@@ -149,18 +133,11 @@ def open_csv(
 
     ``NA`` is a country, and ``nan`` reads as a number where one is due.
     """
-    return pa_csv.open_csv(
-        path,
-        read_options=pa_csv.ReadOptions(block_size=_BLOCK_BYTES),
-        parse_options=pa_csv.ParseOptions(newlines_in_values=True),
-        convert_options=pa_csv.ConvertOptions(
-            column_types=types,
-            include_columns=only,
-            null_values=[""],
-            strings_can_be_null=True,
-            quoted_strings_can_be_null=False,
-        ),
-    )
+    read = pa_csv.ReadOptions(block_size=_BLOCK_BYTES)
+    parse = pa_csv.ParseOptions(newlines_in_values=True)
+    nulls = {"null_values": [""], "strings_can_be_null": True, "quoted_strings_can_be_null": False}
+    convert = pa_csv.ConvertOptions(column_types=types, include_columns=only, **nulls)
+    return pa_csv.open_csv(path, read, parse, convert)
 
 
 def _refusal(path: Path, error: object) -> InputError:

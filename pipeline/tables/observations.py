@@ -1,13 +1,12 @@
 """Image measurements from a table or a block, in batches, with the user's other columns intact."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -25,15 +24,7 @@ from pipeline.tables.imports.blocks.image_points import of_points, rows_of_image
 from pipeline.tables.pixels import COLMAP, PixelSystem
 from pipeline.tables.refraction_mark import Direction, refuse_done
 from pipeline.tables.schemas import DISPLACED_COLUMNS, OBSERVATION_COLUMNS
-from pipeline.tables.text_columns import (
-    Hashes,
-    WantedColumn,
-    hashes_of,
-    is_text,
-    refuse_ambiguous_names,
-    refuse_other_pixels,
-    require_columns,
-)
+from pipeline.tables.text_columns import hashes_of, is_text, refuse_other_pixels, require_columns
 from pipeline.units import Array
 
 Records = Callable[[int, list[str] | None, int], Iterator[pa.RecordBatch]]
@@ -52,8 +43,7 @@ class Batch:
     none: zero, negative, infinite or no number. ``ground_sigma`` and ``no_sigma`` likewise for
     standard deviations of ground heights, of which zero is one. ``first_row`` is the place of its
     first row in the table; ``no_point`` counts points that a table of object points has not.
-    Of a sample, ``numbers`` are the places of its rows, and ``weight`` how many rows of the table
-    each stands for.
+    Of a sample, ``numbers`` are the places of its rows, and ``weight`` the rows each stands for.
     """
 
     image: pa.StringArray
@@ -83,11 +73,10 @@ class Batch:
     def __len__(self) -> int:
         return len(self.image)
 
-    def taken(self, rows: NDArray[np.int64]) -> Batch:
+    def taken(self, rows: NDArray[np.int64]) -> "Batch":
         """Some of its rows, without the user's columns."""
-        numbers = self.numbers
-        if numbers is None:
-            numbers = self.first_row + np.arange(len(self))
+        place = np.arange(len(self)) + self.first_row
+        numbers = place if self.numbers is None else self.numbers
         of_rows = {
             name: None if values is None else values[rows]
             for name, values in vars(self).items()
@@ -102,8 +91,7 @@ class RowSample:
     """At most ``most`` rows of a table, spread over its images, drawn in one pass over their names.
 
     An image has as many as any other, or all of its own where these are fewer. The same table
-    gives the same rows. ``counts`` are the rows of each image, ``of_each`` how many are drawn of
-    one at most.
+    gives the same rows. ``counts`` are the rows of each image, ``of_each`` the most drawn of one.
 
     >>> sample = RowSample(4)
     >>> sample.add(pa.array(["a"] * 7 + ["b", None]))
@@ -178,7 +166,6 @@ class Observations:
     path: Path
     columns: Mapping[str, str]
     ground_column: str | None
-    distance_column: str | None
     rows: int
     images: tuple[str, ...]
     user_fields: tuple[pa.Field, ...]
@@ -211,7 +198,7 @@ class Observations:
         return batch
 
     def of_points(
-        self, chosen: Callable[[Hashes], NDArray[np.int64]], most_rows: int = 1 << 62
+        self, chosen: Callable[[NDArray[np.uint64]], NDArray[np.int64]], most_rows: int = 1 << 62
     ) -> Batch:
         """The rows whose points' hashes are chosen, of the first ``most_rows``; else as `sampled`.
 
@@ -278,36 +265,23 @@ class Observations:
                 column = column.cast(column.type.value_type)
             arrays[name] = column.combine_chunks()
         x, y = _as_float(arrays[self.columns["x_px"]]), _as_float(arrays[self.columns["y_px"]])
-        distance, no_distance, sigma, no_sigma = None, 0, None, 0
         unread = pa.nulls(table.num_rows)
-        image, point = (
-            arrays.get(self.columns[n], unread).cast(pa.string()) for n in ("image", "point")
-        )
-        ground, no_point = None, 0
-        if self.ground_column is not None:
-            ground = _as_float(arrays[self.ground_column])
+        names = (arrays.get(self.columns[n], unread) for n in ("image", "point"))
+        image, point = (column.cast(pa.string()) for column in names)
+        optional: dict[str, Any] = {}
+        ground = None if self.ground_column is None else _as_float(arrays[self.ground_column])
         if self.points is not None:
             ground, row = self.points.heights(point, image)
-            no_point = int(((row < 0) & np.isnan(ground)).sum())
-        if self.distance_column is not None:
-            distance, no_distance = _at_least(0.0, arrays[self.distance_column], above=True)
+            optional["no_point"] = int(((row < 0) & np.isnan(ground)).sum())
+        if "distance_m" in self.columns:
+            found = _at_least_zero(arrays[self.columns["distance_m"]], above=True)
+            optional["distance_m"], optional["no_distance"] = found
         if self.sigma_column is not None:
-            sigma, no_sigma = _at_least(0.0, arrays[self.sigma_column])
-        return Batch(
-            image=image,
-            point=point,
-            x_px=self.pixels.to_colmap(x),
-            y_px=self.pixels.to_colmap(y),
-            x_given_px=x,
-            y_given_px=y,
-            ground=ground,
-            users={name: arrays[source] for name, source in users.items()},
-            distance_m=distance,
-            no_distance=no_distance,
-            ground_sigma=sigma,
-            no_sigma=no_sigma,
-            no_point=no_point,
-        )
+            found = _at_least_zero(arrays[self.sigma_column])
+            optional["ground_sigma"], optional["no_sigma"] = found
+        own = {name: arrays[source] for name, source in users.items()}
+        x_px, y_px = self.pixels.to_colmap(x), self.pixels.to_colmap(y)
+        return Batch(image, point, x_px, y_px, x, y, ground=ground, users=own, **optional)
 
 
 def open_observations(
@@ -325,19 +299,13 @@ def open_observations(
 ) -> Observations:
     """Check a table of observations: its columns, its marks, its images.
 
-    Parameters
-    ----------
-    path : ``.csv`` or ``.parquet``, or what ``file_format`` says.
-    columns : image, point, x_px, y_px -> the user's name of the column; distance_m too, where
-        there is one: it passes through as the user's own.
-    ground_column : the column of ground heights, or None where none has them.
-    ground_is_msl : whether these heights are above mean sea level, as our ``h_g_m`` is; any other
-        column of that name is the user's own and leaves as ``h_g_m_input``.
-    sigma_column : the column of standard deviations of the ground heights, which passes through.
-    direction : whether refraction will be removed from these observations or applied to them.
-    pixels : where the table counts its pixels from.
-    most_rows : draw that many rows, spread over the images, for `Observations.sampled`.
-    file_format : csv, parquet, or one of `BLOCKS`; by default the ending says it.
+    ``columns`` : image, point, x_px, y_px -> the user's name of the column; distance_m too, where
+    there is one: it passes through as the user's own. ``ground_column`` and ``sigma_column`` have
+    heights of the ground and their standard deviations; heights that are not above mean sea level,
+    as our ``h_g_m`` is (``ground_is_msl``), leave as ``h_g_m_input`` where they are called that.
+    ``direction`` : whether refraction will be removed or applied. ``most_rows`` : draw that many
+    rows, spread over the images, for `Observations.sampled`. ``file_format`` : csv, parquet, or one
+    of `BLOCKS`; by default the ending says it.
 
     Refuses a table to which that was done already, one that lacks a column, or repeats a name. A
     point that stands twice in one image of a block is a loss.
@@ -346,26 +314,19 @@ def open_observations(
     kind = file_format or {"txt": "csv", "pq": "parquet"}.get(ending, ending)
     schema, records = _opened(path, kind)
     named = {role: name for role, name in columns.items() if name is not None}
-    wanted = [WantedColumn(r, name, f"observations.columns.{r}") for r, name in named.items()]
+    wanted = [(role, name, f"observations.columns.{role}") for role, name in named.items()]
     if ground_column:
-        wanted.append(WantedColumn("ground height", ground_column, "ground.height.column"))
+        wanted.append(("ground height", ground_column, "ground.height.column"))
     if sigma_column:
-        wanted.append(WantedColumn("sigma of the ground", sigma_column, "ground.sigma_column"))
-    refuse_ambiguous_names(path, schema, wanted)
+        wanted.append(("sigma of the ground", sigma_column, "ground.sigma_column"))
     refuse_done(path, schema, direction)
     refuse_other_pixels(path, schema, direction, named)
     require_columns(path, schema, wanted)
     sample, has_points = None if most_rows is None else RowSample(most_rows), kind not in BLOCKS
     if kind == "csv":
         numbers = {named["x_px"], named["y_px"], ground_column or ""} & set(schema.names)
-        scan = scan_csv(
-            path,
-            schema.names,
-            named["image"],
-            named["point"],
-            numbers,
-            add_names=None if sample is None else sample.add,
-        )
+        add = None if sample is None else sample.add
+        scan = scan_csv(path, schema.names, (named["image"], named["point"]), numbers, add)
         rows, images, records = scan.rows, scan.images, partial(_csv_records, path, scan.types)
         schema = pa.schema(list(scan.types.items()))
         require_columns(path, schema, wanted)  # now with the types that the values have
@@ -398,7 +359,6 @@ def open_observations(
         path=path,
         columns=named,
         ground_column=ground_column,
-        distance_column=named.get("distance_m"),
         rows=rows,
         images=tuple(sorted(images - {None})),
         user_fields=tuple(pa.field(n, schema.field(source).type) for n, source in sources.items()),
@@ -434,9 +394,8 @@ def _opened(path: Path, kind: str) -> tuple[pa.Schema, Records]:
         rows = partial(_block_records, path, kind)
         return next(rows(0, None, 0), rows_of_image("", [])).schema, rows
     if kind == "csv":
-        return pa.schema([(name, pa.string()) for name in csv_names(path)]), partial(
-            _csv_records, path, {}
-        )
+        schema = pa.schema([(name, pa.string()) for name in csv_names(path)])
+        return schema, partial(_csv_records, path, {})
     if kind == "parquet":
         try:
             return pq.read_schema(path), partial(_parquet_records, path)
@@ -513,20 +472,16 @@ def _as_float(column: pa.Array) -> Array:
     """float64 with NaN for null and for text that is no number."""
     if pa.types.is_string(column.type) or pa.types.is_large_string(column.type):
         values = pd.to_numeric(column.to_pandas(), errors="coerce")
-        return np.asarray(values, dtype=np.float64)
-    return np.asarray(
-        column.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False), dtype=np.float64
-    )
+    else:
+        values = column.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False)
+    return np.asarray(values, np.float64)
 
 
-def _at_least(lowest: float, column: pa.Array, *, above: bool = False) -> tuple[Array, int]:
-    """Finite values from the lowest on (``above``: greater than it), else NaN; how many are not.
-
-    Null is no value, and does not count.
-    """
+def _at_least_zero(column: pa.Array, *, above: bool = False) -> tuple[Array, int]:
+    """Finite values from 0 on (``above``: greater), else NaN; how many but for nulls are not."""
     values = _as_float(column)
     with np.errstate(invalid="ignore"):
-        sound = np.isfinite(values) & ((values > lowest) if above else (values >= lowest))
+        sound = np.isfinite(values) & ((values > 0.0) if above else (values >= 0.0))
     absent = column.is_null().to_numpy(zero_copy_only=False)
     if not is_text(column.type):
         absent = absent | np.isnan(values)

@@ -21,12 +21,8 @@ Direction = Literal["remove", "apply"]
 REFRACTION_KEY = b"unbend.refraction"
 REFRACTION_REMOVED = b"removed"
 REFRACTION_APPLIED = b"applied"
-
 SIDECAR = ".unbend.json"
-
-MARK_TABLE = "unbend"
-"""Table of a database: key and value, of which one is the mark."""
-
+MARK_TABLE = "unbend"  # of a database: key and value, of which one is the mark
 _SQLITE = b"SQLite format 3\0"
 
 
@@ -40,13 +36,11 @@ def sidecar_text(files: Mapping[str, Path], about: Mapping[str, Any]) -> str:
 def refuse_marked(path: Path, direction: Direction = "remove") -> None:
     """Refuse a file of observations from which refraction was removed, if it is to be removed.
 
-    ``path`` is a file, or a folder of which every file is looked at. Refused (InputError) are:
-
-    * a database with the mark, and a file whose content a sidecar in its folder names, under
-      whatever name (OBS-ALREADY-CORRECTED);
-    * a file whose name a sidecar has with another content (OBS-MARK-CHANGED): another program has
-      written to it, or it is another file;
-    * any file beside a sidecar that cannot be read (OBS-MARK-UNREADABLE).
+    ``path`` is a file, or a folder of which every file is looked at. Refused (InputError) are a
+    database with the mark, and a file whose content a sidecar in its folder names, under whatever
+    name (OBS-ALREADY-CORRECTED); a file whose name a sidecar has with another content
+    (OBS-MARK-CHANGED): another program has written to it, or it is another file; any file beside a
+    sidecar that cannot be read (OBS-MARK-UNREADABLE).
 
     Files are hashed only where there is a sidecar. Parquet and CSV: `refuse_done`.
     """
@@ -71,9 +65,8 @@ def refuse_marked(path: Path, direction: Direction = "remove") -> None:
             why = f"{by_content[digest].name} names its content"
             raise InputError.of("OBS-ALREADY-CORRECTED", file, why=why)
         if _database_is_marked(file):
-            raise InputError.of(
-                "OBS-ALREADY-CORRECTED", file, why=f"its table {MARK_TABLE} says so"
-            )
+            why = f"its table {MARK_TABLE} says so"
+            raise InputError.of("OBS-ALREADY-CORRECTED", file, why=why)
         if file.name in by_name:
             raise InputError.of("OBS-MARK-CHANGED", file, name=by_name[file.name].name)
 

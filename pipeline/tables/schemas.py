@@ -2,8 +2,9 @@
 
 import json
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from importlib.resources import files
+from typing import Any
 
 import pyarrow as pa
 
@@ -47,9 +48,7 @@ DISPLACED_COLUMNS: Columns = dict(
 CONVENTIONS: Mapping[str, str] = _TEXTS["conventions"]
 
 
-def schema_of(
-    columns: Columns, extra: Mapping[str, str], users: list[pa.Field] | None = None
-) -> pa.Schema:
+def schema_of(columns: Columns, extra: Mapping[str, str], users: Iterable[Any] = ()) -> pa.Schema:
     """An Arrow schema with units and meanings in the fields and conventions in the metadata.
 
     ``extra`` joins the metadata; ``users`` are the user's own columns, after ours.
@@ -58,8 +57,6 @@ def schema_of(
         pa.field(name, kind, metadata={"unit": unit, "meaning": meaning})
         for name, (kind, unit, meaning) in columns.items()
     ]
-    metadata = {
-        "unbend.schema": SCHEMA_VERSION,
-        "unbend.conventions": json.dumps(dict(CONVENTIONS), sort_keys=True),
-    } | dict(extra)
-    return pa.schema(fields + (users or []), metadata=metadata)
+    conventions = json.dumps(dict(CONVENTIONS), sort_keys=True)
+    ours = {"unbend.schema": SCHEMA_VERSION, "unbend.conventions": conventions}
+    return pa.schema([*fields, *users], metadata=ours | dict(extra))

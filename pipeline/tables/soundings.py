@@ -7,21 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.atmosphere.soundings import (
-    RawLevels,
-    Sounding,
-    check_levels,
-    nearest_in_time,
-    parse_sounding,
-)
+from pipeline.atmosphere import soundings
 from pipeline.atmosphere.soundings.levels import FILLS, LARGEST, radians, to_si
 from pipeline.errors import InputError
 from pipeline.ledger import Ledger
 from pipeline.units import NANOSECONDS_PER_SECOND, Array
 
+# Room for decades of one station; a larger file is of another kind, and would fill memory.
 LARGEST_BYTES = 200_000_000
-"""Room for decades of one station; a larger file is of another kind, and would fill memory."""
-
 _LATEST_S = 7_258_118_400  # the year 2200
 
 _NETCDF3, _HDF5 = b"CDF", b"\x89HDF"
@@ -37,7 +30,7 @@ def read_sounding(
     time_ns: int | None = None,
     latitude_rad: float = math.nan,
     station_h_m: float = math.nan,
-) -> Sounding:
+) -> soundings.Sounding:
     """Read a sounding; arguments as for `parse_sounding`. A nameless one is called by its file.
 
     Raises ``InputError`` where the file cannot be read or is none.
@@ -53,10 +46,9 @@ def read_sounding(
         why = "it is netCDF-4 (HDF5); only the classic format is read"
         raise InputError.of("SOUNDING-NETCDF", path, why=why)
     if data.startswith(_NETCDF3):
-        raw = nearest_in_time([_netcdf(path)], time_ns, path.name)
-        sounding = ledger.take(
-            check_levels(raw, latitude_rad=latitude_rad, station_h_m=station_h_m)
-        )
+        raw = soundings.nearest_in_time([_netcdf(path)], time_ns, path.name)
+        checked = soundings.check_levels(raw, latitude_rad=latitude_rad, station_h_m=station_h_m)
+        sounding = ledger.take(checked)
     else:
         try:
             text = data.decode("utf-8-sig")
@@ -65,14 +57,14 @@ def read_sounding(
             raise InputError.of(
                 "SOUNDING-UNREADABLE/utf-8", path, byte=data[at], offset=at
             ) from None
-        sounding = parse_sounding(
+        sounding = soundings.parse_sounding(
             text, ledger, where=path.name, format_name=format_name, time_ns=time_ns,
             latitude_rad=latitude_rad, station_h_m=station_h_m,
         )  # fmt: skip
     return sounding if sounding.station else replace(sounding, station=path.name)
 
 
-def _netcdf(path: Path) -> RawLevels:
+def _netcdf(path: Path) -> soundings.RawLevels:
     """The levels of a classic netCDF file with ARM's names; fill values become NaN."""
     from scipy.io import netcdf_file
 
@@ -97,7 +89,7 @@ def _netcdf(path: Path) -> RawLevels:
     if start is not None and 0 < start < _LATEST_S:
         since = offset if math.isfinite(offset) else 0.0
         release_ns = round((start + since) * NANOSECONDS_PER_SECOND)
-    return RawLevels(
+    return soundings.RawLevels(
         h_m=columns["alt"],
         pressure_pa=columns["pres"],
         temperature_k=columns["tdry"],

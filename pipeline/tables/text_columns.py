@@ -1,12 +1,10 @@
 """Columns by the user's names: what is refused, and small tables as text, numbers and times."""
 
-from __future__ import annotations
-
 import difflib
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -18,20 +16,12 @@ from pipeline.flight.channels import TimeArray
 from pipeline.flight.clock import SECONDS_PER_WEEK, utc_of_gps
 from pipeline.refraction.kernels.jit import entry
 from pipeline.tables.refraction_mark import Direction
-from pipeline.units import (
-    NANOSECONDS_PER_SECOND,
-    RADIANS,
-    UNIX_NS_OF_GPS_EPOCH,
-    AngleUnit,
-    Array,
-    Integers,
-    Mask,
-)
+from pipeline.units import RADIANS, UNIX_NS_OF_GPS_EPOCH, AngleUnit, Array, Mask
 
 Hashes = NDArray[np.uint64]
 
 _FEW_NAMES = 50_000  # take less time letter by letter than compiled code takes to load
-_WEEK_NS = SECONDS_PER_WEEK * NANOSECONDS_PER_SECOND
+_WEEK_NS = SECONDS_PER_WEEK * 10**9
 
 
 def text_table(
@@ -60,11 +50,7 @@ def text_table(
             codes[0], f"is no readable CSV: {str(error).strip()}", where=str(path),
             remedy="a table has a header line, commas, and as many fields in every row",
         ) from None  # fmt: skip
-    for quantity, name in wanted.items():
-        if name not in names:
-            raise no_such_column(
-                codes[1], path, name, there=names, key=f"{key}.{quantity}", quantity=quantity
-            )
+    require_names(codes[1], path, names, ((q, n, f"{key}.{q}") for q, n in wanted.items()))
     return rows.iloc[1:].set_axis(names, axis="columns").reset_index(drop=True)
 
 
@@ -75,12 +61,11 @@ def split_lines(lines: Sequence[str], names: Sequence[str], separator: str) -> p
     [['1', '2'], ['4', '']]
     """
     rows = [re.split(separator, line.strip()) for line in lines]
-    return pd.DataFrame(
-        [(row + [""] * len(names))[: len(names)] for row in rows], columns=list(names), dtype=str
-    )
+    fields = [(row + [""] * len(names))[: len(names)] for row in rows]
+    return pd.DataFrame(fields, columns=list(names), dtype=str)
 
 
-def numbers(text: pd.Series[str]) -> Array:
+def numbers(text: "pd.Series[str]") -> Array:
     """(n,) numbers of fields, NaN where one is none; -0 keeps its sign."""
     try:
         return text.to_numpy(object).astype(np.float64)
@@ -93,13 +78,10 @@ def numbers_of(table: pd.DataFrame, name: str, path: Path, code: str) -> Array:
     values = numbers(table[name])
     wrong = np.flatnonzero(~np.isfinite(values) & (table[name].str.strip() != "").to_numpy())
     if wrong.size:
-        raise InputError(
-            code,
-            f"{wrong.size} fields of column {name} are no numbers, the first "
-            f"{table[name].iloc[wrong[0]]!r}",
-            where=f"{path}, line {wrong[0] + 2}",
-            remedy="write decimal numbers with a point, and leave what is unknown empty",
-        )
+        what = f"{wrong.size} fields of column {name} are no numbers, the first "
+        what += repr(table[name].iloc[wrong[0]])
+        remedy = "write decimal numbers with a point, and leave what is unknown empty"
+        raise InputError(code, what, where=f"{path}, line {wrong[0] + 2}", remedy=remedy)
     return values
 
 
@@ -114,16 +96,14 @@ def angles_in_radians(given: Array, unit: AngleUnit, path: Path, code: str, key:
         return given * RADIANS[unit]
     worst = float(np.nanmax(np.abs(given)))
     likely = next((other for other in turn if worst <= turn[other]), None)
-    raise InputError(
-        code,
-        f"{int(beyond.sum())} rows have an angle of more than a turn ({turn[unit]:g} {unit}), "
-        f"up to {worst:g}" + (f"; is the unit {likely}?" if likely else ""),
-        where=f"{path}, line {int(np.argmax(beyond)) + 2}",
-        remedy=f"state {key} (deg, rad or grad), or name the columns of angles",
-    )
+    what = f"{int(beyond.sum())} rows have an angle of more than a turn ({turn[unit]:g} {unit}), "
+    what += f"up to {worst:g}" + (f"; is the unit {likely}?" if likely else "")
+    where = f"{path}, line {int(np.argmax(beyond)) + 2}"
+    remedy = f"state {key} (deg, rad or grad), or name the columns of angles"
+    raise InputError(code, what, where=where, remedy=remedy)
 
 
-def utc_of_dates(text: pd.Series[str], system: str = "utc") -> tuple[TimeArray, Mask]:
+def utc_of_dates(text: "pd.Series[str]", system: str = "utc") -> tuple[TimeArray, Mask]:
     """(n,) Unix nanoseconds of dates with a time of day in UTC or GPS time; which are good.
 
     ISO 8601, or with slashes between year, month and day; zones are honoured.
@@ -134,7 +114,7 @@ def utc_of_dates(text: pd.Series[str], system: str = "utc") -> tuple[TimeArray, 
     time_ns = np.where(good, stamps.to_numpy("datetime64[ns]").astype(np.int64), 0)
     if system == "gpst":
         week, rest = np.divmod(time_ns - UNIX_NS_OF_GPS_EPOCH, _WEEK_NS)
-        time_ns = utc_of_gps(week, rest / NANOSECONDS_PER_SECOND)
+        time_ns = utc_of_gps(week, rest / 1e9)
     return time_ns, good
 
 
@@ -151,16 +131,14 @@ def utc_of_weeks(week: Array | int, seconds: Array, system: str) -> TimeArray:
     return np.where(known, start + np.rint(seconds * 1e9).astype(np.int64), 0)
 
 
-def utc_of_columns(
-    table: pd.DataFrame, time_utc: str | None, gps_week: str | None, gps_seconds: str | None
-) -> tuple[TimeArray, Mask]:
+def utc_of_columns(table: pd.DataFrame, names: Mapping[str, str]) -> tuple[TimeArray, Mask]:
     """(n,) Unix nanoseconds from a column of UTC times, or GPS week and seconds; which are good.
 
     Times without a zone are UTC; GPS seconds are reduced by the leap seconds of their date.
     """
-    if time_utc is not None:
-        return utc_of_dates(table[time_utc])
-    week, seconds = numbers(table[gps_week]), numbers(table[gps_seconds])
+    if "time_utc" in names:
+        return utc_of_dates(table[names["time_utc"]])
+    week, seconds = (numbers(table[names[part]]) for part in ("gps_week", "gps_seconds"))
     good = np.isfinite(week) & np.isfinite(seconds) & (week > 0) & (week == np.floor(week))
     good &= (seconds >= 0.0) & (seconds <= 604_800.0)
     return utc_of_weeks(np.where(good, week, np.nan), seconds, "gpst"), good
@@ -194,7 +172,7 @@ def hashes_of(names: pa.StringArray) -> Hashes:
     return np.asarray(found ^ (found >> np.uint64(32)))
 
 
-def rows_among(hashes: Hashes, wanted: Hashes) -> Integers:
+def rows_among(hashes: Hashes, wanted: Hashes) -> NDArray[np.int64]:
     """The rows whose hash is a wanted one; by their last 20 bits first, which leaves few."""
     maybe, mask = np.zeros(1 << 20, np.bool_), np.uint64((1 << 20) - 1)  # fits into a cache
     maybe[wanted & mask] = True
@@ -202,56 +180,42 @@ def rows_among(hashes: Hashes, wanted: Hashes) -> Integers:
     return rows[np.isin(hashes[rows], wanted)]
 
 
-class WantedColumn(NamedTuple):
-    """A quantity, the user's name of its column, and the key of the mission file for that."""
+def require_names(
+    code: str, path: Path, there: Sequence[str], wanted: Iterable[tuple[str, str, str]]
+) -> None:
+    """Refuse a table that lacks a column, with the name it may have been meant to be.
 
-    quantity: str
-    name: str
-    key: str
+    ``wanted`` : quantity, the user's name of its column, and the key of the mission file for that.
 
-
-def no_such_column(
-    code: str, path: Path, name: str, *, there: Sequence[str], key: str, quantity: str = ""
-) -> InputError:
-    """The refusal of a table that lacks a column, with the name it may have been meant to be.
-
-    ``there`` are the names of its columns, ``key`` is the mission file's, ``quantity`` what the
-    column was to hold.
-
-    >>> print(no_such_column("A-B", Path("o.csv"), "x_px", there=["image", "x_pix"], key="x"))
-    A-B: there is no column 'x_px'; perhaps 'x_pix'?; there is image, x_pix
+    >>> require_names("A-B", Path("o.csv"), ["image", "x_pix"], [("x", "x_px", "k")])
+    Traceback (most recent call last):
+    pipeline.errors.InputError: A-B: there is no column 'x_px' for the x; perhaps 'x_pix'?; there \
+is image, x_pix
       where: o.csv
-      to do: say what it is called: x
+      to do: say what it is called: k
     """
-    near = difflib.get_close_matches(name, there, 1, 0.5)
-    hint = f"; perhaps {near[0]!r}?" if near else ""
-    reason = f" for the {quantity}" if quantity else ""
-    return InputError(
-        code,
-        f"there is no column {name!r}{reason}{hint}; there is {', '.join(there)}",
-        where=str(path),
-        remedy=f"say what it is called: {key}",
-    )
-
-
-def refuse_ambiguous_names(path: Path, schema: pa.Schema, wanted: Sequence[WantedColumn]) -> None:
-    """Refuse a table with two columns of one name, and one column for two quantities."""
-    twice = sorted({name for name in schema.names if schema.names.count(name) > 1})
-    if twice:
-        raise InputError.of("OBS-REPEATED-COLUMN", path, twice=", ".join(twice))
-    names = [column.name for column in wanted]
-    shared = sorted({name for name in names if names.count(name) > 1})
-    if shared:
-        raise InputError.of("OBS-COLUMN", path, shared=shared[0])
-
-
-def require_columns(path: Path, schema: pa.Schema, wanted: Sequence[WantedColumn]) -> None:
-    """Refuse a table that lacks a column, or has one of neither text nor numbers."""
     for quantity, name, key in wanted:
-        if name not in schema.names:
-            raise no_such_column(
-                "OBS-COLUMN", path, name, there=schema.names, key=key, quantity=quantity
-            )
+        if name not in there:
+            near = difflib.get_close_matches(name, there, 1, 0.5)
+            hint = f"; perhaps {near[0]!r}?" if near else ""
+            what = f"there is no column {name!r} for the {quantity}{hint}; there is "
+            what += ", ".join(there)
+            raise InputError(code, what, where=str(path), remedy=f"say what it is called: {key}")
+
+
+def require_columns(path: Path, schema: pa.Schema, wanted: Sequence[tuple[str, str, str]]) -> None:
+    """Refuse a table that lacks a column or has two of one name, and one column for two quantities.
+
+    ``wanted`` : quantities, the user's names of their columns, which have to hold text or numbers,
+    and the keys of the mission file for these.
+    """
+    names = [name for _, name, _ in wanted]
+    if twice := sorted({name for name in schema.names if schema.names.count(name) > 1}):
+        raise InputError.of("OBS-REPEATED-COLUMN", path, twice=", ".join(twice))
+    if shared := sorted({name for name in names if names.count(name) > 1}):
+        raise InputError.of("OBS-COLUMN", path, shared=shared[0])
+    require_names("OBS-COLUMN", path, schema.names, wanted)
+    for quantity, name, _ in wanted:
         kind = schema.field(name).type
         if not (is_text(kind) or is_number(kind)):
             named = quantity in ("image", "point")
@@ -269,12 +233,8 @@ def is_text(kind: Any) -> bool:
 def is_number(kind: Any) -> bool:
     """Whether an Arrow type is a number or null throughout, a dictionary of these included."""
     kind = kind.value_type if pa.types.is_dictionary(kind) else kind
-    return bool(
-        pa.types.is_floating(kind)
-        or pa.types.is_integer(kind)
-        or pa.types.is_decimal(kind)
-        or pa.types.is_null(kind)
-    )
+    numbers = (pa.types.is_floating, pa.types.is_integer, pa.types.is_decimal, pa.types.is_null)
+    return any(is_such(kind) for is_such in numbers)
 
 
 def refuse_other_pixels(

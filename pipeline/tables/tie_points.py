@@ -13,9 +13,7 @@ from pipeline.tables.observations import Observations
 from pipeline.tables.text_columns import hashes_of
 from pipeline.units import Array
 
-MOST_TIE_POINTS = 2000
-"""Points that serve all that is decided by intersection."""
-
+MOST_TIE_POINTS = 2000  # that serve all that is decided by intersection
 _MOST_ROWS = 20_000_000  # read in some seconds; the rest of a larger table is not looked at
 _ROWS_KEPT = 200_000
 _MOST_RAYS = 4  # of one point: a survey from high up shows a point in a hundred images
@@ -43,8 +41,7 @@ def draw_tie_points(observations: Observations, most: int) -> TiePoints:
     """Up to ``most`` points with two to four rays, spread over the images: each has its first few.
 
     The same table gives the same points, whatever the order of its rows. Of more than 200,000 rows
-    those of one point in k are kept, by the hash of its name; rows behind the first 20 million
-    are not read.
+    those of one point in k are kept, by the hash of its name; 20 million rows are read at most.
     """
     every = np.uint64(max(1, min(observations.rows, _MOST_ROWS) // _ROWS_KEPT))
     lowest = np.iinfo(np.uint64).max // every
@@ -53,9 +50,8 @@ def draw_tie_points(observations: Observations, most: int) -> TiePoints:
     # Numbers in the order of names: a table of text takes ten times as long to be sorted.
     image = pd.Index(observations.images).get_indexer(pd.Index(batch.image.to_pandas()))
     point = hashes_of(batch.point)
-    table = pd.DataFrame(
-        {"image": image, "point": point, "x": batch.x_px, "y": batch.y_px, "ground": given}
-    )
+    columns = {"image": image, "point": point, "x": batch.x_px, "y": batch.y_px, "ground": given}
+    table = pd.DataFrame(columns)
     known = (image >= 0) & batch.point.is_valid().to_numpy(zero_copy_only=False)
     table = table[known].dropna(subset=["x", "y"])
     again = table.index[table.duplicated(["image", "point"])]
@@ -69,15 +65,10 @@ def draw_tie_points(observations: Observations, most: int) -> TiePoints:
     table = table[table["point"].isin(first)]
     drawn = table.sample(frac=1.0, random_state=0).groupby("point").cumcount() < _MOST_RAYS
     table = table[drawn.reindex(table.index)]
-    return TiePoints(
-        observations.images,
-        table["image"].to_numpy(np.int64),
-        np.unique(table["point"].to_numpy(), return_inverse=True)[1].astype(np.int64),
-        table["x"].to_numpy(),
-        table["y"].to_numpy(),
-        table["ground"].to_numpy(),
-        repeated,
-    )
+    number = np.unique(table["point"].to_numpy(), return_inverse=True)[1].astype(np.int64)
+    x, y, height = (table[name].to_numpy() for name in ("x", "y", "ground"))
+    shown = table["image"].to_numpy(np.int64)
+    return TiePoints(observations.images, shown, number, x, y, height, repeated)
 
 
 def tie_rays(

@@ -4,8 +4,6 @@ Source: OGC GeoParquet 1.1.0; OGC 06-103r4 (well-known binary). In a geometry th
 first, whatever the order of the axes in the coordinate reference system.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import struct
@@ -34,14 +32,6 @@ if TYPE_CHECKING:
     from pipeline.atmosphere.estimate.adjusted_profile import Adjustment
 
 
-def geo_metadata(column: str) -> dict[str, str]:
-    """The entry ``geo`` of a file's metadata, for a column of points in EPSG:4979."""
-    system = json.loads(files("pipeline.tables").joinpath("data/wgs84_3d.json").read_text("utf-8"))
-    described = {"encoding": "WKB", "geometry_types": ["Point", "Point Z"], "crs": system}
-    geo = {"version": "1.1.0", "primary_column": column, "columns": {column: described}}
-    return {"geo": json.dumps(geo)}
-
-
 def points_wkb(lon_deg: Array, lat_deg: Array, h_ellipsoid_m: Array) -> list[bytes | None]:
     """(n,) points; without height where that is unknown (NaN), None where there is no position.
 
@@ -65,22 +55,17 @@ def table_of(columns: Mapping[str, Any], schema: pa.Schema) -> pa.Table:
     rows = len(next(iter(columns.values())))
     arrays = []
     for item in schema:
-        values = columns.get(item.name)
-        if values is None:
-            arrays.append(pa.nulls(rows, item.type))
-        elif isinstance(values, pa.Array):
-            arrays.append(values)
-        elif isinstance(values, np.ndarray) and values.dtype.kind == "f":
+        values, gaps = columns.get(item.name), True
+        if isinstance(values, np.ndarray) and values.dtype.kind == "f":
             # Most columns have no gap, some nothing else: a look takes less than a bit a row.
-            gaps = np.isnan(values)
-            some = bool(gaps.any())
-            arrays.append(
-                pa.nulls(rows, item.type)
-                if some and bool(gaps.all())
-                else pa.array(values, item.type, from_pandas=some)
-            )
-        else:
-            arrays.append(pa.array(values, item.type, from_pandas=True))
+            missing = np.isnan(values)
+            gaps = bool(missing.any())
+            values = None if gaps and bool(missing.all()) else values
+        if values is None:
+            values = pa.nulls(rows, item.type)
+        if not isinstance(values, pa.Array):
+            values = pa.array(values, item.type, from_pandas=gaps)
+        arrays.append(values)
     return pa.table(arrays, schema=schema)
 
 
@@ -91,30 +76,25 @@ def table_of_observations(
     x, y = pixels.from_colmap(corrections.x_px), pixels.from_colmap(corrections.y_px)
     names, sigmas = pa.array(STATUS_NAMES), corrections.sigmas
     spread = {} if sigmas is None else sigmas.named()
-    return table_of(
-        {
-            "image": batch.image,
-            "point": batch.point,
-            "x_px": batch.x_given_px,
-            "y_px": batch.y_given_px,
-            "x_corrected_px": x,
-            "y_corrected_px": y,
-            "x_displaced_px": x,  # the schema holds one of the two pairs
-            "y_displaced_px": y,
-            "zeta_c_rad": corrections.zeta_c_rad,
-            "r_c_rad": corrections.r_c_rad,
-            "r_cc_rad": corrections.r_cc_rad,
-            "h_g_m": h_g,
-            "status": names.take(pa.array(corrections.status)),
-        }
-        | spread
-        | batch.users,
-        schema,
-    )
+    columns = {
+        "image": batch.image,
+        "point": batch.point,
+        "x_px": batch.x_given_px,
+        "y_px": batch.y_given_px,
+        "x_corrected_px": x,
+        "y_corrected_px": y,
+        "x_displaced_px": x,  # the schema holds one of the two pairs
+        "y_displaced_px": y,
+        "zeta_c_rad": corrections.zeta_c_rad,
+        "r_c_rad": corrections.r_c_rad,
+        "r_cc_rad": corrections.r_cc_rad,
+        "h_g_m": h_g,
+        "status": names.take(pa.array(corrections.status)),
+    }
+    return table_of(columns | spread | batch.users, schema)
 
 
-PROFILE_ID = "flight"
-"""Of the one profile of a flight; where there are several, flight-001 and so on."""
+PROFILE_ID = "flight"  # of the one profile of a flight; of several, flight-001 and so on
 
 
 def profile_ids(series: ProfileSeries) -> list[str]:
@@ -124,15 +104,17 @@ def profile_ids(series: ProfileSeries) -> list[str]:
 
 
 def table_of_stations(stations: Stations, series: ProfileSeries) -> pa.Table:
-    """``stations.parquet``, which is GeoParquet."""
+    """``stations.parquet``, which is GeoParquet: points in EPSG:4979."""
     columns = station_columns(stations)
-    columns["geometry"] = points_wkb(
-        columns["lon_deg"], columns["lat_deg"], columns["h_ellipsoid_m"]
-    )
+    places = (columns[name] for name in ("lon_deg", "lat_deg", "h_ellipsoid_m"))
+    columns["geometry"] = points_wkb(*places)
     ids = np.array(profile_ids(series), dtype=object)[series.profile_number]
     ids[~stations.ok] = None
     columns["profile_id"] = ids
-    return table_of(columns, schema_of(STATION_COLUMNS, geo_metadata("geometry")))
+    system = json.loads(files("pipeline.tables").joinpath("data/wgs84_3d.json").read_text("utf-8"))
+    described = {"encoding": "WKB", "geometry_types": ["Point", "Point Z"], "crs": system}
+    geo = {"version": "1.1.0", "primary_column": "geometry", "columns": {"geometry": described}}
+    return table_of(columns, schema_of(STATION_COLUMNS, {"geo": json.dumps(geo)}))
 
 
 def rows_of_stations(stations: Stations) -> list[dict[str, Any]]:
@@ -144,17 +126,15 @@ def rows_of_stations(stations: Stations) -> list[dict[str, Any]]:
 
 
 def table_of_profiles(
-    adjustment: Adjustment, series: ProfileSeries, heights: ArrayLike | None = None
+    adjustment: "Adjustment", series: ProfileSeries, heights: ArrayLike | None = None
 ) -> pa.Table:
     """``profile.parquet``: the profiles along a flight, one after the other."""
-    return pa.concat_tables(
-        table_of_profile(adjustment, name, heights, air)
-        for name, air in zip(profile_ids(series), series.timed_profiles, strict=True)
-    )
+    named = zip(profile_ids(series), series.timed_profiles, strict=True)
+    return pa.concat_tables(table_of_profile(adjustment, n, heights, air) for n, air in named)
 
 
 def table_of_profile(
-    adjustment: Adjustment,
+    adjustment: "Adjustment",
     profile_id: str,
     heights: ArrayLike | None = None,
     air: TimedProfile | None = None,
@@ -181,7 +161,7 @@ def table_of_profile(
     if covariance is not None:
         columns["sigma_temperature_k"] = covariance.sigma_temperature(h)
         columns["sigma_refractivity"] = covariance.sigma_refractivity(h)
-    gravity = profile.gravity
+    gravity, latitude = profile.gravity, profile.gravity.latitude_rad
     extra = {
         "unbend.basis": adjustment.basis,
         "unbend.reason": adjustment.reason,
@@ -189,9 +169,7 @@ def table_of_profile(
         "unbend.index": profile.index.name,
         "unbend.wavelength_m": repr(profile.index.wavelength_m),
         "unbend.co2_ppm": repr(profile.index.co2_ppm),
-        "latitude": ""
-        if gravity.latitude_rad is None
-        else repr(math.degrees(gravity.latitude_rad)),
+        "latitude": "" if latitude is None else repr(math.degrees(latitude)),
         "g_phi": repr(gravity.g_phi),
         "r_phi": repr(gravity.r_phi),
         "units": "latitude deg, g_phi m s-2, r_phi m",

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from pipeline.ingest.boot_clock import BootClock, UtcReadings, fit_boot_clock, timeline
+from pipeline.ingest.boot_clock import BootClock, UtcReadings, fit_clock, timeline
 from pipeline.ledger import Ledger
 
 SECOND = 10**9
@@ -37,7 +37,7 @@ class Vehicle:
     def fit(self, *told: UtcReadings, **more: object) -> tuple[BootClock, Ledger]:
         ledger = Ledger()
         line = timeline([(self.places, self.boot_ns)])
-        return fit_boot_clock(line, told, ledger, **more), ledger
+        return fit_clock(line, told, ledger, **more), ledger
 
     def errors_s(self, clock: BootClock) -> np.ndarray:
         return (clock.utc(self.places, self.boot_ns) - self.utc_ns) / SECOND

@@ -36,9 +36,9 @@ def offsets(count: int, rng: np.random.Generator) -> np.ndarray:
 def test_blocks_are_one(monkeypatch: pytest.MonkeyPatch, count: int) -> None:
     offset = offsets(count, np.random.default_rng(count))
     given = offset.copy()
-    whole = boots._without_glitches(offset)
+    whole = boots.without_glitches(offset)
     monkeypatch.setattr(boots, "_BLOCK", BLOCK)
-    replace_in_blocks = boots._without_glitches(offset)
+    replace_in_blocks = boots.without_glitches(offset)
     np.testing.assert_array_equal(replace_in_blocks, whole)
     np.testing.assert_array_equal(replace_in_blocks, plainly(given))
     np.testing.assert_array_equal(offset, given)
@@ -46,7 +46,7 @@ def test_blocks_are_one(monkeypatch: pytest.MonkeyPatch, count: int) -> None:
 
 def test_glitches_over_borders_are_gone_and_the_step_stays(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(boots, "_BLOCK", BLOCK)
-    steady = boots._without_glitches(offsets(500, np.random.default_rng(1)))
+    steady = boots.without_glitches(offsets(500, np.random.default_rng(1)))
     steps = np.flatnonzero(np.abs(np.diff(steady)) > SECOND)
     assert steps.size == 1
     assert abs(int(steps[0]) - 249) <= STRAY_ROWS

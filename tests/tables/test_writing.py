@@ -25,12 +25,7 @@ from pipeline.tables.exports.format import write_csv_stream
 from pipeline.tables.imports.user_tables import read_events
 from pipeline.tables.observations import open_observations
 from pipeline.tables.refraction_mark import refuse_done
-from pipeline.tables.schemas import (
-    OBSERVATION_COLUMNS,
-    PROFILE_COLUMNS,
-    STATION_COLUMNS,
-    schema_of,
-)
+from pipeline.tables.schemas import OBSERVATION_COLUMNS, PROFILE_COLUMNS, STATION_COLUMNS, schema_of
 from pipeline.tables.text_columns import refuse_other_pixels
 from pipeline.tables.writing import (
     table_of_profile,

@@ -15,7 +15,7 @@ from pipeline.ingest.boot_clock import (
     Stamps,
     Timeline,
     UtcReadings,
-    fit_boot_clock,
+    fit_clock,
     microseconds,
     nanoseconds,
     report_timeline,
@@ -23,9 +23,8 @@ from pipeline.ingest.boot_clock import (
 from pipeline.ingest.buffers import FileView, copy_rows, gather
 from pipeline.ingest.channel_builder import DecodedRows, channel_of, with_both_heights
 from pipeline.ingest.dataflash.records import HEADER, INSTANCE_FIELDS, RecordWalker
-from pipeline.ingest.fields import MessageMap, columns_of_group, extract, is_number, message_maps
-from pipeline.ingest.log import Table
-from pipeline.ingest.stacking import PLACE
+from pipeline.ingest.fields import MAPS, MessageMap, extract, is_number, message_maps
+from pipeline.ingest.log import PLACE, Table
 from pipeline.ledger import Ledger
 from pipeline.units import Integers
 
@@ -36,15 +35,6 @@ _OF_TIME = ("GMS", "GWk", "Status", "Week", "T")
 STRAY_SHARE = 100  # rows of an instance for each row of one that is damage
 
 MESSAGES: Mapping[str, MessageMap] = message_maps("dataflash")
-
-# What EV and ERR mean, as far as they concern the filter and the receivers (AP_Logger.h); in ERR
-# the second number is 0 where the trouble is over.
-EVENTS = {60: "EKF_ALT_RESET", 62: "EKF_YAW_RESET", 67: "GPS_PRIMARY_CHANGED"}
-ERRORS = {
-    3: "COMPASS", 7: "FAILSAFE_GPS", 11: "GPS", 12: "CRASH_CHECK", 16: "EKFCHECK",
-    17: "FAILSAFE_EKFINAV", 18: "BARO", 24: "EKF_PRIMARY", 29: "FAILSAFE_VIBE",
-    31: "FAILSAFE_DEADRECKON",
-}  # fmt: skip
 
 
 def texts_of(message: str, field: str, table: Table) -> tuple[str, ...] | None:
@@ -58,15 +48,15 @@ def texts_of(message: str, field: str, table: Table) -> tuple[str, ...] | None:
         return None
     if message == "MSG":
         return tuple(words.tolist())
-    names = EVENTS if message == "EV" else ERRORS
+    names = MAPS["dataflash_numbers"][message]
     codes = table["ECode"].tolist() if "ECode" in table else [""] * words.shape[0]
-    pairs = zip(words.tolist(), codes, strict=True)
-    return tuple(f"{message} {names.get(number, number)} {code}".strip() for number, code in pairs)
+    said = [names.get(str(number), number) for number in words.tolist()]
+    return tuple(f"{message} {word} {code}".strip() for word, code in zip(said, codes, strict=True))
 
 
 # Accuracy and the ellipsoidal height come in a message of their own, at the time of the GPS row.
 ACCURACY_MESSAGES = {"GPS": "GPA", "GPS2": "GPA2"}
-ACCURACY = columns_of_group("accuracy")
+ACCURACY = message_maps("dataflash_accuracy")["GPA"].columns
 
 
 def instance_of(table: Table) -> NDArray[Any]:
@@ -102,7 +92,7 @@ def clock_of(line: Timeline, tables: Mapping[str, Table], ledger: Ledger) -> tup
     for name in RECEIVERS:
         if name in tables:
             sources += _receiver_utc(line, tables[name], name, ledger)
-    clock = fit_boot_clock(line, sources, ledger, utc_of="GPS row with a fix and a week")
+    clock = fit_clock(line, sources, ledger, utc_of="GPS row with a fix and a week")
     if unknown := clock.utc_known.count(False):
         return clock, f"vehicle clock; UTC is unknown in {unknown} of {len(clock.fits)} boots"
     rows = sum(fit.rows for fit in clock.fits if fit is not None)

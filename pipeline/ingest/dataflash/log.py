@@ -11,43 +11,26 @@ from numpy.typing import NDArray
 from pipeline.flight.clock import LAST_US, SECONDS_PER_WEEK
 from pipeline.ingest import boot_clock
 from pipeline.ingest.buffers import open_view
-from pipeline.ingest.dataflash.channels import (
-    ACCURACY,
-    RECEIVERS,
-    channels_of,
-    clock_of,
-    instance_of,
-    stamps,
-    wanted_fields,
-)
-from pipeline.ingest.dataflash.records import (
-    FMT_START,
-    INSTANCE_FIELDS,
-    RecordWalker,
-    decode,
-    find_records,
-    without_objects,
-)
+from pipeline.ingest.dataflash import channels, records
 from pipeline.ingest.fields import is_number
-from pipeline.ingest.log import Contents, DamagedBytes, LogFormat, Table
-from pipeline.ingest.stacking import PLACE
+from pipeline.ingest.log import PLACE, Contents, DamagedBytes, LogFormat, Table
 from pipeline.ledger import Ledger
 from pipeline.units import Integers
 
 # Fields that are used as they are logged, without a field map that checks that they are numbers.
-_NUMBERS = {*INSTANCE_FIELDS, "TimeUS", "GMS", "GWk", "Week", "Status", "Value"} | {
-    field for column in ACCURACY for field in column.fields
+_NUMBERS = {*records.INSTANCE_FIELDS, "TimeUS", "GMS", "GWk", "Week", "Status", "Value"} | {
+    field for column in channels.ACCURACY for field in column.fields
 }
 _TIMELESS = {"CAM", "MSG", "EV", "ERR", "PARM"}  # rows without a time until 2015
 
 
 def read_log(path: Path, ledger: Ledger) -> Contents:
     """The contents of a binary log."""
-    wanted = wanted_fields()
+    wanted = channels.wanted_fields()
     with open_view(path) as data:
-        walker = RecordWalker(data, wanted)
-        line = boot_clock.timeline(stamps(data, walker))
-        tables = decode(walker, wanted)
+        walker = records.RecordWalker(data, wanted)
+        line = boot_clock.timeline(channels.stamps(data, walker))
+        tables = records.decode(walker, wanted)
     walker.report_bytes(ledger, path.name, "record")
     for refused in walker.refused:
         what = f"an FMT record is not valid: {refused}"
@@ -60,16 +43,16 @@ def read_log(path: Path, ledger: Ledger) -> Contents:
 
 
 DATAFLASH = LogFormat(
-    "dataflash", "ArduPilot DataFlash", (".bin",), lambda head: head.startswith(FMT_START), read_log
+    "dataflash", "ArduPilot DataFlash", (".bin",), lambda h: h.startswith(records.START), read_log
 )
 
 
 def read_tables(path: Path, names: Collection[str] | None = None) -> dict[str, Table]:
     """All messages of some types, or of every type, with all their fields and `PLACE`."""
     with open_view(path) as data:
-        found = find_records(data, names)
+        found = records.find_records(data, names)
         chosen = found.message_counts() if names is None else names
-        return decode(found, dict.fromkeys(chosen, lambda _: True))
+        return records.decode(found, dict.fromkeys(chosen, lambda _: True))
 
 
 def contents_of(
@@ -87,7 +70,7 @@ def contents_of(
     used up. ``reread``: reads all fields of some types, when they are asked for.
     """
     timed = timed_tables(tables, ledger)
-    clock, time_base = clock_of(line, timed, ledger)
+    clock, time_base = channels.clock_of(line, timed, ledger)
 
     def table(name: str, instance: str | None) -> Table:
         decoded = reread({name})
@@ -97,9 +80,9 @@ def contents_of(
     named, parameters = timed.get("PARM", {}), {}
     if {"Name", "Value"} <= named.keys():  # the last value of each
         parameters = dict(zip(named["Name"].tolist(), named["Value"].tolist(), strict=True))
-    channels = channels_of(timed, parameters, clock, ledger)
+    found = channels.channels_of(timed, parameters, clock, ledger)
     return Contents(
-        counts, channels, damage.bad_bytes, lost, clock.line.boots, time_base, table,
+        counts, found, damage.bad_bytes, lost, clock.line.boots, time_base, table,
         parameters,
     )  # fmt: skip
 
@@ -109,7 +92,7 @@ def timed_tables(tables: dict[str, Table], ledger: Ledger) -> dict[str, Table]:
     result, timeless = {}, {}
     old = not any("TimeUS" in table for table in tables.values())
     for name in list(tables):
-        table = without_objects(tables.pop(name), name, ledger)
+        table = records.without_objects(tables.pop(name), name, ledger)
         count = table[PLACE].size
         odd = [
             field
@@ -146,13 +129,12 @@ def timed_tables(tables: dict[str, Table], ledger: Ledger) -> dict[str, Table]:
 
 def with_time(name: str, columns: Table) -> Table:
     """A table with TimeUS; until 2015 that was TimeMS, in rows of receivers T."""
-    time_ms = columns.get("T" if name in RECEIVERS else "TimeMS")
+    time_ms = columns.get("T" if name in channels.RECEIVERS else "TimeMS")
     if "TimeUS" in columns or time_ms is None or not is_number(time_ms):
         return columns
-    columns = columns | {
-        "TimeUS": np.minimum(boot_clock.microseconds(time_ms), LAST_US // 1000) * 1000
-    }
-    if name in RECEIVERS:
+    time_us = np.minimum(boot_clock.microseconds(time_ms), LAST_US // 1000) * 1000
+    columns = columns | {"TimeUS": time_us}
+    if name in channels.RECEIVERS:
         renamed = {"GMS": "TimeMS", "GWk": "Week"}
         columns |= {new: columns[old] for new, old in renamed.items() if old in columns}
     return columns
@@ -196,5 +178,5 @@ def stamped(name: str, table: Table, clock: boot_clock.BootClock, instance: str 
         table = added | table
     if instance is None:
         return table
-    rows = instance_of(table).astype(np.str_) == instance
+    rows = channels.instance_of(table).astype(np.str_) == instance
     return {field: column[rows] for field, column in table.items()} if rows.any() else {}

@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.ingest.buffers import SPAN, FileView, Runs, allocate, gather
-from pipeline.ingest.log import DamagedBytes, Table
-from pipeline.ingest.stacking import PLACE, in_order
+from pipeline.ingest.log import PLACE, DamagedBytes, Table, in_order
 from pipeline.ledger import Ledger
 from pipeline.units import Integers, Mask
 
@@ -24,7 +23,7 @@ MAGIC = b"\xa3\x95"
 HEADER = 3
 FMT_TYPE = 128
 FMT_LENGTH = 89
-FMT_START = MAGIC + bytes([FMT_TYPE])
+START = MAGIC + bytes([FMT_TYPE])
 _FMT_FIELDS = (FMT_TYPE, FMT_LENGTH, b"FMT", b"BBnNZ", b"Type,Length,Name,Format,Columns")
 _FMT_PAYLOAD = struct.pack("<BB4s16s64s", *_FMT_FIELDS)
 LINKS = 3  # records in a row that confirm a place to continue after damage
@@ -72,10 +71,8 @@ def define(payload: bytes) -> RecordDefinition | None:
     """The definition in the payload of an FMT record (86 bytes); None when it is not valid."""
     type_id, length = payload[0], payload[1]
     try:
-        name, codes, columns = (
-            part.split(b"\0", 1)[0].decode("ascii")
-            for part in (payload[2:6], payload[6:22], payload[22:86])
-        )
+        parts = payload[2:6], payload[6:22], payload[22:86]
+        name, codes, columns = (part.split(b"\0", 1)[0].decode("ascii") for part in parts)
     except UnicodeDecodeError:
         return None
     if not name.isidentifier() or not set(codes) <= set(FORMAT_LETTERS):
@@ -301,8 +298,7 @@ class RecordWalker(DamagedBytes):
 def find_records(data: FileView, names: Collection[str] | None = None) -> RecordWalker:
     """Where the records of some types are, or of all, and the damage between them.
 
-    A flipped type byte costs that record; after damage reading continues at a chain of three
-    records.
+    A flipped type byte costs that record; after it reading goes on at three in a row.
     """
     walker = RecordWalker(data, names)
     deque(walker.blocks(), 0)
@@ -339,9 +335,8 @@ def decode(found: RecordWalker, wanted: Mapping[str, Callable[[str], bool]]) -> 
     """The columns of some message types, in one pass over the file, with `PLACE`.
 
     ``wanted``: by type, which fields. Numbers keep their type; scaled ones (c, C, e, E, L) are
-    float64 and divided, as pymavlink does; characters are text. Types of one name are one table:
-    what a row does not have is NaN or empty, a field that was text and number is of objects
-    (`without_objects`).
+    float64, divided as pymavlink does; characters are text. Types of one name are one table: what a
+    row lacks is NaN or empty, a field that was text and number is of objects (`without_objects`).
     """
     tables: dict[int, Table] = {}
     for number, count in enumerate(found.counts.tolist()):
@@ -408,12 +403,9 @@ def without_objects(table: Table, name: str, ledger: Ledger) -> Table:
         known = [value for value in column.tolist() if value is not None]
         kind = str if isinstance(known[-1], str) else (int, float)
         lost = sum(not isinstance(value, kind) for value in known)
-        if kind is str:
-            words = [value if isinstance(value, str) else "" for value in column.tolist()]
-            columns[label] = np.array(words, np.str_)
-        else:
-            numbers = [value if isinstance(value, kind) else np.nan for value in column.tolist()]
-            columns[label] = np.array(numbers, np.float64)
+        missing, dtype = ("", np.str_) if kind is str else (np.nan, np.float64)
+        values = [value if isinstance(value, kind) else missing for value in column.tolist()]
+        columns[label] = np.array(values, dtype)
         if lost:
             ledger.loss("LOG-REDEFINED", where=name, count=lost, total=len(known), field=label)
     return columns

@@ -15,8 +15,7 @@ from pipeline.ingest.boot_clock import Stamps, nanoseconds, timeline
 from pipeline.ingest.dataflash.channels import wanted_fields
 from pipeline.ingest.dataflash.log import contents_of
 from pipeline.ingest.dataflash.records import merge_tables
-from pipeline.ingest.log import Contents, DamagedBytes, LogFormat, Table
-from pipeline.ingest.stacking import PLACE
+from pipeline.ingest.log import PLACE, Contents, DamagedBytes, LogFormat, Table
 from pipeline.ledger import Ledger
 
 LONGEST = 4096  # bytes of a line; real ones have up to 250
@@ -85,15 +84,14 @@ class _LineFormat:
         return columns
 
 
+_FMT = _LineFormat("BBnNZ", ("Type", "Length", "Name", "Format", "Columns"))
+
+
 @dataclass
 class _LineReader(DamagedBytes):
     """One pass over a file: the current definitions, counts of messages, and damage."""
 
-    formats: dict[str, _LineFormat] = field(
-        default_factory=lambda: {
-            "FMT": _LineFormat("BBnNZ", ("Type", "Length", "Name", "Format", "Columns"))
-        }
-    )
+    formats: dict[str, _LineFormat] = field(default_factory=lambda: {"FMT": _FMT})
     counts: Counter[str] = field(default_factory=Counter)
     times: list[tuple[int, int]] = field(default_factory=list)
 
@@ -115,9 +113,8 @@ class _LineReader(DamagedBytes):
                     continue
                 form = self.formats[name]
                 self.counts[name] += 1
-                unit = {("TimeUS", "Q"): 1, ("TimeMS", "I"): 1000}.get(
-                    (form.fields[0], form.letters[0])
-                )
+                first = form.fields[0], form.letters[0]
+                unit = {("TimeUS", "Q"): 1, ("TimeMS", "I"): 1000}.get(first)
                 if unit:
                     self.times.append((place, int(values[0]) * unit))
                 if name in wanted:

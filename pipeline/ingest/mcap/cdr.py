@@ -67,14 +67,14 @@ class SequenceField:
 
 
 MessageField = NumberField | TextField | SequenceField
+PlanStep = tuple[NumberField, ...] | TextField | SequenceField  # numbers in runs
 
 
 def steps_of(name: str, text: str) -> tuple[MessageField, ...]:
-    """The steps of a message from the definitions that a log has of it.
+    """The steps of a message from the definitions that a log has of it; names are joined by dots.
 
     ``name``: of the message, ``sensor_msgs/msg/Imu``. ``text``: its definition, and those of the
-    messages in it below lines of ``=`` and ``MSG: name``. Raises SchemaError. Names are joined by
-    dots.
+    messages in it below lines of ``=`` and ``MSG: name``. Raises SchemaError.
 
     >>> steps_of("a/msg/B", "C c\\nstring s\\n===\\nMSG: a/C\\nfloat64[3] x")
     (NumberField(path='c.x', kind='f8', count=3, array=True), TextField(path='s'))
@@ -179,7 +179,7 @@ class DecodePlan:
     Of sequences nothing is kept but, where ``counted``, how many elements they have.
     """
 
-    steps: tuple[tuple[NumberField, ...] | TextField | SequenceField, ...]
+    steps: tuple[PlanStep, ...]
     wanted: frozenset[str]
     counted: bool = False
     rest: tuple[SequenceField, ...] = ()
@@ -218,11 +218,9 @@ def decode_plan(steps: Sequence[MessageField], wanted: frozenset[str] | None = N
     return DecodePlan(tuple(_runs(parts[: last + 1])), chosen, True, rest)
 
 
-def _runs(
-    steps: Sequence[MessageField],
-) -> list[tuple[NumberField, ...] | TextField | SequenceField]:
+def _runs(steps: Sequence[MessageField]) -> list[PlanStep]:
     """Steps with neighbouring numbers put together."""
-    result: list[tuple[NumberField, ...] | TextField | SequenceField] = []
+    result: list[PlanStep] = []
     for _, group in groupby(steps, lambda step: isinstance(step, NumberField)):
         part = list(group)
         run = tuple(step for step in part if isinstance(step, NumberField))

@@ -1,7 +1,6 @@
 """Chunks of an MCAP file, inflated as far as the limits allow.
 
-A chunk has to agree with its head: a decompression bomb costs what that may state, not what it
-holds.
+A chunk has to agree with its head: a bomb costs what that may state, not what it holds.
 """
 
 import io
@@ -99,56 +98,38 @@ def chunk_head(data: FileView, at: int, length: int) -> Chunk | None:
 
 
 def inflate(data: FileView, chunk: Chunk) -> bytes | Fault:
-    """The records of a chunk of at most `WHOLE` bytes, or why they cannot be used."""
-    import lz4.frame  # type: ignore[import-untyped]  # it ships neither stubs nor a marker
+    """The records of a chunk, or why they cannot be used; of a large one nothing is kept."""
     import zstandard
 
-    records, limit = data[chunk.begin : chunk.begin + chunk.length], chunk.size + 1
+    blocks, size, crc = list[bytes](), 0, 0
+    step = chunk.size + 1 if chunk.small else BLOCK
     try:
-        if chunk.compression == "zstd":
-            inflater = zstandard.ZstdDecompressor(max_window_size=MAX_WINDOW)
-            with inflater.stream_reader(records) as stream:
-                records = bytes(stream.read(limit))
-        elif chunk.compression == "lz4":
-            lz4_inflater = lz4.frame.LZ4FrameDecompressor()
-            records = bytes(lz4_inflater.decompress(records, max_length=limit))
-    except inflating_errors() as error:
+        with chunk_stream(data, chunk) as stream:
+            while size <= chunk.size and (block := stream.read(step)):
+                size += len(block)
+                crc = zlib.crc32(block, crc) if chunk.crc else 0
+                blocks += [block] if chunk.small else []
+    except (zstandard.ZstdError, RuntimeError, EOFError) as error:  # of damaged bytes
         return "LOG-BAD-BYTES", f"a chunk does not inflate ({error})"
-    records = records[:limit]
-    return chunk_fault(chunk, len(records), zlib.crc32(records) if chunk.crc else 0) or records
-
-
-def chunk_fault(chunk: Chunk, size: int, crc: int) -> Fault | None:
-    """Why so many inflated bytes with this checksum are not those of the chunk."""
     if size != chunk.size:
         inflated = f"{size} bytes" if size < chunk.size else "more"
         return "LOG-BAD-BYTES", f"a chunk inflates to {inflated}, its head states {chunk.size}"
-    return ("LOG-CRC", "a chunk fails its checksum") if crc != chunk.crc else None
-
-
-def large_chunk_fault(data: FileView, chunk: Chunk) -> Fault | None:
-    """Why the records of a large chunk cannot be used; its bytes are inflated and not kept."""
-    size = crc = 0
-    try:
-        with chunk_stream(data, chunk) as stream:
-            while size <= chunk.size and (block := stream.read(BLOCK)):
-                size += len(block)
-                crc = zlib.crc32(block, crc) if chunk.crc else 0
-    except inflating_errors() as error:
-        return "LOG-BAD-BYTES", f"a chunk does not inflate ({error})"
-    return chunk_fault(chunk, size, crc)
+    return ("LOG-CRC", "a chunk fails its checksum") if crc != chunk.crc else b"".join(blocks)
 
 
 @contextmanager
 def chunk_stream(data: FileView, chunk: Chunk) -> Iterator[IO[bytes]]:
     """The records of a chunk as a stream."""
-    import lz4.frame
+    import lz4.frame  # type: ignore[import-untyped]  # it ships neither stubs nor a marker
     import zstandard
 
     packed: Any = io.BufferedReader(_Packed(data, chunk), BLOCK)
+    if chunk.small:
+        packed = io.BytesIO(data[chunk.begin : chunk.begin + chunk.length])
     if chunk.compression == "zstd":
         inflater = zstandard.ZstdDecompressor(max_window_size=MAX_WINDOW)
-        yield io.BufferedReader(inflater.stream_reader(packed), BLOCK)
+        stream = inflater.stream_reader(packed)
+        yield stream if chunk.small else io.BufferedReader(stream, BLOCK)
     elif chunk.compression == "lz4":
         yield io.BufferedReader(lz4.frame.LZ4FrameFile(packed), BLOCK)
     else:
@@ -172,10 +153,3 @@ class _Packed(io.RawIOBase):
         buffer[: len(block)] = block
         self.at += len(block)
         return len(block)
-
-
-def inflating_errors() -> tuple[type[Exception], ...]:
-    """What the inflaters raise on damaged bytes."""
-    import zstandard
-
-    return (zstandard.ZstdError, RuntimeError, EOFError)

@@ -13,40 +13,13 @@ import numpy as np
 
 from pipeline.errors import LogError
 from pipeline.flight.clock import BOOT_STEP_NS, UNIX_NS_FROM
-from pipeline.ingest.boot_clock import (
-    BootClock,
-    Stamps,
-    Timeline,
-    UtcReadings,
-    fit_boot_clock,
-    timeline,
-)
+from pipeline.ingest.boot_clock import BootClock, Stamps, Timeline, UtcReadings, fit_clock, timeline
 from pipeline.ingest.buffers import open_view
 from pipeline.ingest.channel_builder import channel_of
-from pipeline.ingest.log import Contents, LogFormat, Table
+from pipeline.ingest.log import PLACE, Contents, LogFormat, Table, in_order
+from pipeline.ingest.mcap import samples, topics
 from pipeline.ingest.mcap.cdr import SchemaError
-from pipeline.ingest.mcap.records import MAGIC, Damage, Definition, Messages, Opcode, walk
-from pipeline.ingest.mcap.samples import (
-    LOG_TIME,
-    PLAIN_JSON,
-    SCHEMAS,
-    SEQUENCE,
-    STAMP,
-    TopicSamples,
-    known_name,
-    times_of,
-)
-from pipeline.ingest.mcap.topics import (
-    MAX_NAMES,
-    Decoder,
-    Topic,
-    cdr_decoder,
-    json_decoder,
-    paths_of,
-    protobuf_decoder,
-    rows_by_name,
-)
-from pipeline.ingest.stacking import PLACE, in_order
+from pipeline.ingest.mcap.records import MAGIC, Damage, Definition, Messages, Opcode, RecordWalk
 from pipeline.ledger import Ledger
 from pipeline.units import Integers, Rows
 
@@ -58,19 +31,18 @@ def read_log(path: Path, ledger: Ledger) -> Contents:
     reader = McapReader(ledger, path.name)
     line = timeline(reader.through(path))
     lost = reader.report()
-    series = [
-        samples for topic in reader.topics.values() for samples in (topic.series or {}).values()
-    ]
+    of_topics = (topic.series or {} for topic in reader.topics.values())
+    series = [one for of_topic in of_topics for one in of_topic.values()]
     make_names_unique(series)
     clock = boot_clock_of(line, series, reader.recorder(), ledger)
     reader.topics.clear()
     reader.topic_of.clear()
     channels, without = [], 0
     while series:  # each is released when its channel is made
-        samples = series.pop(0)
-        rows, unstamped = samples.rows(clock, ledger)
+        one = series.pop(0)
+        rows, unstamped = one.rows(clock, ledger)
         without += unstamped
-        channel = channel_of(rows, samples.spec, ledger)
+        channel = channel_of(rows, one.spec, ledger)
         if channel is not None:
             channels.append(channel)
     time_base = "header.stamp of the messages"
@@ -92,26 +64,26 @@ def read_log(path: Path, ledger: Ledger) -> Contents:
 MCAP = LogFormat("mcap", "MCAP", (".mcap",), lambda head: head.startswith(MAGIC), read_log)
 
 
-def make_names_unique(series: list[TopicSamples]) -> None:
+def make_names_unique(series: list[samples.TopicSamples]) -> None:
     """Channels of one topic that has several schemas get the schema into their names."""
-    topics = Counter(samples.name for samples in series)
-    for samples in series:
-        if topics[samples.name] > 1:
-            samples.name += f" ({samples.source.message})"
+    of_topic = Counter(one.name for one in series)
+    for one in series:
+        if of_topic[one.name] > 1:
+            one.name += f" ({one.source.message})"
     names: Counter[str] = Counter()
-    for samples in series:  # time since boot and Unix time under one name and schema
-        names[samples.name] += 1
-        if names[samples.name] > 1:
-            samples.name += f" #{names[samples.name]}"
+    for one in series:  # time since boot and Unix time under one name and schema
+        names[one.name] += 1
+        if names[one.name] > 1:
+            one.name += f" #{names[one.name]}"
 
 
-def boots_of_topics(line: Timeline, series: Sequence[TopicSamples]) -> Timeline:
+def boots_of_topics(line: Timeline, series: Sequence[samples.TopicSamples]) -> Timeline:
     """The boots at which the time of one topic at least steps back: messages may come late."""
     starts = np.flatnonzero(np.diff(line.boot) > 0) + 1
     confirmed = np.zeros(starts.shape, np.bool_)
-    for samples in series if starts.size else ():
-        if samples.counted:
-            places, boot_ns = samples.stamps(line)
+    for one in series if starts.size else ():
+        if one.counted:
+            places, boot_ns = one.stamps(line)
             row = np.searchsorted(places, line.first[starts])
             inner = (row > 0) & (row < places.shape[0])
             confirmed[inner] |= boot_ns[row[inner]] < boot_ns[row[inner] - 1] - BOOT_STEP_NS
@@ -121,13 +93,12 @@ def boots_of_topics(line: Timeline, series: Sequence[TopicSamples]) -> Timeline:
 
 
 def boot_clock_of(
-    line: Timeline, series: list[TopicSamples], recorder: UtcReadings | None, ledger: Ledger
+    line: Timeline, series: list[samples.TopicSamples], recorder: UtcReadings | None, ledger: Ledger
 ) -> BootClock:
     """UTC of the clock since boot that PX4's messages count.
 
     ``line``: by the messages of all topics. Receivers of ``series`` give UTC, cameras where none
-    has a fix. ``recorder``: log_time, for boots without; None where no message counts time since
-    boot.
+    has a fix, ``recorder`` (log_time) in boots without; None where no message counts it.
     """
     if line.boots > 1:
         line = boots_of_topics(line, series)
@@ -135,12 +106,12 @@ def boot_clock_of(
         return BootClock(line, (None,), (False,))
     receivers: list[UtcReadings] = []
     cameras: list[UtcReadings] = []
-    for samples in series:
-        readings = samples.utc_readings()
+    for one in series:
+        readings = one.utc_readings()
         if readings is not None:
-            (receivers if samples.spec.position else cameras).append(readings)
+            (receivers if one.spec.position else cameras).append(readings)
     utc_of = "GNSS message with a fix and no log_time"
-    clock = fit_boot_clock(line, receivers, ledger, recorder, cameras=cameras, utc_of=utc_of)
+    clock = fit_clock(line, receivers, ledger, recorder, cameras=cameras, utc_of=utc_of)
     for number, (fit, known) in enumerate(zip(clock.fits, clock.utc_known, strict=True)):
         if fit is not None and not known:
             ledger.fallback("TIME-LOG-TIME", where=f"boot {number}", count=fit.rows)
@@ -161,15 +132,15 @@ def _table(path: Path, clock: BootClock, name: str, instance: str | None) -> Tab
             if not blocks:
                 continue
             block = in_order(blocks)
-            del block[SEQUENCE]
-            log_ns, places = block.pop(LOG_TIME), block[PLACE] if counted else None
-            time_ns, boot, _ = times_of(
-                block.pop(STAMP), log_ns, places, clock, ledger=reader.ledger, where=name
+            del block[samples.SEQUENCE]
+            log_ns, places = block.pop(samples.LOG_TIME), block[PLACE] if counted else None
+            time_ns, boot, _ = samples.times_of(
+                block.pop(samples.STAMP), log_ns, places, clock, ledger=reader.ledger, where=name
             )
             table: Table = {"time_ns": time_ns, "boot": boot, "log_time_ns": log_ns}
             table |= block
             if instance is not None:
-                rows = dict(rows_by_name(table, topic.spec.id_field)).get(instance, slice(0))
+                rows = dict(topics.rows_by_name(table, topic.spec.id_field)).get(instance, slice(0))
                 table = {column: values[rows] for column, values in table.items()}
             if table[PLACE].shape[0]:
                 tables.append(table)
@@ -237,9 +208,9 @@ class MessageCounts:
 
     def by_name(self, names: Mapping[int, str]) -> dict[str, int]:
         """How many messages each topic has; topics without any are left out."""
-        result: dict[str, int] = {}
+        result: Counter[str] = Counter()
         for number in np.flatnonzero(self.counts).tolist():
-            result[names[number]] = result.get(names[number], 0) + int(self.counts[number])
+            result[names[number]] += int(self.counts[number])
         return result
 
     def report(self, names: Mapping[int, str], ledger: Ledger, where: str, *, damaged: bool) -> int:
@@ -266,9 +237,9 @@ class MessageCounts:
             if self.stated and self.stated.get(number, 0) != self.counts[number]
         ]
         if total != self.stated_total or wrong:
-            topics = ", ".join(names.get(number, f"channel {number}") for number in wrong[:8])
+            apart = ", ".join(names.get(number, f"channel {number}") for number in wrong[:8])
             what = f"{total} messages were read, the log's statistics state {self.stated_total}"
-            what += f"; they differ for {topics}" if topics else ""
+            what += f"; they differ for {apart}" if apart else ""
             count = max(abs(self.stated_total - total), 1)
             ledger.loss("LOG-INCONSISTENT", what, where=where, count=count)
         return max(self.stated_total - total, skipped, 0)
@@ -288,32 +259,28 @@ class McapReader:
         self.names: dict[int, str] = {}
         self.contradictions: set[str] = set()
         self.raw: dict[tuple[int, bytes], bytes] = {}
-        self.topic_of: dict[int, tuple[Topic, Decoder]] = {}
-        self.decoders: dict[tuple[int, str], Decoder | Exception] = {}
-        self.topics: dict[tuple[str, str], Topic] = {}
+        self.topic_of: dict[int, tuple[topics.Topic, topics.Decoder]] = {}
+        self.decoders: dict[tuple[int, str], topics.Decoder | Exception] = {}
+        self.topics: dict[tuple[str, str], topics.Topic] = {}
         self.seen = 0  # messages, of any channel
         self.recorded: list[Integers] = []
 
     def through(self, path: Path) -> Iterator[Stamps]:
         """Read the file; yields places and times since boot of the messages that count it."""
         with open_view(path) as data:
-            for part in walk(data, self.damage):
+            for part in RecordWalk(data, self.damage):
                 if isinstance(part, Definition):
                     self._define(part)
                     continue
-                shares: dict[tuple[str, str], list[tuple[Decoder, Rows]]] = {}
+                shares: dict[tuple[str, str], list[tuple[topics.Decoder, Rows]]] = {}
                 for number in self.counts.take(part, self.names):
                     if number in self.topic_of:
                         topic, decoder = self.topic_of[number]
                         rows = np.flatnonzero(part.channel == number)
                         shares.setdefault((topic.name, topic.schema), []).append((decoder, rows))
                 before, self.seen = self.seen, self.seen + len(part)
-                stamps = [
-                    stamps_of_part
-                    for key, share in shares.items()
-                    for stamps_of_part in self.topics[key].take(part, share, before)
-                ]
-                if stamps:
+                taken = (self.topics[key].take(part, of, before) for key, of in shares.items())
+                if stamps := [stamp for stamps_of_topic in taken for stamp in stamps_of_topic]:
                     places, boot_ns, log_ns = map(np.concatenate, zip(*stamps, strict=True))
                     order = np.argsort(places)
                     sample = order[:: -(-order.shape[0] // RECORDED)]
@@ -360,25 +327,26 @@ class McapReader:
 
     def _subscribe(self, channel: Any) -> None:
         schema: Any = self.schemas.get(channel.schema_id)
-        name = known_name(schema.name) if schema is not None else ""
-        plain = channel.message_encoding == "json" and name not in SCHEMAS
-        if self.only is None and name not in SCHEMAS and not plain:
+        name = samples.known_name(schema.name) if schema is not None else ""
+        plain = channel.message_encoding == "json" and name not in samples.SCHEMAS
+        if self.only is None and name not in samples.SCHEMAS and not plain:
             return
         if self.only is not None and channel.topic != self.only:
             return
-        spec = SCHEMAS.get(name, PLAIN_JSON)
+        spec = samples.SCHEMAS.get(name, samples.PLAIN_JSON)
         key = (channel.schema_id, channel.message_encoding)
         decoder = self.decoders.get(key)  # thousands of channels may share a schema
         if decoder is None:
-            encoding, wanted = channel.message_encoding, None if self.only else paths_of(spec)
+            encoding = channel.message_encoding
+            wanted = None if self.only else topics.paths_of(spec)
             kind = (encoding, schema.encoding if schema is not None else "")
             try:
                 if encoding == "json":
-                    decoder = json_decoder(spec, wanted)
+                    decoder = topics.json_decoder(spec, wanted)
                 elif kind == ("cdr", "ros2msg"):
-                    decoder = cdr_decoder(schema.name, schema.data.decode(), wanted)
+                    decoder = topics.cdr_decoder(schema.name, schema.data.decode(), wanted)
                 elif kind == ("protobuf", "protobuf"):
-                    decoder = protobuf_decoder(schema, spec, wanted)
+                    decoder = topics.protobuf_decoder(schema, spec, wanted)
                 elif schema is not None:
                     where, of = channel.topic, schema.encoding
                     self.ledger.note(
@@ -394,7 +362,7 @@ class McapReader:
             what = f"the schema of {name} cannot be parsed ({decoder}): the topic is not read"
             self.ledger.loss("LOG-SCHEMA", what, where=channel.topic)
         elif decoder is not None:
-            topic = Topic(channel.topic, name, spec, None if self.only else {})
+            topic = topics.Topic(channel.topic, name, spec, None if self.only else {})
             topic = self.topics.setdefault((channel.topic, name), topic)
             self.topic_of[channel.id] = (topic, decoder)
 
@@ -411,8 +379,7 @@ class McapReader:
             if topic.lost_values:
                 self.ledger.loss("LOG-DECODE", where=topic.name, count=topic.lost_values)
             if topic.nameless:
-                self.ledger.loss(
-                    "LOG-TOO-LARGE", where=topic.name, count=topic.nameless, max_names=MAX_NAMES
-                )
+                most, count = topics.MAX_NAMES, topic.nameless
+                self.ledger.loss("LOG-TOO-LARGE", where=topic.name, count=count, max_names=most)
         damaged = bool(self.damage.losses)
         return self.counts.report(self.names, self.ledger, self.where, damaged=damaged)

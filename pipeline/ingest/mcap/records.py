@@ -5,8 +5,6 @@ chunks without a limit and lose messages silently. After damage, reading continu
 that is proved: the head of a chunk, or messages of known channels that follow each other.
 """
 
-from __future__ import annotations
-
 import struct
 import zlib
 from collections import Counter
@@ -17,16 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.ingest.buffers import Bytes, FileView, Runs, gather
-from pipeline.ingest.mcap.chunks import (
-    BLOCK,
-    COMPRESSIONS,
-    Chunk,
-    InflationBudget,
-    chunk_head,
-    chunk_stream,
-    inflate,
-    large_chunk_fault,
-)
+from pipeline.ingest.mcap import chunks
 from pipeline.units import Integers, Rows
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -47,6 +36,7 @@ LARGE_MESSAGE = 1 << 16  # [bytes] of what is wanted only images are larger ...
 NEAR = 1 << 16  # [bytes] searched first: damage is seldom large
 LINKS = 3  # records in a row that prove a message after damage
 NAMED = 8  # losses of one kind that are named one by one
+PROVING = (Opcode.FOOTER, Opcode.MESSAGE, Opcode.CHUNK, Opcode.DATA_END)
 DEFINITIONS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS)
 
 NO_FOOTER = (
@@ -112,38 +102,15 @@ class Messages:
         return int(self.channel.shape[0])
 
 
-_HEADER = np.dtype(
-    {
-        "names": ["length", "channel", "sequence", "log_time"],
-        "formats": ["<u8", "<u2", "<u4", "<u8"],
-        "offsets": [1, 9, 11, 15],
-        "itemsize": RECORD.size + MESSAGE.size,
-    }
-)
+_HEADER = np.dtype([
+    ("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"),
+    ("log_time", "<u8"), ("publish_time", "<u8"),
+])  # fmt: skip
 _LAST_NS = np.uint64(2**63 - 1)  # log_time is unsigned in the file; times inside are int64
-
-
-def messages_at(data: Bytes, starts: Integers) -> Messages:
-    """The messages whose records begin at these places."""
-    size = _HEADER.itemsize
-    inside = starts[starts + size <= data.shape[0]]
-    head = gather(data, inside, size).view(_HEADER)
-    good = head["length"].astype(np.int64) >= MESSAGE.size
-    head, begin = head[good], inside[good] + size
-    channel, sequence = head["channel"].copy(), head["sequence"].copy()
-    log_time = np.minimum(head["log_time"], _LAST_NS).astype(np.int64)
-    length, short = head["length"].astype(np.int64) - MESSAGE.size, starts.shape[0] - head.shape[0]
-    return Messages(data, channel, sequence, log_time, begin, length, int(short))
 
 
 def raw_of(view: Bytes) -> memoryview:
     return memoryview(view)  # type: ignore[arg-type]  # an array is a buffer
-
-
-def record_at(raw: bytes | memoryview, at: int) -> tuple[int, int]:
-    """Opcode and length of the record that begins here."""
-    opcode, length = RECORD.unpack_from(raw, at)
-    return int(opcode), int(length)
 
 
 def candidate_places(view: Bytes, opcodes: tuple[int, ...]) -> Rows:
@@ -175,7 +142,7 @@ def messages_follow(raw: memoryview, place: int, channels: Set[int]) -> bool:
             return True
         if place + RECORD.size + MESSAGE.size > len(raw):
             return False
-        opcode, length = record_at(raw, place)
+        opcode, length = RECORD.unpack_from(raw, place)
         channel = int.from_bytes(raw[place + 9 : place + 11], "little")
         if opcode != Opcode.MESSAGE or not MESSAGE.size <= length <= LARGE_MESSAGE:
             return False
@@ -185,28 +152,13 @@ def messages_follow(raw: memoryview, place: int, channels: Set[int]) -> bool:
     return place <= len(raw)
 
 
-def message_runs(view: Bytes) -> Runs:
-    """The places with the opcode of a message and a length that ends inside ``view``."""
-    count = max(view.shape[0] - RECORD.size + 1, 0)
-    at = np.flatnonzero(view[:count] == Opcode.MESSAGE).astype(np.int64)
-    length = gather(view, at + 1, 8).view("<u8")
-    inside = length <= (view.shape[0] - RECORD.size - at).astype(np.uint64)
-    at = at[inside]
-    return Runs(at, at + RECORD.size + length[inside].astype(np.int64))
-
-
-def walk(data: FileView, damage: Damage) -> Iterator[Definition | Messages]:
+class RecordWalk:
     """The definitions and messages of a file; ``damage`` is filled on the way.
 
     A summary that its checksum proves comes first: its definitions serve where those among the
     messages are damaged. A definition may come several times.
     """
-    walk_of_file = _RecordWalk(data, damage)
-    yield from walk_of_file.summary()
-    yield from walk_of_file.records()
 
-
-class _RecordWalk:
     def __init__(self, data: FileView, damage: Damage) -> None:
         self.data = data
         self.damage = damage
@@ -216,8 +168,12 @@ class _RecordWalk:
         self.before = -1  # where the last record began: its length may be the damage
         self.data_end = -1  # where the summary begins
         self.disproved = -1  # a record in which others lie
-        self.budget = InflationBudget(data.size)
+        self.budget = chunks.InflationBudget(data.size)
         self.ends, self.ended = 0, False  # records that end the data; whether one was checked
+
+    def __iter__(self) -> Iterator[Definition | Messages]:
+        yield from self.summary()
+        yield from self.records()
 
     def summary(self) -> Iterator[Definition]:
         """Definitions of the summary, if its checksum holds; if moved, it follows the data end."""
@@ -230,9 +186,8 @@ class _RecordWalk:
             return
         end = at + FOOT.size - 4
         if not 0 < start <= at or self._checksum(start, end) != crc:
-            self.damage.add(
-                "LOG-CRC", "the summary is not where the footer says, or fails its checksum", at, 0
-            )
+            what = "the summary is not where the footer says, or fails its checksum"
+            self.damage.add("LOG-CRC", what, at, 0)
             mark, start = RECORD.pack(Opcode.DATA_END, 4), -1
             for _ in range(LINKS):
                 start = self.data.find(mark, start + 1, at)
@@ -267,7 +222,7 @@ class _RecordWalk:
         if not at:
             for place in range(len(MAGIC) + 1):
                 header = self.data[place : place + RECORD.size].ljust(RECORD.size, b"\0")
-                opcode, length = record_at(header, 0)
+                opcode, length = RECORD.unpack(header)
                 end = place + RECORD.size + length
                 behind = (self.data[end : end + 1] if length < NEAR else b"") or b"\0"
                 at = place if opcode == Opcode.HEADER and 0 < behind[0] <= Opcode.LAST else at
@@ -344,30 +299,28 @@ class _RecordWalk:
             self.damage.add("LOG-BAD-BYTES", what, at, self.data.size - end)
         start = int(FOOT.unpack(self.data[at + RECORD.size : end - len(MAGIC)])[0])
         if not self.damage.losses and (self.data_end < 0 or start not in (0, self.data_end)):
-            what = (
-                f"the footer says that the summary begins at byte {start}, the data end at "
-                f"{self.data_end}: a part of the file is missing"
-            )
+            what = f"the footer says that the summary begins at byte {start}, the data end at "
+            what += f"{self.data_end}: a part of the file is missing"
             self.damage.add("LOG-INCONSISTENT", what, at, 0)
         return -1
 
     def _other(self, opcode: int, at: int, length: int) -> Iterator[Definition | Messages]:
         content = at + RECORD.size
         if opcode == Opcode.CHUNK:
-            chunk = chunk_head(self.data, content, length)
-            if chunk is None or chunk.compression not in COMPRESSIONS:
+            chunk = chunks.chunk_head(self.data, content, length)
+            if chunk is None or chunk.compression not in chunks.COMPRESSIONS:
                 what = "a chunk has no valid head"
                 if chunk is not None:
                     what = f"a chunk is compressed with {chunk.compression!r}, which is not known"
                 self.damage.add("LOG-BAD-BYTES", what, at, length)
             elif too_large := self.budget.too_large(chunk):
                 self.damage.add("LOG-TOO-LARGE", too_large, at, length)
-            elif not chunk.small:
-                yield from self._large_chunk(at, chunk)
-            elif isinstance(records := inflate(self.data, chunk), bytes):
+            elif not isinstance(records := chunks.inflate(self.data, chunk), bytes):
+                self.damage.add(*records, at, length)
+            elif chunk.small:
                 yield from self._inside(np.frombuffer(records, np.uint8), at)
             else:
-                self.damage.add(*records, at, length)
+                yield from self._large_chunk(at, chunk)
         elif opcode == Opcode.MESSAGE:
             head = RECORD.pack(Opcode.MESSAGE, MESSAGE_START)
             start = head + self.data[content : content + MESSAGE_START]
@@ -386,13 +339,9 @@ class _RecordWalk:
         else:
             yield self._definition(opcode, self.data[content : content + length], content)
 
-    def _large_chunk(self, at: int, chunk: Chunk) -> Iterator[Definition | Messages]:
-        """The records of a chunk that is inflated twice: to prove it, and block by block."""
-        fault = large_chunk_fault(self.data, chunk)
-        if fault is not None:
-            self.damage.add(*fault, at, chunk.length)
-            return
-        with chunk_stream(self.data, chunk) as stream:
+    def _large_chunk(self, at: int, chunk: chunks.Chunk) -> Iterator[Definition | Messages]:
+        """The records of a proved chunk, which is inflated again, block by block."""
+        with chunks.chunk_stream(self.data, chunk) as stream:
             place, kept = 0, bytearray()
             while place + RECORD.size <= chunk.size:
                 header = stream.read(RECORD.size)
@@ -410,7 +359,7 @@ class _RecordWalk:
                     kept += RECORD.pack(opcode, keep) + stream.read(keep)
                     length -= keep
                 while length > 0:
-                    length -= len(stream.read(min(length, BLOCK)))
+                    length -= len(stream.read(min(length, chunks.BLOCK)))
                 if len(kept) >= SPAN:
                     yield from self._inside(np.frombuffer(bytes(kept), np.uint8), at)
                     kept.clear()
@@ -419,14 +368,21 @@ class _RecordWalk:
     def _inside(self, view: Bytes, at: int) -> Iterator[Definition | Messages]:
         """The records of an inflated chunk: messages by the run, between them definitions."""
         raw, place, size = raw_of(view), 0, int(view.shape[0])
-        runs, starts = message_runs(view), [np.empty(0, np.int64)]
+        # what has the opcode of a message, and a length that ends inside
+        may = np.flatnonzero(view[: max(size - RECORD.size + 1, 0)] == Opcode.MESSAGE)
+        length_of = gather(view, may + 1, 8).view("<u8")
+        fits = length_of <= (size - RECORD.size - may).astype(np.uint64)
+        may = may[fits].astype(np.int64)
+        runs = Runs(may, may + RECORD.size + length_of[fits].astype(np.int64))
+        starts = [np.empty(0, np.int64)]
         while place < size:
             run = runs.starting_at(place)
             if run.stop > run.start:
                 starts.append(runs.at[run])
                 place = int(runs.end[run.stop - 1])
                 continue
-            opcode, length = record_at(raw, place) if place + RECORD.size <= size else (0, 0)
+            whole = place + RECORD.size <= size
+            opcode, length = RECORD.unpack_from(raw, place) if whole else (0, 0)
             end = place + RECORD.size + length
             if opcode not in (Opcode.SCHEMA, Opcode.CHANNEL) or end > size:
                 last = int(starts[-1][-1]) if starts[-1].size else place
@@ -435,9 +391,8 @@ class _RecordWalk:
                 if next_place < place:  # the length of the last message is what is damaged
                     starts[-1] = starts[-1][:-1]
                     lost = next_place - last
-                self.damage.add(
-                    "LOG-BAD-BYTES", f"{lost} of {size} bytes of a chunk are no record", at, lost
-                )
+                what = f"{lost} of {size} bytes of a chunk are no record"
+                self.damage.add("LOG-BAD-BYTES", what, at, lost)
                 place = next_place
                 continue
             if length <= MAX_DEFINITION:
@@ -460,16 +415,22 @@ class _RecordWalk:
             starts = [s + b for (_, s), b in zip(self.waiting, begin, strict=True)]
             data = views[0] if len(views) == 1 else np.concatenate(views)
             self.waiting, self.weight = [], 0
-            yield messages_at(data, np.concatenate(starts))
+            every, size = np.concatenate(starts), _HEADER.itemsize
+            inside = every[every + size <= data.shape[0]]
+            head = gather(data, inside, size).view(_HEADER)
+            good = head["length"].astype(np.int64) >= MESSAGE.size
+            head, short = head[good], every.shape[0] - int(np.count_nonzero(good))
+            log_time = np.minimum(head["log_time"], _LAST_NS).astype(np.int64)
+            length = head["length"].astype(np.int64) - MESSAGE.size
+            numbers = head["channel"].copy(), head["sequence"].copy()
+            yield Messages(data, *numbers, log_time, inside[good] + size, length, short)
 
     def _resume(self, at: int, opcode: int, length: int) -> int:
         """Where the records go on after damage, or -1 where they do not."""
         place, begin, reach = -1, self.before + 1, NEAR
         while place < 0 and begin < self.data.size:
             view = self.data.array(begin, begin + reach)
-            candidates = candidate_places(
-                view, (Opcode.FOOTER, Opcode.MESSAGE, Opcode.CHUNK, Opcode.DATA_END)
-            ).tolist()
+            candidates = candidate_places(view, PROVING).tolist()
             place = next((begin + k for k in candidates if self._proves(begin + k)), -1)
             if begin + view.shape[0] >= self.data.size:
                 break
@@ -487,14 +448,14 @@ class _RecordWalk:
         return place
 
     def _proves(self, at: int) -> bool:
-        opcode, length = record_at(self.data[at : at + RECORD.size], 0)
+        opcode, length = RECORD.unpack(self.data[at : at + RECORD.size])
         end = at + RECORD.size + length
         if end > self.data.size:
             return False
         if opcode == Opcode.FOOTER:
-            return length == FOOT.size and end == self.data.size - len(MAGIC)
+            return bool(length == FOOT.size and end == self.data.size - len(MAGIC))
         if opcode == Opcode.CHUNK:
-            chunk = chunk_head(self.data, at + RECORD.size, length)
+            chunk = chunks.chunk_head(self.data, at + RECORD.size, length)
             return chunk is not None and chunk.plausible
         if opcode == Opcode.DATA_END:
             follows = self.data[end : end + 1]

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from pipeline.flight.channels import Source, TimeArray
 from pipeline.flight.clock import BOOT_STEP_NS, UNIX_NS_FROM, UNIX_US_FROM
+from pipeline.ingest import fields
 from pipeline.ingest.attitude import earth_frame_attitude, ned_frd_of_enu_flu, replace_in_blocks
 from pipeline.ingest.boot_clock import (
     LOWEST_FIX,
@@ -21,41 +22,26 @@ from pipeline.ingest.boot_clock import (
     nanoseconds,
 )
 from pipeline.ingest.buffers import ColumnStore
-from pipeline.ingest.channel_builder import (
-    DecodedRows,
-    GrowingColumns,
-    captured_rows,
-    without_stray,
-)
-from pipeline.ingest.fields import (
-    CAPTURE_UTC_FIELD,
-    PX4_MESSAGES,
-    UTC_FIELD,
-    FieldColumn,
-    MessageMap,
-    extract,
-    message_maps,
-)
+from pipeline.ingest.channel_builder import ColumnStores, DecodedRows, captured_rows, without_stray
+from pipeline.ingest.log import PLACE
 from pipeline.ingest.mcap.cdr import short
-from pipeline.ingest.stacking import PLACE
 from pipeline.ledger import Ledger
 from pipeline.units import NANOSECONDS_PER_SECOND, Array, Mask, Rows
 
 _NAMED_VALUE_INT = 4.0  # DebugValue.TYPE_NAMED_VALUE_INT: the value is in another field
 
-_PX4 = {f"px4_msgs/{name}": spec for name, spec in PX4_MESSAGES.items()}
+_PX4 = {f"px4_msgs/{name}": spec for name, spec in fields.PX4_MESSAGES.items()}
 _STAMPS = {"mavros_msgs/CamIMUStamp": "frame_stamp"}
 _WITH_HEADER = {
     name: replace(spec, time_field=_STAMPS.get(name, "header.stamp"))
-    for name, spec in message_maps("ros").items()
+    for name, spec in fields.message_maps("ros").items()
 }
-SCHEMAS: Mapping[str, MessageMap] = _WITH_HEADER | _PX4 | message_maps("foxglove")
+SCHEMAS: Mapping[str, fields.MessageMap] = _WITH_HEADER | _PX4 | fields.message_maps("foxglove")
 
-PLAIN_JSON = MessageMap((FieldColumn("value", ("value",)),))
-"""JSON of a schema of the user's own: a time and a value, of a role only when it is named."""
-
+# JSON of a schema of the user's own: a time and a value, of a role only when it is named.
+PLAIN_JSON = fields.MessageMap((fields.FieldColumn("value", ("value",)),))
+# Texts that belong to each event, and where they may be.
 LABELS: Mapping[str, str] = {"file_url": "file_url", "frame_id": "header.frame_id frame_id"}
-"""Texts that belong to each event, and where they may be."""
 
 
 def known_name(schema: str) -> str:
@@ -153,14 +139,13 @@ class TopicSamples:
     """What was read of one topic, or of one name in it.
 
     ``stamp_ns`` own times, 0 without; ``log_ns`` the recorder's by their first row, where needed;
-    ``utc_us`` UTC beside the time since boot. ``counted`` stamps are microseconds, which may count
-    from a boot: then ``places`` are those in the whole log; else ``sequence`` are the messages'
-    numbers.
+    ``utc_us`` UTC beside the time since boot. ``counted`` stamps are microseconds, maybe from a
+    boot: then ``places`` are those in the whole log; else ``sequence`` are the messages' numbers.
     """
 
     name: str
     source: Source
-    spec: MessageMap
+    spec: fields.MessageMap
     counted: bool = False
     stamp_ns: ColumnStore = field(default_factory=lambda: ColumnStore("i8"))
     places: ColumnStore = field(default_factory=lambda: ColumnStore("i8"))
@@ -170,7 +155,7 @@ class TopicSamples:
     labels: dict[str, list[str]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self.columns = GrowingColumns(self.spec)
+        self.columns = ColumnStores(self.spec)
 
     def add(self, columns: Columns) -> None:
         """The next messages, as decoded."""
@@ -182,11 +167,11 @@ class TopicSamples:
             self.sequence.add(columns[SEQUENCE])
         if not bool(columns[STAMP].all()):
             self.log_ns.append((before, columns[LOG_TIME]))
-        utc = columns.get(UTC_FIELD if self.spec.position else CAPTURE_UTC_FIELD)
+        utc = columns.get(fields.UTC_FIELD if self.spec.position else fields.CAPTURE_UTC_FIELD)
         if utc is not None and utc.dtype.kind in "iu":
             self.utc_us.add(microseconds(utc))
         numbers = {name: part for name, part in columns.items() if part.dtype.kind in "biuf"}
-        values = finished(self.source.message, extract(numbers, self.spec.columns))
+        values = finished(self.source.message, fields.extract(numbers, self.spec.columns))
         self.columns.add(values, count)
         if self.spec.event:
             for name, paths in LABELS.items():
@@ -247,8 +232,7 @@ def _copied(store: ColumnStore) -> NDArray[Any]:
 def in_sequence(sequence: NDArray[np.uint32], time_ns: TimeArray) -> Rows | None:
     """The order by (n,) numbers, where that puts times right that step back, else None.
 
-    Numbers that repeat or disagree with the times are of a recorder that counts anew, or a set
-    clock.
+    Numbers that repeat or contradict the times are of a recorder that counts anew, or a set clock.
 
     >>> in_sequence(np.array([0, 1, 4, 2], np.uint32), np.array([10, 11, 14, 12]))
     array([0, 1, 3, 2])
@@ -264,8 +248,7 @@ def in_sequence(sequence: NDArray[np.uint32], time_ns: TimeArray) -> Rows | None
 def own_times(columns: Columns, time_field: str, count: int) -> tuple[TimeArray, bool]:
     """The messages' own times [ns], 0 without, and whether they are counted in microseconds.
 
-    ``time_field`` names a Time of the (count,) columns, or microseconds from a boot or of Unix
-    time.
+    ``time_field`` names a Time of the (count,) columns, or microseconds from a boot or 1970.
     """
     if STAMP in columns:
         return columns[STAMP], False

@@ -12,20 +12,10 @@ from numpy.typing import NDArray
 
 from pipeline.flight.channels import Source, TimeArray
 from pipeline.ingest.fields import CAPTURE_UTC_FIELD, UTC_FIELD, MessageMap
+from pipeline.ingest.log import PLACE, column_of, in_order
+from pipeline.ingest.mcap import samples
 from pipeline.ingest.mcap.cdr import SchemaError, decode, decode_plan, steps_of
 from pipeline.ingest.mcap.records import Messages
-from pipeline.ingest.mcap.samples import (
-    LABELS,
-    LOG_TIME,
-    PLAIN_JSON,
-    SEQUENCE,
-    STAMP,
-    TopicSamples,
-    own_times,
-    since_boot,
-    stamp_of,
-)
-from pipeline.ingest.stacking import PLACE, column_of, in_order
 from pipeline.units import Mask, Rows
 
 Columns = dict[str, NDArray[Any]]
@@ -43,14 +33,13 @@ class Topic:
     """A topic that is read, of one name of schema, and where its messages go.
 
     To ``series`` of channels, one for each name in them (`rows_by_name`), or, where that is None,
-    to the ``blocks`` of a table, counted times apart. ``odd`` values are no numbers where one is
-    wanted.
+    to the ``blocks`` of a table, counted times apart. ``odd`` values are wanted and no numbers.
     """
 
     name: str
     schema: str
     spec: MessageMap
-    series: dict[tuple[str | None, bool], TopicSamples] | None
+    series: dict[tuple[str | None, bool], samples.TopicSamples] | None
     blocks: dict[bool, list[Columns]] = field(default_factory=lambda: {False: [], True: []})
     failed: int = 0
     nameless: int = 0
@@ -70,10 +59,10 @@ class Topic:
             self.failed += rows.shape[0] - len(done)
             self.odd += odd
             if len(done):
-                columns[STAMP], counted = own_times(columns, self.spec.time_field, len(done))
+                stamp, counted = samples.own_times(columns, self.spec.time_field, len(done))
                 rows = rows[done]
-                columns |= {LOG_TIME: messages.log_time[rows], PLACE: rows + before}
-                columns[SEQUENCE] = messages.sequence[rows]
+                columns |= {samples.STAMP: stamp, samples.LOG_TIME: messages.log_time[rows]}
+                columns |= {PLACE: rows + before, samples.SEQUENCE: messages.sequence[rows]}
                 (blocks if self.series is not None else self.blocks)[counted].append(columns)
         stamps: list[tuple[TimeArray, TimeArray, TimeArray]] = []
         if self.series is None:
@@ -91,11 +80,13 @@ class Topic:
                 if key not in self.series:
                     label = self.name if name is None else f"{self.name}[{name}]"
                     source = Source(self.schema, name)
-                    self.series[key] = TopicSamples(label, source, self.spec, counted)
+                    self.series[key] = samples.TopicSamples(label, source, self.spec, counted)
                 self.series[key].add(named)
-            booted = since_boot(block[STAMP])
+            booted = samples.since_boot(block[samples.STAMP])
             if counted and bool(booted.any()):
-                stamps.append((block[PLACE][booted], block[STAMP][booted], block[LOG_TIME][booted]))
+                names = (PLACE, samples.STAMP, samples.LOG_TIME)
+                places, boot_ns, log_ns = (block[name][booted] for name in names)
+                stamps.append((places, boot_ns, log_ns))
         return stamps
 
     @property
@@ -108,7 +99,7 @@ class Topic:
     def lost_values(self) -> int:
         """Values that are no numbers; of a schema of the user's own, only beside numbers."""
         series = (self.series or {}).values()
-        wanted = self.spec is not PLAIN_JSON or any(samples.columns.stores for samples in series)
+        wanted = self.spec is not samples.PLAIN_JSON or any(one.columns.stores for one in series)
         return self.odd if wanted else 0
 
 
@@ -132,7 +123,7 @@ def paths_of(spec: MessageMap) -> frozenset[str]:
     if spec.id_field:
         fields |= {spec.id_field, "index"}
     if spec.event:
-        fields |= {path for paths in LABELS.values() for path in paths.split()}
+        fields |= {path for paths in samples.LABELS.values() for path in paths.split()}
     return frozenset(fields)
 
 
@@ -162,7 +153,7 @@ def object_decoder(
         for part in spec.time_field.split("."):
             getter = stamp.get if isinstance(stamp, dict) else partial(getattr, stamp)
             stamp = getter(part, None)
-        return values | {STAMP: stamp_of(stamp)}
+        return values | {samples.STAMP: samples.stamp_of(stamp)}
 
     def decoder(messages: Messages, rows: Rows) -> tuple[Any, Columns, int]:
         raw = memoryview(messages.data)  # type: ignore[arg-type]
@@ -181,8 +172,8 @@ def object_decoder(
         found = [*decoded.values()]
         names = dict.fromkeys(name for values in found for name in values)
         columns = {name: column_of([values.get(name) for values in found]) for name in names}
-        if STAMP in columns:
-            columns[STAMP] = columns[STAMP].astype(np.int64)
+        if samples.STAMP in columns:
+            columns[samples.STAMP] = columns[samples.STAMP].astype(np.int64)
         return list(decoded), columns, odd
 
     return decoder

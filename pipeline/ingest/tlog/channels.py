@@ -14,37 +14,16 @@ from pipeline.flight.clock import UNIX_US_FROM
 from pipeline.ingest.attitude import earth_frame_attitude
 from pipeline.ingest.boot_clock import microseconds
 from pipeline.ingest.buffers import ColumnStore
-from pipeline.ingest.channel_builder import (
-    DecodedRows,
-    GrowingColumns,
-    channel_of,
-    with_both_heights,
-)
+from pipeline.ingest.channel_builder import ColumnStores, DecodedRows, channel_of, with_both_heights
 from pipeline.ingest.fields import MessageMap, extract, message_maps
-from pipeline.ingest.tlog.clock import (
-    CLOCK_FIELDS,
-    LATEST_NS,
-    MICROSECOND,
-    Clocks,
-    Key,
-    by_source,
-    clock_field,
-    unix_us,
-)
+from pipeline.ingest.tlog import clock
 from pipeline.ledger import Ledger
-from pipeline.units import Rows
+from pipeline.units import Mask, Rows
 
+# A key with a dot is a second channel out of the same message.
 MESSAGES: Mapping[str, MessageMap] = message_maps("tlog")
-"""A key with a dot is a second channel out of the same message."""
-
+# Messages with a text that belongs to each row.
 LABELS: Mapping[str, str] = {"CAMERA_IMAGE_CAPTURED": "file_url", "STATUSTEXT": "text"}
-"""Messages with a text that belongs to each row."""
-
-# Fields that tell instances apart, where the dialect names none, or a number beside the name.
-_INSTANCES = {
-    "DEBUG_FLOAT_ARRAY": "name", "CAMERA_FEEDBACK": "cam_idx", "CAMERA_IMAGE_CAPTURED": "camera_id",
-    "GIMBAL_DEVICE_ATTITUDE_STATUS": "gimbal_device_id",
-}  # fmt: skip
 
 SYSTEM_TIME, PARAM_VALUE = "SYSTEM_TIME", "PARAM_VALUE"
 
@@ -73,7 +52,8 @@ def dialect() -> Mapping[int, Message]:
         name, names = str(definition.msgname), tuple(definition.fieldnames)
         layout = layout_of(definition.unpacker.format, definition.ordered_fieldnames)
         texts = frozenset(field for field, kind in kinds if kind == "char")
-        instance = _INSTANCES.get(name, definition.instance_field or "")
+        own = MESSAGES[name].id_field if name in MESSAGES else ""
+        instance = own or definition.instance_field or ""
         messages[int(number)] = Message(
             int(number), name, int(definition.crc_extra), layout, names, texts, instance
         )
@@ -110,7 +90,7 @@ def wanted_layouts() -> dict[int, np.dtype[Any]]:
         wanted.setdefault(key.partition(".")[0], set()).update(fields, {LABELS.get(key, "")})
     result = {}
     for message in (m for m in dialect().values() if m.name in wanted):
-        kept = wanted[message.name] | {message.instance_field, *CLOCK_FIELDS}
+        kept = wanted[message.name] | {message.instance_field, *clock.CLOCK_FIELDS}
         names = message.dtype.names or ()
         result[message.number] = message.dtype[[name for name in names if name in kept]]
     return result
@@ -127,12 +107,8 @@ def layout_of(layout: str, fields: list[str]) -> np.dtype[Any]:
     return np.dtype(list(zip(fields, kinds, strict=True)))
 
 
-Group = tuple[int, Any]
-"""Who sent a message (system times 256 plus component), and its instance as sent, or None."""
-
-
 def channels_of(
-    sent: dict[str, ColumnStore], clocks: Clocks, ledger: Ledger
+    sent: dict[str, ColumnStore], clocks: clock.Clocks, ledger: Ledger
 ) -> tuple[list[Channel], dict[str, float]]:
     """The channels of the wanted messages, whose memory is freed on the way, and the parameters."""
     channels = []
@@ -151,7 +127,7 @@ def channels_of(
             late = spec.event  # the link delivers exposures late, and others overtake each other
             if not bool(np.all(rows.time_ns[1:] >= rows.time_ns[:-1])):
                 newest = np.maximum.accumulate(rows.time_ns)
-                late |= int(np.max(newest - rows.time_ns)) < LATEST_NS
+                late |= int(np.max(newest - rows.time_ns)) < clock.LATEST_NS
             rows = rows.take(np.argsort(rows.time_ns, kind="stable")) if late else rows
             channel = channel_of(rows, spec, ledger)
             if channel is not None:
@@ -169,20 +145,20 @@ def channels_of(
 class _Series:
     """A channel during reading: the messages of one sender and instance."""
 
-    def __init__(self, key: str, sender: Key, label: str | None) -> None:
+    def __init__(self, key: str, sender: clock.Key, label: str | None) -> None:
         self.key, self.spec = key, MESSAGES[key]
         self.source = Source(key.partition(".")[0], label, *sender)
         self.name = key if label is None else f"{key}[{label}]"
         self.time_ns, self.boot = ColumnStore("i8"), ColumnStore("i2")
-        self.columns = GrowingColumns(self.spec)
+        self.columns = ColumnStores(self.spec)
         self.sent: list[NDArray[Any]] = []
 
-    def add(self, rows: NDArray[Any], clocks: Clocks) -> None:
+    def add(self, rows: NDArray[Any], clocks: clock.Clocks) -> None:
         """Add the next messages."""
         records, fields = rows["records"], {}
         names = records.dtype.names or ()
         sender = (self.source.system or 0, self.source.component or 0)
-        time_ns, boot = times_of(rows, clock_field(names), clocks, sender)
+        time_ns, boot = times_of(rows, clock.clock_field(names), clocks, sender)
         self.time_ns.add(time_ns)
         self.boot.add(boot)
         for name in names:
@@ -209,12 +185,12 @@ class _Series:
         return DecodedRows(self.name, self.source, *times, self.columns.whole(), texts)
 
 
-def _series(keys: list[str], store: ColumnStore, clocks: Clocks) -> list[_Series]:
+def _series(keys: list[str], store: ColumnStore, clocks: clock.Clocks) -> list[_Series]:
     """The series of one message, for each key, sender and instance."""
-    by_group: dict[Group, list[_Series]] = {}
+    by_group: dict[tuple[int, Any], list[_Series]] = {}  # by sender, and instance as sent or None
     field = message_of_name()[keys[0]].instance_field
     for block in store.drained():
-        for sender, of_sender in by_source(block):
+        for sender, of_sender in clock.by_source(block):
             rows = block[of_sender]
             for value in np.unique(rows["records"][field]) if field else (None,):
                 group = (sender[0] * 256 + sender[1], None if value is None else value.item())
@@ -232,30 +208,30 @@ def _series(keys: list[str], store: ColumnStore, clocks: Clocks) -> list[_Series
 
 
 def times_of(
-    rows: NDArray[Any], field: str, clocks: Clocks, source: Key
+    rows: NDArray[Any], field: str, clocks: clock.Clocks, source: clock.Key
 ) -> tuple[TimeArray, NDArray[np.int16]]:
     """UTC [ns] and boot of (n,) messages of a sender, by their own time or that of reception."""
-    at, host_ns, clock = rows["at"], rows["host_us"] * MICROSECOND, clocks.of(source)
+    at, host_ns, own = rows["at"], rows["host_us"] * clock.MICROSECOND, clocks.of(source)
     if not field:
-        return clock.utc_of_host(at, host_ns), clock.boot(at)
-    unit, turn = CLOCK_FIELDS[field]
+        return own.utc_of_host(at, host_ns), own.boot(at)
+    unit, turn = clock.CLOCK_FIELDS[field]
     stamp = microseconds(rows["records"][field])
     since_boot = stamp * unit
-    placed = clock.boot_places(at, since_boot)
-    time_ns = clock.utc_of_boot(placed, host_ns, since_boot, turn)
-    boot = clock.boot(placed)
+    placed = own.boot_places(at, since_boot)
+    time_ns = own.utc_of_boot(placed, host_ns, since_boot, turn)
+    boot = own.boot(placed)
     if field == "time_boot_ms":
-        own_us = unix_us(rows["records"])
+        own_us = clock.unix_us(rows["records"])
         if source in clocks.wrong_utc or not own_us.any():
             return time_ns, boot
-        return np.where(own_us > 0, own_us * MICROSECOND, time_ns), boot
+        return np.where(own_us > 0, own_us * clock.MICROSECOND, time_ns), boot
     # time_usec: Unix time from some senders, time since boot from others, 0 when not known
     time_ns = np.where(stamp > UNIX_US_FROM, since_boot, time_ns)
     other = (stamp == 0) | (stamp > UNIX_US_FROM)
     if other.any():
-        boot[other] = clock.boot(at[other])
+        boot[other] = own.boot(at[other])
         unknown = stamp == 0
-        time_ns[unknown] = clock.utc_of_host(at[unknown], host_ns[unknown])
+        time_ns[unknown] = own.utc_of_host(at[unknown], host_ns[unknown])
     return time_ns, boot
 
 
@@ -290,43 +266,41 @@ def whole_texts(rows: DecodedRows, records: NDArray[Any]) -> DecodedRows:
 def distinct_exposures(table: NDArray[Any], name: str, ledger: Ledger) -> Rows:
     """The rows of CAMERA_FEEDBACK that are exposures, each time once with its first index.
 
-    ArduPilot repeats a row while it waits for the next pulse, sometimes already with the next
-    index.
+    ArduPilot repeats a row while it waits for the next pulse, maybe already with the next index.
     """
     empty = (table["time_usec"] == 0) & (table["lat"] == 0) & (table["lng"] == 0)
-    rows = np.flatnonzero(~empty)
-    times, indices = table["time_usec"][rows], table["img_idx"][rows].astype(np.uint64)
-    keys = np.where(times == 0, indices, times)
-    first = np.sort(np.unique(keys, return_index=True)[1])
-    empties, repeats = int(empty.sum()), int(rows.shape[0] - first.shape[0])
-    if empties:
+    if empties := int(empty.sum()):
         what = f"{empties} of {table.shape[0]} rows have neither time nor place: no exposure"
         ledger.note("EVENT-EMPTY", what, where=name, count=empties)
-    if repeats:
-        what = f"{repeats} of {table.shape[0]} rows repeat the time of an exposure"
-        ledger.note("EVENT-REPEAT", what, where=name, count=repeats)
+    times, indices = table["time_usec"], table["img_idx"].astype(np.uint64)
+    keys = np.where(times == 0, indices, times)
+    first = _first_of_each(keys, ~empty, "the time of an exposure", name, ledger)
     by_unix = int(np.count_nonzero(times[first] > UNIX_US_FROM))
     if by_unix:
         ledger.note("EVENTS-TRIGGER-TIME/distinct-exposures", where=name, count=by_unix)
-    unseen = np.setdiff1d(indices, indices[first])
+    unseen = np.setdiff1d(indices[~empty], indices[first])
     if unseen.shape[0]:
         number = int(unseen[0])
         ledger.warning("EVENT-NO-PULSE/feedback", where=name, count=unseen.size, first=number)
-    return rows[first]
+    return first
 
 
 def captured_images(table: NDArray[Any], name: str, ledger: Ledger) -> Rows:
     """The rows of CAMERA_IMAGE_CAPTURED that are images, each once: cameras repeat some."""
     failed = table["capture_result"] == 0
-    rows = np.flatnonzero(~failed)
-    keys = table["time_boot_ms"][rows].astype(np.int64) << 32
-    keys |= table["image_index"][rows].astype(np.int64) & 0xFFFFFFFF
-    first = np.sort(np.unique(keys, return_index=True)[1])
-    failures, repeats = int(failed.sum()), int(rows.shape[0] - first.shape[0])
-    if failures:
+    if failures := int(failed.sum()):
         what = f"{failures} of {table.shape[0]} rows report that the camera took no image"
         ledger.warning("EVENT-FAILED", what, where=name, count=failures)
-    if repeats:
-        what = f"{repeats} of {table.shape[0]} rows repeat an image"
+    keys = table["time_boot_ms"].astype(np.int64) << 32
+    keys |= table["image_index"].astype(np.int64) & 0xFFFFFFFF
+    return _first_of_each(keys, ~failed, "an image", name, ledger)
+
+
+def _first_of_each(keys: NDArray[Any], good: Mask, of: str, name: str, ledger: Ledger) -> Rows:
+    """The first of the good rows of each key."""
+    rows = np.flatnonzero(good)
+    first = np.sort(np.unique(keys[rows], return_index=True)[1])
+    if repeats := int(rows.size - first.size):
+        what = f"{repeats} of {keys.size} rows repeat {of}"
         ledger.note("EVENT-REPEAT", what, where=name, count=repeats)
-    return np.asarray(rows[first], np.intp)
+    return rows[first]

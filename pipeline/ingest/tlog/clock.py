@@ -6,8 +6,6 @@ those with one. Cameras and gimbals have no SYSTEM_TIME: whether they count by t
 or their own, the reception of their messages shows.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Container, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from typing import Any
@@ -17,13 +15,7 @@ from numpy.typing import NDArray
 
 from pipeline.flight.channels import TimeArray
 from pipeline.flight.clock import BOOT_STEP_NS, STRAY_ROWS, UNIX_US_FROM, clock_map, stray_times
-from pipeline.ingest.boot_clock import (
-    BootClock,
-    UtcReadings,
-    fit_boot_clock,
-    microseconds,
-    timeline,
-)
+from pipeline.ingest.boot_clock import BootClock, UtcReadings, fit_clock, microseconds, timeline
 from pipeline.ingest.buffers import ColumnStore
 from pipeline.ledger import Ledger
 from pipeline.units import NANOSECONDS_PER_SECOND, Integers, Mask, Rows
@@ -36,26 +28,20 @@ SAMPLE_MS = 50
 DELAY_US = 10_000
 STEADY_MS = 1000
 
-Key = tuple[int, int]
-"""A sender: system and component."""
+Key = tuple[int, int]  # a sender: system and component
 
 READING = np.dtype(
     [("at", "i8"), ("host_us", "i8"), ("source", "u2"), ("boot_ns", "i8"), ("utc_ns", "i8")]
 )
 """A sample of a sender's clock: ``at`` byte offset; ``host_us`` the ground station's clock;
 ``source`` system times 256 plus component; ``boot_ns`` since boot; ``utc_ns`` or 0."""
-
-Readings = NDArray[Any]
-"""(n,) samples of `READING` in the order of the file."""
+Readings = NDArray[Any]  # (n,) samples of `READING` in the order of the file
 
 ROUND_MS = (1 << 32) * MILLISECOND  # 49.7 days: a 32-bit count of milliseconds runs over
 ROUND_US = (1 << 32) * MICROSECOND  # 71.6 minutes: one of microseconds
 
-CLOCK_FIELDS: Mapping[str, tuple[int, int]] = {
-    "time_boot_ms": (MILLISECOND, ROUND_MS),
-    "time_usec": (MICROSECOND, ROUND_US),
-}
-"""Fields with a time since boot: their unit [ns], and the time [ns] after which they wrap."""
+# Fields with a time since boot: their unit [ns], and the time [ns] after which they wrap.
+CLOCK_FIELDS = {"time_boot_ms": (MILLISECOND, ROUND_MS), "time_usec": (MICROSECOND, ROUND_US)}
 
 # Largest difference of a stamp that wrapped from the sender's clock: exposures are reported up to
 # some seconds late, and a minute is a seventieth of the shorter period.
@@ -278,9 +264,7 @@ def overtaken(readings: Readings) -> Mask:
     return np.asarray((late > BOOT_STEP_NS) & (late < LATEST_NS) & on_before, np.bool_)
 
 
-def _fit_sender(
-    readings: Readings, leader: SenderClock, source: Key, ledger: Ledger
-) -> SenderClock:
+def _fit_sender(readings: Readings, lead: SenderClock, source: Key, ledger: Ledger) -> SenderClock:
     """A sender's clock; without UTC of its own it is set by when its messages were received."""
     where = f"system {source[0]}, component {source[1]}"
     readings = _some(readings, ~stray_times(readings["boot_ns"]))  # a glitch of it is no boot
@@ -297,10 +281,10 @@ def _fit_sender(
         turns = np.concatenate([[0], np.cumsum(turn)])
         boot_ns = np.asarray(boot_ns + turns * ROUND_MS, np.int64)
         ledger.note("TIME-WRAP", where=where, count=int(turns.max()))
-    host_ns = leader.utc_of_host(at, stamped_ns)
+    host_ns = lead.utc_of_host(at, stamped_ns)
     system_time = UtcReadings("SYSTEM_TIME messages", at, boot_ns, sent_utc, sent_utc > 0)
     received = UtcReadings("stamps", at, boot_ns, host_ns, np.ones(at.shape, np.bool_))
-    clock = fit_boot_clock(timeline([(at, boot_ns)]), [system_time], ledger, received, where)
+    clock = fit_clock(timeline([(at, boot_ns)]), [system_time], ledger, received, where)
     boot = clock.line.boot_of(at)
     counts = np.bincount(boot, minlength=clock.line.boots).tolist()
     maps = []

@@ -1,7 +1,6 @@
 """MAVLink telemetry logs (.tlog): frames -> channels in UTC."""
 
 from collections import Counter
-from collections.abc import Container
 from functools import partial
 from pathlib import Path
 
@@ -11,53 +10,50 @@ from pipeline.flight.channels import Channel
 from pipeline.flight.clock import stray_times
 from pipeline.ingest.buffers import open_view
 from pipeline.ingest.log import Contents, LogFormat, Table
-from pipeline.ingest.tlog.channels import (
-    MESSAGES,
-    channels_of,
-    crc_extras,
-    label_of,
-    message_of_name,
-    name_of,
-    times_of,
-    wanted_layouts,
-)
-from pipeline.ingest.tlog.clock import (
-    MICROSECOND,
-    Clocks,
-    Key,
-    by_source,
-    clock_field,
-    clocks_of,
-    with_borrowed_clocks,
-)
+from pipeline.ingest.tlog import channels, clock
 from pipeline.ingest.tlog.scan import SILENT_US, Scan, Silence, frame_length
 from pipeline.ledger import Ledger
 
-SILENT_NS = SILENT_US * MICROSECOND
-_CARRIED = {key.partition(".")[0] for key in MESSAGES}
+SILENT_NS = SILENT_US * clock.MICROSECOND
+_CARRIED = {key.partition(".")[0] for key in channels.MESSAGES}
 # Messages whose time is that of the exposure, not of sending.
-_LATE = {key for key, spec in MESSAGES.items() if spec.event}
+_LATE = {key for key, spec in channels.MESSAGES.items() if spec.event}
 
 
 def read_log(path: Path, ledger: Ledger) -> Contents:
     """The contents of a telemetry log."""
-    wanted = wanted_layouts()
+    wanted = channels.wanted_layouts()
     with open_view(path) as data:
-        late = {number for number in wanted if name_of(number) in _LATE}
-        result = Scan(data, crc_extras(), wanted, late)
-    damaged = _report_damage(result, wanted, path, ledger)
+        late = {number for number in wanted if channels.name_of(number) in _LATE}
+        result = Scan(data, channels.crc_extras(), wanted, late)
+    result.report_bytes(ledger, path.name, "message")
+    if result.unknown:
+        count = sum(rejected.count for rejected in result.unknown.values())
+        first = min(rejected.first for rejected in result.unknown.values())
+        where, ids = f"{path.name}, first at byte {first}", sorted(result.unknown)[:8]
+        ledger.warning("LOG-UNKNOWN-ID", where=where, count=count, ids=", ".join(map(str, ids)))
+    damaged = 0
+    for number, rejected in sorted(result.failed.items()):
+        where = f"{path.name}, first at byte {rejected.first}"
+        name = f"{channels.name_of(number)} (id {number})"
+        if result.counts[number] or number in wanted:
+            damaged += rejected.size
+            what = f"{rejected.count} messages {name} fail their checksum"
+            ledger.loss("LOG-CRC", what, where=where, count=rejected.count)
+        else:
+            ledger.warning("LOG-DIALECT", where=where, count=rejected.count, name=name)
     if not result.steady:
         _replace_stray_stamps(result, ledger, path.name)
-    sent = {name_of(number): result.sent.pop(number) for number in [*result.sent]}
+    sent = {channels.name_of(number): result.sent.pop(number) for number in [*result.sent]}
     parts = [part for name, part in sent.items() if name in _CARRIED]
     sources = {int(n) for p in parts for b in p.blocks() for n in np.unique(b["source"])}
-    clocks = clocks_of(result.clock.readings({source >> 8 for source in sources}), ledger)
-    clocks = with_borrowed_clocks(clocks, parts, ledger)
-    channels, parameters = channels_of(sent, clocks, ledger)
-    lost = _report_link(result, clocks, channels, path, ledger)
-    counts = {name_of(key): count for key, count in result.counts.items() if count}
+    clocks = clock.clocks_of(result.clock.readings({source >> 8 for source in sources}), ledger)
+    clocks = clock.with_borrowed_clocks(clocks, parts, ledger)
+    found, parameters = channels.channels_of(sent, clocks, ledger)
+    lost = _report_link(result, clocks, found, path, ledger)
+    counts = {channels.name_of(key): count for key, count in result.counts.items() if count}
     return Contents(
-        counts, tuple(channels), result.bad_bytes + damaged, lost, clocks.boots,
+        counts, tuple(found), result.bad_bytes + damaged, lost, clocks.boots,
         clocks.description, partial(_table, path, clocks), parameters,
     )  # fmt: skip
 
@@ -71,34 +67,13 @@ def is_tlog(head: bytes) -> bool:
 TLOG = LogFormat("tlog", "MAVLink telemetry", (".tlog", ".rlog"), is_tlog, read_log)
 
 
-def _report_damage(result: Scan, needed: Container[int], path: Path, ledger: Ledger) -> int:
-    """Enter the damage; returns the number of bytes of damaged frames."""
-    result.report_bytes(ledger, path.name, "message")
-    if result.unknown:
-        count = sum(rejected.count for rejected in result.unknown.values())
-        first = min(rejected.first for rejected in result.unknown.values())
-        where, ids = f"{path.name}, first at byte {first}", sorted(result.unknown)[:8]
-        ledger.warning("LOG-UNKNOWN-ID", where=where, count=count, ids=", ".join(map(str, ids)))
-    damaged = 0
-    for number, rejected in sorted(result.failed.items()):
-        where = f"{path.name}, first at byte {rejected.first}"
-        name = f"{name_of(number)} (id {number})"
-        if result.counts[number] or number in needed:
-            damaged += rejected.size
-            what = f"{rejected.count} messages {name} fail their checksum"
-            ledger.loss("LOG-CRC", what, where=where, count=rejected.count)
-        else:
-            ledger.warning("LOG-DIALECT", where=where, count=rejected.count, name=name)
-    return damaged
-
-
 def _report_link(
-    result: Scan, clocks: Clocks, channels: list[Channel], path: Path, ledger: Ledger
+    result: Scan, clocks: clock.Clocks, found: list[Channel], path: Path, ledger: Ledger
 ) -> int:
     """Enter the messages of the senders of channels that the link lost; returns the least count."""
-    carriers = {(channel.source.system, channel.source.component) for channel in channels}
+    carriers = {(channel.source.system, channel.source.component) for channel in found}
     lost = Counter({key: count for key, count in result.lost.items() if key in carriers})
-    silent: dict[Key, list[Silence]] = {}
+    silent: dict[clock.Key, list[Silence]] = {}
     for silence in result.silences:
         if silence.source in carriers and clocks.advanced(silence.source, silence.at, SILENT_NS):
             silent.setdefault(silence.source, []).append(silence)
@@ -127,7 +102,7 @@ def _replace_stray_stamps(result: Scan, ledger: Ledger, where: str) -> None:
     order = np.argsort(at, kind="stable")
     at = at[order]
     host_us = np.concatenate([block["host_us"] for block in blocks])[order]
-    stray = stray_times(host_us * MICROSECOND)
+    stray = stray_times(host_us * clock.MICROSECOND)
     count = int(np.count_nonzero(stray))
     if count == 0 or bool(stray.all()):
         return
@@ -141,34 +116,32 @@ def _replace_stray_stamps(result: Scan, ledger: Ledger, where: str) -> None:
             block["host_us"][replaced] = good[before[place[replaced]]]
 
 
-def _table(path: Path, clocks: Clocks, name: str, instance: str | None) -> Table:
+def _table(path: Path, clocks: clock.Clocks, name: str, instance: str | None) -> Table:
     """All messages of one type with their time, their sender and their fields as sent."""
-    message = message_of_name().get(name)
+    message = channels.message_of_name().get(name)
     if message is None:
         return {}
     with open_view(path) as data:
-        sent = Scan(data, crc_extras(), {message.number: message.dtype}).sent.get(message.number)
-    if sent is None:
+        scan = Scan(data, channels.crc_extras(), {message.number: message.dtype})
+    store = scan.sent.get(message.number)
+    if store is None:
         return {}
-    rows = sent.whole()
+    rows = store.whole()
     if instance is not None:
         if not message.instance_field:
             return {}
         ids = rows["records"][message.instance_field]
-        asked = [value for value in np.unique(ids) if label_of(value) == instance]
+        asked = [value for value in np.unique(ids) if channels.label_of(value) == instance]
         rows = rows[np.isin(ids, asked)]
     if not len(rows):
         return {}
     time_ns, boot = np.empty(len(rows), np.int64), np.empty(len(rows), np.int16)
-    field = clock_field(message.fields)
-    for source, of_source in by_source(rows):
-        time_ns[of_source], boot[of_source] = times_of(rows[of_source], field, clocks, source)
-    table: Table = {
-        "time_ns": time_ns,
-        "boot": boot,
-        "system": rows["source"] >> 8,
-        "component": rows["source"] & 0xFF,
-    }
+    field = clock.clock_field(message.fields)
+    for source, of_source in clock.by_source(rows):
+        part = channels.times_of(rows[of_source], field, clocks, source)
+        time_ns[of_source], boot[of_source] = part
+    table: Table = {"time_ns": time_ns, "boot": boot, "system": rows["source"] >> 8}
+    table["component"] = rows["source"] & 0xFF
     for name in message.fields:
         raw = table[name] = np.ascontiguousarray(rows["records"][name])
         if name in message.texts:  # bytes beyond ASCII become U+FFFD, as in the library

@@ -1,13 +1,10 @@
 """Scanning a telemetry log in stretches: frames checked, wanted payloads kept, the rest counted.
 
-A frame is accepted when its checksum holds. Between accepted frames lie those that cannot be
-checked (an id outside the dialect), those whose checksum fails, and bytes of no message.
-
-A frame is the ground station's big-endian clock in microseconds (8 bytes) and a MAVLink 1 (0xFE)
-or MAVLink 2 (0xFD) packet. Everything is done for all frames of a stretch of the file at once.
+A frame is the ground station's big-endian clock in microseconds (8 bytes) and a MAVLink 1 (0xFE) or
+MAVLink 2 (0xFD) packet. It is accepted when its checksum holds. Between accepted frames lie those
+that cannot be checked (an id outside the dialect), those whose checksum fails, and bytes of no
+message. Everything is done for all frames of a stretch of the file at once.
 """
-
-from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Set
@@ -77,13 +74,13 @@ class Frames:
         before = np.where(self.version == 2, HEAD, STAMP + V1_BEFORE_PAYLOAD)
         return np.asarray(self.at + before, np.int64)
 
-    def take(self, rows: Mask | Rows | slice) -> Frames:
+    def take(self, rows: Mask | Rows | slice) -> "Frames":
         """The frames of a mask, an index or a slice."""
         if isinstance(rows, np.ndarray) and rows.dtype == np.bool_ and bool(rows.all()):
             return self
         return Frames(**{name: column[rows] for name, column in vars(self).items()})
 
-    def moved(self, by: int) -> Frames:
+    def moved(self, by: int) -> "Frames":
         """The same frames counted from another place."""
         return Frames(**(vars(self) | {"at": self.at + by}))
 
@@ -191,8 +188,7 @@ def checksums(
 ) -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
     """The checksums of packets of one length, and those that stand behind them.
 
-    ``first``: (n,) where the ``covered`` bytes begin, behind the magic byte. ``extra``: (n,)
-    CRC_EXTRA.
+    The ``covered`` bytes begin at ``first`` (n,), behind the magic byte; ``extra`` (n,): CRC_EXTRA.
     """
     odd = covered & 1  # then the row begins a byte before, so that words lie on even places
     size = odd + covered + CHECKSUM
@@ -228,8 +224,7 @@ SILENT_US = 3_000_000  # every component sends a HEARTBEAT each second: three in
 class Silence:
     """More than `SILENT_US` without a message of a sender, before the byte ``at``.
 
-    ``backward``: messages missing by a step of the sequence that is otherwise taken as backward, or
-    0.
+    ``backward``: messages missing by a step of the sequence otherwise taken as backward, or 0.
     """
 
     source: Key
@@ -251,8 +246,7 @@ class Scan(DamagedBytes):
     """The messages of a telemetry log, and what is damaged or missing.
 
     ``wanted``: layouts of payloads to keep, by id; ``late`` ones have not the time of sending. An
-    id outside the dialect counts where frames follow each other without a gap between accepted
-    ones.
+    id outside the dialect counts where frames fill all between accepted ones.
 
     ``sent``: the wanted ones, with ``at`` (byte), ``host_us`` (the ground station's clock),
     ``source`` (system times 256 plus component) and ``records``; ``unknown`` ids (in ``counts``)
@@ -391,8 +385,7 @@ class Scan(DamagedBytes):
     def _count_lost(self, frames: Frames) -> None:
         """Messages missing by the numbers of each sender; the upper half of steps is backward.
 
-        What comes late fills its gap. A silence counts unless few stamps on one side of it are
-        stray.
+        What comes late fills its gap. A silence counts unless few stamps beside it are stray.
         """
         source = _source_of(frames)
         order = np.argsort(source, kind="stable")

@@ -1,7 +1,6 @@
 """PX4 logs (.ulg) -> channels in UTC."""
 
 import re
-from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,13 +12,7 @@ from pipeline.errors import LogError
 from pipeline.flight.channels import Source
 from pipeline.flight.clock import STRAY_ROWS, UNIX_US_FROM, stray_times
 from pipeline.ingest.attitude import earth_frame_attitude
-from pipeline.ingest.boot_clock import (
-    UtcReadings,
-    fit_boot_clock,
-    microseconds,
-    nanoseconds,
-    timeline,
-)
+from pipeline.ingest.boot_clock import UtcReadings, fit_clock, microseconds, nanoseconds, timeline
 from pipeline.ingest.buffers import open_view
 from pipeline.ingest.channel_builder import DecodedRows, captured_rows, channel_of, without_stray
 from pipeline.ingest.fields import CAPTURE_UTC_FIELD, PX4_TOPICS, UTC_FIELD, MessageMap, extract
@@ -33,8 +26,7 @@ LONGEST_INTERVAL_NS = 200_000_000  # of a topic that shows whether anything was 
 _ONE_BOOT = timeline([(np.zeros(1, np.int64), np.zeros(1, np.int64))])  # a log a boot
 _ELEMENT = re.compile(r"\[(\d+)\]")
 
-TopicRows = Mapping[tuple[str, int], NDArray[Any]]
-"""Rows as logged, by topic and instance."""
+Topic = tuple[str, int]  # its name and the instance
 
 
 def read_log(path: Path, ledger: Ledger) -> Contents:
@@ -130,9 +122,7 @@ def report_silences(messages: records.ULogMessages, name: str, ledger: Ledger) -
     ledger.loss("LOG-GAP/messages", where=where, count=count, seconds=seconds, messages=missing)
 
 
-def _clock(
-    rows_of: TopicRows, names: Mapping[tuple[str, int], str], ledger: Ledger
-) -> tuple[int, str]:
+def _clock(rows_of: dict[Topic, Any], names: dict[Topic, str], ledger: Ledger) -> tuple[int, str]:
     """UTC minus time since boot [ns], and where it comes from."""
     by_role: dict[str, list[UtcReadings]] = {"position": [], "events": []}
     for field, role in ((UTC_FIELD, "position"), (CAPTURE_UTC_FIELD, "events")):
@@ -146,7 +136,7 @@ def _clock(
                 by_role[role].append(readings)
     receivers, cameras = by_role.values()
     utc_of = "GPS row with a fix and UTC"
-    clock = fit_boot_clock(_ONE_BOOT, receivers, ledger, cameras=cameras, utc_of=utc_of)
+    clock = fit_clock(_ONE_BOOT, receivers, ledger, cameras=cameras, utc_of=utc_of)
     if fit := clock.fits[0]:
         return fit.offset_ns, f"vehicle clock, set to UTC by the median of {fit.rows} rows"
     return 0, "vehicle clock; UTC is unknown"

@@ -83,17 +83,36 @@ def flat_fields(
     return result
 
 
-class ULogDefinitions:
-    """Formats by name; by number the ``topics`` (name, instance), ``sizes`` without, with padding.
+class ULogMessages(DamagedBytes):
+    """The messages of a file with a whole header, those of the ``wanted`` topics as rows.
 
+    ``counts`` by topic; ``rows`` by name and instance; ``timeless`` topics have no timestamp and no
+    rows; ``damaged_values``: parameters and information of a wrong length; ``dropouts_ms`` of the
+    logger; ``texts`` with their time since boot [us]; ``parameters``: the last value of each.
+    Formats by name; by number the ``topics`` (name, instance), ``sizes`` without, with padding;
     ``columns`` are what rows of a topic hold; a format without a timestamp has none.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, data: FileView, wanted: Collection[str]) -> None:
+        super().__init__()
+        self.counts: Counter[str] = Counter()
+        self.rows: dict[tuple[str, int], NDArray[Any]] = {}
+        self.timeless: set[str] = set()
+        self.damaged_values = 0
+        self.dropouts_ms: list[int] = []
+        self.texts: list[tuple[int, str]] = []
+        self.parameters: dict[str, float] = {}
+        self._data = data
+        self._wanted = wanted
         self.formats: dict[str, Fields] = {}
         self.columns: dict[str, np.dtype[Any]] = {}
         self.topics: dict[int, tuple[str, int]] = {}
         self.sizes: dict[int, tuple[int, int]] = {}
+        self._defining = True  # until the first subscription or text
+        self._appended = flags_of(data)[1]
+        self._places: defaultdict[int, list[int]] = defaultdict(list)  # of data, in one block
+        self._stores: dict[tuple[str, int], ColumnStore] = {}
+        self.walk()
 
     def define(self, content: bytes) -> bool:
         """Take a format; False where it is damaged."""
@@ -124,33 +143,6 @@ class ULogDefinitions:
             self.columns[name] = columns
         return True
 
-
-class ULogMessages(DamagedBytes):
-    """The messages of a file with a whole header, those of the ``wanted`` topics as rows.
-
-    ``counts`` by topic; ``rows`` by name and instance; ``timeless`` topics have no timestamp and no
-    rows; ``damaged_values``: parameters and information of a wrong length; ``dropouts_ms`` of the
-    logger; ``texts`` with their time since boot [us]; ``parameters``: the last value of each.
-    """
-
-    def __init__(self, data: FileView, wanted: Collection[str]) -> None:
-        super().__init__()
-        self.counts: Counter[str] = Counter()
-        self.rows: dict[tuple[str, int], NDArray[Any]] = {}
-        self.timeless: set[str] = set()
-        self.damaged_values = 0
-        self.dropouts_ms: list[int] = []
-        self.texts: list[tuple[int, str]] = []
-        self.parameters: dict[str, float] = {}
-        self._data = data
-        self._wanted = wanted
-        self._definitions = ULogDefinitions()
-        self._defining = True  # until the first subscription or text
-        self._appended = flags_of(data)[1]
-        self._places: defaultdict[int, list[int]] = defaultdict(list)  # of data, in one block
-        self._stores: dict[tuple[str, int], ColumnStore] = {}
-        self.walk()
-
     def report_damage(self, ledger: Ledger, file_name: str) -> None:
         """Enter what is damaged. The format does not number messages: lost ones are not counted."""
         self.report_bytes(ledger, file_name, "message")
@@ -168,7 +160,7 @@ class ULogMessages(DamagedBytes):
     def walk(self) -> None:
         """Walk over the file."""
         at, end = FILE_HEADER, self._data.size
-        sizes, unpack, places_of = self._definitions.sizes, DATA.unpack_from, self._places
+        sizes, unpack, places_of = self.sizes, DATA.unpack_from, self._places
         if self._data[0 : len(MAGIC)] != MAGIC:
             self.drop(0, FILE_HEADER)
         while at < end:
@@ -196,9 +188,9 @@ class ULogMessages(DamagedBytes):
                 place += length
             view = np.frombuffer(raw, np.uint8)
             for number, places in self._places.items():
-                name, instance = self._definitions.topics[number]
+                name, instance = self.topics[number]
                 self.counts[name] += len(places)
-                columns = self._definitions.columns.get(name)
+                columns = self.columns.get(name)
                 if columns is None:
                     self.timeless.add(name)
                 elif name in self._wanted:
@@ -236,7 +228,7 @@ class ULogMessages(DamagedBytes):
             return begin + 1 + len(key) <= end and _KEY.fullmatch(key) is not None
         if kind == _DATUM:
             number = int.from_bytes(raw[content : content + 2], "little")
-            least, most = self._definitions.sizes.get(number, (1, 0))
+            least, most = self.sizes.get(number, (1, 0))
             return bool(least + 2 <= size <= most + 2)
         if kind == ord("B"):
             return bool(base + place == FILE_HEADER and size >= FLAGS.size)
@@ -248,13 +240,13 @@ class ULogMessages(DamagedBytes):
         if kind == _DATUM:
             self._places[raw[begin] | raw[begin + 1] << 8].append(place)
         elif kind == ord("F"):  # among the data it is none
-            return self._defining and self._definitions.define(raw[begin:end])
+            return self._defining and self.define(raw[begin:end])
         elif kind in b"ALC":
             self._defining = False
             if kind != ord("A") and (begin := begin + (3 if kind == ord("C") else 1)) + 8 <= end:
                 text = raw[begin + 8 : end].decode("utf-8", "replace")
                 self.texts.append((int.from_bytes(raw[begin : begin + 8], "little"), text))
-            return kind != ord("A") or self._definitions.subscribe(raw[begin:end])
+            return kind != ord("A") or self.subscribe(raw[begin:end])
         elif kind in _KEYED:
             begin += _KEYED[kind]
             value = begin + 1 + raw[begin]
@@ -273,9 +265,8 @@ class ULogMessages(DamagedBytes):
         """Where in the file messages go on after a place that begins none."""
         at = base + place
         skipped = self._length(raw, place, base, loose=True)  # data whose definition was lost
-        unknown = (
-            int.from_bytes(raw[place + 3 : place + 5], "little") not in self._definitions.sizes
-        )
+        number = int.from_bytes(raw[place + 3 : place + 5], "little")
+        unknown = number not in self.sizes
         if skipped and unknown and self._linked(raw, place + skipped, base):
             self.drop(at, at + skipped)
             return at + skipped

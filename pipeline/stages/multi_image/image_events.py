@@ -19,12 +19,12 @@ from pipeline.config.event_sources import EventsSection, FirstImage
 from pipeline.errors import InputError, MissionError
 from pipeline.flight.exposures import Events, refuse_repeated_images
 from pipeline.flight.image_names import name_series
-from pipeline.flight.stations import Stations
+from pipeline.flight.stations import NO_TIME, Stations
 from pipeline.geodesy import principal_radii
 from pipeline.ledger import Ledger, Notes, loss, note, warning
 from pipeline.refraction.camera.camera import Camera
 from pipeline.stages.exposure_setup import cameras_of_mission
-from pipeline.tables.imports.exif import NO_TIME, ImageTimes, read_image_times
+from pipeline.tables.imports.exif import ImageTimes, read_image_times
 from pipeline.tables.observations import Observations
 from pipeline.tables.tie_points import TiePoints, tie_rays
 from pipeline.units import Array, Integers, Names

@@ -1,8 +1,7 @@
 """Files for other programs: the formats by name.
 
 A new format is a module beside this one, with its formats and their options in a tuple `FORMATS`,
-and its name in `MODULES`. The command line generates the options of ``unbend export`` and their
-help from that.
+and its name in `MODULES`. The options of ``unbend export`` and their help are generated from that.
 """
 
 import difflib
@@ -47,9 +46,8 @@ def find_format(name: str, out: Path) -> ExportFormat:
     if out.suffix.lower() != form.ending and (form.ending or fitting):
         kind = f"a file that ends in {form.ending}" if form.ending else "a folder"
         what = f"{name} is written to {kind}"
-        remedy = f"rename it to {out.with_suffix(form.ending).name or form.ending}" + (
-            f", or choose from {', '.join(fitting)}" if fitting else ""
-        )
+        others = f", or choose from {', '.join(fitting)}" if fitting else ""
+        remedy = f"rename it to {out.with_suffix(form.ending).name or form.ending}{others}"
         raise ConfigError("EXPORT-ENDING", what, where=str(out), remedy=remedy)
     return form
 

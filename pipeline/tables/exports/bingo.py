@@ -26,11 +26,6 @@ from pipeline.tables.exports.format import (
     write_csv_stream,
 )
 
-_USE = (
-    "in BINGO, and in Inpho where it reads these files, switch the corrections of refraction and "
-    "earth curvature off, and adjust in a Cartesian frame; positions and angles in one: "
-    "--format opk-enu"
-)
 _LONGEST = 15
 
 
@@ -59,14 +54,12 @@ def write_bingo(run: FinishedRun, values: Values, folder: Path, ledger: Ledger) 
     for name in [name for name, size in zip(block.cameras, sizes, strict=True) if np.isnan(size)]:
         raise ConfigError.of("EXPORT-OPTION/pixel", "--pixel-um", name=name)
     turn = np.linalg.matrix_power(np.array([[0, 1], [-1, 0]]), values["quarter_turns"])
-    cameras = list(block.cameras.values())
     with (folder / "image.dat").open("w", encoding="utf-8") as file:
-        for i, image in enumerate(short["image"]):
-            here, number = block.of_image(i), block.camera[i]
-            x = block.x_px[here] - 0.5 * cameras[number].width_px
-            y = 0.5 * cameras[number].height_px - block.y_px[here]
-            xy = turn @ np.stack([x, y]) * sizes[number]
-            file.write(f"{image} {short['camera'][number]}\n")
+        for i, camera, here in block.images():
+            x = block.x_px[here] - 0.5 * camera.width_px
+            y = 0.5 * camera.height_px - block.y_px[here]
+            xy = turn @ np.stack([x, y]) * sizes[block.camera[i]]
+            file.write(f"{short['image'][i]} {short['camera'][block.camera[i]]}\n")
             for p, x, y in zip(block.point[here], *xy, strict=True):
                 file.write(f"{short['point'][p]} {x:.7f} {y:.7f}\n")
             file.write("-99\n")
@@ -89,6 +82,9 @@ FORMATS = (
             Option("quarter_turns", int, 0, "quarter turns, counter-clockwise, of the axes of "
                    "BINGO's image against x to the right, y up", "", 0, 3),
         ),
-        use=_USE, marked=("image.dat",),
+        use="in BINGO, and in Inpho where it reads these files, switch the corrections of "
+        "refraction and earth curvature off, and adjust in a Cartesian frame; positions and "
+        "angles in one: --format opk-enu",
+        marked=("image.dat",),
     ),
 )  # fmt: skip

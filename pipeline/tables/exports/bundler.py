@@ -18,11 +18,6 @@ from pipeline.refraction.camera import model_of
 from pipeline.tables.exports.exported_block import block_of, ideal_coordinates, refuse_names
 from pipeline.tables.exports.format import ExportFormat, FinishedRun, Values
 
-_USE = (
-    "Metashape has no switch for refraction; adjust there with f fixed and k1, k2 and all other "
-    "coefficients at zero, and give the images their own calibration (calibration.json) after that"
-)
-
 
 def write_bundler(run: FinishedRun, _: Values, folder: Path, ledger: Ledger) -> int:
     """bundle.out (v0.3), list.txt with the images in its order, calibration.json."""
@@ -30,8 +25,7 @@ def write_bundler(run: FinishedRun, _: Values, folder: Path, ledger: Ledger) -> 
     refuse_names(block.image, r"[\s\"]", "Bundler")
     cameras = list(block.cameras.values())
     xy = np.full((block.point.size, 2), np.nan)
-    for i, camera in enumerate(block.camera):
-        here, own = block.of_image(i), cameras[camera]
+    for _i, own, here in block.images():
         u, v = ideal_coordinates(own, block.x_px[here], block.y_px[here])
         xy[here] = np.stack([own.fx_px * u, -own.fx_px * v], axis=1)
     seen = np.isfinite(xy[:, 0])
@@ -77,6 +71,9 @@ def write_bundler(run: FinishedRun, _: Values, folder: Path, ledger: Ledger) -> 
 FORMATS = (
     ExportFormat(
         "bundler", "a block for Metashape: Bundler's folder, undistorted and centred", "",
-        write_bundler, use=_USE, marked=("bundle.out",),
+        write_bundler, marked=("bundle.out",),
+        use="Metashape has no switch for refraction; adjust there with f fixed and k1, k2 and all "
+        "other coefficients at zero, and give the images their own calibration (calibration.json) "
+        "after that",
     ),
 )  # fmt: skip

@@ -17,15 +17,7 @@ import numpy as np
 import pandas as pd
 import pyarrow.compute as pc
 
-from pipeline.block.calibration_fit import (
-    CORRECTIONS,
-    FEW,
-    FULL,
-    CorrectionChange,
-    SeenRays,
-    changed_camera,
-    correction_change,
-)
+from pipeline.block import calibration_fit as fit
 from pipeline.errors import MissionError
 from pipeline.ledger import Ledger
 from pipeline.refraction.camera.brown_conrady import BrownConrady
@@ -46,15 +38,12 @@ from pipeline.tables.exports.format import (
 from pipeline.tables.exports.opensfm_project import opensfm_camera
 from pipeline.units import Array, Integers, Mask
 
+# Parts of the refraction that a calibration may leave, and what no adjustment sees.
 _FLAGGED, _REFUSED, _NOTHING_PX = 0.1, 0.5, 0.02
-"""Parts of the refraction that a calibration may leave, and what no adjustment sees."""
-
+# f and k1 do where they leave this part of it, or so many times what all parameters leave.
 _GOOD, _AS_GOOD = 0.05, 1.2
-"""f and k1 do where they leave this part of it, or so many times what all parameters leave."""
-
+# A lattice over some images holds the calibration where nothing was measured.
 _MOST_IMAGES, _COLUMNS, _ROWS, _NODE_WEIGHT = 60, 15, 11, 0.1
-"""A lattice over some images holds the calibration where nothing was measured."""
-
 _MOST_ROWS = 200_000
 _LARGEST_ZETA_RAD = np.radians(80.0)
 _LARGEST_MISFIT_PX = 0.02
@@ -75,7 +64,7 @@ class FittedCalibration:
     stations: Integers
     base: Camera
     camera: Camera
-    change: CorrectionChange
+    change: fit.CorrectionChange
     pixel_mm: float
     heights: str
     effect: tuple[float, float]
@@ -108,9 +97,8 @@ def write_calibrations(run: FinishedRun, values: Values, path: Path, ledger: Led
             ledger.loss("EXPORT-RESIDUAL", what, where=where, count=fitted.stations.size)
     (path / "calibration.txt").write_text(report_of(found), encoding="utf-8")
     for_images = [(run.stations.image[i], f.camera_name, f.name) for f in found for i in f.stations]
-    pd.DataFrame(for_images, columns=["image", "camera", "calibration"]).to_csv(
-        path / "images.csv", index=False
-    )
+    images = pd.DataFrame(for_images, columns=["image", "camera", "calibration"])
+    images.to_csv(path / "images.csv", index=False)
     pd.concat(map(radial_corrections, found)).to_csv(path / "corrections.csv", index=False)
     write_cameras(found, path)
     return len(for_images)
@@ -133,7 +121,7 @@ def observed_corrections(run: FinishedRun) -> Array:
 
 def seen_rays(
     run: FinishedRun, camera: str, stations: Integers, observed: Array
-) -> tuple[SeenRays, Array, Array, Mask]:
+) -> tuple[fit.SeenRays, Array, Array, Mask]:
     """What some stations of a camera saw, at their observations and at the nodes of a lattice.
 
     Beside it (n, 2) the correction [px], (n,) the metres of a pixel across the ray at the ground,
@@ -157,7 +145,7 @@ def seen_rays(
     u, v, covered = given.rays(rows[3], rows[4])
     rows, is_node = rows[:, covered], is_node[covered]
     weight = np.where(is_node, _NODE_WEIGHT / is_node.sum(), 1.0 / max(1, (~is_node).sum()))
-    rays = SeenRays(np.stack([u, v], axis=1)[covered], rows[1:3].T, weight * is_node.size)
+    rays = fit.SeenRays(np.stack([u, v], axis=1)[covered], rows[1:3].T, weight * is_node.size)
     height = run.exposures.height_m[rows[0].astype(int)]
     metres = (height - rows[6]) / np.cos(rows[5]) / given.fx_px
     return rays, (rows[3:5] - rows[1:3]).T, metres, ~is_node if not is_node.all() else is_node
@@ -184,10 +172,11 @@ def fit_calibration(
         return float(np.sqrt(np.mean(square))), in_metres
 
     base, effect = as_written(given.camera, name, ledger), rms(moved)
-    few, full = (changed_camera(base, rays, names) for names in (FEW, FULL))
+    few, full = (fit.changed_camera(base, rays, names) for names in (fit.FEW, fit.FULL))
     of_few, of_full = (rms(rays.left_px(camera)) for camera in (few, full))
     few_do = of_few[0] <= max(_GOOD * effect[0], _AS_GOOD * of_full[0])
-    change, left = correction_change(given.camera, rays, ("c", "k1") if few_do else CORRECTIONS)
+    free = ("c", "k1") if few_do else fit.CORRECTIONS
+    change, left = fit.correction_change(given.camera, rays, free)
     height, ground = run.exposures.height_m[stations], run.ground_m[stations]
     above = height - ground
     return FittedCalibration(
@@ -206,12 +195,11 @@ def as_written(camera: Camera, name: str, ledger: Ledger) -> Camera:
         return camera
     x, y = lattice_nodes(camera, 2 * _COLUMNS, 2 * _ROWS)
     u, v, covered = camera.rays(x, y)
-    pixels = SeenRays(
-        np.stack([u, v], axis=1)[covered], np.stack([x, y], axis=1)[covered], np.ones(covered.sum())
-    )
+    uv, xy = (np.stack(pair, axis=1)[covered] for pair in ((u, v), (x, y)))
+    pixels = fit.SeenRays(uv, xy, np.ones(covered.sum()))
     lens = camera.distortion
     plain = replace(camera, distortion=BrownConrady(lens.k1, lens.k2, lens.k3))
-    written = changed_camera(plain, pixels, FULL)
+    written = fit.changed_camera(plain, pixels, fit.FULL)
     misfit = float(np.hypot(*pixels.left_px(written).T).max())
     if misfit > _LARGEST_MISFIT_PX:
         ledger.loss("EXPORT-MODEL", where=f"cameras.{name}", name=name, misfit=misfit)
@@ -274,9 +262,8 @@ def write_cameras(found: Sequence[FittedCalibration], path: Path) -> None:
         }.items():  # fmt: skip
             ElementTree.SubElement(root, tag).text = str(value)
         ElementTree.indent(root)
-        ElementTree.ElementTree(root).write(
-            path / f"{fitted.name}.xml", encoding="UTF-8", xml_declaration=True
-        )
+        tree = ElementTree.ElementTree(root)
+        tree.write(path / f"{fitted.name}.xml", encoding="UTF-8", xml_declaration=True)
         # OpenCV: the centre of the first pixel is (0, 0).
         matrix = [fx, 0.0, cx - 0.5, 0.0, fy, cy - 0.5, 0.0, 0.0, 1.0]
         yaml = f"%YAML:1.0\n---\nimage_width: {w}\nimage_height: {h}\n"

@@ -36,7 +36,7 @@ from pipeline.refraction.camera.opencv_fisheye import OpenCVFisheye
 from pipeline.tables.exports.exported_block import ExportedBlock, block_of
 from pipeline.tables.exports.format import ExportFormat, FinishedRun, Values, write_csv_stream
 from pipeline.tables.imports.blocks import damage_refused
-from pipeline.tables.imports.blocks.colmap import opened
+from pipeline.tables.imports.blocks.colmap import POINT2D, opened
 from pipeline.tables.imports.stated import not_of_format
 from pipeline.tables.refraction_mark import MARK_TABLE, REFRACTION_KEY, REFRACTION_REMOVED
 from pipeline.units import Integers
@@ -50,7 +50,6 @@ _MODEL_IDS = {"PINHOLE": 1, "OPENCV": 4, "OPENCV_FISHEYE": 5, "FULL_OPENCV": 6}
 
 _OPENCV = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 _OF_GENERAL_FRAME = {"q1": "k4", "q2": "k5", "q3": "k6", "px": "p2", "py": "p1", "k4": "k4 r^8"}
-_POINT2D = np.dtype([("x", "<f8"), ("y", "<f8"), ("point", "<i8")])
 _GREY, _NO_ERROR = (128, 128, 128), -1.0
 
 _VERSION = 4_020_100
@@ -75,12 +74,9 @@ def opencv_coefficients(
     known = {key: value for key, value in known.items() if value != 0.0}
     beyond = [key for key in known if key not in holds]
     if beyond:
+        where, beyond_it = f"cameras.{name}", ", ".join(beyond)
         raise MissionError.of(
-            "EXPORT-DISTORTION",
-            f"cameras.{name}",
-            name=name,
-            beyond=", ".join(beyond),
-            program=program,
+            "EXPORT-DISTORTION", where, name=name, beyond=beyond_it, program=program
         )
     return known
 
@@ -136,13 +132,13 @@ def write_model(run: FinishedRun, _: Values, folder: Path, ledger: Ledger) -> in
             file.write(np.array(params, "<f8").tobytes())
     with (folder / "images.bin").open("wb") as file:
         file.write(struct.pack("<Q", block.image.size))
-        for i, name in enumerate(block.image):
-            here, pose = block.of_image(i), (*block.frame.quaternion[i], *moved[i])
-            points = np.empty(here.stop - here.start, _POINT2D)
-            points["x"], points["y"] = block.x_px[here], block.y_px[here]
+        for i, _camera, here in block.images():
+            pose, name = (*block.frame.quaternion[i], *moved[i]), block.image[i].encode()
+            points = np.empty(here.stop - here.start, POINT2D)
+            points["xy"] = np.stack([block.x_px[here], block.y_px[here]], axis=1)
             points["point"] = ids[block.point[here]]
             file.write(struct.pack("<i7di", i + 1, *pose, block.camera[i] + 1))
-            file.write(name.encode() + b"\0" + struct.pack("<Q", points.size) + points.tobytes())
+            file.write(name + b"\0" + struct.pack("<Q", points.size) + points.tobytes())
     order, begin, images = block.of_points()
     tracks = np.stack([images + 1, order - block.first[images]], axis=1).astype("<i4")
     with (folder / "points3D.bin").open("wb") as file:
@@ -175,7 +171,10 @@ def write_database(run: FinishedRun, _: Values, path: Path, ledger: Ledger) -> i
         for table, rows in tables.items():
             marks = ", ".join("?" * len(rows[0]))
             database.executemany(f"INSERT INTO {table} VALUES ({marks})", rows)
-        database.executemany("INSERT INTO keypoints VALUES (?, ?, 2, ?)", keypoint_rows(block))
+        for i, _camera, here in block.images():
+            xy = np.stack([block.x_px[here], block.y_px[here]], axis=1).astype("<f4")
+            keypoints = i + 1, len(xy), xy.tobytes()
+            database.execute("INSERT INTO keypoints VALUES (?, ?, 2, ?)", keypoints)
         tied, source = 0, run.database()
         for table, *row in match_rows(block) if source is None else copied_rows(block, source):
             marks = "?, ?, 2, ?" if table == "matches" else "?, ?, 2, ?, ?" + ", NULL" * 7
@@ -215,14 +214,6 @@ def rows_of_tables(block: ExportedBlock) -> dict[str, list[tuple[Any, ...]]]:
     }  # fmt: skip
 
 
-def keypoint_rows(block: ExportedBlock) -> Iterator[tuple[int, int, bytes]]:
-    """Image, number of keypoints, and these as x, y."""
-    for i in range(block.image.size):
-        here = block.of_image(i)
-        xy = np.stack([block.x_px[here], block.y_px[here]], axis=1).astype("<f4")
-        yield i + 1, len(xy), xy.tobytes()
-
-
 def copied_rows(block: ExportedBlock, source: Path) -> Iterator[tuple[Any, ...]]:
     """Rows of both tables as the database that was read has them, with the keypoints' places here.
 
@@ -231,13 +222,13 @@ def copied_rows(block: ExportedBlock, source: Path) -> Iterator[tuple[Any, ...]]
     Refuses (InputError IMPORT-FORMAT) a database without these tables, and matches cut short.
     """
     places = {}
-    for i, image in enumerate(block.image):
-        own = block.name.take(pa.array(block.point[block.of_image(i)]))
-        index = pc.binary_replace_slice(own, 0, len(f"{image}:".encode()), "")
+    for i, _camera, here in block.images():
+        own = block.name.take(pa.array(block.point[here]))
+        index = pc.binary_replace_slice(own, 0, len(f"{block.image[i]}:".encode()), "")
         index = index.cast(pa.int64()).to_numpy()
         place = np.full(index.max(initial=0) + 2, -1)  # of the last, and beyond, there is none
         place[index] = np.arange(index.size)
-        places[image] = i + 1, place
+        places[block.image[i]] = i + 1, place
     with damage_refused(source, "colmap"), closing(opened(source)) as database:
         images = dict(database.execute("SELECT image_id, name FROM images"))
         for table, more in (("matches", ""), ("two_view_geometries", ", config")):
@@ -265,8 +256,8 @@ def match_rows(block: ExportedBlock) -> Iterator[tuple[Any, ...]]:
     """Rows of both tables: pair of images, number of points in both, places of their keypoints."""
     order, begin, images = block.of_points()
     place = order - block.first[images]
-    for i in range(block.image.size):
-        point = block.point[block.of_image(i)]
+    for i, _camera, here in block.images():
+        point = block.point[here]
         count = block.count[point]
         # All image points of the points of this image, and of these those in later images.
         own = np.repeat(np.arange(point.size), count)

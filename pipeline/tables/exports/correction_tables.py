@@ -10,23 +10,17 @@ from pipeline.ledger import Ledger
 from pipeline.refraction.angle import RadialTable, angles_to, radial_table
 from pipeline.refraction.image import Corrections, correct_observations, lattice_nodes
 from pipeline.refraction.status_codes import STATUS_NAMES
-from pipeline.tables.exports.format import FinishedRun, Option, Values, parquet_and_csv
+from pipeline.tables.exports.format import FinishedRun, Option, Tables, Values, parquet_and_csv
 from pipeline.tables.schemas import columns_of, schema_of
 from pipeline.tables.writing import table_of
 from pipeline.units import ARCSEC, DEGREE, MICRORADIAN, Array, Integers
 
-_MOST_ROWS = 250_000
-"""Rows held in memory at a time."""
-
+_MOST_ROWS = 250_000  # held in memory at a time
 _LARGEST_DEG, _STEP_DEG = 80.0, 1.0
-
-_SAME_HEIGHT = 0.02
-"""Heights above ground within 2 % of each other share a table: R differs by less than 2 %."""
+_SAME_HEIGHT = 0.02  # heights above ground within 2 % share a table: R differs by less than 2 %
 
 
-def lattice_tables(
-    run: FinishedRun, values: Values, ledger: Ledger
-) -> tuple[pa.Schema, Iterator[pa.Table]]:
+def lattice_tables(run: FinishedRun, values: Values, ledger: Ledger) -> Tables:
     """The lattices of all images; images without one, and without ground, are entered as losses."""
     usable = run.exposures.usable
     left_out = run.stations.image[~usable]
@@ -106,9 +100,7 @@ def radial_columns(table: RadialTable) -> dict[str, object]:
     }
 
 
-def radial_tables(
-    run: FinishedRun, _: Values, ledger: Ledger
-) -> tuple[pa.Schema, Iterator[pa.Table]]:
+def radial_tables(run: FinishedRun, _: Values, ledger: Ledger) -> Tables:
     """A table for each camera and each height above ground that its images share, lowest first."""
     if len(run.rays) > 1:
         ledger.warning("EXPORT-AIR-CHANGES", where="profile.parquet", count=len(run.rays))
@@ -123,15 +115,13 @@ def radial_tables(
         latitude = float(np.median(run.stations.lat_rad[rows]))
         middle = rows[np.argsort(run.stations.time_ns[rows], kind="stable")[rows.size // 2]]
         camera = run.cameras[name].camera
+        radius = run.exposures.radius_m or float(euler_radius(latitude, 0.25 * np.pi))
+        h_c, h_g = (float(np.median(h[rows])) for h in (run.exposures.height_m, run.ground_m))
         table = radial_table(
-            run.air.profiles[run.air.profile_number[middle]],
-            float(np.median(run.exposures.height_m[rows])),
-            float(np.median(run.ground_m[rows])),
-            angles_to(_LARGEST_DEG, _STEP_DEG),
-            focal_px=0.5 * (camera.fx_px + camera.fy_px),
-            radius=run.exposures.radius_m or float(euler_radius(latitude, 0.25 * np.pi)),
-            method=run.method,
-        )
+            run.air.profiles[run.air.profile_number[middle]], h_c, h_g,
+            angles_to(_LARGEST_DEG, _STEP_DEG), focal_px=0.5 * (camera.fx_px + camera.fy_px),
+            radius=radius, method=run.method,
+        )  # fmt: skip
         n = table.r_c_rad.size
         group = {"camera": np.full(n, name, dtype=object), "images": np.full(n, rows.size)}
         return table_of(group | radial_columns(table), schema)
@@ -140,12 +130,10 @@ def radial_tables(
     return schema, (table_of_group(*group) for group in groups)
 
 
-def flying_heights(
-    run: FinishedRun, same_height: float, ledger: Ledger
-) -> list[tuple[str, Integers]]:
+def flying_heights(run: FinishedRun, part: float, ledger: Ledger) -> list[tuple[str, Integers]]:
     """The stations of each camera at about one height above the ground, lowest first.
 
-    None is higher than the lowest of its group by more than the part ``same_height``. Images
+    None is higher than the lowest of its group by more than this ``part``. Images
     without a known ground are a loss.
     """
     groups: list[tuple[str, Integers]] = []
@@ -157,7 +145,7 @@ def flying_heights(
             ledger.loss("EXPORT-LEFT-OUT/ground", where=f"camera {name}", count=count)
         rows, above_ground = rows[known], above_ground[known]
         while rows.size:
-            near = above_ground <= (1.0 + same_height) * above_ground.min()
+            near = above_ground <= (1.0 + part) * above_ground.min()
             groups.append((name, rows[near]))
             rows, above_ground = rows[~near], above_ground[~near]
     return groups

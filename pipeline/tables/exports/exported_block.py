@@ -5,7 +5,7 @@ is Cartesian, x east, y north, z up at its origin.
 """
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -51,9 +51,11 @@ class ExportedBlock:
     count: Integers
     point_m: Array
 
-    def of_image(self, image: int) -> slice:
-        """The image points of an image."""
-        return slice(self.first[image], self.first[image + 1])
+    def images(self) -> Iterator[tuple[int, Camera, slice]]:
+        """Number, camera and image points of each image."""
+        cameras, first = [*self.cameras.values()], self.first.tolist()
+        for i, number in enumerate(self.camera.tolist()):
+            yield i, cameras[number], slice(first[i], first[i + 1])
 
     def of_points(self) -> tuple[Integers, Integers, Integers]:
         """Image points by their points (r,), where each begins (p + 1,), and their images (r,)."""
@@ -126,7 +128,7 @@ def block_of(run: FinishedRun, ledger: Ledger, *, intersect: bool = True) -> Exp
     if intersect:
         up = enu_from_ecef(stations.lat_rad[rows], stations.lon_rad[rows])[:, 2]
         up = up @ frame.enu_from_ecef.T
-        block.point_m[:], met = intersected_points(block, up, stations.h_msl_m[rows], h_g)
+        block.point_m[:], met = intersected(block, up, stations.h_msl_m[rows], h_g)
         if apart := int(np.sum(~met)):
             ledger.fallback("EXPORT-POINT-HEIGHT", where="observations", count=apart)
     lat, lon, h = frame.origin_deg.tolist()
@@ -175,9 +177,7 @@ def read_image_points(
     return table.take(kept[np.argsort(image[kept], kind="stable")]), coded.dictionary
 
 
-def intersected_points(
-    block: ExportedBlock, up: Array, h_c: Array, h_g: Array
-) -> tuple[Array, Mask]:
+def intersected(block: ExportedBlock, up: Array, h_c: Array, h_g: Array) -> tuple[Array, Mask]:
     """(t, 3) points by least squares of the angles across their rays, and whether these meet (t,).
 
     Where they do not meet at 3 degrees or more it is the mean of where they reach the ground.
@@ -186,10 +186,8 @@ def intersected_points(
     """
     tied = len(block.point_m)
     normal, right, ground = np.zeros((tied, 3, 3)), np.zeros((tied, 3)), np.zeros((tied, 4))
-    cameras = list(block.cameras.values())
-    for i in range(block.image.size):
-        here = block.of_image(i)
-        u, v = ideal_coordinates(cameras[block.camera[i]], block.x_px[here], block.y_px[here])
+    for i, camera, here in block.images():
+        u, v = ideal_coordinates(camera, block.x_px[here], block.y_px[here])
         ray = np.stack([u, v, np.ones(u.size)], axis=1) @ block.rotation[i]
         ray /= np.linalg.norm(ray, axis=1, keepdims=True)
         reach = straight_reach(h_c[i], h_g[here], -ray @ up[i], radius=6.371e6, far=False)

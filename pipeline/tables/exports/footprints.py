@@ -5,15 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pipeline import geodesy
 from pipeline.flight.rotations import in_turned_frame, matrices_of
 from pipeline.flight.stations import Stations
-from pipeline.geodesy import (
-    ecef_of_geodetic,
-    enu_from_ecef,
-    euler_radius,
-    longitudes_near,
-    offset_geodetic,
-)
 from pipeline.ledger import Ledger
 from pipeline.refraction.camera.camera import Camera
 from pipeline.refraction.image import straight_reach
@@ -54,23 +48,20 @@ def stations_in_one_frame(run: FinishedRun, rows: Integers) -> OneFrame:
     """
     stations = run.stations
     lat, lon, h = stations.lat_rad[rows], stations.lon_rad[rows], stations.h_ellipsoid_m[rows]
-    near = longitudes_near(lon, lon[0])
+    near = geodesy.longitudes_near(lon, lon[0])
     origin_deg = [
         round(0.5 * (float(values.min()) + float(values.max())), digits)
         for values, digits in ((np.degrees(lat), 5), (np.degrees(near), 5), (h, 0))
     ]
     origin = [np.radians(origin_deg[:1]), np.radians(origin_deg[1:2]), np.array(origin_deg[2:])]
-    to_origin = enu_from_ecef(*origin[:2])[0]
-    axes = enu_from_ecef(lat, lon) @ to_origin.T  # from the frame to the station's own
+    to_origin = geodesy.enu_from_ecef(*origin[:2])[0]
+    axes = geodesy.enu_from_ecef(lat, lon) @ to_origin.T  # from the frame to the station's own
     horizontal = stations.sigma_horizontal_m[rows]
     sigma = np.stack([horizontal, horizontal, stations.sigma_height_m[rows]], axis=1)
-    return OneFrame(
-        np.array(origin_deg),
-        to_origin,
-        (ecef_of_geodetic(lat, lon, h) - ecef_of_geodetic(*origin)) @ to_origin.T,
-        in_turned_frame(stations.quaternion[rows], axes),
-        np.swapaxes(axes, 1, 2) @ (sigma[:, :, None] ** 2 * axes),
-    )
+    moved = geodesy.ecef_of_geodetic(lat, lon, h) - geodesy.ecef_of_geodetic(*origin)
+    turned = in_turned_frame(stations.quaternion[rows], axes)
+    covariance = np.swapaxes(axes, 1, 2) @ (sigma[:, :, None] ** 2 * axes)
+    return OneFrame(np.array(origin_deg), to_origin, moved @ to_origin.T, turned, covariance)
 
 
 def footprints(run: FinishedRun, ledger: Ledger) -> Array:
@@ -104,22 +95,21 @@ def ground_corners(
     height = np.where(np.isfinite(stations.h_ellipsoid_m), stations.h_ellipsoid_m, stations.h_msl_m)
     for name, camera in cameras.items():
         width, depth = camera.width_px, camera.height_px
-        u, v, _ = camera.rays(
-            np.array([0.0, 0.0, width, width]), np.array([0.0, depth, depth, 0.0])
-        )
+        at = np.array([0.0, 0.0, width, width]), np.array([0.0, depth, depth, 0.0])
+        u, v, _ = camera.rays(*at)
         rays = np.stack([u, v, np.ones(4)], axis=1) / np.sqrt(u * u + v * v + 1.0)[:, None]
         rows = np.flatnonzero((stations.camera == name) & (ground_m < stations.h_msl_m))
         for corner, ray in enumerate(rays):
             enu = np.einsum("nji,j->ni", turn[rows], ray)
             azimuth = np.arctan2(enu[:, 0], enu[:, 1])
-            radius = radius_m or euler_radius(stations.lat_rad[rows], azimuth)
+            radius = radius_m or geodesy.euler_radius(stations.lat_rad[rows], azimuth)
             reach = straight_reach(
                 stations.h_msl_m[rows], ground_m[rows], -enu[:, 2], radius=radius, far=False
             )
-            lat, lon, _ = offset_geodetic(
+            lat, lon, _ = geodesy.offset_geodetic(
                 stations.lat_rad[rows], stations.lon_rad[rows], height[rows], enu * reach[:, None]
             )
-            lon = longitudes_near(lon, stations.lon_rad[rows])
+            lon = geodesy.longitudes_near(lon, stations.lon_rad[rows])
             corners[rows, corner] = np.degrees(np.stack([lon, lat], axis=1))
     corners[np.isnan(corners).any(axis=(1, 2))] = np.nan
     return corners

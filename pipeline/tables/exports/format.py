@@ -167,11 +167,14 @@ CORRECTIONS_USE = (
     "Metashape, Pix4D and ODM have none)"
 )
 
-TablesOfRun = Callable[[FinishedRun, Values, Ledger], tuple[pa.Schema, Iterator[pa.Table]]]
+Tables = tuple[pa.Schema, Iterator[pa.Table]]
 
 
 def parquet_and_csv(
-    name: str, contents: str, tables: TablesOfRun, options: tuple[Option, ...] = ()
+    name: str,
+    contents: str,
+    tables: Callable[[FinishedRun, Values, Ledger], Tables],
+    options: tuple[Option, ...] = (),
 ) -> tuple[ExportFormat, ...]:
     """One table in two formats: ``name`` is written as Parquet, ``name``-csv as CSV.
 
@@ -183,12 +186,10 @@ def parquet_and_csv(
               ledger: Ledger) -> int:  # fmt: skip
         return writer(path, *tables(run, values, ledger))
 
+    kinds = (name, ".parquet", write_parquet_stream), (f"{name}-csv", ".csv", write_csv_stream)
     return tuple(
         ExportFormat(form, contents, ending, partial(write, writer), options, use=CORRECTIONS_USE)
-        for form, ending, writer in (
-            (name, ".parquet", write_parquet_stream),
-            (f"{name}-csv", ".csv", write_csv_stream),
-        )
+        for form, ending, writer in kinds
     )
 
 

@@ -18,14 +18,8 @@ from pipeline.ledger import Ledger
 from pipeline.refraction.camera.camera import Camera
 from pipeline.refraction.camera.opencv_fisheye import OpenCVFisheye
 from pipeline.tables.exports.colmap_files import opencv_coefficients, point_ids
-from pipeline.tables.exports.exported_block import ExportedBlock, block_of, refuse_names
+from pipeline.tables.exports.exported_block import block_of, refuse_names
 from pipeline.tables.exports.format import ExportFormat, FinishedRun, Values
-from pipeline.units import Integers
-
-_USE = (
-    "OpenSfM and ODM know neither refraction nor earth curvature: nothing is to be switched off "
-    "in them; hold the calibration (optimize_camera_parameters: no, ODM: --use-fixed-camera-params)"
-)
 
 _BROWN = ("k1", "k2", "p1", "p2", "k3")
 
@@ -58,7 +52,16 @@ def write_project(run: FinishedRun, _: Values, folder: Path, ledger: Ledger) -> 
     reference = dict(zip(("latitude", "longitude", "altitude"), origin, strict=True))
     for name, content in (("camera_models", cameras), ("reference_lla", reference)):
         (folder / f"{name}.json").write_text(json.dumps(content, indent=1), encoding="utf-8")
-    write_tracks(block, ids, folder / "tracks.csv")
+    # image, point, place in the image, x, y, scale, colour; segmentation and instance: none
+    with (folder / "tracks.csv").open("w", encoding="utf-8") as file:
+        file.write("OPENSFM_TRACKS_VERSION_v2\n")
+        for i, camera, here in block.images():
+            longer = max(camera.width_px, camera.height_px)
+            x = (block.x_px[here] - 0.5 * camera.width_px) / longer
+            y = (block.y_px[here] - 0.5 * camera.height_px) / longer
+            rest = f"{1.0 / longer:.9f}\t128\t128\t128\t-1\t-1\n"
+            for k, (p, a, b) in enumerate(zip(ids[block.point[here]], x, y, strict=True)):
+                file.write(f"{block.image[i]}\t{p}\t{k}\t{a:.9f}\t{b:.9f}\t{rest}")
     turned = Rotation.from_matrix(block.rotation).as_rotvec()
     moved, sigma = block.moved_m, np.sqrt(block.frame.covariance_m2[:, 0, 0])
     shots = {
@@ -80,24 +83,12 @@ def write_project(run: FinishedRun, _: Values, folder: Path, ledger: Ledger) -> 
     return int(block.point.size)
 
 
-def write_tracks(block: ExportedBlock, ids: Integers, path: Path) -> None:
-    """Image, point, place in the image, x, y, scale, colour; segmentation and instance: none."""
-    cameras = list(block.cameras.values())
-    with path.open("w", encoding="utf-8") as file:
-        file.write("OPENSFM_TRACKS_VERSION_v2\n")
-        for i, image in enumerate(block.image):
-            here, camera = block.of_image(i), cameras[block.camera[i]]
-            longer = max(camera.width_px, camera.height_px)
-            x = (block.x_px[here] - 0.5 * camera.width_px) / longer
-            y = (block.y_px[here] - 0.5 * camera.height_px) / longer
-            rest = f"{1.0 / longer:.9f}\t128\t128\t128\t-1\t-1\n"
-            for k, (p, a, b) in enumerate(zip(ids[block.point[here]], x, y, strict=True)):
-                file.write(f"{image}\t{p}\t{k}\t{a:.9f}\t{b:.9f}\t{rest}")
-
-
 FORMATS = (
     ExportFormat(
         "opensfm", "a block for OpenSfM or ODM: a folder with tracks and reconstruction", "",
-        write_project, use=_USE, marked=("tracks.csv",),
+        write_project, marked=("tracks.csv",),
+        use="OpenSfM and ODM know neither refraction nor earth curvature: nothing is to be "
+        "switched off in them; hold the calibration (optimize_camera_parameters: no, ODM: "
+        "--use-fixed-camera-params)",
     ),
 )  # fmt: skip

@@ -6,6 +6,7 @@ to each station's own horizon, or to one frame; see `pipeline.flight.rotations`.
 """
 
 import json
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ from pipeline.tables.exports.footprints import footprints, placed_stations, stat
 from pipeline.tables.exports.format import ExportFormat, FinishedRun, Values, write_csv_stream
 from pipeline.tables.schemas import schema_of
 from pipeline.tables.writing import table_of
+from pipeline.units import Mask
 
 _PLACES = ("lat_deg", "lon_deg", "h_ellipsoid_m")
 _ANGLES = ("omega_deg", "phi_deg", "kappa_deg")
@@ -44,10 +46,8 @@ def _write(topocentric: bool, run: FinishedRun, _: Values, path: Path, ledger: L
         frame = stations_in_one_frame(run, rows)
         attitude = frame.quaternion
         found |= dict(zip(_AXES, frame.position_m.T, strict=True))
-        found |= {
-            f"origin_{n}": np.full(rows.size, v)
-            for n, v in zip(_PLACES, frame.origin_deg, strict=True)
-        }
+        origin = zip(_PLACES, frame.origin_deg, strict=True)
+        found |= {f"origin_{name}": np.full(rows.size, value) for name, value in origin}
     angles = np.degrees(opk_of_quaternion(attitude))
     found |= dict(zip(_ANGLES, angles.T, strict=True))
     names = [*_WORDS, *_PLACES, *_ANGLES, *_SIGMAS]
@@ -59,12 +59,21 @@ def _write(topocentric: bool, run: FinishedRun, _: Values, path: Path, ledger: L
     return write_csv_stream(path, schema, [table_of(found, schema)])
 
 
+def _rings(
+    run: FinishedRun, known: Mask, what: str, ledger: Ledger
+) -> Iterator[tuple[int, list[list[float]]]]:
+    """The stations that are known, and the closed footprint of each, empty where it has none."""
+    corners = footprints(run, ledger)
+    for row in placed_stations(run, known, what, ledger).tolist():
+        whole = bool(np.isfinite(corners[row]).all())
+        yield row, [*corners[row].tolist(), corners[row, 0].tolist()] if whole else []
+
+
 def write_kml(run: FinishedRun, _: Values, path: Path, ledger: Ledger) -> int:
     """A placemark for each station with a place and one for each footprint, in two folders."""
-    columns = station_columns(run.stations)
-    corners, stations, grounds = footprints(run, ledger), [], []
+    columns, stations, grounds = station_columns(run.stations), list[str](), list[str]()
     known = np.isfinite(columns["lat_deg"]) & np.isfinite(columns["h_msl_m"])
-    for row in placed_stations(run, known, "position above sea level", ledger):
+    for row, ring in _rings(run, known, "position above sea level", ledger):
         lon, lat, h = (float(columns[name][row]) for name in ("lon_deg", "lat_deg", "h_msl_m"))
         words = [columns[name][row] for name in ("camera", "status", "suspect_reason")]
         mark = _text("name", columns["image"][row])
@@ -76,8 +85,7 @@ def write_kml(run: FinishedRun, _: Values, path: Path, ledger: Ledger) -> int:
         text += "<Point><altitudeMode>absolute</altitudeMode>"
         text += _text("coordinates", f"{lon!r},{lat!r},{h!r}") + "</Point>"
         stations.append(text)
-        if np.isfinite(corners[row]).all():
-            ring = [*corners[row].tolist(), corners[row, 0].tolist()]
+        if ring:
             places = _text("coordinates", " ".join(f"{x!r},{y!r}" for x, y in ring))
             grounds.append(f"{mark}<Polygon><outerBoundaryIs><LinearRing>{places}</LinearRing>"
                            "</outerBoundaryIs></Polygon>")  # fmt: skip
@@ -100,11 +108,8 @@ def _text(tag: str, text: str) -> str:
 
 def write_geojson(run: FinishedRun, _: Values, path: Path, ledger: Ledger) -> int:
     """A point for each station with a position, and a polygon for each footprint."""
-    columns = station_columns(run.stations)
-    corners = footprints(run, ledger)
-    features: list[dict[str, Any]] = []
-    known = np.isfinite(columns["lat_deg"])
-    for row in placed_stations(run, known, "position", ledger):
+    columns, features = station_columns(run.stations), list[dict[str, Any]]()
+    for row, ring in _rings(run, np.isfinite(columns["lat_deg"]), "position", ledger):
         values = {name: columns[name][row] for name in _PROPERTIES}
         properties = {n: None if v != v else v for n, v in values.items()}
         time = columns["time_utc"][row]
@@ -112,8 +117,7 @@ def write_geojson(run: FinishedRun, _: Values, path: Path, ledger: Ledger) -> in
         place = [columns[name][row] for name in ("lon_deg", "lat_deg", "h_ellipsoid_m")]
         point = {"type": "Point", "coordinates": place if place[2] == place[2] else place[:2]}
         features.append(_feature(point, properties | {"kind": "station"}))
-        if np.isfinite(corners[row]).all():
-            ring = [*corners[row].tolist(), corners[row, 0].tolist()]
+        if ring:
             polygon = {"type": "Polygon", "coordinates": [ring]}
             named = {"image": values["image"], "camera": values["camera"], "kind": "footprint"}
             features.append(_feature(polygon, named | {"h_g_m": float(run.ground_m[row])}))

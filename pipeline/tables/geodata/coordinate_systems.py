@@ -19,14 +19,9 @@ from pipeline.ledger import Entry, Notes, loss, note, warning
 from pipeline.tables.geodata.geoid import package_geoid
 from pipeline.units import WGS84_A, Array
 
-_GOOD_M = 1.0
-"""A transformation that is no better than this is a warning [m]."""
-
-_MARGIN_DEG = 2.0
-"""So far outside its area of use a coordinate system is still meant."""
-
-_SEA_LEVELS = ("EGM96 height", "MSL height")
-"""Vertical datums that are mean sea level here."""
+_GOOD_M = 1.0  # a transformation that is no better than this is a warning
+_MARGIN_DEG = 2.0  # so far outside its area of use a coordinate system is still meant
+_SEA_LEVELS = ("EGM96 height", "MSL height")  # vertical datums that are mean sea level here
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,14 +50,11 @@ def places_of(
 ) -> tuple[Places, Notes]:
     """Positions on WGS 84 of (n,) x, y and heights in a coordinate system.
 
-    Parameters
-    ----------
-    crs : as PROJ knows it, EPSG:25832 or EPSG:25832+7837.
-    xyh : x to the east and y to the north in its unit, or longitude and latitude [deg], whatever
-        the order of its axes; heights in metres, or in the unit of its vertical part.
-    heights : what they count from, as stated: msl, ellipsoid or relative.
-    geoid : a grid of the user's that belongs to the vertical part, where that is no mean sea level.
-    where, key : the file, and the key of the mission file that states the system.
+    ``crs`` as PROJ knows it, EPSG:25832 or EPSG:25832+7837. ``xyh`` : x to the east and y to the
+    north in its unit, or longitude and latitude [deg], whatever the order of its axes; heights [m],
+    or in the unit of its vertical part, and ``heights`` what these count from, as stated: msl,
+    ellipsoid or relative. ``geoid`` is the user's grid that belongs to the vertical part, where
+    that is no mean sea level; ``where``, ``key`` are the file, and the mission file's key.
 
     Refuses (InputError) what is no such system (CRS-UNKNOWN), one that has only a ballpark
     transformation (CRS-BALLPARK), positions outside its area (CRS-AREA), and a vertical part that

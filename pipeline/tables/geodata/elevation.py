@@ -1,7 +1,5 @@
 """Digital elevation models, in one raster or several, read tile by tile as rays come to them."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable, Sequence
 from functools import lru_cache
@@ -38,7 +36,7 @@ class ElevationModel:
 
     def __init__(
         self,
-        rasters: Sequence[_Raster],
+        rasters: "Sequence[_Raster]",
         system: GridSystem,
         undulation: Callable[[Array, Array], Array] | None,
     ) -> None:
@@ -158,9 +156,8 @@ class ElevationModel:
             with self._projecting:
                 lon, lat = self._system.to_places(x.ravel(), y.ravel())
             above = self._undulation(np.radians(lat), np.radians(lon)).reshape(9, 9)
-            weight = np.maximum(
-                0.0, 1.0 - np.abs(np.arange(TILE + 1)[:, None] / 64.0 - np.arange(9))
-            )
+            apart = np.abs(np.arange(TILE + 1)[:, None] / 64.0 - np.arange(9))
+            weight = np.maximum(0.0, 1.0 - apart)
             tile -= (weight @ above @ weight.T).astype(np.float32)
 
 
@@ -213,12 +210,9 @@ def open_elevation(
 ) -> tuple[ElevationModel, Notes]:
     """The model in some rasters that lie on one grid; anything that GDAL reads, GeoTIFF and COG.
 
-    Parameters
-    ----------
-    paths : one raster, or tiles of one; where they overlap the first has its way.
-    crs : the coordinate system, where the files have none.
-    reference : what the heights count from, msl or ellipsoid.
-    undulation : of places [rad], for heights above the ellipsoid.
+    ``paths`` : one raster, or tiles of one; where they overlap the first has its way. ``crs`` : the
+    coordinate system, where the files have none. ``reference`` : what the heights count from, msl
+    or ellipsoid; for the latter ``undulation`` of places [rad].
 
     Values belong to centres of cells and are bilinear between. Refuses (InputError) what is no
     raster of heights (DEM-UNREADABLE, DEM-RASTER, DEM-UNIT), rasters of several grids (DEM-TILES),

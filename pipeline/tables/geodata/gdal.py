@@ -18,9 +18,8 @@ of the environment would change, and with them where a raster lies."""
 NAME_OTHERS = "GTI", "STACIT", "STACTA", "TIL", "VRT", "WCS", "WMS", "WMTS"
 """Formats of files that name other rasters, whose change no hash of theirs would show."""
 
+# Endings of files that GDAL does not read beside a raster: a mission's may be called like it.
 _OTHERS = re.compile(r"csv|err|html|log|mcap|out|parquet|tlog|toml|ulg|ya?ml")
-"""Endings of files that GDAL does not read beside a raster: a mission's may be called like it."""
-
 _SETTLED_NS = 2_000_000_000  # a folder changed within this time may change again unseen
 
 

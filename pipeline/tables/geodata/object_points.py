@@ -10,7 +10,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from pipeline.errors import InputError
-from pipeline.tables.text_columns import no_such_column, numbers_of, text_table
+from pipeline.tables.text_columns import numbers_of, require_names, text_table
 from pipeline.units import Array, Integers
 
 _CODES = ("POINTS-TABLE", "POINTS-COLUMN")
@@ -62,30 +62,23 @@ def read_object_points(
     of the mission file which names them. Refuses
     (InputError) a column that is not there or holds no numbers, and names that stand there twice.
     """
+    numbers = {quantity: name for quantity, name in columns.items() if quantity != "point"}
     if path.suffix.lower() in (".parquet", ".pq"):
         try:
-            there = pq.read_schema(path).names
-            for quantity, name in columns.items():
-                if name not in there:
-                    raise no_such_column(_CODES[1], path, name, there=there,
-                                         key=f"{key}.{quantity}", quantity=quantity)  # fmt: skip
+            wanted = [(quantity, name, f"{key}.{quantity}") for quantity, name in columns.items()]
+            require_names(_CODES[1], path, pq.read_schema(path).names, wanted)
             table = pq.read_table(path, columns=list(columns.values()))
             given = table[columns["point"]].cast(pa.string()).combine_chunks()
             values = {
                 quantity: table[name].cast(pa.float64(), safe=False).to_numpy()
-                for quantity, name in columns.items()
-                if quantity != "point"
+                for quantity, name in numbers.items()
             }
         except (pa.ArrowException, OSError) as error:
             raise InputError.of("POINTS-TABLE", path, error=error) from None
     else:
         text = text_table(path, columns, codes=_CODES, key=key)
         given = pa.array(text[columns["point"]].str.strip(), pa.string())
-        values = {
-            quantity: numbers_of(text, name, path, _CODES[0])
-            for quantity, name in columns.items()
-            if quantity != "point"
-        }
+        values = {q: numbers_of(text, name, path, _CODES[0]) for q, name in numbers.items()}
     names = given.value_counts()
     twice = names.filter(pc.greater(names.field("counts"), 1)).field("values")
     if len(names) == 0 or len(twice):

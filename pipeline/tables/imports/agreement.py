@@ -16,9 +16,8 @@ from pipeline.flight.channels import Channel
 from pipeline.flight.heights import HeightSystem, heights_at
 from pipeline.flight.rotations import ANGLE_MISTAKES, UNIT_MISTAKES
 from pipeline.flight.trajectory import attitude_at
-from pipeline.geodesy import principal_radii
+from pipeline.geodesy import principal_radii, wrapped
 from pipeline.ledger import Entry, Kind, Ledger
-from pipeline.tables.imports.stated import wrapped
 from pipeline.units import RADIANS, Array, Integers, Rows
 
 _MOST_SAMPLES = 3000
@@ -143,12 +142,10 @@ def _compare_places(imported: Channel, rows: Rows, track: _Track, ledger: Ledger
                 what += f"; {mistake} it is {_metres(away)} from the middle of the flight"
         raise MissionError.of("TRAJECTORY-PLACE", imported.name, what=what)
     most_m = float(np.percentile(distance, 95.0))
-    what = (
-        f"{now:.2f} m from {track.name} of the log in the median, 95 % within "
-        f"{most_m:.2f} m; a time offset of {shift:+.3f} s leaves {best:.2f} m"
-    )
-    kind = _grade(place=max(now, most_m), time=abs(shift) if better else 0.0)
-    ledger.add(Entry(kind, "TRAJECTORY-AGREES", what, imported.name, distance.size))
+    what = f"{now:.2f} m from {track.name} of the log in the median, 95 % within {most_m:.2f} m"
+    what += f"; a time offset of {shift:+.3f} s leaves {best:.2f} m"
+    sizes = {"place": max(now, most_m), "time": abs(shift) if better else 0.0}
+    ledger.add(_graded("TRAJECTORY-AGREES", what, imported.name, distance.size, sizes))
 
 
 def _compare_heights(
@@ -157,10 +154,9 @@ def _compare_heights(
     """Heights against the log's, above the same surface and above the other."""
     column = imported.height_column or "h_msl_m"
     names = ("msl", "ellipsoid") if column == "h_msl_m" else ("ellipsoid", "msl")
-    log = dict(zip(("msl", "ellipsoid"),
-                   heights_at(own, imported.time_ns[rows], heights, _MAX_GAP_S),
-                   strict=True))  # fmt: skip
-    same, other = (imported[column][rows] - log[name] for name in names)
+    msl, ellipsoid = heights_at(own, imported.time_ns[rows], heights, _MAX_GAP_S)
+    of_log = (msl, ellipsoid) if column == "h_msl_m" else (ellipsoid, msl)
+    same, other = (imported[column][rows] - h for h in of_log)
     if not np.isfinite(same).any():
         ledger.note("TRAJECTORY-HEIGHT-ALONE", where=imported.name)
         return
@@ -170,12 +166,10 @@ def _compare_heights(
         raise MissionError.of("TRAJECTORY-HEIGHT", imported.name, apart=apart, own=own.name,
                               same=names[0], by_other=by_other, other=names[1])  # fmt: skip
     spread = float(np.nanpercentile(np.abs(same - apart), 95.0))
-    what = (
-        f"{apart:+.2f} m from the height of {own.name} of the log in the median, within "
-        f"{spread:.2f} m of that in 95 %"
-    )
-    kind = _grade(height=max(abs(apart), spread))
-    ledger.add(Entry(kind, "TRAJECTORY-HEIGHT-AGREES", what, imported.name, rows.size))
+    what = f"{apart:+.2f} m from the height of {own.name} of the log in the median, within "
+    what += f"{spread:.2f} m of that in 95 %"
+    sizes = {"height": max(abs(apart), spread)}
+    ledger.add(_graded("TRAJECTORY-HEIGHT-AGREES", what, imported.name, rows.size, sizes))
 
 
 def _compare_attitudes(
@@ -212,18 +206,16 @@ def _compare_attitudes(
     cosine = np.sum(own.as_matrix()[:, 2] * imported.as_matrix()[:, 2], axis=1)
     tilt = float(np.degrees(np.median(np.arccos(np.clip(cosine, -1.0, 1.0)))))
     yaw = float(np.degrees(np.median(wrapped(angles[:, 0] - own.as_euler("ZYX")[:, 0]))))
-    what = (
-        f"{tilt:.2f} deg from the attitude of the log in tilt and {yaw:+.2f} deg in yaw, in the "
-        "median: mount angles count from the body axes of this file"
-    )
-    kind = _grade(tilt=tilt, yaw=abs(yaw))
-    ledger.add(Entry(kind, "TRAJECTORY-ANGLES-AGREE", what, name, int(known.sum())))
+    what = f"{tilt:.2f} deg from the attitude of the log in tilt and {yaw:+.2f} deg in yaw, in the "
+    what += "median: mount angles count from the body axes of this file"
+    sizes = {"tilt": tilt, "yaw": abs(yaw)}
+    ledger.add(_graded("TRAJECTORY-ANGLES-AGREE", what, name, int(known.sum()), sizes))
 
 
-def _grade(**sizes: float) -> Kind:
-    """How serious the worst of some differences is, by their names in `_LIMITS`."""
-    level = max(sum(size > limit for limit in _LIMITS[what]) for what, size in sizes.items())
-    return (Kind.NOTE, Kind.WARNING, Kind.LOSS)[level]
+def _graded(code: str, what: str, where: str, count: int, sizes: Mapping[str, float]) -> Entry:
+    """An entry as serious as the worst of some differences, by their names in `_LIMITS`."""
+    level = max(sum(size > limit for limit in _LIMITS[name]) for name, size in sizes.items())
+    return Entry((Kind.NOTE, Kind.WARNING, Kind.LOSS)[level], code, what, where, count)
 
 
 def _metres(distance: float) -> str:

@@ -17,16 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.errors import InputError
+from pipeline.flight import rotations
 from pipeline.flight.channels import Channel
-from pipeline.flight.rotations import (
-    CAMERA_AT_REST,
-    NED_FROM_ENU,
-    enu_from_grid,
-    matrices_of,
-    ned_from_body,
-    quaternion_of_opk,
-    quaternions_of,
-)
 from pipeline.ledger import Ledger
 from pipeline.tables.geodata.coordinate_systems import grid_coordinates
 from pipeline.tables.imports.stated import Stated, channel_of_rows, not_of_format, read_text
@@ -77,9 +69,8 @@ def read_mrk(path: Path, stated: Stated, ledger: Ledger) -> Channel:
     return channel_of_rows(path, "MRK", time_ns, columns, ledger, readable=readable)
 
 
+# Another zone or projection is farther away; another datum, or rounded degrees, are nearer.
 FARTHEST_FROM_GRID_M = 5000.0
-"""Another zone or projection is farther away; another datum, or rounded degrees, are nearer [m]."""
-
 _TITLES = re.compile(
     r"EVENT|TIME(?=\s*\(s\))|EASTING|NORTHING|(?:ELLIPSOID|ORTHOMETRIC)(?=\s+HEIGHT)|OMEGA|PHI"
     r"|KAPPA|ROLL|PITCH|HEADING|LAT\b|LONG\b|\bID\b",
@@ -147,30 +138,25 @@ def attitudes_of_eo(
     scale = {"d": RADIANS["deg"], "r": RADIANS["rad"], "g": RADIANS["grad"]}[unit[1][0].lower()]
     angles = np.stack([value[name] for name in names], axis=1) * scale
     if "OMEGA" not in value:
-        q = quaternions_of(ned_from_body(angles))
+        q = rotations.quaternions_of(rotations.ned_from_body(angles))
     else:
         place = np.nan_to_num([value["LONG"], value["LAT"]])
+        where, remedy = str(path), "state events.positions.<camera>.grid, as EPSG:32632"
         try:
             *of_place, convergence = grid_coordinates(str(grid), *place)
         except ValueError as error:
-            raise eo_grid(path, f"{grid} is no grid that PROJ knows: {error}") from None
+            what = f"{grid} is no grid that PROJ knows: {error}"
+            raise InputError("IMPORT-EO-GRID", what, where=where, remedy=remedy) from None
         unknown = np.full(place[0].shape, np.nan)
         grid_m = np.stack([value.get(name, unknown) for name in ("EASTING", "NORTHING")])
         off_m = np.hypot(*(np.stack(of_place) - grid_m))
         off_m = off_m[np.isfinite(off_m)]
         if off_m.size and not np.median(off_m) < FARTHEST_FROM_GRID_M:
-            raise eo_grid(
-                path,
-                f"its eastings and northings lie {np.median(off_m):.3g} m from its latitudes and "
-                f"longitudes in {grid}: its angles count in another grid",
-            )
-        turn = enu_from_grid(convergence)
-        camera = matrices_of(quaternion_of_opk(angles)) @ turn.transpose(0, 2, 1)
-        q = quaternions_of(NED_FROM_ENU @ camera.transpose(0, 2, 1) @ CAMERA_AT_REST)
+            what = f"its eastings and northings lie {np.median(off_m):.3g} m from its latitudes "
+            what += f"and longitudes in {grid}: its angles count in another grid"
+            raise InputError("IMPORT-EO-GRID", what, where=where, remedy=remedy)
+        turn = rotations.enu_from_grid(convergence)
+        camera = rotations.matrices_of(rotations.quaternion_of_opk(angles))
+        axes = (camera @ turn.transpose(0, 2, 1)).transpose(0, 2, 1)
+        q = rotations.quaternions_of(rotations.NED_FROM_ENU @ axes @ rotations.CAMERA_AT_REST)
     return dict(zip(("q_w", "q_x", "q_y", "q_z"), q.T, strict=True))
-
-
-def eo_grid(path: Path, why: str) -> InputError:
-    """The refusal of a grid that is not the file's."""
-    return InputError("IMPORT-EO-GRID", why, where=str(path),
-                      remedy="state events.positions.<camera>.grid, as EPSG:32632")  # fmt: skip

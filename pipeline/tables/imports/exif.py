@@ -20,13 +20,13 @@ from scipy.spatial.transform import Rotation
 from pipeline.errors import InputError
 from pipeline.flight import rotations
 from pipeline.flight.clock import utc_of_gps
+from pipeline.flight.stations import NO_TIME
 from pipeline.ledger import Ledger
 from pipeline.tables.imports.stated import Stated
 from pipeline.tables.imports.user_tables import OrientationTable
 from pipeline.units import Integers, Names
 
 ENDINGS = ".3fr .arw .cr2 .cr3 .dng .heic .iiq .jpeg .jpg .nef .orf .raf .rw2 .tif .tiff"
-NO_TIME = np.iinfo(np.int64).min
 
 _STAMP = re.compile(
     r"(\d{4})[:/-](\d\d)[:/-](\d\d)[ T](\d\d):(\d\d):(\d\d)(?:[.,](\d+))?\s*(Z|[+-]\d\d:?\d\d)?"
@@ -252,9 +252,8 @@ def read_gimbal_orientations(path: Path, stated: Stated, ledger: Ledger) -> Orie
     if not np.isfinite(given).all(axis=1).any():
         raise InputError.of("IMAGES-NO-GIMBAL", path, files=len(files))
     quarter = Rotation.from_euler("y", 90.0, degrees=True).as_matrix()
-    body = rotations.quaternions_of(
-        rotations.CAMERA_AT_REST @ (rotations.ned_from_body(given) @ quarter).transpose(0, 2, 1)
-    )
+    turned = rotations.ned_from_body(given) @ quarter
+    body = rotations.quaternions_of(rotations.CAMERA_AT_REST @ turned.transpose(0, 2, 1))
     angles = rotations.rpy_of_quaternion(rotations.in_turned_frame(body, rotations.NED_FROM_ENU))
     stamps = [_time_of(tags[file], "") for file in files]
     utc = [s.time_ns if s is not None and s.is_utc else NO_TIME for s in stamps]

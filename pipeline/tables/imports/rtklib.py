@@ -18,9 +18,8 @@ from pipeline.tables.imports.stated import Stated, channel_of_rows, not_of_forma
 from pipeline.tables.text_columns import numbers, split_lines, utc_of_dates, utc_of_weeks
 from pipeline.units import Array
 
+# A single-point fix (Q 5) is not better than this, whatever its formal sigma says.
 SINGLE_SIGMA_H_M, SINGLE_SIGMA_V_M = 2.5, 5.0
-"""A single-point fix (Q 5) is not better than this, whatever its formal sigma says [m]."""
-
 _SEPARATOR = r"[\s,;]+"
 _MINUTES = "latitude(d'\")"
 _JST_NS = 9 * 3600 * 1_000_000_000
@@ -114,10 +113,5 @@ def _positions(
         said = re.search(r"height=[^/]+/(ellipsoidal|geodetic)", "\n".join(header))
         above = {"ellipsoidal": "ellipsoid", "geodetic": "msl"}[said[1]] if said else None
     sigma_h, sigma_v = np.sqrt(np.maximum(variance, 0.0))
-    return {
-        "lat_rad": lat,
-        "lon_rad": lon,
-        stated.height_column(path, ledger, above): height,
-        "sigma_h_m": sigma_h,
-        "sigma_v_m": sigma_v,
-    }
+    places = {"lat_rad": lat, "lon_rad": lon, stated.height_column(path, ledger, above): height}
+    return places | {"sigma_h_m": sigma_h, "sigma_v_m": sigma_v}

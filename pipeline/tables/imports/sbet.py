@@ -14,14 +14,12 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.errors import InputError
 from pipeline.flight.channels import Channel
-from pipeline.geodesy import principal_radii
+from pipeline.geodesy import principal_radii, wrapped
 from pipeline.ledger import Ledger
-from pipeline.tables.imports.stated import Stated, channel_of_rows, not_of_format, wrapped
+from pipeline.tables.imports.stated import Stated, channel_of_rows, not_of_format
 from pipeline.units import ARCSEC, Array
 
-FASTEST_M_S = 700.0
-"""No aircraft that takes pictures flies faster [m/s]."""
-
+FASTEST_M_S = 700.0  # no aircraft that takes pictures flies faster
 _ROW, _SIGMA_ROW = 17, 10
 _ARCMIN = 60.0 * ARCSEC
 _MOVING_M_S = 2.0
@@ -39,11 +37,8 @@ def read_sbet(path: Path, stated: Stated, ledger: Ledger) -> Channel:
     order = np.argsort(time_ns, kind="stable")
     rows, time_ns = rows[order], time_ns[order]
     seconds = (time_ns - time_ns[0]) * 1e-9
-    columns: dict[str, Array] = {
-        "lat_rad": rows[:, 1],
-        "lon_rad": wrapped(rows[:, 2]),
-        stated.height_column(path, ledger): rows[:, 3],
-    }
+    surface = stated.height_column(path, ledger)
+    columns = {"lat_rad": rows[:, 1], "lon_rad": wrapped(rows[:, 2]), surface: rows[:, 3]}
     sign, velocity = wander_sign(path, seconds, rows, ledger)
     if velocity is not None:
         columns |= {"v_north_m_s": velocity.real, "v_east_m_s": velocity.imag}
@@ -157,13 +152,13 @@ def wander_sign(
         ledger.note("IMPORT-WANDER", "the wander angle is zero throughout", where=path.name)
     else:
         entry = ledger.note if decided and sign < 0.0 else ledger.warning
-        what = (
-            f"true heading is platform heading {'minus' if sign < 0 else 'plus'} wander angle (up "
-            f"to {np.degrees(np.abs(wander[moving]).max()):.2f} deg; POSPac: minus): "
-            f"{'velocities and positions' if consistent else 'heading and course'} "
-            f"{'differ' if decided else 'do not decide it, they differ'} by {minus:.2f} m/s with "
-            f"minus, {plus:.2f} m/s with plus"
-        )
+        way = "minus" if sign < 0 else "plus"
+        most_deg = np.degrees(np.abs(wander[moving]).max())
+        what = f"true heading is platform heading {way} wander angle (up to {most_deg:.2f} deg; "
+        what += "POSPac: minus): "
+        what += f"{'velocities and positions' if consistent else 'heading and course'} "
+        what += f"{'differ' if decided else 'do not decide it, they differ'} by {minus:.2f} m/s "
+        what += f"with minus, {plus:.2f} m/s with plus"
         entry("IMPORT-WANDER", what, where=path.name)
     if consistent:
         return sign, velocity * np.exp(1j * sign * wander)

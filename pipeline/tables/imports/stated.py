@@ -24,18 +24,12 @@ from pipeline.units import NANOSECONDS_PER_SECOND, UNIX_NS_OF_GPS_EPOCH, AngleUn
 class Stated:
     """What the mission file says of a file, None where it says nothing.
 
-    Parameters
-    ----------
-    time_system : gpst or utc.
-    week : GPS week of the first row, where the file has seconds of the week.
-    around_ns : first and last time of the log [Unix ns]: they give the week that is not stated.
-    heights : ellipsoid or msl.
-    accuracy : the file of standard deviations that belongs to an SBET.
-    columns : quantity -> name of the column, of a CSV.
-    position_unit, angle_unit : of latitude and longitude, and of the attitude, in a CSV.
-    angle_order : intrinsic rotations about z, y and x, as ``ZYX``.
-    crs, geoid : coordinate system of a CSV, and the user's grid for its heights.
-    grid : the projected coordinate system in whose axes omega, phi and kappa count.
+    ``week`` is that of the first of a file's seconds of the week, ``around_ns`` the first and last
+    time of the log [Unix ns], which give a week that is not stated; ``accuracy`` the file of
+    standard deviations that belongs to an SBET; ``grid`` the projected coordinate system in whose
+    axes omega, phi and kappa count. Of a CSV: ``columns`` by quantity, the units of latitude and
+    longitude and of the attitude, the order of its intrinsic rotations, as ``ZYX``, its ``crs``,
+    and the user's ``geoid`` for its heights.
     """
 
     time_system: Literal["gpst", "utc"] | None = None
@@ -107,11 +101,6 @@ def not_of_format(
     return InputError("IMPORT-FORMAT", why, where=str(path), remedy=remedy)
 
 
-def wrapped(angle: Array) -> Array:
-    """Angles in [-pi, pi)."""
-    return np.asarray((angle + np.pi) % (2.0 * np.pi) - np.pi)
-
-
 def channel_of_rows(
     path: Path,
     kind: str,
@@ -133,10 +122,8 @@ def channel_of_rows(
     for bad, what in ((np.flatnonzero(~readable), "cannot be read"),
                       (np.sort(rows[again]), "repeat the time of another")):  # fmt: skip
         if bad.size:
-            what = (
-                f"{bad.size} of {time_ns.size} rows {what} and are not used, the first is row "
-                f"{bad[0] + 1}"
-            )
+            what = f"{bad.size} of {time_ns.size} rows {what} and are not used"
+            what += f", the first is row {bad[0] + 1}"
             ledger.loss("IMPORT-ROWS", what, where=path.name, count=int(bad.size))
     rows = rows[~again]
     if rows.size == 0:

@@ -1,7 +1,5 @@
 """The user's CSV, by its names of columns, units and orders: trajectories, orientations, events."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,9 +29,7 @@ from pipeline.tables.text_columns import (
 )
 from pipeline.units import RADIANS, Array, Integers, Mask, Names
 
-_SINCE_EPOCH_S = 1e8
-"""Seconds beyond this count from an epoch, not from the beginning of a week."""
-
+_SINCE_EPOCH_S = 1e8  # seconds beyond this count from an epoch, not from the beginning of a week
 _AS_THEY_ARE = (
     "v_north_m_s", "v_east_m_s", "v_down_m_s", "sigma_h_m", "sigma_v_m", "q_w", "q_x", "q_y", "q_z",
 )  # fmt: skip
@@ -112,7 +108,7 @@ def from_grid_north(columns: dict[str, Array], convergence_rad: Array) -> dict[s
 
 
 def _utc(
-    path: Path, text: pd.Series[str], value: dict[str, Array], stated: Stated, ledger: Ledger
+    path: Path, text: "pd.Series[str]", value: dict[str, Array], stated: Stated, ledger: Ledger
 ) -> tuple[TimeArray, Mask]:
     """UTC of the rows, and which have a readable time."""
     system, seconds = stated.system_of(path, ledger), value["time"]
@@ -192,8 +188,7 @@ def read_orientation(path: Path, stated: Stated, ledger: Ledger) -> OrientationT
         sigmas[f"{tilt}_rad"] = sigmas.pop(tilt) * RADIANS[unit]
     time_ns = np.full(len(table), NO_TIME, np.int64)
     if "time_utc" in names or "gps_week" in names:
-        clock = [names.get(name) for name in ("time_utc", "gps_week", "gps_seconds")]
-        read_ns, good = utc_of_columns(table, *clock)
+        read_ns, good = utc_of_columns(table, names)
         time_ns[good] = read_ns[good]
         if bad := int((~good).sum()):
             ledger.loss("ORIENTATION-TIME", where=path.name, count=bad, line=np.argmin(good) + 2)
@@ -264,13 +259,11 @@ def read_events(path: Path, columns: Mapping[str, str], ledger: Ledger) -> Event
     """Read a table of exposures; a row without a readable time is a loss in the ledger.
 
     ``columns`` : image, time_utc or gps_week and gps_seconds, and camera where it is there -> the
-    user's names. Times without a zone are UTC; GPS seconds are reduced by the leap seconds of
-    their date.
+    user's names. Times without a zone are UTC; GPS seconds are reduced by leap seconds.
     """
     table = text_table(path, columns, codes=("EVENTS-CSV", "EVENTS-COLUMN"),
                        key="events.csv.columns")  # fmt: skip
-    clock = [columns.get(name) for name in ("time_utc", "gps_week", "gps_seconds")]
-    time_ns, good = utc_of_columns(table, *clock)
+    time_ns, good = utc_of_columns(table, columns)
     if not bool(good.all()):
         rows = np.flatnonzero(~good)
         what = f"{rows.size} rows have no readable time, the first in line {rows[0] + 2}"

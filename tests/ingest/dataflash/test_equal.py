@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from pipeline.ingest.dataflash.log import read_tables
-from pipeline.ingest.stacking import PLACE
+from pipeline.ingest.log import PLACE
 
 ROOT = Path(__file__).resolve().parents[3]
 FOLDERS = (ROOT.parent / "shared" / "logs", ROOT / "sample_logs")

@@ -113,9 +113,8 @@ def read_camera(path: Path, file_format: str | None, name: str | None) -> Camera
         if chosen in cameras:
             with damage_refused(f"{path}, camera {chosen}", program):
                 return cameras[chosen]()
-    what = f"it holds {', '.join(map(repr, cameras)) or 'no camera'}, " + (
-        "and no camera is named" if name is None else f"and no {name!r}"
-    )
+    lacking = "and no camera is named" if name is None else f"and no {name!r}"
+    what = f"it holds {', '.join(map(repr, cameras)) or 'no camera'}, {lacking}"
     raise InputError("CAMERA-NAME", what, where=str(path), remedy="name one of them under camera")
 
 

@@ -40,7 +40,7 @@ _MODELS = (
     ("SIMPLE_DIVISION", 4), ("DIVISION", 5), ("SIMPLE_FISHEYE", 3), ("FISHEYE", 4), ("EUCM", 6),
     ("EQUIRECTANGULAR", 2),
 )  # fmt: skip
-_POINT2D = np.dtype([("xy", "<f8", 2), ("point", "<i8")])
+POINT2D = np.dtype([("xy", "<f8", 2), ("point", "<i8")])
 
 
 def block_files(path: Path) -> tuple[Path, ...]:
@@ -144,7 +144,7 @@ def _images(path: Path) -> Iterator[tuple[str, str, Array, Array, Integers]]:
             for _ in range(content.take("Q")[0]):
                 _, *numbers, camera = content.take("i7di")
                 name = content.word()
-                record = content.array(_POINT2D, content.take("Q")[0])
+                record = content.array(POINT2D, content.take("Q")[0])
                 yield name, str(camera), np.array(numbers), record["xy"], record["point"]
         return
     count, cameras = 0, {str(number) for _, number, *_ in _cameras(_of_model(path)[0])}

@@ -6,8 +6,6 @@ calls the point; an image point that belongs to none is called ``image:keypoint`
 has a name by which it goes back.
 """
 
-from __future__ import annotations
-
 import mmap
 import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -63,15 +61,11 @@ def oriented_images(
     frame: Literal["ecef"] | GeodeticOrigin | None = None,
 ) -> OrientationTable:
     """Images with (n, 3) positions, and (n, 4) quaternions from the frame to the camera."""
-    return OrientationTable(
-        np.array([*image], object),
-        np.array([*camera], object),
-        np.full(len(image), NO_TIME, np.int64),
-        np.asarray(position, np.float64).reshape(-1, 3),
-        np.asarray(quaternion, np.float64).reshape(-1, 4),
-        {},
-        frame=frame,
-    )
+    names, cameras = (np.array([*words], object) for words in (image, camera))
+    places = np.asarray(position, np.float64).reshape(-1, 3)
+    turns = np.asarray(quaternion, np.float64).reshape(-1, 4)
+    time_ns = np.full(len(image), NO_TIME, np.int64)
+    return OrientationTable(names, cameras, time_ns, places, turns, {}, frame=frame)
 
 
 def of_points(rows: pa.RecordBatch, image: str, point: str) -> Integers:
@@ -92,7 +86,7 @@ class TextFile:
             for self.number, line in enumerate(stream, 1):
                 yield line.strip()
 
-    def __enter__(self) -> TextFile:
+    def __enter__(self) -> "TextFile":
         return self
 
     def __exit__(self, kind: object, error: object, trace: object) -> None:
@@ -111,7 +105,7 @@ class BinaryFile:
             if path.stat().st_size:
                 self.content = mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
 
-    def __enter__(self) -> BinaryFile:
+    def __enter__(self) -> "BinaryFile":
         return self
 
     def __exit__(self, kind: object, error: object, trace: object) -> None:

@@ -78,12 +78,8 @@ def read_rows(path: Path) -> Iterator[pa.RecordBatch]:
     marks: dict[str, list[tuple[str, float, float]]] = {}
     for marker in frames[0].iterfind("markers/marker"):
         for place in marker.iterfind("location"):
-            mark = (
-                label[marker.get("marker_id")],
-                float(place.attrib["x"]),
-                float(place.attrib["y"]),
-            )
-            marks.setdefault(place.attrib["camera_id"], []).append(mark)
+            name, (x, y) = label[marker.get("marker_id")], (float(place.attrib[a]) for a in "xy")
+            marks.setdefault(place.attrib["camera_id"], []).append((name, x, y))
     ties = {p.get("camera_id"): p.attrib["path"]
             for p in frames[0].iterfind("point_cloud/projections")}  # fmt: skip
     for camera in chunk.iterfind("cameras//camera"):

@@ -74,13 +74,9 @@ def read_images(path: Path) -> OrientationTable:
     if reference is not None:
         lat, lon, h = (float(reference[key]) for key in ("latitude", "longitude", "altitude"))
         frame = GeodeticOrigin(np.radians(lat), np.radians(lon), h)
-    return oriented_images(
-        [*shots],
-        [shot["camera"] for shot in shots.values()],
-        turn.inv().apply(-_vectors(shots, "translation", path)),
-        turn.as_quat()[:, [3, 0, 1, 2]],
-        frame,
-    )
+    cameras = [shot["camera"] for shot in shots.values()]
+    centres = turn.inv().apply(-_vectors(shots, "translation", path))
+    return oriented_images([*shots], cameras, centres, turn.as_quat()[:, [3, 0, 1, 2]], frame)
 
 
 def read_rows(path: Path) -> Iterator[pa.RecordBatch]:
