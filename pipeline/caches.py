@@ -52,10 +52,7 @@ def read_entry(name: str, key: str) -> Any:
 
 
 def write_entries(name: str, entries: Mapping[str, Any], most: int) -> None:
-    """Keep what JSON can hold by its keys in a database of the cache, if one can be written.
-
-    Of more than ``most`` those that were written longest ago are forgotten.
-    """
+    """Keep entries as JSON in a database, if one can be written, the ``most`` newest of them."""
     import sqlite3
 
     with suppress(sqlite3.Error, OSError), _database(user_cache(), name) as database:
@@ -125,10 +122,7 @@ def size_of(path: str) -> int:
 
 
 def empty_caches() -> list[dict[str, str | int]]:
-    """Remove all that is kept; what it was, where, and its size in bytes. OSError where it stays.
-
-    Runs that are under way go on, and keep what they make afterwards.
-    """
+    """Remove all that is kept; what it was, where, its bytes. OSError where it stays."""
     removed: list[dict[str, str | int]] = []
     for what, path in list(cached()):
         size = size_of(path)

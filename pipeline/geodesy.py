@@ -158,10 +158,7 @@ def ecef_of_geodetic(latitude_rad: Array, longitude_rad: Array, h_ellipsoid: Arr
 
 
 def enu_from_ecef(latitude_rad: Array, longitude_rad: Array) -> Array:
-    """(n, 3, 3) rotations from earth-centred axes to east, north, up at (n,) places.
-
-    The vertical turns with the place: 324 arcsec per 10 km.
-    """
+    """(n, 3, 3) rotations from earth-centred axes to east, north, up at (n,) places."""
     sin_p, cos_p = np.sin(latitude_rad), np.cos(latitude_rad)
     sin_l, cos_l = np.sin(longitude_rad), np.cos(longitude_rad)
     east = np.stack([-sin_l, cos_l, np.zeros_like(sin_l)], axis=-1)

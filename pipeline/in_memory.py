@@ -258,10 +258,7 @@ class _FlatGround:
 
 
 def compile_kernels() -> None:
-    """Compile all that runs may need into the cache: half a minute of one CPU, 3 MB.
-
-    Each model of cameras with its standard deviations, rays of all kinds, and over a terrain.
-    """
+    """Compile all that runs may need into the cache: half a minute of one CPU, 3 MB."""
     n = WORTH_A_TABLE + 1
     air, row, one = standard_atmosphere("us1976"), np.zeros(n, np.int64), np.ones(1)
     outside, table = np.full(1, 2e-4), refraction.ray_table(air)

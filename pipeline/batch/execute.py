@@ -35,8 +35,7 @@ def run_many(
 ) -> Generator[tuple[MissionRef, MissionEnd]]:
     """Run missions; yields how each ended, as soon as it did.
 
-    A mission whose process dies is run a second time, alone; if that dies too it is refused, with
-    the command that repeats it (WORKER-LOST).
+    One whose process dies is run again, alone; then refused with its command (WORKER-LOST).
     """
     tasks: dict[MissionRef, Task] = {ref: partial(run_mission, ref) for ref in missions}
     lost: dict[MissionRef, Lost] = {}
@@ -85,10 +84,7 @@ def _read(end: Outcome | Receipt | UnbendError | Bug) -> MissionEnd:
 
 
 def shared_outputs(folders: Iterable[tuple[MissionRef, object]]) -> dict[MissionRef, UnbendError]:
-    """Missions whose results would be written to the folder of an earlier one.
-
-    Folders are compared after symbolic links are resolved, and on Windows without case.
-    """
+    """Missions whose results would go to the folder of an earlier one; links are resolved."""
     first_of: dict[str, int] = {}
     refused: dict[MissionRef, UnbendError] = {}
     listed = list(folders)

@@ -93,11 +93,7 @@ _SERVE = "from pipeline.batch.executors import serve; serve()"
 
 
 class Child:
-    """A process that runs one task at a time; started when it is needed, or before.
-
-    ``threads`` : how many it may use, None for as many as there are CPUs; ``module`` : what it
-    imports before its first task.
-    """
+    """A process that runs a task at a time, of so many ``threads``; it imports ``module`` first."""
 
     def __init__(self, threads: int | None = None, module: str = __name__) -> None:
         self._threads, self._module = threads, module
@@ -226,10 +222,7 @@ class Executor(Protocol):
     """Runs missions somewhere."""
 
     def run(self, tasks: Mapping[MissionRef, Task], *, alone: bool = False) -> Ends:
-        """How each ended, as soon as it did; what is left is stopped when the caller leaves.
-
-        ``alone`` : one after the other, with the machine to itself.
-        """
+        """How each ended, as soon as it did (``alone`` : one by one). Leaving stops the rest."""
 
 
 class Inline:
@@ -315,10 +308,7 @@ ALONE = ChildHelpers()
 
 @dataclass(frozen=True)
 class Slices:
-    """Numbers of parts, in slices that anyone takes who sees the folder.
-
-    Whoever makes the file of a slice's place makes its parts, and nobody else does.
-    """
+    """Numbers of parts, in slices: whoever makes the file of a slice's place makes its parts."""
 
     folder: Path
     numbers: Sequence[Sequence[int]]
@@ -338,10 +328,7 @@ class Slices:
     def taken(
         self, name: str, passed: Callable[[int], None] = lambda _: None
     ) -> Iterator[Sequence[int]]:
-        """Slices that nobody has, for ``name``, who has begun before the first.
-
-        ``passed`` is called with the length of each that is behind, whoever had it.
-        """
+        """Slices nobody has, for ``name``; ``passed`` gets the length of each that is behind."""
         (self.folder / name).touch()
         for place, some in enumerate(self.numbers):
             with suppress(FileExistsError):
@@ -359,9 +346,7 @@ def make_parts(
 ) -> None:
     """Call ``make(numbers=...)`` with slices, here and by workers, which get a path and a key.
 
-    Parts that a worker leaves unmade, for it died or nothing can be sent to it, stay unmade. One
-    that has not begun when nothing is left is not waited for. ``progress`` is called with the
-    number of parts that may be done now.
+    What a worker leaves unmade stays so; one that has not begun at the end is not waited for.
     """
     content, setup = pickle.dumps((make, slices)), slices.folder / "setup"
     setup.write_bytes(content)

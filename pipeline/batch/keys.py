@@ -109,10 +109,7 @@ def keys_of(config: Mapping[str, Any], inputs: Mapping[str, str]) -> dict[str, s
 
 
 def libraries(roles: Iterable[str], standard: str) -> dict[str, dict[str, str | None]]:
-    """Versions of the libraries that the numbers depend on, by stage; None if not installed.
-
-    ``roles`` of the inputs and the name of the atmosphere: some need libraries of their own.
-    """
+    """Versions of the libraries that numbers depend on with these roles and this atmosphere."""
     known = {stage: {name: version(name) for name in _LIBRARIES[stage]} for stage in STAGES}
     roles = list(roles)
     words = {role.split()[0] for role in roles}
@@ -136,10 +133,7 @@ def version(library: str) -> str | None:
 
 @lru_cache(maxsize=1)
 def grids_of_proj() -> str:
-    """What is in the folders of PROJ: its version, and a hash of names and sizes of its grids.
-
-    A grid that is installed later changes the coordinates that are computed with it.
-    """
+    """PROJ's version and a hash of its grids: one installed later changes coordinates."""
     import pyproj
 
     folders = [*pyproj.datadir.get_data_dir().split(os.pathsep), pyproj.datadir.get_user_data_dir()]
@@ -172,10 +166,7 @@ def hash_of_files(root: Path) -> str:
 
 
 def versions(known: Mapping[str, Mapping[str, str | None]] | None = None) -> dict[str, Any]:
-    """Versions of the code, Python and the libraries, for the manifest.
-
-    ``known`` : those of a plan; by default all libraries that a mission may need.
-    """
+    """Versions of code, Python and libraries (``known`` of a plan, or all), for the manifest."""
     known = known or libraries(("weather model", "elevation model"), MSIS)
     found = {"unbend": pipeline.__version__, "code_sha256": code_hash()}
     for of_stage in known.values():
@@ -265,10 +256,7 @@ def imported(text: str, package: str = "pipeline") -> set[str]:
 
 
 def stage_modules(story: Iterable[str]) -> dict[str, set[str]]:
-    """The modules each stage begins with; those of the later ones are what the story imports.
-
-    ``flown`` is no stage: of the report the part whose result is kept.
-    """
+    """The modules each stage begins with; ``flown`` is the part of the report that is kept."""
     after = {name for name in story if name.startswith("pipeline.report")}
     return _MODULES | {
         "correction": {*story} - after - _AFTERWARDS,

@@ -56,8 +56,7 @@ class Place:
     def of(cls, url: str) -> "Place":
         """The place of a URL; refuses (ConfigError URL-INVALID) what names none.
 
-        A user, password, query or fragment is refused and not repeated: it may be a secret. The
-        key is written as the bucket has it, without percent-encoding.
+        What may be a secret is not repeated. The key is as the bucket has it, not percent-encoded.
         """
         scheme, _, rest = url.partition("://")
         bucket, _, path = rest.partition("/")
@@ -100,10 +99,7 @@ class Place:
         return bytes(ask("read", self, got.bytes)), version
 
     def put(self, content: Any, version: dict[str, Any] | str | None) -> bool:
-        """Write bytes or a file to an object, whole; False where its version is another.
-
-        None: it must not be there yet; "overwrite": whatever is there.
-        """
+        """Write it whole; False if the version (None: not there; "overwrite": any) is another."""
         return ask("write", self, "put", content, mode=version or "create") is not None
 
     def head(self) -> dict[str, Any]:
@@ -173,10 +169,9 @@ def open_store(scheme: str, bucket: str) -> Any:
 
 
 def ask(verb: str, place: Place, call: Any, *arguments: Any, **options: Any) -> Any:
-    """Call obstore by the name of its function, or something that it returned.
+    """Call obstore by the name of its function, or something that it returned; StorageError.
 
-    None where a condition of the request does not hold; FileNotFoundError where an object is not
-    there. ``verb`` is what a refusal (StorageError) says.
+    None where a condition of the request does not hold; FileNotFoundError where an object is not.
     """
     try:
         import obstore
@@ -245,10 +240,7 @@ def copy_of(place: Place, version: str) -> Path:
 
 
 def fetched(place: Place, version: str, *, anew: bool = False) -> Path:
-    """The copy of a version of an input, made where it is not there yet, or ``anew``.
-
-    Refuses (INPUT-CHANGED) an object that changes or goes while it is read.
-    """
+    """The copy of an input's version, made if needed or ``anew``; refuses INPUT-CHANGED."""
     copy = copy_of(place, version)
     kept, draft = copy.parent, copy.parent.with_suffix(f".{os.getpid()}.draft")
     if anew:

@@ -1,7 +1,4 @@
-"""What a result depends on: inputs, mission file, code and libraries; unchanged, it is kept.
-
-And how a mission ended.
-"""
+"""What a result depends on: inputs, mission file, code, libraries; and how a mission ended."""
 
 import hashlib
 import json
@@ -57,10 +54,7 @@ _EXIF_BYTES = 1 << 18
 
 @dataclass(frozen=True)
 class Plan:
-    """A mission with its inputs hashed.
-
-    ``camera_names`` are the names of its cameras by what the block of another program calls them.
-    """
+    """A mission with its inputs hashed; ``camera_names`` by what a block calls its cameras."""
 
     mission: Mission
     inputs: tuple[Input, ...]
@@ -146,9 +140,7 @@ def is_raster(role: str) -> bool:
 def make_plan(mission: Mission, folder: Path, *, verify: bool = False) -> Plan:
     """Hash the inputs of a mission; relative paths resolve from the mission file's folder.
 
-    Files that did not change since they were last hashed are read only to ``verify``. The cameras
-    of the plan have the numbers of their files. Refuses a mission that would write its results
-    over one of its inputs.
+    Unchanged files are read only to ``verify``. Refuses results that would go over an input.
     """
     output = located(mission.output.path, folder)
     output = output if isinstance(output, Place) else Path(os.path.normpath(output))
@@ -217,10 +209,7 @@ def _refuse_among_results(role: str, path: Path | Place, output: Path | Place) -
 
 
 def fetch_inputs(plan: Plan) -> None:
-    """Copy the inputs in object storage that have no copy here, or a damaged one.
-
-    Refuses (INPUT-CHANGED) those that are not as they were when they were hashed.
-    """
+    """Copy inputs in object storage that have no whole copy here; refuses INPUT-CHANGED."""
     for item in plan.inputs:
         if item.place is None:
             continue
@@ -245,10 +234,7 @@ def places_named(plan: Plan) -> Iterator[None]:
 
 
 def _hash_input(path: Path, program: str | None, *, verify: bool) -> str:
-    """SHA-256 of a file; of a folder of images over names, sizes and first 256 KiB, or all bytes.
-
-    Of a block, and of a raster with files beside it, over the names and hashes of its files.
-    """
+    """SHA-256 of a file, or of names and hashes of a block's, a raster's or a folder's files."""
     files = files_of(path, program)
     if files == (path,):
         return remembered_hash(path, verify=verify)

@@ -111,10 +111,7 @@ class Answer:
         *written: Path | None,
         shown: Sequence[Mapping[str, Any]] | None = None,
     ) -> NoReturn:
-        """Print ledger and written files after the answer, and exit with the ledger's code.
-
-        ``shown`` : the entries that are printed as text, by default all; JSON has all.
-        """
+        """Print ledger (``shown`` as text) and written files, and exit with the ledger's code."""
         code = exit_code_of(has_losses=ledger.has_losses)
         files = [str(path) for path in written if path is not None]
         self.print_json(content | {"written": files, "ledger": ledger.rows(), "exit_code": code})
@@ -134,10 +131,7 @@ class Answer:
 def command(
     name: str | None = None, *, epilog: str, cls: type[TyperCommand] = TyperCommand
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Decorator: a command with the options --quiet and --json.
-
-    Its function takes an `Answer` first, in the place of these.
-    """
+    """Decorator: a command with --quiet and --json; its function takes an `Answer` first."""
 
     def register(function: Callable[..., None]) -> Callable[..., None]:
         @wraps(function)

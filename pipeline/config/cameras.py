@@ -1,7 +1,4 @@
-"""The sections of a mission file on a camera: interior orientation, window, lens, and mount.
-
-The interior orientation is given in pixels, by a report in mm, or by a file.
-"""
+"""The sections of a mission file on a camera: interior orientation, window, lens, and mount."""
 
 import tomllib
 from collections.abc import Callable, Collection, Mapping
@@ -389,10 +386,7 @@ class CameraSection(Section):
 
     @property
     def needs_cabin(self) -> bool:
-        """Whether a number depends on the cabin's air.
-
-        A spherical window bends nothing: behind it the air counts only in the lens.
-        """
+        """Whether a number depends on the cabin's air: behind a spherical window only the lens."""
         if self.window is None or self.window.cabin is None:
             return False
         return self.window.shape == "plane" or self.principal_distance is not None
@@ -414,10 +408,7 @@ class CameraSection(Section):
         return self.principal_distance.build(min(camera.fx_px, camera.fy_px))
 
     def build(self, pixel_origin: PixelOrigin = "corner") -> Camera:
-        """The camera in COLMAP's pixels; ``pixel_origin`` where it names none itself.
-
-        That of a `file` is known when the file was read (`with_file`).
-        """
+        """The camera, its file read, in COLMAP's pixels; ``pixel_origin`` is the default."""
         width, height = self.width_px or 0, self.height_px or 0
         pixels = PixelSystem(self.pixel_origin or pixel_origin)
         if self.metric is not None:
@@ -435,10 +426,7 @@ class CameraSection(Section):
         return Camera(width, height, fx, fy, cx, cy, known)
 
     def with_file(self, path: Path) -> Self:
-        """The section with model and parameters of its file, which is at ``path``.
-
-        Refuses as `read_camera`, and a file whose images have another size (CAMERA-SIZE).
-        """
+        """The section with its file's numbers; refuses as `read_camera`, and CAMERA-SIZE."""
         camera = read_camera(path, self.format, None if self.camera is None else str(self.camera))
         width, height = self.width_px or camera.width_px, self.height_px or camera.height_px
         if (width, height) != (camera.width_px, camera.height_px):

@@ -61,8 +61,7 @@ def sentences_of(
     """One sentence for each mistake, in the order of the file.
 
     ``items`` is what the models refuse, ``values`` and ``node`` are the file. Open questions come
-    as such; what the models say of them, and of what holds them, is left out. What is not in
-    ``own``, where that is given, has no line in the file: a campaign's defaults say it.
+    as such. What is not in ``own``, where that is given, is of a campaign's defaults: no line.
     """
     todo = open_questions(values)
     found: dict[tuple[Place, str], None] = {
@@ -228,10 +227,7 @@ _Loader.add_implicit_resolver(
 
 
 def load_mission(path: Path | str) -> Mission:
-    """Read and check a mission file; refuses with every mistake, its line and the nearest key.
-
-    Opens nothing but the file itself.
-    """
+    """Read and check a mission file; refuses with every mistake, its line and the nearest key."""
     path = Path(path)
     values, node = read_yaml(path)
     return mission_of(values, node, str(path))

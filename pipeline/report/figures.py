@@ -97,8 +97,7 @@ def flight_figure(
     """A flight from above, and its height over time: stations, suspect ones, and rejected events.
 
     ``track`` : time [Unix ns], latitude, longitude [rad] and height above sea level [m] as logged;
-    ``stretches`` : from when to when [Unix ns] the log contradicts itself. Events without a
-    position have only their time.
+    ``stretches`` : from when to when [Unix ns] the log contradicts itself.
     """
     from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 
@@ -150,11 +149,7 @@ def flight_figure(
 
 @styled
 def profile_figure(air: FlightAir, samples: AirSamples) -> Figure:
-    """T, p, e and N of the air and of the standard against height, and the effect on R.
-
-    One-sigma bands where there is a covariance; the samples, those that are not used paler; thin
-    lines for the parts of a long flight.
-    """
+    """T, p, e, N of the air with one sigma, of samples and the standard, and the effect on R."""
     figure, axes = new_figure(3, 10.2, 6.4, rows=2)
     curves = air_curves(air, samples, np.empty(0))
     h, ours, sigma = curves["h_m"], curves["ours"], curves["sigma"]

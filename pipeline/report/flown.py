@@ -70,8 +70,7 @@ class Flown:
     def time(self) -> dict[str, Any]:
         """Seconds of exposures and track after ``begin_ns``, their ``span``, and ``heights_m``.
 
-        Where nothing has a time, ``begin_ns`` is None and exposures are numbered. ``heights_m`` are
-        the limits of all heights with a margin, None without any.
+        Where nothing has a time, ``begin_ns`` is None and exposures are numbered.
         """
         exposures, track = self.exposures, self.track
         heights = np.concatenate([exposures["h_msl_m"], exposures["ground_m"], track["h_msl_m"]])
@@ -154,10 +153,7 @@ def flown_of(
 
 
 def relief_of(terrain: ElevationSource, limits_deg: Limits) -> tuple[Limits, Array] | None:
-    """Light from the north-west on a model within limits, and these with a margin.
-
-    None where it has no heights there, or is so fine that drawing it would cost more than the run.
-    """
+    """Light from the north-west on a model within limits with a margin; None: too fine, or bare."""
     west, east, south, north = limits_deg + 2e-4 * np.array([-1.0, 1.0, -1.0, 1.0])
     per_degree = 111_200.0 * np.array([np.cos(np.radians(0.5 * (south + north))), 1.0])
     size = np.array([east - west, north - south]) * per_degree
@@ -182,10 +178,8 @@ def relief_of(terrain: ElevationSource, limits_deg: Limits) -> tuple[Limits, Arr
 def air_curves(air: FlightAir, samples: AirSamples, heights_m: Array) -> dict[str, Any]:
     """T [°C], p, e [hPa], N and N against the standard [%] at heights ``h_m`` around those given.
 
-    ``ours`` (None in the standard's air), ``standard``, ``sigma`` (None without a covariance) and
-    each of ``parts`` (of the flight) hold five columns, ``limits`` the range of each. ``samples``
-    hold the sensor, the number of its column, values and heights of some readings, those that were
-    used apart, and how many there are.
+    ``ours`` (None in the standard's air), ``standard``, ``sigma`` (or None) and each of ``parts``
+    hold five columns, ``limits`` the range of each; ``samples`` those of some readings by sensor.
     """
     adjustment = air.adjustment
     profile, standard, covariance = adjustment.profile, adjustment.standard, adjustment.covariance

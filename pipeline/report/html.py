@@ -1,7 +1,4 @@
-"""``report.html``: one page a mission, and ``campaign.html``: all missions, one row each.
-
-Without scripts and without anything from a network.
-"""
+"""``report.html``, a page a mission, and ``campaign.html``, a row each: no scripts, no network."""
 
 import base64
 import hashlib
@@ -37,10 +34,7 @@ _STEPS_S = (1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1200, 1800, 3600, 7200, 14_4
 
 
 class Axes:
-    """A pair of axes: ``box`` is left, top, width, height [px]; ``x`` and ``y`` their limits.
-
-    Paths leave out places that are unknown. ``log_x`` for a logarithmic axis, to powers of ten.
-    """
+    """``box`` is left, top, width, height [px]; ``x``, ``y`` limits; ``log_x`` to powers of ten."""
 
     def __init__(self, box: Sequence[float], x: Range, y: Range, *, log_x: bool = False) -> None:
         self.box, self.log_x = tuple(box), log_x
@@ -142,11 +136,7 @@ def arrows(x: ArrayLike, y: ArrayLike, dx: ArrayLike, dy: ArrayLike) -> str:
 
 
 def field_arrows(axes: Axes, field: Mapping[str, Any]) -> tuple[str, str, float]:
-    """Arrows of a mean shift over an image, the longest 0.92 of a cell long; one for reference.
-
-    Returns both paths, the second an arrow at the upper left, and the shift that it stands for
-    [px], with one digit of 1, 2 or 5.
-    """
+    """Arrows of a mean shift in an image, the longest 0.92 of a cell; one for reference, its px."""
     x, y, dx, dy = (np.array(field[name]) for name in ("x_px", "y_px", "dx_px", "dy_px"))
     longest = float(np.hypot(dx, dy).max()) or 1.0
     scale, reference = 0.92 * axes.box[2] / field["columns"] / longest, round_step(longest / 2.2)
@@ -155,10 +145,7 @@ def field_arrows(axes: Axes, field: Mapping[str, Any]) -> tuple[str, str, float]
 
 
 def map_axes(limits_deg: Sequence[float], width: float) -> tuple[Axes, float]:
-    """Axes of longitude and latitude of equal scale on a drawing, and metres across.
-
-    ``limits_deg`` : west, east, south, north of what has to be in it; ``width`` of the drawing.
-    """
+    """Axes of west, east, south, north [deg] at equal scale, ``width`` wide, and metres across."""
     west, east, south, north = limits_deg
     shrink = max(math.cos(math.radians(0.5 * (south + north))), 0.01)
     inner = width - 72.0

@@ -45,10 +45,7 @@ class CompilingNote:
 
 
 class DelayedProgressBar:
-    """A bar that appears after half a second of work and is erased at the end.
-
-    On a terminal that cannot move its cursor, a line for each step. None without a terminal.
-    """
+    """A bar that appears after half a second of work, erased at the end; None: no terminal."""
 
     def __init__(self, console: Console | None, title: str) -> None:
         self._console, self._title = console, visible(title)

@@ -1,7 +1,4 @@
-"""What commands say of missions and logs, for people: 80 columns wide in a terminal.
-
-The messages of one type of a log also as CSV.
-"""
+"""What commands say of missions and logs: 80 columns wide in a terminal, messages also as CSV."""
 
 import csv
 from collections.abc import Iterator, Mapping, Sequence

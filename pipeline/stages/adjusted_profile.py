@@ -62,10 +62,7 @@ def read_model_air(
     plan: Plan, flight: FlightLog, stations: Stations, samples: AirSamples, middle: TimeAndPlace, *,
     ledger: Ledger,
 ) -> ModelAir | None:  # fmt: skip
-    """The weather model of a mission, None where it names none; ``middle`` is that of the flight.
-
-    Refuses (`InputError`) a flight without a time or place, and stations outside its area.
-    """
+    """The weather model of a mission, if any; refuses (`InputError`) a flight outside its area."""
     section = plan.mission.atmosphere.model
     if section is None:
         return None
@@ -100,10 +97,9 @@ def read_model_air(
 def sampled_place(
     samples: AirSamples, track: Track | None, start_ns: int = -(2**62), end_ns: int = 2**62
 ) -> Place | None:
-    """Where and when a flight met the air that it measured: latitude, longitude, time.
+    """Latitude, longitude and time where a flight met the air that it measured between two times.
 
-    The mean over its heights in bins of 100 m, so that a climb counts more than a long level run;
-    None where nothing was measured between two times.
+    The mean over heights in bins of 100 m: a climb counts more than a long level run. None: no air.
     """
     if track is None:
         return None
@@ -140,11 +136,7 @@ def read_report(
     background: Climatology,
     ledger: Ledger,
 ) -> SurfaceReport:
-    """The report of a weather station, from its METAR or from numbers.
-
-    Refuses (``InputError``) values that the climatology of place and season rules out, such as a
-    temperature in Fahrenheit or a pressure reduced to sea level.
-    """
+    """The report of a weather station; refuses (`InputError`) values against the climatology."""
     if section.metar is not None:
         report = surface_report.parse_metar(
             section.metar, section.h_msl_m, ledger, flight_ns=flight_ns, where=f"{where}.metar"
@@ -202,11 +194,7 @@ def _refuse_level(
 
 @dataclass(frozen=True, eq=False)
 class AirSources:
-    """What a mission has of the air beside its log.
-
-    ``lowest_h_m`` [m above sea level] is the lowest height at which the log sampled the air, else
-    that of the take-off, else 0.
-    """
+    """The air of a mission beside its log; ``lowest_h_m`` : of samples, or the take-off, or 0."""
 
     background: Climatology
     soundings: tuple[Sounding, ...] = ()
@@ -325,11 +313,9 @@ def _constant_ground_m(mission: Mission) -> float | None:
 def adjusted_profiles(
     mission: Mission, stations: Stations, samples: AirSamples, sources: AirSources, ledger: Ledger
 ) -> FlightAir:
-    """The locally adjusted profile of the flight and how it changes with time.
+    """The locally adjusted profile of the flight and how it changes with time and place.
 
-    With ``atmosphere.adjust: false`` it is the standard atmosphere, unchanged. Parts of a long
-    flight are estimated on their own where that lowers the uncertainty; between them, and with
-    the age of the measurements, each exposure gets the profile of its time.
+    Parts of a long flight are estimated on their own where that lowers the uncertainty.
     """
     section = mission.atmosphere
     latitude = stations.mean_latitude_rad

@@ -39,9 +39,8 @@ Track = tuple[Integers, Array, Array]
 class FlightLog:
     """A log after its channels were given their roles; these hold plausible values only.
 
-    Where a source is suspect and another replaces it, they hold its samples; ``suspect`` are all
-    stretches in which the log contradicts itself. ``own`` are the roles as the log fills them, with
-    their ``own_suspect``; in ``roles`` a trajectory has replaced some. ``log`` is None where the
+    ``suspect`` are stretches in which the log contradicts itself; ``own`` are the roles as it fills
+    them, with ``own_suspect``; in ``roles`` a trajectory has replaced some. ``log`` is None where
     stations come from elsewhere; ``heads`` are attitudes of cameras with one of their own.
     """
 
@@ -95,10 +94,7 @@ def read_observations(plan: Plan, ledger: Ledger, most_rows: int | None = None) 
 
 
 def read_log(plan: Plan, ledger: Ledger) -> FlightLog:
-    """Read the log, assign its channels to roles, and relate its heights to sea level.
-
-    Without a log a trajectory has all the roles; refuses (STATIONS-ATTITUDE) one without attitudes.
-    """
+    """Read the log, or a trajectory without one: its channels, roles, and heights above the sea."""
     mission, geoid = plan.mission, geoid_of_mission(plan)
     home, undulation_m = mission.ground.home_h_msl_m, mission.mission.undulation_m
     section = mission.stations.trajectory
@@ -252,11 +248,7 @@ def replaced_roles(plan: Plan, trajectory: Channel) -> tuple[str, ...]:
 
 
 def read_camera_events(plan: Plan, flight: FlightLog, ledger: Ledger) -> dict[str, Channel]:
-    """The exposures of each camera that come from a file with their positions.
-
-    Attitudes of cameras become those of the aircraft, by the mount. Refuses (STATIONS-ATTITUDE) a
-    file without, where there is no log and no trajectory.
-    """
+    """The exposures of each camera from a file with positions, their attitudes the aircraft's."""
     events = {}
     for camera, source in plan.mission.position_events.items():
         path = plan.input(f"events of {camera}").path

@@ -1,8 +1,4 @@
-"""A commented mission file from what a log, observations and images hold.
-
-What the inputs decide is written, with a remark where it is guessed; what they leave open is TODO,
-which `unbend check` refuses by name.
-"""
+"""A commented mission file from a log, observations and images; what they leave open is TODO."""
 
 import json
 import os
@@ -272,10 +268,7 @@ def find_extent(opened: Observations, found: FoundTable) -> None:
 def proposed_cameras(
     log: FoundLog | None, images: tuple[str, ...], of_block: tuple[str, ...] = ()
 ) -> list[ProposedCamera]:
-    """The cameras by the names of the images, each with the channel that counts as they do.
-
-    What several channels could be is asked for, or left to the evidence (``*``), with a remark.
-    """
+    """The cameras by the names of the images, each with the channel that counts as they do."""
     events = () if log is None else log.events
     series = name_series(images)
     if len(series) > max(_MOST_CAMERAS, len(events)):
@@ -333,10 +326,9 @@ def proposed_cameras(
 
 
 def propose_mission(log: Path, observations: Path | None, images: Path | None, out: Path) -> str:
-    """The text of a mission file, to be written to ``out``, from whose folder paths count.
+    """The text of a mission file that is to be written to ``out``, from whose folder paths count.
 
-    ``log`` may be a block with orientations, alone; ``images`` is a folder of images, or
-    exiftool's table of them. Refuses (IMAGES-OTHER) images of which none is in the observations.
+    ``log`` may be a block; ``images`` a folder, or exiftool's table. Refuses (IMAGES-OTHER).
     """
 
     def relative(path: Path | None) -> str:

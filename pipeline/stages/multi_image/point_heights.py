@@ -62,10 +62,7 @@ def read_points(
     heights: HeightSystem,
     ledger: Ledger,
 ) -> ObjectPoints:
-    """The points of a table of the user's, of that ``role``, with heights above sea level.
-
-    ``section`` and ``reference`` are what the mission file states of it under ``key``.
-    """
+    """The points of a user's table above sea level, as ``section`` and ``reference`` state it."""
     path = plan.input(role).path
     name, value = read_object_points(path, section.columns.named, key=f"{key}.columns")
     x, y = ("x", "y") if "x" in value else ("longitude", "latitude")
@@ -82,11 +79,7 @@ def read_points(
 
 
 def check_object_points(observations: Observations, stations: Stations, ledger: Ledger) -> None:
-    """Compare the places of object points with the stations that see them.
-
-    Refuses (InputError) a table without any of the points (POINTS-MISSING), and points below the
-    horizon (POINTS-FAR); a loss where the median one is seen at more than 87 deg from the nadir.
-    """
+    """Compare object points with the stations that see them; refuses POINTS-MISSING, POINTS-FAR."""
     points = observations.points
     if points is None:
         return
@@ -135,11 +128,9 @@ def with_intersected_heights(
 ) -> CorrectionSetup:  # fmt: skip
     """The setup with intersected ground heights and their sigmas, where the mission file says so.
 
-    The rays of a point may lie anywhere in a table of any length: its rows are divided by the hash
-    of their points into temporary files of some 300,000 rows, which are intersected one after the
-    other, by rays without refraction of air and window. Heights lie in a temporary file too (16
-    bytes a row, the rays 40). A rehearsal takes the points of its rows alone. Refuses (MissionError
-    GROUND-INTERSECTED) where no point has a height; those without one are NaN.
+    The rays of a point may lie anywhere in a table of any length: rows are divided by the hash of
+    their points into temporary files of some 300,000 (40 bytes a row), intersected one by one. A
+    rehearsal takes the points of its rows alone. Refuses (GROUND-INTERSECTED) if none has a height.
     """
     if mission.ground.height != "intersected":
         return setup
@@ -200,10 +191,7 @@ def with_intersected_heights(
 def _heights_of(
     rays: NDArray[np.void], setup: CorrectionSetup, stations: Stations, orientations: Orientations
 ) -> tuple[Array, PointHeights]:
-    """(n,) heights above sea level of the points of rays, and the points.
-
-    The heights of a first intersection, of the rays as measured, say how much these are bent.
-    """
+    """(n,) heights of points above sea level; those of a first intersection bend the rays."""
     undulation = np.nan_to_num(stations.h_ellipsoid_m - stations.h_msl_m)[rays["station"]]
     h_msl: Array | None = None
     while True:
