@@ -146,50 +146,41 @@ def read_report(
             section.h_msl_m, temperature_k=section.temperature_k, pressure_pa=section.pressure_pa,
             relative_humidity=section.humidity, time_ns=section.time_ns, where=where,
         )  # fmt: skip
-    _refuse_temperature(report, background, where, is_celsius=section.metar is not None)
-    _refuse_level(report, background, where, is_station=section.metar is not None)
+    refuse_impossible(report, background, where, of_metar=section.metar is not None)
     metres, across = 1e3 * section.distance_km, section.across_coast_or_ridge
     return replace(report, distance_m=metres, across=across)
 
 
-def _refuse_temperature(
-    report: SurfaceReport, background: Climatology, where: str, *, is_celsius: bool
+def refuse_impossible(
+    report: SurfaceReport, background: Climatology, where: str, *, of_metar: bool
 ) -> None:
-    """Refuse a temperature that no season has, or that is usual if it is Fahrenheit (no METAR)."""
-    expected = float(background.profile.temperature(report.h_m))
-    sigma = float(background.spread.sigma_temperature(report.h_m))
+    """Refuse what no season has, or is usual in Fahrenheit or reduced to sea level (no METAR)."""
+    celsius, h_m = report.temperature_k - ZERO_CELSIUS_K, report.h_m
+    expected = float(background.profile.temperature(h_m))
+    sigma = float(background.spread.sigma_temperature(h_m))
     departure = (report.temperature_k - expected) / sigma
-    celsius = report.temperature_k - ZERO_CELSIUS_K
     as_fahrenheit = ((celsius - 32.0) / 1.8 + ZERO_CELSIUS_K - expected) / sigma
-    mistaken = departure > _LIKE_FAHRENHEIT and abs(as_fahrenheit) < _LIKELY and not is_celsius
-    if not mistaken and not abs(departure) > _IMPOSSIBLE_SIGMAS:
-        return
-    rather = f"; {celsius:.1f} F would be {(celsius - 32.0) / 1.8:.1f} C" if mistaken else ""
-    raise InputError.of(
-        "SURFACE-CLIMATE", where, celsius=celsius, height_m=report.h_m, sigmas=abs(departure),
-        expected_c=expected - ZERO_CELSIUS_K, rather=rather,
-    )  # fmt: skip
-
-
-def _refuse_level(
-    report: SurfaceReport, background: Climatology, where: str, *, is_station: bool
-) -> None:
-    """Refuse a pressure that no weather makes, or that is usual if it is reduced to sea level."""
+    mistaken = departure > _LIKE_FAHRENHEIT and abs(as_fahrenheit) < _LIKELY and not of_metar
+    if mistaken or abs(departure) > _IMPOSSIBLE_SIGMAS:
+        rather = f"; {celsius:.1f} F would be {(celsius - 32.0) / 1.8:.1f} C" if mistaken else ""
+        raise InputError.of(
+            "SURFACE-CLIMATE", where, celsius=celsius, height_m=h_m, sigmas=abs(departure),
+            expected_c=expected - ZERO_CELSIUS_K, rather=rather,
+        )  # fmt: skip
     if not math.isfinite(report.pressure_pa):
         return
-    expected = float(background.profile.pressure(report.h_m))
-    sigma = background.sigma_log_pressure(report.h_m)
+    expected = float(background.profile.pressure(h_m))
+    sigma = background.sigma_log_pressure(h_m)
     departure = math.log(report.pressure_pa / expected) / sigma
-    reduced = surface_report.station_pressure(report.pressure_pa, report.h_m)
+    reduced = surface_report.station_pressure(report.pressure_pa, h_m)
     as_qnh = math.log(reduced / expected) / sigma
-    mistaken = departure > _LIKE_QNH and abs(as_qnh) < _LIKELY and not is_station
-    if not mistaken and abs(departure) <= _IMPOSSIBLE_LEVEL:
-        return
-    rather = f"; as QNH it would be {reduced / HECTOPASCAL:.1f} hPa there" if mistaken else ""
-    raise InputError.of(
-        "SURFACE-LEVEL", where, hpa=report.pressure_pa / HECTOPASCAL, height_m=report.h_m,
-        sigmas=abs(departure), expected_hpa=expected / HECTOPASCAL, rather=rather,
-    )  # fmt: skip
+    mistaken = departure > _LIKE_QNH and abs(as_qnh) < _LIKELY and not of_metar
+    if mistaken or abs(departure) > _IMPOSSIBLE_LEVEL:
+        rather = f"; as QNH it would be {reduced / HECTOPASCAL:.1f} hPa there" if mistaken else ""
+        raise InputError.of(
+            "SURFACE-LEVEL", where, hpa=report.pressure_pa / HECTOPASCAL, height_m=h_m,
+            sigmas=abs(departure), expected_hpa=expected / HECTOPASCAL, rather=rather,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
