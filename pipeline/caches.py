@@ -18,6 +18,8 @@ from typing import Any
 OF_COMPILED = re.compile(r"unbend-[0-9a-f]{16}")
 """Names of the folders of compiled code, one for each state of the sources."""
 
+_OF_VALUES = re.compile(r"\.?(log|flown)-[0-9a-f]{64}(\.\d+)?")
+
 
 def user_cache() -> str:
     """The folder: ``unbend`` in XDG_CACHE_HOME or ~/.cache."""
@@ -81,11 +83,7 @@ def cached() -> Iterator[tuple[str, str]]:
         (parsed_templates(), "templates", re.compile(r"[\w-]+\.jinja")),
         (user_cache(), "states of missions", re.compile(r"missions\.sqlite(-\w+)?")),
         (user_cache(), "copies of inputs", re.compile("copies")),
-        (
-            kept_values(),
-            "decoded logs and figures",
-            re.compile(r"\.?(log|flown)-[0-9a-f]{64}(\.\d+)?"),
-        ),
+        (kept_values(), "decoded logs and figures", _OF_VALUES),
         (os.path.join(user_cache(), "results"), "results to be published", re.compile(".{32}")),
     ):
         names = sorted(os.listdir(folder)) if os.path.isdir(folder) else []

@@ -37,7 +37,7 @@ from pipeline.refraction.kernels.moments import WORTH_A_TABLE
 from pipeline.refraction.kernels.terrain import extremes_of_tile
 from pipeline.refraction.target_heights import terrain_heights
 from pipeline.refraction.window import refract_at_window
-from pipeline.report.progress import NoProgress
+from pipeline.report.progress import Progress
 from pipeline.stages.commands.finished_run import air_of, stations_of
 from pipeline.stages.correction import CorrectionSetup, correct_stream
 from pipeline.stages.outputs import observation_metadata
@@ -67,7 +67,6 @@ class TablesInMemory:
         """None: each part is made."""
 
     def write(self, number: int, table: pa.Table, statistics: Statistics) -> None:
-        """Keep a part."""
         self.tables[number] = table
 
 
@@ -126,7 +125,7 @@ def correct(
             if own is not None:
                 from_run = mission.stations.model_copy(update={"orientation": None})
                 mission = mission.model_copy(update={"log": None, "stations": from_run})
-            prepared = prepare_mission(make_plan(mission, Path.cwd()), NoProgress(), stations=own)
+            prepared = prepare_mission(make_plan(mission, Path.cwd()), Progress(), stations=own)
             if not isinstance(profile, str | Mapping):
                 air = air_of_stations(profile, placed, prepared.stations)
                 prepared = replace(prepared, air=air)
@@ -135,7 +134,7 @@ def correct(
                 return correct_stream(
                     prepared.observations, setup, TablesInMemory(tables),
                     batch_rows=mission.output.batch_rows, metadata=observation_metadata(mission),
-                    progress=NoProgress().advance,
+                    progress=Progress().advance,
                 )  # fmt: skip
 
             manifest = correct_mission(prepared, correct_all).manifest

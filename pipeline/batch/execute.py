@@ -8,7 +8,7 @@ import shlex
 from collections.abc import Generator, Iterable, Sequence
 from contextlib import closing
 from functools import partial
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING
 
 from pipeline.batch.executors import Bug, Executor, Lost, Outcome, Receipt, Task
 from pipeline.batch.store import read_manifest
@@ -19,19 +19,11 @@ if TYPE_CHECKING:
     from pipeline.config.campaign import MissionRef
 
 
-class RunMission(Protocol):
-    """Runs one mission."""
-
-    def __call__(
-        self, mission: MissionRef, /, *, progress: Any = None, helpers: Any = None
-    ) -> Outcome: ...
-
-
 MissionEnd = Outcome | UnbendError | Bug
 
 
 def run_many(
-    run_mission: RunMission, missions: Sequence[MissionRef], executor: Executor
+    run_mission: Task, missions: Sequence[MissionRef], executor: Executor
 ) -> Generator[tuple[MissionRef, MissionEnd]]:
     """Run missions; yields how each ended, as soon as it did.
 

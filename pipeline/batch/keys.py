@@ -76,7 +76,6 @@ _NAMED = re.compile(r"\bpipeline(?:\.\w+)+")
 
 
 def stage_of_role(role: str) -> str:
-    """The first stage that reads an input."""
     return _ROLES.get(role, "air")
 
 
@@ -175,7 +174,6 @@ def versions(known: Mapping[str, Mapping[str, str | None]] | None = None) -> dic
 
 
 def code_of_stages() -> dict[str, str]:
-    """SHA-256 of the code that each stage reaches, and of its data."""
     return {stage: code_of_package()[stage] for stage in STAGES}
 
 

@@ -86,7 +86,6 @@ class Place:
         return self.key.rpartition("/")[2] or self.bucket
 
     def is_below(self, other: "Place") -> bool:
-        """Whether it is the other place or lies below it."""
         return f"{self}/".startswith(f"{other}/")
 
     def read(self) -> tuple[bytes | None, dict[str, Any] | None]:

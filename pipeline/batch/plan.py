@@ -10,16 +10,9 @@ from functools import reduce
 from pathlib import Path
 from typing import Any, cast
 
+from pipeline.batch import file_hashes
 from pipeline.batch.executors import Outcome
-from pipeline.batch.file_hashes import (
-    GDAL,
-    Input,
-    files_of,
-    recalled,
-    remember,
-    remembered_hash,
-    stamp,
-)
+from pipeline.batch.file_hashes import GDAL, Input, files_of, remembered_hash
 from pipeline.batch.keys import keys_of, libraries
 from pipeline.batch.object_store import Place, copy_of, fetched, is_url, version_of
 from pipeline.batch.store import would_replace
@@ -97,7 +90,6 @@ class Plan:
 
 
 def outcome_of(plan: Plan, manifest: dict[str, Any], *, repeated: bool) -> Outcome:
-    """The outcome that a manifest describes."""
     return Outcome(
         plan.mission.mission.name, plan.output, manifest, int(manifest["exit_code"]), repeated
     )
@@ -133,7 +125,6 @@ def sounding_role(number: int) -> str:
 
 
 def is_raster(role: str) -> bool:
-    """Whether GDAL reads the input of a role."""
     return role == "geoid" or role.startswith("elevation model")
 
 
@@ -169,14 +160,14 @@ def make_plan(mission: Mission, folder: Path, *, verify: bool = False) -> Plan:
             _refuse_among_results(role, path, output)
             if isinstance(path, Place):
                 key, copy = f"{path} {program}", copy_of(path, version)
-                known = None if verify else recalled(key, version)
+                known = None if verify else file_hashes.recalled(key, version)
                 if known is None or role.startswith("camera "):  # that is read with the file
                     copy = fetched(path, version, anew=verify)
                 sha256 = known or _hash_input(copy, program, verify=verify)
-                remember({key: (version, sha256)})
+                file_hashes.remember({key: (version, sha256)})
                 inputs.append(Input(role, name, copy, sha256, version, program, path))
             else:
-                before = tuple(map(stamp, files_of(path, program)))
+                before = tuple(map(file_hashes.stamp, files_of(path, program)))
                 sha256 = _hash_input(path, program, verify=verify)
                 inputs.append(Input(role, name, path, sha256, before, program))
         except OSError as error:

@@ -71,7 +71,6 @@ def keep(name: str, value: Any) -> None:
 
 
 def is_kept(name: str) -> bool:
-    """Whether a value is kept under a key."""
     return os.path.isfile(os.path.join(kept_values(), name))
 
 

@@ -80,7 +80,6 @@ class Answer:
 
     @property
     def is_silent(self) -> bool:
-        """Whether no text is wanted."""
         return self.quiet or self.as_json
 
     @cached_property
@@ -123,7 +122,6 @@ class Answer:
         raise typer.Exit(code)
 
     def print_paths(self, paths: Iterable[str]) -> None:
-        """Print paths, each in one piece."""
         for path in paths:
             self.console.print(visible(path), markup=False, soft_wrap=True)
 

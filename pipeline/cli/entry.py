@@ -64,7 +64,6 @@ def run_command(arguments: list[str]) -> int:
 
 
 def main() -> None:
-    """Run the command line and leave with its exit code."""
     # With matrices of some hundred rows, threads are slower and make sums depend on their number.
     # Takes effect if set before numpy is imported.
     os.environ["OPENBLAS_NUM_THREADS"] = "1"

@@ -55,14 +55,19 @@ def one_of(names: Callable[[], Collection[str]]) -> AfterValidator:
 
 
 @cache
-def mistakes() -> Mapping[str, str]:
-    """The texts of ``mistakes.toml`` by key."""
+def mistakes() -> Mapping[str, Any]:
     return tomllib.loads(files(__package__).joinpath("mistakes.toml").read_text("utf-8"))
 
 
 def mistake(key: str, **values: object) -> ValueError:
     """What a model raises where values do not go together, with the text of a key, filled in."""
     return ValueError(mistakes()[key].format_map(values))
+
+
+def refuse(*rules: tuple[object, str], **values: object) -> None:
+    """Raise the text of the first rule that holds, or what `mistake` has under it: a key."""
+    for text in (text for holds, text in rules if holds):
+        raise ValueError(text) if " " in text else mistake(text, **values)
 
 
 class Section(BaseModel):
@@ -97,7 +102,6 @@ class CabinAir(Section):
         return value
 
     def build(self) -> Cabin:
-        """In SI."""
         given = self.pressure if self.pressure_hpa is None else self.pressure_hpa
         celsius = self.temperature_c
         logged = celsius == "log"
@@ -217,7 +221,6 @@ class MountSection(Section):
         return self
 
     def build(self) -> Mount:
-        """In radians."""
         x, y, z = self.lever_arm_m
         tilt = self.sigma_tilt_deg
         yaw = tilt if self.sigma_yaw_deg is None else self.sigma_yaw_deg
@@ -357,13 +360,13 @@ class CameraSection(Section):
         numbers = any(single) or any(value is not None for value in others)
         given = [name for name in _OTHER_WAYS if getattr(self, name) is not None]
         given += ["f_px, cx_px, distortion"] * numbers
-        if (self.model is None) != (self.params is None):
-            raise ValueError("give model and params together, as they stand in cameras.txt")
-        if len(given) > 1 + (self.model is not None):
-            raise ValueError(f"{', '.join(given)}: each gives the interior orientation; keep one")
-        of_file = (self.format, self.file and self.pixel_origin)
-        if any(of_file) and (self.file is None or self.pixel_origin is not None):
-            raise ValueError("format goes with file, and pixel_origin does not")
+        of_file = any((self.format, self.file and self.pixel_origin))
+        refuse(
+            ((self.model is None) != (self.params is None), "model-params"),
+            (len(given) > 1 + (self.model is not None), "orientation-twice"),
+            (of_file and (self.file is None or self.pixel_origin is not None), "format-file"),
+            given=", ".join(given),
+        )
         if self.file is not None:
             return self
         if numbers and single not in ((True, False, False), (False, True, True)):
@@ -379,8 +382,7 @@ class CameraSection(Section):
 
     @model_validator(mode="after")
     def _check_lens_air(self) -> Self:
-        window = self.window
-        if self.principal_distance is not None and window is not None and window.cabin is None:
+        if self.principal_distance and self.window and self.window.cabin is None:
             raise mistake("lens-air")
         return self
 

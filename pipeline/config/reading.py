@@ -10,6 +10,7 @@ from typing import Any
 import yaml
 from pydantic import ValidationError
 
+from pipeline.config.cameras import mistakes
 from pipeline.config.schema import alternatives, as_written, campaign_schema, in_words, nodes_at
 from pipeline.config.sections import Mission
 from pipeline.errors import ConfigError
@@ -19,20 +20,6 @@ Place = tuple[str | int, ...]
 
 TODO = "TODO"
 """What stands in a mission file for a question that is still open."""
-
-_YAML = {
-    "mapping values are not allowed here": "there is a colon where none can stand: put quotes "
-    "around the text, or check the indentation",
-    "found character '\\t' that cannot start any token": "there is a tab: YAML is indented by "
-    "spaces",
-    "could not find expected ':'": "a key without a colon stands here or above",
-    "expected <block end>": "the indentation differs from that of the lines above",
-    "expected ',' or": "a bracket or a brace is not closed, or a comma is missing",
-    "could not determine a constructor": "tags (!) are not taken",
-    "found undefined alias": "an alias (*) has no anchor (&)",
-    "expected a single document": "there are several documents (---); a mission file is one",
-}
-"""Beginnings of what the YAML parser says, and the same in plain words."""
 
 
 def open_questions(values: Any) -> list[Place]:
@@ -124,7 +111,6 @@ def _found_at(values: Any, loc: tuple[int | str, ...]) -> tuple[Place, Any]:
 
 
 def _stands(values: Any, place: Place) -> bool:
-    """Whether there is a value at a place."""
     for key in place:
         held: Any = values
         inside = (isinstance(held, dict) and key in held) or (
@@ -249,7 +235,11 @@ def read_yaml(path: Path) -> tuple[dict[str, Any], yaml.Node]:
         mark = getattr(error, "problem_mark", None)
         line = f":{mark.line + 1}" if mark else ""
         problem = str(getattr(error, "problem", None) or error)
-        known = (words for beginning, words in _YAML.items() if problem.startswith(beginning))
+        known = (
+            words
+            for beginning, words in mistakes()["yaml"].items()
+            if problem.startswith(beginning)
+        )
         own = problem.startswith(("the key ", "a key "))
         what = problem if own else next(known, "here the text is no YAML")
         remedy = "mend the YAML"

@@ -76,7 +76,6 @@ def campaign_schema() -> Node:
 
 
 def _with_texts(schema: Node, root: type[BaseModel]) -> Node:
-    """A schema with the description, unit, example and default of each key."""
     texts = key_texts()
     for name, section in all_sections(root).items():
         node = schema if section is root else schema["$defs"][name]
@@ -158,7 +157,6 @@ def in_words(node: Node) -> str:
 
 
 def as_written(value: Any) -> str:
-    """A value as it is written in YAML, on one line."""
     match value:
         case None:
             return "none"

@@ -23,7 +23,6 @@ class Meaning(NamedTuple):
     remedy: str
 
     def lines(self) -> list[str]:
-        """In words, below what it explains."""
         return [
             f"  {self.means}", f"  effect on the result: {self.effect}", f"  to do: {self.remedy}"
         ]  # fmt: skip

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from pipeline.refraction.camera.camera import Camera
 from pipeline.refraction.effect import FlightAir
 from pipeline.refraction.kernels.columns import TILE
 from pipeline.tables.exports.footprints import ground_corners
+from pipeline.tables.geodata.elevation import ElevationModel
 from pipeline.units import DEGREE, HECTOPASCAL, ZERO_CELSIUS_K, Array, Integers, evenly_spaced
 
 Track = tuple[Integers, Array, Array, Array]
@@ -37,13 +38,6 @@ QUANTITIES = (
     "refractivity N = (n − 1) 10⁶",
 )  # fmt: skip
 """The columns of `air_curves`; the fifth is N against the standard [%]."""
-
-
-class ElevationSource(Protocol):
-    """Heights above sea level [m] of rows and columns of places [rad], NaN where unknown."""
-
-    def nodes(self, lat_rad: Array, lon_rad: Array) -> tuple[Array, Array]: ...
-    def heights(self, row: Array, column: Array) -> Array: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +96,7 @@ def flown_of(
     cameras: Mapping[str, Camera],
     ground_m: Array,
     radius_m: float | None,
-    terrain: ElevationSource | None,
+    terrain: ElevationModel | None,
 ) -> Flown:
     """What a page shows of a flight; ``ground_m`` (s,) below each station, NaN for the median."""
     if np.isfinite(ground_m).any():
@@ -152,7 +146,7 @@ def flown_of(
     )  # fmt: skip
 
 
-def relief_of(terrain: ElevationSource, limits_deg: Limits) -> tuple[Limits, Array] | None:
+def relief_of(terrain: ElevationModel, limits_deg: Limits) -> tuple[Limits, Array] | None:
     """Light from the north-west on a model within limits with a margin; None: too fine, or bare."""
     west, east, south, north = limits_deg + 2e-4 * np.array([-1.0, 1.0, -1.0, 1.0])
     per_degree = 111_200.0 * np.array([np.cos(np.radians(0.5 * (south + north))), 1.0])

@@ -56,7 +56,6 @@ class Axes:
         return left + width * across, top + height * (1.0 - up)
 
     def place(self, x: float, y: float) -> tuple[float, float]:
-        """The pixel of one place, to a tenth."""
         across, down = self.at(x, y)
         return round(float(across), 1), round(float(down), 1)
 
@@ -179,7 +178,6 @@ def write_report(path: Path, manifest: Mapping[str, Any], flown: Flown) -> None:
 
 
 def report_page(manifest: Mapping[str, Any], flown: Flown) -> str:
-    """The page as HTML."""
     ledger: dict[str, list[tuple[str, str]]] = {}
     for kind, code, what in summary.ledger_rows(manifest["ledger"]):
         ledger.setdefault(kind, []).append((code, what))

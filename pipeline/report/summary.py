@@ -80,7 +80,6 @@ def remarks(manifest: Mapping[str, Any]) -> list[str]:
 
 
 def next_steps(manifest: Mapping[str, Any]) -> list[str]:
-    """What to do next, the most urgent first; each a sentence."""
     steps = [step for _, step in _concerns(manifest)]
     adjust = "Then adjust" if steps else "Adjust"
     rows, done = manifest["observations"]["rows"], manifest["correction"]["shift_px"]["count"]
@@ -343,5 +342,4 @@ def not_included(manifest: Mapping[str, Any]) -> list[str]:
 
 @cache
 def report_texts() -> Mapping[str, Any]:
-    """The texts of ``report.toml``."""
     return tomllib.loads((files("pipeline.report") / "data/report.toml").read_text("utf-8"))

@@ -287,7 +287,6 @@ def read_air_sources(
 
 
 def _middle_exposure_ns(stations: Stations) -> int | None:
-    """Time of the middle exposure [Unix ns]."""
     times = np.sort(stations.time_ns[stations.time_ns != NO_TIME])
     return int(times[times.size // 2]) if times.size else None
 

@@ -65,7 +65,6 @@ class CorrectionSetup:
 
     @property
     def computes_sigmas(self) -> bool:
-        """Whether standard deviations are computed."""
         return any(uncertainty is not None for uncertainty in self.uncertainties)
 
     @cached_property

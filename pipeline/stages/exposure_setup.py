@@ -47,7 +47,6 @@ def orientations_of_mission(mission: Mission, stations: Stations) -> Orientation
 
 
 def windows_of_mission(mission: Mission) -> dict[str, Window]:
-    """The windows of the cameras that have one."""
     return {n: camera.window.build() for n, camera in mission.cameras.items() if camera.window}
 
 

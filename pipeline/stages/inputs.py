@@ -209,7 +209,6 @@ def user_geoid(plan: Plan) -> GeoidGrid | None:
 
 
 def read_trajectory(plan: Plan, channels: tuple[Channel, ...], ledger: Ledger) -> Channel | None:
-    """The trajectory that the mission file names."""
     section = plan.mission.stations.trajectory
     if section is None:
         return None

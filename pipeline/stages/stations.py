@@ -185,7 +185,6 @@ class StationBuilder:
         return stations.moved(np.stack([east, north, -down], axis=1))
 
     def later(self, stations: Stations, seconds: float) -> Stations:
-        """What its stations would be that many seconds later."""
         time_ns = stations.time_ns + round(seconds * 1e9)
         return self.stations(Events(self.camera, stations.image, time_ns))
 

@@ -77,7 +77,6 @@ class Distribution:
 
     @property
     def median(self) -> float | None:
-        """None without values."""
         return self.quantile(0.5)
 
     def __add__(self, other: Distribution) -> Distribution:
@@ -280,11 +279,9 @@ class Statistics:
                 shift_statistics.add(batch.x_px[rows], batch.y_px[rows], corrections.rows(rows))
 
     def sampled_rows(self) -> SampledRows:
-        """The rows that stand for all."""
         return SampledRows(*map(np.concatenate, zip(*self.sampled, strict=True)))
 
     def merge(self, other: Statistics) -> None:
-        """Add the counts of another part."""
         for name in ("rows", "no_distance", "no_sigma", "no_point", "implausible_heights", "parts",
                      "air_variance", "by_mode", "sampled", "cabin_share"):  # fmt: skip
             setattr(self, name, getattr(self, name) + getattr(other, name))

@@ -41,7 +41,7 @@ from pipeline.ledger import Ledger
 from pipeline.refraction.effect import FlightAir
 from pipeline.report.flown import Flown, flown_of
 from pipeline.report.html import write_report
-from pipeline.report.progress import NoProgress, Progress
+from pipeline.report.progress import Progress
 from pipeline.stages import correction, plausibility
 from pipeline.stages.adjusted_profile import AirSources, adjusted_profiles, read_air_sources
 from pipeline.stages.cabin_air import with_cabin_air
@@ -109,7 +109,7 @@ def run_mission(
 
     ``verify_inputs`` reads inputs that seem unchanged too. ``helpers`` make parts of it.
     """
-    progress, ref = progress or NoProgress(), MissionRef.of(mission)
+    progress, ref = progress or Progress(), MissionRef.of(mission)
     mission_file = ref.load()
     progress.start("hashing the inputs")
     plan = make_plan(mission_file, ref.folder, verify=verify_inputs)
@@ -189,7 +189,7 @@ def check_mission(
     mission: MissionRef | Path | str, *, progress: Progress | None = None
 ) -> CorrectedMission:
     """Rehearse a mission: all that `run_mission` does, on `SAMPLED_ROWS` rows; writes nothing."""
-    progress, ref = progress or NoProgress(), MissionRef.of(mission)
+    progress, ref = progress or Progress(), MissionRef.of(mission)
     plan = make_plan(ref.load(), ref.folder)
     if isinstance(plan.output, Path):
         store.rehearse_folder(plan.output)
@@ -350,7 +350,7 @@ def renew_report(plan: Plan, folder: store.RunFolder) -> dict[str, Any] | None:
 def read_mission(mission: MissionRef | Path) -> PreparedMission:
     """A mission with everything read, its stations built and its air estimated."""
     ref = MissionRef.of(mission)
-    return prepare_mission(make_plan(ref.load(), ref.folder), NoProgress())
+    return prepare_mission(make_plan(ref.load(), ref.folder), Progress())
 
 
 def air_of_mission_or_standard(

@@ -106,7 +106,6 @@ class Selection:
     known: Mapping[MissionRef, IndexEntry]
 
     def is_unchanged(self, ref: MissionRef) -> bool:
-        """Whether the index says that `run` would do nothing."""
         return ref in self.known and self.known[ref].unchanged
 
     def ends(

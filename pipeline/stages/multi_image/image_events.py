@@ -98,7 +98,6 @@ class TieLikelihood:
     every: ImageRays
 
     def intersected(self, event: Integers) -> Intersection:
-        """The intersection of the rays under an assignment."""
         orientations = self.of_events.assigned(event)
         return intersect(orientations, straightened(orientations, self.rays))
 
