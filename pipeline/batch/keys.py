@@ -10,6 +10,7 @@ import json
 import os
 import platform
 import re
+import tomllib
 from collections.abc import Iterable, Mapping
 from functools import lru_cache
 from importlib import metadata, resources
@@ -28,39 +29,8 @@ NOT_IN_KEY = ("output.batch_rows",)
 
 _STORY = "pipeline.stages.story"
 _AFTERWARDS = {"pipeline.batch.changes"}
-_MODULES = {
-    "ingest": {"pipeline.ingest"},
-    "air": {
-        "pipeline.stages.inputs",
-        "pipeline.stages.stations",
-        "pipeline.stages.adjusted_profile",
-        "pipeline.stages.multi_image.point_heights",
-        "pipeline.stages.ground_heights",
-        "pipeline.flight.air_samples",
-        "pipeline.flight.stations",
-        "pipeline.tables.geodata.geoid",
-    },
-}
-_SECTIONS = {"control": "correction", "accept": "correction", "output": "report"}
-_ROLES = {"log": "ingest", "control": "correction"}
-
-_LIBRARIES = {
-    "ingest": (
-        "numpy", "scipy", "numba", "llvmlite", "pandas", "pyarrow",  # arithmetic and tables
-        "pymavlink", "mcap", "mcap-ros2-support", "mcap-protobuf-support", "protobuf", "lz4",
-        "zstandard", "python",
-    ),
-    "air": ("metar", "exifread", "pillow", "pyproj"),
-    "correction": (),
-    "report": ("jinja2", "markupsafe"),
-}  # fmt: skip
-_OF_ROLES = {
-    "weather": ("xarray", "h5netcdf", "h5py", "cfgrib", "eccodes", "eccodeslib", "ecmwflibs"),
-    "elevation": ("rasterio",),
-    MSIS: ("pymsis",),
-}
-"""Libraries for some inputs only, by the first word of the role, or for an atmosphere by its name;
-all of the stage air."""
+TABLES = tomllib.loads(resources.files(__package__).joinpath("stages.toml").read_text("utf-8"))
+"""``modules``, ``sections``, ``roles``, ``libraries`` of stages, and ``inputs`` of missions."""
 
 GRIDS = "grids of pyproj"
 """The name of `grids_of_proj` among the libraries."""
@@ -76,12 +46,12 @@ _NAMED = re.compile(r"\bpipeline(?:\.\w+)+")
 
 
 def stage_of_role(role: str) -> str:
-    return _ROLES.get(role, "air")
+    return str(TABLES["roles"].get(role, "air"))
 
 
 def stage_of_key(key: str) -> str:
     """The first stage that depends on a key of the mission file, as ``section.key``."""
-    return _SECTIONS.get(key.partition(".")[0], "air")
+    return str(TABLES["sections"].get(key.partition(".")[0], "air"))
 
 
 def keys_of(config: Mapping[str, Any], inputs: Mapping[str, str]) -> dict[str, str]:
@@ -109,11 +79,11 @@ def keys_of(config: Mapping[str, Any], inputs: Mapping[str, str]) -> dict[str, s
 
 def libraries(roles: Iterable[str], standard: str) -> dict[str, dict[str, str | None]]:
     """Versions of the libraries that numbers depend on with these roles and this atmosphere."""
-    known = {stage: {name: version(name) for name in _LIBRARIES[stage]} for stage in STAGES}
+    known = {s: {name: version(name) for name in TABLES["libraries"][s]} for s in STAGES}
     roles = list(roles)
     words = {role.split()[0] for role in roles}
-    for word in sorted({*words, standard} & _OF_ROLES.keys()):
-        known["air"] |= {name: version(name) for name in _OF_ROLES[word]}
+    for word in sorted({*words, standard} & TABLES["libraries_of"].keys()):
+        known["air"] |= {name: version(name) for name in TABLES["libraries_of"][word]}
     if not all(map(_WITHOUT_PROJ.fullmatch, roles)):
         known["air"][GRIDS] = grids_of_proj()
     return known
@@ -256,7 +226,7 @@ def imported(text: str, package: str = "pipeline") -> set[str]:
 def stage_modules(story: Iterable[str]) -> dict[str, set[str]]:
     """The modules each stage begins with; ``flown`` is the part of the report that is kept."""
     after = {name for name in story if name.startswith("pipeline.report")}
-    return _MODULES | {
+    return {stage: {*names} for stage, names in TABLES["modules"].items()} | {
         "correction": {*story} - after - _AFTERWARDS,
         "report": after,
         "flown": {"pipeline.report.flown"},

@@ -13,7 +13,7 @@ from typing import Any, cast
 from pipeline.batch import file_hashes
 from pipeline.batch.executors import Outcome
 from pipeline.batch.file_hashes import GDAL, Input, files_of, remembered_hash
-from pipeline.batch.keys import keys_of, libraries
+from pipeline.batch.keys import TABLES, keys_of, libraries
 from pipeline.batch.object_store import Place, copy_of, fetched, is_url, version_of
 from pipeline.batch.store import would_replace
 from pipeline.caches import user_cache
@@ -22,26 +22,7 @@ from pipeline.errors import ConfigError, InputError, UnbendError
 from pipeline.tables.imports.blocks import BLOCKS
 
 MANIFEST_VERSION = 1
-_INPUTS = {
-    "log": "log.path",
-    "observations": "observations.path",
-    "geoid": "mission.geoid",
-    "object points": "ground.height.points",
-    "control": "control.path",
-    "elevation model": "ground.height.dem",
-    "orientation": "stations.orientation.path",
-    "known positions": "stations.orientation.known_positions.path",
-    "events": "events.csv.path",
-    "images": "events.images.path",
-    "camera": "cameras.<name>.file",
-    "events of": "events.positions",
-    "trajectory": "stations.trajectory.path",
-    "trajectory accuracy": "stations.trajectory.accuracy",
-    "sounding": "atmosphere.soundings",
-    "weather model": "atmosphere.model.path",
-}
-"""Roles of inputs, or their first words where there may be several, and keys of a mission file."""
-
+INPUTS: dict[str, str] = TABLES["inputs"]
 _EXIF_BYTES = 1 << 18
 
 
@@ -110,7 +91,7 @@ def input_paths(mission: Mission, folder: Path) -> dict[str, tuple[str, Path | P
         "sounding": {sounding_role(i): s.path for i, s in enumerate(mission.atmosphere.soundings)},
     }
     named: dict[str, str] = {}
-    for role, key in _INPUTS.items():
+    for role, key in INPUTS.items():
         path = reduce(lambda of, name: getattr(of, name, None), key.split("."), cast(Any, mission))
         if role in several:
             named |= several[role]
@@ -155,7 +136,7 @@ def make_plan(mission: Mission, folder: Path, *, verify: bool = False) -> Plan:
             else:
                 is_there = path.is_file() or (path.is_dir() and may_be_folder)
             if not is_there:
-                key = _INPUTS[max((r for r in _INPUTS if role.startswith(r)), key=len)]
+                key = INPUTS[max((r for r in INPUTS if role.startswith(r)), key=len)]
                 raise InputError.of("INPUT-MISSING/role", path, role=role, named=key)
             _refuse_among_results(role, path, output)
             if isinstance(path, Place):

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
+from typer import Option
 from typer.core import TyperCommand, TyperGroup
 
 import pipeline
@@ -68,8 +69,8 @@ app = typer.Typer(
 )
 
 
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="print nothing but refusals")]
-AsJson = Annotated[bool, typer.Option("--json", help="print the answer as JSON")]
+Quiet = Annotated[bool, Option("--quiet", "-q", help="print nothing but refusals")]
+AsJson = Annotated[bool, Option("--json", help="print the answer as JSON")]
 
 
 class Answer:
@@ -175,7 +176,7 @@ def write_rows_csv(path: Path, rows: list[dict[str, Any]]) -> None:
 
 @app.callback(invoke_without_command=True)
 def _options(
-    version: Annotated[bool, typer.Option("--version", help="print the version")] = False,
+    version: Annotated[bool, Option("--version", help="print the version")] = False,
 ) -> None:
     if version:
         print(f"unbend {pipeline.__version__}")
