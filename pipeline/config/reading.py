@@ -112,13 +112,10 @@ def _found_at(values: Any, loc: tuple[int | str, ...]) -> tuple[Place, Any]:
 
 def _stands(values: Any, place: Place) -> bool:
     for key in place:
-        held: Any = values
-        inside = (isinstance(held, dict) and key in held) or (
-            isinstance(held, list) and isinstance(key, int) and key < len(held)
-        )
-        if not inside:
+        inside = range(len(values)) if isinstance(values, list) else values
+        if not isinstance(inside, dict | range) or key not in inside:
             return False
-        values = held[key]
+        values = values[key]
     return True
 
 

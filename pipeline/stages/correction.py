@@ -86,6 +86,15 @@ class CorrectionSetup:
             for i in np.unique(profile).tolist():
                 yield rows[profile == i], camera, i
 
+    def directions(self, x_px: Array, y_px: Array, station: Integers) -> tuple[Array, Array]:
+        """(n, 3) unit vectors of pixels in their cameras, and (n,) the size of a pixel [rad]."""
+        direction, sigma = np.full((station.size, 3), np.nan), np.ones(station.size)
+        for rows, camera, _ in self.groups(station):
+            u, v, _ = camera.rays(x_px[rows], y_px[rows])
+            direction[rows] = np.stack([u, v, np.ones(u.size)], axis=1)
+            sigma[rows] = 1.0 / camera.fx_px
+        return direction / np.linalg.norm(direction, axis=1)[:, None], sigma
+
 
 class Parts(Protocol):
     """Where the corrected parts of the observations go, by number."""

@@ -168,15 +168,9 @@ def _rays_of(
     """(9, n) control point, station, sigma [rad] and the directions measured and corrected."""
     station = matching_rows(batch.image, images)
     corrected = correct_batch(batch, station, setup.ground.heights(batch, station, setup), setup)
-    rays = np.full((9, len(batch)), np.nan)
-    rays[0], rays[1] = matching_rows(batch.point, points.name), station
-    for rows, camera, _ in setup.groups(station):
-        rays[2, rows] = 1.0 / camera.fx_px
-        for first, x, y in ((3, batch.x_px, batch.y_px), (6, corrected.x_px, corrected.y_px)):
-            u, v, _ = camera.rays(x[rows], y[rows])
-            direction = np.stack([u, v, np.ones(u.size)])
-            rays[first : first + 3, rows] = direction / np.linalg.norm(direction, axis=0)
-    return rays
+    before, sigma = setup.directions(batch.x_px, batch.y_px, station)
+    after, _ = setup.directions(corrected.x_px, corrected.y_px, station)
+    return np.vstack([matching_rows(batch.point, points.name), station, sigma, before.T, after.T])
 
 
 def judge_control(

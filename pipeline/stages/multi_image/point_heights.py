@@ -192,25 +192,20 @@ def _heights_of(
     rays: NDArray[np.void], setup: CorrectionSetup, stations: Stations, orientations: Orientations
 ) -> tuple[Array, PointHeights]:
     """(n,) heights of points above sea level; those of a first intersection bend the rays."""
-    undulation = np.nan_to_num(stations.h_ellipsoid_m - stations.h_msl_m)[rays["station"]]
+    x, y, station = (rays[name] for name in ("x", "y", "station"))
+    undulation = np.nan_to_num(stations.h_ellipsoid_m - stations.h_msl_m)[station]
     h_msl: Array | None = None
     while True:
-        direction, sigma = np.full((rays.size, 3), np.nan), np.ones(rays.size)
-        for rows, camera, profile in setup.groups(rays["station"]):
-            x, y, station = (rays[name][rows] for name in ("x", "y", "station"))
-            if h_msl is not None and setup.direction == "remove":
-                corrected = correct_observations(
-                    x, y, h_msl[rows], station, setup.exposures, camera=camera,
-                    table=setup.rays[profile],
-                )  # fmt: skip
-                x, y = corrected.x_px, corrected.y_px
-            u, v, _ = camera.rays(x, y)
-            direction[rows] = np.stack([u, v, np.ones(u.size)], axis=1)
-            sigma[rows] = 1.0 / camera.fx_px
-        direction /= np.linalg.norm(direction, axis=1)[:, None]
-        found = point_heights(
-            orientations, ImageRays(rays["station"], rays["point"], direction, sigma)
-        )
+        seen_x, seen_y = x.copy(), y.copy()
+        bent = setup.groups(station) if h_msl is not None and setup.direction == "remove" else ()
+        for rows, camera, profile in bent:
+            corrected = correct_observations(
+                x[rows], y[rows], h_msl[rows], station[rows], setup.exposures, camera=camera,
+                table=setup.rays[profile],
+            )  # fmt: skip
+            seen_x[rows], seen_y[rows] = corrected.x_px, corrected.y_px
+        direction, sigma = setup.directions(seen_x, seen_y, station)
+        found = point_heights(orientations, ImageRays(station, rays["point"], direction, sigma))
         number = np.maximum(np.bincount(found.index), 1)
         last = h_msl is not None
         h_msl = (found.h_m - np.bincount(found.index, undulation) / number)[found.index]
