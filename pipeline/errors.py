@@ -51,14 +51,7 @@ def in_agreement(text: str) -> str:
 
 
 class UnbendError(Exception):
-    """A refusal with a stable code, a place and a remedy.
-
-    Parameters
-    ----------
-    code : stable upper-case code, for example ``LOG-EMPTY``.
-    what : what is wrong, with the numbers in it.
-    where : the file, line, byte offset, channel or row.
-    remedy : what the user can do.
+    """A refusal: stable ``code``, ``what`` is wrong with its numbers, ``where``, and ``remedy``.
 
     >>> print(LogError("LOG-EMPTY", "the file has 0 bytes", where="a.bin", remedy="copy it again"))
     LOG-EMPTY: the file has 0 bytes

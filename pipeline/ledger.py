@@ -105,9 +105,7 @@ class Ledger:
             self.add(entry)
 
     def accept(self, reasons: Mapping[str, str]) -> tuple[str, ...]:
-        """Make warnings of the findings of some codes; returns the codes that no finding has.
-
-        ``reasons`` by code: why the mission file accepts it.
+        """Make warnings of findings with accepted codes and ``reasons``; the codes of no finding.
 
         >>> ledger = Ledger([finding("PLAUSIBLE-GROUND", "the ground is 400 m off")])
         >>> ledger.accept({"PLAUSIBLE-GROUND": "a gorge"}), ledger.has_losses

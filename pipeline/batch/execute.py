@@ -7,10 +7,11 @@ import re
 import shlex
 from collections.abc import Generator, Iterable, Sequence
 from contextlib import closing
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
-from pipeline.batch.executors import Bug, Executor, Lost, Outcome, Receipt, Task
+from pipeline.batch.executors import Bug, Executor, Lost, Outcome, Task
 from pipeline.batch.store import read_manifest
 from pipeline.errors import ConfigError, MissionError, UnbendError
 from pipeline.exit_codes import EXIT_BUG, EXIT_DONE, EXIT_LOSSES, EXIT_REFUSED
@@ -62,9 +63,9 @@ def shard_of(shard: str | None) -> slice:
     return slice(int(found[1]), None, int(found[2]))
 
 
-def _read(end: Outcome | Receipt | UnbendError | Bug) -> MissionEnd:
+def _read(end: MissionEnd) -> MissionEnd:
     """How a mission ended, with its manifest; refuses results that are not here."""
-    if not isinstance(end, Receipt):
+    if not isinstance(end, Outcome) or not end.fingerprint:
         return end
     try:
         manifest = read_manifest(end.output)
@@ -72,7 +73,7 @@ def _read(end: Outcome | Receipt | UnbendError | Bug) -> MissionEnd:
             raise MissionError.of("RESULTS-ELSEWHERE", end.output, name=end.name)
     except UnbendError as error:
         return error
-    return Outcome(end.name, end.output, manifest, end.exit_code, end.repeated)
+    return replace(end, manifest=manifest, fingerprint="")
 
 
 def shared_outputs(folders: Iterable[tuple[MissionRef, object]]) -> dict[MissionRef, UnbendError]:
@@ -89,9 +90,7 @@ def shared_outputs(folders: Iterable[tuple[MissionRef, object]]) -> dict[Mission
 
 
 def exit_code_of(codes: Sequence[int]) -> int:
-    """The exit code of several missions: 1 for a bug, 6 for a refusal, else the worst done.
-
-    The code of a single mission is returned as it is; without any it is 0.
+    """The exit code of one mission, or of several: 1 for a bug, 6 for a refusal, else the worst.
 
     >>> exit_code_of([0, 3]), exit_code_of([2]), exit_code_of([0, 2]), exit_code_of([6, 1])
     (3, 2, 6, 1)

@@ -20,7 +20,7 @@ import uuid
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
 from queue import Empty, SimpleQueue
@@ -35,24 +35,17 @@ from pipeline.refraction.kernels.threads import usable_cpus
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a mission ended: where its results are, its manifest, and its exit code."""
+    """How a mission ended: where its results are, its manifest, and its exit code.
+
+    From another process a receipt: of the manifest, at ``output``, it has the ``fingerprint``.
+    """
 
     name: str
     output: Path | Place
     manifest: dict[str, Any]
     exit_code: int
     repeated: bool
-
-
-@dataclass(frozen=True)
-class Receipt:
-    """An outcome from another process, in less than a kilobyte: its manifest is at ``output``."""
-
-    name: str
-    output: Path | Place
-    fingerprint: str
-    exit_code: int
-    repeated: bool
+    fingerprint: str = ""
 
 
 @dataclass(frozen=True)
@@ -69,7 +62,7 @@ class Lost:
     how: str
 
 
-TaskEnd = Outcome | Receipt | UnbendError | Bug | Lost
+TaskEnd = Outcome | UnbendError | Bug | Lost
 
 
 def end_of(task: Callable[[], TaskEnd]) -> TaskEnd:
@@ -195,8 +188,7 @@ def serve(idle_s: float = _IDLE_S) -> None:
             task = tasks.get(timeout=idle_s)
             end = end_of(partial(run_pickled, task))
             if isinstance(end, Outcome):
-                fingerprint = str(end.manifest["fingerprint"])
-                end = Receipt(end.name, end.output, fingerprint, end.exit_code, end.repeated)
+                end = replace(end, manifest={}, fingerprint=str(end.manifest["fingerprint"]))
             pickle.dump(end, replies)
             replies.flush()
 

@@ -200,9 +200,7 @@ def code_below(root: Path) -> dict[str, str]:
 
 
 def imported(text: str, package: str = "pipeline") -> set[str]:
-    """Names in a source that may be modules: imported at any place, or written as text.
-
-    ``package`` : the one it lies in, from which relative names count.
+    """Names in a source of a ``package`` that may be modules: imported anywhere, or in texts.
 
     >>> sorted(imported("def f():\\n    from pipeline.ingest import (\\n        log,\\n    )"))
     ['pipeline', 'pipeline.ingest', 'pipeline.ingest.log']

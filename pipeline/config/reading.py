@@ -289,9 +289,7 @@ def refusal_of(
 def merged(defaults: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
     """A mission's own values, and the defaults where it has none; null takes a default away.
 
-    ``{mission}`` in the path of results of the defaults is the name of the mission.
-
-    Values that belong together are all the mission's (`WHOLE`, `LEADING`).
+    ``{mission}`` in a path of results is its name; `WHOLE` and `LEADING` values stay together.
 
     >>> merged({"log": {"path": "a", "max_gap_s": 2.0}, "mount": {"nadir": {"roll_deg": 1.0}}},
     ...        {"log": {"path": "b"}, "mount": {"nadir": {"yaw_deg": 90.0}}})

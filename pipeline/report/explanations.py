@@ -41,8 +41,7 @@ def meanings() -> Mapping[str, Mapping[str, Meaning]]:
 def explain(word: str) -> list[str]:
     """Lines that explain a key (whole or its last part), a code, an exit code or a status.
 
-    Of several keys that end in the word each is explained, up to 8, the rest are listed. Refuses
-    (ConfigError HELP-WORD) a word that is none, with the nearest ones.
+    Of several keys 8 are explained. Refuses (ConfigError HELP-WORD) a word that is none.
 
     >>> explain("4")[0]
     'exit code 4'

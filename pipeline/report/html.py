@@ -98,9 +98,7 @@ class Axes:
         )
 
     def ticks(self, of: Range, most: int, begin_ns: int | None = None) -> list[tuple[float, str]]:
-        """Round values of an axis with their texts, ``most`` or one more.
-
-        ``begin_ns`` [Unix ns] : the values are seconds after it, the texts times of day.
+        """Round values of an axis, texts; times of day of seconds after ``begin_ns`` [Unix ns].
 
         >>> Axes((0, 0, 1, 1), (0.13, 0.42), (0, 1)).ticks((0.13, 0.42), 4)
         [(0.2, '0.2'), (0.3, '0.3'), (0.4, '0.4')]

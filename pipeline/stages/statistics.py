@@ -85,9 +85,7 @@ class Distribution:
         )
 
     def histogram(self, bins: int = 24) -> dict[str, Any]:
-        """Counts in at most ``bins`` equal bins from zero: step of 1, 2 or 5, up to the maximum.
-
-        A value counts in the bin of the middle of its logarithmic bin, 0.25 % off at most.
+        """Counts in at most ``bins`` bins from zero, steps of 1, 2 or 5; values 0.25 % off at most.
 
         >>> distribution = Distribution()
         >>> distribution.add(np.array([0.1, 2.5, 2.6, 9.9]))

@@ -194,11 +194,10 @@ def _heights_of(
     """(n,) heights of points above sea level; those of a first intersection bend the rays."""
     x, y, station = (rays[name] for name in ("x", "y", "station"))
     undulation = np.nan_to_num(stations.h_ellipsoid_m - stations.h_msl_m)[station]
-    h_msl: Array | None = None
-    while True:
+    h_msl = np.full(rays.size, np.nan)
+    for bent in (False, setup.direction == "remove"):
         seen_x, seen_y = x.copy(), y.copy()
-        bent = setup.groups(station) if h_msl is not None and setup.direction == "remove" else ()
-        for rows, camera, profile in bent:
+        for rows, camera, profile in setup.groups(station) if bent else ():
             corrected = correct_observations(
                 x[rows], y[rows], h_msl[rows], station[rows], setup.exposures, camera=camera,
                 table=setup.rays[profile],
@@ -207,7 +206,5 @@ def _heights_of(
         direction, sigma = setup.directions(seen_x, seen_y, station)
         found = point_heights(orientations, ImageRays(station, rays["point"], direction, sigma))
         number = np.maximum(np.bincount(found.index), 1)
-        last = h_msl is not None
         h_msl = (found.h_m - np.bincount(found.index, undulation) / number)[found.index]
-        if last:
-            return h_msl, found
+    return h_msl, found
