@@ -224,7 +224,6 @@ class Inline:
         self._bar = bar
 
     def run(self, tasks: Mapping[MissionRef, Task], *, alone: bool = True) -> Ends:
-        """How each ended, in their order."""
         for mission, task in tasks.items():
             with self._bar(mission.path.stem) as progress:
                 end = end_of(partial(task, progress=progress))

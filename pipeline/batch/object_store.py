@@ -82,7 +82,6 @@ class Place:
 
     @property
     def name(self) -> str:
-        """The last part of the key."""
         return self.key.rpartition("/")[2] or self.bucket
 
     def is_below(self, other: "Place") -> bool:

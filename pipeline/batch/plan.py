@@ -43,7 +43,6 @@ class Plan:
 
     @property
     def libraries(self) -> dict[str, dict[str, str | None]]:
-        """Versions of the libraries that its numbers depend on, by stage."""
         return libraries([item.role for item in self.inputs], self.mission.atmosphere.standard)
 
     @property

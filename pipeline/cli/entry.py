@@ -5,7 +5,6 @@ import signal
 import sys
 import traceback
 from io import StringIO, TextIOWrapper
-from types import FrameType
 
 import typer
 
@@ -24,14 +23,10 @@ _COMMANDS = (guide, missions, physics)
 _USAGE_ERROR: type[Exception] = typer.BadParameter.__bases__[0]
 
 
-def ignore_signal(_: int, __: FrameType | None) -> None:
-    """Handler for signals that arrive during shutdown: do nothing."""
-
-
 def _ignore_further_signals() -> None:
     """By a handler: Python prints a warning if a signal is already pending when SIG_IGN is set."""
     for number in SIGNALS:
-        signal.signal(number, ignore_signal)
+        signal.signal(number, lambda *_: None)
 
 
 def _install_signal_handlers() -> None:

@@ -61,7 +61,6 @@ class MissionRef:
         return (self.campaign, "--mission", name) if self.campaign else (name,)
 
     def load(self) -> Mission:
-        """Read and check the mission file; refuses as `load_mission` does."""
         defaults = json.loads(self.defaults) if self.defaults else None
         if self.own:
             return mission_of(json.loads(self.own), _NO_LINES, self.label, defaults)

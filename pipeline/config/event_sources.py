@@ -74,7 +74,6 @@ class PositionEvents(Section):
 
     @property
     def format_name(self) -> str:
-        """The format, stated or by the ending."""
         return format_of(CAMERA_EVENTS, Path(self.path), self.format)
 
     @property
@@ -140,9 +139,8 @@ class EventsSection(Section):
         """Where the mission file says of which clock the times of the exposures are."""
         if self.csv is None:
             return "events.log" if self.log is not None else "events.positions"
-        return (
-            f"events.csv.columns.{'gps_week' if self.csv.columns.time_utc is None else 'time_utc'}"
-        )
+        column = "gps_week" if self.csv.columns.time_utc is None else "time_utc"
+        return f"events.csv.columns.{column}"
 
     def anchor(self, camera: str) -> FirstImage | None:
         """The image and event that are stated for a camera."""

@@ -28,7 +28,6 @@ from pipeline.units import MICRORADIAN
 
 
 def print_angle(console: Console, angle: Mapping[str, Any]) -> None:
-    """One refraction angle in arcsec, microradians and metres on the ground."""
     arcsec, urad, ground = (
         significant(angle[name], 5, smallest=1e-6)
         for name in ("r_c_arcsec", "r_c_urad", "ground_m")
@@ -69,7 +68,6 @@ def _at_right(columns: Columns) -> list[Column]:
 
 
 def print_profile(console: Console, rows: Sequence[Mapping[str, Any]], standard: str) -> None:
-    """A profile as a table, each quantity beside that of the standard."""
     columns = columns_of("profile")
     table = plain_table((*(head for head, *_ in columns), "source\n"), gap=1)
     table.columns[0].justify, table.columns[-1].justify = "right", "left"
@@ -112,7 +110,6 @@ def radial_rows(tables: Sequence[RadialTable]) -> list[dict[str, Any]]:
 
 
 def print_radial(console: Console, tables: Sequence[RadialTable]) -> None:
-    """Refraction by nadir angle, one table for each flying height."""
     for table in tables:
         manual = (
             "where the Manual's formula has no value"

@@ -100,7 +100,6 @@ Columns = Sequence[tuple[str, str, float, str]]
 
 @cache
 def columns_of(name: str) -> Columns:
-    """The columns of a table of ``columns.toml``."""
     text = (files("pipeline.report") / "data/columns.toml").read_text("utf-8")
     return [tuple(column) for column in tomllib.loads(text)[name]]
 

@@ -280,7 +280,6 @@ def row_without(name: str, exit_code: int | None, code: str, what: str) -> dict[
 
 
 def campaign_table(name: str, rows: Sequence[Mapping[str, Any]]) -> pa.Table:
-    """The rows as a table, with units and meanings."""
     values = [
         {k: datetime.fromisoformat(v) if v and k.endswith("_utc") else v for k, v in row.items()}
         for row in rows

@@ -175,7 +175,6 @@ class TerrainGround:
 def elevation_of_mission(
     plan: Plan, heights: HeightSystem, ledger: Ledger
 ) -> ElevationModel | None:
-    """The elevation model that the mission file names, if any."""
     section, reference = plan.mission.ground.model, plan.mission.ground.reference
     if section is None:
         return None

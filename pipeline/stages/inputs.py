@@ -115,7 +115,7 @@ def read_log(plan: Plan, ledger: Ledger) -> FlightLog:
     trajectory = read_trajectory(plan, channels, ledger)
     elsewhere = () if trajectory is None else replaced_roles(plan, trajectory)
     if log is None and "attitude" not in elsewhere:
-        raise without_attitude("stations.trajectory")
+        raise MissionError.of("STATIONS-ATTITUDE", "stations.trajectory")
     missed = elsewhere if log is not None else ("position", "attitude")
     roles = ledger.take(assign_roles(channels, names, needs_cabin=needs_cabin, elsewhere=missed))
     plausible = {
@@ -198,11 +198,6 @@ def stated_channels(plan: Plan, channels: tuple[Channel, ...]) -> tuple[Channel,
     return channels
 
 
-def without_attitude(where: str) -> MissionError:
-    """The refusal of stations of which nothing gives the attitude."""
-    return MissionError.of("STATIONS-ATTITUDE", where)
-
-
 def user_geoid(plan: Plan) -> GeoidGrid | None:
     """The grid that the mission file names, which a vertical datum other than sea level needs."""
     return None if plan.mission.mission.geoid == "egm96" else geoid_of_mission(plan)
@@ -263,7 +258,7 @@ def read_camera_events(plan: Plan, flight: FlightLog, ledger: Ledger) -> dict[st
             columns = {f"q_{axis}": of_body[:, k] for k, axis in enumerate("wxyz")}
             channel = replace(channel, columns=dict(channel.columns) | columns)
         elif "attitude" not in flight.roles and plan.mission.log is None:
-            raise without_attitude(f"events.positions.{camera}")
+            raise MissionError.of("STATIONS-ATTITUDE", f"events.positions.{camera}")
         events[camera] = channel
         places = "" if source.times_only else f", and where the {source.reference_point} was then"
         what = f"{path.name} says when {camera} was exposed{places}"

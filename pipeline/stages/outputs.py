@@ -48,7 +48,6 @@ def observation_metadata(mission: Mission) -> dict[str, str]:
 
 
 def write_tables(folder: RunFolder, stations: Stations, air: FlightAir) -> None:
-    """Write the stations and the profiles beside the observations."""
     for name, table in (
         ("stations.parquet", table_of_stations(stations, air.series)),
         ("profile.parquet", table_of_profiles(air.adjustment, air.series)),

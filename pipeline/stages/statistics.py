@@ -152,7 +152,6 @@ class ShiftStatistics:
             self.distributions[name].add(values)
 
     def __add__(self, other: ShiftStatistics) -> ShiftStatistics:
-        """Those of other images of the same camera too."""
         both = {name: of + other.distributions[name] for name, of in self.distributions.items()}
         return ShiftStatistics(self.width_px, self.height_px, self.sums + other.sums, both)
 
