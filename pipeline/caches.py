@@ -1,8 +1,6 @@
-"""What is kept only because making it again takes time: compiled code, hashes of inputs,
-states of missions, templates, decoded logs.
+"""What only takes time to make again: compiled code, hashes, states, templates, decoded logs.
 
-All of it lies in one folder of the user's, and none of it is a result: without it everything is
-the same, later.
+All of it lies in one folder of the user's, and none of it is a result.
 """
 
 import json

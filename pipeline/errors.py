@@ -1,7 +1,6 @@
 """Refusals: what is wrong, where, and what to do about it.
 
-Every refusal carries a stable code that a script may match, and has the exit code of the command
-line that it leads to. A refusal is for the user; anything else that escapes is a bug.
+Each has a stable code and an exit code. A refusal is for the user; all else that escapes is a bug.
 """
 
 import re

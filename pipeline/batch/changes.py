@@ -1,9 +1,7 @@
 """Why a mission would run: what differs from the run whose results are there.
 
-Missions that are unchanged by the state of their files are known without reading or parsing any.
-An entry of the index repeats what `run` found when it read everything: that the results of a
-mission are those of its mission file, inputs, code and libraries. It holds as long as inode, size
-and both times of all these files stay, and as long as the program and the libraries do.
+An entry of the index repeats what `run` found when it read everything, as long as inode, size and
+times of its files stay, and the program and libraries do: missions are known without being read.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """Missions on a Dask cluster: a task is one mission, which the worker runs apart.
 
 The death of a mission's process costs that mission, the death of a worker its missions under way,
-which others run again. What a worker gets is a reference to a mission, what it gives a receipt. A
-large mission is made by other workers too; their tasks come after those of missions.
+which others run again. A large mission is made by other workers too, after all missions.
 """
 
 from __future__ import annotations

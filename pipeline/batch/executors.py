@@ -1,8 +1,7 @@
 """Where missions are run: in this process, or in several: side by side, or one in slices.
 
-A mission run apart has a child process, whose death costs that mission and nothing else. The child
-reads tasks from its standard input and answers each with how it ended. It ends with its input: at
-the latest when its parent ends, however that ended, so that none is left behind.
+A mission run apart has a child process, whose death costs that mission alone. The child answers
+each task that it reads with how it ended, and ends with its input: none is left behind.
 """
 
 from __future__ import annotations

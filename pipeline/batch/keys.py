@@ -1,8 +1,7 @@
 """Keys of the stages of a run: what each depends on, so that a change says which begins again.
 
-A key is a hash over the key of the stage before, the inputs and the part of the mission file that
-the stage reads, the libraries its numbers depend on, and the code it reaches: the modules that its
-own modules import, at any place, and the data files beside them.
+A key is a hash over the key of the stage before, the inputs and sections that the stage reads, its
+libraries, and the code it reaches: modules imported at any place, and the data beside them.
 """
 
 import hashlib

@@ -1,7 +1,6 @@
 """Places in object storage: which URLs name them, requests to them, and what a store refuses.
 
-Requests go through obstore (the extra ``cloud``), which is imported when a URL is first used. No
-text of a store is printed, as it may hold a signature: only the code of its answer is.
+By obstore (the extra ``cloud``). No text of a store is printed, as it may hold a signature.
 """
 
 import hashlib

@@ -1,7 +1,6 @@
 """The comparison page: the error of each published method against the spherical ray.
 
-All numbers of the text are computed and rounded, so that it is the same on every machine; the
-picture beside it contains the hash of the text.
+Its numbers are rounded, the same on every machine; the picture contains the hash of the text.
 """
 
 from __future__ import annotations

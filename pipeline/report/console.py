@@ -1,7 +1,6 @@
 """Consoles for texts: as wide as a terminal, or lines as they are for a file or the next program.
 
-What is not a terminal gets no colours, no line breaks inside a sentence and no blanks at the ends
-of lines, so that a line is found by ``grep`` and copied as it is.
+What is not a terminal gets no colours, no broken lines and no blanks at the ends of lines.
 """
 
 import os

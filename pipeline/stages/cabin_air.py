@@ -1,7 +1,6 @@
 """The air in the compartment of a camera at each exposure: its values, its sigmas, what is missing.
 
-A window turns rays by the air behind it. Of that only the pressure has to be known: without a
-thermometer a pressurised cabin is near 21 degC, and the sigma says how near.
+Only its pressure has to be known: without a thermometer a pressurised cabin is near 21 degC.
 """
 
 from collections.abc import Iterable, Mapping

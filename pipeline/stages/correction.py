@@ -1,7 +1,6 @@
 """The correction: batches of observations in, corrected observations out, one part each.
 
-Batches are independent of each other: while one is read, others are corrected and written. What a
-part holds does not depend on how many are in progress.
+Batches are independent: what a part holds does not depend on how many are in progress.
 """
 
 import math
