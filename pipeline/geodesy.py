@@ -140,14 +140,8 @@ def ecef_of_geodetic(latitude_rad: Array, longitude_rad: Array, h_ellipsoid: Arr
     """
     sin_p, cos_p = np.sin(latitude_rad), np.cos(latitude_rad)
     radius = WGS84_A / np.sqrt(1.0 - _E2 * sin_p * sin_p)
-    return np.stack(
-        [
-            (radius + h_ellipsoid) * cos_p * np.cos(longitude_rad),
-            (radius + h_ellipsoid) * cos_p * np.sin(longitude_rad),
-            (radius * (1.0 - _E2) + h_ellipsoid) * sin_p,
-        ],
-        axis=-1,
-    )
+    across, up = (radius + h_ellipsoid) * cos_p, (radius * (1.0 - _E2) + h_ellipsoid) * sin_p
+    return np.stack([across * np.cos(longitude_rad), across * np.sin(longitude_rad), up], axis=-1)
 
 
 def enu_from_ecef(latitude_rad: Array, longitude_rad: Array) -> Array:
@@ -204,15 +198,9 @@ class GeoidGrid:
         known = (y > -1e-6) & (y < rows - 1 + 1e-6) & (x < last + 1e-6)
         row = np.clip(np.where(known, y, 0.0).astype(np.int64), 0, rows - 2)
         column = np.clip(np.where(known, x, 0.0).astype(np.int64), 0, last - 1)
-        beside = (column + 1) % columns
-        values = self.values_m
-        corners = np.array(
-            [
-                [values[row, column], values[row, beside]],
-                [values[row + 1, column], values[row + 1, beside]],
-            ],
-            dtype=np.float64,
-        )
+        across = column, (column + 1) % columns
+        cells = [[self.values_m[north, east] for east in across] for north in (row, row + 1)]
+        corners = np.array(cells, np.float64)
         return np.where(known, corners, np.nan), y - row, x - column
 
     def undulation(self, lat_rad: ArrayLike, lon_rad: ArrayLike) -> Array:
@@ -230,9 +218,8 @@ class GeoidGrid:
         """
         corners, north, east = self._cell(lat_rad, lon_rad)
         lat = np.asarray(lat_rad, np.float64)
-        eastwards = (corners[0, 1] - corners[0, 0]) * (1.0 - north) + (
-            corners[1, 1] - corners[1, 0]
-        ) * north
+        south_side, north_side = corners[0, 1] - corners[0, 0], corners[1, 1] - corners[1, 0]
+        eastwards = south_side * (1.0 - north) + north_side * north
         northwards = (corners[1, 0] - corners[0, 0]) * (1.0 - east) + (
             corners[1, 1] - corners[0, 1]
         ) * east

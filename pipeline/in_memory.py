@@ -178,9 +178,7 @@ def mission_of_tables(
     if "date" in orientation:
         columns.pop("time_utc", None)
     stated: dict[str, Any] = {"frame": "geographic"}
-    for name, angles in _ANGLES.items():
-        if name in known:
-            stated["angles"] = angles
+    stated.update(("angles", angles) for name, angles in _ANGLES.items() if name in known)
     for name, heights in _HEIGHTS.items():
         if name in known and "latitude" in known and "height" not in columns:
             columns["height"], stated["heights"] = name, heights

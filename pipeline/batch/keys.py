@@ -62,14 +62,13 @@ def keys_of(config: Mapping[str, Any], inputs: Mapping[str, str]) -> dict[str, s
     codes, known, before = code_of_stages(), libraries(inputs, config["atmosphere"]["standard"]), ""
     keys = {}
     for stage in STAGES:
+        sections = {n: s for n, s in config.items() if stage_of_key(n) == stage != "ingest"}
         content = {
             "before": before,
             "code": codes[stage],
             "libraries": known[stage],
             "inputs": {r: sha256 for r, sha256 in inputs.items() if stage_of_role(r) == stage},
-            "config": {n: s for n, s in config.items() if stage_of_key(n) == stage}
-            if stage != "ingest"
-            else {},
+            "config": sections,
         }
         text = json.dumps(content, sort_keys=True)
         keys[stage] = before = hashlib.sha256(text.encode()).hexdigest()
@@ -105,13 +104,8 @@ def grids_of_proj() -> str:
     import pyproj
 
     folders = [*pyproj.datadir.get_data_dir().split(os.pathsep), pyproj.datadir.get_user_data_dir()]
-    files = [
-        f"{entry.name} {entry.stat().st_size}"
-        for folder in folders
-        if os.path.isdir(folder)
-        for entry in sorted(os.scandir(folder), key=lambda entry: entry.name)
-        if entry.is_file()
-    ]
+    paths = [path for folder in folders for path in sorted(Path(folder).glob("*"))]
+    files = [f"{path.name} {path.stat().st_size}" for path in paths if path.is_file()]
     digest = hashlib.sha256("\n".join(files).encode()).hexdigest()
     return f"PROJ {pyproj.proj_version_str}, {digest[:16]}"
 

@@ -397,9 +397,8 @@ class CameraSection(Section):
     def needs_cabin_from_log(self) -> bool:
         """Whether a number depends on the cabin's air, and that is to come from the log."""
         cabin = None if self.window is None else self.window.build().cabin
-        if cabin is None or not self.needs_cabin:
-            return False
-        return cabin.source == "log" or cabin.temperature_logged
+        of_log = cabin is not None and (cabin.source == "log" or cabin.temperature_logged)
+        return of_log and self.needs_cabin
 
     def lens(self) -> LensInAir | None:
         """How the principal distance follows the air; None where the file does not state it."""

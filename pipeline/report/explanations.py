@@ -72,13 +72,10 @@ def explain(word: str) -> list[str]:
         near = difflib.get_close_matches(code, known, 3, 0.7)
         last |= {status: status for of in _NUMBERS_AND_STATUSES for status in meanings()[of]}
         near += difflib.get_close_matches(parts[-1], last, 3, 0.6)
-        raise ConfigError(
-            "HELP-WORD",
-            f"{word!r} is no key of a mission file, no code, no exit code and no status",
-            remedy=f"perhaps {', '.join(near)}?"
-            if near
-            else "`unbend schema` has all keys; codes are what the ledger and refusals begin with",
-        )
+        what = f"{word!r} is no key of a mission file, no code, no exit code and no status"
+        rest = "`unbend schema` has all keys; codes are what the ledger and refusals begin with"
+        remedy = f"perhaps {', '.join(near)}?" if near else rest
+        raise ConfigError("HELP-WORD", what, remedy=remedy)
     lines = []
     for key in found[:_MOST_LISTED]:
         lines += [key.path, f"  {key.text}", f"  takes: {key.allowed}", f"  default: {key.default}"]
@@ -88,5 +85,5 @@ def explain(word: str) -> list[str]:
         names = [path[1:] for path in dict.fromkeys(within) if path.count(".") == 1]
         lines += [f"  within it: {', '.join(names)}"] if names else []
         lines.append("")
-    rest = [key.path for key in found[_MOST_LISTED:]]
-    return lines[:-1] + ([f"and: {', '.join(rest)}"] if rest else [])
+    more = [key.path for key in found[_MOST_LISTED:]]
+    return lines[:-1] + ([f"and: {', '.join(more)}"] if more else [])

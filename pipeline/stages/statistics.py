@@ -38,7 +38,7 @@ class Distribution:
 
     >>> distribution = Distribution()
     >>> distribution.add(np.arange(1.0, 1000.0))
-    >>> abs(distribution.median / 500.0 - 1.0) < 0.005, distribution.maximum
+    >>> abs(distribution.quantile(0.5) / 500.0 - 1.0) < 0.005, distribution.maximum
     (True, 999.0)
     """
 
@@ -75,10 +75,6 @@ class Distribution:
         middle = 10.0 ** ((number + 0.5) / _BINS_PER_DECADE + _LOWEST_EXPONENT)
         return float(min(middle, self.maximum))
 
-    @property
-    def median(self) -> float | None:
-        return self.quantile(0.5)
-
     def __add__(self, other: Distribution) -> Distribution:
         return Distribution(
             self.counts + other.counts, max(self.maximum, other.maximum), self.total + other.total
@@ -109,7 +105,7 @@ class Distribution:
 
         return {
             "count": self.total,
-            "median": short(self.median),
+            "median": short(self.quantile(0.5)),
             "p95": short(self.quantile(0.95)),
             "maximum": float(f"{self.maximum:.6g}") if self.total else None,
         }
