@@ -78,10 +78,10 @@ class Cluster:
         self._scheduler = scheduler
 
     def run(self, tasks: Mapping[MissionRef, Task], *, alone: bool = False) -> Ends:
-        """How each mission ended, as soon as it did; ``alone`` changes nothing: workers share it.
+        """How each mission ended, as soon as it did; ``alone`` changes nothing.
 
-        Refuses a scheduler that is not there or has no workers, other versions or files there,
-        and SCHEDULER-LOST.
+        Refuses before any work a scheduler that is not there or has no workers, and workers with
+        other versions or without its files; SCHEDULER-LOST where it goes away.
         """
         # The main thread waits for nothing but these ends, so that a signal leaves no lock behind.
         ends: SimpleQueue[tuple[MissionRef, TaskEnd] | Exception] = SimpleQueue()
@@ -146,7 +146,7 @@ class Cluster:
 
 @dataclass(frozen=True)
 class ClusterHelpers:
-    """The workers of a mission's scheduler, of these ``versions``, for ``fewest`` parts or more."""
+    """The workers of a mission's scheduler, of ``versions``, if it has ``fewest`` parts or more."""
 
     scheduler: str
     command: str

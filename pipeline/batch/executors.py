@@ -85,7 +85,7 @@ _SERVE = "from pipeline.batch.executors import serve; serve()"
 
 
 class Child:
-    """A process that runs a task at a time, of so many ``threads``; it imports ``module`` first."""
+    """A process that runs a task at a time, on ``threads`` or all; it imports ``module`` first."""
 
     def __init__(self, threads: int | None = None, module: str = __name__) -> None:
         self._threads, self._module = threads, module

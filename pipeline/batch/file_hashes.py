@@ -45,7 +45,7 @@ class Input:
 
 
 def stamp(path: str | Path) -> list[int] | None:
-    """Device, inode, size, times of content and status [ns] of a file or link; None without."""
+    """Device, inode, size, times of content and status [ns] of a file, links followed; or None."""
     try:
         s = os.stat(path)
     except OSError:

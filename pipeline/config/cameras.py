@@ -409,7 +409,7 @@ class CameraSection(Section):
         return self.principal_distance.build(min(camera.fx_px, camera.fy_px))
 
     def build(self, pixel_origin: PixelOrigin = "corner") -> Camera:
-        """The camera, its file read, in COLMAP's pixels; ``pixel_origin`` is the default."""
+        """The camera in COLMAP's pixels, when its file is read; ``pixel_origin`` is the default."""
         width, height = self.width_px or 0, self.height_px or 0
         pixels = PixelSystem(self.pixel_origin or pixel_origin)
         if self.metric is not None:

@@ -136,7 +136,7 @@ def _tell_order(fallen: int, channel: Channel, ledger: Ledger) -> None:
 
 @dataclass(frozen=True, eq=False)
 class StationBuilder:
-    """Makes stations of one camera at any times; ``offsets`` : a file of ways to the antenna."""
+    """Makes stations of one camera at any times; ``offsets`` : a file of ways from the antenna."""
 
     camera: str
     roles: Mapping[str, Channel]

@@ -120,7 +120,7 @@ _COLUMNS, _ROWS = 14, 10
 
 @dataclass
 class ShiftStatistics:
-    """Corrections in a camera's images; ``sums`` (3, 10, 14) of dx, dy [px] and points a cell."""
+    """Corrections in a camera's images; ``sums`` (3, 10, 14) of dx, dy [px] and points in cells."""
 
     width_px: int
     height_px: int

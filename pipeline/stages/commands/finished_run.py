@@ -96,7 +96,7 @@ def air_of(table: pa.Table, profile_id: pa.ChunkedArray) -> ProfileSeries:
 
 
 def profile_of(table: pa.Table) -> Profile:
-    """The profile from ``profile.parquet`` of one; its refractivity to 1e-15 of itself."""
+    """The profile from ``profile.parquet`` with one; its refractivity to 1e-15 of itself."""
     metadata = {key.decode(): value.decode() for key, value in table.schema.metadata.items()}
 
     def column(name: str) -> Array:

@@ -191,7 +191,7 @@ def with_intersected_heights(
 def _heights_of(
     rays: NDArray[np.void], setup: CorrectionSetup, stations: Stations, orientations: Orientations
 ) -> tuple[Array, PointHeights]:
-    """(n,) heights of points above sea level; those of a first intersection bend the rays."""
+    """(n,) heights of points above sea level; a first intersection says how rays are bent."""
     x, y, station = (rays[name] for name in ("x", "y", "station"))
     undulation = np.nan_to_num(stations.h_ellipsoid_m - stations.h_msl_m)[station]
     h_msl = np.full(rays.size, np.nan)
