@@ -73,11 +73,11 @@ def codes_of(table: str) -> str:
     if table == "exit":
         rows = [
             f"| {code} | {escaped(e.means)} | {escaped(e.effect)} | {escaped(e.remedy)} |"
-            for code, e in explanations.exit_codes().items()
+            for code, e in explanations.meanings()["exit"].items()
         ]
         return "\n".join(["| code | means | the results | to do |", "|---|---|---|---|", *rows])
     lines: list[str] = []
-    for code, entry in explanations.codes().items():
+    for code, entry in sorted(explanations.meanings()["codes"].items()):
         word = code.split("-")[0]
         if f"## {word}" not in lines:
             lines.append(f"## {word}")

@@ -1,8 +1,6 @@
-"""What is kept only because making it again takes time: compiled code, hashes of inputs,
-states of missions, templates, decoded logs.
+"""What only takes time to make again: compiled code, hashes, states, templates, decoded logs.
 
-All of it lies in one folder of the user's, and none of it is a result: without it everything is
-the same, later.
+All of it lies in one folder of the user's, and none of it is a result.
 """
 
 import json
@@ -17,6 +15,8 @@ from typing import Any
 
 OF_COMPILED = re.compile(r"unbend-[0-9a-f]{16}")
 """Names of the folders of compiled code, one for each state of the sources."""
+
+_OF_VALUES = re.compile(r"\.?(log|flown)-[0-9a-f]{64}(\.\d+)?")
 
 
 def user_cache() -> str:
@@ -52,10 +52,7 @@ def read_entry(name: str, key: str) -> Any:
 
 
 def write_entries(name: str, entries: Mapping[str, Any], most: int) -> None:
-    """Keep what JSON can hold by its keys in a database of the cache, if one can be written.
-
-    Of more than ``most`` those that were written longest ago are forgotten.
-    """
+    """Keep entries as JSON in a database, if one can be written, the ``most`` newest of them."""
     import sqlite3
 
     with suppress(sqlite3.Error, OSError), _database(user_cache(), name) as database:
@@ -84,11 +81,7 @@ def cached() -> Iterator[tuple[str, str]]:
         (parsed_templates(), "templates", re.compile(r"[\w-]+\.jinja")),
         (user_cache(), "states of missions", re.compile(r"missions\.sqlite(-\w+)?")),
         (user_cache(), "copies of inputs", re.compile("copies")),
-        (
-            kept_values(),
-            "decoded logs and figures",
-            re.compile(r"\.?(log|flown)-[0-9a-f]{64}(\.\d+)?"),
-        ),
+        (kept_values(), "decoded logs and figures", _OF_VALUES),
         (os.path.join(user_cache(), "results"), "results to be published", re.compile(".{32}")),
     ):
         names = sorted(os.listdir(folder)) if os.path.isdir(folder) else []
@@ -125,10 +118,7 @@ def size_of(path: str) -> int:
 
 
 def empty_caches() -> list[dict[str, str | int]]:
-    """Remove all that is kept; what it was, where, and its size in bytes. OSError where it stays.
-
-    Runs that are under way go on, and keep what they make afterwards.
-    """
+    """Remove all that is kept; what it was, where, its bytes. OSError where it stays."""
     removed: list[dict[str, str | int]] = []
     for what, path in list(cached()):
         size = size_of(path)

@@ -1,7 +1,6 @@
 """Refusals: what is wrong, where, and what to do about it.
 
-Every refusal carries a stable code that a script may match, and has the exit code of the command
-line that it leads to. A refusal is for the user; anything else that escapes is a bug.
+Each has a stable code and an exit code. A refusal is for the user; all else that escapes is a bug.
 """
 
 import re
@@ -51,14 +50,7 @@ def in_agreement(text: str) -> str:
 
 
 class UnbendError(Exception):
-    """A refusal with a stable code, a place and a remedy.
-
-    Parameters
-    ----------
-    code : stable upper-case code, for example ``LOG-EMPTY``.
-    what : what is wrong, with the numbers in it.
-    where : the file, line, byte offset, channel or row.
-    remedy : what the user can do.
+    """A refusal: stable ``code``, ``what`` is wrong with its numbers, ``where``, and ``remedy``.
 
     >>> print(LogError("LOG-EMPTY", "the file has 0 bytes", where="a.bin", remedy="copy it again"))
     LOG-EMPTY: the file has 0 bytes

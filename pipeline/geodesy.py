@@ -19,13 +19,10 @@ _G_EQUATOR, _SOMIGLIANA, _CENTRIFUGAL = 9.7803253359, 0.00193185265241, 0.003449
 
 @dataclass(frozen=True)
 class Gravity:
-    """The two constants that turn a height into a geopotential height.
+    """What turns a height into a geopotential height: ``g_phi``, gravity at sea level [m s-2], and
+    ``r_phi``, the effective radius [m] by which it falls off.
 
-    Parameters
-    ----------
-    g_phi : gravity at sea level [m s-2].
-    r_phi : effective radius of the earth [m], chosen so that gravity falls off as it really does.
-    latitude_rad : where, or None for a standard atmosphere with constants of its own.
+    ``latitude_rad`` : where, or None for a standard atmosphere with constants of its own.
     """
 
     g_phi: float
@@ -74,8 +71,7 @@ def normal_gravity(latitude_rad: float) -> Gravity:
     """WGS84 normal gravity at the ellipsoid, and the effective radius by which it falls off.
 
     Valid at all latitudes; pressure integrated with it stays within 1e-6 of itself up to 25 km.
-    Source: Somigliana's formula and the free-air gradient at the ellipsoid (NIMA TR8350.2, 4-1
-    and 4-3).
+    Source: Somigliana's formula and its free-air gradient (NIMA TR8350.2, 4-1 and 4-3).
 
     >>> gravity = normal_gravity(0.7853981633974483)
     >>> round(gravity.g_phi, 5), round(gravity.r_phi)
@@ -88,10 +84,9 @@ def normal_gravity(latitude_rad: float) -> Gravity:
 
 
 def euler_radius(latitude_rad: ArrayLike, azimuth_rad: ArrayLike) -> Array:
-    """Radius of curvature [m] of the WGS84 ellipsoid in an azimuth, by Euler's formula.
+    """Radius of curvature [m] of the WGS84 ellipsoid in an azimuth from north, by Euler's formula.
 
-    ``latitude_rad`` and ``azimuth_rad`` (clockwise from north) broadcast. At a pole every azimuth
-    gives the polar radius of curvature.
+    At a pole every azimuth gives the polar radius of curvature. Arguments broadcast.
 
     >>> euler_radius(0.0, [0.0, 1.5707963267948966]).round(1).tolist()
     [6335439.3, 6378137.0]
@@ -116,11 +111,9 @@ def principal_radii(latitude_rad: ArrayLike) -> tuple[Array, Array]:
 def offset_geodetic(
     latitude_rad: Array, longitude_rad: Array, h_ellipsoid: Array, enu: Array
 ) -> tuple[Array, Array, Array]:
-    """Geodetic position reached by a small step in east, north and up.
+    """Geodetic position [rad, in -pi to pi] reached by a small step in east, north and up.
 
-    ``enu`` is (n, 3) [m]; exact to 1 mm for steps below 1 km, computed in earth-centred
-    coordinates, so poles and the 180th meridian are no special case. Longitudes return in
-    [-pi, pi].
+    ``enu`` (n, 3) [m]; exact to 1 mm for steps below 1 km, at poles and the 180th meridian too.
     """
     point = ecef_of_geodetic(latitude_rad, longitude_rad, h_ellipsoid)
     axes = enu_from_ecef(latitude_rad, longitude_rad)
@@ -152,21 +145,12 @@ def ecef_of_geodetic(latitude_rad: Array, longitude_rad: Array, h_ellipsoid: Arr
     """
     sin_p, cos_p = np.sin(latitude_rad), np.cos(latitude_rad)
     radius = WGS84_A / np.sqrt(1.0 - _E2 * sin_p * sin_p)
-    return np.stack(
-        [
-            (radius + h_ellipsoid) * cos_p * np.cos(longitude_rad),
-            (radius + h_ellipsoid) * cos_p * np.sin(longitude_rad),
-            (radius * (1.0 - _E2) + h_ellipsoid) * sin_p,
-        ],
-        axis=-1,
-    )
+    across, up = (radius + h_ellipsoid) * cos_p, (radius * (1.0 - _E2) + h_ellipsoid) * sin_p
+    return np.stack([across * np.cos(longitude_rad), across * np.sin(longitude_rad), up], axis=-1)
 
 
 def enu_from_ecef(latitude_rad: Array, longitude_rad: Array) -> Array:
-    """(n, 3, 3) rotations from earth-centred axes to east, north, up at (n,) places.
-
-    The vertical turns with the place: 324 arcsec per 10 km.
-    """
+    """(n, 3, 3) rotations from earth-centred axes to east, north, up at (n,) places."""
     sin_p, cos_p = np.sin(latitude_rad), np.cos(latitude_rad)
     sin_l, cos_l = np.sin(longitude_rad), np.cos(longitude_rad)
     east = np.stack([-sin_l, cos_l, np.zeros_like(sin_l)], axis=-1)
@@ -176,10 +160,7 @@ def enu_from_ecef(latitude_rad: Array, longitude_rad: Array) -> Array:
 
 
 def geodetic_of_ecef(x: Array, y: Array, z: Array) -> tuple[Array, Array, Array]:
-    """Latitude, longitude [rad] and ellipsoidal height [m] of earth-centred coordinates.
-
-    Bowring's formula iterated three times: 1e-12 rad and 1e-6 m from -10 km to 100 km.
-    """
+    """Latitude, longitude [rad], ellipsoidal height [m]: 1e-12 rad, 1e-6 m from -10 to 100 km."""
     p = np.hypot(x, y)
     b = WGS84_A * (1.0 - WGS84_F)
     beta = np.arctan2(z, (1.0 - WGS84_F) * p)
@@ -198,15 +179,9 @@ def geodetic_of_ecef(x: Array, y: Array, z: Array) -> tuple[Array, Array, Array]
 
 @dataclass(frozen=True, eq=False)
 class GeoidGrid:
-    """Undulations on a grid of geographic coordinates.
+    """Undulations on a grid: ellipsoidal minus orthometric ``values_m`` (rows, columns) [m].
 
-    Parameters
-    ----------
-    name : of the geoid and its grid.
-    values_m : (rows, columns) ellipsoidal minus orthometric height [m], from the south-west corner
-        to the north and east; NaN where unknown.
-    south_deg, west_deg : the place of the first value.
-    step_lat_deg, step_lon_deg : between rows and between columns.
+    From the south-west corner (``south_deg``, ``west_deg``) to the north and east, NaN unknown.
     """
 
     name: str
@@ -228,39 +203,28 @@ class GeoidGrid:
         known = (y > -1e-6) & (y < rows - 1 + 1e-6) & (x < last + 1e-6)
         row = np.clip(np.where(known, y, 0.0).astype(np.int64), 0, rows - 2)
         column = np.clip(np.where(known, x, 0.0).astype(np.int64), 0, last - 1)
-        beside = (column + 1) % columns
-        values = self.values_m
-        corners = np.array(
-            [
-                [values[row, column], values[row, beside]],
-                [values[row + 1, column], values[row + 1, beside]],
-            ],
-            dtype=np.float64,
-        )
+        across = column, (column + 1) % columns
+        cells = [[self.values_m[north, east] for east in across] for north in (row, row + 1)]
+        corners = np.array(cells, np.float64)
         return np.where(known, corners, np.nan), y - row, x - column
 
     def undulation(self, lat_rad: ArrayLike, lon_rad: ArrayLike) -> Array:
-        """Undulation [m] at places [rad] that broadcast; NaN outside the grid and in its holes.
-
-        Bilinear, as PROJ's vgridshift; continuous over the date line and at the poles.
-        """
+        """Bilinear undulation [m] at places [rad] that broadcast; NaN outside and in holes."""
         corners, north, east = self._cell(lat_rad, lon_rad)
         south_side = corners[0, 0] * (1.0 - east) + corners[0, 1] * east
         north_side = corners[1, 0] * (1.0 - east) + corners[1, 1] * east
         return np.asarray(south_side * (1.0 - north) + north_side * north)
 
     def deflection(self, lat_rad: ArrayLike, lon_rad: ArrayLike) -> tuple[Array, Array]:
-        """Deflection of the vertical to the north (xi) and to the east (eta), [rad] all.
+        """Deflection of the vertical to the north (xi) and east (eta), [rad] all; not at poles.
 
-        The zenith of the plumb line lies north and east of the ellipsoid's: minus the slopes of
-        the geoid (Heiskanen & Moritz 1967, Eq. 2-204). Of the cell of the grid: EGM96 at 15
-        minutes smooths over some 28 km, in mountains by several arcseconds. None at the poles.
+        Minus the slopes of the geoid (Heiskanen & Moritz 1967, Eq. 2-204) in a cell: EGM96 at 15
+        minutes smooths over some 28 km, in mountains by several arcseconds.
         """
         corners, north, east = self._cell(lat_rad, lon_rad)
         lat = np.asarray(lat_rad, np.float64)
-        eastwards = (corners[0, 1] - corners[0, 0]) * (1.0 - north) + (
-            corners[1, 1] - corners[1, 0]
-        ) * north
+        south_side, north_side = corners[0, 1] - corners[0, 0], corners[1, 1] - corners[1, 0]
+        eastwards = south_side * (1.0 - north) + north_side * north
         northwards = (corners[1, 0] - corners[0, 0]) * (1.0 - east) + (
             corners[1, 1] - corners[0, 1]
         ) * east

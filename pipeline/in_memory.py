@@ -1,7 +1,6 @@
 """The correction as a library: tables in memory in, the table of a run out.
 
-It is a run: a mission of the tables is prepared, checked and corrected by the story's steps. The
-tables are handed over as files in a folder that is removed, because that is what a run reads.
+It is a run, by the story's steps, of tables that are handed over as files in a folder for it.
 """
 
 import json
@@ -37,7 +36,7 @@ from pipeline.refraction.kernels.moments import WORTH_A_TABLE
 from pipeline.refraction.kernels.terrain import extremes_of_tile
 from pipeline.refraction.target_heights import terrain_heights
 from pipeline.refraction.window import refract_at_window
-from pipeline.report.progress import NoProgress
+from pipeline.report.progress import Progress
 from pipeline.stages.commands.finished_run import air_of, stations_of
 from pipeline.stages.correction import CorrectionSetup, correct_stream
 from pipeline.stages.outputs import observation_metadata
@@ -67,7 +66,6 @@ class TablesInMemory:
         """None: each part is made."""
 
     def write(self, number: int, table: pa.Table, statistics: Statistics) -> None:
-        """Keep a part."""
         self.tables[number] = table
 
 
@@ -126,7 +124,7 @@ def correct(
             if own is not None:
                 from_run = mission.stations.model_copy(update={"orientation": None})
                 mission = mission.model_copy(update={"log": None, "stations": from_run})
-            prepared = prepare_mission(make_plan(mission, Path.cwd()), NoProgress(), stations=own)
+            prepared = prepare_mission(make_plan(mission, Path.cwd()), Progress(), stations=own)
             if not isinstance(profile, str | Mapping):
                 air = air_of_stations(profile, placed, prepared.stations)
                 prepared = replace(prepared, air=air)
@@ -135,7 +133,7 @@ def correct(
                 return correct_stream(
                     prepared.observations, setup, TablesInMemory(tables),
                     batch_rows=mission.output.batch_rows, metadata=observation_metadata(mission),
-                    progress=NoProgress().advance,
+                    progress=Progress().advance,
                 )  # fmt: skip
 
             manifest = correct_mission(prepared, correct_all).manifest
@@ -180,9 +178,7 @@ def mission_of_tables(
     if "date" in orientation:
         columns.pop("time_utc", None)
     stated: dict[str, Any] = {"frame": "geographic"}
-    for name, angles in _ANGLES.items():
-        if name in known:
-            stated["angles"] = angles
+    stated.update(("angles", angles) for name, angles in _ANGLES.items() if name in known)
     for name, heights in _HEIGHTS.items():
         if name in known and "latitude" in known and "height" not in columns:
             columns["height"], stated["heights"] = name, heights
@@ -258,10 +254,7 @@ class _FlatGround:
 
 
 def compile_kernels() -> None:
-    """Compile all that runs may need into the cache: half a minute of one CPU, 3 MB.
-
-    Each model of cameras with its standard deviations, rays of all kinds, and over a terrain.
-    """
+    """Compile all that runs may need into the cache: half a minute of one CPU, 3 MB."""
     n = WORTH_A_TABLE + 1
     air, row, one = standard_atmosphere("us1976"), np.zeros(n, np.int64), np.ones(1)
     outside, table = np.full(1, 2e-4), refraction.ray_table(air)

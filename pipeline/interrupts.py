@@ -18,9 +18,8 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM)
 def held_back() -> Iterator[Callable[[], None]]:
     """Keep Ctrl-C and SIGTERM back until the block calls the function it is given, or ends.
 
-    Then the first signal that came is passed to the handler that was installed before. A signal
-    without a handler has its usual effect; in other threads than the main one, which receive no
-    signals, nothing changes.
+    Then the handler that was installed before gets the first that came, or it has its usual effect.
+    In other threads than the main one nothing changes.
 
     >>> with held_back() as deliver:
     ...     deliver()  # nothing came

@@ -1,7 +1,4 @@
-"""The ledger: what was read, repaired, assumed, skipped and lost, and where.
-
-Every stage adds to it, nothing is removed from it, and it ends in the manifest and the report.
-"""
+"""The ledger: what every stage read, repaired, assumed, skipped and lost, and where."""
 
 from __future__ import annotations
 
@@ -25,11 +22,7 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True, order=True)
 class Entry:
-    """One line of the ledger.
-
-    ``code`` is stable (``BARO-RANGE``); ``where`` a channel, file and byte offset, or column;
-    ``count`` how many messages, bytes, samples or rows it is about.
-    """
+    """A line: stable ``code``, ``where`` (channel, byte offset, column), ``count`` of items."""
 
     kind: Kind
     code: str
@@ -49,10 +42,7 @@ Notes = tuple[Entry, ...]
 
 
 class _Make(Protocol):
-    """Makes an entry: with its text, or that of its key (CODE or CODE/word) in ``texts.toml``.
-
-    The values fill in that text, ``where`` and ``count`` among them.
-    """
+    """Makes an entry: with its text, or that of its key (CODE or CODE/word), filled in."""
 
     def __call__(
         self, key: str, what: str = "", *, where: str = "", count: int = 0, **values: object
@@ -115,9 +105,7 @@ class Ledger:
             self.add(entry)
 
     def accept(self, reasons: Mapping[str, str]) -> tuple[str, ...]:
-        """Make warnings of the findings of some codes; returns the codes that no finding has.
-
-        ``reasons`` by code: why the mission file accepts it.
+        """Make warnings of findings with accepted codes and ``reasons``; the codes of no finding.
 
         >>> ledger = Ledger([finding("PLAUSIBLE-GROUND", "the ground is 400 m off")])
         >>> ledger.accept({"PLAUSIBLE-GROUND": "a gorge"}), ledger.has_losses

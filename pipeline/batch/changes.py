@@ -1,9 +1,7 @@
 """Why a mission would run: what differs from the run whose results are there.
 
-Missions that are unchanged by the state of their files are known without reading or parsing any.
-An entry of the index repeats what `run` found when it read everything: that the results of a
-mission are those of its mission file, inputs, code and libraries. It holds as long as inode, size
-and both times of all these files stay, and as long as the program and the libraries do.
+An entry of the index repeats what `run` found when it read everything, as long as inode, size and
+times of its files stay, and the program and libraries do: missions are known without being read.
 """
 
 from __future__ import annotations
@@ -44,19 +42,14 @@ from pipeline.tables.imports.blocks import BLOCKS
 
 
 def reasons_to_run(plan: Plan, manifest: Mapping[str, Any]) -> list[str]:
-    """Why the results of a manifest are not those of a plan, whole and unchanged; else empty.
-
-    Contents of the parts of observations are not read.
-    """
+    """Why a manifest's results are not a plan's, whole and unchanged; contents are not read."""
     return changes_since(plan, manifest) or find_damage(plan.output, dict(manifest), read=False)
 
 
 def changes_since(plan: Plan, manifest: Mapping[str, Any]) -> list[str]:
-    """What differs between a plan and the run of a manifest, one sentence part each.
+    """What differs between a plan and the run of a manifest, by the stage that begins again for it.
 
-    Each by the stage that begins again for it, these in their order: inputs by their role, keys of
-    the mission file with both values, the program, its libraries. Empty where fingerprints agree.
-    The last one says where the log is still known as it was decoded, or the corrections stay.
+    Empty where fingerprints agree. The last one says where the log or the corrections stay known.
     """
     if manifest["fingerprint"] == plan.fingerprint:
         return []
@@ -173,10 +166,9 @@ def look_up(refs: Iterable[MissionRef]) -> dict[MissionRef, IndexEntry]:
 
 
 def remember(refs: Iterable[MissionRef], describe: Callable[[Row], Row]) -> None:
-    """Keep which of these missions are unchanged, after everything was compared as `run` does.
+    """Keep which missions are unchanged, compared as `run` does; ``describe`` : their rows.
 
-    ``describe`` makes the row of a manifest. Not kept is a mission with inputs that are folders or
-    blocks or lie in an object store, nor one of which a file changed in the last two seconds.
+    None with folders, blocks or URLs as inputs, nor one that changed in the last two seconds.
     """
     program, entries = _program(), {}
     for ref in refs:

@@ -1,8 +1,7 @@
 """Missions on a Dask cluster: a task is one mission, which the worker runs apart.
 
 The death of a mission's process costs that mission, the death of a worker its missions under way,
-which others run again. What a worker gets is a reference to a mission, what it gives a receipt. A
-large mission is made by other workers too; their tasks come after those of missions.
+which others run again. A large mission is made by other workers too, after all missions.
 """
 
 from __future__ import annotations
@@ -79,11 +78,10 @@ class Cluster:
         self._scheduler = scheduler
 
     def run(self, tasks: Mapping[MissionRef, Task], *, alone: bool = False) -> Ends:
-        """How each mission ended, as soon as it did.
+        """How each mission ended, as soon as it did; ``alone`` changes nothing.
 
-        Refuses, before any work: a scheduler that is not there or has no workers, and workers that
-        have other versions than this process or not its files. SCHEDULER-LOST where it goes away.
-        ``alone`` changes nothing: the memory of a machine is shared out by its workers.
+        Refuses before any work a scheduler that is not there or has no workers, and workers with
+        other versions or without its files; SCHEDULER-LOST where it goes away.
         """
         # The main thread waits for nothing but these ends, so that a signal leaves no lock behind.
         ends: SimpleQueue[tuple[MissionRef, TaskEnd] | Exception] = SimpleQueue()
@@ -148,10 +146,7 @@ class Cluster:
 
 @dataclass(frozen=True)
 class ClusterHelpers:
-    """The workers of the scheduler that a mission came from, for one of ``fewest`` parts or more.
-
-    ``versions`` are those that a worker must have.
-    """
+    """The workers of a mission's scheduler, of ``versions``, if it has ``fewest`` parts or more."""
 
     scheduler: str
     command: str
@@ -160,10 +155,7 @@ class ClusterHelpers:
 
     @contextmanager
     def workers(self, module: str, parts: int) -> Iterator[list[Worker]]:
-        """One for each thread of the workers; none where the scheduler has gone.
-
-        That of the mission's own thread never begins.
-        """
+        """One for each thread of the workers; none where the scheduler has gone."""
         client: Any = None
         if parts >= self.fewest:
             with suppress(ConfigError, ImportError):
@@ -295,10 +287,7 @@ def run_here(versions: Mapping[str, str], task: Callable[..., TaskEnd]) -> TaskE
 
 
 def run_apart(command: str, task: bytes, threads: int | None = None) -> TaskEnd:
-    """On a worker of so many ``threads``: run a pickled task in a process that is free.
-
-    The folder of a mission whose worker died is free a moment later: it is waited for.
-    """
+    """On a worker of so many ``threads``: run a pickled task in a free process."""
     if threads is None:
         from distributed import get_worker
 

@@ -7,10 +7,11 @@ import re
 import shlex
 from collections.abc import Generator, Iterable, Sequence
 from contextlib import closing
+from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING
 
-from pipeline.batch.executors import Bug, Executor, Lost, Outcome, Receipt, Task
+from pipeline.batch.executors import Bug, Executor, Lost, Outcome, Task
 from pipeline.batch.store import read_manifest
 from pipeline.errors import ConfigError, MissionError, UnbendError
 from pipeline.exit_codes import EXIT_BUG, EXIT_DONE, EXIT_LOSSES, EXIT_REFUSED
@@ -19,24 +20,15 @@ if TYPE_CHECKING:
     from pipeline.config.campaign import MissionRef
 
 
-class RunMission(Protocol):
-    """Runs one mission."""
-
-    def __call__(
-        self, mission: MissionRef, /, *, progress: Any = None, helpers: Any = None
-    ) -> Outcome: ...
-
-
 MissionEnd = Outcome | UnbendError | Bug
 
 
 def run_many(
-    run_mission: RunMission, missions: Sequence[MissionRef], executor: Executor
+    run_mission: Task, missions: Sequence[MissionRef], executor: Executor
 ) -> Generator[tuple[MissionRef, MissionEnd]]:
     """Run missions; yields how each ended, as soon as it did.
 
-    A mission whose process dies is run a second time, alone; if that dies too it is refused, with
-    the command that repeats it (WORKER-LOST).
+    One whose process dies is run again, alone; then refused with its command (WORKER-LOST).
     """
     tasks: dict[MissionRef, Task] = {ref: partial(run_mission, ref) for ref in missions}
     lost: dict[MissionRef, Lost] = {}
@@ -71,9 +63,9 @@ def shard_of(shard: str | None) -> slice:
     return slice(int(found[1]), None, int(found[2]))
 
 
-def _read(end: Outcome | Receipt | UnbendError | Bug) -> MissionEnd:
+def _read(end: MissionEnd) -> MissionEnd:
     """How a mission ended, with its manifest; refuses results that are not here."""
-    if not isinstance(end, Receipt):
+    if not isinstance(end, Outcome) or not end.fingerprint:
         return end
     try:
         manifest = read_manifest(end.output)
@@ -81,14 +73,11 @@ def _read(end: Outcome | Receipt | UnbendError | Bug) -> MissionEnd:
             raise MissionError.of("RESULTS-ELSEWHERE", end.output, name=end.name)
     except UnbendError as error:
         return error
-    return Outcome(end.name, end.output, manifest, end.exit_code, end.repeated)
+    return replace(end, manifest=manifest, fingerprint="")
 
 
 def shared_outputs(folders: Iterable[tuple[MissionRef, object]]) -> dict[MissionRef, UnbendError]:
-    """Missions whose results would be written to the folder of an earlier one.
-
-    Folders are compared after symbolic links are resolved, and on Windows without case.
-    """
+    """Missions whose results would go to the folder of an earlier one; links are resolved."""
     first_of: dict[str, int] = {}
     refused: dict[MissionRef, UnbendError] = {}
     listed = list(folders)
@@ -101,9 +90,7 @@ def shared_outputs(folders: Iterable[tuple[MissionRef, object]]) -> dict[Mission
 
 
 def exit_code_of(codes: Sequence[int]) -> int:
-    """The exit code of several missions: 1 for a bug, 6 for a refusal, else the worst done.
-
-    The code of a single mission is returned as it is; without any it is 0.
+    """The exit code of one mission, or of several: 1 for a bug, 6 for a refusal, else the worst.
 
     >>> exit_code_of([0, 3]), exit_code_of([2]), exit_code_of([0, 2]), exit_code_of([6, 1])
     (3, 2, 6, 1)

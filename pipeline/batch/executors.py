@@ -1,8 +1,7 @@
 """Where missions are run: in this process, or in several: side by side, or one in slices.
 
-A mission run apart has a child process, whose death costs that mission and nothing else. The child
-reads tasks from its standard input and answers each with how it ended. It ends with its input: at
-the latest when its parent ends, however that ended, so that none is left behind.
+A mission run apart has a child process, whose death costs that mission alone. The child answers
+each task that it reads with how it ended, and ends with its input: none is left behind.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ import uuid
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
 from queue import Empty, SimpleQueue
@@ -35,24 +34,17 @@ from pipeline.refraction.kernels.threads import usable_cpus
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a mission ended: where its results are, its manifest, and its exit code."""
+    """How a mission ended: where its results are, its manifest, and its exit code.
+
+    From another process a receipt: of the manifest, at ``output``, it has the ``fingerprint``.
+    """
 
     name: str
     output: Path | Place
     manifest: dict[str, Any]
     exit_code: int
     repeated: bool
-
-
-@dataclass(frozen=True)
-class Receipt:
-    """An outcome from another process, in less than a kilobyte: its manifest is at ``output``."""
-
-    name: str
-    output: Path | Place
-    fingerprint: str
-    exit_code: int
-    repeated: bool
+    fingerprint: str = ""
 
 
 @dataclass(frozen=True)
@@ -69,7 +61,7 @@ class Lost:
     how: str
 
 
-TaskEnd = Outcome | Receipt | UnbendError | Bug | Lost
+TaskEnd = Outcome | UnbendError | Bug | Lost
 
 
 def end_of(task: Callable[[], TaskEnd]) -> TaskEnd:
@@ -93,11 +85,7 @@ _SERVE = "from pipeline.batch.executors import serve; serve()"
 
 
 class Child:
-    """A process that runs one task at a time; started when it is needed, or before.
-
-    ``threads`` : how many it may use, None for as many as there are CPUs; ``module`` : what it
-    imports before its first task.
-    """
+    """A process that runs a task at a time, on ``threads`` or all; it imports ``module`` first."""
 
     def __init__(self, threads: int | None = None, module: str = __name__) -> None:
         self._threads, self._module = threads, module
@@ -199,8 +187,7 @@ def serve(idle_s: float = _IDLE_S) -> None:
             task = tasks.get(timeout=idle_s)
             end = end_of(partial(run_pickled, task))
             if isinstance(end, Outcome):
-                fingerprint = str(end.manifest["fingerprint"])
-                end = Receipt(end.name, end.output, fingerprint, end.exit_code, end.repeated)
+                end = replace(end, manifest={}, fingerprint=str(end.manifest["fingerprint"]))
             pickle.dump(end, replies)
             replies.flush()
 
@@ -226,10 +213,7 @@ class Executor(Protocol):
     """Runs missions somewhere."""
 
     def run(self, tasks: Mapping[MissionRef, Task], *, alone: bool = False) -> Ends:
-        """How each ended, as soon as it did; what is left is stopped when the caller leaves.
-
-        ``alone`` : one after the other, with the machine to itself.
-        """
+        """How each ended, as soon as it did (``alone`` : one by one). Leaving stops the rest."""
 
 
 class Inline:
@@ -239,7 +223,6 @@ class Inline:
         self._bar = bar
 
     def run(self, tasks: Mapping[MissionRef, Task], *, alone: bool = True) -> Ends:
-        """How each ended, in their order."""
         for mission, task in tasks.items():
             with self._bar(mission.path.stem) as progress:
                 end = end_of(partial(task, progress=progress))
@@ -315,10 +298,7 @@ ALONE = ChildHelpers()
 
 @dataclass(frozen=True)
 class Slices:
-    """Numbers of parts, in slices that anyone takes who sees the folder.
-
-    Whoever makes the file of a slice's place makes its parts, and nobody else does.
-    """
+    """Numbers of parts, in slices: whoever makes the file of a slice's place makes its parts."""
 
     folder: Path
     numbers: Sequence[Sequence[int]]
@@ -338,10 +318,7 @@ class Slices:
     def taken(
         self, name: str, passed: Callable[[int], None] = lambda _: None
     ) -> Iterator[Sequence[int]]:
-        """Slices that nobody has, for ``name``, who has begun before the first.
-
-        ``passed`` is called with the length of each that is behind, whoever had it.
-        """
+        """Slices nobody has, for ``name``; ``passed`` gets the length of each that is behind."""
         (self.folder / name).touch()
         for place, some in enumerate(self.numbers):
             with suppress(FileExistsError):
@@ -359,9 +336,7 @@ def make_parts(
 ) -> None:
     """Call ``make(numbers=...)`` with slices, here and by workers, which get a path and a key.
 
-    Parts that a worker leaves unmade, for it died or nothing can be sent to it, stay unmade. One
-    that has not begun when nothing is left is not waited for. ``progress`` is called with the
-    number of parts that may be done now.
+    What a worker leaves unmade stays so; one that has not begun at the end is not waited for.
     """
     content, setup = pickle.dumps((make, slices)), slices.folder / "setup"
     setup.write_bytes(content)

@@ -1,7 +1,4 @@
-"""Hashes of files, remembered as long as a file's place, size and times stay as they were.
-
-A season's inputs are a terabyte: they are read for their hashes once, not at each run.
-"""
+"""Hashes of files, remembered as long as a file's place, size and times stay as they were."""
 
 import hashlib
 import os
@@ -34,9 +31,8 @@ _DATABASE = "hashes.sqlite"
 class Input:
     """A file the mission reads: as the mission file names it, where it is, and what it holds.
 
-    ``program`` is that of a block, whose path may be a folder, or name other files; or GDAL, which
-    reads files beside a raster too. Of an input in object storage, at ``place``, the path is that
-    of its copy here, which may not be made yet; of a raster there GDAL has no other file.
+    ``program`` is a block's, or GDAL, which read files beside it too; ``path`` of an input at a
+    ``place`` is that of its copy, which may not be made yet.
     """
 
     role: str
@@ -49,10 +45,7 @@ class Input:
 
 
 def stamp(path: str | Path) -> list[int] | None:
-    """Device, inode, size, time of content and of status [ns] of a file; None if it is not there.
-
-    A link stands for what it leads to.
-    """
+    """Device, inode, size, times of content and status [ns] of a file, links followed; or None."""
     try:
         s = os.stat(path)
     except OSError:
@@ -66,11 +59,9 @@ def is_settled(stamped: list[int] | None) -> bool:
 
 
 def remembered_hash(path: Path, *, verify: bool = False, of_jpeg: int | None = None) -> str:
-    """SHA-256 of a file; not read again while device, inode, size and both times stay.
+    """SHA-256 of a file; unless to ``verify`` not read again while device, inode, size, times stay.
 
     Of a JPEG, whose EXIF comes first, only the first ``of_jpeg`` bytes where these are given.
-    ``verify`` reads it anyway. A file that changed in the last two seconds is not remembered.
-    Without a cache that can be written every file is read.
     """
     stamped = stamp(path)
     settled = is_settled(stamped)
@@ -107,9 +98,8 @@ def known_hash(path: Path) -> str | None:
 def check_unchanged(inputs: Iterable[Input], *, folders: bool = True) -> None:
     """Refuse results whose inputs were written to, or replaced, while they were made.
 
-    By the same content too: another one may have been there in between, and read. Without
-    ``folders`` those of images are not looked at, and no object storage. The number of the device
-    is not compared: each machine that shares a disk has its own.
+    Without ``folders`` those of images, and object storage, are not looked at. Devices are not
+    compared: each machine that shares a disk has its own.
     """
     for item in inputs:
         if item.place is not None:

@@ -1,8 +1,7 @@
 """Keys of the stages of a run: what each depends on, so that a change says which begins again.
 
-A key is a hash over the key of the stage before, the inputs and the part of the mission file that
-the stage reads, the libraries its numbers depend on, and the code it reaches: the modules that its
-own modules import, at any place, and the data files beside them.
+A key is a hash over the key of the stage before, the inputs and sections that the stage reads, its
+libraries, and the code it reaches: modules imported at any place, and the data beside them.
 """
 
 import hashlib
@@ -10,6 +9,7 @@ import json
 import os
 import platform
 import re
+import tomllib
 from collections.abc import Iterable, Mapping
 from functools import lru_cache
 from importlib import metadata, resources
@@ -28,39 +28,8 @@ NOT_IN_KEY = ("output.batch_rows",)
 
 _STORY = "pipeline.stages.story"
 _AFTERWARDS = {"pipeline.batch.changes"}
-_MODULES = {
-    "ingest": {"pipeline.ingest"},
-    "air": {
-        "pipeline.stages.inputs",
-        "pipeline.stages.stations",
-        "pipeline.stages.adjusted_profile",
-        "pipeline.stages.multi_image.point_heights",
-        "pipeline.stages.ground_heights",
-        "pipeline.flight.air_samples",
-        "pipeline.flight.stations",
-        "pipeline.tables.geodata.geoid",
-    },
-}
-_SECTIONS = {"control": "correction", "accept": "correction", "output": "report"}
-_ROLES = {"log": "ingest", "control": "correction"}
-
-_LIBRARIES = {
-    "ingest": (
-        "numpy", "scipy", "numba", "llvmlite", "pandas", "pyarrow",  # arithmetic and tables
-        "pymavlink", "mcap", "mcap-ros2-support", "mcap-protobuf-support", "protobuf", "lz4",
-        "zstandard", "python",
-    ),
-    "air": ("metar", "exifread", "pillow", "pyproj"),
-    "correction": (),
-    "report": ("jinja2", "markupsafe"),
-}  # fmt: skip
-_OF_ROLES = {
-    "weather": ("xarray", "h5netcdf", "h5py", "cfgrib", "eccodes", "eccodeslib", "ecmwflibs"),
-    "elevation": ("rasterio",),
-    MSIS: ("pymsis",),
-}
-"""Libraries for some inputs only, by the first word of the role, or for an atmosphere by its name;
-all of the stage air."""
+TABLES = tomllib.loads(resources.files(__package__).joinpath("stages.toml").read_text("utf-8"))
+"""``modules``, ``sections``, ``roles``, ``libraries`` of stages, and ``inputs`` of missions."""
 
 GRIDS = "grids of pyproj"
 """The name of `grids_of_proj` among the libraries."""
@@ -76,13 +45,12 @@ _NAMED = re.compile(r"\bpipeline(?:\.\w+)+")
 
 
 def stage_of_role(role: str) -> str:
-    """The first stage that reads an input."""
-    return _ROLES.get(role, "air")
+    return str(TABLES["roles"].get(role, "air"))
 
 
 def stage_of_key(key: str) -> str:
     """The first stage that depends on a key of the mission file, as ``section.key``."""
-    return _SECTIONS.get(key.partition(".")[0], "air")
+    return str(TABLES["sections"].get(key.partition(".")[0], "air"))
 
 
 def keys_of(config: Mapping[str, Any], inputs: Mapping[str, str]) -> dict[str, str]:
@@ -94,14 +62,13 @@ def keys_of(config: Mapping[str, Any], inputs: Mapping[str, str]) -> dict[str, s
     codes, known, before = code_of_stages(), libraries(inputs, config["atmosphere"]["standard"]), ""
     keys = {}
     for stage in STAGES:
+        sections = {n: s for n, s in config.items() if stage_of_key(n) == stage != "ingest"}
         content = {
             "before": before,
             "code": codes[stage],
             "libraries": known[stage],
             "inputs": {r: sha256 for r, sha256 in inputs.items() if stage_of_role(r) == stage},
-            "config": {n: s for n, s in config.items() if stage_of_key(n) == stage}
-            if stage != "ingest"
-            else {},
+            "config": sections,
         }
         text = json.dumps(content, sort_keys=True)
         keys[stage] = before = hashlib.sha256(text.encode()).hexdigest()
@@ -109,15 +76,12 @@ def keys_of(config: Mapping[str, Any], inputs: Mapping[str, str]) -> dict[str, s
 
 
 def libraries(roles: Iterable[str], standard: str) -> dict[str, dict[str, str | None]]:
-    """Versions of the libraries that the numbers depend on, by stage; None if not installed.
-
-    ``roles`` of the inputs and the name of the atmosphere: some need libraries of their own.
-    """
-    known = {stage: {name: version(name) for name in _LIBRARIES[stage]} for stage in STAGES}
+    """Versions of the libraries that numbers depend on with these roles and this atmosphere."""
+    known = {s: {name: version(name) for name in TABLES["libraries"][s]} for s in STAGES}
     roles = list(roles)
     words = {role.split()[0] for role in roles}
-    for word in sorted({*words, standard} & _OF_ROLES.keys()):
-        known["air"] |= {name: version(name) for name in _OF_ROLES[word]}
+    for word in sorted({*words, standard} & TABLES["libraries_of"].keys()):
+        known["air"] |= {name: version(name) for name in TABLES["libraries_of"][word]}
     if not all(map(_WITHOUT_PROJ.fullmatch, roles)):
         known["air"][GRIDS] = grids_of_proj()
     return known
@@ -136,20 +100,12 @@ def version(library: str) -> str | None:
 
 @lru_cache(maxsize=1)
 def grids_of_proj() -> str:
-    """What is in the folders of PROJ: its version, and a hash of names and sizes of its grids.
-
-    A grid that is installed later changes the coordinates that are computed with it.
-    """
+    """PROJ's version and a hash of its grids: one installed later changes coordinates."""
     import pyproj
 
     folders = [*pyproj.datadir.get_data_dir().split(os.pathsep), pyproj.datadir.get_user_data_dir()]
-    files = [
-        f"{entry.name} {entry.stat().st_size}"
-        for folder in folders
-        if os.path.isdir(folder)
-        for entry in sorted(os.scandir(folder), key=lambda entry: entry.name)
-        if entry.is_file()
-    ]
+    paths = [path for folder in folders for path in sorted(Path(folder).glob("*"))]
+    files = [f"{path.name} {path.stat().st_size}" for path in paths if path.is_file()]
     digest = hashlib.sha256("\n".join(files).encode()).hexdigest()
     return f"PROJ {pyproj.proj_version_str}, {digest[:16]}"
 
@@ -172,10 +128,7 @@ def hash_of_files(root: Path) -> str:
 
 
 def versions(known: Mapping[str, Mapping[str, str | None]] | None = None) -> dict[str, Any]:
-    """Versions of the code, Python and the libraries, for the manifest.
-
-    ``known`` : those of a plan; by default all libraries that a mission may need.
-    """
+    """Versions of code, Python and libraries (``known`` of a plan, or all), for the manifest."""
     known = known or libraries(("weather model", "elevation model"), MSIS)
     found = {"unbend": pipeline.__version__, "code_sha256": code_hash()}
     for of_stage in known.values():
@@ -184,7 +137,6 @@ def versions(known: Mapping[str, Mapping[str, str | None]] | None = None) -> dic
 
 
 def code_of_stages() -> dict[str, str]:
-    """SHA-256 of the code that each stage reaches, and of its data."""
     return {stage: code_of_package()[stage] for stage in STAGES}
 
 
@@ -241,9 +193,7 @@ def code_below(root: Path) -> dict[str, str]:
 
 
 def imported(text: str, package: str = "pipeline") -> set[str]:
-    """Names in a source that may be modules: imported at any place, or written as text.
-
-    ``package`` : the one it lies in, from which relative names count.
+    """Names in a source of a ``package`` that may be modules: imported anywhere, or in texts.
 
     >>> sorted(imported("def f():\\n    from pipeline.ingest import (\\n        log,\\n    )"))
     ['pipeline', 'pipeline.ingest', 'pipeline.ingest.log']
@@ -265,12 +215,9 @@ def imported(text: str, package: str = "pipeline") -> set[str]:
 
 
 def stage_modules(story: Iterable[str]) -> dict[str, set[str]]:
-    """The modules each stage begins with; those of the later ones are what the story imports.
-
-    ``flown`` is no stage: of the report the part whose result is kept.
-    """
+    """The modules each stage begins with; ``flown`` is the part of the report that is kept."""
     after = {name for name in story if name.startswith("pipeline.report")}
-    return _MODULES | {
+    return {stage: {*names} for stage, names in TABLES["modules"].items()} | {
         "correction": {*story} - after - _AFTERWARDS,
         "report": after,
         "flown": {"pipeline.report.flown"},

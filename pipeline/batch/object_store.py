@@ -1,7 +1,6 @@
 """Places in object storage: which URLs name them, requests to them, and what a store refuses.
 
-Requests go through obstore (the extra ``cloud``), which is imported when a URL is first used. No
-text of a store is printed, as it may hold a signature: only the code of its answer is.
+By obstore (the extra ``cloud``). No text of a store is printed, as it may hold a signature.
 """
 
 import hashlib
@@ -56,8 +55,7 @@ class Place:
     def of(cls, url: str) -> "Place":
         """The place of a URL; refuses (ConfigError URL-INVALID) what names none.
 
-        A user, password, query or fragment is refused and not repeated: it may be a secret. The
-        key is written as the bucket has it, without percent-encoding.
+        What may be a secret is not repeated. The key is as the bucket has it, not percent-encoded.
         """
         scheme, _, rest = url.partition("://")
         bucket, _, path = rest.partition("/")
@@ -83,11 +81,9 @@ class Place:
 
     @property
     def name(self) -> str:
-        """The last part of the key."""
         return self.key.rpartition("/")[2] or self.bucket
 
     def is_below(self, other: "Place") -> bool:
-        """Whether it is the other place or lies below it."""
         return f"{self}/".startswith(f"{other}/")
 
     def read(self) -> tuple[bytes | None, dict[str, Any] | None]:
@@ -100,10 +96,7 @@ class Place:
         return bytes(ask("read", self, got.bytes)), version
 
     def put(self, content: Any, version: dict[str, Any] | str | None) -> bool:
-        """Write bytes or a file to an object, whole; False where its version is another.
-
-        None: it must not be there yet; "overwrite": whatever is there.
-        """
+        """Write it whole; False if the version (None: not there; "overwrite": any) is another."""
         return ask("write", self, "put", content, mode=version or "create") is not None
 
     def head(self) -> dict[str, Any]:
@@ -173,10 +166,9 @@ def open_store(scheme: str, bucket: str) -> Any:
 
 
 def ask(verb: str, place: Place, call: Any, *arguments: Any, **options: Any) -> Any:
-    """Call obstore by the name of its function, or something that it returned.
+    """Call obstore by the name of its function, or something that it returned; StorageError.
 
-    None where a condition of the request does not hold; FileNotFoundError where an object is not
-    there. ``verb`` is what a refusal (StorageError) says.
+    None where a condition of the request does not hold; FileNotFoundError where an object is not.
     """
     try:
         import obstore
@@ -245,10 +237,7 @@ def copy_of(place: Place, version: str) -> Path:
 
 
 def fetched(place: Place, version: str, *, anew: bool = False) -> Path:
-    """The copy of a version of an input, made where it is not there yet, or ``anew``.
-
-    Refuses (INPUT-CHANGED) an object that changes or goes while it is read.
-    """
+    """The copy of an input's version, made if needed or ``anew``; refuses INPUT-CHANGED."""
     copy = copy_of(place, version)
     kept, draft = copy.parent, copy.parent.with_suffix(f".{os.getpid()}.draft")
     if anew:

@@ -1,7 +1,4 @@
-"""What a result depends on: inputs, mission file, code and libraries; unchanged, it is kept.
-
-And how a mission ended.
-"""
+"""What a result depends on: inputs, mission file, code, libraries; and how a mission ended."""
 
 import hashlib
 import json
@@ -13,17 +10,10 @@ from functools import reduce
 from pathlib import Path
 from typing import Any, cast
 
+from pipeline.batch import file_hashes
 from pipeline.batch.executors import Outcome
-from pipeline.batch.file_hashes import (
-    GDAL,
-    Input,
-    files_of,
-    recalled,
-    remember,
-    remembered_hash,
-    stamp,
-)
-from pipeline.batch.keys import keys_of, libraries
+from pipeline.batch.file_hashes import GDAL, Input, files_of, remembered_hash
+from pipeline.batch.keys import TABLES, keys_of, libraries
 from pipeline.batch.object_store import Place, copy_of, fetched, is_url, version_of
 from pipeline.batch.store import would_replace
 from pipeline.caches import user_cache
@@ -32,35 +22,13 @@ from pipeline.errors import ConfigError, InputError, UnbendError
 from pipeline.tables.imports.blocks import BLOCKS
 
 MANIFEST_VERSION = 1
-_INPUTS = {
-    "log": "log.path",
-    "observations": "observations.path",
-    "geoid": "mission.geoid",
-    "object points": "ground.height.points",
-    "control": "control.path",
-    "elevation model": "ground.height.dem",
-    "orientation": "stations.orientation.path",
-    "known positions": "stations.orientation.known_positions.path",
-    "events": "events.csv.path",
-    "images": "events.images.path",
-    "camera": "cameras.<name>.file",
-    "events of": "events.positions",
-    "trajectory": "stations.trajectory.path",
-    "trajectory accuracy": "stations.trajectory.accuracy",
-    "sounding": "atmosphere.soundings",
-    "weather model": "atmosphere.model.path",
-}
-"""Roles of inputs, or their first words where there may be several, and keys of a mission file."""
-
+INPUTS: dict[str, str] = TABLES["inputs"]
 _EXIF_BYTES = 1 << 18
 
 
 @dataclass(frozen=True)
 class Plan:
-    """A mission with its inputs hashed.
-
-    ``camera_names`` are the names of its cameras by what the block of another program calls them.
-    """
+    """A mission with its inputs hashed; ``camera_names`` by what a block calls its cameras."""
 
     mission: Mission
     inputs: tuple[Input, ...]
@@ -75,7 +43,6 @@ class Plan:
 
     @property
     def libraries(self) -> dict[str, dict[str, str | None]]:
-        """Versions of the libraries that its numbers depend on, by stage."""
         return libraries([item.role for item in self.inputs], self.mission.atmosphere.standard)
 
     @property
@@ -103,7 +70,6 @@ class Plan:
 
 
 def outcome_of(plan: Plan, manifest: dict[str, Any], *, repeated: bool) -> Outcome:
-    """The outcome that a manifest describes."""
     return Outcome(
         plan.mission.mission.name, plan.output, manifest, int(manifest["exit_code"]), repeated
     )
@@ -124,7 +90,7 @@ def input_paths(mission: Mission, folder: Path) -> dict[str, tuple[str, Path | P
         "sounding": {sounding_role(i): s.path for i, s in enumerate(mission.atmosphere.soundings)},
     }
     named: dict[str, str] = {}
-    for role, key in _INPUTS.items():
+    for role, key in INPUTS.items():
         path = reduce(lambda of, name: getattr(of, name, None), key.split("."), cast(Any, mission))
         if role in several:
             named |= several[role]
@@ -139,16 +105,13 @@ def sounding_role(number: int) -> str:
 
 
 def is_raster(role: str) -> bool:
-    """Whether GDAL reads the input of a role."""
     return role == "geoid" or role.startswith("elevation model")
 
 
 def make_plan(mission: Mission, folder: Path, *, verify: bool = False) -> Plan:
     """Hash the inputs of a mission; relative paths resolve from the mission file's folder.
 
-    Files that did not change since they were last hashed are read only to ``verify``. The cameras
-    of the plan have the numbers of their files. Refuses a mission that would write its results
-    over one of its inputs.
+    Unchanged files are read only to ``verify``. Refuses results that would go over an input.
     """
     output = located(mission.output.path, folder)
     output = output if isinstance(output, Place) else Path(os.path.normpath(output))
@@ -172,19 +135,19 @@ def make_plan(mission: Mission, folder: Path, *, verify: bool = False) -> Plan:
             else:
                 is_there = path.is_file() or (path.is_dir() and may_be_folder)
             if not is_there:
-                key = _INPUTS[max((r for r in _INPUTS if role.startswith(r)), key=len)]
+                key = INPUTS[max((r for r in INPUTS if role.startswith(r)), key=len)]
                 raise InputError.of("INPUT-MISSING/role", path, role=role, named=key)
             _refuse_among_results(role, path, output)
             if isinstance(path, Place):
                 key, copy = f"{path} {program}", copy_of(path, version)
-                known = None if verify else recalled(key, version)
+                known = None if verify else file_hashes.recalled(key, version)
                 if known is None or role.startswith("camera "):  # that is read with the file
                     copy = fetched(path, version, anew=verify)
                 sha256 = known or _hash_input(copy, program, verify=verify)
-                remember({key: (version, sha256)})
+                file_hashes.remember({key: (version, sha256)})
                 inputs.append(Input(role, name, copy, sha256, version, program, path))
             else:
-                before = tuple(map(stamp, files_of(path, program)))
+                before = tuple(map(file_hashes.stamp, files_of(path, program)))
                 sha256 = _hash_input(path, program, verify=verify)
                 inputs.append(Input(role, name, path, sha256, before, program))
         except OSError as error:
@@ -217,10 +180,7 @@ def _refuse_among_results(role: str, path: Path | Place, output: Path | Place) -
 
 
 def fetch_inputs(plan: Plan) -> None:
-    """Copy the inputs in object storage that have no copy here, or a damaged one.
-
-    Refuses (INPUT-CHANGED) those that are not as they were when they were hashed.
-    """
+    """Copy inputs in object storage that have no whole copy here; refuses INPUT-CHANGED."""
     for item in plan.inputs:
         if item.place is None:
             continue
@@ -245,10 +205,7 @@ def places_named(plan: Plan) -> Iterator[None]:
 
 
 def _hash_input(path: Path, program: str | None, *, verify: bool) -> str:
-    """SHA-256 of a file; of a folder of images over names, sizes and first 256 KiB, or all bytes.
-
-    Of a block, and of a raster with files beside it, over the names and hashes of its files.
-    """
+    """SHA-256 of a file, or of names and hashes of a block's, a raster's or a folder's files."""
     files = files_of(path, program)
     if files == (path,):
         return remembered_hash(path, verify=verify)

@@ -29,8 +29,7 @@ _NEVER = {"e_tag": '"00000000000000000000000000000000"', "version": "1"}
 def rehearse_place(place: Place, *, writes: bool = False) -> None:
     """Refuse credentials that may not write, a clock that is off, a store that does not compare.
 
-    Without conditional writes two runs could both seem to win. Tried by a write that must fail;
-    ``writes`` also writes an object and removes it.
+    Tried by a write that must fail; ``writes`` also writes an object and removes it.
     """
     name = f"attempts/{uuid.uuid4().hex}/probe"
     probe, content = place / name, b"written to see whether it can be; nothing reads it"
@@ -64,9 +63,7 @@ class Publication:
     ) -> dict[str, Any]:
         """Upload the results of a folder and publish them; the manifest that is then there.
 
-        Of several writers of the same run the first wins, and the others return its manifest.
-        Refuses (OutputInUseError) where another run was published since. ``advance`` is called
-        with the bytes of each file.
+        Of several writers of a run the first wins; OutputInUseError if another run was published.
         """
         attempt = uuid.uuid4().hex
         own = manifest | {"attempt": attempt}
@@ -119,8 +116,7 @@ class Publication:
 def remove_orphans(place: Place, *, recent: bool = False) -> tuple[list[str], int]:
     """Remove what killed runs left at a place and below it; what, and how many of them stay.
 
-    What was written within the last hour may belong to a run that is under way: it stays, except
-    with ``recent``. No manifest names what is removed; of other programs' objects, none is.
+    What is of the last hour stays, except with ``recent``, and so do other programs' objects.
     """
     objects = place.objects()
     orphans: dict[str, list[str]] = {}

@@ -1,8 +1,7 @@
 """Values of the package as bytes, kept between runs: its plain classes, arrays and numbers.
 
-In the user's cache those that were used longest ago are forgotten first. None is a result: without
-the cache all is made again. Read back only if whole, and nothing in them is run: classes of the
-package that hold values, and what numpy needs for an array, are all that is looked up.
+What was used longest ago is forgotten first; without the cache all is made again. Read back only
+if whole, and nothing in it is run: classes that hold values are all that is looked up.
 """
 
 import hashlib
@@ -71,7 +70,6 @@ def keep(name: str, value: Any) -> None:
 
 
 def is_kept(name: str) -> bool:
-    """Whether a value is kept under a key."""
     return os.path.isfile(os.path.join(kept_values(), name))
 
 

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
+from typer import Option
 from typer.core import TyperCommand, TyperGroup
 
 import pipeline
@@ -68,8 +69,8 @@ app = typer.Typer(
 )
 
 
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="print nothing but refusals")]
-AsJson = Annotated[bool, typer.Option("--json", help="print the answer as JSON")]
+Quiet = Annotated[bool, Option("--quiet", "-q", help="print nothing but refusals")]
+AsJson = Annotated[bool, Option("--json", help="print the answer as JSON")]
 
 
 class Answer:
@@ -80,7 +81,6 @@ class Answer:
 
     @property
     def is_silent(self) -> bool:
-        """Whether no text is wanted."""
         return self.quiet or self.as_json
 
     @cached_property
@@ -111,10 +111,7 @@ class Answer:
         *written: Path | None,
         shown: Sequence[Mapping[str, Any]] | None = None,
     ) -> NoReturn:
-        """Print ledger and written files after the answer, and exit with the ledger's code.
-
-        ``shown`` : the entries that are printed as text, by default all; JSON has all.
-        """
+        """Print ledger (``shown`` as text) and written files, and exit with the ledger's code."""
         code = exit_code_of(has_losses=ledger.has_losses)
         files = [str(path) for path in written if path is not None]
         self.print_json(content | {"written": files, "ledger": ledger.rows(), "exit_code": code})
@@ -126,7 +123,6 @@ class Answer:
         raise typer.Exit(code)
 
     def print_paths(self, paths: Iterable[str]) -> None:
-        """Print paths, each in one piece."""
         for path in paths:
             self.console.print(visible(path), markup=False, soft_wrap=True)
 
@@ -134,10 +130,7 @@ class Answer:
 def command(
     name: str | None = None, *, epilog: str, cls: type[TyperCommand] = TyperCommand
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Decorator: a command with the options --quiet and --json.
-
-    Its function takes an `Answer` first, in the place of these.
-    """
+    """Decorator: a command with --quiet and --json; its function takes an `Answer` first."""
 
     def register(function: Callable[..., None]) -> Callable[..., None]:
         @wraps(function)
@@ -183,7 +176,7 @@ def write_rows_csv(path: Path, rows: list[dict[str, Any]]) -> None:
 
 @app.callback(invoke_without_command=True)
 def _options(
-    version: Annotated[bool, typer.Option("--version", help="print the version")] = False,
+    version: Annotated[bool, Option("--version", help="print the version")] = False,
 ) -> None:
     if version:
         print(f"unbend {pipeline.__version__}")

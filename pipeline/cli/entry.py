@@ -5,7 +5,6 @@ import signal
 import sys
 import traceback
 from io import StringIO, TextIOWrapper
-from types import FrameType
 
 import typer
 
@@ -24,24 +23,14 @@ _COMMANDS = (guide, missions, physics)
 _USAGE_ERROR: type[Exception] = typer.BadParameter.__bases__[0]
 
 
-def ignore_signal(_: int, __: FrameType | None) -> None:
-    """Handler for signals that arrive during shutdown: do nothing."""
-
-
 def _ignore_further_signals() -> None:
-    """Let the shutdown finish whatever signals follow.
-
-    By a handler: Python prints a warning if a signal is already pending when SIG_IGN is set.
-    """
+    """By a handler: Python prints a warning if a signal is already pending when SIG_IGN is set."""
     for number in SIGNALS:
-        signal.signal(number, ignore_signal)
+        signal.signal(number, lambda *_: None)
 
 
 def _install_signal_handlers() -> None:
-    """Exit with 130 at the first Ctrl-C and with 143 at SIGTERM.
-
-    Ctrl-C is left alone where the parent process had it ignored (``nohup``).
-    """
+    """Exit with 130 at the first Ctrl-C, unless ignored (``nohup``), and with 143 at SIGTERM."""
 
     def exit_with(code: int) -> None:
         # SystemExit, not KeyboardInterrupt: where the latter passes through an exec(), as in the
@@ -55,10 +44,7 @@ def _install_signal_handlers() -> None:
 
 
 def run_command(arguments: list[str]) -> int:
-    """Run one command and return its exit code.
-
-    Instead of typer's main(), which gives bugs, Ctrl-C and broken pipes its own exit codes.
-    """
+    """Run one command and return its exit code; typer's main() would give bugs codes of its own."""
     command = typer.main.get_command(app)
     if instruction := os.environ.get("_UNBEND_COMPLETE"):  # the shell asks for completions
         from typer.completion import shell_complete
@@ -73,7 +59,6 @@ def run_command(arguments: list[str]) -> int:
 
 
 def main() -> None:
-    """Run the command line and leave with its exit code."""
     # With matrices of some hundred rows, threads are slower and make sums depend on their number.
     # Takes effect if set before numpy is imported.
     os.environ["OPENBLAS_NUM_THREADS"] = "1"

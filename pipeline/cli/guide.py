@@ -5,7 +5,7 @@ import textwrap
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
 from pipeline.caches import compiled_code, empty_caches, user_cache
 from pipeline.cli.app import Answer, command
@@ -16,8 +16,8 @@ from pipeline.report.words import count
 @command(epilog="Example: unbend schema --out mission.schema.json")
 def schema(
     answer: Answer,
-    out: Annotated[Path | None, typer.Option(help="the file to write")] = None,
-    campaign: Annotated[bool, typer.Option("--campaign", help="that of a campaign file")] = False,
+    out: Annotated[Path | None, Option(help="the file to write")] = None,
+    campaign: Annotated[bool, Option("--campaign", help="that of a campaign file")] = False,
 ) -> None:
     """The JSON schema of a mission file, for editors.
 
@@ -40,9 +40,7 @@ def schema(
 @command("help", epilog="Example: unbend help f_px; unbend help EVENTS-AMBIGUOUS; unbend help 3")
 def explain_word(
     answer: Answer,
-    word: Annotated[
-        str, typer.Argument(help="a key, a code, an exit code or a status", metavar="WORD")
-    ],
+    word: Annotated[str, Argument(help="a key, a code, an exit code or a status", metavar="WORD")],
 ) -> None:
     """What a key, a code, an exit code or a status means."""
     with answer.progress("looking it up"):
@@ -60,19 +58,17 @@ def explain_word(
 @command(epilog="Example: unbend init flight.bin observations.csv")
 def init(
     answer: Answer,
-    log: Annotated[Path, typer.Argument(help="a flight log, or a block alone", metavar="LOG")],
+    log: Annotated[Path, Argument(help="a flight log, or a block alone", metavar="LOG")],
     observations: Annotated[
         Path | None,
-        typer.Argument(help="a table, or a block of another program", metavar="[OBSERVATIONS]"),
+        Argument(help="a table, or a block of another program", metavar="[OBSERVATIONS]"),
     ] = None,
     images: Annotated[
-        Path | None, typer.Option(help="folder of the images, or exiftool's table of them")
+        Path | None, Option(help="folder of the images, or exiftool's table of them")
     ] = None,
-    out: Annotated[Path, typer.Option(help="the file to write; - prints it")] = Path(
-        "mission.yaml"
-    ),
+    out: Annotated[Path, Option(help="the file to write; - prints it")] = Path("mission.yaml"),
     *,
-    force: Annotated[bool, typer.Option(help="replace the file if it is there")] = False,
+    force: Annotated[bool, Option(help="replace the file if it is there")] = False,
 ) -> None:
     """Write a mission file from what a log and observations hold.
 
@@ -110,11 +106,9 @@ def init(
 @command(epilog="Example: unbend clean; unbend clean s3://bucket/results")
 def clean(
     answer: Answer,
-    url: Annotated[
-        str | None, typer.Argument(help="results in object storage", metavar="URL")
-    ] = None,
+    url: Annotated[str | None, Argument(help="results in object storage", metavar="URL")] = None,
     recent: Annotated[
-        bool, typer.Option(help="with a URL: uploads of the last hour too, if no run goes on")
+        bool, Option(help="with a URL: uploads of the last hour too, if no run goes on")
     ] = False,
 ) -> None:
     """Remove what is kept to save time: compiled code, hashes, copies.

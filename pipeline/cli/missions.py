@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
+from typer import Argument, Option
 from typer.core import TyperCommand
 
 from pipeline.cli.app import Answer, command, print_bug, print_error, write_rows_csv
@@ -27,11 +28,10 @@ if TYPE_CHECKING:
 
 
 Configs = Annotated[
-    list[Path], typer.Argument(help="mission files and campaign files", metavar="CONFIG...")
+    list[Path], Argument(help="mission files and campaign files", metavar="CONFIG...")
 ]
 Names = Annotated[
-    list[str] | None,
-    typer.Option("--mission", help="only this mission of a campaign, by name or file"),
+    list[str] | None, Option("--mission", help="only this mission of a campaign, by name or file")
 ]
 
 
@@ -40,25 +40,24 @@ def run(
     answer: Answer,
     configs: Configs,
     jobs: Annotated[
-        int,
-        typer.Option(min=1, help="processes: missions at the same time, slices of a single one"),
+        int, Option(min=1, help="processes: missions at the same time, slices of a single one")
     ] = 1,
-    force: Annotated[bool, typer.Option(help="run even where nothing has changed")] = False,
+    force: Annotated[bool, Option(help="run even where nothing has changed")] = False,
     names: Names = None,
     *,
     verify_inputs: Annotated[
-        bool, typer.Option(help="read and hash inputs whose size and times did not change too")
+        bool, Option(help="read and hash inputs whose size and times did not change too")
     ] = False,
     shard: Annotated[
         str | None,
-        typer.Option(
+        Option(
             metavar="K/N",
             help="only part K of N of the missions, counted from 0: 0/8 to 7/8 in an array of jobs",
         ),
     ] = None,
     scheduler: Annotated[
         str | None,
-        typer.Option(
+        Option(
             metavar="ADDRESS", help="run on the workers of a Dask scheduler (tcp://... or its file)"
         ),
     ] = None,
@@ -233,10 +232,10 @@ def status(answer: Answer, configs: Configs, names: Names = None) -> None:
 @command(epilog="Example: unbend stations mission.yaml --plot flight.png")
 def stations(
     answer: Answer,
-    config: Annotated[Path, typer.Argument(help="a mission file", metavar="CONFIG")],
-    csv: Annotated[Path | None, typer.Option(help="write all stations as CSV")] = None,
+    config: Annotated[Path, Argument(help="a mission file", metavar="CONFIG")],
+    csv: Annotated[Path | None, Option(help="write all stations as CSV")] = None,
     plot: Annotated[
-        Path | None, typer.Option(help="draw the flight with its stations, .png or .svg")
+        Path | None, Option(help="draw the flight with its stations, .png or .svg")
     ] = None,
 ) -> None:
     """Stations of a mission, how events became images, and a drawing."""
@@ -267,15 +266,11 @@ def inspect(
     answer: Answer,
     log: Annotated[
         Path,
-        typer.Argument(
-            help="a flight log, or a file of a weather model (netCDF, GRIB)", metavar="LOG"
-        ),
+        Argument(help="a flight log, or a file of a weather model (netCDF, GRIB)", metavar="LOG"),
     ],
-    kind: Annotated[
-        str | None, typer.Option("--type", help="all messages of one type or topic")
-    ] = None,
-    instance: Annotated[str | None, typer.Option(help="with --type: only this instance")] = None,
-    as_csv: Annotated[bool, typer.Option("--csv", help="with --type: every row, as CSV")] = False,
+    kind: Annotated[str | None, Option("--type", help="all messages of one type or topic")] = None,
+    instance: Annotated[str | None, Option(help="with --type: only this instance")] = None,
+    as_csv: Annotated[bool, Option("--csv", help="with --type: every row, as CSV")] = False,
 ) -> None:
     """What a log or weather model holds, in words of a mission file."""
     if (kind is None and (as_csv or instance is not None)) or (as_csv and answer.as_json):
@@ -324,14 +319,14 @@ def _format_parameters() -> tuple[Any, ...]:
     for form in FORMATS.values():
         names.setdefault(form.contents, []).append(form.name)
     listed = "; ".join(f"{', '.join(of)}: {contents}" for contents, of in names.items())
-    option = typer.Option("--format", help=listed, autocompletion=lambda: list(FORMATS))
+    option = Option("--format", help=listed, autocompletion=lambda: list(FORMATS))
     hints: dict[str, Any] = {"format_name": Annotated[str, option]}
     parameters = [Parameter("format_name", Parameter.KEYWORD_ONLY)]
     for option in {o.name: o for form in FORMATS.values() for o in form.options}.values():
         unit = f" {option.unit}" if option.unit else ""
         hints[option.name] = Annotated[
             option.kind | None,
-            typer.Option(
+            Option(
                 min=None if option.minimum == -inf else option.kind(option.minimum),
                 max=None if option.maximum == inf else option.kind(option.maximum),
                 help=f"{option.help}, by default {option.default}{unit}",
@@ -375,16 +370,14 @@ class _ExportCommand(TyperCommand):
 def export(
     answer: Answer,
     ctx: typer.Context,
-    run: Annotated[str, typer.Argument(help="a folder of results, or their URL", metavar="RUN")],
-    out: Annotated[Path, typer.Option(help="the file to write, or the folder that several go to")],
+    run: Annotated[str, Argument(help="a folder of results, or their URL", metavar="RUN")],
+    out: Annotated[Path, Option(help="the file to write, or the folder that several go to")],
     ground_height: Annotated[
         float | None,
-        typer.Option(
-            help="metres above sea level; by default the median of each image's observations"
-        ),
+        Option(help="metres above sea level; by default the median of each image's observations"),
     ] = None,
     *,
-    force: Annotated[bool, typer.Option(help="replace the file if it is there")] = False,
+    force: Annotated[bool, Option(help="replace the file if it is there")] = False,
 ) -> None:
     """Write the results of a run for other programs."""
     options = {name: value for name, value in ctx.obj.items() if value is not None}
@@ -403,10 +396,10 @@ def export(
 @command(epilog="Example: unbend simulate flown --height 3000")
 def simulate(
     answer: Answer,
-    out: Annotated[Path, typer.Argument(help="folder to write to", metavar="OUT")],
-    height: Annotated[float, typer.Option(help="metres above ground")] = 3000.0,
-    seed: Annotated[int, typer.Option(help="of the sensor noise")] = 7,
-    noise: Annotated[float, typer.Option(help="of the image measurements, pixels")] = 0.0,
+    out: Annotated[Path, Argument(help="folder to write to", metavar="OUT")],
+    height: Annotated[float, Option(help="metres above ground")] = 3000.0,
+    seed: Annotated[int, Option(help="of the sensor noise")] = 7,
+    noise: Annotated[float, Option(help="of the image measurements, pixels")] = 0.0,
 ) -> None:
     """Fly a survey with known truth: logs, observations, missions.
 
@@ -433,7 +426,7 @@ def simulate(
 @command(epilog="Example: unbend verify results/survey")
 def verify(
     answer: Answer,
-    run: Annotated[str, typer.Argument(help="a folder of results, or their URL", metavar="RUN")],
+    run: Annotated[str, Argument(help="a folder of results, or their URL", metavar="RUN")],
 ) -> None:
     """Whether the results of a run are whole and unchanged."""
     with answer.progress(f"hashing {run}"):

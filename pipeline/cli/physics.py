@@ -4,7 +4,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from typer import Argument, Option
 from typer.core import TyperCommand
 
 from pipeline.cli.app import Answer, command, write_rows_csv
@@ -21,12 +21,12 @@ def _methods() -> list[str]:
     return list(METHODS)
 
 
-_NAMED = typer.Option(
+_NAMED = Option(
     help="name of a standard atmosphere",
     autocompletion=lambda: list(import_module("pipeline.atmosphere.standard").ATMOSPHERES),
 )
 Atmosphere = Annotated[str, _NAMED]
-Radius = Annotated[float, typer.Option(help="radius of the earth, metres")]
+Radius = Annotated[float, Option(help="radius of the earth, metres")]
 
 
 class _AngleCommand(TyperCommand):
@@ -47,16 +47,16 @@ class _AngleCommand(TyperCommand):
 def angle(
     answer: Answer,
     *,
-    camera_height: Annotated[float, typer.Option(help="metres above sea level")],
-    ground_height: Annotated[float, typer.Option(help="metres above sea level")],
-    nadir_angle: Annotated[float, typer.Option(help="apparent nadir angle, degrees, 0 to 180")],
+    camera_height: Annotated[float, Option(help="metres above sea level")],
+    ground_height: Annotated[float, Option(help="metres above sea level")],
+    nadir_angle: Annotated[float, Option(help="apparent nadir angle, degrees, 0 to 180")],
     atmosphere: Atmosphere = "us1976",
-    method: Annotated[str, typer.Option(autocompletion=_methods)] = "spherical",
-    index: Annotated[str, typer.Option(help="ciddor or gyer (Eq. 13)")] = "ciddor",
+    method: Annotated[str, Option(autocompletion=_methods)] = "spherical",
+    index: Annotated[str, Option(help="ciddor or gyer (Eq. 13)")] = "ciddor",
     radius: Radius = 6_371_000.0,
     distance: Annotated[
         float | None,
-        typer.Option(help="slant range, metres: which of two crossings is meant (spherical)"),
+        Option(help="slant range, metres: which of two crossings is meant (spherical)"),
     ] = None,
 ) -> None:
     """One refraction angle: arcsec, microradians, ground metres.
@@ -89,16 +89,16 @@ def radial(
     answer: Answer,
     *,
     camera_height: Annotated[
-        list[float], typer.Option(help="metres above sea level; may be given several times")
+        list[float], Option(help="metres above sea level; may be given several times")
     ],
-    ground_height: Annotated[float, typer.Option(help="metres above sea level")],
-    atmosphere: Annotated[str | None, typer.Option(help="name of a standard atmosphere")] = None,
-    config: Annotated[Path | None, typer.Option(help="a mission file: the air it flew in")] = None,
-    focal_px: Annotated[float | None, typer.Option(help="principal distance, pixels")] = None,
-    max_angle: Annotated[float, typer.Option(help="largest nadir angle, degrees")] = 60.0,
-    step: Annotated[float, typer.Option(min=0.01, help="degrees between rows")] = 5.0,
+    ground_height: Annotated[float, Option(help="metres above sea level")],
+    atmosphere: Annotated[str | None, Option(help="name of a standard atmosphere")] = None,
+    config: Annotated[Path | None, Option(help="a mission file: the air it flew in")] = None,
+    focal_px: Annotated[float | None, Option(help="principal distance, pixels")] = None,
+    max_angle: Annotated[float, Option(help="largest nadir angle, degrees")] = 60.0,
+    step: Annotated[float, Option(min=0.01, help="degrees between rows")] = 5.0,
     radius: Radius = 6_371_000.0,
-    csv: Annotated[Path | None, typer.Option(help="write the rows as CSV")] = None,
+    csv: Annotated[Path | None, Option(help="write the rows as CSV")] = None,
 ) -> None:
     """Refraction by nadir angle per flying height; the Manual's K.
 
@@ -131,9 +131,9 @@ def radial(
 def tables(
     answer: Answer,
     paper: Annotated[
-        str, typer.Argument(help="gyer1996, saastamoinen1974 or bertram1966", metavar="PAPER")
+        str, Argument(help="gyer1996, saastamoinen1974 or bertram1966", metavar="PAPER")
     ],
-    csv: Annotated[Path | None, typer.Option(help="write the rows as CSV")] = None,
+    csv: Annotated[Path | None, Option(help="write the rows as CSV")] = None,
 ) -> None:
     """Recompute a paper's tables: as printed, as published, and exact."""
     with answer.progress("computing the tables"):
@@ -155,16 +155,14 @@ def tables(
 )
 def profile(
     answer: Answer,
-    config: Annotated[
-        Path | None, typer.Argument(help="a mission file", metavar="[CONFIG]")
-    ] = None,
-    atmosphere: Annotated[str | None, typer.Option(help="name of a standard atmosphere")] = None,
-    csv: Annotated[Path | None, typer.Option(help="write the profile as CSV")] = None,
-    plot: Annotated[Path | None, typer.Option(help="draw it, .png or .svg")] = None,
+    config: Annotated[Path | None, Argument(help="a mission file", metavar="[CONFIG]")] = None,
+    atmosphere: Annotated[str | None, Option(help="name of a standard atmosphere")] = None,
+    csv: Annotated[Path | None, Option(help="write the profile as CSV")] = None,
+    plot: Annotated[Path | None, Option(help="draw it, .png or .svg")] = None,
     *,
     step: Annotated[
         float | None,
-        typer.Option(min=1, max=10_000, help="metres between rows; by default the layers' edges"),
+        Option(min=1, max=10_000, help="metres between rows; by default the layers' edges"),
     ] = None,
 ) -> None:
     """The air of a mission or of a standard: a table, CSV or plot."""
@@ -200,7 +198,7 @@ def compare(
     answer: Answer,
     atmosphere: Atmosphere = "us1976",
     out: Annotated[
-        Path | None, typer.Option(help="write the page as Markdown, its picture beside it as .png")
+        Path | None, Option(help="write the page as Markdown, its picture beside it as .png")
     ] = None,
 ) -> None:
     """How far each published method can be trusted.

@@ -1,7 +1,4 @@
-"""The sections of a mission file on a camera: interior orientation, window, lens, and mount.
-
-The interior orientation is given in pixels, by a report in mm, or by a file.
-"""
+"""The sections of a mission file on a camera: interior orientation, window, lens, and mount."""
 
 import tomllib
 from collections.abc import Callable, Collection, Mapping
@@ -58,14 +55,19 @@ def one_of(names: Callable[[], Collection[str]]) -> AfterValidator:
 
 
 @cache
-def mistakes() -> Mapping[str, str]:
-    """The texts of ``mistakes.toml`` by key."""
+def mistakes() -> Mapping[str, Any]:
     return tomllib.loads(files(__package__).joinpath("mistakes.toml").read_text("utf-8"))
 
 
 def mistake(key: str, **values: object) -> ValueError:
     """What a model raises where values do not go together, with the text of a key, filled in."""
     return ValueError(mistakes()[key].format_map(values))
+
+
+def refuse(*rules: tuple[object, str], **values: object) -> None:
+    """Raise the text of the first rule that holds, or what `mistake` has under it: a key."""
+    for text in (text for holds, text in rules if holds):
+        raise ValueError(text) if " " in text else mistake(text, **values)
 
 
 class Section(BaseModel):
@@ -100,7 +102,6 @@ class CabinAir(Section):
         return value
 
     def build(self) -> Cabin:
-        """In SI."""
         given = self.pressure if self.pressure_hpa is None else self.pressure_hpa
         celsius = self.temperature_c
         logged = celsius == "log"
@@ -220,7 +221,6 @@ class MountSection(Section):
         return self
 
     def build(self) -> Mount:
-        """In radians."""
         x, y, z = self.lever_arm_m
         tilt = self.sigma_tilt_deg
         yaw = tilt if self.sigma_yaw_deg is None else self.sigma_yaw_deg
@@ -360,13 +360,13 @@ class CameraSection(Section):
         numbers = any(single) or any(value is not None for value in others)
         given = [name for name in _OTHER_WAYS if getattr(self, name) is not None]
         given += ["f_px, cx_px, distortion"] * numbers
-        if (self.model is None) != (self.params is None):
-            raise ValueError("give model and params together, as they stand in cameras.txt")
-        if len(given) > 1 + (self.model is not None):
-            raise ValueError(f"{', '.join(given)}: each gives the interior orientation; keep one")
-        of_file = (self.format, self.file and self.pixel_origin)
-        if any(of_file) and (self.file is None or self.pixel_origin is not None):
-            raise ValueError("format goes with file, and pixel_origin does not")
+        of_file = any((self.format, self.file and self.pixel_origin))
+        refuse(
+            ((self.model is None) != (self.params is None), "model-params"),
+            (len(given) > 1 + (self.model is not None), "orientation-twice"),
+            (of_file and (self.file is None or self.pixel_origin is not None), "format-file"),
+            given=", ".join(given),
+        )
         if self.file is not None:
             return self
         if numbers and single not in ((True, False, False), (False, True, True)):
@@ -382,17 +382,13 @@ class CameraSection(Section):
 
     @model_validator(mode="after")
     def _check_lens_air(self) -> Self:
-        window = self.window
-        if self.principal_distance is not None and window is not None and window.cabin is None:
+        if self.principal_distance and self.window and self.window.cabin is None:
             raise mistake("lens-air")
         return self
 
     @property
     def needs_cabin(self) -> bool:
-        """Whether a number depends on the cabin's air.
-
-        A spherical window bends nothing: behind it the air counts only in the lens.
-        """
+        """Whether a number depends on the cabin's air: behind a spherical window only the lens."""
         if self.window is None or self.window.cabin is None:
             return False
         return self.window.shape == "plane" or self.principal_distance is not None
@@ -401,9 +397,8 @@ class CameraSection(Section):
     def needs_cabin_from_log(self) -> bool:
         """Whether a number depends on the cabin's air, and that is to come from the log."""
         cabin = None if self.window is None else self.window.build().cabin
-        if cabin is None or not self.needs_cabin:
-            return False
-        return cabin.source == "log" or cabin.temperature_logged
+        of_log = cabin is not None and (cabin.source == "log" or cabin.temperature_logged)
+        return of_log and self.needs_cabin
 
     def lens(self) -> LensInAir | None:
         """How the principal distance follows the air; None where the file does not state it."""
@@ -414,10 +409,7 @@ class CameraSection(Section):
         return self.principal_distance.build(min(camera.fx_px, camera.fy_px))
 
     def build(self, pixel_origin: PixelOrigin = "corner") -> Camera:
-        """The camera in COLMAP's pixels; ``pixel_origin`` where it names none itself.
-
-        That of a `file` is known when the file was read (`with_file`).
-        """
+        """The camera in COLMAP's pixels, when its file is read; ``pixel_origin`` is the default."""
         width, height = self.width_px or 0, self.height_px or 0
         pixels = PixelSystem(self.pixel_origin or pixel_origin)
         if self.metric is not None:
@@ -435,10 +427,7 @@ class CameraSection(Section):
         return Camera(width, height, fx, fy, cx, cy, known)
 
     def with_file(self, path: Path) -> Self:
-        """The section with model and parameters of its file, which is at ``path``.
-
-        Refuses as `read_camera`, and a file whose images have another size (CAMERA-SIZE).
-        """
+        """The section with its file's numbers; refuses as `read_camera`, and CAMERA-SIZE."""
         camera = read_camera(path, self.format, None if self.camera is None else str(self.camera))
         width, height = self.width_px or camera.width_px, self.height_px or camera.height_px
         if (width, height) != (camera.width_px, camera.height_px):

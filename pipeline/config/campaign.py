@@ -29,8 +29,7 @@ _URL = re.compile("[A-Za-z][A-Za-z0-9+.-]+:/")  # as `is_url` of the rooms above
 class MissionRef:
     """A mission to run, small and of plain values: it can be sent to another process or machine.
 
-    ``path`` is its file, and relative paths resolve from the folder of that. ``defaults`` are the
-    sections that stand where the file has none of its own, as JSON; ``own`` are those of a mission
+    ``defaults`` are sections that stand where the file has none, as JSON; ``own`` those of one
     that stands in the campaign file itself.
     """
 
@@ -62,7 +61,6 @@ class MissionRef:
         return (self.campaign, "--mission", name) if self.campaign else (name,)
 
     def load(self) -> Mission:
-        """Read and check the mission file; refuses as `load_mission` does."""
         defaults = json.loads(self.defaults) if self.defaults else None
         if self.own:
             return mission_of(json.loads(self.own), _NO_LINES, self.label, defaults)
@@ -81,11 +79,9 @@ class Campaign:
 
 
 def open_configs(paths: Iterable[Path]) -> tuple[list[MissionRef], list[Campaign]]:
-    """The missions of mission files and campaign files, in their order, and the campaigns.
+    """The missions of mission files and campaign files, in their order and once, and the campaigns.
 
-    A file that is named twice is taken once.
-    Refuses (ConfigError) a campaign as `campaign_of` does. A file that cannot be read, or is no
-    YAML, is taken for a mission, which is refused when it is its turn.
+    Refuses as `campaign_of`; what cannot be read is a mission, which is refused at its turn.
     """
     missions: list[MissionRef] = []
     campaigns = []
@@ -103,11 +99,7 @@ def open_configs(paths: Iterable[Path]) -> tuple[list[MissionRef], list[Campaign
 
 
 def campaign_of(path: Path, values: dict[str, Any], node: yaml.Node) -> Campaign:
-    """Check the values of a campaign file; refuses (ConfigError) every mistake with its line.
-
-    Its defaults and the missions that stand in it are checked too; of mission files only that
-    patterns match some. Opens nothing.
-    """
+    """The campaign of a file; refuses (ConfigError) every mistake with its line, opens nothing."""
     defaults = values.get("defaults", {})
     stated = values.get("missions", [])
     items = [*_refused(CampaignFile, values), *_refused(Mission, defaults, ("defaults",))]
@@ -135,10 +127,7 @@ def campaign_of(path: Path, values: dict[str, Any], node: yaml.Node) -> Campaign
 def _refused(
     model: type[BaseModel], values: Any, at: Place = (), *, complete: bool = False
 ) -> list[Mapping[str, Any]]:
-    """What a model refuses of the values at a place of a file.
-
-    Of defaults, which are not complete, neither what is missing nor what does not go together.
-    """
+    """What a model refuses at a place; of defaults not what is missing or does not go together."""
     try:
         if isinstance(values, dict):
             model.model_validate(values)
@@ -155,11 +144,7 @@ def _refused(
 
 
 def mission_files(path: Path, stated: Sequence[Any]) -> Iterator[tuple[Path, str]]:
-    """File of each mission of a campaign, and its own sections where they stand in the campaign.
-
-    Files that several patterns match are taken once; what a pattern matches is in the order of the
-    names.
-    """
+    """File of each mission of a campaign, once, and its own sections where they stand in it."""
     listed = {os.path.realpath(path.parent / entry) for entry in stated if isinstance(entry, str)}
     for entry in stated:
         if not isinstance(entry, str):
@@ -180,11 +165,7 @@ def mission_files(path: Path, stated: Sequence[Any]) -> Iterator[tuple[Path, str
 
 
 def _seen_from(values: Any, campaign: Path, mission: Path, place: Place = ()) -> Any:
-    """Values of a campaign with the paths in them relative to the folder of a mission.
-
-    Absolute ones and URLs stay as they are. A folder that is a link gets absolute paths: from
-    there, ``..`` leads elsewhere.
-    """
+    """Values of a campaign with relative paths in them as seen from the folder of a mission."""
     if isinstance(values, dict):
         return {k: _seen_from(v, campaign, mission, (*place, k)) for k, v in values.items()}
     if isinstance(values, list):
@@ -202,11 +183,7 @@ def _seen_from(values: Any, campaign: Path, mission: Path, place: Place = ()) ->
 
 
 def refuse_twins(campaign: Campaign, named: Iterable[tuple[MissionRef, str, object]]) -> None:
-    """Refuse (ConfigError) a campaign with two missions of one name, or one folder of results.
-
-    ``named`` : missions with their names and folders. Folders are compared after symbolic links
-    are resolved, and on Windows without case.
-    """
+    """Refuse (ConfigError) two missions of a campaign with one name, or one folder of results."""
     names: dict[str, MissionRef] = {}
     folders: dict[str, tuple[MissionRef, str]] = {}
     for ref, name, output in named:

@@ -7,7 +7,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from pipeline.config.cameras import PathText, Section, mistake, one_of
+from pipeline.config.cameras import PathText, Section, one_of, refuse
 from pipeline.config.station_sources import ClockColumns, ImportTime
 from pipeline.tables.imports import CAMERA_EVENTS, format_of
 
@@ -74,7 +74,6 @@ class PositionEvents(Section):
 
     @property
     def format_name(self) -> str:
-        """The format, stated or by the ending."""
         return format_of(CAMERA_EVENTS, Path(self.path), self.format)
 
     @property
@@ -114,21 +113,19 @@ class EventsSection(Section):
 
     @model_validator(mode="after")
     def _check_source(self) -> Self:
-        given = [source for source in (self.log, self.csv, self.positions) if source is not None]
-        if len(given) != 1:
-            raise ValueError("give either log, csv or positions")
-        if not given[0]:
-            raise ValueError(f"{'log' if self.log is not None else 'positions'} needs at least one "
-                             "camera")  # fmt: skip
-        if self.csv is not None and (self.images is not None or self.first_image):
-            raise mistake("images-of-csv")
+        given = [n for n in ("log", "csv", "positions") if getattr(self, n) is not None]
+        refuse(
+            (len(given) != 1, "give either log, csv or positions"),
+            (given and not getattr(self, given[0]), f"{''.join(given)} needs at least one camera"),
+            (self.csv is not None and (self.images or self.first_image), "images-of-csv"),
+        )
         for camera in sorted(set(self.first_image) - set(self.patterns)):
             raise ValueError(f"first_image names camera {camera!r}, which has no pulses")
         for camera, pattern in self.patterns.items():
-            if camera in self.first_image and re.search("{index|{name", pattern):
-                raise mistake("first-of-numbered", pattern=pattern, camera=camera)
-            if pattern == "*" and len(self.patterns) > 1:
-                raise mistake("pattern-of-all", camera=camera)
+            numbered = camera in self.first_image and re.search("{index|{name", pattern)
+            every = pattern == "*" and len(self.patterns) > 1
+            rules = (numbered, "first-of-numbered"), (every, "pattern-of-all")
+            refuse(*rules, pattern=pattern, camera=camera)
         return self
 
     @property
@@ -142,9 +139,8 @@ class EventsSection(Section):
         """Where the mission file says of which clock the times of the exposures are."""
         if self.csv is None:
             return "events.log" if self.log is not None else "events.positions"
-        return (
-            f"events.csv.columns.{'gps_week' if self.csv.columns.time_utc is None else 'time_utc'}"
-        )
+        column = "gps_week" if self.csv.columns.time_utc is None else "time_utc"
+        return f"events.csv.columns.{column}"
 
     def anchor(self, camera: str) -> FirstImage | None:
         """The image and event that are stated for a camera."""

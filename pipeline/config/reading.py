@@ -10,6 +10,7 @@ from typing import Any
 import yaml
 from pydantic import ValidationError
 
+from pipeline.config.cameras import mistakes
 from pipeline.config.schema import alternatives, as_written, campaign_schema, in_words, nodes_at
 from pipeline.config.sections import Mission
 from pipeline.errors import ConfigError
@@ -19,20 +20,6 @@ Place = tuple[str | int, ...]
 
 TODO = "TODO"
 """What stands in a mission file for a question that is still open."""
-
-_YAML = {
-    "mapping values are not allowed here": "there is a colon where none can stand: put quotes "
-    "around the text, or check the indentation",
-    "found character '\\t' that cannot start any token": "there is a tab: YAML is indented by "
-    "spaces",
-    "could not find expected ':'": "a key without a colon stands here or above",
-    "expected <block end>": "the indentation differs from that of the lines above",
-    "expected ',' or": "a bracket or a brace is not closed, or a comma is missing",
-    "could not determine a constructor": "tags (!) are not taken",
-    "found undefined alias": "an alias (*) has no anchor (&)",
-    "expected a single document": "there are several documents (---); a mission file is one",
-}
-"""Beginnings of what the YAML parser says, and the same in plain words."""
 
 
 def open_questions(values: Any) -> list[Place]:
@@ -61,8 +48,7 @@ def sentences_of(
     """One sentence for each mistake, in the order of the file.
 
     ``items`` is what the models refuse, ``values`` and ``node`` are the file. Open questions come
-    as such; what the models say of them, and of what holds them, is left out. What is not in
-    ``own``, where that is given, has no line in the file: a campaign's defaults say it.
+    as such. What is not in ``own``, where that is given, is of a campaign's defaults: no line.
     """
     todo = open_questions(values)
     found: dict[tuple[Place, str], None] = {
@@ -125,15 +111,11 @@ def _found_at(values: Any, loc: tuple[int | str, ...]) -> tuple[Place, Any]:
 
 
 def _stands(values: Any, place: Place) -> bool:
-    """Whether there is a value at a place."""
     for key in place:
-        held: Any = values
-        inside = (isinstance(held, dict) and key in held) or (
-            isinstance(held, list) and isinstance(key, int) and key < len(held)
-        )
-        if not inside:
+        inside = range(len(values)) if isinstance(values, list) else values
+        if not isinstance(inside, dict | range) or key not in inside:
             return False
-        values = held[key]
+        values = values[key]
     return True
 
 
@@ -228,10 +210,7 @@ _Loader.add_implicit_resolver(
 
 
 def load_mission(path: Path | str) -> Mission:
-    """Read and check a mission file; refuses with every mistake, its line and the nearest key.
-
-    Opens nothing but the file itself.
-    """
+    """Read and check a mission file; refuses with every mistake, its line and the nearest key."""
     path = Path(path)
     values, node = read_yaml(path)
     return mission_of(values, node, str(path))
@@ -253,7 +232,11 @@ def read_yaml(path: Path) -> tuple[dict[str, Any], yaml.Node]:
         mark = getattr(error, "problem_mark", None)
         line = f":{mark.line + 1}" if mark else ""
         problem = str(getattr(error, "problem", None) or error)
-        known = (words for beginning, words in _YAML.items() if problem.startswith(beginning))
+        known = (
+            words
+            for beginning, words in mistakes()["yaml"].items()
+            if problem.startswith(beginning)
+        )
         own = problem.startswith(("the key ", "a key "))
         what = problem if own else next(known, "here the text is no YAML")
         remedy = "mend the YAML"
@@ -306,9 +289,7 @@ def refusal_of(
 def merged(defaults: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
     """A mission's own values, and the defaults where it has none; null takes a default away.
 
-    ``{mission}`` in the path of results of the defaults is the name of the mission.
-
-    Values that belong together are all the mission's (`WHOLE`, `LEADING`).
+    ``{mission}`` in a path of results is its name; `WHOLE` and `LEADING` values stay together.
 
     >>> merged({"log": {"path": "a", "max_gap_s": 2.0}, "mount": {"nadir": {"roll_deg": 1.0}}},
     ...        {"log": {"path": "b"}, "mount": {"nadir": {"yaw_deg": 90.0}}})

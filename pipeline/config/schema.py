@@ -25,10 +25,7 @@ _FILLED_IN = {"OrientationSection": {"path", "angles"}, "GroundSection": {"refer
 
 @dataclass(frozen=True)
 class MissionKey:
-    """One key of a mission file: ``cameras.*.f_px``, where ``*`` is any name or place in a list.
-
-    ``allowed`` says in words what it takes; ``unit`` is empty where it takes no numbers.
-    """
+    """One key of a mission file: ``cameras.*.f_px``, where ``*`` is any name or place in a list."""
 
     path: str
     text: str
@@ -57,10 +54,7 @@ def all_sections(annotation: Any = Mission | CampaignFile) -> dict[str, type[Bas
 
 @cache
 def mission_schema() -> Node:
-    """The JSON schema (draft 7) of a mission file: description, unit, default, example of each key.
-
-    What depends on several keys at once is not in it: `load_mission` refuses that.
-    """
+    """The JSON schema (draft 7) of a mission file, without what depends on several keys at once."""
     schema = _with_texts(Mission.model_json_schema(), Mission)
     control = schema["properties"]["control"]
     control["anyOf"].append({"type": "string", "minLength": 1, "pattern": PATH})  # its path alone
@@ -82,7 +76,6 @@ def campaign_schema() -> Node:
 
 
 def _with_texts(schema: Node, root: type[BaseModel]) -> Node:
-    """A schema with the description, unit, example and default of each key."""
     texts = key_texts()
     for name, section in all_sections(root).items():
         node = schema if section is root else schema["$defs"][name]
@@ -113,10 +106,7 @@ def alternatives(node: Node) -> list[Node]:
 
 
 def nodes_at(keys: tuple[str | int, ...]) -> list[Node]:
-    """The nodes of the schema for a place in a mission file; empty where no key is called so.
-
-    The keys of a campaign file are none of a mission file: they lead to its own schema.
-    """
+    """The nodes of the schema for a place in a mission or campaign file; empty without the key."""
     of_campaign = bool(keys) and keys[0] in CampaignFile.model_fields
     nodes: list[Node] = [campaign_schema() if of_campaign else mission_schema()]
     for key in keys:
@@ -167,7 +157,6 @@ def in_words(node: Node) -> str:
 
 
 def as_written(value: Any) -> str:
-    """A value as it is written in YAML, on one line."""
     match value:
         case None:
             return "none"

@@ -15,6 +15,7 @@ from pipeline.config.cameras import (
     Section,
     mistake,
     one_of,
+    refuse,
 )
 from pipeline.config.event_sources import EventsSection, PositionEvents
 from pipeline.config.station_sources import LocalOrigin, NamedColumns, StationsSection
@@ -71,7 +72,6 @@ class ChannelsSection(Section):
     cabin_humidity: str | NamedChannel | None = None
 
     def named(self) -> dict[str, NamedChannel]:
-        """The roles that were named."""
         given = {role: getattr(self, role) for role in type(self).model_fields}
         return {
             role: NamedChannel(name=value) if isinstance(value, str) else value
@@ -118,10 +118,9 @@ class ObservationsSection(Section):
 
     @model_validator(mode="after")
     def _check_block(self) -> Self:
-        if self.format in BLOCKS and self.columns != ObservationColumnNames():
-            raise ValueError(f"format: {self.format} names its columns itself; leave columns out")
-        if self.format in BLOCKS and self.pixel_origin != "corner":
-            raise mistake("pixels-of-block", format=self.format)
+        if self.format in BLOCKS:
+            named, moved = self.columns != ObservationColumnNames(), self.pixel_origin != "corner"
+            refuse((named, "columns-of-block"), (moved, "pixels-of-block"), format=self.format)
         return self
 
     @property
@@ -191,7 +190,6 @@ class GroundModel(Section):
 
     @property
     def paths(self) -> tuple[str, ...]:
-        """The rasters."""
         return (self.dem,) if isinstance(self.dem, str) else tuple(self.dem)
 
 
@@ -228,22 +226,18 @@ class GroundSection(Section):
 
     @property
     def constant_m(self) -> float | None:
-        """The one height of all points, where there is one."""
         return self.height if isinstance(self.height, float) else None
 
     @property
     def column(self) -> str | None:
-        """The column of heights, where there is one."""
         return self.height.column if isinstance(self.height, GroundColumn) else None
 
     @property
     def points(self) -> PointTable | None:
-        """The table of points with their heights, where there is one."""
         return self.height if isinstance(self.height, PointTable) else None
 
     @property
     def model(self) -> GroundModel | None:
-        """The elevation model, where there is one."""
         return self.height if isinstance(self.height, GroundModel) else None
 
     @property
@@ -254,7 +248,6 @@ class GroundSection(Section):
 
     @property
     def from_distance(self) -> bool:
-        """Whether the heights follow from the slant ranges."""
         return self.height == "from_distance"
 
     @model_validator(mode="before")
@@ -278,17 +271,15 @@ class GroundSection(Section):
 
     @model_validator(mode="after")
     def _check_combinations(self) -> Self:
-        if self.sigma_m is not None and self.sigma_column is not None:
-            raise ValueError("give either sigma_m or sigma_column")
-        of_camera = isinstance(self.height, str)
-        if of_camera and (self.reference != "msl" or self.home_h_msl_m is not None):
-            raise mistake("reference-of-camera", height=self.height)
-        if self.model is not None and (
-            self.reference == "relative" or self.home_h_msl_m is not None
-        ):
-            raise mistake("reference-of-dem")
-        if self.height == "intersected" and (self.sigma_m is not None or self.sigma_column):
-            raise mistake("intersected-sigma")
+        sigmas = (self.sigma_m is not None) + (self.sigma_column is not None)
+        home, of_camera = self.home_h_msl_m is not None, isinstance(self.height, str)
+        refuse(
+            (sigmas > 1, "give either sigma_m or sigma_column"),
+            (of_camera and (self.reference != "msl" or home), "reference-of-camera"),
+            (self.model and (self.reference == "relative" or home), "reference-of-dem"),
+            (self.height == "intersected" and sigmas, "intersected-sigma"),
+            height=self.height,
+        )
         return self
 
 
@@ -450,33 +441,25 @@ class Mission(Section):
 
     @model_validator(mode="after")
     def _check_named_inputs(self) -> Self:
-        named = ChannelsSection() if self.log is None else self.log.channels
-        if self.atmosphere.board_temperature and named.temperature is None:
-            raise mistake("board-channel")
-        orientation = self.stations.orientation
-        if self.ground.height == "block" and (
-            orientation is None or not orientation.of_block or orientation.known_positions == "log"
-        ):
-            raise mistake("block-points", blocks=", ".join(BLOCKS))
-        if self.control is not None and self.refraction.direction == "apply":
-            raise mistake("control-applied")
-        if self.ground.from_distance and self.observations.columns.distance_m is None:
-            raise mistake("distance-column")
-        return self
-
-    @model_validator(mode="after")
-    def _check_positions(self) -> Self:
-        trajectory, events = self.stations.trajectory, self.position_events
-        if self.stations.orientation is not None and (trajectory is not None or events):
-            raise mistake("orientation-positions")
-        if trajectory is None or not trajectory.moves_stations:
-            return self
-        if trajectory.point == "camera" and len(self.cameras) > 1:
-            raise mistake("one-camera", cameras=", ".join(self.cameras))
-        if any(not source.times_only for source in events.values()):
-            raise mistake("positions-twice")
-        if trajectory.lever_arm_m == "from_events" and not events:
-            raise ValueError("stations.trajectory.lever_arm_m: from_events needs events.positions")
+        board, ground = self.atmosphere.board_temperature, self.ground
+        boarded = self.log is not None and self.log.channels.temperature is not None
+        oriented, trajectory = self.stations.orientation, self.stations.trajectory
+        alone = oriented and oriented.of_block and oriented.known_positions != "log"
+        events, moves = self.position_events, trajectory and trajectory.moves_stations
+        placed = any(not source.times_only for source in events.values())
+        of_events = trajectory and trajectory.lever_arm_m == "from_events"
+        of_one = trajectory and trajectory.point == "camera"
+        refuse(
+            (board and not boarded, "board-channel"),
+            (ground.height == "block" and not alone, "block-points"),
+            (self.control is not None and self.refraction.direction == "apply", "control-applied"),
+            (ground.from_distance and not self.observations.columns.distance_m, "distance-column"),
+            (oriented is not None and (trajectory or events), "orientation-positions"),
+            (moves and of_one and len(self.cameras) > 1, "one-camera"),
+            (moves and placed, "positions-twice"),
+            (moves and of_events and not events, "lever-from-events"),
+            blocks=", ".join(BLOCKS), cameras=", ".join(self.cameras),
+        )  # fmt: skip
         return self
 
     @model_validator(mode="after")

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from pipeline.config.cameras import LeverArm, PathText, Section, mistake, one_of
+from pipeline.config.cameras import LeverArm, PathText, Section, one_of, refuse
 from pipeline.flight.heights import GeodeticOrigin
 from pipeline.tables.imports import ORIENTATIONS, TRAJECTORIES
 from pipeline.tables.imports.blocks import BLOCKS
@@ -118,16 +118,15 @@ class TrajectorySection(Section):
     @model_validator(mode="after")
     def _check_point(self) -> Self:
         by_ending = Path(self.path).suffix.lower() in TRAJECTORIES["csv"][1] and not self.format
-        if self.crs is not None and self.format != "csv" and not by_ending:
-            raise ValueError("crs is that of a CSV; the positions of other formats are WGS 84")
-        if self.lever_arm_m == "from_events" and self.point != "antenna":
-            raise ValueError("lever_arm_m: from_events leads from the antenna: point: antenna")
-        if self.point == "camera" and self.lever_arm_m != [0.0, 0.0, 0.0]:
-            raise ValueError("point: camera has no lever arm")
+        of_csv, of_camera = self.format == "csv" or by_ending, self.point == "camera"
+        arm, of_events = self.lever_arm_m != [0.0, 0.0, 0.0], self.lever_arm_m == "from_events"
         moved = {"position", "height"} & set(self.replaces or ("position", "height"))
-        away = self.point == "camera" or self.lever_arm_m != [0.0, 0.0, 0.0]
-        if len(moved) == 1 and away:
-            raise ValueError("a lever arm or point: camera needs both position and height replaced")
+        refuse(
+            (self.crs is not None and not of_csv, "crs-of-csv"),
+            (of_events and self.point != "antenna", "lever-from-antenna"),
+            (of_camera and arm, "point: camera has no lever arm"),
+            (len(moved) == 1 and (of_camera or arm), "lever-both"),
+        )
         return self
 
 
@@ -175,7 +174,6 @@ class LocalOrigin(Section):
     h_ellipsoid_m: float = Field(ge=-500, le=50_000)
 
     def build(self) -> GeodeticOrigin:
-        """In radians."""
         return GeodeticOrigin(self.lat_deg * DEGREE, self.lon_deg * DEGREE, self.h_ellipsoid_m)
 
 
@@ -280,38 +278,26 @@ class OrientationSection(Section):
 
     @model_validator(mode="after")
     def _check_combinations(self) -> Self:
-        unknown = self.frame == "unknown"
-        if self.format == "dji" and self.angles != "roll_pitch_yaw":
-            raise ValueError("format: dji has angles: roll_pitch_yaw, of the gimbal")
-        level = self.frame in ("geographic", "projected")
-        if self.angles == "roll_pitch_yaw" and not level:
-            raise mistake("angles-level")
-        if (self.frame == "projected") > (self.crs is not None) or (self.crs and not level):
-            raise mistake("frame-crs")
-        if unknown and self.is_geodetic:
-            raise ValueError("an unknown frame has x, y and z, not columns.latitude")
-        if unknown and self.known_positions is None:
-            raise mistake("frame-unknown")
-        if not unknown and self.known_positions is not None:
-            raise ValueError("known_positions are for frame: unknown")
-        has_heights = self.is_geodetic or self.frame is None
-        if (has_heights or isinstance(self.known_positions, KnownPositions)) != (
-            self.heights is not None
-        ):
-            raise mistake(
-                "heights-stated",
-                block=" (a block without frame has those that its program was given)"
-                * self.of_block,
-            )
-        if self.of_block and (
-            self.angles != "quaternion" or self.frame == "geographic" or self.camera is not None
-            or self.columns != OrientationColumns()
-        ):  # fmt: skip
-            raise mistake("block-says", format=self.format)
-        if self.convergence_deg and self.frame != "geographic":
-            raise ValueError("convergence_deg is for frame: geographic")
-        if self.has_clock and self.date is not None:
-            raise ValueError("give either date, or the columns of time")
+        unknown, level = self.frame == "unknown", self.frame in ("geographic", "projected")
+        known, of_body = self.known_positions, self.angles == "roll_pitch_yaw"
+        has_heights = self.is_geodetic or self.frame is None or isinstance(known, KnownPositions)
+        stated = self.camera is not None or self.columns != OrientationColumns()
+        refuse(
+            (self.format == "dji" and not of_body, "dji-angles"),
+            (of_body and not level, "angles-level"),
+            ((self.frame == "projected") > (self.crs is not None), "frame-crs"),
+            (self.crs and not level, "frame-crs"),
+            (unknown and self.is_geodetic, "unknown-geodetic"),
+            (unknown and known is None, "frame-unknown"),
+            (not unknown and known is not None, "known_positions are for frame: unknown"),
+            (self.of_block and has_heights != (self.heights is not None), "heights-of-block"),
+            (has_heights != (self.heights is not None), "heights-stated"),
+            (self.of_block and (stated or self.frame == "geographic"), "block-says"),
+            (self.of_block and self.angles != "quaternion", "block-says"),
+            (self.convergence_deg and self.frame != "geographic", "convergence-frame"),
+            (self.has_clock and self.date is not None, "date-twice"),
+            format=self.format,
+        )  # fmt: skip
         return self
 
 

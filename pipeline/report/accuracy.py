@@ -1,7 +1,6 @@
 """The comparison page: the error of each published method against the spherical ray.
 
-All numbers of the text are computed and rounded, so that it is the same on every machine; the
-picture beside it contains the hash of the text.
+Its numbers are rounded, the same on every machine; the picture contains the hash of the text.
 """
 
 from __future__ import annotations
@@ -46,11 +45,7 @@ _TICKS_KM = (0.5, 1, 2, 5, 10, 20)
 
 @dataclass(frozen=True)
 class Accuracy:
-    """The comparisons of the page, one for each ground height, at whole degrees from 0 to 85.
-
-    ``tables`` has the heights of the tables, ``curves`` closer ones for the picture;
-    ``colour_percent`` is how much more the default index refracts.
-    """
+    """Comparisons for each ground, at whole degrees to 85: of ``tables``, and closer ``curves``."""
 
     atmosphere: str
     tables: tuple[Comparison, ...]
@@ -61,8 +56,7 @@ class Accuracy:
 def compare_all(atmosphere: str) -> Accuracy:
     """Every method over every height and ground of the page, in one standard atmosphere.
 
-    With the index of 0.589 um, the light that the constants of the papers are for;
-    ``colour_percent`` is what the default index (Ciddor, 0.55 um) adds at 6 km and 45 degrees.
+    With the papers' index (0.589 um); ``colour_percent`` is what the default adds at 6 km, 45 deg.
     """
     air = standard_atmosphere(atmosphere, index="gyer")
     tables, curves = (
@@ -162,10 +156,7 @@ def print_accuracy(console: Console, accuracy: Accuracy) -> None:
 
 
 def comparison_rows(accuracy: Accuracy) -> list[dict[str, Any]]:
-    """To which nadir angle [deg] each method is good, a row for each method, height and ground.
-
-    None where a method is not defined.
-    """
+    """To which nadir angle [deg] each method is good, by height and ground; None: not defined."""
     rows = []
     for comparison in accuracy.tables:
         angles = [comparison.good_to(limit * ARCSEC) / DEGREE for limit in LIMITS_ARCSEC]
@@ -194,10 +185,7 @@ def accuracy_png(curves: tuple[Comparison, ...], belongs_to: str) -> bytes:
 
 
 def accuracy_figure(curves: tuple[Comparison, ...]) -> Figure:
-    """Nadir angle against height of the camera, a panel for each method.
-
-    ``curves`` : the ground whose errors are drawn as bands, and another with one line for 1 arcsec.
-    """
+    """Nadir angle against height, a panel a method: bands of one ground, a line of another."""
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch

@@ -26,27 +26,17 @@ from pipeline.report.words import significant, with_sigma
 from pipeline.tables.exports.correction_tables import radial_columns
 from pipeline.units import MICRORADIAN
 
-_STATUS_TEXTS = {
-    "beyond_grazing": "the near one of two crossings of the ground's height; with --distance the "
-    "slant range decides",
-    "far_branch": "the far one of two crossings of the ground's height, as the slant range says",
-}
-_OVER_THE_HORIZON = (
-    "no metres on the ground: the straight ray in the apparent direction passes over the horizon, "
-    "and only the bent one lands"
-)
-
 
 def print_angle(console: Console, angle: Mapping[str, Any]) -> None:
-    """One refraction angle in arcsec, microradians and metres on the ground."""
     arcsec, urad, ground = (
         significant(angle[name], 5, smallest=1e-6)
         for name in ("r_c_arcsec", "r_c_urad", "ground_m")
     )
-    over = angle["ground_m"] is None
-    lines = [f"{urad} microradians", _OVER_THE_HORIZON if over else f"{ground} m on the ground"]
-    if angle["status"] in _STATUS_TEXTS:
-        lines.append(f"{angle['status']}: {_STATUS_TEXTS[angle['status']]}")
+    texts = summary.report_texts()["angle"]
+    on_ground = texts["over"] if angle["ground_m"] is None else f"{ground} m on the ground"
+    lines = [f"{urad} microradians", on_ground]
+    if angle["status"] in texts:
+        lines.append(f"{angle['status']}: {texts[angle['status']]}")
     console.print(f"R_c    {arcsec} arcsec", highlight=False)
     for line in lines:
         console.print(Padding(line, (0, 0, 0, 7), expand=False))
@@ -78,7 +68,6 @@ def _at_right(columns: Columns) -> list[Column]:
 
 
 def print_profile(console: Console, rows: Sequence[Mapping[str, Any]], standard: str) -> None:
-    """A profile as a table, each quantity beside that of the standard."""
     columns = columns_of("profile")
     table = plain_table((*(head for head, *_ in columns), "source\n"), gap=1)
     table.columns[0].justify, table.columns[-1].justify = "right", "left"
@@ -121,7 +110,6 @@ def radial_rows(tables: Sequence[RadialTable]) -> list[dict[str, Any]]:
 
 
 def print_radial(console: Console, tables: Sequence[RadialTable]) -> None:
-    """Refraction by nadir angle, one table for each flying height."""
     for table in tables:
         manual = (
             "where the Manual's formula has no value"
@@ -142,4 +130,5 @@ def print_radial(console: Console, tables: Sequence[RadialTable]) -> None:
             printed.add_row(*cells)
         console.print(Padding(printed, (0, 0, 1, 0)))
     if any(bool(np.isnan(t.shift_ground_m[np.isfinite(t.r_c_rad)]).any()) for t in tables):
-        console.print(f"{_OVER_THE_HORIZON[:1].upper()}{_OVER_THE_HORIZON[1:]}.")
+        over = summary.report_texts()["angle"]["over"]
+        console.print(f"{over[:1].upper()}{over[1:]}.")

@@ -1,7 +1,6 @@
 """Consoles for texts: as wide as a terminal, or lines as they are for a file or the next program.
 
-What is not a terminal gets no colours, no line breaks inside a sentence and no blanks at the ends
-of lines, so that a line is found by ``grep`` and copied as it is.
+What is not a terminal gets no colours, no broken lines and no blanks at the ends of lines.
 """
 
 import os
@@ -100,7 +99,6 @@ Columns = Sequence[tuple[str, str, float, str]]
 
 @cache
 def columns_of(name: str) -> Columns:
-    """The columns of a table of ``columns.toml``."""
     text = (files("pipeline.report") / "data/columns.toml").read_text("utf-8")
     return [tuple(column) for column in tomllib.loads(text)[name]]
 

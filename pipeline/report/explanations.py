@@ -3,9 +3,9 @@
 import difflib
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import cache
 from importlib import resources
+from typing import NamedTuple
 
 from pipeline.config.schema import campaign_keys, mission_keys
 from pipeline.errors import ConfigError
@@ -15,52 +15,48 @@ _NUMBERS_AND_STATUSES = {"exit": "exit code {}", "observations": "{} (status of 
                          "stations": "{} (status of stations)"}  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Meaning:
+class Meaning(NamedTuple):
     """Of a code: what it means, what it does to the result, and what to do."""
 
     means: str
     effect: str
     remedy: str
 
+    def lines(self) -> list[str]:
+        return [
+            f"  {self.means}", f"  effect on the result: {self.effect}", f"  to do: {self.remedy}"
+        ]  # fmt: skip
+
 
 @cache
-def _meanings() -> Mapping[str, Mapping[str, Mapping[str, str]]]:
-    return tomllib.loads(resources.files(__package__).joinpath("codes.toml").read_text("utf-8"))
-
-
-def codes() -> dict[str, Meaning]:
-    """All codes of refusals and of the ledger, sorted."""
-    return {code: Meaning(**of) for code, of in sorted(_meanings()["codes"].items())}
-
-
-def exit_codes() -> dict[int, Meaning]:
-    """The exit codes of the command line."""
-    return {int(code): Meaning(**of) for code, of in _meanings()["exit"].items()}
+def meanings() -> Mapping[str, Mapping[str, Meaning]]:
+    """Of ``codes`` of refusals and of the ledger, ``exit`` codes, and statuses."""
+    text = resources.files(__package__).joinpath("codes.toml").read_text("utf-8")
+    return {
+        of: {word: Meaning(**entry) for word, entry in entries.items()}
+        for of, entries in tomllib.loads(text).items()
+    }
 
 
 def explain(word: str) -> list[str]:
     """Lines that explain a key (whole or its last part), a code, an exit code or a status.
 
-    Of several keys that end in the word each is explained, up to 8, the rest are listed. Refuses
-    (ConfigError HELP-WORD) a word that is none, with the nearest ones.
+    Of several keys 8 are explained. Refuses (ConfigError HELP-WORD) a word that is none.
 
     >>> explain("4")[0]
     'exit code 4'
     >>> explain("f_px")[:2]
     ['cameras.*.f_px', '  principal distance, where it is the same along x and y']
     """
+    small, code, known = word.lower(), word.upper().strip(":"), meanings()["codes"]
     of_word = [
-        line for of, text in _NUMBERS_AND_STATUSES.items() if word.lower() in _meanings()[of]
-        for line in (text.format(word.lower()),
-                     *_lines_of(Meaning(**_meanings()[of][word.lower()])))
+        line for of, text in _NUMBERS_AND_STATUSES.items() if small in meanings()[of]
+        for line in (text.format(small), *meanings()[of][small].lines())
     ]  # fmt: skip
     if of_word:
         return of_word
-    code = word.upper().strip(":")
-    known = codes()
     if code in known:
-        return [code, *_lines_of(known[code])]
+        return [code, *known[code].lines()]
     keys = [*mission_keys(), *campaign_keys()]
     parts = word.strip(".").lower().split(".")
     tails = [(key, key.path.split(".")[-len(parts) :]) for key in keys]
@@ -74,15 +70,12 @@ def explain(word: str) -> list[str]:
     if not found:
         last = {key.path.rpartition(".")[2]: key.path for key in keys}
         near = difflib.get_close_matches(code, known, 3, 0.7)
-        last |= {status: status for of in _NUMBERS_AND_STATUSES for status in _meanings()[of]}
+        last |= {status: status for of in _NUMBERS_AND_STATUSES for status in meanings()[of]}
         near += difflib.get_close_matches(parts[-1], last, 3, 0.6)
-        raise ConfigError(
-            "HELP-WORD",
-            f"{word!r} is no key of a mission file, no code, no exit code and no status",
-            remedy=f"perhaps {', '.join(near)}?"
-            if near
-            else "`unbend schema` has all keys; codes are what the ledger and refusals begin with",
-        )
+        what = f"{word!r} is no key of a mission file, no code, no exit code and no status"
+        rest = "`unbend schema` has all keys; codes are what the ledger and refusals begin with"
+        remedy = f"perhaps {', '.join(near)}?" if near else rest
+        raise ConfigError("HELP-WORD", what, remedy=remedy)
     lines = []
     for key in found[:_MOST_LISTED]:
         lines += [key.path, f"  {key.text}", f"  takes: {key.allowed}", f"  default: {key.default}"]
@@ -92,13 +85,5 @@ def explain(word: str) -> list[str]:
         names = [path[1:] for path in dict.fromkeys(within) if path.count(".") == 1]
         lines += [f"  within it: {', '.join(names)}"] if names else []
         lines.append("")
-    rest = [key.path for key in found[_MOST_LISTED:]]
-    return lines[:-1] + ([f"and: {', '.join(rest)}"] if rest else [])
-
-
-def _lines_of(meaning: Meaning) -> list[str]:
-    return [
-        f"  {meaning.means}",
-        f"  effect on the result: {meaning.effect}",
-        f"  to do: {meaning.remedy}",
-    ]
+    more = [key.path for key in found[_MOST_LISTED:]]
+    return lines[:-1] + ([f"and: {', '.join(more)}"] if more else [])

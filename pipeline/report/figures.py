@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import io
-from collections.abc import Callable, Sequence
-from functools import wraps
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,27 +23,19 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-P = ParamSpec("P")
-R = TypeVar("R")
-
 MEASURED, REJECTED = "#c2410c", "#fdba74"
 ADJUSTED = "#1d4ed8"
 STANDARD = "#64748b"
 _TIME_WINDOW = "#93c5fd"
 
 
-def styled(draw: Callable[P, R]) -> Callable[P, R]:
-    """Decorator: draw with the style of the report, then restore matplotlib's settings."""
+@contextmanager
+def styled() -> Iterator[None]:
+    """Draw with the style of the report, then restore matplotlib's settings."""
+    import matplotlib as mpl
 
-    @wraps(draw)
-    def draw_styled(*args: P.args, **kwargs: P.kwargs) -> R:
-        import matplotlib as mpl
-
-        style = {"svg.hashsalt": "unbend", "svg.fonttype": "path", "font.size": 9}
-        with mpl.rc_context(style):
-            return draw(*args, **kwargs)
-
-    return draw_styled
+    with mpl.rc_context({"svg.hashsalt": "unbend", "svg.fonttype": "path", "font.size": 9}):
+        yield
 
 
 def new_figure(
@@ -62,33 +53,22 @@ def new_figure(
     return figure, list(axes)
 
 
-@styled
-def as_svg(figure: Figure) -> str:
-    """The figure as an SVG element; the same figure gives the same text."""
-    buffer = io.StringIO()
-    figure.savefig(buffer, format="svg", metadata={"Date": None})
-    text = buffer.getvalue()
-    return text[text.index("<svg") :]
+_OPTIONS: dict[str, dict[str, Any]] = {
+    ".png": {"dpi": 130, "metadata": {"Software": None}}, ".svg": {"metadata": {"Date": None}},
+}  # fmt: skip
 
 
-@styled
-def as_png(figure: Figure) -> bytes:
-    """The figure as a PNG file."""
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=130, metadata={"Software": None})
-    return buffer.getvalue()
-
-
+@styled()
 def save_figure(figure: Figure, path: Path) -> None:
-    """Write a figure as .png or .svg, by the name of the file."""
-    if path.suffix.lower() not in (".png", ".svg"):
+    """Write a figure as .png or .svg, by the name of the file; the same gives the same bytes."""
+    ending = path.suffix.lower()
+    if ending not in _OPTIONS:
         raise ConfigError.of("PLOT-FORMAT", path)
-    content = as_png(figure) if path.suffix.lower() == ".png" else as_svg(figure).encode()
     with storage_errors(path):
-        path.write_bytes(content)
+        figure.savefig(path, format=ending[1:], **_OPTIONS[ending])
 
 
-@styled
+@styled()
 def flight_figure(
     stations: Stations,
     track: tuple[NDArray[np.int64], Array, Array, Array],
@@ -97,8 +77,7 @@ def flight_figure(
     """A flight from above, and its height over time: stations, suspect ones, and rejected events.
 
     ``track`` : time [Unix ns], latitude, longitude [rad] and height above sea level [m] as logged;
-    ``stretches`` : from when to when [Unix ns] the log contradicts itself. Events without a
-    position have only their time.
+    ``stretches`` : from when to when [Unix ns] the log contradicts itself.
     """
     from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 
@@ -148,13 +127,9 @@ def flight_figure(
     return figure
 
 
-@styled
+@styled()
 def profile_figure(air: FlightAir, samples: AirSamples) -> Figure:
-    """T, p, e and N of the air and of the standard against height, and the effect on R.
-
-    One-sigma bands where there is a covariance; the samples, those that are not used paler; thin
-    lines for the parts of a long flight.
-    """
+    """T, p, e, N of the air with one sigma, of samples and the standard, and the effect on R."""
     figure, axes = new_figure(3, 10.2, 6.4, rows=2)
     curves = air_curves(air, samples, np.empty(0))
     h, ours, sigma = curves["h_m"], curves["ours"], curves["sigma"]

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from pipeline.refraction.camera.camera import Camera
 from pipeline.refraction.effect import FlightAir
 from pipeline.refraction.kernels.columns import TILE
 from pipeline.tables.exports.footprints import ground_corners
+from pipeline.tables.geodata.elevation import ElevationModel
 from pipeline.units import DEGREE, HECTOPASCAL, ZERO_CELSIUS_K, Array, Integers, evenly_spaced
 
 Track = tuple[Integers, Array, Array, Array]
@@ -37,13 +38,6 @@ QUANTITIES = (
     "refractivity N = (n − 1) 10⁶",
 )  # fmt: skip
 """The columns of `air_curves`; the fifth is N against the standard [%]."""
-
-
-class ElevationSource(Protocol):
-    """Heights above sea level [m] of rows and columns of places [rad], NaN where unknown."""
-
-    def nodes(self, lat_rad: Array, lon_rad: Array) -> tuple[Array, Array]: ...
-    def heights(self, row: Array, column: Array) -> Array: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,8 +64,7 @@ class Flown:
     def time(self) -> dict[str, Any]:
         """Seconds of exposures and track after ``begin_ns``, their ``span``, and ``heights_m``.
 
-        Where nothing has a time, ``begin_ns`` is None and exposures are numbered. ``heights_m`` are
-        the limits of all heights with a margin, None without any.
+        Where nothing has a time, ``begin_ns`` is None and exposures are numbered.
         """
         exposures, track = self.exposures, self.track
         heights = np.concatenate([exposures["h_msl_m"], exposures["ground_m"], track["h_msl_m"]])
@@ -103,7 +96,7 @@ def flown_of(
     cameras: Mapping[str, Camera],
     ground_m: Array,
     radius_m: float | None,
-    terrain: ElevationSource | None,
+    terrain: ElevationModel | None,
 ) -> Flown:
     """What a page shows of a flight; ``ground_m`` (s,) below each station, NaN for the median."""
     if np.isfinite(ground_m).any():
@@ -153,11 +146,8 @@ def flown_of(
     )  # fmt: skip
 
 
-def relief_of(terrain: ElevationSource, limits_deg: Limits) -> tuple[Limits, Array] | None:
-    """Light from the north-west on a model within limits, and these with a margin.
-
-    None where it has no heights there, or is so fine that drawing it would cost more than the run.
-    """
+def relief_of(terrain: ElevationModel, limits_deg: Limits) -> tuple[Limits, Array] | None:
+    """Light from the north-west on a model within limits with a margin; None: too fine, or bare."""
     west, east, south, north = limits_deg + 2e-4 * np.array([-1.0, 1.0, -1.0, 1.0])
     per_degree = 111_200.0 * np.array([np.cos(np.radians(0.5 * (south + north))), 1.0])
     size = np.array([east - west, north - south]) * per_degree
@@ -182,10 +172,8 @@ def relief_of(terrain: ElevationSource, limits_deg: Limits) -> tuple[Limits, Arr
 def air_curves(air: FlightAir, samples: AirSamples, heights_m: Array) -> dict[str, Any]:
     """T [°C], p, e [hPa], N and N against the standard [%] at heights ``h_m`` around those given.
 
-    ``ours`` (None in the standard's air), ``standard``, ``sigma`` (None without a covariance) and
-    each of ``parts`` (of the flight) hold five columns, ``limits`` the range of each. ``samples``
-    hold the sensor, the number of its column, values and heights of some readings, those that were
-    used apart, and how many there are.
+    ``ours`` (None in the standard's air), ``standard``, ``sigma`` (or None) and each of ``parts``
+    hold five columns, ``limits`` the range of each; ``samples`` those of some readings by sensor.
     """
     adjustment = air.adjustment
     profile, standard, covariance = adjustment.profile, adjustment.standard, adjustment.covariance

@@ -1,7 +1,4 @@
-"""``report.html``: one page a mission, and ``campaign.html``: all missions, one row each.
-
-Without scripts and without anything from a network.
-"""
+"""``report.html``, a page a mission, and ``campaign.html``, a row each: no scripts, no network."""
 
 import base64
 import hashlib
@@ -37,10 +34,7 @@ _STEPS_S = (1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1200, 1800, 3600, 7200, 14_4
 
 
 class Axes:
-    """A pair of axes: ``box`` is left, top, width, height [px]; ``x`` and ``y`` their limits.
-
-    Paths leave out places that are unknown. ``log_x`` for a logarithmic axis, to powers of ten.
-    """
+    """``box`` is left, top, width, height [px]; ``x``, ``y`` limits; ``log_x`` to powers of ten."""
 
     def __init__(self, box: Sequence[float], x: Range, y: Range, *, log_x: bool = False) -> None:
         self.box, self.log_x = tuple(box), log_x
@@ -62,7 +56,6 @@ class Axes:
         return left + width * across, top + height * (1.0 - up)
 
     def place(self, x: float, y: float) -> tuple[float, float]:
-        """The pixel of one place, to a tenth."""
         across, down = self.at(x, y)
         return round(float(across), 1), round(float(down), 1)
 
@@ -105,9 +98,7 @@ class Axes:
         )
 
     def ticks(self, of: Range, most: int, begin_ns: int | None = None) -> list[tuple[float, str]]:
-        """Round values of an axis with their texts, ``most`` or one more.
-
-        ``begin_ns`` [Unix ns] : the values are seconds after it, the texts times of day.
+        """Round values of an axis, texts; times of day of seconds after ``begin_ns`` [Unix ns].
 
         >>> Axes((0, 0, 1, 1), (0.13, 0.42), (0, 1)).ticks((0.13, 0.42), 4)
         [(0.2, '0.2'), (0.3, '0.3'), (0.4, '0.4')]
@@ -142,11 +133,7 @@ def arrows(x: ArrayLike, y: ArrayLike, dx: ArrayLike, dy: ArrayLike) -> str:
 
 
 def field_arrows(axes: Axes, field: Mapping[str, Any]) -> tuple[str, str, float]:
-    """Arrows of a mean shift over an image, the longest 0.92 of a cell long; one for reference.
-
-    Returns both paths, the second an arrow at the upper left, and the shift that it stands for
-    [px], with one digit of 1, 2 or 5.
-    """
+    """Arrows of a mean shift in an image, the longest 0.92 of a cell; one for reference, its px."""
     x, y, dx, dy = (np.array(field[name]) for name in ("x_px", "y_px", "dx_px", "dy_px"))
     longest = float(np.hypot(dx, dy).max()) or 1.0
     scale, reference = 0.92 * axes.box[2] / field["columns"] / longest, round_step(longest / 2.2)
@@ -155,10 +142,7 @@ def field_arrows(axes: Axes, field: Mapping[str, Any]) -> tuple[str, str, float]
 
 
 def map_axes(limits_deg: Sequence[float], width: float) -> tuple[Axes, float]:
-    """Axes of longitude and latitude of equal scale on a drawing, and metres across.
-
-    ``limits_deg`` : west, east, south, north of what has to be in it; ``width`` of the drawing.
-    """
+    """Axes of west, east, south, north [deg] at equal scale, ``width`` wide, and metres across."""
     west, east, south, north = limits_deg
     shrink = max(math.cos(math.radians(0.5 * (south + north))), 0.01)
     inner = width - 72.0
@@ -192,7 +176,6 @@ def write_report(path: Path, manifest: Mapping[str, Any], flown: Flown) -> None:
 
 
 def report_page(manifest: Mapping[str, Any], flown: Flown) -> str:
-    """The page as HTML."""
     ledger: dict[str, list[tuple[str, str]]] = {}
     for kind, code, what in summary.ledger_rows(manifest["ledger"]):
         ledger.setdefault(kind, []).append((code, what))
@@ -297,7 +280,6 @@ def row_without(name: str, exit_code: int | None, code: str, what: str) -> dict[
 
 
 def campaign_table(name: str, rows: Sequence[Mapping[str, Any]]) -> pa.Table:
-    """The rows as a table, with units and meanings."""
     values = [
         {k: datetime.fromisoformat(v) if v and k.endswith("_utc") else v for k, v in row.items()}
         for row in rows

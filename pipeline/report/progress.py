@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import threading
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from pipeline.interrupts import held_back
 from pipeline.report.words import visible
@@ -16,24 +16,14 @@ DELAY_S = 0.5
 """After it the bar appears, so that none is silent for two on an overloaded machine either."""
 
 
-class Progress(Protocol):
-    """What a stage reports while it runs."""
+class Progress:
+    """What a stage reports while it runs; here it is discarded."""
 
     def start(self, step: str, total: int | None = None) -> None:
         """Begin a step of ``total`` units, None if that is not known."""
 
     def advance(self, count: int) -> None:
         """Add ``count`` finished units to the step."""
-
-
-class NoProgress:
-    """Discards every report."""
-
-    def start(self, step: str, total: int | None = None) -> None:
-        """Do nothing."""
-
-    def advance(self, count: int) -> None:
-        """Do nothing."""
 
 
 class CompilingNote:
@@ -44,11 +34,8 @@ class CompilingNote:
         return " (compiling, once)" if jit and jit.COMPILING else ""
 
 
-class DelayedProgressBar:
-    """A bar that appears after half a second of work and is erased at the end.
-
-    On a terminal that cannot move its cursor, a line for each step. None without a terminal.
-    """
+class DelayedProgressBar(Progress):
+    """A bar that appears after half a second of work, erased at the end; None: no terminal."""
 
     def __init__(self, console: Console | None, title: str) -> None:
         self._console, self._title = console, visible(title)
@@ -104,14 +91,12 @@ class DelayedProgressBar:
             self._console.print(f"{self._text} ...", markup=False, highlight=False)
 
     def start(self, step: str, total: int | None = None) -> None:
-        """Begin a step of ``total`` units, None if that is not known."""
         with self._lock:
             self._text, self._completed, self._total = f"{self._title}: {step}", 0, total
             if self._bar is not None:
                 self._begin_task()
 
     def advance(self, count: int) -> None:
-        """Add ``count`` finished units to the step."""
         with self._lock:
             self._completed += count
             if self._bar is not None:

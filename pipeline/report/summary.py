@@ -1,7 +1,4 @@
-"""What a run means in sentences, what to do next, and the rows of tables; from a manifest.
-
-Terminal and report agree.
-"""
+"""What a run means in sentences, what to do next, and rows of tables; from a manifest."""
 
 import math
 import tomllib
@@ -42,11 +39,7 @@ def is_applied(manifest: Mapping[str, Any]) -> bool:
 
 
 def verdict(manifest: Mapping[str, Any]) -> str:
-    """One sentence: how many observations were corrected, how far, and whether they can be used.
-
-    Never says that results can be adjusted where the run ended with code 3 for anything but rows
-    that have no corrected coordinates.
-    """
+    """One sentence: how many observations were corrected, how far, and whether they can be used."""
     correction, rows = manifest["correction"], manifest["observations"]["rows"]
     done, shift = correction["shift_px"]["count"], correction["shift_px"]["maximum"]
     applied, metres = is_applied(manifest), correction["shift_ground_m"]["maximum"]
@@ -87,7 +80,6 @@ def remarks(manifest: Mapping[str, Any]) -> list[str]:
 
 
 def next_steps(manifest: Mapping[str, Any]) -> list[str]:
-    """What to do next, the most urgent first; each a sentence."""
     steps = [step for _, step in _concerns(manifest)]
     adjust = "Then adjust" if steps else "Adjust"
     rows, done = manifest["observations"]["rows"], manifest["correction"]["shift_px"]["count"]
@@ -315,10 +307,7 @@ def effect_lines(effects: Sequence[Mapping[str, Any]], standard: str) -> list[st
 
 
 def ledger_rows(entries: Sequence[Mapping[str, Any]]) -> list[tuple[str, str, str]]:
-    """Kind, code and text of the entries of a ledger, the gravest first.
-
-    The place is appended to a text that does not name it.
-    """
+    """Kind, code and text (with the place) of the entries of a ledger, the gravest first."""
     rows = []
     for entry in entries:
         what, where = entry["what"], entry["where"]
@@ -353,5 +342,4 @@ def not_included(manifest: Mapping[str, Any]) -> list[str]:
 
 @cache
 def report_texts() -> Mapping[str, Any]:
-    """The texts of ``report.toml``."""
     return tomllib.loads((files("pipeline.report") / "data/report.toml").read_text("utf-8"))

@@ -1,7 +1,4 @@
-"""What commands say of missions and logs, for people: 80 columns wide in a terminal.
-
-The messages of one type of a log also as CSV.
-"""
+"""What commands say of missions and logs: 80 columns wide in a terminal, messages also as CSV."""
 
 import csv
 from collections.abc import Iterator, Mapping, Sequence
@@ -89,7 +86,6 @@ def print_unchanged(console: Console, names: Sequence[str], total: int) -> None:
 
 
 def print_ledger(console: Console, entries: Sequence[Mapping[str, Any]]) -> None:
-    """Entries of a ledger, the gravest first."""
     for kind, code, what in summary.ledger_rows(entries):
         print_indented(console, f"[{_COLOURS[kind]}]{kind}[/] {shown(code)}: {shown(what)}")
 
@@ -105,7 +101,6 @@ def print_check(
 
 
 def print_status(console: Console, name: str, reasons: Sequence[str]) -> None:
-    """Whether a mission would run, and why."""
     console.print(f"[bold]{shown(name)}[/bold] {'would run' if reasons else 'unchanged'}")
     for reason in reasons[:_MOST_REASONS]:
         print_indented(console, shown(reason))
@@ -233,7 +228,6 @@ def print_model(console: Console, contents: Mapping[str, Any], name: str) -> Non
 
 
 def print_fields(console: Console, title: str, rows: Sequence[Mapping[str, str]]) -> None:
-    """The fields of one message type of a log."""
     console.print(f"[bold]{shown(title)}[/bold]")
     heads = ("field", "type", "first", "lowest", "highest")
     table = plain_table(heads, gap=2)

@@ -14,10 +14,9 @@ _METRES_OF_UNIT = (("mm", 1e-3, 0.1), ("cm", 1e-2, 1.0), ("m", 1.0, 1e4), ("km",
 
 
 def visible(text: str, *, keep: str = "") -> str:
-    r"""A text with its control characters written out, so that none reaches the terminal.
+    r"""A text with controls, bidirectional overrides and what is invisible written out.
 
-    Bidirectional overrides and other invisible characters are written out too. ``keep`` : of
-    these, the characters that stay.
+    ``keep`` : of these, the characters that stay.
 
     >>> print(visible("a\x1b[31mred\r\n.jpg"), visible("gpj.\u202e001"), visible("Zürich 7.jpg"))
     a\x1b[31mred\r\n.jpg gpj.\u202e001 Zürich 7.jpg

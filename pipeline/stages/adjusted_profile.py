@@ -62,10 +62,7 @@ def read_model_air(
     plan: Plan, flight: FlightLog, stations: Stations, samples: AirSamples, middle: TimeAndPlace, *,
     ledger: Ledger,
 ) -> ModelAir | None:  # fmt: skip
-    """The weather model of a mission, None where it names none; ``middle`` is that of the flight.
-
-    Refuses (`InputError`) a flight without a time or place, and stations outside its area.
-    """
+    """The weather model of a mission, if any; refuses (`InputError`) a flight outside its area."""
     section = plan.mission.atmosphere.model
     if section is None:
         return None
@@ -100,10 +97,9 @@ def read_model_air(
 def sampled_place(
     samples: AirSamples, track: Track | None, start_ns: int = -(2**62), end_ns: int = 2**62
 ) -> Place | None:
-    """Where and when a flight met the air that it measured: latitude, longitude, time.
+    """Latitude, longitude and time where a flight met the air that it measured between two times.
 
-    The mean over its heights in bins of 100 m, so that a climb counts more than a long level run;
-    None where nothing was measured between two times.
+    The mean over heights in bins of 100 m: a climb counts more than a long level run. None: no air.
     """
     if track is None:
         return None
@@ -140,11 +136,7 @@ def read_report(
     background: Climatology,
     ledger: Ledger,
 ) -> SurfaceReport:
-    """The report of a weather station, from its METAR or from numbers.
-
-    Refuses (``InputError``) values that the climatology of place and season rules out, such as a
-    temperature in Fahrenheit or a pressure reduced to sea level.
-    """
+    """The report of a weather station; refuses (`InputError`) values against the climatology."""
     if section.metar is not None:
         report = surface_report.parse_metar(
             section.metar, section.h_msl_m, ledger, flight_ns=flight_ns, where=f"{where}.metar"
@@ -154,59 +146,46 @@ def read_report(
             section.h_msl_m, temperature_k=section.temperature_k, pressure_pa=section.pressure_pa,
             relative_humidity=section.humidity, time_ns=section.time_ns, where=where,
         )  # fmt: skip
-    _refuse_temperature(report, background, where, is_celsius=section.metar is not None)
-    _refuse_level(report, background, where, is_station=section.metar is not None)
+    refuse_impossible(report, background, where, of_metar=section.metar is not None)
     metres, across = 1e3 * section.distance_km, section.across_coast_or_ridge
     return replace(report, distance_m=metres, across=across)
 
 
-def _refuse_temperature(
-    report: SurfaceReport, background: Climatology, where: str, *, is_celsius: bool
+def refuse_impossible(
+    report: SurfaceReport, background: Climatology, where: str, *, of_metar: bool
 ) -> None:
-    """Refuse a temperature that no season has, or that is usual if it is Fahrenheit (no METAR)."""
-    expected = float(background.profile.temperature(report.h_m))
-    sigma = float(background.spread.sigma_temperature(report.h_m))
+    """Refuse what no season has, or is usual in Fahrenheit or reduced to sea level (no METAR)."""
+    celsius, h_m = report.temperature_k - ZERO_CELSIUS_K, report.h_m
+    expected = float(background.profile.temperature(h_m))
+    sigma = float(background.spread.sigma_temperature(h_m))
     departure = (report.temperature_k - expected) / sigma
-    celsius = report.temperature_k - ZERO_CELSIUS_K
     as_fahrenheit = ((celsius - 32.0) / 1.8 + ZERO_CELSIUS_K - expected) / sigma
-    mistaken = departure > _LIKE_FAHRENHEIT and abs(as_fahrenheit) < _LIKELY and not is_celsius
-    if not mistaken and not abs(departure) > _IMPOSSIBLE_SIGMAS:
-        return
-    rather = f"; {celsius:.1f} F would be {(celsius - 32.0) / 1.8:.1f} C" if mistaken else ""
-    raise InputError.of(
-        "SURFACE-CLIMATE", where, celsius=celsius, height_m=report.h_m, sigmas=abs(departure),
-        expected_c=expected - ZERO_CELSIUS_K, rather=rather,
-    )  # fmt: skip
-
-
-def _refuse_level(
-    report: SurfaceReport, background: Climatology, where: str, *, is_station: bool
-) -> None:
-    """Refuse a pressure that no weather makes, or that is usual if it is reduced to sea level."""
+    mistaken = departure > _LIKE_FAHRENHEIT and abs(as_fahrenheit) < _LIKELY and not of_metar
+    if mistaken or abs(departure) > _IMPOSSIBLE_SIGMAS:
+        rather = f"; {celsius:.1f} F would be {(celsius - 32.0) / 1.8:.1f} C" if mistaken else ""
+        raise InputError.of(
+            "SURFACE-CLIMATE", where, celsius=celsius, height_m=h_m, sigmas=abs(departure),
+            expected_c=expected - ZERO_CELSIUS_K, rather=rather,
+        )  # fmt: skip
     if not math.isfinite(report.pressure_pa):
         return
-    expected = float(background.profile.pressure(report.h_m))
-    sigma = background.sigma_log_pressure(report.h_m)
+    expected = float(background.profile.pressure(h_m))
+    sigma = background.sigma_log_pressure(h_m)
     departure = math.log(report.pressure_pa / expected) / sigma
-    reduced = surface_report.station_pressure(report.pressure_pa, report.h_m)
+    reduced = surface_report.station_pressure(report.pressure_pa, h_m)
     as_qnh = math.log(reduced / expected) / sigma
-    mistaken = departure > _LIKE_QNH and abs(as_qnh) < _LIKELY and not is_station
-    if not mistaken and abs(departure) <= _IMPOSSIBLE_LEVEL:
-        return
-    rather = f"; as QNH it would be {reduced / HECTOPASCAL:.1f} hPa there" if mistaken else ""
-    raise InputError.of(
-        "SURFACE-LEVEL", where, hpa=report.pressure_pa / HECTOPASCAL, height_m=report.h_m,
-        sigmas=abs(departure), expected_hpa=expected / HECTOPASCAL, rather=rather,
-    )  # fmt: skip
+    mistaken = departure > _LIKE_QNH and abs(as_qnh) < _LIKELY and not of_metar
+    if mistaken or abs(departure) > _IMPOSSIBLE_LEVEL:
+        rather = f"; as QNH it would be {reduced / HECTOPASCAL:.1f} hPa there" if mistaken else ""
+        raise InputError.of(
+            "SURFACE-LEVEL", where, hpa=report.pressure_pa / HECTOPASCAL, height_m=h_m,
+            sigmas=abs(departure), expected_hpa=expected / HECTOPASCAL, rather=rather,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
 class AirSources:
-    """What a mission has of the air beside its log.
-
-    ``lowest_h_m`` [m above sea level] is the lowest height at which the log sampled the air, else
-    that of the take-off, else 0.
-    """
+    """The air of a mission beside its log; ``lowest_h_m`` : of samples, or the take-off, or 0."""
 
     background: Climatology
     soundings: tuple[Sounding, ...] = ()
@@ -308,7 +287,6 @@ def read_air_sources(
 
 
 def _middle_exposure_ns(stations: Stations) -> int | None:
-    """Time of the middle exposure [Unix ns]."""
     times = np.sort(stations.time_ns[stations.time_ns != NO_TIME])
     return int(times[times.size // 2]) if times.size else None
 
@@ -325,11 +303,9 @@ def _constant_ground_m(mission: Mission) -> float | None:
 def adjusted_profiles(
     mission: Mission, stations: Stations, samples: AirSamples, sources: AirSources, ledger: Ledger
 ) -> FlightAir:
-    """The locally adjusted profile of the flight and how it changes with time.
+    """The locally adjusted profile of the flight and how it changes with time and place.
 
-    With ``atmosphere.adjust: false`` it is the standard atmosphere, unchanged. Parts of a long
-    flight are estimated on their own where that lowers the uncertainty; between them, and with
-    the age of the measurements, each exposure gets the profile of its time.
+    Parts of a long flight are estimated on their own where that lowers the uncertainty.
     """
     section = mission.atmosphere
     latitude = stations.mean_latitude_rad

@@ -1,7 +1,6 @@
 """The air in the compartment of a camera at each exposure: its values, its sigmas, what is missing.
 
-A window turns rays by the air behind it. Of that only the pressure has to be known: without a
-thermometer a pressurised cabin is near 21 degC, and the sigma says how near.
+Only its pressure has to be known: without a thermometer a pressurised cabin is near 21 degC.
 """
 
 from collections.abc import Iterable, Mapping
@@ -48,11 +47,7 @@ def cabin_from_log(
     stations: Stations, camera: str, cabin: Cabin, channels: Iterable[Channel] = (),
     roles: Mapping[str, Channel] | None = None,
 ) -> tuple[Stations, Notes]:  # fmt: skip
-    """Stations of a camera with what the log has of its cabin, and what it lacks.
-
-    Exposures without the pressure that is to come from the log become suspect (CABIN-MISSING). A
-    temperature that is missing is assumed later; a barometer's board is `BOARD_WARMER_K` warmer.
-    """
+    """Stations of a camera with what the log has of its cabin, suspect without its pressure."""
     roles = roles or {}
     notes: Notes = ()
 
@@ -124,10 +119,9 @@ def with_cabin_air(
     stations: Stations, windows: Mapping[str, Window], lenses: Iterable[str],
     profile: Profile | ProfileSeries, ledger: Ledger,
 ) -> Stations:  # fmt: skip
-    """Stations with the air in the cabins of those cameras that it matters to, and its sigmas.
+    """Stations with the air in the cabins, and its sigmas (NaN for numbers that have none).
 
-    It matters behind a plane window and, behind any, to a lens that follows the air, the names of
-    whose cameras are ``lenses``. Sigmas are NaN for numbers of the mission file that have none.
+    It matters behind a plane window and, behind any, to cameras among ``lenses``.
     """
     columns = {name: getattr(stations, name).copy() for name in _COLUMNS}
     h = stations.h_msl_m

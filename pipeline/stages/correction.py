@@ -1,7 +1,6 @@
 """The correction: batches of observations in, corrected observations out, one part each.
 
-Batches are independent of each other: while one is read, others are corrected and written. What a
-part holds does not depend on how many are in progress.
+Batches are independent: what a part holds does not depend on how many are in progress.
 """
 
 import math
@@ -49,9 +48,8 @@ rest of the time."""
 class CorrectionSetup:
     """Everything that a batch of observations is corrected with.
 
-    ``images``, ``camera_names`` and ``profile_number`` (s,) belong to the rows of ``exposures``.
-    ``profile_number`` indexes ``rays`` and ``uncertainties``; where all of the latter are None no
-    standard deviations are computed.
+    ``images``, ``camera_names`` and ``profile_number`` (s,) belong to the rows of ``exposures``;
+    the last indexes ``rays`` and ``uncertainties`` (None: no standard deviations).
     """
 
     images: Names
@@ -66,16 +64,11 @@ class CorrectionSetup:
 
     @property
     def computes_sigmas(self) -> bool:
-        """Whether standard deviations are computed."""
         return any(uncertainty is not None for uncertainty in self.uncertainties)
 
     @cached_property
     def camera_number(self) -> Integers:
-        """(s + 1,) the position in ``cameras`` of each station's camera, -1 without one.
-
-        An image without an exposure has a station without a camera. The last entry is for
-        observations without a station, whose station is -1.
-        """
+        """(s + 1,) position of each station's camera in ``cameras``, or -1; last: no station."""
         number_of = {name: number for number, name in enumerate(self.cameras)}
         return np.array([number_of.get(n, -1) for n in self.camera_names] + [-1], np.int64)
 
@@ -91,6 +84,15 @@ class CorrectionSetup:
             profile = self.profile_number[station[rows]]
             for i in np.unique(profile).tolist():
                 yield rows[profile == i], camera, i
+
+    def directions(self, x_px: Array, y_px: Array, station: Integers) -> tuple[Array, Array]:
+        """(n, 3) unit vectors of pixels in their cameras, and (n,) the size of a pixel [rad]."""
+        direction, sigma = np.full((station.size, 3), np.nan), np.ones(station.size)
+        for rows, camera, _ in self.groups(station):
+            u, v, _ = camera.rays(x_px[rows], y_px[rows])
+            direction[rows] = np.stack([u, v, np.ones(u.size)], axis=1)
+            sigma[rows] = 1.0 / camera.fx_px
+        return direction / np.linalg.norm(direction, axis=1)[:, None], sigma
 
 
 class Parts(Protocol):
@@ -113,10 +115,9 @@ def correct_stream(
     progress: Callable[[int], None] = lambda _: None,
     numbers: Sequence[int] | None = None,
 ) -> Statistics:
-    """Correct all observations, or parts of these ``numbers``, and write them part by part.
+    """Correct all observations, or parts of these ``numbers``, and write what is not finished.
 
-    Parts that are finished are counted and not made again. Memory holds at most five batches,
-    whatever the number of rows. ``progress`` is called with the number of rows of every part.
+    Memory holds at most five batches. ``progress`` is called with the rows of every part.
     """
     columns = OBSERVATION_COLUMNS if setup.direction == "remove" else DISPLACED_COLUMNS
     schema = schema_of(columns, metadata, observations.user_fields)
@@ -159,8 +160,7 @@ def correct_stream(
 class PartsOfRun:
     """Parts as ``observations/part-*.parquet`` of a run, each with a receipt when it is written.
 
-    ``check`` is called before a part takes its place and before its receipt is written: it refuses
-    inputs that changed meanwhile, and a run that has ended.
+    ``check`` comes before each of the two: it refuses changed inputs, and a run that has ended.
     """
 
     folder: RunFolder
@@ -205,10 +205,7 @@ def correct_in_slices(
     progress: Callable[[int], None],
     **named: Any,
 ) -> Statistics:
-    """`correct_stream` by several workers.
-
-    The counts are merged in the order of the parts, so that they are the same to the last bit.
-    """
+    """`correct_stream` by several workers; counts are merged in order, the same to the last bit."""
     make = partial(correct_stream, observations, setup, **named)
     if not workers:
         return make(parts=parts, progress=progress)
@@ -233,10 +230,7 @@ def check_wanted(slices: Slices, check: Callable[[], None]) -> None:
 def correct_counted(
     batch: Batch, setup: CorrectionSetup, sampled: int = SAMPLED_ROWS
 ) -> tuple[Corrections, Array, Statistics]:
-    """The corrections of a batch, heights of its points [m], counts of both.
-
-    ``sampled`` rows of it are kept in the counts.
-    """
+    """Corrections of a batch, heights of its points [m], counts of both with ``sampled`` rows."""
     station = matching_rows(batch.image, pa.array(setup.images, pa.string()))
     ground = setup.ground.heights(batch, station, setup)
     corrections = ground.flagged(correct_batch(batch, station, ground, setup))
@@ -253,10 +247,7 @@ def correct_counted(
 def on_threads(
     correct_part: Callable[[int, Batch], Statistics], batches: Iterator[Batch], first: int = 0
 ) -> Generator[Statistics, None, None]:
-    """Results for batches, numbered from the first, in their order, computed on threads.
-
-    At a time as many as this process may use CPUs, four at most; meanwhile one more is read.
-    """
+    """Results for batches, in their order, computed on threads: one a CPU, four at most."""
     workers = min(_MOST_WORKERS, usable_cpus())
     pending: deque[Future[Statistics]] = deque()
     pool = ThreadPoolExecutor(workers, thread_name_prefix="batch")
@@ -283,10 +274,7 @@ def on_threads(
 def correct_batch(
     batch: Batch, station: Integers, ground: GroundHeights, setup: CorrectionSetup
 ) -> Corrections:
-    """The corrections of a batch, computed for each camera and profile, in the order of its rows.
-
-    ``station`` (n,) as `matching_rows` returns it, ``ground`` the heights of the batch.
-    """
+    """The corrections of a batch in the order of its rows; ``station`` (n,) of `matching_rows`."""
     method = correct_observations if setup.direction == "remove" else apply_refraction
     parts: list[tuple[Integers, Corrections]] = []
     distance = ground.distance_m if batch.distance_m is None else batch.distance_m

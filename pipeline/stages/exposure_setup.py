@@ -47,7 +47,6 @@ def orientations_of_mission(mission: Mission, stations: Stations) -> Orientation
 
 
 def windows_of_mission(mission: Mission) -> dict[str, Window]:
-    """The windows of the cameras that have one."""
     return {n: camera.window.build() for n, camera in mission.cameras.items() if camera.window}
 
 
@@ -82,10 +81,8 @@ def exposures_of(
 ) -> Exposures:
     """Attitude, height, window and lens of each exposure, and the air beside them.
 
-    The air outside is the profile's at the height of the camera, the same that the ray starts in;
-    that in the cabin is the stations' (`with_cabin_air`). Behind a window the lens is in the
-    cabin's air, else in the air outside. Refuses (MissionError LENS-CHANGE) a change of the
-    principal distance of more than 1 %.
+    The air outside is the profile's at the camera's height; behind a window the lens is in that of
+    the cabin. Refuses (MissionError LENS-CHANGE) changes of the principal distance of over 1 %.
     """
     rotation, h = matrices_of(stations.quaternion), stations.h_msl_m
     air_outside = profile.pressure(h), profile.temperature(h), profile.vapour_pressure(h)
@@ -129,11 +126,7 @@ def exposures_of(
 
 
 def _window_normals(window: Window, rotation: Array, aircraft_quaternion: Array) -> Array:
-    """(m, 3) normals of a window in the frame of its camera at each exposure; NaN stays.
-
-    ``rotation`` (m, 3, 3) takes east-north-up to the camera, ``aircraft_quaternion`` (m, 4) to
-    the body. Without a stabilised mount the two turn together.
-    """
+    """(m, 3) normals of a window in the frame of its camera at each exposure; NaN stays."""
     normal = np.array(window.normal)
     if window.frame == "camera":
         return np.broadcast_to(normal, (rotation.shape[0], 3))

@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 class GroundHeights(NamedTuple):
     """Heights of the points of a batch above sea level [m], their sigmas, all (n,); NaN unknown.
 
-    ``status`` are codes of `pipeline.refraction.status_codes`, and ``distance_m`` slant ranges,
-    where a source has them. ``implausible`` counts heights that are of no ground on earth.
+    ``status`` (codes) and ``distance_m`` (slant ranges) where a source has them; ``implausible``
+    counts heights that are of no ground on earth.
     """
 
     h_m: Array
@@ -61,8 +61,6 @@ class Ground(Protocol):
 class GivenGround:
     """Heights that are given, a constant or a column, plus the ``offset_m`` (s,) of each station:
     minus the undulation for ellipsoidal heights, the take-off's height for relative ones.
-
-    ``sigma_m`` is the standard deviation that all of them share, where there is one.
     """
 
     constant_m: float | None
@@ -146,8 +144,7 @@ _LARGEST_FACTOR = 20.0  # of an error of the model's height, where a ray grazes 
 class TerrainGround:
     """Heights where rays from ``places`` (s,), latitude and longitude [rad], first meet a model.
 
-    The sigma of a landing is larger than ``sigma_m``, that of the model, on slopes that fall away
-    from the camera: by 1 / (1 + tan slope tan zeta), 20 at most.
+    Its ``sigma_m`` grows by 1 / (1 + tan slope tan zeta), 20 at most.
     """
 
     model: ElevationModel
@@ -178,7 +175,6 @@ class TerrainGround:
 def elevation_of_mission(
     plan: Plan, heights: HeightSystem, ledger: Ledger
 ) -> ElevationModel | None:
-    """The elevation model that the mission file names, if any."""
     section, reference = plan.mission.ground.model, plan.mission.ground.reference
     if section is None:
         return None
@@ -195,10 +191,7 @@ def with_terrain(
     sigma_m: float | None,
     ledger: Ledger,
 ) -> CorrectionSetup:
-    """The setup with heights of the elevation model, where there is one; ``sigma_m`` are its.
-
-    Refuses (DEM-OUTSIDE) a model under no station; a loss where it is under some.
-    """
+    """The setup with heights of a model, if any; refuses (DEM-OUTSIDE) one under no station."""
     if model is None:
         return setup
     lat, lon = stations.lat_rad, stations.lon_rad

@@ -39,9 +39,8 @@ Track = tuple[Integers, Array, Array]
 class FlightLog:
     """A log after its channels were given their roles; these hold plausible values only.
 
-    Where a source is suspect and another replaces it, they hold its samples; ``suspect`` are all
-    stretches in which the log contradicts itself. ``own`` are the roles as the log fills them, with
-    their ``own_suspect``; in ``roles`` a trajectory has replaced some. ``log`` is None where the
+    ``suspect`` are stretches in which the log contradicts itself; ``own`` are the roles as it fills
+    them, with ``own_suspect``; in ``roles`` a trajectory has replaced some. ``log`` is None where
     stations come from elsewhere; ``heads`` are attitudes of cameras with one of their own.
     """
 
@@ -95,10 +94,7 @@ def read_observations(plan: Plan, ledger: Ledger, most_rows: int | None = None) 
 
 
 def read_log(plan: Plan, ledger: Ledger) -> FlightLog:
-    """Read the log, assign its channels to roles, and relate its heights to sea level.
-
-    Without a log a trajectory has all the roles; refuses (STATIONS-ATTITUDE) one without attitudes.
-    """
+    """Read the log, or a trajectory without one: its channels, roles, and heights above the sea."""
     mission, geoid = plan.mission, geoid_of_mission(plan)
     home, undulation_m = mission.ground.home_h_msl_m, mission.mission.undulation_m
     section = mission.stations.trajectory
@@ -119,7 +115,7 @@ def read_log(plan: Plan, ledger: Ledger) -> FlightLog:
     trajectory = read_trajectory(plan, channels, ledger)
     elsewhere = () if trajectory is None else replaced_roles(plan, trajectory)
     if log is None and "attitude" not in elsewhere:
-        raise without_attitude("stations.trajectory")
+        raise MissionError.of("STATIONS-ATTITUDE", "stations.trajectory")
     missed = elsewhere if log is not None else ("position", "attitude")
     roles = ledger.take(assign_roles(channels, names, needs_cabin=needs_cabin, elsewhere=missed))
     plausible = {
@@ -202,18 +198,12 @@ def stated_channels(plan: Plan, channels: tuple[Channel, ...]) -> tuple[Channel,
     return channels
 
 
-def without_attitude(where: str) -> MissionError:
-    """The refusal of stations of which nothing gives the attitude."""
-    return MissionError.of("STATIONS-ATTITUDE", where)
-
-
 def user_geoid(plan: Plan) -> GeoidGrid | None:
     """The grid that the mission file names, which a vertical datum other than sea level needs."""
     return None if plan.mission.mission.geoid == "egm96" else geoid_of_mission(plan)
 
 
 def read_trajectory(plan: Plan, channels: tuple[Channel, ...], ledger: Ledger) -> Channel | None:
-    """The trajectory that the mission file names."""
     section = plan.mission.stations.trajectory
     if section is None:
         return None
@@ -252,11 +242,7 @@ def replaced_roles(plan: Plan, trajectory: Channel) -> tuple[str, ...]:
 
 
 def read_camera_events(plan: Plan, flight: FlightLog, ledger: Ledger) -> dict[str, Channel]:
-    """The exposures of each camera that come from a file with their positions.
-
-    Attitudes of cameras become those of the aircraft, by the mount. Refuses (STATIONS-ATTITUDE) a
-    file without, where there is no log and no trajectory.
-    """
+    """The exposures of each camera from a file with positions, their attitudes the aircraft's."""
     events = {}
     for camera, source in plan.mission.position_events.items():
         path = plan.input(f"events of {camera}").path
@@ -272,7 +258,7 @@ def read_camera_events(plan: Plan, flight: FlightLog, ledger: Ledger) -> dict[st
             columns = {f"q_{axis}": of_body[:, k] for k, axis in enumerate("wxyz")}
             channel = replace(channel, columns=dict(channel.columns) | columns)
         elif "attitude" not in flight.roles and plan.mission.log is None:
-            raise without_attitude(f"events.positions.{camera}")
+            raise MissionError.of("STATIONS-ATTITUDE", f"events.positions.{camera}")
         events[camera] = channel
         places = "" if source.times_only else f", and where the {source.reference_point} was then"
         what = f"{path.name} says when {camera} was exposed{places}"

@@ -48,7 +48,6 @@ def observation_metadata(mission: Mission) -> dict[str, str]:
 
 
 def write_tables(folder: RunFolder, stations: Stations, air: FlightAir) -> None:
-    """Write the stations and the profiles beside the observations."""
     for name, table in (
         ("stations.parquet", table_of_stations(stations, air.series)),
         ("profile.parquet", table_of_profiles(air.adjustment, air.series)),
@@ -68,10 +67,7 @@ def manifest_of(
     causes: Mapping[str, str],
     ledger: Ledger,
 ) -> dict[str, Any]:
-    """The manifest of a run, without its outputs; ``causes`` are those of statuses of rows.
-
-    Holds no clock, no host name and no absolute path: the same inputs give the same bytes.
-    """
+    """The manifest of a run, without its outputs: no clock, no host name and no absolute path."""
     log = flight.log
     entries = ledger.rows()
     for entry in entries:  # a file is named as in the mission file, without its folder
@@ -116,11 +112,7 @@ def manifest_of(
 
 
 def _flight(stations: Stations, setup: CorrectionSetup, statistics: Statistics) -> dict[str, Any]:
-    """When and where the exposures are, how high above the ground, and the nadir in the images.
-
-    Of what is spread the lowest, the median and the highest value. ``nadir_px`` is where the
-    vertical through the median camera meets the image plane, None where it does not.
-    """
+    """When and where the exposures are: lowest, median, highest; ``nadir_px`` of the median."""
     ok = stations.ok
 
     def spread(values: Array, digits: int) -> list[float] | None:

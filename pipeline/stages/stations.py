@@ -136,11 +136,7 @@ def _tell_order(fallen: int, channel: Channel, ledger: Ledger) -> None:
 
 @dataclass(frozen=True, eq=False)
 class StationBuilder:
-    """Makes the stations of one camera at any times: of its channels, on its mount.
-
-    ``offsets`` is the file that has the ways from the antenna to the camera, where the mount has
-    not.
-    """
+    """Makes stations of one camera at any times; ``offsets`` : a file of ways from the antenna."""
 
     camera: str
     roles: Mapping[str, Channel]
@@ -189,7 +185,6 @@ class StationBuilder:
         return stations.moved(np.stack([east, north, -down], axis=1))
 
     def later(self, stations: Stations, seconds: float) -> Stations:
-        """What its stations would be that many seconds later."""
         time_ns = stations.time_ns + round(seconds * 1e9)
         return self.stations(Events(self.camera, stations.image, time_ns))
 
@@ -260,10 +255,7 @@ def with_cabins(
 
 
 def mount_of(plan: Plan, camera: str) -> tuple[Mount, bool]:
-    """The mount with its lever arm from the point whose positions are used.
-
-    The second is True where the way from that point to the camera is that of the events' file.
-    """
+    """The mount with its lever arm; True where the way to the camera is in the events' file."""
     mission = plan.mission
     mount = mission.mount[camera].build()
     events = mission.position_events.get(camera)

@@ -1,7 +1,4 @@
-"""Counts of the observations and the size of their corrections, by part and in total.
-
-Median and maximum of a stream of any length, and its mean over the image, in fixed memory.
-"""
+"""Counts of a stream of observations, and the size of their corrections, in fixed memory."""
 
 from __future__ import annotations
 
@@ -41,7 +38,7 @@ class Distribution:
 
     >>> distribution = Distribution()
     >>> distribution.add(np.arange(1.0, 1000.0))
-    >>> abs(distribution.median / 500.0 - 1.0) < 0.005, distribution.maximum
+    >>> abs(distribution.quantile(0.5) / 500.0 - 1.0) < 0.005, distribution.maximum
     (True, 999.0)
     """
 
@@ -78,20 +75,13 @@ class Distribution:
         middle = 10.0 ** ((number + 0.5) / _BINS_PER_DECADE + _LOWEST_EXPONENT)
         return float(min(middle, self.maximum))
 
-    @property
-    def median(self) -> float | None:
-        """None without values."""
-        return self.quantile(0.5)
-
     def __add__(self, other: Distribution) -> Distribution:
         return Distribution(
             self.counts + other.counts, max(self.maximum, other.maximum), self.total + other.total
         )
 
     def histogram(self, bins: int = 24) -> dict[str, Any]:
-        """Counts in at most ``bins`` equal bins from zero: step of 1, 2 or 5, up to the maximum.
-
-        A value counts in the bin of the middle of its logarithmic bin, 0.25 % off at most.
+        """Counts in at most ``bins`` bins from zero, steps of 1, 2 or 5; values 0.25 % off at most.
 
         >>> distribution = Distribution()
         >>> distribution.add(np.array([0.1, 2.5, 2.6, 9.9]))
@@ -115,7 +105,7 @@ class Distribution:
 
         return {
             "count": self.total,
-            "median": short(self.median),
+            "median": short(self.quantile(0.5)),
             "p95": short(self.quantile(0.95)),
             "maximum": float(f"{self.maximum:.6g}") if self.total else None,
         }
@@ -130,10 +120,7 @@ _COLUMNS, _ROWS = 14, 10
 
 @dataclass
 class ShiftStatistics:
-    """How large the correction was in the images of one camera, and its mean over the image.
-
-    ``sums`` (3, 10, 14) of dx, dy [px] and of the number of points in even cells of the format.
-    """
+    """Corrections in a camera's images; ``sums`` (3, 10, 14) of dx, dy [px] and points in cells."""
 
     width_px: int
     height_px: int
@@ -161,16 +148,11 @@ class ShiftStatistics:
             self.distributions[name].add(values)
 
     def __add__(self, other: ShiftStatistics) -> ShiftStatistics:
-        """Those of other images of the same camera too."""
         both = {name: of + other.distributions[name] for name, of in self.distributions.items()}
         return ShiftStatistics(self.width_px, self.height_px, self.sums + other.sums, both)
 
     def summary(self) -> dict[str, Any]:
-        """Counts, medians and maxima, histograms of the shift, and its field, for the manifest.
-
-        The field is the format of the image [px], and centre x, y and mean shift dx, dy [px] of
-        each cell with observations.
-        """
+        """Counts, medians, maxima, histograms, and the field of mean shifts, for the manifest."""
         filled = self.sums[2] > 0
         row, column = np.nonzero(filled)
         means = {
@@ -188,10 +170,9 @@ class ShiftStatistics:
 
 
 class SampledRows(NamedTuple):
-    """Rows that stand for all; (n,) each.
+    """Rows that stand for all; (n,) each, ``station`` -1 without one, ``weight`` rows each.
 
-    ``station`` is -1 where an image has none; ``weight`` how many rows each stands for;
-    ``sigma_px`` (n, 4) standard deviations of the correction as in `SIGMA_PARTS`, NaN if unknown.
+    ``sigma_px`` (n, 4) are those of `SIGMA_PARTS`, NaN if unknown.
     """
 
     station: NDArray[np.int64]
@@ -234,12 +215,9 @@ class SampledRows(NamedTuple):
 class Statistics:
     """Counts of observations, and how large the corrections were in each camera.
 
-    ``examples`` : of each status but ok, its first images and points in the order of the rows.
-    ``ground_m`` : the lowest and the highest ground that was used.
-    ``air_variance`` : of all corrections by the air, and ``by_mode`` the squares of their
-    derivatives by the parameter of the leading mode [px2].
-    ``sampled`` : rows of each part, of which `SAMPLED_ROWS` stand for all.
-    ``cabin_share`` : sigma of R_cc by the air in the cabin as a share of R_c.
+    ``examples`` : of each status but ok, its first images and points. ``air_variance`` : of all
+    corrections by the air; ``by_mode`` : squares of their derivatives by the leading mode [px2].
+    ``sampled`` : rows of each part. ``cabin_share`` : sigma of R_cc by the cabin as a share of R_c.
     """
 
     shifts: dict[str, ShiftStatistics]
@@ -294,11 +272,9 @@ class Statistics:
                 shift_statistics.add(batch.x_px[rows], batch.y_px[rows], corrections.rows(rows))
 
     def sampled_rows(self) -> SampledRows:
-        """The rows that stand for all."""
         return SampledRows(*map(np.concatenate, zip(*self.sampled, strict=True)))
 
     def merge(self, other: Statistics) -> None:
-        """Add the counts of another part."""
         for name in ("rows", "no_distance", "no_sigma", "no_point", "implausible_heights", "parts",
                      "air_variance", "by_mode", "sampled", "cabin_share"):  # fmt: skip
             setattr(self, name, getattr(self, name) + getattr(other, name))
@@ -321,9 +297,7 @@ class Statistics:
     def sigma_budget(self, camera: NDArray[np.int64]) -> dict[str, Any]:
         """Median and 95 % of the parts of sigma [px, m on the ground] by camera, for the manifest.
 
-        ``camera`` (s + 1,) numbers the camera of each station, as `CorrectionSetup.camera_number`.
-        From the rows that stand for all, at the scale of each one's shift; ``all`` is the root of
-        the sum of the squares of the parts that are known.
+        ``camera`` (s + 1,) as `CorrectionSetup.camera_number`; ``all`` is the root sum of squares.
         """
         rows, budget, quantiles = self.sampled_rows(), {}, {"median": 0.5, "p95": 0.95}
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -351,10 +325,7 @@ class Statistics:
         return np.asarray(medians.reindex(range(count)), np.float64)
 
     def ground_heights(self) -> dict[str, Any] | None:
-        """Heights of the ground that were used [m above sea level], for the manifest.
-
-        Limits are of all, median and histogram of the rows that stand for all.
-        """
+        """Limits of all ground heights [m above the sea], median and histogram of sampled ones."""
         low, high = self.ground_m
         if not low <= high:
             return None
@@ -373,10 +344,7 @@ class Statistics:
         }  # fmt: skip
 
     def report_flagged(self, ledger: Ledger, causes: Mapping[str, str]) -> None:
-        """A ledger entry for each reason why observations were not corrected.
-
-        ``causes`` by status: what likely led to it.
-        """
+        """A ledger entry for each reason why rows were not corrected; ``causes`` by status."""
         if self.no_distance:
             where = "observations.columns.distance_m"
             ledger.warning("OBS-DISTANCE", where=where, count=self.no_distance)

@@ -1,7 +1,4 @@
-"""What happens to a mission between its log and its folder of results, in order.
-
-Nothing is computed here: each step is a call of a stage, and each stage has a module of its own.
-"""
+"""What happens to a mission between its log and its results, in order: each step calls a stage."""
 
 import shutil
 from collections.abc import Callable
@@ -44,7 +41,7 @@ from pipeline.ledger import Ledger
 from pipeline.refraction.effect import FlightAir
 from pipeline.report.flown import Flown, flown_of
 from pipeline.report.html import write_report
-from pipeline.report.progress import NoProgress, Progress
+from pipeline.report.progress import Progress
 from pipeline.stages import correction, plausibility
 from pipeline.stages.adjusted_profile import AirSources, adjusted_profiles, read_air_sources
 from pipeline.stages.cabin_air import with_cabin_air
@@ -108,12 +105,11 @@ def run_mission(
     helpers: Helpers = ALONE,
     progress: Progress | None = None,
 ) -> Outcome:
-    """Run one mission, from its file to its folder of results.
+    """Run one mission into its folder of results, unless the same gave these before, or ``force``.
 
-    Does nothing where the same inputs, mission file and code gave these results before, unless
-    ``force``. ``verify_inputs`` reads inputs that seem unchanged too. ``helpers`` make parts of it.
+    ``verify_inputs`` reads inputs that seem unchanged too. ``helpers`` make parts of it.
     """
-    progress, ref = progress or NoProgress(), MissionRef.of(mission)
+    progress, ref = progress or Progress(), MissionRef.of(mission)
     mission_file = ref.load()
     progress.start("hashing the inputs")
     plan = make_plan(mission_file, ref.folder, verify=verify_inputs)
@@ -127,10 +123,7 @@ def run_mission(
 def run_and_publish(
     plan: Plan, *, place: Place, force: bool, progress: Progress, helpers: Helpers
 ) -> Outcome:
-    """Run a mission whose results go to object storage: made in the user's cache, then published.
-
-    A run whose publication was interrupted is only published.
-    """
+    """Run a mission in the user's cache, then publish it, or only publish what was made before."""
     before = Publication(place, plan.fingerprint)
     earlier = finished_before(plan, force=force)
     if earlier is not None:
@@ -195,12 +188,8 @@ def run_plan(plan: Plan, *, force: bool, progress: Progress, helpers: Helpers = 
 def check_mission(
     mission: MissionRef | Path | str, *, progress: Progress | None = None
 ) -> CorrectedMission:
-    """Rehearse a mission: all that `run_mission` does, on a sample, and nothing is written.
-
-    Every station, and at most `SAMPLED_ROWS` observations spread over all images. Raises what a
-    run would; counts are those expected of a run.
-    """
-    progress, ref = progress or NoProgress(), MissionRef.of(mission)
+    """Rehearse a mission: all that `run_mission` does, on `SAMPLED_ROWS` rows; writes nothing."""
+    progress, ref = progress or Progress(), MissionRef.of(mission)
     plan = make_plan(ref.load(), ref.folder)
     if isinstance(plan.output, Path):
         store.rehearse_folder(plan.output)
@@ -231,10 +220,7 @@ def mission_status(mission: MissionRef | Path | str) -> tuple[Plan, list[str]]:
 
 
 def finished_before(plan: Plan, *, force: bool = False) -> dict[str, Any] | None:
-    """The manifest of an earlier run of exactly this plan, if its results are still there.
-
-    Refuses the folder of another mission. ``force`` ignores results, not whose they are.
-    """
+    """The manifest of an earlier run of this plan; refuses another mission's, ``force`` or not."""
     manifest = store.read_manifest(plan.output, damaged=force)
     refuse_other_mission(plan, manifest)
     stays = not force and manifest is not None and not reasons_to_run(plan, manifest)
@@ -244,10 +230,7 @@ def finished_before(plan: Plan, *, force: bool = False) -> dict[str, Any] | None
 def prepare_mission(
     plan: Plan, progress: Progress, most_rows: int | None = None, stations: Stations | None = None
 ) -> PreparedMission:
-    """Read the observations and the log, build the stations, and estimate the air.
-
-    ``most_rows`` are drawn for a rehearsal; ``stations`` are those of a run, where known.
-    """
+    """Read observations (``most_rows``) and log, build the stations, and estimate the air."""
     ledger = Ledger()
     if any(item.place for item in plan.inputs):
         progress.start("copying inputs from object storage")
@@ -341,10 +324,7 @@ def finish_run(
 
 
 def renew_report(plan: Plan, folder: store.RunFolder) -> dict[str, Any] | None:
-    """Write only the report anew, where nothing before it changed; the manifest of that.
-
-    None where corrections changed or are damaged, or what the report is made of is forgotten.
-    """
+    """Write only the report anew, where nothing before it changed; else None."""
     earlier, keys = store.read_manifest(plan.folder, damaged=True), plan.keys
     if earlier is None or earlier.get("keys", {}).get("correction") != keys["correction"]:
         return None
@@ -370,7 +350,7 @@ def renew_report(plan: Plan, folder: store.RunFolder) -> dict[str, Any] | None:
 def read_mission(mission: MissionRef | Path) -> PreparedMission:
     """A mission with everything read, its stations built and its air estimated."""
     ref = MissionRef.of(mission)
-    return prepare_mission(make_plan(ref.load(), ref.folder), NoProgress())
+    return prepare_mission(make_plan(ref.load(), ref.folder), Progress())
 
 
 def air_of_mission_or_standard(

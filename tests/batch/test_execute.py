@@ -12,7 +12,7 @@ import pytest
 
 from pipeline.batch import executors
 from pipeline.batch.execute import exit_code_of, run_many, shard_of
-from pipeline.batch.executors import Bug, Child, Inline, Outcome, Receipt, stop_all
+from pipeline.batch.executors import Bug, Child, Inline, Outcome, stop_all
 from pipeline.config.campaign import MissionRef
 from pipeline.errors import InputError
 from pipeline.stages.commands.campaigns import select_missions
@@ -122,14 +122,14 @@ def test_the_exit_code_of_several(codes, code):
 
 def test_a_child_that_has_waited_too_long_is_replaced(monkeypatch):
     child = Child()
-    task = pickle.dumps(partial(Receipt, "a", Path("out"), "f", 0, False))
+    task = pickle.dumps(partial(Outcome, "a", Path("out"), {"fingerprint": "f"}, 0, False))
     monkeypatch.setattr(executors, "_SERVE", executors._SERVE.replace("serve()", "serve(0.01)"))
     try:
-        assert child.run(task) == Receipt("a", Path("out"), "f", 0, False)
+        assert child.run(task) == Outcome("a", Path("out"), {}, 0, False, "f")
         first = child.process
         assert first is not None
         assert first.wait(60.0) == 0
-        assert child.run(task) == Receipt("a", Path("out"), "f", 0, False)
+        assert child.run(task) == Outcome("a", Path("out"), {}, 0, False, "f")
         assert child.process is not first
     finally:
         stop_all([child])

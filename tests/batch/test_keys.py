@@ -218,8 +218,8 @@ def test_every_library_is_known(stage):
         )
     } - {*sys.stdlib_module_names, "pipeline"}  # fmt: skip
     of_module = metadata.packages_distributions()
-    known = {name.lower() for names in keys._LIBRARIES.values() for name in names}
-    known |= {name.lower() for names in keys._OF_ROLES.values() for name in names}
+    known = {name.lower() for names in keys.TABLES["libraries"].values() for name in names}
+    known |= {name.lower() for names in keys.TABLES["libraries_of"].values() for name in names}
     for top in tops:
         distributions = {name.lower() for name in of_module[top]}
         assert distributions & (known | {name.lower() for name in NO_NUMBERS}), top
@@ -299,7 +299,7 @@ def test_a_library_of_another_version_begins_its_stage_again(mission, monkeypatc
 
 def test_libraries_that_read_some_inputs_only():
     plain = keys.libraries(["log", "observations", "sounding 1"], "us1976")["air"]
-    assert plain.keys() == {*keys._LIBRARIES["air"]}
+    assert plain.keys() == {*keys.TABLES["libraries"]["air"]}
     model = keys.libraries(["weather model"], "us1976")["air"]
     assert {"xarray", "cfgrib", "eccodes"} <= model.keys()
     raised = keys.libraries(["elevation model 2"], "us1976")["air"]

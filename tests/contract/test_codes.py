@@ -127,7 +127,7 @@ def test_every_code_is_explained_offline_and_nothing_else_is():
     }
     known = (written - NO_CODES) | MADE | codes(REFUSALS).keys() | codes(LEDGER).keys()
     assert len(known) > 400
-    explained = explanations.codes()
+    explained = explanations.meanings()["codes"]
     assert known - set(explained) == set()
     assert set(explained) - known == set()
     meanings = [meaning.means for meaning in explained.values()]
@@ -146,7 +146,7 @@ LOWER = {"pip", "pressure_hpa", "time_utc", "delay_s", "direction", "lever_arm_m
 
 def test_every_exit_code_is_explained():
     own = {value for name, value in vars(exit_codes).items() if name.startswith("EXIT_")}
-    assert set(explanations.exit_codes()) == own
+    assert {int(code) for code in explanations.meanings()["exit"]} == own
 
 
 def test_only_strings_at_work_count():

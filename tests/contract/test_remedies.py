@@ -55,6 +55,6 @@ def test_remedies_name_keys_that_exist():
 def test_inputs_stand_under_keys_that_exist():
     """Under a key that is misspelt no path is found, and that input would not be hashed."""
     known = keys_of_mission_files(Mission.model_json_schema())
-    words = {word for key in plan._INPUTS.values() for word in key.split(".")}
+    words = {word for key in plan.INPUTS.values() for word in key.split(".")}
     assert words - {"<name>"} <= known
-    assert len(plan._INPUTS) >= 16
+    assert len(plan.INPUTS) >= 16

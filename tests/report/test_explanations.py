@@ -12,7 +12,7 @@ import pytest
 from pipeline.config.schema import mission_keys, mission_schema
 from pipeline.errors import ConfigError
 from pipeline.refraction.status_codes import STATUS_NAMES
-from pipeline.report.explanations import codes, explain
+from pipeline.report.explanations import explain, meanings
 
 
 @pytest.mark.parametrize("word", ["f_px", "cameras.*.f_px", "cameras.nadir.f_px", "F_PX"])
@@ -38,7 +38,7 @@ def test_several_keys_of_one_name_are_listed():
 def test_every_key_and_every_code_is_found():
     for key in mission_keys():
         assert key.path in explain(key.path)
-    for code, meaning in codes().items():
+    for code, meaning in meanings()["codes"].items():
         assert explain(code.lower())[:2] == [code, f"  {meaning.means}"]
     assert explain("130")[1].startswith("  Interrupted")
 

@@ -1,8 +1,4 @@
-"""The missions of a command: which run, and which are unchanged; page and table of a campaign.
-
-What the index knows of a mission is not read again. Page and table are written where they do not
-say what they should.
-"""
+"""The missions of a command: which run, and which the index knows; page and table of a campaign."""
 
 from __future__ import annotations
 
@@ -48,10 +44,7 @@ def refuse_foreign_page(output: Path) -> None:
 
 
 def write_pages(chosen: Selection, ended: Mapping[MissionRef, MissionEnd]) -> Iterator[Path]:
-    """Write page and table of each campaign, unless they are there and say the same.
-
-    Missions that did not run now are shown as their results are. Yields the paths of the pages.
-    """
+    """Write page and table of each campaign, unless they say the same; yields the pages' paths."""
     for campaign in chosen.campaigns:
         page, table = campaign.output / PAGE, campaign.output / TABLE
         rows = [page_row(chosen, ref, ended.get(ref), campaign.output) for ref in campaign.missions]
@@ -104,11 +97,7 @@ def page_row(
 
 @dataclass(frozen=True)
 class Selection:
-    """Missions in their order, and the campaigns that some are of.
-
-    ``called`` : name and folder of results; ``refused`` : missions that share a folder with an
-    earlier one; ``known`` : what the index says.
-    """
+    """Missions, their campaigns; ``called`` : names, folders; ``known`` : what the index says."""
 
     missions: tuple[MissionRef, ...]
     campaigns: tuple[Campaign, ...]
@@ -117,17 +106,13 @@ class Selection:
     known: Mapping[MissionRef, IndexEntry]
 
     def is_unchanged(self, ref: MissionRef) -> bool:
-        """Whether the index says that `run` would do nothing."""
         return ref in self.known and self.known[ref].unchanged
 
     def ends(
         self, run: Callable[[list[MissionRef]], Iterable[tuple[MissionRef, MissionEnd]]],
         *, again: bool = False,
     ) -> Generator[tuple[MissionRef, MissionEnd]]:  # fmt: skip
-        """How each mission ended; what is not refused or unchanged is handed to ``run``.
-
-        ``again`` : what is unchanged too. The manifest of what is unchanged is read if it is alone.
-        """
+        """How each mission ended; what is not refused or (but for ``again``) unchanged is run."""
         waiting = []
         for ref in self.missions:
             if ref in self.refused:
@@ -146,11 +131,10 @@ def select_missions(
     configs: Iterable[Path], names: Sequence[str] = (), part: slice = slice(None),
     *, writes: bool = True,
 ) -> Selection:  # fmt: skip
-    """The missions of mission files and campaign files; of them only those of ``names``.
+    """The missions of mission and campaign files; of them ``names`` (or files), and a ``part``.
 
-    A name is that of a mission, or the path of its file; only a ``part`` is chosen. Refuses
-    (ConfigError) a campaign with two missions of one name or folder, a name that no mission has
-    (CAMPAIGN-MISSION), and with ``writes`` a page of somebody else. Nothing was touched then.
+    Refuses (ConfigError) twins in a campaign, a name that no mission has (CAMPAIGN-MISSION), and
+    with ``writes`` a page of somebody else.
     """
     missions, campaigns = open_configs(configs)
     known = look_up(missions)

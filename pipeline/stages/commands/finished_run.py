@@ -96,10 +96,7 @@ def air_of(table: pa.Table, profile_id: pa.ChunkedArray) -> ProfileSeries:
 
 
 def profile_of(table: pa.Table) -> Profile:
-    """The profile from a table of one as in ``profile.parquet``; the inverse of `table_of_profile`.
-
-    The refractivity is that of the run to 1e-15 of itself (6e-16 in the sample runs).
-    """
+    """The profile from ``profile.parquet`` with one; its refractivity to 1e-15 of itself."""
     metadata = {key.decode(): value.decode() for key, value in table.schema.metadata.items()}
 
     def column(name: str) -> Array:
@@ -125,10 +122,7 @@ def profile_of(table: pa.Table) -> Profile:
 
 
 def ground_of(run: FinishedRun, constant_m: float | None, ledger: Ledger) -> Array:
-    """(s,) median ground height [m above sea level] of the observations of each image, or constant.
-
-    An image without observations gets the median of the others. Memory: 16 bytes an observation.
-    """
+    """(s,) median ground height [m above sea level] of each image's observations, or a constant."""
     if constant_m is not None:
         return np.full(len(run.stations), constant_m)
     rows, heights = [], []
@@ -147,10 +141,7 @@ def ground_of(run: FinishedRun, constant_m: float | None, ledger: Ledger) -> Arr
 
 
 def check_reproduced(run: FinishedRun, path: Path) -> None:
-    """Refuse a run whose corrections cannot be computed again to 1e-6 px (EXPORT-NOT-REPRODUCED).
-
-    They differ where the program has changed, or the folder lacks an input of the correction.
-    """
+    """Refuse corrections that cannot be computed again to 1e-6 px (EXPORT-NOT-REPRODUCED)."""
     parts = run.observations(_CHECKED, _MOST_CHECKED)
     largest = max((largest_difference_px(run, t, station) for station, t in parts), default=0.0)
     if largest > _LARGEST_DIFFERENCE_PX:
@@ -197,10 +188,7 @@ def refuse_output(run: Path, out: Path, *, force: bool) -> None:
 def rebuild_run(
     path: Path, manifest: dict[str, Any], ground_height_m: float | None, ledger: Ledger
 ) -> FinishedRun:
-    """A run as it was, from its folder alone; refuses one that cannot be computed again.
-
-    ``ground_height_m`` [m above sea level] replaces the ground heights of all images.
-    """
+    """A run from its folder alone; ``ground_height_m`` [m above sea level] replaces its heights."""
     if ground_height_m is not None and not LOWEST_GROUND_M <= ground_height_m <= HIGHEST_GROUND_M:
         raise ConfigError.of(
             "EXPORT-GROUND/limits", "--ground-height", height=ground_height_m,
@@ -301,10 +289,7 @@ def export_run(
     ground_height_m: float | None = None,
     force: bool = False,
 ) -> tuple[int, Ledger]:
-    """Write a finished run in a format of other programs; rows written, and what was left out.
-
-    ``options`` are those of the format, by name; ``ground_height_m`` as for `rebuild_run`.
-    """
+    """Write a finished run in a format, with its options; rows written, and what was left out."""
     form = find_format(name, out)
     values = form.values(options)
     if isinstance(path, Place):

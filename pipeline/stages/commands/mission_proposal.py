@@ -1,16 +1,16 @@
-"""A commented mission file from what a log, observations and images hold.
-
-What the inputs decide is written, with a remark where it is guessed; what they leave open is TODO,
-which `unbend check` refuses by name.
-"""
+"""A commented mission file from a log, observations and images; what they leave open is TODO."""
 
 import json
 import os
 import re
+import tomllib
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cache
 from importlib import resources
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -34,23 +34,17 @@ from pipeline.tables.geodata.geoid import package_geoid
 from pipeline.tables.imports.blocks import block_reader, damage_refused
 from pipeline.tables.imports.exif import read_image_times
 from pipeline.tables.observations import Observations, open_observations
-from pipeline.units import HECTOPASCAL, ZERO_CELSIUS_K
 
 _MOST_CAMERAS, _BATCH_ROWS, _MOST_BATCHES = 12, 250_000, 4
 
-# Other names of the columns, in small letters; what is found by them is guessed.
-_COLUMN_NAMES = {
-    "image": ("image", "img", "image_name", "filename", "file", "photo", "picture"),
-    "point": ("point", "point_id", "pt", "id", "marker", "track", "point_name", "tie", "tie_point"),
-    "x_px": ("x_px", "x", "px", "u", "col", "column", "x_pixel"),
-    "y_px": ("y_px", "y", "py", "v", "row", "line", "y_pixel"),
-}
 _HEIGHT = re.compile(r"^(h|z)(_.*)?$|height|elev|^alt", re.IGNORECASE)
-_RANGE_UNITS = {"pressure_pa": ("hPa", HECTOPASCAL, 0.0), "relative_humidity": ("%", 0.01, 0.0),
-                "temperature_k": ("°C", 1.0, ZERO_CELSIUS_K)}  # fmt: skip
 _OPENSFM = "reconstruction.json"  # stands for the folder of its project
-_DATUMS = {"ellips": "ellipsoid", "hae": "ellipsoid", "msl": "msl", "ortho": "msl",
-           "agl": "relative"}  # fmt: skip
+
+
+@cache
+def tables() -> Mapping[str, Any]:
+    """Names and units of ``proposal.toml``."""
+    return tomllib.loads(resources.files(__package__).joinpath("proposal.toml").read_text("utf-8"))
 
 
 @dataclass(frozen=True)
@@ -183,7 +177,7 @@ def best_of(channels: list[Channel]) -> tuple[Channel, ...]:
 def range_text(channel: Channel, role: str) -> str:
     """The range of a sensor's finite readings, in brackets; empty for other channels."""
     column = ROLE_COLUMNS[role][0]
-    unit, factor, zero = _RANGE_UNITS.get(column, ("", 1.0, 0.0))
+    unit, factor, zero = tables()["units"].get(column, ("", 1.0, 0.0))
     values = channel[column]
     values = values[np.isfinite(values)] / factor - zero
     return f" ({values.min():.0f} to {values.max():.0f} {unit})" if unit and values.size else ""
@@ -209,7 +203,7 @@ def found_in_table(path: Path) -> FoundTable:
     if program:
         with damage_refused(path, program):
             found.cameras = tuple(block_reader(program).read_cameras(path))
-        wanted: dict[str, str | None] = {name: name for name in _COLUMN_NAMES}
+        wanted: dict[str, str | None] = {name: name for name in tables()["columns"]}
         opened = open_observations(path, wanted, None, Ledger(), file_format=program)
         found.format, found.images = program, opened.images
         found.remark = f"{opened.rows} image points of {len(opened.images)} images"
@@ -217,7 +211,7 @@ def found_in_table(path: Path) -> FoundTable:
     names = column_names(path)
     by_small = {name.lower(): name for name in reversed(names)}
     columns: dict[str, str | None] = {}
-    for role, others in _COLUMN_NAMES.items():
+    for role, others in tables()["columns"].items():
         name = role if role in names else next((by_small[o] for o in others if o in by_small), None)
         columns[role] = name or role
         if names and name != role:
@@ -238,7 +232,7 @@ def found_in_table(path: Path) -> FoundTable:
         remark = guessed if height else f"one of {', '.join(heights)}"
         found.height = Proposed("height", value, remark)
     find_extent(opened, found)
-    datums = {of for part, of in _DATUMS.items() if height and part in height.lower()}
+    datums = {of for part, of in tables()["datums"].items() if height and part in height.lower()}
     if len(datums) == 1:
         found.reference = datums.pop()
         found.heights = f"guessed by the name of the column; {found.heights}"
@@ -272,10 +266,7 @@ def find_extent(opened: Observations, found: FoundTable) -> None:
 def proposed_cameras(
     log: FoundLog | None, images: tuple[str, ...], of_block: tuple[str, ...] = ()
 ) -> list[ProposedCamera]:
-    """The cameras by the names of the images, each with the channel that counts as they do.
-
-    What several channels could be is asked for, or left to the evidence (``*``), with a remark.
-    """
+    """The cameras by the names of the images, each with the channel that counts as they do."""
     events = () if log is None else log.events
     series = name_series(images)
     if len(series) > max(_MOST_CAMERAS, len(events)):
@@ -333,10 +324,9 @@ def proposed_cameras(
 
 
 def propose_mission(log: Path, observations: Path | None, images: Path | None, out: Path) -> str:
-    """The text of a mission file, to be written to ``out``, from whose folder paths count.
+    """The text of a mission file that is to be written to ``out``, from whose folder paths count.
 
-    ``log`` may be a block with orientations, alone; ``images`` is a folder of images, or
-    exiftool's table of them. Refuses (IMAGES-OTHER) images of which none is in the observations.
+    ``log`` may be a block; ``images`` a folder, or exiftool's table. Refuses (IMAGES-OTHER).
     """
 
     def relative(path: Path | None) -> str:

@@ -28,7 +28,6 @@ _ROWS = 1000
 
 
 def input_lines(checked: CorrectedMission) -> list[tuple[str, str]]:
-    """A label and a description of each input."""
     prepared = checked.prepared
     flight, log = prepared.flight, "none: the stations come from elsewhere, and so does the air"
     channels = ", ".join(

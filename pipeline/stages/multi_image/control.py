@@ -38,9 +38,8 @@ _WORSE = 0.25
 class ControlComparison:
     """Intersected minus given places of control points (p, 3), east, north, up [m].
 
-    ``before`` by the rays as measured, ``after`` by the corrected ones; NaN where they do not meet.
-    ``sigma_m`` (p,) is what the sigmas of stations and pixels let a height miss, ``sigma_stated``
-    whether those of the stations are known. ``unmeasured`` control points are in no image.
+    ``before`` by the rays as measured, ``after`` corrected; NaN where they do not meet. ``sigma_m``
+    (p,) : what the sigmas let a height miss; ``unmeasured`` points are in no image.
     """
 
     name: tuple[str, ...]
@@ -97,10 +96,7 @@ def compare_control(
     plan: Plan, observations: Observations, setup: CorrectionSetup, stations: Stations, heights:
     HeightSystem, *, ledger: Ledger,
 ) -> ControlComparison | None:  # fmt: skip
-    """Control points where their rays meet, before and after; None without control, or rays.
-
-    Refuses (CONTROL-MISSING) a table of which no point is observed; CONTROL-RAYS is a loss.
-    """
+    """Control points before and after, None without; refuses (CONTROL-MISSING) unobserved ones."""
     section = plan.mission.control
     if section is None:
         return None
@@ -172,24 +168,15 @@ def _rays_of(
     """(9, n) control point, station, sigma [rad] and the directions measured and corrected."""
     station = matching_rows(batch.image, images)
     corrected = correct_batch(batch, station, setup.ground.heights(batch, station, setup), setup)
-    rays = np.full((9, len(batch)), np.nan)
-    rays[0], rays[1] = matching_rows(batch.point, points.name), station
-    for rows, camera, _ in setup.groups(station):
-        rays[2, rows] = 1.0 / camera.fx_px
-        for first, x, y in ((3, batch.x_px, batch.y_px), (6, corrected.x_px, corrected.y_px)):
-            u, v, _ = camera.rays(x[rows], y[rows])
-            direction = np.stack([u, v, np.ones(u.size)])
-            rays[first : first + 3, rows] = direction / np.linalg.norm(direction, axis=0)
-    return rays
+    before, sigma = setup.directions(batch.x_px, batch.y_px, station)
+    after, _ = setup.directions(corrected.x_px, corrected.y_px, station)
+    return np.vstack([matching_rows(batch.point, points.name), station, sigma, before.T, after.T])
 
 
 def judge_control(
     comparison: ControlComparison, off_m: Mapping[str, float], ledger: Ledger
 ) -> None:
-    """What control points say against themselves, the stations or the correction.
-
-    ``off_m`` : median distance of the corrected points from the control in other readings [m].
-    """
+    """What control says; ``off_m`` : median distance of points from it in other readings [m]."""
     used, where = comparison.used, "control"
     after, count = comparison.after[used], int(comparison.used.sum())
     misses = np.linalg.norm(after, axis=1)

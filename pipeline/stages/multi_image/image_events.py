@@ -91,17 +91,13 @@ def assigned_stations(
 
 @dataclass(frozen=True, eq=False)
 class TieLikelihood:
-    """Log likelihood of assignments (k,) of events to the images of one camera, by tie points.
-
-    Rays of images without a usable event count as bad ones; ``rays`` are some of ``every`` ray.
-    """
+    """Log likelihood of assignments (k,) of events to images by ``rays``, some of ``every`` one."""
 
     of_events: Orientations
     rays: ImageRays
     every: ImageRays
 
     def intersected(self, event: Integers) -> Intersection:
-        """The intersection of the rays under an assignment."""
         orientations = self.of_events.assigned(event)
         return intersect(orientations, straightened(orientations, self.rays))
 
@@ -164,8 +160,7 @@ def position_likelihood(
 ) -> Likelihood | None:
     """Log likelihood of assignments by the positions in the images; None where few have one.
 
-    The positions err by 10 m each, at most five times that, and together by 5 m and a delay of
-    1 s: a receiver's last fix. Along one line they decide nothing; along lines to and fro they do.
+    These err by 10 m each, 50 m at most, and together by 5 m and a delay of 1 s.
     """
     if files is None or len(stations) < 3:
         return None
@@ -207,8 +202,7 @@ def images_of_camera(
 ) -> CameraImages:
     """Images of the observations, and files without any, that a pattern describes, in their order.
 
-    A file is called as the pattern says, or by its path. Where a pattern has no number, the digits
-    that differ most are the camera's count.
+    Where it has no number, the digits that differ most are the camera's count.
     """
     text, fields = "", []
     for literal, field, _, _ in string.Formatter().parse(pattern):
@@ -255,9 +249,8 @@ def assigned_events(
 ) -> tuple[tuple[Events, Integers], Notes]:  # fmt: skip
     """The events that have an image, under its name, and their rows among all events.
 
-    The log's own numbers in the names of images decide, and all events keep their names, unless
-    times or tie points contradict (MissionError EVENTS-CONTRADICTED). Everything else is decided by
-    the likelihood; refused (EVENTS-AMBIGUOUS) where the runner-up is not 1000 times less likely.
+    The log's own numbers in names decide unless contradicted (EVENTS-CONTRADICTED); else likelihood
+    does, and refuses (EVENTS-AMBIGUOUS) where the runner-up is not 1000 times less likely.
     """
     where = f"events.log.{exposed.camera}"
     every = np.arange(exposed.time_ns.size, dtype=np.int64)
@@ -337,11 +330,7 @@ def hole_between(
     assignment: Assignment, images: CameraImages, exposed: Events, likelihoods: Mapping[str,
     Likelihood],
 ) -> str:  # fmt: skip
-    """Why images in their order are not those of the events in theirs; empty where they are.
-
-    Where exposures without event or events without image lie between, a part is shifted, which
-    positions show, or tie points seen from both parts.
-    """
+    """Why a part of the images is shifted against the events in their order; empty if none is."""
     count, m, event = images.name.size, exposed.time_ns.size, assignment.event
     last = int(images.number.max()) if images.numbering == "counted" else count
     if "times" in assignment.evidence:

@@ -42,10 +42,7 @@ def oriented_stations(
     plan: Plan, flight: FlightLog, exposed: list[Stations], *, observations: Observations, ties:
     TiePoints, ledger: Ledger,
 ) -> Stations:  # fmt: skip
-    """The stations of `stations.orientation`; ``exposed`` are those of the events, if any.
-
-    Refuses (ORIENTATION-READING) a table by which tie points meet far better in another reading.
-    """
+    """The stations of `stations.orientation`; refuses (ORIENTATION-READING) what fits otherwise."""
     section = plan.mission.stations.orientation
     if section is None:
         raise MissionError("EVENTS-NONE", "the mission names no orientation", where="stations")
@@ -101,10 +98,7 @@ def orientation_table(plan: Plan, section: OrientationSection, ledger: Ledger) -
 
 
 def block_points(plan: Plan, flight: FlightLog, ledger: Ledger) -> ObjectPoints:
-    """The object points of the block that orients the images, with heights above sea level.
-
-    Other points take the median of those that their image shows, or else of all.
-    """
+    """The object points of a block, above sea level; others take the median of their image's."""
     section = plan.mission.stations.orientation
     if section is None:
         raise MissionError("EVENTS-NONE", "the mission names no orientation", where="stations")

@@ -62,10 +62,7 @@ def read_points(
     heights: HeightSystem,
     ledger: Ledger,
 ) -> ObjectPoints:
-    """The points of a table of the user's, of that ``role``, with heights above sea level.
-
-    ``section`` and ``reference`` are what the mission file states of it under ``key``.
-    """
+    """The points of a user's table above sea level, as ``section`` and ``reference`` state it."""
     path = plan.input(role).path
     name, value = read_object_points(path, section.columns.named, key=f"{key}.columns")
     x, y = ("x", "y") if "x" in value else ("longitude", "latitude")
@@ -82,11 +79,7 @@ def read_points(
 
 
 def check_object_points(observations: Observations, stations: Stations, ledger: Ledger) -> None:
-    """Compare the places of object points with the stations that see them.
-
-    Refuses (InputError) a table without any of the points (POINTS-MISSING), and points below the
-    horizon (POINTS-FAR); a loss where the median one is seen at more than 87 deg from the nadir.
-    """
+    """Compare object points with the stations that see them; refuses POINTS-MISSING, POINTS-FAR."""
     points = observations.points
     if points is None:
         return
@@ -135,11 +128,9 @@ def with_intersected_heights(
 ) -> CorrectionSetup:  # fmt: skip
     """The setup with intersected ground heights and their sigmas, where the mission file says so.
 
-    The rays of a point may lie anywhere in a table of any length: its rows are divided by the hash
-    of their points into temporary files of some 300,000 rows, which are intersected one after the
-    other, by rays without refraction of air and window. Heights lie in a temporary file too (16
-    bytes a row, the rays 40). A rehearsal takes the points of its rows alone. Refuses (MissionError
-    GROUND-INTERSECTED) where no point has a height; those without one are NaN.
+    The rays of a point may lie anywhere in a table of any length: rows are divided by the hash of
+    their points into temporary files of some 300,000 (40 bytes a row), intersected one by one. A
+    rehearsal takes the points of its rows alone. Refuses (GROUND-INTERSECTED) if none has a height.
     """
     if mission.ground.height != "intersected":
         return setup
@@ -200,31 +191,20 @@ def with_intersected_heights(
 def _heights_of(
     rays: NDArray[np.void], setup: CorrectionSetup, stations: Stations, orientations: Orientations
 ) -> tuple[Array, PointHeights]:
-    """(n,) heights above sea level of the points of rays, and the points.
-
-    The heights of a first intersection, of the rays as measured, say how much these are bent.
-    """
-    undulation = np.nan_to_num(stations.h_ellipsoid_m - stations.h_msl_m)[rays["station"]]
-    h_msl: Array | None = None
-    while True:
-        direction, sigma = np.full((rays.size, 3), np.nan), np.ones(rays.size)
-        for rows, camera, profile in setup.groups(rays["station"]):
-            x, y, station = (rays[name][rows] for name in ("x", "y", "station"))
-            if h_msl is not None and setup.direction == "remove":
-                corrected = correct_observations(
-                    x, y, h_msl[rows], station, setup.exposures, camera=camera,
-                    table=setup.rays[profile],
-                )  # fmt: skip
-                x, y = corrected.x_px, corrected.y_px
-            u, v, _ = camera.rays(x, y)
-            direction[rows] = np.stack([u, v, np.ones(u.size)], axis=1)
-            sigma[rows] = 1.0 / camera.fx_px
-        direction /= np.linalg.norm(direction, axis=1)[:, None]
-        found = point_heights(
-            orientations, ImageRays(rays["station"], rays["point"], direction, sigma)
-        )
+    """(n,) heights of points above sea level; a first intersection says how rays are bent."""
+    x, y, station = (rays[name] for name in ("x", "y", "station"))
+    undulation = np.nan_to_num(stations.h_ellipsoid_m - stations.h_msl_m)[station]
+    h_msl = np.full(rays.size, np.nan)
+    for bent in (False, setup.direction == "remove"):
+        seen_x, seen_y = x.copy(), y.copy()
+        for rows, camera, profile in setup.groups(station) if bent else ():
+            corrected = correct_observations(
+                x[rows], y[rows], h_msl[rows], station[rows], setup.exposures, camera=camera,
+                table=setup.rays[profile],
+            )  # fmt: skip
+            seen_x[rows], seen_y[rows] = corrected.x_px, corrected.y_px
+        direction, sigma = setup.directions(seen_x, seen_y, station)
+        found = point_heights(orientations, ImageRays(station, rays["point"], direction, sigma))
         number = np.maximum(np.bincount(found.index), 1)
-        last = h_msl is not None
         h_msl = (found.h_m - np.bincount(found.index, undulation) / number)[found.index]
-        if last:
-            return h_msl, found
+    return h_msl, found
