@@ -160,7 +160,10 @@ def enu_from_ecef(latitude_rad: Array, longitude_rad: Array) -> Array:
 
 
 def geodetic_of_ecef(x: Array, y: Array, z: Array) -> tuple[Array, Array, Array]:
-    """Latitude, longitude [rad], ellipsoidal height [m]: 1e-12 rad, 1e-6 m from -10 to 100 km."""
+    """Latitude, longitude [rad] and ellipsoidal height [m] of earth-centred coordinates [m].
+
+    Bowring's formula iterated three times: 1e-12 rad and 1e-6 m from -10 km to 100 km.
+    """
     p = np.hypot(x, y)
     b = WGS84_A * (1.0 - WGS84_F)
     beta = np.arctan2(z, (1.0 - WGS84_F) * p)

@@ -24,7 +24,7 @@ _USAGE_ERROR: type[Exception] = typer.BadParameter.__bases__[0]
 
 
 def _ignore_further_signals() -> None:
-    """By a handler: Python prints a warning if a signal is already pending when SIG_IGN is set."""
+    """Let the shutdown finish. SIG_IGN would print a warning if a signal is already pending."""
     for number in SIGNALS:
         signal.signal(number, lambda *_: None)
 

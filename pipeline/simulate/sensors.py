@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.ndimage import gaussian_filter1d
 
-from pipeline import units
+import pipeline.units as units
 from pipeline.simulate.flight import UNDULATION_M, Flight, State, cabin_air
 from pipeline.simulate.true_air import TrueAir, relative_humidity, temperature_k
 from pipeline.units import Array, Integers

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.interpolate import BSpline, make_interp_spline
 
-from pipeline import units
+import pipeline.units as units
 from pipeline.errors import PhysicsError
 from pipeline.units import Array
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline import geodesy
+import pipeline.geodesy as geodesy
 from pipeline.flight.rotations import in_turned_frame, matrices_of
 from pipeline.flight.stations import Stations
 from pipeline.ledger import Ledger
