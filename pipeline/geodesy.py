@@ -71,7 +71,8 @@ def normal_gravity(latitude_rad: float) -> Gravity:
     """WGS84 normal gravity at the ellipsoid, and the effective radius by which it falls off.
 
     Valid at all latitudes; pressure integrated with it stays within 1e-6 of itself up to 25 km.
-    Source: Somigliana's formula and its free-air gradient (NIMA TR8350.2, 4-1 and 4-3).
+    Source: Somigliana's formula and the free-air gradient at the ellipsoid (NIMA TR8350.2, 4-1
+    and 4-3).
 
     >>> gravity = normal_gravity(0.7853981633974483)
     >>> round(gravity.g_phi, 5), round(gravity.r_phi)
@@ -84,9 +85,10 @@ def normal_gravity(latitude_rad: float) -> Gravity:
 
 
 def euler_radius(latitude_rad: ArrayLike, azimuth_rad: ArrayLike) -> Array:
-    """Radius of curvature [m] of the WGS84 ellipsoid in an azimuth from north, by Euler's formula.
+    """Radius of curvature [m] of the WGS84 ellipsoid in an azimuth, by Euler's formula.
 
-    At a pole every azimuth gives the polar radius of curvature. Arguments broadcast.
+    ``latitude_rad`` and ``azimuth_rad`` (clockwise from north) broadcast. At a pole every azimuth
+    gives the polar radius of curvature.
 
     >>> euler_radius(0.0, [0.0, 1.5707963267948966]).round(1).tolist()
     [6335439.3, 6378137.0]
@@ -111,9 +113,11 @@ def principal_radii(latitude_rad: ArrayLike) -> tuple[Array, Array]:
 def offset_geodetic(
     latitude_rad: Array, longitude_rad: Array, h_ellipsoid: Array, enu: Array
 ) -> tuple[Array, Array, Array]:
-    """Geodetic position [rad, in -pi to pi] reached by a small step in east, north and up.
+    """Geodetic position reached by a small step in east, north and up.
 
-    ``enu`` (n, 3) [m]; exact to 1 mm for steps below 1 km, at poles and the 180th meridian too.
+    ``enu`` is (n, 3) [m]; exact to 1 mm for steps below 1 km, computed in earth-centred
+    coordinates, so poles and the 180th meridian are no special case. Longitudes return in
+    [-pi, pi].
     """
     point = ecef_of_geodetic(latitude_rad, longitude_rad, h_ellipsoid)
     axes = enu_from_ecef(latitude_rad, longitude_rad)
@@ -150,7 +154,10 @@ def ecef_of_geodetic(latitude_rad: Array, longitude_rad: Array, h_ellipsoid: Arr
 
 
 def enu_from_ecef(latitude_rad: Array, longitude_rad: Array) -> Array:
-    """(n, 3, 3) rotations from earth-centred axes to east, north, up at (n,) places."""
+    """(n, 3, 3) rotations from earth-centred axes to east, north, up at (n,) places.
+
+    The vertical turns with the place: 324 arcsec per 10 km.
+    """
     sin_p, cos_p = np.sin(latitude_rad), np.cos(latitude_rad)
     sin_l, cos_l = np.sin(longitude_rad), np.cos(longitude_rad)
     east = np.stack([-sin_l, cos_l, np.zeros_like(sin_l)], axis=-1)
@@ -182,9 +189,15 @@ def geodetic_of_ecef(x: Array, y: Array, z: Array) -> tuple[Array, Array, Array]
 
 @dataclass(frozen=True, eq=False)
 class GeoidGrid:
-    """Undulations on a grid: ellipsoidal minus orthometric ``values_m`` (rows, columns) [m].
+    """Undulations on a grid of geographic coordinates.
 
-    From the south-west corner (``south_deg``, ``west_deg``) to the north and east, NaN unknown.
+    Parameters
+    ----------
+    name : of the geoid and its grid.
+    values_m : (rows, columns) ellipsoidal minus orthometric height [m], from the south-west corner
+        to the north and east; NaN where unknown.
+    south_deg, west_deg : the place of the first value.
+    step_lat_deg, step_lon_deg : between rows and between columns.
     """
 
     name: str
@@ -212,17 +225,21 @@ class GeoidGrid:
         return np.where(known, corners, np.nan), y - row, x - column
 
     def undulation(self, lat_rad: ArrayLike, lon_rad: ArrayLike) -> Array:
-        """Bilinear undulation [m] at places [rad] that broadcast; NaN outside and in holes."""
+        """Undulation [m] at places [rad] that broadcast; NaN outside the grid and in its holes.
+
+        Bilinear, as PROJ's vgridshift; continuous over the date line and at the poles.
+        """
         corners, north, east = self._cell(lat_rad, lon_rad)
         south_side = corners[0, 0] * (1.0 - east) + corners[0, 1] * east
         north_side = corners[1, 0] * (1.0 - east) + corners[1, 1] * east
         return np.asarray(south_side * (1.0 - north) + north_side * north)
 
     def deflection(self, lat_rad: ArrayLike, lon_rad: ArrayLike) -> tuple[Array, Array]:
-        """Deflection of the vertical to the north (xi) and east (eta), [rad] all; not at poles.
+        """Deflection of the vertical to the north (xi) and to the east (eta), [rad] all.
 
-        Minus the slopes of the geoid (Heiskanen & Moritz 1967, Eq. 2-204) in a cell: EGM96 at 15
-        minutes smooths over some 28 km, in mountains by several arcseconds.
+        The zenith of the plumb line lies north and east of the ellipsoid's: minus the slopes of
+        the geoid (Heiskanen & Moritz 1967, Eq. 2-204). Of the cell of the grid: EGM96 at 15
+        minutes smooths over some 28 km, in mountains by several arcseconds. None at the poles.
         """
         corners, north, east = self._cell(lat_rad, lon_rad)
         lat = np.asarray(lat_rad, np.float64)

@@ -1,6 +1,7 @@
 """The correction as a library: tables in memory in, the table of a run out.
 
-It is a run, by the story's steps, of tables that are handed over as files in a folder for it.
+It is a run: a mission of the tables is prepared, checked and corrected by the story's steps. The
+tables are handed over as files in a folder that is removed, because that is what a run reads.
 """
 
 import json

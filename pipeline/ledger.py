@@ -22,7 +22,11 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True, order=True)
 class Entry:
-    """A line: stable ``code``, ``where`` (channel, byte offset, column), ``count`` of items."""
+    """One line of the ledger.
+
+    ``code`` is stable (``BARO-RANGE``); ``where`` a channel, file and byte offset, or column;
+    ``count`` how many messages, bytes, samples or rows it is about.
+    """
 
     kind: Kind
     code: str
@@ -105,7 +109,9 @@ class Ledger:
             self.add(entry)
 
     def accept(self, reasons: Mapping[str, str]) -> tuple[str, ...]:
-        """Make warnings of findings with accepted codes and ``reasons``; the codes of no finding.
+        """Make warnings of the findings of some codes; returns the codes that no finding has.
+
+        ``reasons`` by code: why the mission file accepts it.
 
         >>> ledger = Ledger([finding("PLAUSIBLE-GROUND", "the ground is 400 m off")])
         >>> ledger.accept({"PLAUSIBLE-GROUND": "a gorge"}), ledger.has_losses

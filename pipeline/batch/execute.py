@@ -77,7 +77,10 @@ def _read(end: MissionEnd) -> MissionEnd:
 
 
 def shared_outputs(folders: Iterable[tuple[MissionRef, object]]) -> dict[MissionRef, UnbendError]:
-    """Missions whose results would go to the folder of an earlier one; links are resolved."""
+    """Missions whose results would be written to the folder of an earlier one.
+
+    Folders are compared after symbolic links are resolved, and on Windows without case.
+    """
     first_of: dict[str, int] = {}
     refused: dict[MissionRef, UnbendError] = {}
     listed = list(folders)

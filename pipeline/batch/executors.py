@@ -36,7 +36,8 @@ from pipeline.refraction.kernels.threads import usable_cpus
 class Outcome:
     """How a mission ended: where its results are, its manifest, and its exit code.
 
-    From another process a receipt: of the manifest, at ``output``, it has the ``fingerprint``.
+    From another process it is a receipt of less than a kilobyte: the manifest, which is at
+    ``output``, is left out, and only its ``fingerprint`` comes.
     """
 
     name: str

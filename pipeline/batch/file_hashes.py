@@ -59,9 +59,11 @@ def is_settled(stamped: list[int] | None) -> bool:
 
 
 def remembered_hash(path: Path, *, verify: bool = False, of_jpeg: int | None = None) -> str:
-    """SHA-256 of a file; unless to ``verify`` not read again while device, inode, size, times stay.
+    """SHA-256 of a file; not read again while device, inode, size and both times stay.
 
     Of a JPEG, whose EXIF comes first, only the first ``of_jpeg`` bytes where these are given.
+    ``verify`` reads it anyway. A file that changed in the last two seconds is not remembered.
+    Without a cache that can be written every file is read.
     """
     stamped = stamp(path)
     settled = is_settled(stamped)
@@ -98,8 +100,9 @@ def known_hash(path: Path) -> str | None:
 def check_unchanged(inputs: Iterable[Input], *, folders: bool = True) -> None:
     """Refuse results whose inputs were written to, or replaced, while they were made.
 
-    Without ``folders`` those of images, and object storage, are not looked at. Devices are not
-    compared: each machine that shares a disk has its own.
+    By the same content too: another one may have been there in between, and read. Without
+    ``folders`` those of images are not looked at, and no object storage. The number of the device
+    is not compared: each machine that shares a disk has its own.
     """
     for item in inputs:
         if item.place is not None:

@@ -76,7 +76,10 @@ def keys_of(config: Mapping[str, Any], inputs: Mapping[str, str]) -> dict[str, s
 
 
 def libraries(roles: Iterable[str], standard: str) -> dict[str, dict[str, str | None]]:
-    """Versions of the libraries that numbers depend on with these roles and this atmosphere."""
+    """Versions of the libraries that the numbers depend on, by stage; None if not installed.
+
+    ``roles`` of the inputs and the name of the atmosphere: some need libraries of their own.
+    """
     known = {s: {name: version(name) for name in TABLES["libraries"][s]} for s in STAGES}
     roles = list(roles)
     words = {role.split()[0] for role in roles}
@@ -104,7 +107,8 @@ def grids_of_proj() -> str:
     import pyproj
 
     folders = [*pyproj.datadir.get_data_dir().split(os.pathsep), pyproj.datadir.get_user_data_dir()]
-    paths = [path for folder in folders for path in sorted(Path(folder).glob("*"))]
+    folders = list(filter(os.path.isdir, folders))  # an empty name would be the current folder
+    paths = [path for folder in folders for path in sorted(Path(folder).iterdir())]
     files = [f"{path.name} {path.stat().st_size}" for path in paths if path.is_file()]
     digest = hashlib.sha256("\n".join(files).encode()).hexdigest()
     return f"PROJ {pyproj.proj_version_str}, {digest[:16]}"

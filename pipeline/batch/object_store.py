@@ -55,7 +55,8 @@ class Place:
     def of(cls, url: str) -> "Place":
         """The place of a URL; refuses (ConfigError URL-INVALID) what names none.
 
-        What may be a secret is not repeated. The key is as the bucket has it, not percent-encoded.
+        A user, password, query or fragment is refused and not repeated: it may be a secret. The
+        key is written as the bucket has it, without percent-encoding.
         """
         scheme, _, rest = url.partition("://")
         bucket, _, path = rest.partition("/")
@@ -166,9 +167,10 @@ def open_store(scheme: str, bucket: str) -> Any:
 
 
 def ask(verb: str, place: Place, call: Any, *arguments: Any, **options: Any) -> Any:
-    """Call obstore by the name of its function, or something that it returned; StorageError.
+    """Call obstore by the name of its function, or something that it returned.
 
-    None where a condition of the request does not hold; FileNotFoundError where an object is not.
+    None where a condition of the request does not hold; FileNotFoundError where an object is not
+    there. ``verb`` is what a refusal (StorageError) says.
     """
     try:
         import obstore
@@ -237,7 +239,10 @@ def copy_of(place: Place, version: str) -> Path:
 
 
 def fetched(place: Place, version: str, *, anew: bool = False) -> Path:
-    """The copy of an input's version, made if needed or ``anew``; refuses INPUT-CHANGED."""
+    """The copy of a version of an input, made where it is not there yet, or ``anew``.
+
+    Refuses (INPUT-CHANGED) an object that changes or goes while it is read.
+    """
     copy = copy_of(place, version)
     kept, draft = copy.parent, copy.parent.with_suffix(f".{os.getpid()}.draft")
     if anew:

@@ -63,7 +63,9 @@ class Publication:
     ) -> dict[str, Any]:
         """Upload the results of a folder and publish them; the manifest that is then there.
 
-        Of several writers of a run the first wins; OutputInUseError if another run was published.
+        Of several writers of the same run the first wins, and the others return its manifest.
+        Refuses (OutputInUseError) where another run was published since. ``advance`` is called
+        with the bytes of each file.
         """
         attempt = uuid.uuid4().hex
         own = manifest | {"attempt": attempt}

@@ -1,9 +1,10 @@
 """What tie points say of a mission file: each likely mistake tried, with its estimate.
 
 The stations are held, and the rays of tie points are intersected under each hypothesis: cameras
-exchanged, another mount, another principal distance, a calibration of other signs or axes,
-exposures earlier or later, heights from another zero, other axes of the pixels. A hypothesis that
-is 1000 times as likely as what is stated, and larger than the stated sigmas explain, is a finding.
+exchanged, another mount, another principal distance, a radial distortion, a calibration of other
+signs or axes, exposures earlier or later, heights from another zero, other axes of the pixels. A
+hypothesis that is 1000 times as likely as what is stated, and larger than the stated sigmas
+explain, is a finding.
 """
 
 from __future__ import annotations
@@ -141,14 +142,20 @@ class Finding:
 
 @dataclass(frozen=True, eq=False)
 class _Hypothesis:
-    """A change by an amount: ``reading(x)``; without an amount ``step`` is 0."""
+    """A change by an amount: ``reading(x)``; without an amount ``step`` is 0. ``cameras`` are those
+    that it changes."""
 
     code: str
     label: str
-    camera: str
+    cameras: tuple[str, ...]
     reading: Callable[[float], _Reading]
     x: float = 0.0
     step: float = 0.0
+
+    @property
+    def camera(self) -> str:
+        """The one camera, empty where there are several."""
+        return self.cameras[0] if len(self.cameras) == 1 else ""
 
 
 def _subject(h: _Hypothesis) -> tuple[str, str]:
@@ -191,7 +198,7 @@ def diagnosis(mission: StatedMission) -> tuple[Intersection, tuple[Finding, ...]
             found = reading.intersected(mission)
             gain = found.log_likelihood - now.log_likelihood
             text = _described(mission, h, reading, found, sigma)
-            if gain > LOG_RATIO_NEEDED:
+            if gain + min(0.0, _log_odds(h)) > LOG_RATIO_NEEDED:
                 best.append((gain, h, reading, found, text))
         if not any(text for *_, text in best):
             break
@@ -218,7 +225,7 @@ def diagnosis(mission: StatedMission) -> tuple[Intersection, tuple[Finding, ...]
 def _log_odds(h: _Hypothesis) -> float:
     """How likely a mistake is beforehand, as a natural logarithm: more if it has a name, less if
     all cameras have it alike."""
-    alike = h.code in ("TIES-FOCAL", "TIES-CALIBRATION") and not h.camera and not h.label
+    alike = h.code in ("TIES-FOCAL", "TIES-CALIBRATION") and len(h.cameras) > 1 and not h.label
     return LOG_RATIO_NEEDED * (bool(h.label) - 2.0 * alike)
 
 
@@ -338,8 +345,8 @@ def small_errors(
         vector, covariance = found.camera_rotation(name)
         if found.gain_of(vector @ np.linalg.pinv(covariance, hermitian=True) @ vector) >= least:
             turn = Rotation.from_rotvec(vector).as_matrix()
-            yield _Hypothesis("TIES-MOUNT", "", name, _at_once(now.turned(name, turn)))
-    up = _Hypothesis("TIES-HEIGHT", "", "", lambda x: replace(now, up_m=now.up_m + x), 0.0, 1.0)
+            yield _Hypothesis("TIES-MOUNT", "", (name,), _at_once(now.turned(name, turn)))
+    up = _Hypothesis("TIES-HEIGHT", "", (), lambda x: replace(now, up_m=now.up_m + x), 0.0, 1.0)
     groups = dict.fromkeys([*((name,) for name in names), tuple(names)])
     others = [up, *(_scaled(now, group, 1.0, "") for group in groups)]
     others += [
@@ -348,7 +355,7 @@ def small_errors(
     others += [_later(now, 0.0)] if mission.shifted is not None else []
     for gain, x, h in estimated(mission, now, found, others, np.zeros((o.camera.size, 6, 0))):
         if gain >= least:
-            yield replace(h, x=x) if h is up else h
+            yield replace(h, x=x) if h is up or h.code == "TIES-CALIBRATION" else h
 
 
 def other_calibrations(now: _Reading) -> Iterator[_Hypothesis]:
@@ -359,8 +366,7 @@ def other_calibrations(now: _Reading) -> Iterator[_Hypothesis]:
             mixed = {name: between(now.cameras[name], c, x) for name, c in other.items()}
             return replace(now, cameras={**now.cameras, **mixed})
 
-        name = next(iter(other)) if len(other) == 1 else ""
-        yield _Hypothesis("TIES-CALIBRATION", what, name, reading, 1.0, 0.25)
+        yield _Hypothesis("TIES-CALIBRATION", what, tuple(other), reading, 1.0, 0.25)
 
 
 def mistaken_calibrations(cameras: Mapping[str, Camera]) -> Iterator[tuple[str, dict[str, Camera]]]:
@@ -418,7 +424,7 @@ def _scaled(now: _Reading, names: tuple[str, ...], factor: float, label: str) ->
         }
         return replace(now, cameras={**now.cameras, **scaled})
 
-    return _Hypothesis("TIES-FOCAL", label, _only(names), reading, float(np.log(factor)), 0.005)
+    return _Hypothesis("TIES-FOCAL", label, names, reading, float(np.log(factor)), 0.005)
 
 
 def _k1(cameras: Mapping[str, Camera], names: Iterable[str]) -> Array:
@@ -434,17 +440,12 @@ def _distorted(now: _Reading, names: tuple[str, ...]) -> _Hypothesis:
         }
         return replace(now, cameras={**now.cameras, **other})
 
-    return _Hypothesis("TIES-CALIBRATION", "", _only(names), reading, 0.0, 0.005)
-
-
-def _only(names: tuple[str, ...]) -> str:
-    """The name of one camera, empty where there are several."""
-    return names[0] if len(names) == 1 else ""
+    return _Hypothesis("TIES-CALIBRATION", "", names, reading, 0.0, 0.005)
 
 
 def _later(now: _Reading, seconds: float) -> _Hypothesis:
     return _Hypothesis(
-        "TIES-TIME", "", "", lambda x: replace(now, time_s=now.time_s + x), seconds, 0.25
+        "TIES-TIME", "", (), lambda x: replace(now, time_s=now.time_s + x), seconds, 0.25
     )
 
 
@@ -460,7 +461,7 @@ def large_mistakes(mission: StatedMission, now: _Reading) -> Iterator[_Hypothesi
         for label, other in others.items():
             if not np.allclose(other, angles):
                 turned = Mount(*other.tolist()).camera_from_body @ own.T
-                yield _Hypothesis("TIES-MOUNT", label, name, _at_once(now.turned(name, turned)))
+                yield _Hypothesis("TIES-MOUNT", label, (name,), _at_once(now.turned(name, turned)))
         groups = [(name,), tuple(now.cameras)] if len(now.cameras) > 1 else [(name,)]
         for group in groups:
             for factor in _SCALES:
@@ -469,12 +470,12 @@ def large_mistakes(mission: StatedMission, now: _Reading) -> Iterator[_Hypothesi
                 yield _scaled(now, group, camera.width_px / width, "in millimetres, not pixels")
         for axes in ("exchanged", "upward"):
             reading = replace(now, axes={**now.axes, name: axes})
-            yield _Hypothesis("TIES-PIXELS", axes, name, _at_once(reading))
+            yield _Hypothesis("TIES-PIXELS", axes, (name,), _at_once(reading))
     for a, b in combinations(now.cameras, 2):
         swapped = {**now.cameras, a: now.cameras[b], b: now.cameras[a]}
         turn = mission.camera_from_body(b) @ mission.camera_from_body(a).T
         reading = replace(now, cameras=swapped).turned(a, turn).turned(b, turn.T)
-        yield _Hypothesis("TIES-CAMERAS", f"{a} and {b}", a, _at_once(reading))
+        yield _Hypothesis("TIES-CAMERAS", f"{a} and {b}", (a, b), _at_once(reading))
     for seconds in _TIMES_S if mission.shifted is not None else ():
         yield _later(now, seconds)
         yield _later(now, -seconds)
@@ -520,8 +521,7 @@ def _described(
     least = _SMALL.get(h.code, 0.0)
     if h.code == "TIES-MOUNT":
         return _turn_of(mission, h, reading, found)
-    names = (h.camera,) if h.camera else tuple(mission.cameras)
-    of = f"of {' and '.join(names)} is"
+    names, of = h.cameras, f"of {' and '.join(h.cameras)} is"
     if h.code == "TIES-FOCAL":
         stated, size = (
             np.array([cameras[name].fx_px for name in names])

@@ -154,7 +154,7 @@ class SensorsSection(Section):
             values = getattr(section, key, None), getattr(section, f"sigma_{key}")
             mean, sigma = (None if value is None else unit * value for value in values)
             if mean is not None or sigma is not None:
-                path = f"atmosphere.sensors.{sensor}.{key}"
+                path = f"atmosphere.sensors.{sensor}.{key if mean is not None else f'sigma_{key}'}"
                 stated[fault] = SensorCalibration(mean, sigma, path=path)
         return stated
 

@@ -102,6 +102,7 @@ class CabinAir(Section):
         return value
 
     def build(self) -> Cabin:
+        """In SI."""
         given = self.pressure if self.pressure_hpa is None else self.pressure_hpa
         celsius = self.temperature_c
         logged = celsius == "log"
@@ -221,6 +222,7 @@ class MountSection(Section):
         return self
 
     def build(self) -> Mount:
+        """In radians."""
         x, y, z = self.lever_arm_m
         tilt = self.sigma_tilt_deg
         yaw = tilt if self.sigma_yaw_deg is None else self.sigma_yaw_deg
@@ -427,7 +429,10 @@ class CameraSection(Section):
         return Camera(width, height, fx, fy, cx, cy, known)
 
     def with_file(self, path: Path) -> Self:
-        """The section with its file's numbers; refuses as `read_camera`, and CAMERA-SIZE."""
+        """The section with model and parameters of its file, which is at ``path``.
+
+        Refuses as `read_camera`, and a file whose images have another size (CAMERA-SIZE).
+        """
         camera = read_camera(path, self.format, None if self.camera is None else str(self.camera))
         width, height = self.width_px or camera.width_px, self.height_px or camera.height_px
         if (width, height) != (camera.width_px, camera.height_px):

@@ -99,7 +99,11 @@ def open_configs(paths: Iterable[Path]) -> tuple[list[MissionRef], list[Campaign
 
 
 def campaign_of(path: Path, values: dict[str, Any], node: yaml.Node) -> Campaign:
-    """The campaign of a file; refuses (ConfigError) every mistake with its line, opens nothing."""
+    """Check the values of a campaign file; refuses (ConfigError) every mistake with its line.
+
+    Its defaults and the missions that stand in it are checked too; of mission files only that
+    patterns match some. Opens nothing.
+    """
     defaults = values.get("defaults", {})
     stated = values.get("missions", [])
     items = [*_refused(CampaignFile, values), *_refused(Mission, defaults, ("defaults",))]
@@ -183,7 +187,11 @@ def _seen_from(values: Any, campaign: Path, mission: Path, place: Place = ()) ->
 
 
 def refuse_twins(campaign: Campaign, named: Iterable[tuple[MissionRef, str, object]]) -> None:
-    """Refuse (ConfigError) two missions of a campaign with one name, or one folder of results."""
+    """Refuse (ConfigError) a campaign with two missions of one name, or one folder of results.
+
+    ``named`` : missions with their names and folders. Folders are compared after symbolic links
+    are resolved, and on Windows without case.
+    """
     names: dict[str, MissionRef] = {}
     folders: dict[str, tuple[MissionRef, str]] = {}
     for ref, name, output in named:

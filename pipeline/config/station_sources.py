@@ -174,6 +174,7 @@ class LocalOrigin(Section):
     h_ellipsoid_m: float = Field(ge=-500, le=50_000)
 
     def build(self) -> GeodeticOrigin:
+        """In radians."""
         return GeodeticOrigin(self.lat_deg * DEGREE, self.lon_deg * DEGREE, self.h_ellipsoid_m)
 
 

@@ -203,7 +203,8 @@ def allocate(count: int, dtype: DTypeLike) -> NDArray[Any]:
     """(count,) rows with any values in them.
 
     Up to `PRIVATE` bytes are the process's own, further ones in a temporary file (of ``TMPDIR``) if
-    there is space. After a fork, parent and child see what the other writes to an array in a file.
+    there is space; both return to the system with the last array on them. After a fork, parent and
+    child see what the other writes to an array in a file.
 
     >>> column = allocate(3, "f8")
     >>> column[:] = 1.5

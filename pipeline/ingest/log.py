@@ -52,7 +52,8 @@ class Contents:
 class LogFormat:
     """A log format: ``title`` in messages; ``extensions`` in lower case with dot, the usual first.
 
-    ``matches`` says whether the first 64 KiB of a file look like it.
+    ``matches`` says whether the first 64 KiB of a file look like it; ``read`` decodes the wanted
+    messages, and enters what is damaged or skipped.
     """
 
     name: str

@@ -18,8 +18,9 @@ _CABIN = ("cabin_pressure", "cabin_temperature", "cabin_humidity")
 def flight_of(position: Channel, height: Channel) -> dict[str, Any]:
     """Place, day and heights of a flight, from its channels of position and height.
 
-    Latitude and longitude where the log begins, to 0.001 degrees. Heights [m] above
-    ``height_reference``, 0.1 to 99.9 percentile; ``take_off_m`` where it begins standing still.
+    Latitude and longitude where the log begins, to 0.001 degrees (100 m). Heights [m] above
+    ``height_reference``, 0.1 to 99.9 percentile; ``take_off_m`` where the log begins standing
+    still.
     """
     known = np.isfinite(position["lat_rad"] + position["lon_rad"])
     if not bool(known.any()):

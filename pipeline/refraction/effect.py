@@ -71,10 +71,10 @@ class FlightAir:
 def effects_on_r(
     air: Profile, standard: Profile, covariance: ProfileCovariance | None, h_c: float, h_g: float
 ) -> tuple[Effect, ...]:
-    """R at `ANGLES_DEG` in an air and in the standard; none where no ray looks down.
+    """R at some nadir angles in an air and in the standard; none where no ray looks down.
 
     ``covariance`` of ``air`` gives sigma^2 = g^T C g with the derivatives g of `sensitivity`.
-    Heights of camera and ground are above sea level [m].
+    Heights of camera and ground are above sea level [m]; angles are `ANGLES_DEG`.
 
     >>> from pipeline.atmosphere import standard_atmosphere
     >>> air = standard_atmosphere("us1976")

@@ -56,7 +56,8 @@ class Accuracy:
 def compare_all(atmosphere: str) -> Accuracy:
     """Every method over every height and ground of the page, in one standard atmosphere.
 
-    With the papers' index (0.589 um); ``colour_percent`` is what the default adds at 6 km, 45 deg.
+    With the index of 0.589 um, the light that the constants of the papers are for;
+    ``colour_percent`` is what the default index (Ciddor, 0.55 um) adds at 6 km and 45 degrees.
     """
     air = standard_atmosphere(atmosphere, index="gyer")
     tables, curves = (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -64,8 +65,10 @@ def save_figure(figure: Figure, path: Path) -> None:
     ending = path.suffix.lower()
     if ending not in _OPTIONS:
         raise ConfigError.of("PLOT-FORMAT", path)
+    content = io.BytesIO()
+    figure.savefig(content, format=ending[1:], **_OPTIONS[ending])
     with storage_errors(path):
-        figure.savefig(path, format=ending[1:], **_OPTIONS[ending])
+        path.write_bytes(content.getvalue())
 
 
 @styled()

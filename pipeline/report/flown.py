@@ -147,7 +147,10 @@ def flown_of(
 
 
 def relief_of(terrain: ElevationModel, limits_deg: Limits) -> tuple[Limits, Array] | None:
-    """Light from the north-west on a model within limits with a margin; None: too fine, or bare."""
+    """Light from the north-west on a model within limits, and these with a margin.
+
+    None where it has no heights there, or is so fine that drawing it would cost more than the run.
+    """
     west, east, south, north = limits_deg + 2e-4 * np.array([-1.0, 1.0, -1.0, 1.0])
     per_degree = 111_200.0 * np.array([np.cos(np.radians(0.5 * (south + north))), 1.0])
     size = np.array([east - west, north - south]) * per_degree

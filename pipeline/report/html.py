@@ -133,7 +133,11 @@ def arrows(x: ArrayLike, y: ArrayLike, dx: ArrayLike, dy: ArrayLike) -> str:
 
 
 def field_arrows(axes: Axes, field: Mapping[str, Any]) -> tuple[str, str, float]:
-    """Arrows of a mean shift in an image, the longest 0.92 of a cell; one for reference, its px."""
+    """Arrows of a mean shift over an image, the longest 0.92 of a cell long; one for reference.
+
+    Returns both paths, the second an arrow at the upper left, and the shift that it stands for
+    [px], with one digit of 1, 2 or 5.
+    """
     x, y, dx, dy = (np.array(field[name]) for name in ("x_px", "y_px", "dx_px", "dy_px"))
     longest = float(np.hypot(dx, dy).max()) or 1.0
     scale, reference = 0.92 * axes.box[2] / field["columns"] / longest, round_step(longest / 2.2)

@@ -39,7 +39,11 @@ def is_applied(manifest: Mapping[str, Any]) -> bool:
 
 
 def verdict(manifest: Mapping[str, Any]) -> str:
-    """One sentence: how many observations were corrected, how far, and whether they can be used."""
+    """One sentence: how many observations were corrected, how far, and whether they can be used.
+
+    Never says that results can be adjusted where the run ended with code 3 for anything but rows
+    that have no corrected coordinates.
+    """
     correction, rows = manifest["correction"], manifest["observations"]["rows"]
     done, shift = correction["shift_px"]["count"], correction["shift_px"]["maximum"]
     applied, metres = is_applied(manifest), correction["shift_ground_m"]["maximum"]

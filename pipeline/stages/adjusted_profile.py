@@ -62,7 +62,10 @@ def read_model_air(
     plan: Plan, flight: FlightLog, stations: Stations, samples: AirSamples, middle: TimeAndPlace, *,
     ledger: Ledger,
 ) -> ModelAir | None:  # fmt: skip
-    """The weather model of a mission, if any; refuses (`InputError`) a flight outside its area."""
+    """The weather model of a mission, None where it names none; ``middle`` is that of the flight.
+
+    Refuses (`InputError`) a flight without a time or place, and stations outside its area.
+    """
     section = plan.mission.atmosphere.model
     if section is None:
         return None
@@ -136,7 +139,11 @@ def read_report(
     background: Climatology,
     ledger: Ledger,
 ) -> SurfaceReport:
-    """The report of a weather station; refuses (`InputError`) values against the climatology."""
+    """The report of a weather station, from its METAR or from numbers.
+
+    Refuses (``InputError``) values that the climatology of place and season rules out, such as a
+    temperature in Fahrenheit or a pressure reduced to sea level.
+    """
     if section.metar is not None:
         report = surface_report.parse_metar(
             section.metar, section.h_msl_m, ledger, flight_ns=flight_ns, where=f"{where}.metar"
@@ -185,7 +192,11 @@ def refuse_impossible(
 
 @dataclass(frozen=True, eq=False)
 class AirSources:
-    """The air of a mission beside its log; ``lowest_h_m`` : of samples, or the take-off, or 0."""
+    """What a mission has of the air beside its log.
+
+    ``lowest_h_m`` [m above sea level] is the lowest height at which the log sampled the air, else
+    that of the take-off, else 0.
+    """
 
     background: Climatology
     soundings: tuple[Sounding, ...] = ()
@@ -303,9 +314,11 @@ def _constant_ground_m(mission: Mission) -> float | None:
 def adjusted_profiles(
     mission: Mission, stations: Stations, samples: AirSamples, sources: AirSources, ledger: Ledger
 ) -> FlightAir:
-    """The locally adjusted profile of the flight and how it changes with time and place.
+    """The locally adjusted profile of the flight and how it changes with time.
 
-    Parts of a long flight are estimated on their own where that lowers the uncertainty.
+    With ``atmosphere.adjust: false`` it is the standard atmosphere, unchanged. Parts of a long
+    flight are estimated on their own where that lowers the uncertainty; between them, and with
+    the age of the measurements, each exposure gets the profile of its time.
     """
     section = mission.atmosphere
     latitude = stations.mean_latitude_rad

@@ -47,7 +47,11 @@ def cabin_from_log(
     stations: Stations, camera: str, cabin: Cabin, channels: Iterable[Channel] = (),
     roles: Mapping[str, Channel] | None = None,
 ) -> tuple[Stations, Notes]:  # fmt: skip
-    """Stations of a camera with what the log has of its cabin, suspect without its pressure."""
+    """Stations of a camera with what the log has of its cabin, and what it lacks.
+
+    Exposures without the pressure that is to come from the log become suspect (CABIN-MISSING). A
+    temperature that is missing is assumed later; a barometer's board is `BOARD_WARMER_K` warmer.
+    """
     roles = roles or {}
     notes: Notes = ()
 

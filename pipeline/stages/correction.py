@@ -68,7 +68,11 @@ class CorrectionSetup:
 
     @cached_property
     def camera_number(self) -> Integers:
-        """(s + 1,) position of each station's camera in ``cameras``, or -1; last: no station."""
+        """(s + 1,) the position in ``cameras`` of each station's camera, -1 without one.
+
+        An image without an exposure has a station without a camera. The last entry is for
+        observations without a station, whose station is -1.
+        """
         number_of = {name: number for number, name in enumerate(self.cameras)}
         return np.array([number_of.get(n, -1) for n in self.camera_names] + [-1], np.int64)
 
@@ -115,9 +119,10 @@ def correct_stream(
     progress: Callable[[int], None] = lambda _: None,
     numbers: Sequence[int] | None = None,
 ) -> Statistics:
-    """Correct all observations, or parts of these ``numbers``, and write what is not finished.
+    """Correct all observations, or parts of these ``numbers``, and write them part by part.
 
-    Memory holds at most five batches. ``progress`` is called with the rows of every part.
+    Parts that are finished are counted and not made again. Memory holds at most five batches,
+    whatever the number of rows. ``progress`` is called with the number of rows of every part.
     """
     columns = OBSERVATION_COLUMNS if setup.direction == "remove" else DISPLACED_COLUMNS
     schema = schema_of(columns, metadata, observations.user_fields)
@@ -274,7 +279,10 @@ def on_threads(
 def correct_batch(
     batch: Batch, station: Integers, ground: GroundHeights, setup: CorrectionSetup
 ) -> Corrections:
-    """The corrections of a batch in the order of its rows; ``station`` (n,) of `matching_rows`."""
+    """The corrections of a batch, computed for each camera and profile, in the order of its rows.
+
+    ``station`` (n,) as `matching_rows` returns it, ``ground`` the heights of the batch.
+    """
     method = correct_observations if setup.direction == "remove" else apply_refraction
     parts: list[tuple[Integers, Corrections]] = []
     distance = ground.distance_m if batch.distance_m is None else batch.distance_m

@@ -81,8 +81,10 @@ def exposures_of(
 ) -> Exposures:
     """Attitude, height, window and lens of each exposure, and the air beside them.
 
-    The air outside is the profile's at the camera's height; behind a window the lens is in that of
-    the cabin. Refuses (MissionError LENS-CHANGE) changes of the principal distance of over 1 %.
+    The air outside is the profile's at the height of the camera, the same that the ray starts in;
+    that in the cabin is the stations' (`with_cabin_air`). Behind a window the lens is in the
+    cabin's air, else in the air outside. Refuses (MissionError LENS-CHANGE) a change of the
+    principal distance of more than 1 %.
     """
     rotation, h = matrices_of(stations.quaternion), stations.h_msl_m
     air_outside = profile.pressure(h), profile.temperature(h), profile.vapour_pressure(h)

@@ -61,6 +61,8 @@ class Ground(Protocol):
 class GivenGround:
     """Heights that are given, a constant or a column, plus the ``offset_m`` (s,) of each station:
     minus the undulation for ellipsoidal heights, the take-off's height for relative ones.
+
+    ``sigma_m`` is the standard deviation that all of them share, where there is one.
     """
 
     constant_m: float | None
@@ -144,7 +146,8 @@ _LARGEST_FACTOR = 20.0  # of an error of the model's height, where a ray grazes 
 class TerrainGround:
     """Heights where rays from ``places`` (s,), latitude and longitude [rad], first meet a model.
 
-    Its ``sigma_m`` grows by 1 / (1 + tan slope tan zeta), 20 at most.
+    The sigma of a landing is larger than ``sigma_m``, that of the model, on slopes that fall away
+    from the camera: by 1 / (1 + tan slope tan zeta), 20 at most.
     """
 
     model: ElevationModel
@@ -191,7 +194,10 @@ def with_terrain(
     sigma_m: float | None,
     ledger: Ledger,
 ) -> CorrectionSetup:
-    """The setup with heights of a model, if any; refuses (DEM-OUTSIDE) one under no station."""
+    """The setup with heights of the elevation model, where there is one; ``sigma_m`` are its.
+
+    Refuses (DEM-OUTSIDE) a model under no station; a loss where it is under some.
+    """
     if model is None:
         return setup
     lat, lon = stations.lat_rad, stations.lon_rad

@@ -94,7 +94,10 @@ def read_observations(plan: Plan, ledger: Ledger, most_rows: int | None = None) 
 
 
 def read_log(plan: Plan, ledger: Ledger) -> FlightLog:
-    """Read the log, or a trajectory without one: its channels, roles, and heights above the sea."""
+    """Read the log, assign its channels to roles, and relate its heights to sea level.
+
+    Without a log a trajectory has all the roles; refuses (STATIONS-ATTITUDE) one without attitudes.
+    """
     mission, geoid = plan.mission, geoid_of_mission(plan)
     home, undulation_m = mission.ground.home_h_msl_m, mission.mission.undulation_m
     section = mission.stations.trajectory
@@ -242,7 +245,11 @@ def replaced_roles(plan: Plan, trajectory: Channel) -> tuple[str, ...]:
 
 
 def read_camera_events(plan: Plan, flight: FlightLog, ledger: Ledger) -> dict[str, Channel]:
-    """The exposures of each camera from a file with positions, their attitudes the aircraft's."""
+    """The exposures of each camera that come from a file with their positions.
+
+    Attitudes of cameras become those of the aircraft, by the mount. Refuses (STATIONS-ATTITUDE) a
+    file without, where there is no log and no trajectory.
+    """
     events = {}
     for camera, source in plan.mission.position_events.items():
         path = plan.input(f"events of {camera}").path

@@ -67,7 +67,10 @@ def manifest_of(
     causes: Mapping[str, str],
     ledger: Ledger,
 ) -> dict[str, Any]:
-    """The manifest of a run, without its outputs: no clock, no host name and no absolute path."""
+    """The manifest of a run, without its outputs; ``causes`` are those of statuses of rows.
+
+    Holds no clock, no host name and no absolute path: the same inputs give the same bytes.
+    """
     log = flight.log
     entries = ledger.rows()
     for entry in entries:  # a file is named as in the mission file, without its folder

@@ -152,7 +152,11 @@ class ShiftStatistics:
         return ShiftStatistics(self.width_px, self.height_px, self.sums + other.sums, both)
 
     def summary(self) -> dict[str, Any]:
-        """Counts, medians, maxima, histograms, and the field of mean shifts, for the manifest."""
+        """Counts, medians and maxima, histograms of the shift, and its field, for the manifest.
+
+        The field is the format of the image [px], and centre x, y and mean shift dx, dy [px] of
+        each cell with observations.
+        """
         filled = self.sums[2] > 0
         row, column = np.nonzero(filled)
         means = {
@@ -170,9 +174,10 @@ class ShiftStatistics:
 
 
 class SampledRows(NamedTuple):
-    """Rows that stand for all; (n,) each, ``station`` -1 without one, ``weight`` rows each.
+    """Rows that stand for all; (n,) each.
 
-    ``sigma_px`` (n, 4) are those of `SIGMA_PARTS`, NaN if unknown.
+    ``station`` is -1 where an image has none; ``weight`` how many rows each stands for;
+    ``sigma_px`` (n, 4) standard deviations of the correction as in `SIGMA_PARTS`, NaN if unknown.
     """
 
     station: NDArray[np.int64]
@@ -215,9 +220,12 @@ class SampledRows(NamedTuple):
 class Statistics:
     """Counts of observations, and how large the corrections were in each camera.
 
-    ``examples`` : of each status but ok, its first images and points. ``air_variance`` : of all
-    corrections by the air; ``by_mode`` : squares of their derivatives by the leading mode [px2].
-    ``sampled`` : rows of each part. ``cabin_share`` : sigma of R_cc by the cabin as a share of R_c.
+    ``examples`` : of each status but ok, its first images and points in the order of the rows.
+    ``ground_m`` : the lowest and the highest ground that was used.
+    ``air_variance`` : of all corrections by the air, and ``by_mode`` the squares of their
+    derivatives by the parameter of the leading mode [px2].
+    ``sampled`` : rows of each part, of which `SAMPLED_ROWS` stand for all.
+    ``cabin_share`` : sigma of R_cc by the air in the cabin as a share of R_c.
     """
 
     shifts: dict[str, ShiftStatistics]
@@ -297,7 +305,9 @@ class Statistics:
     def sigma_budget(self, camera: NDArray[np.int64]) -> dict[str, Any]:
         """Median and 95 % of the parts of sigma [px, m on the ground] by camera, for the manifest.
 
-        ``camera`` (s + 1,) as `CorrectionSetup.camera_number`; ``all`` is the root sum of squares.
+        ``camera`` (s + 1,) numbers the camera of each station, as `CorrectionSetup.camera_number`.
+        From the rows that stand for all, at the scale of each one's shift; ``all`` is the root of
+        the sum of the squares of the parts that are known.
         """
         rows, budget, quantiles = self.sampled_rows(), {}, {"median": 0.5, "p95": 0.95}
         with np.errstate(divide="ignore", invalid="ignore"):

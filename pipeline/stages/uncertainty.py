@@ -27,8 +27,10 @@ def with_uncertainties(
 ) -> CorrectionSetup:
     """The setup with what standard deviations and derivatives are computed from, for each profile.
 
-    The leading mode of the air is that of rays to the median height of a ``batch``; all profiles
-    share its parameter. None for a profile where there is nothing to compute.
+    The leading mode of the air is that of rays to the median height of the points of a ``batch``.
+    None for a profile without covariance where neither the mission file nor a window has anything
+    to compute. Of several profiles each has its own leading mode and all have one parameter: their
+    errors are taken as one, which moves R of all to the same side.
     """
     station = matching_rows(batch.image, pa.array(setup.images, pa.string()))
     heights = setup.ground.heights(batch, station, setup).h_m

@@ -299,13 +299,19 @@ def open_observations(
 ) -> Observations:
     """Check a table of observations: its columns, its marks, its images.
 
-    ``columns`` : image, point, x_px, y_px -> the user's name of the column; distance_m too, where
-    there is one: it passes through as the user's own. ``ground_column`` and ``sigma_column`` have
-    heights of the ground and their standard deviations; heights that are not above mean sea level,
-    as our ``h_g_m`` is (``ground_is_msl``), leave as ``h_g_m_input`` where they are called that.
-    ``direction`` : whether refraction will be removed or applied. ``most_rows`` : draw that many
-    rows, spread over the images, for `Observations.sampled`. ``file_format`` : csv, parquet, or one
-    of `BLOCKS`; by default the ending says it.
+    Parameters
+    ----------
+    path : ``.csv`` or ``.parquet``, or what ``file_format`` says.
+    columns : image, point, x_px, y_px -> the user's name of the column; distance_m too, where
+        there is one: it passes through as the user's own.
+    ground_column : the column of ground heights, or None where none has them.
+    ground_is_msl : whether these heights are above mean sea level, as our ``h_g_m`` is; any other
+        column of that name is the user's own and leaves as ``h_g_m_input``.
+    sigma_column : the column of standard deviations of the ground heights, which passes through.
+    direction : whether refraction will be removed from these observations or applied to them.
+    pixels : where the table counts its pixels from.
+    most_rows : draw that many rows, spread over the images, for `Observations.sampled`.
+    file_format : csv, parquet, or one of `BLOCKS`; by default the ending says it.
 
     Refuses a table to which that was done already, one that lacks a column, or repeats a name. A
     point that stands twice in one image of a block is a loss.

@@ -236,11 +236,14 @@ def test_calibrations_that_are_each_others(make):
     assert finding.what == "the calibrations of camera0 and camera1 are each other's"
 
 
-BARREL = {name: replace(c, distortion=BrownConrady(k1=0.06)) for name, c in CAMERAS.items()}
+BARREL, WIDE = (
+    {name: replace(c, distortion=BrownConrady(k1=k1)) for name, c in CAMERAS.items()}
+    for k1 in (0.06, -0.4)
+)
 
 
 @pytest.mark.parametrize(
-    ("lenses", "names"), drawn(*product((CAMERAS, BARREL), (("camera1",), tuple(CAMERAS))))
+    ("lenses", "names"), drawn(*product((CAMERAS, BARREL, WIDE), (("camera1",), tuple(CAMERAS))))
 )
 def test_a_distortion_that_is_not_stated(make, lenses, names):
     """It is no other principal distance, height or principal point; k2 of the lens goes into k1."""
@@ -260,6 +263,7 @@ def test_a_distortion_that_is_not_stated(make, lenses, names):
 
 def test_a_principal_distance_that_is_wrong_in_all_cameras(make):
     wrong = {n: replace(c, fx_px=1.03 * c.fx_px, fy_px=1.03 * c.fy_px) for n, c in CAMERAS.items()}
+    wrong["without an image"] = CAMERAS["camera0"]
     (finding,) = diagnosis(replace(make(3), cameras=wrong))[1]
     assert (finding.code, finding.key) == ("TIES-FOCAL", "cameras")
     sizes = re.search(r"of camera0 and camera1 is (\d+) and (\d+) px", finding.what).groups()

@@ -18,6 +18,7 @@ from pipeline.atmosphere.estimate.state import SensorFault
 from pipeline.atmosphere.series.profile_series import TimedProfile
 from pipeline.atmosphere.series.time_windows import TimeWindow
 from pipeline.config.atmosphere import SensorsSection
+from pipeline.config.schema import mission_keys
 from pipeline.simulate.mission import FIELD_LAT_RAD
 from pipeline.simulate.true_air import (
     saturation_pressure_pa,
@@ -331,6 +332,9 @@ def test_every_key_of_a_calibration_arrives_in_si():
         SensorFault.PRESSURE_OFFSET: (pytest.approx(110.0), pytest.approx(120.0)),
         SensorFault.GNSS_HEIGHT_OFFSET: (None, 15.0), SensorFault.PRESSURE_SCALE: (None, 0.017),
     }  # fmt: skip
+    assert {known.path for known in section.calibration.values()} <= {
+        key.path for key in mission_keys()
+    }
     assert SensorsSection().calibration == {}
 
 

@@ -307,10 +307,13 @@ def _notes(candidate: Candidate, made: Estimate) -> Iterator[Entry]:
     if learnt:
         yield note("AIR-SENSORS", "; ".join(map(sensor_checks.described_fault, learnt)))
     for fit in made.fits:
-        if fit.sigma_inflation > estimate_checks.MISFIT:
-            yield warning("AIR-MISFIT", where=fit.name, count=fit.count, fit=fit)
-        elif fit.count < FEWEST_TO_INFLATE and fit.rms > estimate_checks.MISFIT:
+        few = fit.count < FEWEST_TO_INFLATE
+        if (fit.rms if few else fit.sigma_inflation) <= estimate_checks.MISFIT:
+            continue
+        if few and fit.name in candidate.external.names:
             yield finding("AIR-CONTRADICTED", where=fit.name, count=fit.count, fit=fit)
+        else:
+            yield warning("AIR-MISFIT", where=fit.name, count=fit.count, fit=fit)
     for name, rejected in made.readings.rejected.items():
         if count := int(rejected.sum()):
             sensor = getattr(candidate.samples, name)

@@ -216,10 +216,11 @@ def _with_vapour_pressure(raw: RawLevels) -> RawLevels:
         percent = 100.0 * np.max(e[over] / saturated[over])
         wet = float(np.mean(e[np.isfinite(e)] > TOO_WET * saturated[np.isfinite(e)]))
         if wet > MOST_TOO_WET:
-            raise _refusal(raw, "humidity", f"{100.0 * wet:.0f} % of the levels have more than "
-                           f"{100.0 * TOO_WET:.0f} %: they look like dew-point depressions, or "
-                           "temperatures or humidities of another unit",
-                           "dew_point_c, relative_humidity or vapour_pressure_hpa")  # fmt: skip
+            what = f"{100.0 * wet:.0f} % of the levels have more than {100.0 * TOO_WET:.0f} % of "
+            what += "humidity: dew-point depressions in the place of dew points, or another unit"
+            quantity = "dew point" if raw.dew_point_k is not None else "relative humidity"
+            remedy = "dew_point_c (temperature less depression), relative_humidity_percent"
+            raise _refusal(raw, quantity, what, remedy)
         raw = raw.noting(warning(
             "SOUNDING-HUMIDITY-OVER", where=where, count=count, percent=percent))  # fmt: skip
     return replace(raw, vapour_pressure_pa=np.minimum(e, saturated))

@@ -130,6 +130,9 @@ def chunk_stream(data: FileView, chunk: Chunk) -> Iterator[IO[bytes]]:
         inflater = zstandard.ZstdDecompressor(max_window_size=MAX_WINDOW)
         stream = inflater.stream_reader(packed)
         yield stream if chunk.small else io.BufferedReader(stream, BLOCK)
+    elif chunk.compression == "lz4" and chunk.small:  # bytes behind the frame are left
+        frame = lz4.frame.LZ4FrameDecompressor()
+        yield io.BytesIO(frame.decompress(packed.read(), max_length=chunk.size + 1))
     elif chunk.compression == "lz4":
         yield io.BufferedReader(lz4.frame.LZ4FrameFile(packed), BLOCK)
     else:

@@ -316,7 +316,7 @@ class RecordWalk:
             elif too_large := self.budget.too_large(chunk):
                 self.damage.add("LOG-TOO-LARGE", too_large, at, length)
             elif not isinstance(records := chunks.inflate(self.data, chunk), bytes):
-                self.damage.add(*records, at, length)
+                self.damage.add(*records, at, length if chunk.small else chunk.length)
             elif chunk.small:
                 yield from self._inside(np.frombuffer(records, np.uint8), at)
             else:

@@ -29,14 +29,15 @@ INTERVAL_M = np.concatenate([np.full(21, 1000.0), np.full(20, 3000.0)])
 def bertram1966(profile: Profile, h_c: Array, h_g: Array) -> Array:
     """R_c [rad] by the trapezoid on tabulated densities (Bertram 1966, Eq. 6, 8 and 9).
 
-    The sum starts at sea level, in steps of 1000 m to 20.5 km, of 3000 m to 80.5 km, and nothing is
-    added above. A raised ground is treated by Eq. 9, as printed. The profile must reach half an
-    interval beyond either end (82 km at most); NaN for a camera at or below sea level and a ground
-    below -1 km.
+    Arguments as in `pipeline.refraction.published`.
+    The sum starts at sea level, in steps of
+    1000 m to 20.5 km, of 3000 m to 80.5 km, and nothing is added above. A raised ground is
+    treated by Eq. 9, as printed. The profile must reach half an interval beyond either end (82 km
+    at most); NaN for a camera at or below sea level and a ground below -1 km.
 
     With h_g = 0 within 1.4 % of the spherical form at 45 degrees up to 20 km, 2.4 % up to 80 km.
-    **With h_g > 0 it reads high**: by 12 % for camera and ground at 10 and 1 km, 25 % at 10 and 2
-    km, 34 % at 3 and 1 km; for work take `bertram1966_from_ground`.
+    **With h_g > 0 it reads high**: by 12 % for camera and ground at 10 and 1 km, 25 % at 10 and
+    2 km, 34 % at 3 and 1 km; for work take `bertram1966_from_ground`.
 
     >>> from pipeline.atmosphere import standard_atmosphere
     >>> air = standard_atmosphere("ardc1959")
@@ -55,8 +56,9 @@ def bertram1966(profile: Profile, h_c: Array, h_g: Array) -> Array:
 def bertram1966_from_ground(profile: Profile, h_c: Array, h_g: Array) -> Array:
     """R_c [rad] by Eq. 6 of Bertram 1966 with the sum started at the ground, as it should be.
 
-    Within 1.4 % of the spherical form at 45 degrees and up to 20 km, whatever the height of the
-    ground.
+    Arguments as in `pipeline.refraction.published`.
+    Within 1.4 % of the spherical form at
+    45 degrees and up to 20 km, whatever the height of the ground.
 
     >>> from pipeline.atmosphere import standard_atmosphere
     >>> air = standard_atmosphere("ardc1959")
@@ -79,10 +81,11 @@ def bertram1966_curved(
 ) -> Array:
     """R_c [rad] with the term for the curvature of the earth (Bertram 1966, p. 81).
 
-    The sum starts at the ground. The term is tan(zeta_c) / (v Z_0 R) times the sum of (Z_0 - Z) Z
-    dv/dZ; ``as_printed`` takes it with the sign of the paper, which lowers R_c where the curvature
-    raises it. It keeps the first power of X_0 - X and no more: 0.04 arcsec of the 0.7 that the
-    curvature adds at 10 km and 75 degrees. It serves comparison only.
+    Arguments as in `pipeline.refraction.published`.
+    The sum starts at the ground. The term is tan(zeta_c) / (v Z_0 R) times the sum of
+    (Z_0 - Z) Z dv/dZ; ``as_printed`` takes it with the sign of the paper, which lowers R_c where
+    the curvature raises it. It keeps the first power of X_0 - X and no more: 0.04 arcsec of the 0.7
+    that the curvature adds at 10 km and 75 degrees. It serves comparison only.
 
     >>> from pipeline.atmosphere import standard_atmosphere
     >>> air = standard_atmosphere("ardc1959")
@@ -132,13 +135,14 @@ MANUAL_TOP_M = 80_500.0
 def manual(profile: Profile, h_c: Array, h_g: Array) -> Array:
     """R_c [rad] by 2410 H / (H^2 - 6 H + 250) - (h / H) 2410 h / (h^2 - 6 h + 250) urad.
 
-    ``profile`` is not looked at, H and h are km above sea level. NaN for a camera at or below sea
-    level or above 80.5 km.
+    Arguments as in `pipeline.refraction.published`.
+    ``profile`` is not looked at, H and h are km
+    above sea level. NaN for a camera at or below sea level or above 80.5 km.
 
     A fit to Bertram's table, good above 6 km: against the spherical form at 45 degrees in ARDC 1959
-    it reads 25, 22, 13 and 2 % low at 0.5, 1, 3 and 6 km, 5 % high at 10 km, 0 % at 20 km. A raised
-    ground is scaled as in Bertram's Eq. 9, and with the same fault: camera and ground at 10 and 2
-    km read 33 % high, at 3 and 1 km 20 %. Source: Manual of Photogrammetry (4th edition).
+    it reads 25, 22, 13 and 2 % low at 0.5, 1, 3 and 6 km, 5 % high at 10 km, 0 % at 20 km. A
+    raised ground is scaled as in Bertram's Eq. 9, and with the same fault: camera and ground at 10
+    and 2 km read 33 % high, at 3 and 1 km 20 %. Source: Manual of Photogrammetry (4th edition).
 
     >>> float((manual(None, 6000.0, 0.0, 0.7853981633974483, 0.0) * 1e6).round(2))
     57.84

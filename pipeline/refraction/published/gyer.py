@@ -50,6 +50,7 @@ def plane_first_term(
 ) -> Array:
     """R_c [rad] in flat layers, first term (Gyer 1996, Eq. 24): the plane form of his Table 5.
 
+    Arguments as in `pipeline.refraction.published`.
     The integral is exact, or with ``step`` [m] the sum of Eq. 31, which reproduces Table 5 within
     0.31 arcsec. Meant for zeta_c up to 60 degrees and aircraft heights, where it is 0.1 arcsec
     short of the spherical form at 10 km; at 75 degrees it is 0.7, at 85 degrees 25 arcsec short.
@@ -79,6 +80,7 @@ def plane(
 ) -> Array:
     """R_c [rad] in flat layers with the two further terms (Gyer 1996, Eq. 24, misprints mended).
 
+    Arguments as in `pipeline.refraction.published`.
     The further terms are 0.02 arcsec at 60 degrees and 10 km. Beyond that the first term alone errs
     less, by chance: the further ones lower R_c while the curvature of the earth raises it.
 
@@ -110,9 +112,10 @@ def _wetness(profile: Profile, h: Array) -> Array:
 def plane_moist(profile: Profile, h_c: Array, h_g: Array) -> Array:
     """R_c [rad] of moist air by hydrostatics, without an integral over the dry part.
 
-    R = k ((p_g - p_c) / (gamma dH) - p_c / Tv_c) + (0.378 k - w) (mean(e/T) - e_c / T_c) with gamma
-    = G M0 / R* and dH the geopotential height difference: since dp = -gamma p / Tv dH, the mean of
-    p / Tv needs only the pressures at both ends.
+    Arguments as in `pipeline.refraction.published`.
+    R = k ((p_g - p_c) / (gamma dH) - p_c / Tv_c) + (0.378 k - w) (mean(e/T) - e_c / T_c) with
+    gamma = G M0 / R* and dH the geopotential height difference: since dp = -gamma p / Tv dH, the
+    mean of p / Tv needs only the pressures at both ends.
 
     k and w are those of 0.589 um for Gyer's index, else of 0.55 um. In dry air and below 60 degrees
     within 0.3 % of the spherical form up to 12 km, most of it the curvature of the earth.
@@ -143,14 +146,15 @@ def gyer1996(
 ) -> Array:
     """R_c [rad] through spherical layers as Gyer computed it (1996, Eq. 1, 11, 12, 31, 33-35).
 
+    Arguments as in `pipeline.refraction.published`.
     ``step`` [m] is the widest interval of Eq. 31, whose equal intervals fill the height difference.
     The profile must reach one interval beyond either end. Where the interval below the ground holds
     P_90, thin shells (Eq. 33-35) take the place of Eq. 31 in the two lowest intervals, as for
     zeta_g = 90 degrees; NaN for rays that miss the ground.
 
-    Reproduces his Tables 3 and 4 within 0.015 arcsec. Against the converged integral the step costs
-    0.035 arcsec up to 80 degrees and up to 7.8 arcsec at 85 degrees and 25 km; Eq. 11 cancels to
-    1e-6 of R_c at 120 m above ground, to 1 % at 1 m.
+    Reproduces his Tables 3 and 4 within 0.015 arcsec. Against the converged integral the step
+    costs 0.035 arcsec up to 80 degrees and up to 7.8 arcsec at 85 degrees and 25 km; Eq. 11
+    cancels to 1e-6 of R_c at 120 m above ground, to 1 % at 1 m.
 
     >>> from pipeline.atmosphere import standard_atmosphere
     >>> from pipeline.units import ARCSEC, DEGREE

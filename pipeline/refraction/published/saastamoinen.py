@@ -27,8 +27,9 @@ _SERIES_TERMS = 30
 def saastamoinen1974(profile: Profile, h_c: Array, h_g: Array) -> Array:
     """R_c [rad] by the mean density of the column (Saastamoinen 1974, Eq. 2).
 
-    The mean is exact. Below 60 degrees and 10 km within 0.4 % of the spherical form with the index
-    of 0.589 um, in dry air.
+    Arguments as in `pipeline.refraction.published`.
+    The mean is exact. Below 60 degrees and 10 km
+    within 0.4 % of the spherical form with the index of 0.589 um, in dry air.
 
     >>> from pipeline.atmosphere import standard_atmosphere
     >>> air = standard_atmosphere("us1962")
@@ -42,9 +43,10 @@ def saastamoinen1974(profile: Profile, h_c: Array, h_g: Array) -> Array:
 def saastamoinen1974_ican(profile: Profile, h_c: Array, h_g: Array) -> Array:
     """R_c [rad] in the I.C.A.N. atmosphere (Saastamoinen 1974, Eq. 3a, 3b): heights only.
 
-    ``profile`` is not looked at. Ground up to 11 km, camera up to 30 km, NaN beyond. Eq. 3b has a
-    plus before 521 / (H - h). Within 0.2 urad of Eq. 2 in that atmosphere up to 20 km, within 0.25
-    in US 1962 (worst at 12 km).
+    Arguments as in `pipeline.refraction.published`.
+    ``profile`` is not looked at. Ground up to
+    11 km, camera up to 30 km, NaN beyond. Eq. 3b has a plus before 521 / (H - h). Within 0.2 urad
+    of Eq. 2 in that atmosphere up to 20 km, within 0.25 in US 1962 (worst at 12 km).
 
     >>> float((saastamoinen1974_ican(None, 6000.0, 0.0, 0.7853981633974483, 0.0) * 1e6).round(1))
     58.9
@@ -70,8 +72,9 @@ def _eq_5(c_1: float, c_2: float, h_c: Array, h_g: Array) -> Array:
 def saastamoinen1974_quadratic(profile: Profile, h_c: Array, h_g: Array) -> Array:
     """R_c [rad] by 13 (H - h) (1 - 0.02 (2H + h)) (Saastamoinen 1974, Eq. 6): heights only.
 
-    ``profile`` is not looked at. Camera up to 9 km, NaN beyond. Within 0.5 urad of Eq. 2 in US
-    1962, as he states.
+    Arguments as in `pipeline.refraction.published`.
+    ``profile`` is not looked at. Camera up to
+    9 km, NaN beyond. Within 0.5 urad of Eq. 2 in US 1962, as he states.
 
     >>> r = saastamoinen1974_quadratic(None, 6000.0, 0.0, 0.7853981633974483, 0.0)
     >>> float((r * 1e6).round(2))
@@ -108,6 +111,7 @@ def saastamoinen1974_fitted(
 ) -> Array:
     """R_c [rad] by Eq. 5 of Saastamoinen 1974 with coefficients fitted to the profile.
 
+    Arguments as in `pipeline.refraction.published`.
     Fitted from sea level to ``highest`` [m], NaN for cameras above it. For US 1962 within 0.5 urad
     of Eq. 2.
 
@@ -135,8 +139,8 @@ def weather_refraction(
     pressure_lens, temperature_lens : of the air at the lens [Pa], [K]: outside for Eq. 7, of the
         compartment for Eq. 10, which then gives R + Delta R.
 
-    Arguments broadcast. His 34.11 makes R 27 % high at 120 m, 3 % at 1 km, 1 % at 3 km, 0.2 % at 10
-    km.
+    Arguments broadcast. His 34.11 makes R 27 % high at 120 m, 3 % at 1 km, 1 % at 3 km, 0.2 % at
+    10 km.
 
     >>> float((weather_refraction(101325.0, 47200.0, 6000.0, 74700.0, 278.0) * 1e6).round(1))
     -3.4
@@ -151,9 +155,10 @@ def weather_refraction(
 def saastamoinen1974_weather(profile: Profile, h_c: Array, h_g: Array) -> Array:
     """R_c [rad] from pressure and temperature at both ends (Saastamoinen 1974, Eq. 7).
 
-    The ground need not lie at sea level (as in his Eq. 10). The temperature is the virtual one, so
-    that it stands for density. NaN where h_c = h_g: the formula has no limit there. For its
-    accuracy see `weather_refraction`.
+    Arguments as in `pipeline.refraction.published`.
+    The ground need not lie at sea level (as in
+    his Eq. 10). The temperature is the virtual one, so that it stands for density. NaN where
+    h_c = h_g: the formula has no limit there. For its accuracy see `weather_refraction`.
 
     >>> from pipeline.atmosphere import standard_atmosphere
     >>> air = standard_atmosphere("us1962")
@@ -170,11 +175,12 @@ def saastamoinen1974_weather(profile: Profile, h_c: Array, h_g: Array) -> Array:
 def saastamoinen1974_series(profile: Profile, h_c: Array, h_g: Array) -> Array:
     """R_c [rad] from ground weather and lapse rate (Saastamoinen 1974, Eq. 8).
 
-    Pressure and virtual temperature are those of the ground, the lapse rate is the mean one up to
-    the camera. The series is summed to 30 terms, which suffices up to 30 km above ground; NaN
-    beyond. In air linear in temperature it is within 0.5 % of Eq. 2 (39.6 for 39.5 is 0.25 % of
-    it), free of the cancellation of Eq. 7. One lapse rate across the tropopause costs 2 % at 12 km,
-    6 % at 20 km.
+    Arguments as in `pipeline.refraction.published`.
+    Pressure and virtual temperature are those of
+    the ground, the lapse rate is the mean one up to the camera. The series is summed to
+    30 terms, which suffices up to 30 km above ground; NaN beyond. In air linear in temperature it
+    is within 0.5 % of Eq. 2 (39.6 for 39.5 is 0.25 % of it), free of the cancellation of Eq. 7. One
+    lapse rate across the tropopause costs 2 % at 12 km, 6 % at 20 km.
 
     >>> from pipeline.atmosphere import standard_atmosphere
     >>> air = standard_atmosphere("us1962")

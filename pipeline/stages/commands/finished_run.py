@@ -96,7 +96,10 @@ def air_of(table: pa.Table, profile_id: pa.ChunkedArray) -> ProfileSeries:
 
 
 def profile_of(table: pa.Table) -> Profile:
-    """The profile from ``profile.parquet`` with one; its refractivity to 1e-15 of itself."""
+    """The profile from a table of one as in ``profile.parquet``; the inverse of `table_of_profile`.
+
+    The refractivity is that of the run to 1e-15 of itself (6e-16 in the sample runs).
+    """
     metadata = {key.decode(): value.decode() for key, value in table.schema.metadata.items()}
 
     def column(name: str) -> Array:
@@ -122,7 +125,10 @@ def profile_of(table: pa.Table) -> Profile:
 
 
 def ground_of(run: FinishedRun, constant_m: float | None, ledger: Ledger) -> Array:
-    """(s,) median ground height [m above sea level] of each image's observations, or a constant."""
+    """(s,) median ground height [m above sea level] of the observations of each image, or constant.
+
+    An image without observations gets the median of the others. Memory: 16 bytes an observation.
+    """
     if constant_m is not None:
         return np.full(len(run.stations), constant_m)
     rows, heights = [], []

@@ -324,9 +324,10 @@ def proposed_cameras(
 
 
 def propose_mission(log: Path, observations: Path | None, images: Path | None, out: Path) -> str:
-    """The text of a mission file that is to be written to ``out``, from whose folder paths count.
+    """The text of a mission file, to be written to ``out``, from whose folder paths count.
 
-    ``log`` may be a block; ``images`` a folder, or exiftool's table. Refuses (IMAGES-OTHER).
+    ``log`` may be a block with orientations, alone; ``images`` is a folder of images, or
+    exiftool's table of them. Refuses (IMAGES-OTHER) images of which none is in the observations.
     """
 
     def relative(path: Path | None) -> str:

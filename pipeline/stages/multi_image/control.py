@@ -38,8 +38,9 @@ _WORSE = 0.25
 class ControlComparison:
     """Intersected minus given places of control points (p, 3), east, north, up [m].
 
-    ``before`` by the rays as measured, ``after`` corrected; NaN where they do not meet. ``sigma_m``
-    (p,) : what the sigmas let a height miss; ``unmeasured`` points are in no image.
+    ``before`` by the rays as measured, ``after`` by the corrected ones; NaN where they do not meet.
+    ``sigma_m`` (p,) is what the sigmas of stations and pixels let a height miss, ``sigma_stated``
+    whether those of the stations are known. ``unmeasured`` control points are in no image.
     """
 
     name: tuple[str, ...]
@@ -96,7 +97,10 @@ def compare_control(
     plan: Plan, observations: Observations, setup: CorrectionSetup, stations: Stations, heights:
     HeightSystem, *, ledger: Ledger,
 ) -> ControlComparison | None:  # fmt: skip
-    """Control points before and after, None without; refuses (CONTROL-MISSING) unobserved ones."""
+    """Control points where their rays meet, before and after; None without control, or rays.
+
+    Refuses (CONTROL-MISSING) a table of which no point is observed; CONTROL-RAYS is a loss.
+    """
     section = plan.mission.control
     if section is None:
         return None
@@ -176,7 +180,10 @@ def _rays_of(
 def judge_control(
     comparison: ControlComparison, off_m: Mapping[str, float], ledger: Ledger
 ) -> None:
-    """What control says; ``off_m`` : median distance of points from it in other readings [m]."""
+    """What control points say against themselves, the stations or the correction.
+
+    ``off_m`` : median distance of the corrected points from the control in other readings [m].
+    """
     used, where = comparison.used, "control"
     after, count = comparison.after[used], int(comparison.used.sum())
     misses = np.linalg.norm(after, axis=1)

@@ -160,7 +160,8 @@ def position_likelihood(
 ) -> Likelihood | None:
     """Log likelihood of assignments by the positions in the images; None where few have one.
 
-    These err by 10 m each, 50 m at most, and together by 5 m and a delay of 1 s.
+    The positions err by 10 m each, at most five times that, and together by 5 m and a delay of
+    1 s: a receiver's last fix. Along one line they decide nothing; along lines to and fro they do.
     """
     if files is None or len(stations) < 3:
         return None

@@ -42,7 +42,10 @@ def oriented_stations(
     plan: Plan, flight: FlightLog, exposed: list[Stations], *, observations: Observations, ties:
     TiePoints, ledger: Ledger,
 ) -> Stations:  # fmt: skip
-    """The stations of `stations.orientation`; refuses (ORIENTATION-READING) what fits otherwise."""
+    """The stations of `stations.orientation`; ``exposed`` are those of the events, if any.
+
+    Refuses (ORIENTATION-READING) a table by which tie points meet far better in another reading.
+    """
     section = plan.mission.stations.orientation
     if section is None:
         raise MissionError("EVENTS-NONE", "the mission names no orientation", where="stations")

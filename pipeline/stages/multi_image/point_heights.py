@@ -79,7 +79,11 @@ def read_points(
 
 
 def check_object_points(observations: Observations, stations: Stations, ledger: Ledger) -> None:
-    """Compare object points with the stations that see them; refuses POINTS-MISSING, POINTS-FAR."""
+    """Compare the places of object points with the stations that see them.
+
+    Refuses (InputError) a table without any of the points (POINTS-MISSING), and points below the
+    horizon (POINTS-FAR); a loss where the median one is seen at more than 87 deg from the nadir.
+    """
     points = observations.points
     if points is None:
         return
@@ -128,9 +132,11 @@ def with_intersected_heights(
 ) -> CorrectionSetup:  # fmt: skip
     """The setup with intersected ground heights and their sigmas, where the mission file says so.
 
-    The rays of a point may lie anywhere in a table of any length: rows are divided by the hash of
-    their points into temporary files of some 300,000 (40 bytes a row), intersected one by one. A
-    rehearsal takes the points of its rows alone. Refuses (GROUND-INTERSECTED) if none has a height.
+    The rays of a point may lie anywhere in a table of any length: its rows are divided by the hash
+    of their points into temporary files of some 300,000 rows, which are intersected one after the
+    other, by rays without refraction of air and window. Heights lie in a temporary file too (16
+    bytes a row, the rays 40). A rehearsal takes the points of its rows alone. Refuses (MissionError
+    GROUND-INTERSECTED) where no point has a height; those without one are NaN.
     """
     if mission.ground.height != "intersected":
         return setup

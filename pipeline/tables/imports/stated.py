@@ -24,12 +24,18 @@ from pipeline.units import NANOSECONDS_PER_SECOND, UNIX_NS_OF_GPS_EPOCH, AngleUn
 class Stated:
     """What the mission file says of a file, None where it says nothing.
 
-    ``week`` is that of the first of a file's seconds of the week, ``around_ns`` the first and last
-    time of the log [Unix ns], which give a week that is not stated; ``accuracy`` the file of
-    standard deviations that belongs to an SBET; ``grid`` the projected coordinate system in whose
-    axes omega, phi and kappa count. Of a CSV: ``columns`` by quantity, the units of latitude and
-    longitude and of the attitude, the order of its intrinsic rotations, as ``ZYX``, its ``crs``,
-    and the user's ``geoid`` for its heights.
+    Parameters
+    ----------
+    time_system : gpst or utc.
+    week : GPS week of the first row, where the file has seconds of the week.
+    around_ns : first and last time of the log [Unix ns]: they give the week that is not stated.
+    heights : ellipsoid or msl.
+    accuracy : the file of standard deviations that belongs to an SBET.
+    columns : quantity -> name of the column, of a CSV.
+    position_unit, angle_unit : of latitude and longitude, and of the attitude, in a CSV.
+    angle_order : intrinsic rotations about z, y and x, as ``ZYX``.
+    crs, geoid : coordinate system of a CSV, and the user's grid for its heights.
+    grid : the projected coordinate system in whose axes omega, phi and kappa count.
     """
 
     time_system: Literal["gpst", "utc"] | None = None

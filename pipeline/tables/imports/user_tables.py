@@ -259,7 +259,8 @@ def read_events(path: Path, columns: Mapping[str, str], ledger: Ledger) -> Event
     """Read a table of exposures; a row without a readable time is a loss in the ledger.
 
     ``columns`` : image, time_utc or gps_week and gps_seconds, and camera where it is there -> the
-    user's names. Times without a zone are UTC; GPS seconds are reduced by leap seconds.
+    user's names. Times without a zone are UTC; GPS seconds are reduced by the leap seconds of
+    their date.
     """
     table = text_table(path, columns, codes=("EVENTS-CSV", "EVENTS-COLUMN"),
                        key="events.csv.columns")  # fmt: skip

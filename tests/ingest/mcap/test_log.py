@@ -16,7 +16,7 @@ import pytest
 
 from pipeline.errors import LogError
 from pipeline.ingest import Log, open_log
-from pipeline.ingest.mcap.chunks import MAX_CHUNK
+from pipeline.ingest.mcap.chunks import MAX_CHUNK, Chunk, inflate
 
 SECOND = 10**9
 START = 1_763_073_169 * SECOND + 920_749_554
@@ -264,6 +264,15 @@ def packed_zeros(compression: str, size: int) -> bytes:
     )
     begin = packer.begin() if compression == "lz4" else b""
     return begin + b"".join(packer.compress(block) for block in blocks) + packer.flush()
+
+
+@pytest.mark.parametrize("behind", [b"", b"\0", b"trailing"])
+def test_bytes_behind_an_lz4_frame_cost_nothing(behind: bytes) -> None:
+    import lz4.frame
+
+    packed = lz4.frame.compress(bytes(1000)) + behind
+    chunk = Chunk(0, 0, 1000, 0, "lz4", 0, len(packed), 0)
+    assert inflate(packed, chunk) == bytes(1000)
 
 
 def bomb(compression: str, promised: int, size: int) -> bytes:
