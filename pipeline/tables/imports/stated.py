@@ -41,7 +41,7 @@ class Stated:
     time_system: Literal["gpst", "utc"] | None = None
     week: int | None = None
     around_ns: tuple[int, int] | None = None
-    heights: Literal["ellipsoid", "msl"] | None = None
+    heights: Literal["msl", "ellipsoid"] | None = None
     accuracy: Path | None = None
     columns: Mapping[str, str] = field(default_factory=dict)
     position_unit: AngleUnit = "deg"
