@@ -60,4 +60,4 @@ def test_ten_million_rows_beside_their_names_and_a_small_run(ratios, tmp_path):
                 names_of(tmp_path / f"{ROWS}.parquet")
 
         ratio = ratios.of_times(lambda large=large: check_mission(large), allowed, rounds=3)
-        ratios.check("check of ten million rows, times names and a run", 1.0 / ratio, at_most=1.3)
+        ratios.check("check of ten million rows, times names and a run", 1.0 / ratio, at_most=1.8)
