@@ -9,7 +9,7 @@ explain, is a finding.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import combinations, product
 
@@ -114,6 +114,10 @@ class _Reading:
             given = np.where(np.isin(rays.point, mission.heights_of), rays.height_m, np.nan)
             rays = replace(rays, height_m=given, sigma_height_m=mission.sigma_height_m)
         return intersect(o, straightened(o, rays) if points is None else rays)
+
+    def with_cameras(self, cameras: Mapping[str, Camera]) -> _Reading:
+        """The same with other calibrations of some cameras."""
+        return replace(self, cameras={**self.cameras, **cameras})
 
     def settled(self, mission: StatedMission) -> _Reading:
         """The same with every camera turned to where the rays meet best."""
@@ -347,11 +351,10 @@ def small_errors(
             turn = Rotation.from_rotvec(vector).as_matrix()
             yield _Hypothesis("TIES-MOUNT", "", (name,), _at_once(now.turned(name, turn)))
     up = _Hypothesis("TIES-HEIGHT", "", (), lambda x: replace(now, up_m=now.up_m + x), 0.0, 1.0)
-    groups = dict.fromkeys([*((name,) for name in names), tuple(names)])
+    groups = _each_and_all(names)
     others = [up, *(_scaled(now, group, 1.0, "") for group in groups)]
-    others += [
-        _distorted(now, group) for group in groups if np.isfinite(_k1(now.cameras, group)).all()
-    ]
+    with_k1 = (group for group in groups if np.isfinite(_k1(now.cameras, group)).all())
+    others += [_distorted(now, group) for group in with_k1]
     others += [_later(now, 0.0)] if mission.shifted is not None else []
     for gain, x, h in estimated(mission, now, found, others, np.zeros((o.camera.size, 6, 0))):
         if gain >= least:
@@ -364,14 +367,14 @@ def other_calibrations(now: _Reading) -> Iterator[_Hypothesis]:
 
         def reading(x: float, other: Mapping[str, Camera] = other) -> _Reading:
             mixed = {name: between(now.cameras[name], c, x) for name, c in other.items()}
-            return replace(now, cameras={**now.cameras, **mixed})
+            return now.with_cameras(mixed)
 
         yield _Hypothesis("TIES-CALIBRATION", what, tuple(other), reading, 1.0, 0.25)
 
 
 def mistaken_calibrations(cameras: Mapping[str, Camera]) -> Iterator[tuple[str, dict[str, Camera]]]:
     """What is wrong with calibrations, and the right ones of each camera alone, all or two."""
-    groups = dict.fromkeys([*((name,) for name in cameras), tuple(cameras)])
+    groups = _each_and_all(cameras)
     for group, axes in product(groups, list(product((False, True), (1, -1), (1, -1)))[1:]):
         other = {n: with_other_axes(cameras[n], *axes) for n in group}
         moved = ((c.cx_px - cameras[n].cx_px, c.cy_px - cameras[n].cy_px) for n, c in other.items())
@@ -411,18 +414,22 @@ def between(camera: Camera, other: Camera, x: float) -> Camera:
     return replace(camera, **mixed, distortion=type(camera.distortion)(*lens))
 
 
+def _each_and_all(names: Collection[str]) -> list[tuple[str, ...]]:
+    """Each camera alone, and all together where there are several."""
+    return list(dict.fromkeys([*((name,) for name in names), tuple(names)]))
+
+
 def _at_once(reading: _Reading) -> Callable[[float], _Reading]:
     return lambda _: reading
 
 
 def _scaled(now: _Reading, names: tuple[str, ...], factor: float, label: str) -> _Hypothesis:
     def reading(x: float) -> _Reading:
-        of = {name: now.cameras[name] for name in names}
-        scaled = {
-            name: replace(c, fx_px=c.fx_px * np.exp(x), fy_px=c.fy_px * np.exp(x))
-            for name, c in of.items()
-        }
-        return replace(now, cameras={**now.cameras, **scaled})
+        scale = np.exp(x)
+        return now.with_cameras({
+            name: replace(c := now.cameras[name], fx_px=c.fx_px * scale, fy_px=c.fy_px * scale)
+            for name in names
+        })  # fmt: skip
 
     return _Hypothesis("TIES-FOCAL", label, names, reading, float(np.log(factor)), 0.005)
 
@@ -434,11 +441,10 @@ def _k1(cameras: Mapping[str, Camera], names: Iterable[str]) -> Array:
 
 def _distorted(now: _Reading, names: tuple[str, ...]) -> _Hypothesis:
     def reading(x: float) -> _Reading:
-        other = {
+        return now.with_cameras({
             name: replace(c := now.cameras[name], distortion=c.distortion._replace(k1=k1 + x))
             for name, k1 in zip(names, _k1(now.cameras, names).tolist(), strict=True)
-        }
-        return replace(now, cameras={**now.cameras, **other})
+        })  # fmt: skip
 
     return _Hypothesis("TIES-CALIBRATION", "", names, reading, 0.0, 0.005)
 
@@ -472,9 +478,9 @@ def large_mistakes(mission: StatedMission, now: _Reading) -> Iterator[_Hypothesi
             reading = replace(now, axes={**now.axes, name: axes})
             yield _Hypothesis("TIES-PIXELS", axes, (name,), _at_once(reading))
     for a, b in combinations(now.cameras, 2):
-        swapped = {**now.cameras, a: now.cameras[b], b: now.cameras[a]}
+        swapped = now.with_cameras({a: now.cameras[b], b: now.cameras[a]})
         turn = mission.camera_from_body(b) @ mission.camera_from_body(a).T
-        reading = replace(now, cameras=swapped).turned(a, turn).turned(b, turn.T)
+        reading = swapped.turned(a, turn).turned(b, turn.T)
         yield _Hypothesis("TIES-CAMERAS", f"{a} and {b}", (a, b), _at_once(reading))
     for seconds in _TIMES_S if mission.shifted is not None else ():
         yield _later(now, seconds)
@@ -523,15 +529,11 @@ def _described(
         return _turn_of(mission, h, reading, found)
     names, of = h.cameras, f"of {' and '.join(h.cameras)} is"
     if h.code == "TIES-FOCAL":
-        stated, size = (
-            np.array([cameras[name].fx_px for name in names])
-            for cameras in (mission.cameras, reading.cameras)
-        )
+        sizes = ([c[name].fx_px for name in names] for c in (mission.cameras, reading.cameras))
+        stated, size = map(np.array, sizes)
         explained = max(least, _SIGMAS * float(np.hypot(sigma, heights_m / above)))
-        text = (
-            f"the principal distance {of} {_listed(size, '.0f')} px +- {size[0] * sigma:.2g}, not "
-        )
-        text += _listed(stated, "g") + (f": it is {h.label}" if h.label else "")
+        text = f"the principal distance {of} {_listed(size, '.0f')} px +- {size[0] * sigma:.2g}, "
+        text += f"not {_listed(stated, 'g')}" + (f": it is {h.label}" if h.label else "")
         return text if np.abs(np.log(size / stated)).max() > explained else ""
     if h.code == "TIES-CALIBRATION":
         stated, k1 = (_k1(cameras, names) for cameras in (mission.cameras, reading.cameras))

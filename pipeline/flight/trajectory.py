@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from pipeline.flight.channels import Channel, TimeArray
 from pipeline.flight.rotations import lengths, quaternion_products, rotation_vectors
-from pipeline.geodesy import principal_radii
+from pipeline.geodesy import principal_radii, wrapped
 from pipeline.units import Array, Rows
 
 VELOCITY = ("v_north_m_s", "v_east_m_s", "v_down_m_s")
@@ -120,7 +120,7 @@ def track_at(channel: Channel, time_ns: TimeArray, max_gap_s: float) -> Track:
 
     def metres(first: Rows, second: Rows) -> Array:
         north_m, east_m = principal_radii(lat[first])
-        east = (lon[second] - lon[first] + np.pi) % (2.0 * np.pi) - np.pi
+        east = wrapped(lon[second] - lon[first])
         steps = (lat[second] - lat[first]) * north_m, east * east_m * np.cos(lat[first])
         return np.stack(steps, axis=1)
 
@@ -138,8 +138,7 @@ def track_at(channel: Channel, time_ns: TimeArray, max_gap_s: float) -> Track:
         latitude = np.arctan2(z, np.hypot(x, y)) + bend[:, 0] / meridian
         longitude = np.arctan2(y, x) + np.where(parallel > 1e4, bend[:, 1] / parallel, 0.0)
     inside = place.coverage == INSIDE
-    longitude = (longitude + np.pi) % (2.0 * np.pi) - np.pi
-    latitude, longitude = (np.where(inside, x, np.nan) for x in (latitude, longitude))
+    latitude, longitude = (np.where(inside, x, np.nan) for x in (latitude, wrapped(longitude)))
     return Track(latitude, longitude, curve.rate(place), curve.sigma(place), place.coverage)
 
 

@@ -13,6 +13,7 @@ from pipeline.config import Mission
 from pipeline.errors import MissionError
 from pipeline.flight.stations import Stations
 from pipeline.flight.trajectory import Takeoff
+from pipeline.geodesy import wrapped
 from pipeline.ledger import Entry, Kind, Ledger, finding
 from pipeline.refraction.calibration import is_fisheye
 from pipeline.refraction.camera.camera import Camera
@@ -200,8 +201,7 @@ def ground_beside_others(facts: Facts) -> Findings:
     found = []  # code, key, height, how much above what is expected, allowed, and where
     if off is not None and np.isfinite(ground).any() and ok.any():
         north = (facts.stations.lat_rad[ok] - off.lat_rad) * _RADIUS_M
-        turn = (facts.stations.lon_rad[ok] - off.lon_rad + np.pi) % (2.0 * np.pi) - np.pi
-        east = turn * math.cos(off.lat_rad) * _RADIUS_M
+        east = wrapped(facts.stations.lon_rad[ok] - off.lon_rad) * math.cos(off.lat_rad) * _RADIUS_M
         km = float(np.median(np.hypot(north, east))) / 1000.0
         height = float(np.nanmedian(ground))
         where = f"the take-off, {km:.0f} km away"

@@ -151,11 +151,9 @@ def build_adjusted_profile(
         reason = candidates.reason_unadjusted(usable, trials.faults, kept)
         ledger.fallback("AIR-STANDARD", reason)
         ledger.extend(sensor_checks.unused_calibration(set(settings.calibration)))
-        covariance = covariance_of_background(background)
+        air = covariance_of_background(background)
         basis, uses = UNADJUSTED if is_standard else UNMEASURED, usage(flown, (), unused=unused)
-        return Adjustment(
-            covariance.profile, standard, basis, reason, None, covariance, sources=uses
-        )
+        return Adjustment(air.profile, standard, basis, reason, None, air, sources=uses)
     candidate, made = trials.passed
     misfits = dict.fromkeys(candidate.external.left_out, _NO_AIR_FITS)
     ledger.extend(_left_out("AIR-SOURCE-REFUSED", misfits))

@@ -121,7 +121,7 @@ def refuse_wrong_units(raw: RawLevels) -> None:
     wet = None if raw.relative_humidity is None else _largest(raw.relative_humidity)
     # Sensors read up to 1.1 in cloud. All of a sounding below 1 % does not happen: the lowest
     # kilometre holds more, even over deserts.
-    if wet is not None and (wet > 1.5 or wet <= DRIEST_RH):
+    if wet is not None and (wet > TOO_WET or wet <= DRIEST_RH):
         raise _refusal(raw, "relative humidity", f"the highest is {wet:.4g} as a fraction of one",
                        "relative_humidity (0 to 1) or relative_humidity_percent")  # fmt: skip
     e = None if raw.vapour_pressure_pa is None else _largest(raw.vapour_pressure_pa)
@@ -194,8 +194,7 @@ def _with_vapour_pressure(raw: RawLevels) -> RawLevels:
     """Vapour pressure [Pa] from what there is, at most saturation over water; NaN if nothing."""
     t, p, e, where = raw.temperature_k, raw.pressure_pa, _vapour(raw).copy(), raw.where
     if raw.dew_point_k is not None:
-        dew = raw.dew_point_k
-        dew = np.where(_is_fill(dew), np.nan, dew)
+        dew = np.where(_is_fill(raw.dew_point_k), np.nan, raw.dew_point_k)
         impossible = np.isfinite(dew) & ~((dew >= COLDEST_K) & (dew <= WARMEST_K))
         if count := int(impossible.sum()):
             first = dew[impossible][0]

@@ -10,6 +10,7 @@ import numpy as np
 from pipeline.errors import MissionError
 from pipeline.flight.channels import ROLE_COLUMNS, Channel
 from pipeline.flight.clock import STRAY_ROWS
+from pipeline.geodesy import wrapped
 from pipeline.ledger import Entry, Notes, loss, note, warning
 from pipeline.units import Array, Mask, Rows
 
@@ -225,7 +226,7 @@ def _jumps(channel: Channel, known: Mask, role: str) -> tuple[Rows, Notes]:
 def _metres(channel: Channel, i: Rows, j: Rows) -> Array:
     """Horizontal distance [m], good enough to notice a jump."""
     lat, lon = channel["lat_rad"], channel["lon_rad"]
-    east = (lon[j] - lon[i] + np.pi) % (2.0 * np.pi) - np.pi
+    east = wrapped(lon[j] - lon[i])
     return np.asarray(_METRES_PER_RAD * np.hypot(lat[j] - lat[i], east * np.cos(lat[i])))
 
 

@@ -11,6 +11,7 @@ from pipeline.flight.channels import Channel, TimeArray
 from pipeline.flight.evidence.quality import subset
 from pipeline.flight.evidence.stretches import ATTITUDE, HEIGHT, POSITION, SECOND, Stretch, runs
 from pipeline.flight.trajectory import interpolate
+from pipeline.geodesy import wrapped
 from pipeline.units import Array, Mask, Rows
 
 # A step from sample to sample that is noise, beyond what velocity and neighbours explain [m].
@@ -72,8 +73,8 @@ def with_places(channel: Channel, quantity: str) -> Channel:
 
 def metres(change: Array, lat_rad: Array) -> Array:
     """(n, 2) metres north and east of (n, 2) changes of latitude and longitude [rad]."""
-    east = (change[:, 1] + np.pi) % (2.0 * np.pi) - np.pi
-    return _RADIUS_M * np.stack([change[:, 0], east * np.cos(lat_rad)], axis=1)
+    east = wrapped(change[:, 1]) * np.cos(lat_rad)
+    return _RADIUS_M * np.stack([change[:, 0], east], axis=1)
 
 
 def velocity_at(channels: Iterable[Channel], quantity: str, time_ns: TimeArray) -> Array:
