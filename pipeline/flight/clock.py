@@ -78,7 +78,7 @@ def full_weeks(week: ArrayLike, first: int) -> tuple[Integers, int]:
 
 
 def stray_times(time_ns: TimeArray) -> Mask:
-    """Mark time stamps a second or more from those on both sides, which agree with each other.
+    """Mark time stamps more than a second from those on both sides, which agree with each other.
 
     ``time_ns``: (n,) [ns] in the order of the file. Returns (n,) True where a stamp is stray, up to
     `STRAY_ROWS` in a row. Gaps and new boots are not: there both sides disagree. At the ends of the
