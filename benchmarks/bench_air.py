@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from survey import air
 
-from pipeline.atmosphere.air_samples import AirSamples, SensorSamples
-from pipeline.atmosphere.climatology import climatology
-from pipeline.atmosphere.estimate.solver import estimate
+from unbend.atmosphere.air_samples import AirSamples, SensorSamples
+from unbend.atmosphere.climatology import climatology
+from unbend.atmosphere.estimate.solver import estimate
 
 ROWS = 144_000
 

@@ -14,10 +14,10 @@ from typing import Any
 
 import yaml
 
-from pipeline.batch.plan import make_plan
-from pipeline.config import load_mission
-from pipeline.simulate import SimulationOptions, simulate
-from pipeline.stages.story import mission_status, run_mission
+from unbend.batch.plan import make_plan
+from unbend.config import load_mission
+from unbend.simulate import SimulationOptions, simulate
+from unbend.stages.story import mission_status, run_mission
 
 MISSIONS = 1000
 SMALL = SimulationOptions(
@@ -76,7 +76,7 @@ def test_an_unchanged_campaign_beside_the_parsing_of_its_files(ratios, tmp_path,
     files = sorted((tmp_path / "flights").glob("*/mission.yaml"))
 
     def run() -> str:
-        command = [sys.executable, "-m", "pipeline", "run", str(file)]
+        command = [sys.executable, "-m", "unbend", "run", str(file)]
         return subprocess.run(command, check=True, capture_output=True, text=True).stdout
 
     assert f"{MISSIONS:,} of {MISSIONS:,} missions" in run()  # the index is made

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from survey import CAMERA, air, exposures, points
 
-from pipeline.geodesy import euler_radius
-from pipeline.refraction import correct_observations, ray_table
+from unbend.geodesy import euler_radius
+from unbend.refraction import correct_observations, ray_table
 
 # A million a call: columns of 32 MB and more are fetched from the system anew each time, and that
 # would be timed. A run corrects 250,000 at a time.

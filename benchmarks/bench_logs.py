@@ -14,7 +14,7 @@ import pytest
 import ros2_mcap
 import tlog
 
-from pipeline.ingest import open_log
+from unbend.ingest import open_log
 
 LOGS = Path(__file__).resolve().parents[1].parent / "shared" / "logs"
 SIZE = 110_000_000
@@ -22,7 +22,7 @@ SPARE = 128_000_000  # [bytes] beyond the columns
 
 PEAK = """
 import json, sys
-from pipeline.ingest import open_log
+from unbend.ingest import open_log
 def status(key):
     lines = dict(line.split(":", 1) for line in open("/proc/self/status"))
     return int(lines[key].split()[0]) * 1024
@@ -37,7 +37,7 @@ print(json.dumps({"more": status("VmHWM") - before, "columns": columns}))
 # All anonymous memory of the process, imports included, every 10 ms.
 PRIVATE = """
 import json, sys, threading, time
-from pipeline.ingest import open_log
+from unbend.ingest import open_log
 def private():
     lines = dict(line.split(":", 1) for line in open("/proc/self/status"))
     return int(lines["RssAnon"].split()[0]) * 1024
@@ -184,7 +184,7 @@ def test_inspect_beside_scanning_the_file(ratios, kind: str, request: pytest.Fix
     of a short list in the same file."""
     path: Path = request.getfixturevalue(kind)
     ratio = 1.0 / ratios.of_times(
-        lambda: new_process("-m", "pipeline", "inspect", str(path)),
+        lambda: new_process("-m", "unbend", "inspect", str(path)),
         lambda: new_process("-c", SCAN, str(path)),
         rounds=5,
     )

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.integrate import quad
 from survey import air
 
-from pipeline.refraction import bend, ray_table
+from unbend.refraction import bend, ray_table
 
 RAYS, CAMERAS, BY_QUAD = 2_000_000, 400, 3_000
 RADIUS, H_C = 6_371_000.0, 6000.0

@@ -16,15 +16,15 @@ ROOT = Path(__file__).parents[1]
 FIRST_POINT = """
 import numpy as np
 from survey import CAMERA, air, exposures, points
-from pipeline.refraction import correct_observations, ray_table
+from unbend.refraction import correct_observations, ray_table
 x, y, h_g = points(1000)
 correct_observations(x, y, h_g, np.zeros(1000, int), exposures(1),
                      camera=CAMERA, table=ray_table(air()))
 """
 
 FIRST_ANGLE = """
-from pipeline.atmosphere import standard_atmosphere
-from pipeline.refraction import refraction_angle
+from unbend.atmosphere import standard_atmosphere
+from unbend.refraction import refraction_angle
 refraction_angle(standard_atmosphere("us1976"), 10000.0, 0.0, 0.785)
 """
 
@@ -69,12 +69,12 @@ def taken(code: str, cache: Path) -> float:
 
 
 def test_importing_the_package(ratios, tmp_path):
-    """`import pipeline` offers its names lazily: half the time of numpy at most."""
-    taken("import pipeline, numpy", tmp_path)
-    pairs = [(taken("import pipeline", tmp_path), taken("import numpy", tmp_path))
+    """`import unbend` offers its names lazily: half the time of numpy at most."""
+    taken("import unbend, numpy", tmp_path)
+    pairs = [(taken("import unbend", tmp_path), taken("import numpy", tmp_path))
              for _ in range(7)]  # fmt: skip
     ratio = statistics.median(ours / numpy for ours, numpy in pairs)
-    ratios.check("import pipeline, times import numpy", ratio, at_most=0.5)
+    ratios.check("import unbend, times import numpy", ratio, at_most=0.5)
 
 
 def cold_in_compilations(code: str, tmp_path: Path) -> float:
@@ -106,7 +106,7 @@ def cpu_seconds(*words: str, cache: Path) -> float:
     environment = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
     before = os.times()
     subprocess.run(
-        [sys.executable, "-m", "pipeline", *words], stdout=subprocess.DEVNULL, check=True,
+        [sys.executable, "-m", "unbend", *words], stdout=subprocess.DEVNULL, check=True,
         env=environment | {"NUMBA_CACHE_DIR": str(cache)},
     )  # fmt: skip
     after = os.times()
@@ -143,5 +143,5 @@ def test_the_first_answer_of_the_command_line(ratios):
         ("unbend --help", ("--help",), 2.0),
         ("unbend inspect, 1 MB", ("inspect", str(log)), 4.0),
     ):
-        ratio = 1.0 / ratios.of_times(command("-m", "pipeline", *words), imports)
+        ratio = 1.0 / ratios.of_times(command("-m", "unbend", *words), imports)
         ratios.check(f"{what}, times import numpy, pyarrow", ratio, at_most=at_most)

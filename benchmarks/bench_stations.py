@@ -9,13 +9,13 @@ import pandas as pd
 import pytest
 import yaml
 
-from pipeline.batch.plan import make_plan
-from pipeline.config import load_mission
-from pipeline.flight.exposures import Events
-from pipeline.ingest import open_log
-from pipeline.ledger import Ledger
-from pipeline.stages.inputs import read_log
-from pipeline.stages.stations import StationBuilder
+from unbend.batch.plan import make_plan
+from unbend.config import load_mission
+from unbend.flight.exposures import Events
+from unbend.ingest import open_log
+from unbend.ledger import Ledger
+from unbend.stages.inputs import read_log
+from unbend.stages.stations import StationBuilder
 
 LOG = Path(__file__).resolve().parents[2] / "shared" / "logs" / "sitl_survey.BIN"
 COUNT = 20_000

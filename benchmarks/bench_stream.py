@@ -10,13 +10,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from survey import CAMERA, air, exposures, image_names, uncertainty, write_observations
 
-from pipeline.batch.store import open_folder
-from pipeline.ledger import Ledger
-from pipeline.refraction.ray import rays_by
-from pipeline.stages.correction import CorrectionSetup, PartsOfRun, correct_stream
-from pipeline.stages.ground_heights import GivenGround
-from pipeline.tables.observations import open_observations
-from pipeline.tables.writing import parquet_settings
+from unbend.batch.store import open_folder
+from unbend.ledger import Ledger
+from unbend.refraction.ray import rays_by
+from unbend.stages.correction import CorrectionSetup, PartsOfRun, correct_stream
+from unbend.stages.ground_heights import GivenGround
+from unbend.tables.observations import open_observations
+from unbend.tables.writing import parquet_settings
 
 IMAGES = 2_000
 BATCH_ROWS = 250_000

@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 from survey import CAMERA, air, exposures, image_names, uncertainty, write_observations
 
-from pipeline.batch.store import open_folder
-from pipeline.ledger import Ledger
-from pipeline.refraction.ray import rays_by
-from pipeline.stages.correction import CorrectionSetup, PartsOfRun, correct_stream
-from pipeline.stages.ground_heights import GivenGround, TerrainGround
-from pipeline.tables.geodata.elevation import open_elevation
-from pipeline.tables.observations import open_observations
+from unbend.batch.store import open_folder
+from unbend.ledger import Ledger
+from unbend.refraction.ray import rays_by
+from unbend.stages.correction import CorrectionSetup, PartsOfRun, correct_stream
+from unbend.stages.ground_heights import GivenGround, TerrainGround
+from unbend.tables.geodata.elevation import open_elevation
+from unbend.tables.observations import open_observations
 
 IMAGES, ROWS, CELLS = 200, 1_000_000, 10_000
 STEP_DEG = 1.0 / 10_800.0  # 10 m

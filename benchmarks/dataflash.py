@@ -15,11 +15,11 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.ingest import open_log
-from pipeline.ingest.buffers import view_of_bytes
-from pipeline.ingest.dataflash.log import read_tables
-from pipeline.ingest.dataflash.records import HEADER, find_records
-from pipeline.ingest.log import PLACE
+from unbend.ingest import open_log
+from unbend.ingest.buffers import view_of_bytes
+from unbend.ingest.dataflash.log import read_tables
+from unbend.ingest.dataflash.records import HEADER, find_records
+from unbend.ingest.log import PLACE
 
 NEEDED = ("GPS", "GPA", "ATT", "BARO", "POS", "CAM", "TRIG", "ARSP", "HYGR")
 WEEK_MS = 604_800_000

@@ -15,10 +15,10 @@ import tempfile
 import time
 from pathlib import Path
 
-from pipeline.ingest import open_log
-from pipeline.ingest.mcap.log import MCAP
-from pipeline.ingest.mcap.samples import SCHEMAS, known_name
-from pipeline.ledger import Ledger
+from unbend.ingest import open_log
+from unbend.ingest.mcap.log import MCAP
+from unbend.ingest.mcap.samples import SCHEMAS, known_name
+from unbend.ledger import Ledger
 
 STAMP = struct.Struct("<iI")  # header.stamp, behind four bytes of encapsulation
 SECOND = 10**9

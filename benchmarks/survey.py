@@ -9,9 +9,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from scipy.spatial.transform import Rotation
 
-from pipeline.atmosphere import Profile, standard_atmosphere
-from pipeline.atmosphere.covariance import ProfileCovariance
-from pipeline.refraction import (
+from unbend.atmosphere import Profile, standard_atmosphere
+from unbend.atmosphere.covariance import ProfileCovariance
+from unbend.refraction import (
     BrownConrady,
     Camera,
     Exposures,

@@ -15,10 +15,10 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.ingest import open_log
-from pipeline.ingest.buffers import open_view
-from pipeline.ingest.tlog.channels import crc_extras, dialect, name_of, wanted_layouts
-from pipeline.ingest.tlog.scan import (
+from unbend.ingest import open_log
+from unbend.ingest.buffers import open_view
+from unbend.ingest.tlog.channels import crc_extras, dialect, name_of, wanted_layouts
+from unbend.ingest.tlog.scan import (
     HEAD,
     STAMP,
     Frames,

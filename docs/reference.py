@@ -6,9 +6,9 @@ import re
 from collections.abc import Callable, Iterator
 
 from docs.snippets import printed_by
-from pipeline.config.schema import MissionKey, campaign_keys, mission_keys
-from pipeline.report import explanations
-from pipeline.tables import schemas
+from unbend.config.schema import MissionKey, campaign_keys, mission_keys
+from unbend.report import explanations
+from unbend.tables import schemas
 
 GENERATED = re.compile(r"<!-- generated: (\w+) (\w+) -->")
 

@@ -30,10 +30,10 @@ from pathlib import Path
 
 import yaml
 
-from pipeline.cli import main as unbend_main
-from pipeline.config import load_mission
-from pipeline.config.campaign import campaign_of
-from pipeline.errors import UnbendError
+from unbend.cli import main as unbend_main
+from unbend.config import load_mission
+from unbend.config.campaign import campaign_of
+from unbend.errors import UnbendError
 
 DOCS = Path(__file__).resolve().parent
 REPOSITORY = DOCS.parent

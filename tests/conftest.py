@@ -24,7 +24,7 @@ import pytest
 import yaml
 from hypothesis import settings
 
-from pipeline.simulate import Simulated, SimulationOptions, simulate
+from unbend.simulate import Simulated, SimulationOptions, simulate
 
 # No property depends on how loaded the machine is.
 settings.register_profile("unbend", deadline=None)
@@ -57,7 +57,7 @@ class Ended:
 
 def run_command(*words: object) -> Ended:
     """`unbend` with these words, in this process."""
-    from pipeline.cli import main
+    from unbend.cli import main
 
     out, err = io.StringIO(), io.StringIO()
     kept = sys.argv, sys.excepthook
@@ -146,9 +146,9 @@ def computed_once() -> Iterator[None]:
     What tie points say of a mission file, and the air of a flight: pure functions, known by all
     that they are given.
     """
-    from pipeline.ledger import Ledger
-    from pipeline.stages import adjusted_profile
-    from pipeline.stages.multi_image import tie_point_checks
+    from unbend.ledger import Ledger
+    from unbend.stages import adjusted_profile
+    from unbend.stages.multi_image import tie_point_checks
 
     diagnose, said = tie_point_checks.diagnosis, {}
     estimate, found = adjusted_profile.build_adjusted_profile, {}
@@ -210,7 +210,7 @@ def baseline(
 @contextlib.contextmanager
 def without_plots() -> Iterator[None]:
     """A report without plots, which take half of the time of a small run."""
-    from pipeline.stages import story as stages
+    from unbend.stages import story as stages
 
     def write_report(path: Path, manifest: dict[str, Any], *_: object) -> None:
         path.write_text(manifest["mission"], encoding="utf-8")

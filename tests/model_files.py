@@ -12,7 +12,7 @@ import numpy as np
 import pyproj  # noqa: F401  (before ecCodes)
 import xarray
 
-from pipeline.simulate.true_air import normal_gravity
+from unbend.simulate.true_air import normal_gravity
 
 PRESSURE_LEVELS = (1000, 975, 950, 925, 900, 875, 850, 825, 800, 775, 750, 700, 650, 600, 550, 500,
                    450, 400, 350, 300, 250, 225, 200, 150)  # fmt: skip
@@ -63,7 +63,7 @@ def on_model_levels(
     ground_m: float,
 ) -> xarray.Dataset:
     """Fields on ECMWF's levels 60 to 137 over a ground at one height [m above sea level]."""
-    from pipeline.atmosphere.soundings.model_field import half_levels
+    from unbend.atmosphere.soundings.model_field import half_levels
 
     levels, stamps = np.arange(60, 138), np.array(times, "datetime64[ns]")
     shape = (stamps.size, levels.size, len(latitude_deg), len(longitude_deg))

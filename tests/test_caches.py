@@ -13,8 +13,8 @@ import jinja2
 import numpy as np
 import pytest
 
-from pipeline import caches
-from pipeline.report import html
+from unbend import caches
+from unbend.report import html
 
 
 @pytest.fixture
@@ -88,7 +88,7 @@ def test_what_cannot_be_removed_is_a_storage_failure(folders, unbend, monkeypatc
 
 
 def test_the_compiler_uses_the_same_folder(monkeypatch, tmp_path):
-    from pipeline.refraction.kernels import jit
+    from unbend.refraction.kernels import jit
 
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
@@ -99,11 +99,11 @@ def test_the_compiler_uses_the_same_folder(monkeypatch, tmp_path):
 
 def test_what_warm_compiles_is_what_missions_and_terrains_call(unbend, monkeypatch, tmp_path):
     """Nothing is compiled for other types of arguments: those of real tables, logs and rasters."""
-    from pipeline.refraction.kernels.jit import Kernel, cache_folder
-    from pipeline.stages.story import check_mission
-    from pipeline.tables.geodata.elevation import open_elevation
     from tests.refraction.test_terrain import landing, rays_from, relief
     from tests.tables.geodata.test_elevation import write
+    from unbend.refraction.kernels.jit import Kernel, cache_folder
+    from unbend.stages.story import check_mission
+    from unbend.tables.geodata.elevation import open_elevation
 
     ended = unbend("warm")
     assert (ended.code, ended.out.strip()) == (0, cache_folder())
@@ -112,7 +112,7 @@ def test_what_warm_compiles_is_what_missions_and_terrains_call(unbend, monkeypat
     known = {name: list(kernel.by_types) for name, kernel in kernels.items()}
     assert all(known.values()), known
     code = "compile_kernels()\nimport sys\nassert 'numba' not in sys.modules"
-    words = [sys.executable, "-c", f"from pipeline.in_memory import compile_kernels\n{code}"]
+    words = [sys.executable, "-c", f"from unbend.in_memory import compile_kernels\n{code}"]
     # The folder that this process found first, maybe in another test that has its own.
     environment = os.environ | {"NUMBA_CACHE_DIR": os.path.dirname(ended.out.strip())}
     subprocess.run(words, check=True, env=environment)

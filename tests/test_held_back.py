@@ -8,7 +8,7 @@ from contextlib import ExitStack
 
 import pytest
 
-from pipeline.interrupts import SIGNALS, held_back
+from unbend.interrupts import SIGNALS, held_back
 
 
 class HitError(Exception):

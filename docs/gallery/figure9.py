@@ -3,9 +3,9 @@
 import numpy as np
 from matplotlib.figure import Figure
 
-from pipeline.atmosphere import standard_atmosphere, standard_names
-from pipeline.refraction import refraction_angle
-from pipeline.units import ARCSEC
+from unbend.atmosphere import standard_atmosphere, standard_names
+from unbend.refraction import refraction_angle
+from unbend.units import ARCSEC
 
 SIZE = (8.2, 4.2)
 HEIGHTS = np.arange(1.0, 26.0)

@@ -4,7 +4,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from docs.gallery.plates import COLOURS
-from pipeline.refraction.printed_tables import paper_tables
+from unbend.refraction.printed_tables import paper_tables
 
 SIZE = (8.2, 3.6)
 ANGLES = (45, 60, 75, 80, 85)

@@ -5,9 +5,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from docs.gallery.plates import BLUE, ORANGE
-from pipeline.atmosphere import standard_atmosphere
-from pipeline.refraction import refraction_angle
-from pipeline.refraction.image import ground_displacement
+from unbend.atmosphere import standard_atmosphere
+from unbend.refraction import refraction_angle
+from unbend.refraction.image import ground_displacement
 
 SIZE = (8.2, 3.8)
 FOCAL_PX, RADIUS_M = 20_000.0, 6_371_000.0

@@ -4,13 +4,13 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from docs.gallery.plates import bars
-from pipeline.atmosphere import standard_atmosphere
-from pipeline.atmosphere.air_samples import AirSamples
-from pipeline.atmosphere.climatology import climatology, month_of
-from pipeline.atmosphere.estimate.adjusted_profile import build_adjusted_profile
-from pipeline.atmosphere.soundings import Sounding
-from pipeline.ledger import Ledger
 from tests.atmosphere import flights
+from unbend.atmosphere import standard_atmosphere
+from unbend.atmosphere.air_samples import AirSamples
+from unbend.atmosphere.climatology import climatology, month_of
+from unbend.atmosphere.estimate.adjusted_profile import build_adjusted_profile
+from unbend.atmosphere.soundings import Sounding
+from unbend.ledger import Ledger
 
 SIZE = (8.2, 3.8)
 CLIMBS = (1000, 3000, 6000)

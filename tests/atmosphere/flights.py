@@ -1,7 +1,7 @@
 """Flights through real air: soundings integrated as truth, and what imperfect sensors make of it.
 
 Nothing here is shared with the estimator: WGS84 normal gravity, moist hydrostatics on a grid of
-metres, Edlen's index and Sonntag's saturation pressure (pipeline.simulate), Gyer's Eq. 24 in the
+metres, Edlen's index and Sonntag's saturation pressure (unbend.simulate), Gyer's Eq. 24 in the
 first order; the sensors are differential equations and random walks in time.
 """
 
@@ -17,8 +17,8 @@ import numpy as np
 from scipy.integrate import cumulative_simpson
 from scipy.signal import lfilter
 
-from pipeline.atmosphere.air_samples import AirSamples, SensorSamples
-from pipeline.simulate.true_air import edlen_index, normal_gravity, saturation_pressure_pa
+from unbend.atmosphere.air_samples import AirSamples, SensorSamples
+from unbend.simulate.true_air import edlen_index, normal_gravity, saturation_pressure_pa
 
 SOUNDINGS = Path(__file__).resolve().parents[1] / "data" / "soundings"
 TAKEOFF_S = 30.0

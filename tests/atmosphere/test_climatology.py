@@ -10,18 +10,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.atmosphere import standard_atmosphere, standard_names
-from pipeline.atmosphere.climate_tables import climate_names, climate_profile, supplements_profile
-from pipeline.atmosphere.climatology import (
+from unbend.atmosphere import standard_atmosphere, standard_names
+from unbend.atmosphere.climate_tables import climate_names, climate_profile, supplements_profile
+from unbend.atmosphere.climatology import (
     climatology,
     expected_spread,
     month_of,
 )
-from pipeline.atmosphere.standard import known_names
-from pipeline.errors import PhysicsError
-from pipeline.ledger import Ledger
-from pipeline.simulate.true_air import normal_gravity
-from pipeline.tables.soundings import read_sounding
+from unbend.atmosphere.standard import known_names
+from unbend.errors import PhysicsError
+from unbend.ledger import Ledger
+from unbend.simulate.true_air import normal_gravity
+from unbend.tables.soundings import read_sounding
 
 SHARED = Path(__file__).resolve().parents[2].parent / "shared"
 tables = pytest.mark.skipif(

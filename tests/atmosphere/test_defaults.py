@@ -7,11 +7,11 @@ import math
 import numpy as np
 import pytest
 
-from pipeline.atmosphere import standard_atmosphere
-from pipeline.atmosphere.climatology import climatology
-from pipeline.atmosphere.estimate import external_readings, solver
-from pipeline.atmosphere.estimate.candidates import SMALLEST_CLIMB_M
-from pipeline.atmosphere.estimate.sensors import (
+from unbend.atmosphere import standard_atmosphere
+from unbend.atmosphere.climatology import climatology
+from unbend.atmosphere.estimate import external_readings, solver
+from unbend.atmosphere.estimate.candidates import SMALLEST_CLIMB_M
+from unbend.atmosphere.estimate.sensors import (
     BAROMETER_FAULTS,
     DYNAMIC_PRESSURE_ERROR,
     FAULT_TEXTS,
@@ -20,10 +20,10 @@ from pipeline.atmosphere.estimate.sensors import (
     THERMOMETER_FAULTS,
     SensorSettings,
 )
-from pipeline.atmosphere.estimate.state import SensorFault
-from pipeline.atmosphere.refractive_index import IndexModel
-from pipeline.atmosphere.surface_report import SurfaceReport
-from pipeline.config.atmosphere import AtmosphereSection
+from unbend.atmosphere.estimate.state import SensorFault
+from unbend.atmosphere.refractive_index import IndexModel
+from unbend.atmosphere.surface_report import SurfaceReport
+from unbend.config.atmosphere import AtmosphereSection
 
 
 def test_the_light_is_green_and_the_air_of_today():

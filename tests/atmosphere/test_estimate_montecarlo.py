@@ -14,13 +14,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.atmosphere import standard_atmosphere
-from pipeline.atmosphere.climatology import Climatology, climatology, month_of
-from pipeline.atmosphere.estimate.adjusted_profile import Adjustment, build_adjusted_profile
-from pipeline.atmosphere.estimate.sensors import SensorCalibration, SensorSettings
-from pipeline.atmosphere.estimate.state import SensorFault
-from pipeline.atmosphere.series.time_windows import part_of_flight
-from pipeline.ledger import Ledger
+from unbend.atmosphere import standard_atmosphere
+from unbend.atmosphere.climatology import Climatology, climatology, month_of
+from unbend.atmosphere.estimate.adjusted_profile import Adjustment, build_adjusted_profile
+from unbend.atmosphere.estimate.sensors import SensorCalibration, SensorSettings
+from unbend.atmosphere.estimate.state import SensorFault
+from unbend.atmosphere.series.time_windows import part_of_flight
+from unbend.ledger import Ledger
 
 US1976 = standard_atmosphere("us1976")
 BIAS = SensorFault.THERMOMETER_BIAS

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from pipeline.atmosphere import standard_atmosphere
-from pipeline.atmosphere.covariance import (
+from unbend.atmosphere import standard_atmosphere
+from unbend.atmosphere.covariance import (
     ProfileCovariance,
     air_jacobian,
     log_pressure_jacobian,
     plane_rule,
 )
-from pipeline.atmosphere.hypsometry import _layer, column, hats
-from pipeline.units import HYDROSTATIC_CONSTANT
+from unbend.atmosphere.hypsometry import _layer, column, hats
+from unbend.units import HYDROSTATIC_CONSTANT
 
 CHANGES = [0.0, 1e-12, 1e-9, 1e-6, 1e-3, 0.0107, 0.013, 0.03, 0.0499, 0.0501, 0.1, 0.3, 0.6]
 SIGNED = sorted({sign * x for x in CHANGES for sign in (-1.0, 1.0)})

@@ -13,13 +13,13 @@ import os
 import numpy as np
 import pytest
 
-from pipeline.atmosphere import standard_atmosphere
-from pipeline.atmosphere.air_samples import AirSamples
-from pipeline.atmosphere.climatology import climatology, month_of
-from pipeline.atmosphere.estimate.adjusted_profile import build_adjusted_profile
-from pipeline.atmosphere.soundings.model_field import ModelField, model_column
-from pipeline.ledger import Ledger
-from pipeline.simulate.true_air import saturation_pressure_pa
+from unbend.atmosphere import standard_atmosphere
+from unbend.atmosphere.air_samples import AirSamples
+from unbend.atmosphere.climatology import climatology, month_of
+from unbend.atmosphere.estimate.adjusted_profile import build_adjusted_profile
+from unbend.atmosphere.soundings.model_field import ModelField, model_column
+from unbend.ledger import Ledger
+from unbend.simulate.true_air import saturation_pressure_pa
 
 US1976 = standard_atmosphere("us1976")
 MANY = "UNBEND_AIR_FLIGHTS" in os.environ

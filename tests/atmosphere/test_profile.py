@@ -10,21 +10,21 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from pipeline.atmosphere import (
+from unbend.atmosphere import (
     pressure_gradient_layer,
     pressure_isothermal_layer,
     profile_from_table,
     profile_table,
     standard_atmosphere,
 )
-from pipeline.atmosphere.air_samples import AirSamples, SensorSamples
-from pipeline.atmosphere.estimate.adjusted_profile import build_adjusted_profile
-from pipeline.atmosphere.layers import Layers, stack_layers
-from pipeline.atmosphere.profile import Profile
-from pipeline.atmosphere.refractive_index import IndexModel
-from pipeline.errors import PhysicsError
-from pipeline.geodesy import lambert_gravity, normal_gravity
-from pipeline.ledger import Ledger
+from unbend.atmosphere.air_samples import AirSamples, SensorSamples
+from unbend.atmosphere.estimate.adjusted_profile import build_adjusted_profile
+from unbend.atmosphere.layers import Layers, stack_layers
+from unbend.atmosphere.profile import Profile
+from unbend.atmosphere.refractive_index import IndexModel
+from unbend.errors import PhysicsError
+from unbend.geodesy import lambert_gravity, normal_gravity
+from unbend.ledger import Ledger
 
 GMR = 9.80665 * 28.9644 / 8314.32  # [K per geopotential metre]
 

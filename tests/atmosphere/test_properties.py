@@ -10,18 +10,18 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
-from pipeline.atmosphere.covariance import ProfileCovariance, plane_rule
-from pipeline.atmosphere.estimate.readings import bin_readings
-from pipeline.atmosphere.layers import stack_layers
-from pipeline.atmosphere.profile import Profile
-from pipeline.atmosphere.refractive_index import IndexModel
-from pipeline.atmosphere.series.profile_series import (
+from unbend.atmosphere.covariance import ProfileCovariance, plane_rule
+from unbend.atmosphere.estimate.readings import bin_readings
+from unbend.atmosphere.layers import stack_layers
+from unbend.atmosphere.profile import Profile
+from unbend.atmosphere.refractive_index import IndexModel
+from unbend.atmosphere.series.profile_series import (
     SampleAges,
     TimedProfile,
     covariance_with_ageing,
     interpolate_series,
 )
-from pipeline.geodesy import normal_gravity
+from unbend.geodesy import normal_gravity
 
 GAMMA = 9.80665 * 28.9644 / 8314.32  # [K/m']
 

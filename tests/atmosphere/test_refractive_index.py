@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import pipeline
-from pipeline.atmosphere import refractive_index as air
-from pipeline.atmosphere.refractive_index import (
+import unbend
+from unbend.atmosphere import refractive_index as air
+from unbend.atmosphere.refractive_index import (
     IndexModel,
     refractivity_ciddor,
     refractivity_gyer,
@@ -18,10 +18,10 @@ from pipeline.atmosphere.refractive_index import (
     vapour_pressure,
     virtual_temperature,
 )
-from pipeline.errors import PhysicsError
-from pipeline.simulate.true_air import edlen_index, saturation_pressure_pa
+from unbend.errors import PhysicsError
+from unbend.simulate.true_air import edlen_index, saturation_pressure_pa
 
-PRINTED = Path(pipeline.__file__).parent / "refraction" / "data"
+PRINTED = Path(unbend.__file__).parent / "refraction" / "data"
 
 # t [C], RH [%], p [kPa], wavelength [nm] -> (n - 1) 1e9 of Ciddor's equation at 450 ppm of CO2.
 # Rows 1-9: Ciddor (1996), Appl. Opt. 35, 1566, and the NIST Engineering Metrology Toolbox.

@@ -9,18 +9,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import pipeline
-from pipeline.atmosphere import standard_atmosphere, standard_names
-from pipeline.atmosphere.climatology import climatology
-from pipeline.atmosphere.layers import stack_layers
-from pipeline.atmosphere.profile import Profile
-from pipeline.atmosphere.standard import ATMOSPHERES, AtmosphereModel, known_names
-from pipeline.config.atmosphere import AtmosphereSection
-from pipeline.errors import PhysicsError
-from pipeline.geodesy import normal_gravity
+import unbend
+from unbend.atmosphere import standard_atmosphere, standard_names
+from unbend.atmosphere.climatology import climatology
+from unbend.atmosphere.layers import stack_layers
+from unbend.atmosphere.profile import Profile
+from unbend.atmosphere.standard import ATMOSPHERES, AtmosphereModel, known_names
+from unbend.config.atmosphere import AtmosphereSection
+from unbend.errors import PhysicsError
+from unbend.geodesy import normal_gravity
 
 DATA = Path(__file__).resolve().parents[1] / "data"
-PRINTED = Path(pipeline.__file__).parent / "refraction" / "data"
+PRINTED = Path(unbend.__file__).parent / "refraction" / "data"
 
 # US Standard Atmosphere 1976, Table I: geometric height [m], T [K], p [mbar] as printed.
 US1976 = [

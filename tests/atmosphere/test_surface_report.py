@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from pipeline.atmosphere.surface_report import parse_metar, station_pressure, surface_report
-from pipeline.errors import InputError
-from pipeline.ledger import Ledger
-from pipeline.simulate.true_air import saturation_pressure_pa
+from unbend.atmosphere.surface_report import parse_metar, station_pressure, surface_report
+from unbend.errors import InputError
+from unbend.ledger import Ledger
+from unbend.simulate.true_air import saturation_pressure_pa
 
 
 def ns(text: str) -> int:

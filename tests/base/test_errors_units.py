@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 
 import pytest
 
-from pipeline import errors, exit_codes, units
+from unbend import errors, exit_codes, units
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from pipeline.ledger import Entry, Kind, Ledger, fallback, loss, note, warning
+from unbend.ledger import Entry, Kind, Ledger, fallback, loss, note, warning
 
 MAKERS = {"note": note, "fallback": fallback, "warning": warning, "loss": loss}
 

@@ -15,11 +15,11 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from pipeline.batch import executors
-from pipeline.batch.execute import run_many
-from pipeline.batch.executors import Bug, Outcome
-from pipeline.batch.store import atomic_write, open_folder, read_manifest
-from pipeline.errors import InputError
+from unbend.batch import executors
+from unbend.batch.execute import run_many
+from unbend.batch.executors import Bug, Outcome
+from unbend.batch.store import atomic_write, open_folder, read_manifest
+from unbend.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -111,8 +111,8 @@ def make_some(folder, name, own, slices, numbers):
 
 
 def main():
-    from pipeline.batch.cluster import Cluster
-    from pipeline.batch.executors import Processes
+    from unbend.batch.cluster import Cluster
+    from unbend.batch.executors import Processes
 
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # as the command line has it
     where, folder, *names = sys.argv[1:]

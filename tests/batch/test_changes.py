@@ -7,8 +7,8 @@ import os
 
 import pytest
 
-from pipeline.batch import changes, file_hashes, keys
-from pipeline.stages.story import mission_status, run_mission
+from unbend.batch import changes, file_hashes, keys
+from unbend.stages.story import mission_status, run_mission
 
 
 @pytest.fixture

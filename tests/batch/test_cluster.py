@@ -16,9 +16,9 @@ import pytest
 
 pytest.importorskip("distributed")
 
-from pipeline.batch import cluster
-from pipeline.batch.cluster import Cluster
-from pipeline.errors import UnbendError
+from unbend.batch import cluster
+from unbend.batch.cluster import Cluster
+from unbend.errors import UnbendError
 
 MISSIONS = Path(__file__).with_name("missions.py")
 sys.path.append(str(MISSIONS.parent))

@@ -10,12 +10,12 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.batch import executors
-from pipeline.batch.execute import exit_code_of, run_many, shard_of
-from pipeline.batch.executors import Bug, Child, Inline, Outcome, stop_all
-from pipeline.config.campaign import MissionRef
-from pipeline.errors import InputError
-from pipeline.stages.commands.campaigns import select_missions
+from unbend.batch import executors
+from unbend.batch.execute import exit_code_of, run_many, shard_of
+from unbend.batch.executors import Bug, Child, Inline, Outcome, stop_all
+from unbend.config.campaign import MissionRef
+from unbend.errors import InputError
+from unbend.stages.commands.campaigns import select_missions
 
 
 def test_folders_that_links_make_one_are_one(mission_factory, tmp_path):

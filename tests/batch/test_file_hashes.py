@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.batch import file_hashes
-from pipeline.batch.file_hashes import remembered_hash
-from pipeline.caches import user_cache
-from pipeline.ingest import hash_file
+from unbend.batch import file_hashes
+from unbend.batch.file_hashes import remembered_hash
+from unbend.caches import user_cache
+from unbend.ingest import hash_file
 
 
 @pytest.fixture

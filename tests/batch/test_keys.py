@@ -12,12 +12,12 @@ from pathlib import Path
 
 import pytest
 
-import pipeline
-from pipeline.batch import keys
-from pipeline.batch.plan import make_plan
-from pipeline.config import load_mission
+import unbend
+from unbend.batch import keys
+from unbend.batch.plan import make_plan
+from unbend.config import load_mission
 
-PACKAGE = Path(pipeline.__file__).parent
+PACKAGE = Path(unbend.__file__).parent
 ALL = {"ingest", "air", "correction", "report"}
 
 # Distributions that no number depends on: they read the mission file, lock folders, talk, or
@@ -39,15 +39,15 @@ def reached() -> dict[str, set[str]]:
     """The modules of each stage."""
     texts = sources()
     edges = {name: keys.imported(text) & texts.keys() for name, text in texts.items()}
-    edges |= {"pipeline": set(), "pipeline.batch.keys": {"pipeline"}}
-    modules = keys.stage_modules(edges["pipeline.stages.story"])
+    edges |= {"unbend": set(), "unbend.batch.keys": {"unbend"}}
+    modules = keys.stage_modules(edges["unbend.stages.story"])
     return {stage: keys.closure(names, edges) for stage, names in modules.items()}
 
 
 @pytest.fixture
 def copied(tmp_path) -> Path:
     ignore = shutil.ignore_patterns("__pycache__")
-    return Path(shutil.copytree(PACKAGE, tmp_path / "pipeline", ignore=ignore))
+    return Path(shutil.copytree(PACKAGE, tmp_path / "unbend", ignore=ignore))
 
 
 # Where an edit is planted, and the stages whose code it is. Modules that are imported inside
@@ -136,17 +136,17 @@ def test_compiled_code_does_not_count(copied):
 @pytest.mark.parametrize(
     "planted",
     [
-        "def f():\n    from pipeline.stages.commands import rehearsal\n",
-        "def f():\n    import pipeline.stages.commands.rehearsal\n",
-        "from pipeline.stages.commands import ("
+        "def f():\n    from unbend.stages.commands import rehearsal\n",
+        "def f():\n    import unbend.stages.commands.rehearsal\n",
+        "from unbend.stages.commands import ("
         "  # (as text)\n    campaigns,\n    rehearsal as other,\n)\n",
-        'KINDS = {"x": "pipeline.stages.commands.rehearsal"}\n',
-        "if True: from pipeline.stages.commands.rehearsal import check\n",
+        'KINDS = {"x": "unbend.stages.commands.rehearsal"}\n',
+        "if True: from unbend.stages.commands.rehearsal import check\n",
         "from ..stages.commands import rehearsal\n",
         "from .. import stages\nfrom ..stages.commands.rehearsal import check\n",
-        "import numpy, pipeline.stages.commands.rehearsal\n",
-        "from pipeline.stages.commands \\\n    import rehearsal\n",
-        "from pipeline.stages.commands import campaigns, \\\n    rehearsal\n",
+        "import numpy, unbend.stages.commands.rehearsal\n",
+        "from unbend.stages.commands \\\n    import rehearsal\n",
+        "from unbend.stages.commands import campaigns, \\\n    rehearsal\n",
     ],
     ids=[
         "inside",
@@ -175,7 +175,7 @@ def test_a_module_that_is_newly_reached_counts(copied, planted):
 def test_imports_are_those_that_python_sees():
     """By Python's own parser, of every module; and no module is imported by a computed name."""
     texts = sources()
-    run = set.union(*reached().values()) | {"pipeline.stages.story"}
+    run = set.union(*reached().values()) | {"unbend.stages.story"}
     for name, text in texts.items():
         seen = keys.imported(text)
         for node in ast.walk(ast.parse(keys._TYPES.sub("", text))):
@@ -184,8 +184,8 @@ def test_imports_are_those_that_python_sees():
             elif isinstance(node, ast.ImportFrom) and node.module in texts:
                 members = {f"{node.module}.{a.name}" for a in node.names}
                 assert {node.module, *(members & texts.keys())} <= seen, name
-                assert node.module != "pipeline", f"{name} has the package import by name"
-            elif isinstance(node, ast.Name | ast.Attribute) and name in run - {"pipeline"}:
+                assert node.module != "unbend", f"{name} has the package import by name"
+            elif isinstance(node, ast.Name | ast.Attribute) and name in run - {"unbend"}:
                 called = node.id if isinstance(node, ast.Name) else node.attr
                 assert called not in ("import_module", "__import__", "exec", "eval"), name
 
@@ -199,9 +199,9 @@ def test_all_that_is_read_before_the_correction_is_of_the_air():
     }  # fmt: skip
     (prepare,) = (n for n in tree.body if getattr(n, "name", "") == "prepare_mission")
     used = {node.id for node in ast.walk(prepare) if isinstance(node, ast.Name)} & origin.keys()
-    modules = {str(origin[name]) for name in used if str(origin[name]).startswith("pipeline.")}
+    modules = {str(origin[name]) for name in used if str(origin[name]).startswith("unbend.")}
     assert len(modules) > 8
-    assert modules - reached()["air"] <= {"pipeline.report.progress"}
+    assert modules - reached()["air"] <= {"unbend.report.progress"}
 
 
 @pytest.mark.parametrize("stage", sorted(ALL))
@@ -216,7 +216,7 @@ def test_every_library_is_known(stage):
             [alias.name for alias in node.names] if isinstance(node, ast.Import)
             else [str(node.module)] if isinstance(node, ast.ImportFrom) else []
         )
-    } - {*sys.stdlib_module_names, "pipeline"}  # fmt: skip
+    } - {*sys.stdlib_module_names, "unbend"}  # fmt: skip
     of_module = metadata.packages_distributions()
     known = {name.lower() for names in keys.TABLES["libraries"].values() for name in names}
     known |= {name.lower() for names in keys.TABLES["libraries_of"].values() for name in names}
@@ -232,12 +232,12 @@ opened = set()
 def watch(event, words):
     if event == "open" and isinstance(words[0], str):
         opened.add(words[0])
-from pipeline.batch import keys, plan
+from unbend.batch import keys, plan
 keys.code_of_stages(), keys.code_hash()  # these read everything
 sys.addaudithook(watch)
-from pipeline.stages.story import run_mission
+from unbend.stages.story import run_mission
 run_mission(sys.argv[1])
-modules = [name for name in sys.modules if name.partition(".")[0] == "pipeline"]
+modules = [name for name in sys.modules if name.partition(".")[0] == "unbend"]
 print(json.dumps([modules, sorted(opened)]))
 """
 
@@ -248,9 +248,9 @@ def test_a_run_reaches_nothing_that_no_key_holds(mission):
         capture_output=True, text=True, check=True,
     )  # fmt: skip
     modules, opened = json.loads(done.stdout.splitlines()[-1])
-    held = set.union(*reached().values()) | {"pipeline.stages.story"}
+    held = set.union(*reached().values()) | {"unbend.stages.story"}
     assert {*modules} - held <= keys._AFTERWARDS | {
-        name for name in modules if name.startswith("pipeline.tables.exports")
+        name for name in modules if name.startswith("unbend.tables.exports")
     }
     data = {
         path.relative_to(PACKAGE)
@@ -262,7 +262,7 @@ def test_a_run_reaches_nothing_that_no_key_holds(mission):
     assert len(data) >= 5, "tables, texts and templates"
     for path in data:
         owner = path.parent if path.parent.name != "data" else path.parent.parent
-        assert ".".join(("pipeline", *owner.parts)) in held, path
+        assert ".".join(("unbend", *owner.parts)) in held, path
 
 
 def changed(mission, before: dict[str, str]) -> list[str]:

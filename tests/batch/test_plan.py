@@ -9,17 +9,17 @@ from pathlib import Path
 
 import pytest
 
-import pipeline
-from pipeline.batch import keys
-from pipeline.batch import plan as planning
-from pipeline.batch.file_hashes import check_unchanged, remembered_hash
-from pipeline.batch.keys import code_hash, hash_of_files
-from pipeline.batch.plan import make_plan
-from pipeline.config import load_mission
-from pipeline.errors import ConfigError, InputError
-from pipeline.stages import inputs
+import unbend
+from unbend.batch import keys
+from unbend.batch import plan as planning
+from unbend.batch.file_hashes import check_unchanged, remembered_hash
+from unbend.batch.keys import code_hash, hash_of_files
+from unbend.batch.plan import make_plan
+from unbend.config import load_mission
+from unbend.errors import ConfigError, InputError
+from unbend.stages import inputs
 
-PACKAGE = Path(pipeline.__file__).parent
+PACKAGE = Path(unbend.__file__).parent
 
 
 @pytest.fixture
@@ -31,7 +31,7 @@ def plan(mission):
 def copied(tmp_path) -> Path:
     """The package's sources and data in a folder of the test's own."""
     ignore = shutil.ignore_patterns("__pycache__")
-    return Path(shutil.copytree(PACKAGE, tmp_path / "pipeline", ignore=ignore))
+    return Path(shutil.copytree(PACKAGE, tmp_path / "unbend", ignore=ignore))
 
 
 def test_the_code_and_every_table_of_the_package_count(copied):

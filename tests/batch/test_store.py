@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.batch import store
-from pipeline.batch.store import find_damage, open_folder, read_manifest, rehearse_folder
-from pipeline.errors import OutputInUseError, StorageError
+from unbend.batch import store
+from unbend.batch.store import find_damage, open_folder, read_manifest, rehearse_folder
+from unbend.errors import OutputInUseError, StorageError
 
 
 def commit(folder: Path, *names: str) -> None:
@@ -275,7 +275,7 @@ def test_one_writer_at_a_time_and_none_through_a_link(tmp_path: Path) -> None:
 def test_the_lock_of_a_process_that_died_is_free(tmp_path: Path) -> None:
     code = (
         "import os, sys; from pathlib import Path\n"
-        "from pipeline.batch.store import open_folder\n"
+        "from unbend.batch.store import open_folder\n"
         "with open_folder(Path(sys.argv[1])): os._exit(9)"
     )
     done = subprocess.run([sys.executable, "-c", code, str(tmp_path)], check=False)

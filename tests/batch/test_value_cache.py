@@ -12,16 +12,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import pipeline
-from pipeline import caches
-from pipeline.batch import keys, value_cache
-from pipeline.errors import LogError
-from pipeline.ledger import Kind, Ledger
-from pipeline.stages import correction, inputs
-from pipeline.stages.commands.finished_run import verify_run
-from pipeline.stages.story import mission_status, run_mission
+import unbend
+from unbend import caches
+from unbend.batch import keys, value_cache
+from unbend.errors import LogError
+from unbend.ledger import Kind, Ledger
+from unbend.stages import correction, inputs
+from unbend.stages.commands.finished_run import verify_run
+from unbend.stages.story import mission_status, run_mission
 
-PACKAGE = Path(pipeline.__file__).parent
+PACKAGE = Path(unbend.__file__).parent
 SEED = random.randrange(1 << 30)
 
 

@@ -102,7 +102,7 @@ def wait_until(happened: Callable[[], bool], seconds: float = 120.0) -> None:
 # Workers import this module because the function that runs a mission is one of its own.
 STALLING = """
 import os, signal, sys, time
-from pipeline.stages import story
+from unbend.stages import story
 real, run_real = story.write_tables, story.run_mission
 def stalled(*args):
     real(*args)
@@ -119,9 +119,9 @@ import signal, sys
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a child of nohup has it ignored
 sys.path.append(sys.argv.pop(1))
 import stalling
-from pipeline.stages.commands import campaigns
+from unbend.stages.commands import campaigns
 campaigns.run_chosen = stalling.run_mission
-from pipeline.cli import main
+from unbend.cli import main
 main()
 """
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.block.assignment import (
+from unbend.block.assignment import (
     LOG_RATIO_NEEDED,
     Assignment,
     CameraEvents,

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.block.calibration_fit import (
+from unbend.block.calibration_fit import (
     CORRECTIONS,
     FEW,
     FULL,
@@ -19,8 +19,8 @@ from pipeline.block.calibration_fit import (
     changed_camera,
     correction_change,
 )
-from pipeline.refraction.calibration import camera_of_model
-from pipeline.refraction.camera.camera import Camera
+from unbend.refraction.calibration import camera_of_model
+from unbend.refraction.camera.camera import Camera
 
 K = 59e-6
 F, CX, CY = 20_000.0, 7012.0, 5291.0

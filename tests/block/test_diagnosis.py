@@ -15,11 +15,11 @@ from itertools import product
 import numpy as np
 import pytest
 
-from pipeline.block.diagnosis import StatedMission, diagnosis, with_other_axes
-from pipeline.block.image_rays import ImageRays, Orientations, straightened
-from pipeline.flight.mount import Mount
-from pipeline.refraction.camera.brown_conrady import BrownConrady
-from pipeline.refraction.camera.camera import Camera
+from unbend.block.diagnosis import StatedMission, diagnosis, with_other_axes
+from unbend.block.image_rays import ImageRays, Orientations, straightened
+from unbend.flight.mount import Mount
+from unbend.refraction.camera.brown_conrady import BrownConrady
+from unbend.refraction.camera.camera import Camera
 
 BLOCKS = int(os.environ.get("UNBEND_BLOCKS", "2"))
 SEED = int(os.environ.get("UNBEND_BLOCK_SEED", "0"))
@@ -317,7 +317,7 @@ def test_a_turned_mount_is_no_other_calibration(make, turned_px, tilt):
 
 def test_refraction_is_removed_from_apparent_rays(make):
     """By the angle that `unbend angle` prints, within the relief and the heights of the cameras."""
-    from pipeline.refraction.angle import one_angle
+    from unbend.refraction.angle import one_angle
 
     mission = make(27, errors=False, pixel_rad=1e-9)
     o = mission.orientations

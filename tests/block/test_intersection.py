@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.block.image_rays import UNKNOWN_SIGMAS, ImageRays, Orientations, orientations_of
-from pipeline.block.intersection import Intersection, intersect, point_heights
-from pipeline.flight.stations import STATION_OK, empty_stations
+from unbend.block.image_rays import UNKNOWN_SIGMAS, ImageRays, Orientations, orientations_of
+from unbend.block.intersection import Intersection, intersect, point_heights
+from unbend.flight.stations import STATION_OK, empty_stations
 
 
 @pytest.fixture(scope="module")

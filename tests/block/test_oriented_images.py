@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pipeline.block.oriented_images import (
+from unbend.block.oriented_images import (
     OrientedImages,
     fitted_frame,
     flag_above_horizon,
@@ -18,10 +18,10 @@ from pipeline.block.oriented_images import (
     stations_of_images,
     topocentric,
 )
-from pipeline.errors import MissionError
-from pipeline.flight.heights import GeodeticOrigin, HeightSystem
-from pipeline.flight.mount import Mount
-from pipeline.flight.rotations import (
+from unbend.errors import MissionError
+from unbend.flight.heights import GeodeticOrigin, HeightSystem
+from unbend.flight.mount import Mount
+from unbend.flight.rotations import (
     matrices_of,
     opk_of_quaternion,
     quaternion_of_opk,
@@ -29,7 +29,7 @@ from pipeline.flight.rotations import (
     quaternions_of,
     rpy_of_quaternion,
 )
-from pipeline.geodesy import ecef_of_geodetic, enu_from_ecef, geodetic_of_ecef
+from unbend.geodesy import ecef_of_geodetic, enu_from_ecef, geodetic_of_ecef
 
 LAT, LON = np.radians(47.0), np.radians(8.0)
 METRE = 1.0 / 6.37e6

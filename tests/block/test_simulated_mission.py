@@ -7,10 +7,10 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from pipeline.block.image_rays import ImageRays, orientations_of
-from pipeline.block.intersection import intersect
-from pipeline.refraction.camera.brown_conrady import BrownConrady
-from pipeline.refraction.camera.camera import Camera
+from unbend.block.image_rays import ImageRays, orientations_of
+from unbend.block.intersection import intersect
+from unbend.refraction.camera.brown_conrady import BrownConrady
+from unbend.refraction.camera.camera import Camera
 
 
 def test_rays_of_a_run_meet_at_the_heights_of_its_ground(baseline):

@@ -13,9 +13,8 @@ import sys
 import pyarrow.parquet as pq
 import pytest
 
-import pipeline
-from pipeline.ingest.log import Log
-from pipeline.refraction import angle
+from unbend.ingest.log import Log
+from unbend.refraction import angle
 
 pytestmark = pytest.mark.usefixtures("eighty_columns")
 
@@ -61,7 +60,7 @@ def test_an_example_on_two_lines_can_be_pasted(unbend, command):
 
 
 def test_version(unbend):
-    assert unbend("--version").out == f"unbend {pipeline.__version__}\n"
+    assert unbend("--version").out == f"unbend {unbend.__version__}\n"
     assert unbend("--version").code == 0
 
 
@@ -401,7 +400,7 @@ def test_interrupted(unbend, monkeypatch):
 def test_names_outside_the_code_page_of_the_console_are_escaped(tmp_path):
     """A redirected console on Windows has code page 1252; this is Python's way to have it here."""
     done = subprocess.run(
-        [sys.executable, "-m", "pipeline", "profile", "--atmosphere", "us1976", "--csv", "\u03a9"],
+        [sys.executable, "-m", "unbend", "profile", "--atmosphere", "us1976", "--csv", "\u03a9"],
         capture_output=True,
         cwd=tmp_path,
         env=os.environ | {"PYTHONIOENCODING": "cp1252"},

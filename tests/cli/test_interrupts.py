@@ -21,8 +21,8 @@ LIMIT_S = 300
 # Stops in the middle of a named step, says so, and waits to be hit.
 STALLING = """
 import sys, time
-from pipeline.stages import story as stages
-from pipeline.batch import store
+from unbend.stages import story as stages
+from unbend.batch import store
 step, mode = sys.argv[1], sys.argv[2]
 sys.argv = ["unbend", "run", sys.argv[3]]
 def stall(real, after):
@@ -44,7 +44,7 @@ if step == "commit":
     store.Path.replace = slow
 else:
     setattr(stages, step, stall(getattr(stages, step), mode == "after"))
-from pipeline.cli import main
+from unbend.cli import main
 main()
 """
 
@@ -52,7 +52,7 @@ main()
 # Every batch is corrected for a second, on threads that the main one must wait for.
 STREAMING = """
 import sys, time
-from pipeline.stages import correction as correct
+from unbend.stages import correction as correct
 real = correct.correct_batch
 def slow(*args):
     print("stalled", flush=True)
@@ -60,7 +60,7 @@ def slow(*args):
     return real(*args)
 correct.correct_batch = slow
 sys.argv = ["unbend", "run", sys.argv[1]]
-from pipeline.cli import main
+from unbend.cli import main
 main()
 """
 
@@ -80,7 +80,7 @@ class Hit(threading.Condition):
             signal.raise_signal(number)
         return taken
 threading.Condition = Hit
-from pipeline.cli import main
+from unbend.cli import main
 try:
     main()
 finally:
@@ -197,7 +197,7 @@ def test_a_signal_takes_no_lock_with_it(mission, where, number, code):
 # Each batch takes ten minutes to be read, by the thread that hears signals.
 READING = """
 import sys, time
-from pipeline.tables.observations import Observations
+from unbend.tables.observations import Observations
 real = Observations.batches
 def slow(self, *parts):
     for batch in real(self, *parts):
@@ -206,7 +206,7 @@ def slow(self, *parts):
         yield batch
 Observations.batches = slow
 sys.argv = ["unbend", "run", sys.argv[1]]
-from pipeline.cli import main
+from unbend.cli import main
 main()
 """
 
@@ -224,7 +224,7 @@ def test_a_signal_does_not_wait_for_what_is_read(mission):
 def test_two_signals_at_once_are_one(mission):
     code = (
         "import signal, sys\n"
-        "from pipeline.cli import entry\n"
+        "from unbend.cli import entry\n"
         "both = [signal.SIGINT, signal.SIGTERM]\n"
         "def pressed(words):\n"
         "    signal.pthread_sigmask(signal.SIG_BLOCK, both)\n"
@@ -242,7 +242,7 @@ def test_two_signals_at_once_are_one(mission):
 def test_a_signal_after_the_end_changes_nothing():
     code = (
         "import atexit, signal\n"
-        "from pipeline.cli import entry\n"
+        "from unbend.cli import entry\n"
         "entry.run_command = lambda words: 0\n"
         "atexit.register(signal.raise_signal, signal.SIGINT)\n"
         "entry.main()"
@@ -255,7 +255,7 @@ def test_a_run_that_was_born_deaf_to_ctrl_c_stays_so():
     code = (
         "import signal, sys; signal.signal(signal.SIGINT, signal.SIG_IGN)\n"
         "sys.argv = ['unbend', '--version']\n"
-        "from pipeline.cli import entry\n"
+        "from unbend.cli import entry\n"
         "entry.run_command = lambda words: signal.raise_signal(signal.SIGINT) or 0\n"
         "entry.main()"
     )
@@ -286,10 +286,10 @@ def test_kill_and_rerun_give_what_an_untouched_run_gives(mission, baseline, unbe
 
 def test_a_bug_is_owned_up_to(mission):
     code = (
-        "import sys; from pipeline.stages.commands import finished_run\n"
+        "import sys; from unbend.stages.commands import finished_run\n"
         "sys.argv = ['unbend', 'verify', 'x']\n"
         "finished_run.verify_run = lambda path: 1 / 0\n"
-        "from pipeline.cli import main; main()"
+        "from unbend.cli import main; main()"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 1
@@ -299,7 +299,7 @@ def test_a_bug_is_owned_up_to(mission):
 
 def test_a_reader_who_goes_away_is_no_bug(flown):
     process = subprocess.Popen(
-        [sys.executable, "-m", "pipeline", "inspect", str(flown.logs["mcap"]), "--json"],
+        [sys.executable, "-m", "unbend", "inspect", str(flown.logs["mcap"]), "--json"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     assert process.stdout is not None

@@ -10,11 +10,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-import pipeline.simulate
-from pipeline.atmosphere import standard_atmosphere
-from pipeline.atmosphere.series.profile_series import TimedProfile
-from pipeline.refraction import METHODS
-from pipeline.stages import story
+from unbend.atmosphere import standard_atmosphere
+from unbend.atmosphere.series.profile_series import TimedProfile
+from unbend.refraction import METHODS
+from unbend.stages import story
 
 
 def rows_of(path) -> list[dict[str, str]]:
@@ -48,7 +47,7 @@ def test_options_of_simulate(unbend, monkeypatch, tmp_path, options, expected):
             missions={"bin": out / "bin.yaml"},
         )  # fmt: skip
 
-    monkeypatch.setattr(pipeline.simulate, "simulate", simulate)
+    monkeypatch.setattr(unbend.simulate, "simulate", simulate)
     ended = unbend("simulate", tmp_path / "flown", *options)
     assert ended.code == 0
     assert taken == [(tmp_path / "flown", *expected)]

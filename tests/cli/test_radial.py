@@ -6,7 +6,7 @@ import csv
 
 import pytest
 
-from pipeline.report.accuracy import text_hash
+from unbend.report.accuracy import text_hash
 
 
 @pytest.fixture(autouse=True)

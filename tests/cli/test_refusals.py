@@ -10,7 +10,7 @@ import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
 import pytest
 
-from pipeline.batch.store import open_folder
+from unbend.batch.store import open_folder
 
 pytestmark = pytest.mark.usefixtures("plain_report")
 
@@ -437,7 +437,7 @@ def test_a_full_disk(mission, monkeypatch):
 
 
 def test_an_input_that_changes_meanwhile(mission, monkeypatch):
-    from pipeline.stages import story as stages
+    from unbend.stages import story as stages
 
     def write_report(path, *_):
         path.write_text("report")
@@ -474,7 +474,7 @@ def test_two_missions_with_one_folder(mission, unbend):
 
 
 def test_an_error_of_ours_costs_one_mission_only(mission_factory, tmp_path, unbend, monkeypatch):
-    from pipeline.stages import story as stages
+    from unbend.stages import story as stages
 
     good, bad = mission_factory(tmp_path / "good"), mission_factory(tmp_path / "bad")
     bad.config["mission"]["name"] = "unlucky"

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from matplotlib.dates import date2num
 
-from pipeline.flight.stations import NO_TIME, Stations, empty_stations, station_columns
-from pipeline.report.figures import flight_figure
-from pipeline.report.terminal import print_stations
-from pipeline.tables.writing import rows_of_stations
+from unbend.flight.stations import NO_TIME, Stations, empty_stations, station_columns
+from unbend.report.figures import flight_figure
+from unbend.report.terminal import print_stations
+from unbend.tables.writing import rows_of_stations
 
 SECOND = 1_000_000_000
 NINE = 1_749_718_800 * SECOND  # 2025-06-12, 09:00 UTC
@@ -43,7 +43,7 @@ def flown(n: int = 40) -> Stations:
 
 
 def printed(stations: Stations, capsys) -> list[str]:
-    from pipeline.report.console import report_console
+    from unbend.report.console import report_console
 
     print_stations(report_console(), rows_of_stations(stations))
     return [line.strip() for line in capsys.readouterr().out.splitlines()]

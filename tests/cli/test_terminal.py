@@ -14,19 +14,19 @@ import pytest
 NASTY = "nadir\x1b[31m\r\n\u202e"
 
 
-UNBEND = ("-m", "pipeline")
+UNBEND = ("-m", "unbend")
 # The bar at once, however short the work is.
 IMPATIENT = (
     "-c",
-    "from pipeline.report import progress; progress.DELAY_S = 0.0\n"
-    "from pipeline.cli import main; main()",
+    "from unbend.report import progress; progress.DELAY_S = 0.0\n"
+    "from unbend.cli import main; main()",
 )
 
 
 COMPILING = (
     "-c",
-    "from pipeline.refraction.kernels.jit import Kernel; Kernel.always_compiled = True\n"
-    "from pipeline.cli import main; main()",
+    "from unbend.refraction.kernels.jit import Kernel; Kernel.always_compiled = True\n"
+    "from unbend.cli import main; main()",
 )
 """A single angle is interpreted: compiled as the many rays of a run are."""
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from pipeline.config.cameras import CameraSection
-from pipeline.refraction.calibration import MODELS
+from unbend.config.cameras import CameraSection
+from unbend.refraction.calibration import MODELS
 
 FORMAT = {"width_px": 4000, "height_px": 3000, "calibration": "laboratory"}
 PARAMS = {

@@ -11,11 +11,11 @@ import jsonschema
 import pytest
 import yaml
 
-from pipeline.batch.object_store import is_url
-from pipeline.config import reading
-from pipeline.config.campaign import Campaign, MissionRef, open_configs
-from pipeline.config.schema import alternatives, campaign_schema, mission_schema, nodes_at
-from pipeline.errors import ConfigError, UnbendError
+from unbend.batch.object_store import is_url
+from unbend.config import reading
+from unbend.config.campaign import Campaign, MissionRef, open_configs
+from unbend.config.schema import alternatives, campaign_schema, mission_schema, nodes_at
+from unbend.errors import ConfigError, UnbendError
 
 OWN = ("mission", "log", "observations", "events")
 

@@ -6,11 +6,11 @@ import typing
 
 import pytest
 
-from pipeline.config.atmosphere import AtmosphereSection, SoundingSection, SurfaceSection
-from pipeline.config.cameras import CameraSection, MountSection, WindowSection
-from pipeline.config.event_sources import CsvEvents, LogEvents
-from pipeline.config.schema import mission_keys
-from pipeline.config.sections import (
+from unbend.config.atmosphere import AtmosphereSection, SoundingSection, SurfaceSection
+from unbend.config.cameras import CameraSection, MountSection, WindowSection
+from unbend.config.event_sources import CsvEvents, LogEvents
+from unbend.config.schema import mission_keys
+from unbend.config.sections import (
     GroundSection,
     LogSection,
     NamedChannel,
@@ -18,8 +18,8 @@ from pipeline.config.sections import (
     OutputSection,
     RefractionSection,
 )
-from pipeline.ingest.fields import STATED_UNITS
-from pipeline.ingest.registry import SUFFIXES
+from unbend.ingest.fields import STATED_UNITS
+from unbend.ingest.registry import SUFFIXES
 
 CAMERA = {
     "width_px": 1000, "height_px": 800, "f_px": 900.0, "cx_px": 500.0, "cy_px": 400.0,

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 import yaml
 
-from pipeline.config import Mission, load_mission
-from pipeline.errors import ConfigError
+from unbend.config import Mission, load_mission
+from unbend.errors import ConfigError
 
 BASE: dict[str, Any] = {
     "mission": {"name": "survey"},

@@ -16,8 +16,8 @@ import pytest
 import yaml
 from pydantic import BaseModel
 
-from pipeline.config import Mission, load_mission
-from pipeline.errors import ConfigError
+from unbend.config import Mission, load_mission
+from unbend.errors import ConfigError
 
 CHANNELS = {
     role: {"name": role.upper(), "unit": unit}

@@ -11,9 +11,9 @@ import pytest
 import yaml
 from pydantic import ValidationError
 
-from pipeline.config import Mission, cameras, load_mission
-from pipeline.config.reading import sentences_of
-from pipeline.errors import ConfigError
+from unbend.config import Mission, cameras, load_mission
+from unbend.config.reading import sentences_of
+from unbend.errors import ConfigError
 
 ROOT = Path(__file__).resolve().parents[2]
 BASE = yaml.safe_load((ROOT / "configs" / "sample_bin.yaml").read_text(encoding="utf-8"))

@@ -11,10 +11,10 @@ import jsonschema
 import pytest
 import yaml
 
-from pipeline.config import load_mission
-from pipeline.config.reading import _Loader
-from pipeline.config.schema import all_sections, key_texts, mission_keys, mission_schema, nodes_at
-from pipeline.errors import ConfigError
+from unbend.config import load_mission
+from unbend.config.reading import _Loader
+from unbend.config.schema import all_sections, key_texts, mission_keys, mission_schema, nodes_at
+from unbend.errors import ConfigError
 
 ROOT = Path(__file__).resolve().parents[2]
 KEYS = {key.path: key for key in mission_keys()}
@@ -122,6 +122,6 @@ def test_unknown_keys_are_refused_at_every_level_as_the_models_do(validator, tmp
 
 def test_the_texts_come_with_the_package():
     """keys.toml is read as package data, from any folder."""
-    code = "from pipeline.config.schema import mission_schema as s; print(len(s()['properties']))"
+    code = "from unbend.config.schema import mission_schema as s; print(len(s()['properties']))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert int(done.stdout) == len(mission_schema()["properties"])

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 import yaml
 
-from pipeline.config import Mission, load_mission
-from pipeline.errors import ConfigError
+from unbend.config import Mission, load_mission
+from unbend.errors import ConfigError
 
 SCHEDULE = "standard_schedule"
 LENS = {

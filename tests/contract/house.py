@@ -18,7 +18,7 @@ from collections import Counter, defaultdict
 from dataclasses import dataclass, field
 from pathlib import Path
 
-PACKAGE = Path(__file__).resolve().parents[2] / "pipeline"
+PACKAGE = Path(__file__).resolve().parents[2] / "pipeline" / "unbend"
 FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef)
 DOCUMENTED = (ast.Module, ast.ClassDef, *FUNCTIONS)
 NO_CODE = {
@@ -26,7 +26,7 @@ NO_CODE = {
     tokenize.ENCODING, tokenize.ENDMARKER,
 }  # fmt: skip
 IMPORTS_LEDGER = re.compile(
-    r"^(?:from pipeline\.ledger|import pipeline\.ledger|from pipeline import .*\bledger\b)", re.M
+    r"^(?:from unbend\.ledger|import unbend\.ledger|from unbend import .*\bledger\b)", re.M
 )
 
 

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import pytest
 
-import pipeline
-from pipeline import errors, exit_codes
-from pipeline.report import explanations
+import unbend
+from unbend import errors, exit_codes
+from unbend.report import explanations
 
-PACKAGE = Path(pipeline.__file__).parent
+PACKAGE = Path(unbend.__file__).parent
 TESTS = Path(__file__).resolve().parents[1]
 
 REFUSALS = {

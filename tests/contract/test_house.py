@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-import pipeline
+import unbend
 
 sys.path.insert(0, str(Path(__file__).parent))
 
@@ -80,7 +80,7 @@ def test_the_counts_count(tmp_path):
     (tmp_path / "room").mkdir()
     (tmp_path / "room" / "thing.py").write_text(
         '"""A thing."""\n'
-        "from pipeline.ledger import Ledger\n\n"
+        "from unbend.ledger import Ledger\n\n"
         "class Thing:\n    def method(self, a, b, c, d, e): ...\n\n"
         "def wide(a, b, c, d, e, f, *, g):\n    return _once(a)\n\n"
         "def _once(a):  # has one caller\n    return _twice(a) + _twice(a)\n\n"
@@ -100,7 +100,7 @@ def test_the_counts_count(tmp_path):
 def test_the_same_choices_stand_in_one_order() -> None:
     """Python keeps one of several ``Literal`` that are equal: the schema would follow imports."""
     orders: dict[frozenset[str], str] = {}
-    for path in sorted(Path(pipeline.__file__).parent.rglob("*.py")):
+    for path in sorted(Path(unbend.__file__).parent.rglob("*.py")):
         for choices in re.findall(r"Literal\[([^\]]*)\]", path.read_text(encoding="utf-8")):
             names = frozenset(name.strip() for name in choices.split(","))
             assert orders.setdefault(names, choices) == choices, path

@@ -36,15 +36,15 @@ HEAVY = ("numba", "pyarrow", "pandas", "scipy", "numpy", "matplotlib", "pymavlin
 
 def test_importing_the_package_loads_nothing_heavy():
     modules = json.loads(
-        python("import sys, json; import pipeline; print(json.dumps(sorted(sys.modules)))")
+        python("import sys, json; import unbend; print(json.dumps(sorted(sys.modules)))")
     )
     assert not set(HEAVY) & set(modules)
-    assert [name for name in modules if name.startswith("pipeline.")] == []
+    assert [name for name in modules if name.startswith("unbend.")] == []
 
 
 def test_the_command_line_is_light_until_it_works():
     modules = json.loads(
-        python("import sys, json; import pipeline.cli; print(json.dumps(sorted(sys.modules)))")
+        python("import sys, json; import unbend.cli; print(json.dumps(sorted(sys.modules)))")
     )
     assert not set(HEAVY) & set(modules)
 
@@ -52,7 +52,7 @@ def test_the_command_line_is_light_until_it_works():
 def test_the_physics_needs_numpy_and_numba_alone():
     """And numba not before the first ray."""
     code = (
-        "import sys, json\nimport pipeline.atmosphere, pipeline.refraction\n"
+        "import sys, json\nimport unbend.atmosphere, unbend.refraction\n"
         "print(json.dumps(sorted(m.split('.')[0] for m in sys.modules)))"
     )
     modules = set(json.loads(python(code)))
@@ -61,7 +61,7 @@ def test_the_physics_needs_numpy_and_numba_alone():
 
 
 @pytest.mark.parametrize(
-    "module", ["pipeline.stages.story", "pipeline.cli", "pipeline.simulate", "pipeline.ingest"]
+    "module", ["unbend.stages.story", "unbend.cli", "unbend.simulate", "unbend.ingest"]
 )
 def test_importing_warns_of_nothing(module):
     python(f"import {module}", "-W", "error")
@@ -69,6 +69,6 @@ def test_importing_warns_of_nothing(module):
 
 def test_no_assert_in_the_package():
     """`python -O` must refuse what `python` refuses."""
-    for path in (ROOT / "pipeline").rglob("*.py"):
+    for path in (ROOT / "pipeline" / "unbend").rglob("*.py"):
         for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
             assert not line.lstrip().startswith("assert "), f"{path}:{number}"

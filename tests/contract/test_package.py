@@ -10,13 +10,13 @@ from pathlib import Path
 import pytest
 import yaml
 
-import pipeline
-from pipeline.atmosphere import standard_atmosphere
-from pipeline.config import load_mission
-from pipeline.in_memory import correct
-from pipeline.ingest import open_log
-from pipeline.refraction import correct_observations, refraction_angle
-from pipeline.stages.story import run_mission
+import unbend
+from unbend.atmosphere import standard_atmosphere
+from unbend.config import load_mission
+from unbend.in_memory import correct
+from unbend.ingest import open_log
+from unbend.refraction import correct_observations, refraction_angle
+from unbend.stages.story import run_mission
 
 ROOT = Path(__file__).resolve().parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
@@ -33,25 +33,25 @@ MAIN_NAMES = {
 
 
 def test_the_main_names_are_those_of_their_rooms():
-    assert set(pipeline.__all__) == {"__version__", *MAIN_NAMES}
+    assert set(unbend.__all__) == {"__version__", *MAIN_NAMES}
     for name, function in MAIN_NAMES.items():
-        assert getattr(pipeline, name) is function
-        assert name in dir(pipeline)
+        assert getattr(unbend, name) is function
+        assert name in dir(unbend)
 
 
 def test_a_name_that_does_not_exist_is_an_attribute_error():
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
-        pipeline.nothing  # noqa: B018
+        unbend.nothing  # noqa: B018
 
 
 def test_the_version_stands_in_one_place():
     assert "version" not in PROJECT["project"]
-    assert PROJECT["tool"]["hatch"]["version"]["path"] == "pipeline/__init__.py"
+    assert PROJECT["tool"]["hatch"]["version"]["path"] == "pipeline/unbend/__init__.py"
     changelog = (ROOT / "docs" / "changelog.md").read_text(encoding="utf-8")
     newest = re.search(r"^## .*?(\d+\.\d+\.\d+)", changelog, re.MULTILINE)
     assert newest is not None
-    assert newest[1] == pipeline.__version__
-    assert citation()["version"] == pipeline.__version__
+    assert newest[1] == unbend.__version__
+    assert citation()["version"] == unbend.__version__
 
 
 def test_each_version_of_the_changelog_is_a_dozen_lines():
@@ -89,7 +89,7 @@ def test_the_citation_names_the_three_papers():
 
 
 def test_types_and_tables_lie_in_the_package():
-    package = Path(pipeline.__file__).parent
+    package = Path(unbend.__file__).parent
     assert (package / "py.typed").is_file()
     tables = {path.name for path in package.rglob("*.csv")}
     assert {"standard_atmospheres.csv", "supplements1966.csv", "gyer1996_tables3_4.csv"} <= tables
@@ -107,7 +107,7 @@ def test_the_installed_distribution_says_whose_it_is():
         meta = importlib.metadata.metadata("unbend")
     except importlib.metadata.PackageNotFoundError:
         pytest.skip("unbend is not installed, only on the path")
-    if meta["Version"] != pipeline.__version__:
+    if meta["Version"] != unbend.__version__:
         pytest.skip(f"the installed metadata is that of {meta['Version']}")
     assert meta["License-Expression"] == "Apache-2.0"
     assert meta["Author"] == "The unbend authors"

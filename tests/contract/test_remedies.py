@@ -6,12 +6,12 @@ import ast
 import re
 from pathlib import Path
 
-from pipeline.atmosphere.soundings.formats import PLAIN_COLUMNS
-from pipeline.batch import plan
-from pipeline.config import Mission
-from pipeline.errors import texts
+from unbend.atmosphere.soundings.formats import PLAIN_COLUMNS
+from unbend.batch import plan
+from unbend.config import Mission
+from unbend.errors import texts
 
-PACKAGE = Path(__file__).resolve().parents[2] / "pipeline"
+PACKAGE = Path(__file__).resolve().parents[2] / "pipeline" / "unbend"
 WORD = re.compile(r"[a-z][a-z0-9]*(?:_[a-z0-9]+)+")
 
 

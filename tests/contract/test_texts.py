@@ -11,12 +11,12 @@ from string import Formatter
 
 import pytest
 
-import pipeline
-from pipeline import errors
-from pipeline.errors import LogError, in_agreement
-from pipeline.ledger import Entry, Kind
+import unbend
+from unbend import errors
+from unbend.errors import LogError, in_agreement
+from unbend.ledger import Entry, Kind
 
-PACKAGE = Path(pipeline.__file__).parent
+PACKAGE = Path(unbend.__file__).parent
 PERSON = re.compile(
     r"\b(?:you|your|yours|yourself|we|our|ours|ourselves|us|my|mine|myself|me)\b(?!-)|\bI\b(?!-)",
     re.IGNORECASE,

@@ -21,8 +21,8 @@ from pathlib import Path
 from types import FrameType
 from typing import NamedTuple
 
-from pipeline.errors import LogError
-from pipeline.ingest import Log
+from unbend.errors import LogError
+from unbend.ingest import Log
 
 KINDS = ("truncate", "flip_bit", "overwrite_16", "zero_4k", "delete", "duplicate")
 LONGEST = 4096  # bytes deleted or doubled at once

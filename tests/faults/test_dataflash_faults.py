@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
-from pipeline.ingest import open_log
-from pipeline.simulate.write_dataflash import FORMATS
+from unbend.ingest import open_log
+from unbend.simulate.write_dataflash import FORMATS
 
 REFUSALS = {"LOG-FORMAT", "LOG-NO-MESSAGES", "LOG-EMPTY"}
 

@@ -10,8 +10,8 @@ from types import ModuleType
 
 import pytest
 
-from pipeline.errors import LogError
-from pipeline.ingest import Log, open_log
+from unbend.errors import LogError
+from unbend.ingest import Log, open_log
 
 STAMP_US = 1_700_000_000_000_000
 BOOT_UTC_US = STAMP_US - 60_000_000

@@ -8,7 +8,7 @@ from types import ModuleType
 
 import pytest
 
-from pipeline.ingest import open_log
+from unbend.ingest import open_log
 
 UTC_US = 1_700_000_000_000_000
 REFUSALS = {"LOG-FORMAT", "LOG-NO-MESSAGES", "LOG-EMPTY", "LOG-ULOG"}

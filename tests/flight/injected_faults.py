@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from pipeline.flight.channels import Channel, Source
+from unbend.flight.channels import Channel, Source
 
 SECOND = 1_000_000_000
 RADIUS_M = 6_371_000.0
@@ -194,7 +194,7 @@ def inject(
         )
     channels["GPS[0]"] = raised(displaced(gps, *error.T), up, ("h_msl_m", "h_ellipsoid_m"))
     if not fix.all():
-        from pipeline.flight.evidence.quality import subset
+        from unbend.flight.evidence.quality import subset
 
         channels["GPS[0]"] = subset(channels["GPS[0]"], fix)
     channels["POS"] = displaced(pos, *places.T)

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.flight.clock import (
+from unbend.flight.clock import (
     clock_fit_note,
     clock_map,
     fit_offset,
@@ -18,7 +18,7 @@ from pipeline.flight.clock import (
     stray_times,
     utc_of_gps,
 )
-from pipeline.ledger import Ledger
+from unbend.ledger import Ledger
 
 SECOND = 10**9
 

@@ -7,16 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.flight.channels import Channel, Source
-from pipeline.flight.evidence.contradictions import examine
-from pipeline.flight.evidence.filter_health import (
+from unbend.flight.channels import Channel, Source
+from unbend.flight.evidence.contradictions import examine
+from unbend.flight.evidence.filter_health import (
     attitude_evidence,
     filter_evidence,
     message_evidence,
 )
-from pipeline.flight.evidence.sources import difference, source_path, velocity_at
-from pipeline.flight.evidence.stretches import POSITION, Stretch, flag_suspect, merged, runs
-from pipeline.flight.stations import empty_stations
+from unbend.flight.evidence.sources import difference, source_path, velocity_at
+from unbend.flight.evidence.stretches import POSITION, Stretch, flag_suspect, merged, runs
+from unbend.flight.stations import empty_stations
 
 SECOND = 1_000_000_000
 START = 1_700_000_000 * SECOND

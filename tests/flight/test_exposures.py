@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.errors import MissionError
-from pipeline.flight.channels import Channel, Source
-from pipeline.flight.exposures import (
+from unbend.errors import MissionError
+from unbend.flight.channels import Channel, Source
+from unbend.flight.exposures import (
     events_of_channel,
     events_of_table,
     lag_from_feedback,

@@ -12,15 +12,15 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pipeline.flight.channels import Channel, Source
-from pipeline.flight.exposures import Events
-from pipeline.flight.heights import HeightSystem
-from pipeline.flight.mount import Mount, gimbal_notes, payload_attitude
-from pipeline.flight.roles import assign_roles
-from pipeline.flight.station_builder import build_stations
-from pipeline.flight.stations import Stations
-from pipeline.ingest import open_log
-from pipeline.ledger import Ledger
+from unbend.flight.channels import Channel, Source
+from unbend.flight.exposures import Events
+from unbend.flight.heights import HeightSystem
+from unbend.flight.mount import Mount, gimbal_notes, payload_attitude
+from unbend.flight.roles import assign_roles
+from unbend.flight.station_builder import build_stations
+from unbend.flight.stations import Stations
+from unbend.ingest import open_log
+from unbend.ledger import Ledger
 
 SECOND = 1_000_000_000
 START_US = 1_700_000_000_000_000

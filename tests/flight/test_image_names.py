@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.errors import MissionError
-from pipeline.flight.channels import Channel, Source
-from pipeline.flight.exposures import Events, ground_shot_notes, span_notes
-from pipeline.flight.image_names import other_names, proposal, refuse_other_names, renamed
-from pipeline.flight.stations import STATION_OK, empty_stations
+from unbend.errors import MissionError
+from unbend.flight.channels import Channel, Source
+from unbend.flight.exposures import Events, ground_shot_notes, span_notes
+from unbend.flight.image_names import other_names, proposal, refuse_other_names, renamed
+from unbend.flight.stations import STATION_OK, empty_stations
 
 SECOND = 10**9
 T0 = 1_777_000_000 * SECOND

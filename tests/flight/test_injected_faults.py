@@ -22,18 +22,18 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from injected_faults import KINDS, inject
 
-from pipeline.flight.channels import Channel
-from pipeline.flight.evidence.contradictions import examine
-from pipeline.flight.evidence.log_accuracy import with_accuracy
-from pipeline.flight.evidence.quality import plausible_samples
-from pipeline.flight.evidence.stretches import flag_suspect
-from pipeline.flight.exposures import Events
-from pipeline.flight.heights import height_system
-from pipeline.flight.mount import Mount
-from pipeline.flight.roles import assign_roles
-from pipeline.flight.station_builder import build_stations
-from pipeline.flight.stations import Stations
-from pipeline.ingest import open_log
+from unbend.flight.channels import Channel
+from unbend.flight.evidence.contradictions import examine
+from unbend.flight.evidence.log_accuracy import with_accuracy
+from unbend.flight.evidence.quality import plausible_samples
+from unbend.flight.evidence.stretches import flag_suspect
+from unbend.flight.exposures import Events
+from unbend.flight.heights import height_system
+from unbend.flight.mount import Mount
+from unbend.flight.roles import assign_roles
+from unbend.flight.station_builder import build_stations
+from unbend.flight.stations import Stations
+from unbend.ingest import open_log
 
 LOGS = Path(__file__).resolve().parents[3] / "shared" / "logs"
 RADIUS_M = 6_371_000.0

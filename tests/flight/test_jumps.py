@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.flight.channels import Channel, Source
-from pipeline.flight.evidence.quality import RANGES, mask_impossible_values, plausible_samples
-from pipeline.ledger import Ledger
+from unbend.flight.channels import Channel, Source
+from unbend.flight.evidence.quality import RANGES, mask_impossible_values, plausible_samples
+from unbend.ledger import Ledger
 
 RATE_HZ = 10.0
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_continuous_are
 
-from pipeline.flight.channels import Channel, Source
-from pipeline.flight.evidence import log_accuracy
-from pipeline.flight.evidence.log_accuracy import LogAccuracy
+from unbend.flight.channels import Channel, Source
+from unbend.flight.evidence import log_accuracy
+from unbend.flight.evidence.log_accuracy import LogAccuracy
 
 SECOND = 1_000_000_000
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from pymavlink import mavutil
 
-from pipeline.flight.channels import Channel, Source
-from pipeline.flight.heights import logged_terrain
-from pipeline.ingest import open_log
+from unbend.flight.channels import Channel, Source
+from unbend.flight.heights import logged_terrain
+from unbend.ingest import open_log
 
 LOGS = Path(__file__).resolve().parents[2].parent / "shared" / "logs"
 SECOND = 1_000_000_000

@@ -7,8 +7,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from pipeline.flight.channels import Channel, Source
-from pipeline.flight.clock import (
+from unbend.flight.channels import Channel, Source
+from unbend.flight.clock import (
     SECONDS_PER_WEEK,
     clock_map,
     fit_offset,
@@ -17,8 +17,8 @@ from pipeline.flight.clock import (
     stray_times,
     utc_of_gps,
 )
-from pipeline.flight.evidence.quality import RANGES, mask_impossible_values, plausible_samples
-from pipeline.flight.trajectory import INSIDE, bracket, interpolate, track_at
+from unbend.flight.evidence.quality import RANGES, mask_impossible_values, plausible_samples
+from unbend.flight.trajectory import INSIDE, bracket, interpolate, track_at
 
 SECOND = 10**9
 STEPS = st.lists(st.integers(1, 5 * SECOND), min_size=2, max_size=30)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.errors import MissionError
-from pipeline.flight.air_samples import air_samples
-from pipeline.flight.channels import Channel, Source
-from pipeline.flight.evidence.quality import plausible_samples
-from pipeline.flight.heights import HeightSystem
-from pipeline.flight.roles import assign_roles, follows_height
-from pipeline.ledger import Kind, Ledger
+from unbend.errors import MissionError
+from unbend.flight.air_samples import air_samples
+from unbend.flight.channels import Channel, Source
+from unbend.flight.evidence.quality import plausible_samples
+from unbend.flight.heights import HeightSystem
+from unbend.flight.roles import assign_roles, follows_height
+from unbend.ledger import Kind, Ledger
 
 SECONDS = np.arange(0.0, 900.0, 1.0)
 TIME = (SECONDS * 1e9).astype(np.int64)

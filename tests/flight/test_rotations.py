@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pipeline.flight.rotations import (
+from unbend.flight.rotations import (
     CAMERA_AT_REST,
     NED_FROM_ENU,
     enu_from_grid,
@@ -18,7 +18,7 @@ from pipeline.flight.rotations import (
     quaternions_of,
     rpy_of_quaternion,
 )
-from pipeline.geodesy import ecef_of_geodetic, enu_from_ecef, geodetic_of_ecef
+from unbend.geodesy import ecef_of_geodetic, enu_from_ecef, geodetic_of_ecef
 
 # Pix4D writes angles into *_calibrated_external_camera_parameters.txt, and for the same image a
 # matrix from the world to a camera with x right, y down, z forward into *_calibrated_camera_

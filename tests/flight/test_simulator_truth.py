@@ -16,16 +16,16 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation, Slerp
 
-from pipeline.flight.channels import Channel
-from pipeline.flight.clock import utc_of_gps
-from pipeline.flight.evidence.log_accuracy import LEAST_TILT_RAD, LEAST_YAW_RAD, with_accuracy
-from pipeline.flight.exposures import Events
-from pipeline.flight.heights import height_system
-from pipeline.flight.mount import Mount
-from pipeline.flight.roles import assign_roles
-from pipeline.flight.station_builder import build_stations
-from pipeline.flight.stations import Stations
-from pipeline.ingest import Log, open_log
+from unbend.flight.channels import Channel
+from unbend.flight.clock import utc_of_gps
+from unbend.flight.evidence.log_accuracy import LEAST_TILT_RAD, LEAST_YAW_RAD, with_accuracy
+from unbend.flight.exposures import Events
+from unbend.flight.heights import height_system
+from unbend.flight.mount import Mount
+from unbend.flight.roles import assign_roles
+from unbend.flight.station_builder import build_stations
+from unbend.flight.stations import Stations
+from unbend.ingest import Log, open_log
 
 LOGS = Path(__file__).parents[3] / "shared" / "logs"
 pytestmark = pytest.mark.skipif(not LOGS.is_dir(), reason="needs ../shared/logs")

@@ -9,29 +9,29 @@ import pyproj
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pipeline.errors import MissionError
-from pipeline.flight.channels import Channel, Source
-from pipeline.flight.exposures import (
+from unbend.errors import MissionError
+from unbend.flight.channels import Channel, Source
+from unbend.flight.exposures import (
     Events,
     choose_event_channel,
     events_of_channel,
     refuse_repeated_images,
     trigger_notes,
 )
-from pipeline.flight.heights import (
+from unbend.flight.heights import (
     GeodeticOrigin,
     HeightSystem,
     ground_offsets,
     height_system,
     to_geodetic,
 )
-from pipeline.flight.mount import Mount
-from pipeline.flight.station_builder import build_stations
-from pipeline.flight.stations import append_unmatched_images, unusable_station_notes
-from pipeline.geodesy import GeoidGrid
-from pipeline.ledger import Ledger
-from pipeline.refraction.window import Cabin
-from pipeline.stages.cabin_air import cabin_from_log
+from unbend.flight.mount import Mount
+from unbend.flight.station_builder import build_stations
+from unbend.flight.stations import append_unmatched_images, unusable_station_notes
+from unbend.geodesy import GeoidGrid
+from unbend.ledger import Ledger
+from unbend.refraction.window import Cabin
+from unbend.stages.cabin_air import cabin_from_log
 
 SECOND = 1_000_000_000
 LATITUDE, LONGITUDE = np.radians(47.0), np.radians(8.0)

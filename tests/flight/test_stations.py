@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.atmosphere import standard_atmosphere
-from pipeline.flight.station_builder import flag_missing_aircraft_attitude
-from pipeline.flight.stations import (
+from unbend.atmosphere import standard_atmosphere
+from unbend.flight.station_builder import flag_missing_aircraft_attitude
+from unbend.flight.stations import (
     NO_TIME,
     Stations,
     append_unmatched_images,
@@ -19,8 +19,8 @@ from pipeline.flight.stations import (
     station_columns,
     unusable_station_notes,
 )
-from pipeline.refraction.window import Cabin
-from pipeline.stages.cabin_air import cabin_from_log
+from unbend.refraction.window import Cabin
+from unbend.stages.cabin_air import cabin_from_log
 
 AIR = standard_atmosphere("us1976")
 

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
-from pipeline.flight.channels import Channel, Source
-from pipeline.flight.trajectory import (
+from unbend.flight.channels import Channel, Source
+from unbend.flight.trajectory import (
     GAP_IN_CHANNEL,
     INSIDE,
     OUTSIDE_CHANNEL,

@@ -14,15 +14,16 @@ import pycolmap
 from scipy.interpolate import make_interp_spline
 from scipy.ndimage import gaussian_filter1d
 
-from pipeline.atmosphere import Profile, profile_from_table, standard_atmosphere
-from pipeline.atmosphere.climatology import climatology, month_of
-from pipeline.atmosphere.estimate.adjusted_profile import build_adjusted_profile
-from pipeline.geodesy import lambert_gravity
-from pipeline.ledger import Ledger
-from pipeline.refraction import Camera, Exposures, correct_observations, ray_table
-from pipeline.simulate.block import GroundPoints, TrueObservations, TrueStations, observe
-from pipeline.simulate.flight import UNDULATION_M, AirState
-from pipeline.simulate.optics import (
+from tests.atmosphere import flights
+from unbend.atmosphere import Profile, profile_from_table, standard_atmosphere
+from unbend.atmosphere.climatology import climatology, month_of
+from unbend.atmosphere.estimate.adjusted_profile import build_adjusted_profile
+from unbend.geodesy import lambert_gravity
+from unbend.ledger import Ledger
+from unbend.refraction import Camera, Exposures, correct_observations, ray_table
+from unbend.simulate.block import GroundPoints, TrueObservations, TrueStations, observe
+from unbend.simulate.flight import UNDULATION_M, AirState
+from unbend.simulate.optics import (
     NED_FROM_ENU,
     SimulatedCamera,
     body_rotation,
@@ -32,7 +33,6 @@ from pipeline.simulate.optics import (
     to_ecef,
     unit,
 )
-from tests.atmosphere import flights
 
 FOCAL_PX = 20_000.0  # 100 mm, pixels of 5 um
 POINTS = 300

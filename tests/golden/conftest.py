@@ -8,9 +8,9 @@ import pandas as pd
 import pytest
 import yaml
 
-from pipeline.batch.plan import Outcome
-from pipeline.stages import story
 from tests.conftest import without_plots
+from unbend.batch.plan import Outcome
+from unbend.stages import story
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 SHARED = REPOSITORY.parent / "shared"

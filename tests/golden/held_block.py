@@ -15,9 +15,9 @@ import pandas as pd
 import yaml
 from scipy.interpolate import make_interp_spline
 
-from pipeline.atmosphere import standard_atmosphere
-from pipeline.simulate.flight import UNDULATION_M
-from pipeline.simulate.optics import (
+from unbend.atmosphere import standard_atmosphere
+from unbend.simulate.flight import UNDULATION_M
+from unbend.simulate.optics import (
     CAMERA_FROM_BODY,
     NED_FROM_ENU,
     body_rotation,

@@ -53,7 +53,7 @@ def install() -> None:
 
 
 def is_ours(module: object) -> bool:
-    return str(module).split(".")[0] in ("pipeline", "__main__")
+    return str(module).split(".")[0] in ("unbend", "__main__")
 
 
 def remove_names() -> None:
@@ -169,4 +169,4 @@ def spawn_only() -> None:
 def name_every_encoding() -> None:
     import warnings
 
-    warnings.filterwarnings("error", category=EncodingWarning, module=r"pipeline(\.|$)")
+    warnings.filterwarnings("error", category=EncodingWarning, module=r"unbend(\.|$)")

@@ -15,7 +15,6 @@ import pytest
 
 pytest.importorskip("pycolmap")
 
-from pipeline.atmosphere import Profile
 from tests.golden.adjusted_block import (
     SIGMA_PX,
     Block,
@@ -25,6 +24,7 @@ from tests.golden.adjusted_block import (
     heads,
     real_airs,
 )
+from unbend.atmosphere import Profile
 
 COUNT = int(os.environ.get("UNBEND_ADJUSTMENTS", "1"))
 SEED = int(os.environ.get("UNBEND_ADJUSTMENT_SEED", "0"))

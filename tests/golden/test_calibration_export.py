@@ -16,8 +16,6 @@ import pandas as pd
 import pytest
 import yaml
 
-from pipeline.errors import MissionError
-from pipeline.stages.commands.finished_run import export_run
 from tests.golden.held_block import (
     CX,
     CY,
@@ -32,6 +30,8 @@ from tests.golden.held_block import (
     intersected,
     write_mission,
 )
+from unbend.errors import MissionError
+from unbend.stages.commands.finished_run import export_run
 
 from .conftest import run_mission
 

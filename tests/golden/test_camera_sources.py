@@ -7,9 +7,9 @@ import json
 import numpy as np
 import pytest
 
-from pipeline.errors import ConfigError, InputError
-from pipeline.ledger import Ledger
-from pipeline.stages.commands.finished_run import rebuild_run
+from unbend.errors import ConfigError, InputError
+from unbend.ledger import Ledger
+from unbend.stages.commands.finished_run import rebuild_run
 
 from .conftest import read_observations, run_sample, sample_sections, write_mission
 
@@ -108,7 +108,7 @@ def test_numbers_that_cannot_be(tmp_path, change, what):
     sections = sample_sections("bin", tmp_path)
     point = {} if "metric" in change else {"cx_px": 7000.0, "cy_px": 5300.0}
     sections["cameras"]["nadir"] = {"width_px": 14000, "height_px": 10600} | point | change | SAME
-    from pipeline.config import load_mission
+    from unbend.config import load_mission
 
     with pytest.raises(ConfigError, match=what):
         load_mission(write_mission(tmp_path / "m.yaml", **sections))

@@ -1,7 +1,7 @@
 """What a new thing costs, as CONTRIBUTING.md says: a file, and its line in a registry.
 
 A copy of the package gets a toy of each kind, exactly those files and lines, and each is used in
-another process through the command line or the names of `pipeline`.
+another process through the command line or the names of `unbend`.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from pathlib import Path
 import pytest
 import yaml
 
-import pipeline
+import unbend
 
-PACKAGE = Path(pipeline.__file__).parent
+PACKAGE = Path(unbend.__file__).parent
 CONTRIBUTING = Path(__file__).resolve().parents[2] / "CONTRIBUTING.md"
 
 LOG_FORMAT = '''
@@ -30,8 +30,8 @@ LOG_FORMAT = '''
 
 import numpy as np
 
-from pipeline.flight.channels import Channel, Source
-from pipeline.ingest.log import Contents
+from unbend.flight.channels import Channel, Source
+from unbend.ingest.log import Contents
 
 
 class ToyFormat:
@@ -53,7 +53,7 @@ TOY = ToyFormat()
 METHOD = '''
 """A toy: the plane formula, twice."""
 
-from pipeline.refraction.published.gyer import plane
+from unbend.refraction.published.gyer import plane
 
 
 def toy(profile, h_c, h_g, zeta_c, radius):
@@ -100,10 +100,10 @@ def largest_radius(parameters: Toy) -> float:
 # Pixels through the compiled functions, held against a plane triangle and the angle of the ray.
 CAMERA_USED = """
 import numpy as np
-import pipeline
-from pipeline.refraction import Camera, Exposures
-from pipeline.refraction.camera.toy import Toy
-from pipeline.refraction.ray import rays_by
+import unbend
+from unbend.refraction import Camera, Exposures
+from unbend.refraction.camera.toy import Toy
+from unbend.refraction.ray import rays_by
 
 camera = Camera(1000, 800, 900.0, 900.0, 500.0, 400.0, Toy(0.05))
 x, y = np.array([510.0, 950.0]), np.array([410.0, 60.0])
@@ -111,14 +111,14 @@ u, v, covered = camera.rays(x, y)
 assert covered.all()
 np.testing.assert_allclose(camera.project(u, v), (x, y), atol=1e-9)
 
-air, one = pipeline.standard_atmosphere(), np.ones(1)
+air, one = unbend.standard_atmosphere(), np.ones(1)
 down, n = np.diag([1.0, -1.0, -1.0])[None], air.refractivity(3e3) * one
 at = Exposures(one > 0, down, 0.8 * one, 3e3 * one, n, n, radius_m=6.371e6)
-corrected = pipeline.correct_observations(
+corrected = unbend.correct_observations(
     x, y, np.zeros(2), np.zeros(2, np.int64), at, camera=camera, table=rays_by(air, "spherical")
 )
 zeta = np.arctan(np.hypot(u, v))
-straight = np.tan(zeta - pipeline.refraction_angle(air, 3e3, 0.0, zeta)) / np.tan(zeta)
+straight = np.tan(zeta - unbend.refraction_angle(air, 3e3, 0.0, zeta)) / np.tan(zeta)
 expected = camera.project(u * straight, v * straight)
 np.testing.assert_allclose((corrected.x_px, corrected.y_px), expected, atol=1e-8)
 assert (np.hypot(corrected.dx_px, corrected.dy_px) > 1e-4).all()
@@ -127,7 +127,7 @@ assert (np.hypot(corrected.dx_px, corrected.dy_px) > 1e-4).all()
 EXPORT = '''
 """A toy: the names of the usable images, each some times."""
 
-from pipeline.tables.exports.format import ExportFormat, Option
+from unbend.tables.exports.format import ExportFormat, Option
 
 
 def write(run, values, path, ledger):
@@ -145,7 +145,7 @@ IMPORT = '''
 
 import numpy as np
 
-from pipeline.flight.channels import Channel, Source
+from unbend.flight.channels import Channel, Source
 
 
 def read_toy(path, stated, ledger):
@@ -158,7 +158,7 @@ def read_toy(path, stated, ledger):
 BLOCK = '''
 """A toy: a line of text a camera, with its name, width, height and principal distance."""
 
-from pipeline.refraction.camera.camera import Camera
+from unbend.refraction.camera.camera import Camera
 
 
 def _camera(width, height, f):
@@ -186,10 +186,13 @@ class Thing:
 
 THINGS = {
     "log format": Thing(
-        {"pipeline/ingest/toy/log.py": LOG_FORMAT, "pipeline/ingest/toy/__init__.py": '"""Toy."""'},
         {
-            "pipeline/ingest/registry.py": (
-                ("import TLOG\n", "import TLOG\nfrom pipeline.ingest.toy.log import TOY\n"),
+            "pipeline/unbend/ingest/toy/log.py": LOG_FORMAT,
+            "pipeline/unbend/ingest/toy/__init__.py": '"""Toy."""',
+        },
+        {
+            "pipeline/unbend/ingest/registry.py": (
+                ("import TLOG\n", "import TLOG\nfrom unbend.ingest.toy.log import TOY\n"),
                 ("= (MCAP,", "= (TOY, MCAP,"),
             )
         },
@@ -197,7 +200,7 @@ THINGS = {
     "atmosphere": Thing(
         {},
         {
-            "pipeline/atmosphere/standard.py": (
+            "pipeline/unbend/atmosphere/standard.py": (
                 ("ATMOSPHERES: dict", ATMOSPHERE),
                 (
                     "    AUTO: _OF_SEASON,\n",
@@ -207,18 +210,18 @@ THINGS = {
         },
     ),
     "refraction method": Thing(
-        {"pipeline/refraction/published/toy.py": METHOD},
+        {"pipeline/unbend/refraction/published/toy.py": METHOD},
         {
-            "pipeline/refraction/published/__init__.py": (
-                ("\nPUBLISHED", "from pipeline.refraction.published.toy import toy\n\nPUBLISHED"),
+            "pipeline/unbend/refraction/published/__init__.py": (
+                ("\nPUBLISHED", "from unbend.refraction.published.toy import toy\n\nPUBLISHED"),
                 ('    "manual": manual,\n', '    "manual": manual,\n    "toy": toy,\n'),
             )
         },
     ),
     "camera model": Thing(
-        {"pipeline/refraction/camera/toy.py": CAMERA_MODEL},
+        {"pipeline/unbend/refraction/camera/toy.py": CAMERA_MODEL},
         {
-            "pipeline/refraction/camera/__init__.py": (
+            "pipeline/unbend/refraction/camera/__init__.py": (
                 ("import brown_conrady, general", "import brown_conrady, toy, general"),
                 (
                     '    "brown_conrady": brown_conrady,\n',
@@ -228,33 +231,32 @@ THINGS = {
         },
     ),
     "block": Thing(
-        {"pipeline/tables/imports/blocks/toy.py": BLOCK},
+        {"pipeline/unbend/tables/imports/blocks/toy.py": BLOCK},
         {
-            "pipeline/tables/imports/blocks/__init__.py": (
+            "pipeline/unbend/tables/imports/blocks/__init__.py": (
                 (
                     '    "opensfm": (',
-                    '    "toy": ("pipeline.tables.imports.blocks.toy", (".toycam",)),\n'
+                    '    "toy": ("unbend.tables.imports.blocks.toy", (".toycam",)),\n'
                     '    "opensfm": (',
                 ),
             )
         },
     ),
     "import": Thing(
-        {"pipeline/tables/imports/toy.py": IMPORT},
+        {"pipeline/unbend/tables/imports/toy.py": IMPORT},
         {
-            "pipeline/tables/imports/__init__.py": (
+            "pipeline/unbend/tables/imports/__init__.py": (
                 (
                     '    "sbet": (',
-                    '    "toy": ("pipeline.tables.imports.toy:read_toy", (".toy",)),\n'
-                    '    "sbet": (',
+                    '    "toy": ("unbend.tables.imports.toy:read_toy", (".toy",)),\n    "sbet": (',
                 ),
             )
         },
     ),
     "export": Thing(
-        {"pipeline/tables/exports/toy.py": EXPORT},
+        {"pipeline/unbend/tables/exports/toy.py": EXPORT},
         {
-            "pipeline/tables/exports/__init__.py": (
+            "pipeline/unbend/tables/exports/__init__.py": (
                 ("    station_files,\n)", "    station_files,\n    toy,\n)"),
                 ("opensfm_project, bingo,", "opensfm_project, bingo, toy,"),
             )
@@ -273,7 +275,7 @@ for line in sys.stdin:
             if isinstance(asked, str):
                 exec(asked, {})
             else:
-                from pipeline.cli import main
+                from unbend.cli import main
                 sys.argv = ["unbend", *asked]
                 main()
         except SystemExit as end:
@@ -311,7 +313,9 @@ class Copy:
 def copy(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Copy]:
     """All toys in one copy and one process, so that it is imported and compiled once."""
     folder = tmp_path_factory.mktemp("toys")
-    shutil.copytree(PACKAGE, folder / "pipeline", ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(
+        PACKAGE, folder / "pipeline" / "unbend", ignore=shutil.ignore_patterns("__pycache__")
+    )
     for thing in THINGS.values():
         for name, content in thing.files.items():
             (folder / name).parent.mkdir(exist_ok=True)
@@ -322,13 +326,16 @@ def copy(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Copy]:
                 assert text.count(before) == 1, f"{before!r} does not stand once in {name}"
                 text = text.replace(before, after)
             (folder / name).write_text(text, encoding="utf-8")
-    environment = {"PYTHONPATH": str(folder), "NUMBA_CACHE_DIR": str(folder / "compiled")}
+    environment = {
+        "PYTHONPATH": str(folder / "pipeline"),
+        "NUMBA_CACHE_DIR": str(folder / "compiled"),
+    }
     with subprocess.Popen(
         [sys.executable, "-c", SERVER], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
         encoding="utf-8", cwd=folder, env=os.environ | environment | {"PYTHONIOENCODING": "utf-8"},
     ) as process:  # fmt: skip
         made = Copy(folder, process)
-        assert str(folder) in made.python("import pipeline; print(pipeline.__file__)")
+        assert str(folder) in made.python("import unbend; print(unbend.__file__)")
         yield made
         assert process.stdin is not None
         process.stdin.close()
@@ -373,7 +380,7 @@ def test_a_log_format(copy):
     (copy.folder / "flight.toy").write_text("toy\n1000000000,101325\n2000000000,101300\n")
     shown = copy.unbend("inspect", "flight.toy")
     assert "TOY" in shown
-    code = "import pipeline; print(pipeline.open_log('flight.toy').channel('TOY')['pressure_pa'])"
+    code = "import unbend; print(unbend.open_log('flight.toy').channel('TOY')['pressure_pa'])"
     assert "101325" in copy.python(code)
 
 
@@ -389,15 +396,15 @@ def test_an_atmosphere(copy):
     mission = yaml.safe_load((CONTRIBUTING.parent / "configs" / "sample_bin.yaml").read_text())
     mission["atmosphere"] = {"standard": "toy", "climatology": "toy"}
     (copy.folder / "mission.yaml").write_text(yaml.safe_dump(mission))
-    code = "import pipeline; print(pipeline.load_mission('mission.yaml').atmosphere.climatology)"
+    code = "import unbend; print(unbend.load_mission('mission.yaml').atmosphere.climatology)"
     assert "toy" in copy.python(code)
 
 
 def test_a_refraction_method(copy):
     words = ("--camera-height", 3000, "--ground-height", 0, "--nadir-angle", 45, "--json")
     code = (
-        "import pipeline; air = pipeline.standard_atmosphere()\n"
-        "toy, plane = (pipeline.refraction_angle(air, 3e3, 0.0, 0.7, method=m) "
+        "import unbend; air = unbend.standard_atmosphere()\n"
+        "toy, plane = (unbend.refraction_angle(air, 3e3, 0.0, 0.7, method=m) "
         "for m in ('toy', 'plane'))\nassert toy == 2 * plane > 0"
     )
     copy.python(code)
@@ -416,7 +423,7 @@ def test_a_camera_file(copy):
     (copy.folder / "cameras.toycam").write_text("left 400 300 500\nright 400 300 501\n")
     code = (
         "from pathlib import Path\n"
-        "from pipeline.config.cameras import CameraSection\n"
+        "from unbend.config.cameras import CameraSection\n"
         "camera = CameraSection(file='cameras.toycam', camera='right', calibration='laboratory')\n"
         "print(camera.with_file(Path('cameras.toycam')).build().fx_px)"
     )
@@ -442,10 +449,10 @@ def test_an_import(copy):
     mission["stations"] = {"trajectory": trajectory}
     (copy.folder / "with_toy.yaml").write_text(yaml.safe_dump(mission))
     code = (
-        "import pipeline; from pathlib import Path; from pipeline.ledger import Ledger\n"
-        "from pipeline.tables.imports import TRAJECTORIES, reader_of\n"
-        "from pipeline.tables.imports.stated import Stated\n"
-        "stated = pipeline.load_mission('with_toy.yaml').stations.trajectory\n"
+        "import unbend; from pathlib import Path; from unbend.ledger import Ledger\n"
+        "from unbend.tables.imports import TRAJECTORIES, reader_of\n"
+        "from unbend.tables.imports.stated import Stated\n"
+        "stated = unbend.load_mission('with_toy.yaml').stations.trajectory\n"
         "by_ending = reader_of(TRAJECTORIES, Path('flown.toy'), None)\n"
         "read = reader_of(TRAJECTORIES, Path('flown.toy'), stated.format)\n"
         "assert read is by_ending\n"

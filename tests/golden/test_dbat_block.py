@@ -16,16 +16,16 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pipeline.atmosphere import standard_atmosphere
-from pipeline.atmosphere.series.profile_series import TimedProfile, constant_series
-from pipeline.flight.stations import empty_stations
-from pipeline.ledger import Ledger
-from pipeline.refraction import Camera, Exposures
-from pipeline.refraction.ray import rays_by
-from pipeline.simulate.optics import enu_axes, height_and_up, to_ecef
-from pipeline.tables.exports import FORMATS, ExportCamera, FinishedRun
-from pipeline.tables.imports.blocks import block_reader, dbat
-from pipeline.tables.pixels import COLMAP
+from unbend.atmosphere import standard_atmosphere
+from unbend.atmosphere.series.profile_series import TimedProfile, constant_series
+from unbend.flight.stations import empty_stations
+from unbend.ledger import Ledger
+from unbend.refraction import Camera, Exposures
+from unbend.refraction.ray import rays_by
+from unbend.simulate.optics import enu_axes, height_and_up, to_ecef
+from unbend.tables.exports import FORMATS, ExportCamera, FinishedRun
+from unbend.tables.imports.blocks import block_reader, dbat
+from unbend.tables.pixels import COLMAP
 
 from .conftest import SHARED
 

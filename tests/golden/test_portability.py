@@ -23,7 +23,7 @@ pytestmark = pytest.mark.skipif(
 # Commands one after the other, which end well; a form feed ends the words of each.
 COMMANDS = r"""
 import json, sys
-from pipeline.cli import main
+from unbend.cli import main
 for words in json.loads(sys.argv[1]):
     sys.argv = ["unbend", *words]
     try:
@@ -100,13 +100,13 @@ def test_what_windows_lacks_is_missing(like_windows, code):
 
 def test_the_rooms_can_be_imported(like_windows):
     rooms = ("refraction", "ingest", "stages.story", "simulate", "cli", "report.html")
-    like_windows("-c", "import " + ", ".join(f"pipeline.{room}" for room in rooms))
+    like_windows("-c", "import " + ", ".join(f"unbend.{room}" for room in rooms))
 
 
 def test_the_sample_runs_and_is_the_same(like_windows, runs, tmp_path):
     folder = tmp_path / "Vol \u03a9"  # no letter of code page 1252
     folder.mkdir()
-    like_windows("-m", "pipeline", "run", sample(folder, "first"))
+    like_windows("-m", "unbend", "run", sample(folder, "first"))
     results = folder / "results" / "first"
     names = [path.relative_to(results) for path in sorted(results.rglob("*"))]
     assert not [name for name in names if set(str(name)) & set('<>:"|?*\\')], names

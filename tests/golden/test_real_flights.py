@@ -8,10 +8,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pipeline.batch.plan import Outcome
-from pipeline.errors import MissionError
-from pipeline.ingest import open_log
-from pipeline.report.summary import remarks, verdict
+from unbend.batch.plan import Outcome
+from unbend.errors import MissionError
+from unbend.ingest import open_log
+from unbend.report.summary import remarks, verdict
 
 from .conftest import SHARED, needs_shared, read_observations, run_mission, write_mission
 from .test_autopilot_logs import CAMERA

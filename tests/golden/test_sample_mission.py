@@ -1,6 +1,6 @@
 """The sample flight against its known truth.
 
-The truth comes from `pipeline.simulate`: another refractive index (Edlén), rays by the eikonal ODE
+The truth comes from `unbend.simulate`: another refractive index (Edlén), rays by the eikonal ODE
 on the ellipsoid, hydrostatics by an ODE, another camera model: nothing of the code under test.
 """
 
@@ -18,16 +18,16 @@ import yaml
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from pipeline import correct
-from pipeline.atmosphere import Profile, profile_from_table
-from pipeline.atmosphere.refractive_index import IndexModel
-from pipeline.batch.plan import Outcome
-from pipeline.config import load_mission
-from pipeline.geodesy import lambert_gravity
-from pipeline.refraction import Exposures, bend, correct_observations, ray_table
-from pipeline.stages.story import read_mission
-from pipeline.units import ARCSEC, DEGREE
 from tests.physics.ray_on_sphere import ray_angle_sphere
+from unbend import correct
+from unbend.atmosphere import Profile, profile_from_table
+from unbend.atmosphere.refractive_index import IndexModel
+from unbend.batch.plan import Outcome
+from unbend.config import load_mission
+from unbend.geodesy import lambert_gravity
+from unbend.refraction import Exposures, bend, correct_observations, ray_table
+from unbend.stages.story import read_mission
+from unbend.units import ARCSEC, DEGREE
 
 from .conftest import REPOSITORY, read_observations, run_sample
 

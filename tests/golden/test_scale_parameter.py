@@ -17,13 +17,13 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from pipeline import correct, standard_atmosphere
-from pipeline.atmosphere import Profile
-from pipeline.atmosphere.covariance import ProfileCovariance
-from pipeline.atmosphere.layers import stack_layers
-from pipeline.atmosphere.series.profile_series import TimedProfile
-from pipeline.refraction import AirMode, WindowRays, leading_mode
-from pipeline.simulate.optics import enu_axes, height_and_up, shoot, to_ecef
+from unbend import correct, standard_atmosphere
+from unbend.atmosphere import Profile
+from unbend.atmosphere.covariance import ProfileCovariance
+from unbend.atmosphere.layers import stack_layers
+from unbend.atmosphere.series.profile_series import TimedProfile
+from unbend.refraction import AirMode, WindowRays, leading_mode
+from unbend.simulate.optics import enu_axes, height_and_up, shoot, to_ecef
 
 from .conftest import REPOSITORY
 

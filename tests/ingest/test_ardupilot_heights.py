@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.flight.channels import Channel, Source
-from pipeline.ingest.channel_builder import HEIGHT_OPTION, with_both_heights
-from pipeline.ledger import Ledger
+from unbend.flight.channels import Channel, Source
+from unbend.ingest.channel_builder import HEIGHT_OPTION, with_both_heights
+from unbend.ledger import Ledger
 
 # The undulation at Zurich is 47.5 m: the ellipsoid lies below sea level.
 SEA_LEVEL, UNDULATION, ELLIPSOID = 552.5, 47.5, 600.0

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pipeline.ingest.attitude import (
+from unbend.ingest.attitude import (
     earth_frame_attitude,
     ned_frd_of_enu_flu,
     quaternion_of_euler,

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.flight.clock import STRAY_ROWS
-from pipeline.ingest import boot_clock as boots
+from unbend.flight.clock import STRAY_ROWS
+from unbend.ingest import boot_clock as boots
 
 SECOND = 10**9
 BLOCK = 7

@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.ingest import buffers as memory
-from pipeline.ingest import open_log
-from pipeline.ingest.buffers import REGION, SMALL, ColumnStore, allocate, copy_rows, release_pages
+from unbend.ingest import buffers as memory
+from unbend.ingest import open_log
+from unbend.ingest.buffers import REGION, SMALL, ColumnStore, allocate, copy_rows, release_pages
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.errors import LogError
-from pipeline.ingest import Log, open_log
+from unbend.errors import LogError
+from unbend.ingest import Log, open_log
 
 DEGREE = np.pi / 180.0
 DATAFLASH_LOGS = (

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pipeline.ingest import Log, open_log
+from unbend.ingest import Log, open_log
 
 STAMP_US = 1_700_000_000_000_000
 START_NS = STAMP_US * 1000

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.errors import LogError
-from pipeline.ingest import buffers as window
-from pipeline.ingest.buffers import open_view, view_of_bytes
+from unbend.errors import LogError
+from unbend.ingest import buffers as window
+from unbend.ingest.buffers import open_view, view_of_bytes
 
 
 @pytest.fixture(autouse=True)

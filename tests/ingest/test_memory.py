@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.ingest.buffers import BLOCK, ColumnStore
+from unbend.ingest.buffers import BLOCK, ColumnStore
 
 ROOT = Path(__file__).resolve().parents[2]
 MIB = 1 << 20
@@ -28,8 +28,8 @@ CASES = {
 _PEAK = """
 import json, sys
 from pathlib import Path
-from pipeline.ingest import open_log
-from pipeline.ingest.dataflash.log import read_tables
+from unbend.ingest import open_log
+from unbend.ingest.dataflash.log import read_tables
 def status(key):
     lines = dict(line.split(":", 1) for line in open("/proc/self/status"))
     return int(lines[key].split()[0]) * 1024

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from pipeline.cli.app import app
-from pipeline.errors import LogError
-from pipeline.ingest import hash_file, open_log
+from unbend.cli.app import app
+from unbend.errors import LogError
+from unbend.ingest import hash_file, open_log
 
 # Message totals and types by a loop of recv_msg over the file (pymavlink 2.4.50, BAD_DATA left
 # out) and by the Statistics record of the MCAP.
@@ -89,7 +89,7 @@ def test_what_is_no_log_is_refused_before_it_is_hashed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     hashed = []
-    monkeypatch.setattr("pipeline.ingest.registry.hash_file", hashed.append)
+    monkeypatch.setattr("unbend.ingest.registry.hash_file", hashed.append)
     for extension in (".mcap", ".bin", ".tlog"):
         path = tmp_path / f"flight{extension}"
         path.write_bytes(bytes(5000))

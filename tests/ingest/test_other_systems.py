@@ -26,7 +26,7 @@ for module, names in (
 """
 READ = """
 import hashlib
-from pipeline.ingest import buffers, open_log
+from unbend.ingest import buffers, open_log
 buffers.PRIVATE, buffers.REGION, buffers.SMALL = {private}, 1 << 16, 1
 log = open_log(sys.argv[1])
 digest = hashlib.sha256()

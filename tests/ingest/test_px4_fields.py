@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.flight.channels import Source
-from pipeline.ingest.channel_builder import DecodedRows, captured_rows
-from pipeline.ledger import Ledger
+from unbend.flight.channels import Source
+from unbend.ingest.channel_builder import DecodedRows, captured_rows
+from unbend.ledger import Ledger
 
 
 def shots(result: list[float], index: list[float]) -> DecodedRows:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.flight.channels import Channel, Source
-from pipeline.ingest.log import Contents
-from pipeline.ingest.receiver_delay import estimated_delay, stated_delay, with_receiver_delay
-from pipeline.ledger import Ledger
+from unbend.flight.channels import Channel, Source
+from unbend.ingest.log import Contents
+from unbend.ingest.receiver_delay import estimated_delay, stated_delay, with_receiver_delay
+from unbend.ledger import Ledger
 
 SECOND = 1_000_000_000
 NOW_NS = 1_700_000_000 * SECOND

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.errors import MissionError
-from pipeline.flight.channels import Channel, Source
-from pipeline.ingest.channel_builder import DecodedRows, channel_of
-from pipeline.ingest.dataflash.channels import MESSAGES as DATAFLASH
-from pipeline.ingest.fields import PX4_MESSAGES as PX4
-from pipeline.ingest.fields import STATED_UNITS, extract, in_stated_unit
-from pipeline.ingest.tlog.channels import MESSAGES as MAVLINK
-from pipeline.ledger import Ledger
+from unbend.errors import MissionError
+from unbend.flight.channels import Channel, Source
+from unbend.ingest.channel_builder import DecodedRows, channel_of
+from unbend.ingest.dataflash.channels import MESSAGES as DATAFLASH
+from unbend.ingest.fields import PX4_MESSAGES as PX4
+from unbend.ingest.fields import STATED_UNITS, extract, in_stated_unit
+from unbend.ingest.tlog.channels import MESSAGES as MAVLINK
+from unbend.ledger import Ledger
 
 
 def logged(maps, message: str, **fields: float) -> Channel:

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from pipeline.units import Array
+from unbend.units import Array
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from pipeline.geodesy import (
+from unbend.geodesy import (
     Gravity,
     euler_radius,
     geodetic_of_ecef,

@@ -13,15 +13,15 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-import pipeline
-from pipeline.atmosphere import standard_atmosphere
-from pipeline.errors import PhysicsError
-from pipeline.refraction import published as pub
-from pipeline.refraction import refraction_angle
-from pipeline.refraction.printed_tables import hand_sum, paper_tables, printed_table
-from pipeline.refraction.published.column import density
-from pipeline.refraction.ray import bend, rays_by
-from pipeline.units import ARCSEC
+import unbend
+from unbend.atmosphere import standard_atmosphere
+from unbend.errors import PhysicsError
+from unbend.refraction import published as pub
+from unbend.refraction import refraction_angle
+from unbend.refraction.printed_tables import hand_sum, paper_tables, printed_table
+from unbend.refraction.published.column import density
+from unbend.refraction.ray import bend, rays_by
+from unbend.units import ARCSEC
 
 SHARED = Path(__file__).resolve().parents[2].parent / "shared" / "reference"
 DIAGONAL = math.radians(45.0)
@@ -83,7 +83,7 @@ TRANSCRIBED = {
 
 @pytest.mark.parametrize("name", TRANSCRIBED)
 def test_no_printed_figure_has_changed(name):
-    text = (Path(pipeline.__file__).parent / f"refraction/data/{name}.csv").read_text("ascii")
+    text = (Path(unbend.__file__).parent / f"refraction/data/{name}.csv").read_text("ascii")
     digest = hashlib.sha256("\n".join(text.splitlines()).encode()).hexdigest()
     assert digest.startswith(TRANSCRIBED[name])
 

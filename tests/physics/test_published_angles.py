@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import pipeline
-from pipeline.atmosphere import standard_atmosphere
-from pipeline.atmosphere.refractive_index import refractivity_gyer
-from pipeline.refraction import refraction_angle
-from pipeline.refraction.window import refract_at_window
-from pipeline.units import ARCSEC, DEGREE
+import unbend
+from unbend.atmosphere import standard_atmosphere
+from unbend.atmosphere.refractive_index import refractivity_gyer
+from unbend.refraction import refraction_angle
+from unbend.refraction.window import refract_at_window
+from unbend.units import ARCSEC, DEGREE
 
-DATA = Path(pipeline.__file__).parent / "refraction" / "data"
+DATA = Path(unbend.__file__).parent / "refraction" / "data"
 GYER_RADIUS_M = 6_378_000.0
 
 

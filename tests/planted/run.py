@@ -39,7 +39,7 @@ PATIENCE = 4.0
 SHORTEST_LIMIT_S = 300.0
 # Numba's cache compares only the file of the entry function with what it stored: bugs in these
 # places need code that was compiled with them.
-COMPILED = ("pipeline/refraction/", "pipeline/geodesy.py", "pipeline/units.py")
+COMPILED = ("pipeline/unbend/refraction/", "pipeline/unbend/geodesy.py", "pipeline/unbend/units.py")
 # pytest's exit codes: tests failed, collection interrupted, a conftest that cannot be imported.
 FAILED = {1, 2, 4}
 
@@ -100,7 +100,7 @@ class Copy:
         scratch.mkdir()
         environment = dict(
             os.environ,
-            PYTHONPATH=str(self.root),
+            PYTHONPATH=str(self.root / "pipeline"),
             PYTHONDONTWRITEBYTECODE="1",
             NUMBA_CACHE_DIR=str(cache),
             OPENBLAS_NUM_THREADS="1",

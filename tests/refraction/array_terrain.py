@@ -6,7 +6,7 @@ from contextlib import nullcontext
 
 import numpy as np
 
-from pipeline.refraction.kernels.columns import BLOCK, TILE, TerrainGrid
+from unbend.refraction.kernels.columns import BLOCK, TILE, TerrainGrid
 
 
 class ArrayTerrain:
@@ -34,7 +34,7 @@ class ArrayTerrain:
         return (self.corner[0] - np.degrees(lat)) / self.step[0], east / self.step[1]
 
     def load(self, tiles):
-        from pipeline.refraction.kernels.terrain import extremes_of_tile
+        from unbend.refraction.kernels.terrain import extremes_of_tile
 
         grid = self.grid
         for tile in tiles[: grid.tiles.shape[0]].tolist():

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.refraction import (
+from unbend.refraction import (
     Camera,
     Exposures,
     StationSigmas,
@@ -18,8 +18,8 @@ from pipeline.refraction import (
     ray_table,
     uncertainty_of,
 )
-from pipeline.refraction.uncertainty.sensitivity import sensitivity
-from pipeline.refraction.uncertainty.sigmas import OPEN
+from unbend.refraction.uncertainty.sensitivity import sensitivity
+from unbend.refraction.uncertainty.sigmas import OPEN
 
 RADIUS = 6_371_000.0
 

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from pipeline.refraction.angle import one_angle
+from unbend.refraction.angle import one_angle
 
 
 def test_each_unit_is_that_of_its_key():

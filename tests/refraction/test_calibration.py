@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.errors import PhysicsError
-from pipeline.refraction import BrownConrady, Camera
-from pipeline.refraction.calibration import (
+from unbend.errors import PhysicsError
+from unbend.refraction import BrownConrady, Camera
+from unbend.refraction.calibration import (
     field_of_view,
     refuse_impossible,
 )
-from pipeline.refraction.camera.general_frame import GeneralFrame
-from pipeline.refraction.camera.opencv_fisheye import OpenCVFisheye
+from unbend.refraction.camera.general_frame import GeneralFrame
+from unbend.refraction.camera.opencv_fisheye import OpenCVFisheye
 
 SOUND = [
     Camera(14000, 10600, 20000.0, 20000.0, 7012.0, 5290.0, BrownConrady(-0.018, 0.009, -0.002)),

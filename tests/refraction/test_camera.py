@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.refraction import BrownConrady, Camera
-from pipeline.refraction.camera.brown_conrady import distort, slopes
-from pipeline.simulate.optics import SimulatedCamera
+from unbend.refraction import BrownConrady, Camera
+from unbend.refraction.camera.brown_conrady import distort, slopes
+from unbend.simulate.optics import SimulatedCamera
 
 WIDTH, HEIGHT, FOCAL = 14_000, 10_600, 11_000.0
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.errors import PhysicsError
-from pipeline.refraction import Camera
-from pipeline.refraction.calibration import camera_of_model
-from pipeline.refraction.camera import DISTORTION_MODELS
-from pipeline.refraction.camera.brown_conrady import BrownConrady
-from pipeline.refraction.camera.general_frame import GeneralFrame
-from pipeline.refraction.camera.opencv_fisheye import OpenCVFisheye
+from unbend.errors import PhysicsError
+from unbend.refraction import Camera
+from unbend.refraction.calibration import camera_of_model
+from unbend.refraction.camera import DISTORTION_MODELS
+from unbend.refraction.camera.brown_conrady import BrownConrady
+from unbend.refraction.camera.general_frame import GeneralFrame
+from unbend.refraction.camera.opencv_fisheye import OpenCVFisheye
 
 pycolmap = pytest.importorskip("pycolmap")
 

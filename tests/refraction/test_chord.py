@@ -8,8 +8,8 @@ import mpmath as mp
 import numpy as np
 import pytest
 
-from pipeline.atmosphere import standard_atmosphere
-from pipeline.refraction import (
+from unbend.atmosphere import standard_atmosphere
+from unbend.refraction import (
     BrownConrady,
     Camera,
     Exposures,
@@ -17,15 +17,15 @@ from pipeline.refraction import (
     correct_observations,
     ray_table,
 )
-from pipeline.refraction.ray import rays_by
-from pipeline.refraction.status_codes import (
+from unbend.refraction.ray import rays_by
+from unbend.refraction.status_codes import (
     BAD_MEASUREMENT,
     FAR_BRANCH,
     MISSES_GROUND,
     OK,
     OUTSIDE_PROFILE,
 )
-from pipeline.refraction.target_heights import height_at_distance, target_heights
+from unbend.refraction.target_heights import height_at_distance, target_heights
 
 RADIUS = 6_371_000.0
 AIR = standard_atmosphere("us1976", index="gyer")

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.atmosphere import standard_atmosphere
-from pipeline.refraction.angle import Comparison, compare_methods
-from pipeline.units import ARCSEC, DEGREE
+from unbend.atmosphere import standard_atmosphere
+from unbend.refraction.angle import Comparison, compare_methods
+from unbend.units import ARCSEC, DEGREE
 
 
 def test_good_to_counts_from_the_nadir_up_to_the_first_failure():

@@ -15,16 +15,16 @@ import numba
 import numpy as np
 import pytest
 
-import pipeline
-from pipeline.refraction.kernels import jit, machine_code
-from pipeline.refraction.kernels.jit import source_hash
-from pipeline.refraction.kernels.threads import BLOCK_ROWS
+import unbend
+from unbend.refraction.kernels import jit, machine_code
+from unbend.refraction.kernels.jit import source_hash
+from unbend.refraction.kernels.threads import BLOCK_ROWS
 
-ROOM = Path(pipeline.__file__).parent / "refraction"
+ROOM = Path(unbend.__file__).parent / "refraction"
 DISTORTED = """
 import numpy as np
-from pipeline.refraction import BrownConrady, Camera
-from pipeline.refraction.kernels.jit import Kernel
+from unbend.refraction import BrownConrady, Camera
+from unbend.refraction.kernels.jit import Kernel
 Kernel.always_compiled = True
 camera = Camera(1000, 1000, 1000.0, 1000.0, 0.0, 0.0, BrownConrady(k1=0.5))
 print(camera.rays(np.array([100.0]), np.array([0.0]))[0][0])
@@ -45,7 +45,7 @@ def run(code: str, tree: Path, cache: Path | str, **environment: str) -> str:
 def tree(tmp_path: Path) -> Path:
     """A copy of the package."""
     shutil.copytree(
-        ROOM.parent, tmp_path / "tree" / "pipeline", ignore=shutil.ignore_patterns("__pycache__")
+        ROOM.parent, tmp_path / "tree" / "unbend", ignore=shutil.ignore_patterns("__pycache__")
     )
     return tmp_path / "tree"
 
@@ -65,7 +65,7 @@ def test_an_edited_helper_is_compiled_again_and_old_code_removed(tree, tmp_path)
     assert float(run(DISTORTED + linked, tree, cache)) == u
     assert old in cache.iterdir()
 
-    model = tree / "pipeline/refraction/camera/brown_conrady.py"
+    model = tree / "pipeline/unbend/refraction/camera/brown_conrady.py"
     text = model.read_text()
     assert text.count("radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))") == 2
     model.write_text(text.replace("r2 * (k1 + r2 * (k2", "r2 * (2.0 * k1 + r2 * (k2"))
@@ -94,7 +94,7 @@ def test_code_that_is_damaged_is_not_linked(tmp_path):
 FIRST_OF_PROCESS = """
 import ctypes, sys
 import llvmlite.binding as llvm
-from pipeline.refraction.kernels import machine_code
+from unbend.refraction.kernels import machine_code
 target, _ = machine_code._machine()
 text = '''declare double @asin(double)
 define double @angle(double %x) {
@@ -124,7 +124,7 @@ def test_nothing_is_written_where_nothing_can_be(tree, tmp_path):
     blocked.write_text("")
     assert (
         run(
-            "from pipeline.refraction.kernels.jit import cache_folder; print(cache_folder())",
+            "from unbend.refraction.kernels.jit import cache_folder; print(cache_folder())",
             tree,
             blocked / "cache",
         )
@@ -141,12 +141,12 @@ def test_every_source_that_may_be_compiled_in_is_hashed(tmp_path):
     left = [path for path in left if path.name not in ("jit.py", "threads.py")]
     for path in left:
         for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("pipeline"):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("unbend"):
                 seen |= {f"{node.module}.{name.name}" for name in node.names}
-    hashed = re.compile(r"pipeline\.refraction\.(status_codes|(kernels|camera)\.\w+)(\.\w+)*")
+    hashed = re.compile(r"unbend\.refraction\.(status_codes|(kernels|camera)\.\w+)(\.\w+)*")
     assert len(seen) > 5
     others = {name for name in seen if not hashed.fullmatch(name)}
-    assert others == {f"pipeline.units.{name}" for name in ("Array", "Integers", "Mask", "Rows")}
+    assert others == {f"unbend.units.{name}" for name in ("Array", "Integers", "Mask", "Rows")}
 
     copy = tmp_path / "refraction"
     shutil.copytree(ROOM, copy)
@@ -164,8 +164,8 @@ def test_the_package_is_imported_where_there_is_no_fork(tree):
         "import os\n"
         "for name in ('register_at_fork', 'fork', 'sched_getaffinity'):\n"
         "    if hasattr(os, name): delattr(os, name)\n"
-        "import pipeline.refraction\n"
-        "from pipeline.refraction.kernels.threads import usable_cpus\n"
+        "import unbend.refraction\n"
+        "from unbend.refraction.kernels.threads import usable_cpus\n"
         "print(usable_cpus() >= 1)\n"
     )
     assert run(code, tree, tree / "cache") == "True"

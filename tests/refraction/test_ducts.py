@@ -8,14 +8,14 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from pipeline.atmosphere.layers import stack_layers
-from pipeline.atmosphere.profile import Profile
-from pipeline.atmosphere.refractive_index import IndexModel
-from pipeline.atmosphere.standard import standard_atmosphere
-from pipeline.geodesy import lambert_gravity
-from pipeline.refraction import bend, ray_table, refraction_angle
-from pipeline.refraction.status_codes import BEYOND_GRAZING, FAR_BRANCH, OK
-from pipeline.units import ARCSEC
+from unbend.atmosphere.layers import stack_layers
+from unbend.atmosphere.profile import Profile
+from unbend.atmosphere.refractive_index import IndexModel
+from unbend.atmosphere.standard import standard_atmosphere
+from unbend.geodesy import lambert_gravity
+from unbend.refraction import bend, ray_table, refraction_angle
+from unbend.refraction.status_codes import BEYOND_GRAZING, FAR_BRANCH, OK
+from unbend.units import ARCSEC
 
 RADIUS = 6_371_000.0
 LONG = np.longdouble

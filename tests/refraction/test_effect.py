@@ -6,9 +6,9 @@ import math
 
 import pytest
 
-from pipeline.atmosphere import standard_atmosphere
-from pipeline.refraction import refraction_angle
-from pipeline.refraction.effect import Effect, effects_on_r
+from unbend.atmosphere import standard_atmosphere
+from unbend.refraction import refraction_angle
+from unbend.refraction.effect import Effect, effects_on_r
 
 
 def test_the_factor_is_that_of_the_flight_over_the_standard():

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pipeline.atmosphere import standard_atmosphere
-from pipeline.geodesy import euler_radius
-from pipeline.refraction import BrownConrady, Camera, Exposures, correct_observations, ray_table
-from pipeline.refraction.forward import apply_refraction
-from pipeline.refraction.ray import rays_by
-from pipeline.refraction.status_codes import (
+from unbend.atmosphere import standard_atmosphere
+from unbend.geodesy import euler_radius
+from unbend.refraction import BrownConrady, Camera, Exposures, correct_observations, ray_table
+from unbend.refraction.forward import apply_refraction
+from unbend.refraction.ray import rays_by
+from unbend.refraction.status_codes import (
     BAD_MEASUREMENT,
     BEYOND_GRAZING,
     FAR_BRANCH,
@@ -25,7 +25,7 @@ from pipeline.refraction.status_codes import (
     OUTSIDE_CAMERA,
     OUTSIDE_PROFILE,
 )
-from pipeline.simulate.optics import SimulatedCamera, enu_axes, height_and_up, shoot, to_ecef
+from unbend.simulate.optics import SimulatedCamera, enu_axes, height_and_up, shoot, to_ecef
 
 LATITUDE = 0.8
 AIR = standard_atmosphere("us1976", index="gyer")

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pipeline.atmosphere import standard_atmosphere
-from pipeline.refraction import (
+from unbend.atmosphere import standard_atmosphere
+from unbend.refraction import (
     BrownConrady,
     Camera,
     Exposures,
@@ -19,11 +19,11 @@ from pipeline.refraction import (
     ray_table,
     refraction_angle,
 )
-from pipeline.refraction import status_codes as status
-from pipeline.refraction.image import ground_displacement, outgoing_rays, straight_reach
-from pipeline.refraction.kernels.columns import RADIUS as RADIUS_ROW
-from pipeline.refraction.kernels.columns import ObservationColumns
-from pipeline.refraction.status_codes import (
+from unbend.refraction import status_codes as status
+from unbend.refraction.image import ground_displacement, outgoing_rays, straight_reach
+from unbend.refraction.kernels.columns import RADIUS as RADIUS_ROW
+from unbend.refraction.kernels.columns import ObservationColumns
+from unbend.refraction.status_codes import (
     BAD_MEASUREMENT,
     BEYOND_GRAZING,
     FAR_BRANCH,
@@ -34,8 +34,8 @@ from pipeline.refraction.status_codes import (
     OUTSIDE_CAMERA,
     OUTSIDE_PROFILE,
 )
-from pipeline.refraction.window import refract_at_window
-from pipeline.units import DEGREE
+from unbend.refraction.window import refract_at_window
+from unbend.units import DEGREE
 
 RADIUS = 6_371_000.0
 H_C, H_G = 3450.0, 450.0

@@ -8,8 +8,8 @@ import sys
 import numpy as np
 import pytest
 
-from pipeline.atmosphere import standard_atmosphere
-from pipeline.refraction import (
+from unbend.atmosphere import standard_atmosphere
+from unbend.refraction import (
     Camera,
     Exposures,
     StationSigmas,
@@ -19,15 +19,15 @@ from pipeline.refraction import (
     ray_table,
     uncertainty_of,
 )
-from pipeline.refraction.camera.brown_conrady import BrownConrady
-from pipeline.refraction.camera.general_frame import GeneralFrame
-from pipeline.refraction.camera.opencv_fisheye import OpenCVFisheye
-from pipeline.refraction.image import straight_reach
-from pipeline.refraction.kernels.columns import RayColumns
-from pipeline.refraction.kernels.jit import Kernel
-from pipeline.refraction.kernels.ray import bend_rays
-from pipeline.refraction.status_codes import STATUS_NAMES
-from pipeline.refraction.window import refract_at_window
+from unbend.refraction.camera.brown_conrady import BrownConrady
+from unbend.refraction.camera.general_frame import GeneralFrame
+from unbend.refraction.camera.opencv_fisheye import OpenCVFisheye
+from unbend.refraction.image import straight_reach
+from unbend.refraction.kernels.columns import RayColumns
+from unbend.refraction.kernels.jit import Kernel
+from unbend.refraction.kernels.ray import bend_rays
+from unbend.refraction.status_codes import STATUS_NAMES
+from unbend.refraction.window import refract_at_window
 
 AIR = standard_atmosphere("us1976")
 TABLE = ray_table(AIR)
@@ -124,8 +124,8 @@ def test_rays_of_all_kinds(monkeypatch):
 def test_one_angle_needs_no_compiler(monkeypatch):
     code = (
         "import sys\n"
-        "from pipeline.atmosphere import standard_atmosphere\n"
-        "from pipeline.refraction import refraction_angle\n"
+        "from unbend.atmosphere import standard_atmosphere\n"
+        "from unbend.refraction import refraction_angle\n"
         "print(refraction_angle(standard_atmosphere('us1976'), 1e4, 0.0, 1.3).hex(),\n"
         "      'numba' in sys.modules)"
     )

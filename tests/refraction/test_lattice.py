@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.refraction.camera.camera import Camera
-from pipeline.refraction.image import lattice_nodes
+from unbend.refraction.camera.camera import Camera
+from unbend.refraction.image import lattice_nodes
 
 CAMERA = Camera(14000, 10600, 20000.0, 20000.0, 7000.0, 5300.0)
 

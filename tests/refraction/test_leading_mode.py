@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pipeline.atmosphere import standard_atmosphere
-from pipeline.atmosphere.layers import stack_layers
-from pipeline.refraction import (
+from unbend.atmosphere import standard_atmosphere
+from unbend.atmosphere.layers import stack_layers
+from unbend.refraction import (
     BrownConrady,
     Camera,
     Exposures,
@@ -24,7 +24,7 @@ from pipeline.refraction import (
     ray_table,
     uncertainty_of,
 )
-from pipeline.refraction.uncertainty.sigmas import OPEN, SCHEDULED, SEALED
+from unbend.refraction.uncertainty.sigmas import OPEN, SCHEDULED, SEALED
 
 RADIUS = 6_371_000.0
 CAMERA = Camera(

@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from pipeline.atmosphere import standard_atmosphere
-from pipeline.refraction import Camera, Exposures, correct_observations, ray_table
-from pipeline.refraction.camera.camera import LensInAir, is_absurd, principal_change
+from unbend.atmosphere import standard_atmosphere
+from unbend.refraction import Camera, Exposures, correct_observations, ray_table
+from unbend.refraction.camera.camera import LensInAir, is_absurd, principal_change
 
 # A lens of 153 mm on pixels of 7.65 um, calibrated on the ground.
 PITCH_MM = 0.00765

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.errors import PhysicsError
-from pipeline.refraction.calibration import MetricReport, camera_of_report
+from unbend.errors import PhysicsError
+from unbend.refraction.calibration import MetricReport, camera_of_report
 
 # USGS reports OSL/2985 (Wild RC30, 15/4 UAG-S 13413) and OSL/3030 (RC30, 13365): calibrated focal
 # length [mm], coefficients that correct, symmetric radial distortion [um] by field angle.

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-import pipeline
-from pipeline.atmosphere import standard_atmosphere
-from pipeline.refraction import STATUS_NAMES, Camera, correct_observations, ray_table
-from pipeline.refraction.camera.brown_conrady import BrownConrady
-from pipeline.refraction.camera.general_frame import GeneralFrame
-from pipeline.refraction.camera.opencv_fisheye import OpenCVFisheye
-from pipeline.refraction.image import Exposures
+import unbend
+from unbend.atmosphere import standard_atmosphere
+from unbend.refraction import STATUS_NAMES, Camera, correct_observations, ray_table
+from unbend.refraction.camera.brown_conrady import BrownConrady
+from unbend.refraction.camera.general_frame import GeneralFrame
+from unbend.refraction.camera.opencv_fisheye import OpenCVFisheye
+from unbend.refraction.image import Exposures
 
 H_C, H_G, RADIUS = 6000.0, 300.0, 6371000.0
 AIR = standard_atmosphere("us1976")
@@ -91,7 +91,7 @@ def air(ray, _):
     up = TO_CAMERA[:, 2]
     d = ray / np.linalg.norm(ray)
     zeta = np.arccos(-(d @ up))
-    r = float(pipeline.refraction_angle(AIR, H_C, H_G, zeta, radius=RADIUS))
+    r = float(unbend.refraction_angle(AIR, H_C, H_G, zeta, radius=RADIUS))
     level = d + np.cos(zeta) * up
     level /= np.linalg.norm(level)
     return np.sin(zeta - r) * level - np.cos(zeta - r) * up
@@ -153,7 +153,7 @@ def test_a_fisheye_that_sees_to_85_degrees_off_the_axis(monkeypatch):
     np.testing.assert_allclose(found.zeta_c_rad, outside, rtol=0.0, atol=1e-13)
     # R_cc from the camera's direction to the one outside.
     np.testing.assert_allclose(found.r_cc_rad, outside - theta, rtol=0.0, atol=1e-13)
-    r = [float(pipeline.refraction_angle(AIR, H_C, H_G, z, radius=RADIUS)) for z in outside]
+    r = [float(unbend.refraction_angle(AIR, H_C, H_G, z, radius=RADIUS)) for z in outside]
     np.testing.assert_allclose(found.r_c_rad, r, rtol=1e-9)
     wanted = np.array([chain(p, camera, (undistort, window, air)) for p in pixels]) - pixels
     np.testing.assert_allclose(

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.atmosphere import standard_atmosphere
-from pipeline.refraction import (
+from unbend.atmosphere import standard_atmosphere
+from unbend.refraction import (
     BrownConrady,
     Camera,
     Exposures,
@@ -20,8 +20,8 @@ from pipeline.refraction import (
     correct_observations,
     ray_table,
 )
-from pipeline.refraction.status_codes import OK
-from pipeline.refraction.window import refract_at_window
+from unbend.refraction.status_codes import OK
+from unbend.refraction.window import refract_at_window
 
 RADIUS = 6_371_000.0
 AIR = standard_atmosphere("us1976")

@@ -8,18 +8,18 @@ import mpmath as mp
 import numpy as np
 import pytest
 
-from pipeline.atmosphere import standard_atmosphere
-from pipeline.atmosphere.layers import stack_layers
-from pipeline.atmosphere.profile import Profile
-from pipeline.errors import PhysicsError
-from pipeline.geodesy import Gravity
-from pipeline.refraction import published as pub
-from pipeline.refraction import refraction_angle
-from pipeline.refraction.published import gyer
-from pipeline.refraction.published.column import density, mean
-from pipeline.refraction.ray import PublishedRays
-from pipeline.refraction.status_codes import BAD_MEASUREMENT, MISSES_GROUND, OK, OUTSIDE_PROFILE
-from pipeline.units import ARCSEC, DEGREE
+from unbend.atmosphere import standard_atmosphere
+from unbend.atmosphere.layers import stack_layers
+from unbend.atmosphere.profile import Profile
+from unbend.errors import PhysicsError
+from unbend.geodesy import Gravity
+from unbend.refraction import published as pub
+from unbend.refraction import refraction_angle
+from unbend.refraction.published import gyer
+from unbend.refraction.published.column import density, mean
+from unbend.refraction.ray import PublishedRays
+from unbend.refraction.status_codes import BAD_MEASUREMENT, MISSES_GROUND, OK, OUTSIDE_PROFILE
+from unbend.units import ARCSEC, DEGREE
 
 RADIUS = 6_378_000.0
 DIAGONAL = 45.0 * DEGREE

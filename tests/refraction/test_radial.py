@@ -8,10 +8,10 @@ import mpmath as mp
 import numpy as np
 import pytest
 
-from pipeline.atmosphere import standard_atmosphere
-from pipeline.errors import PhysicsError
-from pipeline.refraction.angle import angles_to, radial_table
-from pipeline.units import ARCSEC, DEGREE
+from unbend.atmosphere import standard_atmosphere
+from unbend.errors import PhysicsError
+from unbend.refraction.angle import angles_to, radial_table
+from unbend.units import ARCSEC, DEGREE
 
 AIR = standard_atmosphere("us1976", index="gyer")
 RADIUS = 6_371_000.0

@@ -8,13 +8,13 @@ import mpmath as mp
 import numpy as np
 import pytest
 
-from pipeline.atmosphere import standard_atmosphere
-from pipeline.atmosphere.air_samples import AirSamples, SensorSamples
-from pipeline.atmosphere.estimate.adjusted_profile import build_adjusted_profile
-from pipeline.ledger import Ledger
-from pipeline.refraction import ray_table, refraction_angle
-from pipeline.units import ARCSEC, DEGREE
 from tests.physics.ray_on_sphere import ray_angle_sphere
+from unbend.atmosphere import standard_atmosphere
+from unbend.atmosphere.air_samples import AirSamples, SensorSamples
+from unbend.atmosphere.estimate.adjusted_profile import build_adjusted_profile
+from unbend.ledger import Ledger
+from unbend.refraction import ray_table, refraction_angle
+from unbend.units import ARCSEC, DEGREE
 
 RADIUS = 6_371_000.0
 
@@ -168,9 +168,9 @@ def test_the_table_reproduces_the_profile(us1976, wiggly):
 
 def test_the_two_forms_agree_where_they_meet(us1976, wiggly):
     """The difference form and the subtended angle, both on either side of the guard."""
-    from pipeline.refraction.kernels import grazing
-    from pipeline.refraction.kernels import ray as kernel
-    from pipeline.refraction.kernels.grazing import Ray
+    from unbend.refraction.kernels import grazing
+    from unbend.refraction.kernels import ray as kernel
+    from unbend.refraction.kernels.grazing import Ray
 
     worst = 0.0
     for profile in (us1976, wiggly):
@@ -249,8 +249,8 @@ def test_near_grazing_through_many_kinks(wiggly, h_c, below):
 
 
 def test_splitting_the_layers_changes_nothing(us1976):
-    from pipeline.atmosphere.layers import stack_layers
-    from pipeline.atmosphere.profile import Profile
+    from unbend.atmosphere.layers import stack_layers
+    from unbend.atmosphere.profile import Profile
 
     old = us1976.layers.edge
     edge = np.union1d(old[old <= 50_000.0], np.arange(-4900.0, 32_000.0, 170.0))

@@ -9,17 +9,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.atmosphere import standard_atmosphere
-from pipeline.errors import PhysicsError
-from pipeline.refraction import RayTable, bend, ray_table, refraction_angle
-from pipeline.refraction.status_codes import (
+from unbend.atmosphere import standard_atmosphere
+from unbend.errors import PhysicsError
+from unbend.refraction import RayTable, bend, ray_table, refraction_angle
+from unbend.refraction.status_codes import (
     BAD_MEASUREMENT,
     BEYOND_GRAZING,
     MISSES_GROUND,
     OK,
     OUTSIDE_PROFILE,
 )
-from pipeline.units import ARCSEC, DEGREE
+from unbend.units import ARCSEC, DEGREE
 
 AIR = standard_atmosphere("us1976", index="gyer")
 RADIUS = 6_371_000.0

@@ -10,18 +10,18 @@ import mpmath as mp
 import numpy as np
 import pytest
 
-from pipeline.atmosphere import covariance, hypsometry, standard_atmosphere
-from pipeline.atmosphere.covariance import air_jacobian
-from pipeline.atmosphere.layers import stack_layers
-from pipeline.atmosphere.profile import Profile
-from pipeline.atmosphere.refractive_index import IndexModel
-from pipeline.errors import PhysicsError
-from pipeline.geodesy import Gravity
-from pipeline.refraction import refraction_angle
-from pipeline.refraction.status_codes import BAD_MEASUREMENT, MISSES_GROUND, OK, OUTSIDE_PROFILE
-from pipeline.refraction.uncertainty import sensitivity as weights
-from pipeline.refraction.uncertainty.sensitivity import ray_weights, sensitivity
-from pipeline.units import DEGREE, HYDROSTATIC_CONSTANT
+from unbend.atmosphere import covariance, hypsometry, standard_atmosphere
+from unbend.atmosphere.covariance import air_jacobian
+from unbend.atmosphere.layers import stack_layers
+from unbend.atmosphere.profile import Profile
+from unbend.atmosphere.refractive_index import IndexModel
+from unbend.errors import PhysicsError
+from unbend.geodesy import Gravity
+from unbend.refraction import refraction_angle
+from unbend.refraction.status_codes import BAD_MEASUREMENT, MISSES_GROUND, OK, OUTSIDE_PROFILE
+from unbend.refraction.uncertainty import sensitivity as weights
+from unbend.refraction.uncertainty.sensitivity import ray_weights, sensitivity
+from unbend.units import DEGREE, HYDROSTATIC_CONSTANT
 
 DIGITS = 30
 RADIUS = 6_371_000.0

@@ -8,12 +8,12 @@ import mpmath as mp
 import numpy as np
 import pytest
 
-from pipeline.atmosphere import standard_atmosphere
-from pipeline.atmosphere.profile import profile_from_table
-from pipeline.geodesy import lambert_gravity
-from pipeline.refraction import bend, ray_table
-from pipeline.refraction.status_codes import BEYOND_GRAZING, FAR_BRANCH, OK
-from pipeline.units import ARCSEC, DEGREE
+from unbend.atmosphere import standard_atmosphere
+from unbend.atmosphere.profile import profile_from_table
+from unbend.geodesy import lambert_gravity
+from unbend.refraction import bend, ray_table
+from unbend.refraction.status_codes import BEYOND_GRAZING, FAR_BRANCH, OK
+from unbend.units import ARCSEC, DEGREE
 
 RADIUS = 6_371_000.0
 
@@ -84,8 +84,8 @@ def test_flat_rays_among_steep_ones_to_the_same_height(table, first):
 
 def test_the_series_is_what_is_used(table):
     """The comparison above would be empty if all rays were integrated one by one."""
-    from pipeline.refraction.kernels import moments as kernel
-    from pipeline.refraction.kernels.columns import RayColumns
+    from unbend.refraction.kernels import moments as kernel
+    from unbend.refraction.kernels.columns import RayColumns
 
     h_g, sine, cosine, radius = rays(np.random.default_rng(5), 3450.0, 300, steepest=60.0)
     angle, status = np.empty(300), np.empty(300, np.uint8)

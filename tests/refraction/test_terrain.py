@@ -6,14 +6,14 @@ import numpy as np
 import pyproj
 import pytest
 
-from pipeline.atmosphere import standard_atmosphere
-from pipeline.refraction import Camera, Exposures, correct_observations
-from pipeline.refraction.ray import rays_by
-from pipeline.refraction.status_codes import (
+from unbend.atmosphere import standard_atmosphere
+from unbend.refraction import Camera, Exposures, correct_observations
+from unbend.refraction.ray import rays_by
+from unbend.refraction.status_codes import (
     OK,
     SEVERAL_CROSSINGS,
 )
-from pipeline.refraction.target_heights import terrain_heights
+from unbend.refraction.target_heights import terrain_heights
 
 from .array_terrain import ArrayTerrain
 

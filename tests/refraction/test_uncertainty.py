@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pipeline.refraction import (
+from unbend.refraction import (
     BrownConrady,
     Camera,
     Exposures,
@@ -19,9 +19,9 @@ from pipeline.refraction import (
     refraction_angle,
     uncertainty_of,
 )
-from pipeline.refraction.status_codes import FAR_BRANCH, NO_GROUND, NO_STATION
-from pipeline.refraction.uncertainty.sigmas import PARTIALS
-from pipeline.units import DEGREE
+from unbend.refraction.status_codes import FAR_BRANCH, NO_GROUND, NO_STATION
+from unbend.refraction.uncertainty.sigmas import PARTIALS
+from unbend.units import DEGREE
 
 RADIUS = 6_371_000.0
 H_C = 2680.0

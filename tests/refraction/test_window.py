@@ -8,8 +8,8 @@ import mpmath as mp
 import numpy as np
 import pytest
 
-from pipeline.errors import PhysicsError
-from pipeline.refraction.window import (
+from unbend.errors import PhysicsError
+from unbend.refraction.window import (
     OPTICAL_AXIS,
     SCHEDULE_TEMPERATURE_K,
     Cabin,

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pipeline.atmosphere.covariance import ProfileCovariance
-from pipeline.refraction import (
+from unbend.atmosphere.covariance import ProfileCovariance
+from unbend.refraction import (
     BrownConrady,
     Camera,
     Exposures,
@@ -19,9 +19,9 @@ from pipeline.refraction import (
     refraction_angle,
     uncertainty_of,
 )
-from pipeline.refraction.uncertainty.budget import window_turn
-from pipeline.refraction.uncertainty.sigmas import OPEN, SCHEDULED, SEALED, window_kind_of
-from pipeline.refraction.window import refract_at_window
+from unbend.refraction.uncertainty.budget import window_turn
+from unbend.refraction.uncertainty.sigmas import OPEN, SCHEDULED, SEALED, window_kind_of
+from unbend.refraction.window import refract_at_window
 
 RADIUS = 6_371_000.0
 CAMERA = Camera(

@@ -6,12 +6,12 @@ from functools import lru_cache
 
 import numpy as np
 
-from pipeline.atmosphere import standard_atmosphere
-from pipeline.atmosphere.covariance import ProfileCovariance
-from pipeline.atmosphere.layers import stack_layers
-from pipeline.atmosphere.profile import Profile
-from pipeline.atmosphere.refractive_index import IndexModel
-from pipeline.geodesy import lambert_gravity
+from unbend.atmosphere import standard_atmosphere
+from unbend.atmosphere.covariance import ProfileCovariance
+from unbend.atmosphere.layers import stack_layers
+from unbend.atmosphere.profile import Profile
+from unbend.atmosphere.refractive_index import IndexModel
+from unbend.geodesy import lambert_gravity
 
 EDGES = np.concatenate(
     [np.arange(-600.0, 3600.0, 50.0), np.arange(3600.0, 12_001.0, 600.0), [20e3, 32e3]]

@@ -9,14 +9,14 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.report.accuracy import compare_all, text_hash
+from unbend.report.accuracy import compare_all, text_hash
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "accuracy.md"
 
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory) -> Path:
-    from pipeline.cli.physics import write_comparison
+    from unbend.cli.physics import write_comparison
 
     path = tmp_path_factory.mktemp("page") / "accuracy.md"
     write_comparison(compare_all("us1976"), path)

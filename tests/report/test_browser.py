@@ -17,7 +17,7 @@ import rasterio
 import yaml
 from rasterio import Affine
 
-from pipeline.simulate.flight import FIELD_LAT_RAD, FIELD_LON_RAD, geographic, terrain_m
+from unbend.simulate.flight import FIELD_LAT_RAD, FIELD_LON_RAD, geographic, terrain_m
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 WIDTHS = (390, 768, 1280)
@@ -95,7 +95,7 @@ def without_log(mission: Any, baseline: Any) -> Path:
 
 def sample(folder: Path) -> Path:
     """The sample mission of a log of ArduPilot."""
-    from pipeline.stages.story import run_mission
+    from unbend.stages.story import run_mission
 
     text = (REPOSITORY / "configs" / "sample_bin.yaml").read_text(encoding="utf-8")
     sections = yaml.safe_load(text)

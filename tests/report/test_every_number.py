@@ -15,16 +15,16 @@ import pytest
 from matplotlib.collections import PolyCollection
 from rich.console import Console
 
-from pipeline.atmosphere.air_samples import AirSamples, SensorSamples
-from pipeline.refraction.angle import RadialTable
-from pipeline.report.air_and_rays import (
+from unbend.atmosphere.air_samples import AirSamples, SensorSamples
+from unbend.refraction.angle import RadialTable
+from unbend.report.air_and_rays import (
     print_air,
     print_angle,
     print_paper,
     print_profile,
     print_radial,
 )
-from pipeline.report.figures import (
+from unbend.report.figures import (
     ADJUSTED,
     MEASURED,
     REJECTED,
@@ -32,7 +32,7 @@ from pipeline.report.figures import (
     profile_figure,
     save_figure,
 )
-from pipeline.report.terminal import print_log, print_run
+from unbend.report.terminal import print_log, print_run
 
 
 def spread(count: int, median: float, p95: float, maximum: float) -> dict[str, float]:
@@ -429,8 +429,8 @@ def test_every_cell_of_a_profile():
 
 
 def test_every_line_of_the_air(air):
-    from pipeline.atmosphere.estimate.sensors import FAULT_TEXTS
-    from pipeline.atmosphere.estimate.solver import FaultEstimate
+    from unbend.atmosphere.estimate.sensors import FAULT_TEXTS
+    from unbend.atmosphere.estimate.solver import FaultEstimate
 
     fault, text = next(iter(FAULT_TEXTS.items()))
     adjustment = SimpleNamespace(
@@ -477,7 +477,7 @@ def test_every_cell_of_a_radial_table():
         object.__setattr__(table, name, value)
     patch = pytest.MonkeyPatch()
     with patch.context() as context:
-        context.setattr("pipeline.report.air_and_rays.radial_columns", lambda _: columns)
+        context.setattr("unbend.report.air_and_rays.radial_columns", lambda _: columns)
         lines = printed(print_radial, [table])
     assert lines[0] == (
         "camera 3210 m, ground 123 m: R at 45 deg 34.56 urad, the Manual's formula 29.87"

@@ -9,10 +9,10 @@ import sys
 
 import pytest
 
-from pipeline.config.schema import mission_keys, mission_schema
-from pipeline.errors import ConfigError
-from pipeline.refraction.status_codes import STATUS_NAMES
-from pipeline.report.explanations import explain, meanings
+from unbend.config.schema import mission_keys, mission_schema
+from unbend.errors import ConfigError
+from unbend.refraction.status_codes import STATUS_NAMES
+from unbend.report.explanations import explain, meanings
 
 
 @pytest.mark.parametrize("word", ["f_px", "cameras.*.f_px", "cameras.nadir.f_px", "F_PX"])
@@ -61,7 +61,7 @@ def test_every_status_is_found():
 
 def test_the_commands(tmp_path):
     def unbend(*words):
-        return subprocess.run([sys.executable, "-m", "pipeline", *words], capture_output=True,
+        return subprocess.run([sys.executable, "-m", "unbend", *words], capture_output=True,
                               text=True, timeout=120, cwd=tmp_path,
                               env=os.environ | {"COLUMNS": "80"})  # fmt: skip
 

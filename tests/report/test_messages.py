@@ -6,8 +6,8 @@ import io
 
 import numpy as np
 
-from pipeline.report import terminal
-from pipeline.report.terminal import field_rows, write_messages_csv
+from unbend.report import terminal
+from unbend.report.terminal import field_rows, write_messages_csv
 
 COLUMNS = {
     "time_ns": np.array([1_000_000_001, 86_400_000_000_000, 2], np.int64),

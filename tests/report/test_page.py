@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pipeline.flight.stations import empty_stations
-from pipeline.refraction.camera.camera import Camera
-from pipeline.report.flown import Flown, air_curves, flown_of
-from pipeline.report.html import report_page
+from unbend.flight.stations import empty_stations
+from unbend.refraction.camera.camera import Camera
+from unbend.report.flown import Flown, air_curves, flown_of
+from unbend.report.html import report_page
 
 from .test_every_number import (
     AIR,

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from pipeline.report import progress
-from pipeline.report.progress import DelayedProgressBar
+from unbend.report import progress
+from unbend.report.progress import DelayedProgressBar
 
 
 class ManualTimer:
@@ -76,7 +76,7 @@ def test_the_bar_counts_each_step_from_zero_before_and_after_it_appears(bar):
 
 def test_it_says_when_kernels_are_compiled(monkeypatch, tmp_path):
     """Read while numba compiles, and before and after it."""
-    from pipeline.refraction.kernels import jit, machine_code
+    from unbend.refraction.kernels import jit, machine_code
 
     monkeypatch.setattr(jit, "cache_folder", lambda: str(tmp_path))
     note, seen, original = progress.CompilingNote(), [], machine_code.compiled

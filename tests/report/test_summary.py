@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from pipeline.report.summary import not_included
+from unbend.report.summary import not_included
 
 NORTH_ARCSEC, EAST_ARCSEC = 0.17, 3.97
 

@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from pipeline.report.summary import next_steps, remarks, verdict
+from unbend.report.summary import next_steps, remarks, verdict
 
 READY = " in the image, and can be adjusted"
 LOOK = ", but not to be used before a look at "

@@ -10,7 +10,7 @@ import unicodedata
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.report.words import length, pixels, shortened, visible, with_sigma
+from unbend.report.words import length, pixels, shortened, visible, with_sigma
 
 
 def test_every_character_that_steers_or_hides_is_written_out():

@@ -12,9 +12,9 @@ from mcap_ros2.decoder import DecoderFactory
 from pymavlink import DFReader, mavutil
 from scipy.spatial.transform import Rotation
 
-from pipeline.errors import ConfigError, StorageError
-from pipeline.simulate import SimulationOptions, simulate
-from pipeline.simulate.sensors import LOG_BEGINS_BOOT_US, LOG_BEGINS_UNIX_NS
+from unbend.errors import ConfigError, StorageError
+from unbend.simulate import SimulationOptions, simulate
+from unbend.simulate.sensors import LOG_BEGINS_BOOT_US, LOG_BEGINS_UNIX_NS
 
 SMALL = SimulationOptions(
     seed=3, height_above_ground_m=2500.0, lines=1, exposures_per_line=3, points_per_image=12

@@ -8,14 +8,14 @@ import mpmath as mp
 import numpy as np
 import pytest
 
-from pipeline.simulate.optics import (
+from tests.physics.ray_on_sphere import ray_angle_sphere
+from unbend.simulate.optics import (
     enu_axes,
     height_and_up,
     shoot,
     to_ecef,
 )
-from pipeline.simulate.true_air import true_air
-from tests.physics.ray_on_sphere import ray_angle_sphere
+from unbend.simulate.true_air import true_air
 
 ARCSEC = math.pi / 648_000.0
 RADIUS = 6_371_000.0

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pipeline.simulate.optics import body_rotation, cameras, quaternion, through_window
+from unbend.simulate.optics import body_rotation, cameras, quaternion, through_window
 
 
 def test_mounts_point_where_they_say():

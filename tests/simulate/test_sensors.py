@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pipeline.simulate.block import observation_columns, stations
-from pipeline.simulate.flight import FIELD_LAT_RAD, UNDULATION_M, Flight, State, fly
-from pipeline.simulate.optics import cameras
-from pipeline.simulate.sensors import GnssSamples, LoggedSamples, navigation_samples, sample
-from pipeline.simulate.true_air import TrueAir, relative_humidity, temperature_k, true_air
+from unbend.simulate.block import observation_columns, stations
+from unbend.simulate.flight import FIELD_LAT_RAD, UNDULATION_M, Flight, State, fly
+from unbend.simulate.optics import cameras
+from unbend.simulate.sensors import GnssSamples, LoggedSamples, navigation_samples, sample
+from unbend.simulate.true_air import TrueAir, relative_humidity, temperature_k, true_air
 
 E2 = 0.00669437999014  # WGS84
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.simulate.true_air import (
+from unbend.simulate.true_air import (
     edlen_index,
     normal_gravity,
     relative_humidity,

@@ -45,8 +45,8 @@ def changed(sections: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]
 @cache
 def stations_of(base: str) -> pd.DataFrame:
     """The stations of a sample mission, as `unbend stations --csv` writes them."""
-    from pipeline.flight.stations import station_columns
-    from pipeline.stages.story import read_mission
+    from unbend.flight.stations import station_columns
+    from unbend.stages.story import read_mission
 
     stations = read_mission(REPOSITORY / "configs" / f"{base}.yaml").stations
     return pd.DataFrame(station_columns(stations))
@@ -137,7 +137,7 @@ def write_events(path: Path, recipe: str) -> None:
 
 def write_trajectory(path: Path, recipe: str) -> None:
     """Positions and attitudes of the log at 5 Hz, heights above the ellipsoid."""
-    from pipeline.ingest import open_log
+    from unbend.ingest import open_log
 
     channels = {c.name: c for c in open_log(SAMPLES / "flight.bin").channels}
     gps, att = channels["GPS[0]"], channels["ATT"]

@@ -13,22 +13,22 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from pipeline.atmosphere.climatology import climatology
-from pipeline.atmosphere.estimate.state import SensorFault
-from pipeline.atmosphere.series.profile_series import TimedProfile
-from pipeline.atmosphere.series.time_windows import TimeWindow
-from pipeline.config.atmosphere import SensorsSection
-from pipeline.config.schema import mission_keys
-from pipeline.simulate.mission import FIELD_LAT_RAD
-from pipeline.simulate.true_air import (
+from tests.conftest import without_plots
+from unbend.atmosphere.climatology import climatology
+from unbend.atmosphere.estimate.state import SensorFault
+from unbend.atmosphere.series.profile_series import TimedProfile
+from unbend.atmosphere.series.time_windows import TimeWindow
+from unbend.config.atmosphere import SensorsSection
+from unbend.config.schema import mission_keys
+from unbend.simulate.mission import FIELD_LAT_RAD
+from unbend.simulate.true_air import (
     saturation_pressure_pa,
     temperature_k,
     true_air,
     vapour_pressure_pa,
 )
-from pipeline.stages import adjusted_profile as batch_air
-from pipeline.stages.story import read_mission
-from tests.conftest import without_plots
+from unbend.stages import adjusted_profile as batch_air
+from unbend.stages.story import read_mission
 
 METAR = "METAR KXYZ 151055Z 24011KT 9999 SCT040 12/08 Q1013"
 

@@ -8,7 +8,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from pipeline.atmosphere.series import profile_series as course
+from unbend.atmosphere.series import profile_series as course
 
 pytestmark = pytest.mark.usefixtures("plain_report")
 

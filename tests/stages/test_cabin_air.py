@@ -9,23 +9,23 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from pipeline.atmosphere import standard_atmosphere
-from pipeline.config.cameras import CabinAir
-from pipeline.flight.channels import Channel, Source
-from pipeline.flight.stations import Stations, empty_stations
-from pipeline.ingest import open_log
-from pipeline.ledger import Ledger
-from pipeline.refraction import StationSigmas, correct_observations, ray_table, uncertainty_of
-from pipeline.refraction.camera.camera import Camera, LensInAir
-from pipeline.refraction.uncertainty.sigmas import SEALED
-from pipeline.refraction.window import Cabin, Window
-from pipeline.simulate.optics import cameras, through_window
-from pipeline.simulate.true_air import edlen_index
-from pipeline.stages import inputs
-from pipeline.stages.cabin_air import cabin_changes, cabin_from_log, with_cabin_air
-from pipeline.stages.exposure_setup import exposures_of
-from pipeline.units import ZERO_CELSIUS_K
 from tests.physics.ray_on_sphere import ray_angle_sphere
+from unbend.atmosphere import standard_atmosphere
+from unbend.config.cameras import CabinAir
+from unbend.flight.channels import Channel, Source
+from unbend.flight.stations import Stations, empty_stations
+from unbend.ingest import open_log
+from unbend.ledger import Ledger
+from unbend.refraction import StationSigmas, correct_observations, ray_table, uncertainty_of
+from unbend.refraction.camera.camera import Camera, LensInAir
+from unbend.refraction.uncertainty.sigmas import SEALED
+from unbend.refraction.window import Cabin, Window
+from unbend.simulate.optics import cameras, through_window
+from unbend.simulate.true_air import edlen_index
+from unbend.stages import inputs
+from unbend.stages.cabin_air import cabin_changes, cabin_from_log, with_cabin_air
+from unbend.stages.exposure_setup import exposures_of
+from unbend.units import ZERO_CELSIUS_K
 
 US1976 = standard_atmosphere("us1976")
 DOWN = (0.0, 1.0, 0.0, 0.0)

@@ -14,8 +14,6 @@ import pyproj
 import pytest
 import yaml
 
-from pipeline.simulate.flight import UNDULATION_M
-from pipeline.simulate.optics import height_and_up
 from tests.golden.held_block import (
     CX,
     CY,
@@ -27,6 +25,8 @@ from tests.golden.held_block import (
     intersected,
     write_mission,
 )
+from unbend.simulate.flight import UNDULATION_M
+from unbend.simulate.optics import height_and_up
 
 EVERY = 7  # of the points is control
 
@@ -171,7 +171,7 @@ def test_the_terminal_and_a_rehearsal_show_it(surveyed):
 
 
 def test_the_report_has_each_point(block, tmp_path, unbend, whole_report):
-    from pipeline.report.summary import CONTROL_HEAD, control_rows, control_sentence
+    from unbend.report.summary import CONTROL_HEAD, control_rows, control_sentence
 
     surveyed = Surveyed(block, tmp_path, unbend)
     surveyed.state()

@@ -7,8 +7,8 @@ import threading
 
 import pytest
 
-from pipeline.refraction.kernels import threads as _threads
-from pipeline.stages import correction as correct
+from unbend.refraction.kernels import threads as _threads
+from unbend.stages import correction as correct
 
 
 class Counter:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pyarrow as pa
 
-from pipeline.units import WGS84_A
+from unbend.units import WGS84_A
 
 
 def pixels(table, kind):

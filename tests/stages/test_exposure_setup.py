@@ -9,21 +9,21 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pipeline.atmosphere import standard_atmosphere
-from pipeline.errors import MissionError
-from pipeline.flight.channels import Channel, Source
-from pipeline.flight.exposures import Events
-from pipeline.flight.heights import HeightSystem
-from pipeline.flight.mount import Mount
-from pipeline.flight.station_builder import build_stations, flag_missing_aircraft_attitude
-from pipeline.flight.stations import Stations, join_stations
-from pipeline.ledger import Kind, Ledger
-from pipeline.refraction.camera.camera import LensInAir
-from pipeline.refraction.printed_tables import gyer_air, printed_table
-from pipeline.refraction.window import Cabin, Window, refract_at_window
-from pipeline.stages.cabin_air import with_cabin_air
-from pipeline.stages.exposure_setup import exposures_of, report_lenses, report_windows
-from pipeline.units import ARCSEC
+from unbend.atmosphere import standard_atmosphere
+from unbend.errors import MissionError
+from unbend.flight.channels import Channel, Source
+from unbend.flight.exposures import Events
+from unbend.flight.heights import HeightSystem
+from unbend.flight.mount import Mount
+from unbend.flight.station_builder import build_stations, flag_missing_aircraft_attitude
+from unbend.flight.stations import Stations, join_stations
+from unbend.ledger import Kind, Ledger
+from unbend.refraction.camera.camera import LensInAir
+from unbend.refraction.printed_tables import gyer_air, printed_table
+from unbend.refraction.window import Cabin, Window, refract_at_window
+from unbend.stages.cabin_air import with_cabin_air
+from unbend.stages.exposure_setup import exposures_of, report_lenses, report_windows
+from unbend.units import ARCSEC
 
 SECOND = 1_000_000_000
 SECONDS = np.arange(0.0, 10.0, 0.1)

@@ -14,13 +14,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from pipeline.atmosphere import standard_atmosphere
-from pipeline.atmosphere.series.profile_series import TimedProfile, constant_series
-from pipeline.flight.stations import NO_TIME, Stations
-from pipeline.stages.commands.finished_run import profile_of, stations_of
-from pipeline.stages.story import read_mission
-from pipeline.tables.exports.format import write_csv_stream
-from pipeline.tables.writing import PROFILE_ID, table_of_profile, table_of_stations
+from unbend.atmosphere import standard_atmosphere
+from unbend.atmosphere.series.profile_series import TimedProfile, constant_series
+from unbend.flight.stations import NO_TIME, Stations
+from unbend.stages.commands.finished_run import profile_of, stations_of
+from unbend.stages.story import read_mission
+from unbend.tables.exports.format import write_csv_stream
+from unbend.tables.writing import PROFILE_ID, table_of_profile, table_of_stations
 
 COLUMNS = ["image", "x_px", "y_px", "dx_px", "dy_px", "h_g_m", "status"]
 

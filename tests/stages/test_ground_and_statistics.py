@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.ledger import Kind, Ledger
-from pipeline.refraction.camera.camera import Camera
-from pipeline.refraction.image import Corrections
-from pipeline.refraction.status_codes import (
+from unbend.ledger import Kind, Ledger
+from unbend.refraction.camera.camera import Camera
+from unbend.refraction.image import Corrections
+from unbend.refraction.status_codes import (
     MISSES_GROUND,
     NO_GROUND,
     NO_STATION,
@@ -20,8 +20,8 @@ from pipeline.refraction.status_codes import (
     OUTSIDE_CAMERA,
     STATUS_NAMES,
 )
-from pipeline.stages.ground_heights import GivenGround, GroundHeights, plausible_heights
-from pipeline.stages.statistics import Statistics, evenly_spaced
+from unbend.stages.ground_heights import GivenGround, GroundHeights, plausible_heights
+from unbend.stages.statistics import Statistics, evenly_spaced
 
 
 @dataclass

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.block.alignment import LOG_RATIO_NEEDED
-from pipeline.flight.stations import STATION_OK, empty_stations
-from pipeline.stages.multi_image.image_events import CameraImages, position_likelihood
-from pipeline.tables.imports.exif import NO_TIME, ImageTimes
+from unbend.block.alignment import LOG_RATIO_NEEDED
+from unbend.flight.stations import STATION_OK, empty_stations
+from unbend.stages.multi_image.image_events import CameraImages, position_likelihood
+from unbend.tables.imports.exif import NO_TIME, ImageTimes
 
 A, SPEED, INTERVAL = 6.37e6, 20.0, 1.5
 

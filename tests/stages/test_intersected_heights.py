@@ -10,10 +10,10 @@ import pyarrow.parquet as pq
 import pytest
 import yaml
 
-from pipeline.simulate import SimulationOptions, simulate
-from pipeline.stages import story
-from pipeline.stages.multi_image import point_heights
-from pipeline.stages.story import check_mission
+from unbend.simulate import SimulationOptions, simulate
+from unbend.stages import story
+from unbend.stages.multi_image import point_heights
+from unbend.stages.story import check_mission
 
 pytestmark = pytest.mark.usefixtures("plain_report")
 

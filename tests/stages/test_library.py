@@ -11,11 +11,11 @@ import pyarrow.parquet as pq
 import pytest
 from scipy.spatial.transform import Rotation
 
-import pipeline
-from pipeline import correct, standard_atmosphere
-from pipeline.atmosphere.covariance import ProfileCovariance
-from pipeline.atmosphere.series.profile_series import TimedProfile, constant_series
-from pipeline.errors import UnbendError
+import unbend
+from unbend import correct, standard_atmosphere
+from unbend.atmosphere.covariance import ProfileCovariance
+from unbend.atmosphere.series.profile_series import TimedProfile, constant_series
+from unbend.errors import UnbendError
 
 from .test_oriented_stations import columns_of
 
@@ -60,8 +60,8 @@ def quiet(*args, **more):
 
 
 def test_it_is_among_the_main_names():
-    assert "correct" in pipeline.__all__
-    assert pipeline.correct is correct
+    assert "correct" in unbend.__all__
+    assert unbend.correct is correct
 
 
 def test_from_the_tables_of_a_run(flight):

@@ -17,7 +17,7 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 from pymavlink import DFReader
 
-from pipeline.tables.geodata.geoid import package_geoid
+from unbend.tables.geodata.geoid import package_geoid
 
 pytestmark = pytest.mark.usefixtures("plain_report")
 

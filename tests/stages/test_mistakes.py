@@ -18,9 +18,9 @@ from typing import Any
 import pytest
 import yaml
 
-from pipeline.errors import UnbendError
-from pipeline.stages import inputs
-from pipeline.stages.story import check_mission
+from unbend.errors import UnbendError
+from unbend.stages import inputs
+from unbend.stages.story import check_mission
 
 from .mistaken import MISTAKES, write_mistake
 

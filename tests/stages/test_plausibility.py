@@ -10,14 +10,14 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from pipeline.refraction import Camera
-from pipeline.refraction.camera.general_frame import GeneralFrame
-from pipeline.refraction.camera.opencv_fisheye import OpenCVFisheye
-from pipeline.simulate.flight import FIELD_LAT_RAD, FIELD_LON_RAD, geographic, terrain_m
-from pipeline.simulate.write_dataflash import FORMATS
-from pipeline.stages.commands.rehearsal import camera_text
-from pipeline.stages.plausibility import RULES, Facts, distortion, field_of_view
-from pipeline.stages.story import check_mission
+from unbend.refraction import Camera
+from unbend.refraction.camera.general_frame import GeneralFrame
+from unbend.refraction.camera.opencv_fisheye import OpenCVFisheye
+from unbend.simulate.flight import FIELD_LAT_RAD, FIELD_LON_RAD, geographic, terrain_m
+from unbend.simulate.write_dataflash import FORMATS
+from unbend.stages.commands.rehearsal import camera_text
+from unbend.stages.plausibility import RULES, Facts, distortion, field_of_view
+from unbend.stages.story import check_mission
 
 from .test_rehearsal import config, rows
 
@@ -204,7 +204,7 @@ def test_air_of_another_pressure(mission, monkeypatch):
     """R in air of half the pressure is half of the standard's, beyond the factor of 1.5."""
     from dataclasses import replace
 
-    from pipeline.stages import story
+    from unbend.stages import story
 
     real = story.adjusted_profiles
 

@@ -12,11 +12,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from pipeline.errors import ConfigError, MissionError, StorageError, UnbendError
-from pipeline.ledger import Ledger
-from pipeline.stages.commands import rehearsal
-from pipeline.stages.story import check_mission, run_mission
-from pipeline.tables.observations import RowSample, open_observations
+from unbend.errors import ConfigError, MissionError, StorageError, UnbendError
+from unbend.ledger import Ledger
+from unbend.stages.commands import rehearsal
+from unbend.stages.story import check_mission, run_mission
+from unbend.tables.observations import RowSample, open_observations
 
 pytestmark = pytest.mark.usefixtures("plain_report")
 

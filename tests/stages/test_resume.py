@@ -16,21 +16,21 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from pipeline.atmosphere import standard_atmosphere
-from pipeline.batch import store
-from pipeline.batch.file_hashes import check_unchanged
-from pipeline.batch.plan import make_plan
-from pipeline.batch.store import find_damage, open_folder, read_manifest
-from pipeline.batch.value_cache import packed, unpacked
-from pipeline.config import load_mission
-from pipeline.errors import InputError, StorageError
-from pipeline.ledger import Ledger
-from pipeline.refraction.camera.camera import BrownConrady, Camera
-from pipeline.refraction.image import Exposures
-from pipeline.refraction.ray import rays_by
-from pipeline.stages.correction import CorrectionSetup, PartsOfRun, correct_stream
-from pipeline.stages.ground_heights import GivenGround
-from pipeline.tables.observations import open_observations
+from unbend.atmosphere import standard_atmosphere
+from unbend.batch import store
+from unbend.batch.file_hashes import check_unchanged
+from unbend.batch.plan import make_plan
+from unbend.batch.store import find_damage, open_folder, read_manifest
+from unbend.batch.value_cache import packed, unpacked
+from unbend.config import load_mission
+from unbend.errors import InputError, StorageError
+from unbend.ledger import Ledger
+from unbend.refraction.camera.camera import BrownConrady, Camera
+from unbend.refraction.image import Exposures
+from unbend.refraction.ray import rays_by
+from unbend.stages.correction import CorrectionSetup, PartsOfRun, correct_stream
+from unbend.stages.ground_heights import GivenGround
+from unbend.tables.observations import open_observations
 
 SEED = random.randrange(1 << 30)
 ROWS, BATCH_ROWS, PARTS = 950, 100, 10

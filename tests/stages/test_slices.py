@@ -15,13 +15,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from pipeline.batch import executors
-from pipeline.batch.executors import Child, Lost, end_of
-from pipeline.batch.store import RunFolder
-from pipeline.errors import StorageError
-from pipeline.stages import correction
-from pipeline.stages.correction import PartsOfRun, check_wanted
-from pipeline.stages.statistics import Statistics
+from unbend.batch import executors
+from unbend.batch.executors import Child, Lost, end_of
+from unbend.batch.store import RunFolder
+from unbend.errors import StorageError
+from unbend.stages import correction
+from unbend.stages.correction import PartsOfRun, check_wanted
+from unbend.stages.statistics import Statistics
 
 BATCH_ROWS, COPIES = 1000, 200
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.refraction.image import COLUMNS, Corrections
-from pipeline.stages.statistics import Distribution, ShiftStatistics
+from unbend.refraction.image import COLUMNS, Corrections
+from unbend.stages.statistics import Distribution, ShiftStatistics
 
 
 def test_no_quantile_is_larger_than_the_largest():

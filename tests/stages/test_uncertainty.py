@@ -16,11 +16,11 @@ import pyarrow.parquet as pq
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pipeline.atmosphere.covariance import ProfileCovariance
-from pipeline.flight.trajectory import _Curve
-from pipeline.stages import story as stages
-from pipeline.stages.story import read_mission
-from pipeline.stages.uncertainty import station_sigmas
+from unbend.atmosphere.covariance import ProfileCovariance
+from unbend.flight.trajectory import _Curve
+from unbend.stages import story as stages
+from unbend.stages.story import read_mission
+from unbend.stages.uncertainty import station_sigmas
 
 pytestmark = pytest.mark.usefixtures("plain_report")
 

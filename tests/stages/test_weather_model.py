@@ -10,17 +10,17 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from pipeline import correct
-from pipeline.atmosphere.air_samples import AirSamples
-from pipeline.atmosphere.series import profiles_by_place
-from pipeline.ledger import Ledger
-from pipeline.simulate.flight import FIELD_LAT_RAD
-from pipeline.simulate.true_air import temperature_k, true_air, vapour_pressure_pa
-from pipeline.stages.adjusted_profile import adjusted_profiles, read_air_sources
-from pipeline.stages.commands.finished_run import verify_run
-from pipeline.stages.story import read_mission
 from tests.conftest import run_command
 from tests.model_files import dataset, netcdf
+from unbend import correct
+from unbend.atmosphere.air_samples import AirSamples
+from unbend.atmosphere.series import profiles_by_place
+from unbend.ledger import Ledger
+from unbend.simulate.flight import FIELD_LAT_RAD
+from unbend.simulate.true_air import temperature_k, true_air, vapour_pressure_pa
+from unbend.stages.adjusted_profile import adjusted_profiles, read_air_sources
+from unbend.stages.commands.finished_run import verify_run
+from unbend.stages.story import read_mission
 
 from .test_oriented_stations import columns_of
 

@@ -13,11 +13,7 @@ import pyproj
 import pytest
 from scipy.spatial.transform import Rotation
 
-import pipeline.stages.inputs as inputs
-from pipeline.errors import ConfigError, InputError, MissionError
-from pipeline.flight.channels import Channel, Source
-from pipeline.simulate.flight import UNDULATION_M
-from pipeline.stages.story import read_mission
+import unbend.stages.inputs as inputs
 from tests.stages.test_imports import (
     GPS_EPOCH,
     NEAR_M,
@@ -29,6 +25,10 @@ from tests.stages.test_imports import (
     files,
     truth,
 )
+from unbend.errors import ConfigError, InputError, MissionError
+from unbend.flight.channels import Channel, Source
+from unbend.simulate.flight import UNDULATION_M
+from unbend.stages.story import read_mission
 
 __all__ = ["files", "truth"]
 

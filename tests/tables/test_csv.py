@@ -10,11 +10,11 @@ import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
 import pytest
 
-from pipeline.errors import InputError
-from pipeline.ledger import Ledger
-from pipeline.tables import delimited
-from pipeline.tables.imports.user_tables import read_events
-from pipeline.tables.observations import open_observations
+from unbend.errors import InputError
+from unbend.ledger import Ledger
+from unbend.tables import delimited
+from unbend.tables.imports.user_tables import read_events
+from unbend.tables.observations import open_observations
 
 COLUMNS = {"image": "image", "point": "point", "x_px": "x_px", "y_px": "y_px"}
 

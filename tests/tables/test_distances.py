@@ -11,10 +11,10 @@ import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
 import pytest
 
-from pipeline.errors import InputError
-from pipeline.ledger import Ledger
-from pipeline.tables.observations import open_observations
-from pipeline.tables.schemas import DISPLACED_COLUMNS, OBSERVATION_COLUMNS
+from unbend.errors import InputError
+from unbend.ledger import Ledger
+from unbend.tables.observations import open_observations
+from unbend.tables.schemas import DISPLACED_COLUMNS, OBSERVATION_COLUMNS
 
 COLUMNS = {"image": "image", "point": "point", "x_px": "x_px", "y_px": "y_px"}
 RANGED = COLUMNS | {"distance_m": "range"}

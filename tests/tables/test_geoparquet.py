@@ -12,10 +12,10 @@ import pyarrow.parquet as pq
 import pyproj
 import pytest
 
-from pipeline.atmosphere import standard_atmosphere
-from pipeline.atmosphere.series.profile_series import TimedProfile, constant_series
-from pipeline.flight.stations import Stations, empty_stations
-from pipeline.tables.writing import table_of_stations, write_parquet
+from unbend.atmosphere import standard_atmosphere
+from unbend.atmosphere.series.profile_series import TimedProfile, constant_series
+from unbend.flight.stations import Stations, empty_stations
+from unbend.tables.writing import table_of_stations, write_parquet
 
 SKIPPED_OF_POINTS = {"crs-consistency", "crs-default", "edges-value", "epoch", "orientation-value",
                      "orientation-rings", "bbox-array", "bbox-crs", "bbox-extent",

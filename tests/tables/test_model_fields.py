@@ -10,13 +10,13 @@ import xarray
 from scipy.integrate import cumulative_trapezoid
 from scipy.io import netcdf_file
 
-from pipeline.atmosphere.soundings.model_field import model_column
-from pipeline.errors import InputError
-from pipeline.geodesy import normal_gravity
-from pipeline.ledger import Ledger
-from pipeline.simulate.true_air import temperature_k, true_air, vapour_pressure_pa
-from pipeline.tables.weather_files import FlightArea, open_datasets, read_model_field
 from tests.model_files import dataset, grib, netcdf, on_model_levels
+from unbend.atmosphere.soundings.model_field import model_column
+from unbend.errors import InputError
+from unbend.geodesy import normal_gravity
+from unbend.ledger import Ledger
+from unbend.simulate.true_air import temperature_k, true_air, vapour_pressure_pa
+from unbend.tables.weather_files import FlightArea, open_datasets, read_model_field
 
 SHARED = Path(__file__).resolve().parents[3] / "shared" / "nwp"
 PLACE = (np.radians(47.3), np.radians(8.6))

@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.ledger import Ledger
-from pipeline.refraction.image import COLUMNS, Corrections
-from pipeline.tables.observations import open_observations
-from pipeline.tables.pixels import PixelSystem
-from pipeline.tables.schemas import DISPLACED_COLUMNS, OBSERVATION_COLUMNS, schema_of
-from pipeline.tables.writing import table_of_observations
+from unbend.ledger import Ledger
+from unbend.refraction.image import COLUMNS, Corrections
+from unbend.tables.observations import open_observations
+from unbend.tables.pixels import PixelSystem
+from unbend.tables.schemas import DISPLACED_COLUMNS, OBSERVATION_COLUMNS, schema_of
+from unbend.tables.writing import table_of_observations
 
 # 0.1 + 0.5 - 0.5 is not 0.1 in binary: the user's own number must come out, not one computed back.
 X, Y = [0.1, 100.3, 7.0], [0.7, -0.1, 11.25]

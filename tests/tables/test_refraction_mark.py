@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from pipeline.errors import InputError
-from pipeline.tables.refraction_mark import refuse_marked, sidecar_text
+from unbend.errors import InputError
+from unbend.tables.refraction_mark import refuse_marked, sidecar_text
 
 TEXT = "image,point,x_px,y_px\na,p,1,2\n"
 

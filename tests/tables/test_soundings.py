@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.io import netcdf_file
 
-from pipeline.errors import InputError
-from pipeline.ledger import Ledger
-from pipeline.tables.soundings import read_sounding
+from unbend.errors import InputError
+from unbend.ledger import Ledger
+from unbend.tables.soundings import read_sounding
 
 RELEASE_S = 1_700_000_000
 # US 1976 at six geopotential heights [m'], dry.

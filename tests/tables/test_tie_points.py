@@ -8,11 +8,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pipeline.ledger import Ledger
-from pipeline.tables import tie_points
-from pipeline.tables.observations import Observations, open_observations
-from pipeline.tables.pixels import PixelSystem
-from pipeline.tables.tie_points import draw_tie_points
+from unbend.ledger import Ledger
+from unbend.tables import tie_points
+from unbend.tables.observations import Observations, open_observations
+from unbend.tables.pixels import PixelSystem
+from unbend.tables.tie_points import draw_tie_points
 
 COLUMNS = {name: name for name in ("image", "point", "x_px", "y_px")}
 

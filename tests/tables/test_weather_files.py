@@ -12,9 +12,9 @@ import pyproj  # noqa: F401  (before ecCodes)
 import pytest
 import xarray
 
-from pipeline.errors import InputError
-from pipeline.tables.weather_files import contents_of, is_model_file
 from tests.conftest import run_command
+from unbend.errors import InputError
+from unbend.tables.weather_files import contents_of, is_model_file
 
 SHARED = Path(__file__).resolve().parents[3] / "shared" / "nwp"
 
@@ -136,9 +136,9 @@ def test_without_the_extra_the_command_that_installs_it_is_named(era5, monkeypat
                                    ("weather_files", "geodata.coordinate_systems")])  # fmt: skip
 def test_pyproj_and_eccodes_live_together(gfs, order):
     """Loaded after ecCodes pyproj crashes, so each order is tried in a process of its own."""
-    script = "".join(f"import pipeline.tables.{module}\n" for module in order) + (
+    script = "".join(f"import unbend.tables.{module}\n" for module in order) + (
         "from pathlib import Path\nimport sys\n"
-        "from pipeline.tables.weather_files import contents_of\n"
+        "from unbend.tables.weather_files import contents_of\n"
         "assert contents_of(Path(sys.argv[1]))['format'] == 'GRIB'\n"
         "import pyproj\n"
         "to = pyproj.Transformer.from_crs(4326, 25832).transform(47.0, 9.0)\n"

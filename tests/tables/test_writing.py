@@ -12,22 +12,22 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from pipeline.atmosphere import standard_atmosphere
-from pipeline.atmosphere.covariance import ProfileCovariance
-from pipeline.atmosphere.estimate.adjusted_profile import unadjusted
-from pipeline.atmosphere.series.profile_series import ProfileSeries, TimedProfile
-from pipeline.errors import InputError
-from pipeline.flight.stations import empty_stations
-from pipeline.geodesy import lambert_gravity
-from pipeline.ledger import Ledger
-from pipeline.tables import delimited
-from pipeline.tables.exports.format import write_csv_stream
-from pipeline.tables.imports.user_tables import read_events
-from pipeline.tables.observations import open_observations
-from pipeline.tables.refraction_mark import refuse_done
-from pipeline.tables.schemas import OBSERVATION_COLUMNS, PROFILE_COLUMNS, STATION_COLUMNS, schema_of
-from pipeline.tables.text_columns import refuse_other_pixels
-from pipeline.tables.writing import (
+from unbend.atmosphere import standard_atmosphere
+from unbend.atmosphere.covariance import ProfileCovariance
+from unbend.atmosphere.estimate.adjusted_profile import unadjusted
+from unbend.atmosphere.series.profile_series import ProfileSeries, TimedProfile
+from unbend.errors import InputError
+from unbend.flight.stations import empty_stations
+from unbend.geodesy import lambert_gravity
+from unbend.ledger import Ledger
+from unbend.tables import delimited
+from unbend.tables.exports.format import write_csv_stream
+from unbend.tables.imports.user_tables import read_events
+from unbend.tables.observations import open_observations
+from unbend.tables.refraction_mark import refuse_done
+from unbend.tables.schemas import OBSERVATION_COLUMNS, PROFILE_COLUMNS, STATION_COLUMNS, schema_of
+from unbend.tables.text_columns import refuse_other_pixels
+from unbend.tables.writing import (
     table_of_profile,
     table_of_profiles,
     table_of_stations,

@@ -7,13 +7,13 @@ import math
 import numpy as np
 import pytest
 
-from pipeline.atmosphere import standard_atmosphere
-from pipeline.atmosphere.air_samples import AirSamples, SensorSamples, bin_by_height
-from pipeline.atmosphere.estimate.adjusted_profile import build_adjusted_profile, unadjusted
-from pipeline.atmosphere.estimate.sensors import SensorCalibration, SensorSettings
-from pipeline.atmosphere.estimate.state import SensorFault
-from pipeline.ledger import Kind, Ledger
-from pipeline.simulate.true_air import (
+from unbend.atmosphere import standard_atmosphere
+from unbend.atmosphere.air_samples import AirSamples, SensorSamples, bin_by_height
+from unbend.atmosphere.estimate.adjusted_profile import build_adjusted_profile, unadjusted
+from unbend.atmosphere.estimate.sensors import SensorCalibration, SensorSettings
+from unbend.atmosphere.estimate.state import SensorFault
+from unbend.ledger import Kind, Ledger
+from unbend.simulate.true_air import (
     TrueAir,
     relative_humidity,
     temperature_k,
@@ -384,9 +384,9 @@ def test_the_middle_of_the_flight_dates_the_profile(air):
 
 def refraction_error(air, profile, climb: float) -> float:
     """Relative error of R at 45 degrees, from the field to the top of the climb."""
-    from pipeline.atmosphere import profile_from_table
-    from pipeline.geodesy import lambert_gravity
-    from pipeline.refraction import refraction_angle
+    from unbend.atmosphere import profile_from_table
+    from unbend.geodesy import lambert_gravity
+    from unbend.refraction import refraction_angle
 
     h = np.arange(FIELD_M - 100.0, FIELD_M + climb + 200.0, 10.0)
     true = profile_from_table(

@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.atmosphere import standard_atmosphere
-from pipeline.atmosphere.climatology import climatology
-from pipeline.atmosphere.estimate.adjusted_profile import build_adjusted_profile
-from pipeline.atmosphere.estimate.readings import collect_readings
-from pipeline.atmosphere.estimate.sensors import FAULT_TEXTS, SensorCalibration, SensorSettings
-from pipeline.atmosphere.estimate.solver import estimate
-from pipeline.atmosphere.estimate.state import SensorFault
-from pipeline.ledger import Kind, Ledger
+from unbend.atmosphere import standard_atmosphere
+from unbend.atmosphere.climatology import climatology
+from unbend.atmosphere.estimate.adjusted_profile import build_adjusted_profile
+from unbend.atmosphere.estimate.readings import collect_readings
+from unbend.atmosphere.estimate.sensors import FAULT_TEXTS, SensorCalibration, SensorSettings
+from unbend.atmosphere.estimate.solver import estimate
+from unbend.atmosphere.estimate.state import SensorFault
+from unbend.ledger import Kind, Ledger
 
 US1976 = standard_atmosphere("us1976")
 HYGROMETER = SensorFault.HYGROMETER_BIAS

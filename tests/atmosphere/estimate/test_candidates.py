@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from pipeline.atmosphere.estimate.candidates import SourceUse
-from pipeline.atmosphere.estimate.solver import Fit
+from unbend.atmosphere.estimate.candidates import SourceUse
+from unbend.atmosphere.estimate.solver import Fit
 
 FIT = Fit("IMET[0]", "temperature", 41, 1.234, 2.345, 7.891)
 

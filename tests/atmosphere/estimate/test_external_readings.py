@@ -10,12 +10,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from pipeline.atmosphere import standard_atmosphere
-from pipeline.atmosphere.air_samples import AirSamples
-from pipeline.atmosphere.climatology import climatology
-from pipeline.atmosphere.estimate.adjusted_profile import build_adjusted_profile
-from pipeline.atmosphere.estimate.candidates import candidates
-from pipeline.atmosphere.estimate.external_readings import (
+from unbend.atmosphere import standard_atmosphere
+from unbend.atmosphere.air_samples import AirSamples
+from unbend.atmosphere.climatology import climatology
+from unbend.atmosphere.estimate.adjusted_profile import build_adjusted_profile
+from unbend.atmosphere.estimate.candidates import candidates
+from unbend.atmosphere.estimate.external_readings import (
     UNPLACED_M,
     TimeAndPlace,
     distance_notes,
@@ -25,11 +25,11 @@ from pipeline.atmosphere.estimate.external_readings import (
     surface_readings,
     variance_growth,
 )
-from pipeline.atmosphere.estimate.readings import collect_readings
-from pipeline.atmosphere.estimate.sensors import SensorSettings
-from pipeline.atmosphere.soundings import ColumnErrors, Sounding
-from pipeline.atmosphere.surface_report import SurfaceReport
-from pipeline.ledger import Kind, Ledger
+from unbend.atmosphere.estimate.readings import collect_readings
+from unbend.atmosphere.estimate.sensors import SensorSettings
+from unbend.atmosphere.soundings import ColumnErrors, Sounding
+from unbend.atmosphere.surface_report import SurfaceReport
+from unbend.ledger import Kind, Ledger
 
 HOUR = 3_600 * 10**9
 US1976 = standard_atmosphere("us1976")

@@ -13,10 +13,10 @@ import os
 import numpy as np
 import pytest
 
-from pipeline.atmosphere import standard_atmosphere
-from pipeline.atmosphere.climatology import climatology, month_of
-from pipeline.atmosphere.estimate.adjusted_profile import build_adjusted_profile
-from pipeline.ledger import Kind, Ledger
+from unbend.atmosphere import standard_atmosphere
+from unbend.atmosphere.climatology import climatology, month_of
+from unbend.atmosphere.estimate.adjusted_profile import build_adjusted_profile
+from unbend.ledger import Kind, Ledger
 
 US1976 = standard_atmosphere("us1976")
 DRAWS = int(os.environ.get("UNBEND_THERMOMETERS", "24"))

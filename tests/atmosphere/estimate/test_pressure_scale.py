@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.atmosphere import standard_atmosphere
-from pipeline.atmosphere.climatology import climatology, month_of
-from pipeline.atmosphere.estimate.adjusted_profile import build_adjusted_profile
-from pipeline.atmosphere.estimate.state import Fault, SensorFault
-from pipeline.atmosphere.soundings import Sounding
-from pipeline.ledger import Kind, Ledger
+from unbend.atmosphere import standard_atmosphere
+from unbend.atmosphere.climatology import climatology, month_of
+from unbend.atmosphere.estimate.adjusted_profile import build_adjusted_profile
+from unbend.atmosphere.estimate.state import Fault, SensorFault
+from unbend.atmosphere.soundings import Sounding
+from unbend.ledger import Kind, Ledger
 
 US1976 = standard_atmosphere("us1976")
 

@@ -15,20 +15,20 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from pipeline.atmosphere import standard_atmosphere
-from pipeline.atmosphere.air_samples import AirSamples, SensorSamples
-from pipeline.atmosphere.climatology import climatology, month_of
-from pipeline.atmosphere.estimate.adjusted_profile import build_adjusted_profile
-from pipeline.atmosphere.estimate.estimate_checks import (
+from unbend.atmosphere import standard_atmosphere
+from unbend.atmosphere.air_samples import AirSamples, SensorSamples
+from unbend.atmosphere.climatology import climatology, month_of
+from unbend.atmosphere.estimate.adjusted_profile import build_adjusted_profile
+from unbend.atmosphere.estimate.estimate_checks import (
     PASSED,
     hygrometer_is_outside,
     is_plausible,
 )
-from pipeline.atmosphere.estimate.sensor_checks import is_maybe_indoors, usable_sensors
-from pipeline.atmosphere.estimate.sensors import SensorSettings
-from pipeline.atmosphere.estimate.solver import estimate
-from pipeline.atmosphere.estimate.thermometer_checks import thermometer_is_outside
-from pipeline.ledger import Kind, Ledger
+from unbend.atmosphere.estimate.sensor_checks import is_maybe_indoors, usable_sensors
+from unbend.atmosphere.estimate.sensors import SensorSettings
+from unbend.atmosphere.estimate.solver import estimate
+from unbend.atmosphere.estimate.thermometer_checks import thermometer_is_outside
+from unbend.ledger import Kind, Ledger
 
 US1976 = standard_atmosphere("us1976")
 ARCTIC, DESERT, MONSOON, TRADES, NIGHT = range(5)

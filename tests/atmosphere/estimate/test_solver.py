@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from pipeline.atmosphere import standard_atmosphere
-from pipeline.atmosphere.air_samples import AirSamples, SensorSamples
-from pipeline.atmosphere.climatology import AUTO, climatology
-from pipeline.atmosphere.covariance import ProfileCovariance
-from pipeline.atmosphere.estimate.adjusted_profile import build_adjusted_profile
-from pipeline.atmosphere.estimate.estimate_checks import is_plausible
-from pipeline.atmosphere.estimate.readings import bin_readings, collect_readings
-from pipeline.atmosphere.estimate.sensors import (
+from unbend.atmosphere import standard_atmosphere
+from unbend.atmosphere.air_samples import AirSamples, SensorSamples
+from unbend.atmosphere.climatology import AUTO, climatology
+from unbend.atmosphere.covariance import ProfileCovariance
+from unbend.atmosphere.estimate.adjusted_profile import build_adjusted_profile
+from unbend.atmosphere.estimate.estimate_checks import is_plausible
+from unbend.atmosphere.estimate.readings import bin_readings, collect_readings
+from unbend.atmosphere.estimate.sensors import (
     FAULT_TEXTS,
     THERMOMETER_FAULTS,
     FlownHeights,
@@ -24,8 +24,8 @@ from pipeline.atmosphere.estimate.sensors import (
     SensorSettings,
     Thermometer,
 )
-from pipeline.atmosphere.estimate.solver import estimate, layout_of, solve
-from pipeline.atmosphere.estimate.state import (
+from unbend.atmosphere.estimate.solver import estimate, layout_of, solve
+from unbend.atmosphere.estimate.state import (
     Drift,
     Layout,
     SensorFault,
@@ -33,12 +33,12 @@ from pipeline.atmosphere.estimate.state import (
     place_knots,
     prior_of,
 )
-from pipeline.atmosphere.hypsometry import column
-from pipeline.atmosphere.layers import stack_layers
-from pipeline.atmosphere.profile import Profile
-from pipeline.atmosphere.soundings import Sounding
-from pipeline.atmosphere.surface_report import SurfaceReport
-from pipeline.ledger import Kind, Ledger
+from unbend.atmosphere.hypsometry import column
+from unbend.atmosphere.layers import stack_layers
+from unbend.atmosphere.profile import Profile
+from unbend.atmosphere.soundings import Sounding
+from unbend.atmosphere.surface_report import SurfaceReport
+from unbend.ledger import Kind, Ledger
 
 US1976 = standard_atmosphere("us1976")
 ARCTIC, DESERT, MONSOON, TRADES, NIGHT = range(5)
@@ -227,7 +227,7 @@ def test_a_covariance_must_fit_its_profile():
 
 def test_the_doubt_of_vapour_is_that_of_humidity_and_of_pressure(airs):
     """Nothing measured: sigma_e is the climatology's sigma of RH times e_s(T), and e sigma_p/p."""
-    from pipeline.simulate.true_air import saturation_pressure_pa
+    from unbend.simulate.true_air import saturation_pressure_pa
 
     air = background(airs[MONSOON], AUTO)
     made = estimate(AirSamples(), air)
@@ -273,7 +273,7 @@ def test_every_estimate_settles(flights, airs, climb):
 
 
 def test_an_estimate_that_does_not_settle_is_told_of(flights, airs, monkeypatch):
-    monkeypatch.setattr("pipeline.atmosphere.estimate.solver._MOST_STEPS", 5)
+    monkeypatch.setattr("unbend.atmosphere.estimate.solver._MOST_STEPS", 5)
     truth = airs[NIGHT]
     samples = flights.fly(truth, 3000.0, flights.REALISTIC, np.random.default_rng(1))
     assert not estimated(truth, samples).converged

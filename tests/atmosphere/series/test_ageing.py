@@ -7,17 +7,17 @@ import math
 import numpy as np
 import pytest
 
-from pipeline.atmosphere.air_samples import AirSamples, SensorSamples
-from pipeline.atmosphere.covariance import ProfileCovariance
-from pipeline.atmosphere.layers import stack_layers
-from pipeline.atmosphere.profile import Profile
-from pipeline.atmosphere.series.profile_series import (
+from unbend.atmosphere.air_samples import AirSamples, SensorSamples
+from unbend.atmosphere.covariance import ProfileCovariance
+from unbend.atmosphere.layers import stack_layers
+from unbend.atmosphere.profile import Profile
+from unbend.atmosphere.series.profile_series import (
     SampleAges,
     change_sigma,
     covariance_with_ageing,
     sample_ages,
 )
-from pipeline.geodesy import normal_gravity
+from unbend.geodesy import normal_gravity
 
 HOUR = 3600 * 10**9
 

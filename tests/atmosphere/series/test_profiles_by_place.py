@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.atmosphere import standard_atmosphere
-from pipeline.atmosphere.climatology import climatology
-from pipeline.atmosphere.estimate.adjusted_profile import build_adjusted_profile
-from pipeline.atmosphere.series.profile_series import TimedProfile, constant_series
-from pipeline.atmosphere.series.profiles_by_place import add_model_changes
-from pipeline.atmosphere.soundings.model_field import ModelField
-from pipeline.ledger import Ledger
+from unbend.atmosphere import standard_atmosphere
+from unbend.atmosphere.climatology import climatology
+from unbend.atmosphere.estimate.adjusted_profile import build_adjusted_profile
+from unbend.atmosphere.series.profile_series import TimedProfile, constant_series
+from unbend.atmosphere.series.profiles_by_place import add_model_changes
+from unbend.atmosphere.soundings.model_field import ModelField
+from unbend.ledger import Ledger
 
 K_PER_KM, TOP_M = 0.05, 3000.0
 EARTH_KM = 6371.0

@@ -10,13 +10,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.atmosphere import standard_atmosphere
-from pipeline.atmosphere.air_samples import AirSamples, SensorSamples
-from pipeline.atmosphere.estimate.adjusted_profile import build_adjusted_profile
-from pipeline.atmosphere.estimate.sensors import SensorCalibration, SensorSettings
-from pipeline.atmosphere.estimate.solver import estimate
-from pipeline.atmosphere.estimate.state import SensorFault
-from pipeline.atmosphere.series.profile_series import (
+from unbend.atmosphere import standard_atmosphere
+from unbend.atmosphere.air_samples import AirSamples, SensorSamples
+from unbend.atmosphere.estimate.adjusted_profile import build_adjusted_profile
+from unbend.atmosphere.estimate.sensors import SensorCalibration, SensorSettings
+from unbend.atmosphere.estimate.solver import estimate
+from unbend.atmosphere.estimate.state import SensorFault
+from unbend.atmosphere.series.profile_series import (
     TimedProfile,
     add_ageing,
     constant_series,
@@ -24,13 +24,13 @@ from pipeline.atmosphere.series.profile_series import (
     interpolate_series,
     sample_ages,
 )
-from pipeline.atmosphere.series.time_windows import (
+from unbend.atmosphere.series.time_windows import (
     _whole_flight_as_background,
     estimate_windows,
     part_of_flight,
     time_windows,
 )
-from pipeline.ledger import Ledger
+from unbend.ledger import Ledger
 
 US1976 = standard_atmosphere("us1976")
 CLIMB = 3000.0

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from scipy.integrate import cumulative_trapezoid
 
-from pipeline.atmosphere.soundings.model_field import (
+from tests.model_files import PRESSURE_LEVELS
+from unbend.atmosphere.soundings.model_field import (
     ModelField,
     checked_field,
     half_levels,
     level_coefficients,
     model_column,
 )
-from tests.model_files import PRESSURE_LEVELS
 
 # "L137 model level definitions", ECMWF: pressures of the half levels 1 to 137 [hPa] over a surface
 # of 1013.25 hPa.

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from scipy.io import netcdf_file
 
-from pipeline.atmosphere.soundings import FORMATS, Sounding, parse_sounding
-from pipeline.errors import InputError
-from pipeline.ledger import Kind, Ledger
-from pipeline.simulate.true_air import normal_gravity, saturation_pressure_pa
-from pipeline.tables import soundings as from_disk
-from pipeline.tables.soundings import read_sounding
+from unbend.atmosphere.soundings import FORMATS, Sounding, parse_sounding
+from unbend.errors import InputError
+from unbend.ledger import Kind, Ledger
+from unbend.simulate.true_air import normal_gravity, saturation_pressure_pa
+from unbend.tables import soundings as from_disk
+from unbend.tables.soundings import read_sounding
 
 SHARED = Path(__file__).resolve().parents[3].parent / "shared" / "soundings"
 real = pytest.mark.skipif(

@@ -17,7 +17,7 @@ from urllib.request import urlopen
 
 import pytest
 
-from pipeline.batch.object_store import Place, open_store
+from unbend.batch.object_store import Place, open_store
 
 pytest.importorskip("obstore")
 

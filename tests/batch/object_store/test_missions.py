@@ -10,14 +10,14 @@ import sys
 import pyarrow.parquet as pq
 import pytest
 
-from pipeline.batch.object_store import Place
-from pipeline.batch.plan import fetch_inputs, make_plan
-from pipeline.batch.publication import Publication
-from pipeline.batch.store import find_damage, read_manifest, would_replace
-from pipeline.config import load_mission
-from pipeline.errors import ConfigError
-from pipeline.stages import story
-from pipeline.stages.story import run_mission
+from unbend.batch.object_store import Place
+from unbend.batch.plan import fetch_inputs, make_plan
+from unbend.batch.publication import Publication
+from unbend.batch.store import find_damage, read_manifest, would_replace
+from unbend.config import load_mission
+from unbend.errors import ConfigError
+from unbend.stages import story
+from unbend.stages.story import run_mission
 
 pytestmark = pytest.mark.usefixtures("plain_report")
 
@@ -235,7 +235,7 @@ def test_an_input_among_the_results_is_refused(stored, s3_place):
 
 
 def test_a_url_costs_no_import_where_none_is_used():
-    code = "import pipeline.batch.publication, pipeline.batch.plan, sys; "
+    code = "import unbend.batch.publication, unbend.batch.plan, sys; "
     code += "print('obstore' in sys.modules)"
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert said.stdout == "False\n"

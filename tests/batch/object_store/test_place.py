@@ -12,8 +12,8 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import pytest
 
-from pipeline.batch import object_store, publication
-from pipeline.batch.object_store import (
+from unbend.batch import object_store, publication
+from unbend.batch.object_store import (
     Place,
     copy_of,
     fetched,
@@ -21,10 +21,10 @@ from pipeline.batch.object_store import (
     open_store,
     version_of,
 )
-from pipeline.batch.plan import located
-from pipeline.batch.publication import rehearse_place
-from pipeline.batch.store import read_manifest
-from pipeline.errors import ConfigError, InputError, UnbendError
+from unbend.batch.plan import located
+from unbend.batch.publication import rehearse_place
+from unbend.batch.store import read_manifest
+from unbend.errors import ConfigError, InputError, UnbendError
 
 from .conftest import READER, S3, free_port
 
@@ -138,7 +138,7 @@ def test_a_bucket_that_is_not_there(place):
 def test_credentials_that_may_not_write_are_refused_before_any_work(
     s3_place, use, seaweed, mission, monkeypatch
 ):
-    from pipeline.stages import story
+    from unbend.stages import story
 
     use(seaweed | READER)
     for writes in (False, True):

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pipeline.ingest import Log, open_log
+from unbend.ingest import Log, open_log
 
 ROWS = 300
 WORDS = np.arange(1, 33, dtype="<i2")

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pipeline.flight.clock import utc_of_gps
-from pipeline.ingest import Log, open_log
+from unbend.flight.clock import utc_of_gps
+from unbend.ingest import Log, open_log
 
 WEEK = 2324
 

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pipeline.errors import LogError
-from pipeline.flight.clock import utc_of_gps
-from pipeline.flight.roles import assign_roles
-from pipeline.ingest import Log, open_log
-from pipeline.ingest.buffers import view_of_bytes
-from pipeline.ingest.dataflash.records import find_records
-from pipeline.ledger import Ledger
+from unbend.errors import LogError
+from unbend.flight.clock import utc_of_gps
+from unbend.flight.roles import assign_roles
+from unbend.ingest import Log, open_log
+from unbend.ingest.buffers import view_of_bytes
+from unbend.ingest.dataflash.records import find_records
+from unbend.ledger import Ledger
 
 DEGREE = np.pi / 180.0
 

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pipeline.ingest import Log, open_log
-from pipeline.ingest.dataflash.log import read_tables
+from unbend.ingest import Log, open_log
+from unbend.ingest.dataflash.log import read_tables
 
 SAMPLE = Path(__file__).resolve().parents[3] / "sample_logs" / "flight.bin"
 

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pipeline.errors import LogError
-from pipeline.ingest import Log, open_log
+from unbend.errors import LogError
+from unbend.ingest import Log, open_log
 
 
 def as_text(binary: Path, text: Path) -> None:

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pipeline.ingest import Log, open_log
-from pipeline.ingest.mcap.cdr import SchemaError, decode, decode_plan, steps_of
+from unbend.ingest import Log, open_log
+from unbend.ingest.mcap.cdr import SchemaError, decode, decode_plan, steps_of
 
 REPOSITORY = Path(__file__).resolve().parents[3]
 FOLDERS = (REPOSITORY.parent / "shared" / "logs", REPOSITORY / "sample_logs")

@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.errors import LogError
-from pipeline.ingest import Log, open_log
-from pipeline.ingest.mcap.chunks import MAX_CHUNK, Chunk, inflate
+from unbend.errors import LogError
+from unbend.ingest import Log, open_log
+from unbend.ingest.mcap.chunks import MAX_CHUNK, Chunk, inflate
 
 SECOND = 10**9
 START = 1_763_073_169 * SECOND + 920_749_554
@@ -438,7 +438,7 @@ def test_values_of_different_names_are_channels_of_their_own(tmp_path: Path) -> 
 
 
 def test_names_without_end_are_a_loss(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pipeline.ingest.mcap.topics.MAX_NAMES", 3)
+    monkeypatch.setattr("unbend.ingest.mcap.topics.MAX_NAMES", 3)
     rows = [{"name": f"n{k % 5}", "value_float": 1.0} for k in range(20)]
     log = mavros_log(tmp_path, "DebugValue", "string name\nfloat32 value_float", rows)
     assert len(log.channels) == 3

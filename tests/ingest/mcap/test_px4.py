@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.ingest import Log, open_log
+from unbend.ingest import Log, open_log
 
 SECOND = 10**9
 START = 1_700_000_000 * SECOND

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pipeline.errors import LogError
-from pipeline.flight.mount import payload_attitude
-from pipeline.ingest import Log, open_log
-from pipeline.ingest.buffers import view_of_bytes
-from pipeline.ingest.tlog.scan import Scan
+from unbend.errors import LogError
+from unbend.flight.mount import payload_attitude
+from unbend.ingest import Log, open_log
+from unbend.ingest.buffers import view_of_bytes
+from unbend.ingest.tlog.scan import Scan
 
 DEGREE = np.pi / 180.0
 SECOND = 10**9

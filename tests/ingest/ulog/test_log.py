@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.atmosphere.estimate.sensors import dynamic_of, heating_of
-from pipeline.errors import LogError
-from pipeline.ingest import Log, open_log
+from unbend.atmosphere.estimate.sensors import dynamic_of, heating_of
+from unbend.errors import LogError
+from unbend.ingest import Log, open_log
 
 NOW_US = 1_700_000_000_000_000
 

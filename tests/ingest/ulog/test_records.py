@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.ingest.buffers import view_of_bytes
-from pipeline.ingest.ulog.records import ULogMessages, flags_of
+from unbend.ingest.buffers import view_of_bytes
+from unbend.ingest.ulog.records import ULogMessages, flags_of
 
 SIZES = {
     "int8_t": 1, "uint8_t": 1, "bool": 1, "char": 1, "int16_t": 2, "uint16_t": 2, "int32_t": 4,

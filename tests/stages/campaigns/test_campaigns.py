@@ -16,10 +16,10 @@ import pyarrow.parquet as pq
 import pytest
 import yaml
 
-from pipeline.batch import changes, file_hashes
-from pipeline.stages.commands.campaigns import select_missions
 from tests.conftest import run_command, without_plots
 from tests.stages.test_adjusted_profile import sounding_text
+from unbend.batch import changes, file_hashes
+from unbend.stages.commands.campaigns import select_missions
 
 OWN = ("mission", "log", "observations", "events")
 
@@ -132,7 +132,7 @@ OPENED = """
 import sys, os
 opened = []
 sys.addaudithook(lambda event, args: opened.append(args[0]) if event == "open" else None)
-from pipeline.cli import main
+from unbend.cli import main
 sys.argv = ["unbend", "run", sys.argv[1]]
 try:
     main()
@@ -246,7 +246,7 @@ def test_other_defaults_are_other_missions(done):
 @pytest.mark.parametrize("option", ["--force", "--verify-inputs"])
 def test_asked_to_look_again_it_looks(done, unbend, monkeypatch, option):
     seen = []
-    from pipeline.stages import story
+    from unbend.stages import story
 
     monkeypatch.setattr(story, "make_plan", lambda *a, **k: seen.append(k) or real(*a, **k))
     real = changes.make_plan

@@ -15,16 +15,16 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from pipeline.atmosphere import standard_atmosphere
-from pipeline.atmosphere.series.profile_series import TimedProfile, constant_series
-from pipeline.flight.stations import empty_stations
-from pipeline.ledger import Ledger
-from pipeline.refraction.camera.brown_conrady import BrownConrady
-from pipeline.refraction.camera.camera import Camera
-from pipeline.refraction.image import Exposures
-from pipeline.refraction.ray import rays_by
-from pipeline.tables.exports import FORMATS, ExportCamera, FinishedRun
-from pipeline.tables.pixels import COLMAP
+from unbend.atmosphere import standard_atmosphere
+from unbend.atmosphere.series.profile_series import TimedProfile, constant_series
+from unbend.flight.stations import empty_stations
+from unbend.ledger import Ledger
+from unbend.refraction.camera.brown_conrady import BrownConrady
+from unbend.refraction.camera.camera import Camera
+from unbend.refraction.image import Exposures
+from unbend.refraction.ray import rays_by
+from unbend.tables.exports import FORMATS, ExportCamera, FinishedRun
+from unbend.tables.pixels import COLMAP
 
 CAMERA = Camera(14000, 10600, 20000.0, 20000.0, 7000.0, 5300.0, BrownConrady(k1=-0.01))
 POINTS, IMAGES = 400, 4

@@ -24,23 +24,23 @@ import pyproj
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pipeline.atmosphere import standard_atmosphere
-from pipeline.atmosphere.series.profile_series import TimedProfile, constant_series
-from pipeline.errors import ConfigError, InputError, MissionError
-from pipeline.flight.rotations import matrices_of
-from pipeline.flight.stations import empty_stations
-from pipeline.ledger import Ledger
-from pipeline.refraction.camera.brown_conrady import BrownConrady
-from pipeline.refraction.camera.camera import Camera
-from pipeline.refraction.camera.general_frame import GeneralFrame
-from pipeline.refraction.camera.opencv_fisheye import OpenCVFisheye
-from pipeline.refraction.image import Exposures
-from pipeline.refraction.ray import rays_by
-from pipeline.tables.exports import FORMATS, ExportCamera, FinishedRun, find_format
-from pipeline.tables.exports.bingo import short_names
-from pipeline.tables.imports.blocks import block_rows, read_block_images, read_camera
-from pipeline.tables.pixels import PixelSystem
-from pipeline.tables.refraction_mark import refuse_marked
+from unbend.atmosphere import standard_atmosphere
+from unbend.atmosphere.series.profile_series import TimedProfile, constant_series
+from unbend.errors import ConfigError, InputError, MissionError
+from unbend.flight.rotations import matrices_of
+from unbend.flight.stations import empty_stations
+from unbend.ledger import Ledger
+from unbend.refraction.camera.brown_conrady import BrownConrady
+from unbend.refraction.camera.camera import Camera
+from unbend.refraction.camera.general_frame import GeneralFrame
+from unbend.refraction.camera.opencv_fisheye import OpenCVFisheye
+from unbend.refraction.image import Exposures
+from unbend.refraction.ray import rays_by
+from unbend.tables.exports import FORMATS, ExportCamera, FinishedRun, find_format
+from unbend.tables.exports.bingo import short_names
+from unbend.tables.imports.blocks import block_rows, read_block_images, read_camera
+from unbend.tables.pixels import PixelSystem
+from unbend.tables.refraction_mark import refuse_marked
 
 BERLIN = Path(__file__).resolve().parents[4] / "shared" / "ba" / "opensfm_berlin"
 TO_ECEF = pyproj.Transformer.from_crs(4979, 4978, always_xy=True)

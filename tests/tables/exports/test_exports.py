@@ -14,17 +14,17 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from pipeline.atmosphere import standard_atmosphere
-from pipeline.atmosphere.series.profile_series import ProfileSeries, TimedProfile
-from pipeline.errors import ConfigError
-from pipeline.flight.stations import empty_stations
-from pipeline.ledger import Ledger
-from pipeline.refraction import refraction_angle
-from pipeline.refraction.camera.camera import Camera
-from pipeline.refraction.image import Exposures
-from pipeline.refraction.ray import rays_by
-from pipeline.tables.exports import FORMATS, ExportCamera, ExportFormat, FinishedRun, Option
-from pipeline.tables.pixels import PixelSystem
+from unbend.atmosphere import standard_atmosphere
+from unbend.atmosphere.series.profile_series import ProfileSeries, TimedProfile
+from unbend.errors import ConfigError
+from unbend.flight.stations import empty_stations
+from unbend.ledger import Ledger
+from unbend.refraction import refraction_angle
+from unbend.refraction.camera.camera import Camera
+from unbend.refraction.image import Exposures
+from unbend.refraction.ray import rays_by
+from unbend.tables.exports import FORMATS, ExportCamera, ExportFormat, FinishedRun, Option
+from unbend.tables.pixels import PixelSystem
 
 NADIR = Camera(1000, 800, 900.0, 900.0, 500.0, 400.0)
 SIDE = Camera(600, 400, 700.0, 500.0, 300.0, 200.0)

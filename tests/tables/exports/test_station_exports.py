@@ -18,16 +18,16 @@ import pytest
 import yaml
 from scipy.spatial.transform import Rotation
 
-from pipeline.atmosphere import standard_atmosphere
-from pipeline.atmosphere.series.profile_series import TimedProfile, constant_series
-from pipeline.flight.stations import empty_stations
-from pipeline.ledger import Ledger
-from pipeline.refraction.camera.brown_conrady import BrownConrady
-from pipeline.refraction.camera.camera import Camera
-from pipeline.refraction.image import Exposures
-from pipeline.refraction.ray import rays_by
-from pipeline.tables.exports import FORMATS, ExportCamera, FinishedRun
-from pipeline.tables.pixels import PixelSystem
+from unbend.atmosphere import standard_atmosphere
+from unbend.atmosphere.series.profile_series import TimedProfile, constant_series
+from unbend.flight.stations import empty_stations
+from unbend.ledger import Ledger
+from unbend.refraction.camera.brown_conrady import BrownConrady
+from unbend.refraction.camera.camera import Camera
+from unbend.refraction.image import Exposures
+from unbend.refraction.ray import rays_by
+from unbend.tables.exports import FORMATS, ExportCamera, FinishedRun
+from unbend.tables.pixels import PixelSystem
 
 PAGE = Path(__file__).resolve().parents[3] / "docs/pages/formats/orientations.md"
 CAMERA = Camera(1000, 800, 900.0, 880.0, 510.0, 395.0, BrownConrady(k1=-0.02, p1=1e-3))

@@ -10,10 +10,10 @@ import pyproj
 import pyproj.network
 import pytest
 
-import pipeline
-from pipeline.errors import InputError
-from pipeline.geodesy import GeoidGrid
-from pipeline.tables.geodata.coordinate_systems import places_of
+import unbend
+from unbend.errors import InputError
+from unbend.geodesy import GeoidGrid
+from unbend.tables.geodata.coordinate_systems import places_of
 
 
 def placed(crs, x, y, h=0.0, heights="msl", geoid=None):
@@ -157,7 +157,7 @@ def test_the_network_of_proj_changes_nothing(monkeypatch):
 
 
 def test_one_module_uses_pyproj():
-    package = Path(pipeline.__file__).parent
+    package = Path(unbend.__file__).parent
     at_start = re.compile(r"^\s*(import|from) pyproj", re.M)
     users = [path.name for path in package.rglob("*.py") if at_start.search(path.read_text())]
     # One lists the files of its grids, another only loads it, before ecCodes.

@@ -9,11 +9,11 @@ import pytest
 import rasterio
 from rasterio import Affine
 
-from pipeline.refraction.status_codes import OK
-from pipeline.tables.geodata.elevation import open_elevation
-from pipeline.tables.geodata.gdal import raster_files
 from tests.refraction.array_terrain import ArrayTerrain
 from tests.refraction.test_terrain import STEP, landing, rays_from, relief
+from unbend.refraction.status_codes import OK
+from unbend.tables.geodata.elevation import open_elevation
+from unbend.tables.geodata.gdal import raster_files
 
 LAT, CELLS = -17.0, 1500
 

@@ -11,10 +11,10 @@ import pyarrow as pa
 import pyproj
 import pytest
 
-from pipeline.errors import InputError
-from pipeline.geodesy import GeoidGrid
-from pipeline.tables.geodata.geoid import package_geoid, read_geoid
-from pipeline.units import ARCSEC
+from unbend.errors import InputError
+from unbend.geodesy import GeoidGrid
+from unbend.tables.geodata.geoid import package_geoid, read_geoid
+from unbend.units import ARCSEC
 
 PUBLISHED_SHA256 = "c02a6eb70a7a78efebe5adf3ade626eb75390e170bb8b3f36136a2c28f5326a0"
 
@@ -37,7 +37,7 @@ def places(count):
 
 def test_undulations_are_those_of_proj(tmp_path):
     path = tmp_path / "egm96_15.gtx"
-    packed = files("pipeline.tables").joinpath("data/egm96_15.gtx.zst").read_bytes()
+    packed = files("unbend.tables").joinpath("data/egm96_15.gtx.zst").read_bytes()
     planes = pa.decompress(packed, 40 + 4 * 721 * 1440, "zstd", asbytes=True)
     values = np.frombuffer(planes, np.uint8, offset=40).reshape(4, -1).T
     path.write_bytes(planes[:40] + values.tobytes())
@@ -90,7 +90,7 @@ def test_a_plane_is_exact_and_outside_is_unknown(tmp_path):
 def test_deflections_are_differences_of_projs_undulations(tmp_path):
     """One second of arc around each place, on the ellipsoid by PROJ's own geodesic."""
     path = tmp_path / "egm96_15.gtx"
-    packed = files("pipeline.tables").joinpath("data/egm96_15.gtx.zst").read_bytes()
+    packed = files("unbend.tables").joinpath("data/egm96_15.gtx.zst").read_bytes()
     planes = pa.decompress(packed, 40 + 4 * 721 * 1440, "zstd", asbytes=True)
     values = np.frombuffer(planes, np.uint8, offset=40).reshape(4, -1).T
     path.write_bytes(planes[:40] + values.tobytes())

@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.errors import MissionError
-from pipeline.flight.channels import Channel, Source
-from pipeline.flight.evidence.contradictions import contradictions_of_import
-from pipeline.flight.evidence.stretches import Stretch
-from pipeline.flight.heights import HeightSystem
-from pipeline.ledger import Ledger
-from pipeline.tables.imports.agreement import compare_with_log
+from unbend.errors import MissionError
+from unbend.flight.channels import Channel, Source
+from unbend.flight.evidence.contradictions import contradictions_of_import
+from unbend.flight.evidence.stretches import Stretch
+from unbend.flight.heights import HeightSystem
+from unbend.ledger import Ledger
+from unbend.tables.imports.agreement import compare_with_log
 
 ROLES = ("position", "height")
 

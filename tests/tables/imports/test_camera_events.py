@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pipeline.errors import InputError
-from pipeline.ledger import Ledger
-from pipeline.tables.imports import CAMERA_EVENTS, format_of
-from pipeline.tables.imports.camera_events import read_eo_text, read_mrk
-from pipeline.tables.imports.rtklib import read_pos
-from pipeline.tables.imports.stated import Stated
+from unbend.errors import InputError
+from unbend.ledger import Ledger
+from unbend.tables.imports import CAMERA_EVENTS, format_of
+from unbend.tables.imports.camera_events import read_eo_text, read_mrk
+from unbend.tables.imports.rtklib import read_pos
+from unbend.tables.imports.stated import Stated
 
 WEEK = 2417
 

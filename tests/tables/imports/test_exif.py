@@ -11,15 +11,15 @@ import pytest
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from pipeline.errors import InputError
-from pipeline.ledger import Ledger
-from pipeline.tables.imports.exif import (
+from unbend.errors import InputError
+from unbend.ledger import Ledger
+from unbend.tables.imports.exif import (
     NO_TIME,
     parse_time,
     read_gimbal_orientations,
     read_image_times,
 )
-from pipeline.tables.imports.stated import Stated
+from unbend.tables.imports.stated import Stated
 
 EXIF, GPS = 0x8769, 0x8825
 ORIGINAL, OFFSET, SUBSEC = 0x9003, 0x9011, 0x9291

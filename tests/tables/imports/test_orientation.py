@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.errors import InputError
-from pipeline.flight.stations import NO_TIME
-from pipeline.ledger import Ledger
-from pipeline.tables.imports.stated import Stated
-from pipeline.tables.imports.user_tables import read_known_positions, read_orientation
+from unbend.errors import InputError
+from unbend.flight.stations import NO_TIME
+from unbend.ledger import Ledger
+from unbend.tables.imports.stated import Stated
+from unbend.tables.imports.user_tables import read_known_positions, read_orientation
 
 NAMES = {
     "image": "image", "latitude": "lat", "longitude": "lon", "height": "h",

@@ -7,13 +7,13 @@ import pyproj
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pipeline.errors import InputError
-from pipeline.ledger import Ledger
-from pipeline.tables.imports import TRAJECTORIES, format_of
-from pipeline.tables.imports.rtklib import read_pos
-from pipeline.tables.imports.sbet import read_sbet
-from pipeline.tables.imports.stated import Stated
-from pipeline.tables.imports.user_tables import read_trajectory_csv
+from unbend.errors import InputError
+from unbend.ledger import Ledger
+from unbend.tables.imports import TRAJECTORIES, format_of
+from unbend.tables.imports.rtklib import read_pos
+from unbend.tables.imports.sbet import read_sbet
+from unbend.tables.imports.stated import Stated
+from unbend.tables.imports.user_tables import read_trajectory_csv
 
 GPST = Stated(time_system="gpst", heights="ellipsoid")
 WEEK = 2417

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.errors import InputError
-from pipeline.tables.imports.blocks import read_camera
-from pipeline.tables.pixels import PixelSystem
+from unbend.errors import InputError
+from unbend.tables.imports.blocks import read_camera
+from unbend.tables.pixels import PixelSystem
 
 BLOCKS = Path(__file__).resolve().parents[5] / "shared" / "ba"
 RAYS = np.stack(np.meshgrid(np.linspace(-0.5, 0.5, 9), np.linspace(-0.4, 0.4, 7))).reshape(2, -1)

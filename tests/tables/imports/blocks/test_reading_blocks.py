@@ -16,16 +16,16 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pipeline.errors import InputError
-from pipeline.ledger import Ledger
-from pipeline.tables.imports.blocks import (
+from unbend.errors import InputError
+from unbend.ledger import Ledger
+from unbend.tables.imports.blocks import (
     block_reader,
     block_rows,
     damage_refused,
     read_block_images,
     read_camera,
 )
-from pipeline.tables.observations import open_observations
+from unbend.tables.observations import open_observations
 
 SHARED = Path(__file__).resolve().parents[5] / "shared" / "ba"
 COLUMNS = {"image": "image", "point": "point", "x_px": "x_px", "y_px": "y_px"}

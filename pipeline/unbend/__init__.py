@@ -1,0 +1,56 @@
+"""unbend: removes atmospheric refraction from aerial image observations.
+
+The main names are imported from their modules when they are first used, so that ``import unbend``
+loads neither numpy nor numba:
+
+>>> import unbend
+>>> profile = unbend.standard_atmosphere("us1976", index="gyer")
+>>> round(float(profile.temperature(0.0)), 2)
+288.15
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from unbend.atmosphere import standard_atmosphere
+    from unbend.config import load_mission
+    from unbend.in_memory import correct
+    from unbend.ingest import open_log
+    from unbend.refraction import correct_observations, refraction_angle
+    from unbend.stages.story import run_mission
+
+__version__ = "0.2.0"
+
+__all__ = [
+    "__version__",
+    "correct",
+    "correct_observations",
+    "load_mission",
+    "open_log",
+    "refraction_angle",
+    "run_mission",
+    "standard_atmosphere",
+]
+
+_MODULES = {
+    "correct": "unbend.in_memory",
+    "correct_observations": "unbend.refraction",
+    "load_mission": "unbend.config",
+    "open_log": "unbend.ingest",
+    "refraction_angle": "unbend.refraction",
+    "run_mission": "unbend.stages.story",
+    "standard_atmosphere": "unbend.atmosphere",
+}
+
+
+if not TYPE_CHECKING:  # for mypy a name that does not exist stays an error
+
+    def __getattr__(name: str) -> Any:
+        if name not in _MODULES:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        return getattr(import_module(_MODULES[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -1,0 +1,125 @@
+"""What a flight measured of the air, against height, and its robust binning."""
+
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
+
+import numpy as np
+
+from unbend.units import Array, Integers, Mask, Rows
+
+Record = TypeVar("Record", bound=Any)
+
+BIN_M = 50.0  # thickness of the layers where temperature was measured [m']
+
+_FEWEST_IN_BIN = 3
+
+
+@dataclass(frozen=True, eq=False)
+class SensorSamples:
+    """One sensor's readings against height above sea level; (n,) arrays.
+
+    ``value`` in SI (K, Pa, or relative humidity 0-1); ``accepted`` is False for readings that a
+    gate has rejected (they are shown, not used), and is made False where height or value is NaN.
+    """
+
+    time_ns: Integers
+    h_m: Array
+    value: Array
+    accepted: Mask
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        known = np.isfinite(self.h_m) & np.isfinite(self.value)
+        object.__setattr__(self, "accepted", self.accepted & known)
+
+    def used(self) -> tuple[Array, Array]:
+        """Heights and values that were accepted."""
+        return self.h_m[self.accepted], self.value[self.accepted]
+
+    @property
+    def extent_m(self) -> float:
+        """Height spanned by the accepted readings [m]."""
+        h = self.h_m[self.accepted]
+        return float(np.ptp(h)) if h.size else 0.0
+
+    @property
+    def middle_ns(self) -> int | None:
+        """Middle of the time that the accepted readings span [Unix ns]."""
+        used = self.time_ns[self.accepted]
+        return int(used[0]) + (int(used[-1]) - int(used[0])) // 2 if used.size else None
+
+    @property
+    def middle_of_heights_ns(self) -> int | None:
+        """When the heights were visited [Unix ns]: each bin of 100 m has the same weight.
+
+        A climb at the end of an hour of level flight measures the air of that time, not of half an
+        hour before.
+        """
+        used = self.time_ns[self.accepted]
+        if used.size == 0:
+            return None
+        _, number = np.unique(np.floor(self.h_m[self.accepted] / 100.0), return_inverse=True)
+        mean = np.bincount(number, (used - used[0]) * 1e-9) / np.bincount(number)
+        return int(used[0]) + round(float(mean.mean()) * 1e9)
+
+
+@dataclass(frozen=True, eq=False)
+class AirSamples:
+    """What a flight measured of the air outside; ``airspeed`` is indicated [m/s]; ``takeoff_ns``
+    the times [Unix ns] at which the aircraft left the ground. None where not known."""
+
+    temperature: SensorSamples | None = None
+    pressure: SensorSamples | None = None
+    humidity: SensorSamples | None = None
+    airspeed: SensorSamples | None = None
+    takeoff_ns: Integers | None = None
+
+    @property
+    def sensors(self) -> dict[str, SensorSamples]:
+        """Those of the air that there are, by their quantity."""
+        every = {"temperature": self.temperature, "pressure": self.pressure}
+        every["humidity"] = self.humidity
+        return {name: sensor for name, sensor in every.items() if sensor is not None}
+
+
+def part_of(record: Record, rows: Mask | Rows | slice) -> Record:
+    """The same with some rows of all its arrays."""
+    arrays = {name: v[rows] for name, v in vars(record).items() if isinstance(v, np.ndarray)}
+    return replace(record, **arrays)
+
+
+def bin_by_height(
+    geopotential: Array, samples: SensorSamples, width: float, value: Array | None = None
+) -> tuple[Array, Array]:
+    """Medians of the accepted readings in bins of height, climb and descent weighing alike.
+
+    The lag of a sensor has opposite signs there. ``value`` replaces the readings themselves.
+    Returns mean heights [m'] and values of bins with three readings or more, from the ground up.
+    """
+    seconds = np.asarray((samples.time_ns - samples.time_ns[:1]) * 1e-9, np.float64)
+    rising = climb_of(seconds, geopotential) >= 0.0
+    reading = samples.value if value is None else value
+    use = samples.accepted & np.isfinite(reading) & np.isfinite(geopotential)
+    height, reading, rising = geopotential[use], reading[use], rising[use]
+    number = np.floor(height / width).astype(np.int64)
+    order = np.argsort(number, kind="stable")
+    bins = []
+    for inside in np.split(order, np.flatnonzero(np.diff(number[order])) + 1):
+        if inside.size < _FEWEST_IN_BIN:
+            continue
+        both = [inside[rising[inside]], inside[~rising[inside]]]
+        parts = [rows for rows in both if rows.size >= _FEWEST_IN_BIN] or [inside]
+        means = [(height[rows].mean(), np.median(reading[rows])) for rows in parts]
+        bins.append(np.mean(means, axis=0))
+    heights, values = np.array(bins).reshape(-1, 2).T
+    return heights, values
+
+
+def climb_of(seconds: Array, height: Array) -> Array:
+    """Height gained in the ten seconds around each sample, none where fewer than two are known."""
+    known = np.isfinite(height)
+    if known.sum() < 2:
+        return np.zeros(seconds.shape)
+    before = np.interp(seconds - 5.0, seconds[known], height[known])
+    after = np.interp(seconds + 5.0, seconds[known], height[known])
+    return np.asarray(after - before)

@@ -1,0 +1,210 @@
+"""Tables of the air by latitude and season, with humidity, as profiles.
+
+The nine profiles of the U.S. Standard Atmosphere Supplements, 1966, reconstructed from public
+tables descended from it (to 0.05 K below 25 km, above that extrapolated), and the six of Anderson
+et al. 1986, AFGL Atmospheric Constituent Profiles (0-120 km), AFGL-TR-86-0110, to 80 km.
+"""
+
+import csv
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib import resources
+
+import numpy as np
+
+from unbend.atmosphere.layers import STANDARD, stack_layers
+from unbend.atmosphere.profile import Profile
+from unbend.atmosphere.refractive_index import IndexModel, saturation_vapour_pressure
+from unbend.geodesy import Gravity, lambert_gravity
+from unbend.units import DEGREE, VAPOUR_DEFICIT, Array
+
+SUPPLEMENTS = "supplements1966"
+SUPPLEMENTS_ORIGIN = (
+    "U.S. Standard Atmosphere Supplements 1966, reconstructed from public tables descended from it"
+)
+AFGL_ORIGIN = "AFGL 1986 model atmospheres (AFGL-TR-86-0110)"
+_AFGL_FILE = "afgl1986.csv"
+
+LOWEST_GEOPOTENTIAL_M = -5000.0  # as far down as the atmospheres of this package go
+
+# Humidity bends between breakpoints; a layer's e/p is linear, so layers are at most this thick
+# where there is water: halving it moves R from 10 km by 7e-6 at most.
+_STEP_M = 500.0
+_DRY_ABOVE_M = 16_000.0
+
+
+@dataclass(frozen=True, eq=False)
+class _SupplementsColumn:
+    """One profile of the Supplements; (k,) by geopotential height [m'], pressure at H = 0 [Pa]."""
+
+    latitude_deg: float
+    season: str
+    edge: Array
+    temperature: Array
+    relative_humidity: Array
+    sea_level_pa: float
+
+
+def climate_names() -> tuple[str, ...]:
+    """Names that `climate_profile` takes.
+
+    >>> climate_names()[1], climate_names()[-1]
+    ('supplements1966_30n_january', 'afgl1986_us_standard')
+    """
+    return (*_supplements(), *read_models(_AFGL_FILE))
+
+
+def climate_profile(
+    name: str, index: IndexModel | None = None, gravity: Gravity | None = None
+) -> Profile:
+    """One of the tables as a profile, under Lambert's gravity of its own latitude by default.
+
+    ``name`` : one of `climate_names`. Pressure is hydrostatic from the table's surface pressure and
+    humidity: within 0.12 % of AFGL's printed pressures up to 10 km and 0.5 % up to 30 km.
+
+    >>> climate_profile("afgl1986_tropical").temperature([0.0, 5000.0]).round(2).tolist()
+    [299.7, 270.3]
+    """
+    if name in _supplements():
+        column = _supplements()[name]
+        gravity = gravity or lambert_gravity(column.latitude_deg * DEGREE)
+        return _mean_of_columns([(1.0, column)], gravity, index, name)
+    rows = read_models(_AFGL_FILE)[name]
+    gravity = gravity or lambert_gravity(rows[0]["latitude_deg"] * DEGREE)
+    table = gravity.geopotential_height([row["h_m"] for row in rows])
+    edge = _edges(table)
+    t = np.interp(edge, table, [row["temperature_k"] for row in rows])
+    vapour = np.exp(np.interp(edge, table, np.log([row["water_ppmv"] * 1e-6 for row in rows])))
+    surface_pa = rows[0]["pressure_pa"]
+    return hydrostatic_profile(
+        edge, t, lambda _: vapour, surface_pa, gravity, index=index, name=name
+    )
+
+
+def supplements_profile(
+    latitude_rad: float,
+    month: float,
+    index: IndexModel | None = None,
+    gravity: Gravity | None = None,
+) -> Profile:
+    """The Supplements 1966 at a latitude and season.
+
+    Temperature, relative humidity and surface pressure are linear in latitude between 15, 30, 45,
+    60 and 75 degrees and constant beyond; over the year they follow `season`. ``latitude_rad``:
+    north positive. ``month``: any real number, modulo 12.
+
+    >>> supplements_profile(0.25 * 3.141592653589793, 7.0).temperature(0.0).round(2).item()
+    294.15
+    """
+    degrees = abs(latitude_rad) / DEGREE
+    summer = 0.5 - 0.5 * season(latitude_rad, month)
+    nodes = np.array([15.0, 30.0, 45.0, 60.0, 75.0])
+    share = {"annual": 1.0, "january": 1.0 - summer, "july": summer}
+    parts = []
+    for latitude, row in zip(nodes, np.eye(nodes.size), strict=True):
+        weight = float(np.interp(degrees, nodes, row))
+        for column in _supplements().values():
+            if column.latitude_deg == latitude and weight > 0.0:
+                parts.append((weight * share[column.season], column))
+    return _mean_of_columns(parts, gravity or lambert_gravity(latitude_rad), index, SUPPLEMENTS)
+
+
+def season(latitude_rad: float, month: float) -> float:
+    """1 in mid-winter, -1 in mid-summer of a hemisphere; ``month`` 1.0 is mid-January.
+
+    >>> season(0.8, 1.0), season(-0.8, 1.0)
+    (1.0, -1.0)
+    """
+    shift = 0.0 if latitude_rad >= 0.0 else 6.0
+    return math.cos(2.0 * math.pi * (month - 1.0 + shift) / 12.0)
+
+
+def rows_of(file: str) -> list[dict[str, str]]:
+    """The rows of a table of ``data``."""
+    text = resources.files("unbend.atmosphere").joinpath(f"data/{file}")
+    return list(csv.DictReader(text.read_text(encoding="ascii").splitlines()))
+
+
+@lru_cache(maxsize=1)
+def _supplements() -> dict[str, _SupplementsColumn]:
+    rows = rows_of("supplements1966.csv")
+    columns = {}
+    for name in dict.fromkeys(row["name"] for row in rows):
+        levels = [row for row in rows if row["name"] == name]
+        edge, t, e, p = (
+            np.array([float(row[key]) for row in levels])
+            for key in ("geopotential_m", "temperature_k", "vapour_pressure_pa", "pressure_pa")
+        )
+        latitude, humidity = float(levels[0]["latitude_deg"]), e / saturation_vapour_pressure(t)
+        columns[name] = _SupplementsColumn(
+            latitude, levels[0]["season"], edge, t, humidity, float(p[0])
+        )
+    return columns
+
+
+@lru_cache
+def read_models(file: str) -> dict[str, list[dict[str, float]]]:
+    """The rows of each model in a table of ``data`` that names them."""
+    models: dict[str, list[dict[str, float]]] = {}
+    for row in rows_of(file):
+        name = row.pop("name")
+        models.setdefault(name, []).append({key: float(value) for key, value in row.items()})
+    return models
+
+
+def _edges(*breaks: Array) -> Array:
+    """All breakpoints, and steps where there is water; heights a millimetre apart are one."""
+    top = min(float(b[-1]) for b in breaks)
+    steps = np.arange(0.0, _DRY_ABOVE_M + 1.0, _STEP_M)
+    every = np.unique(np.concatenate([steps, *breaks]))
+    every = every[(every >= 0.0) & (every <= top)]
+    return np.asarray(every[np.concatenate([[True], np.diff(every) > 1e-3])])
+
+
+def _mean_of_columns(
+    parts: list[tuple[float, _SupplementsColumn]],
+    gravity: Gravity,
+    index: IndexModel | None,
+    name: str,
+) -> Profile:
+    """Weighted mean of columns in temperature, relative humidity and surface pressure."""
+    edge = _edges(*(column.edge for _, column in parts))
+    zero = np.zeros(edge.size)
+    t = sum((w * np.interp(edge, c.edge, c.temperature) for w, c in parts), zero)
+    humidity = sum((w * np.interp(edge, c.edge, c.relative_humidity) for w, c in parts), zero)
+    e = humidity * saturation_vapour_pressure(t)
+    surface = sum(w * c.sea_level_pa for w, c in parts)
+    return hydrostatic_profile(edge, t, lambda p: e / p, surface, gravity, index=index, name=name)
+
+
+def hydrostatic_profile(
+    edge: Array,
+    temperature: Array,
+    vapour_of: Callable[[Array], Array],
+    surface_pa: float,
+    gravity: Gravity,
+    *,
+    index: IndexModel | None,
+    name: str,
+) -> Profile:
+    """A profile through temperatures, with pressure from H = 0 and e/p from that pressure.
+
+    Below the lowest edge the lowest layer goes on, isothermal where it is an inversion.
+    """
+    lapse = min((temperature[1] - temperature[0]) / (edge[1] - edge[0]), 0.0)
+    below = np.append(LOWEST_GEOPOTENTIAL_M, edge)
+    t = np.append(temperature[0] + lapse * (LOWEST_GEOPOTENTIAL_M - edge[0]), temperature)
+    source = (STANDARD,) * (below.size - 1)
+    pressure = surface_pa * np.exp(-edge / 7500.0)
+    # Pressure depends on humidity by less than 1 %, so each round gains more than two digits.
+    for _ in range(6):
+        vapour = vapour_of(pressure)
+        vapour = np.append(vapour[:1], vapour)
+        layers = stack_layers(
+            below, t / (1.0 - VAPOUR_DEFICIT * vapour), vapour, source, anchor=(0.0, surface_pa)
+        )
+        profile = Profile(layers, gravity, index or IndexModel(), name)
+        pressure = profile.pressure(gravity.height(edge))
+    return profile

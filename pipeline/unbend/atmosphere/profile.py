@@ -1,0 +1,197 @@
+"""The profile of the air: layers in hydrostatic equilibrium, and what they say at any height."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from unbend.atmosphere.layers import MEASURED, Layers, log_pressure_fall, stack_layers
+from unbend.atmosphere.refractive_index import IndexModel
+from unbend.errors import PhysicsError
+from unbend.geodesy import Gravity
+from unbend.units import HYDROSTATIC_CONSTANT, VAPOUR_DEFICIT, Array, Rows
+
+
+@dataclass(frozen=True, eq=False)
+class Profile:
+    """Temperature, pressure, humidity and refractivity as functions of height.
+
+    Heights are metres above mean sea level, of any shape; outside ``bottom_m`` to ``top_m`` the
+    functions return NaN. ``name`` is a standard's, or ``adjusted``; ``constant`` G M0 / R* of the
+    model [K/m'].
+    """
+
+    layers: Layers
+    gravity: Gravity
+    index: IndexModel = field(default_factory=IndexModel)
+    name: str = "adjusted"
+    constant: float = HYDROSTATIC_CONSTANT
+
+    @property
+    def extent(self) -> str:
+        """Its name and heights, for refusals."""
+        return f"profile {self.name}, {self.bottom_m:.0f} to {self.top_m:.0f} m"
+
+    @property
+    def bottom_m(self) -> float:
+        return float(self.gravity.height(self.layers.edge[0]))
+
+    @property
+    def top_m(self) -> float:
+        return float(self.gravity.height(self.layers.edge[-1]))
+
+    @property
+    def break_heights_m(self) -> Array:
+        """(m + 1,) heights at which layers meet [m]."""
+        return self.gravity.height(self.layers.edge)
+
+    def layer_of(self, h: ArrayLike) -> Rows:
+        """Number of the layer at a height, -1 outside the profile."""
+        geopotential, edge = self.gravity.geopotential_height(h), self.layers.edge
+        slack = 1e-7  # a height computed from an edge may miss it by a rounding error
+        i = np.clip(np.searchsorted(edge, geopotential, side="right") - 1, 0, edge.size - 2)
+        inside = (geopotential >= edge[0] - slack) & (geopotential <= edge[-1] + slack)
+        return np.where(inside, i, -1)
+
+    def state(self, h: ArrayLike) -> tuple[Array, Array, Array]:
+        """T_M [K], p [Pa] and e/p at heights ``h`` [m above sea level]; NaN outside."""
+        i = self.layer_of(h)
+        rise = self.gravity.geopotential_height(h) - self.layers.edge[i]
+        rise = np.where(i < 0, np.nan, rise)
+        base, lapse = self.layers.temperature[i], self.layers.lapse[i]
+        log_fall = log_pressure_fall(base, lapse, rise, self.constant)
+        vapour = self.layers.vapour[i] + self.layers.vapour_slope[i] * rise
+        return base + lapse * rise, self.layers.pressure[i] * np.exp(log_fall), vapour
+
+    def virtual_temperature(self, h: ArrayLike) -> Array:
+        """T_M [K] at heights ``h`` [m]."""
+        return self.state(h)[0]
+
+    def temperature(self, h: ArrayLike) -> Array:
+        """Temperature [K] at heights ``h`` [m above sea level]; NaN outside the profile.
+
+        >>> from unbend.atmosphere import standard_atmosphere
+        >>> standard_atmosphere("us1976").temperature([0.0, 5000.0]).round(3).tolist()
+        [288.15, 255.676]
+        """
+        t_m, _, vapour = self.state(h)
+        return t_m * (1.0 - VAPOUR_DEFICIT * vapour)
+
+    def pressure(self, h: ArrayLike) -> Array:
+        """Pressure [Pa] at heights ``h`` [m above sea level]; NaN outside the profile.
+
+        >>> from unbend.atmosphere import standard_atmosphere
+        >>> standard_atmosphere("us1976").pressure(5000.0).round(1).item()
+        54048.3
+        """
+        return self.state(h)[1]
+
+    def vapour_pressure(self, h: ArrayLike) -> Array:
+        """Partial pressure of water vapour [Pa] at heights ``h`` [m above sea level]."""
+        _, p, vapour = self.state(h)
+        return vapour * p
+
+    def refractivity(self, h: ArrayLike) -> Array:
+        """Refractivity n - 1 at heights ``h`` [m above sea level]; NaN outside the profile.
+
+        >>> from unbend.atmosphere import standard_atmosphere
+        >>> profile = standard_atmosphere("ardc1959", index="gyer")
+        >>> (profile.refractivity(5000.0) * 1e6).round(2).item()
+        166.64
+        """
+        t_m, p, vapour = self.state(h)
+        t = t_m * (1.0 - VAPOUR_DEFICIT * vapour)
+        return self.index.refractivity(t, p, vapour * p)
+
+    def at_level(self, h: ArrayLike, pressure_pa: ArrayLike) -> Profile:
+        """The profile with its pressure at the level of those measured (n,) at heights (n,) [m
+        above sea level], in the median."""
+        log_ratio = np.log(np.asarray(pressure_pa, np.float64) / self.pressure(h))
+        known = log_ratio[np.isfinite(log_ratio)]
+        if known.size == 0:
+            return self
+        factor = float(np.exp(np.median(known)))
+        return replace(self, layers=replace(self.layers, pressure=self.layers.pressure * factor))
+
+    def to_pandas(self, h: ArrayLike | None = None) -> Any:
+        """The profile as a pandas DataFrame, at heights [m] or at its layer boundaries."""
+        import pandas as pd
+
+        return pd.DataFrame(profile_table(self, h))
+
+
+def profile_table(profile: Profile, h: ArrayLike | None = None) -> dict[str, Any]:
+    """The profile as columns; each pressure can be retraced from its row by Eq. 52 or 53.
+
+    ``h`` : (n,) heights [m above sea level]; by default the layer boundaries. ``t_base_k`` is the
+    virtual temperature T_M at the layer's base; ``lapse_k_per_m`` is per geopotential metre.
+    """
+    if h is None:  # each layer at its lower edge, and the top of the last
+        heights = profile.break_heights_m
+        i = np.minimum(np.arange(heights.size), heights.size - 2)
+    else:
+        heights = np.asarray(h, dtype=np.float64)
+        i = profile.layer_of(heights)
+    if bool(np.any(i < 0)):
+        what = f"heights of {heights.min():.0f} to {heights.max():.0f} m leave the profile"
+        remedy = "ask for heights inside it"
+        raise PhysicsError("PROFILE-RANGE", what, where=profile.extent, remedy=remedy)
+    layers = profile.layers
+    return {
+        "h_m": heights,
+        "geopotential_m": profile.gravity.geopotential_height(heights),
+        "temperature_k": profile.temperature(heights),
+        "virtual_temperature_k": profile.virtual_temperature(heights),
+        "pressure_pa": profile.pressure(heights),
+        "vapour_pressure_pa": profile.vapour_pressure(heights),
+        "refractivity": profile.refractivity(heights),
+        "layer": i.astype(np.int32),
+        "equation": layers.equation[i],
+        "h_base_m": profile.gravity.height(layers.edge[i]),
+        "geopotential_base_m": layers.edge[i],
+        "t_base_k": layers.temperature[i],
+        "p_base_pa": layers.pressure[i],
+        "lapse_k_per_m": layers.lapse[i],
+        "source": np.array([layers.source[j] for j in i], dtype=object),
+    }
+
+
+def heights_every(profile: Profile, step: float) -> Array:
+    """Heights [m above sea level] at whole multiples of ``step`` inside a profile, to 30 km.
+
+    >>> from unbend.atmosphere import standard_atmosphere
+    >>> heights_every(standard_atmosphere("us1976"), 10000.0).tolist()
+    [0.0, 10000.0, 20000.0, 30000.0]
+    """
+    first = np.ceil(profile.bottom_m / step)
+    last = np.floor(min(profile.top_m, 30_000.0) / step)
+    return np.arange(first, last + 1.0) * step + 0.0
+
+
+def profile_from_table(
+    h: ArrayLike,
+    temperature_k: ArrayLike,
+    pressure_pa: ArrayLike,
+    vapour_pressure_pa: ArrayLike = 0.0,
+    *,
+    gravity: Gravity,
+    index: IndexModel | None = None,
+    name: str = "table",
+) -> Profile:
+    """A profile through a table of the air, such as a sounding or a known truth.
+
+    Temperature and humidity pass through the table. Pressure is hydrostatic (Eq. 52-53), at the
+    level that the tabulated pressures have in the median: jumps of pressure between layers would
+    be mirrors in the sky. ``h`` [m above sea level], (n,), increasing.
+    """
+    edge = gravity.geopotential_height(h)
+    t, p = np.asarray(temperature_k, np.float64), np.asarray(pressure_pa, np.float64)
+    vapour = np.broadcast_to(np.asarray(vapour_pressure_pa, np.float64), t.shape) / p
+    t_m = t / (1.0 - VAPOUR_DEFICIT * vapour)
+    anchor = (float(edge[0]), float(p[0]))
+    layers = stack_layers(edge, t_m, vapour, (MEASURED,) * (edge.size - 1), anchor=anchor)
+    profile = Profile(layers, gravity, index or IndexModel(), name)
+    return profile.at_level(gravity.height(edge), p)

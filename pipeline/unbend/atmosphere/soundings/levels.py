@@ -1,0 +1,178 @@
+"""Levels of a balloon sounding: as a file has them, as the estimator takes them, and its fields."""
+
+import csv
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+
+import numpy as np
+
+from unbend.errors import InputError
+from unbend.ledger import Entry, Notes
+from unbend.units import HECTOPASCAL, NANOSECONDS_PER_SECOND, ZERO_CELSIUS_K, Array
+
+FILLS = (-9999.0, -9999.9, -8888.0, -99999.0, 99999.0, 999999.0, -999.0)
+"""Numbers that mean a missing value. 9999 is not among them: it may be a height."""
+
+LARGEST = 1e7  # larger values in any unit are invalid, such as the fill of netCDF, 9.97e36
+_YEARS = (1900, 2200)  # soundings are younger; beyond 2262 nanoseconds do not fit into 64 bits
+
+_UNIT: dict[str, Callable[[Array], Array]] = {
+    **dict.fromkeys(("pa", "k", "m", "1"), lambda value: value),
+    "hpa": lambda value: value * HECTOPASCAL,
+    "c": lambda value: value + ZERO_CELSIUS_K,
+    "percent": lambda value: value / 100.0,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class ColumnErrors:
+    """Errors of a column of air where and when it was taken, beside those of single levels.
+
+    One sigma at each of the levels, or of all; at heights d apart they correlate as
+    exp(-d / length). ``log_pressure`` is that of ln p at the lowest level. The defaults are a
+    balloon's (instrument, and its way with the wind), set by judgement.
+    """
+
+    temperature_k: Array | float = 1.2
+    relative_humidity: Array | float = 0.15
+    temperature_length_m: float = 1500.0
+    humidity_length_m: float = 1000.0
+    log_pressure: float = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Sounding:
+    """Levels (n,) of one ascent, or of another column of air, from the ground up.
+
+    ``h_m``: geometric heights above mean sea level [m], strictly increasing; pressure is strictly
+    decreasing, vapour pressure NaN where it was not measured. ``time_ns``: release of the balloon,
+    or the hour of the observation [Unix ns], None if unknown; ``station`` as the file has it, may
+    be empty; position NaN where the file has none; ``origin``: the format it was read as; ``kind``:
+    first word of its name, and the basis of an estimate that rests on it; ``errors`` of the column,
+    to which age and distance add; ``across`` a coast or a ridge from the flight.
+    """
+
+    h_m: Array
+    pressure_pa: Array
+    temperature_k: Array
+    vapour_pressure_pa: Array
+    time_ns: int | None = None
+    station: str = ""
+    latitude_rad: float = float("nan")
+    longitude_rad: float = float("nan")
+    origin: str = ""
+    kind: str = "sounding"
+    errors: ColumnErrors = field(default_factory=ColumnErrors)
+    across: bool = False
+
+    @property
+    def name(self) -> str:
+        """Kind, station and time, for messages."""
+        when = ""
+        if self.time_ns is not None:
+            when = str(np.datetime64(self.time_ns, "ns").astype("datetime64[m]"))
+        return " ".join(word for word in (self.kind, self.station, when) if word)
+
+    def __post_init__(self) -> None:
+        columns = (self.h_m, self.pressure_pa, self.temperature_k, self.vapour_pressure_pa)
+        if any(column.shape != (self.h_m.size,) for column in columns):
+            raise ValueError("the columns of a sounding are vectors of one length")
+        if not bool(np.all(np.diff(self.h_m) > 0.0) and np.all(np.diff(self.pressure_pa) < 0.0)):
+            raise ValueError("a sounding rises, and its pressure falls")
+
+
+@dataclass(frozen=True, eq=False)
+class RawLevels:
+    """The levels of one ascent in the order of the file; (n,) arrays, NaN where there is nothing.
+
+    ``h_m`` are heights above sea level [m], geopotential where ``geopotential`` is true. Of
+    humidity a file has one or more of: dew point [K], vapour pressure [Pa], relative humidity over
+    water [1]. ``column_of`` each quantity is the file's column, which states its unit; ``notes``
+    are what is to be reported of the file and of what became of its levels.
+    """
+
+    h_m: Array
+    pressure_pa: Array
+    temperature_k: Array
+    geopotential: bool = True
+    dew_point_k: Array | None = None
+    vapour_pressure_pa: Array | None = None
+    relative_humidity: Array | None = None
+    time_ns: int | None = None
+    station: str = ""
+    latitude_rad: float = math.nan
+    longitude_rad: float = math.nan
+    origin: str = ""
+    where: str = ""
+    column_of: Mapping[str, str] = field(default_factory=dict)
+    notes: Notes = ()
+
+    def noting(self, *notes: Entry) -> "RawLevels":
+        """The same with more notes."""
+        return replace(self, notes=(*self.notes, *notes))
+
+
+def to_si(value: Array, unit: str) -> Array:
+    """A column in SI; ``unit`` is pa | hpa | k | c | m | 1 | percent."""
+    return _UNIT[unit](value)
+
+
+def number(text: str) -> float:
+    """A field as a number; NaN where it is empty, no number, a fill value or above `LARGEST`.
+
+    >>> number(" 12.5"), number("-9999"), number("///")
+    (12.5, nan, nan)
+    """
+    try:
+        value = float(text)
+    except ValueError:
+        return math.nan
+    return value if value not in FILLS and abs(value) <= LARGEST else math.nan
+
+
+def numbers(texts: Iterable[str]) -> Array:
+    """Fields of one column as numbers, see `number`."""
+    return np.array([number(text) for text in texts], dtype=np.float64)
+
+
+def table(lines: Iterable[str], where: str) -> dict[str, list[str]]:
+    """The columns of a CSV by name, fields as text; lines that begin with # are comments."""
+    rows = list(csv.reader(line for line in lines if line.strip() and not line.startswith("#")))
+    if not rows:
+        raise InputError(
+            "SOUNDING-EMPTY", "the sounding has no line", where=where, remedy="fetch the file again"
+        )
+    names = [name.strip().lstrip("\ufeff") for name in rows[0]]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        what = f"the column {twice[0]!r} stands there twice"
+        raise InputError("SOUNDING-COLUMN", what, where=where, remedy="keep one of them")
+    # A row that was cut off has empty fields where it ends.
+    return {
+        name: [row[i] if i < len(row) else "" for row in rows[1:]] for i, name in enumerate(names)
+    }
+
+
+def utc_ns(text: str) -> int | None:
+    """Nanoseconds of a time in ISO 8601, UTC without an offset; None where it is none.
+
+    >>> utc_ns("2011-05-22 12:00:00") == utc_ns("2011-05-22T14:00:00+02:00") == 1306065600 * 10**9
+    True
+    >>> utc_ns("22.05.2011 12:00") is None
+    True
+    """
+    try:
+        time = datetime.fromisoformat(text.strip())
+    except ValueError:
+        return None
+    if not _YEARS[0] <= time.year <= _YEARS[1]:
+        return None
+    time = time.replace(tzinfo=UTC) if time.tzinfo is None else time
+    return round(time.timestamp() * 1000) * (NANOSECONDS_PER_SECOND // 1000)
+
+
+def radians(degrees: float, limit: float) -> float:
+    """An angle in radians, NaN beyond the limit [deg]: -99.99 and -999 mean unknown."""
+    return math.radians(degrees) if abs(degrees) <= limit else math.nan

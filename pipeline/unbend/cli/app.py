@@ -1,0 +1,183 @@
+"""The command line application, and what its commands share: console, error messages, CSV.
+
+Exit codes: 0 done; 1 a bug; 2 command or mission file; 3 done, but data was lost, damaged or
+flagged, or something the mission file names is absent; 4 output folder in use; 5 storage failure,
+or verify found damage; 6 a mission was refused, the others are done; 130, 143 interrupted.
+"""
+
+from __future__ import annotations
+
+import csv as csv_module
+import json
+import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cached_property, wraps
+from inspect import Parameter, Signature, signature
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+
+import typer
+from typer import Option
+from typer.core import TyperCommand, TyperGroup
+
+import unbend
+from unbend.errors import ConfigError, UnbendError, storage_errors
+from unbend.exit_codes import exit_code_of
+from unbend.report.progress import DelayedProgressBar
+from unbend.report.words import visible
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from unbend.ledger import Ledger
+
+_ORDER = (
+    "init", "schema", "help", "run", "check", "status", "stations", "inspect", "angle", "radial",
+    "tables", "profile", "compare", "simulate", "export", "verify", "clean",
+    "warm",
+)  # fmt: skip
+"""Order of the commands in the help: the way in, missions, atmosphere and rays, results."""
+
+
+class _Group(TyperGroup):
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Names in the order of `_ORDER`; typer would list them by module."""
+        return sorted(self.commands, key=_ORDER.index)
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """The command and its words; refuses (URL-INVALID) a URL where paths are taken."""
+        name, command, words = super().resolve_command(ctx, args)
+        urls = [w.partition("=")[2] if w.startswith("--") else w for w in words if ":/" in w]
+        if urls and name not in {"run", "export", "verify", "clean"}:
+            from unbend.batch.object_store import Place, is_url
+
+            for url in filter(is_url, urls):
+                raise ConfigError.of("URL-INVALID/command", Place.of(url), command=name)
+        return name, command, words
+
+
+app = typer.Typer(
+    name="unbend",
+    cls=_Group,
+    help="Removes atmospheric refraction from aerial image observations, with the air the "
+    "aircraft measured.",
+    epilog=__doc__.split("\n\n", 1)[1],
+    no_args_is_help=True,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+
+Quiet = Annotated[bool, Option("--quiet", "-q", help="print nothing but refusals")]
+AsJson = Annotated[bool, Option("--json", help="print the answer as JSON")]
+
+
+class Answer:
+    """Where the answer of a command goes: as text, as JSON with nothing else, or nowhere."""
+
+    def __init__(self, *, quiet: bool, as_json: bool) -> None:
+        self.quiet, self.as_json = quiet, as_json
+
+    @property
+    def is_silent(self) -> bool:
+        return self.quiet or self.as_json
+
+    @cached_property
+    def console(self) -> Console:
+        """Console for the text of the answer; it discards what nobody wants."""
+        from unbend.report.console import report_console
+
+        return report_console(quiet=self.is_silent)
+
+    def progress(self, title: str) -> DelayedProgressBar:
+        """A bar for work that may take longer than half a second, where there is a terminal."""
+        if self.quiet or not (sys.stdout.isatty() or sys.stderr.isatty()):
+            return DelayedProgressBar(None, title)
+        from unbend.report.console import report_console
+
+        on_error = self.as_json or not sys.stdout.isatty()
+        return DelayedProgressBar(report_console(error=True) if on_error else self.console, title)
+
+    def print_json(self, content: Any) -> None:
+        """Print it as JSON if that is wanted; ValueError where a number is none (null is meant)."""
+        if self.as_json:
+            print(json.dumps(content, indent=2, allow_nan=False, default=str))
+
+    def end(
+        self,
+        content: dict[str, Any],
+        ledger: Ledger,
+        *written: Path | None,
+        shown: Sequence[Mapping[str, Any]] | None = None,
+    ) -> NoReturn:
+        """Print ledger (``shown`` as text) and written files, and exit with the ledger's code."""
+        code = exit_code_of(has_losses=ledger.has_losses)
+        files = [str(path) for path in written if path is not None]
+        self.print_json(content | {"written": files, "ledger": ledger.rows(), "exit_code": code})
+        if not self.is_silent:
+            from unbend.report.terminal import print_ledger
+
+            print_ledger(self.console, ledger.rows() if shown is None else shown)
+            self.print_paths(files)
+        raise typer.Exit(code)
+
+    def print_paths(self, paths: Iterable[str]) -> None:
+        for path in paths:
+            self.console.print(visible(path), markup=False, soft_wrap=True)
+
+
+def command(
+    name: str | None = None, *, epilog: str, cls: type[TyperCommand] = TyperCommand
+) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Decorator: a command with --quiet and --json; its function takes an `Answer` first."""
+
+    def register(function: Callable[..., None]) -> Callable[..., None]:
+        @wraps(function)
+        def run(*arguments: Any, quiet: bool, as_json: bool, **options: Any) -> None:
+            function(Answer(quiet=quiet, as_json=as_json), *arguments, **options)
+
+        parameters = [*signature(function, eval_str=True).parameters.values()][1:]
+        for option, annotation in (("quiet", Quiet), ("as_json", AsJson)):
+            parameters.append(
+                Parameter(option, Parameter.KEYWORD_ONLY, default=False, annotation=annotation)
+            )
+        run.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
+        run.__annotations__ = {p.name: p.annotation for p in parameters}
+        app.command(name, epilog=epilog, cls=cls)(run)
+        return function
+
+    return register
+
+
+def print_error(error: UnbendError, subject: str = "") -> None:
+    """Write a refusal to standard error; ``subject`` is the mission file if there are several."""
+    text = f"{subject}: {error}" if subject else str(error)
+    print(visible(text, keep="\n"), file=sys.stderr)
+
+
+def print_bug(text: str, subject: str = "") -> None:
+    """Write a traceback to standard error, with the request to report it."""
+    where = f"{subject}: " if subject else ""
+    text = visible(text, keep="\n")
+    print(
+        f"{text}\n{visible(where)}this is a bug in unbend: please report the lines above",
+        file=sys.stderr,
+    )
+
+
+def write_rows_csv(path: Path, rows: list[dict[str, Any]]) -> None:
+    """Write rows of the same keys as CSV; StorageError if the file cannot be written."""
+    with storage_errors(path), path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv_module.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+@app.callback(invoke_without_command=True)
+def _options(
+    version: Annotated[bool, Option("--version", help="print the version")] = False,
+) -> None:
+    if version:
+        print(f"unbend {unbend.__version__}")
+        raise typer.Exit

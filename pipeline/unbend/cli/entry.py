@@ -1,0 +1,99 @@
+"""Run a command line; errors become exit codes."""
+
+import os
+import signal
+import sys
+import traceback
+from io import StringIO, TextIOWrapper
+
+import typer
+
+from unbend.cli import guide, missions, physics
+from unbend.cli.app import app, print_bug, print_error
+from unbend.errors import UnbendError
+from unbend.exit_codes import EXIT_CONFIG, EXIT_DONE, EXIT_INTERRUPTED, EXIT_TERMINATED
+from unbend.interrupts import SIGNALS
+from unbend.report.words import visible
+
+# The import of these modules registers their commands.
+_COMMANDS = (guide, missions, physics)
+
+# Base class of all errors in a command line: click's UsageError, or that of the copy of click in
+# newer versions of typer.
+_USAGE_ERROR: type[Exception] = typer.BadParameter.__bases__[0]
+
+
+def _ignore_further_signals() -> None:
+    """Let the shutdown finish. SIG_IGN would print a warning if a signal is already pending."""
+    for number in SIGNALS:
+        signal.signal(number, lambda *_: None)
+
+
+def _install_signal_handlers() -> None:
+    """Exit with 130 at the first Ctrl-C, unless ignored (``nohup``), and with 143 at SIGTERM."""
+
+    def exit_with(code: int) -> None:
+        # SystemExit, not KeyboardInterrupt: where the latter passes through an exec(), as in the
+        # import of a dataclass, Python ends the process by the signal, whatever its exit code.
+        _ignore_further_signals()
+        raise SystemExit(code)
+
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, lambda *_: exit_with(EXIT_INTERRUPTED))
+    signal.signal(signal.SIGTERM, lambda *_: exit_with(EXIT_TERMINATED))
+
+
+def run_command(arguments: list[str]) -> int:
+    """Run one command and return its exit code; typer's main() would give bugs codes of its own."""
+    command = typer.main.get_command(app)
+    if instruction := os.environ.get("_UNBEND_COMPLETE"):  # the shell asks for completions
+        from typer.completion import shell_complete
+
+        return int(shell_complete(command, {}, "unbend", "_UNBEND_COMPLETE", instruction))
+    try:
+        with command.make_context("unbend", arguments) as context:
+            command.invoke(context)
+    except typer.Exit as end:
+        return end.exit_code
+    return EXIT_DONE
+
+
+def main() -> None:
+    # With matrices of some hundred rows, threads are slower and make sums depend on their number.
+    # Takes effect if set before numpy is imported.
+    os.environ["OPENBLAS_NUM_THREADS"] = "1"
+    # Colours of numba's messages: it resets them at the end, on terminals without colours too.
+    os.environ.setdefault("NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING", "1")
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):  # redirected on Windows: code page 1252, strict
+            stream.reconfigure(errors="backslashreplace")
+    # Python then exits with 1, EXIT_BUG.
+    sys.excepthook = lambda *error: print_bug("".join(traceback.format_exception(*error)))
+    _install_signal_handlers()
+    code = EXIT_DONE
+    try:
+        code = run_command(sys.argv[1:])
+        sys.stdout.flush()
+    except UnbendError as error:
+        print_error(error)
+        code = error.exit_code
+    except SystemExit as end:
+        code = end.code if isinstance(end.code, int) else EXIT_DONE
+    except (typer.Abort, KeyboardInterrupt):  # raised by a library
+        code = EXIT_INTERRUPTED
+    except _USAGE_ERROR as error:
+        text = StringIO()
+        error.show(file=text)  # type: ignore[attr-defined]
+        print(visible(text.getvalue(), keep="\n"), end="", file=sys.stderr)
+        code = EXIT_CONFIG
+    except BrokenPipeError:
+        # The reader of a pipe has closed it. Python flushes the rest at exit: let that succeed.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(EXIT_INTERRUPTED)
+    finally:
+        _ignore_further_signals()
+        for number in SIGNALS:  # Python's shutdown replaces a handler by the default action
+            signal.signal(number, signal.SIG_IGN)
+    if code == EXIT_INTERRUPTED:
+        print("interrupted; run again to finish", file=sys.stderr)
+    sys.exit(code)

@@ -1,0 +1,159 @@
+"""Commands beside missions: the way in, what a word means, and the caches."""
+
+import json
+import textwrap
+from pathlib import Path
+from typing import Annotated
+
+from typer import Argument, Option
+
+from unbend.caches import compiled_code, empty_caches, user_cache
+from unbend.cli.app import Answer, command
+from unbend.errors import ConfigError, StorageError, storage_errors
+from unbend.report.words import count
+
+
+@command(epilog="Example: unbend schema --out mission.schema.json")
+def schema(
+    answer: Answer,
+    out: Annotated[Path | None, Option(help="the file to write")] = None,
+    campaign: Annotated[bool, Option("--campaign", help="that of a campaign file")] = False,
+) -> None:
+    """The JSON schema of a mission file, for editors.
+
+    Every key with its description, unit, default and example. An editor reads it where the first
+    line of the mission file is: # yaml-language-server: $schema=mission.schema.json
+    """
+    with answer.progress("listing the keys"):
+        from unbend.config.schema import campaign_schema, mission_schema
+
+        text = json.dumps(campaign_schema() if campaign else mission_schema(), indent=1)
+    if out is not None:
+        with storage_errors(out):
+            out.write_text(text + "\n", encoding="utf-8")
+        answer.print_paths([str(out)])
+        answer.print_json({"written": [str(out)]})
+    elif not answer.quiet:
+        print(text)
+
+
+@command("help", epilog="Example: unbend help f_px; unbend help EVENTS-AMBIGUOUS; unbend help 3")
+def explain_word(
+    answer: Answer,
+    word: Annotated[str, Argument(help="a key, a code, an exit code or a status", metavar="WORD")],
+) -> None:
+    """What a key, a code, an exit code or a status means."""
+    with answer.progress("looking it up"):
+        from unbend.report.explanations import explain
+
+        lines = explain(word)
+    answer.print_json({"word": word, "lines": lines})
+    width = max(40, answer.console.width)
+    for line in [] if answer.is_silent else lines:
+        indent = " " * (len(line) - len(line.lstrip()))
+        print(textwrap.fill(line, width, subsequent_indent=indent + "  " * bool(indent),
+                            break_on_hyphens=False, break_long_words=False))  # fmt: skip
+
+
+@command(epilog="Example: unbend init flight.bin observations.csv")
+def init(
+    answer: Answer,
+    log: Annotated[Path, Argument(help="a flight log, or a block alone", metavar="LOG")],
+    observations: Annotated[
+        Path | None,
+        Argument(help="a table, or a block of another program", metavar="[OBSERVATIONS]"),
+    ] = None,
+    images: Annotated[
+        Path | None, Option(help="folder of the images, or exiftool's table of them")
+    ] = None,
+    out: Annotated[Path, Option(help="the file to write; - prints it")] = Path("mission.yaml"),
+    *,
+    force: Annotated[bool, Option(help="replace the file if it is there")] = False,
+) -> None:
+    """Write a mission file from what a log and observations hold.
+
+    What is open is TODO; `unbend check` lists it. Beside the file stands mission.schema.json, by
+    which editors complete and check.
+    """
+    printed = str(out) == "-"
+    if not printed and out.exists() and not force:
+        remedy = "choose another name with --out, or replace it: --force"
+        raise ConfigError("INIT-EXISTS", "the file is there already", where=str(out), remedy=remedy)
+    with answer.progress(f"reading {log.name}"):
+        import yaml
+
+        from unbend.config.reading import open_questions
+        from unbend.stages.commands.mission_proposal import propose_mission
+
+        target = Path("mission.yaml") if printed else out
+        text = propose_mission(log, observations, images, target)
+        questions = open_questions(yaml.safe_load(text))
+    content = {"questions": [".".join(map(str, place)) for place in questions]}
+    if printed:
+        answer.print_json(content | {"text": text})
+        if not answer.is_silent:
+            print(text, end="")
+        return
+    of_editors = out.parent / "mission.schema.json"
+    with storage_errors(out):
+        out.write_text(text, encoding="utf-8")
+    schema(Answer(quiet=answer.is_silent, as_json=False), of_editors)
+    answer.print_json(content | {"written": [str(out), str(of_editors)]})
+    asked = f"{out}: {count(len(questions), 'open question')} (TODO)"
+    answer.print_paths([asked, f"  unbend check {out}"])
+
+
+@command(epilog="Example: unbend clean; unbend clean s3://bucket/results")
+def clean(
+    answer: Answer,
+    url: Annotated[str | None, Argument(help="results in object storage", metavar="URL")] = None,
+    recent: Annotated[
+        bool, Option(help="with a URL: uploads of the last hour too, if no run goes on")
+    ] = False,
+) -> None:
+    """Remove what is kept to save time: compiled code, hashes, copies.
+
+    No result is touched. The next run compiles again, and reads all of its inputs for their hashes.
+    Of a URL: what interrupted runs left at results in object storage, there and below.
+    """
+    if url is not None:
+        with answer.progress(f"looking at {url}"):
+            from unbend.batch.object_store import Place
+            from unbend.batch.publication import remove_orphans
+
+            orphans, young = remove_orphans(Place.of(url), recent=recent)
+        answer.print_json({"removed": orphans, "kept": young})
+        answer.print_paths(f"removed {name}" for name in orphans)
+        if young:
+            uploads = count(young, "upload")
+            answer.console.print(f"{uploads} of the last hour kept: --recent removes them too")
+        elif not orphans:
+            answer.console.print("nothing is left of interrupted runs")
+        return
+    with storage_errors(Path(user_cache())):
+        removed = empty_caches()
+    answer.print_json({"removed": removed})
+    for what in removed:
+        answer.console.print(f"removed {what['what']}, {int(what['bytes']) / 1e6:.1f} MB:")
+        answer.print_paths([f"  {what['path']}"])
+    if not removed:
+        answer.console.print("nothing is kept")
+
+
+@command(epilog="Example: unbend warm --json")
+def warm(answer: Answer) -> None:
+    """Compile ahead all that runs may need: half a minute, once.
+
+    For images of containers and for many machines: the code goes where NUMBA_CACHE_DIR says, or to
+    the user's cache, and serves this version of the program on processors of this kind.
+    """
+    with answer.progress("compiling"):
+        from unbend.in_memory import compile_kernels
+        from unbend.refraction.kernels.jit import cache_folder
+
+        folder = cache_folder()
+        if folder is None:
+            raise StorageError.of("STORAGE-WRITE/warm", compiled_code())
+        compile_kernels()
+    answer.print_json({"compiled": folder})
+    answer.print_paths([folder])

@@ -1,0 +1,441 @@
+"""Commands on missions, logs and folders of results."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import closing, nullcontext
+from dataclasses import replace
+from functools import cache, partial
+from inspect import Parameter, Signature
+from math import inf
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+
+import typer
+from typer import Argument, Option
+from typer.core import TyperCommand
+
+from unbend.cli.app import Answer, command, print_bug, print_error, write_rows_csv
+from unbend.errors import ConfigError, UnbendError
+from unbend.exit_codes import EXIT_BUG, EXIT_DONE, exit_code_of
+from unbend.report.words import count
+
+if TYPE_CHECKING:
+    from unbend.batch.execute import MissionEnd
+    from unbend.config.campaign import MissionRef
+    from unbend.stages.commands.campaigns import Selection
+
+
+Configs = Annotated[
+    list[Path], Argument(help="mission files and campaign files", metavar="CONFIG...")
+]
+Names = Annotated[
+    list[str] | None, Option("--mission", help="only this mission of a campaign, by name or file")
+]
+
+
+@command(epilog="Example: unbend run configs/*.yaml; unbend run season.yaml --jobs 2")
+def run(
+    answer: Answer,
+    configs: Configs,
+    jobs: Annotated[
+        int, Option(min=1, help="processes: missions at the same time, slices of a single one")
+    ] = 1,
+    force: Annotated[bool, Option(help="run even where nothing has changed")] = False,
+    names: Names = None,
+    *,
+    verify_inputs: Annotated[
+        bool, Option(help="read and hash inputs whose size and times did not change too")
+    ] = False,
+    shard: Annotated[
+        str | None,
+        Option(
+            metavar="K/N",
+            help="only part K of N of the missions, counted from 0: 0/8 to 7/8 in an array of jobs",
+        ),
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        Option(
+            metavar="ADDRESS", help="run on the workers of a Dask scheduler (tcp://... or its file)"
+        ),
+    ] = None,
+) -> None:
+    """Correct missions; one that is refused does not stop the rest.
+
+    Of a campaign, campaign.html and campaign.parquet show all its missions; a shard leaves them.
+    """
+    if scheduler is not None and jobs > 1:
+        raise ConfigError.of("RUN-ARGUMENTS")
+    with answer.progress("loading"):
+        if scheduler is not None:
+            from unbend.batch.cluster import refuse_missing
+
+            refuse_missing(scheduler)
+        from unbend.batch.execute import shard_of
+        from unbend.batch.executors import Outcome
+        from unbend.report.terminal import print_unchanged
+        from unbend.stages.commands.campaigns import keep_unchanged, select_missions, write_pages
+
+        chosen = select_missions(configs, names or (), shard_of(shard))
+    missions: list[dict[str, Any]] = []
+    ended: dict[Any, Any] = {}
+    apart = jobs > 1 or scheduler is not None
+    beside = answer.progress(f"{len(chosen.missions)} missions") if apart else nullcontext()
+    options = {"force": force, "verify_inputs": verify_inputs}
+    outcomes = chosen.ends(
+        partial(run_missions, answer, scheduler or jobs, options), again=force or verify_inputs
+    )
+    with beside, closing(outcomes):
+        for ref, end in outcomes:
+            ended[ref] = end
+            missions.append(print_end(answer, ref.label, end, chosen))
+    unchanged = [of.name for of in ended.values() if isinstance(of, Outcome) and of.repeated]
+    if unchanged and len(chosen.missions) > 1:
+        print_unchanged(answer.console, unchanged, len(chosen.missions))
+    keep_unchanged(chosen, ended)
+    if shard is None:
+        answer.print_paths(str(page) for page in write_pages(chosen, ended))
+    _end(answer, missions)
+
+
+def run_missions(
+    answer: Answer, where: int | str, options: Mapping[str, Any], missions: list[MissionRef]
+) -> Generator[tuple[MissionRef, MissionEnd]]:
+    """Run missions in this process, in so many others, or on the workers of a scheduler."""
+    with answer.progress("loading"):
+        from unbend.batch.execute import run_many
+        from unbend.batch.executors import ChildHelpers, Executor, Inline, Processes
+        from unbend.stages.commands.campaigns import run_chosen
+
+    executor: Executor = Inline(answer.progress)
+    sent = {ref: ref for ref in missions}
+    if isinstance(where, str):
+        from unbend.batch.cluster import Cluster
+
+        executor = Cluster(where)
+        sent = {replace(ref, path=ref.path.absolute()): ref for ref in missions}
+    elif len(missions) > 1 < where:
+        executor = Processes(where)
+    else:
+        options = {**options, "helpers": ChildHelpers(where)}
+    with closing(run_many(partial(run_chosen, **options), list(sent), executor)) as ends:
+        yield from ((sent[ref], end) for ref, end in ends)
+
+
+def print_end(answer: Answer, config: str, end: MissionEnd, chosen: Selection) -> dict[str, Any]:
+    """Print how a mission ended, of a campaign in a line; its entry in the JSON of the command."""
+    from unbend.batch.executors import Bug
+    from unbend.batch.store import read_manifest
+
+    if isinstance(end, UnbendError):
+        return _refused(config, end)
+    if isinstance(end, Bug):
+        print_bug(end.traceback, config)
+        return {"config": config, "exit_code": EXIT_BUG}
+    several = len(chosen.missions) > 1
+    if not (end.repeated and several):
+        from unbend.report.terminal import print_run
+
+        how = {"repeated": end.repeated, "brief": several and bool(chosen.campaigns)}
+        print_run(answer.console, end.name, str(end.output), end.manifest, **how)
+    entry: dict[str, Any] = {"config": config, "output": str(end.output)}
+    entry |= {"repeated": end.repeated, "exit_code": end.exit_code}
+    if answer.as_json:
+        entry["manifest"] = end.manifest or read_manifest(end.output)
+    return entry
+
+
+def _refused(config: str, error: UnbendError) -> dict[str, Any]:
+    """Print the refusal of a mission; its entry in the JSON of the command."""
+    print_error(error, config)
+    parts = {"code": error.code, "what": error.what, "where": error.where, "to_do": error.remedy}
+    return {"config": config, "exit_code": error.exit_code, "refusal": parts}
+
+
+def _end(answer: Answer, missions: Sequence[Mapping[str, Any]]) -> NoReturn:
+    """Print the entries as JSON if that is wanted, and exit with the code of all missions."""
+    from unbend.batch.execute import exit_code_of
+
+    answer.print_json(missions)
+    raise typer.Exit(exit_code_of([int(mission["exit_code"]) for mission in missions]))
+
+
+@command(epilog="Example: unbend check mission.yaml")
+def check(answer: Answer, configs: Configs, names: Names = None) -> None:
+    """Rehearse `run` on a sample: all it would say, and its exit code.
+
+    Writes nothing.
+    """
+    with answer.progress("loading"):
+        from unbend.report.terminal import print_check
+        from unbend.stages.commands.campaigns import select_missions
+        from unbend.stages.commands.rehearsal import input_lines, rehearsal_lines
+        from unbend.stages.story import check_mission
+
+        chosen = select_missions(configs, names or ())
+    missions: list[dict[str, Any]] = []
+    for ref in chosen.missions:
+        try:
+            if ref in chosen.refused:
+                raise chosen.refused[ref]
+            with answer.progress(f"checking {ref.path.name}") as bar:
+                checked = check_mission(ref, progress=bar)
+                lines = [*input_lines(checked), *rehearsal_lines(checked)]
+        except UnbendError as error:
+            missions.append(_refused(ref.label, error))
+            continue
+        print_check(answer.console, ref.label, lines, checked.manifest)
+        missions.append(
+            {"config": ref.label, "exit_code": checked.manifest["exit_code"],
+             "lines": dict(lines), "manifest": checked.manifest}
+        )  # fmt: skip
+    _end(answer, missions)
+
+
+@command(epilog="Example: unbend status configs/*.yaml")
+def status(answer: Answer, configs: Configs, names: Names = None) -> None:
+    """What `run` would run now, and why.
+
+    Names the inputs, keys, libraries and results that changed since the last run.
+    """
+    with answer.progress("loading"):
+        from unbend.report.terminal import print_status
+        from unbend.stages.commands.campaigns import select_missions
+
+        chosen = select_missions(configs, names or (), writes=False)
+    missions: list[dict[str, Any]] = []
+    for ref in chosen.missions:
+        try:
+            (_, output), reasons = chosen.called.get(ref, ("", None)), list[str]()
+            if not chosen.is_unchanged(ref):
+                with answer.progress(f"looking at {ref.path.name}"):
+                    from unbend.stages.story import mission_status
+
+                    plan, reasons = mission_status(ref)
+                    output = plan.output
+        except UnbendError as error:
+            missions.append(_refused(ref.label, error))
+            continue
+        if reasons or not chosen.campaigns:
+            print_status(answer.console, ref.label, reasons)
+        missions.append(
+            {"config": ref.label, "output": str(output), "would_run": bool(reasons),
+             "reasons": reasons, "exit_code": EXIT_DONE}
+        )  # fmt: skip
+    runs = sum(mission.get("would_run", False) for mission in missions)
+    answer.console.print(f"{count(runs, 'mission')} of {len(chosen.missions)} would run")
+    _end(answer, missions)
+
+
+@command(epilog="Example: unbend stations mission.yaml --plot flight.png")
+def stations(
+    answer: Answer,
+    config: Annotated[Path, Argument(help="a mission file", metavar="CONFIG")],
+    csv: Annotated[Path | None, Option(help="write all stations as CSV")] = None,
+    plot: Annotated[
+        Path | None, Option(help="draw the flight with its stations, .png or .svg")
+    ] = None,
+) -> None:
+    """Stations of a mission, how events became images, and a drawing."""
+    with answer.progress(f"reading {config.name}"):
+        from unbend.report.terminal import print_stations
+        from unbend.stages.story import read_mission
+        from unbend.tables.writing import rows_of_stations
+
+        checked = read_mission(config)
+        table = rows_of_stations(checked.stations)
+    if csv is not None:
+        write_rows_csv(csv, table)
+    if plot is not None:
+        with answer.progress(f"drawing {plot.name}"):
+            from unbend.report.figures import flight_figure, save_figure
+
+            suspect = [(stretch.begin_ns, stretch.end_ns) for stretch in checked.flight.suspect]
+            save_figure(flight_figure(checked.stations, checked.track(), suspect), plot)
+    print_stations(answer.console, table)
+    about = ("EVENTS-", "EXIF-", "IMAGES-", "STATIONS-", "SUSPECT-")
+    rows = checked.ledger.rows()
+    shown = [e for e in rows if e["kind"] != "note" or str(e["code"]).startswith(about)]
+    answer.end({"stations": table}, checked.ledger, csv, plot, shown=shown)
+
+
+@command(epilog="Example: unbend inspect flight.bin; unbend inspect flight.bin --type BARO --csv")
+def inspect(
+    answer: Answer,
+    log: Annotated[
+        Path,
+        Argument(help="a flight log, or a file of a weather model (netCDF, GRIB)", metavar="LOG"),
+    ],
+    kind: Annotated[str | None, Option("--type", help="all messages of one type or topic")] = None,
+    instance: Annotated[str | None, Option(help="with --type: only this instance")] = None,
+    as_csv: Annotated[bool, Option("--csv", help="with --type: every row, as CSV")] = False,
+) -> None:
+    """What a log or weather model holds, in words of a mission file."""
+    if (kind is None and (as_csv or instance is not None)) or (as_csv and answer.as_json):
+        raise ConfigError.of("INSPECT-ARGUMENTS")
+    with answer.progress(f"reading {log.name}"):
+        from unbend.ingest import open_log
+        from unbend.tables.weather_files import contents_of, is_model_file
+
+        if kind is None and is_model_file(log):
+            contents = contents_of(log)
+            if answer.as_json:
+                answer.print_json(contents)
+            elif not answer.quiet:
+                from unbend.report.terminal import print_model
+
+                print_model(answer.console, contents, log.name)
+            raise typer.Exit(EXIT_DONE)
+        opened = open_log(log, needs_channels=kind is None)
+        columns = None if kind is None else opened.message(kind, instance)
+    if as_csv and columns is not None and not answer.quiet:
+        from unbend.report.terminal import write_messages_csv
+
+        write_messages_csv(sys.stdout, columns)
+    elif columns is not None and not as_csv:
+        from unbend.report.terminal import field_rows, print_fields
+
+        fields = field_rows(columns)
+        rows = len(next(iter(columns.values())))
+        answer.print_json({"type": kind, "rows": rows, "fields": fields})
+        print_fields(answer.console, f"{log.name}, {kind}", fields)
+    elif answer.as_json:
+        answer.print_json(opened.to_json_dict())
+    elif not answer.quiet:
+        from unbend.report.terminal import print_log
+
+        print_log(answer.console, opened.to_json_dict(), log.name)
+    raise typer.Exit(exit_code_of(has_losses=opened.ledger.has_losses))
+
+
+@cache
+def _format_parameters() -> tuple[Any, ...]:
+    """Parameters of ``unbend export`` that the formats declare: --format, and their options."""
+    from unbend.tables.exports import FORMATS
+
+    names: dict[str, list[str]] = {}
+    for form in FORMATS.values():
+        names.setdefault(form.contents, []).append(form.name)
+    listed = "; ".join(f"{', '.join(of)}: {contents}" for contents, of in names.items())
+    option = Option("--format", help=listed, autocompletion=lambda: list(FORMATS))
+    hints: dict[str, Any] = {"format_name": Annotated[str, option]}
+    parameters = [Parameter("format_name", Parameter.KEYWORD_ONLY)]
+    for option in {o.name: o for form in FORMATS.values() for o in form.options}.values():
+        unit = f" {option.unit}" if option.unit else ""
+        hints[option.name] = Annotated[
+            option.kind | None,
+            Option(
+                min=None if option.minimum == -inf else option.kind(option.minimum),
+                max=None if option.maximum == inf else option.kind(option.maximum),
+                help=f"{option.help}, by default {option.default}{unit}",
+            ),
+        ]
+        parameters.append(Parameter(option.name, Parameter.KEYWORD_ONLY, default=None))
+
+    def declared() -> None:
+        """Only its parameters are used."""
+
+    declared.__annotations__ = hints
+    declared.__signature__ = Signature(  # type: ignore[attr-defined]
+        [p.replace(annotation=hints[p.name]) for p in parameters]
+    )
+    command = typer.Typer(add_completion=False, rich_markup_mode=None)
+    command.command()(declared)
+    return tuple(typer.main.get_command(command).params)
+
+
+class _ExportCommand(TyperCommand):
+    """`unbend export`, with the options of the formats; they are imported when it is used."""
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        own = len(self.params)
+        params = super().get_params(ctx)
+        quiet = not {"-q", "--quiet"}.isdisjoint(sys.argv)
+        with Answer(quiet=quiet, as_json="--json" in sys.argv).progress("loading"):
+            _format_parameters()
+        return [*params[:own], *_format_parameters(), *params[own:]]
+
+    def invoke(self, ctx: Any) -> Any:
+        """Hand the function of the command what the formats declare as one mapping."""
+        ctx.obj = {p.name: ctx.params.pop(p.name) for p in _format_parameters()}
+        return super().invoke(ctx)
+
+
+@command(
+    cls=_ExportCommand,
+    epilog="Example: unbend export results/survey --format lattice --out grid.parquet",
+)
+def export(
+    answer: Answer,
+    ctx: typer.Context,
+    run: Annotated[str, Argument(help="a folder of results, or their URL", metavar="RUN")],
+    out: Annotated[Path, Option(help="the file to write, or the folder that several go to")],
+    ground_height: Annotated[
+        float | None,
+        Option(help="metres above sea level; by default the median of each image's observations"),
+    ] = None,
+    *,
+    force: Annotated[bool, Option(help="replace the file if it is there")] = False,
+) -> None:
+    """Write the results of a run for other programs."""
+    options = {name: value for name, value in ctx.obj.items() if value is not None}
+    name = options.pop("format_name")
+    with answer.progress(f"exporting {run}"):
+        from unbend.batch.plan import located
+        from unbend.stages.commands.finished_run import export_run
+
+        written, ledger = export_run(
+            located(run), name, out, options, ground_height_m=ground_height, force=force
+        )
+    answer.print_paths([f"{out}: {count(written, 'row')}"])
+    answer.end({"out": str(out), "format": name, "rows": written}, ledger)
+
+
+@command(epilog="Example: unbend simulate flown --height 3000")
+def simulate(
+    answer: Answer,
+    out: Annotated[Path, Argument(help="folder to write to", metavar="OUT")],
+    height: Annotated[float, Option(help="metres above ground")] = 3000.0,
+    seed: Annotated[int, Option(help="of the sensor noise")] = 7,
+    noise: Annotated[float, Option(help="of the image measurements, pixels")] = 0.0,
+) -> None:
+    """Fly a survey with known truth: logs, observations, missions.
+
+    The same flight three times, as .bin, .tlog and .mcap, with a mission file for each.
+    """
+    with answer.progress("simulating") as bar:
+        from unbend.simulate import SimulationOptions
+        from unbend.simulate import simulate as simulate_flight
+
+        options = SimulationOptions(seed=seed, height_above_ground_m=height, image_noise_px=noise)
+        flown = simulate_flight(out, options, bar.update)
+    missions = [str(path) for path in flown.missions.values()]
+    text = (
+        f"{out}: {count(flown.images, 'image')}, {count(flown.observation_count, 'observation')} "
+        f"of {count(flown.points, 'point')}, {flown.duration_s:.0f} s of flight in three logs"
+    )
+    answer.print_paths([text, *(f"  unbend run {path}" for path in missions)])
+    answer.print_json(
+        {"out": str(out), "images": flown.images, "observations": flown.observation_count,
+         "points": flown.points, "duration_s": flown.duration_s, "missions": missions}
+    )  # fmt: skip
+
+
+@command(epilog="Example: unbend verify results/survey")
+def verify(
+    answer: Answer,
+    run: Annotated[str, Argument(help="a folder of results, or their URL", metavar="RUN")],
+) -> None:
+    """Whether the results of a run are whole and unchanged."""
+    with answer.progress(f"hashing {run}"):
+        from unbend.batch.plan import located
+        from unbend.stages.commands.finished_run import verify_run
+
+        manifest = verify_run(located(run))
+    files = len(manifest["outputs"])
+    are = "is" if files == 1 else "are"
+    mission = manifest["mission"]
+    answer.print_paths([f"{run}: {count(files, 'file')} of mission {mission} {are} whole"])
+    answer.print_json({"run": str(run), "mission": mission, "files": files, "whole": True})

@@ -1,0 +1,153 @@
+"""What a log holds, as columns in SI: the only thing that leaves `ingest`."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unbend.units import Array
+
+TimeArray = NDArray[np.int64]
+
+ROLE_COLUMNS: Mapping[str, tuple[str, ...]] = {
+    "position": ("lat_rad", "lon_rad"),
+    "height": ("lat_rad", "lon_rad"),
+    "attitude": ("q_w", "q_x", "q_y", "q_z"),
+    "aircraft_attitude": ("q_w", "q_x", "q_y", "q_z"),
+    "pressure": ("pressure_pa",),
+    "temperature": ("temperature_k",),
+    "humidity": ("relative_humidity",),
+    "airspeed": ("airspeed_m_s",),
+    "cabin_pressure": ("pressure_pa",),
+    "cabin_temperature": ("temperature_k",),
+    "cabin_humidity": ("relative_humidity",),
+    "events": ("event_index",),
+}
+"""Roles a channel can play, and the columns it needs for that."""
+
+_OF_HEALTH = {
+    "innovation_velocity", "innovation_position", "innovation_height", "innovation_compass",
+    "filter_flags", "filter_timeouts", "filter_faults", "vibration_m_s2", "clipping",
+    "rate_x_rad_s", "rate_y_rad_s", "rate_z_rad_s",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Source:
+    """The sender of the messages of a channel. ``None`` where the format has no such notion."""
+
+    message: str
+    instance: str | None = None
+    system: int | None = None
+    component: int | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Channel:
+    """One series of measurements from one source.
+
+    name : the word the config takes, for example ``BARO[1]`` or ``/cabin/pressure``.
+    time_ns : (n,) UTC, Unix nanoseconds, strictly increasing.
+    columns : (n,) arrays by name, SI and radians, NaN where unknown.
+    source : the sender.
+    boot : (n,) which power-up of the vehicle each sample belongs to, from 0.
+    roles : the roles it may take without being named in the config, best first.
+    rank : the smaller, the sooner it is chosen among candidates for a role.
+    labels : strings that belong to the samples, such as image names.
+    logged_units : by column, the unit of the log that was converted; SI where a column has none.
+    masked : by column, how many of its unknown values were impossible ones, counted in the ledger
+        when the log was read.
+
+    Columns in use: lat_rad, lon_rad, h_msl_m, h_gnss_m (above sea level, by the receiver alone),
+    h_ellipsoid_m, h_home_m, east_m, north_m, up_m (local); v_north_m_s, v_east_m_s, v_down_m_s;
+    q_w, q_x, q_y, q_z (v_ned = R(q) v_body, body forward, right, down); rate_x_rad_s, rate_y_rad_s,
+    rate_z_rad_s (about the body's forward, right and down axis); pressure_pa, board_temperature_k,
+    temperature_k, relative_humidity (0-1), airspeed_m_s; event_index, sigma_time_s (of an event
+    whose time is not logged exactly), roll_rad, pitch_rad, yaw_rad; yaw_in_body_rad (of a gimbal);
+    value (of a named value, in the mission file's unit).
+
+    Of a receiver: fix (GPS_FIX_TYPE of MAVLink: 3 is 3D, 6 RTK fixed), satellites, hdop, sigma_h_m
+    (of one horizontal axis), sigma_v_m, sigma_speed_m_s; gps_week (may count modulo 1024) and
+    gps_week_s, the epoch of the row in GPS time. Of a filter: innovation_velocity,
+    innovation_position, innovation_height, innovation_compass (largest innovation over the gate:
+    above 1 it is rejected); filter_flags, whose bits 0 to 9 are MAVLink's EKF_STATUS_FLAGS in all
+    formats, 10 never healthy, 15 GPS glitch, 18 dead reckoning; filter_timeouts and filter_faults
+    (bits of ArduPilot's XKF4.TS and FS); vibration_m_s2 (of the worst axis), clipping (count since
+    boot). What the autopilot says is a channel without columns, with the label ``text``, of which
+    rows of one time are the lines of one text.
+    """
+
+    name: str
+    time_ns: TimeArray
+    columns: Mapping[str, Array]
+    source: Source
+    boot: NDArray[np.int16] = field(default_factory=lambda: np.empty(0, np.int16))
+    roles: tuple[str, ...] = ()
+    rank: int = 50
+    labels: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    logged_units: Mapping[str, str] = field(default_factory=dict)
+    masked: Mapping[str, int] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        n = self.time_ns.shape[0]
+        if self.time_ns.dtype != np.int64 or self.time_ns.ndim != 1:
+            raise TypeError(f"channel {self.name}: time_ns must be a vector of int64")
+        if n > 1 and not bool(np.all(self.time_ns[1:] > self.time_ns[:-1])):
+            raise ValueError(f"channel {self.name}: time_ns must increase strictly")
+        if self.boot.shape[0] == 0 and n:
+            object.__setattr__(self, "boot", np.zeros(n, np.int16))
+        for name, column in self.columns.items():
+            if column.shape != (n,):
+                raise ValueError(f"channel {self.name}: {name} is {column.shape}, not ({n},)")
+
+    def __len__(self) -> int:
+        return int(self.time_ns.shape[0])
+
+    def __getitem__(self, column: str) -> Array:
+        return self.columns[column]
+
+    @property
+    def is_evidence(self) -> bool:
+        """Whether it only says how good others are: health of a filter, texts."""
+        return not self.roles and self.columns.keys() <= _OF_HEALTH
+
+    def get(self, column: str) -> Array:
+        """A column; NaN where the channel has none of that name."""
+        return self.columns.get(column, np.full(len(self), np.nan))
+
+    def fits_role(self, role: str) -> bool:
+        """Whether the columns that a role needs are there."""
+        return all(column in self.columns for column in ROLE_COLUMNS[role])
+
+    @property
+    def height_column(self) -> str | None:
+        """The column of heights above one surface, sea level before ellipsoid; None without."""
+        if np.isfinite(self.columns.get("h_msl_m", np.nan)).any():
+            return "h_msl_m"
+        return "h_ellipsoid_m" if "h_ellipsoid_m" in self.columns else None
+
+    @property
+    def rate_hz(self) -> float:
+        """Median sampling rate [1/s]; 0 with fewer than two samples."""
+        return 0.0 if len(self) < 2 else 1.0 / self._usual_interval_s
+
+    def gap_limit_s(self, max_gap_s: float = 1.0) -> float:
+        """The longest interval between two samples that is no gap [s].
+
+        ``max_gap_s``, or three of the channel's usual intervals where it is slower than that.
+        """
+        return max_gap_s if len(self) < 2 else max(max_gap_s, 3.0 * self._usual_interval_s)
+
+    @cached_property
+    def _usual_interval_s(self) -> float:
+        return float(np.median(np.diff(self.time_ns))) * 1e-9
+
+    def to_pandas(self) -> Any:
+        """The channel as a pandas DataFrame indexed by UTC time."""
+        import pandas as pd
+
+        index = pd.DatetimeIndex(pd.to_datetime(self.time_ns, utc=True), name="time_utc")
+        return pd.DataFrame(dict(self.columns) | dict(self.labels), index=index)

@@ -1,0 +1,282 @@
+"""Clocks: GPS time, the vehicle's time since boot, and UTC.
+
+Every device in a log has a clock of its own. What leaves this module is int64 Unix nanoseconds.
+"""
+
+from bisect import bisect_left
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from unbend.flight.channels import TimeArray
+from unbend.ledger import Entry, loss, note
+from unbend.units import NANOSECONDS_PER_SECOND, UNIX_NS_OF_GPS_EPOCH, Array, Integers, Mask, Rows
+
+SECONDS_PER_WEEK = 604_800
+WEEKS_PER_ROLLOVER = 1024  # the week has 10 bits in the signal
+
+# The UTC dates from which GPS minus UTC is 0, 1, 2 ... s, from IERS Bulletin C (numbers 1-70) and
+# the USNO table tai-utc.dat less 19 s. None has been announced after 2017-01-01.
+_LEAP_DATES = (
+    "1980-01-06 1981-07-01 1982-07-01 1983-07-01 1985-07-01 1988-01-01 1990-01-01 1991-01-01 "
+    "1992-07-01 1993-07-01 1994-07-01 1996-01-01 1997-07-01 1999-01-01 2006-01-01 2009-01-01 "
+    "2012-07-01 2015-07-01 2017-01-01"
+)
+_LEAP_UTC_NS = np.array(_LEAP_DATES.split(), "datetime64[ns]").astype(np.int64)
+_LEAP_SECONDS = np.arange(_LEAP_UTC_NS.size)
+_LEAP_GPS_NS = _LEAP_UTC_NS + _LEAP_SECONDS * NANOSECONDS_PER_SECOND - UNIX_NS_OF_GPS_EPOCH
+
+# A field of MAVLink called time_usec holds either time since boot or Unix time; 1e15 us since boot
+# would be 31 years, 1e15 us of Unix time is the year 2001.
+UNIX_US_FROM = 10**15
+UNIX_NS_FROM = UNIX_US_FROM * 1000
+LAST_US = 1 << 52  # 142 years: a stamp beyond is damage, and below, nanoseconds fit into 64 bits
+
+BOOT_STEP_NS = NANOSECONDS_PER_SECOND  # loggers write records up to some ms out of order
+STRAY_ROWS = 4  # this many rows in a row can be one glitch; a power-up writes more
+LARGEST_SPREAD_NS = 200_000_000  # real logs: 1 to 40 ms; a receiver's time step is a second or more
+SET_BACKS = 16  # a clock that was set back more often than this is no clock
+
+
+def utc_of_gps(week: ArrayLike, seconds: ArrayLike) -> TimeArray:
+    """UTC of a GPS week and the seconds of that week.
+
+    ``week``: (...) since 1980-01-06, full (not modulo 1024). ``seconds``: (...) [s], may exceed a
+    week. Returns Unix time [ns], int64, exact to 1 ns for milliseconds of the week; a leap second
+    repeats the second before. Leap seconds by date: IERS Bulletin C.
+
+    >>> utc_of_gps(1928, 432017.0)  # 2016-12-23 00:00:00 UTC: 17 leap seconds, not 18
+    array(1482451200000000000)
+    """
+    whole_weeks = np.asarray(week, np.int64) * (SECONDS_PER_WEEK * NANOSECONDS_PER_SECOND)
+    of_week = np.asarray(seconds, np.float64)
+    whole = np.floor(of_week)
+    nanoseconds = np.rint((of_week - whole) * 1e9).astype(np.int64)
+    gps_ns = whole_weeks + whole.astype(np.int64) * NANOSECONDS_PER_SECOND + nanoseconds
+    row = np.maximum(np.searchsorted(_LEAP_GPS_NS, gps_ns, side="right") - 1, 0)
+    utc: TimeArray = gps_ns + UNIX_NS_OF_GPS_EPOCH - _LEAP_SECONDS[row] * NANOSECONDS_PER_SECOND
+    return np.asarray(utc, np.int64)
+
+
+def full_weeks(week: ArrayLike, first: int) -> tuple[Integers, int]:
+    """GPS weeks that a receiver counts modulo 1024 -> full weeks.
+
+    ``week``: (n,) as reported. ``first``: the first week that is possible; a receiver whose median
+    is before it rolls over. Returns (n,) full weeks, and how many were changed.
+
+    >>> full_weeks([276, 276, 277], first=1773)
+    (array([2324, 2324, 2325]), 3)
+    """
+    weeks = np.asarray(week).astype(np.int64)
+    early = weeks < first
+    if not weeks.size or np.median(weeks) >= first:
+        return weeks, 0
+    full = np.where(early, first + (weeks - first) % WEEKS_PER_ROLLOVER, weeks)
+    return full, int(np.count_nonzero(early))
+
+
+def stray_times(time_ns: TimeArray) -> Mask:
+    """Mark time stamps more than a second from those on both sides, which agree with each other.
+
+    ``time_ns``: (n,) [ns] in the order of the file. Returns (n,) True where a stamp is stray, up to
+    `STRAY_ROWS` in a row. Gaps and new boots are not: there both sides disagree. At the ends of the
+    file so few rows are stray where time steps back.
+
+    >>> stray_times(np.array([0.0, 0.1, 70.0, 0.3, 0.4]) * 1e9)
+    array([False, False,  True, False, False])
+    """
+    n = time_ns.shape[0]
+    steps = np.diff(time_ns)
+    first = np.concatenate([[0], np.flatnonzero(np.abs(steps, out=steps) > BOOT_STEP_NS) + 1])
+    if n == 0 or first.shape[0] == 1:
+        return np.zeros(n, np.bool_)
+    length = np.diff(np.append(first, n))
+    begin, end = time_ns[first], time_ns[first + length - 1]
+    return np.repeat(stray_stretches(begin, end, length), length)
+
+
+def stray_stretches(begin: TimeArray, end: TimeArray, length: Integers) -> Mask:
+    """Mark the stray ones of stretches of time stamps, as `stray_times` does for the stamps.
+
+    ``begin``, ``end``: (n,) [ns] the first and the last stamp of each stretch, in the order of the
+    file; ``length``: (n,) how many stamps each has. Returns (n,) True where a stretch is stray.
+
+    >>> begin, end = np.array([0, 70, 2]) * 10**9, np.array([1, 70, 9]) * 10**9
+    >>> stray_stretches(begin, end, np.array([9, 1, 9]))
+    array([False,  True, False])
+    """
+    short = length <= STRAY_ROWS
+    stray = np.zeros(begin.shape, np.bool_)
+    if begin.shape[0] < 2:
+        return stray
+    stray[0] = short[0] and not short[1] and begin[1] < end[0]
+    stray[-1] = short[-1] and not short[-2] and begin[-1] < end[-2]
+    last = begin[1] if stray[0] else end[0]  # the last stamp that is not stray
+    for k in range(1, begin.shape[0] - 1):
+        far = abs(begin[k] - last) > BOOT_STEP_NS
+        stray[k] = short[k] and far and abs(begin[k + 1] - last) <= BOOT_STEP_NS
+        last = last if stray[k] else end[k]
+    return stray
+
+
+def longest_increasing(time_ns: TimeArray) -> Mask:
+    """Mark the most rows whose times increase strictly, in the order they have.
+
+    A longest increasing subsequence: one wrong stamp costs one row, whatever its value. Of equal
+    stamps the first is marked.
+
+    >>> longest_increasing(np.array([1, 3, 900, 4, 5, 5]))
+    array([ True,  True, False,  True,  True, False])
+    """
+    if bool(np.all(np.diff(time_ns) > 0)):
+        return np.ones(time_ns.shape, np.bool_)
+    ends: list[int] = []  # the smallest time that ends an increasing run of each length
+    row_of_end: list[int] = []
+    before = [-1] * time_ns.shape[0]
+    for row, time in enumerate(time_ns.tolist()):
+        length = len(ends) if not ends or time > ends[-1] else bisect_left(ends, time)
+        if length < len(ends) and ends[length] == time:
+            continue
+        before[row] = row_of_end[length - 1] if length else -1
+        ends[length : length + 1] = [time]
+        row_of_end[length : length + 1] = [row]
+    keep = np.zeros(time_ns.shape, np.bool_)
+    row = row_of_end[-1]
+    while row >= 0:
+        keep[row] = True
+        row = before[row]
+    return keep
+
+
+def rows_in_time_order(time_ns: TimeArray) -> tuple[Rows, NDArray[np.int16]]:
+    """Rows in the order of their time, without strays, also where the clock was set back.
+
+    ``time_ns``: (n,) [ns] in the order of the file. Returns (m,) rows whose times increase
+    strictly, and (m,) the number of the stretch between two settings of the clock, from 0. Few rows
+    out of order are left out (`longest_increasing`); more than `STRAY_ROWS` in a row are a clock
+    that was set, and what it passed before and passes again is left out: which was meant, is
+    unknowable.
+
+    >>> rows_in_time_order(np.array([0, 1, 90, 91, 92, 93, 94, 40, 41, 42, 43, 44, 45, 46]))[0]
+    array([ 0,  1,  7,  8,  9, 10, 11, 12, 13,  2,  3,  4,  5,  6])
+    """
+    keep = longest_increasing(time_ns)
+    rows = np.flatnonzero(keep | _in_long_runs(~keep))
+    back = np.diff(time_ns[rows]) <= 0
+    if not 0 < int(np.count_nonzero(back)) <= SET_BACKS:
+        rows = np.flatnonzero(keep)
+        return rows, np.zeros(rows.shape, np.int16)
+    stretch = np.concatenate([[0], np.cumsum(back)]).astype(np.int16)
+    time = time_ns[rows]
+    stays = np.ones(rows.shape, np.bool_)
+    for number in range(1, int(stretch[-1]) + 1):
+        later = time[stretch == number]
+        stays &= (stretch >= number) | (time < later[0]) | (time > later[-1])
+    order = np.argsort(time[stays], kind="stable")
+    return rows[stays][order], stretch[stays][order]
+
+
+def _in_long_runs(mask: Mask) -> Mask:
+    """Where a mask is True more than `STRAY_ROWS` times in a row."""
+    begin = np.flatnonzero(np.diff(mask, prepend=~mask[:1]))
+    length = np.diff(np.append(begin, mask.shape[0]))
+    return mask & np.repeat(length > STRAY_ROWS, length)
+
+
+@dataclass(frozen=True)
+class ClockOffset:
+    """UTC minus the time since boot of one boot.
+
+    ``offset_ns`` the median; of the rows about it ``spread_ns`` p95 - p5 and ``largest_ns`` the
+    farthest; ``rows`` how many it rests on. ``far`` of them are farther than `LARGEST_SPREAD_NS`,
+    the first ``first_far_ns`` after boot; ``stepped`` where more than `STRAY_ROWS` are in a row.
+    """
+
+    offset_ns: int
+    spread_ns: int
+    rows: int
+    largest_ns: int = 0
+    far: int = 0
+    first_far_ns: int = 0
+    stepped: bool = False
+
+
+def fit_offset(utc_ns: TimeArray, boot_ns: TimeArray) -> ClockOffset | None:
+    """The offset of a boot clock from UTC, robust against late and wrong rows.
+
+    ``utc_ns``: (n,) [ns] as a receiver or the vehicle reports it, ``boot_ns``: (n,) [ns] of the
+    same rows. The median, or None without rows: in real logs rows scatter by 20-39 ms (p5-p95), the
+    first one errs by up to 17 ms, and slopes over less than ten minutes are noise.
+
+    >>> fit_offset(np.array([1_000, 2_000, 99_000]), np.array([0, 1_000, 2_000])).offset_ns
+    1000
+    """
+    if utc_ns.shape[0] == 0:
+        return None
+    difference = utc_ns - boot_ns
+    base = int(difference[0])  # float64 holds differences of ns exactly, not Unix time in ns
+    apart = (difference - base).astype(np.float64)
+    low, middle, high = np.percentile(apart, (5.0, 50.0, 95.0))
+    largest = max(float(apart.max() - middle), float(middle - apart.min()))
+    offset = ClockOffset(base + round(middle), round(high - low), utc_ns.size, round(largest))
+    if largest <= LARGEST_SPREAD_NS:
+        return offset
+    far = np.abs(apart - middle) > LARGEST_SPREAD_NS
+    first, stepped = int(boot_ns[np.argmax(far)]), bool(_in_long_runs(far).any())
+    return replace(offset, far=int(np.count_nonzero(far)), first_far_ns=first, stepped=stepped)
+
+
+def new_readings(time_ns: TimeArray) -> Mask:
+    """Mark the rows whose time differs from the row before.
+
+    A receiver that is logged faster than it reports repeats its time; repeats are late.
+    """
+    return np.append(np.ones(min(1, time_ns.size), np.bool_), np.diff(time_ns) != 0)
+
+
+def clock_map(from_ns: TimeArray, to_ns: TimeArray) -> Callable[[TimeArray], TimeArray]:
+    """A map from one clock to another through pairs of readings, linear between them.
+
+    ``from_ns``, ``to_ns``: (n,) [ns] simultaneous readings, n >= 1, in any order; a reading of the
+    second clock that falls back behind an earlier one (senders do overtake) is raised to it.
+    Returns a function of (m,) times [ns], with the nearest difference outside the readings.
+
+    >>> clock_map(np.array([0, 10]), np.array([100, 120]))(np.array([-1, 5, 12]))
+    array([ 99, 110, 122])
+    """
+    order = np.argsort(from_ns, kind="stable")
+    since, steady = from_ns[order], to_ns[order]
+    del order  # in long logs these are the peak of memory
+    np.maximum.accumulate(steady, out=steady)
+    base_from, base_to = int(since[0]), int(steady[0])
+    since -= base_from
+    steady -= base_to
+    at: Array = since.astype(np.float64)
+    ahead: Array = steady.astype(np.float64)
+    ahead -= at
+    del since, steady
+
+    def mapped(time_ns: TimeArray) -> TimeArray:
+        since = time_ns - base_from
+        shift: Array = np.interp(since.astype(np.float64), at, ahead)
+        return np.asarray(since + base_to + np.rint(shift).astype(np.int64), np.int64)
+
+    return mapped
+
+
+def clock_fit_note(source: str, fit: ClockOffset, where: str) -> Entry:
+    """How well the stamps agree that tie a vehicle's clock to UTC; one that stepped is a loss.
+
+    p5 to p95 do not see a tenth of the rows: the farthest counts as well, and rows that stay away.
+    """
+    spread, largest = fit.spread_ns / 1e6, fit.largest_ns / 1e6
+    steady = fit.spread_ns <= LARGEST_SPREAD_NS and fit.largest_ns <= BOOT_STEP_NS
+    if steady and not fit.stepped:
+        return note("TIME-FIT", where=where, count=fit.rows, source=source, spread=spread,
+                    largest=largest)  # fmt: skip
+    where = f"{where}, first {fit.first_far_ns / 1e9:.3f} s after boot"
+    limit = LARGEST_SPREAD_NS / 1e6
+    return loss("TIME-FIT/stepped", where=where, count=fit.far, source=source, spread=spread,
+                largest=largest, limit=limit)  # fmt: skip

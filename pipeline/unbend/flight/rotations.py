@@ -1,0 +1,202 @@
+"""Attitudes as angles, quaternions and matrices, and the frames they are measured in.
+
+The attitude of a camera is the quaternion of ``v_camera = R(q) v_frame``: camera x right, y down,
+z forward, Hamilton, (n, 4) w, x, y, z with w >= 0. What is unknown (NaN) stays unknown.
+
+Photogrammetry has the camera's y up and z backward, and a matrix M that turns from the camera to
+the frame: ``M = Rx(omega) Ry(phi) Rz(kappa)``. Textbooks that turn from the frame to the camera
+print its transpose (Wolf and Dewitt 2000, Appendix C): the angles are the same.
+"""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from unbend.flight.channels import Channel
+from unbend.units import DEGREE, Array
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
+
+# From the body (forward, right, down) to a camera that looks down, its top towards the nose.
+CAMERA_AT_REST = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+# From east, north, up to north, east, down; its own inverse.
+NED_FROM_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+
+_FROM_PHOTOGRAMMETRIC = np.diag([1.0, -1.0, -1.0])
+
+_Axes = Literal["XYZ", "YXZ", "ZYX"]
+
+# Axes of the frame and of the camera once turned (intrinsic rotations), as scipy names them.
+_ORDERS: dict[str, _Axes] = {"omega_phi_kappa": "XYZ", "phi_omega_kappa": "YXZ"}
+
+
+_TURN = 2.0 * np.pi
+UNIT_MISTAKES: dict[str, Callable[..., tuple[Array, Array, Array]]] = {
+    "taken for grads": lambda a, b, c: (a * 0.9, b * 0.9, c % _TURN * 0.9),
+    "taken for radians": lambda a, b, c: (a / DEGREE, b / DEGREE, c % _TURN / DEGREE),
+    "taken for degrees": lambda a, b, c: (a * DEGREE, b * DEGREE, c * DEGREE),
+}
+"""Angles that were taken for degrees (or radians) and are in another unit."""
+
+ANGLE_MISTAKES: dict[str, Callable[..., tuple[Array, Array, Array]]] = {
+    "with the other sign of {2}": lambda a, b, c: (a, b, -c),
+    "with the other sign of {1}": lambda a, b, c: (a, -b, c),
+    "with the other sign of {0}": lambda a, b, c: (-a, b, c),
+    "with the other sign of {0} and {1}": lambda a, b, c: (-a, -b, c),
+    "with {0} and {1} exchanged": lambda a, b, c: (b, a, c),
+    "with {2} counted from east to north": lambda a, b, c: (a, b, np.pi / 2.0 - c),
+}
+"""Mistakes about three angles, two about level axes and the heading, and what undoes them."""
+
+
+def _rotation() -> "type[Rotation]":
+    """scipy's rotations: their import takes longer than to read a small log."""
+    from scipy.spatial.transform import Rotation
+
+    return Rotation
+
+
+def matrices_of(quaternion: Array) -> Array:
+    """(n, 3, 3) rotation matrices of (n, 4) quaternions w, x, y, z.
+
+    >>> matrices_of(np.array([[0.0, 1.0, 0.0, 0.0]]))[0].diagonal().tolist()
+    [1.0, -1.0, -1.0]
+    """
+    return _where_known(
+        lambda q: _rotation().from_quat(q, scalar_first=True).as_matrix(), quaternion, (3, 3)
+    )
+
+
+def quaternions_of(matrix: Array) -> Array:
+    """(n, 4) quaternions w, x, y, z, w >= 0, of (n, 3, 3) rotation matrices."""
+
+    def turned(m: Array) -> Array:
+        return _rotation().from_matrix(m).as_quat(canonical=True, scalar_first=True)
+
+    return _where_known(turned, matrix, (4,))
+
+
+def quaternion_of_opk(angles: Array, order: str = "omega_phi_kappa") -> Array:
+    """(n, 4) attitudes of cameras from the angles of photogrammetry.
+
+    ``angles``: (n, 3) in the order of their names [rad], any range: omega about x, phi about y,
+    kappa about z, counter-clockwise seen from the axis' tip. ``order``: ``omega_phi_kappa``, or
+    ``phi_omega_kappa`` where phi is the primary rotation (BLUH).
+
+    With all angles zero the camera looks along -z of the frame, the image's x along x. Reproduces
+    the rotation matrices that Pix4D prints beside its angles to the angles' rounding.
+
+    >>> quaternion_of_opk(np.zeros((1, 3))).tolist()
+    [[0.0, 1.0, 0.0, 0.0]]
+    """
+    matrix = _euler_matrices(_ORDERS[order], angles)
+    return quaternions_of(_FROM_PHOTOGRAMMETRIC @ matrix.transpose(0, 2, 1))
+
+
+def opk_of_quaternion(quaternion: Array, order: str = "omega_phi_kappa") -> Array:
+    """(n, 3) angles [rad] in the order of their names; inverse of `quaternion_of_opk`.
+
+    The first and the last lie in [-pi, pi], the second in [-pi/2, pi/2]. At its ends, where the
+    camera looks along the axis of the first, the last is zero and the first holds both.
+    """
+    matrix = matrices_of(quaternion).transpose(0, 2, 1) @ _FROM_PHOTOGRAMMETRIC
+    return _euler_angles(_ORDERS[order], matrix)
+
+
+def quaternion_of_rpy(angles: Array, camera_from_body: Array = CAMERA_AT_REST) -> Array:
+    """(n, 4) attitudes of cameras against east, north, up from those of the body.
+
+    ``angles``: (n, 3) roll, pitch, yaw [rad] of the body (forward, right, down) against north,
+    east, down: right wing down, nose up, clockwise from north; yaw is applied first, roll last.
+    ``camera_from_body``: (3, 3), by default of a camera that looks down, its top towards the nose.
+
+    >>> quaternion_of_rpy(np.zeros((1, 3))).round(6).tolist()
+    [[0.0, 1.0, 0.0, 0.0]]
+    """
+    body_from_ned = ned_from_body(angles).transpose(0, 2, 1)
+    return quaternions_of(camera_from_body @ body_from_ned @ NED_FROM_ENU)
+
+
+def ned_from_body(angles: Array) -> Array:
+    """(n, 3, 3) rotations Rz(yaw) Ry(pitch) Rx(roll) of (n, 3) roll, pitch, yaw [rad]."""
+    return _euler_matrices("ZYX", angles[:, ::-1])
+
+
+def rpy_of_quaternion(quaternion: Array, camera_from_body: Array = CAMERA_AT_REST) -> Array:
+    """(n, 3) roll, pitch, yaw [rad]; inverse of `quaternion_of_rpy`, the pitch in [-pi/2, pi/2]."""
+    matrix = NED_FROM_ENU @ matrices_of(quaternion).transpose(0, 2, 1) @ camera_from_body
+    return np.asarray(_euler_angles("ZYX", matrix)[:, ::-1])
+
+
+def in_turned_frame(quaternion: Array, frame_from_other: Array) -> Array:
+    """Attitudes of v_camera = R(q) v_frame as those of v_camera = R(q) v_other.
+
+    ``frame_from_other`` is (3, 3) or (n, 3, 3); `geodesy.enu_from_ecef` and `enu_from_grid` give
+    its transpose.
+    """
+    return quaternions_of(matrices_of(quaternion) @ frame_from_other)
+
+
+def enu_from_grid(convergence_rad: float | Array) -> Array:
+    """(3, 3), of (n,) angles (n, 3, 3), rotation from a map's grid (x, y, up) to east, north, up.
+
+    ``convergence_rad`` is positive where grid north lies east of true north, as on the northern
+    hemisphere east of a projection's central meridian: true azimuth = grid azimuth + convergence.
+
+    >>> (enu_from_grid(np.radians(2.0)) @ [0.0, 1.0, 0.0]).round(4).tolist()
+    [0.0349, 0.9994, 0.0]
+    """
+    up = np.array([0.0, 0.0, 1.0])
+    return np.asarray(_rotation().from_rotvec(np.multiply.outer(-convergence_rad, up)).as_matrix())
+
+
+def quaternion_products(first: Array, second: Array) -> Array:
+    """(m, 4) products of unit quaternions x, y, z, w, in a tenth of the time of scipy's."""
+    (a, b, c, d), (x, y, z, w) = first.T, second.T
+    parts = (
+        d * x + w * a + b * z - c * y,
+        d * y + w * b + c * x - a * z,
+        d * z + w * c + a * y - b * x,
+        d * w - a * x - b * y - c * z,
+    )
+    return np.stack(parts, axis=1)
+
+
+def down_in_body(channel: Channel) -> Array:
+    """(3, n) direction of down about the body's axes, of the attitudes of a channel."""
+    w, x, y, z = (channel[f"q_{axis}"] for axis in "wxyz")
+    return np.stack([2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)])
+
+
+def lengths(vectors: Array) -> Array:
+    """(m,) Euclidean lengths of (m, k) vectors, in a third of the time of numpy's norm."""
+    return np.asarray(np.sqrt(np.einsum("ij,ij->i", vectors, vectors)))
+
+
+def rotation_vectors(quaternion: Array) -> Array:
+    """(m, 3) rotation vectors [rad], at most half a turn, of unit quaternions x, y, z, w."""
+    vector = np.where(quaternion[:, 3:] < 0.0, -1.0, 1.0) * quaternion[:, :3]
+    sine = lengths(vector)[:, None]
+    half = np.arctan2(sine, np.abs(quaternion[:, 3:]))
+    return vector * np.where(sine > 1e-9, 2.0 * half / np.maximum(sine, 1e-9), 2.0)
+
+
+def _euler_matrices(axes: _Axes, angles: Array) -> Array:
+    return _where_known(lambda a: _rotation().from_euler(axes, a).as_matrix(), angles, (3, 3))
+
+
+def _euler_angles(axes: _Axes, matrix: Array) -> Array:
+    return _where_known(
+        lambda m: _rotation().from_matrix(m).as_euler(axes, suppress_warnings=True), matrix, (3,)
+    )
+
+
+def _where_known(turned: Callable[[Array], Array], values: Array, shape: tuple[int, ...]) -> Array:
+    """(n, *shape) results of a function of the rows that are known; NaN for the others."""
+    result = np.full((values.shape[0], *shape), np.nan)
+    known = np.isfinite(values).all(axis=tuple(range(1, values.ndim)))
+    if bool(known.any()):
+        result[known] = turned(values[known])
+    return result

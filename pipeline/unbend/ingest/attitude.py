@@ -1,0 +1,72 @@
+"""Attitudes as logs write them -> the package's one convention.
+
+The convention: v_ned = R(q) v_body, Hamilton, body forward-right-down, q_w >= 0.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from unbend.units import Array
+
+BLOCK = 65_536  # rows
+
+# GIMBAL_DEVICE_FLAGS: in which frame the yaw of the quaternion is
+_YAW_LOCK, _YAW_IN_VEHICLE_FRAME, _YAW_IN_EARTH_FRAME = 16, 32, 64
+
+
+def unit_quaternions(q: Array) -> Array:
+    """(n, 4) w, x, y, z -> the same rotations, q_w >= 0; NaN where the length is 0 or infinite."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        length = np.linalg.norm(q, axis=1, keepdims=True)
+        unit = q / np.where((length > 0.0) & np.isfinite(length), length, np.nan)
+    return np.where(unit[:, :1] < 0.0, -unit, unit)
+
+
+def replace_in_blocks(rotation: Callable[[Array], Array], parts: Sequence[Array]) -> None:
+    """Replace four columns by the quaternions of their (n, 4) numbers, some rows at a time."""
+    for begin in range(0, parts[0].shape[0], BLOCK):
+        block = slice(begin, begin + BLOCK)
+        q = rotation(np.stack([part[block] for part in parts], axis=1))
+        for part, component in zip(parts, q.T, strict=True):
+            part[block] = component
+
+
+def quaternion_of_euler(roll_rad: Array, pitch_rad: Array, yaw_rad: Array) -> Array:
+    """(n,) angles [rad] of any range, Z-Y-X as in MAVLink ATTITUDE and ATT -> (n, 4) w, x, y, z.
+
+    >>> quaternion_of_euler(np.zeros(1), np.zeros(1), np.array([np.pi / 2])).round(4)
+    array([[0.7071, 0.    , 0.    , 0.7071]])
+    """
+    cr, sr = np.cos(roll_rad / 2.0), np.sin(roll_rad / 2.0)
+    cp, sp = np.cos(pitch_rad / 2.0), np.sin(pitch_rad / 2.0)
+    cy, sy = np.cos(yaw_rad / 2.0), np.sin(yaw_rad / 2.0)
+    w, x = cr * cp * cy + sr * sp * sy, sr * cp * cy - cr * sp * sy
+    y, z = cr * sp * cy + sr * cp * sy, cr * cp * sy - sr * sp * cy
+    return unit_quaternions(np.stack([w, x, y, z], axis=1))
+
+
+def ned_frd_of_enu_flu(q: Array) -> Array:
+    """Attitude of ROS (REP 103: east-north-up, forward-left-up) -> NED and FRD; (n, 4) w, x, y, z.
+
+    The product of (0, s, s, 0), q and (0, 1, 0, 0), s = 1/sqrt(2), exchanges both frames' axes.
+
+    >>> ned_frd_of_enu_flu(np.array([[1.0, 0.0, 0.0, 0.0]])).round(4)  # x forward, facing east
+    array([[0.7071, 0.    , 0.    , 0.7071]])
+    """
+    w, x, y, z = q.T
+    with np.errstate(over="ignore"):
+        return unit_quaternions(np.sqrt(0.5) * np.stack([w + z, x + y, x - y, w - z], axis=1))
+
+
+def earth_frame_attitude(columns: Mapping[str, Array]) -> dict[str, Array]:
+    """A gimbal's columns with ``q_*`` NaN where the yaw is not from north; ``gimbal_q_*`` as sent.
+
+    The yaw counts from north or from the vehicle's nose, as the flags say; where neither flag is
+    set, a locked yaw counts from north (the text of the message in MAVLink's common.xml).
+    """
+    flags = np.nan_to_num(columns["flags"]).astype(np.int64)
+    lock = (flags & _YAW_LOCK != 0) & (flags & _YAW_IN_VEHICLE_FRAME == 0)
+    north = (flags & _YAW_IN_EARTH_FRAME != 0) | lock
+    attitude = {f"q_{axis}": np.where(north, columns[f"q_{axis}"], np.nan) for axis in "wxyz"}
+    return dict(columns) | attitude

@@ -1,0 +1,293 @@
+"""Bytes of a file, and memory for the rows and columns that are made of them.
+
+Columns are in the process's own memory while they are few, in temporary files beyond. The system
+writes the pages of a file out when it needs memory: so logs of many GB are read on machines that
+have less, and what else runs there goes on. The files disappear with the process.
+"""
+
+import io
+import mmap
+import os
+import tempfile
+import threading
+import weakref
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from unbend.errors import LogError
+from unbend.units import Integers, Rows
+
+SPAN = 4 << 20  # [bytes] read at once; 1 to 16 MiB are equally fast
+BEHIND = 4096  # [bytes] kept before the place asked for: recovery after damage goes back
+PRIVATE = 256 << 20  # [bytes] of rows and columns in memory of the process's own
+REGION = 64 << 20  # [bytes] of a temporary file, at least
+SMALL = 4096  # [bytes] that are left to the heap
+BLOCK = 1 << 20  # [bytes] of the largest block of a `ColumnStore`
+_SMALLEST_BLOCK = 4096  # [bytes]
+_ALIGNED = 64  # [bytes]
+_COPIED_ROWS = 65_536  # at once
+
+Bytes = NDArray[np.uint8]
+
+
+class FileView:
+    """The bytes of a file, to where it ended at the beginning, read in spans when asked for.
+
+    No memory map: a file that is cut while it is mapped ends the process.
+    """
+
+    def __init__(self, stream: io.FileIO | io.BytesIO, size: int, name: str = "") -> None:
+        self.size = size
+        self.name = name
+        self._stream = stream
+        self._begin = 0
+        self._bytes: Bytes = np.empty(0, np.uint8)
+
+    def array(self, begin: int, end: int) -> Bytes:
+        """The bytes from ``begin`` to ``end`` or the end of the file; not to be written to."""
+        end = min(end, self.size)
+        if begin < self._begin or end > self._begin + self._bytes.shape[0]:
+            first = max(begin - BEHIND, 0)
+            length = min(max(end - first, SPAN + 2 * BEHIND), self.size - first)
+            fetched = np.empty(length, np.uint8)
+            self._stream.seek(first)
+            count = 0
+            while count < length and (more := self._stream.readinto(fetched[count:].data)):
+                count += more
+            if count < length:
+                raise LogError.of("LOG-CHANGED", self.name, size=self.size, end=first + count)
+            self._begin, self._bytes = first, fetched
+        return self._bytes[begin - self._begin : end - self._begin]
+
+    def __getitem__(self, places: slice) -> bytes:
+        """A short stretch as bytes."""
+        return self.array(places.start, places.stop).tobytes()
+
+    def find(self, mark: bytes, begin: int, end: int | None = None) -> int:
+        """The first place of a mark that lies between two places, or -1."""
+        end = self.size if end is None else min(end, self.size)
+        while begin + len(mark) <= end:
+            stop = min(begin + SPAN, end)
+            place = self.array(begin, stop).tobytes().find(mark)
+            if place >= 0:
+                return begin + place
+            begin = stop - len(mark) + 1
+        return -1
+
+
+@contextmanager
+def open_view(path: Path) -> Iterator[FileView]:
+    """A view of a file, open until the end of the with statement."""
+    with path.open("rb", buffering=0) as stream:
+        yield FileView(stream, path.stat().st_size, str(path))
+
+
+def view_of_bytes(data: bytes) -> FileView:
+    """A view of bytes in memory.
+
+    >>> view_of_bytes(b"abcabc").find(b"c", 3)
+    5
+    """
+    return FileView(io.BytesIO(data), len(data))
+
+
+def gather(data: NDArray[np.uint8], places: NDArray[Any], size: int) -> NDArray[Any]:
+    """So many bytes from each place on, one void item a row; all must lie in the data.
+
+    >>> gather(np.frombuffer(b"abcdef", np.uint8), np.array([3, 0]), 2).view("S2")
+    array([b'de', b'ab'], dtype='|S2')
+    """
+    every: NDArray[Any] = np.ndarray((max(data.shape[0] - size + 1, 0),), f"V{size}", data, 0, (1,))
+    rows: NDArray[Any] = every[places]
+    return rows
+
+
+class Runs:
+    """Places, rising, where messages may begin and end; a run ends where the next does not follow.
+
+    >>> Runs(np.array([0, 4, 9]), np.array([4, 8, 12])).starting_at(0)
+    slice(0, 2, None)
+    """
+
+    def __init__(self, at: Integers, end: Integers) -> None:
+        self.at, self.end = at, end
+        self._breaks = np.flatnonzero(np.append(at[1:], -1) != end)
+
+    def starting_at(self, place: int) -> slice:
+        """Those that follow each other from a place on; empty when none begins there."""
+        first = int(np.searchsorted(self.at, place))
+        if first == self.at.shape[0] or self.at[first] != place:
+            return slice(first, first)
+        return slice(first, int(self._breaks[np.searchsorted(self._breaks, first)]) + 1)
+
+
+class _Arena:
+    """Memory of columns: ``private`` bytes in maps of their own, others in ``regions`` of files."""
+
+    def __init__(self) -> None:
+        self.generation = 0
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all memory; in a child process, which shares the files of its parent."""
+        self.lock = threading.RLock()  # the collector may free memory while it is held
+        self.generation += 1
+        self.private = 0
+        self.regions: weakref.WeakSet[mmap.mmap] = weakref.WeakSet()
+        self.last: Callable[[], mmap.mmap | None] = lambda: None  # a region may be freed by now
+        self.used = 0  # bytes of the last region
+
+    def take(self, size: int) -> tuple[mmap.mmap, int]:
+        """Memory of so many bytes, and the place in it where they begin."""
+        with self.lock:
+            if self.private + size > PRIVATE:
+                region = self.last()
+                if region is None or self.used + size > len(region):
+                    self.release_pages()
+                    region = _mapped_file(max(size, REGION))
+                    if region is not None:
+                        self.regions.add(region)
+                        self.last, self.used = weakref.ref(region), 0
+                if region is not None:
+                    begin = self.used
+                    self.used += -(-size // _ALIGNED) * _ALIGNED
+                    return region, begin
+            try:
+                # pages that a child process shares until either writes to them
+                access = mmap.ACCESS_COPY if hasattr(os, "fork") else mmap.ACCESS_WRITE
+                memory = mmap.mmap(-1, size, access=access)
+            except OSError as error:
+                raise MemoryError(f"no memory for {size} bytes: {error.strerror}") from error
+            self.private += size
+            weakref.finalize(memory, self._free, size, self.generation).atexit = False
+            return memory, 0
+
+    def _free(self, size: int, generation: int) -> None:
+        with self.lock:
+            self.private -= size if generation == self.generation else 0
+
+    def release_pages(self) -> None:
+        """Let the system write the pages of the files out; they return when they are touched."""
+        if hasattr(mmap, "MADV_DONTNEED"):  # Windows trims them when it needs memory
+            with self.lock:
+                for region in self.regions:
+                    region.madvise(mmap.MADV_DONTNEED)
+
+
+def _mapped_file(size: int) -> mmap.mmap | None:
+    """A map of a temporary file whose bytes are reserved on the disk; None without space there."""
+    try:
+        with tempfile.TemporaryFile() as file:
+            if hasattr(os, "posix_fallocate"):
+                os.posix_fallocate(file.fileno(), 0, size)
+            else:  # macOS, Windows: a page without space on the disk would end the process
+                for begin in range(0, size, SPAN):
+                    file.write(bytes(min(SPAN, size - begin)))
+                file.flush()
+            return mmap.mmap(file.fileno(), size)
+    except OSError:
+        return None
+
+
+_ARENA = _Arena()
+if hasattr(os, "register_at_fork"):  # Windows has no fork
+    os.register_at_fork(after_in_child=_ARENA.reset)
+
+
+def allocate(count: int, dtype: DTypeLike) -> NDArray[Any]:
+    """(count,) rows with any values in them.
+
+    Up to `PRIVATE` bytes are the process's own, further ones in a temporary file (of ``TMPDIR``) if
+    there is space; both return to the system with the last array on them. After a fork, parent and
+    child see what the other writes to an array in a file.
+
+    >>> column = allocate(3, "f8")
+    >>> column[:] = 1.5
+    >>> column.sum().item()
+    4.5
+    """
+    kind = np.dtype(dtype)
+    size = count * kind.itemsize
+    if size < SMALL or kind.hasobject:
+        return np.empty(count, kind)
+    memory, begin = _ARENA.take(size)
+    return np.frombuffer(memory, kind, count, begin)
+
+
+def copy_rows(column: NDArray[Any], rows: Rows | None = None) -> NDArray[Any]:
+    """A copy of a column, or of some rows of it, in memory of `allocate`.
+
+    >>> copy_rows(np.array([5, 6, 7]), np.array([2, 0])).tolist()
+    [7, 5]
+    """
+    count = column.shape[0] if rows is None else rows.shape[0]
+    copy = allocate(count, (column.dtype, column.shape[1:]))
+    for begin in range(0, count, _COPIED_ROWS):
+        block = slice(begin, begin + _COPIED_ROWS)
+        copy[block] = column[block] if rows is None else column[rows[block]]
+    return copy
+
+
+def release_pages() -> None:
+    """Keep no pages of temporary files in memory; they are read again when they are touched."""
+    _ARENA.release_pages()
+
+
+class ColumnStore:
+    """Rows of one type, added piece by piece, in blocks whose memory is freed one by one."""
+
+    def __init__(self, dtype: DTypeLike) -> None:
+        self.dtype = np.dtype(dtype)
+        self._blocks: list[NDArray[Any]] = []
+        self._room = 0  # free rows of the last block
+        self._length = 0
+
+    def __len__(self) -> int:
+        return self._length
+
+    def add(self, rows: NDArray[Any]) -> None:
+        """Append rows, converted to the type of this store."""
+        done = 0
+        while done < rows.shape[0]:
+            if not self._room:
+                size = min(max(self._length * self.dtype.itemsize, _SMALLEST_BLOCK), BLOCK)
+                self._room = max(size // self.dtype.itemsize, 1)
+                self._blocks.append(allocate(self._room, self.dtype))
+            count = min(self._room, rows.shape[0] - done)
+            first = self._blocks[-1].shape[0] - self._room
+            self._blocks[-1][first : first + count] = rows[done : done + count]
+            self._room -= count
+            done += count
+            self._length += count
+
+    def blocks(self) -> Iterator[NDArray[Any]]:
+        """The rows, some at a time; they may be written to."""
+        for k, block in enumerate(self._blocks):
+            yield block if k + 1 < len(self._blocks) else block[: block.shape[0] - self._room]
+
+    def drained(self) -> Iterator[NDArray[Any]]:
+        """The rows, some at a time; each block is freed when the next is asked for."""
+        last, room = len(self._blocks) - 1, self._room
+        blocks, self._blocks, self._room, self._length = self._blocks[::-1], [], 0, 0
+        for k in range(last + 1):
+            block = blocks.pop()
+            yield block if k < last else block[: block.shape[0] - room]
+
+    def whole(self) -> NDArray[Any]:
+        """All rows as one array; the store is empty then.
+
+        >>> store = ColumnStore(np.int64)
+        >>> store.add(np.arange(3))
+        >>> store.whole(), len(store)
+        (array([0, 1, 2]), 0)
+        """
+        result, done = allocate(self._length, self.dtype), 0
+        for block in self.drained():
+            result[done : done + block.shape[0]] = block
+            done += block.shape[0]
+        return result

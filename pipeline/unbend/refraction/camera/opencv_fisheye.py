@@ -1,0 +1,72 @@
+"""The equidistant fisheye lens with OpenCV's four coefficients, for numbers and for columns.
+
+With (u, v) ideal image coordinates, r = sqrt(u^2 + v^2) = tan theta (Kannala and Brandt 2006),
+
+    theta_d = theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8),
+    u_d = u theta_d / r,   v_d = v theta_d / r.
+
+COLMAP's OPENCV_FISHEYE; RADIAL_FISHEYE has k1 and k2, SIMPLE_RADIAL_FISHEYE k1. Rays at 90 degrees
+from the optical axis and beyond have no ideal image coordinates.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from unbend.refraction.camera.brown_conrady import first_root
+
+# Added to r^2: the quotients below are then exact on the axis too.
+_NOTHING = 1e-300
+
+LARGEST_ANGLE_RAD = np.radians(89.5)
+"""Rays farther from the optical axis than this are not covered: their tangent is not precise."""
+
+
+class OpenCVFisheye(NamedTuple):
+    """Coefficients in OpenCV's and COLMAP's order."""
+
+    k1: float = 0.0
+    k2: float = 0.0
+    k3: float = 0.0
+    k4: float = 0.0
+
+
+Parameters = OpenCVFisheye
+
+
+def distort(u: Any, v: Any, parameters: OpenCVFisheye) -> tuple[Any, Any]:
+    """Image coordinates behind the lens of ideal ones.
+
+    >>> [round(float(c), 9) for c in distort(1.0, 0.0, OpenCVFisheye())]  # 45 degrees
+    [0.785398163, 0.0]
+    """
+    k1, k2, k3, k4 = parameters
+    r = np.sqrt(u * u + v * v + _NOTHING)
+    theta = np.arctan(r)
+    t2 = theta * theta
+    quotient = theta * (1.0 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4)))) / r
+    return u * quotient, v * quotient
+
+
+def slopes(u: Any, v: Any, parameters: OpenCVFisheye) -> tuple[Any, Any, Any]:
+    """Derivatives du_d/du, du_d/dv = dv_d/du and dv_d/dv of `distort`."""
+    k1, k2, k3, k4 = parameters
+    r2 = u * u + v * v + _NOTHING
+    r = np.sqrt(r2)
+    theta = np.arctan(r)
+    t2 = theta * theta
+    quotient = theta * (1.0 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4)))) / r
+    by_theta = 1.0 + t2 * (3.0 * k1 + t2 * (5.0 * k2 + t2 * (7.0 * k3 + t2 * 9.0 * k4)))
+    rest = (by_theta / (1.0 + r2) - quotient) / r2
+    return quotient + u * u * rest, u * v * rest, quotient + v * v * rest
+
+
+def largest_radius(parameters: OpenCVFisheye) -> float:
+    """Ideal radius (tan of the field angle) up to which the lens can be inverted.
+
+    >>> round(float(np.degrees(np.arctan(largest_radius(OpenCVFisheye())))), 6)
+    89.5
+    """
+    k1, k2, k3, k4 = parameters
+    turn = first_root([1.0, 3.0 * k1, 5.0 * k2, 7.0 * k3, 9.0 * k4])  # of d(theta_d)/d(theta)
+    return float(np.tan(min(turn, LARGEST_ANGLE_RAD)))

@@ -1,0 +1,250 @@
+"""Image observations: from measured pixels to the pixels of the straight chord.
+
+The exact vector form; Gyer's Eq. 40-51 are its scalar twin (with the plus sign in Eq. 50, 51 that
+the paper prints as a minus).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from unbend.geodesy import principal_radii
+from unbend.refraction.camera.camera import Camera
+from unbend.refraction.kernels import columns as of
+from unbend.refraction.kernels import image as kernel
+from unbend.refraction.kernels.sigma import propagate
+from unbend.refraction.kernels.threads import in_blocks
+from unbend.refraction.ray import PublishedRays, as_columns, bend
+from unbend.refraction.ray_table import RayTable
+from unbend.refraction.status_codes import OK, STATUS_NAMES
+from unbend.refraction.uncertainty.sigmas import Sigmas, Uncertainty
+from unbend.refraction.window import OPTICAL_AXIS
+from unbend.units import Array, Integers, Mask, Rows
+
+# Rows of an image that follow each other on the average, below which it pays to sort them.
+_ROWS_OF_AN_IMAGE = 50
+
+
+@dataclass(frozen=True, eq=False)
+class Exposures:
+    """What the correction needs to know of each exposure; (s,) arrays.
+
+    ``usable`` is False where an exposure has no position, attitude or cabin air; ``rotation``
+    (s, 3, 3) takes east-north-up to camera; ``refractivity_outside``, ``refractivity_cabin`` are
+    n - 1 on the two sides of the window (equal where nothing bends there); ``window_normal`` (s, 3)
+    unit vectors out of it in the camera frame, by default the optical axis;
+    ``principal_change_px`` what the air in the lens adds to the calibrated principal distance, by
+    default nothing; ``radius_m`` replaces the ellipsoid's radius in the ray's azimuth.
+    """
+
+    usable: Mask
+    rotation: Array
+    latitude_rad: Array
+    height_m: Array
+    refractivity_outside: Array
+    refractivity_cabin: Array
+    window_normal: Array | None = None
+    principal_change_px: Array | None = None
+    radius_m: float | None = None
+
+    @property
+    def normals(self) -> Array:
+        """(s, 3) normals of the windows."""
+        if self.window_normal is None:
+            return np.tile(OPTICAL_AXIS, (self.usable.size, 1))
+        return self.window_normal
+
+    @property
+    def changes_px(self) -> Array:
+        """(s,) what is added to the principal distance."""
+        change = self.principal_change_px
+        return np.zeros(self.usable.size) if change is None else change
+
+    @property
+    def columns(self) -> of.ExposureColumns:
+        """The exposures for compiled functions."""
+        if self.radius_m is None:
+            curvature = 1.0 / np.stack(principal_radii(self.latitude_rad), axis=1)
+        else:
+            curvature = np.full((self.usable.size, 2), 1.0 / self.radius_m)
+        return of.ExposureColumns(
+            self.usable, self.rotation, curvature, self.height_m, self.refractivity_outside,
+            self.refractivity_cabin, self.normals, self.changes_px,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Corrections:
+    """Corrected observations, with ``sigmas`` where they were asked for.
+
+    Arrays (n,), NaN where ``status`` says there is no correction.
+
+    ``shift_ground_m`` is the horizontal displacement, at the target's height, of the point where
+    the uncorrected straight ray would land. It is also NaN where that ray passes over the horizon
+    and only the bent one lands: the last 0.2 degree of nadir angle from 10 km above sea level.
+    """
+
+    dx_px: Array
+    dy_px: Array
+    x_px: Array
+    y_px: Array
+    zeta_c_rad: Array
+    r_c_rad: Array
+    r_cc_rad: Array
+    shift_ground_m: Array
+    status: NDArray[np.uint8]
+    sigmas: Sigmas | None = None
+
+    def rows(self, which: Rows) -> Corrections:
+        """Some of the rows."""
+        columns: dict[str, Any] = {name: getattr(self, name)[which] for name in COLUMNS}
+        sigmas = None if self.sigmas is None else self.sigmas.rows(which)
+        return Corrections(**columns, status=self.status[which], sigmas=sigmas)
+
+    def to_pandas(self) -> Any:
+        """The corrections as a pandas DataFrame, status in words."""
+        import pandas as pd
+
+        columns = {name: getattr(self, name) for name in COLUMNS}
+        if self.sigmas is not None:
+            columns |= self.sigmas.named()
+        return pd.DataFrame(columns | {"status": np.array(STATUS_NAMES)[self.status]})
+
+
+COLUMNS = tuple(f.name for f in fields(Corrections) if f.name not in ("status", "sigmas"))
+"""The columns of numbers of `Corrections`, in its order."""
+
+
+def correct_observations(
+    x_px: Array,
+    y_px: Array,
+    h_g: Array,
+    exposure: Integers,
+    exposures: Exposures,
+    *,
+    camera: Camera,
+    table: RayTable | PublishedRays,
+    distance_m: Array | None = None,
+    uncertainty: Uncertainty | None = None,
+    sigma_h_g: Array | None = None,
+) -> Corrections:
+    """Remove compartment and atmospheric refraction from image observations of one camera.
+
+    x_px, y_px : (n,) measured, distorted pixels.
+    h_g : (n,) heights of the targets above sea level [m].
+    exposure : (n,) rows of ``exposures``, -1 where the image has none.
+    camera : interior orientation; corrected pixels are distorted again.
+    table : the air outside and how rays bend in it, from `rays_by`.
+    distance_m : (n,) slant ranges [m], NaN where unknown; see `bend`.
+    uncertainty : asks for ``sigmas``, from `uncertainty_of`; sigma_h_g (n,) that of ``h_g`` [m].
+
+    The shift (dx, dy) is no difference of directions: good to 1e-10 px, whatever the size of the
+    coordinates. Rows of one exposure that follow each other are fastest.
+    """
+    n = x_px.size
+    distance = np.full(n, np.nan) if distance_m is None else distance_m
+    sigma_h_g = np.full(n, np.nan) if sigma_h_g is None else sigma_h_g
+    changes = int(np.count_nonzero(np.diff(exposure)))
+    if changes * _ROWS_OF_AN_IMAGE > n and not bool(np.all(np.diff(exposure) >= 0)):
+        order = np.argsort(exposure, kind="stable")
+        sorted_corrections = correct_observations(
+            x_px[order], y_px[order], h_g[order], exposure[order], exposures, camera=camera,
+            table=table, distance_m=distance[order], uncertainty=uncertainty,
+            sigma_h_g=sigma_h_g[order],
+        )  # fmt: skip
+        return sorted_corrections.rows(np.argsort(order))
+    # In one piece: the system hands large ones out in large pages, which take less time.
+    columns = dict(zip(COLUMNS, np.empty((len(COLUMNS), n)), strict=True))
+    status = np.empty(n, np.uint8)
+    sigmas = None if uncertainty is None else Sigmas.room(n)
+    observations = of.ObservationColumns(x_px, y_px, h_g, sigma_h_g, exposure)
+    setup = camera.constants, exposures.columns
+
+    def correct_block(rows: slice) -> None:
+        observed = observations.part(rows)
+        part = {name: values[rows] for name, values in columns.items()}
+        rays, part["r_cc_rad"][:], seen = outgoing_rays(observed, *setup)
+        r_c, bent = bend(
+            table, rays[of.H_C], observed.h_g, rays[of.SIN], rays[of.COS],
+            radius=rays[of.RADIUS], distance=distance[rows],
+        )  # fmt: skip
+        traced = of.TracedColumns(rays, r_c, np.where(seen == OK, bent, seen))
+        part["r_c_rad"][:], status[rows] = r_c, traced.status
+        part["zeta_c_rad"][:] = np.arctan2(rays[of.SIN], rays[of.COS])
+        shifts = part["dx_px"], part["dy_px"], part["shift_ground_m"]
+        kernel.shift_back(observed, *setup, traced, shifts)
+        part["x_px"][:] = observed.x + part["dx_px"]
+        part["y_px"][:] = observed.y + part["dy_px"]
+        if sigmas is not None and uncertainty is not None:
+            air = uncertainty.stations, uncertainty.tables
+            pose = setup[0], exposures.rotation
+            propagate(observed, pose, traced, air, tuple(sigmas.rows(rows)))
+
+    in_blocks(correct_block, n)
+    return Corrections(status=status, sigmas=sigmas, **columns)
+
+
+def outgoing_rays(
+    observed: of.ObservationColumns, camera: of.CameraConstants, exposures: of.ExposureColumns
+) -> tuple[Array, Array, NDArray[np.uint8]]:
+    """The matrix of rays that pixels see outside the window, R_cc [rad] and status."""
+    n = observed.x.size
+    rays, r_cc, status = np.empty((of.RAY_ROWS, n)), np.empty(n), np.empty(n, np.uint8)
+    kernel.outgoing_rays(observed, camera, exposures, rays, (status, r_cc))
+    return rays, r_cc, status
+
+
+def straight_reach(
+    h_c: ArrayLike, h_g: ArrayLike, cos_zeta: ArrayLike, *, radius: ArrayLike, far: ArrayLike
+) -> Array:
+    """How far away [m] straight lines reach a height; NaN where they never get there.
+
+    Heights above sea level [m], cosine of the nadir angle, radius of the sphere [m], and whether
+    the second of two crossings is meant (downwards; upwards there is one). Arguments broadcast.
+
+    >>> straight_reach(3000.0, 1000.0, 0.8, radius=6371e3, far=[False, True]).round(3).tolist()
+    [2500.221, 10195899.779]
+    """
+    shape, (h_c, h_g, cosine, radius, far) = as_columns(h_c, h_g, cos_zeta, radius, far)
+    distance = np.empty(h_c.shape)
+    rays = of.RayColumns(h_c, h_g, cosine, cosine, radius, distance)
+    kernel.straight_reach(rays, far != 0.0, distance)
+    return distance.reshape(shape)
+
+
+def ground_displacement(
+    h_c: float, h_g: float, zeta_c: ArrayLike, r_c: ArrayLike, radius: float, *, far: bool = False
+) -> Array:
+    """How far [m] refraction angles move the points where straight rays reach a height.
+
+    ``zeta_c``, ``r_c`` [rad] broadcast. NaN where the apparent line passes over the horizon, though
+    the bent ray may land. ``far`` takes the second crossing of the height, for rays of the status
+    ``far_branch``.
+
+    >>> ground_displacement(10000.0, 0.0, 0.7853981633974483, 7.94e-5, 6371000.0).round(3).item()
+    1.592
+    """
+    angles = np.stack(np.broadcast_arrays(zeta_c, np.subtract(zeta_c, r_c)))
+    reach = straight_reach(h_c, h_g, np.cos(angles), radius=radius, far=far)
+    apparent, true = np.stack([np.sin(angles), -np.cos(angles)], axis=1) * reach[:, None]
+    return np.asarray(np.sqrt((apparent[0] - true[0]) ** 2 + (apparent[1] - true[1]) ** 2))
+
+
+def lattice_nodes(camera: Camera, columns: int, rows: int) -> tuple[Array, Array]:
+    """Pixels of a grid from corner to corner of a camera's format.
+
+    Nodes across and down, 2 or more; x, y (rows * columns,) in COLMAP's pixels, row by row.
+
+    >>> x, y = lattice_nodes(Camera(400, 300, 500.0, 500.0, 200.0, 150.0), 3, 2)
+    >>> x.tolist(), y.tolist()
+    ([0.0, 200.0, 400.0, 0.0, 200.0, 400.0], [0.0, 0.0, 0.0, 300.0, 300.0, 300.0])
+    """
+    if columns < 2 or rows < 2:
+        raise ValueError("a lattice has at least two columns and two rows")
+    sides = (camera.width_px, columns), (camera.height_px, rows)
+    x, y = np.meshgrid(*(np.linspace(0.0, length, count) for length, count in sides))
+    return x.ravel(), y.ravel()

@@ -1,0 +1,53 @@
+"""Blocks of rows on all cores we may use; the compiled functions hold no lock: threads do."""
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
+
+from unbend.interrupts import held_back
+
+BLOCK_ROWS = 8_192
+"""Rows of a block: its columns fit into a core's cache together."""
+
+
+def usable_cpus() -> int:
+    """How many CPUs this process may use: fewer than there are under taskset or a batch system.
+
+    UNBEND_THREADS states another number; a process beside others has its share of them.
+    """
+    if (stated := os.environ.get("UNBEND_THREADS", "")).isdecimal():
+        return max(1, int(stated))
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+@lru_cache(maxsize=1)
+def _pool() -> ThreadPoolExecutor:
+    """One pool for the process."""
+    return ThreadPoolExecutor(usable_cpus(), thread_name_prefix="rays")
+
+
+if hasattr(os, "register_at_fork"):  # Windows has no fork
+    # A child after a fork has none of its parent's threads.
+    os.register_at_fork(after_in_child=_pool.cache_clear)
+
+
+def in_blocks(function: Callable[[slice], None], rows: int) -> None:
+    """Call ``function`` with slices that cover all rows once, on several cores where it pays."""
+    starts = range(0, rows, BLOCK_ROWS)
+    blocks = [slice(start, min(start + BLOCK_ROWS, rows)) for start in starts]
+    if len(blocks) <= 1:
+        for block in blocks:
+            function(block)
+        return
+    with held_back() as heard:
+        parts = [_pool().submit(function, block) for block in blocks]
+        try:
+            for part in parts:
+                part.result()
+                heard()
+        finally:
+            for part in parts:
+                part.cancel()

@@ -1,0 +1,212 @@
+"""The ray through a spherically stratified atmosphere, and its refraction angle at the camera.
+
+Gyer 1996, Eq. 1-16, without his cancellations. A ray obeys n r sin(zeta) = k. The angle it
+subtends at the centre of the earth is compared with that of the straight line that leaves the
+camera in the same apparent direction; the difference is integrated directly
+(`bend_by_difference` of `kernels.ray`). Near grazing, where that form has a singularity at the end
+of its interval, the subtended angle itself is integrated with h = h_90 + s^2, which is smooth
+through the lowest point P_90 (`bend_by_subtended`).
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from unbend.atmosphere.profile import Profile
+from unbend.errors import PhysicsError
+from unbend.refraction import status_codes as codes
+from unbend.refraction.kernels.columns import RayColumns
+from unbend.refraction.kernels.grazing import bend_grazing_rays
+from unbend.refraction.kernels.moments import WORTH_A_TABLE, bend_steep_rays
+from unbend.refraction.kernels.ray import LEFT, bend_rays
+from unbend.refraction.kernels.threads import in_blocks
+from unbend.refraction.published import PUBLISHED
+from unbend.refraction.published.column import Method, finite
+from unbend.refraction.ray_table import RayTable, ray_table
+from unbend.units import Array
+
+DEFAULT_RADIUS_M = 6_371_000.0
+
+
+@dataclass(frozen=True, eq=False)
+class PublishedRays:
+    """A profile and the published method that bends rays in it, in the place of a `RayTable`."""
+
+    profile: Profile
+    method: Method
+
+    def bend(
+        self, h_c: ArrayLike, h_g: ArrayLike, sin_z: ArrayLike, cos_z: ArrayLike, radius: ArrayLike
+    ) -> tuple[Array, NDArray[np.uint8]]:
+        """Refraction angles by the method, each with a status; arguments as for `bend`.
+
+        ``bad_measurement`` where a height, the angle or the radius is none, whether the method
+        reads it or not; ``outside_profile`` where it does not cover the heights (a ground above the
+        camera among them), ``misses_ground`` where it has no ray in that direction.
+        """
+        h_c, h_g, sin_z, cos_z, radius = finite(h_c, h_g, sin_z, cos_z, radius)
+        zeta_c = np.arctan2(sin_z, cos_z)
+        good = np.isfinite(h_c) & np.isfinite(h_g) & (radius > 0.0)
+        good &= (zeta_c >= 0.0) & (zeta_c <= math.pi)
+        r_c = np.full(good.shape, np.nan)
+        r_c[good] = self.method(self.profile, h_c[good], h_g[good], zeta_c[good], radius[good])
+        status = np.where(good, codes.OK, codes.BAD_MEASUREMENT).astype(np.uint8)
+        lost = np.isnan(r_c) & good
+        # Straight down every ray reaches the ground, unless the heights are not covered.
+        at_nadir = self.method(self.profile, h_c[lost], h_g[lost], 0.0, radius[lost])
+        status[lost] = np.where(np.isnan(at_nadir), codes.OUTSIDE_PROFILE, codes.MISSES_GROUND)
+        return r_c, status
+
+
+def rays_by(profile: Profile, method: str) -> RayTable | PublishedRays:
+    """What `bend` reads, for one of `METHODS`.
+
+    >>> from unbend.atmosphere import standard_atmosphere
+    >>> air = rays_by(standard_atmosphere("us1976"), "plane")
+    >>> r_c, status = bend(air, 6000.0, [0.0, 7000.0], 0.6, 0.8)
+    >>> (r_c * 1e6).round(2).tolist(), status.tolist()
+    ([44.25, nan], [0, 7])
+    """
+    if method == "spherical":
+        return ray_table(profile)
+    if method not in PUBLISHED:
+        raise PhysicsError.of("METHOD-NAME", method=method, known=", ".join(METHODS))
+    return PublishedRays(profile, PUBLISHED[method])
+
+
+def bend(
+    table: RayTable | PublishedRays,
+    h_c: ArrayLike,
+    h_g: ArrayLike,
+    sin_zeta_c: ArrayLike,
+    cos_zeta_c: ArrayLike,
+    *,
+    radius: ArrayLike = DEFAULT_RADIUS_M,
+    distance: ArrayLike = math.nan,
+) -> tuple[Array, NDArray[np.uint8]]:
+    """Refraction angles R_c of rays [rad], each with a status of `status_codes`.
+
+    table : the profile, from `ray_table` or `rays_by`.
+    h_c, h_g : heights of camera and target above sea level [m]; broadcast with the others.
+    sin_zeta_c, cos_zeta_c : of the apparent nadir angle at the camera, 0 to 180 degrees: no
+        arccosine loses digits near the nadir. That they belong to one angle is not checked.
+    radius : of the sphere [m].
+    distance : slant range to the target [m], NaN where unknown. Where a ray meets h_g twice, on
+        both sides of its lowest point P_90, it decides which crossing is meant; without it the
+        near one is taken and the status is ``beyond_grazing``.
+
+    R_c is positive when the apparent ray is farther from the nadir than the straight one, and NaN
+    where the status says that there is none. Against 40-digit arithmetic 1e-9 arcsec, also near
+    grazing; 1e-8 in ducts, 1e-7 through P_90. Rays from one height that follow each other are
+    fastest: they share what the air between does.
+    """
+    if isinstance(table, PublishedRays):
+        return table.bend(h_c, h_g, sin_zeta_c, cos_zeta_c, radius)
+    shape, flat = as_columns(h_c, h_g, sin_zeta_c, cos_zeta_c, radius, distance)
+    r_c, status = np.empty(flat[0].shape), np.empty(flat[0].shape, np.uint8)
+
+    def bend_block(rows: slice) -> None:
+        rays, r_c_rows, status_rows = RayColumns(*(a[rows] for a in flat)), r_c[rows], status[rows]
+        left = np.arange(r_c_rows.size)
+        if left.size > WORTH_A_TABLE:  # those that can share a table of moments first
+            bend_steep_rays(table.fine, rays, r_c_rows, status_rows)
+            left = np.flatnonzero(status_rows == LEFT)
+        if left.size:
+            bend_rays(table.pieces, rays, left, r_c_rows, status_rows)
+            left = left[status_rows[left] == LEFT]
+        if left.size:
+            bend_grazing_rays(table.pieces, rays, left, r_c_rows, status_rows)
+
+    in_blocks(bend_block, flat[0].size)
+    return r_c.reshape(shape), status.reshape(shape)
+
+
+def as_columns(*values: ArrayLike) -> tuple[tuple[int, ...], list[Array]]:
+    """The shape that values broadcast to, and each as a column that compiled functions take.
+
+    A broadcast view is not to be written to, which they ask about: it becomes a copy.
+    """
+    arrays = [np.asarray(a, np.float64) for a in values]
+    shape = np.broadcast_shapes(*(a.shape for a in arrays))
+
+    def column(a: Array) -> Array:
+        if a.shape == shape and a.flags.c_contiguous and a.flags.writeable:
+            return a.reshape(-1)
+        return np.array(np.broadcast_to(a, shape)).reshape(-1)
+
+    return shape, [column(a) for a in arrays]
+
+
+METHODS: tuple[str, ...] = ("spherical", *PUBLISHED)
+
+
+def refraction_angle(
+    profile: Profile,
+    h_c: ArrayLike,
+    h_g: ArrayLike,
+    zeta_c: ArrayLike,
+    radius: ArrayLike = DEFAULT_RADIUS_M,
+    *,
+    method: str = "spherical",
+    distance: ArrayLike = math.nan,
+) -> Any:
+    """Refraction angle R_c at the camera [rad].
+
+    profile : the air, from `standard_atmosphere` or a mission.
+    h_c, h_g : heights of camera and target above sea level [m]; ``h_g`` may lie above ``h_c``.
+    zeta_c : apparent nadir angle [rad], 0 to pi.
+    radius, distance : as for `bend`.
+    method : one of `METHODS`; all but ``spherical`` are those of `unbend.refraction.published`.
+
+    Arguments broadcast. Scalars give a float and raise `PhysicsError` where there is no angle;
+    arrays give NaN there (`bend` gives the reason for each).
+
+    Source: Gyer 1996, Eq. 1, 11, 12 and 15 in a form free of cancellation.
+
+    >>> from unbend.atmosphere import standard_atmosphere
+    >>> from unbend.units import ARCSEC, DEGREE
+    >>> air = standard_atmosphere("us1976", index="gyer")
+    >>> round(refraction_angle(air, 10000.0, 0.0, 45.0 * DEGREE) / ARCSEC, 6)
+    16.378452
+    """
+    r_c, _ = angle_and_status(profile, h_c, h_g, zeta_c, radius, method=method, distance=distance)
+    return r_c if r_c.ndim else float(r_c)
+
+
+def angle_and_status(
+    profile: Profile,
+    h_c: ArrayLike,
+    h_g: ArrayLike,
+    zeta_c: ArrayLike,
+    radius: ArrayLike = DEFAULT_RADIUS_M,
+    *,
+    method: str = "spherical",
+    distance: ArrayLike = math.nan,
+) -> tuple[Array, NDArray[np.uint8]]:
+    """Angles as `refraction_angle` has them [rad], and which crossing each is for, as a status."""
+    zeta = np.asarray(zeta_c, dtype=np.float64)
+    zeta = np.where((zeta >= 0.0) & (zeta <= math.pi), zeta, np.nan)
+    r_c, found = bend(
+        rays_by(profile, method), h_c, h_g, np.sin(zeta), np.cos(zeta), radius=radius,
+        distance=distance,
+    )  # fmt: skip
+    status = int(found) if found.ndim == 0 else codes.OK
+    if status in (codes.OK, codes.BEYOND_GRAZING, codes.FAR_BRANCH):
+        return r_c, found
+    reason = {
+        codes.BAD_MEASUREMENT: "heights and angle (0 to 180 degrees) must be numbers, the radius "
+        "above 0",
+        codes.OUTSIDE_PROFILE: f"the profile ({profile.bottom_m:.0f} to {profile.top_m:.0f} m) "
+        f"or the method ({method}) does not cover the heights",
+        codes.MISSES_GROUND: "the ray never reaches the target's height",
+    }[status]
+    raise PhysicsError(
+        f"RAY-{codes.STATUS_NAMES[status].upper().replace('_', '-')}",
+        reason,
+        where=f"h_c = {h_c!r} m, h_g = {h_g!r} m, zeta_c = {np.degrees(zeta_c):.6f} deg, "
+        f"radius = {radius!r} m",
+        remedy="check heights, angle and radius (inside the package angles are radians)",
+    )

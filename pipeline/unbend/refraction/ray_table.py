@@ -1,0 +1,87 @@
+"""The refractivity of a profile as polynomials in height, the form that the kernels read."""
+
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+
+from unbend.atmosphere.profile import Profile
+from unbend.refraction.kernels.columns import HINT_M, FineTable, IndexTable
+from unbend.units import Array
+
+# Pieces of the profile on which n - 1 is a polynomial of degree 7 in height: at 500 m a
+# troposphere is reproduced to 1e-13 of n - 1.
+_PIECE_M = 500.0
+_DEGREE = 7
+
+# Three nodes over this height integrate the moments of the air to 1e-12, sharp inversions included.
+_FINE_M = 62.5
+_FINE_DEGREE = 5
+
+
+@dataclass(frozen=True, eq=False)
+class RayTable:
+    """A profile's refractivity as polynomials, the form the ray kernel reads.
+
+    ``edge_m`` is (m + 1,) heights [m]; ``coefficient`` is (m, 8): refractivity in piece i is the
+    polynomial in u = (h - edge[i]) / (edge[i + 1] - edge[i]), lowest power first.
+    """
+
+    edge_m: Array
+    coefficient: Array
+
+    @property
+    def pieces(self) -> IndexTable:
+        """The table for compiled functions."""
+        return IndexTable(self.edge_m, self.coefficient)
+
+    @cached_property
+    def fine(self) -> FineTable:
+        """The same refractivity in shorter intervals."""
+        edge = cut(self.edge_m, _FINE_M)
+        piece = np.searchsorted(self.edge_m, edge[:-1], side="right") - 1
+        nodes = _chebyshev_nodes(_FINE_DEGREE)
+        height = edge[:-1, None] + np.diff(edge)[:, None] * nodes
+        u = (height - self.edge_m[piece, None]) / np.diff(self.edge_m)[piece, None]
+        powers = self.coefficient[piece].T[..., None]
+        value = np.polynomial.polynomial.polyval(u, powers, tensor=False)
+        marks = np.arange(edge[0], edge[-1], HINT_M)
+        hint = np.clip(np.searchsorted(edge, marks, side="right") - 1, 0, edge.size - 2)
+        return FineTable(edge, _polynomials(nodes, np.asarray(value, np.float64)), hint)
+
+
+@lru_cache(maxsize=64)
+def ray_table(profile: Profile) -> RayTable:
+    """Tabulate the refractivity of a profile for the ray kernel (agreement 1e-13 of n - 1)."""
+    edge = cut(profile.break_heights_m, _PIECE_M)
+    nodes = _chebyshev_nodes(_DEGREE)
+    heights = edge[:-1, None] + np.diff(edge)[:, None] * nodes
+    # Nodes stay inside their piece, so each is evaluated in its own layer.
+    return RayTable(edge, _polynomials(nodes, profile.refractivity(heights)))
+
+
+def cut(edge: Array, longest: float | Array) -> Array:
+    """Edges with as few more evenly between them that no piece is longer than ``longest``.
+
+    ``edge`` (k + 1,) rising; ``longest`` one length for all intervals or (k,).
+
+    >>> cut(np.array([0.0, 1.0, 4.0]), 1.5).tolist()
+    [0.0, 1.0, 2.5, 4.0]
+    """
+    parts = np.maximum(1, np.ceil(np.diff(edge) / longest)).astype(int)
+    pieces = [
+        np.linspace(low, high, count, endpoint=False)
+        for low, high, count in zip(edge[:-1], edge[1:], parts, strict=True)
+    ]
+    return np.concatenate([*pieces, edge[-1:]])
+
+
+def _chebyshev_nodes(degree: int) -> Array:
+    """degree + 1 nodes between 0 and 1."""
+    return 0.5 - 0.5 * np.cos(np.pi * (np.arange(degree + 1) + 0.5) / (degree + 1))
+
+
+def _polynomials(nodes: Array, values: Array) -> Array:
+    """(m, d + 1) coefficients, lowest power first, through (m, d + 1) values at the nodes."""
+    vandermonde = np.vander(nodes, nodes.size, increasing=True)
+    return np.ascontiguousarray(np.linalg.solve(vandermonde, values.T).T)

@@ -1,0 +1,290 @@
+"""The standard deviations of a correction: by the air, by the station, by the ground.
+
+They are of three kinds and are kept apart. The error of the air is common to the block: it is no
+noise of an observation, and the adjustment gets it as one parameter. That of the station is common
+to an image, that of the ground to a point.
+
+That parameter s is the leading mode of the air's covariance. With L L^T the covariance of the air's
+state x, and E the matrix of what its columns do to rays that stand for the block (towards the nadir
+and across, through the window), the first right singular vector u of E is the direction L u in
+which one parameter explains most of their variance,
+
+    x(s) = x + (s / sigma) L u,   variance_share = |E u|^2 / |E|^2.
+
+That does not depend on the units of x, nor on air that no ray of the block passes. The unit of s is
+the refraction: sigma^2 = |E u|^2 / |R|^2 over the rays, and a positive s turns them by more of it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from unbend.atmosphere.covariance import ProfileCovariance
+from unbend.atmosphere.profile import Profile
+from unbend.refraction.camera.camera import Camera
+from unbend.refraction.image import Exposures
+from unbend.refraction.kernels import columns as of
+from unbend.refraction.ray import DEFAULT_RADIUS_M
+from unbend.refraction.uncertainty import sigmas
+from unbend.refraction.uncertainty.sensitivity import sensitivity
+from unbend.refraction.uncertainty.sigmas import AirMode, Uncertainty
+from unbend.units import Array, Integers, Mask
+
+_MOST_EXPOSURES, _ACROSS = 24, 5  # and rays in five rows and columns of an image
+_LARGEST_ZETA = np.radians(88.0)
+
+
+@dataclass(frozen=True, eq=False)
+class WindowRays:
+    """Rays (n,) at cameras of heights ``h_c`` [m] and their nadir angles ``zeta_c`` [rad].
+
+    ``kind`` (n,) is that of the window, `OPEN`, `SEALED` or `SCHEDULED`; ``towards``, ``across``
+    how far a ray turns to the nadir and square to that per unit of dN_c - dN_cc (`window_turn`).
+    """
+
+    h_c: Array
+    zeta_c: Array
+    kind: Integers
+    towards: Array
+    across: Array
+
+
+def window_turn(direction: Array, down: Array, normal: Array) -> tuple[Array, Array]:
+    """How far rays turn towards the nadir, and across, per unit of dN_c - dN_cc at a plane window.
+
+    (n, 3) unit vectors of the rays, the nadir and the window's normal in one frame. With n sin of
+    the angle to the normal kept (Gyer 1996, Eq. 36) a ray d turns by normal / (normal . d) - d.
+
+    >>> ray, down = np.array([[0.6, 0.0, 0.8]]), np.array([[0.0, 0.0, 1.0]])
+    >>> [float(side[0].round(12)) for side in window_turn(ray, down, down)]  # tan(zeta)
+    [0.75, 0.0]
+    """
+    cosine = np.einsum("ij,ij->i", down, direction)
+    sine = np.sqrt(np.maximum(1.0 - cosine * cosine, 0.0))
+    safe = np.where(sine > 0.0, sine, 1.0)[:, None]
+    to_nadir = (down - cosine[:, None] * direction) / safe
+    out = np.einsum("ij,ij->i", normal, direction)
+    towards = np.einsum("ij,ij->i", normal, to_nadir) / out
+    across = np.einsum("ij,ij->i", normal, np.cross(direction, to_nadir)) / out
+    return towards, across
+
+
+def rays_of_exposures(
+    exposures: Exposures, cameras: Sequence[tuple[Camera, Mask]], kinds: Integers
+) -> WindowRays:
+    """Rays evenly spread over the images of at most 24 exposures; those below the horizon.
+
+    ``cameras`` each with the mask (s,) of its exposures, ``kinds`` (s,) of their windows. The
+    directions are those before the window, which turns them by less than 1e-3.
+    """
+    side = (np.arange(_ACROSS) + 0.5) / _ACROSS
+    x, y = (axis.ravel() for axis in np.meshgrid(side, side))
+    usable = np.flatnonzero(exposures.usable)
+    drawn = usable[np.linspace(0, usable.size - 1, min(usable.size, _MOST_EXPOSURES)).astype(int)]
+    rows, directions = [np.empty(0, np.int64)], [np.empty((0, 3))]
+    for camera, exposed in cameras:
+        u, v, covered = camera.rays(x * camera.width_px, y * camera.height_px)
+        ray = np.stack([u, v, np.ones(u.size)], axis=1)[covered]
+        of_camera = drawn[exposed[drawn]]
+        rows.append(np.repeat(of_camera, len(ray)))
+        directions.append(np.tile(ray / np.linalg.norm(ray, axis=1)[:, None], (of_camera.size, 1)))
+    row, direction = np.concatenate(rows), np.concatenate(directions)
+    down = -exposures.rotation[row, :, 2]
+    zeta = np.arccos(np.clip(np.einsum("ij,ij->i", down, direction), -1.0, 1.0))
+    below = zeta < _LARGEST_ZETA
+    row, direction, down, zeta = row[below], direction[below], down[below], zeta[below]
+    turns = window_turn(direction, down, exposures.normals[row])
+    return WindowRays(exposures.height_m[row], zeta, kinds[row], *turns)
+
+
+def leading_mode(
+    profile: Profile,
+    covariance: ProfileCovariance,
+    rays: WindowRays,
+    h_g: Array | float,
+    *,
+    radius: float = DEFAULT_RADIUS_M,
+) -> AirMode | None:
+    """The direction in the state of the air that explains most of what its errors do to rays.
+
+    ``rays`` (n,) stand for all of a block, ``h_g`` () or (n,) are heights of their targets [m above
+    sea level], ``radius`` is that of the sphere [m].
+
+    The error of a ray is that of R, and behind a plane window that of R - R_cc, in the ray's
+    vertical plane and across it. None where no ray has an angle, or nothing is uncertain.
+
+    >>> from unbend.atmosphere import standard_atmosphere
+    >>> air = standard_atmosphere("us1976")
+    >>> variance = np.zeros(2 * air.layers.edge.size + 1)
+    >>> variance[air.layers.edge.size] = 0.001**2  # of ln p
+    >>> covariance = ProfileCovariance(air, 0.0, np.diag(variance))
+    >>> zeta = np.array([0.2, 0.6, 1.0])
+    >>> rays = WindowRays(3000.0 + 0.0 * zeta, zeta, np.zeros(3, np.int64), 0.0 * zeta, 0.0 * zeta)
+    >>> mode = leading_mode(air, covariance, rays, 0.0)
+    >>> mode.sigma, round(mode.variance_share, 6)
+    (0.000999998, 1.0)
+    >>> mode.state[air.layers.edge.size].round(6).item()  # more pressure, more refraction
+    0.001
+    """
+    traced = sensitivity(
+        profile, rays.h_c, h_g, rays.zeta_c, radius, anchor_height_m=covariance.anchor_height_m
+    )
+    good = traced.valid & (np.abs(traced.r_c) > 0.0)
+    if not bool(good.any()):
+        return None
+    root = sigmas.CovarianceRoot.of(covariance)
+    turns = np.zeros((good.size, root.matrix.shape[1]))
+    for kind in np.unique(rays.kind):
+        if kind != sigmas.OPEN:
+            rows = rays.kind == kind
+            turns[rows] = sigmas.window_errors(profile, root, rays.h_c[rows], int(kind))
+    seen_through = ((1.0 - traced.d_zeta_c) * rays.towards)[:, None] * turns
+    along = (traced.gradient @ root.matrix + seen_through)[good]
+    across = (rays.across[:, None] * turns)[good]
+    _, length, direction = np.linalg.svd(np.concatenate([along, across]), full_matrices=False)
+    if not np.any(length > 0.0):
+        return None
+    r = traced.r_c[good]
+    u = direction[0] * (np.sign(r @ along @ direction[0]) or 1.0)
+    # Six digits, as in the manifest, which then has it exactly.
+    sigma = float(f"{length[0] / np.linalg.norm(r):.6g}")
+    return AirMode(root.matrix @ u, sigma, float(length[0] ** 2 / np.sum(length**2)))
+
+
+_SLOPE_STEP_M = 0.5
+_BORDER = 9  # points along each side of an image
+
+
+@dataclass(frozen=True, eq=False)
+class StationSigmas:
+    """How well each exposure is known; (s,) arrays, NaN where unknown.
+
+    ``tilt_rad`` of the attitude about each of two axes square to the yaw axis, ``yaw_rad`` about
+    it; ``yaw_axis`` (s, 3) unit vectors in the camera frame: the aircraft's own vertical.
+    ``height_m`` of the projection centre; where it is unknown it does not count. ``cabin`` (s, 4)
+    what one sigma of pressure and one of temperature in the cabin change in the refractivity there
+    (first two), and in the principal distance [px]; by default unknown. A turn about the vertical
+    changes nothing: yaw matters as far as its axis is not vertical.
+    """
+
+    tilt_rad: Array
+    yaw_rad: Array
+    yaw_axis: Array
+    height_m: Array
+    cabin: Array | None = None
+
+
+def uncertainty_of(
+    profile: Profile,
+    covariance: ProfileCovariance | None,
+    exposures: Exposures,
+    stations: StationSigmas,
+    cameras: Sequence[tuple[Camera, Mask]],
+    *,
+    ground_heights_m: tuple[float, float],
+    window_kinds: Integers | None = None,
+    typical_ground_m: float | None = None,
+) -> Uncertainty | None:
+    """Tables for the standard deviations of a block's corrections.
+
+    covariance : of the profile's layers, None where it is not known: then ``air_*`` are unknown.
+    exposures, stations : of s exposures.
+    cameras : each with the mask (s,) of its exposures.
+    ground_heights_m : lowest and highest ground, above sea level [m].
+    window_kinds : (s,) `OPEN`, `SEALED` or `SCHEDULED`; by default no window is in the way.
+    typical_ground_m : of the rays that the leading mode is found from; by default the middle of
+        the ground below the cameras.
+
+    None where no exposure can be used. The sigmas are of first order. Against changed inputs and
+    drawn airs (tests/refraction/test_uncertainty.py): station and ground 1 %, air as `air_sigma`.
+    There are none for targets above the camera or beyond the lowest point of the ray, nor within
+    1.7 degrees of level at the ground.
+
+    >>> from unbend.atmosphere import standard_atmosphere
+    >>> from unbend.refraction import Camera, correct_observations, ray_table
+    >>> air, one, none = standard_atmosphere("us1976"), np.ones(1), np.zeros(1)
+    >>> down = Exposures(
+    ...     one > 0.0, np.diag([1.0, -1.0, -1.0])[None], none, 3000.0 * one, 2e-4 * one, 2e-4 * one)
+    >>> camera = Camera(10_000, 10_000, 10_000.0, 10_000.0, 5000.0, 5000.0)
+    >>> half_a_degree = StationSigmas(0.0087 * one, 0.0087 * one, np.array([[0.0, 0.0, 1.0]]), none)
+    >>> uncertainty = uncertainty_of(
+    ...     air, None, down, half_a_degree, [(camera, one > 0.0)], ground_heights_m=(0.0, 0.0))
+    >>> corrections = correct_observations(
+    ...     9000.0 * one, 5000.0 * one, none, np.zeros(1, np.int64), down, camera=camera,
+    ...     table=ray_table(air), uncertainty=uncertainty)
+    >>> round(float(corrections.dx_px[0]), 3)
+    -0.16
+    >>> round(float(corrections.sigmas.station_dx_px[0]), 4)
+    0.004
+    """
+    usable = exposures.usable & np.isfinite(exposures.refractivity_outside)
+    if not bool(usable.any()):
+        return None
+    heights = exposures.height_m[usable]
+    radius = exposures.radius_m or DEFAULT_RADIUS_M
+    kinds = np.full(usable.shape, sigmas.OPEN) if window_kinds is None else window_kinds
+    kinds = np.where(usable, kinds, sigmas.OPEN)
+    low, high = max(ground_heights_m[0], profile.bottom_m), min(ground_heights_m[1], heights.min())
+    ground_m = 0.5 * (low + high) if typical_ground_m is None else typical_ground_m
+    mode = None
+    if covariance is not None:
+        seen = rays_of_exposures(replace(exposures, usable=usable), cameras, kinds)
+        mode = leading_mode(profile, covariance, seen, ground_m, radius=radius)
+    # The largest nadir angle that a border of an image shows, half a degree to spare.
+    zeta, side, ends = [0.0], np.linspace(0.0, 1.0, _BORDER), np.repeat([0.0, 1.0], _BORDER)
+    x, y = np.concatenate([side, side, ends]), np.concatenate([ends, side, side])
+    for camera, exposed in cameras:
+        down = -exposures.rotation[usable & exposed, :, 2]
+        u, v, covered = camera.rays(x * camera.width_px, y * camera.height_px)
+        rays = np.stack([u, v, np.ones(u.size)]) / np.sqrt(u * u + v * v + 1.0)
+        least = float((down @ rays).min(initial=1.0)) if bool(covered.all()) else 0.0
+        zeta.append(float(np.arccos(least) + np.radians(0.5)) if down.size else 0.0)
+    camera_m, tables = sigmas.air_sigma(
+        profile,
+        covariance,
+        (float(heights.min()), float(heights.max())),
+        ground_heights_m,
+        largest_zeta_rad=max(zeta),
+        radius=radius,
+        window_kinds=np.unique(kinds[kinds != sigmas.OPEN]).tolist(),
+        mode=mode,
+    )
+    columns = _station_columns(profile, exposures, stations, kinds, camera_m)
+    return Uncertainty(tables, columns, mode)
+
+
+def _station_columns(
+    profile: Profile, exposures: Exposures, stations: StationSigmas, kinds: Integers, at_m: Array
+) -> Array:
+    """(s, 19) columns `N` to `CABIN` of `kernels.columns`, beside tables for cameras ``at_m``;
+    ``kinds`` (s,) are those of windows."""
+    n = exposures.refractivity_outside
+    h = np.where(exposures.usable & np.isfinite(n), exposures.height_m, at_m[0])
+    table = np.full((h.size, of.STATION_COLUMNS), np.nan)
+    # Slopes over half a metre below and above, within the profile.
+    low = np.maximum(h - _SLOPE_STEP_M, profile.bottom_m)
+    high = np.minimum(h + _SLOPE_STEP_M, profile.top_m)
+    slope = (profile.refractivity(high) - profile.refractivity(low)) / (high - low)
+    thinner = np.log(profile.pressure(high) / profile.pressure(low)) / (high - low)
+    node = np.clip(np.searchsorted(at_m, h, side="right") - 1, 0, at_m.size - 2)
+    axis = np.einsum("sji,sj->si", exposures.rotation, stations.yaw_axis)
+    table[:, of.N] = n
+    table[:, of.BEND] = slope / (1.0 + n)
+    table[:, of.NODE] = node
+    table[:, of.SHARE] = (h - at_m[node]) / (at_m[node + 1] - at_m[node])
+    table[:, of.SPAN] = (h - at_m[0]) / (at_m[-1] - at_m[0])
+    table[:, of.TILT2] = stations.tilt_rad**2
+    table[:, of.YAW2] = stations.yaw_rad**2 - stations.tilt_rad**2
+    table[:, of.AXIS_E], table[:, of.AXIS_N] = axis[:, 0], axis[:, 1]
+    table[:, of.SIGMA_H] = np.nan_to_num(stations.height_m)
+    table[:, of.WINDOW], table[:, of.WINDOW_BEND] = -1.0, 0.0
+    table[:, of.NORMAL : of.CABIN] = exposures.normals
+    if stations.cabin is not None:
+        table[:, of.CABIN :] = stations.cabin
+    for number, kind in enumerate(np.unique(kinds[kinds != sigmas.OPEN]).tolist()):
+        rows = kinds == kind
+        response = sigmas.cabin_response(profile, h[rows], kind)
+        table[rows, of.WINDOW] = number
+        table[rows, of.WINDOW_BEND] = table[rows, of.BEND] - thinner[rows] * response
+    return table

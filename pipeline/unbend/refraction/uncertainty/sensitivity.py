@@ -1,0 +1,366 @@
+"""Derivatives of the refraction angle by the air and by the places of camera and target.
+
+A small change of the air moves R_c by sum of w_j dN_j: the adjoint of the ray gives the weights w,
+the layers' closed forms dN (`unbend.atmosphere.covariance`). With C the covariance of
+temperatures, ln p and e/p, and g the gradient here, sigma of R_c is sqrt(g^T C g).
+
+With s = r_c sin zeta_c and nu = n / n_c the ray subtends (Gyer 1996, Eq. 1 and 12)
+
+    theta = integral over h of s / (r sqrt(nu^2 r^2 - s^2)),   R_c = zeta_c - psi(theta, r_c, r_g),
+
+psi the nadir angle of the chord (Eq. 10). Only nu enters, so that exactly
+
+    dR_c = psi' s * integral of m(h) [dN(h) / n(h) - dN_c / n_c] dh,
+    m = nu^2 r / (nu^2 r^2 - s^2)^(3/2),   psi' = d psi / d theta = r_g cos(beta) / chord,
+
+beta the chord's angle at the target. The change of R_c with the place of the camera and of the
+target follows from shifts along the ray, which leave it where it is; nothing is differenced:
+
+    dR_c/dzeta_c = 1 - psi' r_c cos(zeta_c) * integral of m dh,
+    dR_c/dh_g = -sin(beta - z_g) / (chord cos z_g),   z_g the ray's angle at the target,
+    dR_c/dh_c = -tan(zeta_c) N_c' / n_c - sin(R_c) / (chord cos zeta_c)
+                + tan(zeta_c) (N_c' / n_c + 1 / r_c) dR_c/dzeta_c.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from unbend.atmosphere.covariance import air_jacobian
+from unbend.atmosphere.profile import Profile
+from unbend.refraction.ray import DEFAULT_RADIUS_M, as_columns, bend
+from unbend.refraction.ray_table import cut, ray_table
+from unbend.refraction.status_codes import BEYOND_GRAZING, OK
+from unbend.units import Array, Mask, Rows
+
+# Pieces of the profile on which refractivity and its perturbations are polynomials of degree 5 in
+# height: N is reproduced to 1e-13 of itself, to 1e-12 across an inversion of 5 K in 350 m.
+_PIECE_M = 500.0
+_NODES = 6
+
+# (n r - k) / n_c [m], the excess, is a ray's distance from being level. m has a pole where it is
+# zero; down to this excess the derivatives are good to 1e-9.
+LEVEL_GUARD_M = 1e-3
+_COARSE, _FINE = (np.polynomial.legendre.leggauss(count) for count in (4, 20))
+_COARSE_GRADING = 0.4  # ln of the ratio of the excess at the ends of a piece
+
+_BLOCK = 200_000  # quadrature nodes at a time: 10 MB of polynomials
+# Rays shorter than this in height follow their closed limit: both err by 6e-8 in dR/dh.
+_SHORT_M = 1e-4
+
+_ANGLES = math.pi * (np.arange(_NODES) + 0.5) / _NODES
+_CHEBYSHEV = np.cos(_ANGLES)  # nodes on -1 to 1
+# Values at the nodes -> coefficients of Chebyshev polynomials.
+_TO_COEFFICIENTS = (2.0 / _NODES) * np.cos(np.arange(_NODES)[:, None] * _ANGLES)
+_TO_COEFFICIENTS[0] *= 0.5
+
+
+class Pieces(NamedTuple):
+    """A profile cut at its layers and every 500 m, with its refractivity as polynomials.
+
+    ``edge_m`` (p + 1,) heights [m]; ``height_m`` (p, 6) nodes; ``coefficient`` (p, 6) of Chebyshev
+    polynomials of N; ``slope`` (p, 6) those of its derivative with height [1/m].
+    """
+
+    edge_m: Array
+    height_m: Array
+    coefficient: Array
+    slope: Array
+
+
+class Rays(NamedTuple):
+    """Rays as vectors of one length: heights [m], nadir angle at the camera [rad], radius [m], and
+    the refraction angle [rad]."""
+
+    h_c: Array
+    h_g: Array
+    zeta_c: Array
+    radius: Array
+    r_c: Array
+
+    def rows(self, which: Rows) -> Rays:
+        return Rays(*(a[which] for a in self))
+
+
+def pieces_between(profile: Profile, low: float, high: float) -> Pieces:
+    """The pieces of a profile that heights from ``low`` to ``high`` [m] fall in."""
+    edge = cut(profile.break_heights_m, _PIECE_M)
+    first = int(np.clip(np.searchsorted(edge, low, side="left") - 1, 0, edge.size - 2))
+    last = int(np.clip(np.searchsorted(edge, high, side="right"), first + 1, edge.size - 1))
+    edge = edge[first : last + 1]
+    half = 0.5 * np.diff(edge)[:, None]
+    height = edge[:-1, None] + half * (1.0 + _CHEBYSHEV)
+    coefficient = profile.refractivity(height) @ _TO_COEFFICIENTS.T
+    slope = np.polynomial.chebyshev.chebder(coefficient, axis=1) / half
+    return Pieces(edge, height, coefficient, np.pad(slope, ((0, 0), (0, 1))))
+
+
+def trace_adjoints(pieces: Pieces, rays: Rays) -> tuple[Array, Array, Mask]:
+    """The adjoint of each ray, by Gauss-Legendre in each piece of the profile.
+
+    Returns the derivatives of R_c (rays, nodes) with respect to N at the nodes, the camera's share
+    included; (rays, 3) with respect to h_c, h_g [rad/m] and zeta_c; and where they are valid, NaN
+    elsewhere. Rays must not turn between their ends, nor come within `LEVEL_GUARD_M` of being level
+    on their way.
+    """
+    camera, at_camera = _at(pieces, rays.h_c, rays.h_g)
+    n_c = np.sum(pieces.coefficient[camera] * at_camera, axis=1)
+    theta, by_s, moments, least = _integrals(pieces, rays, n_c)
+    short = np.abs(rays.h_c - rays.h_g) < _SHORT_M
+    valid = least > np.where(short, 1e4 * _SHORT_M, LEVEL_GUARD_M)
+
+    # Length of the chord, one where camera and target coincide, and cos(beta).
+    r_c, r_g = rays.radius + rays.h_c, rays.radius + rays.h_g
+    fall, sagitta = rays.h_c - rays.h_g, 2.0 * np.sin(0.5 * theta) ** 2
+    chord = np.sqrt(fall * fall + 2.0 * r_c * r_g * sagitta)
+    chord[chord == 0.0] = 1.0
+    cos_beta = (fall - r_c * sagitta) / chord
+    by_theta = r_g * cos_beta / chord
+    scale = by_theta * r_c * np.sin(rays.zeta_c)
+    weight = (scale[:, None, None] * moments) @ _TO_COEFFICIENTS
+    share = scale * by_s / (1.0 + n_c)
+    weight[np.arange(camera.size), camera] -= share[:, None] * at_camera @ _TO_COEFFICIENTS
+    weight = weight.reshape(camera.size, -1)
+    weight[~valid] = np.nan
+
+    d_zeta_c = 1.0 - by_theta * r_c * np.cos(rays.zeta_c) * by_s
+    bend_c = np.sum(pieces.slope[camera] * at_camera, axis=1) / (1.0 + n_c)
+    tan_c = np.tan(rays.zeta_c)
+    d_h_c = tan_c * (d_zeta_c * (bend_c + 1.0 / r_c) - bend_c)
+    d_h_c = d_h_c - np.sin(rays.r_c) / (chord * np.cos(rays.zeta_c))
+    d_h_g = _by_target_height(pieces, rays, n_c, chord, cos_beta)
+    # In the limit of a short ray R_c = -tan(zeta_c) N' (h_c - h_g) / (2 n).
+    half = 0.5 * bend_c
+    limit = -tan_c * half, tan_c * half, -(1.0 + tan_c * tan_c) * half * fall
+    place = np.where(short, limit, (d_h_c, d_h_g, d_zeta_c))
+    return weight, np.where(valid, place, np.nan).T, valid
+
+
+def _basis(u: Array) -> Array:
+    """(6, ...) Chebyshev polynomials at u."""
+    basis = np.asarray(np.polynomial.chebyshev.chebvander(u, _NODES - 1), np.float64)
+    return np.moveaxis(basis, -1, 0)
+
+
+def _at(pieces: Pieces, h: Array, other: Array) -> tuple[Rows, Array]:
+    """The piece that holds h, on the side of ``other``, and the polynomials (rays, 6) there."""
+    edge = pieces.edge_m
+    below = np.searchsorted(edge, h, side="left") - 1
+    above = np.searchsorted(edge, h, side="right") - 1
+    i = np.clip(np.where(other < h, below, above), 0, edge.size - 2)
+    u = 2.0 * (h - edge[i]) / (edge[i + 1] - edge[i]) - 1.0
+    return i, _basis(u).T
+
+
+def _lift(rays: Rays) -> Array:
+    """r_c (1 - sin zeta_c) [m]."""
+    cos_c = np.cos(rays.zeta_c)
+    return (rays.radius + rays.h_c) * cos_c * cos_c / (1.0 + np.sin(rays.zeta_c))
+
+
+def _excess(pieces: Pieces, rays: Rays, n_c: Array, h: Array) -> tuple[Array, Array, Array]:
+    """nu r - s [m] without cancellation, N and the polynomials, at ``h`` (rays, p, j)."""
+    low, high = pieces.edge_m[:-1, None], pieces.edge_m[1:, None]
+    basis = _basis(np.clip(2.0 * (h - low) / (high - low) - 1.0, -1.0, 1.0))
+    n = np.einsum("pa,abpj->bpj", pieces.coefficient, basis)
+    h_c, radius, n_c, lift = (a[:, None, None] for a in (rays.h_c, rays.radius, n_c, _lift(rays)))
+    return (radius + h) * (n - n_c) / (1.0 + n_c) + (h - h_c) + lift, n, basis
+
+
+def _integrals(pieces: Pieces, rays: Rays, n_c: Array) -> tuple[Array, Array, Array, Array]:
+    """Along rays theta, the integral of m dh = d theta / d s, (rays, p, 6) those of m / n with the
+    Chebyshev polynomials of each piece, and the least excess met [m].
+
+    The nodes are at steps of equal ratio of the excess, which undoes the pole of m.
+    """
+    low = np.minimum(rays.h_c, rays.h_g)[:, None]
+    high = np.maximum(rays.h_c, rays.h_g)[:, None]
+    ends = np.stack([np.clip(e, low, high) for e in (pieces.edge_m[:-1], pieces.edge_m[1:])], 2)
+    width = np.diff(ends)
+    inside = width > 0.0
+    excess = np.where(inside, _excess(pieces, rays, n_c, ends)[0], np.inf)
+    least = excess.min(axis=(1, 2))
+    excess[~np.isfinite(excess) | (least <= 0.0)[:, None, None]] = 1.0
+    grading = np.diff(np.log(excess))
+    grading[np.abs(grading) < 1e-9] = 1e-9
+    x, w = _COARSE if np.abs(grading).max(initial=0.0) < _COARSE_GRADING else _FINE
+    x, w = 0.5 + 0.5 * x, 0.5 * w
+    scale = width / np.expm1(grading)
+    excess, n, basis = _excess(pieces, rays, n_c, ends[..., :1] + scale * np.expm1(grading * x))
+    step = scale * grading * np.exp(grading * x) * w
+    least = np.minimum(least, np.where(inside, excess, np.inf).min(axis=(1, 2)))
+    excess = np.where(inside & (least > 0.0)[:, None, None], excess, 1.0)
+
+    s = ((rays.radius + rays.h_c) * np.sin(rays.zeta_c))[:, None, None]
+    nu = 1.0 + (n - n_c[:, None, None]) / (1.0 + n_c[:, None, None])
+    root = np.sqrt(excess * (excess + 2.0 * s))
+    r = (excess + s) / nu
+    density = step * nu * nu * r / root**3
+    theta = np.sum(step * s / (r * root), axis=(1, 2))
+    moments = np.einsum("abpj,bpj->bpa", basis, density / (1.0 + n))
+    return theta, density.sum(axis=(1, 2)), moments, least
+
+
+def _by_target_height(air: Pieces, rays: Rays, n_c: Array, chord: Array, cos_beta: Array) -> Array:
+    """dR_c/dh_g, with sin(beta) - sin(z_g) from r_g sin(beta) = r_c sin(zeta_c - R_c)."""
+    target, at_target = _at(air, rays.h_g, rays.h_c)
+    n_g = np.sum(air.coefficient[target] * at_target, axis=1)
+    r_c, r_g = rays.radius + rays.h_c, rays.radius + rays.h_g
+    s = r_c * np.sin(rays.zeta_c)
+    excess = r_g * (n_g - n_c) / (1.0 + n_c) - (rays.h_c - rays.h_g) + _lift(rays)
+    excess = np.maximum(excess, LEVEL_GUARD_M)
+    down = np.copysign(1.0, np.cos(rays.zeta_c))
+    cos_g = down * np.sqrt(excess * (excess + 2.0 * s)) / (excess + s)
+    half = 0.5 * rays.r_c
+    turned = 2.0 * r_c * np.cos(rays.zeta_c - half) * np.sin(half)
+    sines = (s * (n_g - n_c) / (1.0 + n_g) - turned) / r_g
+    bend_g = 2.0 * np.arctan2(sines * down, (cos_beta + cos_g) * down)
+    return np.asarray(-np.sin(bend_g) / (chord * cos_g))
+
+
+class RayWeights(NamedTuple):
+    """The change of R_c with refractivity: dR_c = weight @ dN.
+
+    ``height_m`` (n,) heights [m above sea level], the same for all rays; ``weight`` (..., n) the
+    derivative of R_c [rad] with respect to N there, NaN where not ``valid``. The camera's
+    refractivity, interpolated between them, is included: N to N + c (1 + N) changes nothing.
+    ``r_c`` [rad] and ``status`` as `bend` has them.
+    """
+
+    height_m: Array
+    weight: Array
+    r_c: Array
+    status: NDArray[np.uint8]
+    valid: Mask
+
+
+@dataclass(frozen=True, eq=False)
+class Sensitivity:
+    """Derivatives of R_c [rad] of rays (...); NaN where not ``valid``.
+
+    By the air: ``d_temperature``, ``d_vapour`` (..., m + 1) with respect to T_M [1/K] and e/p at
+    the layers' edges ``edge_height_m`` (m + 1,) [m above sea level], one held where the other
+    changes, pressure following by hydrostatics from the anchor; ``d_log_pressure``, ``d_pressure``
+    to ln p and p [1/Pa] at the anchor (from T_M to a thermometer's T: `air_jacobian`). The air
+    held: ``d_h_c``, ``d_h_g`` with respect to the heights of camera and target [1/m], ``d_zeta_c``
+    to the apparent nadir angle at the camera. ``r_c`` and ``status`` as `bend` has them.
+    """
+
+    edge_height_m: Array
+    r_c: Array
+    d_temperature: Array
+    d_vapour: Array
+    d_log_pressure: Array
+    d_pressure: Array
+    d_h_c: Array
+    d_h_g: Array
+    d_zeta_c: Array
+    status: NDArray[np.uint8]
+    valid: Mask
+
+    @property
+    def gradient(self) -> Array:
+        """(..., 2m + 3) derivatives by the air, in the order of `ProfileCovariance.matrix`."""
+        level = self.d_log_pressure[..., None]
+        return np.concatenate([self.d_temperature, level, self.d_vapour], axis=-1)
+
+
+def ray_weights(
+    profile: Profile,
+    h_c: ArrayLike,
+    h_g: ArrayLike,
+    zeta_c: ArrayLike,
+    radius: ArrayLike = DEFAULT_RADIUS_M,
+) -> RayWeights:
+    """Derivatives of R_c with respect to refractivity along each ray.
+
+    Arguments and validity are those of `sensitivity`. The array is rays times some 6 nodes per
+    layer or per 500 m: for many rays take `sensitivity`, which keeps only the products.
+
+    >>> from unbend.atmosphere import standard_atmosphere
+    >>> air = standard_atmosphere("us1976", index="gyer")
+    >>> ray = ray_weights(air, 6000.0, 0.0, 0.8)
+    >>> one_percent_denser = ray.weight @ (0.01 * air.refractivity(ray.height_m))
+    >>> (ray.r_c * 1e6).round(4).item(), (one_percent_denser * 1e6).round(4).item()
+    (60.6689, 0.6065)
+    """
+    return _derivatives(profile, (h_c, h_g, zeta_c, radius), lambda h: np.eye(h.size))[0]
+
+
+def sensitivity(
+    profile: Profile,
+    h_c: ArrayLike,
+    h_g: ArrayLike,
+    zeta_c: ArrayLike,
+    radius: ArrayLike = DEFAULT_RADIUS_M,
+    *,
+    anchor_height_m: float = 0.0,
+) -> Sensitivity:
+    """Derivatives of R_c with respect to the air, the heights and the nadir angle.
+
+    profile, h_c, h_g, zeta_c, radius : as for `refraction_angle`.
+    anchor_height_m : where pressure stays as it is when temperatures change [m above sea level].
+
+    Valid for rays that have an angle and do not turn on their way, down to 1 mm of n r from being
+    level (2e-7 deg at 10 km over sea level), where the derivatives become infinite. R_c is linear
+    only in changes that move n r by less than its distance from there: 1 K moves it by some 6 m.
+    Of two crossings of h_g the near one is meant. A camera or target where layers meet has the
+    derivatives on the ray's side. Raises `PhysicsError` for an anchor outside the profile.
+
+    Against differences in 30-digit arithmetic: 3e-10 of the largest derivative of a kind, 1e-9
+    within 1 cm of level; dR_c/dzeta_c to 1e-15 beyond that.
+
+    >>> from unbend.atmosphere import standard_atmosphere
+    >>> air = standard_atmosphere("us1976", index="gyer")
+    >>> s = sensitivity(air, 6000.0, 0.0, [0.0, 0.8])
+    >>> (s.d_temperature[1, :3] * 1e9).round(3).tolist(), (s.d_h_g * 1e9).round(4).tolist()
+    ([0.0, -413.824, 58.604], [-0.0, -11.8448])
+    """
+    air = partial(air_jacobian, profile, anchor_height_m=anchor_height_m)
+    traced, place = _derivatives(profile, (h_c, h_g, zeta_c, radius), air)
+    _, gradient, r_c, status, valid = traced
+    edges = profile.layers.edge.size
+    d_log_pressure = gradient[..., edges]
+    d_h_c, d_h_g, d_zeta_c = np.moveaxis(place, -1, 0)
+    return Sensitivity(
+        profile.break_heights_m, r_c, gradient[..., :edges], gradient[..., edges + 1 :],
+        d_log_pressure, d_log_pressure / profile.pressure(anchor_height_m), d_h_c, d_h_g, d_zeta_c,
+        status, valid,
+    )  # fmt: skip
+
+
+def _derivatives(
+    profile: Profile, rays: tuple[ArrayLike, ...], air_of: Callable[[Array], Array]
+) -> tuple[RayWeights, Array]:
+    """Derivatives (..., k) by what changes N at heights (n,), as ``air_of`` (n, k) has it, and
+    (..., 3) by h_c, h_g and zeta_c."""
+    shape, (h_c, h_g, zeta_c, radius) = as_columns(*rays)
+    safe = np.where((zeta_c >= 0.0) & (zeta_c <= np.pi), zeta_c, np.nan)
+    r_c, status = bend(ray_table(profile), h_c, h_g, np.sin(safe), np.cos(safe), radius=radius)
+    turns = (h_g > h_c) & (np.cos(safe) > 0.0)
+    traced = np.flatnonzero(np.isin(status, (OK, BEYOND_GRAZING)) & ~turns)
+    # The steepest first: blocks of them need fewer nodes.
+    traced = traced[np.argsort(-np.abs(np.cos(zeta_c[traced])), kind="stable")]
+    columns = Rays(h_c, h_g, zeta_c, radius, r_c)
+    heights = np.stack([h_c, h_g])[:, traced]
+    low, high = (heights.min(), heights.max()) if traced.size else (profile.bottom_m,) * 2
+    pieces = pieces_between(profile, float(low), float(high))
+    height_m = pieces.height_m.reshape(-1)
+    air = air_of(height_m)
+    gradient, place = np.full((h_c.size, air.shape[1]), np.nan), np.full((h_c.size, 3), np.nan)
+    valid = np.zeros(h_c.size, dtype=bool)
+    at_once = max(1, _BLOCK // (height_m.size // _NODES * _FINE[0].size))
+    for first in range(0, traced.size, at_once):
+        rows = traced[first : first + at_once]
+        weight, place[rows], valid[rows] = trace_adjoints(pieces, columns.rows(rows))
+        gradient[rows] = weight @ air
+    gradient, place = gradient.reshape(*shape, air.shape[1]), place.reshape(*shape, 3)
+    of_rays = r_c.reshape(shape), status.reshape(shape), valid.reshape(shape)
+    return RayWeights(height_m, gradient, *of_rays), place

@@ -1,0 +1,376 @@
+"""Sigma of the refraction angle from the covariance of the air, in tables that rows interpolate.
+
+In the plane R = tan(zeta) (mean of N over the way - N_c) (Gyer 1996, Eq. 24), so that with the
+state x of the profile, its covariance C and the gradients a = dN/dx
+
+    sigma_R = tan(zeta) sqrt(v^T C v),   v = mean of a over the way - a_c.
+
+That is tabulated finely, because sigma of N_c has the structure of the profile's knots; what the
+sphere adds follows from traced rays (`sensitivity`) and is a smooth factor.
+
+Behind a plane window N_c also turns the ray there, by tan(theta) (dN_cc - dN_c) away from the
+window's normal, theta the ray's angle to it (Gyer 1996, Eq. 36). Where the normal is vertical N_c
+cancels, and what is left is tan(zeta) times
+
+    x = mean of a over the way - a_cc,
+
+a_cc = dN_cc/dx the response of the air in the cabin. Elsewhere y = a_c - a_cc remains by as much as
+the normal leans; the tables hold sigma of x, how x and y go together, and sigma of y. The sphere
+changes x by less than 1 % up to 80 degrees and by 4 % at 85, and is left out there.
+
+Of the leading mode of C (`leading_mode`) they hold v and y themselves, with their signs; the sphere
+adds to v, and a ray turns by R's part and that of y at the window.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unbend.atmosphere.covariance import ProfileCovariance, air_jacobian, log_pressure_jacobian
+from unbend.atmosphere.profile import Profile
+from unbend.atmosphere.standard import standard_atmosphere
+from unbend.refraction.kernels.columns import AirTables
+from unbend.refraction.ray_table import cut
+from unbend.refraction.uncertainty.sensitivity import sensitivity
+from unbend.refraction.window import SCHEDULE_PRESSURE_PA, SCHEDULE_TEMPERATURE_K
+from unbend.units import Array, Integers, Rows
+
+OPEN, SEALED, SCHEDULED = range(3)
+"""Kinds of windows: none that bends; a plane window with air behind it that does not
+depend on that outside; one with Gyer's schedule where the cabin is as thin as the air outside."""
+
+# Heights at which gradients are kept, linear between them: 4e-4 of R over a way of 10 m.
+_STEP_M = 12.5
+# A layer's share between nodes of camera height: sigma of N_c sags by some 15 % between knots that
+# hardly correlate, and a straight line over an eighth errs by 0.3 %.
+_PARTS_OF_A_LAYER = 8
+_FINEST_M, _WIDEST_M = 4.0, 50.0
+_AT_MOST_CAMERA_NODES = 600
+
+# Ways are even in their root [m^0.5]: 4 m apart at 50 m, 46 m at 6 km.
+_WAY_STEP = 0.3
+_COARSE_STEP = 10.0
+_SHORTEST_M = 1.0  # the limit of a short way; nearer there is no refraction to speak of
+_INCIDENCE_STEP = 0.2  # of 1 / sqrt(cos z) at the ground
+_STEEPEST = 0.05  # a tangent where the plane and the sphere are one
+LEVEL_COSINE = 0.03
+"""Cosine of the ray's nadir angle at the ground below which no sigma is given: 1.7 degrees."""
+
+_MOST_RAYS = 1500  # traced for the factors: 0.2 s
+
+_REFRACTIVITY_STEP_M = 5.0
+_NOTHING = 1e-30  # in the place of a sigma of zero, by which nothing can be divided
+
+
+def air_sigma(
+    profile: Profile,
+    covariance: ProfileCovariance | None,
+    camera_heights_m: tuple[float, float],
+    ground_heights_m: tuple[float, float],
+    *,
+    largest_zeta_rad: float,
+    radius: float,
+    window_kinds: Sequence[int] = (),
+    mode: AirMode | None = None,
+) -> tuple[Array, AirTables]:
+    """Tabulate sigma of R, and what the leading mode does, for the cameras and ground of a block.
+
+    ``covariance`` is None where it is not known, ``mode`` its leading mode. Heights are the lowest
+    and the highest above sea level [m], ``window_kinds`` those of `SEALED` and `SCHEDULED` that are
+    there, ``radius`` that of the sphere [m]. Nothing is seen beyond the nadir angle
+    ``largest_zeta_rad``; beyond 1.7 degrees above level at the ground the tables end anyway.
+
+    Returns the heights of cameras (c,) [m above sea level] that are tabulated, and the tables.
+
+    Against `sensitivity` with the same covariance, cameras within 150 m: 1 % of sigma_R up to 75
+    degrees, 2 % at 80, 3 % at 85, on ways of 100 m and more; 8 % at 85 degrees and 6 km where the
+    ground may lie anywhere. dR/dzeta to 1 %.
+    """
+    root = None if covariance is None else CovarianceRoot.of(covariance)
+    if root is not None:  # the first column is the mode
+        first = np.zeros(len(root.matrix)) if mode is None else mode.state
+        root = replace(root, matrix=np.column_stack([first, root.matrix]))
+    low, high = camera_heights_m
+    top = min(ground_heights_m[1], high)
+    bottom = min(max(ground_heights_m[0], profile.bottom_m), low - _SHORTEST_M)
+    # Each layer in eighths, because its edges are knots of sigma.
+    breaks = profile.break_heights_m
+    inside = breaks[(breaks > low) & (breaks < high)]
+    edges = np.concatenate([[low], inside, [max(high, low + _FINEST_M)]])
+    layer = np.diff(breaks)[np.clip(np.searchsorted(breaks, edges[:-1], side="right") - 1, 0, None)]
+    finest = max(_FINEST_M, float(edges[-1] - edges[0]) / _AT_MOST_CAMERA_NODES)
+    camera = cut(edges, np.clip(layer / _PARTS_OF_A_LAYER, finest, max(_WIDEST_M, finest)))
+    first, last = np.sqrt(max(low - top, _SHORTEST_M)), np.sqrt(high - bottom)
+    ways = first + _WAY_STEP * np.arange(2 + max(0, int(np.ceil((last - first) / _WAY_STEP - 1))))
+    plane = _in_the_plane(profile, root, camera, ways**2, window_kinds)
+    coarse = first + _COARSE_STEP * np.arange(2 + int((ways[-1] - first) / _COARSE_STEP))
+    # Cosine of the largest nadir angle at the lowest ground in sight.
+    sine = np.sin(min(largest_zeta_rad, 0.5 * np.pi)) * (radius + high) / (radius + bottom)
+    least = max(LEVEL_COSINE, float(np.sqrt(max(0.0, 1.0 - sine * sine))))
+    factors = _on_the_sphere(
+        profile, root, (low, high), coarse**2, least_cosine=least, radius=radius
+    )
+    heights = np.arange(bottom, high + _REFRACTIVITY_STEP_M, _REFRACTIVITY_STEP_M)
+    heights = np.minimum(heights, profile.top_m)
+    return camera, AirTables(
+        way_first=float(first),
+        way_step=_WAY_STEP,
+        coarse_step=_COARSE_STEP,
+        incidence_step=_INCIDENCE_STEP,
+        factors=factors,
+        ground_m=bottom,
+        spacing_m=_REFRACTIVITY_STEP_M,
+        refractivity=profile.refractivity(heights),
+        mode_sigma=np.nan if mode is None else mode.sigma,
+        **plane,
+    )
+
+
+def cabin_response(profile: Profile, h: Array, kind: int) -> Array:
+    """(n,) change of N in the cabin with ln p outside, at heights of cameras (n,) [m].
+
+    Zero but for `SCHEDULED`, where the pressure in the cabin is that outside and its temperature
+    21.1 degC; central differences, good to 1e-6 of it.
+    """
+    if kind != SCHEDULED:
+        return np.zeros(h.shape)
+    p, step = profile.pressure(h), 1e-3
+
+    def n(factor: float) -> Array:
+        return profile.index.refractivity(SCHEDULE_TEMPERATURE_K, factor * p, 0.0)
+
+    return np.asarray((n(1.0 + step) - n(1.0 - step)) / (2.0 * step))
+
+
+def window_kind_of(pressure_pa: Array, *, scheduled: bool) -> Integers:
+    """(n,) the kind from behind a plane window at cameras in outside air of ``pressure_pa``."""
+    with np.errstate(invalid="ignore"):
+        thin = scheduled & (pressure_pa > SCHEDULE_PRESSURE_PA)
+    return np.where(thin, SCHEDULED, SEALED)
+
+
+@dataclass(frozen=True, eq=False)
+class AirMode:
+    """The leading mode of the air's covariance: one parameter s of an adjustment.
+
+    ``state`` (2k + 1,) is what one sigma of s adds to the quantities of `ProfileCovariance.matrix`.
+    The unit of s, and of ``sigma``, is the refraction: s = 0.01 turns rays by 1 % of it, on the
+    average. ``variance_share`` is that of the variance that the air gives the rays it is found of.
+    """
+
+    state: Array
+    sigma: float
+    variance_share: float
+
+
+@dataclass(frozen=True, eq=False)
+class CovarianceRoot:
+    """A covariance as ``matrix`` L, L L^T = C, and the ``anchor_m`` [m] its pressure refers to."""
+
+    matrix: Array
+    anchor_m: float
+
+    @classmethod
+    def of(cls, covariance: ProfileCovariance) -> CovarianceRoot:
+        """By eigenvalues; those that rounding left below zero are zero."""
+        scale = np.sqrt(np.maximum(np.diag(covariance.matrix), 0.0))
+        safe = np.where(scale > 0.0, scale, 1.0)
+        value, vector = np.linalg.eigh(covariance.matrix / np.outer(safe, safe))
+        kept = value > 1e-12 * value[-1]
+        matrix = scale[:, None] * vector[:, kept] * np.sqrt(value[kept])
+        return cls(np.asarray(matrix), covariance.anchor_height_m)
+
+
+def window_errors(profile: Profile, root: CovarianceRoot, h: Array, kind: int) -> Array:
+    """(n, r) rows whose products are the covariances of y at cameras of heights ``h`` (n,) [m]."""
+    air = air_jacobian(profile, h, root.anchor_m)
+    outside = (air / (1.0 + profile.refractivity(h))[:, None]) @ root.matrix
+    return np.asarray(outside - _cabin_errors(profile, root, h, kind))
+
+
+def _cabin_errors(profile: Profile, root: CovarianceRoot, h: Array, kind: int) -> Array:
+    """(n, r) what the errors of the air do to the cabin's N."""
+    response = cabin_response(profile, h, kind)[:, None]
+    by_t = log_pressure_jacobian(profile, h, root.anchor_m)
+    edges = by_t.shape[1]
+    return np.asarray(response * (by_t @ root.matrix[:edges] + root.matrix[edges]))
+
+
+def _in_the_plane(
+    profile: Profile, root: CovarianceRoot | None, camera: Array, way: Array, kinds: Sequence[int]
+) -> dict[str, Array]:
+    """The tables for ways (w,) [m]; the first column of ``root`` is the leading mode."""
+    lowest, columns_at = columns_of_air(profile, root, camera[0] - way[-1], camera[-1])
+    shape = (camera.size, way.size)
+    sigma, angle, mode = np.full(shape, np.nan), np.empty(shape), np.full(shape, np.nan)
+    behind = np.full((len(kinds), 2, *shape), np.nan)
+    lean, mode_lean = np.full((2, len(kinds), camera.size), np.nan)
+    at_camera, above = columns_at(camera)
+    cabins = [_cabin_errors(profile, root, camera, v) for v in kinds] if root else []
+    for row, height in enumerate(camera):
+        reach = np.maximum(np.minimum(way, height - lowest), _SHORTEST_M)[:, None]
+        mean = (above[row] - columns_at(height - reach[:, 0])[1]) / reach
+        angle[row] = (mean[:, 0] - at_camera[row, 0]) / reach[:, 0]
+        if root is None:
+            continue
+        own = at_camera[row, 1:]
+        by_air = (mean[:, 1:] - own) / reach
+        mode[row], sigma[row] = by_air[:, 0], _lengths(by_air[:, 1:])
+        for k, cabin in enumerate(cabins):
+            x, y = mean[:, 2:] - cabin[row, 1:], (own - cabin[row])[1:]
+            mode_lean[k, row] = own[0] - cabin[row, 0]
+            lean[k, row] = np.linalg.norm(y)
+            behind[k, 0, row] = _lengths(x)
+            behind[k, 1, row] = x @ y / max(lean[k, row], _NOTHING)
+    return {"sigma": sigma, "angle": angle, "behind": behind, "lean": lean, "mode": mode,
+            "mode_lean": mode_lean}  # fmt: skip
+
+
+def _lengths(rows: Array) -> Array:
+    return np.asarray(np.sqrt(np.einsum("ij,ij->i", rows, rows)))
+
+
+def columns_of_air(
+    profile: Profile, root: CovarianceRoot | None, low: float, high: float
+) -> tuple[float, Callable[[Array], tuple[Array, Array]]]:
+    """The lowest height, and N and its errors (n, 1 + r) at heights (n,), linear between those
+    kept, with their integrals from the lowest."""
+    lowest = max(low, profile.bottom_m)
+    breaks = profile.break_heights_m
+    even = np.arange(lowest, high + _STEP_M, _STEP_M)
+    h = np.unique(np.concatenate([even, breaks[(breaks > lowest) & (breaks < even[-1])]]))
+    h = h[h <= profile.top_m]
+    value = profile.refractivity(h)[:, None]
+    if root is not None:
+        value = np.column_stack([value, air_jacobian(profile, h, root.anchor_m) @ root.matrix])
+    thickness = np.diff(h)[:, None]
+    slope = np.diff(value, axis=0) / thickness
+    steps = 0.5 * thickness * (value[1:] + value[:-1])
+    integral = np.concatenate([np.zeros((1, value.shape[1])), np.cumsum(steps, axis=0)])
+
+    def at(height: Array) -> tuple[Array, Array]:
+        i = np.clip(np.searchsorted(h, height, side="right") - 1, 0, h.size - 2)
+        rise = np.clip(height - h[i], 0.0, None)[:, None]
+        return value[i] + slope[i] * rise, integral[i] + rise * (value[i] + 0.5 * rise * slope[i])
+
+    return float(h[0]), at
+
+
+def _on_the_sphere(
+    profile: Profile,
+    root: CovarianceRoot | None,
+    camera_heights_m: tuple[float, float],
+    way: Array,
+    *,
+    least_cosine: float,
+    radius: float,
+) -> Array:
+    """(f, j, k, 3) factors that take sigma_R / tan(zeta) and dR/dzeta cos^2(zeta) to the sphere,
+    and what it adds to the mode's R / (tan(zeta) way).
+
+    That of dR/dzeta is geometry: it is taken from US 1976, whose R is nowhere zero; at 80 degrees
+    it is 1.02 and at 85 degrees 1.09 in any air, within 0.01 (3 km).
+    """
+    low, high = camera_heights_m
+    count = 2 + int((least_cosine**-0.5 - 1.0) / _INCIDENCE_STEP)
+    cosine = (1.0 + _INCIDENCE_STEP * np.arange(count)) ** -2.0
+    cameras = int(np.clip(_MOST_RAYS // (count * way.size), 2, 2 + (high - low) / _WIDEST_M * 5))
+    h_c = np.linspace(low, high, cameras)[:, None, None]
+    lowest = max(profile.bottom_m, -5000.0)
+    h_g = np.maximum(h_c - np.maximum(way, _SHORTEST_M)[None, :, None], lowest)
+    h_g = np.minimum(h_g, h_c - _SHORTEST_M)
+    sine = np.sqrt(1.0 - cosine * cosine) * (radius + h_g) / (radius + h_c)
+    zeta = np.arcsin(np.minimum(sine, 1.0))
+    zeta[..., 0] = np.arctan(_STEEPEST)
+    usual = sensitivity(standard_atmosphere("us1976"), h_c, h_g, zeta, radius)
+    slope = usual.d_zeta_c * np.cos(zeta) ** 2
+    slope /= slope[..., :1]
+    if root is None:
+        unknown = np.full(slope.shape, np.nan)
+        return np.stack([unknown, slope, unknown], axis=-1)
+    traced = sensitivity(profile, h_c, h_g, zeta, radius, anchor_height_m=root.anchor_m)
+    by_air = (traced.gradient @ root.matrix) / np.tan(zeta)[..., None]
+    sigma, mode = np.linalg.norm(by_air[..., 1:], axis=-1), by_air[..., 0] / (h_c - h_g)
+    return np.stack([sigma / sigma[..., :1], slope, mode - mode[..., :1]], axis=-1)
+
+
+Single = NDArray[np.float32]
+
+PARTIALS = ("dx_ds_px", "dy_ds_px", "dx_dncc_px", "dy_dncc_px")
+"""The columns of `Sigmas` that are derivatives."""
+
+
+@dataclass(frozen=True, eq=False)
+class Uncertainty:
+    """All that turns corrections into standard deviations; made by `uncertainty_of`.
+
+    ``tables`` of sigma_R; ``stations`` (s, 19) columns `N` to `CABIN` of
+    `unbend.refraction.kernels.columns`; ``mode`` the leading mode of the air's covariance, None
+    where that is not known.
+    """
+
+    tables: AirTables
+    stations: Array
+    mode: AirMode | None = None
+
+    def with_scale(self, sigma: float) -> Uncertainty:
+        """The same with another unit of the mode's parameter, in which its sigma is this."""
+        if self.mode is None:
+            return self
+        tables = self.tables._replace(mode_sigma=sigma)
+        return replace(self, tables=tables, mode=replace(self.mode, sigma=sigma))
+
+
+class Sigmas(NamedTuple):
+    """Standard deviations of corrections, and derivatives; (n,) arrays, NaN where unknown.
+
+    ``r_c_rad`` and ``air_*`` are common to the block: they must not be added to the weights of
+    observations. ``station_*`` are common to an image, ``ground_*`` to a point, ``r_cc_rad`` and
+    ``cabin_*`` (by the air behind the window) to a camera. dx and dy of one kind are fully
+    correlated but for ``station_*`` and ``cabin_*``. The derivatives are those of the corrected (or
+    displaced) pixels: ``dx_ds_px``, ``dy_ds_px`` by the parameter s of the air's leading mode,
+    ``dx_dncc_px``, ``dy_dncc_px`` by the refractivity behind a plane window, NaN without one.
+    """
+
+    r_c_rad: Array
+    air_dx_px: Single
+    air_dy_px: Single
+    station_dx_px: Single
+    station_dy_px: Single
+    ground_dx_px: Single
+    ground_dy_px: Single
+    r_cc_rad: Single
+    cabin_dx_px: Single
+    cabin_dy_px: Single
+    dx_ds_px: Single
+    dy_ds_px: Single
+    dx_dncc_px: Single
+    dy_dncc_px: Single
+
+    @classmethod
+    def room(cls, n: int) -> Sigmas:
+        """For n observations, to be filled."""
+        return cls(np.empty(n), *np.empty((len(cls._fields) - 1, n), np.float32))
+
+    @classmethod
+    def unknown(cls, n: int) -> Sigmas:
+        """Of n observations of which nothing is known."""
+        return cls(np.full(n, np.nan), *np.full((len(cls._fields) - 1, n), np.nan, np.float32))
+
+    def named(self) -> dict[str, Any]:
+        """The arrays by the names of columns of tables."""
+        return {n if n in PARTIALS else f"sigma_{n}": v for n, v in self._asdict().items()}
+
+    def rows(self, which: Rows | slice) -> Sigmas:
+        """Some of the rows; those of a slice can be filled."""
+        return Sigmas._make(values[which] for values in self)
+
+    def put(self, rows: Rows, part: Sigmas) -> None:
+        """Fill some rows in."""
+        for name, values in self._asdict().items():
+            values[rows] = getattr(part, name)

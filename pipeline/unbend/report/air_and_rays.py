@@ -1,0 +1,134 @@
+"""The air and refraction angles as text: profiles, one angle, radial tables, tables of papers."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.padding import Padding
+from rich.table import Column, Table
+
+from unbend.atmosphere.estimate.sensors import FAULT_TEXTS
+from unbend.refraction.angle import RadialTable
+from unbend.refraction.effect import FlightAir
+from unbend.refraction.status_codes import STATUS_NAMES
+from unbend.report import summary
+from unbend.report.console import (
+    Columns,
+    cells_of,
+    columns_of,
+    plain_table,
+    print_indented,
+    shown,
+)
+from unbend.report.words import significant, with_sigma
+from unbend.tables.exports.correction_tables import radial_columns
+from unbend.units import MICRORADIAN
+
+
+def print_angle(console: Console, angle: Mapping[str, Any]) -> None:
+    arcsec, urad, ground = (
+        significant(angle[name], 5, smallest=1e-6)
+        for name in ("r_c_arcsec", "r_c_urad", "ground_m")
+    )
+    texts = summary.report_texts()["angle"]
+    on_ground = texts["over"] if angle["ground_m"] is None else f"{ground} m on the ground"
+    lines = [f"{urad} microradians", on_ground]
+    if angle["status"] in texts:
+        lines.append(f"{angle['status']}: {texts[angle['status']]}")
+    console.print(f"R_c    {arcsec} arcsec", highlight=False)
+    for line in lines:
+        console.print(Padding(line, (0, 0, 0, 7), expand=False))
+    console.print(
+        f"[dim]{angle['atmosphere']}, index {angle['index']}, {angle['method']}, radius "
+        f"{angle['radius_m']:.0f} m[/dim]",
+        highlight=False,
+    )
+
+
+def print_paper(console: Console, rows: Sequence[Mapping[str, Any]], notes: Sequence[str]) -> None:
+    """The tables of a paper: values as printed, as published, and exact."""
+    keys = ("table", "quantity", "unit")
+    columns = columns_of("paper")
+    for key in dict.fromkeys(tuple(row[name] for name in keys) for row in rows):
+        title = shown(f"Table {key[0]}: {key[1]} [{key[2]}]")
+        table = Table(*_at_right(columns), box=None, title=title, title_justify="left")
+        for row in rows:
+            if tuple(row[name] for name in keys) == key:
+                cells = cells_of(row, columns)
+                table.add_row(*(cell.rstrip("0").rstrip(".") for cell in cells))
+        console.print(table)
+    for note in notes:
+        print_indented(console, shown(note))
+
+
+def _at_right(columns: Columns) -> list[Column]:
+    return [Column(shown(head), justify="right") for head, *_ in columns]
+
+
+def print_profile(console: Console, rows: Sequence[Mapping[str, Any]], standard: str) -> None:
+    columns = columns_of("profile")
+    table = plain_table((*(head for head, *_ in columns), "source\n"), gap=1)
+    table.columns[0].justify, table.columns[-1].justify = "right", "left"
+    for row in rows:
+        cells = [
+            f"[dim]{text}[/dim]" if name.startswith("standard") else text
+            for (_, name, *_), text in zip(columns, cells_of(row, columns), strict=True)
+        ]
+        table.add_row(*cells, row["source"])
+    console.print(table)
+    console.print(f"N is (n-1)e6; std is {shown(standard)} at the same height", highlight=False)
+
+
+def print_air(console: Console, air: FlightAir) -> None:
+    """The effect of the air of a flight on R, its sources and the estimated sensor errors."""
+    adjustment = air.adjustment
+    rows = [effect.row() for effect in air.effects]
+    profiles = [f"{len(air.series.timed_profiles)} profiles follow the air"] if air.windows else []
+    for line in (
+        *summary.effect_lines(rows, adjustment.standard.name),
+        *(use.sentence() for use in adjustment.sources),
+        *(
+            f"{FAULT_TEXTS[f.fault]}: {with_sigma(f.value, f.sigma)}"
+            for f in (fault.in_units() for fault in adjustment.faults)
+        ),
+        *profiles,
+    ):
+        print_indented(console, shown(line))
+
+
+def radial_rows(tables: Sequence[RadialTable]) -> list[dict[str, Any]]:
+    """The rows of several radial tables, None where there is no value."""
+    rows = []
+    for table in tables:
+        columns = {name: np.asarray(v).tolist() for name, v in radial_columns(table).items()}
+        for values in zip(*columns.values(), strict=True):
+            row = zip(columns, values, strict=True)
+            rows.append({name: None if value != value else value for name, value in row})
+    return rows
+
+
+def print_radial(console: Console, tables: Sequence[RadialTable]) -> None:
+    for table in tables:
+        manual = (
+            "where the Manual's formula has no value"
+            if math.isnan(table.k_manual_rad)
+            else f"the Manual's formula {table.k_manual_rad / MICRORADIAN:.2f}"
+        )
+        console.print(
+            f"[bold]camera {table.h_c_m:g} m, ground {table.h_g_m:g} m[/bold]: R at 45 deg "
+            f"{table.k_rad / MICRORADIAN:.2f} urad, {manual}"
+        )
+        with_image = bool(np.isfinite(table.radius_px).any())
+        columns = columns_of("radial")[: None if with_image else 4]
+        printed = Table(*_at_right(columns), box=None)
+        for row in radial_rows([table]):
+            cells = cells_of(row, columns)
+            if not cells[1] and row["status"] != STATUS_NAMES[0]:
+                cells[1] = row["status"]
+            printed.add_row(*cells)
+        console.print(Padding(printed, (0, 0, 1, 0)))
+    if any(bool(np.isnan(t.shift_ground_m[np.isfinite(t.r_c_rad)]).any()) for t in tables):
+        over = summary.report_texts()["angle"]["over"]
+        console.print(f"{over[:1].upper()}{over[1:]}.")

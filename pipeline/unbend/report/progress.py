@@ -1,0 +1,113 @@
+"""Progress of a command in a terminal: nothing for half a second, then a bar."""
+
+from __future__ import annotations
+
+import sys
+import threading
+from typing import TYPE_CHECKING, Any
+
+from unbend.interrupts import held_back
+from unbend.report.words import visible
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+DELAY_S = 0.5
+"""After it the bar appears, so that none is silent for two on an overloaded machine either."""
+
+
+class Progress:
+    """What a stage reports while it runs; here it is discarded."""
+
+    def start(self, step: str, total: int | None = None) -> None:
+        """Begin a step of ``total`` units, None if that is not known."""
+
+    def advance(self, count: int) -> None:
+        """Add ``count`` finished units to the step."""
+
+
+class CompilingNote:
+    """Text that says whether kernels are being compiled, without importing them."""
+
+    def __str__(self) -> str:
+        jit = sys.modules.get("unbend.refraction.kernels.jit")
+        return " (compiling, once)" if jit and jit.COMPILING else ""
+
+
+class DelayedProgressBar(Progress):
+    """A bar that appears after half a second of work, erased at the end; None: no terminal."""
+
+    def __init__(self, console: Console | None, title: str) -> None:
+        self._console, self._title = console, visible(title)
+        self._text, self._completed = self._title, 0
+        self._total: int | None = None
+        self._bar: Any = None
+        self._task: Any = None
+        self._timer = threading.Timer(DELAY_S, self._show)
+        self._timer.daemon = True
+        self._lock = threading.Lock()
+        self._ended = False
+
+    def __enter__(self) -> DelayedProgressBar:
+        if self._console is not None and self._console.is_terminal:
+            with held_back():
+                self._timer.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        with held_back(), self._lock:
+            self._timer.cancel()
+            self._ended = True
+            if self._bar is not None:
+                self._bar.stop()
+
+    def _show(self) -> None:
+        # Here, in the timer's thread: most commands end before it is imported.
+        from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeRemainingColumn
+        from rich.progress import Progress as Bar
+
+        # A timer that runs out while the work ends can no longer be cancelled.
+        with self._lock:
+            if self._ended or self._console is None:
+                return
+            ends = TaskProgressColumn(), TimeRemainingColumn(compact=True)
+            text = TextColumn("{task.description}{task.fields[note]}", markup=False)
+            self._bar = Bar(
+                text, BarColumn(bar_width=24), *ends, console=self._console, transient=True,
+                redirect_stdout=False, redirect_stderr=sys.stderr.isatty(),
+                disable=self._console.is_dumb_terminal,
+            )  # fmt: skip
+            self._begin_task()
+            self._bar.start()
+
+    def _begin_task(self) -> None:
+        """Show the step as a new task, since rich cannot take the total from one that has it."""
+        if self._task is not None:
+            self._bar.remove_task(self._task)
+        self._task = self._bar.add_task(
+            self._text, total=self._total, completed=self._completed, note=CompilingNote()
+        )
+        if self._bar.disable and self._console is not None:
+            self._console.print(f"{self._text} ...", markup=False, highlight=False)
+
+    def start(self, step: str, total: int | None = None) -> None:
+        with self._lock:
+            self._text, self._completed, self._total = f"{self._title}: {step}", 0, total
+            if self._bar is not None:
+                self._begin_task()
+
+    def advance(self, count: int) -> None:
+        with self._lock:
+            self._completed += count
+            if self._bar is not None:
+                self._bar.advance(self._task, count)
+
+    def update(self, step: str, completed: int, total: int) -> None:
+        """Set step, finished units and their total (0 if that is not known)."""
+        with self._lock:
+            self._text, self._completed = f"{self._title}: {step}", completed
+            self._total = total or None
+            if self._bar is not None:
+                self._bar.update(
+                    self._task, description=self._text, completed=completed, total=self._total
+                )

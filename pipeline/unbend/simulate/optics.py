@@ -1,0 +1,248 @@
+"""Light on its way to the simulated cameras: curved rays, window, lens, pixels.
+
+Rays follow the eikonal equation d/ds (n dr/ds) = grad n (Born and Wolf, Principles of Optics, 7th
+ed., 3.2 Eq. 2), with n a function of the height above the ellipsoid and its gradient along the
+ellipsoid normal. Positions are differences from the station, in axes parallel to ECEF: nothing
+large is subtracted.
+
+Camera axes: x right, y down, z forward. Pixels: the centre of the upper left pixel is (0.5, 0.5).
+"""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from unbend.errors import PhysicsError
+from unbend.units import WGS84_A, WGS84_F, Array, Mask
+
+_E2 = WGS84_F * (2.0 - WGS84_F)
+_B = WGS84_A * (1.0 - WGS84_F)
+_EP2 = _E2 / (1.0 - _E2)
+
+# A camera at rest in the mount looks down, image top towards the nose (body: forward, right, down).
+CAMERA_FROM_BODY = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+NED_FROM_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+
+
+class Medium(Protocol):
+    """Anything with an index and its slope over height above sea level [m]."""
+
+    def n(self, h_m: Array) -> Array: ...
+
+    def dn_dh(self, h_m: Array) -> Array: ...
+
+
+def to_ecef(lat_rad: Array, lon_rad: Array, h_ellipsoid_m: Array) -> Array:
+    """Earth-centred coordinates (..., 3) [m] of WGS84 latitude, longitude [rad], height [m]."""
+    normal = WGS84_A / np.sqrt(1.0 - _E2 * np.sin(lat_rad) ** 2)
+    across = (normal + h_ellipsoid_m) * np.cos(lat_rad)
+    z = (normal * (1.0 - _E2) + h_ellipsoid_m) * np.sin(lat_rad)
+    return np.stack([across * np.cos(lon_rad), across * np.sin(lon_rad), z], axis=-1)
+
+
+def height_and_up(ecef_m: Array) -> tuple[Array, Array]:
+    """Ellipsoidal height (...) [m] and unit normal (..., 3) of points (..., 3) [m].
+
+    Bowring (1976) with one repetition: 1e-15 rad in latitude below 30 km, 2e-9 m in height.
+    """
+    x, y, z = ecef_m[..., 0], ecef_m[..., 1], ecef_m[..., 2]
+    p = np.hypot(x, y)
+    tan_beta = z * WGS84_A / (p * _B)
+    for _ in range(2):
+        cos_beta = 1.0 / np.sqrt(1.0 + tan_beta**2)
+        sin_beta = tan_beta * cos_beta
+        tan_lat = (z + _EP2 * _B * sin_beta**3) / (p - _E2 * WGS84_A * cos_beta**3)
+        tan_beta = (1.0 - WGS84_F) * tan_lat
+    cos_lat = 1.0 / np.sqrt(1.0 + tan_lat**2)
+    sin_lat = tan_lat * cos_lat
+    height = p * cos_lat + z * sin_lat - WGS84_A * np.sqrt(1.0 - _E2 * sin_lat**2)
+    return height, np.stack([cos_lat * x / p, cos_lat * y / p, sin_lat], axis=-1)
+
+
+def enu_axes(lat_rad: Array, lon_rad: Array) -> Array:
+    """Rows east, north, up (..., 3, 3) of the local frame: v_enu = axes @ v_ecef."""
+    slat, clat, slon, clon = np.sin(lat_rad), np.cos(lat_rad), np.sin(lon_rad), np.cos(lon_rad)
+    east = np.stack([-slon, clon, np.zeros_like(slon)], axis=-1)
+    north = np.stack([-slat * clon, -slat * slon, clat], axis=-1)
+    return np.stack([east, north, np.stack([clat * clon, clat * slon, slat], axis=-1)], axis=-2)
+
+
+def unit(vectors: Array) -> Array:
+    """Vectors (..., 3) scaled to length one."""
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
+
+
+def ray_ends(
+    air: Medium, start_m: Array, direction: Array, length_m: Array, undulation_m: float
+) -> Array:
+    """Where rays end, relative to their start: (n, 3) [m] in ECEF axes.
+
+    start_m (n, 3) ECEF [m], direction (n, 3) unit vectors, length_m (n,) arc length [m]. All rays
+    are one system over the scaled arc sigma = s / length; DOP853, rtol 1e-12, about 1e-11 rad.
+    """
+    count = start_m.shape[0]
+    n_start = air.n(height_and_up(start_m)[0] - undulation_m)
+
+    def slope(_: float, state: Array) -> Array:
+        offset, ray = state.reshape(2, count, 3)
+        height, up = height_and_up(start_m + offset)
+        msl = height - undulation_m
+        dr = ray * (length_m / air.n(msl))[:, None]
+        dv = up * (air.dn_dh(msl) * length_m)[:, None]
+        return np.concatenate([dr.ravel(), dv.ravel()])
+
+    first = np.concatenate([np.zeros(3 * count), (direction * n_start[:, None]).ravel()])
+    floor = np.repeat([1e-9, 1e-15], 3 * count)
+    solution = solve_ivp(slope, (0.0, 1.0), first, "DOP853", [1.0], rtol=1e-12, atol=floor)
+    if not solution.success:
+        raise PhysicsError("SIM-ODE", f"the rays did not integrate: {solution.message}")
+    return np.asarray(solution.y[: 3 * count, -1].reshape(count, 3))
+
+
+@dataclass(frozen=True, eq=False)
+class TracedRays:
+    """Apparent and straight unit directions (n, 3), ECEF axes, and R_c (n,) [rad]."""
+
+    apparent: Array
+    straight: Array
+    r_c_rad: Array
+    miss_m: Array
+
+
+def shoot(air: Medium, camera_m: Array, ground_m: Array, undulation_m: float) -> TracedRays:
+    """The direction in which each camera sees its ground point, by shooting.
+
+    camera_m, ground_m (n, 3) ECEF [m]. The bending is 1e-5 of the ray, so each repetition of the
+    fixed point (aim beside the target by the last miss) gains five digits; it stops below 1e-9 m.
+    """
+    chord = ground_m - camera_m
+    aim = chord.copy()
+    miss = np.full(len(chord), np.inf)
+    for _ in range(6):
+        length = np.linalg.norm(aim, axis=-1)
+        error = chord - ray_ends(air, camera_m, unit(aim), length, undulation_m)
+        miss = np.linalg.norm(error, axis=-1)
+        if float(miss.max(initial=0.0)) < 1e-8:
+            break
+        aim = aim + error
+    apparent, straight = unit(aim), unit(chord)
+    cross = np.linalg.norm(np.cross(apparent, straight), axis=-1)
+    angle = np.arctan2(cross, np.sum(apparent * straight, axis=-1))
+    up = height_and_up(camera_m)[1]
+    lifted = np.sum((apparent - straight) * up, axis=-1) >= 0.0
+    return TracedRays(apparent, straight, np.where(lifted, angle, -angle), miss)
+
+
+@dataclass(frozen=True)
+class SimulatedCamera:
+    """A pinhole with Brown-Conrady distortion (OpenCV's order k1, k2, p1, p2, k3) in a mount.
+
+    The mount rotation Rz(yaw) Ry(pitch) Rx(roll) turns the camera from rest, in body axes;
+    the lever arm runs from the GNSS reference point to the camera, body forward, right, down.
+    """
+
+    name: str
+    instance: int
+    focal_px: float
+    cx_px: float
+    cy_px: float
+    distortion: tuple[float, float, float, float, float]
+    roll_deg: float
+    lever_arm_m: tuple[float, float, float]
+    width_px: int = 14_000
+    height_px: int = 10_600
+    pitch_deg: float = 0.0
+    yaw_deg: float = 0.0
+
+    def from_body(self) -> Array:
+        """Rotation (3, 3): v_camera = R v_body."""
+        mount = body_rotation(*np.radians([self.roll_deg, self.pitch_deg, self.yaw_deg]))
+        return np.asarray(CAMERA_FROM_BODY @ mount.T)
+
+    def project(self, rays: Array) -> tuple[Array, Array]:
+        """Pixels x, y (n,) of rays (n, 3) in camera axes with z > 0.
+
+        Brown (1971); OpenCV, Camera Calibration and 3D Reconstruction.
+        """
+        k1, k2, p1, p2, k3 = self.distortion
+        x, y = rays[..., 0] / rays[..., 2], rays[..., 1] / rays[..., 2]
+        r2 = x * x + y * y
+        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        xd = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
+        yd = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
+        return self.focal_px * xd + self.cx_px, self.focal_px * yd + self.cy_px
+
+    def sees(self, rays: Array, margin_px: float = 80.0) -> Mask:
+        """Which rays (n, 3) fall on the sensor, a margin inside its edge."""
+        # The distortion polynomial folds far rays back onto the sensor: first without the lens.
+        reach = 0.6 * np.array([self.width_px, self.height_px]) / self.focal_px
+        near = np.all(np.abs(rays[..., :2]) < reach * rays[..., 2:], axis=-1)
+        ahead = near & (rays[..., 2] > 0.0)
+        safe = np.where(ahead[..., None], rays, [0.0, 0.0, 1.0])
+        x, y = self.project(safe)
+        inside_x = np.abs(x - 0.5 * self.width_px) < 0.5 * self.width_px - margin_px
+        inside_y = np.abs(y - 0.5 * self.height_px) < 0.5 * self.height_px - margin_px
+        return np.asarray(ahead & inside_x & inside_y)
+
+
+def cameras(focal_px: float) -> tuple[SimulatedCamera, SimulatedCamera]:
+    """The nadir camera and the one turned 45 deg to the right."""
+    lens, arm = (-0.018, 0.009, 1.5e-4, -1.0e-4, -0.002), (0.35, 0.10, 0.60)
+    nadir = SimulatedCamera("nadir", 0, focal_px, 7012.4, 5291.7, lens, 0.0, arm)
+    lens, arm = (-0.015, 0.007, -1.2e-4, 0.8e-4, -0.001), (0.20, 0.28, 0.55)
+    return nadir, SimulatedCamera("oblique", 1, focal_px, 6989.2, 5308.1, lens, -45.0, arm)
+
+
+def body_rotation(roll: float, pitch: float, yaw: float) -> Array:
+    """Rz(yaw) Ry(pitch) Rx(roll) (3, 3), angles [rad]: v_ned = R v_body for the aircraft.
+
+    >>> (body_rotation(-np.pi / 4, 0.0, 0.0) @ [0.0, 0.0, 1.0]).round(4).tolist()
+    [0.0, 0.7071, 0.7071]
+    """
+    cr, sr, cp, sp = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch)
+    cy, sy = np.cos(yaw), np.sin(yaw)
+    north = [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr]
+    east = [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr]
+    return np.array([north, east, [-sp, cp * sr, cp * cr]])
+
+
+def quaternion(rotation: Array) -> Array:
+    """Hamilton quaternion w, x, y, z (4,) of a rotation matrix (3, 3), w >= 0.
+
+    Shepperd (1978): divides by the largest component, so it is exact to rounding for any turn.
+    """
+    trace = float(np.trace(rotation))
+    squares = np.array([trace, *np.diag(rotation)])
+    largest = int(np.argmax(squares))
+    if largest == 0:
+        skew = rotation - rotation.T
+        q = np.array([1.0 + trace, skew[2, 1], skew[0, 2], skew[1, 0]])
+    else:
+        i = largest - 1
+        j, k = (i + 1) % 3, (i + 2) % 3
+        q = np.empty(4)
+        q[0] = rotation[k, j] - rotation[j, k]
+        q[1 + i] = 1.0 + rotation[i, i] - rotation[j, j] - rotation[k, k]
+        q[1 + j] = rotation[j, i] + rotation[i, j]
+        q[1 + k] = rotation[k, i] + rotation[i, k]
+    q = q / np.linalg.norm(q)
+    return np.asarray(-q if q[0] < 0.0 else q)
+
+
+def through_window(rays: Array, n_outside: Array, n_cabin: Array) -> tuple[Array, Array]:
+    """Inside rays (n, 3) and R_cc (n,) [rad] of outside unit rays (n, 3) in camera axes.
+
+    A plane-parallel window normal to the optical axis: n_cc sin zeta_f = n_a sin zeta_a (Gyer
+    1996, Eq. 36, 37), so the component along the window scales by n_a / n_cc. Exact.
+    R_cc = zeta_a - zeta_f, positive where the cabin air is the denser.
+    """
+    ratio = np.asarray(n_outside / n_cabin)
+    across = rays[..., :2] * ratio[..., None]
+    along = np.sqrt(1.0 - np.sum(across**2, axis=-1))
+    inside = np.concatenate([across, along[..., None]], axis=-1)
+    sin_a = np.hypot(rays[..., 0], rays[..., 1])
+    # sin(zeta_a - zeta_f), without subtracting angles that agree to five digits.
+    sin_r = sin_a * (along - ratio * rays[..., 2])
+    return inside, np.arcsin(sin_r)

@@ -1,0 +1,215 @@
+"""Heights of the observed points, batch by batch, from any source of a mission file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unbend.errors import MissionError
+from unbend.flight.heights import HIGHEST_GROUND_M, LOWEST_GROUND_M, HeightSystem
+from unbend.flight.stations import Stations
+from unbend.ledger import Ledger
+from unbend.refraction.image import Corrections
+from unbend.refraction.status_codes import NO_GROUND, OK
+from unbend.refraction.target_heights import target_heights, terrain_heights
+from unbend.tables.geodata.elevation import ElevationModel, open_elevation
+from unbend.tables.observations import Batch
+from unbend.units import Array, Integers
+
+if TYPE_CHECKING:
+    from unbend.batch.plan import Plan
+    from unbend.stages.correction import CorrectionSetup
+
+
+class GroundHeights(NamedTuple):
+    """Heights of the points of a batch above sea level [m], their sigmas, all (n,); NaN unknown.
+
+    ``status`` (codes) and ``distance_m`` (slant ranges) where a source has them; ``implausible``
+    counts heights that are of no ground on earth.
+    """
+
+    h_m: Array
+    sigma_m: Array
+    status: NDArray[np.uint8] | None = None
+    implausible: int = 0
+    distance_m: Array | None = None
+
+    def flagged(self, corrections: Corrections) -> Corrections:
+        """The corrections with this status where theirs is ok or no_ground."""
+        if self.status is None:
+            return corrections
+        of_ground = np.isin(corrections.status, (OK, NO_GROUND)) & (self.status != OK)
+        status = np.where(of_ground, self.status, corrections.status)
+        return replace(corrections, status=status.astype(np.uint8))
+
+
+class Ground(Protocol):
+    """A source of heights: one class each; `correction_setup` chooses."""
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """The lowest and the highest height above sea level that a point can have [m]."""
+
+    def heights(self, batch: Batch, station: Integers, setup: CorrectionSetup) -> GroundHeights:
+        """The heights of a batch; ``station`` (n,) as `matching_rows` returns it."""
+
+
+@dataclass(frozen=True, eq=False)
+class GivenGround:
+    """Heights that are given, a constant or a column, plus the ``offset_m`` (s,) of each station:
+    minus the undulation for ellipsoidal heights, the take-off's height for relative ones.
+
+    ``sigma_m`` is the standard deviation that all of them share, where there is one.
+    """
+
+    constant_m: float | None
+    offset_m: Array
+    sigma_m: float | None = None
+
+    def heights(
+        self, batch: Batch, station: Integers, setup: CorrectionSetup | None = None
+    ) -> GroundHeights:
+        """(n,) heights above sea level [m]; NaN where implausible."""
+        given = batch.ground
+        if given is None:
+            given = np.full(len(batch), self.constant_m, dtype=np.float64)
+        plausible = plausible_heights(given)
+        offset = np.append(self.offset_m, np.nan)[station]
+        # Without a station there is no offset; such an observation gets the status no_station.
+        h_m = plausible + np.where(station < 0, 0.0, offset)
+        lost = int(np.count_nonzero(np.isfinite(given) & np.isnan(plausible)))
+        return GroundHeights(h_m, sigmas_given(batch, self.sigma_m), implausible=lost)
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Those of the constant; of a column those of all land."""
+        if self.constant_m is None:
+            return LOWEST_GROUND_M, HIGHEST_GROUND_M
+        known = self.offset_m[np.isfinite(self.offset_m)]
+        offset = known if known.size else np.zeros(1)
+        return self.constant_m + float(offset.min()), self.constant_m + float(offset.max())
+
+
+@dataclass(frozen=True, eq=False)
+class SlantRangeGround:
+    """Heights where the slant ranges end; ``sigma_m`` as for `GivenGround`."""
+
+    sigma_m: float | None = None
+    limits: tuple[float, float] = (LOWEST_GROUND_M, HIGHEST_GROUND_M)
+
+    def heights(self, batch: Batch, station: Integers, setup: CorrectionSetup) -> GroundHeights:
+        """(n,) heights above sea level [m] of the ends of the chords; NaN without a distance."""
+        h_g = np.full(len(batch), np.nan)
+        if batch.distance_m is not None:
+            for rows, camera, profile in setup.groups(station):
+                h_g[rows] = target_heights(
+                    batch.x_px[rows], batch.y_px[rows], batch.distance_m[rows], station[rows],
+                    setup.exposures, camera=camera, table=setup.rays[profile],
+                    ideal=setup.direction == "apply",
+                )  # fmt: skip
+        return GroundHeights(plausible_heights(h_g), sigmas_given(batch, self.sigma_m))
+
+
+@dataclass(frozen=True, eq=False)
+class ComputedGround:
+    """Heights and sigmas [m] of all rows of the table, (2, rows), computed before."""
+
+    of_rows: Array
+    limits: tuple[float, float] = (LOWEST_GROUND_M, HIGHEST_GROUND_M)
+
+    def heights(self, batch: Batch, station: Integers, setup: CorrectionSetup) -> GroundHeights:
+        """(n,) heights above sea level [m], NaN where none was computed, or it is implausible."""
+        h_m, sigma_m = np.array(self.of_rows[:, batch.rows])
+        return GroundHeights(plausible_heights(h_m), sigma_m)
+
+
+def sigmas_given(batch: Batch, sigma_m: float | None) -> Array:
+    """(n,) standard deviations [m] of a batch's column, or the one of all; NaN where unknown."""
+    if batch.ground_sigma is not None:
+        return batch.ground_sigma
+    return np.full(len(batch), np.nan if sigma_m is None else sigma_m)
+
+
+def plausible_heights(height_m: Array) -> Array:
+    """Heights [m] with NaN for those below -600 and above 10,000 m."""
+    plausible = (height_m >= LOWEST_GROUND_M) & (height_m <= HIGHEST_GROUND_M)
+    return np.where(plausible, height_m, np.nan)
+
+
+_LARGEST_FACTOR = 20.0  # of an error of the model's height, where a ray grazes a slope
+
+
+@dataclass(frozen=True, eq=False)
+class TerrainGround:
+    """Heights where rays from ``places`` (s,), latitude and longitude [rad], first meet a model.
+
+    The sigma of a landing is larger than ``sigma_m``, that of the model, on slopes that fall away
+    from the camera: by 1 / (1 + tan slope tan zeta), 20 at most.
+    """
+
+    model: ElevationModel
+    places: tuple[Array, Array]
+    sigma_m: float | None = None
+    limits: tuple[float, float] = (LOWEST_GROUND_M, HIGHEST_GROUND_M)
+
+    def heights(self, batch: Batch, station: Integers, setup: CorrectionSetup) -> GroundHeights:
+        """(n,) heights above sea level [m], with the reason where there is none."""
+        h_m, factor, distance, status = self.landings(batch.x_px, batch.y_px, station, setup)
+        sigma = sigmas_given(batch, self.sigma_m) * np.minimum(factor, _LARGEST_FACTOR)
+        return GroundHeights(h_m, sigma, status.astype(np.uint8), distance_m=distance)
+
+    def landings(
+        self, x_px: Array, y_px: Array, station: Integers, setup: CorrectionSetup
+    ) -> Array:
+        """(4, n) height [m], its error over the model's, slant range [m] and status of pixels."""
+        found = np.full((4, station.size), np.nan)
+        found[3] = OK
+        for rows, camera, profile in setup.groups(station):
+            found[:, rows] = terrain_heights(
+                x_px[rows], y_px[rows], station[rows], setup.exposures, self.places, camera=camera,
+                table=setup.rays[profile], terrain=self.model, ideal=setup.direction == "apply",
+            )  # fmt: skip
+        return found
+
+
+def elevation_of_mission(
+    plan: Plan, heights: HeightSystem, ledger: Ledger
+) -> ElevationModel | None:
+    section, reference = plan.mission.ground.model, plan.mission.ground.reference
+    if section is None:
+        return None
+    paths = [plan.input(f"elevation model {i + 1}").path for i in range(len(section.paths))]
+    undulation = heights.undulation
+    opened = open_elevation(paths, section.crs, reference=reference, undulation=undulation)
+    return ledger.take(opened)
+
+
+def with_terrain(
+    setup: CorrectionSetup,
+    model: ElevationModel | None,
+    stations: Stations,
+    sigma_m: float | None,
+    ledger: Ledger,
+) -> CorrectionSetup:
+    """The setup with heights of the elevation model, where there is one; ``sigma_m`` are its.
+
+    Refuses (DEM-OUTSIDE) a model under no station; a loss where it is under some.
+    """
+    if model is None:
+        return setup
+    lat, lon = stations.lat_rad, stations.lon_rad
+    outside = ~model.covers(lat[stations.ok], lon[stations.ok])
+    count, placed = int(outside.sum()), int(stations.ok.sum())
+    if count and count == placed:
+        first = np.flatnonzero(stations.ok)[0]
+        row, column = (float(a[0]) for a in model.nodes(lat[[first]], lon[[first]]))
+        raise MissionError.of(
+            "DEM-OUTSIDE", model.name, count=count, rows=model.size[0], columns=model.size[1],
+            north=np.degrees(lat[first]), east=np.degrees(lon[first]), row=row, column=column,
+        )  # fmt: skip
+    if count:
+        ledger.loss("DEM-OUTSIDE/some", where=model.name, count=count, total=placed)
+    return replace(setup, ground=TerrainGround(model, (lat, lon), sigma_m))

@@ -1,0 +1,420 @@
+"""Counts of a stream of observations, and the size of their corrections, in fixed memory."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from unbend.flight.heights import HIGHEST_GROUND_M, LOWEST_GROUND_M
+from unbend.ledger import Ledger
+from unbend.refraction.camera.camera import Camera
+from unbend.refraction.image import Corrections
+from unbend.refraction.status_codes import OK, STATUS_NAMES
+from unbend.tables.observations import Batch
+from unbend.units import ARCSEC, Array, Integers, evenly_spaced, round_step
+
+SAMPLED_ROWS = 20_000
+"""Rows that stand for all others, where what is plausible is looked at."""
+
+SIGMA_PARTS = ("air", "station", "ground", "cabin")
+"""What makes corrections uncertain, each with columns of its own in the results."""
+
+_LOWEST_EXPONENT = -12
+_HIGHEST_EXPONENT = 8
+_BINS_PER_DECADE = 500
+
+
+@dataclass
+class Distribution:
+    """Distribution of non-negative magnitudes in logarithmic bins.
+
+    The maximum is exact; quantiles are good to 0.25 % of their value.
+
+    >>> distribution = Distribution()
+    >>> distribution.add(np.arange(1.0, 1000.0))
+    >>> abs(distribution.quantile(0.5) / 500.0 - 1.0) < 0.005, distribution.maximum
+    (True, 999.0)
+    """
+
+    counts: Integers = field(
+        default_factory=lambda: np.zeros(
+            (_HIGHEST_EXPONENT - _LOWEST_EXPONENT) * _BINS_PER_DECADE + 1, np.int64
+        )
+    )
+    maximum: float = 0.0
+    total: int = 0
+
+    def add(self, values: Array) -> None:
+        """Count values; zero falls into the lowest bin, NaN into none."""
+        finite = np.isfinite(values)
+        values = values if finite.all() else values[finite]
+        if values.size == 0:
+            return
+        with np.errstate(divide="ignore"):
+            exponent = np.log10(values)  # of zero minus infinity
+        exponent -= _LOWEST_EXPONENT
+        exponent *= _BINS_PER_DECADE
+        np.clip(exponent, 0, self.counts.size - 1, out=exponent)
+        self.counts += np.bincount(exponent.astype(np.int64), minlength=self.counts.size)
+        self.maximum = max(self.maximum, float(values.max()))
+        self.total += values.size
+
+    def quantile(self, share: float) -> float | None:
+        """The value that a share of the values does not exceed; None without values."""
+        if self.total == 0:
+            return None
+        number = int(np.searchsorted(np.cumsum(self.counts), share * self.total))
+        if number == 0:
+            return 0.0
+        middle = 10.0 ** ((number + 0.5) / _BINS_PER_DECADE + _LOWEST_EXPONENT)
+        return float(min(middle, self.maximum))
+
+    def __add__(self, other: Distribution) -> Distribution:
+        return Distribution(
+            self.counts + other.counts, max(self.maximum, other.maximum), self.total + other.total
+        )
+
+    def histogram(self, bins: int = 24) -> dict[str, Any]:
+        """Counts in at most ``bins`` bins from zero, steps of 1, 2 or 5; values 0.25 % off at most.
+
+        >>> distribution = Distribution()
+        >>> distribution.add(np.array([0.1, 2.5, 2.6, 9.9]))
+        >>> distribution.histogram(10)
+        {'step': 1.0, 'counts': [1, 0, 2, 0, 0, 0, 0, 0, 0, 1]}
+        """
+        if self.maximum <= 0.0:
+            return {"step": 1.0, "counts": [self.total] if self.total else []}
+        step = round_step(self.maximum / bins)
+        filled = np.flatnonzero(self.counts)
+        middle = 10.0 ** ((filled + 0.5) / _BINS_PER_DECADE + _LOWEST_EXPONENT)
+        number = (np.minimum(middle, self.maximum * (1.0 - 1e-12)) / step).astype(np.int64)
+        counts = np.bincount(number, self.counts[filled]).astype(np.int64)
+        return {"step": step, "counts": counts.tolist()}
+
+    def summary(self) -> dict[str, float | int | None]:
+        """For the manifest: six digits are more than the bins hold."""
+
+        def short(value: float | None) -> float | None:
+            return None if value is None else float(f"{value:.3g}")
+
+        return {
+            "count": self.total,
+            "median": short(self.quantile(0.5)),
+            "p95": short(self.quantile(0.95)),
+            "maximum": float(f"{self.maximum:.6g}") if self.total else None,
+        }
+
+
+QUANTITIES = ("shift_px", "shift_ground_m", "refraction_arcsec", "window_arcsec")
+"""What `ShiftStatistics` keeps distributions of."""
+
+_COLUMNS, _ROWS = 14, 10
+"""Cells of the mean shift over an image."""
+
+
+@dataclass
+class ShiftStatistics:
+    """Corrections in a camera's images; ``sums`` (3, 10, 14) of dx, dy [px] and points in cells."""
+
+    width_px: int
+    height_px: int
+    sums: Array = field(default_factory=lambda: np.zeros((3, _ROWS, _COLUMNS)))
+    distributions: dict[str, Distribution] = field(
+        default_factory=lambda: {name: Distribution() for name in QUANTITIES}
+    )
+
+    def add(self, x_px: Array, y_px: Array, corrections: Corrections) -> None:
+        """Add the corrections of points measured at (x, y); those without one do not count."""
+        good: Any = np.isfinite(corrections.dx_px)
+        good = slice(None) if good.all() else good
+        dx, dy = corrections.dx_px[good], corrections.dy_px[good]
+        column = np.clip(x_px[good] / self.width_px * _COLUMNS, 0, _COLUMNS - 1).astype(np.intp)
+        row = np.clip(y_px[good] / self.height_px * _ROWS, 0, _ROWS - 1).astype(np.intp)
+        cell = row * _COLUMNS + column
+        for i, weight in enumerate((dx, dy, np.ones(dx.shape))):
+            self.sums[i] += np.bincount(cell, weight, _ROWS * _COLUMNS).reshape(_ROWS, _COLUMNS)
+        for name, values in (
+            ("shift_px", np.sqrt(dx * dx + dy * dy)),
+            ("shift_ground_m", corrections.shift_ground_m[good]),
+            ("refraction_arcsec", corrections.r_c_rad[good] / ARCSEC),
+            ("window_arcsec", np.abs(corrections.r_cc_rad[good]) / ARCSEC),
+        ):
+            self.distributions[name].add(values)
+
+    def __add__(self, other: ShiftStatistics) -> ShiftStatistics:
+        both = {name: of + other.distributions[name] for name, of in self.distributions.items()}
+        return ShiftStatistics(self.width_px, self.height_px, self.sums + other.sums, both)
+
+    def summary(self) -> dict[str, Any]:
+        """Counts, medians and maxima, histograms of the shift, and its field, for the manifest.
+
+        The field is the format of the image [px], and centre x, y and mean shift dx, dy [px] of
+        each cell with observations.
+        """
+        filled = self.sums[2] > 0
+        row, column = np.nonzero(filled)
+        means = {
+            "x_px": (column + 0.5) * self.width_px / _COLUMNS,
+            "y_px": (row + 0.5) * self.height_px / _ROWS,
+            "dx_px": self.sums[0][filled] / self.sums[2][filled],
+            "dy_px": self.sums[1][filled] / self.sums[2][filled],
+        }
+        return {name: of.summary() for name, of in self.distributions.items()} | {
+            "histogram_px": self.distributions["shift_px"].histogram(),
+            "histogram_m": self.distributions["shift_ground_m"].histogram(),
+            "field": {"format_px": [self.width_px, self.height_px], "columns": _COLUMNS}
+            | {name: [float(f"{v:.5g}") for v in values] for name, values in means.items()},
+        }
+
+
+class SampledRows(NamedTuple):
+    """Rows that stand for all; (n,) each.
+
+    ``station`` is -1 where an image has none; ``weight`` how many rows each stands for;
+    ``sigma_px`` (n, 4) standard deviations of the correction as in `SIGMA_PARTS`, NaN if unknown.
+    """
+
+    station: NDArray[np.int64]
+    x_px: Array
+    y_px: Array
+    h_g_m: Array
+    distance_m: Array
+    zeta_c_rad: Array
+    r_c_rad: Array
+    shift_px: Array
+    shift_ground_m: Array
+    status: NDArray[np.uint8]
+    weight: Array
+    sigma_px: Array
+
+    @classmethod
+    def of(
+        cls,
+        batch: Batch,
+        corrections: Corrections,
+        h_g: Array,
+        station: NDArray[np.int64],
+        most: int,
+    ) -> SampledRows:
+        """Rows of a batch, evenly spaced."""
+        rows = evenly_spaced(len(batch), most)
+        weight = np.ones(rows.size) if batch.weight is None else batch.weight[rows]
+        nothing = np.full(rows.size, np.nan)
+        return cls(
+            station[rows], batch.x_px[rows], batch.y_px[rows], h_g[rows],
+            nothing if batch.distance_m is None else batch.distance_m[rows],
+            corrections.zeta_c_rad[rows], corrections.r_c_rad[rows],
+            np.hypot(corrections.dx_px[rows], corrections.dy_px[rows]),
+            corrections.shift_ground_m[rows], corrections.status[rows],
+            weight * len(batch) / rows.size, sigma_parts(corrections, rows),
+        )  # fmt: skip
+
+
+@dataclass
+class Statistics:
+    """Counts of observations, and how large the corrections were in each camera.
+
+    ``examples`` : of each status but ok, its first images and points in the order of the rows.
+    ``ground_m`` : the lowest and the highest ground that was used.
+    ``air_variance`` : of all corrections by the air, and ``by_mode`` the squares of their
+    derivatives by the parameter of the leading mode [px2].
+    ``sampled`` : rows of each part, of which `SAMPLED_ROWS` stand for all.
+    ``cabin_share`` : sigma of R_cc by the air in the cabin as a share of R_c.
+    """
+
+    shifts: dict[str, ShiftStatistics]
+    rows: int = 0
+    parts: int = 0
+    status: dict[str, int] = field(default_factory=dict)
+    examples: dict[str, list[str]] = field(default_factory=dict)
+    no_distance: int = 0
+    no_sigma: int = 0
+    no_point: int = 0
+    implausible_heights: int = 0
+    ground_m: tuple[float, float] = (math.inf, -math.inf)
+    air_variance: float = 0.0
+    by_mode: float = 0.0
+    sampled: list[SampledRows] = field(default_factory=list)
+    cabin_share: Distribution = field(default_factory=Distribution)
+
+    @classmethod
+    def of(cls, cameras: Mapping[str, Camera]) -> Statistics:
+        """Those of no observations."""
+        return cls({n: ShiftStatistics(of.width_px, of.height_px) for n, of in cameras.items()})
+
+    def add(self, batch: Batch, corrections: Corrections, camera: NDArray[np.int64]) -> None:
+        """Count a batch; ``camera`` (n,) numbers the cameras, -1 without one."""
+        rows = len(batch) if batch.weight is None else round(batch.weight.sum())
+        self.rows += rows
+        self.no_distance += round(batch.no_distance * rows / len(batch))
+        self.no_sigma += round(batch.no_sigma * rows / len(batch))
+        self.no_point += round(batch.no_point * rows / len(batch))
+        self.parts += 1
+        if corrections.sigmas is not None:
+            with np.errstate(divide="ignore", invalid="ignore"):
+                self.cabin_share.add(corrections.sigmas.r_cc_rad / np.abs(corrections.r_c_rad))
+            sigmas = corrections.sigmas
+            self.air_variance += _squares(sigmas.air_dx_px, sigmas.air_dy_px)
+            self.by_mode += _squares(sigmas.dx_ds_px, sigmas.dy_ds_px)
+        counts = np.bincount(corrections.status, batch.weight, minlength=len(STATUS_NAMES))
+        for name, count in zip(STATUS_NAMES, counts.tolist(), strict=True):
+            self.status[name] = self.status.get(name, 0) + round(count)
+        for code in np.unique(corrections.status[corrections.status != OK]).tolist():
+            first = np.flatnonzero(corrections.status == code)[:3]
+            places = batch.first_row + first if batch.numbers is None else batch.numbers[first]
+            self.examples[STATUS_NAMES[code]] = [
+                f"{batch.image[k]} {batch.point[k].as_py() or f'(row {place})'}"
+                for k, place in zip(first.tolist(), places.tolist(), strict=True)
+            ]
+        for number, shift_statistics in enumerate(self.shifts.values()):
+            rows = camera == number
+            if bool(rows.all()):
+                shift_statistics.add(batch.x_px, batch.y_px, corrections)
+            elif bool(rows.any()):
+                shift_statistics.add(batch.x_px[rows], batch.y_px[rows], corrections.rows(rows))
+
+    def sampled_rows(self) -> SampledRows:
+        return SampledRows(*map(np.concatenate, zip(*self.sampled, strict=True)))
+
+    def merge(self, other: Statistics) -> None:
+        for name in ("rows", "no_distance", "no_sigma", "no_point", "implausible_heights", "parts",
+                     "air_variance", "by_mode", "sampled", "cabin_share"):  # fmt: skip
+            setattr(self, name, getattr(self, name) + getattr(other, name))
+        (low, high), (other_low, other_high) = self.ground_m, other.ground_m
+        self.ground_m = min(low, other_low), max(high, other_high)
+        for name, count in other.status.items():
+            self.status[name] = self.status.get(name, 0) + count
+        for name, texts in other.examples.items():
+            self.examples[name] = (self.examples.get(name, []) + texts)[:3]
+        self.shifts = {name: of + other.shifts[name] for name, of in self.shifts.items()}
+
+    def correction(self) -> dict[str, Any]:
+        """How large the correction was, over all and camera by camera, for the manifest."""
+        of_cameras = {name: of.summary() for name, of in self.shifts.items()}
+        parts = [of.distributions for of in self.shifts.values()]
+        return {
+            name: sum((of[name] for of in parts), Distribution()).summary() for name in QUANTITIES
+        } | {"cameras": of_cameras}
+
+    def sigma_budget(self, camera: NDArray[np.int64]) -> dict[str, Any]:
+        """Median and 95 % of the parts of sigma [px, m on the ground] by camera, for the manifest.
+
+        ``camera`` (s + 1,) numbers the camera of each station, as `CorrectionSetup.camera_number`.
+        From the rows that stand for all, at the scale of each one's shift; ``all`` is the root of
+        the sum of the squares of the parts that are known.
+        """
+        rows, budget, quantiles = self.sampled_rows(), {}, {"median": 0.5, "p95": 0.95}
+        with np.errstate(divide="ignore", invalid="ignore"):
+            metres_per_px = rows.shift_ground_m / rows.shift_px
+        together = np.sqrt(np.nansum(rows.sigma_px**2, axis=1))
+        together[np.isnan(rows.sigma_px).all(axis=1)] = np.nan
+        parts = dict(zip((*SIGMA_PARTS, "all"), (*rows.sigma_px.T, together), strict=True))
+        for number, name in enumerate(self.shifts):
+            of = camera[rows.station] == number
+            budget[name] = {
+                part: {
+                    unit: weighted_quantiles(values[of], rows.weight[of], quantiles)
+                    for unit, values in (("px", sigma), ("m", sigma * metres_per_px))
+                }
+                for part, sigma in parts.items()
+                if np.isfinite(sigma[of]).any()
+            }
+        return budget
+
+    def ground_of_stations(self, count: int) -> Array:
+        """(count,) median ground height [m] of the rows of each station; NaN without any."""
+        rows = self.sampled_rows()
+        used = (rows.station >= 0) & np.isfinite(rows.h_g_m)
+        medians = pd.Series(rows.h_g_m[used]).groupby(rows.station[used]).median()
+        return np.asarray(medians.reindex(range(count)), np.float64)
+
+    def ground_heights(self) -> dict[str, Any] | None:
+        """Limits of all ground heights [m above the sea], median and histogram of sampled ones."""
+        low, high = self.ground_m
+        if not low <= high:
+            return None
+        rows = self.sampled_rows()
+        used = np.isfinite(rows.shift_px) & np.isfinite(rows.h_g_m)
+        step = round_step(max((high - low) / 24, 0.1))
+        first = math.floor(low / step)
+        number = np.floor(rows.h_g_m[used] / step).astype(np.int64) - first
+        counts = np.bincount(number, rows.weight[used])
+        median = weighted_quantiles(rows.h_g_m[used], rows.weight[used], {"median_m": 0.5})
+        return median | {
+            "lowest_m": round(low, 2),
+            "highest_m": round(high, 2),
+            "histogram": {"first_m": round(first * step, 6), "step": step,
+                          "counts": np.round(counts).astype(np.int64).tolist()},
+        }  # fmt: skip
+
+    def report_flagged(self, ledger: Ledger, causes: Mapping[str, str]) -> None:
+        """A ledger entry for each reason why rows were not corrected; ``causes`` by status."""
+        if self.no_distance:
+            where = "observations.columns.distance_m"
+            ledger.warning("OBS-DISTANCE", where=where, count=self.no_distance)
+        if self.no_sigma:
+            ledger.warning("OBS-SIGMA", where="ground.sigma_column", count=self.no_sigma)
+        if self.no_point:
+            ledger.loss(
+                "POINTS-MISSING", where="ground.height.points", count=self.no_point, rows=self.rows
+            )
+        if self.implausible_heights:
+            ledger.loss("OBS-GROUND-RANGE", where="ground.height", count=self.implausible_heights,
+                        low=LOWEST_GROUND_M, high=HIGHEST_GROUND_M)  # fmt: skip
+        for name, count in self.status.items():
+            what = f"{count} of {self.rows} observations are {name}"
+            texts = self.examples.get(name, [])
+            if name == "ok" or count == 0:
+                continue
+            what += f": {causes[name]}" if causes.get(name) else ""
+            what += f"; first {', '.join(texts)}" if texts else ""
+            if name == "beyond_grazing":
+                ledger.loss("OBS-BEYOND-GRAZING", what + "; near branch used", count=count)
+            elif name == "several_crossings":
+                ledger.warning(
+                    "OBS-SEVERAL-CROSSINGS", where="ground.height", count=count, rows=what
+                )
+            elif name == "far_branch":
+                ledger.note("OBS-FAR-BRANCH", what + ", by their slant range", count=count)
+            else:
+                ledger.loss("OBS-FLAGGED", what, count=count)
+
+
+def sigma_parts(corrections: Corrections, rows: NDArray[np.intp]) -> Array:
+    """(n, 4) lengths [px] of the standard deviations of some rows, as in `SIGMA_PARTS`."""
+    if corrections.sigmas is None:
+        return np.full((rows.size, len(SIGMA_PARTS)), np.nan)
+    columns = corrections.sigmas._asdict()
+    parts = [np.hypot(columns[f"{k}_dx_px"][rows], columns[f"{k}_dy_px"][rows])
+             for k in SIGMA_PARTS]  # fmt: skip
+    return np.stack(parts, axis=1).astype(np.float64)
+
+
+def _squares(*columns: NDArray[np.float32]) -> float:
+    """The sum of the squares of numbers, those that are none left out."""
+    return sum(float(np.nansum(np.square(column, dtype=np.float64))) for column in columns)
+
+
+def weighted_quantiles(
+    values: Array, weight: Array, shares: Mapping[str, float]
+) -> dict[str, float | None]:
+    """Quantiles of the finite values by name, to six digits; None without any.
+
+    >>> weighted_quantiles(np.array([1.0, 5.0, 9.0]), np.array([1.0, 1.0, 3.0]), {"median": 0.5})
+    {'median': 9.0}
+    """
+    order = np.argsort(values)
+    order = order[np.isfinite(values[order])]
+    if not order.size:
+        return dict.fromkeys(shares)
+    until = np.cumsum(weight[order])
+    return {
+        name: float(f"{values[order[np.searchsorted(until, share * until[-1])]]:.6g}")
+        for name, share in shares.items()
+    }

@@ -1,0 +1,90 @@
+"""BINGO's image.dat: image points in millimetres from the image's centre, y up.
+
+A line with the names of image and camera, a line with name, x and y for each point, and -99 at the
+end of each image. The centre is the corner of pixels (w/2, h/2) of COLMAP's. Names have at most 15
+characters: of longer ones the last 15, blanks as underscores, and ``names.csv`` has all that were
+changed. Written as documented; BINGO itself was not there to read it.
+"""
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+
+from unbend.errors import ConfigError, MissionError
+from unbend.ledger import Ledger
+from unbend.tables.exports.exported_block import block_of
+from unbend.tables.exports.format import (
+    PIXEL_UM,
+    ExportFormat,
+    FinishedRun,
+    Option,
+    Values,
+    pixel_mm,
+    write_csv_stream,
+)
+
+_LONGEST = 15
+
+
+def short_names(names: Sequence[str], kind: str) -> list[str]:
+    """Names as BINGO takes them; refuses (MissionError EXPORT-NAMES) those that become the same.
+
+    >>> short_names(["strip 7/DSC_00012345.tif", "a 1"], "image")
+    ['SC_00012345.tif', 'a_1']
+    """
+    first: dict[str, str] = {}
+    for name in names:
+        short = re.sub(r"\s", "_", name)[-_LONGEST:] or "_"
+        if short in first:
+            raise MissionError.of("EXPORT-NAMES/short", "observations", kind=kind, one=first[short],
+                                  other=name, short=short, longest=_LONGEST)  # fmt: skip
+        first[short] = name
+    return [*first]
+
+
+def write_bingo(run: FinishedRun, values: Values, folder: Path, ledger: Ledger) -> int:
+    """image.dat, and names.csv where names were changed."""
+    block = block_of(run, ledger, intersect=False)
+    given = {"image": [*block.image], "camera": [*block.cameras], "point": block.name.to_pylist()}
+    short = {kind: short_names(names, kind) for kind, names in given.items()}
+    sizes = [pixel_mm(run, name, values) for name in block.cameras]
+    for name in [name for name, size in zip(block.cameras, sizes, strict=True) if np.isnan(size)]:
+        raise ConfigError.of("EXPORT-OPTION/pixel", "--pixel-um", name=name)
+    turn = np.linalg.matrix_power(np.array([[0, 1], [-1, 0]]), values["quarter_turns"])
+    with (folder / "image.dat").open("w", encoding="utf-8") as file:
+        for i, camera, here in block.images():
+            x = block.x_px[here] - 0.5 * camera.width_px
+            y = 0.5 * camera.height_px - block.y_px[here]
+            xy = turn @ np.stack([x, y]) * sizes[block.camera[i]]
+            file.write(f"{short['image'][i]} {short['camera'][block.camera[i]]}\n")
+            for p, x, y in zip(block.point[here], *xy, strict=True):
+                file.write(f"{short['point'][p]} {x:.7f} {y:.7f}\n")
+            file.write("-99\n")
+    rows = [
+        {"kind": kind, "written": written, "name": name}
+        for kind, names in given.items()
+        for written, name in zip(short[kind], names, strict=True) if written != name
+    ]  # fmt: skip
+    if rows:
+        table = pa.Table.from_pylist(rows)
+        write_csv_stream(folder / "names.csv", table.schema, [table])
+    return int(block.point.size)
+
+
+FORMATS = (
+    ExportFormat(
+        "bingo", "a block for BINGO: a folder with image.dat", "", write_bingo,
+        (
+            PIXEL_UM,
+            Option("quarter_turns", int, 0, "quarter turns, counter-clockwise, of the axes of "
+                   "BINGO's image against x to the right, y up", "", 0, 3),
+        ),
+        use="in BINGO, and in Inpho where it reads these files, switch the corrections of "
+        "refraction and earth curvature off, and adjust in a Cartesian frame; positions and "
+        "angles in one: --format opk-enu",
+        marked=("image.dat",),
+    ),
+)  # fmt: skip

@@ -1,0 +1,162 @@
+"""Corrections as tables: on a grid over every image, and by nadir angle for each flying height."""
+
+from collections.abc import Iterator
+
+import numpy as np
+import pyarrow as pa
+
+from unbend.geodesy import euler_radius
+from unbend.ledger import Ledger
+from unbend.refraction.angle import RadialTable, angles_to, radial_table
+from unbend.refraction.image import Corrections, correct_observations, lattice_nodes
+from unbend.refraction.status_codes import STATUS_NAMES
+from unbend.tables.exports.format import FinishedRun, Option, Tables, Values, parquet_and_csv
+from unbend.tables.schemas import columns_of, schema_of
+from unbend.tables.writing import table_of
+from unbend.units import ARCSEC, DEGREE, MICRORADIAN, Array, Integers
+
+_MOST_ROWS = 250_000  # held in memory at a time
+_LARGEST_DEG, _STEP_DEG = 80.0, 1.0
+_SAME_HEIGHT = 0.02  # heights above ground within 2 % share a table: R differs by less than 2 %
+
+
+def lattice_tables(run: FinishedRun, values: Values, ledger: Ledger) -> Tables:
+    """The lattices of all images; images without one, and without ground, are entered as losses."""
+    usable = run.exposures.usable
+    left_out = run.stations.image[~usable]
+    if left_out.size:
+        ledger.loss("EXPORT-LEFT-OUT/lattice", where="stations.parquet", count=left_out.size,
+                    first=left_out[0])  # fmt: skip
+    if groundless := int(np.sum(usable & ~np.isfinite(run.ground_m))):
+        ledger.loss("EXPORT-NO-GROUND/lattice", where="observations", count=groundless)
+    columns, rows = values["columns"], values["rows"]
+    layout = {"unbend.lattice": f"{columns} columns, {rows} rows, row by row"}
+    schema = schema_of(columns_of("lattice"), dict(run.metadata) | layout)
+
+    def tables() -> Iterator[pa.Table]:
+        """Camera by camera, in each the images in their order, in tables of `_MOST_ROWS`."""
+        for name, camera in run.cameras.items():
+            x, y = lattice_nodes(camera.camera, columns, rows)
+            for part, corrections in lattice_parts(run, name, run.rows_of(name), (x, y)):
+                columns_of_table = {
+                    "image": np.repeat(run.stations.image[part], x.size),
+                    "x_px": np.tile(run.pixels.from_colmap(x), part.size),
+                    "y_px": np.tile(run.pixels.from_colmap(y), part.size),
+                    "dx_px": corrections.dx_px,
+                    "dy_px": corrections.dy_px,
+                    "h_g_m": np.repeat(run.ground_m[part], x.size),
+                    "status": pa.array(STATUS_NAMES).take(pa.array(corrections.status)),
+                }
+                yield table_of(columns_of_table, schema)
+
+    return schema, tables()
+
+
+def lattice_parts(
+    run: FinishedRun, camera: str, stations: Integers, nodes: tuple[Array, Array]
+) -> Iterator[tuple[Integers, Corrections]]:
+    """Corrections of a camera at the same nodes (k,) [px] of some stations, image by image.
+
+    In parts of some stations in one air, (s,) rows and (s * k,) corrections, in their order. At a
+    node nothing is approximated; between nodes the bilinear interpolation errs by an eighth of the
+    curvature of the shift across a cell.
+    """
+    images_of_part = max(1, _MOST_ROWS // nodes[0].size)
+    changes = np.flatnonzero(np.diff(run.air.profile_number[stations])) + 1
+    for in_one_air in np.split(stations, changes):
+        for first in range(0, in_one_air.size, images_of_part):
+            part = in_one_air[first : first + images_of_part]
+            rays = run.rays[run.air.profile_number[part[0]]]
+            count = nodes[0].size
+            corrections = correct_observations(
+                np.tile(nodes[0], part.size), np.tile(nodes[1], part.size),
+                np.repeat(run.ground_m[part], count), np.repeat(part, count), run.exposures,
+                camera=run.cameras[camera].camera, table=rays,
+            )  # fmt: skip
+            yield part, corrections
+
+
+def radial_columns(table: RadialTable) -> dict[str, object]:
+    """A radial table in the units of its columns, without camera and images.
+
+    >>> from unbend.atmosphere import standard_atmosphere
+    >>> table = radial_table(standard_atmosphere("us1976"), 6000.0, 0.0, angles_to(45.0, 45.0))
+    >>> radial_columns(table)["r_c_arcsec"].round(2).tolist()
+    [0.0, 12.18]
+    """
+    n = table.r_c_rad.size
+    return {
+        "h_c_m": np.full(n, table.h_c_m),
+        "h_g_m": np.full(n, table.h_g_m),
+        "nadir_angle_deg": table.nadir_angle_rad / DEGREE,
+        "r_c_arcsec": table.r_c_rad / ARCSEC,
+        "r_c_urad": table.r_c_rad / MICRORADIAN,
+        "shift_ground_m": table.shift_ground_m,
+        "radius_px": table.radius_px,
+        "dr_px": table.dr_px,
+        "k_urad": np.full(n, table.k_rad / MICRORADIAN),
+        "k_manual_urad": np.full(n, table.k_manual_rad / MICRORADIAN),
+        "status": np.array(STATUS_NAMES, dtype=object)[table.status],
+    }
+
+
+def radial_tables(run: FinishedRun, _: Values, ledger: Ledger) -> Tables:
+    """A table for each camera and each height above ground that its images share, lowest first."""
+    if len(run.rays) > 1:
+        ledger.warning("EXPORT-AIR-CHANGES", where="profile.parquet", count=len(run.rays))
+    for name, camera in run.cameras.items():
+        if camera.has_window:
+            ledger.warning("EXPORT-WINDOW", where=f"cameras.{name}.window", name=name)
+    schema = schema_of(columns_of("radial"), run.metadata)
+
+    def table_of_group(name: str, rows: Integers) -> pa.Table:
+        """For the median height, ground and latitude of some stations of a camera."""
+        # At 45 degrees of azimuth Euler's radius is the harmonic mean of the two principal ones.
+        latitude = float(np.median(run.stations.lat_rad[rows]))
+        middle = rows[np.argsort(run.stations.time_ns[rows], kind="stable")[rows.size // 2]]
+        camera = run.cameras[name].camera
+        radius = run.exposures.radius_m or float(euler_radius(latitude, 0.25 * np.pi))
+        h_c, h_g = (float(np.median(h[rows])) for h in (run.exposures.height_m, run.ground_m))
+        table = radial_table(
+            run.air.profiles[run.air.profile_number[middle]], h_c, h_g,
+            angles_to(_LARGEST_DEG, _STEP_DEG), focal_px=0.5 * (camera.fx_px + camera.fy_px),
+            radius=radius, method=run.method,
+        )  # fmt: skip
+        n = table.r_c_rad.size
+        group = {"camera": np.full(n, name, dtype=object), "images": np.full(n, rows.size)}
+        return table_of(group | radial_columns(table), schema)
+
+    groups = flying_heights(run, _SAME_HEIGHT, ledger)
+    return schema, (table_of_group(*group) for group in groups)
+
+
+def flying_heights(run: FinishedRun, part: float, ledger: Ledger) -> list[tuple[str, Integers]]:
+    """The stations of each camera at about one height above the ground, lowest first.
+
+    None is higher than the lowest of its group by more than this ``part``. Images
+    without a known ground are a loss.
+    """
+    groups: list[tuple[str, Integers]] = []
+    for name in run.cameras:
+        rows = run.rows_of(name)
+        above_ground = run.exposures.height_m[rows] - run.ground_m[rows]
+        known = above_ground > 0.0
+        if count := int(np.sum(~known)):
+            ledger.loss("EXPORT-LEFT-OUT/ground", where=f"camera {name}", count=count)
+        rows, above_ground = rows[known], above_ground[known]
+        while rows.size:
+            near = above_ground <= (1.0 + part) * above_ground.min()
+            groups.append((name, rows[near]))
+            rows, above_ground = rows[~near], above_ground[~near]
+    return groups
+
+
+_OF_LATTICE = (
+    Option("columns", int, 21, "nodes of the lattice across an image", "", 2, 1000),
+    Option("rows", int, 15, "nodes of the lattice down an image", "", 2, 1000),
+)
+
+FORMATS = (
+    *parquet_and_csv("lattice", "dx, dy on a grid over each image", lattice_tables, _OF_LATTICE),
+    *parquet_and_csv("radial", "refraction by nadir angle, per flying height", radial_tables),
+)

@@ -1,0 +1,222 @@
+"""What an export format is: its name, its options, what it is given, and what it writes."""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv as pa_csv
+import pyarrow.parquet as pq
+
+from unbend.atmosphere.series.profile_series import ProfileSeries
+from unbend.errors import ConfigError
+from unbend.flight.stations import Stations
+from unbend.ledger import Ledger
+from unbend.refraction.camera.camera import Camera
+from unbend.refraction.image import Exposures
+from unbend.refraction.ray import PublishedRays
+from unbend.refraction.ray_table import RayTable
+from unbend.tables.geodata.object_points import matching_rows
+from unbend.tables.pixels import PixelSystem
+from unbend.tables.writing import parquet_settings
+from unbend.units import Array, Integers
+
+
+@dataclass(frozen=True)
+class ExportCamera:
+    """A camera in COLMAP's pixels, and whether a window bends its rays.
+
+    ``pixel_mm`` is the width of its pixels, where it is known; ``has_refraction`` says that its
+    calibration was estimated in flight, on images with refraction in.
+    """
+
+    camera: Camera
+    has_window: bool
+    pixel_mm: float = np.nan
+    has_refraction: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class FinishedRun:
+    """A finished run as an exporter sees it, rebuilt from its folder.
+
+    ``exposures`` has the rows of ``stations``. ``parts`` are the Parquet files of the observations,
+    in order, with coordinates in the system ``pixels``; ``metadata`` goes into every file that is
+    written. ``rays`` are those of ``air``'s profiles. ``find_ground`` reads heights of all
+    observations; ``database`` finds COLMAP's, of which they are the keypoints, and reads all of it.
+    """
+
+    mission: str
+    stations: Stations
+    exposures: Exposures
+    air: ProfileSeries
+    rays: tuple[RayTable | PublishedRays, ...]
+    method: str
+    cameras: Mapping[str, ExportCamera]
+    find_ground: Callable[["FinishedRun"], Array]
+    pixels: PixelSystem
+    parts: tuple[Path, ...]
+    metadata: Mapping[str, str]
+    database: Callable[[], Path | None] = lambda: None
+
+    def rows_of(self, camera: str) -> Integers:
+        """(n,) the stations of a camera that can be used, in the order of the table."""
+        usable = (self.stations.camera == camera) & self.exposures.usable
+        return np.flatnonzero(usable).astype(np.int64)
+
+    @cached_property
+    def ground_m(self) -> Array:
+        """(s,) ground that images are computed for, above sea level [m], NaN where none is."""
+        return self.find_ground(self)
+
+    def observations(
+        self, columns: Sequence[str], most_rows: int | None = None
+    ) -> Iterator[tuple[Integers, pa.Table]]:
+        """Stations (n,), -1 for none, and columns of all observations or ``most_rows``: parts."""
+        names, every = pa.array(self.stations.image, pa.string()), 1
+        if most_rows is not None:
+            every += sum(pq.read_metadata(part).num_rows for part in self.parts) // most_rows
+        for part in self.parts:
+            with pq.ParquetFile(part, read_dictionary=["image", "status"]) as file:
+                table = file.read(["image", *columns], use_threads=False)[::every]
+            yield matching_rows(table["image"].combine_chunks(), names), table.select(columns)
+
+
+@dataclass(frozen=True)
+class Option:
+    """An option of a format. The command line shows and parses it as it is declared here.
+
+    ``name`` : in the mapping of values; on the command line ``--name``, ``_`` written as ``-``.
+    ``default``, ``minimum``, ``maximum`` : in ``unit``, limits included.
+    """
+
+    name: str
+    kind: type[int] | type[float]
+    default: int | float
+    help: str
+    unit: str = ""
+    minimum: float = -np.inf
+    maximum: float = np.inf
+
+    @property
+    def flag(self) -> str:
+        return "--" + self.name.replace("_", "-")
+
+
+Values = Mapping[str, Any]
+"""The value of every option of a format, by name."""
+
+PIXEL_UM = Option(
+    "pixel_um", float, 0.0, "size of a pixel for the tables in mm; 0: as in cameras.<name>.metric",
+    "um", 0.0, 200.0,
+)  # fmt: skip
+
+
+def pixel_mm(run: FinishedRun, camera: str, values: Values) -> float:
+    """The size of a camera's pixels [mm], by `PIXEL_UM`, else its own; NaN if unknown."""
+    return float(values[PIXEL_UM.name] * 1e-3 or run.cameras[camera].pixel_mm)
+
+
+@dataclass(frozen=True)
+class ExportFormat:
+    """A format: its name, what it holds in words, the ending of its file, its writer, its options.
+
+    ``write(run, values, path, ledger)`` writes one file at a path, or several into the folder that
+    is there where the ending is "", and returns the number of rows; what is left out is entered in
+    the ledger. ``use`` says in which frame it is, and what is to be switched off in the program
+    that reads it. ``marked`` are the names of the files that hold observations without refraction
+    and cannot say so, of a format of one file "".
+    """
+
+    name: str
+    contents: str
+    ending: str
+    write: Callable[[FinishedRun, Values, Path, Ledger], int]
+    options: tuple[Option, ...] = ()
+    use: str = ""
+    marked: tuple[str, ...] = ()
+
+    def values(self, given: Values) -> dict[str, Any]:
+        """The value of every option, given or by default.
+
+        Raises ``ConfigError`` for an option of other formats, and for a value beyond the limits.
+        """
+        options = {option.name: option for option in self.options}
+        for name, value in given.items():
+            option = options.get(name)
+            if option is None:
+                flag = "--" + name.replace("_", "-")
+                problem = f"{self.name} has no option {flag}"
+                remedy = f"its options are {', '.join(o.flag for o in self.options) or 'none'}"
+            elif not option.minimum <= value <= option.maximum:
+                flag = option.flag
+                problem = f"{value:g} is not from {option.minimum:g} to {option.maximum:g}"
+                remedy = f"{option.help}{f' [{option.unit}]' if option.unit else ''}"
+            else:
+                continue
+            raise ConfigError("EXPORT-OPTION", problem, where=flag, remedy=remedy)
+        return {option.name: option.default for option in self.options} | dict(given)
+
+
+CORRECTIONS_USE = (
+    "it holds refraction, and neither earth curvature nor a map projection: where it is applied, "
+    "switch the program's own correction of refraction off (BINGO and Inpho have one; COLMAP, "
+    "Metashape, Pix4D and ODM have none)"
+)
+
+Tables = tuple[pa.Schema, Iterator[pa.Table]]
+
+
+def parquet_and_csv(
+    name: str,
+    contents: str,
+    tables: Callable[[FinishedRun, Values, Ledger], Tables],
+    options: tuple[Option, ...] = (),
+) -> tuple[ExportFormat, ...]:
+    """One table in two formats: ``name`` is written as Parquet, ``name``-csv as CSV.
+
+    ``tables`` returns the schema and the tables that are written one after the other. They hold
+    corrections, which `CORRECTIONS_USE` is about.
+    """
+
+    def write(writer: Callable[..., int], run: FinishedRun, values: Values, path: Path,
+              ledger: Ledger) -> int:  # fmt: skip
+        return writer(path, *tables(run, values, ledger))
+
+    kinds = (name, ".parquet", write_parquet_stream), (f"{name}-csv", ".csv", write_csv_stream)
+    return tuple(
+        ExportFormat(form, contents, ending, partial(write, writer), options, use=CORRECTIONS_USE)
+        for form, ending, writer in kinds
+    )
+
+
+def write_parquet_stream(path: Path, schema: pa.Schema, tables: Iterable[pa.Table]) -> int:
+    """One Parquet file of all the tables; the number of rows."""
+    rows = 0
+    with pq.ParquetWriter(path, schema, **parquet_settings(schema)) as writer:
+        for table in tables:
+            writer.write_table(table)
+            rows += table.num_rows
+    return rows
+
+
+def write_csv_stream(path: Path, schema: pa.Schema, tables: Iterable[pa.Table]) -> int:
+    """One CSV file of all the tables, null as nothing; the number of rows.
+
+    Numbers have all the digits that tell them apart. Arrow quotes all text or none: the text of a
+    table is quoted where a value holds a comma, a quotation mark or the end of a line.
+    """
+    rows = 0
+    with path.open("wb") as file:
+        file.write((",".join(schema.names) + "\n").encode())
+        for table in tables:
+            texts = [column for column in table.columns if pa.types.is_string(column.type)]
+            words = [str(word) for column in texts for word in column.unique().to_pylist()]
+            style = "needed" if any(set(word) & set('",\r\n') for word in words) else "none"
+            options = pa_csv.WriteOptions(include_header=False, quoting_style=style)
+            pa_csv.write_csv(table, file, options)
+            rows += table.num_rows
+    return rows

@@ -1,0 +1,277 @@
+"""Positions in a stated coordinate system, brought to WGS 84; the only module that uses pyproj.
+
+Horizontally by PROJ without ballpark transformations. Heights stay what they are, by the name of
+their datum: PROJ returns them unchanged, and says nothing, where it lacks a grid.
+"""
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from unbend.errors import InputError
+from unbend.flight.heights import LARGEST_GEOID_M, USUAL_GEOID_M
+from unbend.geodesy import GeoidGrid
+from unbend.ledger import Entry, Notes, loss, note, warning
+from unbend.tables.geodata.geoid import package_geoid
+from unbend.units import WGS84_A, Array
+
+_GOOD_M = 1.0  # a transformation that is no better than this is a warning
+_MARGIN_DEG = 2.0  # so far outside its area of use a coordinate system is still meant
+_SEA_LEVELS = ("EGM96 height", "MSL height")  # vertical datums that are mean sea level here
+
+
+@dataclass(frozen=True, eq=False)
+class Places:
+    """(n,) latitude, longitude [rad] on WGS 84 and height [m] of positions; NaN where unknown.
+
+    ``heights`` says what they count from: msl, ellipsoid, or as stated. ``convergence_rad`` is the
+    azimuth of grid north, 0 where the positions were geographic.
+    """
+
+    lat_rad: Array
+    lon_rad: Array
+    h_m: Array
+    heights: str
+    convergence_rad: Array
+
+
+def places_of(
+    crs: str,
+    xyh: tuple[Array, Array, Array],
+    *,
+    heights: str,
+    geoid: GeoidGrid | None,
+    where: str,
+    key: str,
+) -> tuple[Places, Notes]:
+    """Positions on WGS 84 of (n,) x, y and heights in a coordinate system.
+
+    ``crs`` as PROJ knows it, EPSG:25832 or EPSG:25832+7837. ``xyh`` : x to the east and y to the
+    north in its unit, or longitude and latitude [deg], whatever the order of its axes; heights [m],
+    or in the unit of its vertical part, and ``heights`` what these count from, as stated: msl,
+    ellipsoid or relative. ``geoid`` is the user's grid that belongs to the vertical part, where
+    that is no mean sea level; ``where``, ``key`` are the file, and the mission file's key.
+
+    Refuses (InputError) what is no such system (CRS-UNKNOWN), one that has only a ballpark
+    transformation (CRS-BALLPARK), positions outside its area (CRS-AREA), and a vertical part that
+    contradicts ``heights`` or needs a grid (CRS-VERTICAL). A transformation worse than 1 m is a
+    warning (CRS-DATUM), which names the grid that would make it better.
+    """
+    horizontal, vertical = _system(crs, heights, where, key)
+    x, y, h = xyh
+    lon_lat, notes = _inside(_own_places(horizontal, x, y), horizontal, where, key, (x, y))
+    known = np.isfinite(lon_lat).all(axis=0)
+    best, by, good = _to_wgs84(horizontal, lon_lat[:, known], where, key)
+    count = int(known.sum())
+    what = f"{count} positions in {horizontal.name} ({crs}) brought to WGS 84 by {by}"
+    notes.append((note if good else warning)("CRS-DATUM", what, where=where, count=count))
+    lon, lat = np.radians(np.array(best.transform(np.where(known, x, np.nan), y, errcheck=False)))
+    known &= np.isfinite(lat)  # not beyond the grid of the transformation
+    lat[~known] = lon[~known] = np.nan
+    if known.sum() < count:
+        what = f"{count - known.sum()} positions lie outside the grid of {by}"
+        notes.append(loss("CRS-AREA", what, where=where, count=count - int(known.sum())))
+    convergence = np.zeros(lat.size)
+    if horizontal.is_projected:
+        convergence[known] = grid_coordinates(horizontal.to_string(), *lon_lat[:, known])[2]
+    if vertical is not None:
+        axis = vertical.axis_info[0]
+        h = h * axis.unit_conversion_factor * (-1.0 if axis.direction == "down" else 1.0)
+        if vertical.name not in _SEA_LEVELS:
+            if geoid is None:
+                raise InputError.of("CRS-VERTICAL/grid", where, named=key, vertical=vertical.name,
+                                    horizontal=horizontal.to_string())  # fmt: skip
+            undulation = geoid.undulation(lat, lon)
+            off = undulation - package_geoid().undulation(lat, lon)
+            off_m = float(np.median(off[np.isfinite(off)])) if np.isfinite(off).any() else 0.0
+            if abs(off_m) > LARGEST_GEOID_M:
+                raise InputError.of("CRS-VERTICAL/other-grid", where, named=key, geoid=geoid.name,
+                                    off_m=off_m, vertical=vertical.name)  # fmt: skip
+            what = f"{vertical.name} taken as {geoid.name} relates it to the ellipsoid, "
+            what += f"{off_m:+.1f} m from EGM96 in the median"
+            entry = note if abs(off_m) <= USUAL_GEOID_M else warning
+            notes.append(entry("CRS-VERTICAL", what, where=where, count=count))
+            h, heights = h + undulation, "ellipsoid"
+    return Places(lat, lon, h, heights, convergence), tuple(notes)
+
+
+def _own_places(horizontal: Any, x: Array, y: Array) -> Array:
+    """(2, n) longitude and latitude [deg, from Greenwich] in a system's own datum."""
+    from pyproj import Transformer
+
+    own = horizontal.geodetic_crs
+    to_own = Transformer.from_crs(horizontal, own, always_xy=True)
+    lon_lat = np.array(to_own.transform(x, y, errcheck=False))
+    lon_lat *= np.degrees(own.axis_info[0].unit_conversion_factor)  # grads of Paris, for example
+    lon_lat[0] += _meridian_deg(own)
+    return lon_lat
+
+
+def _to_wgs84(horizontal: Any, lon_lat: Array, where: str, key: str) -> tuple[Any, str, bool]:
+    """The one transformation that is best about (2, n) places with the grids that are here, what it
+    is, and whether it is good to 1 m. No other takes its place where its grid ends.
+    """
+    from pyproj.aoi import AreaOfInterest
+    from pyproj.network import set_network_enabled
+    from pyproj.transformer import TransformerGroup
+
+    set_network_enabled(False)  # whatever PROJ_NETWORK and proj.ini say
+    corners = (*lon_lat.min(axis=1).tolist(), *lon_lat.max(axis=1).tolist())
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # the words say it
+        group = TransformerGroup(
+            horizontal, "EPSG:4326", always_xy=True, allow_ballpark=False,
+            area_of_interest=AreaOfInterest(*corners),
+        )  # fmt: skip
+    if not group.transformers:
+        raise InputError.of("CRS-BALLPARK", where, name=horizontal.name, named=key)
+    best = group.transformers[0]
+    by = f"{best.description or 'an unnamed operation'}"
+    by += f", to {best.accuracy:g} m" if best.accuracy >= 0.0 else ", of unknown accuracy"
+    if not group.best_available and (missing := group.unavailable_operations[:1]):
+        grids = ", ".join(grid.short_name for grid in missing[0].grids)
+        by += f"; {missing[0].name} to {missing[0].accuracy:g} m needs {grids} in PROJ's folder"
+    return best, by, 0.0 <= best.accuracy <= _GOOD_M
+
+
+def grid_coordinates(crs: str, lon_deg: Array, lat_deg: Array) -> tuple[Array, Array, Array]:
+    """x, y [m] and the azimuth of grid north [rad] of (n,) places, without a shift of datum.
+
+    ValueError where PROJ knows no such projection.
+    """
+    from pyproj import CRS, Proj
+    from pyproj.exceptions import ProjError
+
+    try:
+        projection, meridian_deg = Proj(crs), _meridian_deg(CRS.from_user_input(crs))
+    except ProjError as error:
+        raise ValueError(str(error)) from None
+    x, y = projection(lon_deg, lat_deg)
+    # Places count from Greenwich in the projection, and from its own meridian in the factors.
+    factors = projection.get_factors(lon_deg - meridian_deg, lat_deg)
+    return np.asarray(x), np.asarray(y), np.radians(factors.meridian_convergence)
+
+
+def _meridian_deg(system: Any) -> float:
+    """Longitude of a system's prime meridian from Greenwich [deg]."""
+    meridian = system.prime_meridian
+    return float(np.degrees(meridian.longitude * meridian.unit_conversion_factor))
+
+
+@dataclass(frozen=True)
+class GridSystem:
+    """The coordinate system of a grid.
+
+    ``to_grid`` makes x, y (longitude, latitude [deg]) of longitude and latitude on WGS 84 [deg],
+    ``to_places`` the reverse; ``by`` says how, ``is_good`` whether to 1 m. ``vertical`` names its
+    vertical datum, "" without one, whose unit is ``unit_m``.
+    """
+
+    name: str
+    geographic: bool
+    to_grid: Callable[[Array, Array], tuple[Array, Array]]
+    to_places: Callable[[Array, Array], tuple[Array, Array]]
+    by: str
+    is_good: bool
+    vertical: str = ""
+    is_sea_level: bool = True
+    unit_m: float = 1.0
+
+
+def grid_system(
+    own: str, stated: str | None, *, corners: Array, heights: str, where: str, key: str
+) -> GridSystem:
+    """The system of a grid by its own words, WKT or EPSG, which must be the stated one.
+
+    ``corners`` (2, n) are x and y of its corners. Refuses (InputError) as `places_of` does, and two
+    systems that differ (DEM-CRS).
+    """
+    horizontal, vertical = _system(own, heights, where, key)
+    other, of_other = _system(stated or own, heights, where, key)
+    vertical = vertical or of_other
+    if not horizontal.equals(other, ignore_axis_order=True):
+        raise InputError.of(
+            "DEM-CRS/stated", where, own=horizontal.name, other=other.name, named=key
+        )
+    places = _own_places(horizontal, *corners)
+    best, by, good = _to_wgs84(horizontal, places[:, np.isfinite(places).all(axis=0)], where, key)
+    there = partial(best.transform, direction="INVERSE")
+    system = GridSystem(horizontal.name, horizontal.is_geographic, there, best.transform, by, good)
+    if vertical is None:
+        return system
+    name, unit_m = vertical.name, vertical.axis_info[0].unit_conversion_factor
+    return replace(system, vertical=name, is_sea_level=name in _SEA_LEVELS, unit_m=unit_m)
+
+
+def is_on_wgs84(crs: str) -> bool:
+    """Whether PROJ knows the system, as WKT or EPSG, on the ellipsoid of WGS 84 or GRS 80.
+
+    >>> is_on_wgs84("EPSG:25832"), is_on_wgs84("EPSG:27561"), is_on_wgs84("LOCAL_CS[...]")
+    (True, False, False)
+    """
+    from pyproj import CRS
+    from pyproj.exceptions import CRSError
+
+    try:
+        ellipsoid = CRS.from_user_input(crs).ellipsoid
+    except CRSError:
+        return False
+    return ellipsoid is not None and abs(ellipsoid.semi_major_metre - WGS84_A) < 1.0
+
+
+def _system(crs: str, heights: str, where: str, key: str) -> tuple[Any, Any]:
+    """The horizontal part, two-dimensional, and the vertical part or None; refuses no system.
+
+    And heights that are not above what the system says, or above an ellipsoid of a past survey.
+    """
+    from pyproj import CRS
+    from pyproj.exceptions import CRSError
+
+    try:
+        whole = CRS.from_user_input(crs)
+        horizontal, *vertical = whole.sub_crs_list if whole.is_compound else [whole]
+        if not (horizontal.is_projected or horizontal.is_geographic) or horizontal.is_geocentric:
+            raise CRSError(f"{whole.name} is a {whole.type_name}")
+    except CRSError as error:
+        raise InputError.of("CRS-UNKNOWN", where, crs=crs, error=error, named=key) from None
+    of_system, ellipsoid = "msl" if vertical else heights, horizontal.ellipsoid
+    if not vertical and len(whole.axis_info) == 3:
+        of_system = "ellipsoid"
+    if of_system != heights:
+        raise InputError.of("CRS-VERTICAL/stated", where, named=key, name=whole.name,
+                            these=of_system, heights=heights)  # fmt: skip
+    if heights == "ellipsoid" and abs(ellipsoid.semi_major_metre - WGS84_A) > 1.0:
+        raise InputError.of("CRS-VERTICAL/ellipsoid", where, named=key, name=horizontal.name,
+                            ellipsoid=ellipsoid.name)  # fmt: skip
+    return horizontal.to_2d(), vertical[0] if vertical else None
+
+
+def _inside(
+    lon_lat: Array, horizontal: Any, where: str, key: str, given: tuple[Array, Array]
+) -> tuple[Array, list[Entry]]:
+    """(2, n) places with NaN outside the system's area of use; refuses where most are outside."""
+    area, known = horizontal.area_of_use, np.isfinite(given).all(axis=0)
+    lon_lat = np.where(np.isfinite(lon_lat), lon_lat, np.nan)
+    inside = np.isfinite(lon_lat).all(axis=0)
+    if area is not None:
+        west, east = area.west - _MARGIN_DEG, area.east + _MARGIN_DEG
+        width = (east - west) % 360.0 if east - west < 360.0 else 360.0
+        inside &= (lon_lat[0] - west) % 360.0 <= width
+        south, north = area.south - _MARGIN_DEG, area.north + _MARGIN_DEG
+        inside &= (lon_lat[1] >= south) & (lon_lat[1] <= north)
+    count = int((known & ~inside).sum())
+    if count == 0 and known.any():
+        return lon_lat, []
+    what = "there are no positions"
+    if known.any():
+        first = int(np.argmax(known & ~inside))
+        what = f"{count} of {int(known.sum())} positions lie outside the area of {horizontal.name} "
+        what += f"({area.name if area else 'the earth'}), the first {given[0][first]:g}, "
+        what += f"{given[1][first]:g}"
+    if 2 * count >= known.sum():
+        raise InputError.of("CRS-AREA", where, what=what, named=key)
+    return np.where(inside, lon_lat, np.nan), [loss("CRS-AREA", what, where=where, count=count)]

@@ -1,0 +1,90 @@
+"""Object points with their heights, from a table of the user's, looked up by name."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+from unbend.errors import InputError
+from unbend.tables.text_columns import numbers_of, require_names, text_table
+from unbend.units import Array, Integers
+
+_CODES = ("POINTS-TABLE", "POINTS-COLUMN")
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectPoints:
+    """Points by name, (p,); places [rad] on WGS 84, heights [m] as observations have them.
+
+    ``of_image`` are names of images, (i,), and (i + 1,) heights that points without one take there,
+    and in other images.
+    """
+
+    name: pa.StringArray
+    lat_rad: Array
+    lon_rad: Array
+    h_m: Array
+    of_image: tuple[pa.StringArray, Array] | None = None
+
+    def heights(self, point: pa.StringArray, image: pa.StringArray) -> tuple[Array, Integers]:
+        """(n,) heights [m] of named points, NaN where unknown; and their rows, -1 without one."""
+        row = matching_rows(point, self.name)
+        h_m = np.append(self.h_m, np.nan)[row]
+        if self.of_image is not None:
+            names, usual = self.of_image
+            h_m = np.where(np.isnan(h_m), usual[matching_rows(image, names)], h_m)
+        return h_m, row
+
+
+def matching_rows(name: pa.StringArray, known: pa.StringArray) -> Integers:
+    """(n,) the row of each name among those that are known, -1 where it is not.
+
+    >>> matching_rows(pa.array(["b", None, "x", "a"]), pa.array(["a", "b"])).tolist()
+    [1, -1, -1, 0]
+    """
+    encoded = name.dictionary_encode()
+    row = pc.fill_null(pc.index_in(encoded.dictionary, value_set=known), -1)
+    by_code = np.append(row.to_numpy(zero_copy_only=False).astype(np.int64), -1)
+    codes = pc.fill_null(encoded.indices, len(by_code) - 1).to_numpy(zero_copy_only=False)
+    return np.asarray(by_code[codes])
+
+
+def read_object_points(
+    path: Path, columns: Mapping[str, str], *, key: str
+) -> tuple[pa.StringArray, dict[str, Array]]:
+    """Names (p,), and the other columns as numbers by quantity, of a CSV or Parquet table.
+
+    ``columns`` : point, height, and x, y or longitude, latitude -> the user's names; ``key`` that
+    of the mission file which names them. Refuses
+    (InputError) a column that is not there or holds no numbers, and names that stand there twice.
+    """
+    numbers = {quantity: name for quantity, name in columns.items() if quantity != "point"}
+    if path.suffix.lower() in (".parquet", ".pq"):
+        try:
+            wanted = [(quantity, name, f"{key}.{quantity}") for quantity, name in columns.items()]
+            require_names(_CODES[1], path, pq.read_schema(path).names, wanted)
+            table = pq.read_table(path, columns=list(columns.values()))
+            given = table[columns["point"]].cast(pa.string()).combine_chunks()
+            values = {
+                quantity: table[name].cast(pa.float64(), safe=False).to_numpy()
+                for quantity, name in numbers.items()
+            }
+        except (pa.ArrowException, OSError) as error:
+            raise InputError.of("POINTS-TABLE", path, error=error) from None
+    else:
+        text = text_table(path, columns, codes=_CODES, key=key)
+        given = pa.array(text[columns["point"]].str.strip(), pa.string())
+        values = {q: numbers_of(text, name, path, _CODES[0]) for q, name in numbers.items()}
+    names = given.value_counts()
+    twice = names.filter(pc.greater(names.field("counts"), 1)).field("values")
+    if len(names) == 0 or len(twice):
+        what = "the table has no rows"
+        if len(twice):
+            what = f"{len(twice)} points stand there more than once, first {twice[0].as_py()!r}"
+        raise InputError("POINTS-REPEATED" if len(twice) else "POINTS-EMPTY", what, where=str(path),
+                         remedy="write one row for each point")  # fmt: skip
+    return given, values

@@ -1,0 +1,56 @@
+"""Files of other programs that are read: trajectories, camera events, orientations, by format.
+
+A new format is a module beside this one, and its reader in `TRAJECTORIES`, `CAMERA_EVENTS` or
+`ORIENTATIONS`: a function of the path, what the mission file states, and the ledger, that returns a
+channel, or an `OrientationTable`.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from pkgutil import resolve_name
+from typing import Any
+
+from unbend.errors import InputError
+
+Registry = Mapping[str, tuple[str, tuple[str, ...]]]
+"""Where the reader of a format is, imported when a file is read; endings by which it is known."""
+
+TRAJECTORIES: Registry = {
+    "rtklib": ("unbend.tables.imports.rtklib:read_pos", (".pos",)),
+    "sbet": ("unbend.tables.imports.sbet:read_sbet", (".sbet", ".out")),
+    "csv": ("unbend.tables.imports.user_tables:read_trajectory_csv", (".csv", ".txt")),
+}
+
+CAMERA_EVENTS: Registry = {
+    "rtklib": ("unbend.tables.imports.rtklib:read_pos", (".pos",)),
+    "mrk": ("unbend.tables.imports.camera_events:read_mrk", (".mrk",)),
+    "eo": ("unbend.tables.imports.camera_events:read_eo_text", (".txt", ".eo", ".dat")),
+}
+"""Readers of exposures with their positions: columns of positions, and ``event_index``."""
+
+ORIENTATIONS: Registry = {
+    "csv": ("unbend.tables.imports.user_tables:read_orientation", (".csv", ".txt")),
+    "dji": ("unbend.tables.imports.exif:read_gimbal_orientations", ()),
+}
+"""Readers of positions and attitudes of images: a table, or the images of a folder themselves."""
+
+
+def format_of(readers: Registry, path: Path, name: str | None) -> str:
+    """The format of a file, stated or by its ending.
+
+    >>> format_of(CAMERA_EVENTS, Path("100_0001_Timestamp.MRK"), None)
+    'mrk'
+    """
+    for known, (_, endings) in readers.items():
+        if known == name or (name is None and path.suffix.lower() in endings):
+            return known
+    able = ", ".join(ending for _, endings in readers.values() for ending in endings)
+    what = f"its ending {path.suffix or 'is missing: it'} says nothing; known are {able}"
+    raise InputError(
+        "IMPORT-FORMAT", what, where=str(path), remedy=f"give format: {', '.join(readers)}"
+    )
+
+
+def reader_of(readers: Registry, path: Path, name: str | None) -> Any:
+    """The reader of a file whose format is stated, or said by its ending."""
+    return resolve_name(readers[format_of(readers, path, name)][0])

@@ -1,0 +1,147 @@
+"""Blocks of images in files of other programs, by format: cameras, orientations, image points.
+
+A new format is a module beside this one that has the functions of `BlockFormat`, and its line in
+`BLOCKS`. Half a pixel, axes and units of each program are applied there: cameras and image points
+come in COLMAP's pixels, orientations turn to a camera with x right, y down, z forward.
+"""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+import zipfile
+import zlib
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from pkgutil import resolve_name
+from typing import TYPE_CHECKING, Protocol
+from xml.etree import ElementTree
+
+import numpy as np
+
+from unbend.errors import InputError, PhysicsError, UnbendError
+from unbend.refraction.camera.camera import Camera
+from unbend.tables.imports import Registry, format_of
+from unbend.units import Array
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+    from unbend.tables.imports.blocks.image_points import CameraMakers
+    from unbend.tables.imports.user_tables import OrientationTable
+
+
+class BlockFormat(Protocol):
+    """What the module of a format does with the path of a mission file, a file or a folder."""
+
+    def block_files(self, path: Path) -> tuple[Path, ...]:
+        """The files that are read; refuses where one that is needed is missing."""
+
+    def read_cameras(self, path: Path) -> CameraMakers:
+        """The cameras by name: a function that makes each."""
+
+    def read_images(self, path: Path) -> OrientationTable:
+        """Images, their cameras, x, y, z and quaternions; NaN where an image has none."""
+
+    def read_rows(self, path: Path) -> Iterator[pa.RecordBatch]:
+        """Image points, image by image (see `image_points`)."""
+
+    def read_points(self, path: Path) -> tuple[pa.StringArray, Array]:
+        """Names and (p, 3) positions of object points, in the frame of the images."""
+
+
+BLOCKS: Registry = {
+    "colmap": ("unbend.tables.imports.blocks.colmap", (".txt", ".bin", ".db")),
+    "opensfm": ("unbend.tables.imports.blocks.opensfm", (".json",)),
+    "metashape": ("unbend.tables.imports.blocks.metashape", (".xml", ".psz")),
+    "dbat": ("unbend.tables.imports.blocks.dbat", ()),
+}
+"""Formats, and the endings by which the file of a camera is known."""
+
+
+def block_reader(program: str) -> BlockFormat:
+    """The module of a format."""
+    module: BlockFormat = resolve_name(BLOCKS[program][0])
+    return module
+
+
+_OF_LIBRARIES = (
+    LookupError, ValueError, TypeError, AttributeError, EOFError, OSError, SyntaxError,
+    sqlite3.Error, zipfile.BadZipFile, zlib.error,
+)  # fmt: skip
+
+
+@contextmanager
+def damage_refused(path: Path | str, program: str) -> Iterator[None]:
+    """Raise what a library says of a damaged file as InputError (IMPORT-FORMAT)."""
+    try:
+        yield
+    except PhysicsError as error:
+        raise InputError(error.code, error.what, where=str(path), remedy=error.remedy) from None
+    except UnbendError:
+        raise
+    except _OF_LIBRARIES as error:
+        what = "something in it is not as that program writes it"
+        if isinstance(error, KeyError):
+            what = f"it has no {error.args[0]!r}"
+        elif isinstance(error, json.JSONDecodeError):
+            what = f"line {error.lineno} is no JSON"
+        elif isinstance(error, ElementTree.ParseError):
+            what = f"line {error.position[0]} is no XML"
+        elif isinstance(error, sqlite3.Error):
+            what = f"it is no such database, or a damaged one ({error})"
+        elif isinstance(error, OSError) and error.strerror:
+            what = f"it cannot be read: {error.strerror}"
+        from unbend.tables.imports.stated import not_of_format
+
+        raise not_of_format(path, f"as a file of {program}: {what}") from None
+
+
+def read_camera(path: Path, file_format: str | None, name: str | None) -> Camera:
+    """The camera of a file: the named one, or the only one.
+
+    Refuses (InputError) a format that is not known or not met (IMPORT-FORMAT), a name that is not
+    there, and several cameras without a name (CAMERA-NAME).
+    """
+    program = format_of(BLOCKS, path, file_format)
+    with damage_refused(path, program):
+        cameras = block_reader(program).read_cameras(path)
+        chosen = next(iter(cameras)) if name is None and len(cameras) == 1 else name or ""
+        if chosen in cameras:
+            with damage_refused(f"{path}, camera {chosen}", program):
+                return cameras[chosen]()
+    lacking = "and no camera is named" if name is None else f"and no {name!r}"
+    what = f"it holds {', '.join(map(repr, cameras)) or 'no camera'}, {lacking}"
+    raise InputError("CAMERA-NAME", what, where=str(path), remedy="name one of them under camera")
+
+
+def read_block_images(path: Path, program: str) -> OrientationTable:
+    """The images of a block with their orientations.
+
+    Refuses (InputError) an image that stands there twice, and a block without orientations.
+    """
+    with damage_refused(path, program):
+        table = block_reader(program).read_images(path)
+    twice = [name for name, count in Counter(table.image.tolist()).items() if count > 1]
+    if twice or len(table.image) == 0:
+        what = f"{twice[0]!r} stands there twice" if twice else "no image is oriented"
+        raise InputError(
+            "ORIENTATION-REPEATED" if twice else "ORIENTATION-EMPTY", what, where=str(path),
+            remedy="write it again, one orientation an image",
+        )  # fmt: skip
+    length = np.linalg.norm(table.angles, axis=1)
+    if (wrong := np.abs(length - 1.0) > 1e-3).any():
+        from unbend.tables.imports.stated import not_of_format
+
+        what = f"the orientation of {table.image[np.argmax(wrong)]!r} is no rotation"
+        raise not_of_format(path, what)
+    return replace(table, angles=table.angles / length[:, None])
+
+
+def block_rows(path: Path, program: str) -> Iterator[pa.RecordBatch]:
+    """The image points of a block, image by image; refuses a damaged file where it is damaged."""
+    with damage_refused(path, program):
+        yield from block_reader(program).read_rows(path)

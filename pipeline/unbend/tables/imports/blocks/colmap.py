@@ -1,0 +1,205 @@
+"""COLMAP: sparse models as text or binary files, and databases.
+
+Pixels are those of this package: the centre of the upper left pixel is (0.5, 0.5), x counts to the
+right, y down. A pose turns and moves from the frame of the model to the camera, which has x right,
+y down, z forward. A point is the number of its point3D; keypoints without one, and all of a
+database, are called ``image:index``. Read without pycolmap, which takes a camera file that is cut
+short without a word, streamed, and tested against what pycolmap writes.
+"""
+
+import re
+import sqlite3
+from collections.abc import Iterator, Sequence
+from contextlib import closing
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from unbend.errors import InputError, PhysicsError
+from unbend.flight.rotations import matrices_of
+from unbend.refraction.calibration import camera_of_model
+from unbend.refraction.camera.camera import Camera
+from unbend.tables.imports.blocks.image_points import (
+    BinaryFile,
+    CameraMakers,
+    TextFile,
+    oriented_images,
+    rows_of_image,
+)
+from unbend.tables.imports.stated import not_of_format
+from unbend.tables.imports.user_tables import OrientationTable
+from unbend.units import Array, Integers
+
+_MODELS = (
+    ("SIMPLE_PINHOLE", 3), ("PINHOLE", 4), ("SIMPLE_RADIAL", 4), ("RADIAL", 5), ("OPENCV", 8),
+    ("OPENCV_FISHEYE", 8), ("FULL_OPENCV", 12), ("FOV", 5), ("SIMPLE_RADIAL_FISHEYE", 4),
+    ("RADIAL_FISHEYE", 5), ("THIN_PRISM_FISHEYE", 12), ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
+    ("SIMPLE_DIVISION", 4), ("DIVISION", 5), ("SIMPLE_FISHEYE", 3), ("FISHEYE", 4), ("EUCM", 6),
+    ("EQUIRECTANGULAR", 2),
+)  # fmt: skip
+POINT2D = np.dtype([("xy", "<f8", 2), ("point", "<i8")])
+
+
+def block_files(path: Path) -> tuple[Path, ...]:
+    """The database, a file of cameras, or cameras, images and points3D of a model's folder."""
+    if not path.is_dir():
+        return (path,)
+    ending = ".bin" if (path / "images.bin").is_file() else ".txt"
+    files = tuple(path / f"{name}{ending}" for name in ("cameras", "images", "points3D"))
+    for file in files:
+        if not file.is_file():
+            raise InputError.of("INPUT-MISSING/colmap", file, name=file.name)
+    return files
+
+
+def read_cameras(path: Path) -> CameraMakers:
+    """The cameras of a model, a cameras.txt or cameras.bin, or a database, by their numbers."""
+
+    def camera(line: int | None, model: str, width: float, height: float, *p: float) -> Camera:
+        try:
+            return camera_of_model(model, int(width), int(height), [*map(float, p)])
+        except PhysicsError as error:
+            if line is None:
+                raise
+            what = f"line {line}: {error.what}"
+            raise PhysicsError(error.code, what, remedy=error.remedy) from None
+
+    rows = _cameras(block_files(path)[0])
+    return {str(number): partial(camera, line, *row) for line, number, *row in rows}
+
+
+def read_images(path: Path) -> OrientationTable:
+    """The images of a model; refuses a database, which orients none."""
+    found = [(name, camera, pose) for name, camera, pose, _, _ in _images(path)]
+    pose = np.array([pose for _, _, pose in found]).reshape(-1, 7)
+    centre = -np.einsum("nji,nj->ni", matrices_of(pose[:, :4]), pose[:, 4:])
+    return oriented_images([f[0] for f in found], [f[1] for f in found], centre, pose[:, :4])
+
+
+def read_rows(path: Path) -> Iterator[pa.RecordBatch]:
+    """The keypoints of a model or a database."""
+    if path.suffix.lower() != ".db":
+        for name, _, _, xy, point in _images(path):
+            yield rows_of_image(name, xy, point)
+        return
+    query = "SELECT name, rows, cols, data FROM keypoints JOIN images USING (image_id)"
+    with closing(opened(path)) as database:
+        count = 0
+        for name, rows, columns, blob in database.execute(f"{query} ORDER BY image_id"):
+            count += rows
+            if columns < 2 or len(blob or b"") != 4 * rows * columns:
+                raise not_of_format(path, f"the keypoints of {name!r} are {len(blob or b'')} bytes,"
+                                    f" and not {rows} rows of {columns} float32")  # fmt: skip
+            if rows:
+                yield rows_of_image(name, np.frombuffer(blob, "<f4").reshape(rows, -1)[:, :2])
+        if count == 0:
+            pairs = database.execute("SELECT COUNT(*) FROM matches").fetchone()[0]
+            raise InputError.of("OBS-EMPTY", path, pairs=pairs)
+
+
+def read_points(path: Path) -> tuple[pa.StringArray, Array]:
+    """The points3D of a model."""
+    file = _of_model(path)[2]
+    numbers, places = [], []
+    if file.suffix == ".bin":
+        with BinaryFile(file) as content:
+            for _ in range(content.take("Q")[0]):
+                number, *place, track = content.take("Q3d11xQ")
+                numbers.append(str(number))
+                places.append(place)
+                content.skip(8 * track)
+    else:
+        for _, number, x, y, z, *_ in _text_rows(file, words=1, least=8):
+            numbers.append(number)
+            places.append([x, y, z])
+    return pa.array(numbers, pa.string()), np.array(places, np.float64).reshape(-1, 3)
+
+
+def _cameras(file: Path) -> Iterator[Sequence[Any]]:
+    """Line in a text, else None; number, model, width, height and parameters of each camera."""
+    if file.suffix.lower() == ".db":
+        query = "SELECT camera_id, model, width, height, params FROM cameras"
+        with closing(opened(file)) as database:
+            for number, code, width, height, blob in database.execute(query):
+                model, _ = _model(code, file)
+                yield None, number, model, width, height, *np.frombuffer(blob, "<f8")
+    elif file.suffix.lower() == ".bin":
+        with BinaryFile(file) as content:
+            for _ in range(content.take("Q")[0]):
+                number, code, width, height = content.take("iiQQ")
+                model, count = _model(code, file)
+                yield None, number, model, width, height, *content.take(f"{count}d")
+    else:
+        yield from _text_rows(file, words=2, least=5)
+
+
+def _images(path: Path) -> Iterator[tuple[str, str, Array, Array, Integers]]:
+    """Name, camera, pose (7,), keypoints (n, 2) and their point3D, -1 for none, of each image."""
+    file = _of_model(path)[1]
+    if file.suffix == ".bin":
+        with BinaryFile(file) as content:
+            for _ in range(content.take("Q")[0]):
+                _, *numbers, camera = content.take("i7di")
+                name = content.word()
+                record = content.array(POINT2D, content.take("Q")[0])
+                yield name, str(camera), np.array(numbers), record["xy"], record["point"]
+        return
+    count, cameras = 0, {str(number) for _, number, *_ in _cameras(_of_model(path)[0])}
+    with TextFile(file) as lines:
+        rows = iter(lines)
+        for head in rows:
+            if head and not head.startswith("#"):
+                _, *numbers, camera, name = head.split(maxsplit=9)
+                if camera not in cameras:
+                    raise not_of_format(file, f"in line {lines.number} {name!r} is of camera "
+                                        f"{camera}, which cameras.txt has not")  # fmt: skip
+                pose, count = np.array(numbers, np.float64).reshape(7), count + 1
+                points = np.array(next(rows, "").split(), np.float64).reshape(-1, 3)
+                yield name, camera, pose, points[:, :2], points[:, 2].astype(np.int64)
+    _refuse_fewer(file, count)
+
+
+def _text_rows(file: Path, *, words: int, least: int) -> Iterator[list[Any]]:
+    """Number and fields, at least so many, of lines that are no comments: words, then numbers."""
+    count = 0
+    with TextFile(file) as lines:
+        for fields in (line.split() for line in lines if line and not line.startswith("#")):
+            if len(fields) < least:
+                raise ValueError
+            count += 1
+            yield [lines.number, *fields[:words], *map(float, fields[words:])]
+    _refuse_fewer(file, count)
+
+
+def _refuse_fewer(file: Path, count: int) -> None:
+    """Refuse a text of COLMAP's that holds another number of records than it says, or no end."""
+    with file.open("rb") as stream:
+        stated = re.search(rb"^# Number of \w+: (\d+)", stream.read(1000), re.M)
+        stream.seek(max(file.stat().st_size - 1, 0))
+        if not stated or (int(stated[1]) == count and stream.read() == b"\n"):
+            return
+    raise not_of_format(file, f"it is cut short, behind {count} of {int(stated[1])} records")
+
+
+def _of_model(path: Path) -> tuple[Path, ...]:
+    if not path.is_dir():
+        raise InputError.of("IMPORT-FORMAT/no-model", path)
+    return block_files(path)
+
+
+def _model(code: int, path: Path) -> tuple[str, int]:
+    """Name of a camera model, and how many parameters it has; refuses one of a later version."""
+    if not 0 <= code < len(_MODELS):
+        raise InputError.of("IMPORT-FORMAT/colmap-model", path, code=code, last=len(_MODELS) - 1)
+    return _MODELS[code]
+
+
+def opened(path: Path) -> sqlite3.Connection:
+    """A database for reading only; refuses one with rows that are still in the log beside it."""
+    log = Path(f"{path}-wal")
+    if log.is_file() and log.stat().st_size:
+        raise InputError.of("IMPORT-FORMAT/database-log", path, log=log)
+    return sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro&immutable=1", uri=True)

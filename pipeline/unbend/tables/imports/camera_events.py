@@ -1,0 +1,162 @@
+"""Exposures with their positions: DJI's ``Timestamp.MRK`` and POSPac's exterior orientation.
+
+A line of a ``.MRK`` is: number of the image, GPS seconds of the week, [week], offset from the
+antenna to the camera north, east and downwards [mm], latitude, longitude [deg], ellipsoidal height
+[m], sigmas north, east and up [m], quality (50 fixed, 34 float, 16 single, 0 none). DJI's manuals
+call the position that "after compensation": it is the camera's.
+
+POSPac's text has one line an event, after a header that names the columns, among them ``TIME (s)``,
+``ELLIPSOID HEIGHT`` or ``ORTHOMETRIC HEIGHT``, ``LAT`` and ``LONG``; the line of units says ``lat,
+long in Deg`` and ``orientation in Degrees``, that of the grid ``Zone:  UTM North 32``.
+"""
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from unbend.errors import InputError
+from unbend.flight import rotations
+from unbend.flight.channels import Channel
+from unbend.ledger import Ledger
+from unbend.tables.geodata.coordinate_systems import grid_coordinates
+from unbend.tables.imports.stated import Stated, channel_of_rows, not_of_format, read_text
+from unbend.tables.text_columns import numbers, split_lines, utc_of_weeks
+from unbend.units import RADIANS, Array
+
+_MILLIMETRE = 1e-3
+_LINE = r"\[.*\].*,N.*,E.*,V.*,Lat.*,Lon.*,Ellh.*,.*,.*,Q"
+_NAMES = (
+    "index", "seconds", "week", "N", "E", "V", "Lat", "Lon", "Ellh", "sd_n", "sd_e", "sd_u", "Q",
+)  # fmt: skip
+
+
+def read_mrk(path: Path, stated: Stated, ledger: Ledger) -> Channel:
+    """Events with the position of the camera, and the way from the antenna to it.
+
+    ``event_index`` is the image's number, ``offset_north_m``, ``offset_east_m``, ``offset_down_m``
+    lead from the antenna to the camera. Positions of quality 0 are unknown.
+    """
+    lines = read_text(path)
+    of_mrk = np.array([re.search(_LINE, line) is not None for line in lines])
+    if not of_mrk.any():
+        raise InputError.of("IMPORT-FORMAT/mrk", path)
+    table = split_lines(lines, _NAMES, r"\s*(?:\[|\]|,[A-Za-z]*|\s)\s*")
+    value = {name: numbers(table[name]) for name in _NAMES}
+    readable = of_mrk & np.isfinite(list(value.values())).all(axis=0)
+    time_ns = utc_of_weeks(value["week"], value["seconds"], stated.system_of(path, ledger, "gpst"))
+    lost = (value["Q"] == 0) | ((value["Lat"] == 0.0) & (value["Lon"] == 0.0))
+    if count := int(lost.sum()):
+        first = value["index"][np.argmax(lost)]
+        ledger.loss(
+            "IMPORT-NO-POSITION", where=path.name, count=count, total=lost.size, first=first
+        )
+    if single := int(np.sum(value["Q"] == 16)):
+        ledger.warning("TRAJECTORY-SINGLE", where=path.name, count=single, total=lost.size)
+    columns = {
+        "event_index": value["index"],
+        "offset_north_m": value["N"] * _MILLIMETRE,
+        "offset_east_m": value["E"] * _MILLIMETRE,
+        "offset_down_m": value["V"] * _MILLIMETRE,
+        "lat_rad": np.where(lost, np.nan, np.radians(value["Lat"])),
+        "lon_rad": np.where(lost, np.nan, np.radians(value["Lon"])),
+        stated.height_column(path, ledger, "ellipsoid"): np.where(lost, np.nan, value["Ellh"]),
+        "sigma_h_m": np.hypot(value["sd_n"], value["sd_e"]) / np.sqrt(2.0),
+        "sigma_v_m": value["sd_u"],
+        "solution_quality": value["Q"],
+    }
+    return channel_of_rows(path, "MRK", time_ns, columns, ledger, readable=readable)
+
+
+# Another zone or projection is farther away; another datum, or rounded degrees, are nearer.
+FARTHEST_FROM_GRID_M = 5000.0
+_TITLES = re.compile(
+    r"EVENT|TIME(?=\s*\(s\))|EASTING|NORTHING|(?:ELLIPSOID|ORTHOMETRIC)(?=\s+HEIGHT)|OMEGA|PHI"
+    r"|KAPPA|ROLL|PITCH|HEADING|LAT\b|LONG\b|\bID\b",
+    re.IGNORECASE,
+)
+
+
+def read_eo_text(path: Path, stated: Stated, ledger: Ledger) -> Channel:
+    """Events with the position of the camera; labels ``name`` from the column ID where it has one.
+
+    The attitude is that of a body in which the camera is at rest (`CAMERA_AT_REST`). Seconds are
+    those of the GPS week, or of UTC, as stated: the file does not say.
+    """
+    lines = read_text(path)
+    at = next((k for k, line in enumerate(lines) if re.search(r"TIME\s*\(s\)", line)), None)
+    if at is None:
+        raise not_of_format(path, "no line names the columns: '# EVENT  TIME (s)  EASTING ...'")
+    titles = [name.upper() for name in _TITLES.findall(lines[at])]
+    above = next((name for name in titles if name in ("ELLIPSOID", "ORTHOMETRIC")), "")
+    if not above or "LAT" not in titles or "LONG" not in titles:
+        raise InputError.of("IMPORT-FORMAT/eo-columns", path, titles=", ".join(titles))
+    if not re.search(r"lat\W+long\w* in deg", "\n".join(lines[:at]), re.IGNORECASE):
+        raise InputError.of("IMPORT-FORMAT/eo-degrees", path)
+    rows = [line for line in lines[at + 1 :] if re.match(r"\s*\S+\s+\S*[0-9]", line)]
+    table = split_lines(rows, titles, r"\s+")
+    value = {name: numbers(table[name]) for name in titles}
+    needed = np.stack([value[name] for name in ("TIME", "LAT", "LONG", above)])
+    readable = np.asarray(np.isfinite(needed).all(axis=0))
+    count = np.arange(1.0, len(rows) + 1.0)
+    event = value.get("EVENT", count)
+    surface = "ellipsoid" if above == "ELLIPSOID" else "msl"
+    columns = {
+        "event_index": np.where(np.isfinite(event), event, count),
+        "lat_rad": np.radians(value["LAT"]),
+        "lon_rad": np.radians(value["LONG"]),
+        stated.height_column(path, ledger, surface): value[above],
+    }
+    time_ns = stated.utc_of_week_seconds(path, value["TIME"], stated.system_of(path, ledger))
+    head = "\n".join(lines[:at])
+    columns |= attitudes_of_eo(path, head, value, stated, ledger)
+    labels = {"name": tuple(table["ID"])} if "ID" in titles else None
+    return channel_of_rows(path, "EO", time_ns, columns, ledger, readable=readable, labels=labels)
+
+
+def attitudes_of_eo(
+    path: Path, head: str, value: Mapping[str, Array], stated: Stated, ledger: Ledger
+) -> dict[str, Array]:
+    """The columns q_w to q_z by omega, phi and kappa in a grid, or by roll, pitch and heading.
+
+    The axes of the grid are turned by its convergence at each event (PROJ's). Easting and northing
+    prove the grid: refuses (InputError IMPORT-EO-GRID) one in which they lie elsewhere.
+    """
+    names = ("OMEGA", "PHI", "KAPPA") if "OMEGA" in value else ("ROLL", "PITCH", "HEADING")
+    if not set(names) <= value.keys() or value["LAT"].size == 0:
+        return {}
+    unit = re.search(r"orientation in (deg|grad|gon|rad)", head, re.IGNORECASE)
+    zone = re.search(r"UTM\s+(North|South)\s+(\d{1,2})\b", head, re.IGNORECASE)
+    grid = stated.grid
+    if zone is not None and grid is None:
+        grid = f"EPSG:{32600 + 100 * (zone[1].lower() == 'south') + int(zone[2])}"
+    if unit is None or (grid is None and "OMEGA" in value):
+        missing = "'orientation in Degrees'" if unit is None else "its UTM zone"
+        ledger.fallback("IMPORT-EO-ANGLES", where=path.name, missing=missing)
+        return {}
+    scale = {"d": RADIANS["deg"], "r": RADIANS["rad"], "g": RADIANS["grad"]}[unit[1][0].lower()]
+    angles = np.stack([value[name] for name in names], axis=1) * scale
+    if "OMEGA" not in value:
+        q = rotations.quaternions_of(rotations.ned_from_body(angles))
+    else:
+        place = np.nan_to_num([value["LONG"], value["LAT"]])
+        where, remedy = str(path), "state events.positions.<camera>.grid, as EPSG:32632"
+        try:
+            *of_place, convergence = grid_coordinates(str(grid), *place)
+        except ValueError as error:
+            what = f"{grid} is no grid that PROJ knows: {error}"
+            raise InputError("IMPORT-EO-GRID", what, where=where, remedy=remedy) from None
+        unknown = np.full(place[0].shape, np.nan)
+        grid_m = np.stack([value.get(name, unknown) for name in ("EASTING", "NORTHING")])
+        off_m = np.hypot(*(np.stack(of_place) - grid_m))
+        off_m = off_m[np.isfinite(off_m)]
+        if off_m.size and not np.median(off_m) < FARTHEST_FROM_GRID_M:
+            what = f"its eastings and northings lie {np.median(off_m):.3g} m from its latitudes "
+            what += f"and longitudes in {grid}: its angles count in another grid"
+            raise InputError("IMPORT-EO-GRID", what, where=where, remedy=remedy)
+        turn = rotations.enu_from_grid(convergence)
+        camera = rotations.matrices_of(rotations.quaternion_of_opk(angles))
+        axes = (camera @ turn.transpose(0, 2, 1)).transpose(0, 2, 1)
+        q = rotations.quaternions_of(rotations.NED_FROM_ENU @ axes @ rotations.CAMERA_AT_REST)
+    return dict(zip(("q_w", "q_x", "q_y", "q_z"), q.T, strict=True))

@@ -1,0 +1,334 @@
+"""Times, positions and gimbal angles of the images of a flight: EXIF, DJI's XMP, exiftool's CSV."""
+
+import logging
+import re
+import struct
+from collections import defaultdict
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path, PurePosixPath
+from typing import NamedTuple
+
+import exifread
+import numpy as np
+import pandas as pd
+from exifread.core.exceptions import ExifError
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from unbend.errors import InputError
+from unbend.flight import rotations
+from unbend.flight.clock import utc_of_gps
+from unbend.flight.stations import NO_TIME
+from unbend.ledger import Ledger
+from unbend.tables.imports.stated import Stated
+from unbend.tables.imports.user_tables import OrientationTable
+from unbend.units import Integers, Names
+
+ENDINGS = ".3fr .arw .cr2 .cr3 .dng .heic .iiq .jpeg .jpg .nef .orf .raf .rw2 .tif .tiff"
+
+_STAMP = re.compile(
+    r"(\d{4})[:/-](\d\d)[:/-](\d\d)[ T](\d\d):(\d\d):(\d\d)(?:[.,](\d+))?\s*(Z|[+-]\d\d:?\d\d)?"
+)
+_UNIX = re.compile(r"(\d{9,10})(?:\.(\d+))?")
+_DJI = re.compile(rb"drone-dji:(\w+)\s*(?:=\s*[\"']|>)([^\"'<]+)")
+_OF_DAMAGE = (
+    ExifError, LookupError, ValueError, TypeError, AttributeError, ArithmeticError, RuntimeError,
+    EOFError, OSError, MemoryError, struct.error,
+)  # fmt: skip
+"""What exifread raises on damaged files, by 41,000 of them, and what it reads them with."""
+
+_XMP_BYTES = 1 << 18  # DJI writes its XMP behind the EXIF, which has a preview of 64 KiB at most
+# A receiver's stamp may be some seconds old; the zones of the world are quarters of an hour apart.
+_RECEIVER_SIGMA_S, _QUARTER_S, _ZONE_PROOF_S, _FARTHEST_ZONE_S = 2.0, 900, 120.0, 14 * 3600
+
+
+class Stamp(NamedTuple):
+    """A moment [ns], the step in which it counts [s]; whether it is UTC, and a receiver's."""
+
+    time_ns: int
+    step_s: float
+    is_utc: bool
+    by_gps: bool = False
+
+
+def parse_time(text: str, zone: str = "") -> Stamp | None:
+    """A time as EXIF, ISO 8601 or Unix seconds write it; None where it is none of them.
+
+    ``zone`` is a UTC offset stated elsewhere, such as OffsetTimeOriginal. Without one the time is
+    local, and counted as though it were UTC.
+
+    >>> parse_time("2026:05:01 10:20:30.25", "+02:00")
+    Stamp(time_ns=1777623630250000000, step_s=0.01, is_utc=True, by_gps=False)
+    >>> parse_time("1777623630.5").is_utc, parse_time("0000:00:00 00:00:00")
+    (True, None)
+    """
+    text = text.strip()
+    if unix := _UNIX.fullmatch(text):
+        seconds, decimals, offset = int(unix[1]), unix[2] or "", "Z"
+    elif stamp := _STAMP.fullmatch(text):
+        year, month, day, hour, minute, second = (int(stamp[i]) for i in range(1, 7))
+        try:
+            moment = datetime(year, month, day, hour, minute, second, tzinfo=UTC)
+        except ValueError:  # a 30th of February
+            return None
+        seconds, decimals = int(moment.timestamp()), stamp[7] or ""
+        offset = stamp[8] or zone.strip()
+    else:
+        return None
+    signed = re.fullmatch(r"([+-])(\d\d):?(\d\d)", offset)
+    if signed is not None:
+        seconds -= int(signed[1] + "1") * (int(signed[2]) * 3600 + int(signed[3]) * 60)
+    decimals = decimals[:9]
+    time_ns = seconds * 10**9 + int(decimals.ljust(9, "0"))
+    return Stamp(time_ns, 10.0 ** -len(decimals), signed is not None or offset in ("Z", "UTC"))
+
+
+@dataclass(frozen=True, eq=False)
+class ImageTimes:
+    """Images that exist, (m,): paths with slashes, and the times of their camera's clock.
+
+    ``time_ns`` counts local time as though it were UTC where ``is_utc`` is False; `NO_TIME` where
+    an image has none. ``sigma_s`` is half of the step in which the clock counts; ``clock_sigma_s``
+    that of the clock itself, infinite but for times of a GPS receiver. ``position`` (m, 3) is
+    latitude, longitude [rad] and the height as written [m], NaN where an image has none.
+    """
+
+    file: Names
+    time_ns: Integers
+    sigma_s: NDArray[np.float64]
+    is_utc: bool
+    position: NDArray[np.float64]
+    clock_sigma_s: float = np.inf
+
+    def rows_of(self, images: Iterable[str]) -> dict[str, int]:
+        """The row of each image that has one, whatever the ending of its file.
+
+        An image is known by its name, and by its folders as far as both state them. Refuses
+        (InputError IMAGES-DUPLICATE) a name that stands in two folders.
+        """
+        parts = [_parts(str(file)) for file in self.file]
+        rows: dict[str, list[int]] = defaultdict(list)
+        for row, own in enumerate(parts):
+            rows[own[-1]].append(row)
+        found = {}
+        for image in images:
+            wanted = _parts(image)[::-1]
+            same = [
+                row
+                for row in rows.get(wanted[0], ())
+                if all(a == b for a, b in zip(parts[row][::-1], wanted, strict=False))
+            ]
+            if len(same) > 1:
+                one, other = self.file[same[:2]]
+                raise InputError.of(
+                    "IMAGES-DUPLICATE", "events.images", image=image, one=one, other=other
+                )
+            if same:
+                found[image] = same[0]
+        return found
+
+
+def _parts(path: str) -> tuple[str, ...]:
+    """Folders and name without ending, in one case."""
+    pure = PurePosixPath(path.replace("\\", "/").casefold())
+    return tuple(part for part in pure.with_suffix("").parts if part not in ("/", "."))
+
+
+def read_image_times(path: Path, zone: str, ledger: Ledger) -> ImageTimes:
+    """Times of the images in a folder and those below it, or of the rows of exiftool's CSV.
+
+    ``zone`` is the UTC offset of the camera's clock, such as +02:00 or UTC; "" if not stated.
+
+    A time is taken from, in this order: drone-dji:UTCAtExposure; GPS week and seconds; a Unix or
+    ISO time (time_utc); DateTimeOriginal with its SubSecTime and OffsetTime; DateTimeDigitized; the
+    GPS stamp. The date of a file's last change is no time of an exposure. A time zone is inferred
+    only where the GPS stamps of the same images prove it. Images without a time are losses.
+    """
+    tags = read_tags(path, ledger)
+    stamps = {file: stamp for file, of in tags.items() if (stamp := _time_of(of, zone)) is not None}
+    local = [file for file, stamp in stamps.items() if not stamp.is_utc]
+    fixes = {file: fix for file in local if (fix := _gps_stamp(tags[file])) is not None}
+    if fixes:
+        ahead = np.array([stamps[file].time_ns - fix.time_ns for file, fix in fixes.items()]) / 1e9
+        zone_s = int(np.round(np.median(ahead) / _QUARTER_S)) * _QUARTER_S
+        proved = float(np.mean(np.abs(ahead - zone_s) < _ZONE_PROOF_S)) > 0.9
+        if proved and abs(zone_s) <= _FARTHEST_ZONE_S:
+            what = f"the camera's clock is {zone_s / 3600:+g} h from UTC by its images' GPS stamps"
+            ledger.note("EXIF-ZONE", what, where=path.name, count=len(fixes))
+            for file in local:
+                utc_ns = stamps[file].time_ns - zone_s * 10**9
+                stamps[file] = stamps[file]._replace(time_ns=utc_ns, is_utc=True)
+    # A local time among times in UTC would be hours off: it is no time of the same clock.
+    is_utc = 2 * sum(stamp.is_utc for stamp in stamps.values()) > len(stamps)
+    files = sorted(tags)
+    rows = [s if (s := stamps.get(f)) is not None and s.is_utc == is_utc else None for f in files]
+    without = [file for file, stamp in zip(files, rows, strict=True) if stamp is None]
+    if without:
+        what = f"{len(without)} of {len(tags)} images have no time of exposure on the same clock: "
+        what += ", ".join(without[:3]) + (" ..." if len(without) > 3 else "")
+        ledger.loss("EXIF-TIME", what, where=path.name, count=len(without))
+    time_ns = np.array([NO_TIME if stamp is None else stamp.time_ns for stamp in rows], np.int64)
+    step = np.array([np.nan if stamp is None else stamp.step_s for stamp in rows])
+    known = time_ns != NO_TIME
+    # Some cameras write 00 for the fraction of every second.
+    if np.count_nonzero(known) > 4 and np.ptp(time_ns[known] % 10**9) == 0:
+        step = np.where(known, 1.0, step)
+    if bool((step >= 1.0).any()):
+        what = "the camera's clock counts whole seconds: a standard deviation of 0.5 s is assumed"
+        ledger.note("EXIF-WHOLE-SECONDS", what, where=path.name, count=int((step >= 1.0).sum()))
+    by_gps = all(stamp.by_gps for stamp in rows if stamp is not None)
+    clock_sigma_s = _RECEIVER_SIGMA_S if by_gps else np.inf
+    sigma_s = np.maximum(step / 2.0, 1e-3)
+    position = positions_of_tags([tags[file] for file in files])
+    return ImageTimes(np.array(files, object), time_ns, sigma_s, is_utc, position, clock_sigma_s)
+
+
+def read_tags(path: Path, ledger: Ledger) -> dict[str, dict[str, str]]:
+    """By image, its tags without their groups; refuses (InputError IMAGES-NONE) no images."""
+    if path.is_dir():
+        tags = _tags_of_folder(path, ledger)
+    else:
+        try:
+            table = pd.read_csv(path, dtype=str, keep_default_na=False, encoding="utf-8-sig")
+        except (OSError, ValueError) as error:
+            raise InputError.of("IMAGES-CSV", path, error=str(error).strip()) from None
+        table.columns = pd.Index([_key(str(name)) for name in table.columns])
+        table = table.loc[:, ~table.columns.duplicated()]
+        column = next((c for c in ("sourcefile", "filename", "image") if c in table), None)
+        rows = table.to_dict("records") if column is not None else []
+        tags = {row[column]: {str(k): v for k, v in row.items()} for row in rows if row[column]}
+    if not tags:
+        raise InputError.of("IMAGES-NONE", path, endings=ENDINGS)
+    return tags
+
+
+def positions_of_tags(tags: Iterable[Mapping[str, str]]) -> NDArray[np.float64]:
+    """(m, 3) latitude, longitude [rad] and height as written [m]; a place of 0, 0 is none."""
+    rows = []
+    for of in tags:
+        lat, lon = (
+            _degrees(of.get(f"gps{axis}", ""), of.get(f"gps{axis}ref", ""))
+            for axis in ("latitude", "longitude")
+        )
+        lon = _degrees(of.get("gpslongtitude", "")) if np.isnan(lon) else lon  # as DJI spelt it
+        height = _degrees(of.get("absolutealtitude", "") or of.get("gpsaltitude", ""))
+        below = of.get("gpsaltituderef", "0").lower().startswith(("1", "below"))
+        height = -abs(height) if below or "below" in of.get("gpsaltitude", "").lower() else height
+        on_earth = abs(lat) <= 90.0 and abs(lon) <= 360.0 and (lat, lon) != (0.0, 0.0)
+        rows.append((*np.radians([lat, lon]), height) if on_earth else (np.nan,) * 3)
+    return np.array(rows).reshape(-1, 3)
+
+
+def _degrees(text: str, hemisphere: str = "") -> float:
+    r"""A number, or degrees, minutes and seconds with the letter of their hemisphere; NaN for none.
+
+    >>> round(_degrees("47 deg 18' 36.00\" S"), 9), _degrees("[8, 30, 0]", "W"), _degrees("+8.5")
+    (-47.31, -8.5, 8.5)
+    """
+    parts = [
+        float(part) / float(by or 1.0) if float(by or 1.0) else np.nan
+        for part, by in re.findall(r"(\d+(?:\.\d*)?)(?:/(\d+))?", text)[:3]
+    ]
+    if not parts:
+        return np.nan
+    minus = "-" in text or re.search(r"[SW]$", text.strip() + hemisphere[:1].upper())
+    return sum(part / 60.0**k for k, part in enumerate(parts)) * (-1.0 if minus else 1.0)
+
+
+def read_gimbal_orientations(path: Path, stated: Stated, ledger: Ledger) -> OrientationTable:
+    """Positions and attitudes that DJI writes into its images: the gimbal's roll, pitch and yaw.
+
+    They are those of the payload against north, east and down, its forward axis the optical one.
+    In the table they become those of a body on which the camera looks down, its top forward, so
+    that a mount has nothing but the boresight. What an image lacks is unknown. Refuses (InputError
+    IMAGES-NO-GIMBAL) images none of which has angles.
+    """
+    tags = read_tags(path, ledger)
+    files = sorted(tags)
+    keys = [f"gimbal{name}degree" for name in ("roll", "pitch", "yaw")]
+    given = np.radians([[_degrees(tags[file].get(key, "")) for key in keys] for file in files])
+    if not np.isfinite(given).all(axis=1).any():
+        raise InputError.of("IMAGES-NO-GIMBAL", path, files=len(files))
+    quarter = Rotation.from_euler("y", 90.0, degrees=True).as_matrix()
+    turned = rotations.ned_from_body(given) @ quarter
+    body = rotations.quaternions_of(rotations.CAMERA_AT_REST @ turned.transpose(0, 2, 1))
+    angles = rotations.rpy_of_quaternion(rotations.in_turned_frame(body, rotations.NED_FROM_ENU))
+    stamps = [_time_of(tags[file], "") for file in files]
+    utc = [s.time_ns if s is not None and s.is_utc else NO_TIME for s in stamps]
+    position = positions_of_tags(tags[file] for file in files)
+    names = np.array(files, object)
+    return OrientationTable(names, None, np.array(utc, np.int64), position, angles, {})
+
+
+def image_files(folder: Path) -> list[Path]:
+    """The images in a folder and those below it, by their ending, sorted."""
+    known = ENDINGS.split()
+    return sorted(p for p in folder.rglob("*") if p.suffix.lower() in known and p.is_file())
+
+
+def _tags_of_folder(folder: Path, ledger: Ledger) -> dict[str, dict[str, str]]:
+    """Tags of each image by its path in the folder; of a raw image and its JPEG only one."""
+    logging.getLogger("exifread").setLevel(logging.CRITICAL)  # what it finds is a loss below
+    tags: dict[str, dict[str, str]] = {}
+    unreadable, seen = [], set()
+    for path in image_files(folder):
+        name = path.relative_to(folder).as_posix()
+        if _parts(name) in seen:
+            continue
+        seen.add(_parts(name))
+        tags[name] = {}
+        try:
+            with path.open("rb") as file:
+                read = exifread.process_file(file, details=False, extract_thumbnail=False)
+                file.seek(0)
+                xmp = _DJI.findall(file.read(_XMP_BYTES))
+        except _OF_DAMAGE as error:
+            unreadable.append(f"{name} ({type(error).__name__}: {error})")
+            continue
+        tags[name] = {_key(key): str(value) for key, value in read.items()}
+        if "GPS GPSTimeStamp" in read:
+            hour, minute, second = (float(value) for value in read["GPS GPSTimeStamp"].values)
+            text = f"{int(hour):02d}:{int(minute):02d}:{second:09.6f}"
+            tags[name]["gpstimestamp"] = text.rstrip("0").rstrip(".") if second % 1 else text[:8]
+        tags[name] |= {_key(key.decode()): text.decode("ascii", "replace") for key, text in xmp}
+    if unreadable:
+        what = f"the EXIF of {len(unreadable)} files cannot be read: {', '.join(unreadable[:3])}"
+        ledger.loss("EXIF-UNREADABLE", what, where=folder.name, count=len(unreadable))
+    return tags
+
+
+def _key(name: str) -> str:
+    """A tag's name without its group: of EXIF:DateTimeOriginal, GPS GPSDate or time_utc."""
+    return re.sub(r"[^a-z0-9]", "", re.split(r"[: ]", name)[-1].lower())
+
+
+def _time_of(tags: Mapping[str, str], zone: str) -> Stamp | None:
+    """The time of an exposure, from the best of the tags that state one."""
+    if (dji := parse_time(tags.get("utcatexposure", ""), "UTC")) is not None:
+        return dji._replace(by_gps=True)
+    week, seconds = tags.get("gpsweek", "").strip(), tags.get("gpsseconds", "").strip()
+    if week.isdigit() and re.fullmatch(r"\d{1,6}(\.\d*)?", seconds) and int(week) > 0:
+        step_s = 10.0 ** -len(seconds.partition(".")[2])
+        return Stamp(int(utc_of_gps(int(week), float(seconds))), step_s, True, True)
+    texts = [
+        (tags.get("timeutc", ""), "UTC"),
+        *((tags.get(n, ""), zone) for n in ("unixtime", "timestamp", "subsecdatetimeoriginal")),
+    ]
+    for kind in ("original", "digitized"):
+        date = tags.get(f"datetime{kind}", "") or tags.get("createdate", "") * (kind != "original")
+        fraction = tags.get(f"subsectime{kind}", "").strip()
+        if fraction.isdigit():
+            date = re.sub(r"^(\S+[ T]\d\d:\d\d:\d\d)(?!\.)", rf"\g<1>.{fraction}", date.strip())
+        offset = tags.get(f"offsettime{kind}", "").strip() or tags.get("offsettime", "").strip()
+        texts.append((date, offset or zone))
+    stamps = (parse_time(text, offset) for text, offset in texts)
+    return next((stamp for stamp in stamps if stamp is not None), None) or _gps_stamp(tags)
+
+
+def _gps_stamp(tags: Mapping[str, str]) -> Stamp | None:
+    """The time of the receiver's fix, in UTC."""
+    date = tags.get("gpsdatestamp", "") or tags.get("gpsdate", "")
+    stamp = parse_time(f"{date} {tags.get('gpstimestamp', '')}", "UTC")
+    return None if stamp is None else stamp._replace(by_gps=True)

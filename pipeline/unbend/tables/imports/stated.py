@@ -1,0 +1,142 @@
+"""What the mission file states of a file of another program, and what every such file needs.
+
+The week of its seconds, and a channel in the order of time.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import pandas as pd
+
+from unbend.errors import InputError
+from unbend.flight.channels import Channel, Source, TimeArray
+from unbend.flight.clock import SECONDS_PER_WEEK
+from unbend.geodesy import GeoidGrid
+from unbend.ledger import Ledger
+from unbend.tables.text_columns import utc_of_weeks
+from unbend.units import NANOSECONDS_PER_SECOND, UNIX_NS_OF_GPS_EPOCH, AngleUnit, Array, Mask
+
+
+@dataclass(frozen=True)
+class Stated:
+    """What the mission file says of a file, None where it says nothing.
+
+    Parameters
+    ----------
+    time_system : gpst or utc.
+    week : GPS week of the first row, where the file has seconds of the week.
+    around_ns : first and last time of the log [Unix ns]: they give the week that is not stated.
+    heights : ellipsoid or msl.
+    accuracy : the file of standard deviations that belongs to an SBET.
+    columns : quantity -> name of the column, of a CSV.
+    position_unit, angle_unit : of latitude and longitude, and of the attitude, in a CSV.
+    angle_order : intrinsic rotations about z, y and x, as ``ZYX``.
+    crs, geoid : coordinate system of a CSV, and the user's grid for its heights.
+    grid : the projected coordinate system in whose axes omega, phi and kappa count.
+    """
+
+    time_system: Literal["gpst", "utc"] | None = None
+    week: int | None = None
+    around_ns: tuple[int, int] | None = None
+    heights: Literal["msl", "ellipsoid"] | None = None
+    accuracy: Path | None = None
+    columns: Mapping[str, str] = field(default_factory=dict)
+    position_unit: AngleUnit = "deg"
+    angle_unit: AngleUnit = "deg"
+    angle_order: str = "ZYX"
+    crs: str | None = None
+    geoid: GeoidGrid | None = None
+    grid: str | None = None
+
+    def system_of(self, path: Path, ledger: Ledger, found: str | None = None) -> str:
+        """The time system, gpst or utc; ``found`` is what the file says of itself."""
+        return _settled(path, "time.system", found, self.time_system, ledger)
+
+    def height_column(self, path: Path, ledger: Ledger, found: str | None = None) -> str:
+        """The channel's column for heights above ``ellipsoid`` or ``msl``, as found or stated."""
+        known = _settled(path, "heights", found, self.heights, ledger)
+        return "h_ellipsoid_m" if known == "ellipsoid" else "h_msl_m"
+
+    def utc_of_week_seconds(self, path: Path, seconds: Array, system: str) -> TimeArray:
+        """UTC of seconds of a week that the file does not name.
+
+        It is the stated one, or that in which most of the file lies within the log. Seconds that
+        begin anew belong to the next week.
+        """
+        known = np.asarray(pd.Series(seconds).ffill().bfill().fillna(0.0), np.float64)
+        back = np.diff(known, prepend=known[:1]) < -SECONDS_PER_WEEK / 2
+        seconds = known + SECONDS_PER_WEEK * np.cumsum(back)
+        if self.week is not None:
+            return utc_of_weeks(self.week, seconds, system)
+        if self.around_ns is None:
+            raise InputError.of("IMPORT-WEEK", path)
+        first, last = self.around_ns
+        since = (first + last) // 2 - UNIX_NS_OF_GPS_EPOCH
+        week = since // (SECONDS_PER_WEEK * NANOSECONDS_PER_SECOND)
+        able = [utc_of_weeks(near, seconds, system) for near in (week, week - 1, week + 1)]
+        return max(able, key=lambda time_ns: np.sum((time_ns >= first) & (time_ns <= last)))
+
+
+def _settled(path: Path, key: str, found: str | None, stated: str | None, ledger: Ledger) -> str:
+    """What the mission file says of a file, or the file of itself; contradictions are reported."""
+    if found is not None and stated not in (None, found):
+        what = f"by its header {key} is {found}, by the mission file {stated}, which holds"
+        ledger.warning("IMPORT-CONTRADICTED", what, where=path.name)
+    known = stated or found
+    if known is None:
+        raise InputError.of("IMPORT-UNSTATED", path, name=key)
+    return known
+
+
+def read_text(path: Path) -> list[str]:
+    """The lines of a text file that are not empty; refuses what is no text."""
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise not_of_format(path, f"it cannot be read as text: {error}") from None
+    return [line for line in lines if line.strip()]
+
+
+def not_of_format(
+    path: Path | str, why: str, remedy: str = "name the format of the file, or export it again"
+) -> InputError:
+    """The refusal of a file that is not what its format says."""
+    return InputError("IMPORT-FORMAT", why, where=str(path), remedy=remedy)
+
+
+def channel_of_rows(
+    path: Path,
+    kind: str,
+    time_ns: TimeArray,
+    columns: Mapping[str, Array],
+    ledger: Ledger,
+    *,
+    readable: Mask,
+    labels: Mapping[str, tuple[str, ...]] | None = None,
+) -> Channel:
+    """A channel called like the file, in the order of time, without rows that cannot be read.
+
+    ``readable`` (n,) False where a row is damaged; these rows, and those that repeat a time, are a
+    loss. Refuses latitudes beyond the poles.
+    """
+    rows = np.argsort(time_ns, kind="stable")
+    rows = rows[readable[rows]]
+    again = np.diff(time_ns[rows], prepend=-1) == 0
+    for bad, what in ((np.flatnonzero(~readable), "cannot be read"),
+                      (np.sort(rows[again]), "repeat the time of another")):  # fmt: skip
+        if bad.size:
+            what = f"{bad.size} of {time_ns.size} rows {what} and are not used"
+            what += f", the first is row {bad[0] + 1}"
+            ledger.loss("IMPORT-ROWS", what, where=path.name, count=int(bad.size))
+    rows = rows[~again]
+    if rows.size == 0:
+        raise not_of_format(path, "none of its rows can be read")
+    worst = float(np.fmax.reduce(np.abs(columns["lat_rad"][rows]), initial=0.0))
+    if worst > np.pi / 2.0:
+        raise InputError.of("IMPORT-RANGE", path, worst_deg=np.degrees(worst))
+    values = {name: column[rows] for name, column in columns.items()}
+    words = {n: tuple(np.array(v, dtype=object)[rows]) for n, v in (labels or {}).items()}
+    return Channel(path.name, time_ns[rows], values, Source(kind), labels=words)

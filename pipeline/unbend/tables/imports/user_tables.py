@@ -1,0 +1,276 @@
+"""The user's CSV, by its names of columns, units and orders: trajectories, orientations, events."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import pandas as pd
+from scipy.spatial.transform import Rotation
+
+from unbend.errors import InputError
+from unbend.flight.channels import Channel, TimeArray
+from unbend.flight.clock import SECONDS_PER_WEEK
+from unbend.flight.heights import GeodeticOrigin
+from unbend.flight.stations import NO_TIME
+from unbend.geodesy import geodetic_of_ecef
+from unbend.ledger import Ledger
+from unbend.tables.geodata.coordinate_systems import places_of
+from unbend.tables.imports.stated import Stated, channel_of_rows
+from unbend.tables.text_columns import (
+    angles_in_radians,
+    numbers,
+    numbers_of,
+    text_table,
+    utc_of_columns,
+    utc_of_dates,
+    utc_of_weeks,
+)
+from unbend.units import RADIANS, Array, Integers, Mask, Names
+
+_SINCE_EPOCH_S = 1e8  # seconds beyond this count from an epoch, not from the beginning of a week
+_AS_THEY_ARE = (
+    "v_north_m_s", "v_east_m_s", "v_down_m_s", "sigma_h_m", "sigma_v_m", "q_w", "q_x", "q_y", "q_z",
+)  # fmt: skip
+
+
+def read_trajectory_csv(path: Path, stated: Stated, ledger: Ledger) -> Channel:
+    """The rows of a CSV as a channel.
+
+    Times are dates with a time of day, seconds of the week, with the week in a column or not, or
+    seconds since 1970 (UTC) or 1980 (GPST). Positions are latitude, longitude and height, or
+    earth-centred x, y and z; in a stated coordinate system x and y are its, z is the height, and
+    yaw and velocities count from grid north. The attitude is a quaternion (v_ned = R(q) v_body), or
+    roll, pitch and yaw: rotations about the body's x, y and z in the stated order.
+    """
+    if not stated.columns:
+        raise InputError.of("IMPORT-FORMAT/csv-columns", path)
+    table = text_table(path, stated.columns, codes=("IMPORT-FORMAT", "IMPORT-COLUMN"),
+                       key="stations.trajectory.columns")  # fmt: skip
+    value = {quantity: numbers(table[name]) for quantity, name in stated.columns.items()}
+    columns = {name: value[name] for name in _AS_THEY_ARE if name in value}
+    grid_north: Array | None = None
+    if stated.crs is not None:
+        heights = "msl" if stated.height_column(path, ledger) == "h_msl_m" else "ellipsoid"
+        if "x" in value:
+            given = value["x"], value["y"], value["z"]
+        else:
+            unit = RADIANS[stated.position_unit] / RADIANS["deg"]
+            given = value["longitude"] * unit, value["latitude"] * unit, value["height"]
+        places, notes = places_of(stated.crs, given, heights=heights, geoid=stated.geoid,
+                                  where=str(path), key="stations.trajectory.crs")  # fmt: skip
+        ledger.extend(notes)
+        lat, lon, height = places.lat_rad, places.lon_rad, places.h_m
+        surface = "h_msl_m" if places.heights == "msl" else "h_ellipsoid_m"
+        grid_north = np.nan_to_num(places.convergence_rad)
+    elif "x" in value:
+        lat, lon, height = geodetic_of_ecef(value["x"], value["y"], value["z"])
+        surface = stated.height_column(path, ledger, "ellipsoid")
+        radius = float(np.nanmedian(np.linalg.norm([value[axis] for axis in "xyz"], axis=0)))
+        if not 6.3e6 < radius < 6.5e6:
+            raise InputError.of("IMPORT-RANGE/read-trajectory-csv", path, radius=radius)
+    else:
+        unit = RADIANS[stated.position_unit]
+        lat, lon, height = value["latitude"] * unit, value["longitude"] * unit, value["height"]
+        surface = stated.height_column(path, ledger)
+    columns |= {"lat_rad": lat, "lon_rad": lon, surface: height}
+    if "yaw" in value:
+        angles = np.stack([value[name] for name in ("roll", "pitch", "yaw")], axis=1)
+        angles = angles_in_radians(angles, stated.angle_unit, path, "IMPORT-ANGLES",
+                                   "stations.trajectory.angle_unit")  # fmt: skip
+        known = np.isfinite(angles).all(axis=1)
+        in_order = angles[known][:, ["XYZ".index(axis) for axis in stated.angle_order]]
+        q = np.full((known.size, 4), np.nan)
+        q[known] = Rotation.from_euler(stated.angle_order, in_order).as_quat(canonical=True)
+        columns |= {f"q_{axis}": q[:, k] for k, axis in enumerate("xyzw")}
+    if grid_north is not None:
+        columns = from_grid_north(columns, grid_north)
+    time_ns, readable = _utc(path, table[stated.columns["time"]].str.strip(), value, stated, ledger)
+    readable = readable & np.isfinite([lat, lon, height]).all(axis=0)
+    return channel_of_rows(path, "CSV", time_ns, columns, ledger, readable=readable)
+
+
+def from_grid_north(columns: dict[str, Array], convergence_rad: Array) -> dict[str, Array]:
+    """Columns with attitudes and velocities against true north instead of grid north."""
+    columns, names = dict(columns), ("q_x", "q_y", "q_z", "q_w")
+    if "q_w" in columns:
+        q = np.stack([columns[name] for name in names], axis=1)
+        known = np.isfinite(q).all(axis=1)
+        turn = Rotation.from_euler("z", convergence_rad[known, None])
+        q[known] = (turn * Rotation.from_quat(q[known])).as_quat(canonical=True)
+        columns |= dict(zip(names, q.T, strict=True))
+    if "v_north_m_s" in columns and "v_east_m_s" in columns:
+        velocity = columns["v_north_m_s"] + 1j * columns["v_east_m_s"]
+        velocity = velocity * np.exp(1j * convergence_rad)
+        columns |= {"v_north_m_s": velocity.real, "v_east_m_s": velocity.imag}
+    return columns
+
+
+def _utc(
+    path: Path, text: "pd.Series[str]", value: dict[str, Array], stated: Stated, ledger: Ledger
+) -> tuple[TimeArray, Mask]:
+    """UTC of the rows, and which have a readable time."""
+    system, seconds = stated.system_of(path, ledger), value["time"]
+    readable = np.isfinite(seconds)
+    if not bool(readable.any()):
+        if system == "gpst" and bool(text.str.contains(r"(?:Z|[+-]\d\d:?\d\d)$").any()):
+            raise InputError.of("IMPORT-TIME-SYSTEM", path, text=text.iloc[0])
+        return utc_of_dates(text, system)
+    if "week" in value:
+        readable = readable & np.isfinite(value["week"])
+        return utc_of_weeks(value["week"], seconds, system), readable
+    if float(np.nanmedian(seconds)) < _SINCE_EPOCH_S:
+        return stated.utc_of_week_seconds(path, seconds, system), readable
+    if system == "gpst":
+        return utc_of_weeks(*np.divmod(seconds, SECONDS_PER_WEEK), system), readable
+    return np.rint(np.where(readable, seconds, 0.0) * 1e6).astype(np.int64) * 1000, readable
+
+
+_ANGLES = {
+    "omega", "phi", "kappa", "roll", "pitch", "yaw", "q_w", "q_x", "q_y", "q_z",
+}  # fmt: skip
+_LIMITS_DEG = {"latitude": 90.0, "longitude": 360.0}
+_LONGEST_NORM_ERROR = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class OrientationTable:
+    """A table of orientations as read; (n,) arrays, ``angles`` (n, 3) [rad] or (n, 4) quaternions.
+
+    ``position`` (n, 3) is latitude, longitude [rad] and height [m], or x, y, z [m]. ``camera`` is
+    None without that column; ``time_ns`` is `NO_TIME` where unknown; ``sigmas`` holds columns in SI
+    and radians by quantity, for those that are there. ``convergence_rad`` (n,) is the azimuth of
+    the grid's north, ``heights`` what a coordinate system says of them. ``frame`` is what a file
+    says of the frame of its x, y, z: earth-centred, or the origin of east, north and up.
+    """
+
+    image: Names
+    camera: Names | None
+    time_ns: Integers
+    position: Array
+    angles: Array
+    sigmas: Mapping[str, Array]
+    convergence_rad: Array | float = 0.0
+    heights: str | None = None
+    frame: Literal["ecef"] | GeodeticOrigin | None = None
+
+
+def read_orientation(path: Path, stated: Stated, ledger: Ledger) -> OrientationTable:
+    """Read a table of orientations by the user's names of its columns.
+
+    The columns that are stated have latitude and longitude in degrees, heights, x, y, z in metres;
+    the attitude is three angles in the stated unit, in the order of their columns, or q_w to q_z.
+
+    Refuses (InputError) columns that are not there, text for numbers, images that stand there
+    twice, latitudes and angles that none can be, and quaternions that are no rotations.
+    """
+    names, unit = stated.columns, stated.angle_unit
+    angle_names = [name for name in names if name in _ANGLES]
+    table = _table_with(path, names, "stations.orientation.columns")
+    value = _numbers(table, names, path)
+    position = _positions(value, path, "stations.orientation.columns")
+    angles = np.stack([value[name] for name in angle_names], axis=1)
+    if len(angle_names) == 4:
+        length = np.linalg.norm(angles, axis=1)
+        if (wrong := np.abs(length - 1.0) > _LONGEST_NORM_ERROR).any():
+            worst = int(np.nanargmax(np.abs(length - 1.0)))
+            where, number = f"{path}, line {worst + 2}", int(wrong.sum())
+            raise InputError.of(
+                "ORIENTATION-QUATERNION", where, number=number, length=length[worst]
+            )
+        attitude = angles / length[:, None]
+    else:
+        attitude = angles_in_radians(angles, unit, path, "ORIENTATION-UNIT",
+                                     "stations.orientation.unit")  # fmt: skip
+    sigmas = {name: values for name, values in value.items() if name.startswith("sigma_")}
+    for tilt in {"sigma_tilt", "sigma_yaw"} & sigmas.keys():
+        sigmas[f"{tilt}_rad"] = sigmas.pop(tilt) * RADIANS[unit]
+    time_ns = np.full(len(table), NO_TIME, np.int64)
+    if "time_utc" in names or "gps_week" in names:
+        read_ns, good = utc_of_columns(table, names)
+        time_ns[good] = read_ns[good]
+        if bad := int((~good).sum()):
+            ledger.loss("ORIENTATION-TIME", where=path.name, count=bad, line=np.argmin(good) + 2)
+    camera = table[names["camera"]].to_numpy(object) if "camera" in names else None
+    image = table[names["image"]].to_numpy(object)
+    return OrientationTable(image, camera, time_ns, position, attitude, sigmas)
+
+
+def read_known_positions(path: Path, names: Mapping[str, str]) -> tuple[Names, Array]:
+    """Images, and (m, 3) their latitude, longitude [rad] and height [m], from a CSV."""
+    key = "stations.orientation.known_positions"
+    table = _table_with(path, names, key)
+    position = _positions(_numbers(table, names, path), path, key)
+    return table[names["image"]].to_numpy(object), position
+
+
+def _table_with(path: Path, names: Mapping[str, str], key: str) -> pd.DataFrame:
+    """A table that has the columns, and each image once."""
+    table = text_table(path, names, codes=("ORIENTATION-CSV", "ORIENTATION-COLUMN"), key=key)
+    images = table[names["image"]]
+    if len(images) == 0:
+        raise InputError.of("ORIENTATION-EMPTY", path)
+    twice = images[images.duplicated(keep=False)]
+    if len(twice):
+        lines = ", ".join(str(row + 2) for row in twice.index[twice == twice.iloc[0]])
+        raise InputError.of(
+            "ORIENTATION-REPEATED", path, repeated=twice.nunique(), image=twice.iloc[0], lines=lines
+        )
+    return table
+
+
+def _numbers(table: pd.DataFrame, names: Mapping[str, str], path: Path) -> dict[str, Array]:
+    """The columns that hold numbers, by quantity."""
+    return {
+        quantity: numbers_of(table, column, path, "ORIENTATION-NUMBER")
+        for quantity, column in names.items()
+        if quantity not in ("image", "camera", "time_utc")
+    }
+
+
+def _positions(value: Mapping[str, Array], path: Path, key: str) -> Array:
+    """(n, 3) positions, latitude and longitude in radians; refuses those of no place on earth."""
+    if "x" in value:
+        return np.stack([value[axis] for axis in "xyz"], axis=1)
+    for quantity, limit in _LIMITS_DEG.items():
+        wrong = np.abs(value[quantity]) > limit
+        if bool(wrong.any()):
+            swapped = quantity == "latitude" and bool((np.abs(value[quantity]) <= 360.0).all())
+            row, hint = np.argmax(wrong), "; are latitude and longitude swapped?"
+            raise InputError.of(
+                "ORIENTATION-POSITION", f"{path}, line {row + 2}", count=wrong.sum(), limit=limit,
+                quantity=quantity, first=value[quantity][row], hint=hint * swapped, named=key,
+            )  # fmt: skip
+    lat, lon = np.radians(value["latitude"]), np.radians(value["longitude"])
+    return np.stack([lat, lon, value["height"]], axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class EventTable:
+    """Exposures as a table gave them; (m,) image, camera (or None), UTC [ns]."""
+
+    image: Names
+    camera: Names | None
+    time_ns: Integers
+
+
+def read_events(path: Path, columns: Mapping[str, str], ledger: Ledger) -> EventTable:
+    """Read a table of exposures; a row without a readable time is a loss in the ledger.
+
+    ``columns`` : image, time_utc or gps_week and gps_seconds, and camera where it is there -> the
+    user's names. Times without a zone are UTC; GPS seconds are reduced by the leap seconds of
+    their date.
+    """
+    table = text_table(path, columns, codes=("EVENTS-CSV", "EVENTS-COLUMN"),
+                       key="events.csv.columns")  # fmt: skip
+    time_ns, good = utc_of_columns(table, columns)
+    if not bool(good.all()):
+        rows = np.flatnonzero(~good)
+        what = f"{rows.size} rows have no readable time, the first in line {rows[0] + 2}"
+        ledger.loss("EVENTS-TIME", what, where=path.name, count=int(rows.size))
+    if not bool(good.any()):
+        raise InputError.of("EVENTS-EMPTY", path)
+    table, time_ns = table[good], time_ns[good]
+    camera = table[columns["camera"]].to_numpy(object) if "camera" in columns else None
+    return EventTable(table[columns["image"]].to_numpy(object), camera, time_ns)

@@ -1,0 +1,112 @@
+"""A sounding from disk: text in any known format, or the netCDF of an ARM radiosonde."""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from unbend.atmosphere import soundings
+from unbend.atmosphere.soundings.levels import FILLS, LARGEST, radians, to_si
+from unbend.errors import InputError
+from unbend.ledger import Ledger
+from unbend.units import NANOSECONDS_PER_SECOND, Array
+
+# Room for decades of one station; a larger file is of another kind, and would fill memory.
+LARGEST_BYTES = 200_000_000
+_LATEST_S = 7_258_118_400  # the year 2200
+
+_NETCDF3, _HDF5 = b"CDF", b"\x89HDF"
+# Names of ARM's sondewnpn datastream: variable, quantity's unit.
+_VARIABLES = {"pres": "hpa", "tdry": "c", "dp": "c", "rh": "percent", "alt": "m"}
+
+
+def read_sounding(
+    path: Path,
+    ledger: Ledger,
+    *,
+    format_name: str = "auto",
+    time_ns: int | None = None,
+    latitude_rad: float = math.nan,
+    station_h_m: float = math.nan,
+) -> soundings.Sounding:
+    """Read a sounding; arguments as for `parse_sounding`. A nameless one is called by its file.
+
+    Raises ``InputError`` where the file cannot be read or is none.
+    """
+    try:
+        size = path.stat().st_size
+        data = path.read_bytes() if size <= LARGEST_BYTES else b""
+    except OSError as error:
+        raise InputError.of("SOUNDING-UNREADABLE", path, strerror=error.strerror) from None
+    if size > LARGEST_BYTES:
+        raise InputError.of("SOUNDING-SIZE", path, size=size, largest_bytes=LARGEST_BYTES)
+    if data.startswith(_HDF5):
+        why = "it is netCDF-4 (HDF5); only the classic format is read"
+        raise InputError.of("SOUNDING-NETCDF", path, why=why)
+    if data.startswith(_NETCDF3):
+        raw = soundings.nearest_in_time([_netcdf(path)], time_ns, path.name)
+        checked = soundings.check_levels(raw, latitude_rad=latitude_rad, station_h_m=station_h_m)
+        sounding = ledger.take(checked)
+    else:
+        try:
+            text = data.decode("utf-8-sig")
+        except UnicodeDecodeError as error:
+            at = error.start
+            raise InputError.of(
+                "SOUNDING-UNREADABLE/utf-8", path, byte=data[at], offset=at
+            ) from None
+        sounding = soundings.parse_sounding(
+            text, ledger, where=path.name, format_name=format_name, time_ns=time_ns,
+            latitude_rad=latitude_rad, station_h_m=station_h_m,
+        )  # fmt: skip
+    return sounding if sounding.station else replace(sounding, station=path.name)
+
+
+def _netcdf(path: Path) -> soundings.RawLevels:
+    """The levels of a classic netCDF file with ARM's names; fill values become NaN."""
+    from scipy.io import netcdf_file
+
+    try:
+        with netcdf_file(path, "r", mmap=False) as file:
+            for missing in (name for name in _VARIABLES if name not in file.variables):
+                raise InputError.of("SOUNDING-NETCDF", path, why=f"it has no variable {missing}")
+            columns = {name: to_si(_column(file, name), unit) for name, unit in _VARIABLES.items()}
+            place = {
+                name: float(_column(file, name)[0]) if name in file.variables else math.nan
+                for name in ("lat", "lon")
+            }
+            start = int(file.variables["base_time"].getValue()) if (
+                "base_time" in file.variables) else None  # fmt: skip
+            offset = float(_column(file, "time_offset")[0]) if (
+                "time_offset" in file.variables) else 0.0  # fmt: skip
+    except (OSError, TypeError, ValueError, IndexError, AttributeError) as error:
+        # What scipy raises on a damaged header, by what the damage hit.
+        why = f"it cannot be decoded: {error}"
+        raise InputError.of("SOUNDING-NETCDF", path, why=why) from None
+    release_ns = None  # a fill value is no time
+    if start is not None and 0 < start < _LATEST_S:
+        since = offset if math.isfinite(offset) else 0.0
+        release_ns = round((start + since) * NANOSECONDS_PER_SECOND)
+    return soundings.RawLevels(
+        h_m=columns["alt"],
+        pressure_pa=columns["pres"],
+        temperature_k=columns["tdry"],
+        # ARM does not say so, but they are: the hypsometric equation gives them to 2e-4 up to
+        # 24 km, where geometric heights would be 0.7 % off in the upper layers.
+        geopotential=True,
+        dew_point_k=columns["dp"],
+        relative_humidity=columns["rh"],
+        time_ns=release_ns,
+        latitude_rad=radians(place["lat"], 90.0),
+        longitude_rad=radians(place["lon"], 180.0),
+        origin="ARM radiosonde netCDF",
+        where=path.name,
+        column_of={"pressure": "pres [hPa]", "temperature": "tdry [C]", "dew point": "dp [C]"},
+    )
+
+
+def _column(file: Any, name: str) -> Array:
+    value = np.array(file.variables[name].data, dtype=np.float64)
+    return np.where(np.isin(value, FILLS) | ~(np.abs(value) <= LARGEST), np.nan, value)

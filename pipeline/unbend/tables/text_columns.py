@@ -1,0 +1,253 @@
+"""Columns by the user's names: what is refused, and small tables as text, numbers and times."""
+
+import difflib
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from unbend.errors import InputError
+from unbend.flight.channels import TimeArray
+from unbend.flight.clock import SECONDS_PER_WEEK, utc_of_gps
+from unbend.refraction.kernels.jit import entry
+from unbend.tables.refraction_mark import Direction
+from unbend.units import RADIANS, UNIX_NS_OF_GPS_EPOCH, AngleUnit, Array, Mask
+
+Hashes = NDArray[np.uint64]
+
+_FEW_NAMES = 50_000  # take less time letter by letter than compiled code takes to load
+_WEEK_NS = SECONDS_PER_WEEK * 10**9
+
+
+def text_table(
+    path: Path, wanted: Mapping[str, str], *, codes: tuple[str, str], key: str
+) -> pd.DataFrame:
+    """All fields as text, under the names of the first line; a field that is not there is empty.
+
+    Commas, semicolons or tabs, whichever the first line has most of. ``wanted`` : quantity -> name
+    of its column, as stated under ``key`` of the mission file. Refuses what is no table or has two
+    columns of one name (the first of ``codes``), and one that lacks a column (the second).
+    """
+    try:
+        with path.open(encoding="utf-8-sig") as file:
+            head = file.readline()
+        # The header is read as a row: pandas takes longer rows for an index and renames repeats.
+        rows = pd.read_csv(
+            path, header=None, dtype=str, keep_default_na=False, skipinitialspace=True,
+            encoding="utf-8-sig", sep=max(",;\t", key=head.count),
+        ).fillna("")  # fmt: skip
+        names = rows.iloc[0].tolist()
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise ValueError(f"the columns {', '.join(twice)} stand there twice")
+    except (OSError, ValueError) as error:
+        raise InputError(
+            codes[0], f"is no readable CSV: {str(error).strip()}", where=str(path),
+            remedy="a table has a header line, commas, and as many fields in every row",
+        ) from None  # fmt: skip
+    require_names(codes[1], path, names, ((q, n, f"{key}.{q}") for q, n in wanted.items()))
+    return rows.iloc[1:].set_axis(names, axis="columns").reset_index(drop=True)
+
+
+def split_lines(lines: Sequence[str], names: Sequence[str], separator: str) -> pd.DataFrame:
+    """Lines as rows of text, split at the regular expression; a field that is not there is empty.
+
+    >>> split_lines(["1 2,3", "4"], ["a", "b"], r"[ ,]").values.tolist()
+    [['1', '2'], ['4', '']]
+    """
+    rows = [re.split(separator, line.strip()) for line in lines]
+    fields = [(row + [""] * len(names))[: len(names)] for row in rows]
+    return pd.DataFrame(fields, columns=list(names), dtype=str)
+
+
+def numbers(text: "pd.Series[str]") -> Array:
+    """(n,) numbers of fields, NaN where one is none; -0 keeps its sign."""
+    try:
+        return text.to_numpy(object).astype(np.float64)
+    except ValueError:
+        return pd.to_numeric(text, errors="coerce").to_numpy(np.float64)
+
+
+def numbers_of(table: pd.DataFrame, name: str, path: Path, code: str) -> Array:
+    """(n,) a column as numbers, NaN where a field is empty; refuses (``code``) any other text."""
+    values = numbers(table[name])
+    wrong = np.flatnonzero(~np.isfinite(values) & (table[name].str.strip() != "").to_numpy())
+    if wrong.size:
+        what = f"{wrong.size} fields of column {name} are no numbers, the first "
+        what += repr(table[name].iloc[wrong[0]])
+        remedy = "write decimal numbers with a point, and leave what is unknown empty"
+        raise InputError(code, what, where=f"{path}, line {wrong[0] + 2}", remedy=remedy)
+    return values
+
+
+def angles_in_radians(given: Array, unit: AngleUnit, path: Path, code: str, key: str) -> Array:
+    """(n, 3) angles in radians; refuses (``code``) more than a full turn in the unit stated.
+
+    ``key`` is the mission file's for the unit.
+    """
+    turn = {name: 2.0 * np.pi / size for name, size in RADIANS.items()}
+    beyond = (np.abs(given) > turn[unit] * (1.0 + 1e-6)).any(axis=1)
+    if not bool(beyond.any()):
+        return given * RADIANS[unit]
+    worst = float(np.nanmax(np.abs(given)))
+    likely = next((other for other in turn if worst <= turn[other]), None)
+    what = f"{int(beyond.sum())} rows have an angle of more than a turn ({turn[unit]:g} {unit}), "
+    what += f"up to {worst:g}" + (f"; is the unit {likely}?" if likely else "")
+    where = f"{path}, line {int(np.argmax(beyond)) + 2}"
+    remedy = f"state {key} (deg, rad or grad), or name the columns of angles"
+    raise InputError(code, what, where=where, remedy=remedy)
+
+
+def utc_of_dates(text: "pd.Series[str]", system: str = "utc") -> tuple[TimeArray, Mask]:
+    """(n,) Unix nanoseconds of dates with a time of day in UTC or GPS time; which are good.
+
+    ISO 8601, or with slashes between year, month and day; zones are honoured.
+    """
+    iso = text.str.replace("/", "-", regex=False)
+    stamps = pd.to_datetime(iso, utc=True, errors="coerce", format="ISO8601")
+    good = stamps.notna().to_numpy()
+    time_ns = np.where(good, stamps.to_numpy("datetime64[ns]").astype(np.int64), 0)
+    if system == "gpst":
+        week, rest = np.divmod(time_ns - UNIX_NS_OF_GPS_EPOCH, _WEEK_NS)
+        time_ns = utc_of_gps(week, rest / 1e9)
+    return time_ns, good
+
+
+def utc_of_weeks(week: Array | int, seconds: Array, system: str) -> TimeArray:
+    """(n,) Unix nanoseconds of weeks since 1980-01-06 and their seconds, in GPS time or UTC.
+
+    0 where one of both is unknown (NaN).
+    """
+    known = np.isfinite(week) & np.isfinite(seconds)
+    week, seconds = np.where(known, week, 0).astype(np.int64), np.where(known, seconds, 0.0)
+    if system == "gpst":
+        return np.where(known, utc_of_gps(week, seconds), 0)
+    start = UNIX_NS_OF_GPS_EPOCH + week * _WEEK_NS
+    return np.where(known, start + np.rint(seconds * 1e9).astype(np.int64), 0)
+
+
+def utc_of_columns(table: pd.DataFrame, names: Mapping[str, str]) -> tuple[TimeArray, Mask]:
+    """(n,) Unix nanoseconds from a column of UTC times, or GPS week and seconds; which are good.
+
+    Times without a zone are UTC; GPS seconds are reduced by the leap seconds of their date.
+    """
+    if "time_utc" in names:
+        return utc_of_dates(table[names["time_utc"]])
+    week, seconds = (numbers(table[names[part]]) for part in ("gps_week", "gps_seconds"))
+    good = np.isfinite(week) & np.isfinite(seconds) & (week > 0) & (week == np.floor(week))
+    good &= (seconds >= 0.0) & (seconds <= 604_800.0)
+    return utc_of_weeks(np.where(good, week, np.nan), seconds, "gpst"), good
+
+
+@entry(rows=2)
+def fnv_1a(data, begin, found):  # type: ignore[no-untyped-def]
+    """Fill ``found`` with FNV-1a of each of many names, its bits mixed: 10 ns a name."""
+    for row in range(found.size):
+        bits = np.uint64(0xCBF29CE484222325)
+        for k in range(begin[row], begin[row + 1]):
+            bits = (bits ^ np.uint64(data[k])) * np.uint64(0x100000001B3)
+        bits = (bits ^ (bits >> np.uint64(32))) * np.uint64(0xD6E8FEB86659FD93)
+        found[row] = bits ^ (bits >> np.uint64(32))
+
+
+def hashes_of(names: pa.StringArray) -> Hashes:
+    """(n,) 64 bits of each name, the same for the same name anywhere; null as an empty name."""
+    _, offsets, data = names.buffers()
+    begin = np.frombuffer(offsets, np.int32, len(names) + 1, 4 * names.offset)
+    text = np.frombuffer(data or b"\0", np.uint8)
+    if len(names) > _FEW_NAMES:
+        found = np.empty(len(names), np.uint64)
+        fnv_1a(text, begin, found)
+        return found
+    length, found = np.diff(begin), np.full(len(names), 0xCBF29CE484222325, np.uint64)
+    for k in range(length.max(initial=0)):  # letter by letter over all names
+        rows = np.flatnonzero(length > k)
+        found[rows] = (found[rows] ^ text[begin[rows] + k]) * np.uint64(0x100000001B3)
+    found = (found ^ (found >> np.uint64(32))) * np.uint64(0xD6E8FEB86659FD93)
+    return np.asarray(found ^ (found >> np.uint64(32)))
+
+
+def rows_among(hashes: Hashes, wanted: Hashes) -> NDArray[np.int64]:
+    """The rows whose hash is a wanted one; by their last 20 bits first, which leaves few."""
+    maybe, mask = np.zeros(1 << 20, np.bool_), np.uint64((1 << 20) - 1)  # fits into a cache
+    maybe[wanted & mask] = True
+    rows = np.flatnonzero(maybe[hashes & mask])
+    return rows[np.isin(hashes[rows], wanted)]
+
+
+def require_names(
+    code: str, path: Path, there: Sequence[str], wanted: Iterable[tuple[str, str, str]]
+) -> None:
+    """Refuse a table that lacks a column, with the name it may have been meant to be.
+
+    ``wanted`` : quantity, the user's name of its column, and the key of the mission file for that.
+
+    >>> require_names("A-B", Path("o.csv"), ["image", "x_pix"], [("x", "x_px", "k")])
+    Traceback (most recent call last):
+    unbend.errors.InputError: A-B: there is no column 'x_px' for the x; perhaps 'x_pix'?; there \
+is image, x_pix
+      where: o.csv
+      to do: say what it is called: k
+    """
+    for quantity, name, key in wanted:
+        if name not in there:
+            near = difflib.get_close_matches(name, there, 1, 0.5)
+            hint = f"; perhaps {near[0]!r}?" if near else ""
+            what = f"there is no column {name!r} for the {quantity}{hint}; there is "
+            what += ", ".join(there)
+            raise InputError(code, what, where=str(path), remedy=f"say what it is called: {key}")
+
+
+def require_columns(path: Path, schema: pa.Schema, wanted: Sequence[tuple[str, str, str]]) -> None:
+    """Refuse a table that lacks a column or has two of one name, and one column for two quantities.
+
+    ``wanted`` : quantities, the user's names of their columns, which have to hold text or numbers,
+    and the keys of the mission file for these.
+    """
+    names = [name for _, name, _ in wanted]
+    if twice := sorted({name for name in schema.names if schema.names.count(name) > 1}):
+        raise InputError.of("OBS-REPEATED-COLUMN", path, twice=", ".join(twice))
+    if shared := sorted({name for name in names if names.count(name) > 1}):
+        raise InputError.of("OBS-COLUMN", path, shared=shared[0])
+    require_names("OBS-COLUMN", path, schema.names, wanted)
+    for quantity, name, _ in wanted:
+        kind = schema.field(name).type
+        if not (is_text(kind) or is_number(kind)):
+            named = quantity in ("image", "point")
+            what = f"the column {name} holds {kind}, not {'names' if named else 'numbers'}"
+            remedy = f"write it as {'text' if named else 'float64'}"
+            raise InputError("OBS-TYPE", what, where=str(path), remedy=remedy)
+
+
+def is_text(kind: Any) -> bool:
+    """Whether an Arrow type is text, a dictionary of texts included."""
+    kind = kind.value_type if pa.types.is_dictionary(kind) else kind
+    return bool(pa.types.is_string(kind) or pa.types.is_large_string(kind))
+
+
+def is_number(kind: Any) -> bool:
+    """Whether an Arrow type is a number or null throughout, a dictionary of these included."""
+    kind = kind.value_type if pa.types.is_dictionary(kind) else kind
+    numbers = (pa.types.is_floating, pa.types.is_integer, pa.types.is_decimal, pa.types.is_null)
+    return any(is_such(kind) for is_such in numbers)
+
+
+def refuse_other_pixels(
+    path: Path, schema: pa.Schema, direction: Direction, columns: Mapping[str, str]
+) -> None:
+    """Refuse, in a table of our results, the pixels that went in where those that came out are due.
+
+    ``columns`` : x_px, y_px -> the name of the column that is to be read.
+    """
+    due, what = ("displaced", "ideal") if direction == "remove" else ("corrected", "as measured")
+    for role in ("x_px", "y_px"):
+        right = f"{role[0]}_{due}_px"
+        if right in schema.names and columns[role] == role:
+            raise InputError.of(
+                "OBS-OTHER-PIXELS", path, role=role, right=right, text=what, direction=direction
+            )

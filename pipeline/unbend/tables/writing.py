@@ -1,0 +1,200 @@
+"""Results as Arrow tables and Parquet files; stations as GeoParquet.
+
+Source: OGC GeoParquet 1.1.0; OGC 06-103r4 (well-known binary). In a geometry the longitude comes
+first, whatever the order of the axes in the coordinate reference system.
+"""
+
+import json
+import math
+import struct
+from collections.abc import Mapping
+from importlib.resources import files
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import ArrayLike
+
+from unbend.atmosphere.profile import profile_table
+from unbend.atmosphere.series.profile_series import ProfileSeries, TimedProfile
+from unbend.errors import storage_errors
+from unbend.flight.stations import Stations, station_columns
+from unbend.refraction.image import Corrections
+from unbend.refraction.status_codes import STATUS_NAMES
+from unbend.tables.observations import Batch
+from unbend.tables.pixels import PixelSystem
+from unbend.tables.schemas import PROFILE_COLUMNS, STATION_COLUMNS, schema_of
+from unbend.units import Array
+
+if TYPE_CHECKING:
+    from unbend.atmosphere.estimate.adjusted_profile import Adjustment
+
+
+def points_wkb(lon_deg: Array, lat_deg: Array, h_ellipsoid_m: Array) -> list[bytes | None]:
+    """(n,) points; without height where that is unknown (NaN), None where there is no position.
+
+    >>> import numpy as np
+    >>> points_wkb(np.array([8.0]), np.array([47.0]), np.array([500.0]))[0].hex()[:10]
+    '01e9030000'
+    """
+    points: list[bytes | None] = []
+    for lon, lat, h in zip(lon_deg.tolist(), lat_deg.tolist(), h_ellipsoid_m.tolist(), strict=True):
+        if lon != lon or lat != lat:
+            points.append(None)
+        elif h != h:
+            points.append(struct.pack("<BI2d", 1, 1, lon, lat))
+        else:
+            points.append(struct.pack("<BI3d", 1, 1001, lon, lat, h))
+    return points
+
+
+def table_of(columns: Mapping[str, Any], schema: pa.Schema) -> pa.Table:
+    """An Arrow table; NaN and NaT become null, a column that is missing is null throughout."""
+    rows = len(next(iter(columns.values())))
+    arrays = []
+    for item in schema:
+        values, gaps = columns.get(item.name), True
+        if isinstance(values, np.ndarray) and values.dtype.kind == "f":
+            # Most columns have no gap, some nothing else: a look takes less than a bit a row.
+            missing = np.isnan(values)
+            gaps = bool(missing.any())
+            values = None if gaps and bool(missing.all()) else values
+        if values is None:
+            values = pa.nulls(rows, item.type)
+        if not isinstance(values, pa.Array):
+            values = pa.array(values, item.type, from_pandas=gaps)
+        arrays.append(values)
+    return pa.table(arrays, schema=schema)
+
+
+def table_of_observations(
+    batch: Batch, corrections: Corrections, h_g: Any, pixels: PixelSystem, schema: pa.Schema
+) -> pa.Table:
+    """The output rows of a batch, in the pixel system of the table that it was read from."""
+    x, y = pixels.from_colmap(corrections.x_px), pixels.from_colmap(corrections.y_px)
+    names, sigmas = pa.array(STATUS_NAMES), corrections.sigmas
+    spread = {} if sigmas is None else sigmas.named()
+    columns = {
+        "image": batch.image,
+        "point": batch.point,
+        "x_px": batch.x_given_px,
+        "y_px": batch.y_given_px,
+        "x_corrected_px": x,
+        "y_corrected_px": y,
+        "x_displaced_px": x,  # the schema holds one of the two pairs
+        "y_displaced_px": y,
+        "zeta_c_rad": corrections.zeta_c_rad,
+        "r_c_rad": corrections.r_c_rad,
+        "r_cc_rad": corrections.r_cc_rad,
+        "h_g_m": h_g,
+        "status": names.take(pa.array(corrections.status)),
+    }
+    return table_of(columns | spread | batch.users, schema)
+
+
+PROFILE_ID = "flight"  # of the one profile of a flight; of several, flight-001 and so on
+
+
+def profile_ids(series: ProfileSeries) -> list[str]:
+    """Names of the profiles along a flight, in the order of time."""
+    count = len(series.timed_profiles)
+    return [PROFILE_ID] if count == 1 else [f"{PROFILE_ID}-{i + 1:03d}" for i in range(count)]
+
+
+def table_of_stations(stations: Stations, series: ProfileSeries) -> pa.Table:
+    """``stations.parquet``, which is GeoParquet: points in EPSG:4979."""
+    columns = station_columns(stations)
+    places = (columns[name] for name in ("lon_deg", "lat_deg", "h_ellipsoid_m"))
+    columns["geometry"] = points_wkb(*places)
+    ids = np.array(profile_ids(series), dtype=object)[series.profile_number]
+    ids[~stations.ok] = None
+    columns["profile_id"] = ids
+    system = json.loads(files("unbend.tables").joinpath("data/wgs84_3d.json").read_text("utf-8"))
+    described = {"encoding": "WKB", "geometry_types": ["Point", "Point Z"], "crs": system}
+    geo = {"version": "1.1.0", "primary_column": "geometry", "columns": {"geometry": described}}
+    return table_of(columns, schema_of(STATION_COLUMNS, {"geo": json.dumps(geo)}))
+
+
+def rows_of_stations(stations: Stations) -> list[dict[str, Any]]:
+    """The stations as rows of ``stations.parquet`` before the air is known, None for null."""
+    columns = station_columns(stations)
+    schema = schema_of({name: STATION_COLUMNS[name] for name in columns}, {})
+    rows: list[dict[str, Any]] = table_of(columns, schema).to_pylist()
+    return rows
+
+
+def table_of_profiles(
+    adjustment: "Adjustment", series: ProfileSeries, heights: ArrayLike | None = None
+) -> pa.Table:
+    """``profile.parquet``: the profiles along a flight, one after the other."""
+    named = zip(profile_ids(series), series.timed_profiles, strict=True)
+    return pa.concat_tables(table_of_profile(adjustment, n, heights, air) for n, air in named)
+
+
+def table_of_profile(
+    adjustment: "Adjustment",
+    profile_id: str,
+    heights: ArrayLike | None = None,
+    air: TimedProfile | None = None,
+) -> pa.Table:
+    """A profile as a table: each row's pressure follows from its base values and equation.
+
+    ``heights`` : (n,) [m above sea level]; by default the edges of the layers. ``air`` : one of
+    several along the flight, in the place of the whole's.
+    """
+    standard = adjustment.standard
+    air = air or TimedProfile(adjustment.time_ns, adjustment.profile, adjustment.covariance)
+    profile = air.profile
+    columns = profile_table(profile, heights)
+    h = columns["h_m"]
+    columns |= {
+        "profile_id": np.full(h.shape, profile_id, dtype=object),
+        "time_utc": [air.time_ns] * h.size,
+        "standard_temperature_k": standard.temperature(h),
+        "standard_pressure_pa": standard.pressure(h),
+        "standard_vapour_pressure_pa": standard.vapour_pressure(h),
+        "standard_refractivity": standard.refractivity(h),
+    }
+    covariance = air.covariance
+    if covariance is not None:
+        columns["sigma_temperature_k"] = covariance.sigma_temperature(h)
+        columns["sigma_refractivity"] = covariance.sigma_refractivity(h)
+    gravity, latitude = profile.gravity, profile.gravity.latitude_rad
+    extra = {
+        "unbend.basis": adjustment.basis,
+        "unbend.reason": adjustment.reason,
+        "unbend.standard": standard.name,
+        "unbend.index": profile.index.name,
+        "unbend.wavelength_m": repr(profile.index.wavelength_m),
+        "unbend.co2_ppm": repr(profile.index.co2_ppm),
+        "latitude": "" if latitude is None else repr(math.degrees(latitude)),
+        "g_phi": repr(gravity.g_phi),
+        "r_phi": repr(gravity.r_phi),
+        "units": "latitude deg, g_phi m s-2, r_phi m",
+        "unbend.constant_k_per_m": repr(profile.constant),
+        "unbend.pressure": "52: p = p_base (t_base / (t_base + lapse dH)) ** (constant / lapse); "
+        "53: p = p_base exp(-constant dH / t_base); dH = geopotential_m - geopotential_base_m",
+    }
+    return table_of(columns, schema_of(PROFILE_COLUMNS, extra))
+
+
+def parquet_settings(schema: pa.Schema) -> dict[str, Any]:
+    """How Parquet is written: dictionaries for all but floats, whose bytes are split by place.
+
+    A dictionary of measured numbers is longer than they are, and zstd finds nothing in them.
+    """
+    floats = [f.name for f in schema if f.type in (pa.float32(), pa.float64())]
+    return {
+        "compression": "lz4",
+        "use_byte_stream_split": floats,
+        "use_dictionary": [name for name in schema.names if name not in floats],
+        "write_page_checksum": True,
+    }
+
+
+def write_parquet(table: pa.Table, path: Path) -> None:
+    """Write one complete Parquet file with page checksums."""
+    with storage_errors(path):
+        pq.write_table(table, path, **parquet_settings(table.schema))
