@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 from survey import CAMERA, air, exposures, image_names, uncertainty, write_observations
 
 from unbend.batch.store import open_folder
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.refraction.ray import rays_by
 from unbend.stages.correction import CorrectionSetup, PartsOfRun, correct_stream
 from unbend.stages.ground_heights import GivenGround

@@ -146,7 +146,7 @@ def computed_once() -> Iterator[None]:
     What tie points say of a mission file, and the air of a flight: pure functions, known by all
     that they are given.
     """
-    from unbend.ledger import Ledger
+    from unbend.messages import Ledger
     from unbend.stages import adjusted_profile
     from unbend.stages.multi_image import tie_point_checks
 

@@ -28,7 +28,7 @@ from unbend.batch.plan import make_plan
 from unbend.config import Mission, load_mission
 from unbend.errors import UnbendError
 from unbend.flight.stations import Stations
-from unbend.ledger import Kind
+from unbend.messages import Kind
 from unbend.refraction.camera import DISTORTION_MODELS
 from unbend.refraction.effect import FlightAir
 from unbend.refraction.kernels.columns import BLOCK, TILE, TerrainGrid

@@ -11,7 +11,7 @@ from unbend.flight.channels import Channel, Source
 from unbend.flight.evidence.quality import plausible_samples
 from unbend.flight.heights import HeightSystem
 from unbend.flight.roles import assign_roles, follows_height
-from unbend.ledger import Kind, Ledger
+from unbend.messages import Kind, Ledger
 
 SECONDS = np.arange(0.0, 900.0, 1.0)
 TIME = (SECONDS * 1e9).astype(np.int64)

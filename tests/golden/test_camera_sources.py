@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from unbend.errors import ConfigError, InputError
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.stages.commands.finished_run import rebuild_run
 
 from .conftest import read_observations, run_sample, sample_sections, write_mission

@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from unbend.errors import ConfigError, MissionError, StorageError, UnbendError
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.stages.commands import rehearsal
 from unbend.stages.story import check_mission, run_mission
 from unbend.tables.observations import RowSample, open_observations

@@ -24,7 +24,7 @@ from unbend.batch.store import find_damage, open_folder, read_manifest
 from unbend.batch.value_cache import packed, unpacked
 from unbend.config import load_mission
 from unbend.errors import InputError, StorageError
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.refraction.camera.camera import BrownConrady, Camera
 from unbend.refraction.image import Exposures
 from unbend.refraction.ray import rays_by

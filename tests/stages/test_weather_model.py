@@ -15,7 +15,7 @@ from tests.model_files import dataset, netcdf
 from unbend import correct
 from unbend.atmosphere.air_samples import AirSamples
 from unbend.atmosphere.series import profiles_by_place
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.simulate.flight import FIELD_LAT_RAD
 from unbend.simulate.true_air import temperature_k, true_air, vapour_pressure_pa
 from unbend.stages.adjusted_profile import adjusted_profiles, read_air_sources

@@ -10,7 +10,7 @@ import numpy as np
 
 from unbend.atmosphere.refractive_index import vapour_pressure
 from unbend.errors import InputError
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.units import HECTOPASCAL, NANOSECONDS_PER_SECOND, ZERO_CELSIUS_K
 
 # The ICAO standard atmosphere, with which altimeter settings are defined (ICAO Doc 7488).

@@ -21,7 +21,7 @@ from unbend.flight.stations import (
     empty_stations,
 )
 from unbend.geodesy import ecef_of_geodetic, enu_from_ecef, geodetic_of_ecef, offset_geodetic
-from unbend.ledger import Notes, loss, note, warning
+from unbend.messages import Notes, loss, note, warning
 from unbend.units import Array, Integers, Mask, Names
 
 # A vertical that known positions determine no better than this is none (1 deg is 5 % of R).

@@ -8,7 +8,7 @@ from unbend.atmosphere.air_samples import AirSamples, SensorSamples
 from unbend.flight.channels import Channel
 from unbend.flight.evidence.stretches import HEIGHT, Stretch, covered
 from unbend.flight.heights import HeightSystem, heights_at
-from unbend.ledger import Notes, note, warning
+from unbend.messages import Notes, note, warning
 from unbend.units import Integers
 
 SOAK_SECONDS = 120.0

@@ -11,7 +11,7 @@ from unbend.errors import MissionError
 from unbend.flight.air_samples import times_on_the_ground
 from unbend.flight.channels import Channel
 from unbend.flight.stations import Stations
-from unbend.ledger import Entry, Notes, loss, note, warning
+from unbend.messages import Entry, Notes, loss, note, warning
 from unbend.units import Array, Integers, Names
 
 

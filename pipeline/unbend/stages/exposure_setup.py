@@ -13,7 +13,7 @@ from unbend.errors import MissionError
 from unbend.flight.heights import HeightSystem, ground_offsets
 from unbend.flight.rotations import matrices_of
 from unbend.flight.stations import Stations
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.refraction.camera.camera import Camera, LensInAir, is_absurd, principal_change
 from unbend.refraction.image import Exposures
 from unbend.refraction.ray import rays_by

@@ -21,7 +21,7 @@ from unbend.flight.rotations import CAMERA_AT_REST, in_turned_frame
 from unbend.geodesy import GeoidGrid
 from unbend.ingest import Log, open_log
 from unbend.ingest.fields import in_stated_unit
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.tables.geodata.geoid import package_geoid, read_geoid
 from unbend.tables.imports import CAMERA_EVENTS, TRAJECTORIES, reader_of
 from unbend.tables.imports.agreement import compare_with_log

@@ -16,7 +16,7 @@ from unbend.config import Mission
 from unbend.exit_codes import exit_code_of
 from unbend.flight.rotations import matrices_of
 from unbend.flight.stations import NO_TIME, Stations
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.refraction.camera.camera import NO_DISTORTION
 from unbend.refraction.effect import FlightAir
 from unbend.refraction.kernels.columns import CABIN, WINDOW

@@ -14,7 +14,7 @@ from unbend.errors import MissionError
 from unbend.flight.stations import Stations
 from unbend.flight.trajectory import Takeoff
 from unbend.geodesy import wrapped
-from unbend.ledger import Entry, Kind, Ledger, finding
+from unbend.messages import Entry, Kind, Ledger, finding
 from unbend.refraction.calibration import is_fisheye
 from unbend.refraction.camera.camera import Camera
 from unbend.refraction.effect import Effect, effects_on_r

@@ -29,7 +29,7 @@ from unbend.flight.stations import (
     sigma_notes,
     unusable_station_notes,
 )
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.stages.cabin_air import cabin_from_log
 from unbend.stages.exposure_setup import camera_of_rows, windows_of_mission
 from unbend.stages.inputs import FlightLog, read_camera_events

@@ -37,7 +37,7 @@ from unbend.flight.air_samples import air_samples
 from unbend.flight.heights import heights_at, logged_terrain, undulation_notes
 from unbend.flight.stations import Stations, append_unmatched_images, flag_height_misfits
 from unbend.flight.trajectory import takeoff_of
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.refraction.effect import FlightAir
 from unbend.report.flown import Flown, flown_of
 from unbend.report.html import write_report

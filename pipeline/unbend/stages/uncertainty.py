@@ -8,7 +8,7 @@ import pyarrow as pa
 from unbend.atmosphere.series.profile_series import ProfileSeries
 from unbend.config import Mission
 from unbend.flight.stations import Stations
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.refraction.uncertainty.budget import StationSigmas, uncertainty_of
 from unbend.refraction.uncertainty.sigmas import OPEN, SCHEDULED, Uncertainty, window_kind_of
 from unbend.stages.cabin_air import cabin_changes

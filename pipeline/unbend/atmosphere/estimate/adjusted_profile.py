@@ -31,7 +31,7 @@ from unbend.atmosphere.profile import Profile
 from unbend.atmosphere.soundings import Sounding
 from unbend.atmosphere.surface_report import SurfaceReport
 from unbend.geodesy import normal_gravity
-from unbend.ledger import Entry, Ledger, Notes, fallback, finding, loss, note, warning
+from unbend.messages import Entry, Ledger, Notes, fallback, finding, loss, note, warning
 from unbend.units import Array, Mask
 
 WIDEST_GAP_M = 400.0

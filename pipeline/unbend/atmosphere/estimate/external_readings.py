@@ -17,7 +17,7 @@ from unbend.atmosphere.estimate.state import TOP_M, Drift
 from unbend.atmosphere.refractive_index import enhancement_factor, saturation_vapour_pressure
 from unbend.atmosphere.soundings import Sounding
 from unbend.atmosphere.surface_report import SurfaceReport
-from unbend.ledger import Entry, fallback, warning
+from unbend.messages import Entry, fallback, warning
 from unbend.units import Array, Mask
 
 SPREAD_K, SPREAD_RH = 5.0, 0.3  # of the climatology in the free troposphere

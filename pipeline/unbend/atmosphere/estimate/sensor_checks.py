@@ -15,7 +15,7 @@ from unbend.atmosphere.estimate.solver import Estimate, FaultEstimate
 from unbend.atmosphere.estimate.state import SensorFault
 from unbend.atmosphere.hypsometry import Fall, fall_of_pressure
 from unbend.atmosphere.profile import Profile
-from unbend.ledger import Entry, Kind, Notes, fallback, finding, loss, note, warning
+from unbend.messages import Entry, Kind, Notes, fallback, finding, loss, note, warning
 from unbend.units import HECTOPASCAL, Mask
 
 CLIMB_TO_COMPARE_M = 200.0  # over less height the fall of pressure shows nothing [m]

@@ -16,7 +16,7 @@ from unbend.atmosphere.hypsometry import hats
 from unbend.atmosphere.layers import stack_layers
 from unbend.atmosphere.profile import Profile
 from unbend.atmosphere.refractive_index import IndexModel, saturation_vapour_pressure
-from unbend.ledger import Notes, note
+from unbend.messages import Notes, note
 from unbend.units import Array, Integers
 
 FINEST_CHANGE = 5e-4

@@ -18,7 +18,7 @@ from unbend.atmosphere.series.profile_series import (
     TimedProfile,
 )
 from unbend.atmosphere.soundings.model_field import ModelColumns, ModelField
-from unbend.ledger import Notes, note
+from unbend.messages import Notes, note
 from unbend.units import VAPOUR_DEFICIT, Array, Integers
 
 LONG_KM, LONG_H = 30.0, 2.0  # in a shorter flight the air of one place and time is that of all

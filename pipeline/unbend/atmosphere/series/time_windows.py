@@ -19,7 +19,7 @@ from unbend.atmosphere.estimate.estimate_checks import is_better_than_background
 from unbend.atmosphere.estimate.solver import estimate
 from unbend.atmosphere.series import profile_series
 from unbend.atmosphere.series.profile_series import SampleAges, TimedProfile
-from unbend.ledger import Notes, fallback, note
+from unbend.messages import Notes, fallback, note
 
 MOST_WINDOWS = 12  # each as long as the air stays fresh, or longer
 

@@ -26,7 +26,7 @@ from unbend.atmosphere.soundings.levels import (
     utc_ns,
 )
 from unbend.errors import InputError
-from unbend.ledger import Ledger, Notes, loss, note, warning
+from unbend.messages import Ledger, Notes, loss, note, warning
 from unbend.units import NANOSECONDS_PER_SECOND, ZERO_CELSIUS_K, Array
 
 _HEADER = re.compile(r"#[A-Z0-9]{11} \d{4} \d\d \d\d \d\d ")

@@ -16,7 +16,7 @@ from unbend.atmosphere.refractive_index import vapour_pressure
 from unbend.atmosphere.soundings.levels import RawLevels, Sounding
 from unbend.errors import InputError
 from unbend.geodesy import normal_gravity
-from unbend.ledger import Notes, fallback, loss, note, warning
+from unbend.messages import Notes, fallback, loss, note, warning
 from unbend.units import DEGREE, HECTOPASCAL, HYDROSTATIC_CONSTANT, ZERO_CELSIUS_K, Array, Mask
 
 FEWEST_LEVELS = 5

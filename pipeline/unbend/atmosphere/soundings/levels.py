@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 import numpy as np
 
 from unbend.errors import InputError
-from unbend.ledger import Entry, Notes
+from unbend.messages import Entry, Notes
 from unbend.units import HECTOPASCAL, NANOSECONDS_PER_SECOND, ZERO_CELSIUS_K, Array
 
 FILLS = (-9999.0, -9999.9, -8888.0, -99999.0, 99999.0, 999999.0, -999.0)

@@ -25,7 +25,7 @@ from unbend.atmosphere.soundings.level_checks import FEWEST_LEVELS, THICKNESS_RA
 from unbend.atmosphere.soundings.levels import ColumnErrors, Sounding
 from unbend.errors import InputError
 from unbend.geodesy import longitudes_near, normal_gravity
-from unbend.ledger import Entry, Notes, fallback, note, warning
+from unbend.messages import Entry, Notes, fallback, note, warning
 from unbend.units import (
     DEGREE,
     HECTOPASCAL,

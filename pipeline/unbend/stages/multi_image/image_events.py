@@ -21,7 +21,7 @@ from unbend.flight.exposures import Events, refuse_repeated_images
 from unbend.flight.image_names import name_series
 from unbend.flight.stations import NO_TIME, Stations
 from unbend.geodesy import principal_radii
-from unbend.ledger import Ledger, Notes, loss, note, warning
+from unbend.messages import Ledger, Notes, loss, note, warning
 from unbend.refraction.camera.camera import Camera
 from unbend.stages.exposure_setup import cameras_of_mission
 from unbend.tables.imports.exif import ImageTimes, read_image_times

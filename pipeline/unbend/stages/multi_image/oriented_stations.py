@@ -18,7 +18,7 @@ from unbend.errors import InputError, MissionError
 from unbend.flight import heights, rotations
 from unbend.flight.image_names import renamed
 from unbend.flight.stations import NO_TIME, Stations, join_stations
-from unbend.ledger import Ledger, Notes
+from unbend.messages import Ledger, Notes
 from unbend.stages.exposure_setup import camera_of_rows, cameras_of_mission
 from unbend.stages.inputs import FlightLog, user_geoid
 from unbend.stages.multi_image.tie_point_checks import FEWEST_TIE_POINTS

@@ -16,7 +16,7 @@ from unbend.config import Mission
 from unbend.flight.heights import HeightSystem, ground_offsets
 from unbend.flight.stations import Stations
 from unbend.geodesy import geodetic_of_ecef
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.refraction.camera.camera import Camera
 from unbend.stages.exposure_setup import cameras_of_mission, orientations_of_mission
 from unbend.tables.geodata.elevation import ElevationModel
