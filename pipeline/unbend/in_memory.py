@@ -8,7 +8,6 @@ import json
 import os
 import warnings
 from collections.abc import Mapping
-from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -20,8 +19,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-import unbend.refraction as refraction
-from unbend.atmosphere import Profile, standard_atmosphere
+from unbend.atmosphere import Profile
 from unbend.atmosphere.estimate.adjusted_profile import unadjusted
 from unbend.atmosphere.series.profile_series import ProfileSeries, TimedProfile, constant_series
 from unbend.batch.plan import make_plan
@@ -29,22 +27,13 @@ from unbend.config import Mission, load_mission
 from unbend.errors import UnbendError
 from unbend.flight.stations import Stations
 from unbend.messages import Kind
-from unbend.refraction.camera import DISTORTION_MODELS
 from unbend.refraction.effect import FlightAir
-from unbend.refraction.kernels.columns import BLOCK, TILE, TerrainGrid
-from unbend.refraction.kernels.jit import Kernel
-from unbend.refraction.kernels.moments import WORTH_A_TABLE
-from unbend.refraction.kernels.terrain import extremes_of_tile
-from unbend.refraction.target_heights import terrain_heights
-from unbend.refraction.window import refract_at_window
 from unbend.report.progress import Progress
 from unbend.stages.commands.finished_run import air_of, stations_of
 from unbend.stages.correction import CorrectionSetup, correct_stream
 from unbend.stages.outputs import observation_metadata
 from unbend.stages.statistics import Statistics
 from unbend.stages.story import correct_mission, prepare_mission
-from unbend.tables.text_columns import fnv_1a
-from unbend.units import Array, Integers
 
 Table = TypeVar("Table", pd.DataFrame, pa.Table)
 Air: TypeAlias = Profile | TimedProfile | ProfileSeries | pa.Table | str | Mapping[str, Any]
@@ -232,60 +221,3 @@ def air_of_stations(profile: Air, placed: pa.Table, stations: Stations) -> Fligh
     first = series.timed_profiles[0]
     adjustment = replace(unadjusted(first.profile, "it is given"), covariance=first.covariance)
     return FlightAir(adjustment, ProfileSeries(series.timed_profiles, number))
-
-
-class _FlatGround:
-    """A terrain of one tile at height zero, all in memory."""
-
-    lock = nullcontext()
-
-    def __init__(self) -> None:
-        node, block = np.zeros((1, 1), np.float32), np.zeros((1, TILE // BLOCK, TILE // BLOCK))
-        tiles, blocks = np.zeros((1, TILE + 1, TILE + 1), np.float32), block.astype(np.float32)
-        slot = np.zeros((1, 1), np.int32)
-        self.grid = TerrainGrid(node, node + 0.0, slot, tiles, blocks, blocks + 0.0, 0)
-        extremes_of_tile(tiles[0], blocks[0], self.grid.block_high[0])
-
-    def nodes(self, lat_rad: Array, lon_rad: Array) -> tuple[Array, Array]:
-        """Cells of 100 m."""
-        return TILE / 2 - lat_rad * 63_700.0, TILE / 2 + lon_rad * 63_700.0
-
-    def load(self, tiles: Integers) -> None:
-        """All is there."""
-
-
-def compile_kernels() -> None:
-    """Compile all that runs may need into the cache: half a minute of one CPU, 3 MB."""
-    n = WORTH_A_TABLE + 1
-    air, row, one = standard_atmosphere("us1976"), np.zeros(n, np.int64), np.ones(1)
-    outside, table = np.full(1, 2e-4), refraction.ray_table(air)
-    down = refraction.Exposures(
-        one > 0.0, np.diag([1.0, -1.0, -1.0])[None], 0.0 * one, 3000.0 * one, outside,
-        outside + 7e-5,
-    )  # fmt: skip
-    sigmas = refraction.StationSigmas(1e-3 * one, 1e-3 * one, np.array([[0.0, 0.0, 1.0]]), one)
-    x, h_g = np.linspace(400.0, 600.0, n), np.linspace(0.0, 100.0, n)
-    Kernel.always_compiled = True
-    try:
-        for model in DISTORTION_MODELS.values():
-            lens = model.Parameters()
-            camera = refraction.Camera(1000, 1000, 1000.0, 1000.0, 500.0, 500.0, lens)
-            uncertainty = refraction.uncertainty_of(
-                air, None, down, sigmas, [(camera, one > 0.0)], ground_heights_m=(0.0, 100.0)
-            )
-            refraction.correct_observations(
-                x, x, h_g, row, down, camera=camera, table=table, uncertainty=uncertainty,
-                sigma_h_g=0.0 * h_g,
-            )  # fmt: skip
-            camera.rays(x, x)
-        refraction.bend(table, 3000.0, 0.0, np.sin([0.1, 1.55, 1.7]), np.cos([0.1, 1.55, 1.7]))
-        refraction.height_at_distance(table, 3000.0, 0.6, 0.8, 3000.0)
-        refract_at_window(np.array([[0.0, 0.0, 1.0]]), 2e-4, 3e-4)
-        terrain_heights(
-            x, x, row, down, (0.0 * one, 0.0 * one), camera=camera, table=table,
-            terrain=_FlatGround(),
-        )  # fmt: skip
-        of_file = np.frombuffer(b"\0", np.uint8), np.frombuffer(bytes(8), np.int32)
-        fnv_1a(*of_file, np.zeros(1, np.uint64))
-    finally:
-        Kernel.always_compiled = False

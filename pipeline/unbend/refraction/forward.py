@@ -5,14 +5,27 @@ from typing import Any
 
 import numpy as np
 
-from unbend.refraction import image, status_codes
+from unbend.refraction import image
 from unbend.refraction.camera.camera import Camera
-from unbend.refraction.kernels import columns as of
-from unbend.refraction.kernels.columns import ObservationColumns, TracedColumns
-from unbend.refraction.kernels.sigma import propagate
+from unbend.refraction.kernels.columns import (
+    CAMERA_HEIGHT,
+    DIRECTION,
+    NADIR_COSINE,
+    NADIR_SINE,
+    SPHERE_RADIUS,
+    ObservationColumns,
+    TracedColumns,
+)
 from unbend.refraction.kernels.threads import in_blocks
 from unbend.refraction.ray import PublishedRays, bend
 from unbend.refraction.ray_table import RayTable
+from unbend.refraction.status_codes import (
+    BEYOND_GRAZING,
+    FAR_BRANCH,
+    MISSES_GROUND,
+    OK,
+    OUTSIDE_CAMERA,
+)
 from unbend.refraction.target_heights import height_at_distance, target_rays
 from unbend.refraction.uncertainty.sigmas import PARTIALS, Sigmas, Uncertainty
 from unbend.refraction.window import refract_at_window
@@ -87,13 +100,15 @@ def apply_refraction(
         pixels = np.stack([columns["x_px"], columns["y_px"]], axis=1)
         upper = np.array([camera.width_px, camera.height_px], np.float64)
         outside = ((pixels < -_EDGE_PX) | (pixels > upper + _EDGE_PX)).any(axis=1)
-    status[outside] = status_codes.OUTSIDE_CAMERA
-    lost = ~np.isin(status, (status_codes.OK, status_codes.BEYOND_GRAZING, status_codes.FAR_BRANCH))
+    status[outside] = OUTSIDE_CAMERA
+    lost = ~np.isin(status, (OK, BEYOND_GRAZING, FAR_BRANCH))
     for column in columns.values():
         column[lost] = np.nan
     displaced = image.Corrections(status=status, **columns)
     if uncertainty is None:
         return displaced
+    from unbend.refraction.kernels.sigma import propagate
+
     sigma_h_g = np.full(x_px.shape, np.nan) if sigma_h_g is None else sigma_h_g
     observations = ObservationColumns(displaced.x_px, displaced.y_px, h_g, sigma_h_g, exposure)
     sigmas, setup = Sigmas.room(x_px.size), (camera.constants, exposures.columns)
@@ -132,7 +147,7 @@ def _starting_points(
     x, y = ideal.T
     h_g, distance, exposure = targets
     rays = target_rays(x, y, exposure, exposures, camera=camera, ideal=True)
-    level = np.flatnonzero(np.isfinite(h_g) & (np.abs(rays[of.COS]) < _NEARLY_LEVEL))
+    level = np.flatnonzero(np.isfinite(h_g) & (np.abs(rays[NADIR_COSINE]) < _NEARLY_LEVEL))
     if level.size == 0:
         return point
     row = exposure[level]
@@ -156,7 +171,7 @@ def _apparent(chords: Array, h_g: Array, distance: Array, table: RayTable | Publ
     The ray is sought that is as far above its chord, at the chord's length, as refraction lifts
     it; NaN where the straight line does not reach the target's height.
     """
-    sin_z, cos_z, radius, h_c = chords[[of.SIN, of.COS, of.RADIUS, of.H_C]]
+    sin_z, cos_z, radius, h_c = chords[[NADIR_SINE, NADIR_COSINE, SPHERE_RADIUS, CAMERA_HEIGHT]]
     near, far = (
         image.straight_reach(h_c, h_g, cos_z, radius=radius, far=second) for second in (False, True)
     )
@@ -169,7 +184,7 @@ def _apparent(chords: Array, h_g: Array, distance: Array, table: RayTable | Publ
         height, _ = height_at_distance(table, h_c, sine, cosine, length, radius=radius)
         r_c, _ = bend(table, h_c, height, sine, cosine, radius=radius, distance=length)
         lifted = np.where(np.isfinite(r_c), r_c, 1.2 * lifted)
-    east, north = chords[of.APPARENT : of.APPARENT + 2] * np.sin(zeta + lifted) / sin_z
+    east, north = chords[DIRECTION : DIRECTION + 2] * np.sin(zeta + lifted) / sin_z
     return np.stack([east, north, -np.cos(zeta + lifted)], axis=1)
 
 
@@ -212,5 +227,5 @@ def _removals_to(
         rows = rows[moving]
         if rows.size == 0:
             break
-    columns["status"][rows[nearest[rows] > _NOISE_PX]] = status_codes.MISSES_GROUND
+    columns["status"][rows[nearest[rows] > _NOISE_PX]] = MISSES_GROUND
     return columns

@@ -14,9 +14,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from unbend.geodesy import principal_radii
 from unbend.refraction.camera.camera import Camera
-from unbend.refraction.kernels import columns as of
-from unbend.refraction.kernels import image as kernel
-from unbend.refraction.kernels.sigma import propagate
+from unbend.refraction.kernels.columns import (
+    CAMERA_HEIGHT,
+    NADIR_COSINE,
+    NADIR_SINE,
+    RAY_ROWS,
+    SPHERE_RADIUS,
+    CameraConstants,
+    ExposureColumns,
+    ObservationColumns,
+    RayColumns,
+    TracedColumns,
+)
 from unbend.refraction.kernels.threads import in_blocks
 from unbend.refraction.ray import PublishedRays, as_columns, bend
 from unbend.refraction.ray_table import RayTable
@@ -65,13 +74,13 @@ class Exposures:
         return np.zeros(self.usable.size) if change is None else change
 
     @property
-    def columns(self) -> of.ExposureColumns:
+    def columns(self) -> ExposureColumns:
         """The exposures for compiled functions."""
         if self.radius_m is None:
             curvature = 1.0 / np.stack(principal_radii(self.latitude_rad), axis=1)
         else:
             curvature = np.full((self.usable.size, 2), 1.0 / self.radius_m)
-        return of.ExposureColumns(
+        return ExposureColumns(
             self.usable, self.rotation, curvature, self.height_m, self.refractivity_outside,
             self.refractivity_cabin, self.normals, self.changes_px,
         )  # fmt: skip
@@ -146,6 +155,9 @@ def correct_observations(
     coordinates. Rows of one exposure that follow each other are fastest.
     """
     n = x_px.size
+    from unbend.refraction.kernels.image import shift_back
+    from unbend.refraction.kernels.sigma import propagate
+
     distance = np.full(n, np.nan) if distance_m is None else distance_m
     sigma_h_g = np.full(n, np.nan) if sigma_h_g is None else sigma_h_g
     changes = int(np.count_nonzero(np.diff(exposure)))
@@ -161,7 +173,7 @@ def correct_observations(
     columns = dict(zip(COLUMNS, np.empty((len(COLUMNS), n)), strict=True))
     status = np.empty(n, np.uint8)
     sigmas = None if uncertainty is None else Sigmas.room(n)
-    observations = of.ObservationColumns(x_px, y_px, h_g, sigma_h_g, exposure)
+    observations = ObservationColumns(x_px, y_px, h_g, sigma_h_g, exposure)
     setup = camera.constants, exposures.columns
 
     def correct_block(rows: slice) -> None:
@@ -169,14 +181,14 @@ def correct_observations(
         part = {name: values[rows] for name, values in columns.items()}
         rays, part["r_cc_rad"][:], seen = outgoing_rays(observed, *setup)
         r_c, bent = bend(
-            table, rays[of.H_C], observed.h_g, rays[of.SIN], rays[of.COS],
-            radius=rays[of.RADIUS], distance=distance[rows],
+            table, rays[CAMERA_HEIGHT], observed.h_g, rays[NADIR_SINE], rays[NADIR_COSINE],
+            radius=rays[SPHERE_RADIUS], distance=distance[rows],
         )  # fmt: skip
-        traced = of.TracedColumns(rays, r_c, np.where(seen == OK, bent, seen))
+        traced = TracedColumns(rays, r_c, np.where(seen == OK, bent, seen))
         part["r_c_rad"][:], status[rows] = r_c, traced.status
-        part["zeta_c_rad"][:] = np.arctan2(rays[of.SIN], rays[of.COS])
+        part["zeta_c_rad"][:] = np.arctan2(rays[NADIR_SINE], rays[NADIR_COSINE])
         shifts = part["dx_px"], part["dy_px"], part["shift_ground_m"]
-        kernel.shift_back(observed, *setup, traced, shifts)
+        shift_back(observed, *setup, traced, shifts)
         part["x_px"][:] = observed.x + part["dx_px"]
         part["y_px"][:] = observed.y + part["dy_px"]
         if sigmas is not None and uncertainty is not None:
@@ -189,12 +201,16 @@ def correct_observations(
 
 
 def outgoing_rays(
-    observed: of.ObservationColumns, camera: of.CameraConstants, exposures: of.ExposureColumns
+    observed: ObservationColumns, camera: CameraConstants, exposures: ExposureColumns
 ) -> tuple[Array, Array, NDArray[np.uint8]]:
     """The matrix of rays that pixels see outside the window, R_cc [rad] and status."""
+    from unbend.refraction.kernels.image import fill_outgoing_rays
+
     n = observed.x.size
-    rays, r_cc, status = np.empty((of.RAY_ROWS, n)), np.empty(n), np.empty(n, np.uint8)
-    kernel.outgoing_rays(observed, camera, exposures, rays, (status, r_cc))
+    rays = np.empty((RAY_ROWS, n))
+    r_cc = np.empty(n)
+    status = np.empty(n, np.uint8)
+    fill_outgoing_rays(observed, camera, exposures, rays, (status, r_cc))
     return rays, r_cc, status
 
 
@@ -209,10 +225,12 @@ def straight_reach(
     >>> straight_reach(3000.0, 1000.0, 0.8, radius=6371e3, far=[False, True]).round(3).tolist()
     [2500.221, 10195899.779]
     """
+    from unbend.refraction.kernels.image import fill_straight_reach
+
     shape, (h_c, h_g, cosine, radius, far) = as_columns(h_c, h_g, cos_zeta, radius, far)
     distance = np.empty(h_c.shape)
-    rays = of.RayColumns(h_c, h_g, cosine, cosine, radius, distance)
-    kernel.straight_reach(rays, far != 0.0, distance)
+    rays = RayColumns(h_c, h_g, cosine, cosine, radius, distance)
+    fill_straight_reach(rays, far != 0.0, distance)
     return distance.reshape(shape)
 
 

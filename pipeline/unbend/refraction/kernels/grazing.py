@@ -320,7 +320,7 @@ def bend_by_subtended(table, ray, h_g):  # type: ignore[no-untyped-def]
     return angle_to(ray, theta, h_g)
 
 
-@entry(rows=2, most=100)
+@entry
 def bend_grazing_rays(table, rays, which, angle, status):  # type: ignore[no-untyped-def]
     """Fill ``angle`` [rad] and ``status`` for rays that `bend_rays` has left."""
     for i in which:

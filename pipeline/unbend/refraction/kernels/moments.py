@@ -17,14 +17,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from unbend.refraction.kernels.columns import HINT_M
+from unbend.refraction.kernels.columns import HINT_M, LEFT, WORTH_A_TABLE
 from unbend.refraction.kernels.jit import entry, jit, within
-from unbend.refraction.kernels.ray import LEFT, Triangle, sides_of, small_angle
+from unbend.refraction.kernels.ray import Triangle, sides_of, small_angle
 from unbend.refraction.status_codes import OK
 from unbend.units import Array
-
-# A table of moments costs as much as this many integrals.
-WORTH_A_TABLE = 24
 
 # As many rays from one height are taken together: their columns fit into a core's cache.
 _TOGETHER = 4096
@@ -317,7 +314,7 @@ def _bend_group(air, group, table, numbers, rays):  # type: ignore[no-untyped-de
                 status[i] = LEFT
 
 
-@entry(rows=2, most=24_000)
+@entry
 def bend_steep_rays(air, rays, angle, status):  # type: ignore[no-untyped-def]
     """Fill ``angle`` [rad] and ``status`` of the steep rays among many from the same heights.
 

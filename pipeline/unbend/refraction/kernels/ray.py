@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from unbend.refraction.kernels.columns import LEFT
 from unbend.refraction.kernels.grazing import (
     chord2,
     crosses_once,
@@ -21,9 +22,6 @@ from unbend.refraction.kernels.grazing import (
 )
 from unbend.refraction.kernels.jit import entry, jit
 from unbend.refraction.status_codes import BAD_MEASUREMENT, MISSES_GROUND, OK, OUTSIDE_PROFILE
-
-LEFT = 255
-"""Mark of a ray that is left to another kernel."""
 
 # The difference form is left where the ray comes this near to grazing the lower of its two ends:
 # (r cos zeta)^2 there is less than half of that at the upper end. Over a single piece of the table
@@ -142,7 +140,7 @@ def bend_by_difference(table, ray, h_g):  # type: ignore[no-untyped-def]
     return math.atan2(aside, ahead)
 
 
-@entry(rows=2, most=1500)
+@entry
 def bend_rays(table, rays, which, angle, status):  # type: ignore[no-untyped-def]
     """Fill ``angle`` [rad] and ``status`` for the rays of `RayColumns` that ``which`` numbers.
 
@@ -245,7 +243,7 @@ def _ray_height(table, ray, distance):  # type: ignore[no-untyped-def]
     return _search_height(table, ray, distance, search)
 
 
-@entry(rows=2, most=100)
+@entry
 def ray_heights(table, rays, height, status):  # type: ignore[no-untyped-def]
     """Fill ``height`` [m] and ``status`` for `RayColumns` at their distances; h_g is not read."""
     edge = table.edge

@@ -4,15 +4,46 @@ import math
 
 import numpy as np
 
-from unbend.refraction.kernels import columns as of
-from unbend.refraction.kernels.image import slopes
+from unbend.refraction.kernels.columns import (
+    CABIN_SIGMAS,
+    CAMERA_HEIGHT,
+    DIRECTION,
+    HEIGHT_SHARE,
+    IDEAL_U,
+    IDEAL_V,
+    NADIR_COSINE,
+    NADIR_SINE,
+    NODE_SHARE,
+    REFRACTIVITY,
+    RELATIVE_GRADIENT,
+    SIGMA_HEIGHT,
+    SPHERE_RADIUS,
+    TABLE_NODE,
+    TILT_VARIANCE,
+    WINDOW_GRADIENT,
+    WINDOW_KIND,
+    WINDOW_NORMAL,
+    YAW_AXIS_EAST,
+    YAW_AXIS_NORTH,
+    YAW_EXCESS_VARIANCE,
+)
+from unbend.refraction.kernels.distortion import slopes
 from unbend.refraction.kernels.jit import entry, jit, within
 from unbend.refraction.status_codes import FAR_BRANCH
 
 _TOGETHER = 256
 """Rows that are worked on together, in a room that stays in a core's first cache."""
 
-_OF_RAYS = (of.U, of.V, of.APPARENT, of.APPARENT + 1, of.SIN, of.COS, of.RADIUS, of.H_C)
+_OF_RAYS = (
+    IDEAL_U,
+    IDEAL_V,
+    DIRECTION,
+    DIRECTION + 1,
+    NADIR_SINE,
+    NADIR_COSINE,
+    SPHERE_RADIUS,
+    CAMERA_HEIGHT,
+)
 
 # Rows of that room after those of a matrix of rays: what observations have, their places in the
 # tables, what the air does there, the slopes of the distortion (3), and the columns of `Sigmas`.
@@ -52,7 +83,7 @@ def _of_exposure(s, turn, air):  # type: ignore[no-untyped-def]
     )  # fmt: skip
     r_0, r_1, r_2 = turn[0], turn[1], turn[2]
     rows = ((r_0[0], r_0[1], r_0[2]), (r_1[0], r_1[1], r_1[2]), (r_2[0], r_2[1], r_2[2]))
-    i, a, window = int(s[of.NODE]), s[of.SHARE], int(s[of.WINDOW])
+    i, a, window = int(s[TABLE_NODE]), s[NODE_SHARE], int(s[WINDOW_KIND])
     sigma_y = mode_y = 0.0
     if window >= 0:
         lean, mode = air.lean[window], air.mode_lean[window]
@@ -65,8 +96,13 @@ def _of_exposure(s, turn, air):  # type: ignore[no-untyped-def]
 def _interpolate(room, count, air, s):  # type: ignore[no-untyped-def]
     """Fill what the air does to rays by their places in the tables; NaN in, NaN out."""
     sigma, angle, factors, behind = air.sigma, air.angle, air.factors, air.behind
-    i, a, window, refractivity = int(s[of.NODE]), s[of.SHARE], int(s[of.WINDOW]), air.refractivity
-    e, share = _cell(s[of.SPAN] * (factors.shape[0] - 1), factors.shape[0])
+    i, a, window, refractivity = (
+        int(s[TABLE_NODE]),
+        s[NODE_SHARE],
+        int(s[WINDOW_KIND]),
+        air.refractivity,
+    )
+    e, share = _cell(s[HEIGHT_SHARE] * (factors.shape[0] - 1), factors.shape[0])
     for r in range(count):
         j, b = _cell(room[_WAY, r], sigma.shape[1])
         drop = room[_DROP, r]
@@ -99,7 +135,7 @@ def _by_heights(ray, d_zeta, n_g, s):  # type: ignore[no-untyped-def]
     ``ray`` : sine and cosine of zeta, radius and camera's height [m], fall to the target [m], R.
     """
     sin_z, cos_z, radius, h_c, drop, r = ray
-    r_c, r_g, n_c = radius + h_c, radius + h_c - drop, s[of.N]
+    r_c, r_g, n_c = radius + h_c, radius + h_c - drop, s[REFRACTIVITY]
     sin_r = r * (1.0 - r * r / 6.0)
     cos_t = cos_z * (1.0 - 0.5 * r * r) + sin_z * sin_r
     sin_t = sin_z * (1.0 - 0.5 * r * r) - cos_z * sin_r
@@ -110,7 +146,7 @@ def _by_heights(ray, d_zeta, n_g, s):  # type: ignore[no-untyped-def]
     sin_g = r_c * sin_t / r_g - sines
     cos_g = math.sqrt(1.0 - sin_g * sin_g)
     d_h_g = -2.0 * sines / ((down / r_g + cos_g) * chord * cos_g)
-    tan_z, bend = sin_z / cos_z, s[of.BEND]
+    tan_z, bend = sin_z / cos_z, s[RELATIVE_GRADIENT]
     d_h_c = tan_z * (d_zeta * (bend + 1.0 / r_c) - bend) - sin_r / (chord * cos_z)
     return d_h_c, d_h_g
 
@@ -147,7 +183,7 @@ def _in_the_image(along, across, motion, air, s):  # type: ignore[no-untyped-def
     # What dN_c - dN_cc does at the window, and how much of it is not the x of a level one.
     window = along * out_t + across * out_q
     by_air = abs(along) * sigma_r
-    if s[of.WINDOW] >= 0.0:
+    if s[WINDOW_KIND] >= 0.0:
         straight = along * tan_z
         leaning = window - along * (tan_z * (1.0 - d_zeta))
         both = straight * straight * sigma_x * sigma_x
@@ -156,10 +192,10 @@ def _in_the_image(along, across, motion, air, s):  # type: ignore[no-untyped-def
         by_air = 0.0 if both < 0.0 else math.sqrt(both)
     # A tilt turns the nadir: zeta by its part in the ray's plane, the plane by that across it.
     k_e, k_p = -d_zeta * along, swing * across
-    turned2 = s[of.TILT2] * (k_e * k_e + k_p * k_p)
+    turned2 = s[TILT_VARIANCE] * (k_e * k_e + k_p * k_p)
     by_yaw = k_e * yaw_along + k_p * yaw_across
-    turned2 += s[of.YAW2] * (by_yaw * by_yaw)
-    lift = (along * d_h_c + window * s[of.WINDOW_BEND]) * s[of.SIGMA_H]
+    turned2 += s[YAW_EXCESS_VARIANCE] * (by_yaw * by_yaw)
+    lift = (along * d_h_c + window * s[WINDOW_GRADIENT]) * s[SIGMA_HEIGHT]
     return by_air, math.sqrt(turned2 + lift * lift), along * d_h_g
 
 
@@ -170,9 +206,13 @@ def _places(room, count, air):  # type: ignore[no-untyped-def]
     incidence_step, most = air.incidence_step, air.factors.shape[2] - 1.0
     ground_m, spacing_m = air.ground_m, air.spacing_m
     for i in range(count):
-        h_c, cos_z, r_c = room[of.H_C, i], room[of.COS, i], room[of.RADIUS, i] + room[of.H_C, i]
+        h_c, cos_z, r_c = (
+            room[CAMERA_HEIGHT, i],
+            room[NADIR_COSINE, i],
+            room[SPHERE_RADIUS, i] + room[CAMERA_HEIGHT, i],
+        )
         drop = h_c - room[_H_G, i]
-        r_g = room[of.RADIUS, i] + h_c - drop
+        r_g = room[SPHERE_RADIUS, i] + h_c - drop
         level2 = (r_c * r_c * cos_z * cos_z - drop * (r_c + r_g)) / (r_g * r_g)
         root = math.sqrt(drop) - way_first
         incidence = (1.0 / math.sqrt(math.sqrt(level2)) - 1.0) / incidence_step
@@ -194,13 +234,18 @@ def _spread(room, count, camera, exposure):  # type: ignore[no-untyped-def]
     """
     fx, fy, cx, cy = camera.fx, camera.fy, camera.cx, camera.cy
     s, turn, (sigma_y, mode_y) = exposure
-    window = s[of.WINDOW] >= 0.0
+    window = s[WINDOW_KIND] >= 0.0
     no_window = 1.0 if window else math.nan
-    n_p, n_t, lens_p, lens_t = s[of.CABIN], s[of.CABIN + 1], s[of.CABIN + 2], s[of.CABIN + 3]
+    n_p, n_t, lens_p, lens_t = (
+        s[CABIN_SIGMAS],
+        s[CABIN_SIGMAS + 1],
+        s[CABIN_SIGMAS + 2],
+        s[CABIN_SIGMAS + 3],
+    )
     cabin = math.sqrt(n_p * n_p + n_t * n_t)
     for i in range(count):
-        sin_z, cos_z, r = room[of.SIN, i], room[of.COS, i], room[_R, i]
-        ray = (sin_z, cos_z, room[of.RADIUS, i], room[of.H_C, i], room[_DROP, i], r)
+        sin_z, cos_z, r = room[NADIR_SINE, i], room[NADIR_COSINE, i], room[_R, i]
+        ray = (sin_z, cos_z, room[SPHERE_RADIUS, i], room[CAMERA_HEIGHT, i], room[_DROP, i], r)
         secant, steep = 1.0 / cos_z, room[_STEEP, i]
         keep = math.nan if math.isnan(steep) else room[_KEEP, i]
         d_zeta = steep * secant * secant
@@ -209,17 +254,17 @@ def _spread(room, count, camera, exposure):  # type: ignore[no-untyped-def]
 
         # At the nadir any azimuth will do.
         inverse, leans = 1.0 / sin_z, sin_z > _AT_NADIR
-        east = room[of.APPARENT, i] * inverse if leans else 1.0
-        north = room[of.APPARENT + 1, i] * inverse if leans else 0.0
+        east = room[DIRECTION, i] * inverse if leans else 1.0
+        north = room[DIRECTION + 1, i] * inverse if leans else 0.0
         swing = r * inverse if leans else d_zeta
         t_0, q_0 = _turns(turn[0], east, north, sin_z, cos_z)
         t_1, q_1 = _turns(turn[1], east, north, sin_z, cos_z)
         t_2, q_2 = _turns(turn[2], east, north, sin_z, cos_z)
         t, q = (t_0, t_1, t_2), (q_0, q_1, q_2)
-        u, v = room[of.U, i], room[of.V, i]
+        u, v = room[IDEAL_U, i], room[IDEAL_V, i]
         point = (u, v, math.sqrt(u * u + v * v + 1.0))
         # How far it turns towards the nadir and across per unit of dN_c - dN_cc.
-        n0, n1, n2 = s[of.NORMAL], s[of.NORMAL + 1], s[of.NORMAL + 2]
+        n0, n1, n2 = s[WINDOW_NORMAL], s[WINDOW_NORMAL + 1], s[WINDOW_NORMAL + 2]
         out = (n0 * u + n1 * v + n2) / point[2]
         out_t = (n0 * t[0] + n1 * t[1] + n2 * t[2]) / out * (1.0 - d_zeta) if window else 0.0
         out_q = (n0 * q[0] + n1 * q[1] + n2 * q[2]) / out if window else 0.0
@@ -227,7 +272,7 @@ def _spread(room, count, camera, exposure):  # type: ignore[no-untyped-def]
         d_image = room[_SLOPES, i], room[_SLOPES + 1, i], room[_SLOPES + 2, i]
         along_x, along_y = _moved(point, t, camera, d_image)
         across_x, across_y = _moved(point, q, camera, d_image)
-        axis_e, axis_n = s[of.AXIS_E], s[of.AXIS_N]
+        axis_e, axis_n = s[YAW_AXIS_EAST], s[YAW_AXIS_NORTH]
         yaw = axis_n * east - axis_e * north, -axis_n * north - axis_e * east
         motion = (sin_z * secant, d_zeta, swing, out_t, out_q, d_h_c, d_h_g, yaw[0], yaw[1])
         air_of_ray = (sigma_r, room[_BEHIND, i], room[_SHARED, i], sigma_y)
@@ -255,7 +300,7 @@ def _spread(room, count, camera, exposure):  # type: ignore[no-untyped-def]
         room[_OUT + 13, i] = -turned_y * no_window * keep
 
 
-@entry(rows=0, most=24_000)
+@entry
 def propagate(observed, camera_and_rotation, traced, stations_and_air, sigmas):  # type: ignore[no-untyped-def]
     """Fill sigma of R_c [rad], of x and y [px] by air, station and ground, and by the cabin.
 
@@ -289,7 +334,7 @@ def propagate(observed, camera_and_rotation, traced, stations_and_air, sigmas): 
                 room[_H_G, i], room[_SIGMA_H_G, i] = h_g[j], sigma_h_g[j]
                 far = status[j] == FAR_BRANCH
                 room[_KEEP, i] = math.nan if math.isnan(r_c[j]) or far else 1.0
-                uu, uv, vv = slopes(rays[of.U, j], rays[of.V, j], camera.distortion)
+                uu, uv, vv = slopes(rays[IDEAL_U, j], rays[IDEAL_V, j], camera.distortion)
                 room[_SLOPES, i], room[_SLOPES + 1, i], room[_SLOPES + 2, i] = uu, uv, vv
             of_exposure = _of_exposure(stations[e], rotation[e], air)
             _places(room, count, air)

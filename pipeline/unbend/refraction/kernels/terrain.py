@@ -10,7 +10,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from unbend.refraction.kernels import columns as of
+from unbend.refraction.kernels.columns import (
+    BLOCK,
+    CHART_DEGREE,
+    EMERGES,
+    HIDDEN,
+    LANDED,
+    NO_TERRAIN,
+    PASSES,
+    TILE,
+    WAITS,
+)
 from unbend.refraction.kernels.jit import entry, jit
 
 # Above all land [m]; and so deep under the ground a ray is not followed any further.
@@ -162,10 +172,10 @@ def _box_at(grid, row, column, height):  # type: ignore[no-untyped-def]
     if grid.around > 0:  # columns go round the earth
         turn = math.floor(column / grid.around) * grid.around
     i, j = math.floor(row), math.floor(column) - turn
-    p, q = i // of.TILE, j // of.TILE
-    top, left = p * of.TILE, q * of.TILE
+    p, q = i // TILE, j // TILE
+    top, left = p * TILE, q * TILE
     cell = i - top, j - left
-    bottom, right = top + of.TILE, left + of.TILE
+    bottom, right = top + TILE, left + TILE
     if grid.around > 0 and right > grid.around:
         right = grid.around
     low, high, slot, tile = np.inf, -np.inf, -1, -1
@@ -177,10 +187,10 @@ def _box_at(grid, row, column, height):  # type: ignore[no-untyped-def]
             if slot < 0:
                 slot = -2
             else:
-                k, m = cell[0] // of.BLOCK, cell[1] // of.BLOCK
+                k, m = cell[0] // BLOCK, cell[1] // BLOCK
                 low, high = grid.block_low[slot, k, m], grid.block_high[slot, k, m]
-                top, left = top + k * of.BLOCK, left + m * of.BLOCK
-                bottom, right = top + of.BLOCK, min(left + of.BLOCK, right)
+                top, left = top + k * BLOCK, left + m * BLOCK
+                bottom, right = top + BLOCK, min(left + BLOCK, right)
     edges = float(top), float(bottom), float(left + turn), float(right + turn)
     return tile, slot, cell, low, high, edges
 
@@ -190,10 +200,10 @@ def _change(side, now, gap, t):  # type: ignore[no-untyped-def]
     """What becomes of a ray that is on a side of the terrain (1 above, -1 under) after another (0
     where that is unknown), perhaps behind a gap; LANDED where the terrain has a step."""
     if side == 0 and now < 0:
-        return of.NO_TERRAIN if gap or t > 0.0 else of.HIDDEN
+        return NO_TERRAIN if gap or t > 0.0 else HIDDEN
     if side > 0 and now < 0:
-        return of.NO_TERRAIN if gap else of.LANDED
-    return of.EMERGES if side < 0 and now > 0 else of.WAITS
+        return NO_TERRAIN if gap else LANDED
+    return EMERGES if side < 0 and now > 0 else WAITS
 
 
 @jit
@@ -206,10 +216,10 @@ def _follow(path, grid, ray, state):  # type: ignore[no-untyped-def]
     """
     end, t, side, gap = state.end[ray], state.t[ray], state.side[ray], state.gap[ray]
     landed = not math.isnan(state.height[ray])
-    result = of.WAITS
+    result = WAITS
     state.wanted[ray] = -1
     at = _place(path, t)
-    while result == of.WAITS and t < end:
+    while result == WAITS and t < end:
         row, column, height, _, _, cosine = at
         v_row, v_column, rise = _velocity(path, at)
         if height > _SKY_M:
@@ -244,41 +254,41 @@ def _follow(path, grid, ray, state):  # type: ignore[no-untyped-def]
         now = 1 if f > (_CLOSE_M if side < 0 else 0.0) else -1
         result = _change(side, now, gap, t)
         side, gap = now, False
-        if result == of.LANDED:  # at a step of the terrain
+        if result == LANDED:  # at a step of the terrain
             state.distance[ray], state.height[ray], state.factor[ray] = t, height, 1.0
-            landed, result = True, of.WAITS
-        elif near and not landed and (f_1 <= 0.0 or f_turn <= 0.0) and result == of.WAITS:
+            landed, result = True, WAITS
+        elif near and not landed and (f_1 <= 0.0 or f_turn <= 0.0) and result == WAITS:
             share = (t_turn - t) / step
             found = _crossing(path, patch, (t, t_turn), (f, f_turn), square * share * share)
             state.distance[ray], state.height[ray] = found
             state.factor[ray] = abs((after[2] - height) * share / (f_turn - f))
             landed, f_turn = True, f_1
-        if landed and result == of.WAITS:
+        if landed and result == WAITS:
             side = -1
             if max(f_1, f_turn) > _CLOSE_M:
-                result = of.EMERGES
+                result = EMERGES
             elif f_1 < -_DEEP_M:
-                result = of.LANDED
+                result = LANDED
         t, at = t + step, after
-    if t >= end and result == of.WAITS:
-        result = of.LANDED if landed else (of.PASSES if side != 0 and not gap else of.NO_TERRAIN)
+    if t >= end and result == WAITS:
+        result = LANDED if landed else (PASSES if side != 0 and not gap else NO_TERRAIN)
     state.t[ray], state.side[ray], state.gap[ray], state.result[ray] = t, side, gap, result
 
 
-@entry(rows=1)
+@entry
 def follow_rays(rays, which, grid, state):  # type: ignore[no-untyped-def]
     """Follow the rays that ``which`` numbers over a `TerrainGrid`, from where they are.
 
     ``rays`` is a `TerrainRays`; the columns of ``state``, a `TerrainState`, are changed.
     """
-    row, column, easts, norths = np.ones((4, of.CHART_DEGREE + 1))
+    row, column, easts, norths = np.ones((4, CHART_DEGREE + 1))
     for i in which:
         row[:] = column[:] = 0.0
         chart, term = rays.chart[i], 0
         east, north = rays.east[i] / rays.reach[chart], rays.north[i] / rays.reach[chart]
-        for power in range(of.CHART_DEGREE):
+        for power in range(CHART_DEGREE):
             easts[power + 1], norths[power + 1] = east * easts[power], north * norths[power]
-        for degree in range(of.CHART_DEGREE + 1):
+        for degree in range(CHART_DEGREE + 1):
             for power in range(degree + 1):
                 share = easts[degree - power] * norths[power]
                 row[degree] += rays.charts[chart, 0, term] * share
@@ -290,7 +300,7 @@ def follow_rays(rays, which, grid, state):  # type: ignore[no-untyped-def]
         _follow(path, grid, i, state)
 
 
-@entry(rows=0)
+@entry
 def divide_differences(knot, value):  # type: ignore[no-untyped-def]
     """Newton's divided differences of ``value`` (n, k) at ``knot`` (n, k), in its place."""
     for i in range(knot.shape[0]):
@@ -299,14 +309,14 @@ def divide_differences(knot, value):  # type: ignore[no-untyped-def]
                 value[i, k] = (value[i, k] - value[i, k - 1]) / (knot[i, k] - knot[i, k - order])
 
 
-@entry(rows=0)
+@entry
 def extremes_of_tile(tile, low, high):  # type: ignore[no-untyped-def]
     """Fill lowest and highest node of the blocks of a tile; infinite where all are unknown."""
     for k in range(low.shape[0]):
         for m in range(low.shape[1]):
             least, most = np.inf, -np.inf
-            for i in range(k * of.BLOCK, (k + 1) * of.BLOCK + 1):
-                for j in range(m * of.BLOCK, (m + 1) * of.BLOCK + 1):
+            for i in range(k * BLOCK, (k + 1) * BLOCK + 1):
+                for j in range(m * BLOCK, (m + 1) * BLOCK + 1):
                     if tile[i, j] < least:
                         least = tile[i, j]
                     if tile[i, j] > most:

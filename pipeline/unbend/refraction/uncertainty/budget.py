@@ -24,7 +24,23 @@ from unbend.atmosphere.covariance import ProfileCovariance
 from unbend.atmosphere.profile import Profile
 from unbend.refraction.camera.camera import Camera
 from unbend.refraction.image import Exposures
-from unbend.refraction.kernels import columns as of
+from unbend.refraction.kernels.columns import (
+    CABIN_SIGMAS,
+    HEIGHT_SHARE,
+    NODE_SHARE,
+    REFRACTIVITY,
+    RELATIVE_GRADIENT,
+    SIGMA_HEIGHT,
+    STATION_COLUMNS,
+    TABLE_NODE,
+    TILT_VARIANCE,
+    WINDOW_GRADIENT,
+    WINDOW_KIND,
+    WINDOW_NORMAL,
+    YAW_AXIS_EAST,
+    YAW_AXIS_NORTH,
+    YAW_EXCESS_VARIANCE,
+)
 from unbend.refraction.ray import DEFAULT_RADIUS_M
 from unbend.refraction.uncertainty import sigmas
 from unbend.refraction.uncertainty.sensitivity import sensitivity
@@ -261,7 +277,7 @@ def _station_columns(
     ``kinds`` (s,) are those of windows."""
     n = exposures.refractivity_outside
     h = np.where(exposures.usable & np.isfinite(n), exposures.height_m, at_m[0])
-    table = np.full((h.size, of.STATION_COLUMNS), np.nan)
+    table = np.full((h.size, STATION_COLUMNS), np.nan)
     # Slopes over half a metre below and above, within the profile.
     low = np.maximum(h - _SLOPE_STEP_M, profile.bottom_m)
     high = np.minimum(h + _SLOPE_STEP_M, profile.top_m)
@@ -269,22 +285,22 @@ def _station_columns(
     thinner = np.log(profile.pressure(high) / profile.pressure(low)) / (high - low)
     node = np.clip(np.searchsorted(at_m, h, side="right") - 1, 0, at_m.size - 2)
     axis = np.einsum("sji,sj->si", exposures.rotation, stations.yaw_axis)
-    table[:, of.N] = n
-    table[:, of.BEND] = slope / (1.0 + n)
-    table[:, of.NODE] = node
-    table[:, of.SHARE] = (h - at_m[node]) / (at_m[node + 1] - at_m[node])
-    table[:, of.SPAN] = (h - at_m[0]) / (at_m[-1] - at_m[0])
-    table[:, of.TILT2] = stations.tilt_rad**2
-    table[:, of.YAW2] = stations.yaw_rad**2 - stations.tilt_rad**2
-    table[:, of.AXIS_E], table[:, of.AXIS_N] = axis[:, 0], axis[:, 1]
-    table[:, of.SIGMA_H] = np.nan_to_num(stations.height_m)
-    table[:, of.WINDOW], table[:, of.WINDOW_BEND] = -1.0, 0.0
-    table[:, of.NORMAL : of.CABIN] = exposures.normals
+    table[:, REFRACTIVITY] = n
+    table[:, RELATIVE_GRADIENT] = slope / (1.0 + n)
+    table[:, TABLE_NODE] = node
+    table[:, NODE_SHARE] = (h - at_m[node]) / (at_m[node + 1] - at_m[node])
+    table[:, HEIGHT_SHARE] = (h - at_m[0]) / (at_m[-1] - at_m[0])
+    table[:, TILT_VARIANCE] = stations.tilt_rad**2
+    table[:, YAW_EXCESS_VARIANCE] = stations.yaw_rad**2 - stations.tilt_rad**2
+    table[:, YAW_AXIS_EAST], table[:, YAW_AXIS_NORTH] = axis[:, 0], axis[:, 1]
+    table[:, SIGMA_HEIGHT] = np.nan_to_num(stations.height_m)
+    table[:, WINDOW_KIND], table[:, WINDOW_GRADIENT] = -1.0, 0.0
+    table[:, WINDOW_NORMAL:CABIN_SIGMAS] = exposures.normals
     if stations.cabin is not None:
-        table[:, of.CABIN :] = stations.cabin
+        table[:, CABIN_SIGMAS:] = stations.cabin
     for number, kind in enumerate(np.unique(kinds[kinds != sigmas.OPEN]).tolist()):
         rows = kinds == kind
         response = sigmas.cabin_response(profile, h[rows], kind)
-        table[rows, of.WINDOW] = number
-        table[rows, of.WINDOW_BEND] = table[rows, of.BEND] - thinner[rows] * response
+        table[rows, WINDOW_KIND] = number
+        table[rows, WINDOW_GRADIENT] = table[rows, RELATIVE_GRADIENT] - thinner[rows] * response
     return table
