@@ -221,3 +221,28 @@ def air_of_stations(profile: Air, placed: pa.Table, stations: Stations) -> Fligh
     first = series.timed_profiles[0]
     adjustment = replace(unadjusted(first.profile, "it is given"), covariance=first.covariance)
     return FlightAir(adjustment, ProfileSeries(series.timed_profiles, number))
+
+
+def correct_one_image() -> None:
+    """Correct one image of few points, which compiles what missions call.
+
+    A camera with a Brown-Conrady lens over ground at one height; other models of lenses, and
+    elevation models, are compiled by the first mission that has one.
+    """
+    rows = 100
+    x = np.linspace(1.0, 999.0, rows)
+    name = np.full(rows, "image")
+    observations = pd.DataFrame({"image": name, "point": name, "x_px": x, "y_px": x, "h_g_m": 0.0})
+    place = {"latitude": 47.0, "longitude": 8.0, "h_msl_m": 3000.0}
+    attitude = {"omega": 0.0, "phi": 0.0, "kappa": 0.0}
+    stations = pd.DataFrame([{"image": "image"} | place | attitude])
+    camera = {
+        "width_px": 1000,
+        "height_px": 1000,
+        "f_px": 1000.0,
+        "cx_px": 500.0,
+        "cy_px": 500.0,
+        "calibration": "laboratory",
+        "window": {"cabin": "standard_schedule"},
+    }
+    correct(observations, stations, "us1976", {"main": camera})

@@ -38,7 +38,7 @@ COMPILING: list[str] = []
 _DECORATING = threading.Lock()
 
 
-class _NoteOfCompiling(event.Listener):
+class _NoteOfCompiling(event.Listener):  # type: ignore[misc]
     """Keeps `COMPILING`; numba tells it when it compiles, but not when it loads what it kept."""
 
     def on_start(self, event: Any) -> None:
