@@ -3,7 +3,7 @@
 import tomllib
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
-from functools import cache
+from functools import cache, cached_property
 from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -77,6 +77,13 @@ class Section(BaseModel):
         extra="forbid", frozen=True, strict=True, allow_inf_nan=False, defer_build=True
     )
 
+    def __copy__(self) -> Self:
+        """A copy of the keys: what was computed of them may be another one of changed keys."""
+        copied = super().__copy__()
+        for name in copied.__dict__.keys() - type(self).model_fields.keys():
+            del copied.__dict__[name]
+        return copied
+
 
 Hectopascal = Annotated[float, Field(ge=100, le=1200)]
 Celsius = Annotated[float, Field(ge=-60, le=60)]
@@ -140,7 +147,8 @@ class WindowSection(Section):
     normal: Vector = Field(default_factory=lambda: [0.0, 0.0, 1.0])
     in_calibration: Literal["none", "glass"] = "none"
 
-    def build(self) -> Window:
+    @cached_property
+    def window(self) -> Window:
         """The window, with cabin air in SI."""
         x, y, z = self.normal
         cabin = self.cabin.build() if isinstance(self.cabin, CabinAir) else self.cabin
@@ -221,7 +229,8 @@ class MountSection(Section):
             raise ValueError("sigma_yaw_deg needs sigma_tilt_deg beside it")
         return self
 
-    def build(self) -> Mount:
+    @cached_property
+    def mount(self) -> Mount:
         """In radians."""
         x, y, z = self.lever_arm_m
         tilt = self.sigma_tilt_deg
@@ -374,7 +383,7 @@ class CameraSection(Section):
         if numbers and single not in ((True, False, False), (False, True, True)):
             raise ValueError("give f_px, or both fx_px and fy_px")
         try:
-            camera = self.build()
+            camera = self.interior_orientation
             if not all(10.0 <= f <= 1e6 for f in (camera.fx_px, camera.fy_px)):
                 raise ValueError("the principal distance is 10 to 1000000 pixels")
             refuse_impossible(camera)
@@ -398,20 +407,31 @@ class CameraSection(Section):
     @property
     def needs_cabin_from_log(self) -> bool:
         """Whether a number depends on the cabin's air, and that is to come from the log."""
-        cabin = None if self.window is None else self.window.build().cabin
+        cabin = None if self.window is None else self.window.window.cabin
         of_log = cabin is not None and (cabin.source == "log" or cabin.temperature_logged)
         return of_log and self.needs_cabin
 
+    @cached_property
     def lens(self) -> LensInAir | None:
         """How the principal distance follows the air; None where the file does not state it."""
         if self.principal_distance is None:
             return None
-        camera = self.build()
+        camera = self.interior_orientation
         # The smaller of two, to which a change is the larger part.
         return self.principal_distance.build(min(camera.fx_px, camera.fy_px))
 
-    def build(self, pixel_origin: PixelOrigin = "corner") -> Camera:
-        """The camera in COLMAP's pixels, when its file is read; ``pixel_origin`` is the default."""
+    @cached_property
+    def interior_orientation(self) -> Camera:
+        """The camera in COLMAP's pixels, when its file is read; pixels count from the corner."""
+        return self._camera("corner")
+
+    def interior_orientation_by(self, pixel_origin: PixelOrigin) -> Camera:
+        """The camera in COLMAP's pixels; its own count from ``pixel_origin`` if it says nothing."""
+        if self.pixel_origin is not None or pixel_origin == "corner":
+            return self.interior_orientation
+        return self._camera(pixel_origin)
+
+    def _camera(self, pixel_origin: PixelOrigin) -> Camera:
         width, height = self.width_px or 0, self.height_px or 0
         pixels = PixelSystem(self.pixel_origin or pixel_origin)
         if self.metric is not None:

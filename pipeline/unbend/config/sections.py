@@ -1,6 +1,7 @@
 """The sections of a mission file as models with strict types and no unknown keys."""
 
 import difflib
+from functools import cached_property
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
@@ -21,7 +22,8 @@ from unbend.config.event_sources import EventsSection, PositionEvents
 from unbend.config.station_sources import LocalOrigin, NamedColumns, StationsSection
 from unbend.flight.heights import HIGHEST_GROUND_M, LOWEST_GROUND_M
 from unbend.flight.image_names import Difference
-from unbend.refraction import METHODS
+from unbend.flight.mount import Mount
+from unbend.refraction import METHODS, Camera, LensInAir, Window
 from unbend.tables.imports.blocks import BLOCKS
 from unbend.tables.pixels import PixelOrigin, PixelSystem
 
@@ -408,6 +410,31 @@ class Mission(Section):
             raise mistake("orientation-time")
         return self
 
+    @cached_property
+    def interior_orientations(self) -> dict[str, Camera]:
+        """By camera, in COLMAP's pixels; of those of files once these are read (`with_file`)."""
+        origin = self.observations.pixel_origin
+        return {
+            name: camera.interior_orientation_by(origin) for name, camera in self.cameras.items()
+        }
+
+    @cached_property
+    def windows(self) -> dict[str, Window]:
+        """The window of each camera that has one."""
+        sections = {name: camera.window for name, camera in self.cameras.items()}
+        return {name: section.window for name, section in sections.items() if section is not None}
+
+    @cached_property
+    def lenses(self) -> dict[str, LensInAir]:
+        """How the lens follows the air, of the cameras of which the mission file says it."""
+        lenses = {name: camera.lens for name, camera in self.cameras.items()}
+        return {name: lens for name, lens in lenses.items() if lens is not None}
+
+    @cached_property
+    def mounts(self) -> dict[str, Mount]:
+        """How each camera sits in the aircraft."""
+        return {name: section.mount for name, section in self.mount.items()}
+
     @property
     def position_events(self) -> dict[str, PositionEvents]:
         """Files of exposures with their positions, by camera."""
@@ -434,7 +461,7 @@ class Mission(Section):
                 continue
             if self.mount[name].attitude is not None:
                 continue
-            x, y, z = self.mount[name].build().camera_from_body @ np.array(window.normal)
+            x, y, z = self.mounts[name].camera_from_body @ np.array(window.normal)
             if z <= 0.0:
                 raise mistake("window-away", name=name, x=x, y=y, z=z)
         return self
