@@ -2,7 +2,7 @@
 
 import shutil
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -11,13 +11,21 @@ from unbend.atmosphere import standard_atmosphere
 from unbend.atmosphere.air_samples import AirSamples
 from unbend.atmosphere.estimate.adjusted_profile import unadjusted
 from unbend.atmosphere.series.profile_series import TimedProfile, constant_series
-from unbend.batch import run_files, store
+from unbend.batch import opening, run_files, store
 from unbend.batch.changes import drawn_before, reasons_to_run
 from unbend.batch.executors import ALONE, Helpers, Outcome
 from unbend.batch.file_hashes import check_unchanged
 from unbend.batch.keys import code_of_stages, key_of_drawn, versions
 from unbend.batch.object_store import Place
-from unbend.batch.plan import Plan, make_plan, outcome_of, places_named, refuse_other_mission
+from unbend.batch.plan import (
+    MANIFEST_VERSION,
+    Plan,
+    fetch_inputs,
+    make_plan,
+    outcome_of,
+    places_named,
+    refuse_other_mission,
+)
 from unbend.batch.publication import Publication, rehearse_place
 from unbend.batch.run_files import write_tables
 from unbend.batch.value_cache import keep, recall
@@ -28,7 +36,8 @@ from unbend.refraction.effect import FlightAir
 from unbend.report.flown import Flown, flown_of
 from unbend.report.html import write_report
 from unbend.report.progress import Progress
-from unbend.stages import correction
+from unbend.stages.correction import correct_counted
+from unbend.stages.correction_setup import CorrectionSetup
 from unbend.stages.outputs import observation_metadata
 from unbend.stages.statistics import SAMPLED_ROWS, Statistics
 from unbend.stages.story import CorrectedMission, PreparedMission, correct_mission, prepare_mission
@@ -92,22 +101,18 @@ def run_plan(plan: Plan, *, force: bool, progress: Progress, helpers: Helpers = 
         renewed = None if force else renew_report(plan, folder)
         if renewed is not None:
             return outcome_of(plan, renewed, repeated=False)
-        # They start now: the log is read in the meantime.
-        table, batch_rows = plan.input("observations").path, plan.mission.output.batch_rows
-        parts = run_files.parts_of(table, batch_rows)
-        workers = stack.enter_context(helpers.workers(run_files.__name__, parts))
-        prepared = prepare_mission(plan, progress)
+        batch_rows = plan.mission.output.batch_rows
+        prepared = prepare(plan, progress)
         observations = prepared.observations
         progress.start("correcting", observations.rows)
 
-        def correct_all(setup: correction.CorrectionSetup) -> Statistics:
+        def correct_all(setup: CorrectionSetup) -> Statistics:
             check_unchanged(plan.inputs)
             folder.resume(f"{plan.keys['correction']} {batch_rows}", anew=force)
-            return run_files.correct_in_slices(
+            return run_files.correct_into(
+                run_files.PartsOfRun(folder, partial(check_unchanged, plan.inputs, folders=False)),
                 observations,
                 setup,
-                run_files.PartsOfRun(folder, partial(check_unchanged, plan.inputs, folders=False)),
-                workers=workers,
                 batch_rows=batch_rows,
                 metadata=observation_metadata(plan.mission),
                 progress=progress.advance,
@@ -116,15 +121,69 @@ def run_plan(plan: Plan, *, force: bool, progress: Progress, helpers: Helpers = 
         corrected = correct_mission(prepared, correct_all)
         progress.start("writing the report")
         write_tables(folder, corrected.stations, corrected.air)
-        drawn = corrected.manifest, drawing_of(corrected)
+        drawn = manifest_of(plan, corrected), drawing_of(corrected)
         manifest = finish_run(plan, folder, *drawn)
         keep(key_of_drawn(plan.keys["correction"], batch_rows), drawn)
     return outcome_of(plan, manifest, repeated=False)
 
 
+def prepare(plan: Plan, progress: Progress, most_rows: int | None = None) -> PreparedMission:
+    """Open the inputs of a mission, build its stations and estimate its air.
+
+    ``most_rows`` of the observations are drawn, to stand for all.
+    """
+    ledger = Ledger()
+    mission = plan.mission
+    paths = {item.role: item.path for item in plan.inputs}
+    if any(item.place for item in plan.inputs):
+        progress.start("copying inputs from object storage")
+    fetch_inputs(plan)
+    progress.start("reading the observations")
+    observations = opening.open_table(mission, paths["observations"], ledger, most_rows)
+    progress.start("reading the log")
+    hashes = {item.role: item.sha256 for item in plan.inputs}
+    log = opening.decode_log(mission, paths, hashes.get("log"))
+    inputs = opening.open_inputs(
+        mission, paths, observations, log, ledger, camera_names=plan.camera_names
+    )
+    return prepare_mission(mission, inputs, ledger)
+
+
+def manifest_of(plan: Plan, corrected: CorrectedMission) -> dict[str, Any]:
+    """The manifest of a run, without its outputs.
+
+    Holds no clock, no host name and no absolute path: the same inputs give the same bytes.
+    """
+    manifest = dict(corrected.manifest)
+    for entry in manifest["ledger"]:  # a file is named as in the mission file, without its folder
+        for item in plan.inputs:
+            entry["where"] = str(entry["where"]).replace(str(item.path), item.name)
+    return manifest | {
+        "manifest_version": MANIFEST_VERSION,
+        "mission": plan.mission.mission.name,
+        "fingerprint": plan.fingerprint,
+        "keys": plan.keys,
+        "code": code_of_stages(),
+        "config": plan.mission.model_dump(mode="json"),
+        "inputs": [
+            {"role": item.role, "name": item.name, "sha256": item.sha256} for item in plan.inputs
+        ],
+        "versions": versions(plan.libraries),
+    }
+
+
+@dataclass(frozen=True, eq=False)
+class CheckedMission:
+    """A rehearsed mission, and the manifest that it would have."""
+
+    plan: Plan
+    corrected: CorrectedMission
+    manifest: dict[str, Any]
+
+
 def check_mission(
     mission: MissionRef | Path | str, *, progress: Progress | None = None
-) -> CorrectedMission:
+) -> CheckedMission:
     """Rehearse a mission: all that `run_mission` does, on `SAMPLED_ROWS` rows; writes nothing."""
     progress, ref = progress or Progress(), MissionRef.of(mission)
     plan = make_plan(ref.load(), ref.folder)
@@ -133,16 +192,16 @@ def check_mission(
     finished_before(plan)
     if isinstance(plan.output, Place):
         rehearse_place(plan.output)
-    prepared = prepare_mission(plan, progress, SAMPLED_ROWS)
+    prepared = prepare(plan, progress, SAMPLED_ROWS)
     progress.start("correcting a sample")
 
-    def correct_sample(setup: correction.CorrectionSetup) -> Statistics:
-        _, _, statistics = correction.correct_counted(prepared.observations.sampled(), setup)
+    def correct_sample(setup: CorrectionSetup) -> Statistics:
+        _, _, statistics = correct_counted(prepared.observations.sampled(), setup)
         return statistics
 
     corrected = correct_mission(prepared, correct_sample)
     check_unchanged(plan.inputs)
-    return corrected
+    return CheckedMission(plan, corrected, manifest_of(plan, corrected))
 
 
 def mission_status(mission: MissionRef | Path | str) -> tuple[Plan, list[str]]:
@@ -217,7 +276,7 @@ def renew_report(plan: Plan, folder: store.RunFolder) -> dict[str, Any] | None:
 def read_mission(mission: MissionRef | Path) -> PreparedMission:
     """A mission with everything read, its stations built and its air estimated."""
     ref = MissionRef.of(mission)
-    return prepare_mission(make_plan(ref.load(), ref.folder), Progress())
+    return prepare(make_plan(ref.load(), ref.folder), Progress())
 
 
 def air_of_mission_or_standard(
