@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from unbend.block import messages
 from unbend.errors import MissionError
 from unbend.flight.heights import GeodeticOrigin, HeightSystem
 from unbend.flight.mount import Mount
@@ -101,10 +102,10 @@ def fitted_frame(
         fit = (f"residuals of {rms:.2f} m (rms) over {extent:.0f} m, the largest "
                f"{residual.max():.2f} m at {worst}")  # fmt: skip
         if rms > LARGEST_FIT_RESIDUAL * extent:
-            raise MissionError.of("ORIENTATION-FIT", where, size=names.size, fit=fit)
+            raise messages.orientation_fit(where=where, size=names.size, fit=fit)
     if tilt > LARGEST_FIT_TILT_RAD:
-        raise MissionError.of(
-            "ORIENTATION-LINE", where, size=names.size, sigma=sigma, tilt=np.degrees(tilt)
+        raise messages.orientation_line(
+            where=where, size=names.size, sigma=sigma, tilt=np.degrees(tilt)
         )
     contradictions = _contradictions_of_fit(names, model, earth, residual, sigma_m)
     frame = replace(frame, tilt_rad=tilt)
@@ -131,9 +132,7 @@ def _positions_of_both(
     usable = [(i, k) for i, k in pairs if np.isfinite(xyz[i]).all() and np.isfinite(known[k]).all()]
     if len(usable) < 3:
         where = "stations.orientation.known_positions"
-        raise MissionError.of(
-            "ORIENTATION-KNOWN", where, usable=len(usable), known=known_image.size
-        )
+        raise messages.orientation_known(where=where, usable=len(usable), known=known_image.size)
     of_model, of_earth = np.array(usable).T
     return image[of_model], xyz[of_model], ecef_of_geodetic(*known[of_earth].T)
 
@@ -260,9 +259,14 @@ def flag_far_images(stations: Stations, *, use: bool) -> tuple[Stations, Notes]:
     if not bool(far.any()):
         return stations, ()
     first = int(np.argmax(far))
-    entry = loss("ORIENTATION-FAR", where="stations.orientation", count=int(far.sum()),
-                 total=int(stations.ok.sum()), first=stations.image[first],
-                 limit_km=limit / 1000.0, away_km=distance[first] / 1000.0)  # fmt: skip
+    entry = messages.orientation_far(
+        where="stations.orientation",
+        count=int(far.sum()),
+        total=int(stations.ok.sum()),
+        first=stations.image[first],
+        limit_km=limit / 1000.0,
+        away_km=distance[first] / 1000.0,
+    )
     return stations.as_suspect(far, "far from all others", distance, use=use), (entry,)
 
 
@@ -295,4 +299,4 @@ def refuse_turned_images(stations: Stations) -> None:
         for parts in (differences, sums)
     )
     if against > 0.8 and same < 0.5:
-        raise MissionError.of("ORIENTATION-TURNS", "stations.orientation")
+        raise messages.orientation_turns(where="stations.orientation")

@@ -18,6 +18,7 @@ from unbend.atmosphere.covariance import ProfileCovariance
 from unbend.atmosphere.estimate import (
     candidates,
     estimate_checks,
+    messages,
     sensor_checks,
     sensors,
     thermometer_checks,
@@ -31,7 +32,7 @@ from unbend.atmosphere.profile import Profile
 from unbend.atmosphere.soundings import Sounding
 from unbend.atmosphere.surface_report import SurfaceReport
 from unbend.geodesy import normal_gravity
-from unbend.messages import Entry, Ledger, Notes, fallback, finding, loss, note, warning
+from unbend.messages import Entry, Ledger, Notes, fallback, loss, note
 from unbend.units import Array, Mask
 
 WIDEST_GAP_M = 400.0
@@ -298,9 +299,9 @@ def _notes(candidate: Candidate, made: Estimate) -> Iterator[Entry]:
         where = candidate.main.name if candidate.main else ""
         yield fallback("AIR-BAROMETRIC", candidate.reason, where=where)
     if not any(isinstance(readings, sensors.Humidities) for readings in made.readings.sets):
-        yield fallback("AIR-HUMIDITY-EXPECTED")
+        yield messages.air_humidity_expected()
     if not made.converged:
-        yield warning("AIR-UNSETTLED")
+        yield messages.air_unsettled()
     learnt = [f for f in made.faults if f.sigma < 0.7 * f.prior_sigma]
     if learnt:
         yield note("AIR-SENSORS", "; ".join(map(sensor_checks.described_fault, learnt)))
@@ -309,11 +310,19 @@ def _notes(candidate: Candidate, made: Estimate) -> Iterator[Entry]:
         if (fit.rms if few else fit.sigma_inflation) <= estimate_checks.MISFIT:
             continue
         if few and fit.name in candidate.external.names:
-            yield finding("AIR-CONTRADICTED", where=fit.name, count=fit.count, fit=fit)
+            yield messages.air_contradicted(
+                where=fit.name, count=fit.count, quantity=fit.quantity, rms=fit.rms
+            )
         else:
-            yield warning("AIR-MISFIT", where=fit.name, count=fit.count, fit=fit)
+            yield messages.air_misfit(
+                where=fit.name,
+                count=fit.count,
+                quantity=fit.quantity,
+                rms=fit.rms,
+                inflation=fit.sigma_inflation,
+            )
     for name, rejected in made.readings.rejected.items():
         if count := int(rejected.sum()):
             sensor = getattr(candidate.samples, name)
             total = int(sensor.accepted.sum())
-            yield note("AIR-OUTLIERS", where=sensor.name, count=count, total=total)
+            yield messages.air_outliers(where=sensor.name, count=count, total=total)

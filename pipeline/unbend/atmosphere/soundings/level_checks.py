@@ -13,10 +13,11 @@ from unbend.atmosphere import refractive_index
 from unbend.atmosphere.air_samples import part_of
 from unbend.atmosphere.hypsometry import ADIABATIC_K_PER_M
 from unbend.atmosphere.refractive_index import vapour_pressure
+from unbend.atmosphere.soundings import messages
 from unbend.atmosphere.soundings.levels import RawLevels, Sounding
 from unbend.errors import InputError
 from unbend.geodesy import normal_gravity
-from unbend.messages import Notes, fallback, loss, note, warning
+from unbend.messages import Notes
 from unbend.units import DEGREE, HECTOPASCAL, HYDROSTATIC_CONSTANT, ZERO_CELSIUS_K, Array, Mask
 
 FEWEST_LEVELS = 5
@@ -63,7 +64,7 @@ def check_levels(
     refuse_wrong_units(raw)
     latitude = raw.latitude_rad if math.isfinite(raw.latitude_rad) else latitude_rad
     if not math.isfinite(latitude):
-        raw = raw.noting(fallback("SOUNDING-LATITUDE", where=raw.where))
+        raw = raw.noting(messages.sounding_latitude(where=raw.where))
         latitude = _UNKNOWN_LATITUDE_RAD
     gravity = normal_gravity(latitude)
     if not raw.geopotential:
@@ -81,15 +82,20 @@ def check_levels(
     lapse = -np.diff(np.interp(grid, h, t)) / _SLICE_M
     if count := int((lapse > ADIABATIC_K_PER_M + _STEEPER_K_PER_M).sum()):
         i = int(np.argmax(lapse))
-        notes.append(warning(
-            "SOUNDING-SUPERADIABATIC", where=where, count=count, k_per_km=1e3 * lapse[i],
-            height_m=grid[i], over_m=_SLICE_M * count,
-        ))  # fmt: skip
+        notes.append(
+            messages.sounding_superadiabatic(
+                where=where,
+                count=count,
+                k_per_km=1e3 * lapse[i],
+                height_m=grid[i],
+                over_m=_SLICE_M * count,
+            )
+        )
     n = refractive_index.refractivity_gyer(t, p, np.nan_to_num(e))
     rising = np.diff(n) > _INDEX_ROUNDING * n[:-1]
     if count := int(rising.sum()):
         lowest = h[int(np.argmax(rising))]
-        notes.append(warning("SOUNDING-INDEX-RISES", where=where, count=count, lowest=lowest))
+        notes.append(messages.sounding_index_rises(where=where, count=count, lowest=lowest))
     return sounding, tuple(notes)
 
 
@@ -143,7 +149,7 @@ def refuse_wrong_heights(raw: RawLevels, h: Array, rise: Array) -> None:
         return
     ratio = float(np.median((h[apart:] - h[:-apart])[thick] / far[thick]))
     if abs(ratio - 1.0) > THICKNESS_RATIO:
-        raise InputError.of("SOUNDING-INCONSISTENT", raw.where, ratio=ratio)
+        raise messages.sounding_inconsistent(where=raw.where, ratio=ratio)
 
 
 def _largest(column: Array) -> float | None:
@@ -162,7 +168,7 @@ def _refusal(raw: RawLevels, quantity: str, what: str, remedy: str) -> InputErro
 def _refuse_few(raw: RawLevels) -> RawLevels:
     count = raw.pressure_pa.size
     if count < FEWEST_LEVELS:
-        raise InputError.of("SOUNDING-LEVELS", raw.where, count=count, fewest=FEWEST_LEVELS)
+        raise messages.sounding_levels(where=raw.where, count=count, fewest=FEWEST_LEVELS)
     return raw
 
 
@@ -172,16 +178,16 @@ def _complete_levels(raw: RawLevels) -> RawLevels:
     has = np.isfinite(p) & np.isfinite(t) & ~_is_fill(t)
     possible = (p > 0.0) & (p <= HIGHEST_PA) & (t >= COLDEST_K) & (t <= WARMEST_K)
     if missing := int((~has).sum()):
-        raw = raw.noting(note("SOUNDING-MISSING", where=raw.where, count=missing, total=p.size))
+        raw = raw.noting(messages.sounding_missing(where=raw.where, count=missing, total=p.size))
     if (wrong := np.flatnonzero(has & ~possible)).size:
         hpa, kelvin, count = p[wrong[0]] / HECTOPASCAL, t[wrong[0]], int(wrong.size)
         raw = raw.noting(
-            loss("SOUNDING-RANGE", where=raw.where, count=count, hpa=hpa, kelvin=kelvin)
+            messages.sounding_range(where=raw.where, count=count, hpa=hpa, kelvin=kelvin)
         )
     raw = _refuse_few(part_of(raw, has & possible))
     if up := int((np.diff(raw.pressure_pa) > 0.0).sum()):
         raw = part_of(raw, np.argsort(-raw.pressure_pa, kind="stable"))
-        raw = raw.noting(warning("SOUNDING-UNSORTED", where=raw.where, count=up))
+        raw = raw.noting(messages.sounding_unsorted(where=raw.where, count=up))
     return raw
 
 
@@ -198,15 +204,16 @@ def _with_vapour_pressure(raw: RawLevels) -> RawLevels:
         impossible = np.isfinite(dew) & ~((dew >= COLDEST_K) & (dew <= WARMEST_K))
         if count := int(impossible.sum()):
             first = dew[impossible][0]
-            raw = raw.noting(warning(
-                "SOUNDING-HUMIDITY-RANGE", where=where, count=count, first=first))  # fmt: skip
+            raw = raw.noting(
+                messages.sounding_humidity_range(where=where, count=count, first=first)
+            )
         dew = np.where(impossible, np.nan, dew)
         e = np.where(np.isfinite(e), e, vapour_pressure(1.0, dew, p))
     if raw.relative_humidity is not None:
         e = np.where(np.isfinite(e), e, vapour_pressure(raw.relative_humidity, t, p))
     negative = np.isfinite(e) & (e < 0.0)
     if count := int(negative.sum()):
-        raw = raw.noting(warning("SOUNDING-HUMIDITY-NEGATIVE", where=where, count=count))
+        raw = raw.noting(messages.sounding_humidity_negative(where=where, count=count))
         e[negative] = np.nan
     saturated = vapour_pressure(1.0, t, p)
     # A rounded dew point, 0.05 K of it, may pass saturation by 0.4 %: not reported.
@@ -220,8 +227,7 @@ def _with_vapour_pressure(raw: RawLevels) -> RawLevels:
             quantity = "dew point" if raw.dew_point_k is not None else "relative humidity"
             remedy = "dew_point_c (temperature less depression), relative_humidity_percent"
             raise _refusal(raw, quantity, what, remedy)
-        raw = raw.noting(warning(
-            "SOUNDING-HUMIDITY-OVER", where=where, count=count, percent=percent))  # fmt: skip
+        raw = raw.noting(messages.sounding_humidity_over(where=where, count=count, percent=percent))
     return replace(raw, vapour_pressure_pa=np.minimum(e, saturated))
 
 
@@ -237,12 +243,12 @@ def _with_heights(raw: RawLevels, start: float) -> RawLevels:
     rise = np.concatenate([[0.0], np.cumsum(steps)])
     if not bool(np.isfinite(h).any()):
         if not math.isfinite(start):
-            raise InputError.of("SOUNDING-HEIGHT", raw.where, total=h.size)
+            raise messages.sounding_height(where=raw.where, total=h.size)
         h[0] = start
     known = np.isfinite(h)
     refuse_wrong_heights(raw, h[known], rise[known])
     if count := int((~known).sum()):
-        raw = raw.noting(fallback("SOUNDING-HEIGHTS", where=raw.where, count=count))
+        raw = raw.noting(messages.sounding_heights(where=raw.where, count=count))
         # The departure of the reported heights from the hypsometric ones, carried to the gaps.
         h = np.where(known, h, rise + np.interp(rise, rise[known], (h - rise)[known]))
     return replace(raw, h_m=h)
@@ -255,7 +261,7 @@ def _rising_levels(raw: RawLevels) -> RawLevels:
     # Centimetres: rounding in a conversion does not make two heights different.
     raw = _mean_of_runs(raw, np.round(raw.h_m, 2))
     if merged := before - raw.pressure_pa.size:
-        raw = raw.noting(note("SOUNDING-DUPLICATE", where=raw.where, count=merged))
+        raw = raw.noting(messages.sounding_duplicate(where=raw.where, count=merged))
     # The longest strictly increasing subsequence of heights, by patience sorting.
     tails: list[int] = []
     before_it = np.full(raw.h_m.size, -1, dtype=np.intp)
@@ -269,8 +275,9 @@ def _rising_levels(raw: RawLevels) -> RawLevels:
     keep = np.array(chain[::-1], dtype=np.intp)
     if (out := np.setdiff1d(np.arange(raw.h_m.size), keep)).size:
         h, hpa = raw.h_m[out[0]], raw.pressure_pa[out[0]] / HECTOPASCAL
-        raw = raw.noting(warning(
-            "SOUNDING-ORDER", where=raw.where, count=out.size, height_m=h, hpa=hpa))  # fmt: skip
+        raw = raw.noting(
+            messages.sounding_order(where=raw.where, count=out.size, height_m=h, hpa=hpa)
+        )
     return _refuse_few(part_of(raw, keep))
 
 

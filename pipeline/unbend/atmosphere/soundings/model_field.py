@@ -20,12 +20,12 @@ import numpy as np
 from unbend.atmosphere.climate_tables import rows_of
 from unbend.atmosphere.hypsometry import ADIABATIC_K_PER_M
 from unbend.atmosphere.refractive_index import vapour_pressure
-from unbend.atmosphere.soundings import level_checks
+from unbend.atmosphere.soundings import level_checks, messages
 from unbend.atmosphere.soundings.level_checks import FEWEST_LEVELS, THICKNESS_RATIO
 from unbend.atmosphere.soundings.levels import ColumnErrors, Sounding
 from unbend.errors import InputError
 from unbend.geodesy import longitudes_near, normal_gravity
-from unbend.messages import Entry, Notes, fallback, note, warning
+from unbend.messages import Entry, Notes
 from unbend.units import (
     DEGREE,
     HECTOPASCAL,
@@ -158,10 +158,16 @@ class ModelField:
         if away[worst] == 0.0:
             return
         y, x = (nodes[[0, -1]] / DEGREE for nodes in (self.latitude_rad, self.longitude_rad))
-        raise InputError.of(
-            "MODEL-AREA", self.name, north=latitude_rad[worst] / DEGREE, east=east[worst] / DEGREE,
-            away_km=away[worst], south_node=y[0], north_node=y[1], west_node=x[0], east_node=x[1],
-        )  # fmt: skip
+        raise messages.model_area(
+            where=self.name,
+            north=latitude_rad[worst] / DEGREE,
+            east=east[worst] / DEGREE,
+            away_km=away[worst],
+            south_node=y[0],
+            north_node=y[1],
+            west_node=x[0],
+            east_node=x[1],
+        )
 
 
 def _outside(node: Array, x: Array) -> Array:
@@ -259,7 +265,7 @@ def checked_field(field: ModelField, where: str) -> tuple[ModelField, Notes]:
                        if _SURFACE_PA[0] <= f * lowest <= _SURFACE_PA[1]), None)  # fmt: skip
         if factor is None:
             raise refused(f"the highest pressure level is {lowest:.6g} Pa, not near the ground")
-        notes = (fallback("MODEL-PRESSURE-UNIT", where=where, lowest=lowest, factor=factor),)
+        notes = (messages.model_pressure_unit(where=where, lowest=lowest, factor=factor),)
         field = replace(field, level=factor * field.level)
     layers = 0.5 * (t[0, 1:] + t[0, :-1]) * np.diff(np.log(field.level))[:, None, None]
     thickness = -HYDROSTATIC_CONSTANT * np.diff(field.height[0], axis=0)
@@ -288,7 +294,7 @@ def _likely_ground(field: ModelField, where: str) -> tuple[ModelField, Notes]:
     if off < _WEATHER_LOG_P or other > _WEATHER_LOG_P:
         return field, ()
     highest = float(np.nanmax(metres))
-    repaired = fallback("MODEL-GROUND-UNIT", where=where, count=metres.size, highest=highest)
+    repaired = messages.model_ground_unit(where=where, count=metres.size, highest=highest)
     return replace(field, surface=metres, ground_has_unit=True), (repaired,)
 
 
@@ -307,11 +313,16 @@ def refuse_wrong_level(field: ModelField, pressure_pa: Array, where: str) -> Non
     i, upper, y, x = np.unravel_index(int(np.nanargmax(beyond)), beyond.shape)
     on = {row: f"level {field.level[row]:.0f}" if field.on_model_levels
           else f"{field.level[row] / HECTOPASCAL:g} hPa" for row in (upper, upper + 1)}  # fmt: skip
-    raise InputError.of(
-        "MODEL-LEVELS/jump", where, lower=on[upper + 1], upper=on[upper],
-        lower_k=t[i, upper + 1, y, x], upper_k=t[i, upper, y, x], thick=thick[i, upper, y, x],
-        north=field.latitude_rad[y] / DEGREE, east=field.longitude_rad[x] / DEGREE,
-    )  # fmt: skip
+    raise messages.model_levels_jump(
+        where=where,
+        lower=on[upper + 1],
+        upper=on[upper],
+        lower_k=t[i, upper + 1, y, x],
+        upper_k=t[i, upper, y, x],
+        thick=thick[i, upper, y, x],
+        north=field.latitude_rad[y] / DEGREE,
+        east=field.longitude_rad[x] / DEGREE,
+    )
 
 
 LOW_K, ALOFT_K, LOW_M, ALOFT_M = 2.0, 1.0, 1000.0, 1500.0
@@ -356,12 +367,13 @@ def model_column(
     ground = float(gravity.geopotential_height(ground_h_m))
     if math.isnan(ground):
         ground = 0.0 if math.isnan(surface) else surface
-        notes.append(fallback("MODEL-GROUND", where=where, ground=ground))
+        notes.append(messages.model_ground(where=where, ground=ground))
     elif not field.ground_has_unit and abs(surface - ground) > (
         _ANOTHER_GROUND_M + 2.0 * abs(STANDARD_GRAVITY * surface - ground)
     ):
-        raise InputError.of("MODEL-UNITS/ground", where, surface=surface, ground=ground,
-                            metres=STANDARD_GRAVITY * surface)  # fmt: skip
+        raise messages.model_units_ground(
+            where=where, surface=surface, ground=ground, metres=STANDARD_GRAVITY * surface
+        )
     bottom = ground if math.isnan(surface) else max(surface, ground)
     with np.errstate(invalid="ignore"):
         under = known & (height < bottom)
@@ -369,12 +381,12 @@ def model_column(
         top = max(ground + _TOP_M, highest)
         used = known & ~under & (height < top)
     if count := int(under.sum()):
-        notes.append(note("MODEL-UNDERGROUND", where=where, count=count, bottom=bottom))
+        notes.append(messages.model_underground(where=where, count=count, bottom=bottom))
     if used.sum() < FEWEST_LEVELS or bool(np.any(np.diff(height[used]) <= 0.0)):
         raise too_few_levels(np.exp(log_p[used]), where, "above the ground")
     above = log_p[known & (height >= top)]  # none: what is missing may have been the top
     if missing := int((~known & (log_p >= above[:1].max(initial=-math.inf))).sum()):
-        notes.append(fallback("MODEL-MISSING", where=where, count=missing, total=known.size))
+        notes.append(messages.model_missing(where=where, count=missing, total=known.size))
     height, t, vapour, log_p = height[used], t[used], vapour[used], log_p[used]
     if field.height.size:  # which heights of model levels are not
         virtual = t / (1.0 - VAPOUR_DEFICIT * vapour)
@@ -383,10 +395,16 @@ def model_column(
         worst = int(np.argmax(np.abs(implied - mean)))
         if abs(implied[worst] - mean[worst]) > _THICKNESS_K:
             lower, upper = np.exp(log_p[worst : worst + 2]) / HECTOPASCAL
-            notes.append(warning(
-                "MODEL-LAYER", where=where, lower=lower, upper=upper, mean=mean[worst],
-                implied=implied[worst], count=int(np.sum(np.abs(implied - mean) > _THICKNESS_K)),
-            ))  # fmt: skip
+            notes.append(
+                messages.model_layer(
+                    where=where,
+                    lower=lower,
+                    upper=upper,
+                    mean=mean[worst],
+                    implied=implied[worst],
+                    count=int(np.sum(np.abs(implied - mean) > _THICKNESS_K)),
+                )
+            )
     above = height - ground
     days = float(np.interp(time_ns, field.time_ns, field.lead_h)) / 24.0 if field.lead_h.size else 0
     sigma = np.interp(above, [LOW_M, ALOFT_M], [LOW_K, ALOFT_K])
@@ -402,9 +420,9 @@ def model_column(
         sigma = np.concatenate([np.hypot(sigma[0], EXTENSION_K_PER_M * below), sigma])
         sigma_rh = np.concatenate([np.hypot(HUMIDITY_RH, EXTENSION_RH_PER_M * below), sigma_rh])
         if depth > _USUAL_STEP_M:
-            notes.append(fallback(
-                "MODEL-EXTENDED", where=where, depth=depth, ground=ground, sigma=sigma[0]
-            ))  # fmt: skip
+            notes.append(
+                messages.model_extended(where=where, depth=depth, ground=ground, sigma=sigma[0])
+            )
     depth = max(depth, 0.0)
     level = HYDROSTATIC_CONSTANT * EXTENSION_K_PER_M * depth**2 / (2.0 * float(t[0]) ** 2)
     p = np.exp(log_p)
@@ -425,7 +443,6 @@ def model_column(
 def too_few_levels(pressure_pa: Array, where: str, which: str) -> InputError:
     """The refusal of levels that make no profile."""
     listed = ", ".join(f"{p / HECTOPASCAL:.4g}" for p in np.sort(pressure_pa)[:8]) or "no"
-    return InputError.of(
-        "MODEL-LEVELS", where, total=pressure_pa.size, which=which, listed=listed,
-        fewest=FEWEST_LEVELS,
-    )  # fmt: skip
+    return messages.model_levels(
+        where=where, total=pressure_pa.size, which=which, listed=listed, fewest=FEWEST_LEVELS
+    )
