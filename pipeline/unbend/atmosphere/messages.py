@@ -1,7 +1,7 @@
 """Messages of atmosphere: what each code means, and the words of what is sent."""
 
-from unbend.errors import Code, InputError
-from unbend.messages import Message, note, warning
+from unbend.errors import Code, InputError, PhysicsError
+from unbend.messages import Message, fallback, note, warning
 
 AIR_AGED = Code(
     "AIR-AGED",
@@ -62,6 +62,18 @@ AIR_INDEX = Code(
     remedy="Take ciddor or gyer.",
 )
 
+
+def unknown_index(*, name: str, names: str) -> PhysicsError:
+    """No refractive index has this name."""
+    return PhysicsError(
+        AIR_INDEX,
+        "no refractive index is called {name!r}",
+        remedy="one of {names}",
+        name=name,
+        names=names,
+    )
+
+
 AIR_WAVELENGTH = Code(
     "AIR-WAVELENGTH",
     means="The wavelength is outside the range of the formula of the refractive index.",
@@ -69,12 +81,31 @@ AIR_WAVELENGTH = Code(
     remedy="Give the wavelength in metres, as 0.55e-6.",
 )
 
+
+def wavelength_outside_range(*, wavelength_m: float) -> PhysicsError:
+    """The formula of the refractive index does not hold for this wavelength."""
+    return PhysicsError(
+        AIR_WAVELENGTH,
+        "a wavelength of {wavelength_m:g} m lies outside 0.23e-6 to 2.0e-6 m",
+        remedy="give the wavelength of vacuum in metres, for example 0.55e-6",
+        wavelength_m=wavelength_m,
+    )
+
+
 AIR_WINDOW = Code(
     "AIR-WINDOW",
     means="One part of the flight had too little information for air of its own.",
     effect="The air of the whole flight is taken there.",
     remedy="Nothing.",
 )
+
+
+def air_window(*, when: str, reason: str) -> Message:
+    """A part of the flight that has no air of its own."""
+    return fallback(
+        AIR_WINDOW, "about {when} the whole flight's air: {reason}", when=when, reason=reason
+    )
+
 
 AIR_WINDOWS = Code(
     "AIR-WINDOWS",
@@ -136,6 +167,17 @@ ATMOSPHERE_LATITUDE = Code(
     remedy="Give latitudes in radians there.",
 )
 
+
+def latitude_beyond_pole(*, latitude_rad: float) -> PhysicsError:
+    """Degrees where radians are meant."""
+    return PhysicsError(
+        ATMOSPHERE_LATITUDE,
+        "a latitude of {latitude_rad:g} rad lies beyond the pole",
+        remedy="give it in radians",
+        latitude_rad=latitude_rad,
+    )
+
+
 ATMOSPHERE_MSIS = Code(
     "ATMOSPHERE-MSIS",
     means="The climatology nrlmsis2.1 needs the package pymsis, which is not installed.",
@@ -143,12 +185,45 @@ ATMOSPHERE_MSIS = Code(
     remedy='pip install "unbend[msis]", or take another climatology.',
 )
 
+
+def msis_not_installed() -> PhysicsError:
+    """NRLMSIS is asked for, and its package is not there."""
+    return PhysicsError(
+        ATMOSPHERE_MSIS,
+        "NRLMSIS 2.1 needs the package pymsis, which is not installed",
+        remedy='pip install "unbend[msis]", or take another climatology',
+    )
+
+
 ATMOSPHERE_NAME = Code(
     "ATMOSPHERE-NAME",
     means="No standard atmosphere or climatology has this name.",
     effect="The command is refused.",
     remedy="Take one of the names that the refusal lists.",
 )
+
+
+def unknown_standard(*, name: str, names: str) -> PhysicsError:
+    """No standard atmosphere has this name."""
+    return PhysicsError(
+        ATMOSPHERE_NAME,
+        "no standard atmosphere is called {name!r}",
+        remedy="one of {names}",
+        name=name,
+        names=names,
+    )
+
+
+def unknown_climatology(*, name: str, names: str) -> PhysicsError:
+    """No climatology has this name."""
+    return PhysicsError(
+        ATMOSPHERE_NAME,
+        "no climatology is called {name!r}",
+        remedy="one of {names}",
+        name=name,
+        names=names,
+    )
+
 
 METAR_DEW_POINT = Code(
     "METAR-DEW-POINT",
@@ -180,12 +255,31 @@ METAR_GROUPS = Code(
     remedy="Nothing, unless temperature or pressure is among them.",
 )
 
+
+def metar_groups(*, where: str, count: int, groups: str) -> Message:
+    """Groups of a METAR that were not understood."""
+    return note(METAR_GROUPS, "{groups}", where=where, count=count, groups=groups)
+
+
 METAR_MISSING = Code(
     "METAR-MISSING",
     means="A quantity of the METAR cannot be read.",
     effect="It is not used.",
     remedy="Check the report.",
 )
+
+
+def metar_missing(
+    *, where: str, count: int, quantities: str, report: str, dew_point_alone: bool
+) -> Message:
+    """Quantities that a METAR does not give."""
+    text = "no {quantities} can be read in {report!r}"
+    if dew_point_alone:
+        text += "; the dew point alone gives no humidity without the temperature"
+    return fallback(
+        METAR_MISSING, text, where=where, count=count, quantities=quantities, report=report
+    )
+
 
 METAR_PARSE = Code(
     "METAR-PARSE",
@@ -233,6 +327,30 @@ PROFILE_RANGE = Code(
     effect="The call is refused.",
     remedy="Ask for heights inside it.",
 )
+
+
+def reference_height_outside_profile(*, height_m: float, where: str) -> PhysicsError:
+    """Pressure is referred to a height that the profile does not reach."""
+    return PhysicsError(
+        PROFILE_RANGE,
+        "a reference height of {height_m:g} m leaves the profile",
+        where=where,
+        remedy="refer pressure to a height inside it",
+        height_m=height_m,
+    )
+
+
+def heights_outside_profile(*, lowest_m: float, highest_m: float, where: str) -> PhysicsError:
+    """The profile is asked for heights that it does not reach."""
+    return PhysicsError(
+        PROFILE_RANGE,
+        "heights of {lowest_m:.0f} to {highest_m:.0f} m leave the profile",
+        where=where,
+        remedy="ask for heights inside it",
+        lowest_m=lowest_m,
+        highest_m=highest_m,
+    )
+
 
 SURFACE_EMPTY = Code(
     "SURFACE-EMPTY",

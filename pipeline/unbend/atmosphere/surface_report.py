@@ -90,7 +90,8 @@ def parse_metar(
     flat = " ".join(text.split()).rstrip("=").strip()
     report, complaints = _decode(flat, where)
     if complaints:
-        ledger.note("METAR-GROUPS", "; ".join(complaints), where=where, count=len(complaints))
+        groups = "; ".join(complaints)
+        ledger.add(messages.metar_groups(where=where, count=len(complaints), groups=groups))
     t, dew = (
         math.nan if value is None else float(value.value("C")) + ZERO_CELSIUS_K
         for value in (report.temp, report.dewpt)
@@ -113,10 +114,16 @@ def parse_metar(
         ledger.add(messages.metar_dew_point(where=where, count=1, dew_c=dew_c, celsius=celsius))
     quantities = {"temperature": t, "dew point": dew, "altimeter setting": qnh}
     if missing := [name for name, value in quantities.items() if not math.isfinite(value)]:
-        what = f"no {' and no '.join(missing)} can be read in {flat[:80]!r}"
-        if not math.isfinite(t) and math.isfinite(dew):
-            what += "; the dew point alone gives no humidity without the temperature"
-        ledger.fallback("METAR-MISSING", what, where=where, count=len(missing))
+        dew_point_alone = not math.isfinite(t) and math.isfinite(dew)
+        ledger.add(
+            messages.metar_missing(
+                where=where,
+                count=len(missing),
+                quantities=" and no ".join(missing),
+                report=flat[:80],
+                dew_point_alone=dew_point_alone,
+            )
+        )
     pressure = station_pressure(qnh, station_h_m) if math.isfinite(qnh) else math.nan
     dew = dew if math.isfinite(t) else math.nan
     e = float(vapour_pressure(1.0, dew, pressure if math.isfinite(pressure) else _SEA_LEVEL_PA))

@@ -1,7 +1,7 @@
 """Messages of atmosphere/estimate: what each code means, and the words of what is sent."""
 
 from unbend.errors import Code
-from unbend.messages import Message, fallback, finding, loss, note, warning
+from unbend.messages import Kind, Message, fallback, finding, loss, message, note, warning
 
 AIR_ANCHOR = Code(
     "AIR-ANCHOR",
@@ -19,18 +19,31 @@ AIR_ANCHOR = Code(
 
 
 def air_anchor(
-    *, where: str, count: int, remark: str, median: float, largest: float, at_sea: float
+    *,
+    kind: Kind,
+    where: str,
+    count: int,
+    sigmas: float,
+    median: float,
+    largest: float,
+    at_sea: float,
 ) -> Message:
-    """The level of the profile's pressure follows the barometer outside."""
-    return note(
+    """How well the profile's pressure fits the barometer; a loss where the level is impossible."""
+    text = (
+        "pressure anchored to {where}: residuals of {median:.2f} hPa in the median, "
+        "{largest:.2f} hPa at most; {at_sea:.0f} hPa at sea level"
+    )
+    if kind is not Kind.NOTE:
+        text += ", {sigmas:.0f} sigma from the climatology"
+    if kind is Kind.LOSS:
+        text += ": the barometer or its unit is wrong"
+    return message(
+        kind,
         AIR_ANCHOR,
-        (
-            "pressure anchored to {where}: residuals of {median:.2f} hPa in the median, "
-            "{largest:.2f} hPa at most; {at_sea:.0f} hPa at sea level{remark}"
-        ),
+        text,
         where=where,
         count=count,
-        remark=remark,
+        sigmas=sigmas,
         median=median,
         largest=largest,
         at_sea=at_sea,
@@ -46,6 +59,12 @@ AIR_BAROMETRIC = Code(
     effect="Allowed substitute; the air is less certain than with a thermometer, see its sigmas.",
     remedy="Name a thermometer outside under log.channels.temperature, or add a sounding.",
 )
+
+
+def air_barometric(*, where: str, sources: str) -> Message:
+    """Temperatures follow from the fall of pressure with height."""
+    return fallback(AIR_BAROMETRIC, "{sources}", where=where, sources=sources)
+
 
 AIR_CALIBRATED = Code(
     "AIR-CALIBRATED",
@@ -115,6 +134,18 @@ AIR_CALIBRATION_UNUSED = Code(
     remedy="Remove it, or check which sensors were used and why others were not.",
 )
 
+
+def calibration_unused(*, where: str, count: int, faults: str) -> Message:
+    """Calibrations are stated for errors that no sensor in use has."""
+    return note(
+        AIR_CALIBRATION_UNUSED,
+        "no sensor in use has a {faults}",
+        where=where,
+        count=count,
+        faults=faults,
+    )
+
+
 AIR_CONTRADICTED = Code(
     "AIR-CONTRADICTED",
     means=(
@@ -175,6 +206,38 @@ AIR_HYGROMETER = Code(
     remedy="Check the sensor and its unit (log.channels.humidity).",
 )
 
+
+def hygrometer_not_used(*, name: str, reason: str) -> Message:
+    """A hygrometer reads more humid or drier air than there is."""
+    return loss(AIR_HYGROMETER, "{where} is not used: {reason}", where=name, reason=reason)
+
+
+def hygrometer_too_dry(*, percent: float) -> str:
+    """Why a hygrometer is not used: it reads dry air throughout."""
+    return (
+        f"it reads {percent:.1f} % of relative humidity at most: no air near the ground is so dry; "
+        "it is dead, or its fractions are taken for per cent"
+    )
+
+
+def hygrometer_too_wet(*, percent: float, height_m: float, dew_c: float, limit_c: float) -> str:
+    """Why a hygrometer is not used: no air has such a dew point."""
+    return (
+        f"{percent:.0f} % of relative humidity at {height_m:.0f} m is a dew point of "
+        f"{dew_c:.1f} C, and no air there has more than {limit_c:.1f} C"
+    )
+
+
+def hygrometer_in_no_cloud(
+    *, percent: float, low_m: float, high_m: float, lapse: float, adiabat: float
+) -> str:
+    """Why a hygrometer is not used: saturated air would overturn."""
+    return (
+        f"{percent:.0f} % and more from {low_m:.0f} to {high_m:.0f} m, where temperature falls by "
+        f"{lapse:.1f} K/km: saturated air overturns at {adiabat:.1f} K/km"
+    )
+
+
 AIR_IMPLAUSIBLE = Code(
     "AIR-IMPLAUSIBLE",
     means=(
@@ -184,6 +247,50 @@ AIR_IMPLAUSIBLE = Code(
     effect="That source is not used; the next best is taken.",
     remedy="Check the unit and the place of the sensor that is named; see the reason in the entry.",
 )
+
+
+def air_implausible(*, sources: str, reason: str, sensor: str) -> Message:
+    """Air that was estimated from some sources cannot be."""
+    return loss(
+        AIR_IMPLAUSIBLE,
+        "the air estimated from {sources} is not used: {reason}",
+        where=sensor,
+        sources=sources,
+        reason=reason,
+    )
+
+
+def not_temperatures_of_air(*, lowest_k: float, highest_k: float) -> str:
+    """Why air is implausible: its temperatures."""
+    return f"temperatures of {lowest_k:.0f} to {highest_k:.0f} K are not those of air"
+
+
+def far_from_climatology(*, kelvin: float, height_m: float, sigmas: float) -> str:
+    """Why air is implausible: it is far from that of place and season."""
+    return f"{kelvin:.0f} K at {height_m:.0f} m is {sigmas:.1f} sigma from the climatology"
+
+
+def air_overturns(*, lapse: float, height_m: float) -> str:
+    """Why air is implausible: it would overturn."""
+    return (
+        f"temperature falls by {lapse:.1f} K/km above {height_m:.0f} m: air overturns at 9.8 K/km"
+    )
+
+
+def no_information(*, percent: float) -> str:
+    """Why a barometer's air is not used: R is as uncertain as before."""
+    return f"it has no information on temperature: {percent:.0f} % of the sigma of R are left"
+
+
+def held_out_readings_differ(
+    *, sensor: str, unit: str, name: str, by_estimate: float, by_background: float
+) -> str:
+    """Why air is implausible: it predicts readings worse than the climatology does."""
+    return (
+        f"readings of {sensor} that were held out differ by {by_estimate:.2f} {unit} from the "
+        f"estimate and by {by_background:.2f} {unit} from {name}"
+    )
+
 
 AIR_ISOTHERMAL = Code(
     "AIR-ISOTHERMAL",
@@ -326,6 +433,11 @@ AIR_SENSORS = Code(
 )
 
 
+def air_sensors(*, count: int, faults: str) -> Message:
+    """Errors of sensors that the flight determined."""
+    return note(AIR_SENSORS, "{faults}", count=count, faults=faults)
+
+
 def air_sensors_large(*, count: int, faults: str) -> Message:
     """The flight determined errors of its sensors, such as bias or lag."""
     return warning(
@@ -348,6 +460,12 @@ AIR_STANDARD = Code(
         "entry says why each source failed."
     ),
 )
+
+
+def air_standard(*, reason: str) -> Message:
+    """No measurement of the air could be used."""
+    return fallback(AIR_STANDARD, "{reason}", reason=reason)
+
 
 AIR_STUCK = Code(
     "AIR-STUCK",
@@ -383,6 +501,38 @@ AIR_THERMOMETER = Code(
     effect="It is not used; the run ends with 3.",
     remedy="Name the thermometer outside under log.channels.temperature, or check its unit.",
 )
+
+
+def thermometer_not_used(*, name: str, reason: str) -> Message:
+    """A thermometer contradicts barometer and heights."""
+    return loss(AIR_THERMOMETER, "{where} is not used: {reason}", where=name, reason=reason)
+
+
+def thermometer_not_as_predicted(*, reads: str, departure_k: float, limit_k: float) -> str:
+    """Why a thermometer is not used: an estimate without it predicts others."""
+    return (
+        f"it {reads} {departure_k:+.1f} K against what pressure and GNSS height imply, "
+        f"limit {limit_k:.1f} K (log.channels.temperature)"
+    )
+
+
+def thermometer_contradicts_barometer(
+    *, minutes: float, barometer: str, kelvin: float, limit_k: float
+) -> str:
+    """Why a thermometer is not used: within a short time no air has its readings."""
+    return (
+        f"its readings within {minutes:.0f} minutes, beside {barometer} against GNSS height, fit "
+        f"physical air only with errors of {kelvin:.1f} K, limit {limit_k:.1f} K"
+    )
+
+
+def barometer_fits_other_temperatures(*, barometer: str, inflation: float, limit: float) -> str:
+    """Why a thermometer is not used: the barometer fits plausible air of its own."""
+    return (
+        f"{barometer} against GNSS height fits plausible air, but with these temperatures only "
+        f"with a sigma inflation factor of {inflation:.0f}, limit {limit:.0f}"
+    )
+
 
 AIR_UNSETTLED = Code(
     "AIR-UNSETTLED",
@@ -506,4 +656,56 @@ def surface_undated(*, where: str, hours: float) -> Message:
         "the report has no time: it is taken as {hours:.0f} hours from the flight",
         where=where,
         hours=hours,
+    )
+
+
+AIR_SOURCE_FAR = Code(
+    "AIR-SOURCE-FAR",
+    means="A sounding or weather report is too old or too far away to have information on this flight's air.",
+    effect="It is not used.",
+    remedy="Give one of the day and the region.",
+)
+
+
+def source_far(*, name: str, reason: str) -> Message:
+    """A sounding or report that says nothing on the air of this flight."""
+    return loss(AIR_SOURCE_FAR, "{where} is not used: {reason}", where=name, reason=reason)
+
+
+AIR_SOURCE_REFUSED = Code(
+    "AIR-SOURCE-REFUSED",
+    means="A sounding, model column or report contradicts the climatology (lowest pressure or temperatures by 4 sigma), the flight's own sensors (by 4.5 sigma and 2 K), or the other sources.",
+    effect="It is not used; the run ends with 3.",
+    remedy="Check its units, heights above sea level, time and place; and the sensors of the flight.",
+)
+
+
+def source_refused(*, name: str, reason: str) -> Message:
+    """A sounding, model column or report that contradicts others."""
+    return loss(AIR_SOURCE_REFUSED, "{where} is not used: {reason}", where=name, reason=reason)
+
+
+def level_far_from_climatology(
+    *, hpa: float, height_m: float, sigmas: float, expected_hpa: float
+) -> str:
+    """Why a column is refused: its lowest pressure."""
+    return (
+        f"{hpa:.1f} hPa at {height_m:.0f} m is {sigmas:.1f} sigma from the {expected_hpa:.1f} hPa "
+        "of the climatology: its heights may count from the ground, or be in feet"
+    )
+
+
+def column_far_from_climatology(*, kelvin: float, sigmas: float) -> str:
+    """Why a column is refused: its temperatures, by place and season."""
+    return (
+        f"its temperatures are {kelvin:+.1f} K from the climatology of place and season, "
+        f"{sigmas:.1f} sigma, in the mean of the lowest 3 km"
+    )
+
+
+def column_contradicts_flight(*, kelvin: float, sigmas: float, extent_m: float) -> str:
+    """Why a column is refused: the flight's own sensors."""
+    return (
+        f"its temperatures are {kelvin:+.1f} K from those of the flight's own sensors, "
+        f"{sigmas:.1f} sigma, in the mean of {extent_m:.0f} m of height: one of both is wrong"
     )

@@ -16,7 +16,7 @@ from unbend.atmosphere.estimate.solver import Estimate, FaultEstimate
 from unbend.atmosphere.estimate.state import SensorFault
 from unbend.atmosphere.hypsometry import Fall, fall_of_pressure
 from unbend.atmosphere.profile import Profile
-from unbend.messages import Entry, Kind, Notes, note
+from unbend.messages import Entry, Kind, Notes
 from unbend.units import HECTOPASCAL, Mask
 
 CLIMB_TO_COMPARE_M = 200.0  # over less height the fall of pressure shows nothing [m]
@@ -130,8 +130,11 @@ def unused_calibration(faults: set[SensorFault]) -> Notes:
     """What is reported of stated calibrations of faults that no sensor in use has."""
     if not faults:
         return ()
-    what = f"no sensor in use has a {', '.join(sorted(FAULT_TEXTS[fault] for fault in faults))}"
-    return (note("AIR-CALIBRATION-UNUSED", what, where=_MISSION_KEY, count=len(faults)),)
+    names = sorted(FAULT_TEXTS[fault] for fault in faults)
+    unused = messages.calibration_unused(
+        where=_MISSION_KEY, count=len(faults), faults=", ".join(names)
+    )
+    return (unused,)
 
 
 def usable_sensors(samples: AirSamples, standard: Profile) -> tuple[AirSamples, Notes]:
@@ -244,17 +247,17 @@ def pressure_level(
     at_sea = float(profile.pressure(0.0))
     departure = np.log(at_sea / float(background.profile.pressure(0.0)))
     sigmas = abs(float(departure)) / background.spread.pressure_ratio
-    kind, remark = Kind.NOTE, ""
+    kind = Kind.NOTE
     if sigmas > UNLIKELY_SIGMAS:
-        kind, remark = Kind.WARNING, f", {sigmas:.0f} sigma from the climatology"
+        kind = Kind.WARNING
     if sigmas > IMPOSSIBLE_SIGMAS:
-        kind, remark = Kind.LOSS, f"{remark}: the barometer or its unit is wrong"
-    entry = messages.air_anchor(
+        kind = Kind.LOSS
+    return messages.air_anchor(
+        kind=kind,
         where=pressure.name,
         count=int(measured.size),
-        remark=remark,
+        sigmas=sigmas,
         median=float(np.nanmedian(residual)),
         largest=np.nanmax(residual),
         at_sea=at_sea / HECTOPASCAL,
     )
-    return replace(entry, kind=kind)

@@ -20,7 +20,7 @@ from unbend.atmosphere.estimate.estimate_checks import is_better_than_background
 from unbend.atmosphere.estimate.solver import estimate
 from unbend.atmosphere.series import profile_series
 from unbend.atmosphere.series.profile_series import SampleAges, TimedProfile
-from unbend.messages import Notes, fallback
+from unbend.messages import Notes
 
 MOST_WINDOWS = 12  # each as long as the air stays fresh, or longer
 
@@ -152,9 +152,7 @@ def estimate_windows(
     for w in windows:
         if w.why_not:
             when = np.datetime64(w.air.time_ns, "ns").astype("datetime64[s]")
-            notes.append(
-                fallback("AIR-WINDOW", f"about {when} the whole flight's air: {w.why_not}")
-            )
+            notes.append(messages.air_window(when=str(when), reason=w.why_not))
     return tuple(windows), tuple(notes)
 
 

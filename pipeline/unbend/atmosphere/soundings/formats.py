@@ -26,8 +26,7 @@ from unbend.atmosphere.soundings.levels import (
     to_si,
     utc_ns,
 )
-from unbend.errors import InputError
-from unbend.messages import Ledger, Notes, note
+from unbend.messages import Ledger, Notes
 from unbend.units import NANOSECONDS_PER_SECOND, ZERO_CELSIUS_K, Array
 
 _HEADER = re.compile(r"#[A-Z0-9]{11} \d{4} \d\d \d\d \d\d ")
@@ -281,8 +280,9 @@ def parse_plain(text: str, where: str) -> list[RawLevels]:
     for name in (name for name in PLAIN_COLUMNS if name in columns):
         quantity, unit = PLAIN_COLUMNS[name]
         if quantity in column_of:
-            what = f"{column_of[quantity]} and {name} both give the {quantity}"
-            raise InputError("SOUNDING-COLUMN", what, where=where, remedy="keep one of them")
+            raise messages.sounding_quantity_twice(
+                where=where, column=column_of[quantity], other=name, quantity=quantity
+            )
         values[quantity], column_of[quantity] = to_si(numbers(columns[name]), unit), name
     for needed in ("pressure", "temperature"):
         if needed not in values:
@@ -291,9 +291,13 @@ def parse_plain(text: str, where: str) -> list[RawLevels]:
                 where=where, needed=needed, present=", ".join(columns), names=" or ".join(names)
             )
     notes: Notes = ()
-    if other := sorted(set(columns) - set(PLAIN_COLUMNS) - set(_PLACE)):
-        what = f"columns that are not read: {', '.join(other)}"
-        notes = (note("SOUNDING-COLUMNS-UNUSED", what, where=where, count=len(other)),)
+    unread = sorted(set(columns) - set(PLAIN_COLUMNS) - set(_PLACE))
+    if unread:
+        notes = (
+            messages.sounding_columns_unused(
+                where=where, count=len(unread), columns=", ".join(unread)
+            ),
+        )
     geopotential = "height" not in values
     time = next((text.strip() for text in columns.get("time_utc", []) if text.strip()), "")
     time_ns = utc_ns(time)

@@ -15,7 +15,6 @@ from unbend.atmosphere.hypsometry import ADIABATIC_K_PER_M
 from unbend.atmosphere.refractive_index import vapour_pressure
 from unbend.atmosphere.soundings import messages
 from unbend.atmosphere.soundings.levels import RawLevels, Sounding
-from unbend.errors import InputError
 from unbend.geodesy import normal_gravity
 from unbend.messages import Notes
 from unbend.units import DEGREE, HECTOPASCAL, HYDROSTATIC_CONSTANT, ZERO_CELSIUS_K, Array, Mask
@@ -41,6 +40,8 @@ _INDEX_ROUNDING = 5e-4
 _UNKNOWN_LATITUDE_RAD = 45.0 * DEGREE
 
 # No sounding begins above 25 km, nor below the Dead Sea.
+_DEW_POINT_K = (150.0, 333.0)  # of any air, from the stratosphere to the Persian Gulf
+_MAX_VAPOUR_PA = 10_000.0  # 46 C of dew point
 _GROUND_PA = (2_500.0, HIGHEST_PA)
 # The warmest level of a sounding: air below -75 C or above 60 C is nowhere near the ground.
 _WARMEST_LEVEL_K = (198.0, 333.0)
@@ -101,39 +102,65 @@ def check_levels(
 
 def refuse_wrong_units(raw: RawLevels) -> None:
     """Refuse pressures, temperatures or humidities whose largest values no ground has."""
-    p, t = _largest(raw.pressure_pa), _largest(raw.temperature_k)
-    if p is not None and not _GROUND_PA[0] <= p <= _GROUND_PA[1]:
-        as_pa, as_hpa = p * HECTOPASCAL, p / HECTOPASCAL
-        likely = (
-            "they look like hPa where Pa is stated" if _GROUND_PA[0] <= as_pa <= _GROUND_PA[1]
-            else "they look like Pa where hPa is stated" if _GROUND_PA[0] <= as_hpa <= _GROUND_PA[1]
-            else "that is no air near the ground"
-        )  # fmt: skip
-        raise _refusal(raw, "pressure", f"the highest pressure is {p:.6g} Pa: {likely}",
-                       "pressure_pa or pressure_hpa")  # fmt: skip
-    if t is not None and not _WARMEST_LEVEL_K[0] <= t <= _WARMEST_LEVEL_K[1]:
-        likely = (
-            "they look like Celsius where Kelvin is stated" if t < 80.0
-            else "they look like Kelvin where Celsius is stated" if t > 198.0 + ZERO_CELSIUS_K
-            else "they look like Fahrenheit" if t > _WARMEST_LEVEL_K[1]
-            else "that is too cold for the warmest level of a sounding"
-        )  # fmt: skip
-        raise _refusal(raw, "temperature", f"the warmest level has {t:.6g} K: {likely}",
-                       "temperature_k or temperature_c, and convert Fahrenheit")  # fmt: skip
-    dew = None if raw.dew_point_k is None else _largest(raw.dew_point_k)
-    if dew is not None and not 150.0 <= dew <= 333.0:
-        raise _refusal(raw, "dew point", f"the highest dew point is {dew:.6g} K",
-                       "dew_point_c or dew_point_k")  # fmt: skip
-    wet = None if raw.relative_humidity is None else _largest(raw.relative_humidity)
+    pressure_pa = _largest(raw.pressure_pa)
+    if pressure_pa is not None and not _GROUND_PA[0] <= pressure_pa <= _GROUND_PA[1]:
+        raise messages.sounding_pressure_unit(
+            **_where_stated(raw, "pressure"),
+            highest_pa=pressure_pa,
+            likely=_likely_pressure(pressure_pa),
+        )
+    temperature_k = _largest(raw.temperature_k)
+    if (
+        temperature_k is not None
+        and not _WARMEST_LEVEL_K[0] <= temperature_k <= _WARMEST_LEVEL_K[1]
+    ):
+        raise messages.sounding_temperature_unit(
+            **_where_stated(raw, "temperature"),
+            warmest_k=temperature_k,
+            likely=_likely_temperature(temperature_k),
+        )
+    dew_point_k = None if raw.dew_point_k is None else _largest(raw.dew_point_k)
+    if dew_point_k is not None and not _DEW_POINT_K[0] <= dew_point_k <= _DEW_POINT_K[1]:
+        raise messages.sounding_dew_point_unit(
+            **_where_stated(raw, "dew point"), highest_k=dew_point_k
+        )
+    humidity = None if raw.relative_humidity is None else _largest(raw.relative_humidity)
     # Sensors read up to 1.1 in cloud. All of a sounding below 1 % does not happen: the lowest
     # kilometre holds more, even over deserts.
-    if wet is not None and (wet > TOO_WET or wet <= DRIEST_RH):
-        raise _refusal(raw, "relative humidity", f"the highest is {wet:.4g} as a fraction of one",
-                       "relative_humidity (0 to 1) or relative_humidity_percent")  # fmt: skip
-    e = None if raw.vapour_pressure_pa is None else _largest(raw.vapour_pressure_pa)
-    if e is not None and e > 10_000.0:  # 46 C of dew point
-        raise _refusal(raw, "vapour pressure", f"the highest is {e:.6g} Pa",
-                       "vapour_pressure_pa or vapour_pressure_hpa")  # fmt: skip
+    if humidity is not None and (humidity > TOO_WET or humidity <= DRIEST_RH):
+        raise messages.sounding_humidity_unit(
+            **_where_stated(raw, "relative humidity"), highest=humidity
+        )
+    vapour_pa = None if raw.vapour_pressure_pa is None else _largest(raw.vapour_pressure_pa)
+    if vapour_pa is not None and vapour_pa > _MAX_VAPOUR_PA:
+        raise messages.sounding_vapour_unit(
+            **_where_stated(raw, "vapour pressure"), highest_pa=vapour_pa
+        )
+
+
+def _where_stated(raw: RawLevels, quantity: str) -> dict[str, str]:
+    """The file and the column, if any, that a quantity comes from."""
+    return {"where": raw.where, "column": raw.column_of.get(quantity, "")}
+
+
+def _likely_pressure(pressure_pa: float) -> str:
+    """What a highest pressure that no ground has may be."""
+    if _GROUND_PA[0] <= pressure_pa * HECTOPASCAL <= _GROUND_PA[1]:
+        return "they look like hPa where Pa is stated"
+    if _GROUND_PA[0] <= pressure_pa / HECTOPASCAL <= _GROUND_PA[1]:
+        return "they look like Pa where hPa is stated"
+    return "that is no air near the ground"
+
+
+def _likely_temperature(warmest_k: float) -> str:
+    """What a warmest level that no air has may be."""
+    if warmest_k < 80.0:
+        return "they look like Celsius where Kelvin is stated"
+    if warmest_k > 198.0 + ZERO_CELSIUS_K:
+        return "they look like Kelvin where Celsius is stated"
+    if warmest_k > _WARMEST_LEVEL_K[1]:
+        return "they look like Fahrenheit"
+    return "that is too cold for the warmest level of a sounding"
 
 
 def refuse_wrong_heights(raw: RawLevels, h: Array, rise: Array) -> None:
@@ -156,13 +183,6 @@ def _largest(column: Array) -> float | None:
     """The largest value but for one in twenty: an outlier is no matter of units."""
     known = column[np.isfinite(column)]
     return float(np.quantile(known, 1.0 - WILD, method="lower")) if known.size else None
-
-
-def _refusal(raw: RawLevels, quantity: str, what: str, remedy: str) -> InputError:
-    column = raw.column_of.get(quantity, "")
-    text = f"{quantity}: {what}" + (f" (column {column})" if column else "")
-    remedy = f"state the unit in the column's name: {remedy}"
-    return InputError("SOUNDING-UNITS", text, where=raw.where, remedy=remedy)
 
 
 def _refuse_few(raw: RawLevels) -> RawLevels:

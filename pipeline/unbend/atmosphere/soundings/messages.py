@@ -1,6 +1,6 @@
 """Messages of atmosphere/soundings: what each code means, and the words of what is sent."""
 
-from unbend.errors import Code, InputError
+from unbend.errors import Code, InputError, Value
 from unbend.messages import Message, fallback, loss, note, warning
 
 MODEL_AREA = Code(
@@ -276,6 +276,74 @@ MODEL_UNITS = Code(
 )
 
 
+def model_without_values(*, where: str) -> InputError:
+    """All temperatures and humidities around the flight are missing."""
+    return _wrong_model_unit("no value of temperature and humidity around the flight", where=where)
+
+
+def model_temperatures(*, where: str, coldest_k: float, warmest_k: float) -> InputError:
+    """Temperatures of a model that no air has."""
+    return _wrong_model_unit(
+        "temperatures from {coldest_k:.6g} to {warmest_k:.6g} K: that is no air",
+        where=where,
+        coldest_k=coldest_k,
+        warmest_k=warmest_k,
+    )
+
+
+def model_humidities(*, where: str, kind: str, driest: float, wettest: float) -> InputError:
+    """Humidities of a model that are no fractions."""
+    return _wrong_model_unit(
+        "{kind} humidity from {driest:.6g} up to {wettest:.6g}: not kg/kg, and no fraction of 1",
+        where=where,
+        kind=kind,
+        driest=driest,
+        wettest=wettest,
+    )
+
+
+def model_ground_height(*, where: str, highest_m: float) -> InputError:
+    """The ground of a model is higher or lower than any."""
+    return _wrong_model_unit(
+        "its ground is up to {highest_m:.6g} m high", where=where, highest_m=highest_m
+    )
+
+
+def model_surface_pressure(*, where: str, departure: float) -> InputError:
+    """Surface pressure and height of the ground contradict each other."""
+    return _wrong_model_unit(
+        "ln of surface pressure is up to {departure:.3g} from that of its ground's height: z or "
+        "lnsp has another unit",
+        where=where,
+        departure=departure,
+    )
+
+
+def model_highest_pressure(*, where: str, highest_pa: float) -> InputError:
+    """The lowest level of a model is not near the ground in any unit."""
+    return _wrong_model_unit(
+        "the highest pressure level is {highest_pa:.6g} Pa, not near the ground",
+        where=where,
+        highest_pa=highest_pa,
+    )
+
+
+def model_thickness(*, where: str, ratio: float) -> InputError:
+    """Layers of a model are not as thick as their temperatures imply."""
+    return _wrong_model_unit(
+        "layers are {ratio:.4g} times as thick as pressure and temperature imply: 1 is "
+        "geopotential metres, 9.807 geopotential",
+        where=where,
+        ratio=ratio,
+    )
+
+
+def _wrong_model_unit(text: str, *, where: str, **values: Value) -> InputError:
+    """A refusal of values that are not what their names say."""
+    remedy = "download the file again as the model's centre offers it"
+    return InputError(MODEL_UNITS, text, where=where, remedy=remedy, **values)
+
+
 def model_units_ground(
     *, where: object, surface: float, ground: float, metres: float
 ) -> InputError:
@@ -366,6 +434,30 @@ SOUNDING_COLUMN = Code(
 )
 
 
+def sounding_column_twice(*, where: str, column: str) -> InputError:
+    """A name stands twice in the head of a table."""
+    return InputError(
+        SOUNDING_COLUMN,
+        "the column {column!r} stands there twice",
+        where=where,
+        remedy="keep one of them",
+        column=column,
+    )
+
+
+def sounding_quantity_twice(*, where: str, column: str, other: str, quantity: str) -> InputError:
+    """Two columns give the same quantity."""
+    return InputError(
+        SOUNDING_COLUMN,
+        "{column} and {other} both give the {quantity}",
+        where=where,
+        remedy="keep one of them",
+        column=column,
+        other=other,
+        quantity=quantity,
+    )
+
+
 def sounding_column_wyoming(*, where: object, missing: str) -> InputError:
     """A column of the sounding is missing, stands there twice, or two give one quantity."""
     return InputError(
@@ -396,6 +488,18 @@ SOUNDING_COLUMNS_UNUSED = Code(
     effect="None.",
     remedy="Rename them, if they are needed.",
 )
+
+
+def sounding_columns_unused(*, where: str, count: int, columns: str) -> Message:
+    """Columns of a table that have no meaning here."""
+    return note(
+        SOUNDING_COLUMNS_UNUSED,
+        "columns that are not read: {columns}",
+        where=where,
+        count=count,
+        columns=columns,
+    )
+
 
 SOUNDING_CUT_OFF = Code(
     "SOUNDING-CUT-OFF",
@@ -446,6 +550,13 @@ SOUNDING_EMPTY = Code(
     effect="The mission is refused.",
     remedy="Fetch the file again.",
 )
+
+
+def sounding_without_lines(*, where: str) -> InputError:
+    """The file of a sounding has no line."""
+    return InputError(
+        SOUNDING_EMPTY, "the sounding has no line", where=where, remedy="fetch the file again"
+    )
 
 
 def sounding_empty(*, where: object) -> InputError:
@@ -863,6 +974,83 @@ SOUNDING_UNITS = Code(
     effect="The mission is refused.",
     remedy="State the unit in the column's name.",
 )
+
+
+def sounding_pressure_unit(
+    *, where: str, column: str, highest_pa: float, likely: str
+) -> InputError:
+    """The highest pressure of a sounding is that of no ground."""
+    return _wrong_unit(
+        "pressure: the highest pressure is {highest_pa:.6g} Pa: {likely}",
+        "pressure_pa or pressure_hpa",
+        where=where,
+        column=column,
+        highest_pa=highest_pa,
+        likely=likely,
+    )
+
+
+def sounding_temperature_unit(
+    *, where: str, column: str, warmest_k: float, likely: str
+) -> InputError:
+    """The warmest level of a sounding is that of no air."""
+    return _wrong_unit(
+        "temperature: the warmest level has {warmest_k:.6g} K: {likely}",
+        "temperature_k or temperature_c, and convert Fahrenheit",
+        where=where,
+        column=column,
+        warmest_k=warmest_k,
+        likely=likely,
+    )
+
+
+def sounding_dew_point_unit(*, where: str, column: str, highest_k: float) -> InputError:
+    """The highest dew point of a sounding is that of no air."""
+    return _wrong_unit(
+        "dew point: the highest dew point is {highest_k:.6g} K",
+        "dew_point_c or dew_point_k",
+        where=where,
+        column=column,
+        highest_k=highest_k,
+    )
+
+
+def sounding_humidity_unit(*, where: str, column: str, highest: float) -> InputError:
+    """The highest relative humidity of a sounding is no fraction."""
+    return _wrong_unit(
+        "relative humidity: the highest is {highest:.4g} as a fraction of one",
+        "relative_humidity (0 to 1) or relative_humidity_percent",
+        where=where,
+        column=column,
+        highest=highest,
+    )
+
+
+def sounding_vapour_unit(*, where: str, column: str, highest_pa: float) -> InputError:
+    """The highest vapour pressure of a sounding is that of no air."""
+    return _wrong_unit(
+        "vapour pressure: the highest is {highest_pa:.6g} Pa",
+        "vapour_pressure_pa or vapour_pressure_hpa",
+        where=where,
+        column=column,
+        highest_pa=highest_pa,
+    )
+
+
+def _wrong_unit(text: str, columns: str, *, where: str, column: str, **values: Value) -> InputError:
+    """A refusal that names the column a quantity comes from, and those that state its unit."""
+    if column:
+        text += " (column {column})"
+    return InputError(
+        SOUNDING_UNITS,
+        text,
+        where=where,
+        remedy="state the unit in the column's name: {columns}",
+        column=column,
+        columns=columns,
+        **values,
+    )
+
 
 SOUNDING_UNSORTED = Code(
     "SOUNDING-UNSORTED",

@@ -220,29 +220,24 @@ def checked_field(field: ModelField, where: str) -> tuple[ModelField, Notes]:
     of it by the hydrostatic equation; relative humidity in percent or as a fraction. Refuses
     (`InputError`) what is neither.
     """
-
-    def refused(what: str) -> InputError:
-        return InputError.of("MODEL-UNITS", where, what=what)
-
     notes: Notes = ()
     t, q = field.temperature_k, field.humidity
     if not bool(np.isfinite(t + q).any()):
-        raise refused("no value of temperature and humidity around the flight")
+        raise messages.model_without_values(where=where)
     low, high = float(np.nanmin(t)), float(np.nanmax(t))
     if not level_checks.COLDEST_K <= low <= high <= level_checks.WARMEST_K:
-        raise refused(f"temperatures from {low:.6g} to {high:.6g} K: that is no air")
+        raise messages.model_temperatures(where=where, coldest_k=low, warmest_k=high)
     if field.relative and np.nanmax(q) > _MOST_FRACTION:
         field = replace(field, humidity=q / 100.0)
     driest, wettest = float(np.nanmin(field.humidity)), float(np.nanmax(field.humidity))
     lowest, least, most = _RELATIVE if field.relative else _SPECIFIC
     if driest < lowest or not least <= wettest <= most:
         kind = "relative" if field.relative else "specific"
-        raise refused(f"{kind} humidity from {driest:.6g} up to {wettest:.6g}: not kg/kg, and no "
-                      "fraction of 1")  # fmt: skip
+        raise messages.model_humidities(where=where, kind=kind, driest=driest, wettest=wettest)
     if bool(np.isfinite(field.surface).any()):
         ground = field.surface
         if not _GROUND_M[0] <= float(np.nanmin(ground)) <= float(np.nanmax(ground)) <= _GROUND_M[1]:
-            raise refused(f"its ground is up to {np.nanmax(ground):.6g} m high")
+            raise messages.model_ground_height(where=where, highest_m=np.nanmax(ground))
         if field.on_model_levels:
             if not field.ground_has_unit:
                 field, notes = _likely_ground(field, where)
@@ -250,8 +245,7 @@ def checked_field(field: ModelField, where: str) -> tuple[ModelField, Notes]:
             expected = math.log(_SEA_LEVEL_PA) - ground / _SCALE_HEIGHT_M
             off = float(np.nanmax(np.abs(field.log_surface_pa - expected)))
             if off > _SURFACE_LOG_P:
-                raise refused(f"ln of surface pressure is up to {off:.3g} from that of its "
-                              "ground's height: z or lnsp has another unit")  # fmt: skip
+                raise messages.model_surface_pressure(where=where, departure=off)
     if field.on_model_levels:
         surface_pa = np.exp(field.log_surface_pa[:, 0])
         half = half_levels(surface_pa.ravel())[:, int(field.level[0]) - 1 :]
@@ -264,7 +258,7 @@ def checked_field(field: ModelField, where: str) -> tuple[ModelField, Notes]:
         factor = next((f for f in (HECTOPASCAL, 1.0 / HECTOPASCAL)
                        if _SURFACE_PA[0] <= f * lowest <= _SURFACE_PA[1]), None)  # fmt: skip
         if factor is None:
-            raise refused(f"the highest pressure level is {lowest:.6g} Pa, not near the ground")
+            raise messages.model_highest_pressure(where=where, highest_pa=lowest)
         notes = (messages.model_pressure_unit(where=where, lowest=lowest, factor=factor),)
         field = replace(field, level=factor * field.level)
     layers = 0.5 * (t[0, 1:] + t[0, :-1]) * np.diff(np.log(field.level))[:, None, None]
@@ -273,8 +267,7 @@ def checked_field(field: ModelField, where: str) -> tuple[ModelField, Notes]:
     if abs(ratio / STANDARD_GRAVITY - 1.0) < THICKNESS_RATIO:
         field = replace(field, height=field.height / STANDARD_GRAVITY)
     elif not abs(ratio - 1.0) < THICKNESS_RATIO:
-        raise refused(f"layers are {ratio:.4g} times as thick as pressure and temperature imply: "
-                      "1 is geopotential metres, 9.807 geopotential")  # fmt: skip
+        raise messages.model_thickness(where=where, ratio=ratio)
     refuse_wrong_level(field, field.level[:, None, None], where)
     return field, notes
 
