@@ -1,6 +1,6 @@
 """Messages of block: what each code means, and the words of what is sent."""
 
-from unbend.errors import Code, MissionError
+from unbend.errors import Code, Counted, MissionError
 from unbend.messages import Message, loss
 
 ORIENTATION_FAR = Code(
@@ -134,3 +134,32 @@ ORIENTATION_UP = Code(
     effect="They are suspect; refused where many do.",
     remedy="Check unit, names of the angles, frame, and the mount.",
 )
+
+
+def cameras_look_up(*, where: str, count: int, total: int, first: str) -> MissionError:
+    """More than few cameras look above the horizon."""
+    return MissionError(
+        ORIENTATION_UP,
+        "the camera looks above the horizon in {count} of {images}; the first is {first}",
+        where=where,
+        count=count,
+        images=Counted(total, "image"),
+        first=first,
+        remedy=(
+            "check unit (grad?), angles, columns (omega, phi, kappa; roll, pitch, yaw; q_w to q_z) "
+            "and frame there, and the axes of the camera: x right, y down, z forward for a "
+            "quaternion; roll, pitch and yaw of 0 look straight down unless mount says otherwise"
+        ),
+    )
+
+
+def some_cameras_look_up(*, where: str, count: int, total: int, first: str) -> Message:
+    """Few cameras look above the horizon."""
+    return loss(
+        ORIENTATION_UP,
+        "the camera looks above the horizon in {count} of {images}: suspect; the first is {first}",
+        where=where,
+        count=count,
+        images=Counted(total, "image"),
+        first=first,
+    )

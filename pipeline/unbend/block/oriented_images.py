@@ -8,7 +8,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from unbend.block import messages
-from unbend.errors import MissionError
 from unbend.flight.heights import GeodeticOrigin, HeightSystem
 from unbend.flight.mount import Mount
 from unbend.flight.rotations import in_turned_frame, matrices_of, quaternions_of
@@ -233,18 +232,18 @@ def flag_above_horizon(stations: Stations) -> tuple[Stations, Notes]:
     """Mark cameras that look above the horizon as suspect; refuses where more than few do."""
     with np.errstate(invalid="ignore"):
         up = stations.ok & (matrices_of(stations.quaternion)[:, 2, 2] > 0.0)
-    count, of = int(up.sum()), int(stations.ok.sum())
+    count = int(up.sum())
+    total = int(stations.ok.sum())
     if count == 0:
         return stations, ()
-    what = f"the camera looks above the horizon in {count} of {of} images"
-    first = f"the first is {stations.image[np.argmax(up)]}"
+    first = str(stations.image[np.argmax(up)])
     where = "stations.orientation"
-    if count > FEW_LOOK_UP * of:
-        raise MissionError.of("ORIENTATION-UP", where, what=what, first=first)
+    if count > FEW_LOOK_UP * total:
+        raise messages.cameras_look_up(where=where, count=count, total=total, first=first)
     reason = np.where(up, "looks above the horizon", stations.suspect_reason)
     stations = replace(stations, suspect_reason=reason).with_status(up, SUSPECT)
-    entry = loss("ORIENTATION-UP", f"{what}: suspect; {first}", where=where, count=count)
-    return stations, (entry,)
+    suspect = messages.some_cameras_look_up(where=where, count=count, total=total, first=first)
+    return stations, (suspect,)
 
 
 def flag_far_images(stations: Stations, *, use: bool) -> tuple[Stations, Notes]:

@@ -32,7 +32,7 @@ from unbend.atmosphere.profile import Profile
 from unbend.atmosphere.soundings import Sounding
 from unbend.atmosphere.surface_report import SurfaceReport
 from unbend.geodesy import normal_gravity
-from unbend.messages import Ledger, Notes
+from unbend.messages import Ledger, Message, Notes
 from unbend.units import Array, Mask
 
 WIDEST_GAP_M = 400.0

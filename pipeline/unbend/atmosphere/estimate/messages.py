@@ -91,7 +91,9 @@ def air_calibrated(*, where: str, count: int, biases: str) -> Message:
 AIR_CALIBRATION = Code(
     "AIR-CALIBRATION",
     means="The flight contradicts a stated calibration of a sensor by four sigmas or more.",
-    effect="The stated value was used; the air may be wrong by the difference; the run ends with 3.",
+    effect=(
+        "The stated value was used; the air may be wrong by the difference; the run ends with 3."
+    ),
     remedy=(
         "Check atmosphere.sensors: the sign (reading minus air), the unit, and that it is"
         " this sensor; and the other sensors."
@@ -661,7 +663,10 @@ def surface_undated(*, where: str, hours: float) -> Message:
 
 AIR_SOURCE_FAR = Code(
     "AIR-SOURCE-FAR",
-    means="A sounding or weather report is too old or too far away to have information on this flight's air.",
+    means=(
+        "A sounding or weather report is too old or too far away to have information on this "
+        "flight's air."
+    ),
     effect="It is not used.",
     remedy="Give one of the day and the region.",
 )
@@ -674,9 +679,15 @@ def source_far(*, name: str, reason: str) -> Message:
 
 AIR_SOURCE_REFUSED = Code(
     "AIR-SOURCE-REFUSED",
-    means="A sounding, model column or report contradicts the climatology (lowest pressure or temperatures by 4 sigma), the flight's own sensors (by 4.5 sigma and 2 K), or the other sources.",
+    means=(
+        "A sounding, model column or report contradicts the climatology (lowest pressure or "
+        "temperatures by 4 sigma), the flight's own sensors (by 4.5 sigma and 2 K), or the "
+        "other sources."
+    ),
     effect="It is not used; the run ends with 3.",
-    remedy="Check its units, heights above sea level, time and place; and the sensors of the flight.",
+    remedy=(
+        "Check its units, heights above sea level, time and place; and the sensors of the flight."
+    ),
 )
 
 

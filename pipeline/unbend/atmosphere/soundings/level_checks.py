@@ -242,11 +242,13 @@ def _with_vapour_pressure(raw: RawLevels) -> RawLevels:
         percent = 100.0 * np.max(e[over] / saturated[over])
         wet = float(np.mean(e[np.isfinite(e)] > TOO_WET * saturated[np.isfinite(e)]))
         if wet > MOST_TOO_WET:
-            what = f"{100.0 * wet:.0f} % of the levels have more than {100.0 * TOO_WET:.0f} % of "
-            what += "humidity: dew-point depressions in the place of dew points, or another unit"
             quantity = "dew point" if raw.dew_point_k is not None else "relative humidity"
-            remedy = "dew_point_c (temperature less depression), relative_humidity_percent"
-            raise _refusal(raw, quantity, what, remedy)
+            raise messages.sounding_too_wet(
+                **_where_stated(raw, quantity),
+                quantity=quantity,
+                percent=100.0 * wet,
+                limit_percent=100.0 * TOO_WET,
+            )
         raw = raw.noting(messages.sounding_humidity_over(where=where, count=count, percent=percent))
     return replace(raw, vapour_pressure_pa=np.minimum(e, saturated))
 

@@ -1,6 +1,6 @@
 """Messages of atmosphere/soundings: what each code means, and the words of what is sent."""
 
-from unbend.errors import Code, InputError, Value
+from unbend.errors import Code, InputError
 from unbend.messages import Message, fallback, loss, note, warning
 
 MODEL_AREA = Code(
@@ -72,7 +72,9 @@ MODEL_GROUND = Code(
         "levels lie under it."
     ),
     effect="The ground of the weather model is taken, or sea level.",
-    remedy="State it: a number as ground.height with ground.reference: msl, or ground.home_h_msl_m.",
+    remedy=(
+        "State it: a number as ground.height with ground.reference: msl, or ground.home_h_msl_m."
+    ),
 )
 
 
@@ -265,6 +267,8 @@ def model_underground(*, where: str, count: int, bottom: float) -> Message:
     )
 
 
+FETCH_MODEL_AGAIN = "download the file again as the model's centre offers it"
+
 MODEL_UNITS = Code(
     "MODEL-UNITS",
     means=(
@@ -278,13 +282,20 @@ MODEL_UNITS = Code(
 
 def model_without_values(*, where: str) -> InputError:
     """All temperatures and humidities around the flight are missing."""
-    return _wrong_model_unit("no value of temperature and humidity around the flight", where=where)
+    return InputError(
+        MODEL_UNITS,
+        "no value of temperature and humidity around the flight",
+        remedy=FETCH_MODEL_AGAIN,
+        where=where,
+    )
 
 
 def model_temperatures(*, where: str, coldest_k: float, warmest_k: float) -> InputError:
     """Temperatures of a model that no air has."""
-    return _wrong_model_unit(
+    return InputError(
+        MODEL_UNITS,
         "temperatures from {coldest_k:.6g} to {warmest_k:.6g} K: that is no air",
+        remedy=FETCH_MODEL_AGAIN,
         where=where,
         coldest_k=coldest_k,
         warmest_k=warmest_k,
@@ -293,8 +304,10 @@ def model_temperatures(*, where: str, coldest_k: float, warmest_k: float) -> Inp
 
 def model_humidities(*, where: str, kind: str, driest: float, wettest: float) -> InputError:
     """Humidities of a model that are no fractions."""
-    return _wrong_model_unit(
-        "{kind} humidity from {driest:.6g} up to {wettest:.6g}: not kg/kg, and no fraction of 1",
+    return InputError(
+        MODEL_UNITS,
+        ("{kind} humidity from {driest:.6g} up to {wettest:.6g}: not kg/kg, and no fraction of 1"),
+        remedy=FETCH_MODEL_AGAIN,
         where=where,
         kind=kind,
         driest=driest,
@@ -304,16 +317,22 @@ def model_humidities(*, where: str, kind: str, driest: float, wettest: float) ->
 
 def model_ground_height(*, where: str, highest_m: float) -> InputError:
     """The ground of a model is higher or lower than any."""
-    return _wrong_model_unit(
-        "its ground is up to {highest_m:.6g} m high", where=where, highest_m=highest_m
+    return InputError(
+        MODEL_UNITS,
+        "its ground is up to {highest_m:.6g} m high",
+        remedy=FETCH_MODEL_AGAIN,
+        where=where,
+        highest_m=highest_m,
     )
 
 
 def model_surface_pressure(*, where: str, departure: float) -> InputError:
     """Surface pressure and height of the ground contradict each other."""
-    return _wrong_model_unit(
-        "ln of surface pressure is up to {departure:.3g} from that of its ground's height: z or "
-        "lnsp has another unit",
+    return InputError(
+        MODEL_UNITS,
+        "ln of surface pressure is up to {departure:.3g} from that of its ground's height: "
+        "z or lnsp has another unit",
+        remedy=FETCH_MODEL_AGAIN,
         where=where,
         departure=departure,
     )
@@ -321,8 +340,10 @@ def model_surface_pressure(*, where: str, departure: float) -> InputError:
 
 def model_highest_pressure(*, where: str, highest_pa: float) -> InputError:
     """The lowest level of a model is not near the ground in any unit."""
-    return _wrong_model_unit(
+    return InputError(
+        MODEL_UNITS,
         "the highest pressure level is {highest_pa:.6g} Pa, not near the ground",
+        remedy=FETCH_MODEL_AGAIN,
         where=where,
         highest_pa=highest_pa,
     )
@@ -330,18 +351,14 @@ def model_highest_pressure(*, where: str, highest_pa: float) -> InputError:
 
 def model_thickness(*, where: str, ratio: float) -> InputError:
     """Layers of a model are not as thick as their temperatures imply."""
-    return _wrong_model_unit(
+    return InputError(
+        MODEL_UNITS,
         "layers are {ratio:.4g} times as thick as pressure and temperature imply: 1 is "
         "geopotential metres, 9.807 geopotential",
+        remedy=FETCH_MODEL_AGAIN,
         where=where,
         ratio=ratio,
     )
-
-
-def _wrong_model_unit(text: str, *, where: str, **values: Value) -> InputError:
-    """A refusal of values that are not what their names say."""
-    remedy = "download the file again as the model's centre offers it"
-    return InputError(MODEL_UNITS, text, where=where, remedy=remedy, **values)
 
 
 def model_units_ground(
@@ -976,13 +993,37 @@ SOUNDING_UNITS = Code(
 )
 
 
+def sounding_too_wet(
+    *, where: str, column: str, quantity: str, percent: float, limit_percent: float
+) -> InputError:
+    """Many levels are far above saturation."""
+    return InputError(
+        SOUNDING_UNITS,
+        _with_column(
+            "{quantity}: {percent:.0f} % of the levels have more than {limit_percent:.0f} % of "
+            "humidity: dew-point depressions in the place of dew points, or another unit",
+            column,
+        ),
+        where=where,
+        remedy=(
+            "state the unit in the column's name: dew_point_c (temperature less depression), "
+            "relative_humidity_percent"
+        ),
+        column=column,
+        quantity=quantity,
+        percent=percent,
+        limit_percent=limit_percent,
+    )
+
+
 def sounding_pressure_unit(
     *, where: str, column: str, highest_pa: float, likely: str
 ) -> InputError:
     """The highest pressure of a sounding is that of no ground."""
-    return _wrong_unit(
-        "pressure: the highest pressure is {highest_pa:.6g} Pa: {likely}",
-        "pressure_pa or pressure_hpa",
+    return InputError(
+        SOUNDING_UNITS,
+        _with_column("pressure: the highest pressure is {highest_pa:.6g} Pa: {likely}", column),
+        remedy="state the unit in the column's name: pressure_pa or pressure_hpa",
         where=where,
         column=column,
         highest_pa=highest_pa,
@@ -994,9 +1035,13 @@ def sounding_temperature_unit(
     *, where: str, column: str, warmest_k: float, likely: str
 ) -> InputError:
     """The warmest level of a sounding is that of no air."""
-    return _wrong_unit(
-        "temperature: the warmest level has {warmest_k:.6g} K: {likely}",
-        "temperature_k or temperature_c, and convert Fahrenheit",
+    return InputError(
+        SOUNDING_UNITS,
+        _with_column("temperature: the warmest level has {warmest_k:.6g} K: {likely}", column),
+        remedy=(
+            "state the unit in the column's name: temperature_k or temperature_c, and convert "
+            "Fahrenheit"
+        ),
         where=where,
         column=column,
         warmest_k=warmest_k,
@@ -1006,9 +1051,10 @@ def sounding_temperature_unit(
 
 def sounding_dew_point_unit(*, where: str, column: str, highest_k: float) -> InputError:
     """The highest dew point of a sounding is that of no air."""
-    return _wrong_unit(
-        "dew point: the highest dew point is {highest_k:.6g} K",
-        "dew_point_c or dew_point_k",
+    return InputError(
+        SOUNDING_UNITS,
+        _with_column("dew point: the highest dew point is {highest_k:.6g} K", column),
+        remedy="state the unit in the column's name: dew_point_c or dew_point_k",
         where=where,
         column=column,
         highest_k=highest_k,
@@ -1017,9 +1063,15 @@ def sounding_dew_point_unit(*, where: str, column: str, highest_k: float) -> Inp
 
 def sounding_humidity_unit(*, where: str, column: str, highest: float) -> InputError:
     """The highest relative humidity of a sounding is no fraction."""
-    return _wrong_unit(
-        "relative humidity: the highest is {highest:.4g} as a fraction of one",
-        "relative_humidity (0 to 1) or relative_humidity_percent",
+    return InputError(
+        SOUNDING_UNITS,
+        _with_column(
+            "relative humidity: the highest is {highest:.4g} as a fraction of one", column
+        ),
+        remedy=(
+            "state the unit in the column's name: relative_humidity (0 to 1) or "
+            "relative_humidity_percent"
+        ),
         where=where,
         column=column,
         highest=highest,
@@ -1028,28 +1080,19 @@ def sounding_humidity_unit(*, where: str, column: str, highest: float) -> InputE
 
 def sounding_vapour_unit(*, where: str, column: str, highest_pa: float) -> InputError:
     """The highest vapour pressure of a sounding is that of no air."""
-    return _wrong_unit(
-        "vapour pressure: the highest is {highest_pa:.6g} Pa",
-        "vapour_pressure_pa or vapour_pressure_hpa",
+    return InputError(
+        SOUNDING_UNITS,
+        _with_column("vapour pressure: the highest is {highest_pa:.6g} Pa", column),
+        remedy="state the unit in the column's name: vapour_pressure_pa or vapour_pressure_hpa",
         where=where,
         column=column,
         highest_pa=highest_pa,
     )
 
 
-def _wrong_unit(text: str, columns: str, *, where: str, column: str, **values: Value) -> InputError:
-    """A refusal that names the column a quantity comes from, and those that state its unit."""
-    if column:
-        text += " (column {column})"
-    return InputError(
-        SOUNDING_UNITS,
-        text,
-        where=where,
-        remedy="state the unit in the column's name: {columns}",
-        column=column,
-        columns=columns,
-        **values,
-    )
+def _with_column(text: str, column: str) -> str:
+    """A text that names the column, where the table has one."""
+    return f"{text} (column {{column}})" if column else text
 
 
 SOUNDING_UNSORTED = Code(
