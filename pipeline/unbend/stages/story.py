@@ -45,7 +45,7 @@ from unbend.report.progress import Progress
 from unbend.stages import correction, plausibility
 from unbend.stages.adjusted_profile import AirSources, adjusted_profiles, read_air_sources
 from unbend.stages.cabin_air import with_cabin_air
-from unbend.stages.exposure_setup import correction_setup, lenses_of_mission, windows_of_mission
+from unbend.stages.exposure_setup import correction_setup
 from unbend.stages.ground_heights import elevation_of_mission, with_terrain
 from unbend.stages.inputs import FlightLog, read_log, read_observations
 from unbend.stages.multi_image import point_heights
@@ -266,8 +266,9 @@ def correct_mission(
 ) -> CorrectedMission:
     """Correct the observations of a mission, or a sample of them, and say what became of them."""
     mission, air, ledger = prepared.plan.mission, prepared.air, prepared.ledger
-    windows, lenses = windows_of_mission(mission), lenses_of_mission(mission)
-    stations = with_cabin_air(prepared.stations, windows, lenses, air.series, ledger)
+    stations = with_cabin_air(
+        prepared.stations, mission.windows, mission.lenses, air.series, ledger
+    )
     report_unknown_sigmas(mission, stations, air.series, ledger)
     setup = correction_setup(mission, stations, air.series, prepared.flight.heights, ledger)
     setup = with_terrain(setup, prepared.terrain, stations, mission.ground.sigma_m, ledger)
