@@ -33,8 +33,8 @@ from unbend.batch.publication import Publication, rehearse_place
 from unbend.batch.value_cache import keep, recall
 from unbend.config.campaign import MissionRef
 from unbend.errors import storage_errors
-from unbend.flight.air_samples import air_samples
 from unbend.flight.heights import heights_at, logged_terrain, undulation_notes
+from unbend.flight.outside_air import outside_air_samples
 from unbend.flight.stations import Stations, append_unmatched_images, flag_height_misfits
 from unbend.flight.trajectory import takeoff_of
 from unbend.messages import Ledger
@@ -248,7 +248,9 @@ def prepare_mission(
     point_heights.check_object_points(observations, stations, ledger)
     ledger.extend(undulation_notes(flight.heights, stations, package_geoid()))
     samples = ledger.take(
-        air_samples(flight.air_roles, flight.heights, plan.mission.max_gap_s, flight.own_suspect)
+        outside_air_samples(
+            flight.air_roles, flight.heights, plan.mission.max_gap_s, flight.own_suspect
+        )
     )
     sources = read_air_sources(plan, flight, stations, samples, ledger)
     air = adjusted_profiles(plan.mission, stations, samples, sources, ledger)
