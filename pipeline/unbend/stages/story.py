@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from unbend.atmosphere.air_samples import AirSamples
 from unbend.config import Mission
-from unbend.flight.air_samples import air_samples
 from unbend.flight.heights import heights_at, logged_terrain, undulation_notes
+from unbend.flight.outside_air import outside_air_samples
 from unbend.flight.stations import Stations, append_unmatched_images, flag_height_misfits
 from unbend.flight.trajectory import takeoff_of
 from unbend.messages import Ledger
@@ -92,7 +92,7 @@ def prepare_mission(
     point_heights.check_object_points(observations, stations, ledger)
     ledger.extend(undulation_notes(flight.heights, stations, package_geoid()))
     samples = ledger.take(
-        air_samples(flight.air_roles, flight.heights, mission.max_gap_s, flight.own_suspect)
+        outside_air_samples(flight.air_roles, flight.heights, mission.max_gap_s, flight.own_suspect)
     )
     sources = read_air_sources(mission, inputs, flight, stations, samples, ledger=ledger)
     air = adjusted_profiles(mission, stations, samples, sources, ledger)
