@@ -20,7 +20,7 @@ from unbend.flight.roles import assign_roles
 from unbend.flight.rotations import CAMERA_AT_REST, in_turned_frame
 from unbend.geodesy import GeoidGrid
 from unbend.ingest import Log, open_log
-from unbend.ingest.fields import in_stated_unit
+from unbend.ingest.field_maps import in_stated_unit
 from unbend.messages import Ledger
 from unbend.tables.geodata.geoid import package_geoid, read_geoid
 from unbend.tables.imports import CAMERA_EVENTS, TRAJECTORIES, reader_of
