@@ -53,9 +53,9 @@ def copied(tmp_path) -> Path:
 # Where an edit is planted, and the stages whose code it is. Modules that are imported inside
 # functions (h5netcdf's reader, elevation models, kernels), tables, texts and templates among them.
 PLANTED = {
-    "ingest/dataflash/records.py": ALL - {"report"},
-    "ingest/ulog/log.py": ALL - {"report"},
-    "ingest/data/messages.toml": ALL - {"report"},
+    "ingest/dataflash/dataflash_records.py": ALL - {"report"},
+    "ingest/ulog/px4_log.py": ALL - {"report"},
+    "ingest/data/field_maps.toml": ALL - {"report"},
     "units.py": ALL,
     "texts.toml": ALL,
     "geodesy.py": ALL,

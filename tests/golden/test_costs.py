@@ -31,7 +31,7 @@ LOG_FORMAT = '''
 import numpy as np
 
 from unbend.flight.channels import Channel, Source
-from unbend.ingest.log import Contents
+from unbend.ingest.flight_log import Contents
 
 
 class ToyFormat:
@@ -187,12 +187,12 @@ class Thing:
 THINGS = {
     "log format": Thing(
         {
-            "pipeline/unbend/ingest/toy/log.py": LOG_FORMAT,
+            "pipeline/unbend/ingest/toy/toy_log.py": LOG_FORMAT,
             "pipeline/unbend/ingest/toy/__init__.py": '"""Toy."""',
         },
         {
             "pipeline/unbend/ingest/registry.py": (
-                ("import TLOG\n", "import TLOG\nfrom unbend.ingest.toy.log import TOY\n"),
+                ("import TLOG\n", "import TLOG\nfrom unbend.ingest.toy.toy_log import TOY\n"),
                 ("= (MCAP,", "= (TOY, MCAP,"),
             )
         },

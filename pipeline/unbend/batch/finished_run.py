@@ -27,7 +27,7 @@ from unbend.errors import ConfigError, InputError, MissionError, StorageError
 from unbend.flight.heights import HIGHEST_GROUND_M, LOWEST_GROUND_M
 from unbend.flight.stations import NO_TIME, SUSPECT, Stations
 from unbend.geodesy import Gravity
-from unbend.ingest.log import hash_file
+from unbend.ingest.flight_log import hash_file
 from unbend.messages import Ledger
 from unbend.refraction.image import correct_observations
 from unbend.refraction.ray import rays_by
