@@ -120,7 +120,8 @@ corrected = unbend.correct_observations(
 zeta = np.arctan(np.hypot(u, v))
 straight = np.tan(zeta - unbend.refraction_angle(air, 3e3, 0.0, zeta)) / np.tan(zeta)
 expected = camera.project(u * straight, v * straight)
-np.testing.assert_allclose((corrected.x_px, corrected.y_px), expected, atol=1e-8)
+found = corrected.x_corrected_px, corrected.y_corrected_px
+np.testing.assert_allclose(found, expected, atol=1e-8)
 assert (np.hypot(corrected.dx_px, corrected.dy_px) > 1e-4).all()
 """
 

@@ -7,7 +7,7 @@ import threading
 
 import pytest
 
-from unbend.refraction.kernels import threads as _threads
+from unbend.refraction.kernels import threads
 from unbend.stages import correction as correct
 
 
@@ -85,15 +85,15 @@ def test_a_batch_that_fails_stops_the_others():
 def test_cpus_are_those_this_process_may_use(monkeypatch):
     monkeypatch.setattr(os, "cpu_count", lambda: 256)
     if hasattr(os, "sched_getaffinity"):
-        assert _threads.usable_cpus() == len(os.sched_getaffinity(0))
+        assert threads.usable_cpus() == len(os.sched_getaffinity(0))
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {5, 7}, raising=False)
-    assert _threads.usable_cpus() == 2
-    _threads._pool.cache_clear()
+    assert threads.usable_cpus() == 2
+    threads._pool.cache_clear()
     try:
-        assert _threads._pool()._max_workers == 2
+        assert threads._pool()._max_workers == 2
     finally:
-        _threads._pool().shutdown()
-        _threads._pool.cache_clear()
+        threads._pool().shutdown()
+        threads._pool.cache_clear()
     # Where the system has no affinity: all there are.
     monkeypatch.delattr(os, "sched_getaffinity", raising=False)
-    assert _threads.usable_cpus() == 256
+    assert threads.usable_cpus() == 256

@@ -173,7 +173,9 @@ def largest_difference_px(run: FinishedRun, table: pa.Table, station: Integers) 
                 x[rows], y[rows], h_g[rows], station[rows],
                 run.exposures, camera=camera.camera, table=run.rays[air],
             )  # fmt: skip
-            difference = np.hypot(now.x_px - x_then[rows], now.y_px - y_then[rows])
+            difference = np.hypot(
+                now.x_corrected_px - x_then[rows], now.y_corrected_px - y_then[rows]
+            )
             largest = max(largest, float(np.nan_to_num(difference, nan=np.inf).max()))
     return largest
 
