@@ -94,9 +94,9 @@ def test_the_compiler_uses_the_same_folder(monkeypatch, tmp_path):
 
 def test_what_warm_compiles_is_what_missions_call(unbend):
     """Nothing is compiled for other types of arguments: those of real tables and logs."""
+    from unbend.batch.runs import check_mission
     from unbend.refraction.kernels import image, moments, ray, sigma
     from unbend.refraction.kernels.jit import cache_folder
-    from unbend.stages.story import check_mission
 
     ended = unbend("warm")
     assert (ended.code, ended.out.strip()) == (0, cache_folder())

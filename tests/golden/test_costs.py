@@ -31,7 +31,7 @@ LOG_FORMAT = '''
 import numpy as np
 
 from unbend.flight.channels import Channel, Source
-from unbend.ingest.log import Contents
+from unbend.ingest.flight_log import Contents
 
 
 class ToyFormat:
@@ -188,12 +188,12 @@ class Thing:
 THINGS = {
     "log format": Thing(
         {
-            "pipeline/unbend/ingest/toy/log.py": LOG_FORMAT,
+            "pipeline/unbend/ingest/toy/toy_log.py": LOG_FORMAT,
             "pipeline/unbend/ingest/toy/__init__.py": '"""Toy."""',
         },
         {
             "pipeline/unbend/ingest/registry.py": (
-                ("import TLOG\n", "import TLOG\nfrom unbend.ingest.toy.log import TOY\n"),
+                ("import TLOG\n", "import TLOG\nfrom unbend.ingest.toy.toy_log import TOY\n"),
                 ("= (MCAP,", "= (TOY, MCAP,"),
             )
         },
@@ -426,7 +426,7 @@ def test_a_camera_file(copy):
         "from pathlib import Path\n"
         "from unbend.config.cameras import CameraSection\n"
         "camera = CameraSection(file='cameras.toycam', camera='right', calibration='laboratory')\n"
-        "print(camera.with_file(Path('cameras.toycam')).build().fx_px)"
+        "print(camera.with_file(Path('cameras.toycam')).interior_orientation.fx_px)"
     )
     assert "501" in copy.python(code)
 

@@ -99,7 +99,7 @@ def test_what_windows_lacks_is_missing(like_windows, code):
 
 
 def test_the_rooms_can_be_imported(like_windows):
-    rooms = ("refraction", "ingest", "stages.story", "simulate", "cli", "report.html")
+    rooms = ("refraction", "ingest", "batch.runs", "simulate", "cli", "report.html")
     like_windows("-c", "import " + ", ".join(f"unbend.{room}" for room in rooms))
 
 

@@ -18,9 +18,9 @@ from typing import Any
 import pytest
 import yaml
 
+from unbend.batch.runs import check_mission
 from unbend.errors import UnbendError
 from unbend.stages import inputs
-from unbend.stages.story import check_mission
 
 from .mistaken import MISTAKES, write_mistake
 

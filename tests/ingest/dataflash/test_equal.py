@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from unbend.ingest.dataflash.log import read_tables
-from unbend.ingest.log import PLACE
+from unbend.ingest.dataflash.binary_log import read_tables
+from unbend.ingest.message_tables import PLACE
 
 ROOT = Path(__file__).resolve().parents[3]
 FOLDERS = (ROOT.parent / "shared" / "logs", ROOT / "sample_logs")

@@ -16,7 +16,7 @@ from unbend.flight.clock import utc_of_gps
 from unbend.flight.roles import assign_roles
 from unbend.ingest import Log, open_log
 from unbend.ingest.buffers import view_of_bytes
-from unbend.ingest.dataflash.records import find_records
+from unbend.ingest.dataflash.dataflash_records import find_records
 from unbend.messages import Ledger
 
 DEGREE = np.pi / 180.0

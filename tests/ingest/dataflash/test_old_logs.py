@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from unbend.ingest import Log, open_log
-from unbend.ingest.dataflash.log import read_tables
+from unbend.ingest.dataflash.binary_log import read_tables
 
 SAMPLE = Path(__file__).resolve().parents[3] / "sample_logs" / "flight.bin"
 

@@ -15,7 +15,8 @@ import numpy as np
 import pytest
 
 from unbend.ingest import Log, open_log
-from unbend.ingest.mcap.cdr import SchemaError, decode, decode_plan, steps_of
+from unbend.ingest.mcap.cdr import decode, decode_plan
+from unbend.ingest.mcap.ros2_definitions import SchemaError, steps_of
 
 REPOSITORY = Path(__file__).resolve().parents[3]
 FOLDERS = (REPOSITORY.parent / "shared" / "logs", REPOSITORY / "sample_logs")

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from unbend.ingest import Log, open_log
-from unbend.ingest.tlog.clock import NEAR_NS, ROUND_US, Sampler, unrolled
+from unbend.ingest.tlog.clock_samples import Sampler
+from unbend.ingest.tlog.sender_clocks import NEAR_NS, ROUND_US, unrolled
 
 SECOND = 10**9
 START_US = 1_700_000_000_000_000
@@ -309,7 +310,7 @@ REPOSITORY = Path(__file__).resolve().parents[3]
 
 def frames_of(data: bytes) -> list[bytes]:
     """The frames of a log without damage, each with the stamp before it."""
-    from unbend.ingest.tlog.scan import frame_length
+    from unbend.ingest.tlog.frames import frame_length
 
     frames, at = [], 0
     while at < len(data) and (length := frame_length(data[at : at + 400], 0)):
