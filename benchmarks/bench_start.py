@@ -87,16 +87,16 @@ def cold_in_compilations(code: str, tmp_path: Path) -> float:
 
 def test_the_first_angle_with_a_cold_cache(ratios, tmp_path):
     ratio = cold_in_compilations(FIRST_ANGLE, tmp_path)
-    ratios.check("first angle, cold, times compiling a small kernel", ratio, at_most=1.0)
+    ratios.check("first angle, cold, times compiling a small kernel", ratio, at_most=2.5)
     ratio = statistics.median(
         taken(FIRST_ANGLE, tmp_path / "warm") / taken(REFERENCE, tmp_path / "reference")
         for _ in range(5)
     )
-    ratios.check("first angle, warm, times compiling a small kernel", ratio, at_most=1.0)
+    ratios.check("first angle, warm, times compiling a small kernel", ratio, at_most=1.2)
 
 
 def test_the_first_points_with_a_cold_cache(ratios, tmp_path):
-    """Interpreted, as the angle is: nothing is compiled for a thousand points."""
+    """Four kernels are compiled, once."""
     ratio = cold_in_compilations(FIRST_POINT, tmp_path)
     ratios.check("first 1000 points, cold, times compiling a small kernel", ratio, at_most=1.5)
 
