@@ -79,4 +79,4 @@ bench: $(EVERYTHING)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -o addopts='' -o python_files='bench_*.py' -q benchmarks
 
 clean:
-	rm -rf $(VENV) .venv-lowest .venv-latest results docs/site
+	rm -rf $(VENV) $(VENV)-* results docs/site
