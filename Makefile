@@ -10,8 +10,9 @@ LOCKED := $(PIP) --require-hashes --requirement
 PROGRAM := $(VENV)/.program
 EVERYTHING := $(VENV)/.everything
 
-# Rooms that open no files: a minute.
+# The tests of rooms that open no files, without what is slow or needs more than Python.
 QUICK_TESTS := tests/atmosphere tests/refraction tests/flight tests/block tests/physics tests/base
+QUICK := -m "not slow and not browser and not emulator and not shared" $(QUICK_TESTS)
 
 .PHONY: sample test lint docs bench faults planted lock lowest latest clean
 
@@ -50,7 +51,7 @@ lock: $(EVERYTHING)
 
 # The bounds of pyproject.toml: the lowest releases they allow, and the newest without a lock.
 lowest latest: $(EVERYTHING)
-	$(BIN)/python tests/contract/bounds.py $@ --python $(PYTHON) $(QUICK_TESTS)
+	$(BIN)/python tests/contract/bounds.py --python $(PYTHON) $@ $(QUICK)
 
 # The documentation as a site: open docs/site/index.html.
 docs: $(EVERYTHING)

@@ -1,6 +1,6 @@
 """Are the bounds of pyproject.toml true, and which dependency is at fault if not?
 
-    python tests/contract/bounds.py lowest|latest [--python PYTHON] TEST ...
+    python tests/contract/bounds.py [--python PYTHON] lowest|latest WORDS OF PYTEST ...
 
 Installs the lowest releases that pyproject.toml allows for what it names itself (or the newest of
 everything) into .venv-lowest (.venv-latest), imports all extras, runs the sample missions and the
@@ -88,11 +88,9 @@ class Trial:
     def resolved(self, resolution: str, *constraints: Path) -> Versions:
         """Versions of everything, as this resolution takes them for this Python."""
         held = chain.from_iterable(("--constraint", file) for file in constraints)
-        said = self.uv(
-            "pip", "compile", "-", "--resolution", resolution, "--only-binary", ":all:", *held,
-            "--no-header", "--no-annotate", "--no-emit-index-url",
-            given="\n".join(requirements()),
-        )  # fmt: skip
+        command = "pip compile - --only-binary :all: --no-header --no-annotate --no-emit-index-url"
+        asked = "\n".join(requirements())
+        said = self.uv(*command.split(), "--resolution", resolution, *held, given=asked)
         pins = (line.split(";")[0].strip() for line in said.splitlines())
         return dict(pin.split("==") for pin in pins if pin)
 
@@ -118,11 +116,8 @@ class Trial:
         steps = {
             "the import of all extras": ("-c", f"import {IMPORTS}"),
             "the sample": ("-m", "unbend", "run", *missions),
-            "the tests": (
-                "-m", "pytest", "-q", "-x", "-n", "2", "-o", warnings,
-                *(ROOT / test for test in self.tests),
-            ),
-        }  # fmt: skip
+            "the tests": ("-m", "pytest", "-q", "-x", "-n", "2", "-o", warnings, *self.tests),
+        }
         for name, words in steps.items():
             place = ROOT if name == "the tests" else work
             if not self.succeeds(place, *words):
@@ -178,7 +173,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("which", choices=RESOLUTIONS)
     parser.add_argument("--python", default=sys.executable)
-    parser.add_argument("tests", nargs="+")
+    parser.add_argument("tests", nargs=argparse.REMAINDER, help="words of pytest")
     words = parser.parse_args()
     trial = Trial(which=words.which, python=words.python, tests=words.tests)
 
