@@ -24,9 +24,7 @@ from unbend.simulate.true_air import normal_gravity
 from unbend.tables.soundings import read_sounding
 
 SHARED = Path(__file__).resolve().parents[2].parent / "shared"
-tables = pytest.mark.skipif(
-    not SHARED.is_dir(), reason="the tables of ../shared are not beside the repository"
-)
+tables = pytest.mark.shared("atmospheres", "soundings")
 AFGL = [name for name in climate_names() if name.startswith("afgl")]
 
 

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import unbend
+from tests.draws import SEED
 from unbend import caches
 from unbend.batch import keys, value_cache
 from unbend.errors import LogError
@@ -22,7 +23,6 @@ from unbend.stages.commands.finished_run import verify_run
 from unbend.stages.story import mission_status, run_mission
 
 PACKAGE = Path(unbend.__file__).parent
-SEED = random.randrange(1 << 30)
 
 
 @pytest.fixture(autouse=True)

@@ -36,11 +36,10 @@ def test_only_heights_of_a_healthy_grid_count():
     assert np.isnan(logged_terrain([channel(h_msl_m=[1.0, 2.0])], times)).all()
 
 
+@pytest.mark.shared("logs")
 @pytest.mark.parametrize("name", ["beastayyg_sample.bin", "sitl_survey.BIN", "sitl_survey.tlog"])
 def test_a_log_has_its_terrain_as_pymavlink_reads_it(name):
     path = LOGS / name
-    if not path.is_file():
-        pytest.skip("the log is not here")
     kind, height = ["TERR"], "TerrH"
     if name.endswith("tlog"):
         kind, height = ["TERRAIN_REPORT"], "terrain_height"

@@ -28,7 +28,7 @@ from unbend.flight.stations import Stations
 from unbend.ingest import Log, open_log
 
 LOGS = Path(__file__).parents[3] / "shared" / "logs"
-pytestmark = pytest.mark.skipif(not LOGS.is_dir(), reason="needs ../shared/logs")
+pytestmark = pytest.mark.shared("logs")
 FLIGHTS = ["sitl_survey", "sitl_belowsea_2cam"]
 NED_FROM_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 

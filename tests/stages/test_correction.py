@@ -78,9 +78,17 @@ def test_cpus_are_those_this_process_may_use(monkeypatch):
         assert _threads.usable_cpus() == len(os.sched_getaffinity(0))
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {5, 7}, raising=False)
     assert _threads.usable_cpus() == 2
+    threads = set()
+    together = threading.Barrier(2, timeout=60.0)
+
+    def block(_: slice) -> None:
+        together.wait()  # none ends before the other has begun
+        threads.add(threading.get_ident())
+
     _threads._pool.cache_clear()
     try:
-        assert _threads._pool()._max_workers == 2
+        _threads.in_blocks(block, 6 * _threads.BLOCK_ROWS)
+        assert len(threads) == 2
     finally:
         _threads._pool().shutdown()
         _threads._pool.cache_clear()

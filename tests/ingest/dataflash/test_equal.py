@@ -33,7 +33,7 @@ def library_tables(path: Path) -> dict[str, dict[str, list[Any]]]:
 
     reader = DFReader_binary(str(path))
     tables: dict[str, dict[str, list[Any]]] = defaultdict(lambda: defaultdict(list))
-    with contextlib.closing(reader.filehandle), contextlib.closing(reader.data_map):
+    with contextlib.closing(reader):
         while (row := reader.recv_msg()) is not None:
             columns = tables[row.get_type()]
             for field in row.get_fieldnames():

@@ -40,8 +40,7 @@ def library_rows(path: Path, message: str) -> list:
     rows = []
     while (row := reader.recv_match(type=message)) is not None:
         rows.append(row)
-    reader.data_map.close()
-    reader.filehandle.close()
+    reader.close()
     return rows
 
 

@@ -21,7 +21,7 @@ def as_text(binary: Path, text: Path) -> None:
 
     reader = DFReader_binary(str(binary))
     lines = []
-    with contextlib.closing(reader.filehandle), contextlib.closing(reader.data_map):
+    with contextlib.closing(reader):
         while (row := reader.recv_msg()) is not None:
             values = [getattr(row, field) for field in row.get_fieldnames()]
             lines.append(", ".join([row.get_type(), *(str(value) for value in values)]))
@@ -33,7 +33,7 @@ def library_tables(path: Path) -> dict[str, dict[str, list[Any]]]:
 
     reader = DFReader_text(str(path))
     tables: dict[str, dict[str, list[Any]]] = defaultdict(lambda: defaultdict(list))
-    with contextlib.closing(reader.filehandle), contextlib.closing(reader.data_map):
+    with contextlib.closing(reader):
         while (row := reader.recv_msg()) is not None:
             for field in row.get_fieldnames():
                 tables[row.get_type()][field].append(getattr(row, field))

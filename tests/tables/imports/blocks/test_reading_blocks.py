@@ -29,7 +29,7 @@ from unbend.tables.observations import open_observations
 
 SHARED = Path(__file__).resolve().parents[5] / "shared" / "ba"
 COLUMNS = {"image": "image", "point": "point", "x_px": "x_px", "y_px": "y_px"}
-needs_blocks = pytest.mark.skipif(not SHARED.is_dir(), reason="no blocks beside the checkout")
+needs_blocks = pytest.mark.shared("ba")
 
 
 def rows(path: Path, program: str) -> pd.DataFrame:
@@ -274,8 +274,6 @@ def test_databases_without_keypoints_or_damaged(tmp_path):
 def berlin(tmp_path):
     """OpenSfM's own example as the folder of a project."""
     source = SHARED / "opensfm_berlin"
-    if not source.is_dir():
-        pytest.skip("no blocks beside the checkout")
     shutil.copy(source / "reconstruction_example.json", tmp_path / "reconstruction.json")
     shutil.copy(source / "tracks_example.csv", tmp_path / "tracks.csv")
     return tmp_path
@@ -412,8 +410,6 @@ def test_damaged_archives(tmp_path):
 
 @pytest.fixture
 def strasbourg(tmp_path):
-    if not SHARED.is_dir():
-        pytest.skip("no blocks beside the checkout")
     for file in (SHARED / "dbat_sxb").glob("*.*"):
         shutil.copy(file, tmp_path)
     return tmp_path / "sxb.xml"
