@@ -9,24 +9,13 @@ import os
 import pickle
 import shutil
 import signal
-import site
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-# As the command line does, and before anything imports numpy: results then agree to the last bit.
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
-# What tests share though each has a cache and a home of its own: compiled kernels and matplotlib's
-# list of fonts, which take half a minute and 20 s to make, in a folder that says so.
-SHARED_BY_TESTS = os.path.join(
-    os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"), "unbend-tests"
-)
-os.environ.setdefault("NUMBA_CACHE_DIR", os.path.join(SHARED_BY_TESTS, "compiled"))
-os.environ.setdefault("MPLCONFIGDIR", os.path.join(SHARED_BY_TESTS, "matplotlib"))
-os.environ.setdefault("PYTHONUSERBASE", site.getuserbase())  # packages are where they were
+import tests.shared_by_tests  # noqa: F401  # isort: skip (before numpy, numba, matplotlib)
 
 import pyarrow as pa
 import pyarrow.compute as pc

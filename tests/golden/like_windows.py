@@ -150,7 +150,8 @@ def refuse_what_an_open_file_forbids() -> None:
 
     def fsync_what_is_written(file: Any) -> None:
         if not called_by_us():
-            return real_fsync(file)
+            real_fsync(file)
+            return
         number = file if isinstance(file, int) else file.fileno()
         with _real_open(f"/proc/self/fdinfo/{number}", encoding="ascii") as info:
             flags = next(int(line.split()[1], 8) for line in info if line.startswith("flags:"))

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.logs import LOGS, at_hand
 from unbend.errors import LogError
 from unbend.ingest import Log, open_log
 from unbend.ingest.mcap.chunks import MAX_CHUNK, Chunk, inflate
@@ -640,9 +641,6 @@ def test_any_damage_opens_or_refuses(tmp_path: Path) -> None:
         }
 
 
-SAMPLE = Path(__file__).resolve().parents[3] / "sample_logs" / "flight.mcap"
-
-
 def headless(data: bytes, what: str) -> bytes:
     """A file whose beginning is lost, or overwritten with zeros."""
     count = {"first": 1, "mark": 8, "header": 60, "quarter": len(data) // 4}[what.split()[0]]
@@ -651,12 +649,10 @@ def headless(data: bytes, what: str) -> bytes:
 
 @pytest.mark.parametrize("end", ["lost", "zero"])
 @pytest.mark.parametrize("what", ["first", "mark", "header", "quarter"])
-@pytest.mark.parametrize("name", ["sample", "cubs2_cub_stabilize.mcap"])
-def test_a_file_whose_head_is_lost(
-    tmp_path: Path, real_log: Callable, name: str, what: str, end: str
-) -> None:
+@pytest.mark.parametrize("name", at_hand("flight.mcap", "cubs2_cub_stabilize.mcap"))
+def test_a_file_whose_head_is_lost(tmp_path: Path, name: str, what: str, end: str) -> None:
     """Chunks behind the damage are whole: what they hold is the same, and the loss is told."""
-    whole = SAMPLE if name == "sample" else real_log(name)
+    whole = LOGS[name]
     path = tmp_path / "headless.mcap"
     path.write_bytes(headless(whole.read_bytes(), f"{what} {end}"))
     log, expected = open_log(path), open_log(whole)
