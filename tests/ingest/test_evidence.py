@@ -141,7 +141,9 @@ def test_evidence_of_telemetry_is_the_librarys(monkeypatch: pytest.MonkeyPatch, 
     assert "".join(sorted("".join(lines))) == "".join(
         sorted("".join(row.text.strip() for row in rows["STATUSTEXT"]))
     )
-    assert log.parameters == {row.param_id: row.param_value for row in vehicle.get("PARAM_VALUE", ())}
+    assert log.parameters == {
+        row.param_id: row.param_value for row in vehicle.get("PARAM_VALUE", ())
+    }
 
 
 def test_both_logs_of_a_flight_have_the_same_innovations(real_log: Callable) -> None:

@@ -15,6 +15,7 @@ import pytest
 import yaml
 
 from tests.ingest.ulog.test_log import flight
+from tests.logs import at_hand
 from unbend.flight.channels import Channel, Source
 from unbend.flight.image_names import name_series
 from unbend.stages.commands import mission_proposal
@@ -303,9 +304,8 @@ def test_a_series_of_names_has_the_pattern_that_gives_them_again():
         assert sorted(series.pattern("n").format(n=k) for k in series.numbers) == sorted(own)
 
 
-@pytest.mark.shared("logs")
 @pytest.mark.parametrize(
-    "name", ["beastayyg_sample.bin", "ardusub_small.BIN", "cubs2_cub_stabilize.mcap"]
+    "name", at_hand("beastayyg_sample.bin", "ardusub_small.BIN", "cubs2_cub_stabilize.mcap")
 )
 def test_real_logs_without_a_camera_ask_for_what_is_open(name, unbend, tmp_path):
     out = tmp_path / "mission.yaml"
