@@ -13,7 +13,7 @@ from unbend.batch.plan import make_plan
 from unbend.config import load_mission
 from unbend.flight.exposures import Events
 from unbend.ingest import open_log
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.stages.inputs import read_log
 from unbend.stages.stations import StationBuilder
 

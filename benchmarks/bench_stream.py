@@ -10,10 +10,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from survey import CAMERA, air, exposures, image_names, uncertainty, write_observations
 
+from unbend.batch.run_files import PartsOfRun
 from unbend.batch.store import open_folder
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.refraction.ray import rays_by
-from unbend.stages.correction import CorrectionSetup, PartsOfRun, correct_stream
+from unbend.stages.correction import CorrectionSetup, correct_stream
 from unbend.stages.ground_heights import GivenGround
 from unbend.tables.observations import open_observations
 from unbend.tables.writing import parquet_settings

@@ -10,10 +10,11 @@ from pathlib import Path
 import numpy as np
 from survey import CAMERA, air, exposures, image_names, uncertainty, write_observations
 
+from unbend.batch.run_files import PartsOfRun
 from unbend.batch.store import open_folder
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.refraction.ray import rays_by
-from unbend.stages.correction import CorrectionSetup, PartsOfRun, correct_stream
+from unbend.stages.correction import CorrectionSetup, correct_stream
 from unbend.stages.ground_heights import GivenGround, TerrainGround
 from unbend.tables.geodata.elevation import open_elevation
 from unbend.tables.observations import open_observations

@@ -179,7 +179,7 @@ def computed_once() -> Iterator[None]:
     What tie points say of a mission file, and the air of a flight: pure functions, known by all
     that they are given.
     """
-    from unbend.ledger import Ledger
+    from unbend.messages import Ledger
     from unbend.stages import adjusted_profile
     from unbend.stages.multi_image import tie_point_checks
 
@@ -243,13 +243,13 @@ def baseline(
 @contextlib.contextmanager
 def without_plots() -> Iterator[None]:
     """A report without plots, which take half of the time of a small run."""
-    from unbend.stages import story as stages
+    from unbend.batch import runs
 
     def write_report(path: Path, manifest: dict[str, Any], *_: object) -> None:
         path.write_text(manifest["mission"], encoding="utf-8")
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(stages, "write_report", write_report)
+        patch.setattr(runs, "write_report", write_report)
         yield
 
 

@@ -101,8 +101,8 @@ def test_what_warm_compiles_is_what_missions_and_terrains_call(unbend, monkeypat
     """Nothing is compiled for other types of arguments: those of real tables, logs and rasters."""
     from tests.refraction.test_terrain import landing, rays_from, relief
     from tests.tables.geodata.test_elevation import write
+    from unbend.batch.runs import check_mission
     from unbend.refraction.kernels.jit import Kernel, cache_folder
-    from unbend.stages.story import check_mission
     from unbend.tables.geodata.elevation import open_elevation
 
     ended = unbend("warm")
@@ -112,7 +112,7 @@ def test_what_warm_compiles_is_what_missions_and_terrains_call(unbend, monkeypat
     known = {name: list(kernel.by_types) for name, kernel in kernels.items()}
     assert all(known.values()), known
     code = "compile_kernels()\nimport sys\nassert 'numba' not in sys.modules"
-    words = [sys.executable, "-c", f"from unbend.in_memory import compile_kernels\n{code}"]
+    words = [sys.executable, "-c", f"from unbend.library import compile_kernels\n{code}"]
     # The folder that this process found first, maybe in another test that has its own.
     environment = os.environ | {"NUMBA_CACHE_DIR": os.path.dirname(ended.out.strip())}
     subprocess.run(words, check=True, env=environment)

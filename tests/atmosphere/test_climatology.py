@@ -19,7 +19,7 @@ from unbend.atmosphere.climatology import (
 )
 from unbend.atmosphere.standard import known_names
 from unbend.errors import PhysicsError
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.simulate.true_air import normal_gravity
 from unbend.tables.soundings import read_sounding
 

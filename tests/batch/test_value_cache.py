@@ -16,11 +16,11 @@ import unbend
 from tests.draws import SEED
 from unbend import caches
 from unbend.batch import keys, value_cache
+from unbend.batch.finished_run import verify_run
+from unbend.batch.runs import mission_status, run_mission
 from unbend.errors import LogError
-from unbend.ledger import Kind, Ledger
+from unbend.messages import Kind, Ledger
 from unbend.stages import correction, inputs
-from unbend.stages.commands.finished_run import verify_run
-from unbend.stages.story import mission_status, run_mission
 
 PACKAGE = Path(unbend.__file__).parent
 

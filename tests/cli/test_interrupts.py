@@ -21,7 +21,8 @@ LIMIT_S = 300
 # Stops in the middle of a named step, says so, and waits to be hit.
 STALLING = """
 import sys, time
-from unbend.stages import story as stages
+from unbend.batch import runs
+from unbend.stages import story
 from unbend.batch import store
 step, mode = sys.argv[1], sys.argv[2]
 sys.argv = ["unbend", "run", sys.argv[3]]
@@ -43,7 +44,8 @@ if step == "commit":
             time.sleep(600)
     store.Path.replace = slow
 else:
-    setattr(stages, step, stall(getattr(stages, step), mode == "after"))
+    module = runs if hasattr(runs, step) else story
+    setattr(module, step, stall(getattr(module, step), mode == "after"))
 from unbend.cli import main
 main()
 """
@@ -295,7 +297,7 @@ def test_kill_and_rerun_give_what_an_untouched_run_gives(mission, baseline, unbe
 
 def test_a_bug_is_owned_up_to(mission):
     code = (
-        "import sys; from unbend.stages.commands import finished_run\n"
+        "import sys; from unbend.batch import finished_run\n"
         "sys.argv = ['unbend', 'verify', 'x']\n"
         "finished_run.verify_run = lambda path: 1 / 0\n"
         "from unbend.cli import main; main()"

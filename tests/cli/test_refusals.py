@@ -437,14 +437,14 @@ def test_a_full_disk(mission, monkeypatch):
 
 
 def test_an_input_that_changes_meanwhile(mission, monkeypatch):
-    from unbend.stages import story as stages
+    from unbend.batch import runs
 
     def write_report(path, *_):
         path.write_text("report")
         with mission.log.open("ab") as log:
             log.write(b"more")
 
-    monkeypatch.setattr(stages, "write_report", write_report)
+    monkeypatch.setattr(runs, "write_report", write_report)
     assert "log" in refused(mission.run(), "INPUT-CHANGED")
     assert not (mission.output / "manifest.json").exists()
     assert not (mission.output / "observations").exists()

@@ -8,9 +8,9 @@ import pandas as pd
 import pytest
 import yaml
 
+import unbend
 from tests.conftest import without_plots
 from unbend.batch.plan import Outcome
-from unbend.stages import story
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 SHARED = REPOSITORY.parent / "shared"
@@ -21,7 +21,7 @@ needs_shared = pytest.mark.shared("logs")
 def run_mission(path: Path) -> Outcome:
     """The mission with a report without plots."""
     with without_plots():
-        return story.run_mission(path)
+        return unbend.run_mission(path)
 
 
 def write_mission(path: Path, **sections: object) -> Path:

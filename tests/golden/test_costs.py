@@ -363,7 +363,7 @@ def test_a_toy_is_what_the_table_says(kind):
     assert [bool(pattern.fullmatch(name)) for name in new] == ([] if "none" in file else [True])
     assert [f"`{name}`" for name in thing.lines] == [registry]
     name = re.findall(r"`([^`]+)`", line)[0]
-    text = (PACKAGE.parent / registry.strip("`")).read_text(encoding="utf-8")
+    text = (PACKAGE.parents[1] / registry.strip("`")).read_text(encoding="utf-8")
     assert re.search(rf"^{name}\b", text, re.MULTILINE)
     changes = [change for changes in thing.lines.values() for change in changes]
     added = [
@@ -425,7 +425,7 @@ def test_a_camera_file(copy):
         "from pathlib import Path\n"
         "from unbend.config.cameras import CameraSection\n"
         "camera = CameraSection(file='cameras.toycam', camera='right', calibration='laboratory')\n"
-        "print(camera.with_file(Path('cameras.toycam')).build().fx_px)"
+        "print(camera.with_file(Path('cameras.toycam')).interior_orientation.fx_px)"
     )
     assert "501" in copy.python(code)
 
@@ -449,7 +449,7 @@ def test_an_import(copy):
     mission["stations"] = {"trajectory": trajectory}
     (copy.folder / "with_toy.yaml").write_text(yaml.safe_dump(mission))
     code = (
-        "import unbend; from pathlib import Path; from unbend.ledger import Ledger\n"
+        "import unbend; from pathlib import Path; from unbend.messages import Ledger\n"
         "from unbend.tables.imports import TRAJECTORIES, reader_of\n"
         "from unbend.tables.imports.stated import Stated\n"
         "stated = unbend.load_mission('with_toy.yaml').stations.trajectory\n"

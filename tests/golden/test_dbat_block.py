@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from unbend.atmosphere import standard_atmosphere
 from unbend.atmosphere.series.profile_series import TimedProfile, constant_series
 from unbend.flight.stations import empty_stations
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.refraction import Camera, Exposures
 from unbend.refraction.ray import rays_by
 from unbend.simulate.optics import enu_axes, height_and_up, to_ecef

@@ -137,7 +137,7 @@ def test_what_a_library_holds_open_is_held(like_windows):
 
 
 def test_the_rooms_can_be_imported(like_windows):
-    rooms = ("refraction", "ingest", "stages.story", "simulate", "cli", "report.html")
+    rooms = ("refraction", "ingest", "batch.runs", "simulate", "cli", "report.html")
     like_windows("-c", "import " + ", ".join(f"unbend.{room}" for room in rooms))
 
 

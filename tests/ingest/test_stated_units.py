@@ -12,7 +12,7 @@ from unbend.ingest.dataflash.channels import MESSAGES as DATAFLASH
 from unbend.ingest.fields import PX4_MESSAGES as PX4
 from unbend.ingest.fields import STATED_UNITS, extract, in_stated_unit
 from unbend.ingest.tlog.channels import MESSAGES as MAVLINK
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 
 
 def logged(maps, message: str, **fields: float) -> Channel:

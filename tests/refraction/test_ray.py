@@ -12,7 +12,7 @@ from tests.physics.ray_on_sphere import ray_angle_sphere
 from unbend.atmosphere import standard_atmosphere
 from unbend.atmosphere.air_samples import AirSamples, SensorSamples
 from unbend.atmosphere.estimate.adjusted_profile import build_adjusted_profile
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.refraction import ray_table, refraction_angle
 from unbend.units import ARCSEC, DEGREE
 

@@ -15,7 +15,7 @@ from unbend.config.cameras import CabinAir
 from unbend.flight.channels import Channel, Source
 from unbend.flight.stations import Stations, empty_stations
 from unbend.ingest import open_log
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.refraction import StationSigmas, correct_observations, ray_table, uncertainty_of
 from unbend.refraction.camera.camera import Camera, LensInAir
 from unbend.refraction.uncertainty.sigmas import SEALED

@@ -19,9 +19,9 @@ import pytest
 import yaml
 
 from tests.draws import SEED
+from unbend.batch.runs import check_mission
 from unbend.errors import UnbendError
 from unbend.stages import inputs
-from unbend.stages.story import check_mission
 
 from .mistaken import MISTAKES, write_mistake
 

@@ -10,14 +10,14 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
+from unbend.batch.rehearsal import camera_text
+from unbend.batch.runs import check_mission
 from unbend.refraction import Camera
 from unbend.refraction.camera.general_frame import GeneralFrame
 from unbend.refraction.camera.opencv_fisheye import OpenCVFisheye
 from unbend.simulate.flight import FIELD_LAT_RAD, FIELD_LON_RAD, geographic, terrain_m
 from unbend.simulate.write_dataflash import FORMATS
-from unbend.stages.commands.rehearsal import camera_text
 from unbend.stages.plausibility import RULES, Facts, distortion, field_of_view
-from unbend.stages.story import check_mission
 
 from .test_rehearsal import config, rows
 

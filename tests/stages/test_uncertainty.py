@@ -17,9 +17,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from unbend.atmosphere.covariance import ProfileCovariance
+from unbend.batch.runs import read_mission
 from unbend.flight.trajectory import _Curve
 from unbend.stages import story as stages
-from unbend.stages.story import read_mission
 from unbend.stages.uncertainty import station_sigmas
 
 pytestmark = pytest.mark.usefixtures("plain_report")

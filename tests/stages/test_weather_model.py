@@ -15,12 +15,12 @@ from tests.model_files import dataset, netcdf
 from unbend import correct
 from unbend.atmosphere.air_samples import AirSamples
 from unbend.atmosphere.series import profiles_by_place
-from unbend.ledger import Ledger
+from unbend.batch.finished_run import verify_run
+from unbend.batch.runs import read_mission
+from unbend.messages import Ledger
 from unbend.simulate.flight import FIELD_LAT_RAD
 from unbend.simulate.true_air import temperature_k, true_air, vapour_pressure_pa
 from unbend.stages.adjusted_profile import adjusted_profiles, read_air_sources
-from unbend.stages.commands.finished_run import verify_run
-from unbend.stages.story import read_mission
 
 from .test_oriented_stations import columns_of
 

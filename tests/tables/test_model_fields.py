@@ -14,7 +14,7 @@ from tests.model_files import dataset, grib, netcdf, on_model_levels
 from unbend.atmosphere.soundings.model_field import model_column
 from unbend.errors import InputError
 from unbend.geodesy import normal_gravity
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.simulate.true_air import temperature_k, true_air, vapour_pressure_pa
 from unbend.tables.weather_files import FlightArea, open_datasets, read_model_field
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.refraction.image import COLUMNS, Corrections
 from unbend.tables.observations import open_observations
 from unbend.tables.pixels import PixelSystem

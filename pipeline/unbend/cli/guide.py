@@ -82,8 +82,8 @@ def init(
     with answer.progress(f"reading {log.name}"):
         import yaml
 
+        from unbend.batch.mission_proposal import propose_mission
         from unbend.config.reading import open_questions
-        from unbend.stages.commands.mission_proposal import propose_mission
 
         target = Path("mission.yaml") if printed else out
         text = propose_mission(log, observations, images, target)
@@ -148,7 +148,7 @@ def warm(answer: Answer) -> None:
     the user's cache, and serves this version of the program on processors of this kind.
     """
     with answer.progress("compiling"):
-        from unbend.in_memory import compile_kernels
+        from unbend.library import compile_kernels
         from unbend.refraction.kernels.jit import cache_folder
 
         folder = cache_folder()

@@ -14,7 +14,7 @@ from unbend.ingest.boot_clock import LOWEST_FIX
 from unbend.ingest.buffers import ColumnStore, allocate, copy_rows
 from unbend.ingest.fields import MessageMap
 from unbend.ingest.log import utc_text
-from unbend.ledger import Entry, Kind, Ledger
+from unbend.messages import Entry, Kind, Ledger
 from unbend.units import Array, Mask, Rows
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from unbend.errors import LogError
 from unbend.flight.channels import Channel
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 
 Table = dict[str, NDArray[Any]]
 """The columns of one message type, all of one length, named and measured as the log has them.

@@ -13,7 +13,7 @@ from unbend.ingest.mcap.log import MCAP
 from unbend.ingest.receiver_delay import with_receiver_delay
 from unbend.ingest.tlog.log import TLOG
 from unbend.ingest.ulog.log import ULOG
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 
 # the surest mark first
 FORMATS: tuple[LogFormat, ...] = (MCAP, ULOG, DATAFLASH, DATAFLASH_TEXT, TLOG)

@@ -29,7 +29,7 @@ from unbend.config.atmosphere import AtmosphereSection, SurfaceSection
 from unbend.errors import InputError
 from unbend.flight.stations import NO_TIME, Stations
 from unbend.geodesy import longitudes_near
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.refraction.effect import FlightAir, effects_on_r
 from unbend.stages.inputs import FlightLog, Track
 from unbend.tables.soundings import read_sounding

@@ -7,20 +7,15 @@ import math
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import closing, suppress
-from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from contextlib import closing
+from dataclasses import dataclass
+from functools import cached_property
 from itertools import groupby
-from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
-from unbend.batch.executors import Slices, Worker, make_parts
-from unbend.batch.store import RunFolder, atomic_write
-from unbend.errors import storage_errors
 from unbend.interrupts import held_back
 from unbend.refraction.camera.camera import Camera
 from unbend.refraction.forward import apply_refraction
@@ -36,7 +31,7 @@ from unbend.tables.geodata.object_points import matching_rows
 from unbend.tables.observations import Batch, Observations
 from unbend.tables.refraction_mark import Direction
 from unbend.tables.schemas import DISPLACED_COLUMNS, OBSERVATION_COLUMNS, schema_of
-from unbend.tables.writing import table_of_observations, write_parquet
+from unbend.tables.writing import table_of_observations
 from unbend.units import Array, Integers, Names
 
 _MOST_WORKERS = 4
@@ -159,77 +154,6 @@ def correct_stream(
             total.merge(part)
             progress(part.rows)
     return total
-
-
-@dataclass(frozen=True)
-class PartsOfRun:
-    """Parts as ``observations/part-*.parquet`` of a run, each with a receipt when it is written.
-
-    ``check`` comes before each of the two: it refuses changed inputs, and a run that has ended.
-    """
-
-    folder: RunFolder
-    check: Callable[[], None] = lambda: None
-    verify: bool = True
-
-    def finished(self, number: int) -> Statistics | None:
-        """The counts of a part whose receipt says that it is whole; by its size unless verified."""
-        found: Statistics | None = self.folder.read_receipt(_name(number), verify=self.verify)
-        return found
-
-    def write(self, number: int, table: pa.Table, statistics: Statistics) -> None:
-        """Write, seal and receipt a part, whole at any time: another process may write it too."""
-        name = _name(number)
-        with atomic_write(self.folder.place(name)) as draft:
-            write_parquet(table, draft)
-            self.check()
-        self.folder.seal(name)
-        self.check()
-        self.folder.write_receipt(name, statistics)
-
-
-def _name(number: int) -> str:
-    return f"observations/part-{number:05d}.parquet"
-
-
-def parts_of(path: Path, batch_rows: int) -> int:
-    """How many parts a table has that lets read slices of it alone (Parquet); 0 for others."""
-    rows = 0
-    if path.suffix.lower() == ".parquet":
-        with suppress(OSError, pa.ArrowException):  # said where the table is opened
-            rows = pq.read_metadata(path).num_rows
-    return math.ceil(rows / batch_rows)
-
-
-def correct_in_slices(
-    observations: Observations,
-    setup: CorrectionSetup,
-    parts: PartsOfRun,
-    *,
-    workers: Sequence[Worker],
-    progress: Callable[[int], None],
-    **named: Any,
-) -> Statistics:
-    """`correct_stream` by several workers; counts are merged in order, the same to the last bit."""
-    make = partial(correct_stream, observations, setup, **named)
-    if not workers:
-        return make(parts=parts, progress=progress)
-    rows = observations.rows_of_part(named["batch_rows"])
-    count = math.ceil(observations.rows / rows)
-    missing = [number for number in range(count) if parts.finished(number) is None]
-    with storage_errors(parts.folder.path):
-        slices = Slices.of(parts.folder.staging, missing, len(workers))
-        parts_of_workers = replace(parts, check=partial(check_wanted, slices, parts.check))
-        make_all = partial(make, parts=parts_of_workers)
-        make_parts(make_all, slices, workers, lambda made: progress(made * rows))
-    # What a worker left unmade is made here.
-    return make(parts=replace(parts, verify=False))
-
-
-def check_wanted(slices: Slices, check: Callable[[], None]) -> None:
-    """Raise OSError where the run that slices belong to has ended, then check."""
-    (slices.folder / "setup").open("rb").close()
-    check()
 
 
 def correct_counted(

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from unbend.errors import MissionError
 from unbend.flight.heights import HIGHEST_GROUND_M, LOWEST_GROUND_M, HeightSystem
 from unbend.flight.stations import Stations
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.refraction.image import Corrections
 from unbend.refraction.status_codes import NO_GROUND, OK
 from unbend.refraction.target_heights import target_heights, terrain_heights

@@ -21,7 +21,7 @@ from unbend.flight.rotations import CAMERA_AT_REST, in_turned_frame
 from unbend.geodesy import GeoidGrid
 from unbend.ingest import Log, open_log
 from unbend.ingest.fields import in_stated_unit
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.tables.geodata.geoid import package_geoid, read_geoid
 from unbend.tables.imports import CAMERA_EVENTS, TRAJECTORIES, reader_of
 from unbend.tables.imports.agreement import compare_with_log
@@ -124,7 +124,7 @@ def read_log(plan: Plan, ledger: Ledger) -> FlightLog:
     plausible = {
         role: ledger.take(plausible_samples(channel, role)) for role, channel in roles.items()
     }
-    mounts = {camera: mount.build() for camera, mount in mission.mount.items()}
+    mounts = dict(mission.mounts)
     able = {channel.name: channel for channel in channels if channel.fits_role("attitude")}
     of_head: dict[str, Channel] = {}
     for camera, name in heads.items():
@@ -260,7 +260,7 @@ def read_camera_events(plan: Plan, flight: FlightLog, ledger: Ledger) -> dict[st
         attitude = channel.fits_role("attitude") and not source.times_only
         if attitude:
             at_rest = np.stack([channel[f"q_{axis}"] for axis in "wxyz"], axis=1)
-            mount = plan.mission.mount[camera].build()
+            mount = plan.mission.mounts[camera]
             of_body = in_turned_frame(at_rest, CAMERA_AT_REST.T @ mount.camera_from_body)
             columns = {f"q_{axis}": of_body[:, k] for k, axis in enumerate("wxyz")}
             channel = replace(channel, columns=dict(channel.columns) | columns)

@@ -11,12 +11,11 @@ import numpy as np
 from unbend.atmosphere.estimate.sensors import FAULT_TEXTS
 from unbend.batch.keys import code_of_stages, versions
 from unbend.batch.plan import MANIFEST_VERSION, Plan
-from unbend.batch.store import RunFolder
 from unbend.config import Mission
 from unbend.exit_codes import exit_code_of
 from unbend.flight.rotations import matrices_of
 from unbend.flight.stations import NO_TIME, Stations
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.refraction.camera.camera import NO_DISTORTION
 from unbend.refraction.effect import FlightAir
 from unbend.refraction.kernels.columns import CABIN, WINDOW
@@ -24,7 +23,6 @@ from unbend.stages.correction import CorrectionSetup
 from unbend.stages.inputs import FlightLog
 from unbend.stages.statistics import Statistics
 from unbend.tables.refraction_mark import REFRACTION_APPLIED, REFRACTION_KEY, REFRACTION_REMOVED
-from unbend.tables.writing import table_of_profiles, table_of_stations, write_parquet
 from unbend.units import ARCSEC, Array
 
 _MEANING = (
@@ -45,15 +43,6 @@ def observation_metadata(mission: Mission) -> dict[str, str]:
         "unbend.pixel_origin": mission.observations.pixel_origin,
         "unbend.ground_reference": mission.ground.reference,
     }
-
-
-def write_tables(folder: RunFolder, stations: Stations, air: FlightAir) -> None:
-    for name, table in (
-        ("stations.parquet", table_of_stations(stations, air.series)),
-        ("profile.parquet", table_of_profiles(air.adjustment, air.series)),
-    ):
-        write_parquet(table, folder.place(name))
-        folder.seal(name)
 
 
 def manifest_of(

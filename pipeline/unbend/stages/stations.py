@@ -29,9 +29,9 @@ from unbend.flight.stations import (
     sigma_notes,
     unusable_station_notes,
 )
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.stages.cabin_air import cabin_from_log
-from unbend.stages.exposure_setup import camera_of_rows, windows_of_mission
+from unbend.stages.exposure_setup import camera_of_rows
 from unbend.stages.inputs import FlightLog, read_camera_events
 from unbend.stages.multi_image.image_events import assigned_stations
 from unbend.stages.multi_image.oriented_stations import oriented_stations
@@ -245,7 +245,7 @@ def with_cabins(
     mission: Mission, flight: FlightLog, stations: Stations, ledger: Ledger
 ) -> Stations:
     """The stations with the air in the cabin, and flagged where a window's direction is unknown."""
-    for name, window in windows_of_mission(mission).items():
+    for name, window in mission.windows.items():
         if window.cabin is not None and mission.cameras[name].needs_cabin:
             logged = cabin_from_log(stations, name, window.cabin, flight.channels, flight.roles)
             stations = ledger.take(logged)
@@ -257,7 +257,7 @@ def with_cabins(
 def mount_of(plan: Plan, camera: str) -> tuple[Mount, bool]:
     """The mount with its lever arm; True where the way to the camera is in the events' file."""
     mission = plan.mission
-    mount = mission.mount[camera].build()
+    mount = mission.mounts[camera]
     events = mission.position_events.get(camera)
     trajectory = mission.stations.trajectory
     at_camera = replace(mount, lever_arm_m=(0.0, 0.0, 0.0))

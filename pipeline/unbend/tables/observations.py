@@ -16,7 +16,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from unbend.errors import InputError
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.tables.delimited import csv_names, open_csv, scan_csv
 from unbend.tables.geodata.object_points import ObjectPoints
 from unbend.tables.imports.blocks import BLOCKS, block_rows

@@ -16,11 +16,11 @@ import pytest
 from tests.draws import SEED
 from unbend.batch import object_store as place_module
 from unbend.batch import publication
+from unbend.batch.finished_run import verify_run
 from unbend.batch.object_store import Place
 from unbend.batch.publication import Publication, rehearse_place, remove_orphans
 from unbend.batch.store import find_damage, read_manifest
 from unbend.errors import OutputInUseError, StorageError
-from unbend.stages.commands.finished_run import verify_run
 
 RACES = int(os.environ.get("UNBEND_RACES", "4"))
 

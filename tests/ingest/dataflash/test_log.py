@@ -18,7 +18,7 @@ from unbend.flight.roles import assign_roles
 from unbend.ingest import Log, open_log
 from unbend.ingest.buffers import view_of_bytes
 from unbend.ingest.dataflash.records import find_records
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 
 DEGREE = np.pi / 180.0
 

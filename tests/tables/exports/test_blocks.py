@@ -29,7 +29,7 @@ from unbend.atmosphere.series.profile_series import TimedProfile, constant_serie
 from unbend.errors import ConfigError, InputError, MissionError
 from unbend.flight.rotations import matrices_of
 from unbend.flight.stations import empty_stations
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.refraction.camera.brown_conrady import BrownConrady
 from unbend.refraction.camera.camera import Camera
 from unbend.refraction.camera.general_frame import GeneralFrame

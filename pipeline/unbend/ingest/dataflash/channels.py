@@ -25,7 +25,7 @@ from unbend.ingest.channel_builder import DecodedRows, channel_of, with_both_hei
 from unbend.ingest.dataflash.records import HEADER, INSTANCE_FIELDS, RecordWalker
 from unbend.ingest.fields import MAPS, MessageMap, extract, is_number, message_maps
 from unbend.ingest.log import PLACE, Table
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.units import Integers
 
 RECEIVERS = ("GPS", "GPS2")

@@ -14,7 +14,7 @@ from unbend.ingest.buffers import open_view
 from unbend.ingest.dataflash import channels, records
 from unbend.ingest.fields import is_number
 from unbend.ingest.log import PLACE, Contents, DamagedBytes, LogFormat, Table
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.units import Integers
 
 # Fields that are used as they are logged, without a field map that checks that they are numbers.

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from unbend.ingest.buffers import SPAN, FileView, Runs, allocate, gather
 from unbend.ingest.log import PLACE, DamagedBytes, Table, in_order
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.units import Integers, Mask
 
 MAGIC = b"\xa3\x95"

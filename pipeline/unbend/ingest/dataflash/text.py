@@ -16,7 +16,7 @@ from unbend.ingest.dataflash.channels import wanted_fields
 from unbend.ingest.dataflash.log import contents_of
 from unbend.ingest.dataflash.records import merge_tables
 from unbend.ingest.log import PLACE, Contents, DamagedBytes, LogFormat, Table
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 
 LONGEST = 4096  # bytes of a line; real ones have up to 250
 ROWS = 4096  # of one type that are made columns at once: as text they need 20 times the memory

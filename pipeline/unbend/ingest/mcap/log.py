@@ -20,7 +20,7 @@ from unbend.ingest.log import PLACE, Contents, LogFormat, Table, in_order
 from unbend.ingest.mcap import samples, topics
 from unbend.ingest.mcap.cdr import SchemaError
 from unbend.ingest.mcap.records import MAGIC, Damage, Definition, Messages, Opcode, RecordWalk
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.units import Integers, Rows
 
 REASONS = ("LOG-SCHEMA", "LOG-NOT-ROS2", "LOG-NO-PROTOBUF")  # for no table

@@ -25,7 +25,7 @@ from unbend.ingest.buffers import ColumnStore
 from unbend.ingest.channel_builder import ColumnStores, DecodedRows, captured_rows, without_stray
 from unbend.ingest.log import PLACE
 from unbend.ingest.mcap.cdr import short
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.units import NANOSECONDS_PER_SECOND, Array, Mask, Rows
 
 _NAMED_VALUE_INT = 4.0  # DebugValue.TYPE_NAMED_VALUE_INT: the value is in another field

@@ -17,7 +17,7 @@ from unbend.ingest.buffers import ColumnStore
 from unbend.ingest.channel_builder import ColumnStores, DecodedRows, channel_of, with_both_heights
 from unbend.ingest.fields import MessageMap, extract, message_maps
 from unbend.ingest.tlog import clock
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.units import Mask, Rows
 
 # A key with a dot is a second channel out of the same message.

@@ -17,7 +17,7 @@ from unbend.flight.channels import TimeArray
 from unbend.flight.clock import BOOT_STEP_NS, STRAY_ROWS, UNIX_US_FROM, clock_map, stray_times
 from unbend.ingest.boot_clock import BootClock, UtcReadings, fit_clock, microseconds, timeline
 from unbend.ingest.buffers import ColumnStore
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.units import NANOSECONDS_PER_SECOND, Integers, Mask, Rows
 
 MILLISECOND, MICROSECOND = 1_000_000, 1_000  # [ns]

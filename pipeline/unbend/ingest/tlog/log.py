@@ -12,7 +12,7 @@ from unbend.ingest.buffers import open_view
 from unbend.ingest.log import Contents, LogFormat, Table
 from unbend.ingest.tlog import channels, clock
 from unbend.ingest.tlog.scan import SILENT_US, Scan, Silence, frame_length
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 
 SILENT_NS = SILENT_US * clock.MICROSECOND
 _CARRIED = {key.partition(".")[0] for key in channels.MESSAGES}

@@ -18,7 +18,7 @@ from unbend.ingest.channel_builder import DecodedRows, captured_rows, channel_of
 from unbend.ingest.fields import CAPTURE_UTC_FIELD, PX4_TOPICS, UTC_FIELD, MessageMap, extract
 from unbend.ingest.log import Contents, LogFormat, Table
 from unbend.ingest.ulog import records
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 
 SILENCE_NS = 100_000_000  # PX4 logs tens to hundreds of messages in this time
 LONGEST_INTERVAL_NS = 200_000_000  # of a topic that shows whether anything was logged

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from unbend.ingest.buffers import ColumnStore, FileView, gather
 from unbend.ingest.log import DamagedBytes
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 
 MAGIC = b"ULog\x01\x12\x35"
 FILE_HEADER = 16  # bytes

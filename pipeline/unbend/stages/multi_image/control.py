@@ -15,7 +15,7 @@ from unbend.errors import InputError
 from unbend.flight.heights import HeightSystem
 from unbend.flight.stations import Stations
 from unbend.geodesy import ecef_of_geodetic, enu_from_ecef
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.stages.correction import CorrectionSetup, correct_batch
 from unbend.stages.exposure_setup import orientations_of_mission
 from unbend.stages.multi_image.point_heights import read_points

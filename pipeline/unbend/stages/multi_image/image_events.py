@@ -21,9 +21,8 @@ from unbend.flight.exposures import Events, refuse_repeated_images
 from unbend.flight.image_names import name_series
 from unbend.flight.stations import NO_TIME, Stations
 from unbend.geodesy import principal_radii
-from unbend.ledger import Ledger, Notes, loss, note, warning
+from unbend.messages import Ledger, Notes, loss, note, warning
 from unbend.refraction.camera.camera import Camera
-from unbend.stages.exposure_setup import cameras_of_mission
 from unbend.tables.imports.exif import ImageTimes, read_image_times
 from unbend.tables.observations import Observations
 from unbend.tables.tie_points import TiePoints, tie_rays
@@ -75,7 +74,7 @@ def assigned_stations(
             chosen.append(exposed)
             continue
         images = images_of_camera(pattern, observations.images, files)
-        camera = cameras_of_mission(plan.mission)[exposed.camera]
+        camera = plan.mission.interior_orientations[exposed.camera]
         spoken = {
             "tie points": tie_likelihood(ties, images, camera, of_events),
             "positions": position_likelihood(images, files, of_events),

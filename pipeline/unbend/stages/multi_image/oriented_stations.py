@@ -18,8 +18,8 @@ from unbend.errors import InputError, MissionError
 from unbend.flight import heights, rotations
 from unbend.flight.image_names import renamed
 from unbend.flight.stations import NO_TIME, Stations, join_stations
-from unbend.ledger import Ledger, Notes
-from unbend.stages.exposure_setup import camera_of_rows, cameras_of_mission
+from unbend.messages import Ledger, Notes
+from unbend.stages.exposure_setup import camera_of_rows
 from unbend.stages.inputs import FlightLog, user_geoid
 from unbend.stages.multi_image.tie_point_checks import FEWEST_TIE_POINTS
 from unbend.tables.geodata.coordinate_systems import places_of
@@ -58,7 +58,7 @@ def oriented_stations(
         oriented_images.flag_far_images(stations, use=plan.mission.stations.use_suspect)
     )
     stations = check_height_above_ground(plan, flight, stations, observations, ledger)
-    rays = tie_rays(ties, stations.image, stations.camera, cameras_of_mission(plan.mission))
+    rays = tie_rays(ties, stations.image, stations.camera, plan.mission.interior_orientations)
     if np.unique(rays.point).size < FEWEST_TIE_POINTS:
         return stations
     found = {}
@@ -222,8 +222,7 @@ def stations_of_table(
         table.image, camera, time_ns, lat, lon, h, section.is_msl(table.heights), quaternion,
         of_body, sigmas_of_block(section, table, tilt_rad),
     )  # fmt: skip
-    mounts = {name: mount.build() for name, mount in mission.mount.items()}
-    stations = oriented_images.stations_of_images(images, mounts, flight.heights)
+    stations = oriented_images.stations_of_images(images, mission.mounts, flight.heights)
     stations = ledger.take(oriented_images.flag_above_horizon(stations))
     oriented_images.refuse_turned_images(stations)
     return stations

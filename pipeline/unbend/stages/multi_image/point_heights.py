@@ -19,7 +19,7 @@ from unbend.errors import InputError, MissionError
 from unbend.flight.heights import HeightSystem, known_home_m
 from unbend.flight.stations import Stations
 from unbend.geodesy import ecef_of_geodetic
-from unbend.ledger import Entry, Kind, Ledger
+from unbend.messages import Entry, Kind, Ledger
 from unbend.refraction.image import correct_observations
 from unbend.stages.correction import CorrectionSetup
 from unbend.stages.exposure_setup import orientations_of_mission

@@ -19,7 +19,7 @@ import pyarrow.compute as pc
 
 from unbend.block import calibration_fit as fit
 from unbend.errors import MissionError
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.refraction.camera.brown_conrady import BrownConrady
 from unbend.refraction.camera.camera import Camera
 from unbend.refraction.camera.opencv_fisheye import OpenCVFisheye

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unbend.errors import InputError
-from unbend.ledger import Notes, note, warning
+from unbend.messages import Notes, note, warning
 from unbend.refraction.kernels.columns import BLOCK, TILE, TerrainGrid
 from unbend.refraction.kernels.terrain import extremes_of_tile
 from unbend.tables.geodata.coordinate_systems import GridSystem, grid_system

@@ -15,7 +15,7 @@ from unbend.flight.clock import SECONDS_PER_WEEK
 from unbend.flight.heights import GeodeticOrigin
 from unbend.flight.stations import NO_TIME
 from unbend.geodesy import geodetic_of_ecef
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.tables.geodata.coordinate_systems import places_of
 from unbend.tables.imports.stated import Stated, channel_of_rows
 from unbend.tables.text_columns import (

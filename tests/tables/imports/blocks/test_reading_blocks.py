@@ -17,7 +17,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from unbend.errors import InputError
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.tables.imports.blocks import (
     block_reader,
     block_rows,

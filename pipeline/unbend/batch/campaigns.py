@@ -173,6 +173,6 @@ def keep_unchanged(chosen: Selection, ended: Mapping[MissionRef, MissionEnd]) ->
 
 def run_chosen(ref: MissionRef, **options: Any) -> Outcome:
     """`run_mission`, which is imported by the process that runs it: a second of its time."""
-    from unbend.stages.story import run_mission
+    from unbend.batch.runs import run_mission
 
     return run_mission(ref, **options)

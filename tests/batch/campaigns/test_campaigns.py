@@ -19,7 +19,7 @@ import yaml
 from tests.conftest import run_command, without_plots
 from tests.stages.test_adjusted_profile import sounding_text
 from unbend.batch import changes, file_hashes
-from unbend.stages.commands.campaigns import select_missions
+from unbend.batch.campaigns import select_missions
 
 OWN = ("mission", "log", "observations", "events")
 
@@ -246,9 +246,9 @@ def test_other_defaults_are_other_missions(done):
 @pytest.mark.parametrize("option", ["--force", "--verify-inputs"])
 def test_asked_to_look_again_it_looks(done, unbend, monkeypatch, option):
     seen = []
-    from unbend.stages import story
+    from unbend.batch import runs
 
-    monkeypatch.setattr(story, "make_plan", lambda *a, **k: seen.append(k) or real(*a, **k))
+    monkeypatch.setattr(runs, "make_plan", lambda *a, **k: seen.append(k) or real(*a, **k))
     real = changes.make_plan
     assert unbend("run", done.file, option, "--mission", "flight-0").code == 0
     assert len(seen) == 1

@@ -28,7 +28,7 @@ from unbend.flight.roles import assign_roles
 from unbend.ingest import open_log
 from unbend.ingest.log import utc_text
 from unbend.ingest.overview import flight_of
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.tables.delimited import csv_names
 from unbend.tables.geodata.geoid import package_geoid
 from unbend.tables.imports.blocks import block_reader, damage_refused

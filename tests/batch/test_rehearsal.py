@@ -12,10 +12,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from unbend.batch import rehearsal
+from unbend.batch.runs import check_mission, run_mission
 from unbend.errors import ConfigError, MissionError, StorageError, UnbendError
-from unbend.ledger import Ledger
-from unbend.stages.commands import rehearsal
-from unbend.stages.story import check_mission, run_mission
+from unbend.messages import Ledger
 from unbend.tables.observations import RowSample, open_observations
 
 pytestmark = pytest.mark.usefixtures("plain_report")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from unbend.ledger import Entry, Kind, Ledger, fallback, loss, note, warning
+from unbend.messages import Entry, Kind, Ledger, fallback, loss, note, warning
 
 MAKERS = {"note": note, "fallback": fallback, "warning": warning, "loss": loss}
 
@@ -18,7 +18,7 @@ def test_an_entry_of_each_kind_by_function_and_by_method(kind):
     assert list(ledger) == [entry]
     assert ledger.has_losses == (kind == "loss")
     assert ledger.rows() == [
-        {"kind": kind, "code": "A-B", "what": "what", "where": "there", "count": 3}
+        {"kind": kind, "code": "A-B", "what": "what", "where": "there", "count": 3, "values": {}}
     ]
 
 

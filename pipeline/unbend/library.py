@@ -24,11 +24,12 @@ import unbend.refraction as refraction
 from unbend.atmosphere import Profile, standard_atmosphere
 from unbend.atmosphere.estimate.adjusted_profile import unadjusted
 from unbend.atmosphere.series.profile_series import ProfileSeries, TimedProfile, constant_series
+from unbend.batch.finished_run import air_of, stations_of
 from unbend.batch.plan import make_plan
 from unbend.config import Mission, load_mission
 from unbend.errors import UnbendError
 from unbend.flight.stations import Stations
-from unbend.ledger import Kind
+from unbend.messages import Kind
 from unbend.refraction.camera import DISTORTION_MODELS
 from unbend.refraction.effect import FlightAir
 from unbend.refraction.kernels.columns import BLOCK, TILE, TerrainGrid
@@ -38,7 +39,6 @@ from unbend.refraction.kernels.terrain import extremes_of_tile
 from unbend.refraction.target_heights import terrain_heights
 from unbend.refraction.window import refract_at_window
 from unbend.report.progress import Progress
-from unbend.stages.commands.finished_run import air_of, stations_of
 from unbend.stages.correction import CorrectionSetup, correct_stream
 from unbend.stages.outputs import observation_metadata
 from unbend.stages.statistics import Statistics

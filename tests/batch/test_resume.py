@@ -21,15 +21,16 @@ from unbend.atmosphere import standard_atmosphere
 from unbend.batch import store
 from unbend.batch.file_hashes import check_unchanged
 from unbend.batch.plan import make_plan
+from unbend.batch.run_files import PartsOfRun
 from unbend.batch.store import find_damage, open_folder, read_manifest
 from unbend.batch.value_cache import packed, unpacked
 from unbend.config import load_mission
 from unbend.errors import InputError, StorageError
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.refraction.camera.camera import BrownConrady, Camera
 from unbend.refraction.image import Exposures
 from unbend.refraction.ray import rays_by
-from unbend.stages.correction import CorrectionSetup, PartsOfRun, correct_stream
+from unbend.stages.correction import CorrectionSetup, correct_stream
 from unbend.stages.ground_heights import GivenGround
 from unbend.tables.observations import open_observations
 

@@ -16,10 +16,10 @@ import yaml
 
 from tests.ingest.ulog.test_log import flight
 from tests.logs import at_hand
+from unbend.batch import mission_proposal
+from unbend.batch.mission_proposal import FoundLog, propose_mission, proposed_cameras
 from unbend.flight.channels import Channel, Source
 from unbend.flight.image_names import name_series
-from unbend.stages.commands import mission_proposal
-from unbend.stages.commands.mission_proposal import FoundLog, propose_mission, proposed_cameras
 
 SHARED = Path(__file__).resolve().parents[3] / "shared" / "logs"
 CAMERA = {"width_px": 6000, "height_px": 4000, "f_px": 5000.0, "cx_px": 3000.0, "cy_px": 2000.0,

@@ -15,12 +15,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from unbend.batch import executors
+from unbend.batch import executors, run_files
 from unbend.batch.executors import Child, Lost, end_of
+from unbend.batch.run_files import PartsOfRun, check_wanted
 from unbend.batch.store import RunFolder
 from unbend.errors import StorageError
-from unbend.stages import correction
-from unbend.stages.correction import PartsOfRun, check_wanted
 from unbend.stages.statistics import Statistics
 
 BATCH_ROWS, COPIES = 1000, 200
@@ -44,7 +43,7 @@ def large(mission):
 @pytest.fixture
 def made_here(monkeypatch):
     """The parts that this process makes: none before another process has made one."""
-    numbers, real = [], correction.PartsOfRun.write
+    numbers, real = [], run_files.PartsOfRun.write
 
     def write(self, number, table, statistics):
         limit = time.monotonic() + 100.0
@@ -54,7 +53,7 @@ def made_here(monkeypatch):
         numbers.append(number)
         real(self, number, table, statistics)
 
-    monkeypatch.setattr(correction.PartsOfRun, "write", write)
+    monkeypatch.setattr(run_files.PartsOfRun, "write", write)
     return numbers
 
 

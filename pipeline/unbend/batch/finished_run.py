@@ -28,7 +28,7 @@ from unbend.flight.heights import HIGHEST_GROUND_M, LOWEST_GROUND_M
 from unbend.flight.stations import NO_TIME, SUSPECT, Stations
 from unbend.geodesy import Gravity
 from unbend.ingest.log import hash_file
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.refraction.image import correct_observations
 from unbend.refraction.ray import rays_by
 from unbend.stages import exposure_setup
@@ -207,9 +207,9 @@ def rebuild_run(
     table = pq.read_table(path / "stations.parquet")
     stations = stations_of(table)
     air = air_of(pq.read_table(path / "profile.parquet"), table["profile_id"])
-    windows = exposure_setup.windows_of_mission(mission)
+    windows = mission.windows
     cameras = {}
-    for name, camera in exposure_setup.cameras_of_mission(mission).items():
+    for name, camera in mission.interior_orientations.items():
         section, plane = mission.cameras[name], name in windows and windows[name].shape == "plane"
         wide, high = (np.nan, np.nan) if section.metric is None else section.metric.pixel_um
         in_flight = section.calibration == "in_flight_uncorrected"
