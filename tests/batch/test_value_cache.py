@@ -5,7 +5,6 @@ from __future__ import annotations
 import gc
 import json
 import os
-import random
 import sys
 from pathlib import Path
 
@@ -21,7 +20,6 @@ from unbend.messages import Kind, Ledger
 from unbend.stages import correction
 
 PACKAGE = Path(unbend.__file__).parent
-SEED = random.randrange(1 << 30)
 
 
 @pytest.fixture(autouse=True)
