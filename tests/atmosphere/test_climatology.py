@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.integrate import trapezoid
 
 from unbend.atmosphere import standard_atmosphere, standard_names
 from unbend.atmosphere.climate_tables import climate_names, climate_profile, supplements_profile
@@ -88,7 +89,7 @@ def test_the_refraction_of_dry_and_moist_air_of_july():
         step = 0.5 * (1.0 / t[1:] + 1.0 / t[:-1]) * np.diff(profile.gravity.geopotential_height(h))
         p = p[0] * np.exp(-0.0341632 * np.concatenate([[0.0], np.cumsum(step)]))
         dry = profile.index.refractivity(t, p, 0.0)
-        r = [float(np.trapezoid(n - n[-1], h)) for n in (moist, dry)]
+        r = [float(trapezoid(n - n[-1], h)) for n in (moist, dry)]
         assert 100.0 * (1.0 - r[0] / r[1]) == pytest.approx(per_cent, abs=0.5)
 
 
