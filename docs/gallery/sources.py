@@ -10,7 +10,7 @@ from unbend.atmosphere.air_samples import AirSamples
 from unbend.atmosphere.climatology import climatology, month_of
 from unbend.atmosphere.estimate.adjusted_profile import build_adjusted_profile
 from unbend.atmosphere.soundings import Sounding
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 
 SIZE = (8.2, 3.8)
 CLIMBS = (1000, 3000, 6000)

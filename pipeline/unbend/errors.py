@@ -7,6 +7,7 @@ import re
 import tomllib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import cache, partial
 from importlib.resources import files
 from typing import Self
@@ -49,10 +50,65 @@ def in_agreement(text: str) -> str:
     return _ONE.sub(singular, text)
 
 
-class UnbendError(Exception):
-    """A refusal: stable ``code``, ``what`` is wrong with its numbers, ``where``, and ``remedy``.
+class Counted(int):
+    """A number that is written with its noun; in files it is the number.
 
-    >>> print(LogError("LOG-EMPTY", "the file has 0 bytes", where="a.bin", remedy="copy it again"))
+    >>> f"{Counted(1, 'image')} of {Counted(2, 'strip')}, {Counted(0, 'axis', 'axes')}"
+    '1 image of 2 strips, 0 axes'
+    """
+
+    noun: str
+
+    def __new__(cls, number: int, one: str, many: str = "") -> Self:
+        counted = super().__new__(cls, number)
+        counted.noun = one if number == 1 else many or f"{one}s"
+        return counted
+
+    def __getnewargs__(self) -> tuple[int, str, str]:  # type: ignore[override]
+        return int(self), self.noun, self.noun
+
+    def __str__(self) -> str:
+        return f"{int(self)} {self.noun}"
+
+    def __format__(self, spec: str) -> str:
+        return f"{int(self):{spec}} {self.noun}"
+
+
+Value = object
+"""What a text of a message names: str, int or float, once all rooms have their messages."""
+
+
+@dataclass(frozen=True)
+class Code:
+    """A stable code of messages and refusals, and what ``unbend help CODE`` says of it.
+
+    ``means`` what happened, ``effect`` what it does to the result, ``remedy`` what to do.
+    """
+
+    name: str
+    means: str
+    effect: str
+    remedy: str
+
+
+def rendered(text: str, values: Mapping[str, Value]) -> str:
+    """A text with the values filled in for the names in its braces; values stay as they are.
+
+    >>> rendered("{count} images of {name!r}", {"count": 2, "name": "strip {1}"})
+    "2 images of 'strip {1}'"
+    """
+    return text.format_map(values)
+
+
+class UnbendError(Exception):
+    """A refusal: its code, what is wrong with its numbers, where, and what to do.
+
+    ``text`` and ``remedy`` hold the names of ``values``, ``where`` and ``count`` in braces; ``one``
+    is the text for a count of 1, where that is another. Made by the functions of ``messages.py``
+    in each room.
+
+    >>> empty = Code("LOG-EMPTY", means="A log has no bytes.", effect="None.", remedy="Copy it.")
+    >>> print(LogError(empty, "the file has {n} bytes", where="a.bin", remedy="copy it again", n=0))
     LOG-EMPTY: the file has 0 bytes
       where: a.bin
       to do: copy it again
@@ -60,12 +116,31 @@ class UnbendError(Exception):
 
     exit_code = EXIT_REFUSED
 
-    def __init__(self, code: str, what: str, *, where: str = "", remedy: str = "") -> None:
-        self.code = code
-        self.what = in_agreement(what)
-        super().__init__(code, self.what, where, remedy)
-        self.where = where
-        self.remedy = remedy
+    def __init__(
+        self,
+        code: Code | str,
+        text: str,
+        *,
+        one: str = "",
+        where: object = "",
+        count: int = 0,
+        remedy: str = "",
+        **values: Value,
+    ) -> None:
+        self.where = str(where)
+        self.count = count
+        self.values = values
+        if isinstance(code, str):  # a text as it is, until all rooms have their messages
+            self.code = code
+            self.what = in_agreement(text)
+            self.remedy = remedy
+        else:
+            text = one if count == 1 and one else text
+            names = {"where": self.where, "count": count, **values}
+            self.code = code.name
+            self.what = rendered(text, names)
+            self.remedy = rendered(remedy, names)
+        super().__init__(self.code, self.what, self.where, self.remedy)
 
     @classmethod
     def of(cls, key: str, where: object = "", **values: object) -> Self:
@@ -76,7 +151,7 @@ class UnbendError(Exception):
 
     def __reduce__(self) -> tuple[object, ...]:
         again = partial(type(self), where=self.where, remedy=self.remedy)
-        return again, (self.code, self.what)
+        return again, (self.code, self.what), {"count": self.count, "values": self.values}
 
     def __str__(self) -> str:
         lines = [f"{self.code}: {self.what}"]

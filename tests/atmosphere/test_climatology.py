@@ -20,15 +20,13 @@ from unbend.atmosphere.climatology import (
 )
 from unbend.atmosphere.standard import known_names
 from unbend.errors import PhysicsError
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.simulate.true_air import normal_gravity
 from unbend.tables.soundings import read_sounding
 
 SHARED = Path(__file__).resolve().parents[2].parent / "shared"
-tables = pytest.mark.skipif(
-    not SHARED.is_dir(), reason="the tables of ../shared are not beside the repository"
-)
-AFGL = [name for name in climate_names() if name.startswith("afgl")]
+tables = pytest.mark.shared("atmospheres", "soundings")
+TRANSCRIBED = {path.stem for path in (SHARED / "atmospheres").glob("*.csv")}
 
 
 def rows(name: str) -> list[dict[str, str]]:
@@ -62,7 +60,7 @@ def test_the_nine_supplements():
 
 
 @tables
-@pytest.mark.parametrize("name", AFGL)
+@pytest.mark.parametrize("name", [name for name in climate_names() if name in TRANSCRIBED])
 def test_afgl(name):
     levels = [row for row in rows(f"{name}.csv") if float(row["z_km"]) < 80.0]
     h, t, p, water = (

@@ -21,7 +21,7 @@ from unbend.atmosphere.estimate.adjusted_profile import Adjustment, build_adjust
 from unbend.atmosphere.estimate.sensors import SensorCalibration, SensorSettings
 from unbend.atmosphere.estimate.state import SensorFault
 from unbend.atmosphere.series.time_windows import part_of_flight
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 
 US1976 = standard_atmosphere("us1976")
 BIAS = SensorFault.THERMOMETER_BIAS

@@ -24,7 +24,7 @@ from unbend.atmosphere.profile import Profile
 from unbend.atmosphere.refractive_index import IndexModel
 from unbend.errors import PhysicsError
 from unbend.geodesy import lambert_gravity, normal_gravity
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 
 GMR = 9.80665 * 28.9644 / 8314.32  # [K per geopotential metre]
 

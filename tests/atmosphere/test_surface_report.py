@@ -9,7 +9,7 @@ import pytest
 
 from unbend.atmosphere.surface_report import parse_metar, station_pressure, surface_report
 from unbend.errors import InputError
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.simulate.true_air import saturation_pressure_pa
 
 

@@ -53,14 +53,19 @@ def name_of(call: ast.Call) -> str:
 
 
 def codes(callers: set[str]) -> dict[str, str]:
-    """Code -> file of every call of these functions with a literal code."""
+    """Code -> file of every call of these functions with a literal code, and of every `Code`."""
     found = {}
     for path in sorted(PACKAGE.rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if not isinstance(node, ast.Call):
                 continue
             code = (first_words(node) or "").partition("/")[0]
-            if name_of(node) in callers and code and code == code.upper() and " " not in code:
+            if (
+                name_of(node) in {*callers, "Code"}
+                and code
+                and code == code.upper()
+                and " " not in code
+            ):
                 found[code] = f"{path.relative_to(PACKAGE)}:{node.lineno}"
     return found
 

@@ -80,7 +80,7 @@ def test_the_counts_count(tmp_path):
     (tmp_path / "room").mkdir()
     (tmp_path / "room" / "thing.py").write_text(
         '"""A thing."""\n'
-        "from unbend.ledger import Ledger\n\n"
+        "from unbend.messages import Ledger\n\n"
         "class Thing:\n    def method(self, a, b, c, d, e): ...\n\n"
         "def wide(a, b, c, d, e, f, *, g):\n    return _once(a)\n\n"
         "def _once(a):  # has one caller\n    return _twice(a) + _twice(a)\n\n"

@@ -14,7 +14,7 @@ import pytest
 import unbend
 from unbend import errors
 from unbend.errors import LogError, in_agreement
-from unbend.ledger import Entry, Kind
+from unbend.messages import Entry, Kind
 
 PACKAGE = Path(unbend.__file__).parent
 PERSON = re.compile(
@@ -53,7 +53,7 @@ PRIVATE = re.compile(
     r"\b(?:told|doubtful|believ\w*|betray\w*|widened|heed\w*|feign\w*|honest\w*)\b", re.IGNORECASE
 )
 """Words of this program for what has a name in the field: reported, sigma inflation factor, ..."""
-ROOT = PACKAGE.parent
+ROOT = PACKAGE.parents[1]
 
 
 def test_texts_have_no_private_words():

@@ -18,7 +18,7 @@ from unbend.flight.clock import (
     stray_times,
     utc_of_gps,
 )
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 
 SECOND = 10**9
 

@@ -20,7 +20,7 @@ from unbend.flight.roles import assign_roles
 from unbend.flight.station_builder import build_stations
 from unbend.flight.stations import Stations
 from unbend.ingest import open_log
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 
 SECOND = 1_000_000_000
 START_US = 1_700_000_000_000_000

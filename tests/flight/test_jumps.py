@@ -7,7 +7,7 @@ import pytest
 
 from unbend.flight.channels import Channel, Source
 from unbend.flight.evidence.quality import RANGES, mask_impossible_values, plausible_samples
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 
 RATE_HZ = 10.0
 

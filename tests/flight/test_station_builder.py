@@ -29,7 +29,7 @@ from unbend.flight.mount import Mount
 from unbend.flight.station_builder import build_stations
 from unbend.flight.stations import append_unmatched_images, unusable_station_notes
 from unbend.geodesy import GeoidGrid
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.refraction.window import Cabin
 from unbend.stages.cabin_air import cabin_from_log
 

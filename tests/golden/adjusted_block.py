@@ -19,7 +19,7 @@ from unbend.atmosphere import Profile, profile_from_table, standard_atmosphere
 from unbend.atmosphere.climatology import climatology, month_of
 from unbend.atmosphere.estimate.adjusted_profile import build_adjusted_profile
 from unbend.geodesy import lambert_gravity
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.refraction import Camera, Exposures, correct_observations, ray_table
 from unbend.simulate.block import GroundPoints, TrueObservations, TrueStations, observe
 from unbend.simulate.flight import UNDULATION_M, AirState
@@ -218,7 +218,7 @@ def correct(block: Block, profile: Profile, pixels: np.ndarray | None = None) ->
             seen.station[rows], exposures, camera=camera, table=table,
         )  # fmt: skip
         assert not done.status.any()
-        found[rows] = np.stack([done.x_px, done.y_px], axis=1)
+        found[rows] = np.stack([done.x_corrected_px, done.y_corrected_px], axis=1)
     return found
 
 

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from unbend.atmosphere import standard_atmosphere
 from unbend.atmosphere.series.profile_series import TimedProfile, constant_series
 from unbend.flight.stations import empty_stations
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.refraction import Camera, Exposures
 from unbend.refraction.ray import rays_by
 from unbend.simulate.optics import enu_axes, height_and_up, to_ecef
@@ -32,9 +32,7 @@ from .conftest import SHARED
 pycolmap = pytest.importorskip("pycolmap")
 
 FOLDER = SHARED / "ba" / "dbat_sxb"
-pytestmark = pytest.mark.skipif(
-    not FOLDER.is_dir(), reason="../shared/ba is not beside this checkout"
-)
+pytestmark = pytest.mark.shared("ba")
 PLACE = np.radians(48.58), np.radians(7.75)
 ORIGIN = np.array([1_000_000.0, 112_400.0, 0.0])
 ADJUSTED_BY_DBAT = {

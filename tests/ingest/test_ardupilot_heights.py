@@ -6,7 +6,7 @@ import numpy as np
 
 from unbend.flight.channels import Channel, Source
 from unbend.ingest.channel_builder import HEIGHT_OPTION, with_both_heights
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 
 # The undulation at Zurich is 47.5 m: the ellipsoid lies below sea level.
 SEA_LEVEL, UNDULATION, ELLIPSOID = 552.5, 47.5, 600.0

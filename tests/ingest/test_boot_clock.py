@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from unbend.ingest.boot_clock import BootClock, UtcReadings, fit_clock, timeline
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 
 SECOND = 10**9
 UTC = 1_700_000_000 * SECOND

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from unbend.flight.channels import Source
 from unbend.ingest.channel_builder import DecodedRows, channel_of
-from unbend.ingest.fields import MessageMap, parse_columns
-from unbend.ledger import Kind, Ledger
+from unbend.ingest.field_maps import MessageMap, parse_columns
+from unbend.messages import Kind, Ledger
 
 SHOT = MessageMap(
     tuple(parse_columns(["lat_rad lon_rad = lat lon [deg]", "h_msl_m = alt"], {})),

@@ -6,7 +6,7 @@ import numpy as np
 
 from unbend.flight.channels import Source
 from unbend.ingest.channel_builder import DecodedRows, captured_rows
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 
 
 def shots(result: list[float], index: list[float]) -> DecodedRows:

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from unbend.flight.channels import Channel, Source
-from unbend.ingest.log import Contents
+from unbend.ingest.flight_log import Contents
 from unbend.ingest.receiver_delay import estimated_delay, stated_delay, with_receiver_delay
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 
 SECOND = 1_000_000_000
 NOW_NS = 1_700_000_000 * SECOND

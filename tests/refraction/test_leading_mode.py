@@ -117,7 +117,9 @@ def along(airs, mode, sigmas: float):
 
 
 def difference(one, two) -> np.ndarray:
-    return np.stack([one.x_px - two.x_px, one.y_px - two.y_px])
+    return np.stack(
+        [one.x_corrected_px - two.x_corrected_px, one.y_corrected_px - two.y_corrected_px]
+    )
 
 
 def is_close(found, expected) -> bool:
@@ -208,7 +210,7 @@ def test_one_kelvin_behind_a_level_pane():
             x, np.array([plain.cy_px]), np.zeros(1), np.zeros(1, np.int64), exposures, camera=plain,
             table=ray_table(air),
         )  # fmt: skip
-        shifted.append(np.arctan((done.x_px[0] - plain.cx_px) / plain.fx_px))
+        shifted.append(np.arctan((done.x_corrected_px[0] - plain.cx_px) / plain.fx_px))
         r_c.append(done.r_c_rad[0])
     ppm = 1e6 / np.tan(np.radians(10.0))
     assert abs(shifted[0] - shifted[1]) * ppm == pytest.approx(total, rel=0.01)

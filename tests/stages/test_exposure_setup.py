@@ -17,7 +17,7 @@ from unbend.flight.heights import HeightSystem
 from unbend.flight.mount import Mount
 from unbend.flight.station_builder import build_stations, flag_missing_aircraft_attitude
 from unbend.flight.stations import Stations, join_stations
-from unbend.ledger import Kind, Ledger
+from unbend.messages import Kind, Ledger
 from unbend.refraction.camera.camera import LensInAir
 from unbend.refraction.printed_tables import gyer_air, printed_table
 from unbend.refraction.window import Cabin, Window, refract_at_window

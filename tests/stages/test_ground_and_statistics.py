@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from unbend.ledger import Kind, Ledger
+from unbend.messages import Kind, Ledger
 from unbend.refraction.camera.camera import Camera
 from unbend.refraction.image import Corrections
 from unbend.refraction.status_codes import (
@@ -20,7 +20,8 @@ from unbend.refraction.status_codes import (
     OUTSIDE_CAMERA,
     STATUS_NAMES,
 )
-from unbend.stages.ground_heights import GivenGround, GroundHeights, plausible_heights
+from unbend.stages.correction_setup import GroundHeights
+from unbend.stages.ground_heights import GivenGround, plausible_heights
 from unbend.stages.statistics import Statistics, evenly_spaced
 
 

@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from unbend.errors import InputError
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.tables import delimited
 from unbend.tables.imports.user_tables import read_events
 from unbend.tables.observations import open_observations

@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from unbend.errors import InputError
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.tables.observations import open_observations
 from unbend.tables.schemas import DISPLACED_COLUMNS, OBSERVATION_COLUMNS
 

@@ -9,7 +9,7 @@ import pytest
 from scipy.io import netcdf_file
 
 from unbend.errors import InputError
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.tables.soundings import read_sounding
 
 RELEASE_S = 1_700_000_000

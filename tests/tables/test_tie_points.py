@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.tables import tie_points
 from unbend.tables.observations import Observations, open_observations
 from unbend.tables.pixels import PixelSystem

@@ -19,7 +19,7 @@ from unbend.atmosphere.series.profile_series import ProfileSeries, TimedProfile
 from unbend.errors import InputError
 from unbend.flight.stations import empty_stations
 from unbend.geodesy import lambert_gravity
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.tables import delimited
 from unbend.tables.exports.format import write_csv_stream
 from unbend.tables.imports.user_tables import read_events

@@ -14,7 +14,7 @@ from enum import Enum, EnumType
 from typing import Any
 
 from unbend.caches import kept_values
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 
 _OTHERS = {
     "numpy": {"_frombuffer", "_reconstruct", "scalar", "ndarray", "dtype"},

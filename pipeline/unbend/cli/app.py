@@ -29,7 +29,7 @@ from unbend.report.words import visible
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from unbend.ledger import Ledger
+    from unbend.messages import Ledger
 
 _ORDER = (
     "init", "schema", "help", "run", "check", "status", "stations", "inspect", "angle", "radial",

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from unbend.flight.channels import TimeArray
-from unbend.ledger import Entry, loss, note
+from unbend.messages import Entry, loss, note
 from unbend.units import NANOSECONDS_PER_SECOND, UNIX_NS_OF_GPS_EPOCH, Array, Integers, Mask, Rows
 
 SECONDS_PER_WEEK = 604_800

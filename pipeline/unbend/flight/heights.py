@@ -13,7 +13,7 @@ from unbend.flight.channels import Channel
 from unbend.flight.stations import Stations
 from unbend.flight.trajectory import interpolate
 from unbend.geodesy import GeoidGrid, offset_geodetic
-from unbend.ledger import Entry, Notes, finding, loss, note, warning
+from unbend.messages import Entry, Notes, finding, loss, note, warning
 from unbend.units import Array, Integers
 
 STEADY_HOME_M = 2.0  # the take-off height of a flight does not change by more than this [m]

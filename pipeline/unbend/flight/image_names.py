@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from unbend.errors import MissionError
-from unbend.ledger import Notes, note
+from unbend.messages import Notes, note
 from unbend.units import Names
 
 Difference = Literal["case", "extension", "folder", "digits"]

@@ -9,7 +9,7 @@ from unbend.flight import rotations
 from unbend.flight.channels import Channel
 from unbend.flight.rotations import CAMERA_AT_REST, down_in_body
 from unbend.flight.trajectory import attitude_at
-from unbend.ledger import Entry, Notes, note, warning
+from unbend.messages import Entry, Notes, note, warning
 from unbend.units import Array
 
 _Q = ("q_w", "q_x", "q_y", "q_z")

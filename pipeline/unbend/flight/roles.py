@@ -8,7 +8,7 @@ import numpy as np
 from unbend.errors import MissionError
 from unbend.flight.channels import ROLE_COLUMNS, Channel
 from unbend.flight.trajectory import interpolate
-from unbend.ledger import Entry, Notes, loss, note, warning
+from unbend.messages import Entry, Notes, loss, note, warning
 
 # Roles of which a second sensor is a spare: the first of several equals is taken.
 _SPARES = {"position", "height", "attitude"}

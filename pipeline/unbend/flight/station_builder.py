@@ -18,7 +18,7 @@ from unbend.flight.heights import HeightSystem, heights_at
 from unbend.flight.mount import Mount, is_of_gimbal
 from unbend.flight.rotations import NED_FROM_ENU, quaternion_products
 from unbend.flight.stations import STATION_OK, Stations, empty_stations
-from unbend.ledger import Notes, loss
+from unbend.messages import Notes, loss
 from unbend.units import Array, Mask
 
 

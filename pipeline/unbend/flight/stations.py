@@ -13,7 +13,7 @@ from unbend.atmosphere.profile import Profile
 from unbend.atmosphere.series.profile_series import ProfileSeries
 from unbend.flight.image_names import proposal
 from unbend.geodesy import offset_geodetic
-from unbend.ledger import Entry, Notes, loss, note
+from unbend.messages import Entry, Notes, loss, note
 from unbend.units import DEGREE, HECTOPASCAL, Array, Integers, Mask, Names
 
 STATION_OK = "ok"

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from unbend.flight import clock
 from unbend.flight.channels import TimeArray
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.units import Integers, Mask, Rows
 
 LOWEST_FIX = 3  # 3D; both GPS_FIX_TYPE of MAVLink and GPS.Status of ArduPilot

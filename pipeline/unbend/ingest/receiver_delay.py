@@ -13,8 +13,9 @@ import numpy as np
 from unbend.flight.channels import Channel, TimeArray
 from unbend.flight.trajectory import interpolate
 from unbend.geodesy import principal_radii, wrapped
-from unbend.ingest.log import Contents, Table
-from unbend.ledger import Ledger
+from unbend.ingest.flight_log import Contents
+from unbend.ingest.message_tables import Table
+from unbend.messages import Ledger
 from unbend.units import Array
 
 _RECEIVERS = ("GPS", "GPS2", "GPS_RAW_INT", "GPS2_RAW", "sensor_gps", "vehicle_gps_position")

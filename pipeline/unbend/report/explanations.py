@@ -1,14 +1,16 @@
 """What a key, a code or an exit code means: the words of `unbend help`."""
 
 import difflib
+import importlib
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from functools import cache
 from importlib import resources
+from pathlib import Path
 from typing import NamedTuple
 
 from unbend.config.schema import campaign_keys, mission_keys
-from unbend.errors import ConfigError
+from unbend.errors import Code, ConfigError
 
 _MOST_LISTED = 8
 _NUMBERS_AND_STATUSES = {"exit": "exit code {}", "observations": "{} (status of observations)",
@@ -32,10 +34,22 @@ class Meaning(NamedTuple):
 def meanings() -> Mapping[str, Mapping[str, Meaning]]:
     """Of ``codes`` of refusals and of the ledger, ``exit`` codes, and statuses."""
     text = resources.files(__package__).joinpath("codes.toml").read_text("utf-8")
-    return {
+    found = {
         of: {word: Meaning(**entry) for word, entry in entries.items()}
         for of, entries in tomllib.loads(text).items()
     }
+    for code in codes():
+        found["codes"][code.name] = Meaning(code.means, code.effect, code.remedy)
+    return found
+
+
+def codes() -> Iterator[Code]:
+    """The codes of all rooms, which stand in modules called messages."""
+    root = Path(str(resources.files("unbend")))
+    for path in sorted(root.rglob("messages.py")):
+        words = path.relative_to(root.parent).with_suffix("").parts
+        room = importlib.import_module(".".join(words))
+        yield from (value for value in vars(room).values() if isinstance(value, Code))
 
 
 def explain(word: str) -> list[str]:

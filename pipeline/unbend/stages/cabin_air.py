@@ -16,7 +16,7 @@ from unbend.flight.channels import Channel
 from unbend.flight.station_builder import mark_suspect
 from unbend.flight.stations import Stations
 from unbend.flight.trajectory import interpolate
-from unbend.ledger import Ledger, Notes, fallback, finding, loss, warning
+from unbend.messages import Ledger, Notes, fallback, finding, loss, warning
 from unbend.refraction.camera.camera import LensInAir
 from unbend.refraction.window import (
     SCHEDULE_CEILING_M,

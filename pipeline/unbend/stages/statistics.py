@@ -12,7 +12,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from unbend.flight.heights import HIGHEST_GROUND_M, LOWEST_GROUND_M
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.refraction.camera.camera import Camera
 from unbend.refraction.image import Corrections
 from unbend.refraction.status_codes import OK, STATUS_NAMES

@@ -10,7 +10,7 @@ import numpy as np
 from unbend.atmosphere import soundings
 from unbend.atmosphere.soundings.levels import FILLS, LARGEST, radians, to_si
 from unbend.errors import InputError
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.units import NANOSECONDS_PER_SECOND, Array
 
 # Room for decades of one station; a larger file is of another kind, and would fill memory.

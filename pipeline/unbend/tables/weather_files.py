@@ -18,7 +18,7 @@ from unbend.atmosphere.soundings.level_checks import FEWEST_LEVELS
 from unbend.atmosphere.soundings.model_field import ModelField
 from unbend.errors import InputError
 from unbend.geodesy import longitudes_near
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.units import DEGREE, HECTOPASCAL, STANDARD_GRAVITY, Array, Integers
 
 FARTHEST_H = 6.0  # farther from every time of the file a flight is refused [h]

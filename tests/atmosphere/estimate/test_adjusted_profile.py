@@ -13,7 +13,7 @@ from unbend.atmosphere.air_samples import AirSamples, SensorSamples, bin_by_heig
 from unbend.atmosphere.estimate.adjusted_profile import build_adjusted_profile, unadjusted
 from unbend.atmosphere.estimate.sensors import SensorCalibration, SensorSettings
 from unbend.atmosphere.estimate.state import SensorFault
-from unbend.ledger import Kind, Ledger
+from unbend.messages import Kind, Ledger
 from unbend.simulate.true_air import (
     TrueAir,
     relative_humidity,

@@ -14,7 +14,7 @@ from unbend.atmosphere.estimate.readings import collect_readings
 from unbend.atmosphere.estimate.sensors import FAULT_TEXTS, SensorCalibration, SensorSettings
 from unbend.atmosphere.estimate.solver import estimate
 from unbend.atmosphere.estimate.state import SensorFault
-from unbend.ledger import Kind, Ledger
+from unbend.messages import Kind, Ledger
 
 US1976 = standard_atmosphere("us1976")
 HYGROMETER = SensorFault.HYGROMETER_BIAS

@@ -29,7 +29,7 @@ from unbend.atmosphere.estimate.readings import collect_readings
 from unbend.atmosphere.estimate.sensors import SensorSettings
 from unbend.atmosphere.soundings import ColumnErrors, Sounding
 from unbend.atmosphere.surface_report import SurfaceReport
-from unbend.ledger import Kind, Ledger
+from unbend.messages import Kind, Ledger
 
 HOUR = 3_600 * 10**9
 US1976 = standard_atmosphere("us1976")

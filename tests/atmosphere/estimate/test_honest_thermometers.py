@@ -13,14 +13,14 @@ import os
 import numpy as np
 import pytest
 
+from tests.draws import SEED
 from unbend.atmosphere import standard_atmosphere
 from unbend.atmosphere.climatology import climatology, month_of
 from unbend.atmosphere.estimate.adjusted_profile import build_adjusted_profile
-from unbend.ledger import Kind, Ledger
+from unbend.messages import Kind, Ledger
 
 US1976 = standard_atmosphere("us1976")
 DRAWS = int(os.environ.get("UNBEND_THERMOMETERS", "24"))
-SEED = int(os.environ.get("UNBEND_SEED", "15"))
 
 
 @pytest.fixture(scope="module")

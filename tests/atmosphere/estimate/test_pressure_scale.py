@@ -12,7 +12,7 @@ from unbend.atmosphere.climatology import climatology, month_of
 from unbend.atmosphere.estimate.adjusted_profile import build_adjusted_profile
 from unbend.atmosphere.estimate.state import Fault, SensorFault
 from unbend.atmosphere.soundings import Sounding
-from unbend.ledger import Kind, Ledger
+from unbend.messages import Kind, Ledger
 
 US1976 = standard_atmosphere("us1976")
 

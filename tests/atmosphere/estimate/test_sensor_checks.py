@@ -28,7 +28,7 @@ from unbend.atmosphere.estimate.sensor_checks import is_maybe_indoors, usable_se
 from unbend.atmosphere.estimate.sensors import SensorSettings
 from unbend.atmosphere.estimate.solver import estimate
 from unbend.atmosphere.estimate.thermometer_checks import thermometer_is_outside
-from unbend.ledger import Kind, Ledger
+from unbend.messages import Kind, Ledger
 
 US1976 = standard_atmosphere("us1976")
 ARCTIC, DESERT, MONSOON, TRADES, NIGHT = range(5)

@@ -38,7 +38,7 @@ from unbend.atmosphere.layers import stack_layers
 from unbend.atmosphere.profile import Profile
 from unbend.atmosphere.soundings import Sounding
 from unbend.atmosphere.surface_report import SurfaceReport
-from unbend.ledger import Kind, Ledger
+from unbend.messages import Kind, Ledger
 
 US1976 = standard_atmosphere("us1976")
 ARCTIC, DESERT, MONSOON, TRADES, NIGHT = range(5)

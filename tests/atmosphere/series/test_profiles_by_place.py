@@ -13,7 +13,7 @@ from unbend.atmosphere.estimate.adjusted_profile import build_adjusted_profile
 from unbend.atmosphere.series.profile_series import TimedProfile, constant_series
 from unbend.atmosphere.series.profiles_by_place import add_model_changes
 from unbend.atmosphere.soundings.model_field import ModelField
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 
 K_PER_KM, TOP_M = 0.05, 3000.0
 EARTH_KM = 6371.0

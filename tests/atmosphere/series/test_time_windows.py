@@ -30,7 +30,7 @@ from unbend.atmosphere.series.time_windows import (
     part_of_flight,
     time_windows,
 )
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 
 US1976 = standard_atmosphere("us1976")
 CLIMB = 3000.0

@@ -11,15 +11,13 @@ from scipy.io import netcdf_file
 
 from unbend.atmosphere.soundings import FORMATS, Sounding, parse_sounding
 from unbend.errors import InputError
-from unbend.ledger import Kind, Ledger
+from unbend.messages import Kind, Ledger
 from unbend.simulate.true_air import normal_gravity, saturation_pressure_pa
 from unbend.tables import soundings as from_disk
 from unbend.tables.soundings import read_sounding
 
 SHARED = Path(__file__).resolve().parents[3].parent / "shared" / "soundings"
-real = pytest.mark.skipif(
-    not SHARED.is_dir(), reason="the real soundings of ../shared are not beside the repository"
-)
+real = pytest.mark.shared("soundings")
 
 
 def ns(text: str) -> int:

@@ -29,7 +29,7 @@ from unbend.atmosphere.series.profile_series import TimedProfile, constant_serie
 from unbend.errors import ConfigError, InputError, MissionError
 from unbend.flight.rotations import matrices_of
 from unbend.flight.stations import empty_stations
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.refraction.camera.brown_conrady import BrownConrady
 from unbend.refraction.camera.camera import Camera
 from unbend.refraction.camera.general_frame import GeneralFrame
@@ -509,7 +509,7 @@ def read_opensfm(tracks: Path, reconstruction: Path):
         yield name, rows, xy, opensfm_pixels(camera, shot, places) - xy, camera
 
 
-@pytest.mark.skipif(not BERLIN.is_dir(), reason="needs the shared fixtures")
+@pytest.mark.shared("ba")
 def test_a_real_reconstruction_of_opensfm_projects_as_assumed():
     """The formulas above, signs and axes: half a pixel of 3264, the noise of the tie points."""
     found = list(read_opensfm(

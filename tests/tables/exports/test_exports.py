@@ -18,7 +18,7 @@ from unbend.atmosphere import standard_atmosphere
 from unbend.atmosphere.series.profile_series import ProfileSeries, TimedProfile
 from unbend.errors import ConfigError
 from unbend.flight.stations import empty_stations
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.refraction import refraction_angle
 from unbend.refraction.camera.camera import Camera
 from unbend.refraction.image import Exposures

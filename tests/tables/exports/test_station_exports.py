@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 from unbend.atmosphere import standard_atmosphere
 from unbend.atmosphere.series.profile_series import TimedProfile, constant_series
 from unbend.flight.stations import empty_stations
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.refraction.camera.brown_conrady import BrownConrady
 from unbend.refraction.camera.camera import Camera
 from unbend.refraction.image import Exposures

@@ -12,7 +12,7 @@ from unbend.flight.channels import Channel, Source
 from unbend.flight.evidence.contradictions import contradictions_of_import
 from unbend.flight.evidence.stretches import Stretch
 from unbend.flight.heights import HeightSystem
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.tables.imports.agreement import compare_with_log
 
 ROLES = ("position", "height")

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from unbend.errors import InputError
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.tables.imports import CAMERA_EVENTS, format_of
 from unbend.tables.imports.camera_events import read_eo_text, read_mrk
 from unbend.tables.imports.rtklib import read_pos

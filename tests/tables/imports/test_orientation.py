@@ -7,7 +7,7 @@ import pytest
 
 from unbend.errors import InputError
 from unbend.flight.stations import NO_TIME
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.tables.imports.stated import Stated
 from unbend.tables.imports.user_tables import read_known_positions, read_orientation
 

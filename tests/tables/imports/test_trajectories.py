@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from unbend.errors import InputError
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.tables.imports import TRAJECTORIES, format_of
 from unbend.tables.imports.rtklib import read_pos
 from unbend.tables.imports.sbet import read_sbet

@@ -14,7 +14,7 @@ from unbend.flight.evidence.sources import SourcePath, Sources, is_receiver, vel
 from unbend.flight.evidence.stretches import ATTITUDE, HEIGHT, POSITION, SECOND, Stretch, merged
 from unbend.flight.mount import is_of_gimbal
 from unbend.flight.roles import follows_height
-from unbend.ledger import Entry, Notes, warning
+from unbend.messages import Entry, Notes, warning
 
 _FEWEST = 10  # samples of which a channel must have more to be compared
 

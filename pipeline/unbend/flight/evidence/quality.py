@@ -11,7 +11,7 @@ from unbend.errors import MissionError
 from unbend.flight.channels import ROLE_COLUMNS, Channel
 from unbend.flight.clock import STRAY_ROWS
 from unbend.geodesy import wrapped
-from unbend.ledger import Entry, Notes, loss, note, warning
+from unbend.messages import Entry, Notes, loss, note, warning
 from unbend.units import Array, Mask, Rows
 
 RANGES: Mapping[str, tuple[float, float]] = {

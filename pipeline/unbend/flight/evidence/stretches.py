@@ -9,7 +9,7 @@ import numpy as np
 
 from unbend.flight.channels import TimeArray
 from unbend.flight.stations import Stations
-from unbend.ledger import Notes, fallback, loss
+from unbend.messages import Notes, fallback, loss
 from unbend.units import Mask
 
 POSITION, HEIGHT, ATTITUDE = "position", "height", "attitude"

@@ -14,7 +14,7 @@ import numpy as np
 import pyarrow as pa
 
 from unbend.errors import ConfigError, MissionError
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.tables.exports.exported_block import block_of
 from unbend.tables.exports.format import (
     PIXEL_UM,

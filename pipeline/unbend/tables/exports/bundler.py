@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.refraction.camera import model_of
 from unbend.tables.exports.exported_block import block_of, ideal_coordinates, refuse_names
 from unbend.tables.exports.format import ExportFormat, FinishedRun, Values

@@ -29,7 +29,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from unbend.errors import MissionError
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.refraction.camera.camera import Camera
 from unbend.refraction.camera.general_frame import GeneralFrame
 from unbend.refraction.camera.opencv_fisheye import OpenCVFisheye

@@ -6,7 +6,7 @@ import numpy as np
 import pyarrow as pa
 
 from unbend.geodesy import euler_radius
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.refraction.angle import RadialTable, angles_to, radial_table
 from unbend.refraction.image import Corrections, correct_observations, lattice_nodes
 from unbend.refraction.status_codes import STATUS_NAMES

@@ -16,7 +16,7 @@ from unbend.block.image_rays import MINIMUM_ANGLE_RAD
 from unbend.errors import MissionError
 from unbend.flight.rotations import matrices_of
 from unbend.geodesy import enu_from_ecef
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.refraction.camera.camera import Camera
 from unbend.refraction.image import straight_reach
 from unbend.tables.exports.footprints import OneFrame, placed_stations, stations_in_one_frame

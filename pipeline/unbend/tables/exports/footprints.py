@@ -8,7 +8,7 @@ import numpy as np
 import unbend.geodesy as geodesy
 from unbend.flight.rotations import in_turned_frame, matrices_of
 from unbend.flight.stations import Stations
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.refraction.camera.camera import Camera
 from unbend.refraction.image import straight_reach
 from unbend.tables.exports.format import FinishedRun

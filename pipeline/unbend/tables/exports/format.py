@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 from unbend.atmosphere.series.profile_series import ProfileSeries
 from unbend.errors import ConfigError
 from unbend.flight.stations import Stations
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.refraction.camera.camera import Camera
 from unbend.refraction.image import Exposures
 from unbend.refraction.ray import PublishedRays

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.refraction.camera.camera import Camera
 from unbend.refraction.camera.opencv_fisheye import OpenCVFisheye
 from unbend.tables.exports.colmap_files import opencv_coefficients, point_ids

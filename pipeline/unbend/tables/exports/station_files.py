@@ -17,7 +17,7 @@ import pyarrow as pa
 
 from unbend.flight.rotations import opk_of_quaternion
 from unbend.flight.stations import station_columns
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.tables.exports.footprints import footprints, placed_stations, stations_in_one_frame
 from unbend.tables.exports.format import ExportFormat, FinishedRun, Values, write_csv_stream
 from unbend.tables.schemas import schema_of

@@ -15,7 +15,7 @@ import numpy as np
 from unbend.errors import InputError
 from unbend.flight.heights import LARGEST_GEOID_M, USUAL_GEOID_M
 from unbend.geodesy import GeoidGrid
-from unbend.ledger import Entry, Notes, loss, note, warning
+from unbend.messages import Entry, Notes, loss, note, warning
 from unbend.tables.geodata.geoid import package_geoid
 from unbend.units import WGS84_A, Array
 

@@ -17,7 +17,7 @@ from unbend.flight.heights import HeightSystem, heights_at
 from unbend.flight.rotations import ANGLE_MISTAKES, UNIT_MISTAKES
 from unbend.flight.trajectory import attitude_at
 from unbend.geodesy import principal_radii, wrapped
-from unbend.ledger import Entry, Kind, Ledger
+from unbend.messages import Entry, Kind, Ledger
 from unbend.units import RADIANS, Array, Integers, Rows
 
 _MOST_SAMPLES = 3000

@@ -19,7 +19,7 @@ import numpy as np
 from unbend.errors import InputError
 from unbend.flight import rotations
 from unbend.flight.channels import Channel
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.tables.geodata.coordinate_systems import grid_coordinates
 from unbend.tables.imports.stated import Stated, channel_of_rows, not_of_format, read_text
 from unbend.tables.text_columns import numbers, split_lines, utc_of_weeks

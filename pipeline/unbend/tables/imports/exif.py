@@ -21,7 +21,7 @@ from unbend.errors import InputError
 from unbend.flight import rotations
 from unbend.flight.clock import utc_of_gps
 from unbend.flight.stations import NO_TIME
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.tables.imports.stated import Stated
 from unbend.tables.imports.user_tables import OrientationTable
 from unbend.units import Integers, Names

@@ -13,7 +13,7 @@ import numpy as np
 from unbend.errors import InputError
 from unbend.flight.channels import Channel
 from unbend.geodesy import enu_from_ecef, geodetic_of_ecef, offset_geodetic
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.tables.imports.stated import Stated, channel_of_rows, not_of_format, read_text
 from unbend.tables.text_columns import numbers, split_lines, utc_of_dates, utc_of_weeks
 from unbend.units import Array

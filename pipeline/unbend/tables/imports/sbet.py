@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from unbend.errors import InputError
 from unbend.flight.channels import Channel
 from unbend.geodesy import principal_radii, wrapped
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.tables.imports.stated import Stated, channel_of_rows, not_of_format
 from unbend.units import ARCSEC, Array
 

@@ -15,7 +15,7 @@ from unbend.errors import InputError
 from unbend.flight.channels import Channel, Source, TimeArray
 from unbend.flight.clock import SECONDS_PER_WEEK
 from unbend.geodesy import GeoidGrid
-from unbend.ledger import Ledger
+from unbend.messages import Ledger
 from unbend.tables.text_columns import utc_of_weeks
 from unbend.units import NANOSECONDS_PER_SECOND, UNIX_NS_OF_GPS_EPOCH, AngleUnit, Array, Mask
 

@@ -1,0 +1,242 @@
+"""Messages: what every stage read, repaired, assumed, skipped and lost, and where.
+
+A message is a value: its code, how serious it is, where, how many, and named values. The words
+stand beside those who send it, in ``messages.py`` of each room, one typed function a message; the
+report and the terminal render them. Nothing decides by the words.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import TypeVar
+
+from unbend.errors import Code, Value, in_agreement, rendered, texts
+
+
+class Kind(StrEnum):
+    """How serious a message is. ``LOSS`` and ``FINDING`` make a run end with exit code 3."""
+
+    NOTE = "note"  # a choice made, for example which channel plays which role
+    FALLBACK = "fallback"  # an allowed substitute, for example dry air without a hygrometer
+    WARNING = "warning"  # the user should look, but the result stands
+    FINDING = "finding"  # an input contradicts another, or what is plausible; may be accepted
+    LOSS = "loss"  # data was lost, damaged, flagged, or something the config names is absent
+
+
+LOSSES = (Kind.LOSS, Kind.FINDING)
+"""The kinds that make a run end with exit code 3."""
+
+
+@dataclass(frozen=True)
+class Message:
+    """One thing to say about a mission.
+
+    ``code`` is stable (``BARO-RANGE``); ``where`` a channel, file and byte offset, or column;
+    ``count`` how many messages, bytes, samples or rows it is about; ``values`` what else its text
+    names. ``text`` holds ``{count}``, ``{where}`` and the names of values in braces. ``accepted``
+    is the reason for which the mission file accepts it.
+    """
+
+    kind: Kind
+    code: str
+    text: str
+    where: str = ""
+    count: int = 0
+    values: Mapping[str, Value] | None = None
+    accepted: str = ""
+
+    @property
+    def what(self) -> str:
+        """The text for people, with all values filled in."""
+        if self.values is None:
+            what = in_agreement(self.text)
+        else:
+            what = rendered(self.text, {"where": self.where, "count": self.count, **self.values})
+        if self.accepted:
+            return f"{what} (accepted: {self.accepted})"
+        return what
+
+    def row(self) -> dict[str, object]:
+        """The message as plain values, for the manifest."""
+        return {
+            "kind": self.kind.value,
+            "code": self.code,
+            "what": self.what,
+            "where": self.where,
+            "count": self.count,
+            "values": dict(self.values or {}),
+        }
+
+
+Notes = tuple[Message, ...]
+"""What a function of a pure room has to report, beside its result."""
+
+
+def message(
+    kind: Kind,
+    code: Code | str,
+    text: str = "",
+    *,
+    one: str = "",
+    where: str = "",
+    count: int = 0,
+    **values: Value,
+) -> Message:
+    """A message of a code; ``one`` is the text for a ``count`` of 1, where that is another.
+
+    >>> lost = Code("GPS-LOST", means="Fixes are lost.", effect="Gaps.", remedy="See the antenna.")
+    >>> said = message(
+    ...     Kind.LOSS, lost, "{count} fixes of {where} are lost",
+    ...     one="1 fix of {where} is lost", where="GPS[0]", count=1,
+    ... )
+    >>> said.what
+    '1 fix of GPS[0] is lost'
+    """
+    if isinstance(code, str):  # a text as it is, or of texts.toml: until all rooms have theirs
+        text = text or texts()[code]["what"].format(where=where, count=count, **values)
+        return Message(kind, code.partition("/")[0], text, where, count)
+    if count == 1 and one:
+        text = one
+    return Message(kind, code.name, text, where, count, values)
+
+
+def note(
+    code: Code | str, text: str = "", *, one: str = "", where: str = "", count: int = 0,
+    **values: Value,
+) -> Message:  # fmt: skip
+    """A choice made. Arguments as in `message`."""
+    return message(Kind.NOTE, code, text, one=one, where=where, count=count, **values)
+
+
+def fallback(
+    code: Code | str, text: str = "", *, one: str = "", where: str = "", count: int = 0,
+    **values: Value,
+) -> Message:  # fmt: skip
+    """An allowed substitute. Arguments as in `message`."""
+    return message(Kind.FALLBACK, code, text, one=one, where=where, count=count, **values)
+
+
+def warning(
+    code: Code | str, text: str = "", *, one: str = "", where: str = "", count: int = 0,
+    **values: Value,
+) -> Message:  # fmt: skip
+    """The user should look, but the result stands. Arguments as in `message`."""
+    return message(Kind.WARNING, code, text, one=one, where=where, count=count, **values)
+
+
+def finding(
+    code: Code | str, text: str = "", *, one: str = "", where: str = "", count: int = 0,
+    **values: Value,
+) -> Message:  # fmt: skip
+    """An input contradicts another, or what is plausible. Arguments as in `message`."""
+    return message(Kind.FINDING, code, text, one=one, where=where, count=count, **values)
+
+
+def loss(
+    code: Code | str, text: str = "", *, one: str = "", where: str = "", count: int = 0,
+    **values: Value,
+) -> Message:  # fmt: skip
+    """Data was lost, damaged or flagged. Arguments as in `message`."""
+    return message(Kind.LOSS, code, text, one=one, where=where, count=count, **values)
+
+
+Result = TypeVar("Result")
+
+
+class Ledger:
+    """All messages of a mission, each once, in the order of their coming.
+
+    >>> no_barometer = Code("AIR-NO-BAROMETER", means="...", effect="...", remedy="...")
+    >>> ledger = Ledger()
+    >>> ledger.add(fallback(no_barometer, "no static pressure outside"))
+    >>> [message.code for message in ledger], ledger.has_losses
+    (['AIR-NO-BAROMETER'], False)
+    """
+
+    def __init__(self, messages: Iterable[Message] = ()) -> None:
+        self._messages: list[Message] = list(messages)
+
+    def __iter__(self) -> Iterator[Message]:
+        return iter(self._messages)
+
+    def __len__(self) -> int:
+        return len(self._messages)
+
+    @property
+    def has_losses(self) -> bool:
+        """Whether a run with these messages ends with exit code 3."""
+        return any(message.kind in LOSSES for message in self._messages)
+
+    def add(self, message: Message) -> None:
+        """Append a message, unless the same stands there."""
+        if message not in self._messages:
+            self._messages.append(message)
+
+    def extend(self, messages: Iterable[Message]) -> None:
+        """Append several messages."""
+        for message in messages:
+            self.add(message)
+
+    def take(self, outcome: tuple[Result, Notes]) -> Result:
+        """The result of a function that returns notes beside it; the notes are added.
+
+        >>> lens = Code("LENS-IN-AIR", means="...", effect="...", remedy="...")
+        >>> ledger = Ledger()
+        >>> ledger.take((1.5, (note(lens, "0.3 px"),))), len(ledger)
+        (1.5, 1)
+        """
+        result, notes = outcome
+        self.extend(notes)
+        return result
+
+    def accept(self, reasons: Mapping[str, str]) -> tuple[str, ...]:
+        """Make warnings of the findings of some codes; returns the codes that no finding has.
+
+        ``reasons`` by code: why the mission file accepts it.
+
+        >>> ground = Code("PLAUSIBLE-GROUND", means="...", effect="...", remedy="...")
+        >>> ledger = Ledger([finding(ground, "the ground is 400 m off")])
+        >>> ledger.accept({"PLAUSIBLE-GROUND": "a gorge"}), ledger.has_losses
+        ((), False)
+        """
+        unused = set(reasons)
+        for i, message in enumerate(self._messages):
+            if message.kind is Kind.FINDING and message.code in reasons:
+                self._messages[i] = replace(
+                    message, kind=Kind.WARNING, accepted=reasons[message.code]
+                )
+                unused.discard(message.code)
+        return tuple(sorted(unused))
+
+    def note(self, code: str, text: str = "", **parts: object) -> None:
+        self.add(note(code, text, **parts))  # type: ignore[arg-type]
+
+    def fallback(self, code: str, text: str = "", **parts: object) -> None:
+        self.add(fallback(code, text, **parts))  # type: ignore[arg-type]
+
+    def warning(self, code: str, text: str = "", **parts: object) -> None:
+        self.add(warning(code, text, **parts))  # type: ignore[arg-type]
+
+    def finding(self, code: str, text: str = "", **parts: object) -> None:
+        self.add(finding(code, text, **parts))  # type: ignore[arg-type]
+
+    def loss(self, code: str, text: str = "", **parts: object) -> None:
+        self.add(loss(code, text, **parts))  # type: ignore[arg-type]
+
+    def sorted(self) -> list[Message]:
+        """The messages by kind, code and text, as the manifest has them."""
+
+        def order(message: Message) -> tuple[str, str, str, str, int]:
+            return message.kind, message.code, message.what, message.where, message.count
+
+        return sorted(self._messages, key=order)
+
+    def rows(self) -> list[dict[str, object]]:
+        """The messages as plain values, sorted, for the manifest."""
+        return [message.row() for message in self.sorted()]
+
+
+Entry = Message
+"""The name of `Message` until all rooms have their messages."""
