@@ -5,7 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: sample test lint docs bench faults planted clean
+.PHONY: sample test quick lint docs bench faults planted clean
 
 $(STAMP): pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "unbend needs Python 3.11 or newer: make PYTHON=python3.11 ...")'
@@ -19,6 +19,12 @@ sample: $(STAMP)
 test: $(STAMP)
 	$(BIN)/lint-imports
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal
+
+# Lint and the tests of all pure rooms but the slow ones: a minute and a half on two cores, once
+# kernels are compiled and mypy has its cache.
+QUICK_TESTS := tests/base tests/physics tests/flight tests/block tests/atmosphere tests/refraction
+quick: lint
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2 --dist worksteal -m 'not slow and not shared' $(QUICK_TESTS)
 
 lint: $(STAMP)
 	$(BIN)/ruff check .
