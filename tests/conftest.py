@@ -302,7 +302,7 @@ SLOW = (
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark slow tests and those that use fixtures; skip those whose folder of ../shared is absent."""
+    """Mark tests by name and fixtures; skip those whose folder of ../shared is absent."""
     for item in items:
         if item.nodeid.removeprefix("tests/").startswith(SLOW):
             item.add_marker(pytest.mark.slow)
