@@ -19,7 +19,7 @@ from unbend.atmosphere.estimate.state import SensorFault
 from unbend.atmosphere.series.profile_series import TimedProfile
 from unbend.atmosphere.series.time_windows import TimeWindow
 from unbend.config.atmosphere import SensorsSection
-from unbend.config.schema import mission_keys
+from unbend.config.keys import mission_keys
 from unbend.simulate.mission import FIELD_LAT_RAD
 from unbend.simulate.true_air import (
     saturation_pressure_pa,

@@ -82,7 +82,7 @@ def init(
     with answer.progress(f"reading {log.name}"):
         import yaml
 
-        from unbend.config.reading import open_questions
+        from unbend.config.yaml_text import open_questions
         from unbend.stages.commands.mission_proposal import propose_mission
 
         target = Path("mission.yaml") if printed else out

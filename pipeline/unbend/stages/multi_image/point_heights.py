@@ -14,7 +14,7 @@ from unbend.batch.plan import Plan
 from unbend.block.image_rays import ImageRays, Orientations
 from unbend.block.intersection import PointHeights, point_heights
 from unbend.config import Mission
-from unbend.config.sections import ControlSection, PointTable
+from unbend.config.ground import ControlSection, PointTable
 from unbend.errors import InputError, MissionError
 from unbend.flight.heights import HeightSystem, known_home_m
 from unbend.flight.stations import Stations
