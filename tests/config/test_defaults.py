@@ -16,7 +16,7 @@ from unbend.config.mission import OutputSection, RefractionSection
 from unbend.config.mounts import MountSection
 from unbend.config.observations import ObservationsSection
 from unbend.config.windows import WindowSection
-from unbend.ingest.fields import STATED_UNITS
+from unbend.ingest.field_maps import STATED_UNITS
 from unbend.ingest.registry import SUFFIXES
 
 CAMERA = {

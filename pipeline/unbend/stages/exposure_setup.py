@@ -18,8 +18,8 @@ from unbend.refraction.camera.camera import LensInAir, is_absurd, principal_chan
 from unbend.refraction.image import Exposures
 from unbend.refraction.ray import rays_by
 from unbend.refraction.window import OPTICAL_AXIS, Window
-from unbend.stages.correction import CorrectionSetup
-from unbend.stages.ground_heights import GivenGround, Ground, SlantRangeGround
+from unbend.stages.correction_setup import CorrectionSetup, Ground
+from unbend.stages.ground_heights import GivenGround, SlantRangeGround
 from unbend.units import HECTOPASCAL, Array, Mask, Names
 
 

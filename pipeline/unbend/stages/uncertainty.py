@@ -12,7 +12,7 @@ from unbend.messages import Ledger
 from unbend.refraction.uncertainty.budget import StationSigmas, uncertainty_of
 from unbend.refraction.uncertainty.sigmas import OPEN, SCHEDULED, Uncertainty, window_kind_of
 from unbend.stages.cabin_air import cabin_changes
-from unbend.stages.correction import CorrectionSetup
+from unbend.stages.correction_setup import CorrectionSetup
 from unbend.tables.geodata.object_points import matching_rows
 from unbend.tables.observations import Batch
 from unbend.units import Integers
