@@ -8,8 +8,8 @@ from pathlib import Path
 from unbend.batch.object_store import Place, fetched, version_of
 from unbend.batch.plan import input_paths
 from unbend.config import Mission
-from unbend.config.station_sources import KnownPositions as KnownPositionsSection
-from unbend.config.station_sources import OrientationSection
+from unbend.config.orientations import KnownPositions as KnownPositionsSection
+from unbend.config.orientations import OrientationSection
 from unbend.errors import InputError
 from unbend.flight.channels import Channel
 from unbend.ingest import Log, open_log
