@@ -8,7 +8,7 @@ import os
 import pytest
 
 from unbend.batch import changes, file_hashes, keys
-from unbend.stages.story import mission_status, run_mission
+from unbend.batch.runs import mission_status, run_mission
 
 
 @pytest.fixture

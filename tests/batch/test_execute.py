@@ -11,11 +11,11 @@ from pathlib import Path
 import pytest
 
 from unbend.batch import executors
+from unbend.batch.campaigns import select_missions
 from unbend.batch.execute import exit_code_of, run_many, shard_of
 from unbend.batch.executors import Bug, Child, Inline, Outcome, stop_all
 from unbend.config.campaign import MissionRef
 from unbend.errors import InputError
-from unbend.stages.commands.campaigns import select_missions
 
 
 def test_folders_that_links_make_one_are_one(mission_factory, tmp_path):

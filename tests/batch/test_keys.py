@@ -40,7 +40,7 @@ def reached() -> dict[str, set[str]]:
     texts = sources()
     edges = {name: keys.imported(text) & texts.keys() for name, text in texts.items()}
     edges |= {"unbend": set(), "unbend.batch.keys": {"unbend"}}
-    modules = keys.stage_modules(edges["unbend.stages.story"])
+    modules = keys.stage_modules(edges["unbend.batch.runs"])
     return {stage: keys.closure(names, edges) for stage, names in modules.items()}
 
 
@@ -53,9 +53,9 @@ def copied(tmp_path) -> Path:
 # Where an edit is planted, and the stages whose code it is. Modules that are imported inside
 # functions (h5netcdf's reader, elevation models, kernels), tables, texts and templates among them.
 PLANTED = {
-    "ingest/dataflash/records.py": ALL - {"report"},
-    "ingest/ulog/log.py": ALL - {"report"},
-    "ingest/data/messages.toml": ALL - {"report"},
+    "ingest/dataflash/dataflash_records.py": ALL - {"report"},
+    "ingest/ulog/px4_log.py": ALL - {"report"},
+    "ingest/data/field_maps.toml": ALL - {"report"},
     "units.py": ALL,
     "texts.toml": ALL,
     "geodesy.py": ALL,
@@ -69,15 +69,14 @@ PLANTED = {
     "refraction/kernels/moments.py": {"air", "correction", "report"},
     "stages/statistics.py": {"correction"},
     "stages/plausibility.py": {"correction"},
-    "stages/story.py": {"air", "correction", "report"},
     "report/data/report.html.j2": {"report"},
     "report/data/report.css": {"report"},
     "report/summary.py": {"report"},
     "report/codes.toml": {"report"},
     "cli/missions.py": set(),
     "simulate/flight.py": set(),
-    "in_memory.py": set(),
-    "stages/commands/mission.yaml.j2": set(),
+    "library.py": set(),
+    "batch/mission_proposal.py": set(),
     "tables/exports/station_files.py": set(),
 }
 
@@ -90,7 +89,7 @@ def test_an_edit_changes_the_stages_that_reach_it(copied):
         (copied / name).write_bytes(content + b"\n")
         after = keys.code_below(copied)
         assert {stage for stage in ALL if after[stage] != before[stage]} >= stages, name
-        if name.startswith(("report/", "cli/", "simulate/", "in_memory", "stages/commands")):
+        if name.startswith(("report/", "cli/", "simulate/", "library")):
             assert {stage for stage in ALL if after[stage] != before[stage]} == stages, name
         (copied / name).write_bytes(content)
     (copied / "atmosphere" / "data" / "afgl1986.csv").rename(copied / "atmosphere" / "data" / "a")
@@ -136,17 +135,16 @@ def test_compiled_code_does_not_count(copied):
 @pytest.mark.parametrize(
     "planted",
     [
-        "def f():\n    from unbend.stages.commands import rehearsal\n",
-        "def f():\n    import unbend.stages.commands.rehearsal\n",
-        "from unbend.stages.commands import ("
-        "  # (as text)\n    campaigns,\n    rehearsal as other,\n)\n",
-        'KINDS = {"x": "unbend.stages.commands.rehearsal"}\n',
-        "if True: from unbend.stages.commands.rehearsal import check\n",
-        "from ..stages.commands import rehearsal\n",
-        "from .. import stages\nfrom ..stages.commands.rehearsal import check\n",
-        "import numpy, unbend.stages.commands.rehearsal\n",
-        "from unbend.stages.commands \\\n    import rehearsal\n",
-        "from unbend.stages.commands import campaigns, \\\n    rehearsal\n",
+        "def f():\n    from unbend.batch import rehearsal\n",
+        "def f():\n    import unbend.batch.rehearsal\n",
+        "from unbend.batch import (  # (as text)\n    campaigns,\n    rehearsal as other,\n)\n",
+        'KINDS = {"x": "unbend.batch.rehearsal"}\n',
+        "if True: from unbend.batch.rehearsal import check\n",
+        "from ..batch import rehearsal\n",
+        "from .. import batch\nfrom ..batch.rehearsal import check\n",
+        "import numpy, unbend.batch.rehearsal\n",
+        "from unbend.batch \\\n    import rehearsal\n",
+        "from unbend.batch import campaigns, \\\n    rehearsal\n",
     ],
     ids=[
         "inside",
@@ -166,7 +164,7 @@ def test_a_module_that_is_newly_reached_counts(copied, planted):
     module = copied / "ingest" / "registry.py"
     module.write_text(module.read_text(encoding="utf-8") + "\n\n" + planted, encoding="utf-8")
     before = keys.code_below(copied)
-    edited = copied / "stages" / "commands" / "rehearsal.py"
+    edited = copied / "batch" / "rehearsal.py"
     edited.write_text(edited.read_text(encoding="utf-8") + "\n", encoding="utf-8")
     after = keys.code_below(copied)
     assert {stage for stage in ALL if after[stage] != before[stage]} >= ALL - {"report"}
@@ -175,7 +173,7 @@ def test_a_module_that_is_newly_reached_counts(copied, planted):
 def test_imports_are_those_that_python_sees():
     """By Python's own parser, of every module; and no module is imported by a computed name."""
     texts = sources()
-    run = set.union(*reached().values()) | {"unbend.stages.story"}
+    run = set.union(*reached().values()) | {"unbend.batch.runs"}
     for name, text in texts.items():
         seen = keys.imported(text)
         for node in ast.walk(ast.parse(keys._TYPES.sub("", text))):
@@ -235,7 +233,7 @@ def watch(event, words):
 from unbend.batch import keys, plan
 keys.code_of_stages(), keys.code_hash()  # these read everything
 sys.addaudithook(watch)
-from unbend.stages.story import run_mission
+from unbend.batch.runs import run_mission
 run_mission(sys.argv[1])
 modules = [name for name in sys.modules if name.partition(".")[0] == "unbend"]
 print(json.dumps([modules, sorted(opened)]))
@@ -248,7 +246,7 @@ def test_a_run_reaches_nothing_that_no_key_holds(mission):
         capture_output=True, text=True, check=True,
     )  # fmt: skip
     modules, opened = json.loads(done.stdout.splitlines()[-1])
-    held = set.union(*reached().values()) | {"unbend.stages.story"}
+    held = set.union(*reached().values()) | {"unbend.batch.runs"}
     assert {*modules} - held <= keys._AFTERWARDS | {
         name for name in modules if name.startswith("unbend.tables.exports")
     }

@@ -17,7 +17,6 @@ from unbend.batch.keys import code_hash, hash_of_files
 from unbend.batch.plan import make_plan
 from unbend.config import load_mission
 from unbend.errors import ConfigError, InputError
-from unbend.stages import inputs
 
 PACKAGE = Path(unbend.__file__).parent
 
@@ -79,26 +78,6 @@ def test_a_file_that_is_written_to_is_changed_even_if_its_content_is_there_again
     os.utime(mission.log, ns=times)  # as programs that copy files do
     with pytest.raises(InputError, match="INPUT-CHANGED"):
         check_unchanged(plan.inputs)
-
-
-def test_a_log_that_is_being_copied_is_not_kept_as_the_whole(mission, plan, monkeypatch):
-    """It was hashed when it was whole, and is decoded while it is copied over once more."""
-    content, decode = mission.log.read_bytes(), inputs.open_log
-
-    def decode_half(path, sha256):
-        path.write_bytes(content[: len(content) // 2])
-        log = decode(path, sha256)
-        path.write_bytes(content)
-        return log
-
-    whole = decode(mission.log).duration_s
-    monkeypatch.setattr(inputs, "open_log", decode_half)
-    with pytest.raises(InputError, match="INPUT-CHANGED"):
-        inputs.decoded_log(plan)
-    monkeypatch.undo()
-    again = make_plan(load_mission(mission.file), mission.folder)
-    assert again.fingerprint == plan.fingerprint
-    assert inputs.decoded_log(again).duration_s == whole
 
 
 def test_inputs_have_their_roles_and_their_places_in_the_mission_file(mission):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import gc
 import json
 import os
-import random
 import sys
 from pathlib import Path
 
@@ -15,14 +14,12 @@ import pytest
 import unbend
 from unbend import caches
 from unbend.batch import keys, value_cache
-from unbend.errors import LogError
+from unbend.batch.finished_run import verify_run
+from unbend.batch.runs import mission_status, run_mission
 from unbend.messages import Kind, Ledger
-from unbend.stages import correction, inputs
-from unbend.stages.commands.finished_run import verify_run
-from unbend.stages.story import mission_status, run_mission
+from unbend.stages import correction
 
 PACKAGE = Path(unbend.__file__).parent
-SEED = random.randrange(1 << 30)
 
 
 @pytest.fixture(autouse=True)
@@ -83,53 +80,6 @@ def test_without_a_cache_nothing_is_kept_and_nothing_fails(cache):
     cache.write_text("no folder")
     value_cache.keep(named(0), 1)
     assert value_cache.recall(named(0)) is None
-
-
-def run_and_decode(mission, monkeypatch) -> tuple[int, dict]:
-    """How often a run decodes its log, and its manifest."""
-    decoded = []
-    original = inputs.open_log
-    with monkeypatch.context() as patch:
-        patch.setattr(inputs, "open_log", lambda *words: decoded.append(1) or original(*words))
-        run_mission(mission.save(), force=True)
-    manifest = json.loads((mission.output / "manifest.json").read_text())
-    return len(decoded), manifest
-
-
-@pytest.mark.parametrize("kind", ["bin", "tlog", "mcap"])
-def test_a_log_is_decoded_once_and_the_results_are_the_same(
-    mission_factory, tmp_path, cache, monkeypatch, plain_report, kind
-):
-    mission = mission_factory(tmp_path / "mission", kind)
-    first, whole = run_and_decode(mission, monkeypatch)
-    again, same = run_and_decode(mission, monkeypatch)
-    assert (first, again) == (1, 0)
-    assert same == whole
-    if kind != "bin":
-        return
-    (entry,) = cache.glob("log-*")
-    content = bytearray(entry.read_bytes())
-    place = random.Random(SEED).randrange(len(content) * 8)
-    content[place // 8] ^= 1 << place % 8
-    entry.write_bytes(content)
-    assert run_and_decode(mission, monkeypatch) == (1, whole), SEED
-    mission.config["ground"]["sigma_m"] = 1.5
-    changed, other = run_and_decode(mission, monkeypatch)
-    assert changed == 0
-    assert other["outputs"] != whole["outputs"]
-    # Content of another name is another log: whether it may be read depends on the name.
-    mission.log.rename(mission.folder / "flight.tlog")
-    mission.config["log"]["path"] = "flight.tlog"
-    with pytest.raises(LogError, match="LOG-FORMAT"):
-        run_and_decode(mission, monkeypatch)
-
-
-def test_a_log_that_changed_is_decoded(mission, monkeypatch, plain_report):
-    run_and_decode(mission, monkeypatch)
-    with mission.log.open("ab") as log:
-        log.write(b"\0")
-    decoded, _ = run_and_decode(mission, monkeypatch)
-    assert decoded == 1
 
 
 def report_run(mission, monkeypatch) -> tuple[bool, dict[str, bytes]]:

@@ -102,8 +102,8 @@ def wait_until(happened: Callable[[], bool], seconds: float = 120.0) -> None:
 # Workers import this module because the function that runs a mission is one of its own.
 STALLING = """
 import os, signal, sys, time
-from unbend.stages import story
-real, run_real = story.write_tables, story.run_mission
+from unbend.batch import runs
+real, run_real = runs.write_tables, runs.run_mission
 def stalled(*args):
     real(*args)
     if os.environ["DEAF"] == "yes":
@@ -111,7 +111,7 @@ def stalled(*args):
     os.write(1, b"stalled %d\\n" % os.getpid())
     time.sleep(600)
 def run_mission(*args, **named):
-    story.write_tables = stalled
+    runs.write_tables = stalled
     return run_real(*args, **named)
 """
 RUN = """
@@ -119,7 +119,7 @@ import signal, sys
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a child of nohup has it ignored
 sys.path.append(sys.argv.pop(1))
 import stalling
-from unbend.stages.commands import campaigns
+from unbend.batch import campaigns
 campaigns.run_chosen = stalling.run_mission
 from unbend.cli import main
 main()

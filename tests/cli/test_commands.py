@@ -13,7 +13,7 @@ import sys
 import pyarrow.parquet as pq
 import pytest
 
-from unbend.ingest.log import Log
+from unbend.ingest.flight_log import Log
 from unbend.refraction import angle
 
 pytestmark = pytest.mark.usefixtures("eighty_columns")

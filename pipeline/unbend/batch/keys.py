@@ -26,7 +26,7 @@ STAGES = ("ingest", "air", "correction", "report")
 NOT_IN_KEY = ("output.batch_rows",)
 """Keys of a mission file that no number depends on."""
 
-_STORY = "unbend.stages.story"
+_STORY = "unbend.batch.runs"
 _AFTERWARDS = {"unbend.batch.changes"}
 TABLES = tomllib.loads(resources.files(__package__).joinpath("stages.toml").read_text("utf-8"))
 """``modules``, ``sections``, ``roles``, ``libraries`` of stages, and ``inputs`` of missions."""

@@ -82,8 +82,8 @@ def init(
     with answer.progress(f"reading {log.name}"):
         import yaml
 
+        from unbend.batch.mission_proposal import propose_mission
         from unbend.config.reading import open_questions
-        from unbend.stages.commands.mission_proposal import propose_mission
 
         target = Path("mission.yaml") if printed else out
         text = propose_mission(log, observations, images, target)
@@ -142,18 +142,18 @@ def clean(
 
 @command(epilog="Example: unbend warm --json")
 def warm(answer: Answer) -> None:
-    """Compile ahead all that runs may need: half a minute, once.
+    """Compile ahead what runs need: some ten seconds, once.
 
     For images of containers and for many machines: the code goes where NUMBA_CACHE_DIR says, or to
     the user's cache, and serves this version of the program on processors of this kind.
     """
     with answer.progress("compiling"):
-        from unbend.in_memory import compile_kernels
+        from unbend.library import correct_one_image
         from unbend.refraction.kernels.jit import cache_folder
 
         folder = cache_folder()
         if folder is None:
             raise StorageError.of("STORAGE-WRITE/warm", compiled_code())
-        compile_kernels()
+        correct_one_image()
     answer.print_json({"compiled": folder})
     answer.print_paths([folder])

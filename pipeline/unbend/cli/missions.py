@@ -22,9 +22,9 @@ from unbend.exit_codes import EXIT_BUG, EXIT_DONE, exit_code_of
 from unbend.report.words import count
 
 if TYPE_CHECKING:
+    from unbend.batch.campaigns import Selection
     from unbend.batch.execute import MissionEnd
     from unbend.config.campaign import MissionRef
-    from unbend.stages.commands.campaigns import Selection
 
 
 Configs = Annotated[
@@ -73,10 +73,10 @@ def run(
             from unbend.batch.cluster import refuse_missing
 
             refuse_missing(scheduler)
+        from unbend.batch.campaigns import keep_unchanged, select_missions, write_pages
         from unbend.batch.execute import shard_of
         from unbend.batch.executors import Outcome
         from unbend.report.terminal import print_unchanged
-        from unbend.stages.commands.campaigns import keep_unchanged, select_missions, write_pages
 
         chosen = select_missions(configs, names or (), shard_of(shard))
     missions: list[dict[str, Any]] = []
@@ -105,9 +105,9 @@ def run_missions(
 ) -> Generator[tuple[MissionRef, MissionEnd]]:
     """Run missions in this process, in so many others, or on the workers of a scheduler."""
     with answer.progress("loading"):
+        from unbend.batch.campaigns import run_chosen
         from unbend.batch.execute import run_many
         from unbend.batch.executors import ChildHelpers, Executor, Inline, Processes
-        from unbend.stages.commands.campaigns import run_chosen
 
     executor: Executor = Inline(answer.progress)
     sent = {ref: ref for ref in missions}
@@ -169,10 +169,10 @@ def check(answer: Answer, configs: Configs, names: Names = None) -> None:
     Writes nothing.
     """
     with answer.progress("loading"):
+        from unbend.batch.campaigns import select_missions
+        from unbend.batch.rehearsal import input_lines, rehearsal_lines
+        from unbend.batch.runs import check_mission
         from unbend.report.terminal import print_check
-        from unbend.stages.commands.campaigns import select_missions
-        from unbend.stages.commands.rehearsal import input_lines, rehearsal_lines
-        from unbend.stages.story import check_mission
 
         chosen = select_missions(configs, names or ())
     missions: list[dict[str, Any]] = []
@@ -201,8 +201,8 @@ def status(answer: Answer, configs: Configs, names: Names = None) -> None:
     Names the inputs, keys, libraries and results that changed since the last run.
     """
     with answer.progress("loading"):
+        from unbend.batch.campaigns import select_missions
         from unbend.report.terminal import print_status
-        from unbend.stages.commands.campaigns import select_missions
 
         chosen = select_missions(configs, names or (), writes=False)
     missions: list[dict[str, Any]] = []
@@ -211,7 +211,7 @@ def status(answer: Answer, configs: Configs, names: Names = None) -> None:
             (_, output), reasons = chosen.called.get(ref, ("", None)), list[str]()
             if not chosen.is_unchanged(ref):
                 with answer.progress(f"looking at {ref.path.name}"):
-                    from unbend.stages.story import mission_status
+                    from unbend.batch.runs import mission_status
 
                     plan, reasons = mission_status(ref)
                     output = plan.output
@@ -240,8 +240,8 @@ def stations(
 ) -> None:
     """Stations of a mission, how events became images, and a drawing."""
     with answer.progress(f"reading {config.name}"):
+        from unbend.batch.runs import read_mission
         from unbend.report.terminal import print_stations
-        from unbend.stages.story import read_mission
         from unbend.tables.writing import rows_of_stations
 
         checked = read_mission(config)
@@ -383,8 +383,8 @@ def export(
     options = {name: value for name, value in ctx.obj.items() if value is not None}
     name = options.pop("format_name")
     with answer.progress(f"exporting {run}"):
+        from unbend.batch.finished_run import export_run
         from unbend.batch.plan import located
-        from unbend.stages.commands.finished_run import export_run
 
         written, ledger = export_run(
             located(run), name, out, options, ground_height_m=ground_height, force=force
@@ -430,8 +430,8 @@ def verify(
 ) -> None:
     """Whether the results of a run are whole and unchanged."""
     with answer.progress(f"hashing {run}"):
+        from unbend.batch.finished_run import verify_run
         from unbend.batch.plan import located
-        from unbend.stages.commands.finished_run import verify_run
 
         manifest = verify_run(located(run))
     files = len(manifest["outputs"])

@@ -108,9 +108,9 @@ def radial(
     """
     _require_one_atmosphere(config, atmosphere)
     with answer.progress("estimating the air"):
+        from unbend.batch.runs import air_of_mission_or_standard
         from unbend.refraction.angle import angles_to, radial_table
         from unbend.report.air_and_rays import print_radial, radial_rows
-        from unbend.stages.story import air_of_mission_or_standard
 
         angles = angles_to(max_angle, step)
         air, _, ledger = air_of_mission_or_standard(config, atmosphere)
@@ -169,8 +169,8 @@ def profile(
     _require_one_atmosphere(config, atmosphere)
     with answer.progress("estimating the air"):
         from unbend.atmosphere.profile import heights_every
+        from unbend.batch.runs import air_of_mission_or_standard
         from unbend.report.air_and_rays import print_air, print_profile
-        from unbend.stages.story import air_of_mission_or_standard
         from unbend.tables.writing import table_of_profile, table_of_profiles
 
         air, samples, ledger = air_of_mission_or_standard(config, atmosphere)

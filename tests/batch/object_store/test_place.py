@@ -138,7 +138,7 @@ def test_a_bucket_that_is_not_there(place):
 def test_credentials_that_may_not_write_are_refused_before_any_work(
     s3_place, use, seaweed, mission, monkeypatch
 ):
-    from unbend.stages import story
+    from unbend.batch import runs
 
     use(seaweed | READER)
     for writes in (False, True):
@@ -146,7 +146,7 @@ def test_credentials_that_may_not_write_are_refused_before_any_work(
         assert error.code == "CLOUD-DENIED"
         assert "write" in error.what
     mission.config["output"]["path"] = str(s3_place / "results")
-    monkeypatch.setattr(story, "prepare_mission", lambda *_: pytest.fail("work was done"))
+    monkeypatch.setattr(runs, "prepare", lambda *_: pytest.fail("work was done"))
     ended = mission.run()
     assert ended.code == 5
     assert "CLOUD-DENIED" in ended.err

@@ -13,13 +13,14 @@ from datetime import timedelta
 
 import pytest
 
+from tests.draws import SEED
 from unbend.batch import object_store as place_module
 from unbend.batch import publication
+from unbend.batch.finished_run import verify_run
 from unbend.batch.object_store import Place
 from unbend.batch.publication import Publication, rehearse_place, remove_orphans
 from unbend.batch.store import find_damage, read_manifest
 from unbend.errors import OutputInUseError, StorageError
-from unbend.stages.commands.finished_run import verify_run
 
 RACES = int(os.environ.get("UNBEND_RACES", "4"))
 
@@ -54,9 +55,7 @@ def expected_at(manifest: dict) -> set[str]:
 
 
 def test_races_of_two_writers(place, tmp_path, record_property):
-    seed = random.randrange(1 << 32)
-    print("seed", seed)
-    draw = random.Random(seed)
+    draw = random.Random(SEED)
     won = {"both the same run": 0, "two runs": 0}
     for race in range(RACES):
         at, same = place / str(race), draw.random() < 0.5
