@@ -18,11 +18,11 @@ import pytest
 
 from unbend.atmosphere import standard_atmosphere
 from unbend.batch import store
-from unbend.batch.file_hashes import check_unchanged
+from unbend.batch.input_files import check_unchanged
 from unbend.batch.plan import make_plan
+from unbend.batch.receipts import packed, unpacked
 from unbend.batch.run_files import PartsOfRun
 from unbend.batch.store import find_damage, open_folder, read_manifest
-from unbend.batch.value_cache import packed, unpacked
 from unbend.config import load_mission
 from unbend.errors import InputError, StorageError
 from unbend.messages import Ledger
@@ -270,28 +270,6 @@ def test_no_receipt_is_written_for_inputs_that_changed(mission, tmp_path):
     content = observed.read_bytes()
     check_unchanged(plan.inputs)
     observed.write_bytes(content[:-1] + bytes([content[-1] ^ 1]))
-    os.utime(observed, ns=(plan.input("observations").stamp[0][3],) * 2)
+    os.utime(observed, ns=(plan.input("observations").states[0].mtime_ns,) * 2)
     with pytest.raises(InputError, match="INPUT-CHANGED"):
         check_unchanged(plan.inputs, folders=False)
-
-
-def test_parts_may_be_made_by_others_in_any_order(stream, untouched, tmp_path):
-    """Ranges of parts; the counts are merged in the order of the parts."""
-    observations, setup = stream
-    with open_folder(tmp_path) as folder:
-        folder.resume("key")
-        for numbers in (range(7, 10), range(2, 5), range(2)):
-            correct_stream(
-                observations, setup, PartsOfRun(store.RunFolder(tmp_path)), batch_rows=BATCH_ROWS,
-                metadata={}, progress=lambda _: None, numbers=numbers,
-            )  # fmt: skip
-        counted = correct_stream(
-            observations, setup, PartsOfRun(folder, verify=False), batch_rows=BATCH_ROWS,
-            metadata={}, progress=lambda _: None,
-        )  # fmt: skip
-        assert (counted.parts, counted.rows) == (PARTS, ROWS)
-        assert [item["name"] for item in folder.outputs()] == [
-            f"observations/part-{i:05d}.parquet" for i in range(PARTS)
-        ]
-        parts = {name: digest for name, digest in untouched[0].items() if "part-" in name}
-        assert {str(item["name"]): item["sha256"] for item in folder.outputs()} == parts

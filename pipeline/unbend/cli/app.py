@@ -21,7 +21,7 @@ from typer import Option
 from typer.core import TyperCommand, TyperGroup
 
 import unbend
-from unbend.errors import ConfigError, UnbendError, storage_errors
+from unbend.errors import UnbendError, storage_errors
 from unbend.exit_codes import exit_code_of
 from unbend.report.progress import DelayedProgressBar
 from unbend.report.words import visible
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 _ORDER = (
     "init", "schema", "help", "run", "check", "status", "stations", "inspect", "angle", "radial",
-    "tables", "profile", "compare", "simulate", "export", "verify", "clean",
+    "tables", "profile", "compare", "simulate", "export", "verify",
     "warm",
 )  # fmt: skip
 """Order of the commands in the help: the way in, missions, atmosphere and rays, results."""
@@ -49,10 +49,11 @@ class _Group(TyperGroup):
         name, command, words = super().resolve_command(ctx, args)
         urls = [w.partition("=")[2] if w.startswith("--") else w for w in words if ":/" in w]
         if urls and name not in {"run", "export", "verify", "clean"}:
-            from unbend.batch.object_store import Place, is_url
+            from unbend.batch import messages
+            from unbend.batch.remote import Place, is_url
 
             for url in filter(is_url, urls):
-                raise ConfigError.of("URL-INVALID/command", Place.of(url), command=name)
+                raise messages.url_for_command(url=str(Place.of(url)), command=name)
         return name, command, words
 
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from typer import Argument, Option
 
-from unbend.caches import compiled_code, empty_caches, user_cache
+from unbend.caches import compiled_code
 from unbend.cli.app import Answer, command
 from unbend.errors import ConfigError, StorageError, storage_errors
 from unbend.report.words import count
@@ -101,43 +101,6 @@ def init(
     answer.print_json(content | {"written": [str(out), str(of_editors)]})
     asked = f"{out}: {count(len(questions), 'open question')} (TODO)"
     answer.print_paths([asked, f"  unbend check {out}"])
-
-
-@command(epilog="Example: unbend clean; unbend clean s3://bucket/results")
-def clean(
-    answer: Answer,
-    url: Annotated[str | None, Argument(help="results in object storage", metavar="URL")] = None,
-    recent: Annotated[
-        bool, Option(help="with a URL: uploads of the last hour too, if no run goes on")
-    ] = False,
-) -> None:
-    """Remove what is kept to save time: compiled code, hashes, copies.
-
-    No result is touched. The next run compiles again, and reads all of its inputs for their hashes.
-    Of a URL: what interrupted runs left at results in object storage, there and below.
-    """
-    if url is not None:
-        with answer.progress(f"looking at {url}"):
-            from unbend.batch.object_store import Place
-            from unbend.batch.publication import remove_orphans
-
-            orphans, young = remove_orphans(Place.of(url), recent=recent)
-        answer.print_json({"removed": orphans, "kept": young})
-        answer.print_paths(f"removed {name}" for name in orphans)
-        if young:
-            uploads = count(young, "upload")
-            answer.console.print(f"{uploads} of the last hour kept: --recent removes them too")
-        elif not orphans:
-            answer.console.print("nothing is left of interrupted runs")
-        return
-    with storage_errors(Path(user_cache())):
-        removed = empty_caches()
-    answer.print_json({"removed": removed})
-    for what in removed:
-        answer.console.print(f"removed {what['what']}, {int(what['bytes']) / 1e6:.1f} MB:")
-        answer.print_paths([f"  {what['path']}"])
-    if not removed:
-        answer.console.print("nothing is kept")
 
 
 @command(epilog="Example: unbend warm --json")

@@ -70,10 +70,10 @@ def run(
         raise ConfigError.of("RUN-ARGUMENTS")
     with answer.progress("loading"):
         if scheduler is not None:
-            from unbend.batch.cluster import refuse_missing
+            from unbend.batch.dask_executor import refuse_missing
 
             refuse_missing(scheduler)
-        from unbend.batch.campaigns import keep_unchanged, select_missions, write_pages
+        from unbend.batch.campaigns import select_missions, write_pages
         from unbend.batch.execute import shard_of
         from unbend.batch.executors import Outcome
         from unbend.report.terminal import print_unchanged
@@ -94,7 +94,6 @@ def run(
     unchanged = [of.name for of in ended.values() if isinstance(of, Outcome) and of.repeated]
     if unchanged and len(chosen.missions) > 1:
         print_unchanged(answer.console, unchanged, len(chosen.missions))
-    keep_unchanged(chosen, ended)
     if shard is None:
         answer.print_paths(str(page) for page in write_pages(chosen, ended))
     _end(answer, missions)
@@ -107,19 +106,19 @@ def run_missions(
     with answer.progress("loading"):
         from unbend.batch.campaigns import run_chosen
         from unbend.batch.execute import run_many
-        from unbend.batch.executors import ChildHelpers, Executor, Inline, Processes
+        from unbend.batch.executors import Executor, Inline
 
     executor: Executor = Inline(answer.progress)
     sent = {ref: ref for ref in missions}
     if isinstance(where, str):
-        from unbend.batch.cluster import Cluster
+        from unbend.batch.dask_executor import DaskExecutor
 
-        executor = Cluster(where)
+        executor = DaskExecutor(where)
         sent = {replace(ref, path=ref.path.absolute()): ref for ref in missions}
     elif len(missions) > 1 < where:
+        from unbend.batch.processes import Processes
+
         executor = Processes(where)
-    else:
-        options = {**options, "helpers": ChildHelpers(where)}
     with closing(run_many(partial(run_chosen, **options), list(sent), executor)) as ends:
         yield from ((sent[ref], end) for ref, end in ends)
 
@@ -127,7 +126,7 @@ def run_missions(
 def print_end(answer: Answer, config: str, end: MissionEnd, chosen: Selection) -> dict[str, Any]:
     """Print how a mission ended, of a campaign in a line; its entry in the JSON of the command."""
     from unbend.batch.executors import Bug
-    from unbend.batch.store import read_manifest
+    from unbend.batch.results import read_manifest
 
     if isinstance(end, UnbendError):
         return _refused(config, end)
@@ -156,10 +155,10 @@ def _refused(config: str, error: UnbendError) -> dict[str, Any]:
 
 def _end(answer: Answer, missions: Sequence[Mapping[str, Any]]) -> NoReturn:
     """Print the entries as JSON if that is wanted, and exit with the code of all missions."""
-    from unbend.batch.execute import exit_code_of
+    from unbend.batch.execute import exit_code_of_command
 
     answer.print_json(missions)
-    raise typer.Exit(exit_code_of([int(mission["exit_code"]) for mission in missions]))
+    raise typer.Exit(exit_code_of_command([int(mission["exit_code"]) for mission in missions]))
 
 
 @command(epilog="Example: unbend check mission.yaml")
@@ -208,8 +207,10 @@ def status(answer: Answer, configs: Configs, names: Names = None) -> None:
     missions: list[dict[str, Any]] = []
     for ref in chosen.missions:
         try:
-            (_, output), reasons = chosen.called.get(ref, ("", None)), list[str]()
-            if not chosen.is_unchanged(ref):
+            reasons: list[str] = []
+            if chosen.is_unchanged(ref):
+                output = chosen.called[ref].output
+            else:
                 with answer.progress(f"looking at {ref.path.name}"):
                     from unbend.batch.runs import mission_status
 
@@ -430,8 +431,8 @@ def verify(
 ) -> None:
     """Whether the results of a run are whole and unchanged."""
     with answer.progress(f"hashing {run}"):
-        from unbend.batch.finished_run import verify_run
         from unbend.batch.plan import located
+        from unbend.batch.results import verify_run
 
         manifest = verify_run(located(run))
     files = len(manifest["outputs"])

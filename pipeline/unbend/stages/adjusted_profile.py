@@ -23,7 +23,8 @@ from unbend.atmosphere.series.time_windows import TimeWindow, estimate_windows
 from unbend.atmosphere.soundings import Sounding
 from unbend.atmosphere.soundings.model_field import ModelField, model_column
 from unbend.atmosphere.surface_report import SurfaceReport
-from unbend.batch.plan import Plan, sounding_role
+from unbend.batch.input_files import sounding_role
+from unbend.batch.plan import Plan
 from unbend.config import Mission
 from unbend.config.atmosphere import AtmosphereSection, SurfaceSection
 from unbend.errors import InputError

@@ -5,9 +5,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from unbend.batch.file_hashes import check_unchanged
 from unbend.batch.plan import Plan
-from unbend.batch.value_cache import keep, recall
 from unbend.errors import MissionError
 from unbend.flight.channels import ROLE_COLUMNS, Channel
 from unbend.flight.evidence.contradictions import contradictions_of_import, examine
@@ -28,8 +26,6 @@ from unbend.tables.imports.agreement import compare_with_log
 from unbend.tables.imports.stated import Stated
 from unbend.tables.observations import Observations, open_observations
 from unbend.units import Array, Integers
-
-_MOST_KEPT_BYTES = 256_000_000  # of the samples of a log: more are decoded again
 
 Track = tuple[Integers, Array, Array]
 """Times [Unix ns], latitudes and longitudes [rad] of a flight."""
@@ -105,7 +101,8 @@ def read_log(plan: Plan, ledger: Ledger) -> FlightLog:
     channels: tuple[Channel, ...] = ()
     heads = {camera: m.attitude for camera, m in mission.mount.items() if m.attitude is not None}
     if mission.log is not None:
-        log = decoded_log(plan)
+        file = plan.input("log")
+        log = open_log(file.path, file.sha256)
         names = {role: stated.name for role, stated in mission.log.channels.named().items()}
         channels = stated_channels(plan, log.channels)
         for attitude in dict.fromkeys([names.get("attitude", ""), *heads.values()]):
@@ -156,20 +153,6 @@ def read_log(plan: Plan, ledger: Ledger) -> FlightLog:
     return FlightLog(
         log, channels, plausible, own, heights, suspect, own_suspect, accuracy, of_head
     )
-
-
-def decoded_log(plan: Plan) -> Log:
-    """The log of a mission: as it was decoded before by the same code, if that is still known."""
-    file, name = plan.input("log"), plan.decoded_log
-    known: Log | None = recall(name)
-    if known is not None:
-        return known
-    log = open_log(file.path, file.sha256)
-    check_unchanged(plan.inputs, folders=False)  # or what is kept is not that of the hash
-    arrays = (values for channel in log.channels for values in channel.columns.values())
-    if sum(values.nbytes for values in arrays) < _MOST_KEPT_BYTES:
-        keep(name, replace(log, table=None))  # which no run decodes
-    return log
 
 
 def geoid_of_mission(plan: Plan) -> GeoidGrid:

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from unbend.atmosphere.estimate.sensors import FAULT_TEXTS
-from unbend.batch.keys import code_of_stages, versions
-from unbend.batch.plan import MANIFEST_VERSION, Plan
+from unbend.batch.plan import Plan
 from unbend.config import Mission
 from unbend.exit_codes import exit_code_of
 from unbend.flight.rotations import matrices_of
@@ -56,7 +55,7 @@ def manifest_of(
     causes: Mapping[str, str],
     ledger: Ledger,
 ) -> dict[str, Any]:
-    """The manifest of a run, without its outputs; ``causes`` are those of statuses of rows.
+    """What a run found, for its manifest; ``causes`` are those of statuses of rows.
 
     Holds no clock, no host name and no absolute path: the same inputs give the same bytes.
     """
@@ -66,16 +65,6 @@ def manifest_of(
         for item in plan.inputs:
             entry["where"] = str(entry["where"]).replace(str(item.path), item.name)
     return {
-        "manifest_version": MANIFEST_VERSION,
-        "mission": plan.mission.mission.name,
-        "fingerprint": plan.fingerprint,
-        "keys": plan.keys,
-        "code": code_of_stages(),
-        "config": plan.mission.model_dump(mode="json"),
-        "inputs": [
-            {"role": item.role, "name": item.name, "sha256": item.sha256} for item in plan.inputs
-        ],
-        "versions": versions(plan.libraries),
         "log": log and {
             "format": log.format, "messages": dict(log.messages), "bad_bytes": log.bad_bytes,
             "lost_messages": log.lost_messages, "boots": log.boots,

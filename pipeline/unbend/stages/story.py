@@ -8,10 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unbend.atmosphere.air_samples import AirSamples
-from unbend.batch.plan import (
-    Plan,
-    fetch_inputs,
-)
+from unbend.batch.plan import Plan
 from unbend.flight.air_samples import air_samples
 from unbend.flight.heights import heights_at, logged_terrain, undulation_notes
 from unbend.flight.stations import Stations, append_unmatched_images, flag_height_misfits
@@ -79,9 +76,6 @@ def prepare_mission(
 ) -> PreparedMission:
     """Read observations (``most_rows``) and log, build the stations, and estimate the air."""
     ledger = Ledger()
-    if any(item.place for item in plan.inputs):
-        progress.start("copying inputs from object storage")
-    fetch_inputs(plan)
     progress.start("reading the observations")
     observations = read_observations(plan, ledger, most_rows)
     progress.start("reading the log")
