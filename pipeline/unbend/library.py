@@ -1,35 +1,34 @@
 """The correction as a library: tables in memory in, the table of a run out.
 
-It is a run: a mission of the tables is prepared, checked and corrected by the story's steps. The
-tables are handed over as files in a folder that is removed, because that is what a run reads.
+It is a run without a file: a mission of the tables is prepared, checked and corrected by the
+story's steps.
 """
 
 import json
-import os
 import warnings
 from collections.abc import Mapping
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.parquet as pq
+import yaml
 
 import unbend.refraction as refraction
 from unbend.atmosphere import Profile, standard_atmosphere
 from unbend.atmosphere.estimate.adjusted_profile import unadjusted
 from unbend.atmosphere.series.profile_series import ProfileSeries, TimedProfile, constant_series
 from unbend.batch.finished_run import air_of, stations_of
-from unbend.batch.plan import make_plan
-from unbend.config import Mission, load_mission
-from unbend.errors import UnbendError
+from unbend.batch.opening import open_inputs, paths_beside_tables, stated_orientation
+from unbend.config import Mission
+from unbend.config.reading import mission_of
+from unbend.errors import ConfigError
 from unbend.flight.stations import Stations
-from unbend.messages import Kind
+from unbend.messages import Kind, Ledger
 from unbend.refraction.camera import DISTORTION_MODELS
 from unbend.refraction.effect import FlightAir
 from unbend.refraction.kernels.columns import BLOCK, TILE, TerrainGrid
@@ -38,36 +37,27 @@ from unbend.refraction.kernels.moments import WORTH_A_TABLE
 from unbend.refraction.kernels.terrain import extremes_of_tile
 from unbend.refraction.target_heights import terrain_heights
 from unbend.refraction.window import refract_at_window
-from unbend.report.progress import Progress
-from unbend.stages.correction import CorrectionSetup, correct_stream
+from unbend.stages.correction import correct_parts
+from unbend.stages.correction_setup import CorrectionSetup
+from unbend.stages.opened_inputs import OpenedInputs
 from unbend.stages.outputs import observation_metadata
 from unbend.stages.statistics import Statistics
 from unbend.stages.story import correct_mission, prepare_mission
+from unbend.tables.imports.user_tables import orientation_of_frame
+from unbend.tables.observations import observations_of_table
 from unbend.tables.text_columns import fnv_1a
 from unbend.units import Array, Integers
 
 Table = TypeVar("Table", pd.DataFrame, pa.Table)
 Air: TypeAlias = Profile | TimedProfile | ProfileSeries | pa.Table | str | Mapping[str, Any]
 
+_NO_FILE = yaml.MappingNode("tag:yaml.org,2002:map", [], yaml.Mark("", 0, 0, 0, None, 0))
 _DEGREES = ("latitude", "longitude", "omega", "phi", "kappa", "roll", "pitch", "yaw")
 _NAMES = {"lat_deg": "latitude", "lon_deg": "longitude", "sigma_tilt_deg": "sigma_tilt",
           "sigma_yaw_deg": "sigma_yaw"} | {f"{name}_deg": name for name in _DEGREES}  # fmt: skip
 _HEIGHTS = {"h_msl_m": "msl", "h_ellipsoid_m": "ellipsoid"}
 _ANGLES = {"omega": "omega_phi_kappa", "roll": "roll_pitch_yaw", "q_w": "quaternion"}
 _FURTHER = ("camera", "time_utc", "sigma_horizontal_m", "sigma_height_m", "sigma_tilt", "sigma_yaw")
-
-
-@dataclass(frozen=True)
-class TablesInMemory:
-    """Parts of the observations by number, none of them there before."""
-
-    tables: dict[int, pa.Table]
-
-    def finished(self, number: int) -> None:
-        """None: each part is made."""
-
-    def write(self, number: int, table: pa.Table, statistics: Statistics) -> None:
-        self.tables[number] = table
 
 
 def correct(
@@ -111,46 +101,46 @@ def correct(
     measured = _arrow(observations, "observations")
     placed: pa.Table = _arrow(stations, "stations")
     own = stations_of(placed) if {"profile_id", "status", "q_w"} <= {*placed.column_names} else None
-    tables: dict[int, pa.Table] = {}
     # The section does not count where the profile itself is given.
     atmosphere: Mapping[str, Any] = {"adjust": False, "standard": profile}
     if not isinstance(profile, str):
         atmosphere = profile if isinstance(profile, Mapping) else {"adjust": False}
-    with TemporaryDirectory(prefix="unbend-") as name:
-        folder = Path(name)
-        try:
-            mission = mission_of_tables(folder, measured, placed, orientation or {}, {
-                "cameras": cameras, "atmosphere": atmosphere, **sections,
-            })  # fmt: skip
-            if own is not None:
-                from_run = mission.stations.model_copy(update={"orientation": None})
-                mission = mission.model_copy(update={"log": None, "stations": from_run})
-            prepared = prepare_mission(make_plan(mission, Path.cwd()), Progress(), stations=own)
-            if not isinstance(profile, str | Mapping):
-                air = air_of_stations(profile, placed, prepared.stations)
-                prepared = replace(prepared, air=air)
+    given = {"cameras": cameras, "atmosphere": atmosphere, **sections}
+    frame = placed.to_pandas().rename(columns=_NAMES)
+    mission = mission_of_tables(frame, orientation or {}, given)
+    if own is not None:
+        from_run = mission.stations.model_copy(update={"orientation": None})
+        mission = mission.model_copy(update={"log": None, "stations": from_run})
+    ledger = Ledger()
+    mission, inputs = inputs_of_tables(mission, measured, frame, ledger)
+    prepared = prepare_mission(mission, inputs, ledger, stations=own)
+    if not isinstance(profile, str | Mapping):
+        prepared = replace(prepared, air=air_of_stations(profile, placed, prepared.stations))
+    parts: list[pa.Table] = []
 
-            def correct_all(setup: CorrectionSetup) -> Statistics:
-                return correct_stream(
-                    prepared.observations, setup, TablesInMemory(tables),
-                    batch_rows=mission.output.batch_rows, metadata=observation_metadata(mission),
-                    progress=Progress().advance,
-                )  # fmt: skip
+    def correct_all(setup: CorrectionSetup) -> Statistics:
+        total = Statistics.of(setup.cameras)
+        for part in correct_parts(
+            prepared.observations,
+            setup,
+            finish=lambda part: part,
+            batch_rows=mission.output.batch_rows,
+            metadata=observation_metadata(mission),
+        ):
+            total.merge(part.statistics)
+            parts.append(part.table)
+        return total
 
-            manifest = correct_mission(prepared, correct_all).manifest
-        except UnbendError as error:
-            where = error.where.replace(f"{folder}{os.sep}", "")
-            what = error.what.replace("line 1: ", "")
-            raise type(error)(error.code, what, where=where, remedy=error.remedy) from None
+    manifest = correct_mission(prepared, correct_all).manifest
     facts = {name: manifest[name] for name in ("uncertainty", "cabin_air", "ledger")}
     for entry in facts["ledger"]:
         if entry["kind"] in (Kind.LOSS, Kind.FINDING):
             warnings.warn(f"{entry['code']}: {entry['what']}", UserWarning, stacklevel=2)
-    table = pa.concat_tables(tables[number] for number in sorted(tables))
+    table = pa.concat_tables(parts)
     if isinstance(observations, pd.DataFrame):
-        frame: pd.DataFrame = table.to_pandas()
-        frame.attrs |= facts
-        return frame
+        corrected: pd.DataFrame = table.to_pandas()
+        corrected.attrs |= facts
+        return corrected
     texts = {f"unbend.{name}": json.dumps(value) for name, value in facts.items()}
     return table.replace_schema_metadata(table.schema.metadata | texts)
 
@@ -165,15 +155,9 @@ def _arrow(table: pd.DataFrame | pa.Table, name: str) -> pa.Table:
 
 
 def mission_of_tables(
-    folder: Path,
-    measured: pa.Table,
-    placed: pa.Table,
-    orientation: Mapping[str, Any],
-    sections: Mapping[str, Any],
+    frame: pd.DataFrame, orientation: Mapping[str, Any], sections: Mapping[str, Any]
 ) -> Mission:
-    """The mission of tables, which are written to a folder under the names of quantities."""
-    pq.write_table(measured, folder / "observations.parquet")
-    frame = placed.to_pandas().rename(columns=_NAMES)
+    """The mission of tables in memory; the ``frame`` of stations has the names of quantities."""
     known = [name for name in frame if frame[name].notna().any()]
     columns = {name: name for name in _FURTHER if name in known}
     if "date" in orientation:
@@ -182,26 +166,54 @@ def mission_of_tables(
     stated.update(("angles", angles) for name, angles in _ANGLES.items() if name in known)
     for name, heights in _HEIGHTS.items():
         if name in known and "latitude" in known and "height" not in columns:
-            columns["height"], stated["heights"] = name, heights
+            columns["height"] = name
+            stated["heights"] = heights
     stated |= orientation
     stated["columns"] = columns | dict(orientation.get("columns", {}))
-    stated["path"] = str(folder / "stations.csv")
-    frame.to_csv(stated["path"], index=False)
-    table = {"path": str(folder / "observations.parquet")}
+    stated["path"] = "stations"
     given = {
         "ground": {"height": {"column": "h_g_m"}, "reference": "msl"},
         **sections,
         "mission": {"name": "tables", **sections.get("mission", {})},
-        "observations": {**sections.get("observations", {}), **table},
+        "observations": {**sections.get("observations", {}), "path": "observations"},
         "stations": {"orientation": stated},
-        "output": {"path": str(folder / "results")},
+        "output": {"path": "results"},
     }
     if "profile_id" in known:  # the cabin's air of a run's stations may be that of a log
         given["log"] = {"path": "-"}
-    # JSON is YAML; numbers keep all their digits.
+    # Plain values: tuples become lists, and numpy's numbers Python's, with all their digits.
     text = json.dumps(given, default=lambda v: v.item() if hasattr(v, "item") else str(v))
-    (folder / "mission.yaml").write_text(text, encoding="utf-8")
-    return load_mission(folder / "mission.yaml")
+    try:
+        return mission_of(json.loads(text), _NO_FILE, "sections")
+    except ConfigError as error:  # no line of a file that nobody wrote
+        what = error.what.replace("line 1: ", "")
+        raise ConfigError(error.code, what, where=error.where, remedy=error.remedy) from None
+
+
+def inputs_of_tables(
+    mission: Mission, measured: pa.Table, frame: pd.DataFrame, ledger: Ledger
+) -> tuple[Mission, OpenedInputs]:
+    """The tables as inputs, with files that the mission names beside them; and what these say."""
+    mission, paths = paths_beside_tables(mission, Path.cwd())
+    section = mission.observations
+    ground = mission.ground
+    observations = observations_of_table(
+        measured,
+        section.path,
+        section.columns.model_dump(),
+        ground.column,
+        ledger,
+        ground_is_msl=ground.reference == "msl",
+        sigma_column=ground.sigma_column,
+        direction=mission.refraction.direction,
+        pixels=section.pixels,
+    )
+    inputs = open_inputs(mission, paths, observations, None, ledger)
+    of_stations = mission.stations.orientation
+    if of_stations is None:
+        return mission, inputs
+    table = orientation_of_frame(frame, of_stations.path, stated_orientation(of_stations), ledger)
+    return mission, replace(inputs, orientation=table)
 
 
 def air_of_stations(profile: Air, placed: pa.Table, stations: Stations) -> FlightAir:

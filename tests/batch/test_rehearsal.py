@@ -120,15 +120,15 @@ def test_a_large_table_is_sampled_and_its_counts_are_those_of_a_run(mission):
     checked, ran = check_mission(mission.save()), run_mission(mission.save())
     total = ran.manifest["observations"]
     assert total["rows"] > 70_000
-    assert checked.statistics.rows == total["rows"]
-    assert sum(len(part.status) for part in checked.statistics.sampled) <= 20_000
+    assert checked.corrected.statistics.rows == total["rows"]
+    assert sum(len(part.status) for part in checked.corrected.statistics.sampled) <= 20_000
     expected = checked.manifest["observations"]["status"]
     for status, count in total["status"].items():
         assert expected[status] == pytest.approx(count, abs=0.015 * total["rows"]), status
     assert {e["code"] for e in checked.manifest["ledger"]} == {
         e["code"] for e in ran.manifest["ledger"]}  # fmt: skip
-    of_image = np.unique(checked.facts.rows.station, return_counts=True)[1]
-    own = checked.prepared.observations.sample.counts
+    of_image = np.unique(checked.corrected.facts.rows.station, return_counts=True)[1]
+    own = checked.corrected.prepared.observations.sample.counts
     assert sorted(of_image) == sorted(np.minimum(own, of_image.max()))
     shift = {n: c["shift_px"]["median"] for n, c in ran.manifest["correction"]["cameras"].items()}
     for name, camera in checked.manifest["correction"]["cameras"].items():

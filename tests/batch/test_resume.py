@@ -21,7 +21,7 @@ from unbend.batch import store
 from unbend.batch.input_files import check_unchanged
 from unbend.batch.plan import make_plan
 from unbend.batch.receipts import packed, unpacked
-from unbend.batch.run_files import PartsOfRun
+from unbend.batch.run_files import PartsOfRun, correct_into
 from unbend.batch.store import find_damage, open_folder, read_manifest
 from unbend.config import load_mission
 from unbend.errors import InputError, StorageError
@@ -29,7 +29,8 @@ from unbend.messages import Ledger
 from unbend.refraction.camera.camera import BrownConrady, Camera
 from unbend.refraction.image import Exposures
 from unbend.refraction.ray import rays_by
-from unbend.stages.correction import CorrectionSetup, correct_stream
+from unbend.stages.correction import correct_parts
+from unbend.stages.correction_setup import CorrectionSetup
 from unbend.stages.ground_heights import GivenGround
 from unbend.tables.observations import open_observations
 
@@ -79,10 +80,9 @@ def run(stream, out: Path, key: str = "key", batch_rows: int = BATCH_ROWS, **opt
     observations, setup = stream
     with open_folder(out) as folder:
         folder.resume(key)
-        counted = correct_stream(
-            observations, setup, PartsOfRun(folder, **options),
-            batch_rows=batch_rows, metadata={}, progress=lambda _: None,
-        )  # fmt: skip
+        counted = correct_into(
+            PartsOfRun(folder, **options), observations, setup, batch_rows=batch_rows, metadata={}
+        )
         facts = {"fingerprint": key, "mission": "m", "exit_code": 0, "outputs": folder.outputs()}
         facts |= {"correction": counted.correction(), "sampled": counted.examples}
         folder.commit(facts | {"rows": counted.sampled_rows().x_px.tolist()})
@@ -273,3 +273,26 @@ def test_no_receipt_is_written_for_inputs_that_changed(mission, tmp_path):
     os.utime(observed, ns=(plan.input("observations").states[0].mtime_ns,) * 2)
     with pytest.raises(InputError, match="INPUT-CHANGED"):
         check_unchanged(plan.inputs, folders=False)
+
+
+def test_parts_may_be_made_by_others_in_any_order(stream, untouched, tmp_path):
+    """Ranges of parts; the counts are merged in the order of the parts."""
+    observations, setup = stream
+    with open_folder(tmp_path) as folder:
+        folder.resume("key")
+        for numbers in (range(7, 10), range(2, 5), range(2)):
+            elsewhere = PartsOfRun(store.RunFolder(tmp_path))
+            made = correct_parts(
+                observations, setup, elsewhere.write,
+                numbers=numbers, batch_rows=BATCH_ROWS, metadata={},
+            )  # fmt: skip
+            assert [counts.rows for counts in made]
+        counted = correct_into(
+            PartsOfRun(folder), observations, setup, batch_rows=BATCH_ROWS, metadata={}
+        )
+        assert (counted.parts, counted.rows) == (PARTS, ROWS)
+        assert [item["name"] for item in folder.outputs()] == [
+            f"observations/part-{i:05d}.parquet" for i in range(PARTS)
+        ]
+        parts = {name: digest for name, digest in untouched[0].items() if "part-" in name}
+        assert {str(item["name"]): item["sha256"] for item in folder.outputs()} == parts

@@ -425,7 +425,7 @@ def test_a_camera_file(copy):
         "from pathlib import Path\n"
         "from unbend.config.cameras import CameraSection\n"
         "camera = CameraSection(file='cameras.toycam', camera='right', calibration='laboratory')\n"
-        "print(camera.with_file(Path('cameras.toycam')).build().fx_px)"
+        "print(camera.with_file(Path('cameras.toycam')).interior_orientation.fx_px)"
     )
     assert "501" in copy.python(code)
 

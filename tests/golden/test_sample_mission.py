@@ -91,7 +91,7 @@ def correct_with(
             part["h_g_m"].to_numpy(),
             row[mine],
             exposures,
-            camera=section.build(),
+            camera=section.interior_orientation,
             table=table,
         )
         error[mine] = np.hypot(found.x_px - part["x_true_px"], found.y_px - part["y_true_px"])

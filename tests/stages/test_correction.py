@@ -48,14 +48,24 @@ class Counter:
         return number
 
 
-@pytest.mark.parametrize(("cpus", "workers"), [(1, 1), (3, 3), (64, 4)])
-def test_batches_in_flight_are_few_whatever_the_machine(monkeypatch, cpus, workers):
+@pytest.mark.parametrize(
+    ("cpus", "memory_gb", "threads"),
+    [(1, 64, 1), (3, 64, 3), (64, 64, 45), (64, 8, 5), (8, 0.5, 1)],
+)
+def test_batches_in_flight_are_as_many_as_cpus_and_memory(monkeypatch, cpus, memory_gb, threads):
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(cpus)), raising=False)
-    monkeypatch.setattr(os, "cpu_count", lambda: 256)
-    counter = Counter(workers)
-    assert list(correct.on_threads(counter.work, counter.batches(40))) == list(range(40))
-    assert counter.most_at_work == workers
-    assert counter.most_held == workers + 1
+    pages = {"SC_PHYS_PAGES": int(memory_gb * (1 << 30)) // 4096, "SC_PAGE_SIZE": 4096}
+    monkeypatch.setattr(os, "sysconf", pages.__getitem__)
+    assert correct.threads_for(250_000) == threads
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_no_more_batches_are_held_than_threads_and_one(threads):
+    counter = Counter(threads)
+    made = correct.on_threads(counter.work, counter.batches(40), threads=threads)
+    assert list(made) == list(range(40))
+    assert counter.most_at_work == threads
+    assert counter.most_held == threads + 1
     assert counter.held == 0
 
 
@@ -68,7 +78,7 @@ def test_a_batch_that_fails_stops_the_others():
         return counter.work(number, batch)
 
     with pytest.raises(KeyError):
-        list(correct.on_threads(broken, counter.batches(1000)))
+        list(correct.on_threads(broken, counter.batches(1000), threads=4))
     assert counter.held < 10
 
 

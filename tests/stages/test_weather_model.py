@@ -99,9 +99,11 @@ def test_without_sensors_the_air_is_the_models(modelled):
     nothing, ledger = AirSamples(), Ledger()
     heights = replace(read.flight.heights, home_h_msl_m=450.0)
     flight = replace(read.flight, heights=heights, roles={})
-    sources = read_air_sources(read.plan, flight, read.stations, nothing, ledger)
+    sources = read_air_sources(
+        read.mission, read.inputs, flight, read.stations, nothing, ledger=ledger
+    )
     air = adjusted_profiles(
-        read.plan.mission, read.stations, nothing, sources, ledger
+        read.mission, read.stations, nothing, sources, ledger
     ).adjustment  # fmt: skip
     assert air.basis == "weather model"
     assert air.is_measured

@@ -209,9 +209,9 @@ def rebuild_run(
     table = pq.read_table(path / "stations.parquet")
     stations = stations_of(table)
     air = air_of(pq.read_table(path / "profile.parquet"), table["profile_id"])
-    windows = exposure_setup.windows_of_mission(mission)
+    windows = mission.windows
     cameras = {}
-    for name, camera in exposure_setup.cameras_of_mission(mission).items():
+    for name, camera in mission.interior_orientations.items():
         section, plane = mission.cameras[name], name in windows and windows[name].shape == "plane"
         wide, high = (np.nan, np.nan) if section.metric is None else section.metric.pixel_um
         in_flight = section.calibration == "in_flight_uncorrected"

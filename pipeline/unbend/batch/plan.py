@@ -140,7 +140,7 @@ def make_plan(
                 refuse_among_results(named.role, place, output)
                 inputs.append(local_input(named, place, records.get(named.role), verify=verify))
     return Plan(
-        mission=with_camera_files(mission, inputs),
+        mission=with_camera_files(mission, {item.role: item.path for item in inputs}),
         inputs=tuple(inputs),
         output=output,
         camera_names=names_of_cameras(mission),
@@ -209,9 +209,8 @@ def remote_input(
     return Input(record, found.copy, program=named.program, url=str(found.place))
 
 
-def with_camera_files(mission: Mission, inputs: list[Input]) -> Mission:
-    """The mission with what the files of its cameras say."""
-    paths = {item.role: item.path for item in inputs}
+def with_camera_files(mission: Mission, paths: Mapping[str, Path]) -> Mission:
+    """The mission with what the files of its cameras say; ``paths`` of inputs by their roles."""
     cameras = {}
     for name, camera in mission.cameras.items():
         role = f"camera {name}"

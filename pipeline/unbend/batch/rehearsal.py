@@ -11,12 +11,13 @@ from scipy.spatial.transform import Rotation
 
 from unbend.atmosphere.layers import stack_layers
 from unbend.atmosphere.profile import Profile
+from unbend.batch.runs import CheckedMission
 from unbend.flight.stations import NO_TIME
 from unbend.refraction.calibration import field_of_view
 from unbend.refraction.ray import rays_by
 from unbend.report.summary import control_sentence, effect_lines
 from unbend.stages.correction import correct_batch
-from unbend.stages.ground_heights import GroundHeights
+from unbend.stages.correction_setup import GroundHeights
 from unbend.stages.outputs import utc_second
 from unbend.stages.plausibility import Facts
 from unbend.stages.story import CorrectedMission
@@ -27,29 +28,31 @@ from unbend.units import ARCSEC, Array, evenly_spaced
 _ROWS = 1000
 
 
-def input_lines(checked: CorrectedMission) -> list[tuple[str, str]]:
-    prepared = checked.prepared
+def input_lines(checked: CheckedMission) -> list[tuple[str, str]]:
+    """The inputs of a mission, each with its label."""
+    stations = checked.corrected.stations
+    prepared = checked.corrected.prepared
     flight, log = prepared.flight, "none: the stations come from elsewhere, and so does the air"
     channels = ", ".join(
         f"{role.replace('_', ' ')} {channel.name}" for role, channel in sorted(flight.roles.items())
     )
-    cameras = Counter(checked.stations.camera[checked.stations.ok].tolist())
+    cameras = Counter(stations.camera[stations.ok].tolist())
     images = len(prepared.observations.images)
     if flight.log is not None:
-        log = f"{prepared.plan.input('log').name}: {flight.log.format}"
+        log = f"{checked.plan.input('log').name}: {flight.log.format}"
     return [
         ("log", log),
         ("channels", channels or "none"),
         ("stations", ", ".join(f"{n} of {name}" for name, n in cameras.items()) or "none"),
         ("observations", f"{prepared.observations.rows:,} in {images} images"),
         *prepared.sources.lines(),
-        ("results", str(prepared.plan.output)),
+        ("results", str(checked.plan.output)),
     ]
 
 
-def rehearsal_lines(checked: CorrectedMission) -> list[tuple[str, str]]:
+def rehearsal_lines(checked: CheckedMission) -> list[tuple[str, str]]:
     """What a run would do, each line with its label."""
-    facts, prepared = checked.facts, checked.prepared
+    facts, prepared = checked.corrected.facts, checked.corrected.prepared
     mission, heights = facts.mission, prepared.flight.heights
     ok, home = facts.stations.ok, facts.takeoff
     undulation = (facts.stations.h_ellipsoid_m - facts.stations.h_msl_m)[ok]
@@ -64,7 +67,7 @@ def rehearsal_lines(checked: CorrectedMission) -> list[tuple[str, str]]:
     def spans(values: Array, digits: int) -> str:
         return _by_camera({n: _span(facts.of_camera(n, values), digits) for n in facts.cameras})
 
-    rows = (f"{n:,} {k}" for k, n in checked.statistics.status.items() if n)
+    rows = (f"{n:,} {k}" for k, n in checked.corrected.statistics.status.items() if n)
     taken = "unknown" if home is None else f"{home.h_msl_m:.0f} m"
     above, control = facts.camera_height_m - facts.rows.h_g_m, control_sentence(checked.manifest)
     return [
@@ -74,11 +77,11 @@ def rehearsal_lines(checked: CorrectedMission) -> list[tuple[str, str]]:
          f"{_span(facts.stations.h_msl_m[ok], 5)} m; above ground {_span(above, 4)} m"),
         ("cameras", "; ".join(camera_text(facts, name) for name in facts.cameras)),
         ("nadir angles", f"{spans(np.degrees(facts.nadir_angle_rad), 2)} deg"),
-        ("time", times_text(checked)),
+        ("time", times_text(checked.corrected)),
         ("shift", f"{spans(facts.rows.shift_px, 3)} px; "
          f"{spans(facts.rows.shift_ground_m, 3)} m on the ground"),
-        ("changes by", changes_text(checked)),
-        ("rows", f"{', '.join(rows)}, expected of {checked.statistics.rows:,}"),
+        ("changes by", changes_text(checked.corrected)),
+        ("rows", f"{', '.join(rows)}, expected of {checked.corrected.statistics.rows:,}"),
         ("vertical", deflection_text(facts)),
         ("air", "; ".join(effect_lines(
             [effect.row() for effect in facts.effects[:1]], facts.adjustment.standard.name))
@@ -114,9 +117,9 @@ def camera_text(facts: Facts, name: str) -> str:
     )
 
 
-def times_text(checked: CorrectedMission) -> str:
+def times_text(corrected: CorrectedMission) -> str:
     """When the log begins and ends, and when the events do."""
-    time, events = checked.prepared.track()[0], checked.stations.time_ns
+    time, events = corrected.prepared.track()[0], corrected.stations.time_ns
     events = events[events != NO_TIME]
     parts = []
     for label, values in (("log", time), ("events", events)):
@@ -141,9 +144,9 @@ def deflection_text(facts: Facts) -> str:
     )
 
 
-def changes_text(checked: CorrectedMission) -> str:
+def changes_text(corrected: CorrectedMission) -> str:
     """How far the correction moves, in the median of each camera [px], with what it is made of."""
-    facts, setup = checked.facts, checked.setup
+    facts, setup = corrected.facts, corrected.setup
     rows = np.flatnonzero(np.isfinite(facts.rows.shift_px))
     rows = rows[evenly_spaced(rows.size, _ROWS)]
     if not rows.size:
@@ -155,7 +158,7 @@ def changes_text(checked: CorrectedMission) -> str:
     exposures, setup = setup.exposures, replace(setup, uncertainties=(None,) * len(setup.rays))
     names, method = pa.nulls(rows.size, pa.string()), facts.mission.refraction.method
     batch = Batch(names, names, x, y, x, y, None, {}, distance_m=distance)
-    warm = tuple(rays_by(warmer(profile, 5.0), method) for profile in checked.air.series.profiles)
+    warm = tuple(rays_by(warmer(profile, 5.0), method) for profile in corrected.air.series.profiles)
     turn = Rotation.from_rotvec([math.radians(0.5), 0.0, 0.0]).as_matrix()
     tilted = replace(exposures, rotation=turn @ exposures.rotation)
     higher = replace(exposures, height_m=exposures.height_m + 10.0)

@@ -2,7 +2,7 @@
 
 import shutil
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -11,13 +11,13 @@ from unbend.atmosphere import standard_atmosphere
 from unbend.atmosphere.air_samples import AirSamples
 from unbend.atmosphere.estimate.adjusted_profile import unadjusted
 from unbend.atmosphere.series.profile_series import TimedProfile, constant_series
-from unbend.batch import remote, store
+from unbend.batch import opening, remote, store
 from unbend.batch.differences import reasons_to_run
 from unbend.batch.executors import Outcome
 from unbend.batch.plan import Plan, fetch_inputs, make_plan, places_named, refuse_other_mission
 from unbend.batch.remote import Place
 from unbend.batch.results import read_manifest
-from unbend.batch.run_files import PartsOfRun, write_tables
+from unbend.batch.run_files import PartsOfRun, correct_into, write_tables
 from unbend.batch.unchanged import load
 from unbend.config.campaign import MissionRef
 from unbend.errors import StorageError, storage_errors
@@ -26,7 +26,8 @@ from unbend.refraction.effect import FlightAir
 from unbend.report.flown import Flown, flown_of
 from unbend.report.html import write_report
 from unbend.report.progress import Progress
-from unbend.stages import correction
+from unbend.stages.correction import correct_counted
+from unbend.stages.correction_setup import CorrectionSetup
 from unbend.stages.outputs import observation_metadata
 from unbend.stages.statistics import SAMPLED_ROWS, Statistics
 from unbend.stages.story import CorrectedMission, PreparedMission, correct_mission, prepare_mission
@@ -95,14 +96,13 @@ def run_plan(plan: Plan, *, force: bool, progress: Progress) -> Outcome:
         batch_rows = plan.mission.output.batch_rows
         progress.start("correcting", observations.rows)
 
-        def correct_all(setup: correction.CorrectionSetup) -> Statistics:
+        def correct_all(setup: CorrectionSetup) -> Statistics:
             plan.check_unchanged()
             folder.resume(f"{plan.fingerprint} {batch_rows}", anew=force)
-            check = partial(plan.check_unchanged, folders=False)
-            return correction.correct_stream(
+            return correct_into(
+                PartsOfRun(folder, partial(plan.check_unchanged, folders=False)),
                 observations,
                 setup,
-                PartsOfRun(folder, check),
                 batch_rows=batch_rows,
                 metadata=observation_metadata(plan.mission),
                 progress=progress.advance,
@@ -111,17 +111,43 @@ def run_plan(plan: Plan, *, force: bool, progress: Progress) -> Outcome:
         corrected = correct_mission(prepared, correct_all)
         progress.start("writing the report")
         write_tables(folder, corrected.stations, corrected.air)
-        manifest = plan.identity() | corrected.manifest
+        manifest = manifest_of(plan, corrected)
         manifest = finish_run(plan, folder, manifest, drawing_of(corrected))
     return outcome_of(plan, manifest, repeated=False)
 
 
 def prepare(plan: Plan, progress: Progress, most_rows: int | None = None) -> PreparedMission:
-    """Fetch inputs from object storage, then build stations and air as `prepare_mission`."""
+    """Open the inputs of a mission, build its stations and estimate its air.
+
+    ``most_rows`` of the observations are drawn, to stand for all.
+    """
+    ledger = Ledger()
+    mission = plan.mission
+    paths = {item.role: item.path for item in plan.inputs}
+    hashes = {item.role: item.sha256 for item in plan.inputs}
     if plan.remotes:
         progress.start("copying inputs from object storage")
         fetch_inputs(plan)
-    return prepare_mission(plan, progress, most_rows)
+    progress.start("reading the observations")
+    observations = opening.open_table(mission, paths["observations"], ledger, most_rows)
+    progress.start("reading the log")
+    log = opening.decode_log(mission, paths, hashes.get("log"))
+    inputs = opening.open_inputs(
+        mission, paths, observations, log, ledger, camera_names=plan.camera_names
+    )
+    return prepare_mission(mission, inputs, ledger)
+
+
+def manifest_of(plan: Plan, corrected: CorrectedMission) -> dict[str, Any]:
+    """The manifest of a run, without its outputs.
+
+    Holds no host name and no absolute path, and no clock but the times of the inputs.
+    """
+    manifest = dict(corrected.manifest)
+    for entry in manifest["ledger"]:  # a file is named as in the mission file, without its folder
+        for item in plan.inputs:
+            entry["where"] = str(entry["where"]).replace(str(item.path), item.name)
+    return manifest | plan.identity()
 
 
 def outcome_of(plan: Plan, manifest: dict[str, Any], *, repeated: bool) -> Outcome:
@@ -159,9 +185,18 @@ def renewed(plan: Plan, folder: store.RunFolder, manifest: dict[str, Any]) -> di
     return manifest | seen
 
 
+@dataclass(frozen=True, eq=False)
+class CheckedMission:
+    """A rehearsed mission, and the manifest that it would have."""
+
+    plan: Plan
+    corrected: CorrectedMission
+    manifest: dict[str, Any]
+
+
 def check_mission(
     mission: MissionRef | Path | str, *, progress: Progress | None = None
-) -> CorrectedMission:
+) -> CheckedMission:
     """Rehearse a mission: all that `run_mission` does, on `SAMPLED_ROWS` rows; writes nothing."""
     progress = progress or Progress()
     plan = plan_of(mission)
@@ -173,13 +208,13 @@ def check_mission(
     prepared = prepare(plan, progress, SAMPLED_ROWS)
     progress.start("correcting a sample")
 
-    def correct_sample(setup: correction.CorrectionSetup) -> Statistics:
-        _, _, statistics = correction.correct_counted(prepared.observations.sampled(), setup)
+    def correct_sample(setup: CorrectionSetup) -> Statistics:
+        _, _, statistics = correct_counted(prepared.observations.sampled(), setup)
         return statistics
 
     corrected = correct_mission(prepared, correct_sample)
     plan.check_unchanged()
-    return replace(corrected, manifest=plan.identity() | corrected.manifest)
+    return CheckedMission(plan, corrected, manifest_of(plan, corrected))
 
 
 def mission_status(mission: MissionRef | Path | str) -> tuple[Plan, list[str]]:

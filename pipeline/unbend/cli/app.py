@@ -48,7 +48,7 @@ class _Group(TyperGroup):
         """The command and its words; refuses (URL-INVALID) a URL where paths are taken."""
         name, command, words = super().resolve_command(ctx, args)
         urls = [w.partition("=")[2] if w.startswith("--") else w for w in words if ":/" in w]
-        if urls and name not in {"run", "export", "verify", "clean"}:
+        if urls and name is not None and name not in {"run", "export", "verify", "clean"}:
             from unbend.batch import messages
             from unbend.batch.remote import Place, is_url
 

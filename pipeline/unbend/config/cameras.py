@@ -3,7 +3,7 @@
 import tomllib
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
-from functools import cache
+from functools import cache, cached_property
 from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -77,6 +77,13 @@ class Section(BaseModel):
         extra="forbid", frozen=True, strict=True, allow_inf_nan=False, defer_build=True
     )
 
+    def __copy__(self) -> Self:
+        """A copy of the keys: what was computed of them may be another one of changed keys."""
+        copied = super().__copy__()
+        for name in copied.__dict__.keys() - type(self).model_fields.keys():
+            del copied.__dict__[name]
+        return copied
+
 
 Hectopascal = Annotated[float, Field(ge=100, le=1200)]
 Celsius = Annotated[float, Field(ge=-60, le=60)]
@@ -85,12 +92,64 @@ Celsius = Annotated[float, Field(ge=-60, le=60)]
 class CabinAir(Section):
     """The air in the compartment, quantity by quantity."""
 
-    pressure: Literal["log", "ambient"] | Hectopascal | None = None
-    pressure_hpa: Hectopascal | None = Field(None, validate_default=True)
-    temperature_c: Literal["log"] | Celsius | None = None
-    relative_humidity: float | None = Field(None, ge=0, le=1)
-    sigma_pressure_hpa: float | None = Field(None, ge=0, le=300)
-    sigma_temperature_k: float | None = Field(None, ge=0, le=50)
+    pressure: Literal["log", "ambient"] | Hectopascal | None = Field(
+        None,
+        description=(
+            "pressure in the compartment: log, as logged; ambient, not pressurised, as outside; or "
+            "a constant"
+        ),
+        examples=["log"],
+        json_schema_extra={"unit": "hPa"},
+    )
+    pressure_hpa: Hectopascal | None = Field(
+        None,
+        validate_default=True,
+        description="constant pressure in the compartment; the same as a number under pressure",
+        examples=[800.0],
+        json_schema_extra={"unit": "hPa"},
+    )
+    temperature_c: Literal["log"] | Celsius | None = Field(
+        None,
+        description=(
+            "temperature in the compartment: log, or a constant. Without it the log's, where it "
+            "has one, else 21 degC: +- 5 K where the cabin is pressurised, +- 10 K where it is not"
+        ),
+        examples=[21.0],
+        json_schema_extra={"unit": "degC"},
+    )
+    relative_humidity: float | None = Field(
+        None,
+        ge=0,
+        le=1,
+        description=(
+            "relative humidity in the compartment, 0 to 1; without it the log's, else dry air "
+            "(ambient: as outside)"
+        ),
+        examples=[0.3],
+        json_schema_extra={"unit": "1"},
+    )
+    sigma_pressure_hpa: float | None = Field(
+        None,
+        ge=0,
+        le=300,
+        description=(
+            "standard deviation of the cabin's pressure; without it 3 hPa where it is logged or "
+            "ambient"
+        ),
+        examples=[3.0],
+        json_schema_extra={"unit": "hPa"},
+    )
+    sigma_temperature_k: float | None = Field(
+        None,
+        ge=0,
+        le=50,
+        description=(
+            "standard deviation of the cabin's temperature; without it 1 K where a thermometer is "
+            "logged"
+        ),
+        examples=[1.0],
+        json_schema_extra={"unit": "K"},
+    )
 
     @field_validator("pressure_hpa")
     @classmethod
@@ -132,15 +191,49 @@ def _checked_window(*given: Any) -> Window:
 class WindowSection(Section):
     """The window of a pressurised compartment."""
 
-    shape: Literal["plane", "spherical"] = "plane"
-    cabin: Literal["log", "standard_schedule"] | CabinAir | None = Field(
-        None, validate_default=True
+    shape: Literal["plane", "spherical"] = Field(
+        "plane",
+        description="plane; or spherical: a dome about the projection centre, which bends nothing",
+        examples=["plane"],
     )
-    frame: Literal["camera", "body"] = "camera"
-    normal: Vector = Field(default_factory=lambda: [0.0, 0.0, 1.0])
-    in_calibration: Literal["none", "glass"] = "none"
+    cabin: Literal["log", "standard_schedule"] | CabinAir | None = Field(
+        None,
+        validate_default=True,
+        description=(
+            "air behind the window. log: from the cabin channels of the log; standard_schedule: as "
+            "outside up to 3 km, then 701.2 hPa, 21.1 degC (Gyer's Table 7); or {pressure, "
+            "temperature_c}"
+        ),
+        examples=["log"],
+    )
+    frame: Literal["camera", "body"] = Field(
+        "camera",
+        description=(
+            "frame of the normal: camera (x right, y down, z forward), or body, the aircraft's (x "
+            "forward, y right, z down), for a camera that moves behind a fixed window"
+        ),
+        examples=["camera"],
+    )
+    normal: Vector = Field(
+        default_factory=lambda: [0.0, 0.0, 1.0],
+        description=(
+            "direction out of the window; [0, 0, 1] is square to the optical axis in the camera "
+            "frame, a window in the belly in the body frame"
+        ),
+        examples=[[0.0, 0.0, 1.0]],
+        json_schema_extra={"unit": "1"},
+    )
+    in_calibration: Literal["none", "glass"] = Field(
+        "none",
+        description=(
+            "glass: the camera was calibrated through the window. The glass displaces rays, which "
+            "is never modelled"
+        ),
+        examples=["none"],
+    )
 
-    def build(self) -> Window:
+    @cached_property
+    def window(self) -> Window:
         """The window, with cabin air in SI."""
         x, y, z = self.normal
         cabin = self.cabin.build() if isinstance(self.cabin, CabinAir) else self.cabin
@@ -174,8 +267,20 @@ class WindowSection(Section):
 class LensReference(Section):
     """The air in the lens when the camera was calibrated."""
 
-    pressure_hpa: float = Field(ge=100, le=1200)
-    temperature_c: float = Field(ge=-60, le=60)
+    pressure_hpa: float = Field(
+        ge=100,
+        le=1200,
+        description="air pressure during the calibration",
+        examples=[1013.25],
+        json_schema_extra={"unit": "hPa"},
+    )
+    temperature_c: float = Field(
+        ge=-60,
+        le=60,
+        description="temperature during the calibration",
+        examples=[20.0],
+        json_schema_extra={"unit": "degC"},
+    )
 
 
 class LensSection(Section):
@@ -183,9 +288,23 @@ class LensSection(Section):
 
     In pixels: derivatives in millimetres are divided by the pixel pitch in millimetres."""
 
-    reference: LensReference
-    dc_dp_px_per_hpa: float = Field(ge=-10, le=10)
-    dc_dt_px_per_k: float = Field(ge=-10, le=10)
+    reference: LensReference = Field(
+        description="{pressure_hpa, temperature_c} of the air in the lens during the calibration",
+    )
+    dc_dp_px_per_hpa: float = Field(
+        ge=-10,
+        le=10,
+        description="change of the principal distance with the pressure of the air in the lens",
+        examples=[0.0084],
+        json_schema_extra={"unit": "px/hPa"},
+    )
+    dc_dt_px_per_k: float = Field(
+        ge=-10,
+        le=10,
+        description="change of the principal distance with the temperature of the lens",
+        examples=[0.004],
+        json_schema_extra={"unit": "px/K"},
+    )
 
     def build(self, principal_distance_px: float) -> LensInAir:
         """In Pa and K."""
@@ -207,13 +326,69 @@ class MountSection(Section):
     v_ned = R(aircraft) R(gimbal) R(mount) v_camera, where a gimbal that is level to the horizon
     takes of the aircraft its yaw alone, and one whose yaw counts from north takes nothing."""
 
-    attitude: str | None = None
-    roll_deg: float = 0.0
-    pitch_deg: float = 0.0
-    yaw_deg: float = 0.0
-    lever_arm_m: LeverArm = Field(default_factory=lambda: [0.0, 0.0, 0.0])
-    sigma_tilt_deg: float | None = Field(None, ge=0, le=45)
-    sigma_yaw_deg: float | None = Field(None, ge=0, le=180)
+    attitude: str | None = Field(
+        None,
+        description=(
+            "channel of the camera's own gimbal or head, where each camera has one; by default "
+            "log.channels.attitude"
+        ),
+        examples=["MNT[0]"],
+    )
+    roll_deg: float = Field(
+        0.0,
+        description=(
+            "turn about the body's forward axis: positive lowers the right wing, and a camera that "
+            "looked down looks to the left; -45 looks to the right"
+        ),
+        examples=[-45.0],
+        json_schema_extra={"unit": "deg"},
+    )
+    pitch_deg: float = Field(
+        0.0,
+        description=(
+            "turn about the body's right axis: positive raises the nose, and a camera that looked "
+            "down looks forward"
+        ),
+        examples=[0.0],
+        json_schema_extra={"unit": "deg"},
+    )
+    yaw_deg: float = Field(
+        0.0,
+        description="turn about the body's vertical axis, clockwise seen from above",
+        examples=[0.0],
+        json_schema_extra={"unit": "deg"},
+    )
+    lever_arm_m: LeverArm = Field(
+        default_factory=lambda: [0.0, 0.0, 0.0],
+        description=(
+            "projection centre minus the point whose position the log gives (horizontally the "
+            "filter's, in height the GNSS antenna's), in the body frame"
+        ),
+        examples=[[0.2, 0.28, 0.55]],
+        json_schema_extra={"unit": "m"},
+    )
+    sigma_tilt_deg: float | None = Field(
+        None,
+        ge=0,
+        le=45,
+        description=(
+            "standard deviation of the attitude about each of the body's two level axes, in place "
+            "of what the log gives; what the time between samples adds is added to it"
+        ),
+        examples=[0.1],
+        json_schema_extra={"unit": "deg"},
+    )
+    sigma_yaw_deg: float | None = Field(
+        None,
+        ge=0,
+        le=180,
+        description=(
+            "standard deviation of the attitude about the body's vertical axis; by default "
+            "sigma_tilt_deg"
+        ),
+        examples=[0.4],
+        json_schema_extra={"unit": "deg"},
+    )
 
     @model_validator(mode="after")
     def _check_sigmas(self) -> Self:
@@ -221,7 +396,8 @@ class MountSection(Section):
             raise ValueError("sigma_yaw_deg needs sigma_tilt_deg beside it")
         return self
 
-    def build(self) -> Mount:
+    @cached_property
+    def mount(self) -> Mount:
         """In radians."""
         x, y, z = self.lever_arm_m
         tilt = self.sigma_tilt_deg
@@ -245,34 +421,128 @@ Sense = Literal["correction", "distortion"]
 class DistortionSection(Section):
     """Brown-Conrady coefficients as OpenCV defines them."""
 
-    k1: Coefficient = 0.0
-    k2: Coefficient = 0.0
-    k3: Coefficient = 0.0
-    p1: Coefficient = 0.0
-    p2: Coefficient = 0.0
+    k1: Coefficient = Field(
+        0.0,
+        description="radial coefficient of r^2, r in units of the principal distance",
+        examples=[0.0],
+        json_schema_extra={"unit": "1"},
+    )
+    k2: Coefficient = Field(
+        0.0,
+        description="radial coefficient of r^4, r in units of the principal distance",
+        examples=[0.0],
+        json_schema_extra={"unit": "1"},
+    )
+    k3: Coefficient = Field(
+        0.0,
+        description="radial coefficient of r^6, r in units of the principal distance",
+        examples=[0.0],
+        json_schema_extra={"unit": "1"},
+    )
+    p1: Coefficient = Field(
+        0.0,
+        description="decentring coefficient of OpenCV: x' = ... + 2 p1 x y",
+        examples=[0.0],
+        json_schema_extra={"unit": "1"},
+    )
+    p2: Coefficient = Field(
+        0.0,
+        description="decentring coefficient of OpenCV: x' = ... + p2 (r^2 + 2 x^2)",
+        examples=[0.0],
+        json_schema_extra={"unit": "1"},
+    )
 
 
 class MetricDistortion(Section):
     """Coefficients of a calibration report, in powers of mm, about the point of symmetry."""
 
-    sense: Sense
-    k0: float = 0.0
-    k1: float = 0.0
-    k2: float = 0.0
-    k3: float = 0.0
-    k4: float = 0.0
-    p1: float = 0.0
-    p2: float = 0.0
-    b1: float = Field(0.0, ge=-0.05, le=0.05)
-    b2: float = Field(0.0, ge=-0.05, le=0.05)
+    sense: Sense = Field(
+        description=(
+            "correction: the coefficients are what is added to measured coordinates (reports of "
+            "the USGS); distortion: what the lens does to ideal ones"
+        ),
+        examples=["correction"],
+    )
+    k0: float = Field(
+        0.0,
+        description="radial coefficient of r: dr = r (k0 + k1 r^2 + ...)",
+        examples=[2.616e-05],
+        json_schema_extra={"unit": "1"},
+    )
+    k1: float = Field(
+        0.0,
+        description="radial coefficient of r^3",
+        examples=[-2.295e-09],
+        json_schema_extra={"unit": "mm^-2"},
+    )
+    k2: float = Field(
+        0.0,
+        description="radial coefficient of r^5",
+        examples=[1.454e-14],
+        json_schema_extra={"unit": "mm^-4"},
+    )
+    k3: float = Field(
+        0.0,
+        description="radial coefficient of r^7",
+        examples=[0.0],
+        json_schema_extra={"unit": "mm^-6"},
+    )
+    k4: float = Field(
+        0.0,
+        description="radial coefficient of r^9",
+        examples=[0.0],
+        json_schema_extra={"unit": "mm^-8"},
+    )
+    p1: float = Field(
+        0.0,
+        description="decentring: dx = p1 (r^2 + 2 x^2) + 2 p2 x y (not OpenCV's order)",
+        examples=[0.0],
+        json_schema_extra={"unit": "mm^-1"},
+    )
+    p2: float = Field(
+        0.0,
+        description="decentring: dy = p2 (r^2 + 2 y^2) + 2 p1 x y",
+        examples=[0.0],
+        json_schema_extra={"unit": "mm^-1"},
+    )
+    b1: float = Field(
+        0.0,
+        ge=-0.05,
+        le=0.05,
+        description="affinity, dx = b1 x + b2 y",
+        examples=[0.0],
+        json_schema_extra={"unit": "1"},
+    )
+    b2: float = Field(
+        0.0,
+        ge=-0.05,
+        le=0.05,
+        description="affinity, dx = b1 x + b2 y",
+        examples=[0.0],
+        json_schema_extra={"unit": "1"},
+    )
 
 
 class MetricTable(Section):
     """Tabulated radial distortion of a calibration report."""
 
-    sense: Sense
-    by: Literal["radius_mm", "field_angle_deg"]
-    rows: list[Pair] = Field(min_length=3)
+    sense: Sense = Field(
+        description=(
+            "distortion: the rows are what the lens does, positive away from the point of "
+            "symmetry; correction: what is added to measured coordinates"
+        ),
+        examples=["distortion"],
+    )
+    by: Literal["radius_mm", "field_angle_deg"] = Field(
+        description="what the first number of each row is",
+        examples=["field_angle_deg"],
+    )
+    rows: list[Pair] = Field(
+        min_length=3,
+        description="rows of [radius or field angle, distortion in micrometres]",
+        examples=[[[7.5, -1.0], [15.0, -1.0], [30.0, -1.0]]],
+        json_schema_extra={"unit": "um"},
+    )
 
     @field_validator("rows")
     @classmethod
@@ -287,17 +557,65 @@ class MetricTable(Section):
 class MetricSection(Section):
     """The calibration report of a metric frame camera, in millimetres."""
 
-    focal_mm: float = Field(ge=1, le=5000)
-    pixel_um: Pair
-    format_mm: Pair
-    origin: Literal["image_centre"] | Pair
+    focal_mm: float = Field(
+        ge=1,
+        le=5000,
+        description="calibrated principal distance",
+        examples=[153.743],
+        json_schema_extra={"unit": "mm"},
+    )
+    pixel_um: Pair = Field(
+        description="size of a pixel, [across, down]",
+        examples=[[20.0, 20.0]],
+        json_schema_extra={"unit": "um"},
+    )
+    format_mm: Pair = Field(
+        description="width and height of the image, to check pixel_um",
+        examples=[[230.0, 230.0]],
+        json_schema_extra={"unit": "mm"},
+    )
+    origin: Literal["image_centre"] | Pair = Field(
+        description=(
+            "origin of the report's coordinates: image_centre, or its pixel (the centre of the "
+            "fiducials)"
+        ),
+        examples=["image_centre"],
+        json_schema_extra={"unit": "px"},
+    )
     axes: Literal["right up", "right down", "left up", "left down", "up right", "up left",
-                  "down right", "down left"]  # fmt: skip
-    ppa_mm: Pair
-    ppbs_mm: Pair | None = None
-    radius_mm: float | None = Field(None, gt=0)
-    distortion: MetricDistortion | None = None
-    table: MetricTable | None = None
+                  "down right", "down left"] = Field(
+        description="directions of the report's x and y axes in the image",
+        examples=['right up'],
+    )  # fmt: skip
+    ppa_mm: Pair = Field(
+        description="principal point of autocollimation, origin of projection",
+        examples=[[0.004, -0.012]],
+        json_schema_extra={"unit": "mm"},
+    )
+    ppbs_mm: Pair | None = Field(
+        None,
+        description="point of best symmetry, origin of distortion; by default ppa_mm",
+        examples=[[-0.009, 0.002]],
+        json_schema_extra={"unit": "mm"},
+    )
+    radius_mm: float | None = Field(
+        None,
+        gt=0,
+        description="largest calibrated radius; by default the last row of the table",
+        examples=[150.0],
+        json_schema_extra={"unit": "mm"},
+    )
+    distortion: MetricDistortion | None = Field(
+        None,
+        description="coefficients of the report",
+    )
+    table: MetricTable | None = Field(
+        None,
+        description=(
+            "tabulated radial distortion of the report; alone it becomes a polynomial, beside "
+            "coefficients it checks them"
+        ),
+    )
 
     def build(self, size_px: tuple[int, int], pixels: PixelSystem) -> Camera:
         """The camera; refuses as `camera_of_report`."""
@@ -327,24 +645,128 @@ OWN_ORIENTATION = {*_OTHER_WAYS, "f_px", "fx_px", "fy_px", "cx_px", "cy_px", "di
 class CameraSection(Section):
     """Interior orientation of one camera, in one of four ways."""
 
-    file: PathText | None = None
-    format: Literal[tuple(BLOCKS)] | None = None  # type: ignore[valid-type]
-    camera: str | int | None = None
-    model: Literal[tuple(MODELS)] | None = None  # type: ignore[valid-type]
-    params: list[float] | None = None
-    metric: MetricSection | None = None
-    width_px: int | None = Field(None, gt=0, le=1_000_000, validate_default=True)
-    height_px: int | None = Field(None, gt=0, le=1_000_000, validate_default=True)
-    f_px: PrincipalDistance | None = None
-    fx_px: PrincipalDistance | None = None
-    fy_px: PrincipalDistance | None = None
-    cx_px: float | None = Field(None, ge=-1e6, le=1e6, validate_default=True)
-    cy_px: float | None = Field(None, ge=-1e6, le=1e6, validate_default=True)
-    pixel_origin: PixelOrigin | None = None
-    distortion: DistortionSection | None = None
-    calibration: Literal["laboratory", "in_flight_uncorrected", "in_flight_corrected"]
-    window: WindowSection | None = None
-    principal_distance: LensSection | None = None
+    file: PathText | None = Field(
+        None,
+        description=(
+            "calibration file of COLMAP, OpenSfM or ODM, Metashape or DBAT; then no numbers stand "
+            "here. By default the block of the observations, where that is one"
+        ),
+        examples=["cameras.txt"],
+    )
+    format: Literal[tuple(BLOCKS)] | None = Field(
+        None,
+        description="program that wrote file, where its ending does not say it",
+        examples=["colmap"],
+    )  # type: ignore[valid-type]
+    camera: str | int | None = Field(
+        None,
+        description="name or number of the camera in file or in the block, where that has several",
+        examples=["1"],
+    )
+    model: Literal[tuple(MODELS)] | None = Field(
+        None,
+        description="COLMAP's name of the camera model",
+        examples=["OPENCV"],
+    )  # type: ignore[valid-type]
+    params: list[float] | None = Field(
+        None,
+        description=(
+            "parameters of model in COLMAP's order, as in cameras.txt, in COLMAP's pixels; its "
+            "coefficients have no unit"
+        ),
+        examples=[[20000.0, 7000.0, 5300.0, -0.01]],
+        json_schema_extra={"unit": "px"},
+    )
+    metric: MetricSection | None = Field(
+        None,
+        description="calibration report of a metric frame camera, in millimetres",
+    )
+    width_px: int | None = Field(
+        None,
+        gt=0,
+        le=1_000_000,
+        validate_default=True,
+        description="width of the image",
+        examples=[14000],
+        json_schema_extra={"unit": "px"},
+    )
+    height_px: int | None = Field(
+        None,
+        gt=0,
+        le=1_000_000,
+        validate_default=True,
+        description="height of the image",
+        examples=[10600],
+        json_schema_extra={"unit": "px"},
+    )
+    f_px: PrincipalDistance | None = Field(
+        None,
+        description="principal distance, where it is the same along x and y",
+        examples=[20000.0],
+        json_schema_extra={"unit": "px"},
+    )
+    fx_px: PrincipalDistance | None = Field(
+        None,
+        description="principal distance along x",
+        examples=[20000.0],
+        json_schema_extra={"unit": "px"},
+    )
+    fy_px: PrincipalDistance | None = Field(
+        None,
+        description="principal distance along y",
+        examples=[20000.0],
+        json_schema_extra={"unit": "px"},
+    )
+    cx_px: float | None = Field(
+        None,
+        ge=-1e6,
+        le=1e6,
+        validate_default=True,
+        description="x of the principal point, from the left",
+        examples=[7012.4],
+        json_schema_extra={"unit": "px"},
+    )
+    cy_px: float | None = Field(
+        None,
+        ge=-1e6,
+        le=1e6,
+        validate_default=True,
+        description="y of the principal point, from the top",
+        examples=[5291.7],
+        json_schema_extra={"unit": "px"},
+    )
+    pixel_origin: PixelOrigin | None = Field(
+        None,
+        description=(
+            "where the principal point counts its pixels from; by default as the observations do, "
+            "and corner for params"
+        ),
+        examples=["corner"],
+    )
+    distortion: DistortionSection | None = Field(
+        None,
+        description=(
+            "coefficients of the lens as OpenCV defines them; without them the lens has none"
+        ),
+    )
+    calibration: Literal["laboratory", "in_flight_uncorrected", "in_flight_corrected"] = Field(
+        description=(
+            "how the camera was calibrated. A calibration estimated in flight on uncorrected "
+            "images already contains the nadir refraction of that height"
+        ),
+        examples=["laboratory"],
+    )
+    window: WindowSection | None = Field(
+        None,
+        description="the window that the camera looks through; leave it out where there is none",
+    )
+    principal_distance: LensSection | None = Field(
+        None,
+        description=(
+            "how the principal distance follows the air in the lens; without it that change is not "
+            "removed"
+        ),
+    )
 
     @field_validator("width_px", "height_px", "cx_px", "cy_px")
     @classmethod
@@ -374,7 +796,7 @@ class CameraSection(Section):
         if numbers and single not in ((True, False, False), (False, True, True)):
             raise ValueError("give f_px, or both fx_px and fy_px")
         try:
-            camera = self.build()
+            camera = self.interior_orientation
             if not all(10.0 <= f <= 1e6 for f in (camera.fx_px, camera.fy_px)):
                 raise ValueError("the principal distance is 10 to 1000000 pixels")
             refuse_impossible(camera)
@@ -398,20 +820,31 @@ class CameraSection(Section):
     @property
     def needs_cabin_from_log(self) -> bool:
         """Whether a number depends on the cabin's air, and that is to come from the log."""
-        cabin = None if self.window is None else self.window.build().cabin
+        cabin = None if self.window is None else self.window.window.cabin
         of_log = cabin is not None and (cabin.source == "log" or cabin.temperature_logged)
         return of_log and self.needs_cabin
 
+    @cached_property
     def lens(self) -> LensInAir | None:
         """How the principal distance follows the air; None where the file does not state it."""
         if self.principal_distance is None:
             return None
-        camera = self.build()
+        camera = self.interior_orientation
         # The smaller of two, to which a change is the larger part.
         return self.principal_distance.build(min(camera.fx_px, camera.fy_px))
 
-    def build(self, pixel_origin: PixelOrigin = "corner") -> Camera:
-        """The camera in COLMAP's pixels, when its file is read; ``pixel_origin`` is the default."""
+    @cached_property
+    def interior_orientation(self) -> Camera:
+        """The camera in COLMAP's pixels, when its file is read; pixels count from the corner."""
+        return self._camera("corner")
+
+    def interior_orientation_by(self, pixel_origin: PixelOrigin) -> Camera:
+        """The camera in COLMAP's pixels; its own count from ``pixel_origin`` if it says nothing."""
+        if self.pixel_origin is not None or pixel_origin == "corner":
+            return self.interior_orientation
+        return self._camera(pixel_origin)
+
+    def _camera(self, pixel_origin: PixelOrigin) -> Camera:
         width, height = self.width_px or 0, self.height_px or 0
         pixels = PixelSystem(self.pixel_origin or pixel_origin)
         if self.metric is not None:

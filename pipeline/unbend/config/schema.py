@@ -1,12 +1,10 @@
-"""The JSON schema of a mission file, with the texts of `keys.toml`, and its keys one by one."""
+"""The JSON schema of a mission file, and its keys one by one."""
 
 import json
-import tomllib
 import typing
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
-from importlib import resources
 from typing import Any
 
 from pydantic import BaseModel
@@ -33,12 +31,6 @@ class MissionKey:
     unit: str
     default: str
     example: str
-
-
-@cache
-def key_texts() -> Mapping[str, Mapping[str, Mapping[str, Any]]]:
-    """Section's class -> key -> text, unit, example, form: the contents of `keys.toml`."""
-    return tomllib.loads(resources.files(__package__).joinpath("keys.toml").read_text("utf-8"))
 
 
 def all_sections(annotation: Any = Mission | CampaignFile) -> dict[str, type[BaseModel]]:
@@ -75,21 +67,24 @@ def campaign_schema() -> Node:
     return {"$schema": mission.pop("$schema")} | schema
 
 
+SHOWN_LAST = ("description", "unit", "examples", "patternErrorMessage")
+"""What people read of a key stands behind what machines do."""
+
+
 def _with_texts(schema: Node, root: type[BaseModel]) -> Node:
-    texts = key_texts()
+    """The schema of pydantic without its titles, and with the defaults that are made anew."""
     for name, section in all_sections(root).items():
         node = schema if section is root else schema["$defs"][name]
-        node["required"] = sorted({*node.get("required", ())} - _FILLED_IN.get(name, set()))
+        required = set(node.get("required", ()))
+        node["required"] = sorted(required - _FILLED_IN.get(name, set()))
         for key, value in node["properties"].items():
-            owner = next(c.__name__ for c in section.__mro__ if key in texts.get(c.__name__, {}))
-            entry = texts[owner][key]
             value.pop("title", None)
-            value["description"] = entry["text"]
-            value |= {"unit": entry["unit"]} if "unit" in entry else {}
-            value |= {"examples": [entry["example"]]} if "example" in entry else {}
-            value |= {"patternErrorMessage": entry["form"]} if "form" in entry else {}
+            for shown in SHOWN_LAST:
+                if shown in value:
+                    value[shown] = value.pop(shown)
             factory = section.model_fields[key].default_factory
-            value |= {"default": factory()} if factory is not None else {}  # type: ignore[call-arg]
+            if factory is not None:
+                value["default"] = factory()  # type: ignore[call-arg]
     return schema
 
 

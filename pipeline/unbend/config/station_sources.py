@@ -18,8 +18,19 @@ Replaced = Literal["position", "height", "attitude"]
 class ImportTime(Section):
     """The time of a file of another program."""
 
-    system: Literal["gpst", "utc"] | None = None
-    week: int | None = Field(None, ge=0, le=9999)
+    system: Literal["gpst", "utc"] | None = Field(
+        None,
+        description="time system of the file, where the file does not say it: SBET, EO text, CSV",
+        examples=["gpst"],
+    )
+    week: int | None = Field(
+        None,
+        ge=0,
+        le=9999,
+        description="GPS week of the first row; by default that of the log",
+        examples=[2418],
+        json_schema_extra={"unit": "1"},
+    )
 
 
 class NamedColumns(Section):
@@ -34,11 +45,31 @@ class NamedColumns(Section):
 class ClockColumns(NamedColumns):
     """Columns of images with their times: UTC, or GPS week and seconds of the week."""
 
-    image: str = "image"
-    camera: str | None = None
-    time_utc: str | None = None
-    gps_week: str | None = None
-    gps_seconds: str | None = None
+    image: str = Field(
+        "image",
+        description="column of the names of the images",
+        examples=["image"],
+    )
+    camera: str | None = Field(
+        None,
+        description="column of the camera of each row, where there are several",
+        examples=["camera"],
+    )
+    time_utc: str | None = Field(
+        None,
+        description="column of UTC times: dates as 2026-05-14T10:20:00.5Z",
+        examples=["time_utc"],
+    )
+    gps_week: str | None = Field(
+        None,
+        description="column of GPS weeks, with gps_seconds in place of time_utc",
+        examples=["gps_week"],
+    )
+    gps_seconds: str | None = Field(
+        None,
+        description="column of seconds of the GPS week",
+        examples=["gps_seconds"],
+    )
 
     @model_validator(mode="after")
     def _check_clock(self) -> Self:
@@ -51,31 +82,114 @@ class ClockColumns(NamedColumns):
 class PoseColumns(NamedColumns):
     """Columns of a position, latitude, longitude, height or x, y, z [m], and of an attitude."""
 
-    latitude: str | None = None
-    longitude: str | None = None
-    height: str | None = None
-    x: str | None = None
-    y: str | None = None
-    z: str | None = None
-    roll: str | None = None
-    pitch: str | None = None
-    yaw: str | None = None
-    q_w: str | None = None
-    q_x: str | None = None
-    q_y: str | None = None
-    q_z: str | None = None
+    latitude: str | None = Field(
+        None,
+        description="column of latitudes [deg, or position_unit]",
+        examples=["lat"],
+    )
+    longitude: str | None = Field(
+        None,
+        description="column of longitudes [deg, or position_unit]",
+        examples=["lon"],
+    )
+    height: str | None = Field(
+        None,
+        description="column of heights [m]",
+        examples=["height"],
+    )
+    x: str | None = Field(
+        None,
+        description="column of x [m]: east of a projection, or earth-centred",
+        examples=["x"],
+    )
+    y: str | None = Field(
+        None,
+        description="column of y [m]: north of a projection, or earth-centred",
+        examples=["y"],
+    )
+    z: str | None = Field(
+        None,
+        description="column of z [m]: the height in a projection, or earth-centred",
+        examples=["z"],
+    )
+    roll: str | None = Field(
+        None,
+        description="column of roll, positive with the right wing down",
+        examples=["roll"],
+    )
+    pitch: str | None = Field(
+        None,
+        description="column of pitch, positive with the nose up",
+        examples=["pitch"],
+    )
+    yaw: str | None = Field(
+        None,
+        description="column of yaw, clockwise from north",
+        examples=["yaw"],
+    )
+    q_w: str | None = Field(
+        None,
+        description="column of the real part of the quaternion",
+        examples=["q_w"],
+    )
+    q_x: str | None = Field(
+        None,
+        description="column of the x part of the quaternion",
+        examples=["q_x"],
+    )
+    q_y: str | None = Field(
+        None,
+        description="column of the y part of the quaternion",
+        examples=["q_y"],
+    )
+    q_z: str | None = Field(
+        None,
+        description="column of the z part of the quaternion",
+        examples=["q_z"],
+    )
 
 
 class TrajectoryColumns(PoseColumns):
     """Columns of a CSV; position is latitude, longitude, height, or earth-centred x, y, z [m]."""
 
-    time: str = "time"
-    week: str | None = None
-    v_north_m_s: str | None = None
-    v_east_m_s: str | None = None
-    v_down_m_s: str | None = None
-    sigma_h_m: str | None = None
-    sigma_v_m: str | None = None
+    time: str = Field(
+        "time",
+        description=(
+            "column of times: dates, seconds of the GPS week, or seconds since 1970 (utc) or 1980 "
+            "(gpst)"
+        ),
+        examples=["time"],
+    )
+    week: str | None = Field(
+        None,
+        description="column of GPS weeks, beside seconds of the week",
+        examples=["week"],
+    )
+    v_north_m_s: str | None = Field(
+        None,
+        description="column of the velocity to the north [m/s]",
+        examples=["v_north"],
+    )
+    v_east_m_s: str | None = Field(
+        None,
+        description="column of the velocity to the east [m/s]",
+        examples=["v_east"],
+    )
+    v_down_m_s: str | None = Field(
+        None,
+        description="column of the velocity downwards [m/s]",
+        examples=["v_down"],
+    )
+    sigma_h_m: str | None = Field(
+        None,
+        description="column of the sigma of a horizontal axis [m]",
+        examples=["sigma_h"],
+    )
+    sigma_v_m: str | None = Field(
+        None,
+        description="column of the sigma of the height [m]",
+        examples=["sigma_v"],
+    )
 
     @model_validator(mode="after")
     def _check_groups(self) -> Self:
@@ -96,19 +210,85 @@ class TrajectoryColumns(PoseColumns):
 class TrajectorySection(Section):
     """A trajectory of another program, in place of the log's."""
 
-    path: PathText
-    format: Annotated[str, one_of(TRAJECTORIES.keys)] | None = None
-    replaces: list[Replaced] | None = Field(None, min_length=1)
-    point: Literal["imu", "antenna", "camera"]
-    lever_arm_m: LeverArm | Literal["from_events"] = Field(default_factory=lambda: [0.0, 0.0, 0.0])
-    heights: Literal["msl", "ellipsoid"] | None = None
-    time: ImportTime = ImportTime()
-    crs: str | None = None
-    accuracy: PathText | None = None
-    columns: TrajectoryColumns | None = None
-    position_unit: AngleUnit = "deg"
-    angle_unit: AngleUnit = "deg"
-    angle_order: str = Field("ZYX", pattern="^(?:XYZ|XZY|YXZ|YZX|ZXY|ZYX)$")
+    path: PathText = Field(
+        description="the file of the trajectory: RTKLIB .pos, SBET or CSV",
+        examples=["flight.pos"],
+    )
+    format: Annotated[str, one_of(TRAJECTORIES.keys)] | None = Field(
+        None,
+        description=(
+            "format of the file; by default by the ending: .pos (rtklib), .sbet and .out (sbet), "
+            ".csv and .txt (csv)"
+        ),
+        examples=["rtklib"],
+    )
+    replaces: list[Replaced] | None = Field(
+        None,
+        min_length=1,
+        description=(
+            "what it replaces of the log: position, height, attitude; by default all that the file "
+            "has"
+        ),
+        examples=[["position", "height"]],
+    )
+    point: Literal["imu", "antenna", "camera"] = Field(
+        description="point whose positions the file has; with camera, the mount has no lever arm",
+        examples=["antenna"],
+    )
+    lever_arm_m: LeverArm | Literal["from_events"] = Field(
+        default_factory=lambda: [0.0, 0.0, 0.0],
+        description=(
+            "point from which mount.<camera>.lever_arm_m counts, minus the file's point: forward, "
+            "right, down; from_events: from the antenna to the camera as in the .MRK of "
+            "events.positions"
+        ),
+        examples=[[0.0, 0.0, 0.9]],
+        json_schema_extra={"unit": "m"},
+    )
+    heights: Literal["msl", "ellipsoid"] | None = Field(
+        None,
+        description="what the heights count from; needed for SBET and for latitudes in a CSV",
+        examples=["ellipsoid"],
+    )
+    time: ImportTime = Field(
+        ImportTime(),
+        description="the time system of the file, where the file does not say it",
+    )
+    crs: str | None = Field(
+        None,
+        description=(
+            "projection of a CSV's x and y (z is then the height), or the datum of latitude and "
+            "longitude that are not WGS 84. In a projection attitudes and velocities count from "
+            "grid north"
+        ),
+        examples=["EPSG:25832"],
+    )
+    accuracy: PathText | None = Field(
+        None,
+        description="the smrmsg file of an SBET, with its sigmas",
+        examples=["smrmsg.out"],
+    )
+    columns: TrajectoryColumns | None = Field(
+        None,
+        description="names of a CSV's columns; needed for CSV",
+    )
+    position_unit: AngleUnit = Field(
+        "deg",
+        description="unit of latitude and longitude in a CSV",
+        examples=["deg"],
+    )
+    angle_unit: AngleUnit = Field(
+        "deg",
+        description="unit of roll, pitch and yaw in a CSV",
+        examples=["deg"],
+    )
+    angle_order: str = Field(
+        "ZYX",
+        pattern="^(?:XYZ|XZY|YXZ|YZX|ZXY|ZYX)$",
+        description="order of the rotations about the body's axes: ZYX is yaw, pitch, roll",
+        examples=["ZYX"],
+        json_schema_extra={"patternErrorMessage": "XYZ, XZY, YXZ, YZX, ZXY or ZYX"},
+    )
 
     @property
     def moves_stations(self) -> bool:
@@ -146,32 +326,104 @@ _CLOCK = ("time_utc", "gps_week", "gps_seconds")
 class OrientationColumns(ClockColumns, PoseColumns):
     """What the columns are called; those of the position and the angles by default as here."""
 
-    omega: str | None = None
-    phi: str | None = None
-    kappa: str | None = None
-    sigma_horizontal_m: str | None = None
-    sigma_height_m: str | None = None
-    sigma_tilt: str | None = None
-    sigma_yaw: str | None = None
+    omega: str | None = Field(
+        None,
+        description="column of omega, about x",
+        examples=["omega"],
+    )
+    phi: str | None = Field(
+        None,
+        description="column of phi, about y",
+        examples=["phi"],
+    )
+    kappa: str | None = Field(
+        None,
+        description="column of kappa, about z",
+        examples=["kappa"],
+    )
+    sigma_horizontal_m: str | None = Field(
+        None,
+        description="column of the sigma of a horizontal axis [m]",
+        examples=["sigma_h_m"],
+    )
+    sigma_height_m: str | None = Field(
+        None,
+        description="column of the sigma of the height [m]",
+        examples=["sigma_v_m"],
+    )
+    sigma_tilt: str | None = Field(
+        None,
+        description="column of the sigma about a level axis, in the unit of the angles",
+        examples=["sigma_tilt"],
+    )
+    sigma_yaw: str | None = Field(
+        None,
+        description="column of the sigma about the vertical, in the unit of the angles",
+        examples=["sigma_yaw"],
+    )
 
 
 class KnownPositions(Section):
     """Positions of at least three images, for a frame that is unknown."""
 
-    path: PathText
-    image: str = "image"
-    latitude: str = "latitude"
-    longitude: str = "longitude"
-    height: str = "height"
-    sigma_m: float = Field(default=1.0, gt=0, le=1000)
+    path: PathText = Field(
+        description="a CSV of images with latitude and longitude [deg] and height [m]",
+        examples=["positions.csv"],
+    )
+    image: str = Field(
+        "image",
+        description="column of the names of the images",
+        examples=["image"],
+    )
+    latitude: str = Field(
+        "latitude",
+        description="column of latitudes [deg], WGS 84",
+        examples=["latitude"],
+    )
+    longitude: str = Field(
+        "longitude",
+        description="column of longitudes [deg], WGS 84",
+        examples=["longitude"],
+    )
+    height: str = Field(
+        "height",
+        description="column of heights [m], above what stations.orientation.heights says",
+        examples=["height"],
+    )
+    sigma_m: float = Field(
+        default=1.0,
+        gt=0,
+        le=1000,
+        description="standard deviation of each coordinate",
+        examples=[1.0],
+        json_schema_extra={"unit": "m"},
+    )
 
 
 class LocalOrigin(Section):
     """Where the origin of local (east, north, up) positions lies."""
 
-    lat_deg: float = Field(ge=-90, le=90)
-    lon_deg: float = Field(ge=-180, le=360)
-    h_ellipsoid_m: float = Field(ge=-500, le=50_000)
+    lat_deg: float = Field(
+        ge=-90,
+        le=90,
+        description="latitude of the origin, WGS 84",
+        examples=[47.0],
+        json_schema_extra={"unit": "deg"},
+    )
+    lon_deg: float = Field(
+        ge=-180,
+        le=360,
+        description="longitude of the origin, WGS 84",
+        examples=[8.5],
+        json_schema_extra={"unit": "deg"},
+    )
+    h_ellipsoid_m: float = Field(
+        ge=-500,
+        le=50_000,
+        description="height of the origin above the ellipsoid",
+        examples=[500.0],
+        json_schema_extra={"unit": "m"},
+    )
 
     def build(self) -> GeodeticOrigin:
         """In radians."""
@@ -181,32 +433,144 @@ class LocalOrigin(Section):
 class EnuFrame(Section):
     """One topocentric frame for all stations."""
 
-    enu: LocalOrigin
+    enu: LocalOrigin = Field(
+        description="the place whose east, north, up is the frame of all stations",
+    )
 
 
 class OrientationSection(Section):
     """Position and attitude of every image from a CSV, or from DJI's images themselves."""
 
-    path: PathText
-    format: Annotated[str, one_of(lambda: [*ORIENTATIONS, *BLOCKS])] = "csv"
+    path: PathText = Field(
+        description=(
+            "table of the oriented images: a CSV, a folder of DJI's images, or the block of "
+            "another program"
+        ),
+        examples=["opk.csv"],
+    )
+    format: Annotated[str, one_of(lambda: [*ORIENTATIONS, *BLOCKS])] = Field(
+        "csv",
+        description=(
+            "csv; dji: positions and gimbal angles in the images of a folder, or of a table that "
+            "exiftool -csv -r FOLDER wrote; or the block of another program as under "
+            "observations.format, which has angles, columns and cameras itself"
+        ),
+        examples=["csv"],
+    )
     angles: Literal[
         "omega_phi_kappa", "phi_omega_kappa", "roll_pitch_yaw", "quaternion", "quaternion_to_frame"
-    ]
-    unit: AngleUnit = "deg"
-    frame: Literal["geographic", "projected", "ecef", "unknown"] | EnuFrame | None = Field(
-        None, validate_default=True
+    ] = Field(
+        description=(
+            "omega, phi and kappa of the camera, the primary rotation first; roll, pitch and yaw "
+            "of the aircraft, to which the camera is mounted as under mount; or the quaternion q_w "
+            "to q_z, which turns from the frame to the camera (x right, y down, z forward), or "
+            "back"
+        ),
+        examples=["omega_phi_kappa"],
     )
-    heights: Literal["msl", "ellipsoid"] | None = None
-    crs: str | None = None
-    convergence_deg: float = Field(0.0, ge=-30, le=30)
-    columns: OrientationColumns = OrientationColumns()
-    camera: str | None = None
-    date: str | None = None
-    known_positions: KnownPositions | Literal["log"] | None = None
-    sigma_horizontal_m: float | None = Field(None, ge=0, le=10_000)
-    sigma_height_m: float | None = Field(None, ge=0, le=10_000)
-    sigma_tilt_deg: float | None = Field(None, ge=0, le=45)
-    sigma_yaw_deg: float | None = Field(None, ge=0, le=180)
+    unit: AngleUnit = Field(
+        "deg",
+        description="unit of the angles; latitude and longitude are in degrees",
+        examples=["deg"],
+    )
+    frame: Literal["geographic", "projected", "ecef", "unknown"] | EnuFrame | None = Field(
+        None,
+        validate_default=True,
+        description=(
+            "frame of the angles, and of x, y, z. geographic: east, north, up (roll_pitch_yaw: "
+            "north, east, down) at each station; projected: x, y of crs, whose grid north the "
+            "angles count from, and z, the height; ecef: earth-centred; {enu: {lat_deg, lon_deg, "
+            "h_ellipsoid_m}}: east, north, up at this one place; unknown: fitted to "
+            "known_positions. By default what the block says: OpenSfM's reference_lla, Metashape's "
+            "coordinate system"
+        ),
+        examples=["geographic"],
+    )
+    heights: Literal["msl", "ellipsoid"] | None = Field(
+        None,
+        description=(
+            "what the height column counts from: mean sea level or the ellipsoid (in a frame that "
+            "is unknown, that of known_positions; of a block that says its frame, the altitudes "
+            "that its program was given)"
+        ),
+        examples=["ellipsoid"],
+    )
+    crs: str | None = Field(
+        None,
+        description=(
+            "coordinate system of x and y, as EPSG:25832, or of latitude and longitude that are "
+            "not WGS 84"
+        ),
+        examples=["EPSG:25832"],
+    )
+    convergence_deg: float = Field(
+        0.0,
+        ge=-30,
+        le=30,
+        description=(
+            "convergence of the grid from whose north kappa or yaw is counted: true minus grid "
+            "azimuth, positive where grid north lies east of true north"
+        ),
+        examples=[1.2],
+        json_schema_extra={"unit": "deg"},
+    )
+    columns: OrientationColumns = Field(
+        OrientationColumns(),
+        description="names of the table's columns, where they are called otherwise",
+    )
+    camera: str | None = Field(
+        None,
+        description="camera of every row, without a column camera",
+        examples=["nadir"],
+    )
+    date: str | None = Field(
+        None,
+        description=(
+            "UTC day, as 2026-05-14, or day and time, where no column has the time: season of the "
+            "climatology, and how far soundings and surface reports are away"
+        ),
+        examples=["2026-05-14"],
+    )
+    known_positions: KnownPositions | Literal["log"] | None = Field(
+        None,
+        description=(
+            "positions of at least three images, for an unknown frame: a CSV, or log: the "
+            "exposures of the log"
+        ),
+        examples=["log"],
+    )
+    sigma_horizontal_m: float | None = Field(
+        None,
+        ge=0,
+        le=10_000,
+        description="standard deviation of the positions of all images, per axis",
+        examples=[0.05],
+        json_schema_extra={"unit": "m"},
+    )
+    sigma_height_m: float | None = Field(
+        None,
+        ge=0,
+        le=10_000,
+        description="standard deviation of the heights of all images",
+        examples=[0.05],
+        json_schema_extra={"unit": "m"},
+    )
+    sigma_tilt_deg: float | None = Field(
+        None,
+        ge=0,
+        le=45,
+        description="standard deviation of the attitude about each level axis, of all images",
+        examples=[0.01],
+        json_schema_extra={"unit": "deg"},
+    )
+    sigma_yaw_deg: float | None = Field(
+        None,
+        ge=0,
+        le=180,
+        description="standard deviation of the attitude about the vertical, of all images",
+        examples=[0.02],
+        json_schema_extra={"unit": "deg"},
+    )
 
     @model_validator(mode="before")
     @classmethod
@@ -305,9 +669,43 @@ class OrientationSection(Section):
 class StationsSection(Section):
     """Stations from elsewhere, and which stations may be used."""
 
-    orientation: OrientationSection | None = None
-    trajectory: TrajectorySection | None = None
-    use_suspect: bool = False
-    max_sigma_horizontal_m: float | None = Field(None, gt=0)
-    max_sigma_height_m: float | None = Field(None, gt=0)
-    max_sigma_tilt_deg: float | None = Field(None, gt=0, le=45)
+    orientation: OrientationSection | None = Field(
+        None,
+        description="position and attitude of every image, from another program",
+    )
+    trajectory: TrajectorySection | None = Field(
+        None,
+        description=(
+            "a trajectory of another program, in place of the log's positions, heights or attitudes"
+        ),
+    )
+    use_suspect: bool = Field(
+        False,
+        description=(
+            "true corrects the observations of stations that contradict other evidence of the log "
+            "(status suspect) too; the run ends with code 3 all the same"
+        ),
+        examples=[False],
+    )
+    max_sigma_horizontal_m: float | None = Field(
+        None,
+        gt=0,
+        description="largest sigma of a position, per axis, that serves the mission",
+        examples=[0.5],
+        json_schema_extra={"unit": "m"},
+    )
+    max_sigma_height_m: float | None = Field(
+        None,
+        gt=0,
+        description="largest sigma of a height that serves the mission",
+        examples=[0.5],
+        json_schema_extra={"unit": "m"},
+    )
+    max_sigma_tilt_deg: float | None = Field(
+        None,
+        gt=0,
+        le=45,
+        description="largest sigma of the attitude about a level axis that serves the mission",
+        examples=[0.1],
+        json_schema_extra={"unit": "deg"},
+    )

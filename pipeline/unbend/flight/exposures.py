@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unbend.errors import MissionError
-from unbend.flight.air_samples import times_on_the_ground
 from unbend.flight.channels import Channel
+from unbend.flight.ground_times import times_on_the_ground
 from unbend.flight.stations import Stations
 from unbend.messages import Entry, Notes, loss, note, warning
 from unbend.units import Array, Integers, Names

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from unbend.atmosphere.estimate.sensors import FAULT_TEXTS
-from unbend.batch.plan import Plan
 from unbend.config import Mission
 from unbend.exit_codes import exit_code_of
 from unbend.flight.rotations import matrices_of
@@ -18,7 +17,7 @@ from unbend.messages import Ledger
 from unbend.refraction.camera.camera import NO_DISTORTION
 from unbend.refraction.effect import FlightAir
 from unbend.refraction.kernels.columns import CABIN, WINDOW
-from unbend.stages.correction import CorrectionSetup
+from unbend.stages.correction_setup import CorrectionSetup
 from unbend.stages.inputs import FlightLog
 from unbend.stages.statistics import Statistics
 from unbend.tables.refraction_mark import REFRACTION_APPLIED, REFRACTION_KEY, REFRACTION_REMOVED
@@ -45,7 +44,7 @@ def observation_metadata(mission: Mission) -> dict[str, str]:
 
 
 def manifest_of(
-    plan: Plan,
+    mission: Mission,
     flight: FlightLog,
     stations: Stations,
     air: FlightAir,
@@ -55,15 +54,8 @@ def manifest_of(
     causes: Mapping[str, str],
     ledger: Ledger,
 ) -> dict[str, Any]:
-    """What a run found, for its manifest; ``causes`` are those of statuses of rows.
-
-    Holds no clock, no host name and no absolute path: the same inputs give the same bytes.
-    """
+    """What the manifest says of the results; ``causes`` are those of statuses of rows."""
     log = flight.log
-    entries = ledger.rows()
-    for entry in entries:  # a file is named as in the mission file, without its folder
-        for item in plan.inputs:
-            entry["where"] = str(entry["where"]).replace(str(item.path), item.name)
     return {
         "log": log and {
             "format": log.format, "messages": dict(log.messages), "bad_bytes": log.bad_bytes,
@@ -73,7 +65,7 @@ def manifest_of(
         "channels": {role: channel.name for role, channel in sorted(flight.roles.items())},
         "stations": dict(sorted(Counter(stations.status.tolist()).items())),
         "flight": _flight(stations, setup, statistics),
-        "heights": _heights(plan.mission, flight, stations),
+        "heights": _heights(mission, flight, stations),
         "profile": _profile(air, stations),
         "observations": {
             "rows": statistics.rows,
@@ -87,7 +79,7 @@ def manifest_of(
         "uncertainty": air_parameter(setup, statistics),
         "cabin_air": cabin_parameters(setup),
         "cabin_sigma_share": statistics.cabin_share.summary(),
-        "ledger": entries,
+        "ledger": ledger.rows(),
         "exit_code": exit_code_of(has_losses=ledger.has_losses),
     }  # fmt: skip
 

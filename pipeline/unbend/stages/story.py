@@ -8,22 +8,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unbend.atmosphere.air_samples import AirSamples
-from unbend.batch.plan import Plan
-from unbend.flight.air_samples import air_samples
+from unbend.config import Mission
 from unbend.flight.heights import heights_at, logged_terrain, undulation_notes
+from unbend.flight.outside_air import outside_air_samples
 from unbend.flight.stations import Stations, append_unmatched_images, flag_height_misfits
 from unbend.flight.trajectory import takeoff_of
 from unbend.messages import Ledger
 from unbend.refraction.effect import FlightAir
-from unbend.report.progress import Progress
-from unbend.stages import correction, plausibility
+from unbend.stages import plausibility
 from unbend.stages.adjusted_profile import AirSources, adjusted_profiles, read_air_sources
 from unbend.stages.cabin_air import with_cabin_air
-from unbend.stages.exposure_setup import correction_setup, lenses_of_mission, windows_of_mission
+from unbend.stages.correction_setup import CorrectionSetup
+from unbend.stages.exposure_setup import correction_setup
 from unbend.stages.ground_heights import elevation_of_mission, with_terrain
-from unbend.stages.inputs import FlightLog, read_log, read_observations
+from unbend.stages.inputs import FlightLog, flight_log
 from unbend.stages.multi_image import point_heights
 from unbend.stages.multi_image.control import compare_control
+from unbend.stages.opened_inputs import OpenedInputs
 from unbend.stages.outputs import manifest_of
 from unbend.stages.stations import stations_of_mission
 from unbend.stages.statistics import Statistics
@@ -38,9 +39,9 @@ from unbend.units import Array
 class PreparedMission:
     """A mission before its observations are corrected: its inputs, stations and air."""
 
-    plan: Plan
+    mission: Mission
+    inputs: OpenedInputs
     flight: FlightLog
-    observations: Observations
     stations: Stations
     terrain: ElevationModel | None
     samples: AirSamples
@@ -48,13 +49,18 @@ class PreparedMission:
     air: FlightAir
     ledger: Ledger
 
+    @property
+    def observations(self) -> Observations:
+        """The table of observations, with the heights of object points where these have them."""
+        return self.inputs.observations
+
     def track(self) -> tuple[NDArray[np.int64], Array, Array, Array]:
         """(n,) time [Unix ns], latitude, longitude [rad], height above sea level [m] as logged."""
         track, height = self.flight.track, self.flight.roles.get("height")
         if track is None or height is None:
             none = np.empty(0)
             return np.empty(0, np.int64), none, none, none
-        gap_s = self.plan.mission.max_gap_s
+        gap_s = self.mission.max_gap_s
         return *track, heights_at(height, track[0], self.flight.heights, gap_s)[0]
 
 
@@ -65,50 +71,48 @@ class CorrectedMission:
     prepared: PreparedMission
     stations: Stations
     air: FlightAir
-    setup: correction.CorrectionSetup
+    setup: CorrectionSetup
     statistics: Statistics
     facts: plausibility.Facts
     manifest: dict[str, Any]
 
 
 def prepare_mission(
-    plan: Plan, progress: Progress, most_rows: int | None = None, stations: Stations | None = None
+    mission: Mission, inputs: OpenedInputs, ledger: Ledger, stations: Stations | None = None
 ) -> PreparedMission:
-    """Read observations (``most_rows``) and log, build the stations, and estimate the air."""
-    ledger = Ledger()
-    progress.start("reading the observations")
-    observations = read_observations(plan, ledger, most_rows)
-    progress.start("reading the log")
-    flight = read_log(plan, ledger)
-    observations = point_heights.with_object_points(plan, observations, flight, ledger)
-    terrain = elevation_of_mission(plan, flight.heights, ledger)
+    """Give the log's channels their roles, build the stations (or take them), estimate the air."""
+    flight = flight_log(mission, inputs, ledger)
+    observations = point_heights.with_object_points(mission, inputs, flight, ledger)
+    inputs = replace(inputs, observations=observations)
+    terrain = elevation_of_mission(inputs, flight.heights, ledger)
     if stations is None:
-        stations = stations_of_mission(plan, flight, observations, terrain, ledger)
+        stations = stations_of_mission(mission, inputs, flight, terrain, ledger=ledger)
     else:
         stations = ledger.take(append_unmatched_images(stations, observations.images))
     point_heights.check_object_points(observations, stations, ledger)
     ledger.extend(undulation_notes(flight.heights, stations, package_geoid()))
     samples = ledger.take(
-        air_samples(flight.air_roles, flight.heights, plan.mission.max_gap_s, flight.own_suspect)
+        outside_air_samples(flight.air_roles, flight.heights, mission.max_gap_s, flight.own_suspect)
     )
-    sources = read_air_sources(plan, flight, stations, samples, ledger)
-    air = adjusted_profiles(plan.mission, stations, samples, sources, ledger)
+    sources = read_air_sources(mission, inputs, flight, stations, samples, ledger=ledger)
+    air = adjusted_profiles(mission, stations, samples, sources, ledger)
     if air.adjustment.is_measured:
-        use_suspect = plan.mission.stations.use_suspect
+        use_suspect = mission.stations.use_suspect
         stations = ledger.take(flag_height_misfits(stations, air.series, use_suspect=use_suspect))
     ledger.extend(flight.log.ledger if flight.log is not None else ())
     return PreparedMission(
-        plan, flight, observations, stations, terrain, samples, sources, air, ledger
+        mission, inputs, flight, stations, terrain, samples, sources, air, ledger
     )
 
 
 def correct_mission(
-    prepared: PreparedMission, correct: Callable[[correction.CorrectionSetup], Statistics]
+    prepared: PreparedMission, correct: Callable[[CorrectionSetup], Statistics]
 ) -> CorrectedMission:
     """Correct the observations of a mission, or a sample of them, and say what became of them."""
-    mission, air, ledger = prepared.plan.mission, prepared.air, prepared.ledger
-    windows, lenses = windows_of_mission(mission), lenses_of_mission(mission)
-    stations = with_cabin_air(prepared.stations, windows, lenses, air.series, ledger)
+    mission, air, ledger = prepared.mission, prepared.air, prepared.ledger
+    stations = with_cabin_air(
+        prepared.stations, mission.windows, mission.lenses, air.series, ledger
+    )
     report_unknown_sigmas(mission, stations, air.series, ledger)
     setup = correction_setup(mission, stations, air.series, prepared.flight.heights, ledger)
     setup = with_terrain(setup, prepared.terrain, stations, mission.ground.sigma_m, ledger)
@@ -118,7 +122,7 @@ def correct_mission(
     batch = next(prepared.observations.batches(TYPICAL_ROWS))
     setup = with_uncertainties(setup, mission, stations, air.series, batch)
     control = compare_control(
-        prepared.plan, prepared.observations, setup, stations, prepared.flight.heights,
+        mission, prepared.inputs, setup, stations, prepared.flight.heights,
         ledger=ledger,
     )  # fmt: skip
     statistics = correct(setup)
@@ -132,7 +136,7 @@ def correct_mission(
     plausibility.report_findings(facts, ledger)
     air = replace(air, effects=facts.effects)
     manifest = manifest_of(
-        prepared.plan, prepared.flight, stations, air, statistics=statistics, setup=setup,
+        mission, prepared.flight, stations, air, statistics=statistics, setup=setup,
         causes=causes, ledger=ledger,
     ) | {"control": None if control is None else control.manifest()}  # fmt: skip
     return CorrectedMission(prepared, stations, air, setup, statistics, facts, manifest)

@@ -42,9 +42,7 @@ def text_table(
             encoding="utf-8-sig", sep=max(",;\t", key=head.count),
         ).fillna("")  # fmt: skip
         names = rows.iloc[0].tolist()
-        twice = sorted({name for name in names if names.count(name) > 1})
-        if twice:
-            raise ValueError(f"the columns {', '.join(twice)} stand there twice")
+        _refuse_twice(names)
     except (OSError, ValueError) as error:
         raise InputError(
             codes[0], f"is no readable CSV: {str(error).strip()}", where=str(path),
@@ -52,6 +50,29 @@ def text_table(
         ) from None  # fmt: skip
     require_names(codes[1], path, names, ((q, n, f"{key}.{q}") for q, n in wanted.items()))
     return rows.iloc[1:].set_axis(names, axis="columns").reset_index(drop=True)
+
+
+def text_of_frame(
+    frame: pd.DataFrame, wanted: Mapping[str, str], name: str, *, codes: tuple[str, str], key: str
+) -> pd.DataFrame:
+    """The fields of a table in memory as `text_table` reads them; numbers keep all their digits."""
+    names = [str(column) for column in frame.columns]
+    try:
+        _refuse_twice(names)
+    except ValueError as error:
+        remedy = "give each column a name of its own"
+        raise InputError(codes[0], str(error), where=name, remedy=remedy) from None
+    stated = ((quantity, column, f"{key}.{quantity}") for quantity, column in wanted.items())
+    require_names(codes[1], Path(name), names, stated)
+    text = frame.astype(object).where(frame.notna(), "").map(str)
+    return text.set_axis(names, axis="columns").reset_index(drop=True)
+
+
+def _refuse_twice(names: Sequence[str]) -> None:
+    """Raise ValueError where a name stands there twice."""
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise ValueError(f"the columns {', '.join(twice)} stand there twice")
 
 
 def split_lines(lines: Sequence[str], names: Sequence[str], separator: str) -> pd.DataFrame:

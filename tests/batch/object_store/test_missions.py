@@ -103,7 +103,7 @@ def test_a_publication_that_was_cut_off_is_finished_without_a_run(stored, s3_pla
         with pytest.raises(ZeroDivisionError):
             run_mission(stored.save())
     assert read_manifest(results) is None
-    monkeypatch.setattr(runs, "prepare_mission", killed)
+    monkeypatch.setattr(runs, "prepare", killed)
     done = run_mission(stored.save())
     assert find_damage(results, done.manifest) == []
     with pytest.raises(ZeroDivisionError):
@@ -166,7 +166,7 @@ def test_results_that_are_replaced_while_they_are_exported(
 
 @pytest.mark.parametrize("when", ["before", "while"])
 def test_an_input_that_changes_meanwhile_is_refused(stored, s3_place, monkeypatch, when):
-    log, prepare = s3_place / "flight.bin", runs.prepare_mission
+    log, prepare = s3_place / "flight.bin", runs.prepare
 
     def change(plan, *arguments):
         if when == "while":
@@ -177,7 +177,7 @@ def test_an_input_that_changes_meanwhile_is_refused(stored, s3_place, monkeypatc
             prepare(plan, *arguments)
         return prepared
 
-    monkeypatch.setattr(runs, "prepare_mission", change)
+    monkeypatch.setattr(runs, "prepare", change)
     ended = stored.run()
     assert ended.code == 6, ended.text
     assert "INPUT-CHANGED" in ended.err

@@ -12,7 +12,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import pytest
 
-from unbend.batch import object_store, remote
+from unbend.batch import remote
 from unbend.batch.object_store import Place, is_url, open_store
 from unbend.batch.plan import located
 from unbend.batch.remote import RemoteInput, fetch, look_up, read_manifest
@@ -139,7 +139,7 @@ def test_credentials_that_may_not_write_are_refused_before_any_work(
         assert error.code == "CLOUD-DENIED"
         assert "write" in error.what
     mission.config["output"]["path"] = str(s3_place / "results")
-    monkeypatch.setattr(runs, "prepare_mission", lambda *_: pytest.fail("work was done"))
+    monkeypatch.setattr(runs, "prepare", lambda *_: pytest.fail("work was done"))
     ended = mission.run()
     assert ended.code == 5
     assert "CLOUD-DENIED" in ended.err

@@ -15,9 +15,9 @@ import pytest
 
 from unbend.batch import object_store as place_module
 from unbend.batch import remote
-from unbend.batch.results import verify_run
 from unbend.batch.object_store import Place
 from unbend.batch.remote import Publication, find_damage, read_manifest, rehearse, remove_leftovers
+from unbend.batch.results import verify_run
 from unbend.errors import OutputInUseError, StorageError
 
 RACES = int(os.environ.get("UNBEND_RACES", "4"))

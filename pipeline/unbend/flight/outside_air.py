@@ -7,9 +7,9 @@ import numpy as np
 from unbend.atmosphere.air_samples import AirSamples, SensorSamples
 from unbend.flight.channels import Channel
 from unbend.flight.evidence.stretches import HEIGHT, Stretch, covered
+from unbend.flight.ground_times import times_on_the_ground
 from unbend.flight.heights import HeightSystem, heights_at
 from unbend.messages import Notes, note, warning
-from unbend.units import Integers
 
 SOAK_SECONDS = 120.0
 """A thermometer still carries the heat of the ground for so long after take-off [s]. Over a climb
@@ -17,13 +17,9 @@ of 1 km, with realistic sensors and no descent, R scatters by 2.0 %; with 60 s b
 
 LEVEL_M = 30.0  # above the lowest height of a flight, pressures give their level [m]
 AWAY_SECONDS = 60.0  # an aircraft that is away from the ground for less has not taken off [s]
-# An aircraft that does not move, this near the lowest height of the log, is on the ground [m].
-GROUND_RISE_M = 20.0
-_EARTH_M = 6.37e6
-STILL_M_S = 1.0  # slower than this, over ten seconds, an aircraft does not move [m/s]
 
 
-def air_samples(
+def outside_air_samples(
     roles: Mapping[str, Channel],
     heights: HeightSystem,
     max_gap_s: float,
@@ -73,28 +69,3 @@ def air_samples(
     away = np.diff(on_ground_ns, append=np.iinfo(np.int64).max) > AWAY_SECONDS * 1e9
     takeoffs_ns = on_ground_ns[away] if on_ground_ns.size else on_ground_ns
     return AirSamples(**samples, takeoff_ns=takeoffs_ns), tuple(notes)
-
-
-def times_on_the_ground(height: Channel) -> Integers:
-    """Times [Unix ns] at which the aircraft stood on the ground, increasing.
-
-    It stands where it moves neither along nor up over ten seconds, near the lowest height of the
-    log; so each landing and take-off of a log with several flights is seen.
-    """
-    column = height.height_column
-    known = np.isfinite(height["lat_rad"] if column is None else height[column] + height["lat_rad"])
-    if column is None or known.sum() < 3:
-        return np.empty(0, np.int64)
-    time_ns, h, lat = height.time_ns[known], height[column][known], height["lat_rad"][known]
-    seconds = (time_ns - time_ns[0]) * 1e-9
-    east = np.unwrap(height["lon_rad"][known]) * np.cos(lat[0])
-    track = (lat * _EARTH_M, east * _EARTH_M, h)
-    still = np.zeros(h.size, np.bool_)
-    # The ten seconds before see the take-off, the ten seconds after the landing.
-    for window_s in (-10.0, 10.0):
-        other = np.clip(seconds + window_s, seconds[0], seconds[-1])
-        moved = [np.interp(other, seconds, values) - values for values in track]
-        lasted = np.abs(other - seconds)  # of a log that began in the air there is no half of it
-        still |= (lasted >= 5.0) & (np.sqrt(np.sum(np.square(moved), axis=0)) < STILL_M_S * lasted)
-    lowest = float(np.percentile(h, 0.5))
-    return np.asarray(time_ns[still & (h < lowest + GROUND_RISE_M)])
