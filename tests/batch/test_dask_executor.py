@@ -64,7 +64,13 @@ class Machines:
             self.start_worker()
 
     def start_worker(self) -> None:
+        before = self.registered()
         self.workers.append(self.start("worker", "--nthreads", "1", "--no-nanny"))
+        wait_until(lambda: self.registered() > before)  # which takes long on a busy machine
+
+    def registered(self) -> int:
+        """How many workers have said that the scheduler knows them."""
+        return (self.folder / "output.txt").read_text().count("Registered to:")
 
     def stop(self) -> None:
         for process in (*self.workers, self.scheduler):

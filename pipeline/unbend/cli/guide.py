@@ -1,4 +1,4 @@
-"""Commands beside missions: the way in, what a word means, and the caches."""
+"""Commands beside missions: the way in, and what a word means."""
 
 import json
 import textwrap
@@ -8,8 +8,9 @@ from typing import Annotated
 from typer import Argument, Option
 
 from unbend.caches import compiled_code
+from unbend.cli import messages
 from unbend.cli.app import Answer, command
-from unbend.errors import ConfigError, StorageError, storage_errors
+from unbend.errors import storage_errors
 from unbend.report.words import count
 
 
@@ -49,10 +50,18 @@ def explain_word(
         lines = explain(word)
     answer.print_json({"word": word, "lines": lines})
     width = max(40, answer.console.width)
-    for line in [] if answer.is_silent else lines:
+    if answer.is_silent:
+        return
+    for line in lines:
         indent = " " * (len(line) - len(line.lstrip()))
-        print(textwrap.fill(line, width, subsequent_indent=indent + "  " * bool(indent),
-                            break_on_hyphens=False, break_long_words=False))  # fmt: skip
+        text = textwrap.fill(
+            line,
+            width,
+            subsequent_indent=f"{indent}  " if indent else "",
+            break_on_hyphens=False,
+            break_long_words=False,
+        )
+        print(text)
 
 
 @command(epilog="Example: unbend init flight.bin observations.csv")
@@ -77,8 +86,7 @@ def init(
     """
     printed = str(out) == "-"
     if not printed and out.exists() and not force:
-        remedy = "choose another name with --out, or replace it: --force"
-        raise ConfigError("INIT-EXISTS", "the file is there already", where=str(out), remedy=remedy)
+        raise messages.file_exists(path=str(out))
     with answer.progress(f"reading {log.name}"):
         import yaml
 
@@ -116,7 +124,7 @@ def warm(answer: Answer) -> None:
 
         folder = cache_folder()
         if folder is None:
-            raise StorageError.of("STORAGE-WRITE/warm", compiled_code())
+            raise messages.no_place_for_compiled_code(path=compiled_code())
         compile_kernels()
     answer.print_json({"compiled": folder})
     answer.print_paths([folder])
