@@ -16,6 +16,7 @@ import pytest
 
 pytest.importorskip("distributed")
 
+from tests.draws import SEED
 from unbend.batch import dask_executor
 from unbend.batch.dask_executor import DaskExecutor
 from unbend.errors import UnbendError
@@ -49,7 +50,7 @@ class Machines:
         settings = {"PYTHONPATH": path, "DASK_DISTRIBUTED__WORKER__HTTP__ROUTES": "[]"}
         with (self.folder / "output.txt").open("ab") as said:
             return subprocess.Popen(
-                [sys.executable, "-m", f"distributed.cli.dask_{program}", *words,
+                [sys.executable, "-m", "dask", program, *words,
                  "--scheduler-file", str(self.file), "--host", "127.0.0.1", "--no-dashboard"],
                 stdout=said, stderr=said, env=os.environ | settings, cwd=self.folder,
             )  # fmt: skip
@@ -161,9 +162,7 @@ def test_workers_that_differ_are_refused_before_any_work(machines, tmp_path, mon
 @pytest.mark.parametrize("run", range(RUNS))
 def test_workers_that_are_killed_cost_no_mission(machines, tmp_path, run):
     """Workers, and some with a mission, are killed at random times; others take their places."""
-    seed = random.SystemRandom().randrange(10**6) if run else 1
-    print(f"seed {seed}")
-    draw = random.Random(seed)
+    draw = random.Random(SEED + run)
     machines.need_workers(2)
     names = ["deadly", "unlucky", "refused", *(f"m{i}" for i in range(12))]
     process = started(machines, tmp_path / "killed", *names, pace=0.2)

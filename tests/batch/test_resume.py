@@ -16,6 +16,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from tests.draws import SEED
 from unbend.atmosphere import standard_atmosphere
 from unbend.batch import store
 from unbend.batch.input_files import check_unchanged
@@ -34,7 +35,6 @@ from unbend.stages.correction_setup import CorrectionSetup
 from unbend.stages.ground_heights import GivenGround
 from unbend.tables.observations import open_observations
 
-SEED = random.randrange(1 << 30)
 ROWS, BATCH_ROWS, PARTS = 950, 100, 10
 MOST_THREADS = 4
 COLUMNS = {"image": "image", "point": "point", "x_px": "x_px", "y_px": "y_px"}
@@ -133,7 +133,6 @@ def some_steps(steps: int) -> list[int]:
     """Steps at which something goes wrong: six, drawn, or with UNBEND_KILLS=all every one."""
     if os.environ.get("UNBEND_KILLS") == "all":
         return list(range(1, steps + 1))
-    print(f"seed {SEED}")
     return sorted(random.Random(SEED).sample(range(1, steps + 1), 6))
 
 

@@ -273,11 +273,22 @@ def test_the_lock_of_a_process_that_died_is_free(tmp_path: Path) -> None:
     assert read_manifest(tmp_path) is not None
 
 
-def test_a_disk_without_locks_is_refused_with_its_words(tmp_path: Path, monkeypatch) -> None:
-    def acquire(*_: object, **__: object) -> None:
-        raise OSError(37, "No locks available")
+def refusing_lock(error: OSError) -> type:
+    """Locks that nobody gets, for the error that the system would give."""
 
-    monkeypatch.setattr(store.FileLock, "acquire", acquire)
+    class Refusing:
+        def __init__(self, path: Path, timeout: float) -> None:
+            assert (path.name, timeout) == (".lock", 0)
+
+        def acquire(self) -> None:
+            raise error
+
+    return Refusing
+
+
+def test_a_disk_without_locks_is_refused_with_its_words(tmp_path: Path, monkeypatch) -> None:
+    no_locks = refusing_lock(OSError(37, "No locks available"))
+    monkeypatch.setattr(store, "FileLock", no_locks)
     no_lock = pytest.raises(StorageError, match="No locks available")
     with no_lock as refusal, open_folder(tmp_path):
         pass
@@ -288,10 +299,8 @@ def test_a_disk_without_locks_is_refused_with_its_words(tmp_path: Path, monkeypa
 def test_a_folder_that_may_not_be_written_to_is_not_taken_for_a_disk_without_locks(
     tmp_path: Path, monkeypatch, number
 ) -> None:
-    def acquire(*_: object, **__: object) -> None:
-        raise OSError(number, os.strerror(number), str(tmp_path / ".lock"))
-
-    monkeypatch.setattr(store.FileLock, "acquire", acquire)
+    refused = OSError(number, os.strerror(number), str(tmp_path / ".lock"))
+    monkeypatch.setattr(store, "FileLock", refusing_lock(refused))
     words = pytest.raises(StorageError, match=os.strerror(number))
     with words as refusal, open_folder(tmp_path):
         pass

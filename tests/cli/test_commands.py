@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from unbend.cli.app import GROUPS
-from unbend.ingest.log import Log
+from unbend.ingest.flight_log import Log
 from unbend.refraction import angle
 
 pytestmark = pytest.mark.usefixtures("eighty_columns")

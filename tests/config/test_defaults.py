@@ -18,7 +18,7 @@ from unbend.config.sections import (
     OutputSection,
     RefractionSection,
 )
-from unbend.ingest.fields import STATED_UNITS
+from unbend.ingest.field_maps import STATED_UNITS
 from unbend.ingest.registry import SUFFIXES
 
 CAMERA = {

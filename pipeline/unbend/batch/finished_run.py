@@ -29,7 +29,7 @@ from unbend.errors import ConfigError, InputError, MissionError
 from unbend.flight.heights import HIGHEST_GROUND_M, LOWEST_GROUND_M
 from unbend.flight.stations import NO_TIME, SUSPECT, Stations
 from unbend.geodesy import Gravity
-from unbend.ingest.log import hash_file
+from unbend.ingest.flight_log import hash_file
 from unbend.messages import Ledger
 from unbend.refraction.image import correct_observations
 from unbend.refraction.ray import rays_by
@@ -175,7 +175,9 @@ def largest_difference_px(run: FinishedRun, table: pa.Table, station: Integers) 
                 x[rows], y[rows], h_g[rows], station[rows],
                 run.exposures, camera=camera.camera, table=run.rays[air],
             )  # fmt: skip
-            difference = np.hypot(now.x_px - x_then[rows], now.y_px - y_then[rows])
+            difference = np.hypot(
+                now.x_corrected_px - x_then[rows], now.y_corrected_px - y_then[rows]
+            )
             largest = max(largest, float(np.nan_to_num(difference, nan=np.inf).max()))
     return largest
 

@@ -113,18 +113,18 @@ def init(
 
 @command(epilog="Example: unbend warm --json")
 def warm(answer: Answer) -> None:
-    """Compile ahead all that runs may need: half a minute, once.
+    """Compile ahead what runs need: some ten seconds, once.
 
     For images of containers and for many machines: the code goes where NUMBA_CACHE_DIR says, or to
     the user's cache, and serves this version of the program on processors of this kind.
     """
     with answer.progress("compiling"):
-        from unbend.library import compile_kernels
+        from unbend.library import correct_one_image
         from unbend.refraction.kernels.jit import cache_folder
 
         folder = cache_folder()
         if folder is None:
             raise messages.no_place_for_compiled_code(path=compiled_code())
-        compile_kernels()
+        correct_one_image()
     answer.print_json({"compiled": folder})
     answer.print_paths([folder])

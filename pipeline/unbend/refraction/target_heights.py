@@ -9,16 +9,38 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from unbend.geodesy import euler_radius, offset_geodetic
-from unbend.refraction import status_codes as codes
 from unbend.refraction.camera.camera import Camera
 from unbend.refraction.image import Exposures, outgoing_rays, straight_reach
-from unbend.refraction.kernels import columns as of
-from unbend.refraction.kernels.columns import ObservationColumns, RayColumns, TerrainRays
-from unbend.refraction.kernels.ray import ray_heights
-from unbend.refraction.kernels.terrain import divide_differences, follow_rays
+from unbend.refraction.kernels.columns import (
+    CAMERA_HEIGHT,
+    CHART_DEGREE,
+    DIRECTION,
+    EMERGES,
+    HIDDEN,
+    LANDED,
+    NADIR_COSINE,
+    NADIR_SINE,
+    NO_TERRAIN,
+    PASSES,
+    SPHERE_RADIUS,
+    WAITS,
+    ObservationColumns,
+    RayColumns,
+    TerrainGrid,
+    TerrainRays,
+    TerrainState,
+)
 from unbend.refraction.kernels.threads import in_blocks
 from unbend.refraction.ray import DEFAULT_RADIUS_M, PublishedRays, as_columns, bend
 from unbend.refraction.ray_table import RayTable, ray_table
+from unbend.refraction.status_codes import (
+    BAD_MEASUREMENT,
+    MISSES_GROUND,
+    NO_GROUND,
+    OK,
+    OUTSIDE_PROFILE,
+    SEVERAL_CROSSINGS,
+)
 from unbend.units import Array, Integers
 
 # Rounds for a published method: each gains three digits, and they go no nearer to grazing.
@@ -66,6 +88,8 @@ def height_at_distance(
     if isinstance(table, PublishedRays):
         height, status = _by_repetition(table, rays)
     else:
+        from unbend.refraction.kernels.ray import ray_heights
+
         pieces = table.pieces
 
         def heights_of_block(rows: slice) -> None:
@@ -96,11 +120,13 @@ def target_heights(
     `correct_observations` will name, or its chord ends outside the profile.
     """
     rays = target_rays(x_px, y_px, exposure, exposures, camera=camera, ideal=ideal)
-    h_c, radius = rays[of.H_C], rays[of.RADIUS]
+    h_c, radius = rays[CAMERA_HEIGHT], rays[SPHERE_RADIUS]
     if ideal:
         with np.errstate(invalid="ignore"):
-            return chord_height(h_c, rays[of.COS], distance_m, radius)
-    return height_at_distance(table, h_c, rays[of.SIN], rays[of.COS], distance_m, radius=radius)[0]
+            return chord_height(h_c, rays[NADIR_COSINE], distance_m, radius)
+    return height_at_distance(
+        table, h_c, rays[NADIR_SINE], rays[NADIR_COSINE], distance_m, radius=radius
+    )[0]
 
 
 def target_rays(
@@ -154,9 +180,9 @@ def _by_repetition(table: PublishedRays, rays: RayColumns) -> tuple[Array, NDArr
             height = height + step
             if not np.nanmax(np.abs(step), initial=0.0) > _CLOSE_M:
                 break
-    status[(status == codes.OK) & ~(np.abs(step) <= _CLOSE_M)] = codes.MISSES_GROUND
-    status[~sound] = codes.BAD_MEASUREMENT
-    return np.where(status == codes.OK, height, math.nan), status
+    status[(status == OK) & ~(np.abs(step) <= _CLOSE_M)] = MISSES_GROUND
+    status[~sound] = BAD_MEASUREMENT
+    return np.where(status == OK, height, math.nan), status
 
 
 # Some hundred bytes are needed for each.
@@ -177,7 +203,7 @@ _STEEP_SHARES = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, 5) / 4)
 _LEVEL_SHARES = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, 9) / 8)
 
 # Polynomials from east and north of a station to rows and columns: powers, nodes, and between.
-_POWERS = [(d - p, p) for d in range(of.CHART_DEGREE + 1) for p in range(d + 1)]
+_POWERS = [(d - p, p) for d in range(CHART_DEGREE + 1) for p in range(d + 1)]
 _NODES, _CHECKS = (
     np.stack(np.meshgrid(a, a), axis=-1).reshape(-1, 2)
     for a in (np.cos(np.pi * (np.arange(6) + 0.5) / 6), np.linspace(-0.95, 0.95, 5))
@@ -195,7 +221,7 @@ class Terrain(Protocol):
     """
 
     @property
-    def grid(self) -> of.TerrainGrid: ...
+    def grid(self) -> TerrainGrid: ...
     @property
     def lock(self) -> AbstractContextManager[object]: ...
     def nodes(self, lat_rad: Array, lon_rad: Array) -> tuple[Array, Array]: ...
@@ -241,12 +267,12 @@ def terrain_heights(
     interpolated. Against steps of an integrated ray: 1 mm below 60 degrees, 1 cm below 75.
     """
     n = x_px.size
-    numbers, status = np.full((3, n), np.nan), np.full(n, codes.OK, np.uint8)
+    numbers, status = np.full((3, n), np.nan), np.full(n, OK, np.uint8)
     of_table = ray_table(table.profile) if isinstance(table, PublishedRays) else table
     air = None if ideal else of_table
     for first in range(0, n, _ROWS_AT_ONCE):
         some = slice(first, min(first + _ROWS_AT_ONCE, n))
-        rays = np.empty((of.H_C + 1, some.stop - first))
+        rays = np.empty((CAMERA_HEIGHT + 1, some.stop - first))
 
         def leave(rows: slice, first: int = first, rays: Array = rays) -> None:
             at = slice(first + rows.start, first + rows.stop)
@@ -255,9 +281,9 @@ def terrain_heights(
             )
 
         in_blocks(leave, rays.shape[1])
-        is_steep = rays[of.COS] > _STEEP
+        is_steep = rays[NADIR_COSINE] > _STEEP
         for steep in (True, False):
-            rows = np.flatnonzero((is_steep == steep) & ~np.isnan(rays[of.COS]))
+            rows = np.flatnonzero((is_steep == steep) & ~np.isnan(rays[NADIR_COSINE]))
             if rows.size:
                 way, end, at_end = _ways(
                     rays[:, rows], exposure[first + rows], places, air, terrain, steep=steep
@@ -279,7 +305,7 @@ def _ways(
 ) -> tuple[TerrainRays, Array, NDArray[np.uint8]]:
     """Rays over the terrain's grid, their ends [m] and the status of a ray that reaches its end."""
     knot, r_c, at_end = _bent_paths(rays, air, steep=steep)
-    sine, cosine, radius, h_c = rays[[of.SIN, of.COS, of.RADIUS, of.H_C]]
+    sine, cosine, radius, h_c = rays[[NADIR_SINE, NADIR_COSINE, SPHERE_RADIUS, CAMERA_HEIGHT]]
     end = knot[:, -1].copy()
     arc = radius * np.arctan2(end * sine, radius + h_c - end * cosine)
     station, chart = np.unique(exposure, return_inverse=True)
@@ -288,9 +314,9 @@ def _ways(
     charts, reach = _charts(places[0][station], places[1][station], needed + 1.0, terrain)
     short = 0.98 * reach[chart] < arc
     end[short] *= 0.98 * reach[chart][short] / arc[short]
-    at_end[short] = codes.NO_GROUND
+    at_end[short] = NO_GROUND
     with np.errstate(invalid="ignore"):
-        east, north = rays[of.APPARENT : of.APPARENT + 2] / np.where(sine > 0, sine, 1)
+        east, north = rays[DIRECTION : DIRECTION + 2] / np.where(sine > 0, sine, 1)
     r_c /= knot
     way = TerrainRays(sine, cosine, h_c, radius, east, north, knot, r_c, chart, charts, reach)
     return way, end, at_end
@@ -306,11 +332,13 @@ def _bent_paths(
     """
     n, shares = rays.shape[1], _STEEP_SHARES if steep else _LEVEL_SHARES
     knot, r_c = np.empty((n, shares.size)), np.zeros((n, shares.size))
-    at_end = np.full(n, codes.OUTSIDE_PROFILE, np.uint8)
+    at_end = np.full(n, OUTSIDE_PROFILE, np.uint8)
     bottom = _LOWEST_M if air is None else max(_LOWEST_M, float(air.edge_m[0]))
 
     def fill(rows: slice) -> None:
-        sine, cosine, radius, h_c = rays[[of.SIN, of.COS, of.RADIUS, of.H_C], rows]
+        sine, cosine, radius, h_c = rays[
+            [NADIR_SINE, NADIR_COSINE, SPHERE_RADIUS, CAMERA_HEIGHT], rows
+        ]
         if steep:
             for k, share in enumerate(shares):
                 h_k = h_c - share * (h_c - bottom)
@@ -324,8 +352,8 @@ def _bent_paths(
             down = straight_reach(h_c, bottom, cosine, radius=radius, far=False)
             up = np.nan_to_num(straight_reach(h_c, _HIGHEST_M, cosine, radius=radius, far=True))
             end = np.fmin(np.where(cosine > 0.0, down, np.nan), up)
-            at_end[rows] = np.where(end == up, codes.MISSES_GROUND, codes.OUTSIDE_PROFILE)
-            at_end[rows][end > _FARTHEST_M] = codes.NO_GROUND
+            at_end[rows] = np.where(end == up, MISSES_GROUND, OUTSIDE_PROFILE)
+            at_end[rows][end > _FARTHEST_M] = NO_GROUND
             end = np.clip(end, 1.0, _FARTHEST_M)
             for k, share in enumerate(shares):
                 t = knot[rows, k] = share * end
@@ -385,30 +413,32 @@ def _follow(
     paths: TerrainRays, end: Array, at_end: NDArray[np.uint8], terrain: Terrain
 ) -> TerrainHeights:
     """Where rays land, with the tiles read that they come to."""
+    from unbend.refraction.kernels.terrain import divide_differences, follow_rays
+
     n = end.size
     divide_differences(paths.knot, paths.bend)
     side, gap, wanted = np.zeros(n, np.int8), np.zeros(n, bool), np.full(n, -1)
     height, distance, factor = np.full((3, n), np.nan)
     usable = np.isfinite(paths.bend).all(axis=1) & np.isfinite(end)
     follows = usable & (paths.reach[paths.chart] > 0.0)
-    result = np.where(follows, np.uint8(of.WAITS), np.uint8(of.NO_TERRAIN))
-    state = of.TerrainState(end, np.zeros(n), side, gap, distance, height, factor, wanted, result)
+    result = np.where(follows, np.uint8(WAITS), np.uint8(NO_TERRAIN))
+    state = TerrainState(end, np.zeros(n), side, gap, distance, height, factor, wanted, result)
     followed = np.flatnonzero(follows)
     with terrain.lock:
         for some in (followed[::_SCOUTS], followed):
-            while (going := some[state.result[some] == of.WAITS]).size:
+            while (going := some[state.result[some] == WAITS]).size:
                 in_blocks(
                     lambda rows: follow_rays(paths, going[rows], terrain.grid, state), going.size
                 )
                 tiles, count = np.unique(state.wanted[going], return_counts=True)
                 tiles = tiles[np.argsort(-count, kind="stable")]
                 terrain.load(tiles[tiles >= 0])
-    status_of = np.empty(of.WAITS + 1, np.uint8)
-    status_of[[of.LANDED, of.EMERGES, of.HIDDEN, of.NO_TERRAIN]] = (
-        codes.OK, codes.SEVERAL_CROSSINGS, codes.MISSES_GROUND, codes.NO_GROUND,
+    status_of = np.empty(WAITS + 1, np.uint8)
+    status_of[[LANDED, EMERGES, HIDDEN, NO_TERRAIN]] = (
+        OK, SEVERAL_CROSSINGS, MISSES_GROUND, NO_GROUND,
     )  # fmt: skip
-    status = np.where(state.result == of.PASSES, at_end, status_of[state.result]).astype(np.uint8)
-    status[~usable] = codes.OUTSIDE_PROFILE
-    landed = (status == codes.OK) | (status == codes.SEVERAL_CROSSINGS)
+    status = np.where(state.result == PASSES, at_end, status_of[state.result]).astype(np.uint8)
+    status[~usable] = OUTSIDE_PROFILE
+    landed = (status == OK) | (status == SEVERAL_CROSSINGS)
     height[~landed] = distance[~landed] = np.nan
     return TerrainHeights(height, factor, distance, status)

@@ -17,7 +17,7 @@ from unbend.flight.mount import gimbal_notes, is_of_gimbal, with_payload_attitud
 from unbend.flight.roles import assign_roles
 from unbend.flight.rotations import CAMERA_AT_REST, in_turned_frame
 from unbend.ingest import Log
-from unbend.ingest.fields import in_stated_unit
+from unbend.ingest.field_maps import in_stated_unit
 from unbend.messages import Ledger
 from unbend.stages.opened_inputs import OpenedInputs
 from unbend.tables.geodata.geoid import package_geoid

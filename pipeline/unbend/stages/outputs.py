@@ -16,7 +16,7 @@ from unbend.flight.stations import NO_TIME, Stations
 from unbend.messages import Ledger
 from unbend.refraction.camera.camera import NO_DISTORTION
 from unbend.refraction.effect import FlightAir
-from unbend.refraction.kernels.columns import CABIN, WINDOW
+from unbend.refraction.kernels.columns import CABIN_SIGMAS, WINDOW_KIND
 from unbend.stages.correction_setup import CorrectionSetup
 from unbend.stages.inputs import FlightLog
 from unbend.stages.statistics import Statistics
@@ -182,11 +182,13 @@ def cabin_parameters(setup: CorrectionSetup) -> dict[str, Any]:
     cameras: dict[str, Any] = {}
     if (made := next(filter(None, setup.uncertainties), None)) is None:
         return cameras
-    behind, inside = made.stations[:, WINDOW] >= 0.0, setup.exposures.refractivity_cabin
+    behind, inside = made.stations[:, WINDOW_KIND] >= 0.0, setup.exposures.refractivity_cabin
     for name in setup.cameras:
         rows = (setup.camera_names == name) & setup.exposures.usable & behind
         if bool(rows.any()):
-            sigma = np.sqrt(np.mean(np.sum(made.stations[rows, CABIN : CABIN + 2] ** 2, axis=1)))
+            sigma = np.sqrt(
+                np.mean(np.sum(made.stations[rows, CABIN_SIGMAS : CABIN_SIGMAS + 2] ** 2, axis=1))
+            )
             cameras[name] = {
                 "n_cc": float(f"{inside[rows].mean():.6g}"),
                 "sigma_n_cc": float(f"{sigma:.4g}") if np.isfinite(sigma) else None,

@@ -13,6 +13,7 @@ import os
 import numpy as np
 import pytest
 
+from tests.draws import SEED
 from unbend.atmosphere import standard_atmosphere
 from unbend.atmosphere.climatology import climatology, month_of
 from unbend.atmosphere.estimate.adjusted_profile import build_adjusted_profile
@@ -20,7 +21,6 @@ from unbend.messages import Kind, Ledger
 
 US1976 = standard_atmosphere("us1976")
 DRAWS = int(os.environ.get("UNBEND_THERMOMETERS", "24"))
-SEED = int(os.environ.get("UNBEND_SEED", "15"))
 
 
 @pytest.fixture(scope="module")

@@ -13,6 +13,7 @@ from datetime import timedelta
 
 import pytest
 
+from tests.draws import SEED
 from unbend.batch import object_store as place_module
 from unbend.batch import remote
 from unbend.batch.object_store import Place
@@ -53,9 +54,7 @@ def expected_at(manifest: dict) -> set[str]:
 
 
 def test_races_of_two_writers(place, tmp_path, record_property):
-    seed = random.randrange(1 << 32)
-    print("seed", seed)
-    draw = random.Random(seed)
+    draw = random.Random(SEED)
     won = {"both the same run": 0, "two runs": 0}
     for race in range(RACES):
         at, same = place / str(race), draw.random() < 0.5

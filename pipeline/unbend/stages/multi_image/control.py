@@ -181,7 +181,7 @@ def _rays_of(
     station = matching_rows(batch.image, images)
     corrected = correct_batch(batch, station, setup.ground.heights(batch, station, setup), setup)
     before, sigma = setup.directions(batch.x_px, batch.y_px, station)
-    after, _ = setup.directions(corrected.x_px, corrected.y_px, station)
+    after, _ = setup.directions(corrected.x_corrected_px, corrected.y_corrected_px, station)
     return np.vstack([matching_rows(batch.point, points.name), station, sigma, before.T, after.T])
 
 

@@ -208,7 +208,7 @@ def _heights_of(
                 x[rows], y[rows], h_msl[rows], station[rows], setup.exposures, camera=camera,
                 table=setup.rays[profile],
             )  # fmt: skip
-            seen_x[rows], seen_y[rows] = corrected.x_px, corrected.y_px
+            seen_x[rows], seen_y[rows] = corrected.x_corrected_px, corrected.y_corrected_px
         direction, sigma = setup.directions(seen_x, seen_y, station)
         found = point_heights(orientations, ImageRays(station, rays["point"], direction, sigma))
         number = np.maximum(np.bincount(found.index), 1)

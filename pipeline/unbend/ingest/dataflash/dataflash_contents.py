@@ -1,8 +1,6 @@
-"""ArduPilot DataFlash logs (.bin): the registry's entry of this format, and how one is read."""
+"""Tables of an ArduPilot log, binary or text -> its contents: a time for each row, channels."""
 
-from collections.abc import Callable, Collection, Mapping
-from functools import partial
-from pathlib import Path
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -10,49 +8,28 @@ from numpy.typing import NDArray
 
 from unbend.flight.clock import LAST_US, SECONDS_PER_WEEK
 from unbend.ingest import boot_clock
-from unbend.ingest.buffers import open_view
-from unbend.ingest.dataflash import channels, records
-from unbend.ingest.fields import is_number
-from unbend.ingest.log import PLACE, Contents, DamagedBytes, LogFormat, Table
+from unbend.ingest.damaged_bytes import DamagedBytes
+from unbend.ingest.dataflash.dataflash_channels import (
+    ACCURACY,
+    RECEIVERS,
+    channels_of,
+    clock_of,
+    instance_of,
+)
+from unbend.ingest.dataflash.record_tables import INSTANCE_FIELDS, without_objects
+from unbend.ingest.field_maps import is_number
+from unbend.ingest.flight_log import Contents
+from unbend.ingest.message_tables import PLACE, Table
 from unbend.messages import Ledger
 from unbend.units import Integers
 
 # Fields that are used as they are logged, without a field map that checks that they are numbers.
-_NUMBERS = {*records.INSTANCE_FIELDS, "TimeUS", "GMS", "GWk", "Week", "Status", "Value"} | {
-    field for column in channels.ACCURACY for field in column.fields
+_NUMBERS = {*INSTANCE_FIELDS, "TimeUS", "GMS", "GWk", "Week", "Status", "Value"} | {
+    field for column in ACCURACY for field in column.fields
 }
+
+
 _TIMELESS = {"CAM", "MSG", "EV", "ERR", "PARM"}  # rows without a time until 2015
-
-
-def read_log(path: Path, ledger: Ledger) -> Contents:
-    """The contents of a binary log."""
-    wanted = channels.wanted_fields()
-    with open_view(path) as data:
-        walker = records.RecordWalker(data, wanted)
-        line = boot_clock.timeline(channels.stamps(data, walker))
-        tables = records.decode(walker, wanted)
-    walker.report_bytes(ledger, path.name, "record")
-    for refused in walker.refused:
-        what = f"an FMT record is not valid: {refused}"
-        if walker.bad_bytes:
-            ledger.loss("LOG-BAD-FORMAT", what, where=path.name, count=1)
-        else:  # all bytes are of records that are defined
-            ledger.note("LOG-BAD-FORMAT", f"{what}; there is no record of it", where=path.name)
-    reread = partial(read_tables, path)
-    return contents_of(walker, walker.message_counts(), line, tables, ledger, reread=reread)
-
-
-DATAFLASH = LogFormat(
-    "dataflash", "ArduPilot DataFlash", (".bin",), lambda h: h.startswith(records.START), read_log
-)
-
-
-def read_tables(path: Path, names: Collection[str] | None = None) -> dict[str, Table]:
-    """All messages of some types, or of every type, with all their fields and `PLACE`."""
-    with open_view(path) as data:
-        found = records.find_records(data, names)
-        chosen = found.message_counts() if names is None else names
-        return records.decode(found, dict.fromkeys(chosen, lambda _: True))
 
 
 def contents_of(
@@ -70,7 +47,7 @@ def contents_of(
     used up. ``reread``: reads all fields of some types, when they are asked for.
     """
     timed = timed_tables(tables, ledger)
-    clock, time_base = channels.clock_of(line, timed, ledger)
+    clock, time_base = clock_of(line, timed, ledger)
 
     def table(name: str, instance: str | None) -> Table:
         decoded = reread({name})
@@ -80,7 +57,7 @@ def contents_of(
     named, parameters = timed.get("PARM", {}), {}
     if {"Name", "Value"} <= named.keys():  # the last value of each
         parameters = dict(zip(named["Name"].tolist(), named["Value"].tolist(), strict=True))
-    found = channels.channels_of(timed, parameters, clock, ledger)
+    found = channels_of(timed, parameters, clock, ledger)
     return Contents(
         counts, found, damage.bad_bytes, lost, clock.line.boots, time_base, table,
         parameters,
@@ -92,7 +69,7 @@ def timed_tables(tables: dict[str, Table], ledger: Ledger) -> dict[str, Table]:
     result, timeless = {}, {}
     old = not any("TimeUS" in table for table in tables.values())
     for name in list(tables):
-        table = records.without_objects(tables.pop(name), name, ledger)
+        table = without_objects(tables.pop(name), name, ledger)
         count = table[PLACE].size
         odd = [
             field
@@ -129,12 +106,12 @@ def timed_tables(tables: dict[str, Table], ledger: Ledger) -> dict[str, Table]:
 
 def with_time(name: str, columns: Table) -> Table:
     """A table with TimeUS; until 2015 that was TimeMS, in rows of receivers T."""
-    time_ms = columns.get("T" if name in channels.RECEIVERS else "TimeMS")
+    time_ms = columns.get("T" if name in RECEIVERS else "TimeMS")
     if "TimeUS" in columns or time_ms is None or not is_number(time_ms):
         return columns
     time_us = np.minimum(boot_clock.microseconds(time_ms), LAST_US // 1000) * 1000
     columns = columns | {"TimeUS": time_us}
-    if name in channels.RECEIVERS:
+    if name in RECEIVERS:
         renamed = {"GMS": "TimeMS", "GWk": "Week"}
         columns |= {new: columns[old] for new, old in renamed.items() if old in columns}
     return columns
@@ -178,5 +155,5 @@ def stamped(name: str, table: Table, clock: boot_clock.BootClock, instance: str 
         table = added | table
     if instance is None:
         return table
-    rows = channels.instance_of(table).astype(np.str_) == instance
+    rows = instance_of(table).astype(np.str_) == instance
     return {field: column[rows] for field, column in table.items()} if rows.any() else {}

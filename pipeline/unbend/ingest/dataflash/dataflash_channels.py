@@ -22,17 +22,28 @@ from unbend.ingest.boot_clock import (
 )
 from unbend.ingest.buffers import FileView, copy_rows, gather
 from unbend.ingest.channel_builder import DecodedRows, channel_of, with_both_heights
-from unbend.ingest.dataflash.records import HEADER, INSTANCE_FIELDS, RecordWalker
-from unbend.ingest.fields import MAPS, MessageMap, extract, is_number, message_maps
-from unbend.ingest.log import PLACE, Table
+from unbend.ingest.dataflash.dataflash_records import RecordWalker
+from unbend.ingest.dataflash.record_definitions import HEADER
+from unbend.ingest.dataflash.record_tables import INSTANCE_FIELDS
+from unbend.ingest.field_maps import MAPS, MessageMap, extract, is_number, message_maps
+from unbend.ingest.message_tables import PLACE, Table
 from unbend.messages import Ledger
 from unbend.units import Integers
 
 RECEIVERS = ("GPS", "GPS2")
+
+
 FIRST_WEEK = 1_721  # 2012-12-30: no log that defines its own records is older
+
+
 _WEEKS = 1 << 13  # until 2137: the fit is by the median, which more than half of the rows decide
+
+
 _OF_TIME = ("GMS", "GWk", "Status", "Week", "T")
+
+
 STRAY_SHARE = 100  # rows of an instance for each row of one that is damage
+
 
 MESSAGES: Mapping[str, MessageMap] = message_maps("dataflash")
 
@@ -56,6 +67,8 @@ def texts_of(message: str, field: str, table: Table) -> tuple[str, ...] | None:
 
 # Accuracy and the ellipsoidal height come in a message of their own, at the time of the GPS row.
 ACCURACY_MESSAGES = {"GPS": "GPA", "GPS2": "GPA2"}
+
+
 ACCURACY = message_maps("dataflash_accuracy")["GPA"].columns
 
 

@@ -6,111 +6,37 @@ those with one. Cameras and gimbals have no SYSTEM_TIME: whether they count by t
 or their own, the reception of their messages shows.
 """
 
-from collections.abc import Callable, Container, Iterator, Mapping, Sequence, Set
-from dataclasses import dataclass, replace
-from typing import Any
+from collections.abc import Callable, Container, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from unbend.flight.channels import TimeArray
-from unbend.flight.clock import BOOT_STEP_NS, STRAY_ROWS, UNIX_US_FROM, clock_map, stray_times
-from unbend.ingest.boot_clock import BootClock, UtcReadings, fit_clock, microseconds, timeline
-from unbend.ingest.buffers import ColumnStore
+from unbend.flight.clock import BOOT_STEP_NS, clock_map, stray_times
+from unbend.ingest.boot_clock import BootClock, UtcReadings, fit_clock, timeline
+from unbend.ingest.tlog.clock_samples import MICROSECOND, MILLISECOND, Key, Readings
 from unbend.messages import Ledger
 from unbend.units import NANOSECONDS_PER_SECOND, Integers, Mask, Rows
 
-MILLISECOND, MICROSECOND = 1_000_000, 1_000  # [ns]
-
-# Density of the samples of a clock: a message without a time of its own lies between two of them.
-# The link delays it by 55 ms to 2 s (p5 to p95 in real logs), so more samples are no gain.
-SAMPLE_MS = 50
-DELAY_US = 10_000
-STEADY_MS = 1000
-
-Key = tuple[int, int]  # a sender: system and component
-
-READING = np.dtype(
-    [("at", "i8"), ("host_us", "i8"), ("source", "u2"), ("boot_ns", "i8"), ("utc_ns", "i8")]
-)
-"""A sample of a sender's clock: ``at`` byte offset; ``host_us`` the ground station's clock;
-``source`` system times 256 plus component; ``boot_ns`` since boot; ``utc_ns`` or 0."""
-Readings = NDArray[Any]  # (n,) samples of `READING` in the order of the file
-
 ROUND_MS = (1 << 32) * MILLISECOND  # 49.7 days: a 32-bit count of milliseconds runs over
+
+
 ROUND_US = (1 << 32) * MICROSECOND  # 71.6 minutes: one of microseconds
+
 
 # Fields with a time since boot: their unit [ns], and the time [ns] after which they wrap.
 CLOCK_FIELDS = {"time_boot_ms": (MILLISECOND, ROUND_MS), "time_usec": (MICROSECOND, ROUND_US)}
 
+
 # Largest difference of a stamp that wrapped from the sender's clock: exposures are reported up to
 # some seconds late, and a minute is a seventieth of the shorter period.
 NEAR_NS = 60 * NANOSECONDS_PER_SECOND
+
+
 # Delay of a message that is stamped on arrival: links and cameras delay by up to some seconds, the
 # link's jitter is 2 s at most in real logs.
 EARLIEST_NS, LATEST_NS = -2 * NANOSECONDS_PER_SECOND, 10 * NANOSECONDS_PER_SECOND
-
-
-class Sampler:
-    """Samples of the senders' clocks, taken from messages while a log is scanned.
-
-    Each is sampled every `SAMPLE_MS`, or `STEADY_MS` while its difference from the ground station's
-    is constant within `DELAY_US`, and at all messages with UTC.
-    """
-
-    def __init__(self) -> None:
-        self.rows = ColumnStore(READING)
-
-    def take(self, timed: Sequence[NDArray[Any]]) -> None:
-        """Sample the next messages of the file, which have ``time_boot_ms``."""
-        if not timed:
-            return
-        rows = np.zeros(sum(part.shape[0] for part in timed), READING)
-        done = 0
-        for part in timed:
-            piece = rows[done : done + part.shape[0]]
-            for name in ("at", "host_us", "source"):
-                piece[name] = part[name]
-            piece["boot_ns"] = part["records"]["time_boot_ms"].astype(np.int64) * MILLISECOND
-            if "time_unix_usec" in (part["records"].dtype.names or ()):
-                piece["utc_ns"] = microseconds(part["records"]["time_unix_usec"])  # for now
-            done += part.shape[0]
-        rows = rows[np.lexsort((rows["at"], rows["source"]))]
-        host_ms, boot_ms = rows["host_us"] // 1000, rows["boot_ns"] // MILLISECOND
-        first = _changes(rows["source"]) | _changes(boot_ms // SAMPLE_MS)
-        sampled = first | _changes(host_ms // SAMPLE_MS) | (rows["utc_ns"] > 0)
-        rows, boot_ms = rows[sampled], boot_ms[sampled]
-        delay = (rows["host_us"] - boot_ms * 1000) // DELAY_US
-        jumps = _changes(rows["source"])
-        jumps[1:] |= np.abs(np.diff(boot_ms)) > STEADY_MS
-        changed = _changes(delay) | _changes(boot_ms // STEADY_MS)
-        keep = changed | np.append(changed[1:], True) | (rows["utc_ns"] > 0)
-        for row in np.flatnonzero(jumps).tolist():  # the number of rows after it shows a glitch
-            keep[max(row - STRAY_ROWS - 1, 0) : row + STRAY_ROWS + 1] = True
-        kept = rows[keep]
-        unix_us = kept["utc_ns"]
-        kept["utc_ns"] = np.where(unix_us > UNIX_US_FROM, unix_us * MICROSECOND, 0)
-        self.rows.add(kept[np.argsort(kept["at"], kind="stable")])
-
-    def readings(self, systems: Set[int]) -> Readings:
-        """The samples of the senders of these systems; all are used up."""
-        chosen = ColumnStore(READING)
-        for block in self.rows.drained():
-            chosen.add(block[np.isin(block["source"] >> 8, sorted(systems))])
-        return chosen.whole()
-
-
-def _changes(column: NDArray[Any]) -> Mask:
-    """Where a value is not that of the row before."""
-    return np.append(True, column[1:] != column[:-1])
-
-
-def by_source(rows: NDArray[Any]) -> Iterator[tuple[Key, Mask | slice]]:
-    """The senders of messages, and the rows of each."""
-    sources = np.unique(rows["source"])
-    for number in sources.tolist():
-        of_source = slice(None) if sources.shape[0] == 1 else rows["source"] == number
-        yield divmod(number, 256), of_source
 
 
 @dataclass(frozen=True)
@@ -297,83 +223,3 @@ def _fit_sender(readings: Readings, lead: SenderClock, source: Key, ledger: Ledg
     mark = np.ones(boot.shape, np.bool_)
     mark[1:] = (np.diff(boot_ns // NANOSECONDS_PER_SECOND) != 0) | (np.diff(boot) != 0)
     return SenderClock(at[mark], boot_ns[mark], clock, tuple(counts), tuple(maps))
-
-
-OWN_UTC = "time_utc"
-
-
-def with_borrowed_clocks(clocks: Clocks, sent: Sequence[ColumnStore], ledger: Ledger) -> Clocks:
-    """The clocks, with one for each sender whose times do not fit the clock it would borrow.
-
-    The UTC that images carry is not used where it does not fit the time of their reception.
-    """
-    late: dict[Key, list[tuple[Readings, int]]] = {}
-    for store in sent:
-        names = store.dtype["records"].names or ()
-        field = clock_field(names)
-        for block in store.blocks() if field else ():
-            for source, of_source in by_source(block):
-                if source in clocks.senders and OWN_UTC not in names:
-                    continue
-                rows, (unit, turn) = block[of_source], CLOCK_FIELDS[field]
-                raw = microseconds(rows["records"][field])
-                part = np.empty(rows.shape, READING)
-                for name in ("at", "source", "host_us"):
-                    part[name] = rows[name]
-                part["boot_ns"] = np.where(raw < UNIX_US_FROM, raw * unit, 0)
-                part["utc_ns"] = unix_us(rows["records"]) * MICROSECOND
-                late.setdefault(source, []).append((part, turn))
-    for source, parts in sorted(late.items()):
-        clocks = _with_checked_clock(clocks, source, parts, ledger)
-    return clocks
-
-
-def unix_us(records: NDArray[Any]) -> Integers:
-    """The UTC that images carry [us]; 0 where they have none."""
-    if OWN_UTC not in (records.dtype.names or ()):
-        return np.zeros(records.shape, np.int64)
-    raw = microseconds(records[OWN_UTC])
-    return np.asarray(np.where(raw > UNIX_US_FROM, raw, 0), np.int64)
-
-
-def _with_checked_clock(
-    clocks: Clocks, source: Key, parts: Sequence[tuple[Readings, int]], ledger: Ledger
-) -> Clocks:
-    """The clocks after the delay of one sender's messages is checked, by their UTC and by boot."""
-    where = f"system {source[0]}, component {source[1]}"
-    delay, by_utc, clock = [], [], clocks.of(source)
-    for part, turn in parts:
-        at, host_ns, boot_ns = part["at"], part["host_us"] * MICROSECOND, part["boot_ns"]
-        received = clock.utc_of_host(at, host_ns)
-        has_utc = part["utc_ns"] > 0
-        by_utc.append((received - part["utc_ns"])[has_utc])
-        rest = ~has_utc & (boot_ns > 0)
-        stamped = clock.utc_of_boot(at[rest], host_ns[rest], boot_ns[rest], turn)
-        delay.append(received[rest] - stamped)
-    late = np.concatenate(by_utc)
-    if late.size and not EARLIEST_NS <= np.median(late) <= LATEST_NS:
-        ledger.loss("TIME-OWN-UTC", where=where, count=late.size, late=_seconds(late))
-        clocks = replace(clocks, wrong_utc=clocks.wrong_utc | {source})
-        for part, _ in parts:
-            part["utc_ns"] = 0
-        return _with_checked_clock(clocks, source, parts, ledger)
-    late = np.concatenate(delay)
-    if source in clocks.senders or not late.size:
-        return clocks
-    count, lender = int(late.size), clocks.lender(source)
-    if lender is None:
-        ledger.fallback("TIME-HOST-CLOCK", where=where, count=count)
-        return clocks
-    late_by = _seconds(late)
-    if EARLIEST_NS <= np.median(late) <= LATEST_NS:
-        ledger.note("TIME-BORROWED", where=where, count=count, lender=lender[1], late=late_by)
-        return clocks
-    ledger.loss("TIME-BORROWED/not", where=where, count=count, lender=lender[1], late=late_by)
-    joined = np.concatenate([part[part["boot_ns"] > 0] for part, _ in parts])
-    joined = joined[np.argsort(joined["at"], kind="stable")]
-    sender = _fit_sender(joined, clocks.of(source), source, ledger)
-    return replace(clocks, senders={**clocks.senders, source: sender})
-
-
-def _seconds(late: TimeArray) -> str:
-    return f"{float(np.median(late)) / 1e9:.1f} s"

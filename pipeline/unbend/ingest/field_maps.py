@@ -15,13 +15,22 @@ from unbend.errors import MissionError
 from unbend.flight.channels import ROLE_COLUMNS, Channel
 from unbend.units import Array
 
-MAPS = tomllib.loads(files("unbend.ingest").joinpath("data/messages.toml").read_text("utf-8"))
+MAPS = tomllib.loads(files("unbend.ingest").joinpath("data/field_maps.toml").read_text("utf-8"))
+
+
 UNITS: Mapping[str, tuple[float, float, float]] = MAPS["units"]
+
+
 FLAGS: Mapping[str, list[tuple[int, int]]] = MAPS["flags"]
+
+
 STATED_UNITS: Mapping[str, tuple[str, float, float]] = MAPS["stated_units"]
+
+
 _COLUMN = re.compile(
     r"([\w ]+) = ([^\[ ]+(?: [^\[ ]+)*?)(?: \[(.+)\])?(?: unless (\S+))?(?: from (\S+))?"
 )
+
 
 # The scaled integers of a log are numbers of these units: 8050 c% is 80.5 percent.
 _NUMBERS_OF = {"cdegC": "degC", "%": "percent", "c%": "percent"}
@@ -67,7 +76,7 @@ class MessageMap:
 
 
 def parse_columns(lines: Iterable[str], groups: Mapping[str, list[str]]) -> Iterator[FieldColumn]:
-    """Columns as ``data/messages.toml`` writes them, the groups in their places.
+    """Columns as ``data/field_maps.toml`` writes them, the groups in their places.
 
     >>> [*parse_columns(["q_w q_x = q.0 q|old", "@a"], {"a": ["t_k = t [degC] unless 0"]})][1:]
     [FieldColumn(name='q_x', fields=('q', 'old'), unit='', missing=None, floor=None), \
@@ -87,7 +96,7 @@ FieldColumn(name='t_k', fields=('t',), unit='degC', missing=0.0, floor=None)]
 
 @cache
 def message_maps(section: str) -> dict[str, MessageMap]:
-    """The messages of a format that are wanted: a section of ``data/messages.toml``."""
+    """The messages of a format that are wanted: a section of ``data/field_maps.toml``."""
     given, maps = MAPS, dict[str, MessageMap]()
     for name, stated in given[section].items():
         same = maps.get(stated.get("like", ""), MessageMap(()))
@@ -192,9 +201,11 @@ def extract(
 PX4_MESSAGES: Mapping[str, MessageMap] = message_maps("px4")
 """By name in px4_msgs; PX4 logs the same to .ulg and, over ROS 2, to MCAP."""
 
+
 PX4_TOPICS: Mapping[str, MessageMap] = {  # vehicle_gps_position of VehicleGpsPosition
     re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower(): spec for name, spec in PX4_MESSAGES.items()
 }
+
 
 # Unix time [us] of receivers, beside their time since boot; of an exposure, by the autopilot's own
 # clock, which it sets now and then.

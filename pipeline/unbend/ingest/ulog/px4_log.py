@@ -15,16 +15,23 @@ from unbend.ingest.attitude import earth_frame_attitude
 from unbend.ingest.boot_clock import UtcReadings, fit_clock, microseconds, nanoseconds, timeline
 from unbend.ingest.buffers import open_view
 from unbend.ingest.channel_builder import DecodedRows, captured_rows, channel_of, without_stray
-from unbend.ingest.fields import CAPTURE_UTC_FIELD, PX4_TOPICS, UTC_FIELD, MessageMap, extract
-from unbend.ingest.log import Contents, LogFormat, Table
-from unbend.ingest.ulog import records
+from unbend.ingest.field_maps import CAPTURE_UTC_FIELD, PX4_TOPICS, UTC_FIELD, MessageMap, extract
+from unbend.ingest.flight_log import Contents, LogFormat
+from unbend.ingest.message_tables import Table
+from unbend.ingest.ulog.ulog_messages import APPENDED, FILE_HEADER, MAGIC, ULogMessages, flags_of
 from unbend.messages import Ledger
 
 SILENCE_NS = 100_000_000  # PX4 logs tens to hundreds of messages in this time
+
+
 LONGEST_INTERVAL_NS = 200_000_000  # of a topic that shows whether anything was logged
 
+
 _ONE_BOOT = timeline([(np.zeros(1, np.int64), np.zeros(1, np.int64))])  # a log a boot
+
+
 _ELEMENT = re.compile(r"\[(\d+)\]")
+
 
 Topic = tuple[str, int]  # its name and the instance
 
@@ -71,30 +78,30 @@ def read_log(path: Path, ledger: Ledger) -> Contents:
 
 
 ULOG = LogFormat(
-    "ulog", "PX4 ULog", (".ulg", ".ulog"), lambda head: head.startswith(records.MAGIC), read_log
+    "ulog", "PX4 ULog", (".ulg", ".ulog"), lambda head: head.startswith(MAGIC), read_log
 )
 
 
-def _messages(path: Path, topics: list[str]) -> records.ULogMessages:
+def _messages(path: Path, topics: list[str]) -> ULogMessages:
     """The messages of a file, those of some topics as rows."""
     refusal = partial(LogError, "LOG-ULOG", where=str(path))
     with open_view(path) as data:
-        if data.size < records.FILE_HEADER:
-            what = f"it ends after {data.size} of {records.FILE_HEADER} bytes of its header"
+        if data.size < FILE_HEADER:
+            what = f"it ends after {data.size} of {FILE_HEADER} bytes of its header"
             raise refusal(what, remedy="copy it again from the vehicle")
-        flags = records.flags_of(data)[0]
-        if flags[0] & ~records.APPENDED or any(flags[1:]):
+        flags = flags_of(data)[0]
+        if flags[0] & ~APPENDED or any(flags[1:]):
             what = f"it sets incompatible flags ({flags.hex()}) that this version does not know"
             remedy = "copy it again from the vehicle, or convert it with a newer tool of PX4"
             raise refusal(what, remedy=remedy)
-        return records.ULogMessages(data, topics)
+        return ULogMessages(data, topics)
 
 
 def _names(rows: NDArray[Any]) -> tuple[str, ...]:
     return rows.dtype.names or ()
 
 
-def report_silences(messages: records.ULogMessages, name: str, ledger: Ledger) -> None:
+def report_silences(messages: ULogMessages, name: str, ledger: Ledger) -> None:
     """Enter the times in which no topic has a message: whole ones were cut out, or never logged.
 
     Stamps of a topic that were sampled before the logger began, and stray ones, do not count.

@@ -1,9 +1,6 @@
-"""Messages of a telemetry log as they were sent -> channels: the wanted ones, by the dialect."""
+"""Messages of a telemetry log as they were sent -> channels."""
 
-import re
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from functools import cache
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,100 +12,17 @@ from unbend.ingest.attitude import earth_frame_attitude
 from unbend.ingest.boot_clock import microseconds
 from unbend.ingest.buffers import ColumnStore
 from unbend.ingest.channel_builder import ColumnStores, DecodedRows, channel_of, with_both_heights
-from unbend.ingest.fields import MessageMap, extract, message_maps
-from unbend.ingest.tlog import clock
+from unbend.ingest.field_maps import extract
+from unbend.ingest.tlog.borrowed_clocks import unix_us
+from unbend.ingest.tlog.clock_samples import MICROSECOND, Key, by_source
+from unbend.ingest.tlog.dialect import LABELS, MESSAGES, PARAM_VALUE, message_of_name
+from unbend.ingest.tlog.sender_clocks import CLOCK_FIELDS, LATEST_NS, Clocks, clock_field
 from unbend.messages import Ledger
 from unbend.units import Mask, Rows
 
-# A key with a dot is a second channel out of the same message.
-MESSAGES: Mapping[str, MessageMap] = message_maps("tlog")
-# Messages with a text that belongs to each row.
-LABELS: Mapping[str, str] = {"CAMERA_IMAGE_CAPTURED": "file_url", "STATUSTEXT": "text"}
-
-SYSTEM_TIME, PARAM_VALUE = "SYSTEM_TIME", "PARAM_VALUE"
-
-
-@dataclass(frozen=True)
-class Message:
-    """One message: ``dtype`` as on the wire, ``fields`` as defined, those of ``texts`` are char."""
-
-    number: int
-    name: str
-    crc_extra: int
-    dtype: np.dtype[Any]
-    fields: tuple[str, ...]
-    texts: frozenset[str]
-    instance_field: str
-
-
-@cache
-def dialect() -> Mapping[int, Message]:
-    """The library's union of all dialects, by number."""
-    from pymavlink.dialects.v20 import all as library
-
-    messages = {}
-    for number, definition in library.mavlink_map.items():
-        kinds = zip(definition.fieldnames, definition.fieldtypes, strict=True)
-        name, names = str(definition.msgname), tuple(definition.fieldnames)
-        layout = layout_of(definition.unpacker.format, definition.ordered_fieldnames)
-        texts = frozenset(field for field, kind in kinds if kind == "char")
-        own = MESSAGES[name].id_field if name in MESSAGES else ""
-        instance = own or definition.instance_field or ""
-        messages[int(number)] = Message(
-            int(number), name, int(definition.crc_extra), layout, names, texts, instance
-        )
-    return messages
-
-
-def crc_extras() -> dict[int, int]:
-    """CRC_EXTRA by message id."""
-    return {number: message.crc_extra for number, message in dialect().items()}
-
-
-@cache
-def message_of_name() -> Mapping[str, Message]:
-    """The same by name."""
-    return {message.name: message for message in dialect().values()}
-
-
-def name_of(number: int) -> str:
-    """The name of a message, made up where the dialect does not know it."""
-    known = dialect().get(number)
-    return f"UNKNOWN_{number}" if known is None else known.name
-
-
-def wanted_layouts() -> dict[int, np.dtype[Any]]:
-    """The layouts, by number, of the fields that channels and clocks are made of."""
-    wanted = {
-        SYSTEM_TIME: {"time_unix_usec"},
-        PARAM_VALUE: {"param_id", "param_value"},
-        "CAMERA_IMAGE_CAPTURED": {"capture_result", "time_utc"},
-        "STATUSTEXT": {"id", "chunk_seq"},
-    }
-    for key, spec in MESSAGES.items():
-        fields = {name.partition(".")[0] for column in spec.columns for name in column.fields}
-        wanted.setdefault(key.partition(".")[0], set()).update(fields, {LABELS.get(key, "")})
-    result = {}
-    for message in (m for m in dialect().values() if m.name in wanted):
-        kept = wanted[message.name] | {message.instance_field, *clock.CLOCK_FIELDS}
-        names = message.dtype.names or ()
-        result[message.number] = message.dtype[[name for name in names if name in kept]]
-    return result
-
-
-def layout_of(layout: str, fields: list[str]) -> np.dtype[Any]:
-    """The numpy type of a struct format such as ``<If10s``, which has one item a field.
-
-    >>> layout_of("<If10s", ["time_boot_ms", "value", "name"]).itemsize
-    18
-    """
-    items = re.findall(r"(\d*)([a-zA-Z])", layout)
-    kinds = [f"S{count or 1}" if kind == "s" else f"{count}<{kind}" for count, kind in items]
-    return np.dtype(list(zip(fields, kinds, strict=True)))
-
 
 def channels_of(
-    sent: dict[str, ColumnStore], clocks: clock.Clocks, ledger: Ledger
+    sent: dict[str, ColumnStore], clocks: Clocks, ledger: Ledger
 ) -> tuple[list[Channel], dict[str, float]]:
     """The channels of the wanted messages, whose memory is freed on the way, and the parameters."""
     channels = []
@@ -127,7 +41,7 @@ def channels_of(
             late = spec.event  # the link delivers exposures late, and others overtake each other
             if not bool(np.all(rows.time_ns[1:] >= rows.time_ns[:-1])):
                 newest = np.maximum.accumulate(rows.time_ns)
-                late |= int(np.max(newest - rows.time_ns)) < clock.LATEST_NS
+                late |= int(np.max(newest - rows.time_ns)) < LATEST_NS
             rows = rows.take(np.argsort(rows.time_ns, kind="stable")) if late else rows
             channel = channel_of(rows, spec, ledger)
             if channel is not None:
@@ -145,7 +59,7 @@ def channels_of(
 class _Series:
     """A channel during reading: the messages of one sender and instance."""
 
-    def __init__(self, key: str, sender: clock.Key, label: str | None) -> None:
+    def __init__(self, key: str, sender: Key, label: str | None) -> None:
         self.key, self.spec = key, MESSAGES[key]
         self.source = Source(key.partition(".")[0], label, *sender)
         self.name = key if label is None else f"{key}[{label}]"
@@ -153,12 +67,12 @@ class _Series:
         self.columns = ColumnStores(self.spec)
         self.sent: list[NDArray[Any]] = []
 
-    def add(self, rows: NDArray[Any], clocks: clock.Clocks) -> None:
+    def add(self, rows: NDArray[Any], clocks: Clocks) -> None:
         """Add the next messages."""
         records, fields = rows["records"], {}
         names = records.dtype.names or ()
         sender = (self.source.system or 0, self.source.component or 0)
-        time_ns, boot = times_of(rows, clock.clock_field(names), clocks, sender)
+        time_ns, boot = times_of(rows, clock_field(names), clocks, sender)
         self.time_ns.add(time_ns)
         self.boot.add(boot)
         for name in names:
@@ -185,12 +99,12 @@ class _Series:
         return DecodedRows(self.name, self.source, *times, self.columns.whole(), texts)
 
 
-def _series(keys: list[str], store: ColumnStore, clocks: clock.Clocks) -> list[_Series]:
+def _series(keys: list[str], store: ColumnStore, clocks: Clocks) -> list[_Series]:
     """The series of one message, for each key, sender and instance."""
     by_group: dict[tuple[int, Any], list[_Series]] = {}  # by sender, and instance as sent or None
     field = message_of_name()[keys[0]].instance_field
     for block in store.drained():
-        for sender, of_sender in clock.by_source(block):
+        for sender, of_sender in by_source(block):
             rows = block[of_sender]
             for value in np.unique(rows["records"][field]) if field else (None,):
                 group = (sender[0] * 256 + sender[1], None if value is None else value.item())
@@ -208,23 +122,23 @@ def _series(keys: list[str], store: ColumnStore, clocks: clock.Clocks) -> list[_
 
 
 def times_of(
-    rows: NDArray[Any], field: str, clocks: clock.Clocks, source: clock.Key
+    rows: NDArray[Any], field: str, clocks: Clocks, source: Key
 ) -> tuple[TimeArray, NDArray[np.int16]]:
     """UTC [ns] and boot of (n,) messages of a sender, by their own time or that of reception."""
-    at, host_ns, own = rows["at"], rows["host_us"] * clock.MICROSECOND, clocks.of(source)
+    at, host_ns, own = rows["at"], rows["host_us"] * MICROSECOND, clocks.of(source)
     if not field:
         return own.utc_of_host(at, host_ns), own.boot(at)
-    unit, turn = clock.CLOCK_FIELDS[field]
+    unit, turn = CLOCK_FIELDS[field]
     stamp = microseconds(rows["records"][field])
     since_boot = stamp * unit
     placed = own.boot_places(at, since_boot)
     time_ns = own.utc_of_boot(placed, host_ns, since_boot, turn)
     boot = own.boot(placed)
     if field == "time_boot_ms":
-        own_us = clock.unix_us(rows["records"])
+        own_us = unix_us(rows["records"])
         if source in clocks.wrong_utc or not own_us.any():
             return time_ns, boot
-        return np.where(own_us > 0, own_us * clock.MICROSECOND, time_ns), boot
+        return np.where(own_us > 0, own_us * MICROSECOND, time_ns), boot
     # time_usec: Unix time from some senders, time since boot from others, 0 when not known
     time_ns = np.where(stamp > UNIX_US_FROM, since_boot, time_ns)
     other = (stamp == 0) | (stamp > UNIX_US_FROM)

@@ -12,16 +12,26 @@ from pathlib import Path
 import numpy as np
 
 from unbend.ingest.boot_clock import Stamps, nanoseconds, timeline
-from unbend.ingest.dataflash.channels import wanted_fields
-from unbend.ingest.dataflash.log import contents_of
-from unbend.ingest.dataflash.records import merge_tables
-from unbend.ingest.log import PLACE, Contents, DamagedBytes, LogFormat, Table
+from unbend.ingest.damaged_bytes import DamagedBytes
+from unbend.ingest.dataflash.dataflash_channels import wanted_fields
+from unbend.ingest.dataflash.dataflash_contents import contents_of
+from unbend.ingest.dataflash.record_tables import merge_tables
+from unbend.ingest.flight_log import Contents, LogFormat
+from unbend.ingest.message_tables import PLACE, Table
 from unbend.messages import Ledger
 
 LONGEST = 4096  # bytes of a line; real ones have up to 250
+
+
 ROWS = 4096  # of one type that are made columns at once: as text they need 20 times the memory
+
+
 _FIRST = re.compile(rb"FMT, ?\d+, ?\d+, ?\w+")
+
+
 _DECIMAL = "cCeELfdg"  # scaled and floating-point letters
+
+
 _TEXT = "nNZaM"  # arrays and flight modes are words in these logs
 
 

@@ -15,32 +15,66 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unbend.ingest.buffers import ColumnStore, FileView, gather
-from unbend.ingest.log import DamagedBytes
+from unbend.ingest.damaged_bytes import DamagedBytes
 from unbend.messages import Ledger
 
 MAGIC = b"ULog\x01\x12\x35"
+
+
 FILE_HEADER = 16  # bytes
+
+
 HEAD = struct.Struct("<HB")  # size of what follows, kind
+
+
 DATA = struct.Struct("<HBH")  # ... and the number of the topic
+
+
 FLAGS = struct.Struct("<8s8s3Q")  # compatible, incompatible, places where data was appended
+
+
 APPENDED = 1  # the first bit of the incompatible flags, the only one that is defined
+
+
 SPAN, NEAR = 4 << 20, 4096  # [bytes] walked at once, and searched first after damage
+
+
 LONGEST = HEAD.size + 0xFFFF
+
+
 LINKS = 3  # messages in a row that prove a place after damage
+
+
 DEEPEST = 8  # formats inside each other
+
 
 _TYPES = {
     "int8_t": "i1", "uint8_t": "u1", "bool": "i1", "char": "i1", "int16_t": "<i2",
     "uint16_t": "<u2", "int32_t": "<i4", "uint32_t": "<u4", "float": "<f4", "int64_t": "<i8",
     "uint64_t": "<u8", "double": "<f8",
 }  # fmt: skip
+
+
 _FIELD = re.compile(r"(\w+)(?:\[(\d{1,5})\])? (\w+)")
+
+
 _DATUM = ord("D")
+
+
 _KINDS = np.frombuffer(b"BFIMPQLCADSOR", np.uint8)
+
+
 _FIXED = {ord("S"): 8, ord("O"): 2, ord("R"): 2}
+
+
 _KEYED = {ord("I"): 0, ord("P"): 0, ord("M"): 1, ord("Q"): 1}  # bytes before the key's length
+
+
 _KEY = re.compile(rb"([\w\[\]]+) [\w.:-]+")
+
+
 _LEVELS = tuple(bytes([level]) for level in b"01234567")
+
 
 Fields = list[tuple[str, int, str]]
 """Type, number of elements (0 for no array) and name of each field of a format."""

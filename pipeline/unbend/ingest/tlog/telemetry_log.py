@@ -9,23 +9,39 @@ import numpy as np
 from unbend.flight.channels import Channel
 from unbend.flight.clock import stray_times
 from unbend.ingest.buffers import open_view
-from unbend.ingest.log import Contents, LogFormat, Table
-from unbend.ingest.tlog import channels, clock
-from unbend.ingest.tlog.scan import SILENT_US, Scan, Silence, frame_length
+from unbend.ingest.flight_log import Contents, LogFormat
+from unbend.ingest.message_tables import Table
+from unbend.ingest.tlog.borrowed_clocks import with_borrowed_clocks
+from unbend.ingest.tlog.clock_samples import MICROSECOND, Key, by_source
+from unbend.ingest.tlog.dialect import (
+    MESSAGES,
+    crc_extras,
+    message_of_name,
+    name_of,
+    wanted_layouts,
+)
+from unbend.ingest.tlog.frames import frame_length
+from unbend.ingest.tlog.scan import SILENT_US, Scan, Silence
+from unbend.ingest.tlog.sender_clocks import Clocks, clock_field, clocks_of
+from unbend.ingest.tlog.tlog_channels import channels_of, label_of, times_of
 from unbend.messages import Ledger
 
-SILENT_NS = SILENT_US * clock.MICROSECOND
-_CARRIED = {key.partition(".")[0] for key in channels.MESSAGES}
+SILENT_NS = SILENT_US * MICROSECOND
+
+
+_CARRIED = {key.partition(".")[0] for key in MESSAGES}
+
+
 # Messages whose time is that of the exposure, not of sending.
-_LATE = {key for key, spec in channels.MESSAGES.items() if spec.event}
+_LATE = {key for key, spec in MESSAGES.items() if spec.event}
 
 
 def read_log(path: Path, ledger: Ledger) -> Contents:
     """The contents of a telemetry log."""
-    wanted = channels.wanted_layouts()
+    wanted = wanted_layouts()
     with open_view(path) as data:
-        late = {number for number in wanted if channels.name_of(number) in _LATE}
-        result = Scan(data, channels.crc_extras(), wanted, late)
+        late = {number for number in wanted if name_of(number) in _LATE}
+        result = Scan(data, crc_extras(), wanted, late)
     result.report_bytes(ledger, path.name, "message")
     if result.unknown:
         count = sum(rejected.count for rejected in result.unknown.values())
@@ -35,7 +51,7 @@ def read_log(path: Path, ledger: Ledger) -> Contents:
     damaged = 0
     for number, rejected in sorted(result.failed.items()):
         where = f"{path.name}, first at byte {rejected.first}"
-        name = f"{channels.name_of(number)} (id {number})"
+        name = f"{name_of(number)} (id {number})"
         if result.counts[number] or number in wanted:
             damaged += rejected.size
             what = f"{rejected.count} messages {name} fail their checksum"
@@ -44,14 +60,14 @@ def read_log(path: Path, ledger: Ledger) -> Contents:
             ledger.warning("LOG-DIALECT", where=where, count=rejected.count, name=name)
     if not result.steady:
         _replace_stray_stamps(result, ledger, path.name)
-    sent = {channels.name_of(number): result.sent.pop(number) for number in [*result.sent]}
+    sent = {name_of(number): result.sent.pop(number) for number in [*result.sent]}
     parts = [part for name, part in sent.items() if name in _CARRIED]
     sources = {int(n) for p in parts for b in p.blocks() for n in np.unique(b["source"])}
-    clocks = clock.clocks_of(result.clock.readings({source >> 8 for source in sources}), ledger)
-    clocks = clock.with_borrowed_clocks(clocks, parts, ledger)
-    found, parameters = channels.channels_of(sent, clocks, ledger)
+    clocks = clocks_of(result.clock.readings({source >> 8 for source in sources}), ledger)
+    clocks = with_borrowed_clocks(clocks, parts, ledger)
+    found, parameters = channels_of(sent, clocks, ledger)
     lost = _report_link(result, clocks, found, path, ledger)
-    counts = {channels.name_of(key): count for key, count in result.counts.items() if count}
+    counts = {name_of(key): count for key, count in result.counts.items() if count}
     return Contents(
         counts, tuple(found), result.bad_bytes + damaged, lost, clocks.boots,
         clocks.description, partial(_table, path, clocks), parameters,
@@ -68,12 +84,12 @@ TLOG = LogFormat("tlog", "MAVLink telemetry", (".tlog", ".rlog"), is_tlog, read_
 
 
 def _report_link(
-    result: Scan, clocks: clock.Clocks, found: list[Channel], path: Path, ledger: Ledger
+    result: Scan, clocks: Clocks, found: list[Channel], path: Path, ledger: Ledger
 ) -> int:
     """Enter the messages of the senders of channels that the link lost; returns the least count."""
     carriers = {(channel.source.system, channel.source.component) for channel in found}
     lost = Counter({key: count for key, count in result.lost.items() if key in carriers})
-    silent: dict[clock.Key, list[Silence]] = {}
+    silent: dict[Key, list[Silence]] = {}
     for silence in result.silences:
         if silence.source in carriers and clocks.advanced(silence.source, silence.at, SILENT_NS):
             silent.setdefault(silence.source, []).append(silence)
@@ -102,7 +118,7 @@ def _replace_stray_stamps(result: Scan, ledger: Ledger, where: str) -> None:
     order = np.argsort(at, kind="stable")
     at = at[order]
     host_us = np.concatenate([block["host_us"] for block in blocks])[order]
-    stray = stray_times(host_us * clock.MICROSECOND)
+    stray = stray_times(host_us * MICROSECOND)
     count = int(np.count_nonzero(stray))
     if count == 0 or bool(stray.all()):
         return
@@ -116,13 +132,13 @@ def _replace_stray_stamps(result: Scan, ledger: Ledger, where: str) -> None:
             block["host_us"][replaced] = good[before[place[replaced]]]
 
 
-def _table(path: Path, clocks: clock.Clocks, name: str, instance: str | None) -> Table:
+def _table(path: Path, clocks: Clocks, name: str, instance: str | None) -> Table:
     """All messages of one type with their time, their sender and their fields as sent."""
-    message = channels.message_of_name().get(name)
+    message = message_of_name().get(name)
     if message is None:
         return {}
     with open_view(path) as data:
-        scan = Scan(data, channels.crc_extras(), {message.number: message.dtype})
+        scan = Scan(data, crc_extras(), {message.number: message.dtype})
     store = scan.sent.get(message.number)
     if store is None:
         return {}
@@ -131,14 +147,14 @@ def _table(path: Path, clocks: clock.Clocks, name: str, instance: str | None) ->
         if not message.instance_field:
             return {}
         ids = rows["records"][message.instance_field]
-        asked = [value for value in np.unique(ids) if channels.label_of(value) == instance]
+        asked = [value for value in np.unique(ids) if label_of(value) == instance]
         rows = rows[np.isin(ids, asked)]
     if not len(rows):
         return {}
     time_ns, boot = np.empty(len(rows), np.int64), np.empty(len(rows), np.int16)
-    field = clock.clock_field(message.fields)
-    for source, of_source in clock.by_source(rows):
-        part = channels.times_of(rows[of_source], field, clocks, source)
+    field = clock_field(message.fields)
+    for source, of_source in by_source(rows):
+        part = times_of(rows[of_source], field, clocks, source)
         time_ns[of_source], boot[of_source] = part
     table: Table = {"time_ns": time_ns, "boot": boot, "system": rows["source"] >> 8}
     table["component"] = rows["source"] & 0xFF

@@ -19,8 +19,14 @@ from unbend.ingest.mcap import chunks
 from unbend.units import Integers, Rows
 
 MAGIC = b"\x89MCAP0\r\n"
+
+
 RECORD = struct.Struct("<BQ")
+
+
 MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
+
+
 FOOT = struct.Struct("<QQI")  # start of the summary, of its offsets, checksum
 
 
@@ -33,19 +39,35 @@ class Opcode:
 
 
 LARGE_MESSAGE = 1 << 16  # [bytes] of what is wanted only images are larger ...
+
+
 NEAR = 1 << 16  # [bytes] searched first: damage is seldom large
+
+
 LINKS = 3  # records in a row that prove a message after damage
+
+
 NAMED = 8  # losses of one kind that are named one by one
+
+
 PROVING = (Opcode.FOOTER, Opcode.MESSAGE, Opcode.CHUNK, Opcode.DATA_END)
+
+
 DEFINITIONS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS)
+
 
 NO_FOOTER = (
     "without the footer that a closed MCAP has: the recorder died or the copy is incomplete, and "
     "whatever came after is lost"
 )
 
+
 SPAN = 4 << 20  # [bytes] of messages decoded together, and of the file walked at once
+
+
 MESSAGE_START = 4096  # [bytes] ... and of those the header is wanted
+
+
 MAX_DEFINITION = 16 << 20  # [bytes] of a schema, channel or statistics record
 
 
@@ -106,6 +128,8 @@ _HEADER = np.dtype([
     ("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"),
     ("log_time", "<u8"), ("publish_time", "<u8"),
 ])  # fmt: skip
+
+
 _LAST_NS = np.uint64(2**63 - 1)  # log_time is unsigned in the file; times inside are int64
 
 
