@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.integrate import trapezoid
 from scipy.spatial.transform import Rotation
 
 from unbend.atmosphere import standard_atmosphere
@@ -179,7 +180,7 @@ def sum_over_layers(warmer_k: float) -> tuple[float, float]:
     pressure = 47_181.0 * np.exp(np.append(np.cumsum(fall[::-1])[::-1], 0.0))
     n = 1.0 + 2.779e-4 * (pressure / 101_325.0) * 288.15 / kelvin
     sine = n_cabin * np.sin(angle) / n
-    chord = np.arctan2(np.trapezoid(sine / np.sqrt(1.0 - sine**2), h), h[-1])
+    chord = np.arctan2(trapezoid(sine / np.sqrt(1.0 - sine**2), h), h[-1])
     return (angle - chord) / np.tan(angle), (np.arcsin(sine[-1]) - chord) / np.tan(angle)
 
 

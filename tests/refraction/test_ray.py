@@ -8,6 +8,7 @@ import mpmath as mp
 import numba
 import numpy as np
 import pytest
+from scipy.integrate import trapezoid
 
 from tests.physics.ray_on_sphere import ray_angle_sphere
 from unbend.atmosphere import standard_atmosphere
@@ -289,7 +290,7 @@ def test_the_plane_integral_is_a_good_approximation_below_60_degrees(us1976):
     """R = tan z * integral of (N - N_c) dh / (h_c - h_g): PHYSICS.md, S and B, first order."""
     h = np.linspace(0.0, 3000.0, 3001)
     n = us1976.refractivity(h)
-    plane = np.trapezoid(n - n[-1], h) / 3000.0 / ARCSEC
+    plane = trapezoid(n - n[-1], h) / 3000.0 / ARCSEC
     for degrees in (20.0, 45.0, 60.0):
         angle = refraction_angle(us1976, 3000.0, 0.0, degrees * DEGREE) / ARCSEC
         assert angle == pytest.approx(plane * math.tan(degrees * DEGREE), rel=3e-3)
