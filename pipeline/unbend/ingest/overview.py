@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from unbend.atmosphere.rejection import Reason, count_by_reason, described_counts
 from unbend.errors import MissionError
 from unbend.flight.channels import Channel
 from unbend.flight.evidence.quality import plausible_samples
@@ -63,7 +64,9 @@ def roles_of(channels: Sequence[Channel]) -> tuple[dict[str, Any], list[dict[str
             "others": [name for name in able if name != named],
         }  # fmt: skip
         if channel is not None:
+            rejected = rejected_samples(channel, role)
             row |= {"rate_hz": channel.rate_hz, "samples": len(channel)}
+            row["rejected"] = {reason.text: count for reason, count in rejected.items()}
             row["remark"] = remark_on(channel, role, height)
         elif not able:
             row["remark"] = "none in the log"
@@ -81,15 +84,28 @@ def roles_of(channels: Sequence[Channel]) -> tuple[dict[str, Any], list[dict[str
     return flight, rows
 
 
+def rejected_samples(channel: Channel, role: str) -> dict[Reason, int]:
+    """How many samples of a channel its role does not use, and why; none where its unit is wrong.
+
+    What only a mission decides (heights, take-off) is not counted.
+    """
+    try:
+        kept, _ = plausible_samples(channel, role)
+    except MissionError:
+        return {}
+    return count_by_reason([kept.removed.reason])
+
+
 def remark_on(channel: Channel, role: str, height: Channel | None) -> str:
     """Whether the samples of a channel can be what its role asks for, in a few words."""
     try:
         kept, _ = plausible_samples(channel, role)
     except MissionError as error:  # another unit
         return error.what
-    wrong = len(channel) - len(kept)
-    if wrong:
-        return f"{100.0 * wrong / len(channel):.2g} % of the samples cannot be true"
+    rejected = count_by_reason([kept.removed.reason])
+    if rejected:
+        total = len(kept) + len(kept.removed)
+        return f"not used of {total} samples: {described_counts(rejected)}"
     if role == "pressure" and height is not None:
         follows = follows_height(channel, height)
         return "follows the height" if follows else "too little height to tell if it is outside"
