@@ -15,9 +15,9 @@ from typing import Any
 import yaml
 
 from unbend.batch.plan import make_plan
+from unbend.batch.runs import mission_status, run_mission
 from unbend.config import load_mission
 from unbend.simulate import SimulationOptions, simulate
-from unbend.stages.story import mission_status, run_mission
 
 MISSIONS = 1000
 SMALL = SimulationOptions(

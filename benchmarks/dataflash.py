@@ -68,7 +68,7 @@ def library_needed(log: Path) -> int:
 
     reader = DFReader_binary(str(log))
     rows = 0
-    with contextlib.closing(reader.filehandle), contextlib.closing(reader.data_map):
+    with contextlib.closing(reader):
         while (row := reader.recv_match(type=list(NEEDED))) is not None:
             row.to_dict()
             rows += 1
@@ -81,7 +81,7 @@ def library_all(log: Path) -> int:
 
     reader = DFReader_binary(str(log))
     rows = 0
-    with contextlib.closing(reader.filehandle), contextlib.closing(reader.data_map):
+    with contextlib.closing(reader):
         while (row := reader.recv_msg()) is not None:
             row.to_dict()
             rows += 1

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from unbend.errors import MissionError
-from unbend.flight.air_samples import air_samples
 from unbend.flight.channels import Channel, Source
 from unbend.flight.evidence.quality import plausible_samples
 from unbend.flight.heights import HeightSystem
+from unbend.flight.outside_air import outside_air_samples
 from unbend.flight.roles import assign_roles, follows_height
 from unbend.messages import Kind, Ledger
 
@@ -164,7 +164,7 @@ def test_impossible_readings_are_taken_out_and_counted() -> None:
 def test_the_ground_and_the_first_two_minutes_are_not_the_air() -> None:
     roles = {"height": GPS, "temperature": OUT, "pressure": BARO}
     ledger = Ledger()
-    found = ledger.take(air_samples(roles, HeightSystem(), 5.0))
+    found = ledger.take(outside_air_samples(roles, HeightSystem(), 5.0))
     assert found.temperature is not None
     assert found.pressure is not None
     used = SECONDS[found.temperature.accepted]
@@ -176,7 +176,7 @@ def test_the_ground_and_the_first_two_minutes_are_not_the_air() -> None:
 
 def test_a_log_that_begins_in_the_air_has_no_take_off() -> None:
     flying = channel("GPS[0]", 20, "height", h_msl_m=2000.0 + 3.0 * SECONDS, **PLACE)
-    found = air_samples({"height": flying, "temperature": OUT}, HeightSystem(), 5.0)[0]
+    found = outside_air_samples({"height": flying, "temperature": OUT}, HeightSystem(), 5.0)[0]
     assert found.temperature is not None
     assert found.temperature.accepted.all()
 
@@ -184,12 +184,12 @@ def test_a_log_that_begins_in_the_air_has_no_take_off() -> None:
 def test_a_height_that_is_fused_with_the_barometer_says_nothing_of_temperatures() -> None:
     """Pressures of the lowest 30 m give the level; with a receiver all are used, without a word."""
     fused = channel("POS", 10, "position", h_msl_m=HEIGHT, **PLACE)
-    samples, notes = air_samples({"height": fused, "pressure": BARO}, HeightSystem(), 5.0)
+    samples, notes = outside_air_samples({"height": fused, "pressure": BARO}, HeightSystem(), 5.0)
     assert samples.pressure is not None
     assert samples.pressure.accepted.any()
     assert samples.pressure.extent_m < 30.0
     assert [(e.code, e.where) for e in notes] == [("AIR-HEIGHT-FUSED", "POS")]
-    samples, notes = air_samples({"height": GPS, "pressure": BARO}, HeightSystem(), 5.0)
+    samples, notes = outside_air_samples({"height": GPS, "pressure": BARO}, HeightSystem(), 5.0)
     assert samples.pressure is not None
     assert samples.pressure.accepted.all()
     assert notes == ()
@@ -201,7 +201,7 @@ def test_the_ground_between_two_flights_is_not_the_air() -> None:
     place = {k: np.full(twice.size, v) for k, v in PLACE.items()}
     gnss = Channel("GPS[0]", time_ns, {"h_msl_m": twice, **place}, Source("GPS"))
     warm = Channel("HYGR[0]", time_ns, {"temperature_k": np.full(twice.size, 280.0)}, Source("H"))
-    found = air_samples({"height": gnss, "temperature": warm}, HeightSystem(), 5.0)[0]
+    found = outside_air_samples({"height": gnss, "temperature": warm}, HeightSystem(), 5.0)[0]
     assert found.temperature is not None
     accepted = found.temperature.accepted
     assert not accepted[865:1015].any()
@@ -234,7 +234,7 @@ def test_the_attitude_of_the_aircraft_is_only_ever_named() -> None:
 
 def test_humidity_on_the_ground_is_not_the_airs_either_but_airspeed_is_kept() -> None:
     roles = {"height": GPS, "humidity": OUT, "airspeed": ARSP}
-    samples, notes = air_samples(roles, HeightSystem(), 5.0)
+    samples, notes = outside_air_samples(roles, HeightSystem(), 5.0)
     assert samples.humidity is not None
     assert samples.airspeed is not None
     assert SECONDS[samples.humidity.accepted].min() == pytest.approx(180.0, abs=3.0)

@@ -12,15 +12,14 @@ import pytest
 import yaml
 from pymavlink.DFReader import DFReader_binary
 
+from unbend.batch.runs import read_mission
 from unbend.errors import InputError, MissionError
 from unbend.stages.multi_image.image_events import images_of_camera
-from unbend.stages.story import PreparedMission, read_mission
+from unbend.stages.story import PreparedMission
 
 from .flown_images import CAMERA, SHARED, tie_points, truth_of
 
-needs_shared = pytest.mark.skipif(
-    not (SHARED / "logs").is_dir(), reason="../shared/logs is not beside this checkout"
-)
+needs_shared = pytest.mark.shared("logs")
 CHANNEL = {"BIN": "CAM[{}]", "tlog": "CAMERA_FEEDBACK[{}]"}
 
 
@@ -326,8 +325,7 @@ def boot_time(log: str) -> float:
                 week_s = 315_964_800 + row.GWk * 604_800 - 18
                 return week_s + row.GMS / 1e3 - row.TimeUS / 1e6
     finally:
-        file.data_map.close()
-        file.filehandle.close()
+        file.close()
     raise AssertionError("no GPS time")
 
 

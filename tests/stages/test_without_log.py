@@ -25,10 +25,10 @@ from tests.stages.test_imports import (
     files,
     truth,
 )
+from unbend.batch.runs import read_mission
 from unbend.errors import ConfigError, InputError, MissionError
 from unbend.flight.channels import Channel, Source
 from unbend.simulate.flight import UNDULATION_M
-from unbend.stages.story import read_mission
 
 __all__ = ["files", "truth"]
 

@@ -6,6 +6,8 @@ What only one format says stands in ``messages.py`` of its folder.
 from collections.abc import Sequence
 
 from unbend.errors import Code, Counted, LogError, MissionError
+from unbend.flight.evidence.messages import CHANNEL_UNIT
+from unbend.flight.messages import TIME_FIT
 from unbend.messages import Message, fallback, loss, note, warning
 
 # Opening a log.
@@ -218,15 +220,6 @@ def no_table(*, path: str, name: str, instance: str | None) -> LogError:
         remedy="choose another type or instance of `unbend inspect`",
         selected=selected,
     )
-
-
-CHANNEL_UNIT = Code(
-    "CHANNEL-UNIT",
-    means="The values of a channel look like another unit, or the stated unit is none of its "
-    "quantity.",
-    effect="The mission is refused.",
-    remedy="State the unit: log.channels.<role>: {name: NAME, unit: hPa}.",
-)
 
 
 def not_a_unit_of_role(*, role: str, unit: str, columns: Sequence[str]) -> MissionError:
@@ -503,14 +496,6 @@ def sources_disagree(*, where: str, rows: int, source: str, apart_s: float, used
         apart_s=apart_s,
         used=used,
     )
-
-
-TIME_FIT = Code(
-    "TIME-FIT",
-    means="How UTC follows from the log's clock, with the residuals.",
-    effect="A note; a loss where one of the two clocks stepped.",
-    remedy="Check exposures near the step, if it is a loss.",
-)
 
 
 def utc_accuracy(

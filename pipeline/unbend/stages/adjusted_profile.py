@@ -23,7 +23,6 @@ from unbend.atmosphere.series.time_windows import TimeWindow, estimate_windows
 from unbend.atmosphere.soundings import Sounding
 from unbend.atmosphere.soundings.model_field import ModelField, model_column
 from unbend.atmosphere.surface_report import SurfaceReport
-from unbend.batch.plan import Plan, sounding_role
 from unbend.config import Mission
 from unbend.config.atmosphere import AtmosphereSection, SurfaceSection
 from unbend.errors import InputError
@@ -32,8 +31,8 @@ from unbend.geodesy import longitudes_near
 from unbend.messages import Ledger
 from unbend.refraction.effect import FlightAir, effects_on_r
 from unbend.stages.inputs import FlightLog, Track
-from unbend.tables.soundings import read_sounding
-from unbend.tables.weather_files import FlightArea, read_model_field
+from unbend.stages.opened_inputs import OpenedInputs
+from unbend.tables.weather_files import FlightArea
 from unbend.units import DEGREE, HECTOPASCAL, ZERO_CELSIUS_K
 
 Levels = tuple[list[float], float]
@@ -59,22 +58,21 @@ class ModelAir:
 
 
 def read_model_air(
-    plan: Plan, flight: FlightLog, stations: Stations, samples: AirSamples, middle: TimeAndPlace, *,
-    ledger: Ledger,
+    mission: Mission, inputs: OpenedInputs, flight: FlightLog, stations: Stations,
+    samples: AirSamples, middle: TimeAndPlace, *, ledger: Ledger,
 ) -> ModelAir | None:  # fmt: skip
     """The weather model of a mission, None where it names none; ``middle`` is that of the flight.
 
     Refuses (`InputError`) a flight without a time or place, and stations outside its area.
     """
-    section = plan.mission.atmosphere.model
-    if section is None:
+    model, track = inputs.weather_model, flight.track
+    if model is None:
         return None
-    path, track = plan.input("weather model").path, flight.track
     if middle.time_ns is None or not math.isfinite(middle.latitude_rad + middle.longitude_rad):
-        raise InputError.of("MODEL-TIME/flight", path.name)
+        raise InputError.of("MODEL-TIME/flight", model.name)
     of_middle = middle.latitude_rad, middle.longitude_rad, middle.time_ns
     place = sampled_place(samples, track) or of_middle
-    levels = (_constant_ground_m(plan.mission), flight.heights.home_h_msl_m)
+    levels = (_constant_ground_m(mission), flight.heights.home_h_msl_m)
     ground_h_m = next((h for h in levels if h is not None), math.nan)
     rows = stations.ok & np.isfinite(stations.lat_rad + stations.lon_rad)
     times = np.where(stations.time_ns[rows] == NO_TIME, place[2], stations.time_ns[rows])
@@ -83,13 +81,13 @@ def read_model_air(
         longitudes_near(np.append(stations.lon_rad[rows], place[1]), place[1]),
         np.append(times, place[2]),
     )
-    field = read_model_field(path, area, ledger, member=section.member)
+    field = model.read(area, ledger)
     field.refuse_outside(area.latitude_rad, area.longitude_rad)
     highest = float(stations.h_msl_m[rows].max(initial=0.0))
     column = ledger.take(model_column(field, place, ground_h_m=ground_h_m, highest_h_m=highest))
     hours = TimeAndPlace(place[2]).hours_from(column.time_ns)
     ledger.note(
-        "MODEL-COLUMN", where=path.name, count=column.h_m.size, low=column.h_m[0], hours=hours,
+        "MODEL-COLUMN", where=model.name, count=column.h_m.size, low=column.h_m[0], hours=hours,
         high=column.h_m[-1], north=place[0] / DEGREE, east=place[1] / DEGREE,
     )  # fmt: skip
     # It is the air where the flight met it: no distance adds to its errors.
@@ -247,12 +245,18 @@ def describe_calibration(calibration: Mapping[SensorFault, SensorCalibration]) -
 
 
 def read_air_sources(
-    plan: Plan, flight: FlightLog, stations: Stations, samples: AirSamples, ledger: Ledger
+    mission: Mission,
+    inputs: OpenedInputs,
+    flight: FlightLog,
+    stations: Stations,
+    samples: AirSamples,
+    *,
+    ledger: Ledger,
 ) -> AirSources:
     """Read soundings, surface reports and weather model of a mission; choose its climatology."""
-    section, home_h_msl_m = plan.mission.atmosphere, flight.heights.home_h_msl_m
+    section, home_h_msl_m = mission.atmosphere, flight.heights.home_h_msl_m
     flight_ns = _middle_exposure_ns(stations)
-    orientation = plan.mission.stations.orientation
+    orientation = mission.stations.orientation
     if flight_ns is None and orientation is not None:
         flight_ns = orientation.date_ns
     latitude = stations.mean_latitude_rad
@@ -270,10 +274,9 @@ def read_air_sources(
         longitude_rad=longitude if known.size else 0.0,
     )
     soundings: tuple[Sounding, ...] = ()
-    for i, s in enumerate(section.soundings):
-        sounding = read_sounding(
-            plan.input(sounding_role(i)).path, ledger, format_name=s.format, time_ns=flight_ns,
-            latitude_rad=latitude,
+    for read, s in zip(inputs.soundings, section.soundings, strict=True):
+        sounding = read(
+            ledger, time_ns=flight_ns, latitude_rad=latitude,
             station_h_m=np.nan if s.station_h_msl_m is None else s.station_h_msl_m,
         )  # fmt: skip
         soundings += (replace(sounding, across=s.across_coast_or_ridge),)
@@ -282,7 +285,7 @@ def read_air_sources(
         for i, s in enumerate(section.surface)
     )
     middle = TimeAndPlace(flight_ns, latitude, longitude)
-    model = read_model_air(plan, flight, stations, samples, middle, ledger=ledger)
+    model = read_model_air(mission, inputs, flight, stations, samples, middle, ledger=ledger)
     soundings += () if model is None else (model.column,)
     ledger.extend(distance_notes(soundings, surface, middle))
     calibration = section.sensors.calibration

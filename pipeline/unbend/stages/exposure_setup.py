@@ -14,19 +14,13 @@ from unbend.flight.heights import HeightSystem, ground_offsets
 from unbend.flight.rotations import matrices_of
 from unbend.flight.stations import Stations
 from unbend.messages import Ledger
-from unbend.refraction.camera.camera import Camera, LensInAir, is_absurd, principal_change
+from unbend.refraction.camera.camera import LensInAir, is_absurd, principal_change
 from unbend.refraction.image import Exposures
 from unbend.refraction.ray import rays_by
 from unbend.refraction.window import OPTICAL_AXIS, Window
-from unbend.stages.correction import CorrectionSetup
-from unbend.stages.ground_heights import GivenGround, Ground, SlantRangeGround
+from unbend.stages.correction_setup import CorrectionSetup, Ground
+from unbend.stages.ground_heights import GivenGround, SlantRangeGround
 from unbend.units import HECTOPASCAL, Array, Mask, Names
-
-
-def cameras_of_mission(mission: Mission) -> dict[str, Camera]:
-    """The interior orientation of each camera, in COLMAP's pixels."""
-    origin = mission.observations.pixel_origin
-    return {name: camera.build(origin) for name, camera in mission.cameras.items()}
 
 
 def camera_of_rows(
@@ -46,15 +40,6 @@ def orientations_of_mission(mission: Mission, stations: Stations) -> Orientation
     return orientations_of(stations, SIGMAS_OF_BLOCK if oriented else UNKNOWN_SIGMAS)
 
 
-def windows_of_mission(mission: Mission) -> dict[str, Window]:
-    return {n: camera.window.build() for n, camera in mission.cameras.items() if camera.window}
-
-
-def lenses_of_mission(mission: Mission) -> dict[str, LensInAir]:
-    """How the lenses follow the air, of the cameras of which the mission file says it."""
-    return {n: lens for n, camera in mission.cameras.items() if (lens := camera.lens())}
-
-
 def exposures_of_mission(
     mission: Mission, stations: Stations, air: ProfileSeries, ledger: Ledger
 ) -> Exposures:
@@ -62,11 +47,15 @@ def exposures_of_mission(
     for name, camera in mission.cameras.items():
         if camera.calibration == "in_flight_uncorrected":
             ledger.warning("CALIBRATION-IN-FLIGHT", where=f"cameras.{name}.calibration", name=name)
-    windows, lenses = windows_of_mission(mission), lenses_of_mission(mission)
-    report_windows(windows, ledger)
-    report_lenses(mission.cameras, lenses, ledger)
+    report_windows(mission.windows, ledger)
+    report_lenses(mission.cameras, mission.lenses, ledger)
     return exposures_of(
-        stations, air, windows, lenses, ledger, radius_m=mission.refraction.radius_m
+        stations,
+        air,
+        mission.windows,
+        mission.lenses,
+        ledger,
+        radius_m=mission.refraction.radius_m,
     )
 
 
@@ -190,7 +179,7 @@ def correction_setup(
         stations.camera,
         exposures,
         ground,
-        cameras_of_mission(mission),
+        mission.interior_orientations,
         tuple(rays_by(profile, mission.refraction.method) for profile in air.profiles),
         air.profile_number,
         mission.refraction.direction,

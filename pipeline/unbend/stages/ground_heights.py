@@ -1,60 +1,20 @@
 """Heights of the observed points, batch by batch, from any source of a mission file."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from unbend.errors import MissionError
 from unbend.flight.heights import HIGHEST_GROUND_M, LOWEST_GROUND_M, HeightSystem
 from unbend.flight.stations import Stations
 from unbend.messages import Ledger
-from unbend.refraction.image import Corrections
-from unbend.refraction.status_codes import NO_GROUND, OK
+from unbend.refraction.status_codes import OK
 from unbend.refraction.target_heights import target_heights, terrain_heights
-from unbend.tables.geodata.elevation import ElevationModel, open_elevation
+from unbend.stages.correction_setup import CorrectionSetup, GroundHeights
+from unbend.stages.opened_inputs import OpenedInputs
+from unbend.tables.geodata.elevation import ElevationModel
 from unbend.tables.observations import Batch
 from unbend.units import Array, Integers
-
-if TYPE_CHECKING:
-    from unbend.batch.plan import Plan
-    from unbend.stages.correction import CorrectionSetup
-
-
-class GroundHeights(NamedTuple):
-    """Heights of the points of a batch above sea level [m], their sigmas, all (n,); NaN unknown.
-
-    ``status`` (codes) and ``distance_m`` (slant ranges) where a source has them; ``implausible``
-    counts heights that are of no ground on earth.
-    """
-
-    h_m: Array
-    sigma_m: Array
-    status: NDArray[np.uint8] | None = None
-    implausible: int = 0
-    distance_m: Array | None = None
-
-    def flagged(self, corrections: Corrections) -> Corrections:
-        """The corrections with this status where theirs is ok or no_ground."""
-        if self.status is None:
-            return corrections
-        of_ground = np.isin(corrections.status, (OK, NO_GROUND)) & (self.status != OK)
-        status = np.where(of_ground, self.status, corrections.status)
-        return replace(corrections, status=status.astype(np.uint8))
-
-
-class Ground(Protocol):
-    """A source of heights: one class each; `correction_setup` chooses."""
-
-    @property
-    def limits(self) -> tuple[float, float]:
-        """The lowest and the highest height above sea level that a point can have [m]."""
-
-    def heights(self, batch: Batch, station: Integers, setup: CorrectionSetup) -> GroundHeights:
-        """The heights of a batch; ``station`` (n,) as `matching_rows` returns it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,15 +136,12 @@ class TerrainGround:
 
 
 def elevation_of_mission(
-    plan: Plan, heights: HeightSystem, ledger: Ledger
+    inputs: OpenedInputs, heights: HeightSystem, ledger: Ledger
 ) -> ElevationModel | None:
-    section, reference = plan.mission.ground.model, plan.mission.ground.reference
-    if section is None:
+    """The elevation model above sea level, None where the mission file names none."""
+    if inputs.elevation is None:
         return None
-    paths = [plan.input(f"elevation model {i + 1}").path for i in range(len(section.paths))]
-    undulation = heights.undulation
-    opened = open_elevation(paths, section.crs, reference=reference, undulation=undulation)
-    return ledger.take(opened)
+    return ledger.take(inputs.elevation(undulation=heights.undulation))
 
 
 def with_terrain(

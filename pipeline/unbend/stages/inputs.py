@@ -1,13 +1,11 @@
 """The inputs of a mission: the table of observations, and the flight log with its channels."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from unbend.batch.file_hashes import check_unchanged
-from unbend.batch.plan import Plan
-from unbend.batch.value_cache import keep, recall
+from unbend.config import Mission
 from unbend.errors import MissionError
 from unbend.flight.channels import ROLE_COLUMNS, Channel
 from unbend.flight.evidence.contradictions import contradictions_of_import, examine
@@ -18,18 +16,14 @@ from unbend.flight.heights import HeightSystem, height_system, to_geodetic
 from unbend.flight.mount import gimbal_notes, is_of_gimbal, with_payload_attitude
 from unbend.flight.roles import assign_roles
 from unbend.flight.rotations import CAMERA_AT_REST, in_turned_frame
-from unbend.geodesy import GeoidGrid
-from unbend.ingest import Log, open_log
+from unbend.ingest import Log
 from unbend.ingest.field_maps import in_stated_unit
 from unbend.messages import Ledger
-from unbend.tables.geodata.geoid import package_geoid, read_geoid
-from unbend.tables.imports import CAMERA_EVENTS, TRAJECTORIES, reader_of
+from unbend.stages.opened_inputs import OpenedInputs
+from unbend.tables.geodata.geoid import package_geoid
 from unbend.tables.imports.agreement import compare_with_log
 from unbend.tables.imports.stated import Stated
-from unbend.tables.observations import Observations, open_observations
 from unbend.units import Array, Integers
-
-_MOST_KEPT_BYTES = 256_000_000  # of the samples of a log: more are decoded again
 
 Track = tuple[Integers, Array, Array]
 """Times [Unix ns], latitudes and longitudes [rad] of a flight."""
@@ -76,38 +70,20 @@ class FlightLog:
         return self.roles | self.own
 
 
-def read_observations(plan: Plan, ledger: Ledger, most_rows: int | None = None) -> Observations:
-    """Open the table of observations, check its columns and rows, and draw ``most_rows`` of it."""
-    section, ground = plan.mission.observations, plan.mission.ground
-    return open_observations(
-        plan.input("observations").path,
-        section.columns.model_dump(),
-        ground.column,
-        ledger,
-        ground_is_msl=ground.reference == "msl",
-        sigma_column=ground.sigma_column,
-        direction=plan.mission.refraction.direction,
-        pixels=section.pixels,
-        most_rows=most_rows,
-        file_format=section.format,
-    )
-
-
-def read_log(plan: Plan, ledger: Ledger) -> FlightLog:
-    """Read the log, assign its channels to roles, and relate its heights to sea level.
+def flight_log(mission: Mission, inputs: OpenedInputs, ledger: Ledger) -> FlightLog:
+    """Assign the channels of a log to roles, and relate its heights to sea level.
 
     Without a log a trajectory has all the roles; refuses (STATIONS-ATTITUDE) one without attitudes.
     """
-    mission, geoid = plan.mission, geoid_of_mission(plan)
+    geoid = inputs.geoid or package_geoid()
     home, undulation_m = mission.ground.home_h_msl_m, mission.mission.undulation_m
     section = mission.stations.trajectory
-    log, names = None, dict[str, str]()
+    log, names = inputs.log, dict[str, str]()
     channels: tuple[Channel, ...] = ()
     heads = {camera: m.attitude for camera, m in mission.mount.items() if m.attitude is not None}
-    if mission.log is not None:
-        log = decoded_log(plan)
+    if mission.log is not None and log is not None:
         names = {role: stated.name for role, stated in mission.log.channels.named().items()}
-        channels = stated_channels(plan, log.channels)
+        channels = stated_channels(mission, log.channels)
         for attitude in dict.fromkeys([names.get("attitude", ""), *heads.values()]):
             of_one, gap_s = names | {"attitude": attitude}, mission.log.max_gap_s
             channels = ledger.take(with_payload_attitude(channels, of_one, gap_s))
@@ -115,8 +91,8 @@ def read_log(plan: Plan, ledger: Ledger) -> FlightLog:
         heights, _ = height_system({}, undulation_m, geoid, stated_home_m=home)
         return FlightLog(None, (), {}, {}, heights)
     needs_cabin = any(camera.needs_cabin_from_log for camera in mission.cameras.values())
-    trajectory = read_trajectory(plan, channels, ledger)
-    elsewhere = () if trajectory is None else replaced_roles(plan, trajectory)
+    trajectory = read_trajectory(mission, inputs, channels, ledger)
+    elsewhere = () if trajectory is None else replaced_roles(mission, trajectory)
     if log is None and "attitude" not in elsewhere:
         raise MissionError.of("STATIONS-ATTITUDE", "stations.trajectory")
     missed = elsewhere if log is not None else ("position", "attitude")
@@ -124,7 +100,7 @@ def read_log(plan: Plan, ledger: Ledger) -> FlightLog:
     plausible = {
         role: ledger.take(plausible_samples(channel, role)) for role, channel in roles.items()
     }
-    mounts = {camera: mount.build() for camera, mount in mission.mount.items()}
+    mounts = dict(mission.mounts)
     able = {channel.name: channel for channel in channels if channel.fits_role("attitude")}
     of_head: dict[str, Channel] = {}
     for camera, name in heads.items():
@@ -158,37 +134,16 @@ def read_log(plan: Plan, ledger: Ledger) -> FlightLog:
     )
 
 
-def decoded_log(plan: Plan) -> Log:
-    """The log of a mission: as it was decoded before by the same code, if that is still known."""
-    file, name = plan.input("log"), plan.decoded_log
-    known: Log | None = recall(name)
-    if known is not None:
-        return known
-    log = open_log(file.path, file.sha256)
-    check_unchanged(plan.inputs, folders=False)  # or what is kept is not that of the hash
-    arrays = (values for channel in log.channels for values in channel.columns.values())
-    if sum(values.nbytes for values in arrays) < _MOST_KEPT_BYTES:
-        keep(name, replace(log, table=None))  # which no run decodes
-    return log
-
-
-def geoid_of_mission(plan: Plan) -> GeoidGrid:
-    """The geoid that the mission file names, EGM96 where it names none."""
-    if plan.mission.mission.geoid == "egm96":
-        return package_geoid()
-    return read_geoid(plan.input("geoid").path)
-
-
-def stated_channels(plan: Plan, channels: tuple[Channel, ...]) -> tuple[Channel, ...]:
+def stated_channels(mission: Mission, channels: tuple[Channel, ...]) -> tuple[Channel, ...]:
     """The channels of the log on the earth, in the units and for the boards that are stated."""
-    section = plan.mission.log
+    section = mission.log
     if section is None:
         return channels
     if section.local_origin is not None:
         origin = section.local_origin.build()
         channels = tuple(to_geodetic(channel, origin) for channel in channels)
     of_air = {"cabin_temperature"}
-    of_air |= {"temperature"} if plan.mission.atmosphere.board_temperature else set()
+    of_air |= {"temperature"} if mission.atmosphere.board_temperature else set()
     named = section.channels.named()
     of_boards = {named[role].name for role in of_air & named.keys()}
     channels = tuple(board_as_air(c) if c.name in of_boards else c for c in channels)
@@ -201,37 +156,31 @@ def stated_channels(plan: Plan, channels: tuple[Channel, ...]) -> tuple[Channel,
     return channels
 
 
-def user_geoid(plan: Plan) -> GeoidGrid | None:
-    """The grid that the mission file names, which a vertical datum other than sea level needs."""
-    return None if plan.mission.mission.geoid == "egm96" else geoid_of_mission(plan)
-
-
-def read_trajectory(plan: Plan, channels: tuple[Channel, ...], ledger: Ledger) -> Channel | None:
-    section = plan.mission.stations.trajectory
-    if section is None:
+def read_trajectory(
+    mission: Mission, inputs: OpenedInputs, channels: tuple[Channel, ...], ledger: Ledger
+) -> Channel | None:
+    """The trajectory of a mission as a channel; None where it names none."""
+    section = mission.stations.trajectory
+    if section is None or inputs.trajectory is None:
         return None
-    path = plan.input("trajectory").path
-    reader: Callable[..., Channel] = reader_of(TRAJECTORIES, path, section.format)
-    accuracy = plan.input("trajectory accuracy").path if section.accuracy else None
     stated = Stated(
-        section.time.system,
-        section.time.week,
-        _time_range(channels),
-        section.heights,
-        accuracy,
-        {} if section.columns is None else section.columns.named,
-        section.position_unit,
-        section.angle_unit,
-        section.angle_order,
+        time_system=section.time.system,
+        week=section.time.week,
+        around_ns=_time_range(channels),
+        heights=section.heights,
+        columns={} if section.columns is None else section.columns.named,
+        position_unit=section.position_unit,
+        angle_unit=section.angle_unit,
+        angle_order=section.angle_order,
         crs=section.crs,
-        geoid=user_geoid(plan),
+        geoid=inputs.geoid,
     )
-    return reader(path, stated, ledger)
+    return inputs.trajectory(stated, ledger)
 
 
-def replaced_roles(plan: Plan, trajectory: Channel) -> tuple[str, ...]:
+def replaced_roles(mission: Mission, trajectory: Channel) -> tuple[str, ...]:
     """The roles that a trajectory plays; refuses one that lacks what is to be replaced."""
-    section = plan.mission.stations.trajectory
+    section = mission.stations.trajectory
     able = [role for role in ("position", "height", "attitude") if trajectory.fits_role(role)]
     if section is None or section.replaces is None:
         return tuple(able)
@@ -244,31 +193,31 @@ def replaced_roles(plan: Plan, trajectory: Channel) -> tuple[str, ...]:
     return tuple(section.replaces)
 
 
-def read_camera_events(plan: Plan, flight: FlightLog, ledger: Ledger) -> dict[str, Channel]:
+def read_camera_events(
+    mission: Mission, inputs: OpenedInputs, flight: FlightLog, ledger: Ledger
+) -> dict[str, Channel]:
     """The exposures of each camera that come from a file with their positions.
 
     Attitudes of cameras become those of the aircraft, by the mount. Refuses (STATIONS-ATTITUDE) a
     file without, where there is no log and no trajectory.
     """
     events = {}
-    for camera, source in plan.mission.position_events.items():
-        path = plan.input(f"events of {camera}").path
-        reader = reader_of(CAMERA_EVENTS, path, source.format)
+    for camera, source in mission.position_events.items():
         time, around = source.time, _time_range(flight.channels)
         stated = Stated(time.system, time.week, around, source.heights, grid=source.grid)
-        channel = reader(path, stated, ledger)
+        channel = inputs.camera_events[camera](stated, ledger)
         attitude = channel.fits_role("attitude") and not source.times_only
         if attitude:
             at_rest = np.stack([channel[f"q_{axis}"] for axis in "wxyz"], axis=1)
-            mount = plan.mission.mount[camera].build()
+            mount = mission.mounts[camera]
             of_body = in_turned_frame(at_rest, CAMERA_AT_REST.T @ mount.camera_from_body)
             columns = {f"q_{axis}": of_body[:, k] for k, axis in enumerate("wxyz")}
             channel = replace(channel, columns=dict(channel.columns) | columns)
-        elif "attitude" not in flight.roles and plan.mission.log is None:
+        elif "attitude" not in flight.roles and mission.log is None:
             raise MissionError.of("STATIONS-ATTITUDE", f"events.positions.{camera}")
         events[camera] = channel
         places = "" if source.times_only else f", and where the {source.reference_point} was then"
-        what = f"{path.name} says when {camera} was exposed{places}"
+        what = f"{channel.name} says when {camera} was exposed{places}"
         where = f"events.positions.{camera}"
         ledger.note("EVENTS-POSITIONS", what, where=where, count=len(channel))
         replaces = ("position", "height", *(["attitude"] if attitude else []))

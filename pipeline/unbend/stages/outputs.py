@@ -9,9 +9,6 @@ from typing import Any
 import numpy as np
 
 from unbend.atmosphere.estimate.sensors import FAULT_TEXTS
-from unbend.batch.keys import code_of_stages, versions
-from unbend.batch.plan import MANIFEST_VERSION, Plan
-from unbend.batch.store import RunFolder
 from unbend.config import Mission
 from unbend.exit_codes import exit_code_of
 from unbend.flight.rotations import matrices_of
@@ -19,12 +16,11 @@ from unbend.flight.stations import NO_TIME, Stations
 from unbend.messages import Ledger
 from unbend.refraction.camera.camera import NO_DISTORTION
 from unbend.refraction.effect import FlightAir
-from unbend.refraction.kernels.columns import CABIN, WINDOW
-from unbend.stages.correction import CorrectionSetup
+from unbend.refraction.kernels.columns import CABIN_SIGMAS, WINDOW_KIND
+from unbend.stages.correction_setup import CorrectionSetup
 from unbend.stages.inputs import FlightLog
 from unbend.stages.statistics import Statistics
 from unbend.tables.refraction_mark import REFRACTION_APPLIED, REFRACTION_KEY, REFRACTION_REMOVED
-from unbend.tables.writing import table_of_profiles, table_of_stations, write_parquet
 from unbend.units import ARCSEC, Array
 
 _MEANING = (
@@ -47,17 +43,8 @@ def observation_metadata(mission: Mission) -> dict[str, str]:
     }
 
 
-def write_tables(folder: RunFolder, stations: Stations, air: FlightAir) -> None:
-    for name, table in (
-        ("stations.parquet", table_of_stations(stations, air.series)),
-        ("profile.parquet", table_of_profiles(air.adjustment, air.series)),
-    ):
-        write_parquet(table, folder.place(name))
-        folder.seal(name)
-
-
 def manifest_of(
-    plan: Plan,
+    mission: Mission,
     flight: FlightLog,
     stations: Stations,
     air: FlightAir,
@@ -67,26 +54,9 @@ def manifest_of(
     causes: Mapping[str, str],
     ledger: Ledger,
 ) -> dict[str, Any]:
-    """The manifest of a run, without its outputs; ``causes`` are those of statuses of rows.
-
-    Holds no clock, no host name and no absolute path: the same inputs give the same bytes.
-    """
+    """What the manifest says of the results; ``causes`` are those of statuses of rows."""
     log = flight.log
-    entries = ledger.rows()
-    for entry in entries:  # a file is named as in the mission file, without its folder
-        for item in plan.inputs:
-            entry["where"] = str(entry["where"]).replace(str(item.path), item.name)
     return {
-        "manifest_version": MANIFEST_VERSION,
-        "mission": plan.mission.mission.name,
-        "fingerprint": plan.fingerprint,
-        "keys": plan.keys,
-        "code": code_of_stages(),
-        "config": plan.mission.model_dump(mode="json"),
-        "inputs": [
-            {"role": item.role, "name": item.name, "sha256": item.sha256} for item in plan.inputs
-        ],
-        "versions": versions(plan.libraries),
         "log": log and {
             "format": log.format, "messages": dict(log.messages), "bad_bytes": log.bad_bytes,
             "lost_messages": log.lost_messages, "boots": log.boots,
@@ -95,7 +65,7 @@ def manifest_of(
         "channels": {role: channel.name for role, channel in sorted(flight.roles.items())},
         "stations": dict(sorted(Counter(stations.status.tolist()).items())),
         "flight": _flight(stations, setup, statistics),
-        "heights": _heights(plan.mission, flight, stations),
+        "heights": _heights(mission, flight, stations),
         "profile": _profile(air, stations),
         "observations": {
             "rows": statistics.rows,
@@ -109,7 +79,7 @@ def manifest_of(
         "uncertainty": air_parameter(setup, statistics),
         "cabin_air": cabin_parameters(setup),
         "cabin_sigma_share": statistics.cabin_share.summary(),
-        "ledger": entries,
+        "ledger": ledger.rows(),
         "exit_code": exit_code_of(has_losses=ledger.has_losses),
     }  # fmt: skip
 
@@ -212,11 +182,13 @@ def cabin_parameters(setup: CorrectionSetup) -> dict[str, Any]:
     cameras: dict[str, Any] = {}
     if (made := next(filter(None, setup.uncertainties), None)) is None:
         return cameras
-    behind, inside = made.stations[:, WINDOW] >= 0.0, setup.exposures.refractivity_cabin
+    behind, inside = made.stations[:, WINDOW_KIND] >= 0.0, setup.exposures.refractivity_cabin
     for name in setup.cameras:
         rows = (setup.camera_names == name) & setup.exposures.usable & behind
         if bool(rows.any()):
-            sigma = np.sqrt(np.mean(np.sum(made.stations[rows, CABIN : CABIN + 2] ** 2, axis=1)))
+            sigma = np.sqrt(
+                np.mean(np.sum(made.stations[rows, CABIN_SIGMAS : CABIN_SIGMAS + 2] ** 2, axis=1))
+            )
             cameras[name] = {
                 "n_cc": float(f"{inside[rows].mean():.6g}"),
                 "sigma_n_cc": float(f"{sigma:.4g}") if np.isfinite(sigma) else None,

@@ -334,7 +334,7 @@ def stated_numbers(facts: Facts) -> Findings:
         if length > 10.0:
             yield finding("PLAUSIBLE-LEVER-ARM/long", where=key, name=name, length=length)
         up = -mount.lever_arm_m[2]
-        if up > _HIGHEST_CAMERA_M and mount.build().camera_from_body[2, 2] > 0.5:
+        if up > _HIGHEST_CAMERA_M and mission.mounts[name].camera_from_body[2, 2] > 0.5:
             most = _HIGHEST_CAMERA_M
             yield finding("PLAUSIBLE-LEVER-ARM/above", where=key, name=name, up=up, most=most)
     if (sigma := mission.ground.sigma_m or 0.0) > 50.0:
@@ -347,13 +347,17 @@ def stated_numbers(facts: Facts) -> Findings:
 
 def windows(facts: Facts) -> Findings:
     """Windows where a cabin is logged, and square within 35 deg to the camera they belong to."""
-    mission, windows = facts.mission, {n: c.window for n, c in facts.mission.cameras.items()}
+    mission = facts.mission
     named = None if mission.log is None else mission.log.channels.cabin_pressure
-    if named is not None and not any(windows.values()):
-        yield finding("PLAUSIBLE-WINDOW/none", where=f"cameras.{next(iter(windows))}.window")
-    for name, window in windows.items():
-        tilt = 0.0 if window is None else math.degrees(math.acos(window.build().normal[2]))
-        if window is not None and window.frame == "camera" and tilt > 35.0:
+    if named is not None and not mission.windows:
+        yield finding(
+            "PLAUSIBLE-WINDOW/none", where=f"cameras.{next(iter(mission.cameras))}.window"
+        )
+    for name, window in mission.windows.items():
+        if window.frame != "camera":
+            continue
+        tilt = math.degrees(math.acos(window.normal[2]))
+        if tilt > 35.0:
             key = f"cameras.{name}.window.frame"
             yield finding("PLAUSIBLE-WINDOW/leans", where=key, name=name, tilt=tilt)
 

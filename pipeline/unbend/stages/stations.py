@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from unbend.batch.plan import Plan
 from unbend.config import Mission
 from unbend.config.event_sources import EventsSection
 from unbend.errors import MissionError
@@ -17,12 +16,18 @@ from unbend.flight.channels import Channel
 from unbend.flight.evidence.contradictions import contradictions_of_import
 from unbend.flight.evidence.log_accuracy import LogAccuracy
 from unbend.flight.evidence.stretches import Stretch, flag_suspect
-from unbend.flight.exposures import Events, events_of_channel, refuse_repeated_images
+from unbend.flight.exposures import (
+    Events,
+    ExposureDelay,
+    events_of_channel,
+    refuse_repeated_images,
+)
 from unbend.flight.heights import HeightSystem
 from unbend.flight.image_names import refuse_other_names, renamed
 from unbend.flight.mount import Mount
 from unbend.flight.station_builder import build_stations, flag_missing_aircraft_attitude, with_air
 from unbend.flight.stations import (
+    SigmaLimits,
     Stations,
     append_unmatched_images,
     join_stations,
@@ -31,41 +36,40 @@ from unbend.flight.stations import (
 )
 from unbend.messages import Ledger
 from unbend.stages.cabin_air import cabin_from_log
-from unbend.stages.exposure_setup import camera_of_rows, windows_of_mission
+from unbend.stages.exposure_setup import camera_of_rows
 from unbend.stages.inputs import FlightLog, read_camera_events
 from unbend.stages.multi_image.image_events import assigned_stations
 from unbend.stages.multi_image.oriented_stations import oriented_stations
 from unbend.stages.multi_image.tie_point_checks import TieEvidence, check_tie_points
+from unbend.stages.opened_inputs import OpenedInputs
 from unbend.tables.geodata.elevation import ElevationModel
-from unbend.tables.imports.user_tables import read_events
-from unbend.tables.observations import Observations
 from unbend.tables.tie_points import MOST_TIE_POINTS, draw_tie_points
 from unbend.units import DEGREE
 
 
 def exposure_events(
-    plan: Plan, flight: FlightLog, positions: Mapping[str, Channel], observed: tuple[str, ...],
-    ledger: Ledger,
+    mission: Mission, inputs: OpenedInputs, flight: FlightLog,
+    positions: Mapping[str, Channel], observed: tuple[str, ...], *, ledger: Ledger,
 ) -> list[Events]:  # fmt: skip
     """When each camera was exposed, by images as ``observed``; compared with the log."""
-    section, differences = plan.mission.events, plan.mission.observations.match_names
+    section, differences = mission.events, mission.observations.match_names
     if section is None:
         return []
-    events = read_events_of_cameras(plan, section, flight, positions, ledger)
+    events = events_of_cameras(mission, section, inputs, flight, positions, ledger=ledger)
     for k, one in enumerate(events):
         image = renamed(one.image, observed, differences, f"events, {one.camera}")
         events[k] = replace(one, image=ledger.take(image))
     refuse_repeated_images(events)
     if "position" in flight.roles:
-        of_other = plan.mission.stations.trajectory is not None
+        of_other = mission.stations.trajectory is not None
         key = section.time_key + (", stations.trajectory.time" if of_other else "")
         ledger.extend(exposures.span_notes(events, flight.roles["position"], key))
     return events
 
 
-def read_events_of_cameras(
-    plan: Plan, section: EventsSection, flight: FlightLog, positions: Mapping[str, Channel],
-    ledger: Ledger,
+def events_of_cameras(
+    mission: Mission, section: EventsSection, inputs: OpenedInputs, flight: FlightLog,
+    positions: Mapping[str, Channel], *, ledger: Ledger,
 ) -> list[Events]:  # fmt: skip
     """When each camera was exposed, from the log, a table, or files with positions, by camera."""
     channels = flight.channels
@@ -75,10 +79,10 @@ def read_events_of_cameras(
             channel = exposures.choose_event_channel(channels, source.channel)
             ledger.extend(exposures.trigger_notes(channels, channel))
             if source.delay_s == "from_feedback":
-                lag = ledger.take(exposures.lag_from_feedback(channels, channel, camera))
+                delay = ledger.take(exposures.lag_from_feedback(channels, channel, camera))
             else:
-                lag = source.delay_s, 0.0
-            exposed = events_of_channel(channel, camera, source.image, *lag)
+                delay = ExposureDelay(source.delay_s)
+            exposed = events_of_channel(channel, camera, source.image, delay)
             events.append(ledger.take(exposed))
         return events
     if section.positions is not None:
@@ -87,19 +91,16 @@ def read_events_of_cameras(
             for camera, source in section.positions.items()
         ]
     csv = section.csv
-    if csv is None:
+    table = inputs.events
+    if csv is None or table is None:
         raise MissionError("EVENTS-NONE", "the mission names no events", where="events")
-    table = read_events(plan.input("events").path, csv.columns.named, ledger)
-    camera_of = camera_of_rows(
-        plan.mission, table.camera, csv.camera, table.time_ns.size, str(csv.path)
-    )
+    camera_of = camera_of_rows(mission, table.camera, csv.camera, table.time_ns.size, str(csv.path))
     # The log's UTC places the times of a table.
     utc_sigma_s = 0.0 if flight.log is None else float(np.nan_to_num(flight.log.utc_sigma_s))
+    delay = ExposureDelay(csv.delay_s, sigma_s=utc_sigma_s)
     return [
-        exposures.events_of_table(
-            table.image, camera_of, table.time_ns, camera, csv.delay_s, sigma_s=utc_sigma_s
-        )
-        for camera in plan.mission.cameras
+        exposures.events_of_table(table.image, camera_of, table.time_ns, camera, delay)
+        for camera in mission.cameras
     ]
 
 
@@ -110,7 +111,8 @@ def events_of_file(
     index = channel["event_index"].astype(np.int64)
     reversed_rows = int(np.count_nonzero(np.diff(exposures.unwrapped_numbers(index)) < 0))
     if image != "{name}":
-        events = ledger.take(events_of_channel(channel, camera, image, delay_s))
+        delay = ExposureDelay(delay_s)
+        events = ledger.take(events_of_channel(channel, camera, image, delay))
         if reversed_rows and "{index" in image:
             raise MissionError.of("EVENTS-ORDER", channel.name, reversed_rows=reversed_rows)
         _tell_order(reversed_rows, channel, ledger)
@@ -149,12 +151,12 @@ class StationBuilder:
 
     @classmethod
     def of(
-        cls, plan: Plan, flight: FlightLog, camera: str, positions: Channel | None
+        cls, mission: Mission, flight: FlightLog, camera: str, positions: Channel | None
     ) -> StationBuilder:
         """That of a camera; a file of ``positions`` at its exposures replaces channels."""
         roles, suspect = flight.roles_of(camera), flight.suspect
-        mount, from_events = mount_of(plan, camera)
-        if positions is not None and not plan.mission.position_events[camera].times_only:
+        mount, from_events = mount_of(mission, camera)
+        if positions is not None and not mission.position_events[camera].times_only:
             roles = roles | {"position": positions, "height": positions}
             if positions.fits_role("attitude"):
                 roles, suspect = roles | {"attitude": positions}, ()
@@ -168,7 +170,7 @@ class StationBuilder:
             raise MissionError.of("EVENTS-OFFSETS", "" if positions is None else positions.name)
         return cls(
             camera, roles, mount, suspect, positions if from_events else None, flight.heights,
-            flight.accuracy, plan.mission.max_gap_s,
+            flight.accuracy, mission.max_gap_s,
         )  # fmt: skip
 
     def stations(self, events: Events) -> Stations:
@@ -190,14 +192,17 @@ class StationBuilder:
 
 
 def stations_of_mission(
-    plan: Plan, flight: FlightLog, observations: Observations, terrain: ElevationModel | None,
+    mission: Mission, inputs: OpenedInputs, flight: FlightLog, terrain: ElevationModel | None, *,
     ledger: Ledger,
 ) -> Stations:  # fmt: skip
     """Position, attitude and air of each exposure, or a status; checked by tie points."""
-    mission, observed = plan.mission, observations.images
-    positions = read_camera_events(plan, flight, ledger)
-    events = exposure_events(plan, flight, positions, observed, ledger)
-    builders = [StationBuilder.of(plan, flight, e.camera, positions.get(e.camera)) for e in events]
+    observations = inputs.observations
+    observed = observations.images
+    positions = read_camera_events(mission, inputs, flight, ledger)
+    events = exposure_events(mission, inputs, flight, positions, observed, ledger=ledger)
+    builders = [
+        StationBuilder.of(mission, flight, e.camera, positions.get(e.camera)) for e in events
+    ]
     use_suspect = mission.stations.use_suspect
     parts = [
         ledger.take(flag_suspect(b.stations(e), b.suspect, use_suspect=use_suspect))
@@ -209,8 +214,8 @@ def stations_of_mission(
         ledger.loss("OBS-REPEATED-POINT", where=observations.path.name, count=count, first=first)
     if mission.events is not None:
         parts = assigned_stations(
-            plan, mission.events, events, parts, observations=observations, ties=ties,
-            ledger=ledger,
+            mission, mission.events, events, parts, files=inputs.image_times,
+            observations=observations, ties=ties, ledger=ledger,
         )  # fmt: skip
 
     def later(seconds: float) -> Stations:
@@ -222,7 +227,7 @@ def stations_of_mission(
         stations = join_stations(parts)
     else:
         oriented = oriented_stations(
-            plan, flight, parts, observations=observations, ties=ties, ledger=ledger
+            mission, inputs, flight, parts, observations=observations, ties=ties, ledger=ledger
         )
         stations = with_air(oriented, flight.roles, mission.max_gap_s)
     evidence = TieEvidence(mission, flight.heights, stations, ties, terrain, moves)
@@ -234,10 +239,14 @@ def stations_of_mission(
     ledger.extend(exposures.ground_shot_notes(stations, flight.roles, observed))
     stations = ledger.take(append_unmatched_images(stations, observed))
     ledger.extend(unusable_station_notes(stations))
-    limits = mission.stations
-    tilt = None if limits.max_sigma_tilt_deg is None else limits.max_sigma_tilt_deg * DEGREE
-    most = limits.max_sigma_horizontal_m, limits.max_sigma_height_m, tilt
-    ledger.extend(sigma_notes(stations, *most))
+    section = mission.stations
+    tilt_deg = section.max_sigma_tilt_deg
+    limits = SigmaLimits(
+        horizontal_m=section.max_sigma_horizontal_m,
+        height_m=section.max_sigma_height_m,
+        tilt_rad=None if tilt_deg is None else tilt_deg * DEGREE,
+    )
+    ledger.extend(sigma_notes(stations, limits))
     return stations
 
 
@@ -245,7 +254,7 @@ def with_cabins(
     mission: Mission, flight: FlightLog, stations: Stations, ledger: Ledger
 ) -> Stations:
     """The stations with the air in the cabin, and flagged where a window's direction is unknown."""
-    for name, window in windows_of_mission(mission).items():
+    for name, window in mission.windows.items():
         if window.cabin is not None and mission.cameras[name].needs_cabin:
             logged = cabin_from_log(stations, name, window.cabin, flight.channels, flight.roles)
             stations = ledger.take(logged)
@@ -254,10 +263,9 @@ def with_cabins(
     return stations
 
 
-def mount_of(plan: Plan, camera: str) -> tuple[Mount, bool]:
+def mount_of(mission: Mission, camera: str) -> tuple[Mount, bool]:
     """The mount with its lever arm; True where the way to the camera is in the events' file."""
-    mission = plan.mission
-    mount = mission.mount[camera].build()
+    mount = mission.mounts[camera]
     events = mission.position_events.get(camera)
     trajectory = mission.stations.trajectory
     at_camera = replace(mount, lever_arm_m=(0.0, 0.0, 0.0))

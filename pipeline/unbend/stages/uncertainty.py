@@ -12,8 +12,7 @@ from unbend.messages import Ledger
 from unbend.refraction.uncertainty.budget import StationSigmas, uncertainty_of
 from unbend.refraction.uncertainty.sigmas import OPEN, SCHEDULED, Uncertainty, window_kind_of
 from unbend.stages.cabin_air import cabin_changes
-from unbend.stages.correction import CorrectionSetup
-from unbend.stages.exposure_setup import lenses_of_mission, windows_of_mission
+from unbend.stages.correction_setup import CorrectionSetup
 from unbend.tables.geodata.object_points import matching_rows
 from unbend.tables.observations import Batch
 from unbend.units import Integers
@@ -38,7 +37,7 @@ def with_uncertainties(
     typical_ground_m = float(np.median(heights)) if heights.size else None
     ground, exposures = mission.ground, setup.exposures
     views = views_of_mission(mission, stations, air)
-    cabin = cabin_changes(stations, lenses_of_mission(mission), air.profiles[0].index)
+    cabin = cabin_changes(stations, mission.lenses, air.profiles[0].index)
     attitude = station_sigmas(mission, stations)
     any_sigma = (
         bool(np.isfinite(attitude.tilt_rad[stations.ok]).any())
@@ -69,7 +68,7 @@ def views_of_mission(mission: Mission, stations: Stations, air: ProfileSeries) -
     """(s,) the kind of window of each exposure: `OPEN`, `SEALED` or `SCHEDULED`."""
     views = np.full(len(stations), OPEN, np.int64)
     pressure = air.pressure(stations.h_msl_m)
-    for name, window in windows_of_mission(mission).items():
+    for name, window in mission.windows.items():
         if window.shape == "plane" and window.cabin is not None:
             rows = stations.camera == name
             scheduled = window.cabin.source == "standard_schedule"
@@ -83,8 +82,8 @@ def station_sigmas(mission: Mission, stations: Stations) -> StationSigmas:
     """Sigmas of the stations, of the attitude the mission file's where they have none; or NaN."""
     tilt, yaw = stations.sigma_tilt_rad.copy(), stations.sigma_yaw_rad.copy()
     axis = np.tile([0.0, 0.0, 1.0], (len(stations), 1))
-    for name, section in mission.mount.items():
-        rows, mount = stations.camera == name, section.build()
+    for name, mount in mission.mounts.items():
+        rows = stations.camera == name
         axis[rows] = mount.camera_from_body[:, 2]
         for sigma, stated in ((tilt, mount.sigma_tilt_rad), (yaw, mount.sigma_yaw_rad)):
             sigma[rows & np.isnan(sigma)] = np.nan if stated is None else stated
@@ -110,7 +109,7 @@ def report_unknown_sigmas(
         "sigma_pressure_hpa": stations.sigma_cabin_pressure_pa,
         "sigma_temperature_k": stations.sigma_cabin_temperature_k,
     }
-    for name, window in windows_of_mission(mission).items():
+    for name, window in mission.windows.items():
         rows = (stations.camera == name) & stations.ok & (window.shape == "plane")
         for key, sigma in of_cabins.items():
             if bool(np.isnan(sigma[rows]).any()):

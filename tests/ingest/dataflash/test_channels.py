@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from tests.logs import LOGS, at_hand
 from unbend.errors import LogError
 from unbend.flight.clock import full_weeks, utc_of_gps
 from unbend.ingest import Log, open_log
@@ -168,11 +169,10 @@ def test_the_gaps_of_a_real_log_fit_into_its_span(real_log: Callable[[str], Path
     assert log.duration_s == pytest.approx(700.8, abs=0.1)
 
 
-def test_one_flipped_type_byte_in_the_middle_costs_one_message(
-    tmp_path: Path, real_log: Callable[[str], Path]
-) -> None:
-    """pymavlink's index loses more than half of the GPS rows of this log."""
-    data = bytearray(real_log("beastayyg_sample.bin").read_bytes())
+@pytest.mark.parametrize("name", at_hand("gps0_lost.bin", "beastayyg_sample.bin"))
+def test_one_flipped_type_byte_in_the_middle_costs_one_message(tmp_path: Path, name: str) -> None:
+    """pymavlink's index loses more than half of the GPS rows of the real log."""
+    data = bytearray(LOGS[name].read_bytes())
     whole = records(bytes(data))
     places = whole.offsets
     middle = int(places[np.searchsorted(places, len(data) // 2)])

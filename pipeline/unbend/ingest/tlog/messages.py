@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 from unbend.errors import Code, Counted
+from unbend.flight.messages import EVENTS_TRIGGER_TIME
 from unbend.ingest.messages import LOG_CRC, LOG_GAP, LOG_LINK_LOSS, TIME_STRAY
 from unbend.messages import Message, fallback, loss, note, warning
 
@@ -313,15 +314,6 @@ def numbers_without_feedback(*, channel: str, count: int, first: int) -> Message
         count=count,
         first=first,
     )
-
-
-EVENTS_TRIGGER_TIME = Code(
-    "EVENTS-TRIGGER-TIME",
-    means="The log has the times of the trigger commands, not of the shutter, for want of a "
-    "feedback pin.",
-    effect="Exposures are 70 to 160 ms early unless delay_s says so: metres along the track.",
-    remedy="Measure the delay and state events.log.<camera>.delay_s.",
-)
 
 
 def times_of_triggers(*, channel: str, count: int) -> Message:

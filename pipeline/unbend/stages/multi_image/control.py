@@ -8,19 +8,21 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import ArrayLike
 
-from unbend.batch.plan import Plan
 from unbend.block.image_rays import ImageRays, sorted_rays
 from unbend.block.intersection import point_heights
+from unbend.config import Mission
 from unbend.errors import InputError
 from unbend.flight.heights import HeightSystem
 from unbend.flight.stations import Stations
 from unbend.geodesy import ecef_of_geodetic, enu_from_ecef
 from unbend.messages import Ledger
-from unbend.stages.correction import CorrectionSetup, correct_batch
+from unbend.stages.correction import correct_batch
+from unbend.stages.correction_setup import CorrectionSetup
 from unbend.stages.exposure_setup import orientations_of_mission
-from unbend.stages.multi_image.point_heights import read_points
+from unbend.stages.multi_image.point_heights import points_above_sea
+from unbend.stages.opened_inputs import OpenedInputs
 from unbend.tables.geodata.object_points import ObjectPoints, matching_rows
-from unbend.tables.observations import Batch, Observations
+from unbend.tables.observations import Batch
 from unbend.units import Array, Integers, Mask
 
 _BATCH_ROWS = 250_000
@@ -94,18 +96,24 @@ class ControlComparison:
 
 
 def compare_control(
-    plan: Plan, observations: Observations, setup: CorrectionSetup, stations: Stations, heights:
+    mission: Mission, inputs: OpenedInputs, setup: CorrectionSetup, stations: Stations, heights:
     HeightSystem, *, ledger: Ledger,
 ) -> ControlComparison | None:  # fmt: skip
     """Control points where their rays meet, before and after; None without control, or rays.
 
     Refuses (CONTROL-MISSING) a table of which no point is observed; CONTROL-RAYS is a loss.
     """
-    section = plan.mission.control
-    if section is None:
+    section, observations = mission.control, inputs.observations
+    if section is None or inputs.control is None:
         return None
-    points = read_points(
-        plan, "control", section, section.reference, key="control", heights=heights, ledger=ledger
+    points = points_above_sea(
+        inputs.control,
+        section,
+        section.reference,
+        key="control",
+        heights=heights,
+        geoid=inputs.geoid,
+        ledger=ledger,
     )
     setup = replace(setup, uncertainties=(None,) * len(setup.rays))
     images, parts = pa.array(setup.images, pa.string()), [np.empty((9, 0))]
@@ -122,7 +130,7 @@ def compare_control(
         )
     measured = measured[:, np.isfinite(measured).all(axis=0) & (measured[1] >= 0)]
     at = np.searchsorted(point, measured[0].astype(np.int64))
-    orientations = orientations_of_mission(plan.mission, stations)
+    orientations = orientations_of_mission(mission, stations)
     station = measured[1].astype(np.int64)
     of_stations = stations.sigma_height_m + stations.sigma_tilt_rad
     places = np.full((2, point.size, 3), np.nan)
@@ -173,7 +181,7 @@ def _rays_of(
     station = matching_rows(batch.image, images)
     corrected = correct_batch(batch, station, setup.ground.heights(batch, station, setup), setup)
     before, sigma = setup.directions(batch.x_px, batch.y_px, station)
-    after, _ = setup.directions(corrected.x_px, corrected.y_px, station)
+    after, _ = setup.directions(corrected.x_corrected_px, corrected.y_corrected_px, station)
     return np.vstack([matching_rows(batch.point, points.name), station, sigma, before.T, after.T])
 
 

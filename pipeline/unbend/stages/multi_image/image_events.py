@@ -10,11 +10,11 @@ from itertools import product
 
 import numpy as np
 
-from unbend.batch.plan import Plan
 from unbend.block.alignment import LOG_RATIO_NEEDED
 from unbend.block.assignment import Assignment, CameraEvents, ImageEvidence, assign
 from unbend.block.image_rays import ImageRays, Orientations, orientations_of, straightened
 from unbend.block.intersection import Intersection, intersect, point_heights
+from unbend.config import Mission
 from unbend.config.event_sources import EventsSection, FirstImage
 from unbend.errors import InputError, MissionError
 from unbend.flight.exposures import Events, refuse_repeated_images
@@ -23,8 +23,7 @@ from unbend.flight.stations import NO_TIME, Stations
 from unbend.geodesy import principal_radii
 from unbend.messages import Ledger, Notes, loss, note, warning
 from unbend.refraction.camera.camera import Camera
-from unbend.stages.exposure_setup import cameras_of_mission
-from unbend.tables.imports.exif import ImageTimes, read_image_times
+from unbend.tables.imports.exif import ImageTimes
 from unbend.tables.observations import Observations
 from unbend.tables.tie_points import TiePoints, tie_rays
 from unbend.units import Array, Integers, Names
@@ -52,16 +51,14 @@ class CameraImages:
 
 
 def assigned_stations(
-    plan: Plan, section: EventsSection, events: list[Events], stations: list[Stations], *,
-    observations: Observations, ties: TiePoints, ledger: Ledger,
+    mission: Mission, section: EventsSection, events: list[Events], stations: list[Stations], *,
+    files: ImageTimes | None, observations: Observations, ties: TiePoints, ledger: Ledger,
 ) -> list[Stations]:  # fmt: skip
     """Of the ``stations`` of all events, camera by camera, those that have an image, as its."""
     if section.csv is not None:
         return stations
-    files = None
-    if section.images is not None:
+    if section.images is not None and files is not None:
         path = section.images.path
-        files = read_image_times(plan.input("images").path, section.images.time_zone, ledger)
         absent = sorted(set(observations.images) - set(files.rows_of(observations.images)))
         if len(absent) == len(observations.images):
             raise InputError.of("IMAGES-OTHER", path, absent=absent[0], files=files.file[0])
@@ -75,7 +72,7 @@ def assigned_stations(
             chosen.append(exposed)
             continue
         images = images_of_camera(pattern, observations.images, files)
-        camera = cameras_of_mission(plan.mission)[exposed.camera]
+        camera = mission.interior_orientations[exposed.camera]
         spoken = {
             "tie points": tie_likelihood(ties, images, camera, of_events),
             "positions": position_likelihood(images, files, of_events),

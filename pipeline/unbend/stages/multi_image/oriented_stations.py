@@ -1,32 +1,32 @@
 """Stations from the orientation of a block: read, brought to each station's vertical, checked."""
 
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 import pyarrow as pa
 
-from unbend.batch.plan import Plan
 from unbend.block import oriented_images
 from unbend.block.alignment import LOG_RATIO_NEEDED
 from unbend.block.image_rays import orientations_of, straightened
 from unbend.block.intersection import intersect
 from unbend.block.oriented_images import SIGMAS_OF_BLOCK, CartesianFrame, OrientedImages
-from unbend.config.station_sources import EnuFrame, KnownPositions, OrientationSection
+from unbend.config import Mission
+from unbend.config.local_frames import EnuFrame
+from unbend.config.orientations import KnownPositions, OrientationSection
 from unbend.errors import InputError, MissionError
 from unbend.flight import heights, rotations
 from unbend.flight.image_names import renamed
 from unbend.flight.stations import NO_TIME, Stations, join_stations
+from unbend.geodesy import GeoidGrid
 from unbend.messages import Ledger, Notes
-from unbend.stages.exposure_setup import camera_of_rows, cameras_of_mission
-from unbend.stages.inputs import FlightLog, user_geoid
+from unbend.stages.exposure_setup import camera_of_rows
+from unbend.stages.inputs import FlightLog
 from unbend.stages.multi_image.tie_point_checks import FEWEST_TIE_POINTS
+from unbend.stages.opened_inputs import OpenedInputs
 from unbend.tables.geodata.coordinate_systems import places_of
 from unbend.tables.geodata.object_points import ObjectPoints
-from unbend.tables.imports import ORIENTATIONS, blocks, reader_of
-from unbend.tables.imports.stated import Stated
-from unbend.tables.imports.user_tables import OrientationTable, read_known_positions
+from unbend.tables.imports.user_tables import OrientationTable
 from unbend.tables.observations import Observations
 from unbend.tables.tie_points import TiePoints, tie_rays
 from unbend.units import DEGREE, RADIANS, Array
@@ -39,33 +39,35 @@ _KEYS_OF_READINGS = {"angles are in": "unit", "longitude": "columns (latitude, l
 
 
 def oriented_stations(
-    plan: Plan, flight: FlightLog, exposed: list[Stations], *, observations: Observations, ties:
-    TiePoints, ledger: Ledger,
+    mission: Mission, inputs: OpenedInputs, flight: FlightLog, exposed: list[Stations], *,
+    observations: Observations, ties: TiePoints, ledger: Ledger,
 ) -> Stations:  # fmt: skip
     """The stations of `stations.orientation`; ``exposed`` are those of the events, if any.
 
     Refuses (ORIENTATION-READING) a table by which tie points meet far better in another reading.
     """
-    section = plan.mission.stations.orientation
+    section = mission.stations.orientation
     if section is None:
         raise MissionError("EVENTS-NONE", "the mission names no orientation", where="stations")
-    table = ledger.take(in_wgs84(plan, section, orientation_table(plan, section, ledger)))
-    differences = plan.mission.observations.match_names
+    table = ledger.take(in_wgs84(section, orientation_table(section, inputs), inputs.geoid))
+    differences = mission.observations.match_names
     image = renamed(table.image, observations.images, differences, "stations.orientation")
     table = replace(table, image=ledger.take(image))
-    stations = stations_of_table(plan, flight, section, table, exposed=exposed, ledger=ledger)
-    stations = ledger.take(
-        oriented_images.flag_far_images(stations, use=plan.mission.stations.use_suspect)
+    stations = stations_of_table(
+        mission, inputs, flight, section, table, exposed=exposed, ledger=ledger
     )
-    stations = check_height_above_ground(plan, flight, stations, observations, ledger)
-    rays = tie_rays(ties, stations.image, stations.camera, cameras_of_mission(plan.mission))
+    stations = ledger.take(
+        oriented_images.flag_far_images(stations, use=mission.stations.use_suspect)
+    )
+    stations = check_height_above_ground(mission, flight, stations, observations, ledger)
+    rays = tie_rays(ties, stations.image, stations.camera, mission.interior_orientations)
     if np.unique(rays.point).size < FEWEST_TIE_POINTS:
         return stations
     found = {}
     for what, reading in {"as stated": table, **other_readings(section, table)}.items():
         with suppress(MissionError):
             other = stations if reading is table else stations_of_table(
-                plan, flight, section, reading, exposed=exposed, ledger=Ledger()
+                mission, inputs, flight, section, reading, exposed=exposed, ledger=Ledger()
             )  # fmt: skip
             orientations = orientations_of(other, SIGMAS_OF_BLOCK)
             straight = straightened(orientations, replace(rays, height_m=None))
@@ -82,14 +84,14 @@ def oriented_stations(
     return stations
 
 
-def orientation_table(plan: Plan, section: OrientationSection, ledger: Ledger) -> OrientationTable:
+def orientation_table(section: OrientationSection, inputs: OpenedInputs) -> OrientationTable:
     """The table or block of orientations, with the mission's names of cameras (BLOCK-CAMERA)."""
-    source = plan.input("orientation").path
+    table = inputs.orientation
+    if table is None:
+        raise MissionError("EVENTS-NONE", "the mission names no orientation", where="stations")
     if not section.of_block:
-        reader: Callable[..., OrientationTable] = reader_of(ORIENTATIONS, source, section.format)
-        return reader(source, Stated(columns=section.column_names, angle_unit=section.unit), ledger)
-    table = blocks.read_block_images(source, section.format)
-    given, names = np.array(table.camera), dict(plan.camera_names)
+        return table
+    given, names = np.array(table.camera), dict(inputs.camera_names)
     own = sorted(set(given.tolist()))
     names |= {own[0]: names[""]} if len(own) == 1 and "" in names else {}
     for name in sorted({*own} - {*names}):
@@ -100,22 +102,22 @@ def orientation_table(plan: Plan, section: OrientationSection, ledger: Ledger) -
     return replace(table, camera=np.array([names[name] for name in given], object))
 
 
-def block_points(plan: Plan, flight: FlightLog, ledger: Ledger) -> ObjectPoints:
+def block_points(
+    mission: Mission, inputs: OpenedInputs, flight: FlightLog, ledger: Ledger
+) -> ObjectPoints:
     """The object points of a block, above sea level; others take the median of their image's."""
-    section = plan.mission.stations.orientation
-    if section is None:
+    section, block = mission.stations.orientation, inputs.block_points
+    if section is None or block is None:
         raise MissionError("EVENTS-NONE", "the mission names no orientation", where="stations")
-    source = plan.input("orientation").path
-    with blocks.damage_refused(source, section.format):
-        name, xyz = blocks.block_reader(section.format).read_points(source)
+    name, xyz = block.name, block.position
     if len(name) == 0:
         raise InputError.of("POINTS-EMPTY", section.path)
-    table = orientation_table(plan, section, ledger)
+    table = orientation_table(section, inputs)
     if section.is_geodetic:
-        table, _ = in_wgs84(plan, section, replace(table, position=xyz))
+        table, _ = in_wgs84(section, replace(table, position=xyz), inputs.geoid)
         lat, lon, h = table.position.T
     else:
-        frame = frame_of_block(plan, flight, section, table, exposed=[], ledger=ledger)
+        frame = frame_of_block(inputs, flight, section, table, exposed=[], ledger=ledger)
         lat, lon, h = frame.geodetic(xyz)
     if not section.is_msl(table.heights):
         h = h - flight.heights.undulation(lat, lon)
@@ -123,7 +125,7 @@ def block_points(plan: Plan, flight: FlightLog, ledger: Ledger) -> ObjectPoints:
         raise InputError.of("ORIENTATION-FRAME", section.path, height_m=np.nanmedian(h))
     points = ObjectPoints(name, lat, lon, h)
     image, usual, apart = [], [], [np.zeros(1)]
-    for batch in blocks.block_rows(source, section.format):
+    for batch in block.rows():
         seen = points.heights(batch["point"], batch["image"])[0]
         seen = seen[np.isfinite(seen)]
         if seen.size:
@@ -139,7 +141,7 @@ def block_points(plan: Plan, flight: FlightLog, ledger: Ledger) -> ObjectPoints:
 
 
 def in_wgs84(
-    plan: Plan, section: OrientationSection, table: OrientationTable
+    section: OrientationSection, table: OrientationTable, geoid: GeoidGrid | None
 ) -> tuple[OrientationTable, Notes]:
     """The table with its positions in WGS 84, and the convergence of its grid."""
     if section.crs is None or section.heights is None:
@@ -148,7 +150,7 @@ def in_wgs84(
     if section.frame == "geographic":
         x, y = np.degrees(y), np.degrees(x)
     places, notes = places_of(
-        section.crs, (x, y, h), heights=section.heights, geoid=user_geoid(plan),
+        section.crs, (x, y, h), heights=section.heights, geoid=geoid,
         where=section.path, key="stations.orientation.crs",
     )  # fmt: skip
     position = np.stack([places.lat_rad, places.lon_rad, places.h_m], axis=1)
@@ -189,11 +191,11 @@ def other_readings(
 
 
 def stations_of_table(
-    plan: Plan, flight: FlightLog, section: OrientationSection, table: OrientationTable, *,
+    mission: Mission, inputs: OpenedInputs, flight: FlightLog, section: OrientationSection,
+    table: OrientationTable, *,
     exposed: list[Stations], ledger: Ledger,
 ) -> Stations:  # fmt: skip
     """The stations of a table in one reading; the events give the times it does not have."""
-    mission = plan.mission
     of_body = section.angles == "roll_pitch_yaw"
     if of_body:
         quaternion = rotations.quaternion_of_rpy(table.angles, np.eye(3))
@@ -208,7 +210,7 @@ def stations_of_table(
         turn = rotations.enu_from_grid(section.convergence_deg * DEGREE + table.convergence_rad)
         quaternion = rotations.in_turned_frame(quaternion, turn.swapaxes(-1, -2))
     else:
-        frame = frame_of_block(plan, flight, section, table, exposed=exposed, ledger=ledger)
+        frame = frame_of_block(inputs, flight, section, table, exposed=exposed, ledger=ledger)
         tilt_rad = frame.tilt_rad
         if not section.is_geodetic:
             lat, lon, h = frame.geodetic(table.position)
@@ -222,19 +224,22 @@ def stations_of_table(
         table.image, camera, time_ns, lat, lon, h, section.is_msl(table.heights), quaternion,
         of_body, sigmas_of_block(section, table, tilt_rad),
     )  # fmt: skip
-    mounts = {name: mount.build() for name, mount in mission.mount.items()}
-    stations = oriented_images.stations_of_images(images, mounts, flight.heights)
+    stations = oriented_images.stations_of_images(images, mission.mounts, flight.heights)
     stations = ledger.take(oriented_images.flag_above_horizon(stations))
     oriented_images.refuse_turned_images(stations)
     return stations
 
 
 def check_height_above_ground(
-    plan: Plan, flight: FlightLog, stations: Stations, observations: Observations, ledger: Ledger
+    mission: Mission,
+    flight: FlightLog,
+    stations: Stations,
+    observations: Observations,
+    ledger: Ledger,
 ) -> Stations:
     """Stations, and a note of their heights above ground; those far too high are suspect."""
-    section = plan.mission.ground
-    batch = next(observations.batches(plan.mission.output.batch_rows))
+    section = mission.ground
+    batch = next(observations.batches(mission.output.batch_rows))
     given = batch.ground if batch.ground is not None else np.array([section.constant_m], np.float64)
     given = given[np.isfinite(given)]
     if section.from_distance or given.size == 0 or not bool(stations.ok.any()):
@@ -249,7 +254,7 @@ def check_height_above_ground(
         raise MissionError.of("ORIENTATION-HEIGHT", where, low=low, total=above.size, what=what)
     with np.errstate(invalid="ignore"):
         high = stations.ok & (over > _HIGHEST_ABOVE_GROUND_M)
-    count, use = int(high.sum()), plan.mission.stations.use_suspect
+    count, use = int(high.sum()), mission.stations.use_suspect
     if 0 < count <= _FEW_BELOW_GROUND * above.size:
         text = f"{count} stations are suspect, the first {stations.image[high][0]}: {what}"
         ledger.loss("ORIENTATION-HEIGHT", text, where=where, count=count)
@@ -260,8 +265,8 @@ def check_height_above_ground(
 
 
 def frame_of_block(
-    plan: Plan, flight: FlightLog, section: OrientationSection, table: OrientationTable, *,
-    exposed: list[Stations], ledger: Ledger,
+    inputs: OpenedInputs, flight: FlightLog, section: OrientationSection,
+    table: OrientationTable, *, exposed: list[Stations], ledger: Ledger,
 ) -> CartesianFrame:  # fmt: skip
     """The frame of the angles, where it is not each station's own."""
     stated = section.frame.enu.build() if isinstance(section.frame, EnuFrame) else section.frame
@@ -276,9 +281,9 @@ def frame_of_block(
     if frame == "ecef":
         return oriented_images.ECEF
     known = section.known_positions
-    if isinstance(known, KnownPositions):
-        names, sigma_m = known.model_dump(exclude={"path", "sigma_m"}), known.sigma_m
-        image, position = read_known_positions(plan.input("known positions").path, names)
+    if isinstance(known, KnownPositions) and inputs.known_positions is not None:
+        sigma_m = known.sigma_m
+        image, position = inputs.known_positions.image, inputs.known_positions.position.copy()
         if section.heights == "msl":
             position[:, 2] += flight.heights.undulation(position[:, 0], position[:, 1])
     else:

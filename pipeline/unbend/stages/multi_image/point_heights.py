@@ -10,24 +10,25 @@ import pandas as pd
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from unbend.batch.plan import Plan
 from unbend.block.image_rays import ImageRays, Orientations
 from unbend.block.intersection import PointHeights, point_heights
 from unbend.config import Mission
-from unbend.config.sections import ControlSection, PointTable
+from unbend.config.ground import ControlSection
+from unbend.config.ground import PointTable as PointTableSection
 from unbend.errors import InputError, MissionError
 from unbend.flight.heights import HeightSystem, known_home_m
 from unbend.flight.stations import Stations
-from unbend.geodesy import ecef_of_geodetic
+from unbend.geodesy import GeoidGrid, ecef_of_geodetic
 from unbend.messages import Entry, Kind, Ledger
 from unbend.refraction.image import correct_observations
-from unbend.stages.correction import CorrectionSetup
+from unbend.stages.correction_setup import CorrectionSetup
 from unbend.stages.exposure_setup import orientations_of_mission
 from unbend.stages.ground_heights import ComputedGround
-from unbend.stages.inputs import FlightLog, user_geoid
+from unbend.stages.inputs import FlightLog
 from unbend.stages.multi_image.oriented_stations import block_points
+from unbend.stages.opened_inputs import OpenedInputs, PointTable
 from unbend.tables.geodata.coordinate_systems import places_of
-from unbend.tables.geodata.object_points import ObjectPoints, matching_rows, read_object_points
+from unbend.tables.geodata.object_points import ObjectPoints, matching_rows
 from unbend.tables.observations import Observations
 from unbend.tables.text_columns import hashes_of, rows_among
 from unbend.units import WGS84_A, Array
@@ -37,45 +38,44 @@ _STEEPEST = 20.0
 
 
 def with_object_points(
-    plan: Plan, observations: Observations, flight: FlightLog, ledger: Ledger
+    mission: Mission, inputs: OpenedInputs, flight: FlightLog, ledger: Ledger
 ) -> Observations:
     """The observations with the object points of a table, or of the block, if any."""
-    ground = plan.mission.ground
+    ground, observations = mission.ground, inputs.observations
     if ground.height == "block":
-        return replace(observations, points=block_points(plan, flight, ledger))
-    if ground.points is None:
+        return replace(observations, points=block_points(mission, inputs, flight, ledger))
+    if ground.points is None or inputs.object_points is None:
         return observations
-    points = read_points(
-        plan, "object points", ground.points, ground.reference, key="ground.height",
-        heights=flight.heights, ledger=ledger,
+    points = points_above_sea(
+        inputs.object_points, ground.points, ground.reference, key="ground.height",
+        heights=flight.heights, geoid=inputs.geoid, ledger=ledger,
     )  # fmt: skip
     return replace(observations, points=points)
 
 
-def read_points(
-    plan: Plan,
-    role: str,
-    section: PointTable | ControlSection,
+def points_above_sea(
+    table: PointTable,
+    section: PointTableSection | ControlSection,
     reference: str,
     *,
     key: str,
     heights: HeightSystem,
+    geoid: GeoidGrid | None,
     ledger: Ledger,
 ) -> ObjectPoints:
     """The points of a user's table above sea level, as ``section`` and ``reference`` state it."""
-    path = plan.input(role).path
-    name, value = read_object_points(path, section.columns.named, key=f"{key}.columns")
+    value = table.columns
     x, y = ("x", "y") if "x" in value else ("longitude", "latitude")
     places = ledger.take(places_of(
         section.crs, (value[x], value[y], value["height"]), heights=reference,
-        geoid=user_geoid(plan), where=str(path), key=f"{key}.crs",
+        geoid=geoid, where=table.where, key=f"{key}.crs",
     ))  # fmt: skip
     h = places.h_m
     if places.heights == "ellipsoid":
         h = h - heights.undulation(places.lat_rad, places.lon_rad)
     elif places.heights == "relative":
         h = h + known_home_m(heights)
-    return ObjectPoints(name, places.lat_rad, places.lon_rad, h)
+    return ObjectPoints(table.name, places.lat_rad, places.lon_rad, h)
 
 
 def check_object_points(observations: Observations, stations: Stations, ledger: Ledger) -> None:
@@ -208,7 +208,7 @@ def _heights_of(
                 x[rows], y[rows], h_msl[rows], station[rows], setup.exposures, camera=camera,
                 table=setup.rays[profile],
             )  # fmt: skip
-            seen_x[rows], seen_y[rows] = corrected.x_px, corrected.y_px
+            seen_x[rows], seen_y[rows] = corrected.x_corrected_px, corrected.y_corrected_px
         direction, sigma = setup.directions(seen_x, seen_y, station)
         found = point_heights(orientations, ImageRays(station, rays["point"], direction, sigma))
         number = np.maximum(np.bincount(found.index), 1)

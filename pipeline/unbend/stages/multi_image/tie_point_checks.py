@@ -18,7 +18,7 @@ from unbend.flight.stations import Stations
 from unbend.geodesy import geodetic_of_ecef
 from unbend.messages import Ledger
 from unbend.refraction.camera.camera import Camera
-from unbend.stages.exposure_setup import cameras_of_mission, orientations_of_mission
+from unbend.stages.exposure_setup import orientations_of_mission
 from unbend.tables.geodata.elevation import ElevationModel
 from unbend.tables.tie_points import TiePoints, tie_rays
 from unbend.units import Array
@@ -93,7 +93,7 @@ class TieEvidence:
         if self.terrain is None:
             return self, ""
         o, model = self.orientations(), self.terrain
-        rays = self.rays(cameras_of_mission(self.mission), {})
+        rays = self.rays(self.mission.interior_orientations, {})
         found = point_heights(o, straightened(o, replace(rays, height_m=None)))
         met = np.isfinite(found.h_m)
         lat, lon, h_m = geodetic_of_ecef(*found.position_m[met].T)
@@ -141,14 +141,14 @@ def check_tie_points(evidence: TieEvidence, ledger: Ledger) -> None:
     Where none explains what the rays miss each other by, one finding lists what comes nearest.
     """
     mission, stations = evidence.mission, evidence.stations
-    cameras, oriented = cameras_of_mission(mission), mission.stations.orientation
+    cameras, oriented = mission.interior_orientations, mission.stations.orientation
     rays = evidence.rays(cameras, {})
     if np.unique(rays.point[stations.ok[rays.image]]).size < FEWEST_TIE_POINTS:
         return
     evidence, reordered = evidence.on_terrain()
     rays = evidence.rays(cameras, {})
     of_body = oriented is None or oriented.angles == "roll_pitch_yaw"
-    mounts = {name: mount.build() for name, mount in mission.mount.items() if of_body}
+    mounts = mission.mounts if of_body else {}
     shifted = None if evidence.later is None else lru_cache(8)(evidence.orientations)
     stated, findings = diagnosis(StatedMission(
         evidence.orientations(), cameras, evidence.rays, mounts, shifted,
