@@ -71,7 +71,7 @@ def mistakes_of(items: Iterable[Mapping[str, Any]], values: dict[str, Any]) -> I
         yield Mistake(refused.place, _what(refused, values))
 
 
-def _refused(values: Any, item: Mapping[str, Any]) -> Refused:
+def _refused(values: object, item: Mapping[str, Any]) -> Refused:
     """An error of pydantic, without the arms of unions in its place."""
     error = item.get("ctx", {}).get("error")
     place, value = _found_at(values, item["loc"])
@@ -139,22 +139,23 @@ def _missing_key(place: Place) -> str:
     return f"is missing: {'; '.join(texts)}"
 
 
-def _found_at(values: Any, loc: Sequence[int | str]) -> tuple[Place, Any]:
+def _found_at(values: object, loc: Sequence[int | str]) -> tuple[Place, object]:
     """Place and value of an error of the models, without the arms of unions; None if missing."""
     place: list[str | int] = []
+    value: Any = values
     for i, part in enumerate(loc):
-        if has_place(values, (part,)):
-            values = values[part]
+        if has_place(value, (part,)):
+            value = value[part]
             place.append(part)
             continue
         is_last = i == len(loc) - 1
-        if is_last and isinstance(values, dict) and nodes_at((*place, part)):
-            values = None
+        if is_last and isinstance(value, dict) and nodes_at((*place, part)):
+            value = None
             place.append(part)  # a key that is missing
-    return tuple(place), values
+    return tuple(place), value
 
 
-def _nearest_place(values: Any, place: Place) -> Place:
+def _nearest_place(values: object, place: Place) -> Place:
     """The place itself, or the section around it that is in the file."""
     while not has_place(values, place):
         place = place[:-1]
@@ -167,7 +168,7 @@ def _written(place: Place) -> str:
     return "".join(parts).removeprefix(".")
 
 
-def _shown(value: Any) -> str:
+def _shown(value: object) -> str:
     """A value in a message: short, and on one line."""
     match value:
         case dict():
