@@ -19,11 +19,11 @@ import pytest
 from tests.draws import SEED
 from unbend.atmosphere import standard_atmosphere
 from unbend.batch import store
-from unbend.batch.file_hashes import check_unchanged
+from unbend.batch.input_files import check_unchanged
 from unbend.batch.plan import make_plan
+from unbend.batch.receipts import packed, unpacked
 from unbend.batch.run_files import PartsOfRun, correct_into
 from unbend.batch.store import find_damage, open_folder, read_manifest
-from unbend.batch.value_cache import packed, unpacked
 from unbend.config import load_mission
 from unbend.errors import InputError, StorageError
 from unbend.messages import Ledger
@@ -269,7 +269,7 @@ def test_no_receipt_is_written_for_inputs_that_changed(mission, tmp_path):
     content = observed.read_bytes()
     check_unchanged(plan.inputs)
     observed.write_bytes(content[:-1] + bytes([content[-1] ^ 1]))
-    os.utime(observed, ns=(plan.input("observations").stamp[0][3],) * 2)
+    os.utime(observed, ns=(plan.input("observations").states[0].mtime_ns,) * 2)
     with pytest.raises(InputError, match="INPUT-CHANGED"):
         check_unchanged(plan.inputs, folders=False)
 

@@ -7,7 +7,7 @@ import os
 
 import pytest
 
-from unbend.batch import changes, file_hashes, keys
+from unbend.batch import fingerprint, input_files
 from unbend.batch.runs import mission_status, run_mission
 
 
@@ -31,27 +31,22 @@ def test_a_mission_that_never_ran(mission):
     assert reasons(mission) == [f"{mission.output} has no results of it"]
 
 
-def test_each_change_is_named_with_the_stage_that_begins_again(done, monkeypatch):
+def test_each_change_is_named(done, monkeypatch):
     done.config["ground"]["sigma_m"] = 1.5
-    assert reasons(done) == ["air: ground.sigma_m: nothing -> 1.5; the log is not read again"]
+    assert reasons(done) == ["ground.sigma_m: nothing -> 1.5"]
     with done.log.open("ab") as log:
         log.write(b"\0")
-    changed = f"ingest: log changed ({done.config['log']['path']})"
-    assert reasons(done) == [changed, "air: ground.sigma_m: nothing -> 1.5"]
+    changed = f"log changed ({done.config['log']['path']})"
+    assert reasons(done) == [changed, "ground.sigma_m: nothing -> 1.5"]
     del done.config["ground"]["sigma_m"]
-    original = keys.version
-    monkeypatch.setattr(keys, "version", lambda n: "0.1" if n == "numpy" else original(n))
-    assert reasons(done) == [changed, f"ingest: numpy {original('numpy')} -> 0.1"]
+    original = fingerprint.version
+    monkeypatch.setattr(fingerprint, "version", lambda n: "0.1" if n == "numpy" else original(n))
+    assert reasons(done) == [changed, f"numpy {original('numpy')} -> 0.1"]
 
 
-def test_another_version_of_unbend_begins_with_the_stage_whose_code_it_is(done, monkeypatch):
-    own = keys.code_of_stages()
-    for stage in ("report", "ingest", "correction"):
-        for module in (keys, changes):
-            monkeypatch.setattr(module, "code_of_stages", lambda s=stage: own | {s: "other"})
-        end = {"report": "; nothing is corrected again", "ingest": ""}
-        end = end.get(stage, "; the log is not read again")
-        assert reasons(done) == [f"{stage}: another version of unbend (0.2.0 -> 0.2.0){end}"]
+def test_another_version_of_unbend(done, monkeypatch):
+    monkeypatch.setattr(fingerprint, "code_hash", lambda: "other")
+    assert reasons(done) == ["another version of unbend (0.2.0 -> 0.2.0)"]
 
 
 def test_the_size_of_batches_changes_no_number(done):
@@ -69,10 +64,10 @@ def test_nothing_is_read_where_nothing_changed(done, unbend, monkeypatch):
     past = 1_700_000_000
     for path in (done.log, done.folder / done.config["observations"]["path"]):
         os.utime(path, (past, past))
-    now = file_hashes.time.time_ns
-    monkeypatch.setattr(file_hashes.time, "time_ns", lambda: now() + 60_000_000_000)
+    now = input_files.time.time_ns
+    monkeypatch.setattr(input_files.time, "time_ns", lambda: now() + 60_000_000_000)
     assert reasons(done) == []
-    monkeypatch.setattr(file_hashes, "hash_file", lambda path: pytest.fail(f"read {path}"))
+    monkeypatch.setattr(input_files, "hash_file", lambda path: pytest.fail(f"read {path}"))
     assert reasons(done) == []
     answer = json.loads(unbend("status", str(done.file), "--json").out)
     assert [entry["would_run"] for entry in answer] == [False]
@@ -86,6 +81,6 @@ def test_a_manifest_without_its_inputs_is_no_bug(done):
     manifest = json.loads(file.read_text())
     file.write_text(json.dumps({key: manifest[key] for key in kept} | {"fingerprint": "0"}))
     found = reasons(done)
-    assert f"ingest: log is new ({done.config['log']['path']})" in found
+    assert f"log is new ({done.config['log']['path']})" in found
     assert not run_mission(done.save()).repeated
     assert reasons(done) == []
