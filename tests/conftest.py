@@ -283,9 +283,29 @@ NEEDS |= dict.fromkeys(("place", "s3_place", "seaweed", "moto", "azurite"), pyte
 """Fixtures, and the marker of each test that uses one."""
 
 
+SLOW = (
+    "atmosphere/estimate/",
+    "atmosphere/test_estimate_montecarlo.py",
+    "atmosphere/test_model_montecarlo.py",
+    "block/test_diagnosis.py",
+    "block/test_simulated_mission.py",
+    "faults/",
+    "flight/test_gimbal.py::test_a_mission",
+    "flight/test_injected_faults.py",
+    "golden/",
+    "refraction/test_chord.py::test_the_angle_at_that_height_gives_the_distance_back",
+    "refraction/test_compile_cache.py",
+    "refraction/test_forward.py",
+    "refraction/test_image.py::test_the_scalar_equations_catch_mutants",
+)
+"""Folders, files and tests that take seconds of a processor, by the beginning of their names."""
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark tests by the fixtures they use, and skip those whose folder of ../shared is absent."""
+    """Mark tests by name and fixtures; skip those whose folder of ../shared is absent."""
     for item in items:
+        if item.nodeid.removeprefix("tests/").startswith(SLOW):
+            item.add_marker(pytest.mark.slow)
         for name in NEEDS.keys() & {*getattr(item, "fixturenames", ())}:
             item.add_marker(NEEDS[name])
         folders = {folder for mark in item.iter_markers("shared") for folder in mark.args}

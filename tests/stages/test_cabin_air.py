@@ -11,7 +11,7 @@ import pytest
 
 from tests.physics.ray_on_sphere import ray_angle_sphere
 from unbend.atmosphere import standard_atmosphere
-from unbend.config.cameras import CabinAir
+from unbend.config.windows import CabinAir
 from unbend.flight.channels import Channel, Source
 from unbend.flight.stations import Stations, empty_stations
 from unbend.ingest import open_log

@@ -16,7 +16,7 @@ import numpy as np
 import pyarrow.parquet as pq
 from jinja2 import Environment, StrictUndefined
 
-from unbend.config.reading import TODO
+from unbend.config.yaml_text import TODO
 from unbend.errors import InputError, MissionError
 from unbend.flight.channels import ROLE_COLUMNS, Channel
 from unbend.flight.evidence.quality import plausible_samples

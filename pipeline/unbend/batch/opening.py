@@ -10,8 +10,8 @@ from unbend.batch.input_files import named_inputs
 from unbend.batch.plan import located, with_camera_files
 from unbend.batch.remote import Place
 from unbend.config import Mission
-from unbend.config.station_sources import KnownPositions as KnownPositionsSection
-from unbend.config.station_sources import OrientationSection
+from unbend.config.orientations import KnownPositions as KnownPositionsSection
+from unbend.config.orientations import OrientationSection
 from unbend.flight.channels import Channel
 from unbend.ingest import Log, open_log
 from unbend.messages import Ledger

@@ -28,7 +28,7 @@ from unbend.batch.remote import is_url
 from unbend.batch.store import STAGING, find_damage, read_manifest
 from unbend.config import Mission
 from unbend.config.campaign import MissionRef
-from unbend.config.reading import merged
+from unbend.config.defaults import merged
 
 
 @dataclass(frozen=True)

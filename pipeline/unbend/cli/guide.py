@@ -91,7 +91,7 @@ def init(
         import yaml
 
         from unbend.batch.mission_proposal import propose_mission
-        from unbend.config.reading import open_questions
+        from unbend.config.yaml_text import open_questions
 
         target = Path("mission.yaml") if printed else out
         text = propose_mission(log, observations, images, target)

@@ -210,22 +210,29 @@ def angle_and_status(
     zeta = np.asarray(zeta_c, dtype=np.float64)
     zeta = np.where((zeta >= 0.0) & (zeta <= math.pi), zeta, np.nan)
     r_c, found = bend(
-        rays_by(profile, method), h_c, h_g, np.sin(zeta), np.cos(zeta), radius=radius,
+        rays_by(profile, method),
+        h_c,
+        h_g,
+        np.sin(zeta),
+        np.cos(zeta),
+        radius=radius,
         distance=distance,
-    )  # fmt: skip
+    )
     status = int(found) if found.ndim == 0 else OK
     if status in (OK, BEYOND_GRAZING, FAR_BRANCH):
         return r_c, found
-    reason = {
+    covered = f"the profile ({profile.bottom_m:.0f} to {profile.top_m:.0f} m)"
+    reasons = {
         BAD_MEASUREMENT: "heights and angle (0 to 180 degrees) must be numbers, the radius above 0",
-        OUTSIDE_PROFILE: f"the profile ({profile.bottom_m:.0f} to {profile.top_m:.0f} m) "
-        f"or the method ({method}) does not cover the heights",
+        OUTSIDE_PROFILE: f"{covered} or the method ({method}) does not cover the heights",
         MISSES_GROUND: "the ray never reaches the target's height",
-    }[status]
+    }
+    name = STATUS_NAMES[status].upper().replace("_", "-")
+    where = f"h_c = {h_c!r} m, h_g = {h_g!r} m, zeta_c = {np.degrees(zeta_c):.6f} deg, "
+    where += f"radius = {radius!r} m"
     raise PhysicsError(
-        f"RAY-{STATUS_NAMES[status].upper().replace('_', '-')}",
-        reason,
-        where=f"h_c = {h_c!r} m, h_g = {h_g!r} m, zeta_c = {np.degrees(zeta_c):.6f} deg, "
-        f"radius = {radius!r} m",
+        f"RAY-{name}",
+        reasons[status],
+        where=where,
         remedy="check heights, angle and radius (inside the package angles are radians)",
     )

@@ -41,7 +41,7 @@ from unbend.refraction.status_codes import (
     OUTSIDE_PROFILE,
     SEVERAL_CROSSINGS,
 )
-from unbend.units import Array, Integers
+from unbend.units import Array, Integers, Rows
 
 # Rounds for a published method: each gains three digits, and they go no nearer to grazing.
 _ROUNDS = 12
@@ -83,8 +83,16 @@ def height_at_distance(
     """
     shape, columns = as_columns(h_c, sin_zeta_c, cos_zeta_c, distance, radius)
     h_c, sin_z, cos_z, distance, radius = columns
-    height, status = np.empty(h_c.shape), np.empty(h_c.shape, np.uint8)
-    rays = RayColumns(h_c, height, sin_z, cos_z, radius, distance)  # h_g is not read
+    height = np.empty(h_c.shape)
+    status = np.empty(h_c.shape, np.uint8)
+    rays = RayColumns(
+        h_c=h_c,
+        h_g=height,  # is not read
+        sin_c=sin_z,
+        cos_c=cos_z,
+        r_e=radius,
+        distance=distance,
+    )
     if isinstance(table, PublishedRays):
         height, status = _by_repetition(table, rays)
     else:
@@ -93,7 +101,7 @@ def height_at_distance(
         pieces = table.pieces
 
         def heights_of_block(rows: slice) -> None:
-            part = RayColumns(*(a[rows] for a in rays))
+            part = RayColumns(*(column[rows] for column in rays))
             ray_heights(pieces, part, height[rows], status[rows])
 
         in_blocks(heights_of_block, h_c.size)
@@ -145,7 +153,8 @@ def target_rays(
             cx_px=camera.cx_px + _MARGIN_PX,
             cy_px=camera.cy_px + _MARGIN_PX,
         )
-        x, y = x + _MARGIN_PX, y + _MARGIN_PX
+        x = x + _MARGIN_PX
+        y = y + _MARGIN_PX
     anywhere = np.zeros(x.size)
     observed = ObservationColumns(x, y, anywhere, anywhere, exposure)
     rays, _, _ = outgoing_rays(observed, camera.constants, exposures.columns)
@@ -192,7 +201,8 @@ _ROWS_AT_ONCE = 65_536
 _SCOUTS = 64
 
 # From here on down [m] a ray is under all land.
-_LOWEST_M, _HIGHEST_M = -500.0, 9_000.0
+_LOWEST_M = -500.0
+_HIGHEST_M = 9_000.0  # and above this over all land
 
 # Rays steeper than this reach the lowest land from any height below 50 km.
 _STEEP = 0.17
@@ -204,10 +214,17 @@ _LEVEL_SHARES = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, 9) / 8)
 
 # Polynomials from east and north of a station to rows and columns: powers, nodes, and between.
 _POWERS = [(d - p, p) for d in range(CHART_DEGREE + 1) for p in range(d + 1)]
-_NODES, _CHECKS = (
-    np.stack(np.meshgrid(a, a), axis=-1).reshape(-1, 2)
-    for a in (np.cos(np.pi * (np.arange(6) + 0.5) / 6), np.linspace(-0.95, 0.95, 5))
-)
+
+
+def _square_of(side: Array) -> Array:
+    """(n * n, 2) the points whose east and north are among n values."""
+    return np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+
+
+_NODES = _square_of(np.cos(np.pi * (np.arange(6) + 0.5) / 6))
+_CHECKS = _square_of(np.linspace(-0.95, 0.95, 5))
+_MOST_HALVINGS = 12
+_PART_OF_REACH = 0.98  # of a polynomial, that rays are followed for
 _LARGEST_ERROR = 0.01
 """Of row and column [cells]; where a polynomial is worse, it is for half the distance."""
 
@@ -267,9 +284,11 @@ def terrain_heights(
     interpolated. Against steps of an integrated ray: 1 mm below 60 degrees, 1 cm below 75.
     """
     n = x_px.size
-    numbers, status = np.full((3, n), np.nan), np.full(n, OK, np.uint8)
-    of_table = ray_table(table.profile) if isinstance(table, PublishedRays) else table
-    air = None if ideal else of_table
+    numbers = np.full((3, n), np.nan)
+    status = np.full(n, OK, np.uint8)
+    if isinstance(table, PublishedRays):
+        table = ray_table(table.profile)
+    air = None if ideal else table
     for first in range(0, n, _ROWS_AT_ONCE):
         some = slice(first, min(first + _ROWS_AT_ONCE, n))
         rays = np.empty((CAMERA_HEIGHT + 1, some.stop - first))
@@ -308,17 +327,31 @@ def _ways(
     sine, cosine, radius, h_c = rays[[NADIR_SINE, NADIR_COSINE, SPHERE_RADIUS, CAMERA_HEIGHT]]
     end = knot[:, -1].copy()
     arc = radius * np.arctan2(end * sine, radius + h_c - end * cosine)
+    latitude, longitude = places
     station, chart = np.unique(exposure, return_inverse=True)
     needed = np.zeros(station.size)
     np.fmax.at(needed, chart, 1.01 * arc)
-    charts, reach = _charts(places[0][station], places[1][station], needed + 1.0, terrain)
-    short = 0.98 * reach[chart] < arc
-    end[short] *= 0.98 * reach[chart][short] / arc[short]
+    charts, reach = _charts(latitude[station], longitude[station], needed + 1.0, terrain)
+    usable_reach = _PART_OF_REACH * reach[chart]
+    short = usable_reach < arc
+    end[short] *= usable_reach[short] / arc[short]
     at_end[short] = NO_GROUND
     with np.errstate(invalid="ignore"):
         east, north = rays[DIRECTION : DIRECTION + 2] / np.where(sine > 0, sine, 1)
     r_c /= knot
-    way = TerrainRays(sine, cosine, h_c, radius, east, north, knot, r_c, chart, charts, reach)
+    way = TerrainRays(
+        sin_c=sine,
+        cos_c=cosine,
+        h_c=h_c,
+        r_e=radius,
+        east=east,
+        north=north,
+        knot=knot,
+        bend=r_c,
+        chart=chart,
+        charts=charts,
+        reach=reach,
+    )
     return way, end, at_end
 
 
@@ -330,8 +363,10 @@ def _bent_paths(
     Steep rays as far as the lowest land, others where they leave all land or for 200 km; straight
     without ``air``, NaN where that does not reach as far.
     """
-    n, shares = rays.shape[1], _STEEP_SHARES if steep else _LEVEL_SHARES
-    knot, r_c = np.empty((n, shares.size)), np.zeros((n, shares.size))
+    n = rays.shape[1]
+    shares = _STEEP_SHARES if steep else _LEVEL_SHARES
+    knot = np.empty((n, shares.size))
+    r_c = np.zeros((n, shares.size))
     at_end = np.full(n, OUTSIDE_PROFILE, np.uint8)
     bottom = _LOWEST_M if air is None else max(_LOWEST_M, float(air.edge_m[0]))
 
@@ -356,7 +391,8 @@ def _bent_paths(
             at_end[rows][end > _FARTHEST_M] = NO_GROUND
             end = np.clip(end, 1.0, _FARTHEST_M)
             for k, share in enumerate(shares):
-                t = knot[rows, k] = share * end
+                t = share * end
+                knot[rows, k] = t
                 if air is not None:
                     h_k = height_at_distance(air, h_c, sine, cosine, t, radius=radius)[0]
                     rise = (h_c - h_k) * (2.0 * radius + h_c + h_k)
@@ -377,15 +413,17 @@ def _charts(lat_rad: Array, lon_rad: Array, needed: Array, terrain: Terrain) -> 
     charts = np.empty((needed.size, 2, len(_POWERS)))
     solve = np.linalg.pinv(_terms(_NODES))
     left = np.arange(needed.size)
-    for _ in range(12):
+    for _ in range(_MOST_HALVINGS):
         at = np.concatenate([_NODES, _CHECKS]) * reach[left, None, None]
-        lat, lon = np.repeat(lat_rad[left], at.shape[1]), np.repeat(lon_rad[left], at.shape[1])
+        lat = np.repeat(lat_rad[left], at.shape[1])
+        lon = np.repeat(lon_rad[left], at.shape[1])
         east, north = at.reshape(-1, 2).T
         # The ends of arcs in the vertical planes of the places.
         azimuth = np.arctan2(east, north)
         radius = euler_radius(lat, azimuth)
         angle = np.hypot(east, north) / radius
-        across, up = radius * np.sin(angle), -2.0 * radius * np.sin(0.5 * angle) ** 2
+        across = radius * np.sin(angle)
+        up = -2.0 * radius * np.sin(0.5 * angle) ** 2
         enu = np.stack([across * np.sin(azimuth), across * np.cos(azimuth), up], axis=-1)
         lat, lon, _ = offset_geodetic(lat, lon, np.zeros(lat.size), enu)
         nodes = np.stack(terrain.nodes(lat, lon), axis=-1).reshape(left.size, -1, 2)
@@ -417,28 +455,41 @@ def _follow(
 
     n = end.size
     divide_differences(paths.knot, paths.bend)
-    side, gap, wanted = np.zeros(n, np.int8), np.zeros(n, bool), np.full(n, -1)
-    height, distance, factor = np.full((3, n), np.nan)
     usable = np.isfinite(paths.bend).all(axis=1) & np.isfinite(end)
     follows = usable & (paths.reach[paths.chart] > 0.0)
-    result = np.where(follows, np.uint8(WAITS), np.uint8(NO_TERRAIN))
-    state = TerrainState(end, np.zeros(n), side, gap, distance, height, factor, wanted, result)
+    height, distance, factor = np.full((3, n), np.nan)
+    state = TerrainState(
+        end=end,
+        t=np.zeros(n),
+        side=np.zeros(n, np.int8),
+        gap=np.zeros(n, bool),
+        distance=distance,
+        height=height,
+        factor=factor,
+        wanted=np.full(n, -1),
+        result=np.where(follows, np.uint8(WAITS), np.uint8(NO_TERRAIN)),
+    )
     followed = np.flatnonzero(follows)
     with terrain.lock:
         for some in (followed[::_SCOUTS], followed):
             while (going := some[state.result[some] == WAITS]).size:
-                in_blocks(
-                    lambda rows: follow_rays(paths, going[rows], terrain.grid, state), going.size
-                )
+
+                def follow_block(rows: slice, going: Rows = going) -> None:
+                    follow_rays(paths, going[rows], terrain.grid, state)
+
+                in_blocks(follow_block, going.size)
                 tiles, count = np.unique(state.wanted[going], return_counts=True)
                 tiles = tiles[np.argsort(-count, kind="stable")]
                 terrain.load(tiles[tiles >= 0])
     status_of = np.empty(WAITS + 1, np.uint8)
-    status_of[[LANDED, EMERGES, HIDDEN, NO_TERRAIN]] = (
-        OK, SEVERAL_CROSSINGS, MISSES_GROUND, NO_GROUND,
-    )  # fmt: skip
-    status = np.where(state.result == PASSES, at_end, status_of[state.result]).astype(np.uint8)
+    status_of[LANDED] = OK
+    status_of[EMERGES] = SEVERAL_CROSSINGS
+    status_of[HIDDEN] = MISSES_GROUND
+    status_of[NO_TERRAIN] = NO_GROUND
+    passes = state.result == PASSES
+    status = np.where(passes, at_end, status_of[state.result]).astype(np.uint8)
     status[~usable] = OUTSIDE_PROFILE
     landed = (status == OK) | (status == SEVERAL_CROSSINGS)
-    height[~landed] = distance[~landed] = np.nan
+    height[~landed] = np.nan
+    distance[~landed] = np.nan
     return TerrainHeights(height, factor, distance, status)

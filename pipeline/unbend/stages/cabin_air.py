@@ -73,7 +73,10 @@ def cabin_from_log(
         missing = np.isnan(stations.cabin_pressure_pa)
         what = "no cabin pressure, without which the window cannot be corrected: "
         what += could_play("pressure")
-        stations, notes = mark_suspect(stations, camera, missing, "CABIN-MISSING", what)
+        stations, count = mark_suspect(stations, camera, missing, what)
+        if count:
+            lacking = f"{count} exposures have {what}"
+            notes = (loss("CABIN-MISSING", lacking, where=where, count=count),)
     of_camera = (stations.camera == camera) & stations.ok
     if cabin.source == "ambient":
         notes += _pressurised_after_all(stations, of_camera, camera, channels, roles)

@@ -214,6 +214,7 @@ def _profile(air: FlightAir, stations: Stations) -> dict[str, Any]:
         "departure_at_cameras_k": difference,
         "effect": [effect.row() for effect in air.effects],
         "sources": [use.row() for use in adjustment.sources],
+        "samples": [use.row() for use in adjustment.sensor_uses],
         "sensors": [
             {
                 "what": FAULT_TEXTS[fault.fault],

@@ -16,12 +16,18 @@ from unbend.flight.channels import Channel
 from unbend.flight.evidence.contradictions import contradictions_of_import
 from unbend.flight.evidence.log_accuracy import LogAccuracy
 from unbend.flight.evidence.stretches import Stretch, flag_suspect
-from unbend.flight.exposures import Events, events_of_channel, refuse_repeated_images
+from unbend.flight.exposures import (
+    Events,
+    ExposureDelay,
+    events_of_channel,
+    refuse_repeated_images,
+)
 from unbend.flight.heights import HeightSystem
 from unbend.flight.image_names import refuse_other_names, renamed
 from unbend.flight.mount import Mount
 from unbend.flight.station_builder import build_stations, flag_missing_aircraft_attitude, with_air
 from unbend.flight.stations import (
+    SigmaLimits,
     Stations,
     append_unmatched_images,
     join_stations,
@@ -73,10 +79,10 @@ def events_of_cameras(
             channel = exposures.choose_event_channel(channels, source.channel)
             ledger.extend(exposures.trigger_notes(channels, channel))
             if source.delay_s == "from_feedback":
-                lag = ledger.take(exposures.lag_from_feedback(channels, channel, camera))
+                delay = ledger.take(exposures.lag_from_feedback(channels, channel, camera))
             else:
-                lag = source.delay_s, 0.0
-            exposed = events_of_channel(channel, camera, source.image, *lag)
+                delay = ExposureDelay(source.delay_s)
+            exposed = events_of_channel(channel, camera, source.image, delay)
             events.append(ledger.take(exposed))
         return events
     if section.positions is not None:
@@ -91,10 +97,9 @@ def events_of_cameras(
     camera_of = camera_of_rows(mission, table.camera, csv.camera, table.time_ns.size, str(csv.path))
     # The log's UTC places the times of a table.
     utc_sigma_s = 0.0 if flight.log is None else float(np.nan_to_num(flight.log.utc_sigma_s))
+    delay = ExposureDelay(csv.delay_s, sigma_s=utc_sigma_s)
     return [
-        exposures.events_of_table(
-            table.image, camera_of, table.time_ns, camera, csv.delay_s, sigma_s=utc_sigma_s
-        )
+        exposures.events_of_table(table.image, camera_of, table.time_ns, camera, delay)
         for camera in mission.cameras
     ]
 
@@ -106,7 +111,8 @@ def events_of_file(
     index = channel["event_index"].astype(np.int64)
     reversed_rows = int(np.count_nonzero(np.diff(exposures.unwrapped_numbers(index)) < 0))
     if image != "{name}":
-        events = ledger.take(events_of_channel(channel, camera, image, delay_s))
+        delay = ExposureDelay(delay_s)
+        events = ledger.take(events_of_channel(channel, camera, image, delay))
         if reversed_rows and "{index" in image:
             raise MissionError.of("EVENTS-ORDER", channel.name, reversed_rows=reversed_rows)
         _tell_order(reversed_rows, channel, ledger)
@@ -233,10 +239,14 @@ def stations_of_mission(
     ledger.extend(exposures.ground_shot_notes(stations, flight.roles, observed))
     stations = ledger.take(append_unmatched_images(stations, observed))
     ledger.extend(unusable_station_notes(stations))
-    limits = mission.stations
-    tilt = None if limits.max_sigma_tilt_deg is None else limits.max_sigma_tilt_deg * DEGREE
-    most = limits.max_sigma_horizontal_m, limits.max_sigma_height_m, tilt
-    ledger.extend(sigma_notes(stations, *most))
+    section = mission.stations
+    tilt_deg = section.max_sigma_tilt_deg
+    limits = SigmaLimits(
+        horizontal_m=section.max_sigma_horizontal_m,
+        height_m=section.max_sigma_height_m,
+        tilt_rad=None if tilt_deg is None else tilt_deg * DEGREE,
+    )
+    ledger.extend(sigma_notes(stations, limits))
     return stations
 
 

@@ -12,7 +12,8 @@ from unbend.block.image_rays import orientations_of, straightened
 from unbend.block.intersection import intersect
 from unbend.block.oriented_images import SIGMAS_OF_BLOCK, CartesianFrame, OrientedImages
 from unbend.config import Mission
-from unbend.config.station_sources import EnuFrame, KnownPositions, OrientationSection
+from unbend.config.local_frames import EnuFrame
+from unbend.config.orientations import KnownPositions, OrientationSection
 from unbend.errors import InputError, MissionError
 from unbend.flight import heights, rotations
 from unbend.flight.image_names import renamed

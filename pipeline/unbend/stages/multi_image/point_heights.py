@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from unbend.block.image_rays import ImageRays, Orientations
 from unbend.block.intersection import PointHeights, point_heights
 from unbend.config import Mission
-from unbend.config.sections import ControlSection
-from unbend.config.sections import PointTable as PointTableSection
+from unbend.config.ground import ControlSection
+from unbend.config.ground import PointTable as PointTableSection
 from unbend.errors import InputError, MissionError
 from unbend.flight.heights import HeightSystem, known_home_m
 from unbend.flight.stations import Stations
