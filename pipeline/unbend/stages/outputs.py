@@ -18,7 +18,8 @@ from unbend.refraction.camera.camera import NO_DISTORTION
 from unbend.refraction.effect import FlightAir
 from unbend.refraction.kernels.columns import CABIN, WINDOW
 from unbend.stages.correction_setup import CorrectionSetup
-from unbend.stages.inputs import FlightLog
+from unbend.stages.flight_log import FlightLog
+from unbend.stages.multi_image.control import ControlComparison
 from unbend.stages.statistics import Statistics
 from unbend.tables.refraction_mark import REFRACTION_APPLIED, REFRACTION_KEY, REFRACTION_REMOVED
 from unbend.units import ARCSEC, Array
@@ -52,6 +53,7 @@ def manifest_of(
     statistics: Statistics,
     setup: CorrectionSetup,
     causes: Mapping[str, str],
+    control: ControlComparison | None,
     ledger: Ledger,
 ) -> dict[str, Any]:
     """What the manifest says of the results; ``causes`` are those of statuses of rows."""
@@ -80,6 +82,7 @@ def manifest_of(
         "cabin_air": cabin_parameters(setup),
         "cabin_sigma_share": statistics.cabin_share.summary(),
         "ledger": ledger.rows(),
+        "control": None if control is None else control.manifest(),
         "exit_code": exit_code_of(has_losses=ledger.has_losses),
     }  # fmt: skip
 

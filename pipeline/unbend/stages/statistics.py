@@ -12,10 +12,11 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from unbend.flight.heights import HIGHEST_GROUND_M, LOWEST_GROUND_M
-from unbend.messages import Ledger
+from unbend.messages import Ledger, Message
 from unbend.refraction.camera.camera import Camera
 from unbend.refraction.image import Corrections
 from unbend.refraction.status_codes import OK, STATUS_NAMES
+from unbend.stages import messages
 from unbend.tables.observations import Batch
 from unbend.units import ARCSEC, Array, Integers, evenly_spaced, round_step
 
@@ -357,33 +358,42 @@ class Statistics:
         """A ledger entry for each reason why rows were not corrected; ``causes`` by status."""
         if self.no_distance:
             where = "observations.columns.distance_m"
-            ledger.warning("OBS-DISTANCE", where=where, count=self.no_distance)
+            ledger.add(messages.slant_ranges_invalid(where=where, count=self.no_distance))
         if self.no_sigma:
-            ledger.warning("OBS-SIGMA", where="ground.sigma_column", count=self.no_sigma)
+            where = "ground.sigma_column"
+            ledger.add(messages.ground_sigmas_invalid(where=where, count=self.no_sigma))
         if self.no_point:
-            ledger.loss(
-                "POINTS-MISSING", where="ground.height.points", count=self.no_point, rows=self.rows
-            )
+            where = "ground.height.points"
+            ledger.add(messages.points_missing(where=where, count=self.no_point, rows=self.rows))
         if self.implausible_heights:
-            ledger.loss("OBS-GROUND-RANGE", where="ground.height", count=self.implausible_heights,
-                        low=LOWEST_GROUND_M, high=HIGHEST_GROUND_M)  # fmt: skip
-        for name, count in self.status.items():
-            what = f"{count} of {self.rows} observations are {name}"
-            texts = self.examples.get(name, [])
-            if name == "ok" or count == 0:
-                continue
-            what += f": {causes[name]}" if causes.get(name) else ""
-            what += f"; first {', '.join(texts)}" if texts else ""
-            if name == "beyond_grazing":
-                ledger.loss("OBS-BEYOND-GRAZING", what + "; near branch used", count=count)
-            elif name == "several_crossings":
-                ledger.warning(
-                    "OBS-SEVERAL-CROSSINGS", where="ground.height", count=count, rows=what
+            ledger.add(
+                messages.ground_heights_invalid(
+                    where="ground.height",
+                    count=self.implausible_heights,
+                    low=LOWEST_GROUND_M,
+                    high=HIGHEST_GROUND_M,
                 )
-            elif name == "far_branch":
-                ledger.note("OBS-FAR-BRANCH", what + ", by their slant range", count=count)
-            else:
-                ledger.loss("OBS-FLAGGED", what, count=count)
+            )
+        for status, count in self.status.items():
+            if status != "ok" and count:
+                ledger.add(self.flagged(status, count, causes.get(status, "")))
+
+    def flagged(self, status: str, count: int, cause: str) -> Message:
+        """What is to be said of the rows of a status that is not ok."""
+        examples = ", ".join(self.examples.get(status, []))
+        words: dict[str, Any] = {
+            "total": self.rows,
+            "status": status,
+            "cause": f": {cause}" if cause else "",
+            "examples": f"; first {examples}" if examples else "",
+        }
+        if status == "several_crossings":
+            return messages.several_crossings(where="ground.height", count=count, **words)
+        if status == "beyond_grazing":
+            return messages.observations_beyond_grazing(count=count, **words)
+        if status == "far_branch":
+            return messages.observations_on_far_branch(count=count, **words)
+        return messages.observations_flagged(count=count, **words)
 
 
 def sigma_parts(corrections: Corrections, rows: NDArray[np.intp]) -> Array:
