@@ -7,7 +7,6 @@ story's steps.
 import json
 import warnings
 from collections.abc import Mapping
-from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeAlias, TypeVar
@@ -18,8 +17,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import yaml
 
-import unbend.refraction as refraction
-from unbend.atmosphere import Profile, standard_atmosphere
+from unbend.atmosphere import Profile
 from unbend.atmosphere.estimate.adjusted_profile import unadjusted
 from unbend.atmosphere.series.profile_series import ProfileSeries, TimedProfile, constant_series
 from unbend.batch.finished_run import air_of, stations_of
@@ -29,24 +27,15 @@ from unbend.config.reading import mission_of
 from unbend.errors import ConfigError
 from unbend.flight.stations import Stations
 from unbend.messages import Kind, Ledger
-from unbend.refraction.camera import DISTORTION_MODELS
 from unbend.refraction.effect import FlightAir
-from unbend.refraction.kernels.columns import BLOCK, TILE, TerrainGrid
-from unbend.refraction.kernels.jit import Kernel
-from unbend.refraction.kernels.moments import WORTH_A_TABLE
-from unbend.refraction.kernels.terrain import extremes_of_tile
-from unbend.refraction.target_heights import terrain_heights
-from unbend.refraction.window import refract_at_window
 from unbend.stages.correction import correct_parts
 from unbend.stages.correction_setup import CorrectionSetup
 from unbend.stages.opened_inputs import OpenedInputs
-from unbend.stages.outputs import observation_metadata
+from unbend.stages.results import observation_metadata
 from unbend.stages.statistics import Statistics
 from unbend.stages.story import correct_mission, prepare_mission
 from unbend.tables.imports.user_tables import orientation_of_frame
 from unbend.tables.observations import observations_of_table
-from unbend.tables.text_columns import fnv_1a
-from unbend.units import Array, Integers
 
 Table = TypeVar("Table", pd.DataFrame, pa.Table)
 Air: TypeAlias = Profile | TimedProfile | ProfileSeries | pa.Table | str | Mapping[str, Any]
@@ -131,7 +120,7 @@ def correct(
             parts.append(part.table)
         return total
 
-    manifest = correct_mission(prepared, correct_all).manifest
+    manifest = correct_mission(prepared, correct_all).results.row()
     facts = {name: manifest[name] for name in ("uncertainty", "cabin_air", "ledger")}
     for entry in facts["ledger"]:
         if entry["kind"] in (Kind.LOSS, Kind.FINDING):
@@ -246,58 +235,26 @@ def air_of_stations(profile: Air, placed: pa.Table, stations: Stations) -> Fligh
     return FlightAir(adjustment, ProfileSeries(series.timed_profiles, number))
 
 
-class _FlatGround:
-    """A terrain of one tile at height zero, all in memory."""
+def correct_one_image() -> None:
+    """Correct one image of few points, which compiles what missions call.
 
-    lock = nullcontext()
-
-    def __init__(self) -> None:
-        node, block = np.zeros((1, 1), np.float32), np.zeros((1, TILE // BLOCK, TILE // BLOCK))
-        tiles, blocks = np.zeros((1, TILE + 1, TILE + 1), np.float32), block.astype(np.float32)
-        slot = np.zeros((1, 1), np.int32)
-        self.grid = TerrainGrid(node, node + 0.0, slot, tiles, blocks, blocks + 0.0, 0)
-        extremes_of_tile(tiles[0], blocks[0], self.grid.block_high[0])
-
-    def nodes(self, lat_rad: Array, lon_rad: Array) -> tuple[Array, Array]:
-        """Cells of 100 m."""
-        return TILE / 2 - lat_rad * 63_700.0, TILE / 2 + lon_rad * 63_700.0
-
-    def load(self, tiles: Integers) -> None:
-        """All is there."""
-
-
-def compile_kernels() -> None:
-    """Compile all that runs may need into the cache: half a minute of one CPU, 3 MB."""
-    n = WORTH_A_TABLE + 1
-    air, row, one = standard_atmosphere("us1976"), np.zeros(n, np.int64), np.ones(1)
-    outside, table = np.full(1, 2e-4), refraction.ray_table(air)
-    down = refraction.Exposures(
-        one > 0.0, np.diag([1.0, -1.0, -1.0])[None], 0.0 * one, 3000.0 * one, outside,
-        outside + 7e-5,
-    )  # fmt: skip
-    sigmas = refraction.StationSigmas(1e-3 * one, 1e-3 * one, np.array([[0.0, 0.0, 1.0]]), one)
-    x, h_g = np.linspace(400.0, 600.0, n), np.linspace(0.0, 100.0, n)
-    Kernel.always_compiled = True
-    try:
-        for model in DISTORTION_MODELS.values():
-            lens = model.Parameters()
-            camera = refraction.Camera(1000, 1000, 1000.0, 1000.0, 500.0, 500.0, lens)
-            uncertainty = refraction.uncertainty_of(
-                air, None, down, sigmas, [(camera, one > 0.0)], ground_heights_m=(0.0, 100.0)
-            )
-            refraction.correct_observations(
-                x, x, h_g, row, down, camera=camera, table=table, uncertainty=uncertainty,
-                sigma_h_g=0.0 * h_g,
-            )  # fmt: skip
-            camera.rays(x, x)
-        refraction.bend(table, 3000.0, 0.0, np.sin([0.1, 1.55, 1.7]), np.cos([0.1, 1.55, 1.7]))
-        refraction.height_at_distance(table, 3000.0, 0.6, 0.8, 3000.0)
-        refract_at_window(np.array([[0.0, 0.0, 1.0]]), 2e-4, 3e-4)
-        terrain_heights(
-            x, x, row, down, (0.0 * one, 0.0 * one), camera=camera, table=table,
-            terrain=_FlatGround(),
-        )  # fmt: skip
-        of_file = np.frombuffer(b"\0", np.uint8), np.frombuffer(bytes(8), np.int32)
-        fnv_1a(*of_file, np.zeros(1, np.uint64))
-    finally:
-        Kernel.always_compiled = False
+    A camera with a Brown-Conrady lens over ground at one height; other models of lenses, and
+    elevation models, are compiled by the first mission that has one.
+    """
+    rows = 100
+    x = np.linspace(1.0, 999.0, rows)
+    name = np.full(rows, "image")
+    observations = pd.DataFrame({"image": name, "point": name, "x_px": x, "y_px": x, "h_g_m": 0.0})
+    place = {"latitude": 47.0, "longitude": 8.0, "h_msl_m": 3000.0}
+    attitude = {"omega": 0.0, "phi": 0.0, "kappa": 0.0}
+    stations = pd.DataFrame([{"image": "image"} | place | attitude])
+    camera = {
+        "width_px": 1000,
+        "height_px": 1000,
+        "f_px": 1000.0,
+        "cx_px": 500.0,
+        "cy_px": 500.0,
+        "calibration": "laboratory",
+        "window": {"cabin": "standard_schedule"},
+    }
+    correct(observations, stations, "us1976", {"main": camera})

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from scipy.integrate import cumulative_simpson
+from scipy.integrate import cumulative_simpson, trapezoid
 from scipy.signal import lfilter
 
 from unbend.atmosphere.air_samples import AirSamples, SensorSamples
@@ -120,7 +120,7 @@ class Truth:
     def r_plane(self, refractivity: np.ndarray, climb: float) -> float:
         """R / tan(zeta) in the plane: the integral of (N - N_c) dh over h_c - h_g (Gyer Eq. 24)."""
         n = refractivity[: round(climb) + 1]
-        return float(np.trapezoid(n - n[-1]) / climb)
+        return float(trapezoid(n - n[-1]) / climb)
 
     def error(self, profile, climb: float) -> float:
         """Relative error of R that a profile leaves, from the ground to the top of the climb."""

@@ -15,6 +15,7 @@ import pytest
 import yaml
 
 from tests.ingest.ulog.test_log import flight
+from tests.logs import at_hand
 from unbend.batch import mission_proposal
 from unbend.batch.mission_proposal import FoundLog, propose_mission, proposed_cameras
 from unbend.flight.channels import Channel, Source
@@ -303,9 +304,8 @@ def test_a_series_of_names_has_the_pattern_that_gives_them_again():
         assert sorted(series.pattern("n").format(n=k) for k in series.numbers) == sorted(own)
 
 
-@pytest.mark.skipif(not SHARED.is_dir(), reason="needs the real logs in ../shared/logs")
 @pytest.mark.parametrize(
-    "name", ["beastayyg_sample.bin", "ardusub_small.BIN", "cubs2_cub_stabilize.mcap"]
+    "name", at_hand("beastayyg_sample.bin", "ardusub_small.BIN", "cubs2_cub_stabilize.mcap")
 )
 def test_real_logs_without_a_camera_ask_for_what_is_open(name, unbend, tmp_path):
     out = tmp_path / "mission.yaml"
@@ -315,7 +315,7 @@ def test_real_logs_without_a_camera_ask_for_what_is_open(name, unbend, tmp_path)
     assert "events.csv.path" in todo
 
 
-@pytest.mark.skipif(not SHARED.is_dir(), reason="needs the real logs in ../shared/logs")
+@pytest.mark.shared("logs")
 def test_a_flight_of_two_cameras_runs_once_the_questions_are_answered(unbend, tmp_path):
     """Of the second, 128 triggers are 128 images; of the first, pulses were lost."""
     truth = pd.read_csv(SHARED / "sitl_belowsea_2cam_truth.csv")

@@ -16,13 +16,14 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from tests.draws import SEED
 from unbend.atmosphere import standard_atmosphere
 from unbend.batch import store
-from unbend.batch.file_hashes import check_unchanged
+from unbend.batch.input_files import check_unchanged
 from unbend.batch.plan import make_plan
+from unbend.batch.receipts import packed, unpacked
 from unbend.batch.run_files import PartsOfRun, correct_into
 from unbend.batch.store import find_damage, open_folder, read_manifest
-from unbend.batch.value_cache import packed, unpacked
 from unbend.config import load_mission
 from unbend.errors import InputError, StorageError
 from unbend.messages import Ledger
@@ -34,7 +35,6 @@ from unbend.stages.correction_setup import CorrectionSetup
 from unbend.stages.ground_heights import GivenGround
 from unbend.tables.observations import open_observations
 
-SEED = random.randrange(1 << 30)
 ROWS, BATCH_ROWS, PARTS = 950, 100, 10
 MOST_THREADS = 4
 COLUMNS = {"image": "image", "point": "point", "x_px": "x_px", "y_px": "y_px"}
@@ -133,7 +133,6 @@ def some_steps(steps: int) -> list[int]:
     """Steps at which something goes wrong: six, drawn, or with UNBEND_KILLS=all every one."""
     if os.environ.get("UNBEND_KILLS") == "all":
         return list(range(1, steps + 1))
-    print(f"seed {SEED}")
     return sorted(random.Random(SEED).sample(range(1, steps + 1), 6))
 
 
@@ -270,7 +269,7 @@ def test_no_receipt_is_written_for_inputs_that_changed(mission, tmp_path):
     content = observed.read_bytes()
     check_unchanged(plan.inputs)
     observed.write_bytes(content[:-1] + bytes([content[-1] ^ 1]))
-    os.utime(observed, ns=(plan.input("observations").stamp[0][3],) * 2)
+    os.utime(observed, ns=(plan.input("observations").states[0].mtime_ns,) * 2)
     with pytest.raises(InputError, match="INPUT-CHANGED"):
         check_unchanged(plan.inputs, folders=False)
 

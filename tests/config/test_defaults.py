@@ -7,18 +7,16 @@ import typing
 import pytest
 
 from unbend.config.atmosphere import AtmosphereSection, SoundingSection, SurfaceSection
-from unbend.config.cameras import CameraSection, MountSection, WindowSection
+from unbend.config.cameras import CameraSection
 from unbend.config.event_sources import CsvEvents, LogEvents
-from unbend.config.schema import mission_keys
-from unbend.config.sections import (
-    GroundSection,
-    LogSection,
-    NamedChannel,
-    ObservationsSection,
-    OutputSection,
-    RefractionSection,
-)
-from unbend.ingest.fields import STATED_UNITS
+from unbend.config.ground import GroundSection
+from unbend.config.keys import mission_keys
+from unbend.config.logs import LogSection, NamedChannel
+from unbend.config.mission import OutputSection, RefractionSection
+from unbend.config.mounts import MountSection
+from unbend.config.observations import ObservationsSection
+from unbend.config.windows import WindowSection
+from unbend.ingest.field_maps import STATED_UNITS
 from unbend.ingest.registry import SUFFIXES
 
 CAMERA = {

@@ -11,8 +11,8 @@ import pytest
 import yaml
 from pydantic import ValidationError
 
-from unbend.config import Mission, cameras, load_mission
-from unbend.config.reading import sentences_of
+from unbend.config import Mission, load_mission
+from unbend.config.mistakes import sentences_of
 from unbend.errors import ConfigError
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -170,7 +170,26 @@ def test_text_that_is_no_yaml_is_refused_in_plain_words(text, says, tmp_path):
     assert says in caught.value.what
 
 
-def test_no_text_is_idle_or_missing():
-    sources = [path.read_text("utf-8") for path in Path(cameras.__file__).parent.glob("*.py")]
-    used = {key for text in sources for key in re.findall(r'"([a-z]+(?:-[a-z]+)+)"', text)}
-    assert used == set(cameras.mistakes()) - {"yaml"}
+@pytest.mark.parametrize("section", ["observations", "stations.orientation"])
+def test_a_list_of_formats_is_refused(section, tmp_path):
+    tree = copy.deepcopy(BASE)
+    values = tree
+    for key in section.split("."):
+        values = values.setdefault(key, {})
+    values["format"] = ["colmap"]
+    error = refusal(tree, tmp_path / "mission.yaml")
+    assert error is not None
+    assert f"{section}.format: a list of 1 stands there" in error.what
+
+
+@pytest.mark.parametrize(
+    ("window", "key"), [({"normal": [1.0, 0.0, 0.0]}, "normal"), ({"cabin": None}, "cabin")]
+)
+def test_what_a_window_refuses_is_said_of_its_key(window, key, tmp_path):
+    tree = copy.deepcopy(BASE)
+    tree["cameras"]["nadir"]["window"] = {"cabin": "standard_schedule"} | window
+    text = yaml.safe_dump(tree, sort_keys=False)
+    error = refusal(tree, tmp_path / "mission.yaml")
+    assert error is not None
+    line = 1 + next(i for i, t in enumerate(text.splitlines()) if t.startswith(f"      {key}:"))
+    assert error.what.startswith(f"line {line}: cameras.nadir.window.{key}: ")

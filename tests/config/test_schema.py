@@ -10,8 +10,9 @@ import pytest
 import yaml
 
 from unbend.config import load_mission
-from unbend.config.reading import _Loader
-from unbend.config.schema import all_sections, mission_keys, mission_schema, nodes_at
+from unbend.config.keys import mission_keys
+from unbend.config.schema import all_sections, mission_schema, nodes_at
+from unbend.config.yaml_text import MissionLoader
 from unbend.errors import ConfigError
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -72,7 +73,8 @@ def test_missions_of_configs_and_of_the_documents_are_valid(text, validator, tmp
     (tmp_path / "mission.yaml").write_text(text, encoding="utf-8")
     load_mission(tmp_path / "mission.yaml")
     errors = [
-        f"{list(e.path)}: {e.message}" for e in validator.iter_errors(yaml.load(text, _Loader))
+        f"{list(e.path)}: {e.message}"
+        for e in validator.iter_errors(yaml.load(text, MissionLoader))
     ]
     assert not errors
 

@@ -15,9 +15,7 @@ from unbend.batch.plan import Outcome
 REPOSITORY = Path(__file__).resolve().parents[2]
 SHARED = REPOSITORY.parent / "shared"
 
-needs_shared = pytest.mark.skipif(
-    not (SHARED / "logs").is_dir(), reason="../shared/logs is not beside this checkout"
-)
+needs_shared = pytest.mark.shared("logs")
 
 
 def run_mission(path: Path) -> Outcome:

@@ -94,7 +94,9 @@ def correct_with(
             camera=section.interior_orientation,
             table=table,
         )
-        error[mine] = np.hypot(found.x_px - part["x_true_px"], found.y_px - part["y_true_px"])
+        error[mine] = np.hypot(
+            found.x_corrected_px - part["x_true_px"], found.y_corrected_px - part["y_true_px"]
+        )
     shift = np.hypot(
         observations["x_px"] - observations["x_true_px"],
         observations["y_px"] - observations["y_true_px"],

@@ -21,8 +21,7 @@ from unbend.refraction import (
 )
 from unbend.refraction import status_codes as status
 from unbend.refraction.image import ground_displacement, outgoing_rays, straight_reach
-from unbend.refraction.kernels.columns import RADIUS as RADIUS_ROW
-from unbend.refraction.kernels.columns import ObservationColumns
+from unbend.refraction.kernels.columns import SPHERE_RADIUS, ObservationColumns
 from unbend.refraction.status_codes import (
     BAD_MEASUREMENT,
     BEYOND_GRAZING,
@@ -349,7 +348,7 @@ def test_the_radius_is_eulers_in_the_azimuth_of_the_ray(azimuth):
     observed = ObservationColumns(*centre, h_g, h_g, row)
     rays, _, status = outgoing_rays(observed, PINHOLE.constants, free.columns)
     assert status.tolist() == [OK]
-    assert rays[RADIUS_ROW, 0] == pytest.approx(expected, rel=1e-7)
+    assert rays[SPHERE_RADIUS, 0] == pytest.approx(expected, rel=1e-7)
 
 
 def test_a_tilted_window_bends_about_its_own_normal():
@@ -483,7 +482,7 @@ def test_a_given_radius_is_that_of_every_ray():
     centre, row = np.array([PINHOLE.cx_px, 100.0]), np.zeros(2, np.int64)
     observed = ObservationColumns(centre, centre, np.zeros(2), np.zeros(2), row)
     rays, _, _ = outgoing_rays(observed, PINHOLE.constants, fixed.columns)
-    np.testing.assert_allclose(rays[RADIUS_ROW], 6_500_000.0, rtol=1e-14)
+    np.testing.assert_allclose(rays[SPHERE_RADIUS], 6_500_000.0, rtol=1e-14)
 
 
 def test_a_camera_outside_the_profile_has_that_status():

@@ -20,7 +20,7 @@ from unbend.atmosphere.series.profile_series import TimedProfile
 from unbend.atmosphere.series.time_windows import TimeWindow
 from unbend.batch.runs import read_mission
 from unbend.config.atmosphere import SensorsSection
-from unbend.config.schema import mission_keys
+from unbend.config.keys import mission_keys
 from unbend.simulate.mission import FIELD_LAT_RAD
 from unbend.simulate.true_air import (
     saturation_pressure_pa,

@@ -370,14 +370,13 @@ def test_a_point_twice_in_an_image_is_a_loss(block, by_log, points):
     assert f"first {first} in nadir_00001" in entries["OBS-REPEATED-POINT"]["what"]
 
 
+@pytest.mark.shared("ba")
 @pytest.mark.parametrize("program", ["dbat", "metashape"])
 def test_a_real_block_as_a_mission_without_a_log(tmp_path, program):
     """Five images over Strasbourg: DBAT's script and the archive of PhotoScan."""
     from unbend.batch.runs import run_mission
 
     folder = SHARED / "dbat_sxb"
-    if not folder.is_dir():
-        pytest.skip("no blocks beside the checkout")
     mission = {
         "mission": {"name": "sxb"},
         "observations": {"path": str(folder / {"dbat": "sxb.xml", "metashape": "sxb.psz"}[program]),

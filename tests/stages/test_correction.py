@@ -7,7 +7,7 @@ import threading
 
 import pytest
 
-from unbend.refraction.kernels import threads as _threads
+from unbend.refraction.kernels import threads as kernel_threads
 from unbend.stages import correction as correct
 
 
@@ -85,15 +85,23 @@ def test_a_batch_that_fails_stops_the_others():
 def test_cpus_are_those_this_process_may_use(monkeypatch):
     monkeypatch.setattr(os, "cpu_count", lambda: 256)
     if hasattr(os, "sched_getaffinity"):
-        assert _threads.usable_cpus() == len(os.sched_getaffinity(0))
+        assert kernel_threads.usable_cpus() == len(os.sched_getaffinity(0))
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {5, 7}, raising=False)
-    assert _threads.usable_cpus() == 2
-    _threads._pool.cache_clear()
+    assert kernel_threads.usable_cpus() == 2
+    used = set()
+    together = threading.Barrier(2, timeout=60.0)
+
+    def block(_: slice) -> None:
+        together.wait()  # none ends before the other has begun
+        used.add(threading.get_ident())
+
+    kernel_threads._pool.cache_clear()
     try:
-        assert _threads._pool()._max_workers == 2
+        kernel_threads.in_blocks(block, 6 * kernel_threads.BLOCK_ROWS)
+        assert len(used) == 2
     finally:
-        _threads._pool().shutdown()
-        _threads._pool.cache_clear()
+        kernel_threads._pool().shutdown()
+        kernel_threads._pool.cache_clear()
     # Where the system has no affinity: all there are.
     monkeypatch.delattr(os, "sched_getaffinity", raising=False)
-    assert _threads.usable_cpus() == 256
+    assert kernel_threads.usable_cpus() == 256

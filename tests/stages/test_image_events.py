@@ -19,9 +19,7 @@ from unbend.stages.story import PreparedMission
 
 from .flown_images import CAMERA, SHARED, tie_points, truth_of
 
-needs_shared = pytest.mark.skipif(
-    not (SHARED / "logs").is_dir(), reason="../shared/logs is not beside this checkout"
-)
+needs_shared = pytest.mark.shared("logs")
 CHANNEL = {"BIN": "CAM[{}]", "tlog": "CAMERA_FEEDBACK[{}]"}
 
 
@@ -327,8 +325,7 @@ def boot_time(log: str) -> float:
                 week_s = 315_964_800 + row.GWk * 604_800 - 18
                 return week_s + row.GMS / 1e3 - row.TimeUS / 1e6
     finally:
-        file.data_map.close()
-        file.filehandle.close()
+        file.close()
     raise AssertionError("no GPS time")
 
 

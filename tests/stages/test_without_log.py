@@ -11,7 +11,6 @@ import numpy as np
 import pyarrow as pa
 import pyproj
 import pytest
-from unbend.batch import opening
 from scipy.spatial.transform import Rotation
 
 from tests.stages.test_imports import (
@@ -25,6 +24,7 @@ from tests.stages.test_imports import (
     files,
     truth,
 )
+from unbend.batch import opening
 from unbend.batch.runs import read_mission
 from unbend.errors import ConfigError, InputError, MissionError
 from unbend.flight.channels import Channel, Source

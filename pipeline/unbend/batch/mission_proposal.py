@@ -16,7 +16,7 @@ import numpy as np
 import pyarrow.parquet as pq
 from jinja2 import Environment, StrictUndefined
 
-from unbend.config.reading import TODO
+from unbend.config.yaml_text import TODO
 from unbend.errors import InputError, MissionError
 from unbend.flight.channels import ROLE_COLUMNS, Channel
 from unbend.flight.evidence.quality import plausible_samples
@@ -26,7 +26,7 @@ from unbend.flight.image_names import NameSeries, name_series
 from unbend.flight.mount import is_of_gimbal
 from unbend.flight.roles import assign_roles
 from unbend.ingest import open_log
-from unbend.ingest.log import utc_text
+from unbend.ingest.flight_log import utc_text
 from unbend.ingest.overview import flight_of
 from unbend.messages import Ledger
 from unbend.tables.delimited import csv_names

@@ -2,7 +2,7 @@
 
 import math
 from datetime import UTC, datetime
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal, NamedTuple, Self
 
 from pydantic import Field, field_validator, model_validator
 
@@ -10,7 +10,7 @@ from unbend.atmosphere import standard_names
 from unbend.atmosphere.estimate.sensors import SensorCalibration
 from unbend.atmosphere.estimate.state import SensorFault
 from unbend.atmosphere.standard import known_names
-from unbend.config.cameras import PathText, Section, mistake, one_of
+from unbend.config.section import PathText, Section, SectionError, one_of
 from unbend.units import HECTOPASCAL, NANOSECONDS_PER_SECOND, ZERO_CELSIUS_K
 
 
@@ -129,11 +129,12 @@ class SurfaceSection(Section):
     @field_validator("time_utc")
     @classmethod
     def _check_time(cls, value: str | None) -> str | None:
-        if value is not None:
-            try:
-                datetime.fromisoformat(value)
-            except ValueError:
-                raise ValueError("is no time like 2026-05-14T10:20:00Z") from None
+        if value is None:
+            return None
+        try:
+            datetime.fromisoformat(value)
+        except ValueError:
+            raise SectionError("is no time like 2026-05-14T10:20:00Z") from None
         return value
 
     @model_validator(mode="after")
@@ -141,9 +142,11 @@ class SurfaceSection(Section):
         numbers = (self.temperature_c, self.pressure_hpa, self.relative_humidity, self.time_utc)
         given = [value for value in numbers if value is not None]
         if (self.metar is None) != bool(given):
-            raise mistake("metar-or-numbers")
+            raise SectionError(
+                "give either metar, or temperature_c, pressure_hpa, relative_humidity and time_utc"
+            )
         if self.relative_humidity is not None and self.temperature_c is None:
-            raise ValueError("relative_humidity needs temperature_c")
+            raise SectionError("relative_humidity needs temperature_c")
         return self
 
     @property
@@ -167,7 +170,8 @@ class SurfaceSection(Section):
         if self.time_utc is None:
             return None
         time = datetime.fromisoformat(self.time_utc)
-        time = time.replace(tzinfo=UTC) if time.tzinfo is None else time
+        if time.tzinfo is None:
+            time = time.replace(tzinfo=UTC)
         return round(time.timestamp()) * NANOSECONDS_PER_SECOND
 
 
@@ -322,18 +326,25 @@ class GnssSection(Section):
     )
 
 
-_CALIBRATED = {
-    SensorFault.THERMOMETER_BIAS: ("thermometer", "bias_k"),
-    SensorFault.THERMOMETER_LAG: ("thermometer", "lag_s"),
-    SensorFault.TAKEOFF_TRANSIENT: ("thermometer", "transient_k"),
-    SensorFault.RECOVERY_FACTOR: ("thermometer", "recovery"),
-    SensorFault.THERMOMETER_DRIFT: ("thermometer", "drift_k"),
-    SensorFault.PRESSURE_OFFSET: ("barometer", "offset_hpa"),
-    SensorFault.PRESSURE_SCALE: ("barometer", "scale"),
-    SensorFault.HYGROMETER_BIAS: ("hygrometer", "bias"),
-    SensorFault.GNSS_HEIGHT_OFFSET: ("gnss", "height_m"),
+class CalibrationKey(NamedTuple):
+    """Where the mission file states a fault of a sensor."""
+
+    sensor: str
+    key: str  # of its value; ``sigma_`` and this, of its standard deviation
+    unit: float = 1.0  # that of the key in SI
+
+
+CALIBRATION_KEYS = {
+    SensorFault.THERMOMETER_BIAS: CalibrationKey("thermometer", "bias_k"),
+    SensorFault.THERMOMETER_LAG: CalibrationKey("thermometer", "lag_s"),
+    SensorFault.TAKEOFF_TRANSIENT: CalibrationKey("thermometer", "transient_k"),
+    SensorFault.RECOVERY_FACTOR: CalibrationKey("thermometer", "recovery"),
+    SensorFault.THERMOMETER_DRIFT: CalibrationKey("thermometer", "drift_k"),
+    SensorFault.PRESSURE_OFFSET: CalibrationKey("barometer", "offset_hpa", HECTOPASCAL),
+    SensorFault.PRESSURE_SCALE: CalibrationKey("barometer", "scale"),
+    SensorFault.HYGROMETER_BIAS: CalibrationKey("hygrometer", "bias"),
+    SensorFault.GNSS_HEIGHT_OFFSET: CalibrationKey("gnss", "height_m"),
 }
-"""Section and key of a fault's value, and of its sigma behind ``sigma_``."""
 
 
 class SensorsSection(Section):
@@ -360,14 +371,18 @@ class SensorsSection(Section):
     def calibration(self) -> dict[SensorFault, SensorCalibration]:
         """By sensor fault, in SI."""
         stated = {}
-        for fault, (sensor, key) in _CALIBRATED.items():
+        for fault, (sensor, key, unit) in CALIBRATION_KEYS.items():
             section = getattr(self, sensor)
-            unit = HECTOPASCAL if key.endswith("_hpa") else 1.0
-            values = getattr(section, key, None), getattr(section, f"sigma_{key}")
-            mean, sigma = (None if value is None else unit * value for value in values)
-            if mean is not None or sigma is not None:
-                path = f"atmosphere.sensors.{sensor}.{key if mean is not None else f'sigma_{key}'}"
-                stated[fault] = SensorCalibration(mean, sigma, path=path)
+            mean = getattr(section, key, None)
+            sigma = getattr(section, f"sigma_{key}")
+            if mean is None and sigma is None:
+                continue
+            key_of_path = key if mean is not None else f"sigma_{key}"
+            stated[fault] = SensorCalibration(
+                None if mean is None else unit * mean,
+                None if sigma is None else unit * sigma,
+                path=f"atmosphere.sensors.{sensor}.{key_of_path}",
+            )
         return stated
 
 

@@ -7,7 +7,6 @@ import json
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,9 +14,13 @@ from typing import Any
 import yaml
 from pydantic import BaseModel, ValidationError
 
-from unbend.config.reading import Place, merged, mission_of, open_questions, read_yaml, refusal_of
+from unbend.config import messages
+from unbend.config.campaign_file import CampaignFile
+from unbend.config.defaults import merged
+from unbend.config.mission import Mission
+from unbend.config.reading import mission_of, refusal_of
 from unbend.config.schema import PATH, alternatives, nodes_at
-from unbend.config.sections import CampaignFile, Mission
+from unbend.config.yaml_text import Place, open_questions, read_yaml
 from unbend.errors import ConfigError
 
 _NO_LINES = yaml.MappingNode("", [], yaml.Mark("", 0, 0, 0, None, 0))
@@ -49,18 +52,23 @@ class MissionRef:
         return self.path.parent
 
     @property
+    def _own_name(self) -> str:
+        """The name of a mission that stands in the campaign file itself."""
+        return str(json.loads(self.own)["mission"]["name"]) if self.own else ""
+
+    @property
     def label(self) -> str:
         """What messages call it: its file, and its name where that is a campaign's."""
-        own = json.loads(self.own) if self.own else {}
-        return f"{self.path}: {own['mission']['name']}" if own else str(self.path)
+        return f"{self.path}: {self._own_name}" if self.own else str(self.path)
 
     @property
     def words(self) -> tuple[str, ...]:
         """What follows `unbend run` to run this mission alone."""
-        name = json.loads(self.own)["mission"]["name"] if self.own else str(self.path)
+        name = self._own_name or str(self.path)
         return (self.campaign, "--mission", name) if self.campaign else (name,)
 
     def load(self) -> Mission:
+        """Read and check it; refuses as `load_mission`."""
         defaults = json.loads(self.defaults) if self.defaults else None
         if self.own:
             return mission_of(json.loads(self.own), _NO_LINES, self.label, defaults)
@@ -84,18 +92,29 @@ def open_configs(paths: Iterable[Path]) -> tuple[list[MissionRef], list[Campaign
     Refuses as `campaign_of`; what cannot be read is a mission, which is refused at its turn.
     """
     missions: list[MissionRef] = []
-    campaigns = []
-    for path in {os.path.join(os.path.realpath(p.parent), p.name): p for p in paths}.values():
-        values: dict[str, Any] = {}
-        with suppress(OSError, UnicodeDecodeError, ConfigError):
-            if _IS_CAMPAIGN.search(path.read_text(encoding="utf-8")):
-                values, node = read_yaml(path)
-        if values.keys() & {"campaign", "missions"} and "mission" not in values:
-            campaigns.append(campaign_of(path, values, node))
-            missions += campaigns[-1].missions
-        else:
+    campaigns: list[Campaign] = []
+    once = {os.path.join(os.path.realpath(path.parent), path.name): path for path in paths}
+    for path in once.values():
+        campaign = _campaign_at(path)
+        if campaign is None:
             missions.append(MissionRef(path))
+        else:
+            campaigns.append(campaign)
+            missions += campaign.missions
     return missions, campaigns
+
+
+def _campaign_at(path: Path) -> Campaign | None:
+    """The campaign of a file; None of what is something else, or cannot be read."""
+    try:
+        if not _IS_CAMPAIGN.search(path.read_text(encoding="utf-8")):
+            return None
+        values, node = read_yaml(path)
+    except (OSError, UnicodeDecodeError, ConfigError):
+        return None
+    if "mission" in values or not values.keys() & {"campaign", "missions"}:
+        return None
+    return campaign_of(path, values, node)
 
 
 def campaign_of(path: Path, values: dict[str, Any], node: yaml.Node) -> Campaign:
@@ -106,45 +125,51 @@ def campaign_of(path: Path, values: dict[str, Any], node: yaml.Node) -> Campaign
     """
     defaults = values.get("defaults", {})
     stated = values.get("missions", [])
-    items = [*_refused(CampaignFile, values), *_refused(Mission, defaults, ("defaults",))]
+    items = _refused(CampaignFile, values)
+    items += _refused_defaults(defaults)
     whole = dict(values)
     if isinstance(stated, list) and isinstance(defaults, dict):
-        whole["missions"] = [merged(defaults, m) if isinstance(m, dict) else m for m in stated]
-        output = {"path": "-"} if isinstance(values.get("campaign"), dict) else {}
-        for number, mission in enumerate(whole["missions"]):
+        missions = [merged(defaults, m) if isinstance(m, dict) else m for m in stated]
+        whole["missions"] = missions
+        has_output = isinstance(values.get("campaign"), dict)
+        for number, mission in enumerate(missions):
             if isinstance(mission, dict):
+                output = {"path": "-"} if has_output else {}
                 complete = merged({"output": output}, mission)
-                items += _refused(Mission, complete, ("missions", number), complete=True)
+                items += _refused(Mission, complete, at=("missions", number))
     if items or open_questions(values):
         raise refusal_of(items, whole, node, str(path))
     section = values["campaign"]
     if _URL.match(section["output"]):
-        raise ConfigError.of("URL-INVALID/campaign", path)
-    shared = merged({"output": {"path": os.path.join(section["output"], "{mission}")}}, defaults)
-    refs = [
-        MissionRef(file, json.dumps(_seen_from(shared, path.parent, file.parent)), own, str(path))
-        for file, own in mission_files(path, stated)
-    ]
+        raise messages.campaign_output_is_url(path=path)
+    output_of_mission = os.path.join(section["output"], "{mission}")
+    shared = merged({"output": {"path": output_of_mission}}, defaults)
+    refs = []
+    for file, own in mission_files(path, stated):
+        of_mission = _seen_from(shared, path.parent, file.parent)
+        refs.append(MissionRef(file, json.dumps(of_mission), own, str(path)))
     return Campaign(path, section["name"], path.parent / section["output"], tuple(refs))
 
 
-def _refused(
-    model: type[BaseModel], values: Any, at: Place = (), *, complete: bool = False
-) -> list[Mapping[str, Any]]:
-    """What a model refuses at a place; of defaults not what is missing or does not go together."""
+def _refused(model: type[BaseModel], values: Any, *, at: Place = ()) -> list[Mapping[str, Any]]:
+    """What a model refuses of the values at a place of the file."""
+    if not isinstance(values, dict):
+        return []
     try:
-        if isinstance(values, dict):
-            model.model_validate(values)
+        model.model_validate(values)
     except ValidationError as error:
-        items = error.errors(include_url=False, include_context=False)
-        return [
-            {**item, "loc": (*at, *item["loc"])} for item in items
-            if complete or not at or (
-                item["type"] != "missing"
-                and not (item["type"] == "value_error" and isinstance(item["input"], dict))
-            )
-        ]  # fmt: skip
+        return [{**item, "loc": (*at, *item["loc"])} for item in error.errors(include_url=False)]
     return []
+
+
+def _refused_defaults(defaults: Any) -> list[Mapping[str, Any]]:
+    """What is wrong with defaults whatever a mission adds: not what is missing or goes together."""
+    items = []
+    for item in _refused(Mission, defaults, at=("defaults",)):
+        of_section = item["type"] == "value_error" and isinstance(item["input"], dict)
+        if item["type"] != "missing" and not of_section:
+            items.append(item)
+    return items
 
 
 def mission_files(path: Path, stated: Sequence[Any]) -> Iterator[tuple[Path, str]]:
@@ -156,34 +181,51 @@ def mission_files(path: Path, stated: Sequence[Any]) -> Iterator[tuple[Path, str
         elif not glob.has_magic(entry) or (path.parent / entry).exists():
             yield path.parent / entry, ""
         else:
-            names = sorted(glob.glob(entry, root_dir=path.parent, recursive=True))
-            found = [path.parent / name for name in names]
-            files = [file for file in found if file.is_file() and not file.samefile(path)]
-            if not files:
-                raise ConfigError.of("CAMPAIGN-NO-MATCH", path, pattern=entry)
-            for file in files:
+            for file in _matching_files(path, entry):
                 real = os.path.realpath(file)
                 if real not in listed:
                     listed.add(real)
                     yield file, ""
 
 
+def _matching_files(path: Path, pattern: str) -> list[Path]:
+    """The files that a pattern of a campaign matches, without the campaign file itself."""
+    names = sorted(glob.glob(pattern, root_dir=path.parent, recursive=True))
+    matching = [path.parent / name for name in names]
+    files = [file for file in matching if file.is_file() and not file.samefile(path)]
+    if not files:
+        raise messages.campaign_no_match(path=path, pattern=pattern)
+    return files
+
+
 def _seen_from(values: Any, campaign: Path, mission: Path, place: Place = ()) -> Any:
     """Values of a campaign with relative paths in them as seen from the folder of a mission."""
     if isinstance(values, dict):
-        return {k: _seen_from(v, campaign, mission, (*place, k)) for k, v in values.items()}
+        return {
+            key: _seen_from(value, campaign, mission, (*place, key))
+            for key, value in values.items()
+        }
     if isinstance(values, list):
         return [_seen_from(v, campaign, mission, (*place, i)) for i, v in enumerate(values)]
-    if not isinstance(values, str) or _URL.match(values) or os.path.isabs(values):
+    if campaign == mission or not isinstance(values, str) or not _is_path_at(place, values):
         return values
+    if _URL.match(values) or os.path.isabs(values):
+        return values
+    target = os.path.abspath(campaign / values)
+    start = os.path.abspath(mission)
+    on_other_drive = os.path.splitdrive(target)[0] != os.path.splitdrive(start)[0]
+    is_linked = start != os.path.realpath(start)
+    if on_other_drive or is_linked:
+        return target
+    return os.path.relpath(target, start)
+
+
+def _is_path_at(place: Place, value: str) -> bool:
+    """Whether a text at a place of a mission file is a path, not one of the words it takes."""
     arms = [arm for node in nodes_at(place) for arm in alternatives(node)]
-    names = {arm.get("const") for arm in arms} | {n for arm in arms for n in arm.get("enum", ())}
-    if campaign == mission or values in names or all(arm.get("pattern") != PATH for arm in arms):
-        return values
-    target, start = os.path.abspath(campaign / values), os.path.abspath(mission)
-    apart = os.path.splitdrive(target)[0] != os.path.splitdrive(start)[0]
-    linked = start != os.path.realpath(start)
-    return target if apart or linked else os.path.relpath(target, start)
+    if any(value == arm.get("const") or value in arm.get("enum", ()) for arm in arms):
+        return False
+    return any(arm.get("pattern") == PATH for arm in arms)
 
 
 def refuse_twins(campaign: Campaign, named: Iterable[tuple[MissionRef, str, object]]) -> None:
@@ -195,14 +237,14 @@ def refuse_twins(campaign: Campaign, named: Iterable[tuple[MissionRef, str, obje
     names: dict[str, MissionRef] = {}
     folders: dict[str, tuple[MissionRef, str]] = {}
     for ref, name, output in named:
-        other = names.setdefault(os.path.normcase(name), ref)
-        if other is not ref:
-            raise ConfigError.of(
-                "CAMPAIGN-SAME-NAME", campaign.path, name=name, first=other.path, second=ref.path
+        namesake = names.setdefault(os.path.normcase(name), ref)
+        if namesake is not ref:
+            raise messages.campaign_same_name(
+                path=campaign.path, name=name, first=namesake.path, second=ref.path
             )
         folder = os.path.normcase(os.path.realpath(str(output)))
-        first, of_first = folders.setdefault(folder, (ref, name))
+        first, name_of_first = folders.setdefault(folder, (ref, name))
         if first is not ref:
-            raise ConfigError.of(
-                "CAMPAIGN-SAME-OUTPUT", campaign.path, first=of_first, second=name, output=output
+            raise messages.campaign_same_output(
+                path=campaign.path, first=name_of_first, second=name, output=str(output)
             )

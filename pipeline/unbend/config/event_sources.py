@@ -7,8 +7,8 @@ from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from unbend.config.cameras import PathText, Section, one_of, refuse
-from unbend.config.station_sources import ClockColumns, ImportTime
+from unbend.config.section import PathText, Section, SectionError, one_of
+from unbend.config.table_columns import ClockColumns, ImportTime
 from unbend.tables.imports import CAMERA_EVENTS, format_of
 
 _NUMBER_FORMAT = re.compile(r"^0?[0-9]{0,2}d?$")
@@ -19,13 +19,17 @@ def image_pattern(value: str) -> str:
     try:
         pieces = list(string.Formatter().parse(value))
     except ValueError as error:
-        raise ValueError(f"is not a pattern with {{index}} or {{n}} ({error})") from None
-    fields = [piece[1:] for piece in pieces if piece[1] is not None]
-    for name, code, conversion in fields:
-        if name not in ("index", "n") or conversion or not _NUMBER_FORMAT.match(code or ""):
-            raise ValueError("is not a pattern with {index} or {n}, as in IMG_{index:05d}.tif")
-    if not fields and "*" not in value:
-        raise ValueError("gives every exposure the same name; put {index}, {n} or * into it")
+        raise SectionError(f"is not a pattern with {{index}} or {{n}} ({error})") from None
+    has_fields = False
+    for _, name, code, conversion in pieces:
+        if name is None:
+            continue
+        has_fields = True
+        is_number = _NUMBER_FORMAT.match(code or "")
+        if name not in ("index", "n") or conversion or not is_number:
+            raise SectionError("is not a pattern with {index} or {n}, as in IMG_{index:05d}.tif")
+    if not has_fields and "*" not in value:
+        raise SectionError("gives every exposure the same name; put {index}, {n} or * into it")
     return value
 
 
@@ -69,7 +73,7 @@ class CsvEventColumns(ClockColumns):
     @model_validator(mode="after")
     def _check_time(self) -> Self:
         if self.time_utc is None and self.gps_week is None:
-            raise ValueError("give time_utc, or both gps_week and gps_seconds")
+            raise SectionError("give time_utc, or both gps_week and gps_seconds")
         return self
 
 
@@ -173,7 +177,7 @@ class PositionEvents(Section):
     @model_validator(mode="after")
     def _check_delay(self) -> Self:
         if self.delay_s and not self.times_only:
-            raise ValueError("its positions are of its times: delay_s needs times_only: true")
+            raise SectionError("its positions are of its times: delay_s needs times_only: true")
         return self
 
 
@@ -247,19 +251,32 @@ class EventsSection(Section):
 
     @model_validator(mode="after")
     def _check_source(self) -> Self:
-        given = [n for n in ("log", "csv", "positions") if getattr(self, n) is not None]
-        refuse(
-            (len(given) != 1, "give either log, csv or positions"),
-            (given and not getattr(self, given[0]), f"{''.join(given)} needs at least one camera"),
-            (self.csv is not None and (self.images or self.first_image), "images-of-csv"),
-        )
-        for camera in sorted(set(self.first_image) - set(self.patterns)):
-            raise ValueError(f"first_image names camera {camera!r}, which has no pulses")
+        given = [key for key in ("log", "csv", "positions") if getattr(self, key) is not None]
+        if len(given) != 1:
+            raise SectionError("give either log, csv or positions")
+        if not getattr(self, given[0]):
+            raise SectionError(f"{given[0]} needs at least one camera")
+        if self.csv is not None and (self.images or self.first_image):
+            raise SectionError(
+                "images and first_image say which pulse an image belongs to; a csv gives each "
+                "image a time of its own"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _check_patterns(self) -> Self:
+        for camera in sorted(self.first_image.keys() - self.patterns.keys()):
+            raise SectionError(f"first_image names camera {camera!r}, which has no pulses")
         for camera, pattern in self.patterns.items():
-            numbered = camera in self.first_image and re.search("{index|{name", pattern)
-            every = pattern == "*" and len(self.patterns) > 1
-            rules = (numbered, "first-of-numbered"), (every, "pattern-of-all")
-            refuse(*rules, pattern=pattern, camera=camera)
+            if camera in self.first_image and re.search("{index|{name", pattern):
+                raise SectionError(
+                    f"the image {pattern} of {camera} has the number or name of its event: leave "
+                    "first_image out, or count the images by {n} or name them by *"
+                )
+            if pattern == "*" and len(self.patterns) > 1:
+                raise SectionError(
+                    f"the image of {camera} must state which images are this camera's, as in left/*"
+                )
         return self
 
     @property

@@ -12,8 +12,8 @@ from unbend.flight.clock import new_readings, rows_in_time_order
 from unbend.ingest.attitude import quaternion_of_euler, replace_in_blocks, unit_quaternions
 from unbend.ingest.boot_clock import LOWEST_FIX
 from unbend.ingest.buffers import ColumnStore, allocate, copy_rows
-from unbend.ingest.fields import MessageMap
-from unbend.ingest.log import utc_text
+from unbend.ingest.field_maps import MessageMap
+from unbend.ingest.flight_log import utc_text
 from unbend.messages import Entry, Kind, Ledger
 from unbend.units import Array, Mask, Rows
 

@@ -13,7 +13,8 @@ import numpy as np
 from unbend.flight.channels import Channel, TimeArray
 from unbend.flight.trajectory import interpolate
 from unbend.geodesy import principal_radii, wrapped
-from unbend.ingest.log import Contents, Table
+from unbend.ingest.flight_log import Contents
+from unbend.ingest.message_tables import Table
 from unbend.messages import Ledger
 from unbend.units import Array
 

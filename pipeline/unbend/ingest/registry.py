@@ -6,13 +6,13 @@ from pathlib import Path
 from unbend.errors import LogError
 from unbend.flight.evidence.quality import mask_impossible_values
 from unbend.ingest.buffers import release_pages
-from unbend.ingest.dataflash.log import DATAFLASH
-from unbend.ingest.dataflash.text import DATAFLASH_TEXT
-from unbend.ingest.log import Contents, Log, LogFormat, hash_file
-from unbend.ingest.mcap.log import MCAP
+from unbend.ingest.dataflash.binary_log import DATAFLASH
+from unbend.ingest.dataflash.text_log import DATAFLASH_TEXT
+from unbend.ingest.flight_log import Contents, Log, LogFormat, hash_file
+from unbend.ingest.mcap.mcap_log import MCAP
 from unbend.ingest.receiver_delay import with_receiver_delay
-from unbend.ingest.tlog.log import TLOG
-from unbend.ingest.ulog.log import ULOG
+from unbend.ingest.tlog.telemetry_log import TLOG
+from unbend.ingest.ulog.px4_log import ULOG
 from unbend.messages import Ledger
 
 # the surest mark first

@@ -44,12 +44,20 @@ def one_angle(
     air = standard_atmosphere(atmosphere, index=index)
     zeta = nadir_angle * DEGREE
     r_c, status = ray.angle_and_status(
-        air, camera_height, ground_height, zeta, radius, method=method,
+        air,
+        camera_height,
+        ground_height,
+        zeta,
+        radius,
+        method=method,
         distance=math.nan if distance is None else distance,
-    )  # fmt: skip
-    angle, code = float(r_c), int(status)
-    far = code == FAR_BRANCH
-    ground = float(ground_displacement(camera_height, ground_height, zeta, angle, radius, far=far))
+    )
+    angle = float(r_c)
+    code = int(status)
+    displacement = ground_displacement(
+        camera_height, ground_height, zeta, angle, radius, far=code == FAR_BRANCH
+    )
+    ground = float(displacement)
     return {
         "r_c_arcsec": angle / ARCSEC,
         "r_c_urad": angle / MICRORADIAN,
@@ -132,11 +140,20 @@ def radial_table(
     r_c, status = ray.bend(air, h_c, h_g, np.sin(zeta), np.cos(zeta), radius=radius)
     ground = ground_displacement(h_c, h_g, zeta, r_c, radius)
     f = math.nan if focal_px is None else focal_px
+    # f (tan(zeta - R) - tan(zeta)), without cancellation; no negative zero.
+    dr_px = f * np.sin(-r_c) / (np.cos(zeta) * np.cos(zeta - r_c)) + 0.0
     return RadialTable(
-        h_c, h_g, zeta, r_c, ground, f * np.tan(zeta),
-        f * np.sin(-r_c) / (np.cos(zeta) * np.cos(zeta - r_c)) + 0.0, status,
-        k, float(manual(profile, h_c, h_g, 45.0 * DEGREE, radius)),
-    )  # fmt: skip
+        h_c_m=h_c,
+        h_g_m=h_g,
+        nadir_angle_rad=zeta,
+        r_c_rad=r_c,
+        shift_ground_m=ground,
+        radius_px=f * np.tan(zeta),
+        dr_px=dr_px,
+        status=status,
+        k_rad=k,
+        k_manual_rad=float(manual(profile, h_c, h_g, 45.0 * DEGREE, radius)),
+    )
 
 
 def angles_to(largest_deg: float, step_deg: float = 5.0) -> Array:

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from unbend.errors import PhysicsError
-from unbend.refraction.kernels.image import refract_directions
 from unbend.units import HECTOPASCAL, Array
 
 OPTICAL_AXIS = np.array([0.0, 0.0, 1.0])
@@ -124,11 +123,15 @@ def refract_at_window(
     >>> (r_cc * 180 * 3600 / np.pi).round(2).tolist()  # Gyer's Table 7, 10 km: 19.44
     [19.44]
     """
+    from unbend.refraction.kernels.image import refract_directions
+
+    n_before = np.asarray(refractivity_before, dtype=np.float64)
     n_after = np.asarray(refractivity_after, dtype=np.float64)
-    excess = (np.asarray(refractivity_before, np.float64) - n_after) / (1.0 + n_after)
+    excess = (n_before - n_after) / (1.0 + n_after)
     rays = np.array(direction, np.float64, order="C")
     normals = np.array(np.broadcast_to(normal, rays.shape), np.float64)
-    change, angle = np.empty(rays.shape), np.empty(rays.shape[0])
-    excess = np.array(np.broadcast_to(excess, angle.shape))
-    refract_directions(rays, normals, excess, change, angle)
+    change = np.empty(rays.shape)
+    angle = np.empty(rays.shape[0])
+    excess_of_ray = np.array(np.broadcast_to(excess, angle.shape))
+    refract_directions(rays, normals, excess_of_ray, change, angle)
     return change, angle

@@ -9,7 +9,7 @@ from importlib import resources
 from pathlib import Path
 from typing import NamedTuple
 
-from unbend.config.schema import campaign_keys, mission_keys
+from unbend.config.keys import campaign_keys, mission_keys
 from unbend.errors import Code, ConfigError
 
 _MOST_LISTED = 8

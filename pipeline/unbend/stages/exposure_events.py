@@ -10,7 +10,12 @@ from unbend.config import Mission
 from unbend.config.event_sources import EventsSection
 from unbend.flight import exposures
 from unbend.flight.channels import Channel
-from unbend.flight.exposures import Events, events_of_channel, refuse_repeated_images
+from unbend.flight.exposures import (
+    Events,
+    ExposureDelay,
+    events_of_channel,
+    refuse_repeated_images,
+)
 from unbend.flight.image_names import renamed
 from unbend.flight.rotations import CAMERA_AT_REST, in_turned_frame
 from unbend.messages import Ledger
@@ -137,11 +142,10 @@ def events_of_log(
         channel = exposures.choose_event_channel(channels, source.channel)
         ledger.extend(exposures.trigger_notes(channels, channel))
         if source.delay_s == "from_feedback":
-            lag_s, sigma_s = ledger.take(exposures.lag_from_feedback(channels, channel, camera))
+            delay = ledger.take(exposures.lag_from_feedback(channels, channel, camera))
         else:
-            lag_s = source.delay_s
-            sigma_s = 0.0
-        exposed = events_of_channel(channel, camera, source.image, lag_s, sigma_s)
+            delay = ExposureDelay(source.delay_s)
+        exposed = events_of_channel(channel, camera, source.image, delay)
         events.append(ledger.take(exposed))
     return events
 
@@ -158,10 +162,9 @@ def events_of_table(
     )
     log = flight.log
     utc_sigma_s = 0.0 if log is None else float(np.nan_to_num(log.utc_sigma_s))
+    delay = ExposureDelay(csv.delay_s, sigma_s=utc_sigma_s)
     return [
-        exposures.events_of_table(
-            table.image, camera_of, table.time_ns, camera, csv.delay_s, sigma_s=utc_sigma_s
-        )
+        exposures.events_of_table(table.image, camera_of, table.time_ns, camera, delay)
         for camera in mission.cameras
     ]
 
@@ -188,7 +191,7 @@ def events_of_file(
         return events_by_names(channel, camera, delay_s, ledger)
     index = channel["event_index"].astype(np.int64)
     falling = int(np.count_nonzero(np.diff(exposures.unwrapped_numbers(index)) < 0))
-    events = ledger.take(events_of_channel(channel, camera, image, delay_s))
+    events = ledger.take(events_of_channel(channel, camera, image, ExposureDelay(delay_s)))
     if falling and "{index" in image:
         raise messages.numbers_fall(where=channel.name, count=falling)
     warn_of_order(falling, channel, ledger)

@@ -13,7 +13,7 @@ from unbend.flight.heights import HeightSystem, height_system, to_geodetic
 from unbend.flight.mount import Mount, gimbal_notes, is_of_gimbal, with_payload_attitude
 from unbend.flight.roles import assign_roles
 from unbend.ingest import Log
-from unbend.ingest.fields import in_stated_unit
+from unbend.ingest.field_maps import in_stated_unit
 from unbend.messages import Ledger
 from unbend.stages import messages
 from unbend.stages.opened_inputs import OpenedInputs

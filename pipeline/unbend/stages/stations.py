@@ -17,6 +17,7 @@ from unbend.flight.image_names import refuse_other_names
 from unbend.flight.mount import Mount
 from unbend.flight.station_builder import build_stations, flag_missing_aircraft_attitude, with_air
 from unbend.flight.stations import (
+    SigmaLimits,
     Stations,
     append_unmatched_images,
     join_stations,
@@ -218,13 +219,14 @@ def matched_stations(
     ledger.extend(exposures.ground_shot_notes(stations, flight.roles, observed))
     stations = ledger.take(append_unmatched_images(stations, observed))
     ledger.extend(unusable_station_notes(stations))
-    limits = mission.stations
-    tilt_rad = None
-    if limits.max_sigma_tilt_deg is not None:
-        tilt_rad = limits.max_sigma_tilt_deg * DEGREE
-    ledger.extend(
-        sigma_notes(stations, limits.max_sigma_horizontal_m, limits.max_sigma_height_m, tilt_rad)
+    section = mission.stations
+    tilt_deg = section.max_sigma_tilt_deg
+    limits = SigmaLimits(
+        horizontal_m=section.max_sigma_horizontal_m,
+        height_m=section.max_sigma_height_m,
+        tilt_rad=None if tilt_deg is None else tilt_deg * DEGREE,
     )
+    ledger.extend(sigma_notes(stations, limits))
     return stations
 
 

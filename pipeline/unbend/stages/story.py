@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -27,15 +26,16 @@ from unbend.stages.multi_image.point_heights import (
     with_object_points,
 )
 from unbend.stages.opened_inputs import OpenedInputs
-from unbend.stages.outputs import manifest_of
 from unbend.stages.plausibility.causes import causes_of_statuses
 from unbend.stages.plausibility.facts import Facts
 from unbend.stages.plausibility.findings import report_findings
+from unbend.stages.results import results_of_mission
 from unbend.stages.stations import stations_of_mission
 from unbend.stages.statistics import Statistics
 from unbend.stages.uncertainty import TYPICAL_ROWS, report_unknown_sigmas, with_uncertainties
 from unbend.tables.geodata.elevation import ElevationModel
 from unbend.tables.geodata.geoid import package_geoid
+from unbend.tables.manifest import ResultsRecord
 from unbend.tables.observations import Observations
 from unbend.units import Array, Integers
 
@@ -82,7 +82,7 @@ class CorrectedMission:
     setup: CorrectionSetup
     statistics: Statistics
     facts: Facts
-    manifest: dict[str, Any]
+    results: ResultsRecord
 
 
 def prepare_mission(
@@ -157,7 +157,7 @@ def correct_mission(
     statistics.report_flagged(ledger, causes)
     report_findings(facts, ledger)
     air = replace(air, effects=facts.effects)
-    manifest = manifest_of(
+    results = results_of_mission(
         mission,
         prepared.flight,
         stations,
@@ -165,7 +165,7 @@ def correct_mission(
         statistics=statistics,
         setup=setup,
         causes=causes,
-        control=control,
+        control=None if control is None else control.record(),
         ledger=ledger,
     )
     return CorrectedMission(
@@ -175,7 +175,7 @@ def correct_mission(
         setup=setup,
         statistics=statistics,
         facts=facts,
-        manifest=manifest,
+        results=results,
     )
 
 

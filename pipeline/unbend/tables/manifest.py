@@ -1,4 +1,4 @@
-"""What the manifest of a run says of its results, as records: written by the stages, read by others.
+"""What the manifest of a run says of its results: records that the stages write and others read.
 
 Numbers are rounded to what they are worth; None is what is not known. ``row()`` is the record as
 plain values, under the names of its fields.

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.integrate import quad
+from scipy.integrate import quad, trapezoid
 
 from unbend.atmosphere import standard_atmosphere
 from unbend.atmosphere.air_samples import AirSamples, SensorSamples
@@ -180,7 +180,7 @@ def test_sigma_of_r_is_that_of_the_gradient(flights, airs):
             constant=profile.constant,
         )  # fmt: skip
         n = Profile(moved, profile.gravity, profile.index).refractivity(h)
-        return float(np.trapezoid(n - n[-1]) / 800.0)
+        return float(trapezoid(n - n[-1]) / 800.0)
 
     gradient = np.zeros(2 * k + 1)
     for i in range(2 * k + 1):

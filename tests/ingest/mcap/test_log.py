@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.logs import LOGS, at_hand
 from unbend.errors import LogError
 from unbend.ingest import Log, open_log
 from unbend.ingest.mcap.chunks import MAX_CHUNK, Chunk, inflate
@@ -561,11 +562,32 @@ def test_without_a_header_stamp_the_recorders_time_is_a_stated_fallback(tmp_path
     assert entries(log, "TIME-LOG-TIME")[0].kind == "fallback"
 
 
+def with_message(bag: bytes, topic: str, content: bytes) -> bytes:
+    """A copy of a bag with a message of any bytes at the end, which its writer would not write."""
+    from mcap.reader import make_reader
+    from mcap.writer import Writer
+
+    file = io.BytesIO()
+    writer = Writer(file)
+    writer.start()
+    channels: dict[str, int] = {}
+    for schema, channel, message in make_reader(io.BytesIO(bag)).iter_messages():
+        if channel.topic not in channels:
+            number = writer.register_schema(schema.name, schema.encoding, schema.data)
+            channels[channel.topic] = writer.register_channel(
+                channel.topic, channel.message_encoding, number
+            )
+        writer.add_message(
+            channels[channel.topic], message.log_time, message.data, message.publish_time
+        )
+    writer.add_message(channels[topic], START, content, START)
+    writer.finish()
+    return file.getvalue()
+
+
 def test_a_message_that_does_not_fit_its_schema_is_a_loss(tmp_path: Path) -> None:
-    bag = flight()
-    channel = bag.writer._channel_ids["/outside/air"]
-    bag.writer._writer.add_message(channel, START, b"\x00\x01\x00\x00abc", START, 0)
-    log = opened(tmp_path, bag.data)
+    damaged = with_message(flight().data, "/outside/air", b"\x00\x01\x00\x00abc")
+    log = opened(tmp_path, damaged)
     assert entries(log, "LOG-DECODE")[0].count == 1
     assert len(log.channel("/outside/air")) == 60
 
@@ -619,9 +641,6 @@ def test_any_damage_opens_or_refuses(tmp_path: Path) -> None:
         }
 
 
-SAMPLE = Path(__file__).resolve().parents[3] / "sample_logs" / "flight.mcap"
-
-
 def headless(data: bytes, what: str) -> bytes:
     """A file whose beginning is lost, or overwritten with zeros."""
     count = {"first": 1, "mark": 8, "header": 60, "quarter": len(data) // 4}[what.split()[0]]
@@ -630,12 +649,10 @@ def headless(data: bytes, what: str) -> bytes:
 
 @pytest.mark.parametrize("end", ["lost", "zero"])
 @pytest.mark.parametrize("what", ["first", "mark", "header", "quarter"])
-@pytest.mark.parametrize("name", ["sample", "cubs2_cub_stabilize.mcap"])
-def test_a_file_whose_head_is_lost(
-    tmp_path: Path, real_log: Callable, name: str, what: str, end: str
-) -> None:
+@pytest.mark.parametrize("name", at_hand("flight.mcap", "cubs2_cub_stabilize.mcap"))
+def test_a_file_whose_head_is_lost(tmp_path: Path, name: str, what: str, end: str) -> None:
     """Chunks behind the damage are whole: what they hold is the same, and the loss is told."""
-    whole = SAMPLE if name == "sample" else real_log(name)
+    whole = LOGS[name]
     path = tmp_path / "headless.mcap"
     path.write_bytes(headless(whole.read_bytes(), f"{what} {end}"))
     log, expected = open_log(path), open_log(whole)

@@ -11,11 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unbend.flight.channels import Source, TimeArray
-from unbend.ingest.fields import CAPTURE_UTC_FIELD, UTC_FIELD, MessageMap
-from unbend.ingest.log import PLACE, column_of, in_order
-from unbend.ingest.mcap import samples
-from unbend.ingest.mcap.cdr import SchemaError, decode, decode_plan, steps_of
-from unbend.ingest.mcap.records import Messages
+from unbend.ingest.field_maps import CAPTURE_UTC_FIELD, UTC_FIELD, MessageMap
+from unbend.ingest.mcap.cdr import decode, decode_plan
+from unbend.ingest.mcap.mcap_records import Messages
+from unbend.ingest.mcap.ros2_definitions import SchemaError, steps_of
+from unbend.ingest.mcap.stamps import LOG_TIME, SEQUENCE, STAMP, own_times, since_boot, stamp_of
+from unbend.ingest.mcap.topic_samples import LABELS, PLAIN_JSON, TopicSamples
+from unbend.ingest.message_tables import PLACE, column_of, in_order
 from unbend.units import Mask, Rows
 
 Columns = dict[str, NDArray[Any]]
@@ -39,7 +41,7 @@ class Topic:
     name: str
     schema: str
     spec: MessageMap
-    series: dict[tuple[str | None, bool], samples.TopicSamples] | None
+    series: dict[tuple[str | None, bool], TopicSamples] | None
     blocks: dict[bool, list[Columns]] = field(default_factory=lambda: {False: [], True: []})
     failed: int = 0
     nameless: int = 0
@@ -59,10 +61,10 @@ class Topic:
             self.failed += rows.shape[0] - len(done)
             self.odd += odd
             if len(done):
-                stamp, counted = samples.own_times(columns, self.spec.time_field, len(done))
+                stamp, counted = own_times(columns, self.spec.time_field, len(done))
                 rows = rows[done]
-                columns |= {samples.STAMP: stamp, samples.LOG_TIME: messages.log_time[rows]}
-                columns |= {PLACE: rows + before, samples.SEQUENCE: messages.sequence[rows]}
+                columns |= {STAMP: stamp, LOG_TIME: messages.log_time[rows]}
+                columns |= {PLACE: rows + before, SEQUENCE: messages.sequence[rows]}
                 (blocks if self.series is not None else self.blocks)[counted].append(columns)
         stamps: list[tuple[TimeArray, TimeArray, TimeArray]] = []
         if self.series is None:
@@ -80,11 +82,11 @@ class Topic:
                 if key not in self.series:
                     label = self.name if name is None else f"{self.name}[{name}]"
                     source = Source(self.schema, name)
-                    self.series[key] = samples.TopicSamples(label, source, self.spec, counted)
+                    self.series[key] = TopicSamples(label, source, self.spec, counted)
                 self.series[key].add(named)
-            booted = samples.since_boot(block[samples.STAMP])
+            booted = since_boot(block[STAMP])
             if counted and bool(booted.any()):
-                names = (PLACE, samples.STAMP, samples.LOG_TIME)
+                names = (PLACE, STAMP, LOG_TIME)
                 places, boot_ns, log_ns = (block[name][booted] for name in names)
                 stamps.append((places, boot_ns, log_ns))
         return stamps
@@ -99,7 +101,7 @@ class Topic:
     def lost_values(self) -> int:
         """Values that are no numbers; of a schema of the user's own, only beside numbers."""
         series = (self.series or {}).values()
-        wanted = self.spec is not samples.PLAIN_JSON or any(one.columns.stores for one in series)
+        wanted = self.spec is not PLAIN_JSON or any(one.columns.stores for one in series)
         return self.odd if wanted else 0
 
 
@@ -123,7 +125,7 @@ def paths_of(spec: MessageMap) -> frozenset[str]:
     if spec.id_field:
         fields |= {spec.id_field, "index"}
     if spec.event:
-        fields |= {path for paths in samples.LABELS.values() for path in paths.split()}
+        fields |= {path for paths in LABELS.values() for path in paths.split()}
     return frozenset(fields)
 
 
@@ -153,7 +155,7 @@ def object_decoder(
         for part in spec.time_field.split("."):
             getter = stamp.get if isinstance(stamp, dict) else partial(getattr, stamp)
             stamp = getter(part, None)
-        return values | {samples.STAMP: samples.stamp_of(stamp)}
+        return values | {STAMP: stamp_of(stamp)}
 
     def decoder(messages: Messages, rows: Rows) -> tuple[Any, Columns, int]:
         raw = memoryview(messages.data)  # type: ignore[arg-type]
@@ -172,8 +174,8 @@ def object_decoder(
         found = [*decoded.values()]
         names = dict.fromkeys(name for values in found for name in values)
         columns = {name: column_of([values.get(name) for values in found]) for name in names}
-        if samples.STAMP in columns:
-            columns[samples.STAMP] = columns[samples.STAMP].astype(np.int64)
+        if STAMP in columns:
+            columns[STAMP] = columns[STAMP].astype(np.int64)
         return list(decoded), columns, odd
 
     return decoder

@@ -8,7 +8,8 @@ import pyarrow as pa
 from unbend.block import oriented_images
 from unbend.block.oriented_images import CartesianFrame
 from unbend.config import Mission
-from unbend.config.station_sources import EnuFrame, KnownPositions, OrientationSection
+from unbend.config.local_frames import EnuFrame
+from unbend.config.orientations import KnownPositions, OrientationSection
 from unbend.flight.heights import HIGHEST_GROUND_M, LOWEST_GROUND_M, GeodeticOrigin
 from unbend.flight.stations import Stations, join_stations
 from unbend.geodesy import GeoidGrid

@@ -2,11 +2,10 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import ArrayLike
 
 from unbend.block.image_rays import ImageRays, Orientations, sorted_rays
 from unbend.block.intersection import point_heights
@@ -22,6 +21,7 @@ from unbend.stages.multi_image import messages
 from unbend.stages.multi_image.point_heights import points_above_sea
 from unbend.stages.opened_inputs import OpenedInputs
 from unbend.tables.geodata.object_points import ObjectPoints, matching_rows
+from unbend.tables.manifest import ControlPoint, ControlRecord
 from unbend.tables.observations import Batch, Observations
 from unbend.units import Array, Integers, Mask
 
@@ -68,32 +68,40 @@ class ControlComparison:
         before, after = (float(np.sum(self.rms(v) ** 2)) for v in (self.before, self.after))
         return 1.0 - after / before
 
-    def manifest(self) -> dict[str, Any]:
-        """For the manifest: millimetres are enough, and null is what is not known."""
+    def record(self) -> ControlRecord:
+        """For the manifest: tenths of a millimetre are enough."""
+        sigma_m = self.sigma_m
+        if not self.sigma_stated:
+            sigma_m = np.full(sigma_m.size, np.nan)
+        points = []
+        for row, name in enumerate(self.name):
+            points.append(
+                ControlPoint(
+                    point=name,
+                    rays=int(self.rays[row]),
+                    before_m=rounded(self.before[row]),
+                    after_m=rounded(self.after[row]),
+                    sigma_u_m=rounded(sigma_m[row : row + 1])[0],
+                )
+            )
+        median_m = np.nanmedian(self.sigma_m[self.used]) if self.sigma_stated else np.nan
+        return ControlRecord(
+            points=points,
+            used=int(self.used.sum()),
+            unmeasured=self.unmeasured,
+            rms_before_m=rounded(self.rms(self.before)),
+            rms_after_m=rounded(self.rms(self.after)),
+            rms_refraction_m=rounded(self.rms(self.before - self.after)),
+            mean_before_m=rounded(self.before[self.used].mean(axis=0)),
+            mean_after_m=rounded(self.after[self.used].mean(axis=0)),
+            part_explained=round(self.part_explained(), 4),
+            sigma_u_m=rounded(np.atleast_1d(median_m))[0],
+        )
 
-        def metres(values: ArrayLike) -> Any:
-            found = [None if np.isnan(v) else round(v, 4) for v in np.atleast_1d(values).tolist()]
-            return found if np.ndim(values) else found[0]
 
-        sigma_m = self.sigma_m if self.sigma_stated else np.full(self.sigma_m.size, np.nan)
-        points = zip(self.name, self.rays.tolist(), self.before, self.after, sigma_m, strict=True)
-        return {
-            "points": [
-                {"point": name, "rays": rays, "before_m": metres(before), "after_m": metres(after),
-                 "sigma_u_m": metres(sigma)}
-                for name, rays, before, after, sigma in points
-            ],
-            "used": int(self.used.sum()),
-            "unmeasured": self.unmeasured,
-            "rms_before_m": metres(self.rms(self.before)),
-            "rms_after_m": metres(self.rms(self.after)),
-            "rms_refraction_m": metres(self.rms(self.before - self.after)),
-            "mean_before_m": metres(self.before[self.used].mean(axis=0)),
-            "mean_after_m": metres(self.after[self.used].mean(axis=0)),
-            "part_explained": round(self.part_explained(), 4),
-            "sigma_u_m": metres(np.nanmedian(self.sigma_m[self.used]))
-            if self.sigma_stated else None,
-        }  # fmt: skip
+def rounded(metres: Array) -> list[float | None]:
+    """Numbers to four digits behind the point, None where one is not known."""
+    return [None if np.isnan(value) else round(value, 4) for value in metres.tolist()]
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,7 +226,7 @@ def rays_of_batch(
     station = matching_rows(batch.image, images)
     corrected = correct_batch(batch, station, setup.ground.heights(batch, station, setup), setup)
     before, sigma_rad = setup.directions(batch.x_px, batch.y_px, station)
-    after, _ = setup.directions(corrected.x_px, corrected.y_px, station)
+    after, _ = setup.directions(corrected.x_corrected_px, corrected.y_corrected_px, station)
     point = matching_rows(batch.point, points.name)
     return ControlRays(point, station, sigma_rad, before, after)
 

@@ -11,7 +11,7 @@ from unbend.block.image_rays import ImageRays, orientations_of, straightened
 from unbend.block.intersection import Intersection, intersect
 from unbend.block.oriented_images import SIGMAS_OF_BLOCK, OrientedImages
 from unbend.config import Mission
-from unbend.config.station_sources import OrientationSection
+from unbend.config.orientations import OrientationSection
 from unbend.errors import MissionError
 from unbend.flight import heights, rotations
 from unbend.flight.image_names import renamed

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from unbend.block.image_rays import ImageRays, Orientations
 from unbend.block.intersection import PointHeights, point_heights
 from unbend.config import Mission
-from unbend.config.sections import ControlSection
-from unbend.config.sections import PointTable as PointTableSection
+from unbend.config.ground import ControlSection
+from unbend.config.ground import PointTable as PointTableSection
 from unbend.flight.heights import HeightSystem, known_home_m
 from unbend.flight.stations import Stations
 from unbend.geodesy import GeoidGrid, ecef_of_geodetic
@@ -298,8 +298,8 @@ def heights_of_rays(
                 camera=camera,
                 table=setup.rays[profile],
             )
-            seen_x[rows] = corrected.x_px
-            seen_y[rows] = corrected.y_px
+            seen_x[rows] = corrected.x_corrected_px
+            seen_y[rows] = corrected.y_corrected_px
         direction, sigma = setup.directions(seen_x, seen_y, station)
         found = point_heights(orientations, ImageRays(station, rays["point"], direction, sigma))
         number = np.maximum(np.bincount(found.index), 1)

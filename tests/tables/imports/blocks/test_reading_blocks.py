@@ -29,7 +29,7 @@ from unbend.tables.observations import open_observations
 
 SHARED = Path(__file__).resolve().parents[5] / "shared" / "ba"
 COLUMNS = {"image": "image", "point": "point", "x_px": "x_px", "y_px": "y_px"}
-needs_blocks = pytest.mark.skipif(not SHARED.is_dir(), reason="no blocks beside the checkout")
+needs_blocks = pytest.mark.shared("ba")
 
 
 def rows(path: Path, program: str) -> pd.DataFrame:
@@ -271,11 +271,17 @@ def test_databases_without_keypoints_or_damaged(tmp_path):
 
 
 @pytest.fixture
+def project(tmp_path):
+    """A project of OpenSfM that was written for these tests: eight images, camera brown."""
+    own = Path(__file__).resolve().parents[3] / "data" / "opensfm"
+    shutil.copytree(own, tmp_path, dirs_exist_ok=True)
+    return tmp_path
+
+
+@pytest.fixture
 def berlin(tmp_path):
     """OpenSfM's own example as the folder of a project."""
     source = SHARED / "opensfm_berlin"
-    if not source.is_dir():
-        pytest.skip("no blocks beside the checkout")
     shutil.copy(source / "reconstruction_example.json", tmp_path / "reconstruction.json")
     shutil.copy(source / "tracks_example.csv", tmp_path / "tracks.csv")
     return tmp_path
@@ -314,26 +320,26 @@ def test_points_of_opensfm_through_its_poses_land_on_its_tracks(berlin):
     ("file", "change", "words"),
     [
         ("tracks.csv", ("_v2", "_v1"), "OPENSFM_TRACKS_VERSION_v1"),
-        ("tracks.csv", ("1478\t765", "1478\tseven"), "line 3"),
+        ("tracks.csv", ("IMG_0006.JPG\t1\t", "IMG_0006.JPG\t1\tx", 1), "line 3"),
         ("tracks.csv", ("OPENSFM_TRACKS_VERSION_v2\n", ""), "its first line is"),
-        ("reconstruction.json", ('"perspective"', '"spherical"'), "CAMERA-MODEL"),
-        ("reconstruction.json", ('"rotation"', '"turn"'), "'03.jpg' has no rotation"),
+        ("reconstruction.json", ('"brown"', '"spherical"'), "CAMERA-MODEL"),
+        ("reconstruction.json", ('"rotation"', '"turn"'), "'IMG_0001.JPG' has no rotation"),
         ("reconstruction.json", ("[", "[[", 1), "is no JSON"),
         ("reconstruction.json", ('"cameras"', '"lenses"'), "it has no 'cameras'"),
     ],
 )
-def test_what_of_opensfm_cannot_be_read(berlin, file, change, words):
-    text = (berlin / file).read_text()
-    (berlin / file).write_text(text.replace(*change))
-    assert words in refusal(berlin, "opensfm")
+def test_what_of_opensfm_cannot_be_read(project, file, change, words):
+    text = (project / file).read_text()
+    (project / file).write_text(text.replace(*change))
+    assert words in refusal(project, "opensfm")
 
 
-def test_a_project_of_two_reconstructions_or_without_tracks(berlin):
-    (one,) = json.loads((berlin / "reconstruction.json").read_text())
-    (berlin / "reconstruction.json").write_text(json.dumps([one, one]))
-    assert "2 reconstructions" in refusal(berlin, "opensfm")
-    (berlin / "tracks.csv").unlink()
-    assert "a project of OpenSfM has a tracks.csv" in refusal(berlin, "opensfm")
+def test_a_project_of_two_reconstructions_or_without_tracks(project):
+    (one,) = json.loads((project / "reconstruction.json").read_text())
+    (project / "reconstruction.json").write_text(json.dumps([one, one]))
+    assert "2 reconstructions" in refusal(project, "opensfm")
+    (project / "tracks.csv").unlink()
+    assert "a project of OpenSfM has a tracks.csv" in refusal(project, "opensfm")
 
 
 # Metashape
@@ -412,8 +418,6 @@ def test_damaged_archives(tmp_path):
 
 @pytest.fixture
 def strasbourg(tmp_path):
-    if not SHARED.is_dir():
-        pytest.skip("no blocks beside the checkout")
     for file in (SHARED / "dbat_sxb").glob("*.*"):
         shutil.copy(file, tmp_path)
     return tmp_path / "sxb.xml"
