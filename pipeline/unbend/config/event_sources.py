@@ -167,6 +167,7 @@ class PositionEvents(Section):
 
     @property
     def format_name(self) -> str:
+        """The format, stated or by the ending of the file."""
         return format_of(CAMERA_EVENTS, Path(self.path), self.format)
 
     @property

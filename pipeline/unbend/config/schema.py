@@ -101,7 +101,11 @@ def nodes_at(keys: tuple[str | int, ...]) -> list[Node]:
     of_campaign = bool(keys) and keys[0] in CampaignFile.model_fields
     nodes = [campaign_schema() if of_campaign else mission_schema()]
     for key in keys:
-        nodes = [inner for node in nodes for arm in alternatives(node) for inner in _at(arm, key)]
+        inner: list[Node] = []
+        for node in nodes:
+            for arm in alternatives(node):
+                inner += _at(arm, key)
+        nodes = inner
     return nodes
 
 

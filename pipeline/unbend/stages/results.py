@@ -296,6 +296,7 @@ def record_of_profile(air: FlightAir, stations: Stations) -> ProfileRecord:
         departure_at_cameras_k=departure,
         effect=[effect.row() for effect in air.effects],
         sources=[use.row() for use in adjustment.sources],
+        samples=[use.row() for use in adjustment.sensor_uses],
         sensors=[record_of_sensor(estimate) for estimate in adjustment.faults],
         profiles=len(air.series.timed_profiles),
         windows=[record_of_window(window) for window in air.windows],

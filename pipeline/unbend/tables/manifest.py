@@ -125,6 +125,7 @@ class ProfileRecord:
     departure_at_cameras_k: float | None
     effect: list[Mapping[str, Any]]
     sources: list[Mapping[str, Any]]
+    samples: list[Mapping[str, Any]]
     sensors: list[SensorRecord]
     profiles: int
     windows: list[TimeWindowRecord]

@@ -418,6 +418,7 @@ def describe_assignment(assignment: Assignment, images: CameraImages, exposed: E
         text += f"after {assignment.offset_s:+.3f} s and {1e6 * assignment.drift:+.1f} ppm"
     if assignment.runner_up.size:
         decades = assignment.log_ratio / np.log(10)
-        text += f"; the next best assignment ({assignment.shift:+d} events) is "
+        noun = "event" if abs(assignment.shift) == 1 else "events"
+        text += f"; the next best assignment ({assignment.shift:+d} {noun}) is "
         text += f"10^{decades:.0f} times less likely"
     return text
