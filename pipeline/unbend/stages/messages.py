@@ -1,6 +1,7 @@
 """Messages of stages: what each code means, and the words of what is sent."""
 
 from unbend.errors import Code, Counted, InputError, MissionError
+from unbend.flight.messages import CHANNEL_MISSING
 from unbend.messages import Message, fallback, finding, loss, note, warning
 
 STATIONS_ATTITUDE = Code(
@@ -19,17 +20,6 @@ def stations_without_attitude(*, where: str) -> MissionError:
         where=where,
         remedy="give log, or a stations.trajectory with roll, pitch and yaw",
     )
-
-
-CHANNEL_MISSING = Code(
-    "CHANNEL-MISSING",
-    means=(
-        "A channel that is named is not in the log or lacks the columns of its role; or a role "
-        "that is needed has no channel at all."
-    ),
-    effect="A refusal where the role is needed, else a loss: the role stays empty.",
-    remedy="Name a channel as `unbend inspect` prints it.",
-)
 
 
 def attitude_channel_missing(*, where: str, name: str, there: str) -> MissionError:

@@ -1,18 +1,9 @@
 """Messages about several images: events, orientations, tie points, object and control points."""
 
 from unbend.errors import Code, Counted, InputError, MissionError
+from unbend.flight.messages import IMAGES_OTHER
 from unbend.messages import Message, finding, loss, note, warning
 from unbend.stages.messages import POINTS_MISSING
-
-IMAGES_OTHER = Code(
-    "IMAGES-OTHER",
-    means=(
-        "None of the images of the observations is one of the exposures or files: their names "
-        "differ."
-    ),
-    effect="The mission is refused.",
-    remedy=("State observations.match_names, or mend the pattern under events.log.<camera>.image."),
-)
 
 
 def images_of_another_flight(*, where: str, absent: str, files: str) -> InputError:

@@ -1,7 +1,9 @@
 """Stations from the orientation of a block: read, brought to each station's vertical, checked."""
 
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -33,10 +35,15 @@ FEW_BELOW_GROUND = 0.1  # share of the stations that may be wrong alone
 GOOD_FACTOR = 2.0  # residuals over those of an adjusted block, that another reading may have
 HIGHEST_ABOVE_GROUND_M = 15_000.0  # no survey is flown higher, in the median
 METRES_OF_A_FOOT = 0.3048
-AS_STATED = "as stated"
+ANGLES = "angles or columns"  # what to change, where no single key says it
 
-KEYS_OF_READINGS = {"angles are in": "unit", "longitude": "columns (latitude, longitude)"}
-"""Keys to change by words of a reading; for others the angles or columns."""
+
+class Reading(NamedTuple):
+    """What a table could mean: in words, the key to change then, and the table."""
+
+    words: str
+    key: str
+    table: OrientationTable
 
 
 def oriented_stations(
@@ -76,24 +83,23 @@ def refuse_other_reading(
 ) -> None:
     """Refuse (ORIENTATION-READING) a table by which rays meet far better in another reading."""
     section = reader.section
-    found = {AS_STATED: intersected(stations, rays)}
-    for what, reading in other_readings(section, table).items():
+    stated = intersected(stations, rays)
+    likely: Reading | None = None
+    best = stated
+    for reading in other_readings(section, table):
         with suppress(MissionError):
-            found[what] = intersected(reader.stations(reading, Ledger()), rays)
-    likely = max(found, key=lambda what: found[what].log_likelihood)
-    better = found[likely].log_likelihood - found[AS_STATED].log_likelihood
-    if better > LOG_RATIO_NEEDED and found[likely].sigma_factor < GOOD_FACTOR:
-        changed = "angles or columns"
-        for words, key in KEYS_OF_READINGS.items():
-            if words in likely:
-                changed = key
-                break
+            found = intersected(reader.stations(reading.table, Ledger()), rays)
+            if found.log_likelihood > best.log_likelihood:
+                likely = reading
+                best = found
+    better = best.log_likelihood - stated.log_likelihood
+    if likely is not None and better > LOG_RATIO_NEEDED and best.sigma_factor < GOOD_FACTOR:
         raise messages.orientation_reading(
             where=section.path,
             points=int(np.unique(rays.point).size),
-            likely=likely,
+            likely=likely.words,
             better=float(better),
-            changed=changed,
+            changed=likely.key,
         )
 
 
@@ -103,44 +109,40 @@ def intersected(stations: Stations, rays: ImageRays) -> Intersection:
     return intersect(orientations, straightened(orientations, replace(rays, height_m=None)))
 
 
-def other_readings(
-    section: OrientationSection, table: OrientationTable
-) -> dict[str, OrientationTable]:
-    """What else a table could mean, by what it would mean then."""
-    position = table.position
+def other_readings(section: OrientationSection, table: OrientationTable) -> Iterator[Reading]:
+    """What else a table could mean."""
     if section.angles.startswith("quaternion"):
-        inverse = table.angles * [1, -1, -1, -1]
-        other = {"if the quaternions turn the other way": replace(table, angles=inverse)}
+        inverse = replace(table, angles=table.angles * [1, -1, -1, -1])
+        yield Reading("if the quaternions turn the other way", ANGLES, inverse)
     else:
-        other = other_readings_of_angles(section, table)
+        yield from other_readings_of_angles(section, table)
     if section.is_geodetic:
-        swapped = position[:, [1, 0, 2]]
-        in_feet = position * [1, 1, METRES_OF_A_FOOT]
-        other["with latitude and longitude exchanged"] = replace(table, position=swapped)
-        other["if the heights are in feet"] = replace(table, position=in_feet)
-    return other
+        swapped = replace(table, position=table.position[:, [1, 0, 2]])
+        key = "columns (latitude, longitude)"
+        yield Reading("with latitude and longitude exchanged", key, swapped)
+        in_feet = replace(table, position=table.position * [1, 1, METRES_OF_A_FOOT])
+        yield Reading("if the heights are in feet", ANGLES, in_feet)
 
 
 def other_readings_of_angles(
     section: OrientationSection, table: OrientationTable
-) -> dict[str, OrientationTable]:
+) -> Iterator[Reading]:
     """What else the angles of a table could mean: other units, signs and orders."""
     angles = table.angles
     first, second, last = section.angle_names
-    other = {}
     for unit, size in RADIANS.items():
         if unit != section.unit:
             in_unit = angles * (size / RADIANS[section.unit])
-            other[f"if the angles are in {unit}"] = replace(table, angles=in_unit)
+            yield Reading(f"if the angles are in {unit}", "unit", replace(table, angles=in_unit))
     for what, undone in rotations.ANGLE_MISTAKES.items():
         changed = np.stack(undone(*angles.T), axis=1)
-        other[what.format(first, second, last)] = replace(table, angles=changed)
+        words = what.format(first, second, last)
+        yield Reading(words, ANGLES, replace(table, angles=changed))
     if last == "kappa":
         order = f"{second}_{first}_kappa"
         in_order = rotations.quaternion_of_opk(angles[:, [1, 0, 2]], order)
         same = rotations.opk_of_quaternion(in_order, section.angles)
-        other[f"if the angles are {order}"] = replace(table, angles=same)
-    return other
+        yield Reading(f"if the angles are {order}", ANGLES, replace(table, angles=same))
 
 
 class Reader:
