@@ -77,7 +77,7 @@ def write_survey(
 
 def irregular_times(flight: Flight, exposures: int) -> np.ndarray:
     """Exposures seconds apart, more or less, from the climb to the descent: no two gaps equal."""
-    gaps = np.random.default_rng(12).uniform(1.0, 3.5, exposures + 1)
+    gaps = np.random.default_rng(12).uniform(3.0, 5.0, exposures + 1)
     first, last = 200.0, flight.duration_s - 200.0
     elapsed = np.cumsum(gaps)[:-1] / gaps.sum()
     return np.round(first + (last - first) * elapsed, 6)
