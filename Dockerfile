@@ -7,8 +7,10 @@ ENV XDG_CACHE_HOME=/var/cache \
     PIP_NO_CACHE_DIR=1
 
 COPY pyproject.toml README.md LICENSE /source/
+COPY .locks /source/.locks
 COPY pipeline /source/pipeline
-RUN pip install "/source[rasters,nwp,dask,cloud]" \
+RUN pip install --require-hashes -r /source/.locks/build.txt -r /source/.locks/cluster.txt \
+    && pip install --no-deps --no-build-isolation /source \
     && unbend warm \
     && chmod -R a+rwX /var/cache/unbend \
     && rm -r /source

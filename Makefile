@@ -1,33 +1,65 @@
-# make sample: set up everything and run the main job on sample_logs/
-# make test:   set up everything and pass the tests
+# make sample: set up the program and run the main job on sample_logs/
+# make test:   set up the tests too and pass them
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-STAMP := $(VENV)/.installed
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile
+# Exactly what was tested: files with hashes, which `make lock` writes.
+LOCKS := .locks
+LOCKED := $(PIP) --require-hashes --requirement
+PROGRAM := $(VENV)/.program
+EVERYTHING := $(VENV)/.everything
 
-.PHONY: sample test lint docs bench faults planted clean
+# The tests of rooms that open no files, without what is slow or needs more than Python.
+QUICK_TESTS := tests/atmosphere tests/refraction tests/flight tests/block tests/physics tests/base
+QUICK := -m "not slow and not browser and not emulator and not shared" $(QUICK_TESTS)
 
-$(STAMP): pyproject.toml
+.PHONY: sample test quick lint docs bench faults planted lock lowest latest clean
+
+$(PROGRAM): pyproject.toml $(LOCKS)/build.txt $(LOCKS)/main.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "unbend needs Python 3.11 or newer: make PYTHON=python3.11 ...")'
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --editable '.[test]'
+	$(LOCKED) $(LOCKS)/build.txt --requirement $(LOCKS)/main.txt
+	$(PIP) --no-deps --no-build-isolation --editable .
 	touch $@
 
-sample: $(STAMP)
+$(EVERYTHING): $(PROGRAM) $(LOCKS)/test.txt
+	$(LOCKED) $(LOCKS)/test.txt
+	touch $@
+
+sample: $(PROGRAM)
 	$(BIN)/unbend run configs/sample_bin.yaml configs/sample_tlog.yaml configs/sample_mcap.yaml
 
-test: $(STAMP)
+test: $(EVERYTHING)
 	$(BIN)/lint-imports
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal
 
-lint: $(STAMP)
+# Lint and the tests of all pure rooms but the slow ones: a minute and a half on two cores, once
+# kernels are compiled and mypy has its cache.
+quick: lint
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2 --dist worksteal $(QUICK)
+
+lint: $(EVERYTHING)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
+# The newest release of every dependency, for all systems and Pythons. Other files stay within test.txt.
+COMPILE = $(BIN)/uv pip compile --quiet --upgrade --universal --python-version 3.11 --generate-hashes --custom-compile-command 'make lock'
+WITHIN = $(COMPILE) --constraint $(LOCKS)/test.txt
+lock: $(EVERYTHING)
+	$(COMPILE) pyproject.toml --extra test --output-file $(LOCKS)/test.txt
+	$(WITHIN) pyproject.toml --output-file $(LOCKS)/main.txt
+	$(WITHIN) pyproject.toml --extra rasters --extra nwp --extra dask --extra cloud --output-file $(LOCKS)/cluster.txt
+	$(WITHIN) $(LOCKS)/build.in --output-file $(LOCKS)/build.txt
+
+# The bounds of pyproject.toml: the lowest releases they allow, and the newest without a lock.
+lowest latest: $(EVERYTHING)
+	$(BIN)/python tests/contract/bounds.py --python $(PYTHON) $@ $(QUICK)
+
 # The documentation as a site: open docs/site/index.html.
-docs: $(STAMP)
+docs: $(EVERYTHING)
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --config-file docs/mkdocs.yml
 
 # 100,000 mutated logs of each format, half an hour; `make test` does 500. 1,000 flights drawn for
@@ -40,17 +72,17 @@ docs: $(STAMP)
 # emulator among them where there is npm; `make test` does 4 in each of two. 20 runs on a cluster
 # of which six workers are killed each; `make test` does one with two.
 AZURITE := $(abspath $(VENV))/azurite
-faults: $(STAMP)
+faults: $(EVERYTHING)
 	command -v npm > /dev/null && npm install --silent --no-fund --no-audit --prefix $(AZURITE) azurite || true
-	UNBEND_AZURITE=$(AZURITE) UNBEND_RACES=200 UNBEND_AIR_FLIGHTS=3 UNBEND_CLUSTER_KILLS=20 UNBEND_THERMOMETERS=1600 UNBEND_WHOLE_LOGS=1 UNBEND_MUTATIONS=100000 UNBEND_SNIPPETS=all UNBEND_FLIGHTS=1000 UNBEND_MISTAKES=100 UNBEND_BLOCKS=8 UNBEND_ADJUSTMENTS=30 UNBEND_KILLS=all $(BIN)/python -m pytest -n 2 --dist loadfile tests/faults tests/stages/test_resume.py tests/batch/test_cluster.py tests/ingest tests/flight/test_injected_faults.py tests/atmosphere/test_estimate_montecarlo.py tests/atmosphere/estimate/test_honest_thermometers.py tests/atmosphere/test_model_montecarlo.py tests/batch/object_store tests/block tests/stages/test_mistakes.py tests/golden/test_block_heights.py tests/golden/test_when.py tests/contract/test_documentation.py tests/tables/exports/test_block_memory.py
+	UNBEND_AZURITE=$(AZURITE) UNBEND_RACES=200 UNBEND_AIR_FLIGHTS=3 UNBEND_CLUSTER_KILLS=20 UNBEND_THERMOMETERS=1600 UNBEND_WHOLE_LOGS=1 UNBEND_MUTATIONS=100000 UNBEND_SNIPPETS=all UNBEND_FLIGHTS=1000 UNBEND_MISTAKES=100 UNBEND_BLOCKS=8 UNBEND_ADJUSTMENTS=30 UNBEND_KILLS=all $(BIN)/python -m pytest -n 2 --dist loadfile tests/faults tests/batch/test_resume.py tests/batch/test_cluster.py tests/ingest tests/flight/test_injected_faults.py tests/atmosphere/test_estimate_montecarlo.py tests/atmosphere/estimate/test_honest_thermometers.py tests/atmosphere/test_model_montecarlo.py tests/batch/object_store tests/block tests/stages/test_mistakes.py tests/golden/test_block_heights.py tests/golden/test_when.py tests/contract/test_documentation.py tests/tables/exports/test_block_memory.py
 
 # Bugs planted one at a time: do the tests of their room notice? All, or ROOM=refraction; two hours.
-planted: $(STAMP)
+planted: $(EVERYTHING)
 	UNBEND_BLOCKS=8 $(BIN)/python tests/planted/run.py $(ROOM)
 
 # Ratios of things timed by turns, each with its bound; a quarter of an hour on a quiet machine.
-bench: $(STAMP)
+bench: $(EVERYTHING)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -o addopts='' -o python_files='bench_*.py' -q benchmarks
 
 clean:
-	rm -rf $(VENV) results docs/site
+	rm -rf $(VENV) $(VENV)-* results docs/site

@@ -15,8 +15,8 @@ import pandas as pd
 import yaml
 from timing import Ratios
 
-from unbend.stages.commands.finished_run import export_run
-from unbend.stages.story import run_mission
+from unbend.batch.finished_run import export_run
+from unbend.batch.runs import run_mission
 
 IMAGES, ROWS, FEWER, FEW = 112, 448_000, 44_800, 1_008
 CAMERA = (1, 14000, 10600, [20000.0, 20000.0, 7000.0, 5300.0])  # COLMAP's PINHOLE

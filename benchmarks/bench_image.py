@@ -90,8 +90,8 @@ def test_image_points_beside_numpy(ratios):
 
     ours = correct_observations(x[few], y[few], h_g[few], e[few], ex, camera=CAMERA, table=table)
     theirs = replace_in_blocks(fitted, x[few], y[few], h_g[few], e[few], ex)
-    assert np.abs(ours.x_px - theirs[0]).max() < 1e-6
-    assert np.abs(ours.y_px - theirs[1]).max() < 1e-6
+    assert np.abs(ours.x_corrected_px - theirs[0]).max() < 1e-6
+    assert np.abs(ours.y_corrected_px - theirs[1]).max() < 1e-6
 
     ratio = ratios.of_times(
         lambda: correct_observations(x, y, h_g, e, ex, camera=CAMERA, table=table),

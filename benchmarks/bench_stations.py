@@ -6,16 +6,18 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 import pytest
 import yaml
 
-from unbend.batch.plan import make_plan
 from unbend.config import load_mission
 from unbend.flight.exposures import Events
 from unbend.ingest import open_log
 from unbend.messages import Ledger
-from unbend.stages.inputs import read_log
+from unbend.stages.flight_log import flight_log
+from unbend.stages.opened_inputs import OpenedInputs
 from unbend.stages.stations import StationBuilder
+from unbend.tables.observations import observations_of_table
 
 LOG = Path(__file__).resolve().parents[2] / "shared" / "logs" / "sitl_survey.BIN"
 COUNT = 20_000
@@ -36,9 +38,13 @@ def test_twenty_thousand_stations_beside_the_ingest_of_a_log(ratios, tmp_path):
     }  # fmt: skip
     path = tmp_path / "mission.yaml"
     path.write_text(yaml.safe_dump(config), encoding="utf-8")
-    plan = make_plan(load_mission(path), tmp_path)
-    flight = read_log(plan, Ledger())
-    builder = StationBuilder.of(plan, flight, "c", None)
+    mission = load_mission(path)
+    columns = mission.observations.columns.model_dump()
+    observed = pa.table({"image": ["1"], "point": ["p"], "x_px": [1.0], "y_px": [1.0]})
+    observations = observations_of_table(observed, "observations", columns, None, Ledger())
+    inputs = OpenedInputs(observations, open_log(LOG))
+    flight = flight_log(mission, inputs, Ledger())
+    builder = StationBuilder.of(mission, flight, "c", None)
     (events,) = (c for c in flight.channels if c.name == "CAM[0]")
     time = np.linspace(events.time_ns[0], events.time_ns[-1], COUNT).astype(np.int64)
     exposed = Events("c", np.array([f"i{k}" for k in range(COUNT)], object), time)

@@ -10,10 +10,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from survey import CAMERA, air, exposures, image_names, uncertainty, write_observations
 
+from unbend.batch.run_files import PartsOfRun, correct_into
 from unbend.batch.store import open_folder
 from unbend.messages import Ledger
 from unbend.refraction.ray import rays_by
-from unbend.stages.correction import CorrectionSetup, PartsOfRun, correct_stream
+from unbend.stages.correction_setup import CorrectionSetup
 from unbend.stages.ground_heights import GivenGround
 from unbend.tables.observations import open_observations
 from unbend.tables.writing import parquet_settings
@@ -35,10 +36,7 @@ def correct(source: Path, out: Path) -> None:
     )  # fmt: skip
     observations = open_observations(source, COLUMNS, "h_g_m", Ledger())
     with open_folder(out) as folder:
-        correct_stream(
-            observations, setup, PartsOfRun(folder),
-            batch_rows=BATCH_ROWS, metadata={}, progress=lambda _: None,
-        )  # fmt: skip
+        correct_into(PartsOfRun(folder), observations, setup, batch_rows=BATCH_ROWS, metadata={})
         folder.commit({"outputs": folder.outputs()})
 
 

@@ -10,10 +10,11 @@ from pathlib import Path
 import numpy as np
 from survey import CAMERA, air, exposures, image_names, uncertainty, write_observations
 
+from unbend.batch.run_files import PartsOfRun, correct_into
 from unbend.batch.store import open_folder
 from unbend.messages import Ledger
 from unbend.refraction.ray import rays_by
-from unbend.stages.correction import CorrectionSetup, PartsOfRun, correct_stream
+from unbend.stages.correction_setup import CorrectionSetup
 from unbend.stages.ground_heights import GivenGround, TerrainGround
 from unbend.tables.geodata.elevation import open_elevation
 from unbend.tables.observations import open_observations
@@ -63,10 +64,9 @@ def correct(source: Path, out: Path, model: Path | None) -> None:
     column = "h_g_m" if model is None else None
     observations = open_observations(source, COLUMNS, column, Ledger())
     with open_folder(out) as folder:
-        statistics = correct_stream(
-            observations, setup, PartsOfRun(folder),
-            batch_rows=250_000, metadata={}, progress=lambda _: None,
-        )  # fmt: skip
+        statistics = correct_into(
+            PartsOfRun(folder), observations, setup, batch_rows=250_000, metadata={}
+        )
         folder.commit({"outputs": folder.outputs()})
     assert statistics.status["ok"] == ROWS, statistics.status
 

@@ -17,9 +17,10 @@ import numpy as np
 
 from unbend.ingest import open_log
 from unbend.ingest.buffers import view_of_bytes
-from unbend.ingest.dataflash.log import read_tables
-from unbend.ingest.dataflash.records import HEADER, find_records
-from unbend.ingest.log import PLACE
+from unbend.ingest.dataflash.binary_log import read_tables
+from unbend.ingest.dataflash.dataflash_records import find_records
+from unbend.ingest.dataflash.record_definitions import HEADER
+from unbend.ingest.message_tables import PLACE
 
 NEEDED = ("GPS", "GPA", "ATT", "BARO", "POS", "CAM", "TRIG", "ARSP", "HYGR")
 WEEK_MS = 604_800_000
@@ -67,7 +68,7 @@ def library_needed(log: Path) -> int:
 
     reader = DFReader_binary(str(log))
     rows = 0
-    with contextlib.closing(reader.filehandle), contextlib.closing(reader.data_map):
+    with contextlib.closing(reader):
         while (row := reader.recv_match(type=list(NEEDED))) is not None:
             row.to_dict()
             rows += 1
@@ -80,7 +81,7 @@ def library_all(log: Path) -> int:
 
     reader = DFReader_binary(str(log))
     rows = 0
-    with contextlib.closing(reader.filehandle), contextlib.closing(reader.data_map):
+    with contextlib.closing(reader):
         while (row := reader.recv_msg()) is not None:
             row.to_dict()
             rows += 1

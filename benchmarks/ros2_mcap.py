@@ -16,8 +16,8 @@ import time
 from pathlib import Path
 
 from unbend.ingest import open_log
-from unbend.ingest.mcap.log import MCAP
-from unbend.ingest.mcap.samples import SCHEMAS, known_name
+from unbend.ingest.mcap.mcap_log import MCAP
+from unbend.ingest.mcap.topic_samples import SCHEMAS, known_name
 from unbend.messages import Ledger
 
 STAMP = struct.Struct("<iI")  # header.stamp, behind four bytes of encapsulation

@@ -17,18 +17,18 @@ import numpy as np
 
 from unbend.ingest import open_log
 from unbend.ingest.buffers import open_view
-from unbend.ingest.tlog.channels import crc_extras, dialect, name_of, wanted_layouts
-from unbend.ingest.tlog.scan import (
+from unbend.ingest.tlog.dialect import crc_extras, dialect, name_of, wanted_layouts
+from unbend.ingest.tlog.frames import (
     HEAD,
     STAMP,
     Frames,
-    Scan,
     candidates,
     checksums,
     checksums_hold,
     frame_length,
     headers,
 )
+from unbend.ingest.tlog.scan import Scan
 
 NEEDED = tuple(sorted(map(name_of, wanted_layouts())))
 LIBRARY_BYTES = 10_000_000

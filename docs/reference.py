@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable, Iterator
 
 from docs.snippets import printed_by
-from unbend.config.schema import MissionKey, campaign_keys, mission_keys
+from unbend.config.keys import MissionKey, campaign_keys, mission_keys
 from unbend.report import explanations
 from unbend.tables import schemas
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import itertools
 import os
 import pickle
 import shutil
@@ -14,8 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-# As the command line does, and before anything imports numpy: results then agree to the last bit.
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+import tests.shared_by_tests  # noqa: F401  # isort: skip (before numpy, numba, matplotlib)
 
 import pyarrow as pa
 import pyarrow.compute as pc
@@ -24,6 +24,7 @@ import pytest
 import yaml
 from hypothesis import settings
 
+from tests.draws import SEED
 from unbend.simulate import Simulated, SimulationOptions, simulate
 
 # No property depends on how loaded the machine is.
@@ -133,6 +134,38 @@ class MissionFolder:
         return pq.read_table(self.output / "stations.parquet")
 
 
+@contextlib.contextmanager
+def at_home(folder: Path) -> Iterator[None]:
+    """A folder is the user's home, with the user's cache in it; programs started inherit it."""
+    folder.mkdir()
+    home = {"HOME": str(folder), "USERPROFILE": str(folder)}
+    home["XDG_CACHE_HOME"] = str(folder / ".cache")
+    elsewhere = ("XDG_CONFIG_HOME", "XDG_DATA_HOME", "XDG_STATE_HOME")
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in home.items():
+            patch.setenv(name, value)
+        for name in elsewhere:
+            patch.delenv(name, raising=False)
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def homes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Iterator[Path]]:
+    """Folders for the homes of tests; what several tests use is made in the first of them."""
+    folder = tmp_path_factory.mktemp("homes")
+    with at_home(folder / "of_all"):
+        yield (folder / str(number) for number in itertools.count())
+
+
+@pytest.fixture(autouse=True)
+def own_home(homes: Iterator[Path]) -> Iterator[Path]:
+    """Each test has a home and a cache of its own, gone when it ends."""
+    home = next(homes)
+    with at_home(home):
+        yield home
+    shutil.rmtree(home, ignore_errors=True)
+
+
 @pytest.fixture(scope="session")
 def flown(tmp_path_factory: pytest.TempPathFactory) -> Simulated:
     """A flight of one line: three logs, six images, some sixty observations."""
@@ -210,13 +243,13 @@ def baseline(
 @contextlib.contextmanager
 def without_plots() -> Iterator[None]:
     """A report without plots, which take half of the time of a small run."""
-    from unbend.stages import story as stages
+    from unbend.batch import runs
 
     def write_report(path: Path, manifest: dict[str, Any], *_: object) -> None:
         path.write_text(manifest["mission"], encoding="utf-8")
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(stages, "write_report", write_report)
+        patch.setattr(runs, "write_report", write_report)
         yield
 
 
@@ -237,6 +270,62 @@ def unbend() -> Callable[..., Ended]:
 def eighty_columns(monkeypatch: pytest.MonkeyPatch) -> None:
     """Texts as wide as in a terminal of 80 columns; otherwise what is captured is not wrapped."""
     monkeypatch.setenv("COLUMNS", "80")
+
+
+SHARED = Path(__file__).resolve().parents[2] / "shared"
+NEEDS = {
+    "real_log": pytest.mark.shared("logs"),
+    "berlin": pytest.mark.shared("ba"),
+    "strasbourg": pytest.mark.shared("ba"),
+    "browser": pytest.mark.browser,
+}
+NEEDS |= dict.fromkeys(("place", "s3_place", "seaweed", "moto", "azurite"), pytest.mark.emulator)
+"""Fixtures, and the marker of each test that uses one."""
+
+
+SLOW = (
+    "atmosphere/estimate/",
+    "atmosphere/test_estimate_montecarlo.py",
+    "atmosphere/test_model_montecarlo.py",
+    "block/test_diagnosis.py",
+    "block/test_simulated_mission.py",
+    "faults/",
+    "flight/test_gimbal.py::test_a_mission",
+    "flight/test_injected_faults.py",
+    "golden/",
+    "refraction/test_chord.py::test_the_angle_at_that_height_gives_the_distance_back",
+    "refraction/test_compile_cache.py",
+    "refraction/test_forward.py",
+    "refraction/test_image.py::test_the_scalar_equations_catch_mutants",
+)
+"""Folders, files and tests that take seconds of a processor, by the beginning of their names."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark tests by name and fixtures; skip those whose folder of ../shared is absent."""
+    for item in items:
+        if item.nodeid.removeprefix("tests/").startswith(SLOW):
+            item.add_marker(pytest.mark.slow)
+        for name in NEEDS.keys() & {*getattr(item, "fixturenames", ())}:
+            item.add_marker(NEEDS[name])
+        folders = {folder for mark in item.iter_markers("shared") for folder in mark.args}
+        for folder in sorted(folders):
+            if not (SHARED / folder).is_dir():
+                reason = f"../shared/{folder} is not beside this checkout"
+                item.add_marker(pytest.mark.skip(reason=reason))
+
+
+def pytest_report_header() -> str:
+    return f"what tests draw: UNBEND_SEED={SEED}"
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item) -> Iterator[None]:
+    """A failure names the seed of the day, without which it may not be there tomorrow."""
+    report = yield
+    if report.failed:
+        report.sections.append(("what was drawn", f"UNBEND_SEED={SEED}"))
+    return report
 
 
 COUNTED = ("cells compared", "mutations", "assignments")

@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from unbend.atmosphere import standard_atmosphere
+    from unbend.batch.runs import run_mission
     from unbend.config import load_mission
-    from unbend.in_memory import correct
     from unbend.ingest import open_log
+    from unbend.library import correct
     from unbend.refraction import correct_observations, refraction_angle
-    from unbend.stages.story import run_mission
 
 __version__ = "0.2.0"
 
@@ -34,12 +34,12 @@ __all__ = [
 ]
 
 _MODULES = {
-    "correct": "unbend.in_memory",
+    "correct": "unbend.library",
     "correct_observations": "unbend.refraction",
     "load_mission": "unbend.config",
     "open_log": "unbend.ingest",
     "refraction_angle": "unbend.refraction",
-    "run_mission": "unbend.stages.story",
+    "run_mission": "unbend.batch.runs",
     "standard_atmosphere": "unbend.atmosphere",
 }
 

@@ -14,10 +14,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from scipy.integrate import cumulative_simpson
+from scipy.integrate import cumulative_simpson, trapezoid
 from scipy.signal import lfilter
 
 from unbend.atmosphere.air_samples import AirSamples, SensorSamples
+from unbend.atmosphere.rejection import Reason, reasons_where
 from unbend.simulate.true_air import edlen_index, normal_gravity, saturation_pressure_pa
 
 SOUNDINGS = Path(__file__).resolve().parents[1] / "data" / "soundings"
@@ -120,7 +121,7 @@ class Truth:
     def r_plane(self, refractivity: np.ndarray, climb: float) -> float:
         """R / tan(zeta) in the plane: the integral of (N - N_c) dh over h_c - h_g (Gyer Eq. 24)."""
         n = refractivity[: round(climb) + 1]
-        return float(np.trapezoid(n - n[-1]) / climb)
+        return float(trapezoid(n - n[-1]) / climb)
 
     def error(self, profile, climb: float) -> float:
         """Relative error of R that a profile leaves, from the ground to the top of the climb."""
@@ -266,11 +267,15 @@ def fly(
     rh = truth.at(truth.rh, above) + s.humidity_bias + rng.normal(0.0, 1.0, n) * s.humidity_noise
     time_ns = truth.start_ns + np.round(seconds * 1e9).astype(np.int64)
     flown = seconds - TAKEOFF_S >= gate_s
+
+    def gated(used):
+        return reasons_where(~used, Reason.GROUND_SOAK)
+
     moist = {"none": None, "surface": above < 200.0, "profile": flown}[humidity]
     return AirSamples(
-        SensorSamples(time_ns, h, t, flown, "thermometer") if thermometer else None,
-        SensorSamples(time_ns, h, p, np.ones(n, bool), "barometer") if barometer else None,
-        SensorSamples(time_ns, h, rh, moist, "hygrometer") if moist is not None else None,
+        SensorSamples(time_ns, h, t, gated(flown), "thermometer") if thermometer else None,
+        SensorSamples(time_ns, h, p, np.zeros(n, np.uint8), "barometer") if barometer else None,
+        SensorSamples(time_ns, h, rh, gated(moist), "hygrometer") if moist is not None else None,
     )
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.integrate import trapezoid
 
 from unbend.atmosphere import standard_atmosphere, standard_names
 from unbend.atmosphere.climate_tables import climate_names, climate_profile, supplements_profile
@@ -24,10 +25,8 @@ from unbend.simulate.true_air import normal_gravity
 from unbend.tables.soundings import read_sounding
 
 SHARED = Path(__file__).resolve().parents[2].parent / "shared"
-tables = pytest.mark.skipif(
-    not SHARED.is_dir(), reason="the tables of ../shared are not beside the repository"
-)
-AFGL = [name for name in climate_names() if name.startswith("afgl")]
+tables = pytest.mark.shared("atmospheres", "soundings")
+TRANSCRIBED = {path.stem for path in (SHARED / "atmospheres").glob("*.csv")}
 
 
 def rows(name: str) -> list[dict[str, str]]:
@@ -61,7 +60,7 @@ def test_the_nine_supplements():
 
 
 @tables
-@pytest.mark.parametrize("name", AFGL)
+@pytest.mark.parametrize("name", [name for name in climate_names() if name in TRANSCRIBED])
 def test_afgl(name):
     levels = [row for row in rows(f"{name}.csv") if float(row["z_km"]) < 80.0]
     h, t, p, water = (
@@ -90,7 +89,7 @@ def test_the_refraction_of_dry_and_moist_air_of_july():
         step = 0.5 * (1.0 / t[1:] + 1.0 / t[:-1]) * np.diff(profile.gravity.geopotential_height(h))
         p = p[0] * np.exp(-0.0341632 * np.concatenate([[0.0], np.cumsum(step)]))
         dry = profile.index.refractivity(t, p, 0.0)
-        r = [float(np.trapezoid(n - n[-1], h)) for n in (moist, dry)]
+        r = [float(trapezoid(n - n[-1], h)) for n in (moist, dry)]
         assert 100.0 * (1.0 - r[0] / r[1]) == pytest.approx(per_cent, abs=0.5)
 
 

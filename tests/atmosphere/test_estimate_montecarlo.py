@@ -13,6 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.integrate import trapezoid
 
 from unbend.atmosphere import standard_atmosphere
 from unbend.atmosphere.climatology import Climatology, climatology, month_of
@@ -271,7 +272,7 @@ def test_a_log_of_a_part_of_the_flight(flights, real, extreme, part, thermometer
             low, high = round(flown.min() - truth.h[0]) + 5, round(flown.max() - truth.h[0]) - 5
             h = truth.h[low : high + 1]
             right, ours = (
-                float(np.trapezoid(n - n[-1]))
+                float(trapezoid(n - n[-1]))
                 for n in (truth.refractivity[low : high + 1], made.profile.refractivity(h))
             )
             sigma = made.covariance.relative_sigma(float(h[-1]), float(h[0]))

@@ -52,18 +52,6 @@ def test_a_flipped_byte_is_seen_by_a_rerun(tmp_path: Path, name: str) -> None:
     assert find_damage(tmp_path, manifest, read=False) == [f"{name}: its content has changed"]
 
 
-def test_small_files_are_read_where_no_hash_is_remembered(tmp_path: Path, monkeypatch) -> None:
-    """Results from another machine: parts are known by their size, what is small is read."""
-    commit(tmp_path / "run", "stations.parquet", "observations/part-00000.parquet")
-    for name in ("stations.parquet", "observations/part-00000.parquet"):
-        (tmp_path / "run" / name).write_text(name[:-1] + "T", encoding="utf-8")
-    manifest = read_manifest(tmp_path / "run")
-    assert manifest is not None
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "empty"))
-    changed = ["stations.parquet: its content has changed"]
-    assert find_damage(tmp_path / "run", manifest, read=False) == changed
-
-
 def test_a_file_has_no_manifest(tmp_path: Path) -> None:
     (tmp_path / "manifest.json").write_text("{}", encoding="utf-8")
     assert read_manifest(tmp_path / "manifest.json") is None
@@ -285,11 +273,22 @@ def test_the_lock_of_a_process_that_died_is_free(tmp_path: Path) -> None:
     assert read_manifest(tmp_path) is not None
 
 
-def test_a_disk_without_locks_is_refused_with_its_words(tmp_path: Path, monkeypatch) -> None:
-    def acquire(*_: object, **__: object) -> None:
-        raise OSError(37, "No locks available")
+def refusing_lock(error: OSError) -> type:
+    """Locks that nobody gets, for the error that the system would give."""
 
-    monkeypatch.setattr(store.FileLock, "acquire", acquire)
+    class Refusing:
+        def __init__(self, path: Path, timeout: float) -> None:
+            assert (path.name, timeout) == (".lock", 0)
+
+        def acquire(self) -> None:
+            raise error
+
+    return Refusing
+
+
+def test_a_disk_without_locks_is_refused_with_its_words(tmp_path: Path, monkeypatch) -> None:
+    no_locks = refusing_lock(OSError(37, "No locks available"))
+    monkeypatch.setattr(store, "FileLock", no_locks)
     no_lock = pytest.raises(StorageError, match="No locks available")
     with no_lock as refusal, open_folder(tmp_path):
         pass
@@ -300,10 +299,8 @@ def test_a_disk_without_locks_is_refused_with_its_words(tmp_path: Path, monkeypa
 def test_a_folder_that_may_not_be_written_to_is_not_taken_for_a_disk_without_locks(
     tmp_path: Path, monkeypatch, number
 ) -> None:
-    def acquire(*_: object, **__: object) -> None:
-        raise OSError(number, os.strerror(number), str(tmp_path / ".lock"))
-
-    monkeypatch.setattr(store.FileLock, "acquire", acquire)
+    refused = OSError(number, os.strerror(number), str(tmp_path / ".lock"))
+    monkeypatch.setattr(store, "FileLock", refusing_lock(refused))
     words = pytest.raises(StorageError, match=os.strerror(number))
     with words as refusal, open_folder(tmp_path):
         pass

@@ -1,4 +1,4 @@
-"""Flights drawn at random, and how many: UNBEND_FLIGHTS (200) from UNBEND_FLIGHT_SEED (0)."""
+"""Flights drawn at random, and how many: UNBEND_FLIGHTS (200) from UNBEND_SEED."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+
+from tests.draws import SEED
 
 
 def _beside(name: str) -> ModuleType:
@@ -43,4 +45,4 @@ def flight_count() -> int:
 
 @pytest.fixture(scope="session")
 def flight_seed() -> int:
-    return int(os.environ.get("UNBEND_FLIGHT_SEED", "0"))
+    return SEED

@@ -1,7 +1,7 @@
 """What tie points find in a mission file, on blocks simulated with numpy alone.
 
 Sound blocks have the seeds below UNBEND_BLOCKS (2; `make faults`: 8). With fewer than 8, one of the
-cases of each mistake is drawn from UNBEND_BLOCK_SEED (0).
+cases of each mistake is drawn from UNBEND_SEED.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from itertools import product
 import numpy as np
 import pytest
 
+from tests.draws import SEED
 from unbend.block.diagnosis import StatedMission, diagnosis, with_other_axes
 from unbend.block.image_rays import ImageRays, Orientations, straightened
 from unbend.flight.mount import Mount
@@ -22,7 +23,6 @@ from unbend.refraction.camera.brown_conrady import BrownConrady
 from unbend.refraction.camera.camera import Camera
 
 BLOCKS = int(os.environ.get("UNBEND_BLOCKS", "2"))
-SEED = int(os.environ.get("UNBEND_BLOCK_SEED", "0"))
 CAMERAS = {
     "camera0": Camera(
         9000, 9000, 1e4, 1e4, 4540.0, 4475.0, BrownConrady(k1=-0.02, k2=0.01, p1=2e-4)
@@ -41,7 +41,6 @@ def drawn(*cases):
 @pytest.fixture(scope="module")
 def make(simulated_block):
     """A block of two cameras as a mission file states it, from its seed."""
-    print(f"UNBEND_BLOCK_SEED {SEED}")
 
     def made(seed: int, *, speed: float = 50.0, calibrations=CAMERAS, **options) -> StatedMission:
         options = {"cameras": (0.0, 0.35), "points": 500, "each": 8} | options

@@ -22,8 +22,7 @@ def library(path, kind):
     while (row := reader.recv_msg()) is not None:
         if row.get_type() == kind:
             rows.append(row.to_dict())
-    reader.data_map.close()
-    reader.filehandle.close()
+    reader.close()
     return rows
 
 

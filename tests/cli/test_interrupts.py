@@ -21,7 +21,8 @@ LIMIT_S = 300
 # Stops in the middle of a named step, says so, and waits to be hit.
 STALLING = """
 import sys, time
-from unbend.stages import story as stages
+from unbend.batch import runs
+from unbend.stages import story
 from unbend.batch import store
 step, mode = sys.argv[1], sys.argv[2]
 sys.argv = ["unbend", "run", sys.argv[3]]
@@ -43,7 +44,8 @@ if step == "commit":
             time.sleep(600)
     store.Path.replace = slow
 else:
-    setattr(stages, step, stall(getattr(stages, step), mode == "after"))
+    module = runs if hasattr(runs, step) else story
+    setattr(module, step, stall(getattr(module, step), mode == "after"))
 from unbend.cli import main
 main()
 """
@@ -64,27 +66,34 @@ from unbend.cli import main
 main()
 """
 
-# Hit where the main thread has just taken a lock that other threads need.
+# Hit where the main thread has just taken a lock that other threads need: the nth that it takes
+# while batches are corrected, whoever asked for it.
 HITTING = """
-import os, signal, sys, threading
-where, number = sys.argv[1:3], int(sys.argv[3])
-sys.argv = ["unbend", "run", sys.argv[4]]
-hits, main_thread = [], threading.get_ident()
+import signal, sys, threading
+turn, number = map(int, sys.argv[1:3])
+sys.argv = ["unbend", "run", sys.argv[3]]
+taken, main_thread = [], threading.get_ident()
 class Hit(threading.Condition):
     def __enter__(self):
-        taken = super().__enter__()
-        caller = sys._getframe(1).f_code
-        here = [os.path.basename(caller.co_filename), caller.co_name]
-        if here == where and threading.get_ident() == main_thread and not hits:
-            hits.append(here)
-            signal.raise_signal(number)
-        return taken
+        entered = super().__enter__()
+        if threading.get_ident() == main_thread and began.is_set() and len(taken) < turn:
+            taken.append(self)
+            if len(taken) == turn:
+                signal.raise_signal(number)
+        return entered
+began = threading.Event()
 threading.Condition = Hit
+from unbend.stages import correction as correct
+real = correct.correct_batch
+def seen(*args):
+    began.set()
+    return real(*args)
+correct.correct_batch = seen
 from unbend.cli import main
 try:
     main()
 finally:
-    print("hit" if hits else "missed")
+    print("hit" if len(taken) == turn else "missed")
 """
 
 
@@ -171,17 +180,19 @@ def test_impatience_does_no_harm_to_a_stream(mission, numbers, code):
 
 
 @pytest.mark.parametrize(
-    ("where", "number", "code"),
+    ("turn", "number", "code"),
     [
-        (("_base.py", "result"), signal.SIGTERM, 143),
-        (("threading.py", "wait"), signal.SIGINT, 130),
+        (1, signal.SIGTERM, 143),
+        (2, signal.SIGINT, 130),
+        (3, signal.SIGTERM, 143),
+        (4, signal.SIGINT, 130),
     ],
-    ids=["result", "wait"],
+    ids=["1st", "2nd", "3rd", "4th"],
 )
-def test_a_signal_takes_no_lock_with_it(mission, where, number, code):
+def test_a_signal_takes_no_lock_with_it(mission, turn, number, code):
     mission.config["output"]["batch_rows"] = 1000
     mission.observe(pa.concat_tables([mission.measurements()] * 50))
-    words = [*where, str(int(number)), str(mission.save())]
+    words = [str(turn), str(int(number)), str(mission.save())]
     returned, text = ended(
         subprocess.Popen(
             [sys.executable, "-c", HEARING + HITTING, *words],
@@ -286,7 +297,7 @@ def test_kill_and_rerun_give_what_an_untouched_run_gives(mission, baseline, unbe
 
 def test_a_bug_is_owned_up_to(mission):
     code = (
-        "import sys; from unbend.stages.commands import finished_run\n"
+        "import sys; from unbend.batch import finished_run\n"
         "sys.argv = ['unbend', 'verify', 'x']\n"
         "finished_run.verify_run = lambda path: 1 / 0\n"
         "from unbend.cli import main; main()"

@@ -12,8 +12,8 @@ import pytest
 
 from unbend.atmosphere import standard_atmosphere
 from unbend.atmosphere.series.profile_series import TimedProfile
+from unbend.batch import runs
 from unbend.refraction import METHODS
-from unbend.stages import story
 
 
 def rows_of(path) -> list[dict[str, str]]:
@@ -56,13 +56,13 @@ def test_options_of_simulate(unbend, monkeypatch, tmp_path, options, expected):
     assert "unbend run" in said
 
 
-def test_radial_and_angle_agree_for_another_radius(unbend, tmp_path):
+def test_the_table_and_one_angle_agree_for_another_radius(unbend, tmp_path):
     """By two commands; at 45 degrees an earth of a tenth of the radius changes R by a percent."""
     out = tmp_path / "radial.csv"
     heights = ("--atmosphere", "icao", "--camera-height", 5000, "--ground-height", 100)
     found = {}
     for radius in (6_371_000, 637_100):
-        ended = unbend("radial", *heights, "--radius", radius, "--step", 15, "--csv", out)
+        ended = unbend("angle", *heights, "--radius", radius, "--step", 15, "--csv", out)
         assert ended.code == 0
         rows = {float(row["nadir_angle_deg"]): float(row["r_c_arcsec"]) for row in rows_of(out)}
         assert list(rows) == pytest.approx([0.0, 15.0, 30.0, 45.0, 60.0])
@@ -84,7 +84,7 @@ def test_profile_at_every_kilometre(unbend, tmp_path):
 
 @pytest.mark.parametrize("step", [(), ("--step", 1000)], ids=str)
 def test_a_profile_of_a_long_flight_has_all_its_parts(unbend, monkeypatch, tmp_path, step):
-    air, samples, ledger = story.air_of_mission_or_standard(None, "us1976")
+    air, samples, ledger = runs.air_of_mission_or_standard(None, "us1976")
     second = 1_000_000_000
     parts = tuple(
         TimedProfile(number * 3600 * second, standard_atmosphere(name))
@@ -92,7 +92,7 @@ def test_a_profile_of_a_long_flight_has_all_its_parts(unbend, monkeypatch, tmp_p
     )
     series = dataclasses.replace(air.series, timed_profiles=parts)
     several = dataclasses.replace(air, series=series)
-    monkeypatch.setattr(story, "air_of_mission_or_standard", lambda *_: (several, samples, ledger))
+    monkeypatch.setattr(runs, "air_of_mission_or_standard", lambda *_: (several, samples, ledger))
     out = tmp_path / "air.csv"
     assert unbend("profile", "--atmosphere", "us1976", *step, "--csv", out).code == 0
     rows = rows_of(out)

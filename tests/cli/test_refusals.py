@@ -437,14 +437,14 @@ def test_a_full_disk(mission, monkeypatch):
 
 
 def test_an_input_that_changes_meanwhile(mission, monkeypatch):
-    from unbend.stages import story as stages
+    from unbend.batch import runs
 
     def write_report(path, *_):
         path.write_text("report")
         with mission.log.open("ab") as log:
             log.write(b"more")
 
-    monkeypatch.setattr(stages, "write_report", write_report)
+    monkeypatch.setattr(runs, "write_report", write_report)
     assert "log" in refused(mission.run(), "INPUT-CHANGED")
     assert not (mission.output / "manifest.json").exists()
     assert not (mission.output / "observations").exists()
@@ -474,18 +474,18 @@ def test_two_missions_with_one_folder(mission, unbend):
 
 
 def test_an_error_of_ours_costs_one_mission_only(mission_factory, tmp_path, unbend, monkeypatch):
-    from unbend.stages import story as stages
+    from unbend.stages import story
 
     good, bad = mission_factory(tmp_path / "good"), mission_factory(tmp_path / "bad")
     bad.config["mission"]["name"] = "unlucky"
-    real = stages.read_log
+    real = story.flight_log
 
-    def read_log(plan, ledger):
-        if plan.mission.mission.name == "unlucky":
+    def flight_log(mission, *arguments):
+        if mission.mission.name == "unlucky":
             raise KeyError("never thought of")
-        return real(plan, ledger)
+        return real(mission, *arguments)
 
-    monkeypatch.setattr(stages, "read_log", read_log)
+    monkeypatch.setattr(story, "flight_log", flight_log)
     ended = unbend("run", bad.save(), good.save())
     assert ended.code == 1
     assert "Traceback" in ended.err

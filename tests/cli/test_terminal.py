@@ -23,14 +23,6 @@ IMPATIENT = (
 )
 
 
-COMPILING = (
-    "-c",
-    "from unbend.refraction.kernels.jit import Kernel; Kernel.always_compiled = True\n"
-    "from unbend.cli import main; main()",
-)
-"""A single angle is interpreted: compiled as the many rays of a run are."""
-
-
 def in_terminal(*words: str, python: tuple[str, ...] = UNBEND, **environment: str) -> str:
     """What `unbend` writes to a terminal of its own."""
     master, slave = pty.openpty()
@@ -79,7 +71,7 @@ def test_json_is_all_that_is_written_and_quiet_writes_nothing(unbend, baseline, 
         (("stations", baseline.file), {"stations", "written", "ledger", "exit_code"}),
         (("inspect", flown.logs["bin"]), {"flight", "roles", "channels", "duration_s"}),
         (("profile", "--atmosphere", "us1976"), {"profile", "effect", "ledger", "exit_code"}),
-        (("radial", "--atmosphere", "us1976", "--camera-height", 3000, "--ground-height", 0),
+        (("angle", "--atmosphere", "us1976", "--camera-height", 3000, "--ground-height", 0),
          {"rows", "ledger"}),
         (("angle", "--camera-height", 3000, "--ground-height", 0, "--nadir-angle", 45),
          {"r_c_arcsec"}),
@@ -150,7 +142,7 @@ def test_a_terminal_is_not_left_silent(flown, tmp_path):
     """A first run, with everything to compile: the bar says so; none of it stays."""
     cache = str(tmp_path / "cache")
     words = ("angle", "--camera-height", "3000", "--ground-height", "0", "--nadir-angle", "45")
-    text = in_terminal(*words, python=COMPILING, NUMBA_CACHE_DIR=cache)
+    text = in_terminal(*words, NUMBA_CACHE_DIR=cache)
     assert "(compiling, once)" in text
     assert "R_c    7.10" in text.split("\x1b[2K")[-1]
     dumb = in_terminal(*words, python=IMPATIENT, NUMBA_CACHE_DIR=cache, TERM="dumb")

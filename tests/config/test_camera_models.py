@@ -34,7 +34,7 @@ def test_every_model_is_tried_here():
 def test_names_and_order_are_colmaps(model):
     pycolmap = pytest.importorskip("pycolmap")
     params = PARAMS[model]
-    camera = CameraSection(**FORMAT, model=model, params=params).build("centre")
+    camera = CameraSection(**FORMAT, model=model, params=params).interior_orientation_by("centre")
     reference = pycolmap.Camera(model=model, width=4000, height=3000, params=params)
     u, v = (a.ravel() for a in np.meshgrid(np.linspace(-0.6, 0.6, 13), np.linspace(-0.45, 0.45, 9)))
     wanted = reference.img_from_cam(np.stack([u, v, np.ones_like(u)], axis=1))
@@ -45,7 +45,7 @@ def test_names_and_order_are_colmaps(model):
 def test_pixels_of_another_rule_are_turned_into_colmaps():
     camera = CameraSection(
         **FORMAT, model="SIMPLE_PINHOLE", params=[3200.0, 1990.0, 1510.0], pixel_origin="centre"
-    ).build()
+    ).interior_orientation
     assert (camera.cx_px, camera.cy_px) == (1990.5, 1510.5)
 
 
@@ -80,4 +80,4 @@ def test_a_camera_of_colmap_may_be_named_by_its_number(tmp_path):
     )
     for name in (7, "7"):
         section = CameraSection(file="cameras.txt", camera=name, calibration="laboratory")
-        assert section.with_file(file).build().fy_px == 3210.0
+        assert section.with_file(file).interior_orientation.fy_px == 3210.0

@@ -12,8 +12,8 @@ import pytest
 import yaml
 
 from unbend.batch.object_store import is_url
-from unbend.config import reading
 from unbend.config.campaign import Campaign, MissionRef, open_configs
+from unbend.config.defaults import LEADING, WHOLE, merged
 from unbend.config.schema import alternatives, campaign_schema, mission_schema, nodes_at
 from unbend.errors import ConfigError, UnbendError
 
@@ -139,11 +139,11 @@ TOGETHER = [  # defaults, a mission's own, what they are together
 
 @pytest.mark.parametrize(("defaults", "own", "both", "section"), TOGETHER)
 def test_values_that_belong_together_are_not_mixed(defaults, own, both, section):
-    assert reading.merged({section: defaults}, {section: own}) == {section: both}
+    assert merged({section: defaults}, {section: own}) == {section: both}
 
 
 def test_what_is_taken_whole_are_keys_of_a_mission_file():
-    for pattern in (*reading.WHOLE, *reading.LEADING):
+    for pattern in (*WHOLE, *LEADING):
         section, _, name = pattern.partition(".*")
         names = {"log.channels": "pressure", "atmosphere.sensors": "gnss"}
         star = "." + names.get(section, "nadir") if name or "*" in pattern else ""
@@ -177,7 +177,7 @@ def test_sections_that_are_replaced_as_a_whole_are_those_of_which_there_are_seve
 
     walk(mission_schema(), "")
     assert found == ["ground.height"]
-    assert {*found} <= {*reading.WHOLE}
+    assert {*found} <= {*WHOLE}
 
 
 def test_missions_are_files_patterns_and_sections(season, mission, tmp_path):
@@ -209,6 +209,10 @@ def test_missions_are_files_patterns_and_sections(season, mission, tmp_path):
         ({"missions": [7]}, ["missions[0]"]),
         ({"misions": ["a"]}, ["misions: unknown key; perhaps 'missions'?"]),
         ({"defaults": {"atmosfere": {}}}, ["defaults.atmosfere", "perhaps 'atmosphere'?"]),
+        (
+            {"defaults": {"cameras": {"nadir": {"window": {"normal": [1.0, 0.0, 0.0]}}}}},
+            ["defaults.cameras.nadir.window"],
+        ),
         ({"defaults": {"output": {"batch_rows": "many"}}}, ["defaults.output.batch_rows"]),
         ({"defaults": {"output": {"batch_rows": "TODO"}}}, ["CONFIG-TODO", "batch_rows"]),
         ({"missions": [{"mission": {"name": "x"}, "lag": 1}]}, ["missions[0].lag", "'log'"]),

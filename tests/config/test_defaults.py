@@ -7,18 +7,16 @@ import typing
 import pytest
 
 from unbend.config.atmosphere import AtmosphereSection, SoundingSection, SurfaceSection
-from unbend.config.cameras import CameraSection, MountSection, WindowSection
+from unbend.config.cameras import CameraSection
 from unbend.config.event_sources import CsvEvents, LogEvents
-from unbend.config.schema import mission_keys
-from unbend.config.sections import (
-    GroundSection,
-    LogSection,
-    NamedChannel,
-    ObservationsSection,
-    OutputSection,
-    RefractionSection,
-)
-from unbend.ingest.fields import STATED_UNITS
+from unbend.config.ground import GroundSection
+from unbend.config.keys import mission_keys
+from unbend.config.logs import LogSection, NamedChannel
+from unbend.config.mission import OutputSection, RefractionSection
+from unbend.config.mounts import MountSection
+from unbend.config.observations import ObservationsSection
+from unbend.config.windows import WindowSection
+from unbend.ingest.field_maps import STATED_UNITS
 from unbend.ingest.registry import SUFFIXES
 
 CAMERA = {
@@ -53,10 +51,11 @@ def test_the_rays():
 def test_cameras_and_mount():
     camera = CameraSection.model_validate(CAMERA)
     assert camera.pixel_origin is None  # that of the observations
-    assert set(camera.build().distortion) == {0.0}
+    assert set(camera.interior_orientation.distortion) == {0.0}
     assert camera.window is None
     assert camera.principal_distance is None
-    assert (camera.build().cx_px, camera.build().cy_px) == (500.0, 400.0)  # corner: COLMAP's pixels
+    built = camera.interior_orientation
+    assert (built.cx_px, built.cy_px) == (500.0, 400.0)  # corner: COLMAP's pixels
     mount = MountSection()
     # Straight down, the top of the image towards the nose; nothing is known of the errors.
     assert (mount.roll_deg, mount.pitch_deg, mount.yaw_deg) == (0.0, 0.0, 0.0)
@@ -106,7 +105,9 @@ def test_the_ground_has_no_default_but_for_distances():
 )  # fmt: skip
 def test_the_origin_of_a_camera_goes_before_that_of_the_table(own, of_table, cx):
     """COLMAP: the centre of the upper left pixel is (0.5, 0.5); OpenCV: it is (0, 0)."""
-    camera = CameraSection.model_validate(CAMERA | {"pixel_origin": own}).build(of_table)
+    camera = CameraSection.model_validate(CAMERA | {"pixel_origin": own}).interior_orientation_by(
+        of_table
+    )
     assert (camera.cx_px, camera.cy_px) == (cx, cx - 100.0)
 
 
@@ -114,7 +115,7 @@ def test_two_principal_distances_are_those_of_their_axes():
     given = {key: value for key, value in CAMERA.items() if key != "f_px"}
     given |= {"fx_px": 901.0, "fy_px": 899.0, "distortion": {"k1": 0.1, "k2": 0.2, "k3": 0.3,
                                                             "p1": 0.004, "p2": 0.005}}  # fmt: skip
-    camera = CameraSection.model_validate(given).build()
+    camera = CameraSection.model_validate(given).interior_orientation
     assert (camera.fx_px, camera.fy_px, camera.width_px, camera.height_px) == (
         901.0,
         899.0,
@@ -127,7 +128,7 @@ def test_two_principal_distances_are_those_of_their_axes():
 def test_a_mount_in_radians():
     mount = MountSection(
         roll_deg=10.0, pitch_deg=20.0, yaw_deg=30.0, lever_arm_m=[1.0, 2.0, 3.0]
-    ).build()
+    ).mount
     assert (mount.roll_rad, mount.pitch_rad, mount.yaw_rad) == pytest.approx(
         (0.17453292519943295, 0.3490658503988659, 0.5235987755982988), rel=1e-15
     )

@@ -11,8 +11,8 @@ import pytest
 import yaml
 from pydantic import ValidationError
 
-from unbend.config import Mission, cameras, load_mission
-from unbend.config.reading import sentences_of
+from unbend.config import Mission, load_mission
+from unbend.config.mistakes import sentences_of
 from unbend.errors import ConfigError
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -95,16 +95,16 @@ def test_the_phrases_are_what_pydantic_says():
     ("place", "value", "says"),
     [
         ("cameras.nadir.fx_px", "wide",
-         "line 20: cameras.nadir.fx_px: 'wide' stands there, and it takes a number from 10 to "
+         "line 20: cameras.nadir.fx_px: 'wide' is not allowed; use a number from 10 to "
          "1000000 [px], as 20000.0"),
         ("ground.reference", "sea",
-         "ground.reference: 'sea' stands there, and it takes msl | ellipsoid | relative"),
-        ("mission.name", "a b", "it takes letters, digits, dots, dashes and underscores"),
-        ("cameras.nadir.width_px", 3.5, "it takes a whole number above 0 to 1000000 [px]"),
-        ("log.channels.pressure", 5, "it takes text or a section {name, unit}, as BARO[0]"),
-        ("mount.nadir.lever_arm_m", [1.0], "a list of 1 stands there, and it takes a list of 3: "
+         "ground.reference: 'sea' is not allowed; use msl | ellipsoid | relative"),
+        ("mission.name", "a b", "use letters, digits, dots, dashes and underscores"),
+        ("cameras.nadir.width_px", 3.5, "use a whole number above 0 to 1000000 [px]"),
+        ("log.channels.pressure", 5, "use text or a section {name, unit}, as BARO[0]"),
+        ("mount.nadir.lever_arm_m", [1.0], "a list of 1 is not allowed; use a list of 3: "
          "each a number from -100 to 100 [m]"),
-        ("output", None, "output: nothing stands there, and it takes a section {path, batch_rows}"),
+        ("output", None, "output: is empty; use a section {path, batch_rows}"),
         ("ground.height", {"colum": "x"}, "ground.height.colum: unknown key; perhaps 'column'?"),
         ("cameras.nadir.window", {"cabin": {"presure": 3}}, "presure: unknown key"),
     ],
@@ -170,7 +170,26 @@ def test_text_that_is_no_yaml_is_refused_in_plain_words(text, says, tmp_path):
     assert says in caught.value.what
 
 
-def test_no_text_is_idle_or_missing():
-    sources = [path.read_text("utf-8") for path in Path(cameras.__file__).parent.glob("*.py")]
-    used = {key for text in sources for key in re.findall(r'"([a-z]+(?:-[a-z]+)+)"', text)}
-    assert used == set(cameras.mistakes()) - {"yaml"}
+@pytest.mark.parametrize("section", ["observations", "stations.orientation"])
+def test_a_list_of_formats_is_refused(section, tmp_path):
+    tree = copy.deepcopy(BASE)
+    values = tree
+    for key in section.split("."):
+        values = values.setdefault(key, {})
+    values["format"] = ["colmap"]
+    error = refusal(tree, tmp_path / "mission.yaml")
+    assert error is not None
+    assert f"{section}.format: a list of 1 is not allowed" in error.what
+
+
+@pytest.mark.parametrize(
+    ("window", "key"), [({"normal": [1.0, 0.0, 0.0]}, "normal"), ({"cabin": None}, "cabin")]
+)
+def test_what_a_window_refuses_is_said_of_its_key(window, key, tmp_path):
+    tree = copy.deepcopy(BASE)
+    tree["cameras"]["nadir"]["window"] = {"cabin": "standard_schedule"} | window
+    text = yaml.safe_dump(tree, sort_keys=False)
+    error = refusal(tree, tmp_path / "mission.yaml")
+    assert error is not None
+    line = 1 + next(i for i, t in enumerate(text.splitlines()) if t.startswith(f"      {key}:"))
+    assert error.what.startswith(f"line {line}: cameras.nadir.window.{key}: ")

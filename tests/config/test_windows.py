@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
+import pickle
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -62,7 +63,7 @@ def refusal(load: Load, content: dict[str, Any]) -> str:
 
 
 def test_a_plane_window_square_to_the_axis_is_meant(load):
-    window = load(config({"cabin": "log"})).cameras["nadir"].window.build()
+    window = load(config({"cabin": "log"})).windows["nadir"]
     assert (window.shape, window.frame, window.normal) == ("plane", "camera", (0.0, 0.0, 1.0))
     assert window.in_calibration == "none"
     assert window.cabin.source == "log"
@@ -70,14 +71,14 @@ def test_a_plane_window_square_to_the_axis_is_meant(load):
 
 def test_constant_air_in_si(load):
     air = {"pressure_hpa": 812.5, "temperature_c": 20.0, "relative_humidity": 0.3}
-    cabin = load(config({"cabin": air})).cameras["nadir"].window.build().cabin
+    cabin = load(config({"cabin": air})).windows["nadir"].cabin
     assert (cabin.source, cabin.relative_humidity) == ("constant", 0.3)
     assert (cabin.pressure_pa, cabin.temperature_k) == pytest.approx((81_250.0, 293.15))
 
 
 def test_a_normal_becomes_a_unit_vector(load):
     given = {"cabin": SCHEDULE, "normal": [0.0, 3.0, 4.0], "in_calibration": "glass"}
-    window = load(config(given)).cameras["nadir"].window.build()
+    window = load(config(given)).windows["nadir"]
     assert window.normal == pytest.approx((0.0, 0.6, 0.8))
     assert (window.cabin.source, window.in_calibration) == (SCHEDULE, "glass")
 
@@ -93,8 +94,8 @@ def test_a_normal_becomes_a_unit_vector(load):
         ),
         ({"cabin": SCHEDULE, "normal": [0.0, 0.0, 0.0]}, "normal of a window has the length 0"),
         ({"cabin": SCHEDULE, "normal": [0.0, 0.0, 0.0], "frame": "body"}, "has the length 0"),
-        ({"cabin": SCHEDULE, "normal": [0.0, math.nan, 1.0]}, "normal[1]: nan stands there"),
-        ({"cabin": SCHEDULE, "normal": [0.0, 1.0]}, "takes a list of 3"),
+        ({"cabin": SCHEDULE, "normal": [0.0, math.nan, 1.0]}, "normal[1]: nan is not allowed"),
+        ({"cabin": SCHEDULE, "normal": [0.0, 1.0]}, "use a list of 3"),
         ({"cabin": SCHEDULE, "normal": [0.0, 1.0, 0.0]}, "third component is positive"),
         ({"cabin": SCHEDULE, "normal": [0.0, 0.0, -1.0]}, "third component is positive"),
         ({"cabin": SCHEDULE, "normal": [0.0, 0.0, -1.0], "frame": "body"}, "looks away"),
@@ -113,9 +114,7 @@ def test_a_window_of_the_aircraft_and_how_the_camera_sits_behind_it(load):
     # ... one that looks ahead does, and which is moved by a stabilised mount only the log knows.
     content["mount"]["nadir"] = {"pitch_deg": 45.0}
     mission = load(content)
-    normal = mission.mount["nadir"].build().camera_from_body @ np.array(
-        mission.cameras["nadir"].window.build().normal
-    )
+    normal = mission.mounts["nadir"].camera_from_body @ np.array(mission.windows["nadir"].normal)
     assert normal == pytest.approx([0.0, -math.sqrt(0.5), math.sqrt(0.5)], abs=1e-12)
     content["mount"]["nadir"] = {}
     content["log"]["channels"] = {"attitude": "ATT[1]", "aircraft_attitude": "ATT[0]"}
@@ -125,7 +124,7 @@ def test_a_window_of_the_aircraft_and_how_the_camera_sits_behind_it(load):
 
 def test_a_dome_needs_cabin_air_only_for_the_lens(load):
     bare = load(config({"shape": "spherical"})).cameras["nadir"]
-    assert bare.window.build().cabin is None
+    assert bare.window.window.cabin is None
     assert "give window.cabin" in refusal(
         load, config({"shape": "spherical"}, principal_distance=LENS)
     )
@@ -142,13 +141,13 @@ def test_a_dome_needs_cabin_air_only_for_the_lens(load):
 
 
 def test_the_lens_in_si(load):
-    lens = load(config(principal_distance=LENS)).cameras["nadir"].lens()
+    lens = load(config(principal_distance=LENS)).cameras["nadir"].lens
     assert lens.principal_distance_px == 19_990.0
     assert (lens.reference_pressure_pa, lens.reference_temperature_k) == pytest.approx(
         (95_000.0, 293.15)
     )
     assert (lens.px_per_pa, lens.px_per_k) == pytest.approx((8.4e-5, -0.004))
-    assert load(config()).cameras["nadir"].lens() is None
+    assert load(config()).cameras["nadir"].lens is None
 
 
 @pytest.mark.parametrize("key", ["reference", "dc_dp_px_per_hpa", "dc_dt_px_per_k"])
@@ -156,3 +155,29 @@ def test_a_lens_is_described_whole(load, key):
     lens = copy.deepcopy(LENS)
     del lens[key]
     assert f"principal_distance.{key}: is missing" in refusal(load, config(principal_distance=lens))
+
+
+def test_windows_lenses_mounts_and_cameras_are_built_once(load):
+    mission = load(config({"cabin": SCHEDULE}, principal_distance=LENS))
+    camera = mission.cameras["nadir"]
+    assert mission.windows["nadir"] is camera.window.window
+    assert mission.lenses["nadir"] is camera.lens
+    assert mission.mounts["nadir"] is mission.mount["nadir"].mount
+    assert mission.interior_orientations["nadir"] is camera.interior_orientation
+    assert mission.windows is mission.windows
+
+
+def test_what_is_built_is_no_key_and_stays_with_the_mission(load):
+    mission = load(config({"cabin": SCHEDULE}, principal_distance=LENS))
+    assert mission.lenses.keys() == {"nadir"}
+    assert mission.model_dump(warnings="error").keys() == Mission.model_fields.keys()
+    again = pickle.loads(pickle.dumps(mission))
+    assert again == mission
+    assert again.lenses == mission.lenses
+
+
+def test_a_copy_with_other_keys_builds_anew(load):
+    mission = load(config({"cabin": SCHEDULE}))
+    bare = load(config()).cameras
+    assert mission.windows.keys() == {"nadir"}
+    assert mission.model_copy(update={"cameras": bare}).windows == {}

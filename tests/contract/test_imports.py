@@ -61,7 +61,7 @@ def test_the_physics_needs_numpy_and_numba_alone():
 
 
 @pytest.mark.parametrize(
-    "module", ["unbend.stages.story", "unbend.cli", "unbend.simulate", "unbend.ingest"]
+    "module", ["unbend.batch.runs", "unbend.cli", "unbend.simulate", "unbend.ingest"]
 )
 def test_importing_warns_of_nothing(module):
     python(f"import {module}", "-W", "error")

@@ -12,11 +12,11 @@ import yaml
 
 import unbend
 from unbend.atmosphere import standard_atmosphere
+from unbend.batch.runs import run_mission
 from unbend.config import load_mission
-from unbend.in_memory import correct
 from unbend.ingest import open_log
+from unbend.library import correct
 from unbend.refraction import correct_observations, refraction_angle
-from unbend.stages.story import run_mission
 
 ROOT = Path(__file__).resolve().parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))

@@ -1,4 +1,4 @@
-"""The mutator, and how many mutations: UNBEND_MUTATIONS (500) from UNBEND_MUTATION_SEED (0)."""
+"""The mutator, and how many mutations: UNBEND_MUTATIONS (500) from UNBEND_SEED."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+
+from tests.draws import SEED
 
 HERE = Path(__file__).resolve().parent
 
@@ -40,7 +42,7 @@ def mutation_count() -> int:
 
 @pytest.fixture(scope="session")
 def mutation_seed() -> int:
-    return int(os.environ.get("UNBEND_MUTATION_SEED", "0"))
+    return SEED * 1_000_000  # mutations have consecutive seeds: those of two days are others
 
 
 @pytest.fixture(scope="session")

@@ -125,7 +125,7 @@ def as_text(binary: Path) -> bytes:
 
     reader = DFReader_binary(str(binary))
     lines = []
-    with contextlib.closing(reader.filehandle), contextlib.closing(reader.data_map):
+    with contextlib.closing(reader):
         while (record := reader.recv_msg()) is not None:
             values = [getattr(record, field) for field in record.get_fieldnames()]
             lines.append(", ".join([record.get_type(), *map(str, values)]))

@@ -22,6 +22,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from injected_faults import KINDS, inject
 
+from tests.draws import SEED
 from unbend.flight.channels import Channel
 from unbend.flight.evidence.contradictions import examine
 from unbend.flight.evidence.log_accuracy import with_accuracy
@@ -38,9 +39,8 @@ from unbend.ingest import open_log
 LOGS = Path(__file__).resolve().parents[3] / "shared" / "logs"
 RADIUS_M = 6_371_000.0
 DRAWS = 208 if int(os.environ.get("UNBEND_FLIGHTS", "0")) >= 208 else 104
-SEED = 20_261_122
 
-pytestmark = pytest.mark.skipif(not LOGS.exists(), reason="needs ../shared/logs")
+pytestmark = pytest.mark.shared("logs")
 
 
 @dataclass(frozen=True)

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from pymavlink import mavutil
 
+from tests.logs import LOGS, at_hand
 from unbend.flight.channels import Channel, Source
 from unbend.flight.heights import logged_terrain
 from unbend.ingest import open_log
 
-LOGS = Path(__file__).resolve().parents[2].parent / "shared" / "logs"
 SECOND = 1_000_000_000
 
 
@@ -36,11 +34,11 @@ def test_only_heights_of_a_healthy_grid_count():
     assert np.isnan(logged_terrain([channel(h_msl_m=[1.0, 2.0])], times)).all()
 
 
-@pytest.mark.parametrize("name", ["beastayyg_sample.bin", "sitl_survey.BIN", "sitl_survey.tlog"])
+@pytest.mark.parametrize(
+    "name", at_hand("flight.bin", "beastayyg_sample.bin", "sitl_survey.BIN", "sitl_survey.tlog")
+)
 def test_a_log_has_its_terrain_as_pymavlink_reads_it(name):
-    path = LOGS / name
-    if not path.is_file():
-        pytest.skip("the log is not here")
+    path = LOGS[name]
     kind, height = ["TERR"], "TerrH"
     if name.endswith("tlog"):
         kind, height = ["TERRAIN_REPORT"], "terrain_height"

@@ -5,11 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from unbend.atmosphere.rejection import Reason
 from unbend.errors import MissionError
-from unbend.flight.air_samples import air_samples
 from unbend.flight.channels import Channel, Source
 from unbend.flight.evidence.quality import plausible_samples
+from unbend.flight.evidence.stretches import HEIGHT as HEIGHT_QUANTITY
+from unbend.flight.evidence.stretches import Stretch
 from unbend.flight.heights import HeightSystem
+from unbend.flight.outside_air import outside_air_samples
 from unbend.flight.roles import assign_roles, follows_height
 from unbend.messages import Kind, Ledger
 
@@ -164,19 +167,21 @@ def test_impossible_readings_are_taken_out_and_counted() -> None:
 def test_the_ground_and_the_first_two_minutes_are_not_the_air() -> None:
     roles = {"height": GPS, "temperature": OUT, "pressure": BARO}
     ledger = Ledger()
-    found = ledger.take(air_samples(roles, HeightSystem(), 5.0))
+    found = ledger.take(outside_air_samples(roles, HeightSystem(), 5.0))
     assert found.temperature is not None
     assert found.pressure is not None
     used = SECONDS[found.temperature.accepted]
     assert used.min() == pytest.approx(60.0 + 120.0, abs=3.0)  # off the ground at 60 s
     assert used.max() == pytest.approx(860.0, abs=3.0)
     assert found.pressure.accepted.all()
-    assert "AIR-GROUND-SOAK" in {e.code for e in ledger}
+    (soak,) = (e for e in ledger if e.code == "AIR-GROUND-SOAK")
+    assert found.temperature.count(Reason.GROUND_SOAK) == soak.count
+    assert soak.count == np.count_nonzero(~found.temperature.accepted)
 
 
 def test_a_log_that_begins_in_the_air_has_no_take_off() -> None:
     flying = channel("GPS[0]", 20, "height", h_msl_m=2000.0 + 3.0 * SECONDS, **PLACE)
-    found = air_samples({"height": flying, "temperature": OUT}, HeightSystem(), 5.0)[0]
+    found = outside_air_samples({"height": flying, "temperature": OUT}, HeightSystem(), 5.0)[0]
     assert found.temperature is not None
     assert found.temperature.accepted.all()
 
@@ -184,15 +189,31 @@ def test_a_log_that_begins_in_the_air_has_no_take_off() -> None:
 def test_a_height_that_is_fused_with_the_barometer_says_nothing_of_temperatures() -> None:
     """Pressures of the lowest 30 m give the level; with a receiver all are used, without a word."""
     fused = channel("POS", 10, "position", h_msl_m=HEIGHT, **PLACE)
-    samples, notes = air_samples({"height": fused, "pressure": BARO}, HeightSystem(), 5.0)
+    samples, notes = outside_air_samples({"height": fused, "pressure": BARO}, HeightSystem(), 5.0)
     assert samples.pressure is not None
     assert samples.pressure.accepted.any()
     assert samples.pressure.extent_m < 30.0
+    rejected = samples.pressure.rejected
+    assert set(rejected.tolist()) == {Reason.USED, Reason.FUSED_HEIGHT}
     assert [(e.code, e.where) for e in notes] == [("AIR-HEIGHT-FUSED", "POS")]
-    samples, notes = air_samples({"height": GPS, "pressure": BARO}, HeightSystem(), 5.0)
+    samples, notes = outside_air_samples({"height": GPS, "pressure": BARO}, HeightSystem(), 5.0)
     assert samples.pressure is not None
     assert samples.pressure.accepted.all()
     assert notes == ()
+
+
+def test_readings_without_height_or_at_a_suspect_one_say_so() -> None:
+    short = GPS.rows(SECONDS < 700.0)
+    suspect = Stretch(int(TIME[300]), int(TIME[309]), HEIGHT_QUANTITY, "it steps")
+    replaced = Stretch(int(TIME[400]), int(TIME[409]), HEIGHT_QUANTITY, "it steps", 9.0, "GPS[1]")
+    samples, notes = outside_air_samples(
+        {"height": short, "pressure": BARO}, HeightSystem(), 5.0, [suspect, replaced]
+    )
+    assert samples.pressure is not None
+    rejected = samples.pressure.rejected
+    assert np.flatnonzero(rejected == Reason.SUSPECT_HEIGHT).tolist() == list(range(300, 310))
+    assert (rejected == Reason.NO_HEIGHT).tolist() == (SECONDS >= 700.0).tolist()
+    assert [(e.code, e.count) for e in notes] == [("AIR-SUSPECT-HEIGHT", 10)]
 
 
 def test_the_ground_between_two_flights_is_not_the_air() -> None:
@@ -201,7 +222,7 @@ def test_the_ground_between_two_flights_is_not_the_air() -> None:
     place = {k: np.full(twice.size, v) for k, v in PLACE.items()}
     gnss = Channel("GPS[0]", time_ns, {"h_msl_m": twice, **place}, Source("GPS"))
     warm = Channel("HYGR[0]", time_ns, {"temperature_k": np.full(twice.size, 280.0)}, Source("H"))
-    found = air_samples({"height": gnss, "temperature": warm}, HeightSystem(), 5.0)[0]
+    found = outside_air_samples({"height": gnss, "temperature": warm}, HeightSystem(), 5.0)[0]
     assert found.temperature is not None
     accepted = found.temperature.accepted
     assert not accepted[865:1015].any()
@@ -234,7 +255,7 @@ def test_the_attitude_of_the_aircraft_is_only_ever_named() -> None:
 
 def test_humidity_on_the_ground_is_not_the_airs_either_but_airspeed_is_kept() -> None:
     roles = {"height": GPS, "humidity": OUT, "airspeed": ARSP}
-    samples, notes = air_samples(roles, HeightSystem(), 5.0)
+    samples, notes = outside_air_samples(roles, HeightSystem(), 5.0)
     assert samples.humidity is not None
     assert samples.airspeed is not None
     assert SECONDS[samples.humidity.accepted].min() == pytest.approx(180.0, abs=3.0)

@@ -7,6 +7,7 @@ the GPS week and milliseconds of fixes, whose places are compared with the simul
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import permutations, product
 from pathlib import Path
 
 import numpy as np
@@ -28,8 +29,10 @@ from unbend.flight.stations import Stations
 from unbend.ingest import Log, open_log
 
 LOGS = Path(__file__).parents[3] / "shared" / "logs"
-pytestmark = pytest.mark.skipif(not LOGS.is_dir(), reason="needs ../shared/logs")
-FLIGHTS = ["sitl_survey", "sitl_belowsea_2cam"]
+pytestmark = pytest.mark.shared("logs")
+FLIGHTS = [path.name.removesuffix("_truth.csv") for path in sorted(LOGS.glob("*_truth.csv"))]
+FLOWN = [*product(FLIGHTS, ("BIN", "tlog"))]
+"""The flights that are at hand, and the kinds of their logs."""
 NED_FROM_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
 
@@ -116,8 +119,7 @@ def gathered(flight: Flight, **options: int) -> tuple[dict, dict]:
     )
 
 
-@pytest.mark.parametrize("kind", ["BIN", "tlog"])
-@pytest.mark.parametrize("name", FLIGHTS)
+@pytest.mark.parametrize(("name", "kind"), FLOWN)
 def test_positions_attitudes_and_their_sigmas(flights, name, kind) -> None:
     """Error over sigma: rms 0.7 to 1.2; the median sigma is at most twice the rms error."""
     error, sigma = gathered(flights[name, kind])
@@ -143,8 +145,10 @@ def flown_throughout(flight: Flight, simulated: Log) -> tuple[dict, dict]:
     return errors(stations, truth), sigmas(stations)
 
 
-@pytest.mark.parametrize("kind", ["BIN", "tlog"])
-@pytest.mark.parametrize(("learnt", "tested"), [FLIGHTS, FLIGHTS[::-1]])
+@pytest.mark.parametrize(
+    ("learnt", "tested", "kind"),
+    [(*pair, kind) for pair in permutations(FLIGHTS, 2) for kind in ("BIN", "tlog")],
+)
 def test_what_one_flight_says_of_attitudes_holds_for_the_other(flights, learnt, tested, kind):
     """What no innovation shows is the one empirical part: by one flight, tested on the other."""
     parts = {"tilt": np.degrees(LEAST_TILT_RAD), "yaw": np.degrees(LEAST_YAW_RAD)}
@@ -161,9 +165,9 @@ def test_what_one_flight_says_of_attitudes_holds_for_the_other(flights, learnt, 
             assert np.median(stated_sigma) < 2.0 * rms(error), what
 
 
-@pytest.mark.parametrize("every", [2, 3])
-@pytest.mark.parametrize("kind", ["BIN", "tlog"])
-@pytest.mark.parametrize("name", FLIGHTS)
+@pytest.mark.parametrize(
+    ("name", "kind", "every"), [(*flown, every) for flown in FLOWN for every in (2, 3)]
+)
 def test_attitudes_at_5_and_3_hz_know_how_good_they_are(flights, name, kind, every) -> None:
     error, sigma = gathered(flights[name, kind], every=every)
     assert 0.7 < rms(error["tilt"] / sigma["tilt"]) < 1.2
@@ -192,8 +196,7 @@ def true_offset_ns(log: Log) -> tuple[float, float]:
     return int(offset[0]) + float(np.median(difference)), float(np.std(difference))
 
 
-@pytest.mark.parametrize("kind", ["BIN", "tlog"])
-@pytest.mark.parametrize("name", FLIGHTS)
+@pytest.mark.parametrize(("name", "kind"), FLOWN)
 def test_exposures_in_true_utc_have_true_positions(flights, name, kind) -> None:
     """A camera with a GPS clock: within 0.5 m at 24 m/s, and within the sigma of UTC."""
     flight = flights[name, kind]

@@ -218,7 +218,7 @@ def correct(block: Block, profile: Profile, pixels: np.ndarray | None = None) ->
             seen.station[rows], exposures, camera=camera, table=table,
         )  # fmt: skip
         assert not done.status.any()
-        found[rows] = np.stack([done.x_px, done.y_px], axis=1)
+        found[rows] = np.stack([done.x_corrected_px, done.y_corrected_px], axis=1)
     return found
 
 

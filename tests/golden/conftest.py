@@ -8,22 +8,20 @@ import pandas as pd
 import pytest
 import yaml
 
+import unbend
 from tests.conftest import without_plots
 from unbend.batch.plan import Outcome
-from unbend.stages import story
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 SHARED = REPOSITORY.parent / "shared"
 
-needs_shared = pytest.mark.skipif(
-    not (SHARED / "logs").is_dir(), reason="../shared/logs is not beside this checkout"
-)
+needs_shared = pytest.mark.shared("logs")
 
 
 def run_mission(path: Path) -> Outcome:
     """The mission with a report without plots."""
     with without_plots():
-        return story.run_mission(path)
+        return unbend.run_mission(path)
 
 
 def write_mission(path: Path, **sections: object) -> Path:

@@ -4,9 +4,10 @@ The test writes a ``sitecustomize.py`` that calls `install`, so that the command
 processes it starts are all the same. It cannot be undone in a process: never call it in the tests'
 own. What it takes away from the package (libraries made for Linux keep it): modules and functions
 that only POSIX has, signals but SIGINT and SIGTERM, forking, file descriptors of folders. What it
-refuses: to rename or remove an open file or a folder that holds one, to rename over a file that
-exists (``os.rename``), to open a folder, to fsync a file that was opened for reading. Text files
-without a named encoding are an error in this package.
+refuses the package: to rename or remove an open file or a folder that holds one, to rename over a
+file that exists (``os.rename``), to open a folder, to fsync a file that was opened for reading, to
+make a symbolic link. A library does on Windows what its makers found to work there; here it does
+what it does on Linux. Text files without a named encoding are an error in this package.
 """
 
 from __future__ import annotations
@@ -56,6 +57,17 @@ def is_ours(module: object) -> bool:
     return str(module).split(".")[0] in ("unbend", "__main__")
 
 
+def called_by_us() -> bool:
+    """Whether the package called, itself or through the standard library (pathlib, shutil)."""
+    frame = sys._getframe(1)
+    while frame is not None:
+        module = str(frame.f_globals.get("__name__")).split(".")[0]
+        if module != __name__ and module not in sys.stdlib_module_names - {"__main__"}:
+            return is_ours(module)
+        frame = frame.f_back
+    return False
+
+
 def remove_names() -> None:
     import mmap
     import signal
@@ -90,7 +102,7 @@ def hide(owner: ModuleType, names: list[str]) -> None:
 
 
 def open_files() -> set[str]:
-    """Paths that this process holds open or mapped."""
+    """Paths that this process holds open or mapped; not of files that have no name any more."""
     paths = set()
     for number in _real_listdir("/proc/self/fd"):
         try:
@@ -99,14 +111,14 @@ def open_files() -> set[str]:
             continue
     with _real_open("/proc/self/maps", encoding="utf-8") as maps:
         paths.update(line[at:].rstrip() for line in maps if (at := line.find("/")) > 0)
-    return paths
+    return {path for path in paths if not path.endswith(" (deleted)")}
 
 
 _real_listdir, _real_open = os.listdir, open
 
 
 def refuse_what_an_open_file_forbids() -> None:
-    real_open, real_fsync = os.open, os.fsync
+    real_open, real_fsync, real_symlink = os.open, os.fsync, os.symlink
 
     def refuse_if_open(path: Any) -> None:
         here = os.path.abspath(os.fspath(path))
@@ -116,6 +128,8 @@ def refuse_what_an_open_file_forbids() -> None:
 
     def guarded(function: Any, *, over: bool, paths: int) -> Any:
         def call(*arguments: Any, **keywords: Any) -> Any:
+            if not called_by_us():
+                return function(*arguments, **keywords)
             for path in arguments[:paths]:
                 refuse_if_open(path)
             if not over and os.path.lexists(arguments[1]):
@@ -130,11 +144,14 @@ def refuse_what_an_open_file_forbids() -> None:
     os.rmdir = guarded(os.rmdir, over=True, paths=1)
 
     def open_no_folder(path: Any, *arguments: Any, **keywords: Any) -> int:
-        if os.path.isdir(path):
+        if called_by_us() and os.path.isdir(path):
             raise PermissionError(13, "a folder has no file descriptor", path)
         return real_open(path, *arguments, **keywords)
 
     def fsync_what_is_written(file: Any) -> None:
+        if not called_by_us():
+            real_fsync(file)
+            return
         number = file if isinstance(file, int) else file.fileno()
         with _real_open(f"/proc/self/fdinfo/{number}", encoding="ascii") as info:
             flags = next(int(line.split()[1], 8) for line in info if line.startswith("flags:"))
@@ -142,7 +159,9 @@ def refuse_what_an_open_file_forbids() -> None:
             raise OSError(9, "a file that was opened for reading cannot be flushed")
         real_fsync(number)
 
-    def no_symlink(source: Any, target: Any, *_: Any, **__: Any) -> None:
+    def no_symlink(source: Any, target: Any, *arguments: Any, **keywords: Any) -> None:
+        if not called_by_us():
+            return real_symlink(source, target, *arguments, **keywords)
         raise OSError(1314, "a required privilege is not held by the client", source, None, target)
 
     os.open, os.fsync, os.symlink = open_no_folder, fsync_what_is_written, no_symlink
@@ -150,7 +169,7 @@ def refuse_what_an_open_file_forbids() -> None:
 
 def spawn_only() -> None:
     import multiprocessing
-    import multiprocessing.popen_fork
+    import multiprocessing.process
 
     multiprocessing.set_start_method("spawn")
     whole = multiprocessing.get_context
@@ -162,8 +181,8 @@ def spawn_only() -> None:
 
     multiprocessing.get_context = get_context  # type: ignore[assignment]
     multiprocessing.get_all_start_methods = lambda: ["spawn"]
-    popen: Any = multiprocessing.popen_fork.Popen
-    popen.kill = popen.terminate
+    process: Any = multiprocessing.process.BaseProcess
+    process.kill = process.terminate
 
 
 def name_every_encoding() -> None:

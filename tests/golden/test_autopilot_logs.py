@@ -28,6 +28,12 @@ BODY_FROM_CAMERA = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
 NED_FROM_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
 
+def kinds_of(name: str) -> list[str]:
+    """The extensions of the logs of a flight that are at hand: BIN and tlog."""
+    logs = sorted((SHARED / "logs").glob(f"{name}.*"))
+    return [path.suffix.removeprefix(".") for path in logs]
+
+
 @dataclass(frozen=True)
 class Flown:
     outcome: Outcome
@@ -84,13 +90,13 @@ def fly(folder: Path, name: str, extension: str, cameras: dict[str, int], ground
     )
 
 
-@pytest.fixture(scope="module", params=["BIN", "tlog"])
+@pytest.fixture(scope="module", params=kinds_of("sitl_survey"))
 def survey(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Flown:
     folder = tmp_path_factory.mktemp("survey")
     return fly(folder, "sitl_survey", request.param, {"cam": 0}, 590.0)
 
 
-@pytest.fixture(scope="module", params=["BIN", "tlog"])
+@pytest.fixture(scope="module", params=kinds_of("sitl_belowsea_2cam"))
 def two_cameras(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Flown:
     folder = tmp_path_factory.mktemp("belowsea")
     return fly(folder, "sitl_belowsea_2cam", request.param, {"left": 0, "right": 1}, -428.0)
@@ -146,10 +152,16 @@ def standard_icao(h_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return temperature, 1013.25 * (temperature / 288.15) ** (9.80665 * 28.96442 / 8314.32 / 0.0065)
 
 
-@pytest.mark.parametrize("extension", ["BIN", "tlog"])
 @pytest.mark.parametrize(
-    ("name", "cameras", "ground"),
-    [("sitl_survey", {"cam": 0}, 590.0), ("sitl_belowsea_2cam", {"left": 0}, -428.0)],
+    ("name", "cameras", "ground", "extension"),
+    [
+        (name, cameras, ground, extension)
+        for name, cameras, ground in (
+            ("sitl_survey", {"cam": 0}, 590.0),
+            ("sitl_belowsea_2cam", {"left": 0}, -428.0),
+        )
+        for extension in kinds_of(name)
+    ],
 )
 def test_profile_is_the_air_and_not_the_board(
     name: str, cameras: dict[str, int], ground: float, extension: str, tmp_path: Path

@@ -1,6 +1,6 @@
 """What the corrections are worth in a bundle adjustment, over blocks that nobody has seen.
 
-UNBEND_ADJUSTMENTS blocks (1; `make faults`: 30) are drawn from UNBEND_ADJUSTMENT_SEED (0) for each
+UNBEND_ADJUSTMENTS blocks (1; `make faults`: 30) are drawn from UNBEND_SEED for each
 flying height, in the air of nine soundings. The truth of rays is the simulator's; see
 `adjusted_block`.
 """
@@ -15,6 +15,7 @@ import pytest
 
 pytest.importorskip("pycolmap")
 
+from tests.draws import SEED
 from tests.golden.adjusted_block import (
     SIGMA_PX,
     Block,
@@ -27,7 +28,6 @@ from tests.golden.adjusted_block import (
 from unbend.atmosphere import Profile
 
 COUNT = int(os.environ.get("UNBEND_ADJUSTMENTS", "1"))
-SEED = int(os.environ.get("UNBEND_ADJUSTMENT_SEED", "0"))
 # Over nine airs 0.14 to 0.21 m at 3 km; other blocks in other airs have up to half as much more.
 UNCORRECTED_M = {3000.0: (0.12, 0.35), 6000.0: (0.45, 0.8), 9000.0: (0.9, 1.8)}
 

@@ -30,8 +30,8 @@ from tests.golden.held_block import (
     intersected,
     write_mission,
 )
+from unbend.batch.finished_run import export_run
 from unbend.errors import MissionError
-from unbend.stages.commands.finished_run import export_run
 
 from .conftest import run_mission
 

@@ -7,9 +7,9 @@ import json
 import numpy as np
 import pytest
 
+from unbend.batch.finished_run import rebuild_run
 from unbend.errors import ConfigError, InputError
 from unbend.messages import Ledger
-from unbend.stages.commands.finished_run import rebuild_run
 
 from .conftest import read_observations, run_sample, sample_sections, write_mission
 

@@ -31,7 +31,7 @@ LOG_FORMAT = '''
 import numpy as np
 
 from unbend.flight.channels import Channel, Source
-from unbend.ingest.log import Contents
+from unbend.ingest.flight_log import Contents
 
 
 class ToyFormat:
@@ -120,7 +120,8 @@ corrected = unbend.correct_observations(
 zeta = np.arctan(np.hypot(u, v))
 straight = np.tan(zeta - unbend.refraction_angle(air, 3e3, 0.0, zeta)) / np.tan(zeta)
 expected = camera.project(u * straight, v * straight)
-np.testing.assert_allclose((corrected.x_px, corrected.y_px), expected, atol=1e-8)
+found = corrected.x_corrected_px, corrected.y_corrected_px
+np.testing.assert_allclose(found, expected, atol=1e-8)
 assert (np.hypot(corrected.dx_px, corrected.dy_px) > 1e-4).all()
 """
 
@@ -187,12 +188,12 @@ class Thing:
 THINGS = {
     "log format": Thing(
         {
-            "pipeline/unbend/ingest/toy/log.py": LOG_FORMAT,
+            "pipeline/unbend/ingest/toy/toy_log.py": LOG_FORMAT,
             "pipeline/unbend/ingest/toy/__init__.py": '"""Toy."""',
         },
         {
             "pipeline/unbend/ingest/registry.py": (
-                ("import TLOG\n", "import TLOG\nfrom unbend.ingest.toy.log import TOY\n"),
+                ("import TLOG\n", "import TLOG\nfrom unbend.ingest.toy.toy_log import TOY\n"),
                 ("= (MCAP,", "= (TOY, MCAP,"),
             )
         },
@@ -411,7 +412,7 @@ def test_a_refraction_method(copy):
     assert "toy" in copy.unbend("angle", *words, "--method", "toy")
     assert "toy" in copy.unbend("angle", *words, "--method", "none of them", code=2)
     assert "toy" in copy.unbend("angle", "--help")
-    copy.unbend("compare", "--out", "page.md")
+    copy.unbend("tables", "accuracy", "--out", "page.md")
     assert "`toy` minus `spherical`" in (copy.folder / "page.md").read_text(encoding="utf-8")
 
 
@@ -425,7 +426,7 @@ def test_a_camera_file(copy):
         "from pathlib import Path\n"
         "from unbend.config.cameras import CameraSection\n"
         "camera = CameraSection(file='cameras.toycam', camera='right', calibration='laboratory')\n"
-        "print(camera.with_file(Path('cameras.toycam')).build().fx_px)"
+        "print(camera.with_file(Path('cameras.toycam')).interior_orientation.fx_px)"
     )
     assert "501" in copy.python(code)
 

@@ -32,9 +32,7 @@ from .conftest import SHARED
 pycolmap = pytest.importorskip("pycolmap")
 
 FOLDER = SHARED / "ba" / "dbat_sxb"
-pytestmark = pytest.mark.skipif(
-    not FOLDER.is_dir(), reason="../shared/ba is not beside this checkout"
-)
+pytestmark = pytest.mark.shared("ba")
 PLACE = np.radians(48.58), np.radians(7.75)
 ORIGIN = np.array([1_000_000.0, 112_400.0, 0.0])
 ADJUSTED_BY_DBAT = {

@@ -18,7 +18,7 @@ ROWS = 10_000_000
 _RUN = """
 import json, sys
 from pathlib import Path
-from unbend.stages.story import run_mission
+from unbend.batch.runs import run_mission
 outcome = run_mission(Path(sys.argv[1]))
 # Not ru_maxrss: that starts at what the parent had when it made this process.
 status = dict(line.split(":", 1) for line in open("/proc/self/status"))

@@ -43,8 +43,9 @@ def like_windows(tmp_path_factory):
     (folder / "sitecustomize.py").write_text(
         f"import runpy\nrunpy.run_path({str(helper)!r})['install']()\n", encoding="utf-8"
     )
+    given = os.environ.get("PYTHONPATH", "").split(os.pathsep)
     environment = os.environ | {
-        "PYTHONPATH": os.pathsep.join([str(folder), str(ROOT)]),
+        "PYTHONPATH": os.pathsep.join([str(folder), str(ROOT), *filter(None, given)]),
         "PYTHONWARNDEFAULTENCODING": "1",
         "PYTHONIOENCODING": "cp1252",
     }
@@ -63,6 +64,7 @@ def like_windows(tmp_path_factory):
         assert "Traceback" not in err, err
         return out
 
+    run.folder = folder
     return run
 
 
@@ -98,8 +100,44 @@ def test_what_windows_lacks_is_missing(like_windows, code):
         like_windows("-c", code)
 
 
+LIBRARY = """
+import os
+def marked(folder):
+    path = os.path.join(folder, ".mark-of-a-library")
+    file = open(path, "wb")
+    os.replace(path, path + "-renamed")
+    os.unlink(path + "-renamed")
+    os.close(os.open(folder, os.O_RDONLY))
+    os.symlink("anywhere", path)
+    os.unlink(path)
+    return file
+"""
+KEPT = """
+import os, library
+for folder in (".", "gone"):
+    os.makedirs(folder, exist_ok=True)
+    file = library.marked(folder)
+os.rmdir("gone")
+"""
+
+
+def test_a_library_keeps_what_it_has_on_linux(like_windows):
+    """It opens, renames and removes files of its own; the folder they were in is free then."""
+    (like_windows.folder / "library.py").write_text(LIBRARY, encoding="utf-8")
+    like_windows("-c", KEPT)
+
+
+def test_what_a_library_holds_open_is_held(like_windows):
+    library = "import os\ndef held(path):\n    return open(path, 'rb')\n"
+    (like_windows.folder / "holder.py").write_text(library, encoding="utf-8")
+    made = "import holder, os\nopen('read', 'wb').close()\nfile = holder.held('read')\n"
+    like_windows("-c", made)
+    with pytest.raises(AssertionError, match="WinError 32"):
+        like_windows("-c", made + "os.unlink('read')")
+
+
 def test_the_rooms_can_be_imported(like_windows):
-    rooms = ("refraction", "ingest", "stages.story", "simulate", "cli", "report.html")
+    rooms = ("refraction", "ingest", "batch.runs", "simulate", "cli", "report.html")
     like_windows("-c", "import " + ", ".join(f"unbend.{room}" for room in rooms))
 
 

@@ -23,10 +23,10 @@ from unbend import correct
 from unbend.atmosphere import Profile, profile_from_table
 from unbend.atmosphere.refractive_index import IndexModel
 from unbend.batch.plan import Outcome
+from unbend.batch.runs import read_mission
 from unbend.config import load_mission
 from unbend.geodesy import lambert_gravity
 from unbend.refraction import Exposures, bend, correct_observations, ray_table
-from unbend.stages.story import read_mission
 from unbend.units import ARCSEC, DEGREE
 
 from .conftest import REPOSITORY, read_observations, run_sample
@@ -91,10 +91,12 @@ def correct_with(
             part["h_g_m"].to_numpy(),
             row[mine],
             exposures,
-            camera=section.build(),
+            camera=section.interior_orientation,
             table=table,
         )
-        error[mine] = np.hypot(found.x_px - part["x_true_px"], found.y_px - part["y_true_px"])
+        error[mine] = np.hypot(
+            found.x_corrected_px - part["x_true_px"], found.y_corrected_px - part["y_true_px"]
+        )
     shift = np.hypot(
         observations["x_px"] - observations["x_true_px"],
         observations["y_px"] - observations["y_true_px"],

@@ -1,6 +1,6 @@
 """docs/when.md against a run of the experiment it reports, and the lines of README.md.
 
-UNBEND_ADJUSTMENTS airs (1; `make faults`: all nine) are drawn from UNBEND_ADJUSTMENT_SEED (0).
+UNBEND_ADJUSTMENTS airs (1; `make faults`: all nine) are drawn from UNBEND_SEED.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ import pytest
 pytest.importorskip("pycolmap")
 
 from docs.when import AIRS, CASES, DOCUMENT, Numbers, column, document
+from tests.draws import SEED
 from tests.golden.adjusted_block import real_airs
 
 from .conftest import REPOSITORY
 
 COUNT = min(int(os.environ.get("UNBEND_ADJUSTMENTS", "1")), 9)
-SEED = int(os.environ.get("UNBEND_ADJUSTMENT_SEED", "0"))
 TEXT = DOCUMENT.read_text(encoding="utf-8")
 TABLES = {"Uncorrected [m]": CASES, "Corrected [m]": CASES, "What an air leaves": AIRS}
 

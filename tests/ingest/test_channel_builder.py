@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from unbend.flight.channels import Source
 from unbend.ingest.channel_builder import DecodedRows, channel_of
-from unbend.ingest.fields import MessageMap, parse_columns
+from unbend.ingest.field_maps import MessageMap, parse_columns
 from unbend.messages import Kind, Ledger
 
 SHOT = MessageMap(

@@ -29,7 +29,7 @@ _PEAK = """
 import json, sys
 from pathlib import Path
 from unbend.ingest import open_log
-from unbend.ingest.dataflash.log import read_tables
+from unbend.ingest.dataflash.binary_log import read_tables
 def status(key):
     lines = dict(line.split(":", 1) for line in open("/proc/self/status"))
     return int(lines[key].split()[0]) * 1024

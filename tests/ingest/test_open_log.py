@@ -13,16 +13,27 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from tests.logs import LOGS, at_hand
 from unbend.cli.app import app
 from unbend.errors import LogError
 from unbend.ingest import hash_file, open_log
 
 # Message totals and types by a loop of recv_msg over the file (pymavlink 2.4.50, BAD_DATA left
 # out) and by the Statistics record of the MCAP.
-REAL = {
+KNOWN = {
     "beastayyg_sample.bin": ("dataflash", 24_837, 52),
     "ardusub_small.BIN": ("dataflash", 7_510, 39),
     "pymavlink_test.BIN": ("dataflash", 1_731, 47),
+    "flight.bin": ("dataflash", 77_765, 16),
+    "flight.tlog": ("tlog", 51_336, 10),
+    "flight.mcap": ("mcap", 60_778, 10),
+    "glitch_cleared.bin": ("dataflash", 1_537, 9),
+    "gps0_lost.bin": ("dataflash", 1_910, 8),
+    "hover.bin": ("dataflash", 1_549, 8),
+    "two_vehicles.tlog": ("tlog", 1_304, 6),
+    "week_rollover.tlog": ("tlog", 1_287, 6),
+    "host_clock.tlog": ("tlog", 1_212, 5),
+    "px4_triggers.ulg": ("ulog", 1_328, 5),
     "sitl_survey.BIN": ("dataflash", 564_101, 54),
     "sitl_belowsea_2cam.BIN": ("dataflash", 425_135, 52),
     "ardusub_small.tlog": ("tlog", 35_912, 46),
@@ -34,15 +45,16 @@ REAL = {
 LOSSES = {
     "pymavlink_test.BIN": {"LOG-TRUNCATED"},
     "sitl_belowsea_2cam.BIN": {"LOG-TRUNCATED"},
+    "px4_triggers.ulg": {"LOG-GAP"},
     "pymavlink_swift_flight.tlog": {"LOG-TRUNCATED", "LOG-LINK-LOSS", "LOG-GAP"},
 }
 
 
-@pytest.mark.parametrize("name", REAL)
-def test_every_real_log_opens(name: str, real_log: Callable[[str], Path]) -> None:
-    path = real_log(name)
+@pytest.mark.parametrize("name", at_hand(*KNOWN))
+def test_every_log_opens(name: str) -> None:
+    path = LOGS[name]
     log = open_log(path)
-    form, messages, kinds = REAL[name]
+    form, messages, kinds = KNOWN[name]
     assert (log.format, sum(log.messages.values()), len(log.messages)) == (form, messages, kinds)
     assert log.bad_bytes == 0
     assert log.size_bytes == path.stat().st_size
@@ -104,8 +116,8 @@ def test_random_bytes(tmp_path: Path, extension: str) -> None:
     refused(path, "LOG-FORMAT")
 
 
-def test_wrong_extension(tmp_path: Path, real_log: Callable[[str], Path]) -> None:
-    content = real_log("pymavlink_test.BIN").read_bytes()
+def test_wrong_extension(tmp_path: Path) -> None:
+    content = LOGS["hover.bin"].read_bytes()
     for extension in (".tlog", ".mcap", ".log", ""):
         path = tmp_path / f"flight{extension}"
         path.write_bytes(content)
@@ -134,8 +146,8 @@ def test_a_log_without_flight_data_says_what_it_holds(
     assert CliRunner().invoke(app, ["inspect", str(path), "--type", "MODE"]).exit_code == 0
 
 
-def test_unknown_channel_names_the_near_ones(real_log: Callable[[str], Path]) -> None:
-    log = open_log(real_log("ardusub_small.BIN"))
+def test_unknown_channel_names_the_near_ones() -> None:
+    log = open_log(LOGS["flight.bin"])
     with pytest.raises(LogError, match="BARO") as caught:
         log.channel("BARO[2]")
     assert caught.value.code == "LOG-NO-CHANNEL"

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from unbend.flight.channels import Channel, Source
-from unbend.ingest.log import Contents
+from unbend.ingest.flight_log import Contents
 from unbend.ingest.receiver_delay import estimated_delay, stated_delay, with_receiver_delay
 from unbend.messages import Ledger
 

@@ -8,10 +8,10 @@ import pytest
 from unbend.errors import MissionError
 from unbend.flight.channels import Channel, Source
 from unbend.ingest.channel_builder import DecodedRows, channel_of
-from unbend.ingest.dataflash.channels import MESSAGES as DATAFLASH
-from unbend.ingest.fields import PX4_MESSAGES as PX4
-from unbend.ingest.fields import STATED_UNITS, extract, in_stated_unit
-from unbend.ingest.tlog.channels import MESSAGES as MAVLINK
+from unbend.ingest.dataflash.dataflash_channels import MESSAGES as DATAFLASH
+from unbend.ingest.field_maps import PX4_MESSAGES as PX4
+from unbend.ingest.field_maps import STATED_UNITS, extract, in_stated_unit
+from unbend.ingest.tlog.dialect import MESSAGES as MAVLINK
 from unbend.messages import Ledger
 
 

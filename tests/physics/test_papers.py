@@ -88,7 +88,7 @@ def test_no_printed_figure_has_changed(name):
     assert digest.startswith(TRANSCRIBED[name])
 
 
-@pytest.mark.skipif(not SHARED.is_dir(), reason="the reference figures are not beside us")
+@pytest.mark.shared("reference")
 def test_the_packaged_figures_are_the_transcribed_ones():
     for path in sorted(SHARED.glob("*.csv")):
         if path.name == "saastamoinen1974_table1_residuals.csv":

@@ -68,8 +68,8 @@ def both_ways(x, y, h_g, exposures, camera=CAMERA, table=TABLE, distance=None):
         x, y, h_g, first, exposures, camera=camera, table=table, distance_m=distance
     )
     seen = apply_refraction(
-        ideal.x_px,
-        ideal.y_px,
+        ideal.x_corrected_px,
+        ideal.y_corrected_px,
         h_g,
         first,
         exposures,
@@ -96,12 +96,14 @@ def test_there_and_back(scene):
     x, y = rng.uniform(0.0, 14_000.0, 1500), rng.uniform(0.0, 10_600.0, 1500)
     ideal, seen = both_ways(x, y, h_g, seen_from(rotation, h_c, **more))
     # Near the horizon two rays show points of one straight line: see below.
-    good = np.isfinite(ideal.x_px) & (np.abs(np.degrees(ideal.zeta_c_rad) - 88.372) > 0.01)
+    good = np.isfinite(ideal.x_corrected_px) & (
+        np.abs(np.degrees(ideal.zeta_c_rad) - 88.372) > 0.01
+    )
     assert good.sum() > 600
     assert np.hypot(ideal.dx_px, ideal.dy_px)[good].max() > 0.4
     np.testing.assert_array_equal(seen.status[good], ideal.status[good])
-    for name in ("x_px", "y_px"):
-        measured = {"x_px": x, "y_px": y}[name]
+    for name in ("x_corrected_px", "y_corrected_px"):
+        measured = {"x_corrected_px": x, "y_corrected_px": y}[name]
         np.testing.assert_allclose(getattr(seen, name)[good], measured[good], rtol=0.0, atol=1e-9)
     for name, sense in (("dx_px", -1.0), ("dy_px", -1.0), ("zeta_c_rad", 1.0), ("r_c_rad", 1.0),
                         ("r_cc_rad", 1.0), ("shift_ground_m", 1.0)):  # fmt: skip
@@ -120,11 +122,17 @@ def test_and_again_from_the_other_side(scene):
     seen = apply_refraction(x, y, ground, first, exposures, camera=CAMERA, table=TABLE)
     assert set(seen.status.tolist()) == {OK}
     back = correct_observations(
-        seen.x_px, seen.y_px, ground, first, exposures, camera=CAMERA, table=TABLE
+        seen.x_corrected_px,
+        seen.y_corrected_px,
+        ground,
+        first,
+        exposures,
+        camera=CAMERA,
+        table=TABLE,
     )
-    np.testing.assert_allclose(back.x_px, x, rtol=0.0, atol=1e-9)
-    np.testing.assert_allclose(back.y_px, y, rtol=0.0, atol=1e-9)
-    np.testing.assert_allclose(seen.x_px - x, seen.dx_px, rtol=0.0, atol=1e-11)
+    np.testing.assert_allclose(back.x_corrected_px, x, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(back.y_corrected_px, y, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(seen.x_corrected_px - x, seen.dx_px, rtol=0.0, atol=1e-11)
 
 
 def test_the_ray_is_displaced_away_from_the_nadir():
@@ -194,7 +202,7 @@ def test_what_the_simulator_sees(tilt):
         seen_from(rotation, h_c), camera=CAMERA, table=TABLE,
     )  # fmt: skip
     shift = np.abs(truth - ideal)[inside].max()
-    miss = np.abs(np.stack([seen.x_px, seen.y_px], 1) - truth[inside]).max()
+    miss = np.abs(np.stack([seen.x_corrected_px, seen.y_corrected_px], 1) - truth[inside]).max()
     assert shift > 0.2
     # The sphere in the azimuth of the ray against the ellipsoid.
     assert miss < 2e-5 * shift + 1e-7
@@ -216,7 +224,7 @@ def test_beyond_grazing_survives():
     y = level_pixels([88.2, 88.35])
     ideal, seen = both_ways(np.full(2, 7000.0), y, 450.0, seen_from(looking(90.0), 3450.0), PINHOLE)
     assert ideal.status.tolist() == seen.status.tolist() == [BEYOND_GRAZING] * 2
-    np.testing.assert_allclose(seen.y_px, y, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(seen.y_corrected_px, y, rtol=0.0, atol=1e-9)
 
 
 WINDOWS = pytest.mark.parametrize(
@@ -236,11 +244,11 @@ def test_the_far_branch_survives(tilt, window):
     distance = far_end(ideal, 3450.0, 450.0)[ideal.status == FAR_BRANCH]
     ideal, seen = both_ways(x, y, 450.0, exposures, PINHOLE, distance=distance)
     assert set(ideal.status.tolist()) == set(seen.status.tolist()) == {FAR_BRANCH}
-    np.testing.assert_allclose(seen.y_px, y, rtol=0.0, atol=1e-8)
+    np.testing.assert_allclose(seen.y_corrected_px, y, rtol=0.0, atol=1e-8)
     steep = np.degrees(ideal.zeta_c_rad) < 88.35
-    np.testing.assert_allclose(seen.y_px[steep], y[steep], rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(seen.y_corrected_px[steep], y[steep], rtol=0.0, atol=1e-9)
     near, _ = both_ways(x, y, 450.0, exposures, PINHOLE)
-    assert np.abs(near.y_px - ideal.y_px).min() > 2.0
+    assert np.abs(near.y_corrected_px - ideal.y_corrected_px).min() > 2.0
 
 
 @WINDOWS
@@ -257,29 +265,36 @@ def test_two_rays_for_one_straight_line_are_told_apart_by_distance(tilt, window)
     assert band.sum() > 5
     assert np.all((ideal.zeta_c_rad - ideal.r_c_rad)[band] < straight)
     assert set(other.status[band].tolist()) == {BEYOND_GRAZING}
-    assert np.all(np.abs(other.y_px - y)[band] > 1.0)
+    assert np.all(np.abs(other.y_corrected_px - y)[band] > 1.0)
     # Both are right: they end in the same ideal pixel.
     again = correct_observations(
-        other.x_px[band], other.y_px[band], np.full(band.sum(), h_g),
+        other.x_corrected_px[band], other.y_corrected_px[band], np.full(band.sum(), h_g),
         np.zeros(band.sum(), np.int64), exposures, camera=PINHOLE, table=TABLE,
     )  # fmt: skip
-    np.testing.assert_allclose(again.y_px, ideal.y_px[band], rtol=0.0, atol=1e-8)
+    np.testing.assert_allclose(
+        again.y_corrected_px, ideal.y_corrected_px[band], rtol=0.0, atol=1e-8
+    )
     distance = far_end(ideal.rows(np.flatnonzero(band)), h_c, h_g)
     ideal, seen = both_ways(
         np.full(band.sum(), 7000.0), y[band], h_g, exposures, PINHOLE, distance=distance
     )
     assert set(ideal.status.tolist()) == set(seen.status.tolist()) == {OK}
-    np.testing.assert_allclose(seen.y_px, y[band], rtol=0.0, atol=1e-8)
+    np.testing.assert_allclose(seen.y_corrected_px, y[band], rtol=0.0, atol=1e-8)
 
 
 def test_points_on_the_edge_of_the_format_come_back():
     x, y = np.array([0.0, 14_000.0, 7000.0, 7000.0]), np.array([5000.0, 5000.0, 0.0, 10_600.0])
     ideal, seen = both_ways(x, y, 450.0, seen_from(DOWN, 3450.0, cabin=8e-5))
-    outside = (ideal.x_px < 0) | (ideal.x_px > 14_000) | (ideal.y_px < 0) | (ideal.y_px > 10_600)
+    outside = (
+        (ideal.x_corrected_px < 0)
+        | (ideal.x_corrected_px > 14_000)
+        | (ideal.y_corrected_px < 0)
+        | (ideal.y_corrected_px > 10_600)
+    )
     assert outside.all()  # the window's part is the larger, and the correction goes outward
     assert set(seen.status.tolist()) == {OK}
-    np.testing.assert_allclose(seen.x_px, x, rtol=0.0, atol=1e-9)
-    np.testing.assert_allclose(seen.y_px, y, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(seen.x_corrected_px, x, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(seen.y_corrected_px, y, rtol=0.0, atol=1e-9)
 
 
 def test_a_point_displaced_out_of_the_format_is_outside():
@@ -294,7 +309,7 @@ def test_a_point_displaced_out_of_the_format_is_outside():
         table=TABLE,
     )
     assert seen.status.tolist() == [OUTSIDE_CAMERA, OK, OUTSIDE_CAMERA]
-    assert np.isfinite(seen.x_px).tolist() == [False, True, False]
+    assert np.isfinite(seen.x_corrected_px).tolist() == [False, True, False]
     assert seen.dx_px[1] > 0.2
 
 
@@ -327,7 +342,7 @@ def test_each_reason_in_its_place():
         OK, BAD_MEASUREMENT, BAD_MEASUREMENT, NO_STATION, NO_GROUND, OUTSIDE_CAMERA,
         OUTSIDE_PROFILE, NO_STATION, NO_GROUND,
     ]  # fmt: skip
-    for values in (seen.x_px, seen.dy_px, seen.r_c_rad, seen.shift_ground_m):
+    for values in (seen.x_corrected_px, seen.dy_px, seen.r_c_rad, seen.shift_ground_m):
         np.testing.assert_array_equal(np.isfinite(values), seen.status == OK)
 
 
@@ -338,7 +353,7 @@ def test_over_the_horizon_no_ray_shows_the_ground():
         seen_from(looking(90.0), 3450.0), camera=PINHOLE, table=TABLE,
     )  # fmt: skip
     assert seen.status.tolist() == [OK, MISSES_GROUND, MISSES_GROUND]
-    assert np.isfinite(seen.y_px).tolist() == [True, False, False]
+    assert np.isfinite(seen.y_corrected_px).tolist() == [True, False, False]
 
 
 def test_neighbours_do_not_matter():
@@ -352,7 +367,9 @@ def test_neighbours_do_not_matter():
         alone = apply_refraction(
             x[one], y[one], h_g[one], first[one], exposures, camera=CAMERA, table=TABLE
         )
-        np.testing.assert_allclose(alone.x_px, together.x_px[one], rtol=0.0, atol=1e-10)
+        np.testing.assert_allclose(
+            alone.x_corrected_px, together.x_corrected_px[one], rtol=0.0, atol=1e-10
+        )
         assert alone.status[0] == together.status[i]
 
 
@@ -364,8 +381,8 @@ def test_a_published_method_goes_both_ways_too():
             x, y, 450.0, seen_from(looking(20.0), 3450.0), table=rays_by(AIR, method)
         )
         assert set(ideal.status.tolist()) == {OK}
-        np.testing.assert_allclose(seen.x_px, x, rtol=0.0, atol=1e-9)
-        np.testing.assert_allclose(seen.y_px, y, rtol=0.0, atol=1e-9)
+        np.testing.assert_allclose(seen.x_corrected_px, x, rtol=0.0, atol=1e-9)
+        np.testing.assert_allclose(seen.y_corrected_px, y, rtol=0.0, atol=1e-9)
 
 
 def test_nothing_to_displace():
@@ -373,7 +390,7 @@ def test_nothing_to_displace():
     found = apply_refraction(
         empty, empty, empty, np.empty(0, np.int64), none, camera=CAMERA, table=TABLE
     )
-    assert found.x_px.shape == (0,)
+    assert found.x_corrected_px.shape == (0,)
     stationless = Exposures(
         np.empty(0, bool), np.empty((0, 3, 3)), empty, empty, empty, empty, np.empty((0, 3)), empty
     )

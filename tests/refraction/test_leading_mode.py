@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.integrate import trapezoid
 from scipy.spatial.transform import Rotation
 
 from unbend.atmosphere import standard_atmosphere
@@ -116,7 +117,9 @@ def along(airs, mode, sigmas: float):
 
 
 def difference(one, two) -> np.ndarray:
-    return np.stack([one.x_px - two.x_px, one.y_px - two.y_px])
+    return np.stack(
+        [one.x_corrected_px - two.x_corrected_px, one.y_corrected_px - two.y_corrected_px]
+    )
 
 
 def is_close(found, expected) -> bool:
@@ -177,7 +180,7 @@ def sum_over_layers(warmer_k: float) -> tuple[float, float]:
     pressure = 47_181.0 * np.exp(np.append(np.cumsum(fall[::-1])[::-1], 0.0))
     n = 1.0 + 2.779e-4 * (pressure / 101_325.0) * 288.15 / kelvin
     sine = n_cabin * np.sin(angle) / n
-    chord = np.arctan2(np.trapezoid(sine / np.sqrt(1.0 - sine**2), h), h[-1])
+    chord = np.arctan2(trapezoid(sine / np.sqrt(1.0 - sine**2), h), h[-1])
     return (angle - chord) / np.tan(angle), (np.arcsin(sine[-1]) - chord) / np.tan(angle)
 
 
@@ -207,7 +210,7 @@ def test_one_kelvin_behind_a_level_pane():
             x, np.array([plain.cy_px]), np.zeros(1), np.zeros(1, np.int64), exposures, camera=plain,
             table=ray_table(air),
         )  # fmt: skip
-        shifted.append(np.arctan((done.x_px[0] - plain.cx_px) / plain.fx_px))
+        shifted.append(np.arctan((done.x_corrected_px[0] - plain.cx_px) / plain.fx_px))
         r_c.append(done.r_c_rad[0])
     ppm = 1e6 / np.tan(np.radians(10.0))
     assert abs(shifted[0] - shifted[1]) * ppm == pytest.approx(total, rel=0.01)

@@ -18,6 +18,7 @@ from unbend.refraction.status_codes import (
     MISSES_GROUND,
     OK,
     OUTSIDE_PROFILE,
+    STATUS_NAMES,
 )
 from unbend.units import ARCSEC, DEGREE
 
@@ -256,3 +257,15 @@ def test_the_dense_end_bends_more():
     sine = n_c * (RADIUS + h_c) * math.sin(zeta) / (n_g * (RADIUS + h_g))
     up = refraction_angle(AIR, h_g, h_c, math.pi - math.asin(sine))
     assert up > down > 0.0
+
+
+def test_a_ray_that_turns_below_a_near_target_may_mean_the_second_crossing():
+    """1 degree below the horizon from 3 km it turns 1.2 km lower: far from grazing at 2800 m."""
+    sine, cosine = np.sin(np.radians(89.0)), np.cos(np.radians(89.0))
+    near, status = bend(ray_table(AIR), 3000.0, 2800.0, sine, cosine)
+    assert STATUS_NAMES[int(status)] == "beyond_grazing"
+    again, status = bend(ray_table(AIR), 3000.0, 2800.0, sine, cosine, distance=12_000.0)
+    assert (STATUS_NAMES[int(status)], again) == ("ok", near)
+    far, status = bend(ray_table(AIR), 3000.0, 2800.0, sine, cosine, distance=240_000.0)
+    assert STATUS_NAMES[int(status)] == "far_branch"
+    assert far > 5.0 * near

@@ -84,16 +84,16 @@ def test_flat_rays_among_steep_ones_to_the_same_height(table, first):
 
 def test_the_series_is_what_is_used(table):
     """The comparison above would be empty if all rays were integrated one by one."""
-    from unbend.refraction.kernels import moments as kernel
-    from unbend.refraction.kernels.columns import RayColumns
+    from unbend.refraction.kernels.columns import LEFT, RayColumns
+    from unbend.refraction.kernels.moments import bend_steep_rays
 
     h_g, sine, cosine, radius = rays(np.random.default_rng(5), 3450.0, 300, steepest=60.0)
     angle, status = np.empty(300), np.empty(300, np.uint8)
-    kernel.bend_steep_rays(
+    bend_steep_rays(
         table.fine, RayColumns(np.full(300, 3450.0), h_g, sine, cosine, radius, h_g), angle, status
     )  # fmt: skip
     assert (status == OK).all()
-    assert kernel.LEFT not in status
+    assert LEFT not in status
 
 
 def test_many_rays_against_forty_digits(truth):

@@ -95,7 +95,7 @@ def without_log(mission: Any, baseline: Any) -> Path:
 
 def sample(folder: Path) -> Path:
     """The sample mission of a log of ArduPilot."""
-    from unbend.stages.story import run_mission
+    from unbend.batch.runs import run_mission
 
     text = (REPOSITORY / "configs" / "sample_bin.yaml").read_text(encoding="utf-8")
     sections = yaml.safe_load(text)

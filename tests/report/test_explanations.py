@@ -9,7 +9,8 @@ import sys
 
 import pytest
 
-from unbend.config.schema import mission_keys, mission_schema
+from unbend.config.keys import mission_keys
+from unbend.config.schema import mission_schema
 from unbend.errors import ConfigError
 from unbend.refraction.status_codes import STATUS_NAMES
 from unbend.report.explanations import explain, meanings

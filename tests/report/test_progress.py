@@ -74,23 +74,29 @@ def test_the_bar_counts_each_step_from_zero_before_and_after_it_appears(bar):
     bar.__exit__()
 
 
-def test_it_says_when_kernels_are_compiled(monkeypatch, tmp_path):
+def test_it_says_when_kernels_are_compiled(monkeypatch):
     """Read while numba compiles, and before and after it."""
-    from unbend.refraction.kernels import jit, machine_code
+    from unbend.refraction.kernels import jit
 
-    monkeypatch.setattr(jit, "cache_folder", lambda: str(tmp_path))
-    note, seen, original = progress.CompilingNote(), [], machine_code.compiled
+    note = progress.CompilingNote()
+    seen = []
 
-    def compiled(*arguments):
-        seen.append(str(note))
-        return original(*arguments)
+    class Names(list):
+        def append(self, name):
+            super().append(name)
+            seen.append((name, str(note)))
 
-    monkeypatch.setattr(machine_code, "compiled", compiled)
-    x = np.zeros(2)
+    monkeypatch.setattr(jit, "COMPILING", Names())
+    monkeypatch.setattr(jit, "cache_folder", lambda: None)
+    x = np.ones(2)
     assert str(note) == ""
-    jit.entry(rows=0)(doubled)(x)
-    assert seen == [" (compiling, once)"]
+    kernel = jit.entry(doubled)
+    kernel(x)
+    assert ("doubled", " (compiling, once)") in seen
     assert str(note) == ""
+    seen.clear()
+    kernel(x)
+    assert (seen, x.tolist()) == ([], [4.0, 4.0])
 
 
 def doubled(x):

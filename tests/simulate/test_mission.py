@@ -50,9 +50,14 @@ def dataflash(small):
 def telemetry(small):
     link = mavutil.mavlink_connection(str(small.logs["tlog"]), dialect="ardupilotmega")
     rows: dict[str, list[dict]] = {}
+    log, place = small.logs["tlog"].read_bytes(), 0
     while (message := link.recv_match()) is not None:
+        frame = bytes(message.get_msgbuf())
+        assert log[place + 8 : place + 8 + len(frame)] == frame
+        host_us = int.from_bytes(log[place : place + 8], "big")  # stands before each frame
+        place += 8 + len(frame)
         rows.setdefault(message.get_type(), []).append(
-            message.to_dict() | {"host_s": message._timestamp}
+            message.to_dict() | {"host_s": host_us * 1e-6}
         )
     link.close()
     return {name: pd.DataFrame(found) for name, found in rows.items()}

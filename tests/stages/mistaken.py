@@ -45,8 +45,8 @@ def changed(sections: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]
 @cache
 def stations_of(base: str) -> pd.DataFrame:
     """The stations of a sample mission, as `unbend stations --csv` writes them."""
+    from unbend.batch.runs import read_mission
     from unbend.flight.stations import station_columns
-    from unbend.stages.story import read_mission
 
     stations = read_mission(REPOSITORY / "configs" / f"{base}.yaml").stations
     return pd.DataFrame(station_columns(stations))

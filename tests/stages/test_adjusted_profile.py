@@ -18,8 +18,9 @@ from unbend.atmosphere.climatology import climatology
 from unbend.atmosphere.estimate.state import SensorFault
 from unbend.atmosphere.series.profile_series import TimedProfile
 from unbend.atmosphere.series.time_windows import TimeWindow
+from unbend.batch.runs import read_mission
 from unbend.config.atmosphere import SensorsSection
-from unbend.config.schema import mission_keys
+from unbend.config.keys import mission_keys
 from unbend.simulate.mission import FIELD_LAT_RAD
 from unbend.simulate.true_air import (
     saturation_pressure_pa,
@@ -28,7 +29,6 @@ from unbend.simulate.true_air import (
     vapour_pressure_pa,
 )
 from unbend.stages import adjusted_profile as batch_air
-from unbend.stages.story import read_mission
 
 METAR = "METAR KXYZ 151055Z 24011KT 9999 SCT040 12/08 Q1013"
 

@@ -123,7 +123,7 @@ def test_the_mission_of_the_page(block, by_log, points):
     wanted = shift(block)
     block.config = yaml.load(text, yaml.BaseLoader)
     (block.folder / "mission.yaml").write_text(text)
-    from unbend.stages.story import run_mission
+    from unbend.batch.runs import run_mission
 
     outcome = run_mission(block.folder / "mission.yaml")
     assert outcome.exit_code == 0, outcome.manifest["ledger"]
@@ -370,14 +370,13 @@ def test_a_point_twice_in_an_image_is_a_loss(block, by_log, points):
     assert f"first {first} in nadir_00001" in entries["OBS-REPEATED-POINT"]["what"]
 
 
+@pytest.mark.shared("ba")
 @pytest.mark.parametrize("program", ["dbat", "metashape"])
 def test_a_real_block_as_a_mission_without_a_log(tmp_path, program):
     """Five images over Strasbourg: DBAT's script and the archive of PhotoScan."""
-    from unbend.stages.story import run_mission
+    from unbend.batch.runs import run_mission
 
     folder = SHARED / "dbat_sxb"
-    if not folder.is_dir():
-        pytest.skip("no blocks beside the checkout")
     mission = {
         "mission": {"name": "sxb"},
         "observations": {"path": str(folder / {"dbat": "sxb.xml", "metashape": "sxb.psz"}[program]),
@@ -412,7 +411,7 @@ def test_a_model_in_an_unknown_frame(tmp_path):
     """
     import pycolmap
 
-    from unbend.stages.story import run_mission
+    from unbend.batch.runs import run_mission
 
     samples = Path(__file__).resolve().parents[2] / "sample_logs"
     stations = pq.read_table(samples / "truth" / "stations.parquet").to_pandas()

@@ -11,7 +11,8 @@ import pytest
 
 from tests.physics.ray_on_sphere import ray_angle_sphere
 from unbend.atmosphere import standard_atmosphere
-from unbend.config.cameras import CabinAir
+from unbend.batch import opening
+from unbend.config.windows import CabinAir
 from unbend.flight.channels import Channel, Source
 from unbend.flight.stations import Stations, empty_stations
 from unbend.ingest import open_log
@@ -22,7 +23,6 @@ from unbend.refraction.uncertainty.sigmas import SEALED
 from unbend.refraction.window import Cabin, Window
 from unbend.simulate.optics import cameras, through_window
 from unbend.simulate.true_air import edlen_index
-from unbend.stages import inputs
 from unbend.stages.cabin_air import cabin_changes, cabin_from_log, with_cabin_air
 from unbend.stages.exposure_setup import exposures_of
 from unbend.units import ZERO_CELSIUS_K
@@ -247,10 +247,10 @@ def test_draws_of_the_cabin_lie_within_their_sigma():
     true_x, true_y = model.project(ray(zeta - r_c)[None])
     at, _ = filled(stations(h, cabin_pressure_pa=70_120.0), Cabin("log", sigma_pressure_pa=0.0))
     found = claimed(at, x=x, y=y)
-    assert np.isfinite(found.x_px).all(), "no row is lost"
+    assert np.isfinite(found.x_corrected_px).all(), "no row is lost"
     for error, sigma in (
-        (found.x_px - true_x, found.sigmas.cabin_dx_px),
-        (found.y_px - true_y, found.sigmas.cabin_dy_px),
+        (found.x_corrected_px - true_x, found.sigmas.cabin_dx_px),
+        (found.y_corrected_px - true_y, found.sigmas.cabin_dy_px),
     ):
         within = np.abs(error) <= sigma
         assert 0.60 <= within.mean() <= 0.76, within.mean()
@@ -294,7 +294,7 @@ def test_a_log_without_a_cabin_thermometer(mission, unbend, monkeypatch):
         log = open_log(*given)
         return replace(log, channels=tuple(c for c in log.channels if c.name != "HYGR[1]"))
 
-    monkeypatch.setattr(inputs, "open_log", without_box)
+    monkeypatch.setattr(opening, "open_log", without_box)
     checked = unbend("check", mission.save())
     assert checked.code == 0, checked.text
     assert "CABIN-TEMPERATURE" in checked.text

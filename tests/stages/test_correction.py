@@ -7,7 +7,7 @@ import threading
 
 import pytest
 
-from unbend.refraction.kernels import threads as _threads
+from unbend.refraction.kernels import threads as kernel_threads
 from unbend.stages import correction as correct
 
 
@@ -48,14 +48,24 @@ class Counter:
         return number
 
 
-@pytest.mark.parametrize(("cpus", "workers"), [(1, 1), (3, 3), (64, 4)])
-def test_batches_in_flight_are_few_whatever_the_machine(monkeypatch, cpus, workers):
+@pytest.mark.parametrize(
+    ("cpus", "memory_gb", "threads"),
+    [(1, 64, 1), (3, 64, 3), (64, 64, 45), (64, 8, 5), (8, 0.5, 1)],
+)
+def test_batches_in_flight_are_as_many_as_cpus_and_memory(monkeypatch, cpus, memory_gb, threads):
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(cpus)), raising=False)
-    monkeypatch.setattr(os, "cpu_count", lambda: 256)
-    counter = Counter(workers)
-    assert list(correct.on_threads(counter.work, counter.batches(40))) == list(range(40))
-    assert counter.most_at_work == workers
-    assert counter.most_held == workers + 1
+    pages = {"SC_PHYS_PAGES": int(memory_gb * (1 << 30)) // 4096, "SC_PAGE_SIZE": 4096}
+    monkeypatch.setattr(os, "sysconf", pages.__getitem__)
+    assert correct.threads_for(250_000) == threads
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_no_more_batches_are_held_than_threads_and_one(threads):
+    counter = Counter(threads)
+    made = correct.on_threads(counter.work, counter.batches(40), threads=threads)
+    assert list(made) == list(range(40))
+    assert counter.most_at_work == threads
+    assert counter.most_held == threads + 1
     assert counter.held == 0
 
 
@@ -68,22 +78,30 @@ def test_a_batch_that_fails_stops_the_others():
         return counter.work(number, batch)
 
     with pytest.raises(KeyError):
-        list(correct.on_threads(broken, counter.batches(1000)))
+        list(correct.on_threads(broken, counter.batches(1000), threads=4))
     assert counter.held < 10
 
 
 def test_cpus_are_those_this_process_may_use(monkeypatch):
     monkeypatch.setattr(os, "cpu_count", lambda: 256)
     if hasattr(os, "sched_getaffinity"):
-        assert _threads.usable_cpus() == len(os.sched_getaffinity(0))
+        assert kernel_threads.usable_cpus() == len(os.sched_getaffinity(0))
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {5, 7}, raising=False)
-    assert _threads.usable_cpus() == 2
-    _threads._pool.cache_clear()
+    assert kernel_threads.usable_cpus() == 2
+    used = set()
+    together = threading.Barrier(2, timeout=60.0)
+
+    def block(_: slice) -> None:
+        together.wait()  # none ends before the other has begun
+        used.add(threading.get_ident())
+
+    kernel_threads._pool.cache_clear()
     try:
-        assert _threads._pool()._max_workers == 2
+        kernel_threads.in_blocks(block, 6 * kernel_threads.BLOCK_ROWS)
+        assert len(used) == 2
     finally:
-        _threads._pool().shutdown()
-        _threads._pool.cache_clear()
+        kernel_threads._pool().shutdown()
+        kernel_threads._pool.cache_clear()
     # Where the system has no affinity: all there are.
     monkeypatch.delattr(os, "sched_getaffinity", raising=False)
-    assert _threads.usable_cpus() == 256
+    assert kernel_threads.usable_cpus() == 256

@@ -20,7 +20,8 @@ from unbend.refraction.status_codes import (
     OUTSIDE_CAMERA,
     STATUS_NAMES,
 )
-from unbend.stages.ground_heights import GivenGround, GroundHeights, plausible_heights
+from unbend.stages.correction_setup import GroundHeights
+from unbend.stages.ground_heights import GivenGround, plausible_heights
 from unbend.stages.statistics import Statistics, evenly_spaced
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pyarrow as pa
 import pytest
 
+from unbend.batch.runs import read_mission
 from unbend.errors import MissionError
-from unbend.stages.story import read_mission
 
 
 def rename(mission, new) -> None:

@@ -13,9 +13,9 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from unbend.batch.runs import read_mission
 from unbend.errors import ConfigError, MissionError
 from unbend.simulate.flight import UNDULATION_M, fly
-from unbend.stages.story import read_mission
 
 GPS_EPOCH = datetime(1980, 1, 6, tzinfo=UTC)
 NEAR_M = 0.15  # events are 1.6 ms off by the clock of the log, at 70 m/s

@@ -10,10 +10,10 @@ import pyarrow.parquet as pq
 import pytest
 import yaml
 
+from unbend.batch import runs
+from unbend.batch.runs import check_mission
 from unbend.simulate import SimulationOptions, simulate
-from unbend.stages import story
 from unbend.stages.multi_image import point_heights
-from unbend.stages.story import check_mission
 
 pytestmark = pytest.mark.usefixtures("plain_report")
 
@@ -92,14 +92,16 @@ def test_rows_in_any_order_and_in_many_files_give_the_same(own, monkeypatch):
 
 def test_a_rehearsal_has_the_heights_of_a_run_for_the_rows_it_draws(own, tmp_path, monkeypatch):
     """It reads the rays of the points of those rows, wherever these are in the table."""
-    monkeypatch.setattr(story, "SAMPLED_ROWS", 100)
+    monkeypatch.setattr(runs, "SAMPLED_ROWS", 100)
     _, _, results, _ = own(lambda table: table.sample(frac=1.0, random_state=5))
     checked = check_mission(tmp_path / "mission" / "mission.yaml")
-    sample = checked.prepared.observations.sample
+    sample = checked.corrected.prepared.observations.sample
     assert 60 <= sample.number.size <= 100 < len(results)
     drawn = results.iloc[sample.number]
     # One unit in the last place of geocentric coordinates is 9e-10 m.
-    np.testing.assert_allclose(checked.facts.rows.h_g_m, drawn["h_g_m"], rtol=0.0, atol=1e-8)
+    np.testing.assert_allclose(
+        checked.corrected.facts.rows.h_g_m, drawn["h_g_m"], rtol=0.0, atol=1e-8
+    )
     assert drawn["point"].nunique() > 20
 
 

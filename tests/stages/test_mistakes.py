@@ -2,7 +2,7 @@
 
 The list was written by a reader of the README alone. Those that are not caught are named here, with
 the reason; a sound mission beside each kind raises nothing. Of the list, UNBEND_MISTAKES (6; `make
-faults`: all) are drawn from UNBEND_MISTAKE_SEED (0).
+faults`: all) are drawn from UNBEND_SEED.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from typing import Any
 import pytest
 import yaml
 
+from tests.draws import SEED
+from unbend.batch import opening
+from unbend.batch.runs import check_mission
 from unbend.errors import UnbendError
-from unbend.stages import inputs
-from unbend.stages.story import check_mission
 
 from .mistaken import MISTAKES, write_mistake
 
 LIST = yaml.safe_load(MISTAKES.read_text(encoding="utf-8"))
 
-SEED = int(os.environ.get("UNBEND_MISTAKE_SEED", "0"))
 COUNT = min(int(os.environ.get("UNBEND_MISTAKES", "6")), len(LIST["mistakes"]))
 DRAWN = random.Random(SEED).sample(LIST["mistakes"], COUNT)
 
@@ -42,7 +42,7 @@ MISSED = {
 def parsed_once(computed_once: None) -> Iterator[None]:
     """Logs are parsed once, and what is the same in many missions is computed once."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(inputs, "open_log", lru_cache(None)(inputs.open_log))
+        patch.setattr(opening, "open_log", lru_cache(None)(opening.open_log))
         yield
 
 
@@ -68,7 +68,6 @@ def names(text: str, keys: str) -> bool:
 
 @pytest.mark.parametrize("mistake", DRAWN, ids=lambda mistake: str(mistake["id"]))
 def test_a_mistake_is_caught_with_its_key(tmp_path: Path, mistake: dict[str, Any]) -> None:
-    print(f"seed {SEED}: {COUNT} of {len(LIST['mistakes'])} mistakes")
     code, text = checked(tmp_path, mistake)
     if mistake["id"] in MISSED:
         assert code == 0, "caught by now: to be taken from the list of the missed"

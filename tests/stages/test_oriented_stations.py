@@ -14,9 +14,9 @@ import pyproj
 import pytest
 import yaml
 
+from unbend.batch.runs import read_mission
 from unbend.errors import InputError
 from unbend.simulate import SimulationOptions, simulate
-from unbend.stages.story import read_mission
 
 sys.path.insert(0, str(Path(__file__).parent))
 from block_files import earth_centred, matrices

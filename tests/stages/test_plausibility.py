@@ -10,16 +10,16 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
+from tests.batch.test_rehearsal import config, rows
+from unbend.batch.rehearsal import camera_text
+from unbend.batch.runs import check_mission
 from unbend.refraction import Camera
 from unbend.refraction.camera.general_frame import GeneralFrame
 from unbend.refraction.camera.opencv_fisheye import OpenCVFisheye
 from unbend.simulate.flight import FIELD_LAT_RAD, FIELD_LON_RAD, geographic, terrain_m
 from unbend.simulate.write_dataflash import FORMATS
-from unbend.stages.commands.rehearsal import camera_text
-from unbend.stages.plausibility import RULES, Facts, distortion, field_of_view
-from unbend.stages.story import check_mission
-
-from .test_rehearsal import config, rows
+from unbend.stages.plausibility.facts import Facts
+from unbend.stages.plausibility.rules import RULES, distortion, field_of_view
 
 pytestmark = pytest.mark.usefixtures("plain_report")
 
@@ -139,7 +139,7 @@ def test_a_mistake_is_found_with_its_key(mission, what):
 def test_slant_ranges_in_feet(mission):
     """Straight lines from 2500 m above the field to the points, 3.28 times as long."""
     checked = check_mission(mission.save())
-    facts = checked.facts
+    facts = checked.corrected.facts
     length = (facts.camera_height_m - facts.rows.h_g_m) / np.cos(facts.nadir_angle_rad)
     for factor, finds in ((1.0, False), (3.28084, True)):
         rows(lambda t, f=factor: t.insert(5, "slant", length * f))(mission)
@@ -271,7 +271,7 @@ def test_rays_beyond_the_horizon_are_told_by_how_much(mission):
     (entry,) = [e for e in checked.manifest["ledger"]
                 if e["code"] == "OBS-FLAGGED" and "misses_ground" in e["what"]]  # fmt: skip
     degrees = float(re.search(r"up to ([\d.]+) deg beyond the horizon", entry["what"])[1])
-    facts = checked.facts
+    facts = checked.corrected.facts
     angle = np.degrees(np.nanmax(facts.nadir_angle_rad[facts.camera == "nadir"]))
     # Geometry by hand: the horizon of a sphere of 6371 km from the height above the ground.
     height = np.nanmax(facts.camera_height_m - facts.rows.h_g_m)

@@ -10,7 +10,7 @@ import pyarrow as pa
 import pytest
 from pymavlink.dialects.v20 import all as dialect
 
-from unbend.stages.story import read_mission
+from unbend.batch.runs import read_mission
 
 
 def times_ns(mission) -> dict[str, int]:

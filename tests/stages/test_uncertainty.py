@@ -17,9 +17,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from unbend.atmosphere.covariance import ProfileCovariance
+from unbend.batch.runs import read_mission
 from unbend.flight.trajectory import _Curve
 from unbend.stages import story as stages
-from unbend.stages.story import read_mission
 from unbend.stages.uncertainty import station_sigmas
 
 pytestmark = pytest.mark.usefixtures("plain_report")
@@ -438,7 +438,7 @@ def test_the_sigmas_of_each_mount_in_radians(mission):
     mission.config["mount"][second] |= {"sigma_tilt_deg": 0.25}
     prepared = read_mission(mission.save())
     at, camera = prepared.stations, prepared.stations.camera
-    sigmas = station_sigmas(prepared.plan.mission, at)
+    sigmas = station_sigmas(prepared.mission, at)
     assert sigmas.tilt_rad[camera == first] == pytest.approx(0.008726646259971648)
     assert sigmas.yaw_rad[camera == first] == pytest.approx(0.03490658503988659)
     # By default the yaw is as uncertain as the tilt; heights are those of the log.
@@ -447,7 +447,7 @@ def test_the_sigmas_of_each_mount_in_radians(mission):
     del mission.config["mount"][first]["sigma_yaw_deg"]
     del mission.config["mount"][first]["sigma_tilt_deg"]
     prepared = read_mission(mission.save())
-    sigmas = station_sigmas(prepared.plan.mission, prepared.stations)
+    sigmas = station_sigmas(prepared.mission, prepared.stations)
     ok = prepared.stations.ok & (camera == first)
     # Without innovations of a filter 0.1 and 0.22 deg, and of yaw 0.36 deg and what a compass shows
     # of the tilt: times 2 tan(latitude), the dip of a dipole along the earth's axis.
@@ -458,6 +458,6 @@ def test_the_sigmas_of_each_mount_in_radians(mission):
     )
     # stations that know nothing of their attitude have the mount's sigmas
     unknown_tilt = replace(at, sigma_tilt_rad=np.full(len(at), np.nan))
-    sigmas = station_sigmas(prepared.plan.mission, unknown_tilt)
+    sigmas = station_sigmas(prepared.mission, unknown_tilt)
     assert np.isnan(sigmas.tilt_rad[camera == first]).all()
     assert sigmas.tilt_rad[camera == second] == pytest.approx(0.004363323129985824)

@@ -15,12 +15,12 @@ from tests.model_files import dataset, netcdf
 from unbend import correct
 from unbend.atmosphere.air_samples import AirSamples
 from unbend.atmosphere.series import profiles_by_place
+from unbend.batch.finished_run import verify_run
+from unbend.batch.runs import read_mission
 from unbend.messages import Ledger
 from unbend.simulate.flight import FIELD_LAT_RAD
 from unbend.simulate.true_air import temperature_k, true_air, vapour_pressure_pa
 from unbend.stages.adjusted_profile import adjusted_profiles, read_air_sources
-from unbend.stages.commands.finished_run import verify_run
-from unbend.stages.story import read_mission
 
 from .test_oriented_stations import columns_of
 
@@ -99,9 +99,11 @@ def test_without_sensors_the_air_is_the_models(modelled):
     nothing, ledger = AirSamples(), Ledger()
     heights = replace(read.flight.heights, home_h_msl_m=450.0)
     flight = replace(read.flight, heights=heights, roles={})
-    sources = read_air_sources(read.plan, flight, read.stations, nothing, ledger)
+    sources = read_air_sources(
+        read.mission, read.inputs, flight, read.stations, nothing, ledger=ledger
+    )
     air = adjusted_profiles(
-        read.plan.mission, read.stations, nothing, sources, ledger
+        read.mission, read.stations, nothing, sources, ledger
     ).adjustment  # fmt: skip
     assert air.basis == "weather model"
     assert air.is_measured

@@ -450,7 +450,7 @@ def test_a_ground_that_nobody_knows_is_the_models(fields, tmp_path):
         assert ("600 m" in entry.what) == bool(height)
 
 
-@pytest.mark.skipif(not SHARED.is_dir(), reason="needs ../shared/nwp, real files of ERA5")
+@pytest.mark.shared("nwp")
 def test_era5_at_a_node_to_the_last_digit():
     path = SHARED / "era5_pressure_levels_20180327T13.nc"
     with netcdf_file(path, mmap=False) as file:
@@ -471,7 +471,7 @@ def test_era5_at_a_node_to_the_last_digit():
         np.testing.assert_allclose(getattr(found, name)[on], values[rows], rtol=1e-6)
 
 
-@pytest.mark.skipif(not SHARED.is_dir(), reason="needs ../shared/nwp, real files of ERA5")
+@pytest.mark.shared("nwp")
 @pytest.mark.parametrize(
     ("name", "when", "place", "ground"),
     [("era5_model_levels_20220829T17.nc", "2022-08-29T17:00", (70.25, -156.5), np.nan),
@@ -499,7 +499,7 @@ def test_pressure_between_real_levels_is_that_of_an_ode_from_the_nearer_level(
     assert np.median(np.abs(apart)) < 1e-4
 
 
-@pytest.mark.skipif(not SHARED.is_dir(), reason="needs ../shared/nwp, real files of ERA5")
+@pytest.mark.shared("nwp")
 def test_a_real_file_with_too_few_levels_says_which():
     with pytest.raises(InputError, match=r"2 levels in all \(500, 850 hPa\)"):
         read(SHARED / "era5_two_levels_members.grib", time_ns=ns("2017-01-01T12"))

@@ -48,7 +48,9 @@ def test_a_batch_is_in_colmap_s_pixels_and_its_results_in_the_user_s(
     np.testing.assert_array_equal(batch.x_px, np.array(X) + half)
     np.testing.assert_array_equal(batch.y_px, np.array(Y) + half)
     unknown = {name: np.full(3, np.nan) for name in COLUMNS} | {"status": np.zeros(3, np.uint8)}
-    shifted = Corrections(**unknown | {"x_px": batch.x_px + 2.0, "y_px": batch.y_px - 3.0})
+    shifted = Corrections(
+        **unknown | {"x_corrected_px": batch.x_px + 2.0, "y_corrected_px": batch.y_px - 3.0}
+    )
     table = table_of_observations(
         batch, shifted, np.zeros(3), observations.pixels, schema_of(columns, {})
     )

@@ -148,7 +148,7 @@ def test_pyproj_and_eccodes_live_together(gfs, order):
     assert run.returncode == 0, run.stderr
 
 
-@pytest.mark.skipif(not SHARED.is_dir(), reason="needs ../shared/nwp, real files of ERA5")
+@pytest.mark.shared("nwp")
 @pytest.mark.parametrize(
     ("name", "kind", "levels", "members"),
     [("era5_pressure_levels_20180327T13.nc", "pressure", 37, 0),

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from unbend.atmosphere import messages
 from unbend.atmosphere.climate_tables import SUPPLEMENTS, season
 from unbend.atmosphere.profile import Profile
 from unbend.atmosphere.refractive_index import IndexModel, saturation_vapour_pressure
 from unbend.atmosphere.standard import ATMOSPHERES, AUTO, SeasonAndPlace, known_names
-from unbend.errors import PhysicsError
 from unbend.units import DEGREE, Array
 
 HUMIDITY_CORRELATION_M = 1000.0
@@ -112,8 +112,7 @@ def climatology(
     """
     model = ATMOSPHERES.get(name)
     if model is None:
-        what = f"no climatology is called {name!r}"
-        raise PhysicsError("ATMOSPHERE-NAME", what, remedy=f"one of {', '.join(known_names())}")
+        raise messages.unknown_climatology(name=name, names=", ".join(known_names()))
     index = index or IndexModel()
     place = SeasonAndPlace(latitude_rad, month, longitude_rad)
     profile = model.profile(place, index)

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from unbend.atmosphere import messages
 from unbend.atmosphere.hypsometry import column, hats
 from unbend.atmosphere.profile import Profile
 from unbend.atmosphere.refractive_index import IndexModel
-from unbend.errors import PhysicsError
 from unbend.units import VAPOUR_DEFICIT, Array
 
 RAY_STEPS = 200  # trapezia of the plane integral: 1e-5 of R over 10 km
@@ -72,9 +72,9 @@ def log_pressure_jacobian(profile: Profile, h: ArrayLike, anchor_height_m: float
     """
     h = np.asarray(h, dtype=np.float64)
     if not profile.bottom_m <= anchor_height_m <= profile.top_m:
-        what = f"a reference height of {anchor_height_m:g} m leaves the profile"
-        remedy = "refer pressure to a height inside it"
-        raise PhysicsError("PROFILE-RANGE", what, where=profile.extent, remedy=remedy)
+        raise messages.reference_height_outside_profile(
+            height_m=anchor_height_m, where=profile.extent
+        )
     height = profile.gravity.geopotential_height(h)
     height = np.where(profile.layer_of(h) < 0, np.nan, height)
     at = np.append(height, profile.gravity.geopotential_height(anchor_height_m))

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from unbend.atmosphere import messages
 from unbend.atmosphere.layers import MEASURED, Layers, log_pressure_fall, stack_layers
 from unbend.atmosphere.refractive_index import IndexModel
-from unbend.errors import PhysicsError
 from unbend.geodesy import Gravity
 from unbend.units import HYDROSTATIC_CONSTANT, VAPOUR_DEFICIT, Array, Rows
 
@@ -136,9 +136,9 @@ def profile_table(profile: Profile, h: ArrayLike | None = None) -> dict[str, Any
         heights = np.asarray(h, dtype=np.float64)
         i = profile.layer_of(heights)
     if bool(np.any(i < 0)):
-        what = f"heights of {heights.min():.0f} to {heights.max():.0f} m leave the profile"
-        remedy = "ask for heights inside it"
-        raise PhysicsError("PROFILE-RANGE", what, where=profile.extent, remedy=remedy)
+        raise messages.heights_outside_profile(
+            lowest_m=heights.min(), highest_m=heights.max(), where=profile.extent
+        )
     layers = profile.layers
     return {
         "h_m": heights,

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from unbend.errors import PhysicsError
+from unbend.atmosphere import messages
 from unbend.units import HECTOPASCAL, VAPOUR_DEFICIT, ZERO_CELSIUS_K, Array
 
 DEFAULT_WAVELENGTH_M = 0.55e-6
@@ -143,9 +143,7 @@ def refractivity_ciddor(
     271800.0
     """
     if not 0.23e-6 <= wavelength_m <= 2.0e-6:
-        what = f"a wavelength of {wavelength_m:g} m lies outside 0.23e-6 to 2.0e-6 m"
-        remedy = "give the wavelength of vacuum in metres, for example 0.55e-6"
-        raise PhysicsError("AIR-WAVELENGTH", what, remedy=remedy)
+        raise messages.wavelength_outside_range(wavelength_m=wavelength_m)
     t, p = np.asarray(temperature_k, np.float64), np.asarray(pressure_pa, np.float64)
     with np.errstate(invalid="ignore"):
         x_w = np.where(p > 0.0, np.asarray(vapour_pressure_pa, np.float64) / p, 0.0)
@@ -187,8 +185,7 @@ class IndexModel:
 
     def __post_init__(self) -> None:
         if self.name not in INDEX_MODELS:
-            what = f"no refractive index is called {self.name!r}"
-            raise PhysicsError("AIR-INDEX", what, remedy=f"one of {', '.join(INDEX_MODELS)}")
+            raise messages.unknown_index(name=self.name, names=", ".join(INDEX_MODELS))
 
     def refractivity(
         self, temperature_k: ArrayLike, pressure_pa: ArrayLike, vapour_pressure_pa: ArrayLike

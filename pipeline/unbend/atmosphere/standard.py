@@ -14,11 +14,11 @@ from functools import partial
 import numpy as np
 
 from unbend.atmosphere import climate_tables as tables
+from unbend.atmosphere import messages
 from unbend.atmosphere.climate_tables import AFGL_ORIGIN, SUPPLEMENTS, SUPPLEMENTS_ORIGIN
 from unbend.atmosphere.layers import STANDARD, stack_layers
 from unbend.atmosphere.profile import Profile
 from unbend.atmosphere.refractive_index import DEFAULT_WAVELENGTH_M, IndexModel
-from unbend.errors import PhysicsError
 from unbend.geodesy import Gravity, normal_gravity
 from unbend.units import DEGREE, STANDARD_GRAVITY
 
@@ -48,8 +48,7 @@ class SeasonAndPlace:
         if self.latitude_rad is None:
             return None
         if not abs(self.latitude_rad) <= math.pi / 2.0 + 1e-12:
-            what = f"a latitude of {self.latitude_rad:g} rad lies beyond the pole"
-            raise PhysicsError("ATMOSPHERE-LATITUDE", what, remedy="give it in radians")
+            raise messages.latitude_beyond_pole(latitude_rad=self.latitude_rad)
         return normal_gravity(self.latitude_rad)
 
 
@@ -99,9 +98,7 @@ def _msis(place: SeasonAndPlace, index: IndexModel) -> Profile:
     try:
         import pymsis
     except ImportError:
-        what = "NRLMSIS 2.1 needs the package pymsis, which is not installed"
-        remedy = 'pip install "unbend[msis]", or take another climatology'
-        raise PhysicsError("ATMOSPHERE-MSIS", what, remedy=remedy) from None
+        raise messages.msis_not_installed() from None
     latitude = place.latitude_rad or 0.0
     day = math.floor(((place.month - 1.0) % 12.0) / 12.0 * 365.25) + 14
     h = np.arange(0.0, _MSIS_TOP_M + 1.0, _MSIS_STEP_M)
@@ -184,6 +181,5 @@ def standard_atmosphere(
     """
     model = ATMOSPHERES.get(name)
     if model is None or model.needs_place:
-        what = f"no standard atmosphere is called {name!r}"
-        raise PhysicsError("ATMOSPHERE-NAME", what, remedy=f"one of {', '.join(standard_names())}")
+        raise messages.unknown_standard(name=name, names=", ".join(standard_names()))
     return model.profile(SeasonAndPlace(latitude), IndexModel(index, wavelength_m))

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from unbend.atmosphere import messages
 from unbend.atmosphere.refractive_index import vapour_pressure
-from unbend.errors import InputError
 from unbend.messages import Ledger
 from unbend.units import HECTOPASCAL, NANOSECONDS_PER_SECOND, ZERO_CELSIUS_K
 
@@ -90,7 +90,8 @@ def parse_metar(
     flat = " ".join(text.split()).rstrip("=").strip()
     report, complaints = _decode(flat, where)
     if complaints:
-        ledger.note("METAR-GROUPS", "; ".join(complaints), where=where, count=len(complaints))
+        groups = "; ".join(complaints)
+        ledger.add(messages.metar_groups(where=where, count=len(complaints), groups=groups))
     t, dew = (
         math.nan if value is None else float(value.value("C")) + ZERO_CELSIUS_K
         for value in (report.temp, report.dewpt)
@@ -106,17 +107,23 @@ def parse_metar(
     ):
         if number < low or number > high:
             place = f"{where}: {flat[:80]!r}"
-            raise InputError.of("METAR-RANGE", place, quantity=quantity, number=number, unit=unit)
+            raise messages.metar_range(where=place, quantity=quantity, number=number, unit=unit)
     time_ns = _nearest_day(flat, flight_ns)
     if dew > t:
         celsius, dew_c, dew = t - ZERO_CELSIUS_K, dew - ZERO_CELSIUS_K, t
-        ledger.warning("METAR-DEW-POINT", where=where, count=1, dew_c=dew_c, celsius=celsius)
+        ledger.add(messages.metar_dew_point(where=where, count=1, dew_c=dew_c, celsius=celsius))
     quantities = {"temperature": t, "dew point": dew, "altimeter setting": qnh}
     if missing := [name for name, value in quantities.items() if not math.isfinite(value)]:
-        what = f"no {' and no '.join(missing)} can be read in {flat[:80]!r}"
-        if not math.isfinite(t) and math.isfinite(dew):
-            what += "; the dew point alone gives no humidity without the temperature"
-        ledger.fallback("METAR-MISSING", what, where=where, count=len(missing))
+        dew_point_alone = not math.isfinite(t) and math.isfinite(dew)
+        ledger.add(
+            messages.metar_missing(
+                where=where,
+                count=len(missing),
+                quantities=" and no ".join(missing),
+                report=flat[:80],
+                dew_point_alone=dew_point_alone,
+            )
+        )
     pressure = station_pressure(qnh, station_h_m) if math.isfinite(qnh) else math.nan
     dew = dew if math.isfinite(t) else math.nan
     e = float(vapour_pressure(1.0, dew, pressure if math.isfinite(pressure) else _SEA_LEVEL_PA))
@@ -138,12 +145,12 @@ def _decode(flat: str, where: str) -> tuple[Any, list[str]]:
             report = Metar.Metar(flat, month=1, year=2000, strict=False)
         except (Metar.ParserError, ValueError, TypeError) as error:
             why = f"the report does not parse: {error}"
-            raise InputError.of("METAR-PARSE", f"{where}: {flat[:80]!r}", why=why) from None
+            raise messages.metar_parse(where=f"{where}: {flat[:80]!r}", why=why) from None
     complaints = [" ".join(str(warning.message).split()) for warning in caught]
     if report.station_id is None or (report.temp is None and report.press is None):
         why = "no station, or neither temperature nor altimeter setting, is found"
         why = ": ".join([why, "; ".join(complaints)] if complaints else [why])
-        raise InputError.of("METAR-PARSE", f"{where}: {flat[:80]!r}", why=why)
+        raise messages.metar_parse(where=f"{where}: {flat[:80]!r}", why=why)
     return report, complaints
 
 
@@ -187,18 +194,21 @@ def surface_report(
     """
     _refuse_height(h_m, where)
     if not (math.isfinite(temperature_k) or math.isfinite(pressure_pa)):
-        raise InputError.of("SURFACE-EMPTY", where)
+        raise messages.surface_empty(where=where)
     if temperature_k < _GROUND_K[0] or temperature_k > _GROUND_K[1]:
         celsius = temperature_k - ZERO_CELSIUS_K
-        raise InputError.of("SURFACE-TEMPERATURE", where, kelvin=temperature_k, celsius=celsius)
+        raise messages.surface_temperature(where=where, kelvin=temperature_k, celsius=celsius)
     usual = station_pressure(_SEA_LEVEL_PA, h_m)
     if math.isfinite(pressure_pa) and abs(pressure_pa / usual - 1.0) > 0.08:
-        raise InputError.of(
-            "SURFACE-PRESSURE", where, hpa=pressure_pa / HECTOPASCAL, height_m=h_m,
-            ratio=pressure_pa / usual, usual_hpa=usual / HECTOPASCAL,
-        )  # fmt: skip
+        raise messages.surface_pressure(
+            where=where,
+            hpa=pressure_pa / HECTOPASCAL,
+            height_m=h_m,
+            ratio=pressure_pa / usual,
+            usual_hpa=usual / HECTOPASCAL,
+        )
     if math.isfinite(relative_humidity) and not 0.0 <= relative_humidity <= 1.0:
-        raise InputError.of("SURFACE-HUMIDITY", where, humidity=relative_humidity)
+        raise messages.surface_humidity(where=where, humidity=relative_humidity)
     p = pressure_pa if math.isfinite(pressure_pa) else usual
     e = float(vapour_pressure(relative_humidity, temperature_k, p))
     return SurfaceReport(h_m, pressure_pa, temperature_k, e, time_ns, "mission file")
@@ -206,4 +216,4 @@ def surface_report(
 
 def _refuse_height(h_m: float, where: str) -> None:
     if not _STATION_M[0] <= h_m <= _STATION_M[1]:
-        raise InputError.of("SURFACE-HEIGHT", where, height_m=h_m)
+        raise messages.surface_height(where=where, height_m=h_m)

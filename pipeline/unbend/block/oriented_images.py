@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from unbend.errors import MissionError
+from unbend.block import messages
 from unbend.flight.heights import GeodeticOrigin, HeightSystem
 from unbend.flight.mount import Mount
 from unbend.flight.rotations import in_turned_frame, matrices_of, quaternions_of
@@ -101,10 +101,10 @@ def fitted_frame(
         fit = (f"residuals of {rms:.2f} m (rms) over {extent:.0f} m, the largest "
                f"{residual.max():.2f} m at {worst}")  # fmt: skip
         if rms > LARGEST_FIT_RESIDUAL * extent:
-            raise MissionError.of("ORIENTATION-FIT", where, size=names.size, fit=fit)
+            raise messages.orientation_fit(where=where, size=names.size, fit=fit)
     if tilt > LARGEST_FIT_TILT_RAD:
-        raise MissionError.of(
-            "ORIENTATION-LINE", where, size=names.size, sigma=sigma, tilt=np.degrees(tilt)
+        raise messages.orientation_line(
+            where=where, size=names.size, sigma=sigma, tilt=np.degrees(tilt)
         )
     contradictions = _contradictions_of_fit(names, model, earth, residual, sigma_m)
     frame = replace(frame, tilt_rad=tilt)
@@ -131,9 +131,7 @@ def _positions_of_both(
     usable = [(i, k) for i, k in pairs if np.isfinite(xyz[i]).all() and np.isfinite(known[k]).all()]
     if len(usable) < 3:
         where = "stations.orientation.known_positions"
-        raise MissionError.of(
-            "ORIENTATION-KNOWN", where, usable=len(usable), known=known_image.size
-        )
+        raise messages.orientation_known(where=where, usable=len(usable), known=known_image.size)
     of_model, of_earth = np.array(usable).T
     return image[of_model], xyz[of_model], ecef_of_geodetic(*known[of_earth].T)
 
@@ -234,18 +232,18 @@ def flag_above_horizon(stations: Stations) -> tuple[Stations, Notes]:
     """Mark cameras that look above the horizon as suspect; refuses where more than few do."""
     with np.errstate(invalid="ignore"):
         up = stations.ok & (matrices_of(stations.quaternion)[:, 2, 2] > 0.0)
-    count, of = int(up.sum()), int(stations.ok.sum())
+    count = int(up.sum())
+    total = int(stations.ok.sum())
     if count == 0:
         return stations, ()
-    what = f"the camera looks above the horizon in {count} of {of} images"
-    first = f"the first is {stations.image[np.argmax(up)]}"
+    first = str(stations.image[np.argmax(up)])
     where = "stations.orientation"
-    if count > FEW_LOOK_UP * of:
-        raise MissionError.of("ORIENTATION-UP", where, what=what, first=first)
+    if count > FEW_LOOK_UP * total:
+        raise messages.cameras_look_up(where=where, count=count, total=total, first=first)
     reason = np.where(up, "looks above the horizon", stations.suspect_reason)
     stations = replace(stations, suspect_reason=reason).with_status(up, SUSPECT)
-    entry = loss("ORIENTATION-UP", f"{what}: suspect; {first}", where=where, count=count)
-    return stations, (entry,)
+    suspect = messages.some_cameras_look_up(where=where, count=count, total=total, first=first)
+    return stations, (suspect,)
 
 
 def flag_far_images(stations: Stations, *, use: bool) -> tuple[Stations, Notes]:
@@ -260,9 +258,14 @@ def flag_far_images(stations: Stations, *, use: bool) -> tuple[Stations, Notes]:
     if not bool(far.any()):
         return stations, ()
     first = int(np.argmax(far))
-    entry = loss("ORIENTATION-FAR", where="stations.orientation", count=int(far.sum()),
-                 total=int(stations.ok.sum()), first=stations.image[first],
-                 limit_km=limit / 1000.0, away_km=distance[first] / 1000.0)  # fmt: skip
+    entry = messages.orientation_far(
+        where="stations.orientation",
+        count=int(far.sum()),
+        total=int(stations.ok.sum()),
+        first=stations.image[first],
+        limit_km=limit / 1000.0,
+        away_km=distance[first] / 1000.0,
+    )
     return stations.as_suspect(far, "far from all others", distance, use=use), (entry,)
 
 
@@ -295,4 +298,4 @@ def refuse_turned_images(stations: Stations) -> None:
         for parts in (differences, sums)
     )
     if against > 0.8 and same < 0.5:
-        raise MissionError.of("ORIENTATION-TURNS", "stations.orientation")
+        raise messages.orientation_turns(where="stations.orientation")

@@ -1,6 +1,7 @@
 """The mission file."""
 
+from unbend.config.logs import NamedChannel
+from unbend.config.mission import Mission
 from unbend.config.reading import load_mission
-from unbend.config.sections import Mission, NamedChannel
 
 __all__ = ["Mission", "NamedChannel", "load_mission"]

@@ -2,7 +2,7 @@
 
 import math
 from datetime import UTC, datetime
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal, NamedTuple, Self
 
 from pydantic import Field, field_validator, model_validator
 
@@ -10,46 +10,131 @@ from unbend.atmosphere import standard_names
 from unbend.atmosphere.estimate.sensors import SensorCalibration
 from unbend.atmosphere.estimate.state import SensorFault
 from unbend.atmosphere.standard import known_names
-from unbend.config.cameras import PathText, Section, mistake, one_of
+from unbend.config.section import PathText, Section, SectionError, one_of
 from unbend.units import HECTOPASCAL, NANOSECONDS_PER_SECOND, ZERO_CELSIUS_K
 
 
 class SoundingSection(Section):
     """A balloon sounding near the flight."""
 
-    path: PathText
-    format: Literal["auto", "igra", "igra_derived", "wyoming_csv", "wyoming_list", "csv"] = "auto"
-    station_h_msl_m: float | None = Field(None, ge=-500, le=6000)
-    across_coast_or_ridge: bool = False
+    path: PathText = Field(
+        description=(
+            "the sounding: IGRA v2, University of Wyoming list or CSV, ARM netCDF, or a CSV with "
+            "columns like h_m, pressure_hpa, temperature_c, dew_point_c"
+        ),
+        examples=["sounding.csv"],
+    )
+    format: Literal["auto", "igra", "igra_derived", "wyoming_csv", "wyoming_list", "csv"] = Field(
+        "auto",
+        description="format of the file; auto: by its content",
+        examples=["auto"],
+    )
+    station_h_msl_m: float | None = Field(
+        None,
+        ge=-500,
+        le=6000,
+        description="height of the station above sea level, where the file has no heights",
+        examples=[491.0],
+        json_schema_extra={"unit": "m"},
+    )
+    across_coast_or_ridge: bool = Field(
+        default=False,
+        description=(
+            "whether a coast or a ridge lies between the sounding and the flight: its distance "
+            "then counts twice"
+        ),
+        examples=[True],
+    )
 
 
 class WeatherModelSection(Section):
     """Fields of a weather model around the flight."""
 
-    path: PathText
-    member: int | None = Field(None, ge=0)
+    path: PathText = Field(
+        description=(
+            "ERA5 or GFS on pressure levels, or ERA5 on model levels, as netCDF or GRIB (extra "
+            "nwp); unbend inspect shows what is in it"
+        ),
+        examples=["era5.nc"],
+    )
+    member: int | None = Field(
+        None,
+        ge=0,
+        description="number of the member, of an ensemble",
+        examples=[0],
+        json_schema_extra={"unit": "1"},
+    )
 
 
 class SurfaceSection(Section):
     """The air at a weather station: a METAR, or numbers."""
 
-    h_msl_m: float = Field(ge=-500, le=6000)
-    metar: str | None = Field(None, min_length=1)
-    temperature_c: float | None = None
-    pressure_hpa: float | None = Field(None, gt=0)
-    relative_humidity: float | None = None
-    distance_km: float = Field(0.0, ge=0, le=2000)
-    across_coast_or_ridge: bool = False
-    time_utc: str | None = None
+    h_msl_m: float = Field(
+        ge=-500,
+        le=6000,
+        description="height of the station above sea level",
+        examples=[426.0],
+        json_schema_extra={"unit": "m"},
+    )
+    metar: str | None = Field(
+        None,
+        min_length=1,
+        description="the report as it was issued",
+        examples=["LSZH 141020Z 24008KT CAVOK 18/07 Q1016"],
+    )
+    temperature_c: float | None = Field(
+        None,
+        description="air temperature at the station",
+        examples=[18.0],
+        json_schema_extra={"unit": "degC"},
+    )
+    pressure_hpa: float | None = Field(
+        None,
+        gt=0,
+        description="pressure at the station, not reduced to sea level",
+        examples=[966.2],
+        json_schema_extra={"unit": "hPa"},
+    )
+    relative_humidity: float | None = Field(
+        None,
+        description="relative humidity at the station, 0 to 1; needs temperature_c",
+        examples=[0.5],
+        json_schema_extra={"unit": "1"},
+    )
+    distance_km: float = Field(
+        0.0,
+        ge=0,
+        le=2000,
+        description=(
+            "distance of the station from the flight; the air changes over 100 km as in 3 h, over "
+            "the lowest kilometres twice as much"
+        ),
+        examples=[12.0],
+        json_schema_extra={"unit": "km"},
+    )
+    across_coast_or_ridge: bool = Field(
+        default=False,
+        description=(
+            "whether a coast or a ridge lies between the station and the flight: its distance then "
+            "counts twice"
+        ),
+        examples=[True],
+    )
+    time_utc: str | None = Field(
+        None,
+        description="UTC time of the report, as 2026-05-14T10:20:00Z",
+        examples=["2026-05-14T10:20:00Z"],
+    )
 
     @field_validator("time_utc")
     @classmethod
     def _check_time(cls, value: str | None) -> str | None:
-        if value is not None:
-            try:
-                datetime.fromisoformat(value)
-            except ValueError:
-                raise ValueError("is no time like 2026-05-14T10:20:00Z") from None
+        if value is None:
+            return None
+        try:
+            datetime.fromisoformat(value)
+        except ValueError:
+            raise SectionError("is no time like 2026-05-14T10:20:00Z") from None
         return value
 
     @model_validator(mode="after")
@@ -57,9 +142,11 @@ class SurfaceSection(Section):
         numbers = (self.temperature_c, self.pressure_hpa, self.relative_humidity, self.time_utc)
         given = [value for value in numbers if value is not None]
         if (self.metar is None) != bool(given):
-            raise mistake("metar-or-numbers")
+            raise SectionError(
+                "give either metar, or temperature_c, pressure_hpa, relative_humidity and time_utc"
+            )
         if self.relative_humidity is not None and self.temperature_c is None:
-            raise ValueError("relative_humidity needs temperature_c")
+            raise SectionError("relative_humidity needs temperature_c")
         return self
 
     @property
@@ -83,93 +170,294 @@ class SurfaceSection(Section):
         if self.time_utc is None:
             return None
         time = datetime.fromisoformat(self.time_utc)
-        time = time.replace(tzinfo=UTC) if time.tzinfo is None else time
+        if time.tzinfo is None:
+            time = time.replace(tzinfo=UTC)
         return round(time.timestamp()) * NANOSECONDS_PER_SECOND
 
 
 class ThermometerSection(Section):
     """Known errors of the thermometer outside: reading minus air."""
 
-    bias_k: float | None = Field(None, ge=-30, le=30)
-    sigma_bias_k: float | None = Field(None, ge=0.01, le=30)
-    lag_s: float | None = Field(None, ge=0, le=90)
-    sigma_lag_s: float | None = Field(None, ge=0.1, le=90)
-    transient_k: float | None = Field(None, ge=-30, le=30)
-    sigma_transient_k: float | None = Field(None, ge=0.01, le=30)
-    recovery: float | None = Field(None, ge=0, le=1.1)
-    sigma_recovery: float | None = Field(None, ge=0.005, le=1)
-    sigma_drift_k: float | None = Field(None, ge=0.01, le=30)
+    bias_k: float | None = Field(
+        None,
+        ge=-30,
+        le=30,
+        description="known bias, reading minus air; it is subtracted",
+        examples=[0.3],
+        json_schema_extra={"unit": "K"},
+    )
+    sigma_bias_k: float | None = Field(
+        None,
+        ge=0.01,
+        le=30,
+        description="its standard deviation; by default 3 K",
+        examples=[0.1],
+        json_schema_extra={"unit": "K"},
+    )
+    lag_s: float | None = Field(
+        None,
+        ge=0,
+        le=90,
+        description="time constant of the thermometer in this airflow; by default 12 s",
+        examples=[4.0],
+        json_schema_extra={"unit": "s"},
+    )
+    sigma_lag_s: float | None = Field(
+        None,
+        ge=0.1,
+        le=90,
+        description="standard deviation of the lag; by default 10 s, of a lag of 12 s",
+        examples=[1.0],
+        json_schema_extra={"unit": "s"},
+    )
+    transient_k: float | None = Field(
+        None,
+        ge=-30,
+        le=30,
+        description=(
+            "what the ground left in the thermometer at take-off, reading minus air; fades in a "
+            "minute"
+        ),
+        examples=[0.0],
+        json_schema_extra={"unit": "K"},
+    )
+    sigma_transient_k: float | None = Field(
+        None,
+        ge=0.01,
+        le=30,
+        description="its standard deviation; by default 5 K",
+        examples=[0.5],
+        json_schema_extra={"unit": "K"},
+    )
+    recovery: float | None = Field(
+        None,
+        ge=0,
+        le=1.1,
+        description="recovery factor: the part of the ram rise that the thermometer shows",
+        examples=[0.8],
+        json_schema_extra={"unit": "1"},
+    )
+    sigma_recovery: float | None = Field(
+        None,
+        ge=0.005,
+        le=1,
+        description="its standard deviation; by default 0.3, of 0.7",
+        examples=[0.05],
+        json_schema_extra={"unit": "1"},
+    )
+    sigma_drift_k: float | None = Field(
+        None,
+        ge=0.01,
+        le=30,
+        description="standard deviation of its drift within a quarter of an hour; by default 0.4 K",
+        examples=[0.1],
+        json_schema_extra={"unit": "K"},
+    )
 
 
 class BarometerSection(Section):
     """Known errors of the static pressure: reading minus air."""
 
-    offset_hpa: float | None = Field(None, ge=-30, le=30)
-    sigma_offset_hpa: float | None = Field(None, ge=0.01, le=30)
-    sigma_scale: float | None = Field(None, ge=1e-5, le=0.1)
+    offset_hpa: float | None = Field(
+        None,
+        ge=-30,
+        le=30,
+        description="known offset of the static pressure, reading minus air; it is subtracted",
+        examples=[-0.2],
+        json_schema_extra={"unit": "hPa"},
+    )
+    sigma_offset_hpa: float | None = Field(
+        None,
+        ge=0.01,
+        le=30,
+        description="its standard deviation; by default 0.5 hPa",
+        examples=[0.1],
+        json_schema_extra={"unit": "hPa"},
+    )
+    sigma_scale: float | None = Field(
+        None,
+        ge=1e-5,
+        le=0.1,
+        description=(
+            "standard deviation of the share of its change with height that the static pressure "
+            "loses; by default 0.001, and 0.03 for one sensor of ten"
+        ),
+        examples=[0.0005],
+        json_schema_extra={"unit": "1"},
+    )
 
 
 class HygrometerSection(Section):
     """Known errors of the hygrometer: reading minus air, as relative humidity 0 to 1."""
 
-    bias: float | None = Field(None, ge=-0.5, le=0.5)
-    sigma_bias: float | None = Field(None, ge=0.001, le=0.5)
+    bias: float | None = Field(
+        None,
+        ge=-0.5,
+        le=0.5,
+        description=(
+            "known bias of the relative humidity (0 to 1), reading minus air; it is subtracted"
+        ),
+        examples=[0.01],
+        json_schema_extra={"unit": "1"},
+    )
+    sigma_bias: float | None = Field(
+        None,
+        ge=0.001,
+        le=0.5,
+        description="its standard deviation; by default 0.03",
+        examples=[0.01],
+        json_schema_extra={"unit": "1"},
+    )
 
 
 class GnssSection(Section):
     """How well GNSS heights above sea level are known."""
 
-    sigma_height_m: float | None = Field(None, ge=0.01, le=100)
+    sigma_height_m: float | None = Field(
+        None,
+        ge=0.01,
+        le=100,
+        description=(
+            "standard deviation of the offset that all GNSS heights above sea level share; by "
+            "default 2.5 m"
+        ),
+        examples=[0.1],
+        json_schema_extra={"unit": "m"},
+    )
 
 
-_CALIBRATED = {
-    SensorFault.THERMOMETER_BIAS: ("thermometer", "bias_k"),
-    SensorFault.THERMOMETER_LAG: ("thermometer", "lag_s"),
-    SensorFault.TAKEOFF_TRANSIENT: ("thermometer", "transient_k"),
-    SensorFault.RECOVERY_FACTOR: ("thermometer", "recovery"),
-    SensorFault.THERMOMETER_DRIFT: ("thermometer", "drift_k"),
-    SensorFault.PRESSURE_OFFSET: ("barometer", "offset_hpa"),
-    SensorFault.PRESSURE_SCALE: ("barometer", "scale"),
-    SensorFault.HYGROMETER_BIAS: ("hygrometer", "bias"),
-    SensorFault.GNSS_HEIGHT_OFFSET: ("gnss", "height_m"),
+class CalibrationKey(NamedTuple):
+    """Where the mission file states a fault of a sensor."""
+
+    sensor: str
+    key: str  # of its value; ``sigma_`` and this, of its standard deviation
+    unit: float = 1.0  # that of the key in SI
+
+
+CALIBRATION_KEYS = {
+    SensorFault.THERMOMETER_BIAS: CalibrationKey("thermometer", "bias_k"),
+    SensorFault.THERMOMETER_LAG: CalibrationKey("thermometer", "lag_s"),
+    SensorFault.TAKEOFF_TRANSIENT: CalibrationKey("thermometer", "transient_k"),
+    SensorFault.RECOVERY_FACTOR: CalibrationKey("thermometer", "recovery"),
+    SensorFault.THERMOMETER_DRIFT: CalibrationKey("thermometer", "drift_k"),
+    SensorFault.PRESSURE_OFFSET: CalibrationKey("barometer", "offset_hpa", HECTOPASCAL),
+    SensorFault.PRESSURE_SCALE: CalibrationKey("barometer", "scale"),
+    SensorFault.HYGROMETER_BIAS: CalibrationKey("hygrometer", "bias"),
+    SensorFault.GNSS_HEIGHT_OFFSET: CalibrationKey("gnss", "height_m"),
 }
-"""Section and key of a fault's value, and of its sigma behind ``sigma_``."""
 
 
 class SensorsSection(Section):
     """Calibrations of the sensors; what is not given has its default sigma."""
 
-    thermometer: ThermometerSection = ThermometerSection()
-    barometer: BarometerSection = BarometerSection()
-    hygrometer: HygrometerSection = HygrometerSection()
-    gnss: GnssSection = GnssSection()
+    thermometer: ThermometerSection = Field(
+        ThermometerSection(),
+        description="known errors of the thermometer outside",
+    )
+    barometer: BarometerSection = Field(
+        BarometerSection(),
+        description="known errors of the static pressure",
+    )
+    hygrometer: HygrometerSection = Field(
+        HygrometerSection(),
+        description="known errors of the hygrometer",
+    )
+    gnss: GnssSection = Field(
+        GnssSection(),
+        description="how well GNSS heights above sea level are known",
+    )
 
     @property
     def calibration(self) -> dict[SensorFault, SensorCalibration]:
         """By sensor fault, in SI."""
         stated = {}
-        for fault, (sensor, key) in _CALIBRATED.items():
+        for fault, (sensor, key, unit) in CALIBRATION_KEYS.items():
             section = getattr(self, sensor)
-            unit = HECTOPASCAL if key.endswith("_hpa") else 1.0
-            values = getattr(section, key, None), getattr(section, f"sigma_{key}")
-            mean, sigma = (None if value is None else unit * value for value in values)
-            if mean is not None or sigma is not None:
-                path = f"atmosphere.sensors.{sensor}.{key if mean is not None else f'sigma_{key}'}"
-                stated[fault] = SensorCalibration(mean, sigma, path=path)
+            mean = getattr(section, key, None)
+            sigma = getattr(section, f"sigma_{key}")
+            if mean is None and sigma is None:
+                continue
+            key_of_path = key if mean is not None else f"sigma_{key}"
+            stated[fault] = SensorCalibration(
+                None if mean is None else unit * mean,
+                None if sigma is None else unit * sigma,
+                path=f"atmosphere.sensors.{sensor}.{key_of_path}",
+            )
         return stated
 
 
 class AtmosphereSection(Section):
     """The air."""
 
-    standard: Annotated[str, one_of(standard_names)] = "us1976"
-    adjust: bool = True
-    climatology: Annotated[str, one_of(known_names)] = "auto"
-    soundings: list[SoundingSection] = Field([])
-    surface: list[SurfaceSection] = Field([])
-    model: WeatherModelSection | None = None
-    board_temperature: bool = False
-    sensors: SensorsSection = SensorsSection()
-    index: Literal["ciddor", "gyer"] = "ciddor"
-    wavelength_m: float = Field(0.55e-6, ge=0.3e-6, le=1.7e-6)
-    co2_ppm: float = Field(450.0, ge=0, le=2000)
+    standard: Annotated[str, one_of(standard_names)] = Field(
+        "us1976",
+        description=(
+            "standard atmosphere that the air is shown beside: us1976, us1962, icao, ican, ardc1959"
+        ),
+        examples=["us1976"],
+    )
+    adjust: bool = Field(
+        default=True,
+        description="false keeps the standard atmosphere as it is",
+        examples=[True],
+    )
+    climatology: Annotated[str, one_of(known_names)] = Field(
+        "auto",
+        description=(
+            "air that is expected where nothing was measured: auto (US Supplements 1966 by "
+            "latitude and season), or a name; a wrong name prints them all"
+        ),
+        examples=["auto"],
+    )
+    soundings: list[SoundingSection] = Field(
+        [],
+        description="balloon soundings near the flight; they weigh by age and distance",
+    )
+    surface: list[SurfaceSection] = Field(
+        [],
+        description="reports of weather stations near the flight",
+    )
+    model: WeatherModelSection | None = Field(
+        None,
+        description=(
+            "fields of a weather model around the flight: its column is a source like a sounding, "
+            "and in flights longer than 30 km or two hours the air changes along them as the "
+            "model's does"
+        ),
+    )
+    board_temperature: bool = Field(
+        default=False,
+        description=(
+            "true takes the temperature of a circuit board, named under log.channels.temperature, "
+            "as the air plus an unknown 10 K that wanders"
+        ),
+        examples=[False],
+    )
+    sensors: SensorsSection = Field(
+        SensorsSection(),
+        description=(
+            "known errors of the sensors, from their calibration; what is not given has its "
+            "default sigma"
+        ),
+    )
+    index: Literal["ciddor", "gyer"] = Field(
+        "ciddor",
+        description="formula of the refractive index: Ciddor 1996, or Gyer's Eq. 13",
+        examples=["ciddor"],
+    )
+    wavelength_m: float = Field(
+        0.55e-6,
+        ge=0.3e-6,
+        le=1.7e-6,
+        description="wavelength of the light in vacuum",
+        examples=[5.5e-07],
+        json_schema_extra={"unit": "m"},
+    )
+    co2_ppm: float = Field(
+        450.0,
+        ge=0,
+        le=2000,
+        description="carbon dioxide of the air",
+        examples=[450.0],
+        json_schema_extra={"unit": "ppm"},
+    )

@@ -1,18 +1,11 @@
-"""The sections of a mission file on a camera: interior orientation, window, lens, and mount."""
+"""The section of a mission file on a camera: interior orientation, window and lens."""
 
-import tomllib
-from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
-from functools import cache
-from importlib.resources import files
+from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
-import numpy as np
 from pydantic import (
-    AfterValidator,
-    BaseModel,
-    ConfigDict,
     Field,
     ValidationError,
     ValidationInfo,
@@ -20,372 +13,268 @@ from pydantic import (
     model_validator,
 )
 
-from unbend.errors import InputError, PhysicsError
-from unbend.flight.mount import Mount
-from unbend.refraction import BrownConrady, Cabin, Camera, LensInAir, Window
+from unbend.config import messages
+from unbend.config.lenses import LensSection
+from unbend.config.metric_cameras import MetricSection
+from unbend.config.section import (
+    PathText,
+    Section,
+    SectionError,
+)
+from unbend.config.windows import WindowSection
+from unbend.errors import PhysicsError
+from unbend.refraction import BrownConrady, Camera, LensInAir
 from unbend.refraction.calibration import (
     MODELS,
-    MetricReport,
     camera_of_model,
-    camera_of_report,
     model_of_camera,
     refuse_impossible,
-)  # fmt: skip
-from unbend.refraction.window import UNKNOWN
+)
 from unbend.tables.imports.blocks import BLOCKS, read_camera
 from unbend.tables.pixels import PixelOrigin, PixelSystem
-from unbend.units import DEGREE, HECTOPASCAL, ZERO_CELSIUS_K
 
-PathText = Annotated[str, Field(min_length=1, pattern=r"^[^\x00]+$")]
-Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
-LeverArm = Annotated[
-    list[Annotated[float, Field(ge=-100, le=100)]], Field(min_length=3, max_length=3)
-]
+SHORTEST_DISTANCE_PX = 10  # a focal length in millimetres is shorter than its image has pixels
+LONGEST_DISTANCE_PX = 1e6
 
-
-def one_of(names: Callable[[], Collection[str]]) -> AfterValidator:
-    """The check that a value is one of those that are registered when it is read."""
-
-    def check(value: str) -> str:
-        if value not in names():
-            raise ValueError(f"is none of {', '.join(names())}")
-        return value
-
-    return AfterValidator(check)
-
-
-@cache
-def mistakes() -> Mapping[str, Any]:
-    return tomllib.loads(files(__package__).joinpath("mistakes.toml").read_text("utf-8"))
-
-
-def mistake(key: str, **values: object) -> ValueError:
-    """What a model raises where values do not go together, with the text of a key, filled in."""
-    return ValueError(mistakes()[key].format_map(values))
-
-
-def refuse(*rules: tuple[object, str], **values: object) -> None:
-    """Raise the text of the first rule that holds, or what `mistake` has under it: a key."""
-    for text in (text for holds, text in rules if holds):
-        raise ValueError(text) if " " in text else mistake(text, **values)
-
-
-class Section(BaseModel):
-    """A part of the mission file: strict types, no unknown keys, no NaN."""
-
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, strict=True, allow_inf_nan=False, defer_build=True
-    )
-
-
-Hectopascal = Annotated[float, Field(ge=100, le=1200)]
-Celsius = Annotated[float, Field(ge=-60, le=60)]
-
-
-class CabinAir(Section):
-    """The air in the compartment, quantity by quantity."""
-
-    pressure: Literal["log", "ambient"] | Hectopascal | None = None
-    pressure_hpa: Hectopascal | None = Field(None, validate_default=True)
-    temperature_c: Literal["log"] | Celsius | None = None
-    relative_humidity: float | None = Field(None, ge=0, le=1)
-    sigma_pressure_hpa: float | None = Field(None, ge=0, le=300)
-    sigma_temperature_k: float | None = Field(None, ge=0, le=50)
-
-    @field_validator("pressure_hpa")
-    @classmethod
-    def _one_pressure(cls, value: float | None, info: ValidationInfo) -> float | None:
-        if value is None and info.data.get("pressure") is None:
-            raise ValueError("is missing: give it, or pressure: log or ambient")
-        if value is not None and info.data.get("pressure") is not None:
-            raise ValueError("is the same as pressure: give one of them")
-        return value
-
-    def build(self) -> Cabin:
-        """In SI."""
-        given = self.pressure if self.pressure_hpa is None else self.pressure_hpa
-        celsius = self.temperature_c
-        logged = celsius == "log"
-
-        def si(value: float | None, unit: float = 1.0) -> float:
-            return UNKNOWN if value is None else value * unit
-
-        return Cabin(
-            given if isinstance(given, str) else "constant",
-            UNKNOWN if isinstance(given, str) else si(given, HECTOPASCAL),
-            UNKNOWN if isinstance(celsius, str) else si(celsius) + ZERO_CELSIUS_K,
-            si(self.relative_humidity),
-            si(self.sigma_pressure_hpa, HECTOPASCAL),
-            si(self.sigma_temperature_k),
-            temperature_logged=logged,
-        )
-
-
-def _checked_window(*given: Any) -> Window:
-    """A window, its refusal as pydantic expects it."""
-    try:
-        return Window(*given)
-    except PhysicsError as error:
-        raise ValueError(f"{error.what}; {error.remedy}") from None
-
-
-class WindowSection(Section):
-    """The window of a pressurised compartment."""
-
-    shape: Literal["plane", "spherical"] = "plane"
-    cabin: Literal["log", "standard_schedule"] | CabinAir | None = Field(
-        None, validate_default=True
-    )
-    frame: Literal["camera", "body"] = "camera"
-    normal: Vector = Field(default_factory=lambda: [0.0, 0.0, 1.0])
-    in_calibration: Literal["none", "glass"] = "none"
-
-    def build(self) -> Window:
-        """The window, with cabin air in SI."""
-        x, y, z = self.normal
-        cabin = self.cabin.build() if isinstance(self.cabin, CabinAir) else self.cabin
-        cabin = Cabin(cabin) if isinstance(cabin, str) else cabin
-        return Window(cabin, (x, y, z), self.frame, self.shape, self.in_calibration)
-
-    @field_validator("cabin")
-    @classmethod
-    def _require_cabin(cls, value: object, info: ValidationInfo) -> object:
-        if value is None:
-            _checked_window(None, (0.0, 0.0, 1.0), "camera", info.data.get("shape", "plane"))
-        return value
-
-    @field_validator("normal")
-    @classmethod
-    def _unit_normal(cls, value: list[float], info: ValidationInfo) -> list[float]:
-        length = float(np.linalg.norm(value))
-        unit = [component / length for component in value] if length > 1e-6 else [0.0, 0.0, 0.0]
-        _checked_window(None, tuple(unit), info.data.get("frame", "camera"), "spherical")
-        return unit
-
-    @model_validator(mode="after")
-    def _check_spherical(self) -> Self:
-        # By their values: the manifest of a run states the defaults too.
-        given = ["frame"] * (self.frame != "camera") + ["normal"] * (self.normal[2] != 1.0)
-        if self.shape == "spherical" and given:
-            raise ValueError(f"a spherical window has no {' and no '.join(given)}")
-        return self
-
-
-class LensReference(Section):
-    """The air in the lens when the camera was calibrated."""
-
-    pressure_hpa: float = Field(ge=100, le=1200)
-    temperature_c: float = Field(ge=-60, le=60)
-
-
-class LensSection(Section):
-    """How the principal distance follows the air in the lens.
-
-    In pixels: derivatives in millimetres are divided by the pixel pitch in millimetres."""
-
-    reference: LensReference
-    dc_dp_px_per_hpa: float = Field(ge=-10, le=10)
-    dc_dt_px_per_k: float = Field(ge=-10, le=10)
-
-    def build(self, principal_distance_px: float) -> LensInAir:
-        """In Pa and K."""
-        return LensInAir(
-            principal_distance_px,
-            self.reference.pressure_hpa * HECTOPASCAL,
-            self.reference.temperature_c + ZERO_CELSIUS_K,
-            self.dc_dp_px_per_hpa / HECTOPASCAL,
-            self.dc_dt_px_per_k,
-        )
-
-
-class MountSection(Section):
-    """How a camera sits in the aircraft (body frame: x forward, y right, z down).
-
-    With all angles zero it looks straight down, the top of the image towards the nose; yaw, pitch
-    and roll then turn it about the body's axes, in that order (intrinsic z-y-x). Composed are the
-    attitude of the aircraft, the angles of a gimbal that plays the attitude, and these (boresight):
-    v_ned = R(aircraft) R(gimbal) R(mount) v_camera, where a gimbal that is level to the horizon
-    takes of the aircraft its yaw alone, and one whose yaw counts from north takes nothing."""
-
-    attitude: str | None = None
-    roll_deg: float = 0.0
-    pitch_deg: float = 0.0
-    yaw_deg: float = 0.0
-    lever_arm_m: LeverArm = Field(default_factory=lambda: [0.0, 0.0, 0.0])
-    sigma_tilt_deg: float | None = Field(None, ge=0, le=45)
-    sigma_yaw_deg: float | None = Field(None, ge=0, le=180)
-
-    @model_validator(mode="after")
-    def _check_sigmas(self) -> Self:
-        if self.sigma_yaw_deg is not None and self.sigma_tilt_deg is None:
-            raise ValueError("sigma_yaw_deg needs sigma_tilt_deg beside it")
-        return self
-
-    def build(self) -> Mount:
-        """In radians."""
-        x, y, z = self.lever_arm_m
-        tilt = self.sigma_tilt_deg
-        yaw = tilt if self.sigma_yaw_deg is None else self.sigma_yaw_deg
-        return Mount(
-            self.roll_deg * DEGREE,
-            self.pitch_deg * DEGREE,
-            self.yaw_deg * DEGREE,
-            (x, y, z),
-            sigma_tilt_rad=None if tilt is None else tilt * DEGREE,
-            sigma_yaw_rad=None if yaw is None else yaw * DEGREE,
-        )
-
-
-PrincipalDistance = Annotated[float, Field(ge=10, le=1e6)]
+PrincipalDistance = Annotated[float, Field(ge=SHORTEST_DISTANCE_PX, le=LONGEST_DISTANCE_PX)]
 Coefficient = Annotated[float, Field(ge=-10, le=10)]
-Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
-Sense = Literal["correction", "distortion"]
 
 
 class DistortionSection(Section):
     """Brown-Conrady coefficients as OpenCV defines them."""
 
-    k1: Coefficient = 0.0
-    k2: Coefficient = 0.0
-    k3: Coefficient = 0.0
-    p1: Coefficient = 0.0
-    p2: Coefficient = 0.0
-
-
-class MetricDistortion(Section):
-    """Coefficients of a calibration report, in powers of mm, about the point of symmetry."""
-
-    sense: Sense
-    k0: float = 0.0
-    k1: float = 0.0
-    k2: float = 0.0
-    k3: float = 0.0
-    k4: float = 0.0
-    p1: float = 0.0
-    p2: float = 0.0
-    b1: float = Field(0.0, ge=-0.05, le=0.05)
-    b2: float = Field(0.0, ge=-0.05, le=0.05)
-
-
-class MetricTable(Section):
-    """Tabulated radial distortion of a calibration report."""
-
-    sense: Sense
-    by: Literal["radius_mm", "field_angle_deg"]
-    rows: list[Pair] = Field(min_length=3)
-
-    @field_validator("rows")
-    @classmethod
-    def _check_order(cls, rows: list[list[float]], info: ValidationInfo) -> list[list[float]]:
-        first = [row[0] for row in rows]
-        last = 80.0 if info.data.get("by") == "field_angle_deg" else np.inf
-        if first[0] < 0.0 or np.any(np.diff(first) <= 0.0) or first[-1] > last:
-            raise ValueError("radii, or angles of up to 80 degrees, grow from row to row")
-        return rows
-
-
-class MetricSection(Section):
-    """The calibration report of a metric frame camera, in millimetres."""
-
-    focal_mm: float = Field(ge=1, le=5000)
-    pixel_um: Pair
-    format_mm: Pair
-    origin: Literal["image_centre"] | Pair
-    axes: Literal["right up", "right down", "left up", "left down", "up right", "up left",
-                  "down right", "down left"]  # fmt: skip
-    ppa_mm: Pair
-    ppbs_mm: Pair | None = None
-    radius_mm: float | None = Field(None, gt=0)
-    distortion: MetricDistortion | None = None
-    table: MetricTable | None = None
-
-    def build(self, size_px: tuple[int, int], pixels: PixelSystem) -> Camera:
-        """The camera; refuses as `camera_of_report`."""
-        centre, table = np.array(size_px) / 2.0, None
-        known = {} if self.distortion is None else self.distortion.model_dump()
-        if self.table is not None:
-            rows = np.array(self.table.rows) * [1.0, 1e-3]
-            if self.table.by == "field_angle_deg":
-                rows[:, 0] = self.focal_mm * np.tan(np.radians(rows[:, 0]))
-            table = rows, self.table.sense
-        report = MetricReport(
-            self.focal_mm, pixel_mm=np.array(self.pixel_um) * 1e-3,
-            format_mm=self.format_mm, axes=self.axes, ppa_mm=self.ppa_mm,
-            origin_px=centre if isinstance(self.origin, str)
-            else pixels.to_colmap(np.array(self.origin)),
-            ppbs_mm=self.ppbs_mm or self.ppa_mm, sense=known.pop("sense", "distortion"),
-            coefficients=known, table=table, radius_mm=self.radius_mm or np.inf,
-        )  # fmt: skip
-        return camera_of_report(report, size_px)
+    k1: Coefficient = Field(
+        0.0,
+        description="radial coefficient of r^2, r in units of the principal distance",
+        examples=[0.0],
+        json_schema_extra={"unit": "1"},
+    )
+    k2: Coefficient = Field(
+        0.0,
+        description="radial coefficient of r^4, r in units of the principal distance",
+        examples=[0.0],
+        json_schema_extra={"unit": "1"},
+    )
+    k3: Coefficient = Field(
+        0.0,
+        description="radial coefficient of r^6, r in units of the principal distance",
+        examples=[0.0],
+        json_schema_extra={"unit": "1"},
+    )
+    p1: Coefficient = Field(
+        0.0,
+        description="decentring coefficient of OpenCV: x' = ... + 2 p1 x y",
+        examples=[0.0],
+        json_schema_extra={"unit": "1"},
+    )
+    p2: Coefficient = Field(
+        0.0,
+        description="decentring coefficient of OpenCV: x' = ... + p2 (r^2 + 2 x^2)",
+        examples=[0.0],
+        json_schema_extra={"unit": "1"},
+    )
 
 
 _OTHER_WAYS = ["file", "model", "params", "metric"]
-OWN_ORIENTATION = {*_OTHER_WAYS, "f_px", "fx_px", "fy_px", "cx_px", "cy_px", "distortion"}
-"""Keys of which a camera has one, unless its orientation is that of the observations' block."""
 
 
 class CameraSection(Section):
     """Interior orientation of one camera, in one of four ways."""
 
-    file: PathText | None = None
-    format: Literal[tuple(BLOCKS)] | None = None  # type: ignore[valid-type]
-    camera: str | int | None = None
-    model: Literal[tuple(MODELS)] | None = None  # type: ignore[valid-type]
-    params: list[float] | None = None
-    metric: MetricSection | None = None
-    width_px: int | None = Field(None, gt=0, le=1_000_000, validate_default=True)
-    height_px: int | None = Field(None, gt=0, le=1_000_000, validate_default=True)
-    f_px: PrincipalDistance | None = None
-    fx_px: PrincipalDistance | None = None
-    fy_px: PrincipalDistance | None = None
-    cx_px: float | None = Field(None, ge=-1e6, le=1e6, validate_default=True)
-    cy_px: float | None = Field(None, ge=-1e6, le=1e6, validate_default=True)
-    pixel_origin: PixelOrigin | None = None
-    distortion: DistortionSection | None = None
-    calibration: Literal["laboratory", "in_flight_uncorrected", "in_flight_corrected"]
-    window: WindowSection | None = None
-    principal_distance: LensSection | None = None
+    file: PathText | None = Field(
+        None,
+        description=(
+            "calibration file of COLMAP, OpenSfM or ODM, Metashape or DBAT; then no numbers stand "
+            "here. By default the block of the observations, where that is one"
+        ),
+        examples=["cameras.txt"],
+    )
+    format: Literal[tuple(BLOCKS)] | None = Field(  # type: ignore[valid-type]
+        None,
+        description="program that wrote file, where its ending does not say it",
+        examples=["colmap"],
+    )
+    camera: str | int | None = Field(
+        None,
+        description="name or number of the camera in file or in the block, where that has several",
+        examples=["1"],
+    )
+    model: Literal[tuple(MODELS)] | None = Field(  # type: ignore[valid-type]
+        None,
+        description="COLMAP's name of the camera model",
+        examples=["OPENCV"],
+    )
+    params: list[float] | None = Field(
+        None,
+        description=(
+            "parameters of model in COLMAP's order, as in cameras.txt, in COLMAP's pixels; its "
+            "coefficients have no unit"
+        ),
+        examples=[[20000.0, 7000.0, 5300.0, -0.01]],
+        json_schema_extra={"unit": "px"},
+    )
+    metric: MetricSection | None = Field(
+        None,
+        description="calibration report of a metric frame camera, in millimetres",
+    )
+    width_px: int | None = Field(
+        None,
+        gt=0,
+        le=1_000_000,
+        validate_default=True,
+        description="width of the image",
+        examples=[14000],
+        json_schema_extra={"unit": "px"},
+    )
+    height_px: int | None = Field(
+        None,
+        gt=0,
+        le=1_000_000,
+        validate_default=True,
+        description="height of the image",
+        examples=[10600],
+        json_schema_extra={"unit": "px"},
+    )
+    f_px: PrincipalDistance | None = Field(
+        None,
+        description="principal distance, where it is the same along x and y",
+        examples=[20000.0],
+        json_schema_extra={"unit": "px"},
+    )
+    fx_px: PrincipalDistance | None = Field(
+        None,
+        description="principal distance along x",
+        examples=[20000.0],
+        json_schema_extra={"unit": "px"},
+    )
+    fy_px: PrincipalDistance | None = Field(
+        None,
+        description="principal distance along y",
+        examples=[20000.0],
+        json_schema_extra={"unit": "px"},
+    )
+    cx_px: float | None = Field(
+        None,
+        ge=-1e6,
+        le=1e6,
+        validate_default=True,
+        description="x of the principal point, from the left",
+        examples=[7012.4],
+        json_schema_extra={"unit": "px"},
+    )
+    cy_px: float | None = Field(
+        None,
+        ge=-1e6,
+        le=1e6,
+        validate_default=True,
+        description="y of the principal point, from the top",
+        examples=[5291.7],
+        json_schema_extra={"unit": "px"},
+    )
+    pixel_origin: PixelOrigin | None = Field(
+        None,
+        description=(
+            "where the principal point counts its pixels from; by default as the observations do, "
+            "and corner for params"
+        ),
+        examples=["corner"],
+    )
+    distortion: DistortionSection | None = Field(
+        None,
+        description=(
+            "coefficients of the lens as OpenCV defines them; without them the lens has none"
+        ),
+    )
+    calibration: Literal["laboratory", "in_flight_uncorrected", "in_flight_corrected"] = Field(
+        description=(
+            "how the camera was calibrated. A calibration estimated in flight on uncorrected "
+            "images already contains the nadir refraction of that height"
+        ),
+        examples=["laboratory"],
+    )
+    window: WindowSection | None = Field(
+        None,
+        description="the window that the camera looks through; leave it out where there is none",
+    )
+    principal_distance: LensSection | None = Field(
+        None,
+        description=(
+            "how the principal distance follows the air in the lens; without it that change is not "
+            "removed"
+        ),
+    )
 
-    @field_validator("width_px", "height_px", "cx_px", "cy_px")
+    @field_validator("width_px", "height_px")
     @classmethod
-    def _require(cls, value: float | None, info: ValidationInfo) -> float | None:
-        others = ["file"] if info.field_name in ("width_px", "height_px") else _OTHER_WAYS
-        if value is None and all(info.data.get(name) is None for name in others):
-            raise ValueError(f"is missing, and there is no {' or '.join(others)}")
+    def _require_size(cls, value: int | None, info: ValidationInfo) -> int | None:
+        if value is None and info.data.get("file") is None:
+            raise SectionError("is missing, and there is no file")
         return value
 
+    @field_validator("cx_px", "cy_px")
+    @classmethod
+    def _require_principal_point(cls, value: float | None, info: ValidationInfo) -> float | None:
+        if value is None and all(info.data.get(name) is None for name in _OTHER_WAYS):
+            raise SectionError(f"is missing, and there is no {' or '.join(_OTHER_WAYS)}")
+        return value
+
+    @property
+    def _states_numbers(self) -> bool:
+        """Whether any number of the interior orientation stands in the section itself."""
+        numbers = (self.f_px, self.fx_px, self.fy_px, self.cx_px, self.cy_px, self.distortion)
+        return any(number is not None for number in numbers)
+
     @model_validator(mode="after")
-    def _check_orientation(self) -> Self:
-        """One way to give the interior orientation, and a camera that can be one."""
-        single = tuple(f is not None for f in (self.f_px, self.fx_px, self.fy_px))
-        others = (self.cx_px, self.cy_px, self.distortion)
-        numbers = any(single) or any(value is not None for value in others)
-        given = [name for name in _OTHER_WAYS if getattr(self, name) is not None]
-        given += ["f_px, cx_px, distortion"] * numbers
-        of_file = any((self.format, self.file and self.pixel_origin))
-        refuse(
-            ((self.model is None) != (self.params is None), "model-params"),
-            (len(given) > 1 + (self.model is not None), "orientation-twice"),
-            (of_file and (self.file is None or self.pixel_origin is not None), "format-file"),
-            given=", ".join(given),
-        )
+    def _check_one_way(self) -> Self:
+        """One way to give the interior orientation, completely."""
+        if (self.model is None) != (self.params is None):
+            raise SectionError("give model and params together, as they stand in cameras.txt")
+        ways = [name for name in _OTHER_WAYS if getattr(self, name) is not None]
+        if self._states_numbers:
+            ways.append("f_px, cx_px, distortion")
+        allowed = 1 if self.model is None else 2  # model and params are one way
+        if len(ways) > allowed:
+            given = ", ".join(ways)
+            raise SectionError(f"{given}: each gives the interior orientation; keep one")
+        without_file = self.file is None and self.format is not None
+        counted = self.file is not None and self.pixel_origin is not None
+        if without_file or counted:
+            raise SectionError("format goes with file, and pixel_origin does not")
+        if self.file is None and self._states_numbers:
+            self._check_principal_distances()
+        return self
+
+    def _check_principal_distances(self) -> None:
+        single = self.f_px is not None
+        along_x = self.fx_px is not None
+        along_y = self.fy_px is not None
+        if along_x != along_y or single == along_x:
+            raise SectionError("give f_px, or both fx_px and fy_px")
+
+    @model_validator(mode="after")
+    def _check_camera(self) -> Self:
+        """A camera that can be one; that of a file is built when the file is read."""
         if self.file is not None:
             return self
-        if numbers and single not in ((True, False, False), (False, True, True)):
-            raise ValueError("give f_px, or both fx_px and fy_px")
         try:
-            camera = self.build()
-            if not all(10.0 <= f <= 1e6 for f in (camera.fx_px, camera.fy_px)):
-                raise ValueError("the principal distance is 10 to 1000000 pixels")
+            camera = self.interior_orientation
+            shorter, longer = sorted((camera.fx_px, camera.fy_px))
+            if shorter < SHORTEST_DISTANCE_PX or longer > LONGEST_DISTANCE_PX:
+                raise SectionError("the principal distance is 10 to 1000000 pixels")
             refuse_impossible(camera)
         except PhysicsError as error:
-            raise ValueError(f"{error.code}: {error.what}; {error.remedy}") from None
+            raise SectionError(f"{error.code}: {error.what}; {error.remedy}") from None
         return self
 
     @model_validator(mode="after")
     def _check_lens_air(self) -> Self:
-        if self.principal_distance and self.window and self.window.cabin is None:
-            raise mistake("lens-air")
+        if self.principal_distance is None or self.window is None:
+            return self
+        if self.window.cabin is None:
+            raise SectionError(
+                "principal_distance needs the air in the lens, and behind a window that is the "
+                "cabin's: give window.cabin"
+            )
         return self
 
     @property
@@ -398,56 +287,90 @@ class CameraSection(Section):
     @property
     def needs_cabin_from_log(self) -> bool:
         """Whether a number depends on the cabin's air, and that is to come from the log."""
-        cabin = None if self.window is None else self.window.build().cabin
-        of_log = cabin is not None and (cabin.source == "log" or cabin.temperature_logged)
+        if self.window is None:
+            return False
+        cabin = self.window.window.cabin
+        if cabin is None:
+            return False
+        of_log = cabin.source == "log" or cabin.temperature_logged
         return of_log and self.needs_cabin
 
+    @cached_property
     def lens(self) -> LensInAir | None:
         """How the principal distance follows the air; None where the file does not state it."""
         if self.principal_distance is None:
             return None
-        camera = self.build()
+        camera = self.interior_orientation
         # The smaller of two, to which a change is the larger part.
         return self.principal_distance.build(min(camera.fx_px, camera.fy_px))
 
-    def build(self, pixel_origin: PixelOrigin = "corner") -> Camera:
-        """The camera in COLMAP's pixels, when its file is read; ``pixel_origin`` is the default."""
-        width, height = self.width_px or 0, self.height_px or 0
+    @cached_property
+    def interior_orientation(self) -> Camera:
+        """The camera in COLMAP's pixels, once its file is read; pixels count from the corner."""
+        return self._camera("corner")
+
+    def interior_orientation_by(self, pixel_origin: PixelOrigin) -> Camera:
+        """The camera in COLMAP's pixels, where it has no origin of its own from that given."""
+        if self.pixel_origin is not None or pixel_origin == "corner":
+            return self.interior_orientation
+        return self._camera(pixel_origin)
+
+    def _camera(self, pixel_origin: PixelOrigin) -> Camera:
+        width = self.width_px or 0
+        height = self.height_px or 0
         pixels = PixelSystem(self.pixel_origin or pixel_origin)
         if self.metric is not None:
             return self.metric.build((width, height), pixels)
         if self.model is not None and self.params is not None:
             camera = camera_of_model(self.model, width, height, self.params)
-            pixels = PixelSystem(self.pixel_origin or "corner")
-            cx, cy = pixels.to_colmap(camera.cx_px), pixels.to_colmap(camera.cy_px)
-            return replace(camera, cx_px=cx, cy_px=cy)
+            pixels_of_params = PixelSystem(self.pixel_origin or "corner")
+            return replace(
+                camera,
+                cx_px=pixels_of_params.to_colmap(camera.cx_px),
+                cy_px=pixels_of_params.to_colmap(camera.cy_px),
+            )
         if self.cx_px is None or self.cy_px is None:
             raise ValueError(f"{self.file} has not been read")
-        fx, fy = self.f_px or self.fx_px or 0.0, self.f_px or self.fy_px or 0.0
-        cx, cy = pixels.to_colmap(self.cx_px), pixels.to_colmap(self.cy_px)
-        known = BrownConrady(**(self.distortion or DistortionSection()).model_dump())
-        return Camera(width, height, fx, fy, cx, cy, known)
+        distortion = self.distortion or DistortionSection()
+        return Camera(
+            width,
+            height,
+            fx_px=self.f_px or self.fx_px or 0.0,
+            fy_px=self.f_px or self.fy_px or 0.0,
+            cx_px=pixels.to_colmap(self.cx_px),
+            cy_px=pixels.to_colmap(self.cy_px),
+            distortion=BrownConrady(**distortion.model_dump()),
+        )
 
     def with_file(self, path: Path) -> Self:
         """The section with model and parameters of its file, which is at ``path``.
 
         Refuses as `read_camera`, and a file whose images have another size (CAMERA-SIZE).
         """
-        camera = read_camera(path, self.format, None if self.camera is None else str(self.camera))
-        width, height = self.width_px or camera.width_px, self.height_px or camera.height_px
+        name = None if self.camera is None else str(self.camera)
+        camera = read_camera(path, self.format, name)
+        width = self.width_px or camera.width_px
+        height = self.height_px or camera.height_px
         if (width, height) != (camera.width_px, camera.height_px):
-            raise InputError.of("CAMERA-SIZE", path, camera=camera, width=width, height=height)
+            raise messages.camera_size(
+                path=path,
+                width=camera.width_px,
+                height=camera.height_px,
+                stated_width=width,
+                stated_height=height,
+            )
         model, params = model_of_camera(camera)
         known = {"model": model, "params": params, "width_px": width, "height_px": height}
         kept = self.model_dump(exclude={"file", "format", "camera"}, exclude_unset=True)
         try:
             return type(self).model_validate(kept | known)
         except ValidationError as error:
-            first = error.errors()[0]
-            if first["type"] == "value_error":
-                what = first["msg"].removeprefix("Value error, ")
-            else:
-                what = f"its {first['loc'][0]} is none that a camera can have"
-            raise InputError(
-                "CAMERA-FILE", what, where=str(path), remedy="check the file, or give another one"
-            ) from None
+            raise messages.camera_file(path=path, problem=_problem_of_file(error)) from None
+
+
+def _problem_of_file(error: ValidationError) -> str:
+    """The first thing that is wrong with the camera of a file."""
+    first = error.errors()[0]
+    if first["type"] == "value_error":
+        return str(first["ctx"]["error"])
+    return f"its {first['loc'][0]} is none that a camera can have"

@@ -7,7 +7,6 @@ import json
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,12 +14,21 @@ from typing import Any
 import yaml
 from pydantic import BaseModel, ValidationError
 
-from unbend.config.reading import Place, merged, mission_of, open_questions, read_yaml, refusal_of
+from unbend.config import messages
+from unbend.config.campaign_file import CampaignFile
+from unbend.config.defaults import merged
+from unbend.config.mission import Mission
+from unbend.config.reading import mission_of, refusal_of
 from unbend.config.schema import PATH, alternatives, nodes_at
-from unbend.config.sections import CampaignFile, Mission
+from unbend.config.section import SectionError
+from unbend.config.yaml_text import Place, open_questions, read_yaml
 from unbend.errors import ConfigError
 
-_NO_LINES = yaml.MappingNode("", [], yaml.Mark("", 0, 0, 0, None, 0))
+_NO_LINES = yaml.MappingNode(
+    "",
+    [],
+    yaml.Mark(name="", index=0, line=0, column=0, buffer=None, pointer=0),
+)
 _IS_CAMPAIGN = re.compile(r"""^["']?(campaign|missions)["']?\s*:|^\s*\{""", re.MULTILINE)
 _URL = re.compile("[A-Za-z][A-Za-z0-9+.-]+:/")  # as `is_url` of the rooms above has it
 
@@ -49,18 +57,23 @@ class MissionRef:
         return self.path.parent
 
     @property
+    def _own_name(self) -> str:
+        """The name of a mission that stands in the campaign file itself."""
+        return str(json.loads(self.own)["mission"]["name"]) if self.own else ""
+
+    @property
     def label(self) -> str:
         """What messages call it: its file, and its name where that is a campaign's."""
-        own = json.loads(self.own) if self.own else {}
-        return f"{self.path}: {own['mission']['name']}" if own else str(self.path)
+        return f"{self.path}: {self._own_name}" if self.own else str(self.path)
 
     @property
     def words(self) -> tuple[str, ...]:
         """What follows `unbend run` to run this mission alone."""
-        name = json.loads(self.own)["mission"]["name"] if self.own else str(self.path)
+        name = self._own_name or str(self.path)
         return (self.campaign, "--mission", name) if self.campaign else (name,)
 
     def load(self) -> Mission:
+        """Read and check it; refuses as `load_mission`."""
         defaults = json.loads(self.defaults) if self.defaults else None
         if self.own:
             return mission_of(json.loads(self.own), _NO_LINES, self.label, defaults)
@@ -84,18 +97,29 @@ def open_configs(paths: Iterable[Path]) -> tuple[list[MissionRef], list[Campaign
     Refuses as `campaign_of`; what cannot be read is a mission, which is refused at its turn.
     """
     missions: list[MissionRef] = []
-    campaigns = []
-    for path in {os.path.join(os.path.realpath(p.parent), p.name): p for p in paths}.values():
-        values: dict[str, Any] = {}
-        with suppress(OSError, UnicodeDecodeError, ConfigError):
-            if _IS_CAMPAIGN.search(path.read_text(encoding="utf-8")):
-                values, node = read_yaml(path)
-        if values.keys() & {"campaign", "missions"} and "mission" not in values:
-            campaigns.append(campaign_of(path, values, node))
-            missions += campaigns[-1].missions
-        else:
+    campaigns: list[Campaign] = []
+    once = {os.path.join(os.path.realpath(path.parent), path.name): path for path in paths}
+    for path in once.values():
+        campaign = _campaign_at(path)
+        if campaign is None:
             missions.append(MissionRef(path))
+        else:
+            campaigns.append(campaign)
+            missions += campaign.missions
     return missions, campaigns
+
+
+def _campaign_at(path: Path) -> Campaign | None:
+    """The campaign of a file; None of what is something else, or cannot be read."""
+    try:
+        if not _IS_CAMPAIGN.search(path.read_text(encoding="utf-8")):
+            return None
+        values, node = read_yaml(path)
+    except (OSError, UnicodeDecodeError, ConfigError):
+        return None
+    if "mission" in values or not values.keys() & {"campaign", "missions"}:
+        return None
+    return campaign_of(path, values, node)
 
 
 def campaign_of(path: Path, values: dict[str, Any], node: yaml.Node) -> Campaign:
@@ -104,86 +128,138 @@ def campaign_of(path: Path, values: dict[str, Any], node: yaml.Node) -> Campaign
     Its defaults and the missions that stand in it are checked too; of mission files only that
     patterns match some. Opens nothing.
     """
+    complete = _with_defaults(values)
+    items = _refused(CampaignFile, values)
+    items += _refused_defaults(values)
+    items += _refused_missions(complete)
+    if items or open_questions(values):
+        raise refusal_of(items, complete, node, str(path))
+    section = values["campaign"]
+    output = section["output"]
+    if _URL.match(output):
+        raise messages.campaign_output_is_url(path=path)
+    output_of_missions = {"output": {"path": os.path.join(output, "{mission}")}}
+    defaults = merged(output_of_missions, values.get("defaults", {}))
+    missions = []
+    for file, sections in mission_files(path, values["missions"]):
+        defaults_there = _seen_from(defaults, path.parent, file.parent)
+        missions.append(MissionRef(file, json.dumps(defaults_there), sections, str(path)))
+    return Campaign(path, section["name"], path.parent / output, tuple(missions))
+
+
+def _with_defaults(values: dict[str, Any]) -> dict[str, Any]:
+    """The values of a campaign file, with its defaults in the missions that stand in it."""
     defaults = values.get("defaults", {})
     stated = values.get("missions", [])
-    items = [*_refused(CampaignFile, values), *_refused(Mission, defaults, ("defaults",))]
-    whole = dict(values)
-    if isinstance(stated, list) and isinstance(defaults, dict):
-        whole["missions"] = [merged(defaults, m) if isinstance(m, dict) else m for m in stated]
-        output = {"path": "-"} if isinstance(values.get("campaign"), dict) else {}
-        for number, mission in enumerate(whole["missions"]):
-            if isinstance(mission, dict):
-                complete = merged({"output": output}, mission)
-                items += _refused(Mission, complete, ("missions", number), complete=True)
-    if items or open_questions(values):
-        raise refusal_of(items, whole, node, str(path))
-    section = values["campaign"]
-    if _URL.match(section["output"]):
-        raise ConfigError.of("URL-INVALID/campaign", path)
-    shared = merged({"output": {"path": os.path.join(section["output"], "{mission}")}}, defaults)
-    refs = [
-        MissionRef(file, json.dumps(_seen_from(shared, path.parent, file.parent)), own, str(path))
-        for file, own in mission_files(path, stated)
-    ]
-    return Campaign(path, section["name"], path.parent / section["output"], tuple(refs))
+    if not isinstance(stated, list) or not isinstance(defaults, dict):
+        return values
+    missions = []
+    for section in stated:
+        complete = merged(defaults, section) if isinstance(section, dict) else section
+        missions.append(complete)
+    return values | {"missions": missions}
 
 
-def _refused(
-    model: type[BaseModel], values: Any, at: Place = (), *, complete: bool = False
-) -> list[Mapping[str, Any]]:
-    """What a model refuses at a place; of defaults not what is missing or does not go together."""
+def _refused(model: type[BaseModel], values: object, *, at: Place = ()) -> list[Mapping[str, Any]]:
+    """What a model refuses of the values at a place of the file."""
+    if not isinstance(values, dict):
+        return []
     try:
-        if isinstance(values, dict):
-            model.model_validate(values)
+        model.model_validate(values)
     except ValidationError as error:
-        items = error.errors(include_url=False, include_context=False)
-        return [
-            {**item, "loc": (*at, *item["loc"])} for item in items
-            if complete or not at or (
-                item["type"] != "missing"
-                and not (item["type"] == "value_error" and isinstance(item["input"], dict))
-            )
-        ]  # fmt: skip
+        items = error.errors(include_url=False)
+        return [{**item, "loc": (*at, *item["loc"])} for item in items]
     return []
+
+
+def _refused_defaults(values: dict[str, Any]) -> Iterator[Mapping[str, Any]]:
+    """What is wrong with defaults whatever a mission adds: not what is missing or goes together."""
+    for item in _refused(Mission, values.get("defaults", {}), at=("defaults",)):
+        error = item.get("ctx", {}).get("error")
+        of_one_key = isinstance(error, SectionError) and error.key
+        of_section = item["type"] == "value_error" and isinstance(item["input"], dict)
+        if item["type"] == "missing" or (of_section and not of_one_key):
+            continue
+        yield item
+
+
+def _refused_missions(values: dict[str, Any]) -> Iterator[Mapping[str, Any]]:
+    """What is wrong with the missions that stand in a campaign file, with its defaults."""
+    missions = values.get("missions", [])
+    if not isinstance(missions, list) or not isinstance(values.get("defaults", {}), dict):
+        return
+    # Without an output of their own they have the campaign's, where that is stated.
+    output = {"path": "-"} if isinstance(values.get("campaign"), dict) else {}
+    for number, mission in enumerate(missions):
+        if isinstance(mission, dict):
+            complete = merged({"output": output}, mission)
+            yield from _refused(Mission, complete, at=("missions", number))
 
 
 def mission_files(path: Path, stated: Sequence[Any]) -> Iterator[tuple[Path, str]]:
     """File of each mission of a campaign, once, and its own sections where they stand in it."""
-    listed = {os.path.realpath(path.parent / entry) for entry in stated if isinstance(entry, str)}
+    listed: set[str] = set()
+    for entry in stated:
+        if isinstance(entry, str):
+            listed.add(os.path.realpath(path.parent / entry))
     for entry in stated:
         if not isinstance(entry, str):
             yield path, json.dumps(entry)
-        elif not glob.has_magic(entry) or (path.parent / entry).exists():
-            yield path.parent / entry, ""
-        else:
-            names = sorted(glob.glob(entry, root_dir=path.parent, recursive=True))
-            found = [path.parent / name for name in names]
-            files = [file for file in found if file.is_file() and not file.samefile(path)]
-            if not files:
-                raise ConfigError.of("CAMPAIGN-NO-MATCH", path, pattern=entry)
-            for file in files:
-                real = os.path.realpath(file)
-                if real not in listed:
-                    listed.add(real)
-                    yield file, ""
+            continue
+        file = path.parent / entry
+        if file.exists() or not glob.has_magic(entry):
+            yield file, ""
+            continue
+        for matching in _matching_files(path, entry):
+            real = os.path.realpath(matching)
+            if real not in listed:
+                listed.add(real)
+                yield matching, ""
 
 
-def _seen_from(values: Any, campaign: Path, mission: Path, place: Place = ()) -> Any:
+def _matching_files(path: Path, pattern: str) -> list[Path]:
+    """The files that a pattern of a campaign matches, without the campaign file itself."""
+    files = []
+    for name in sorted(glob.glob(pattern, root_dir=path.parent, recursive=True)):
+        file = path.parent / name
+        if file.is_file() and not file.samefile(path):
+            files.append(file)
+    if not files:
+        raise messages.campaign_no_match(path=path, pattern=pattern)
+    return files
+
+
+def _seen_from(values: object, campaign: Path, mission: Path, place: Place = ()) -> object:
     """Values of a campaign with relative paths in them as seen from the folder of a mission."""
     if isinstance(values, dict):
-        return {k: _seen_from(v, campaign, mission, (*place, k)) for k, v in values.items()}
+        return {
+            key: _seen_from(value, campaign, mission, (*place, key))
+            for key, value in values.items()
+        }
     if isinstance(values, list):
         return [_seen_from(v, campaign, mission, (*place, i)) for i, v in enumerate(values)]
-    if not isinstance(values, str) or _URL.match(values) or os.path.isabs(values):
+    if campaign == mission or not isinstance(values, str) or not _is_path_at(place, values):
         return values
-    arms = [arm for node in nodes_at(place) for arm in alternatives(node)]
-    names = {arm.get("const") for arm in arms} | {n for arm in arms for n in arm.get("enum", ())}
-    if campaign == mission or values in names or all(arm.get("pattern") != PATH for arm in arms):
+    if _URL.match(values) or os.path.isabs(values):
         return values
-    target, start = os.path.abspath(campaign / values), os.path.abspath(mission)
-    apart = os.path.splitdrive(target)[0] != os.path.splitdrive(start)[0]
-    linked = start != os.path.realpath(start)
-    return target if apart or linked else os.path.relpath(target, start)
+    target = os.path.abspath(campaign / values)
+    start = os.path.abspath(mission)
+    on_other_drive = os.path.splitdrive(target)[0] != os.path.splitdrive(start)[0]
+    is_linked = start != os.path.realpath(start)
+    if on_other_drive or is_linked:
+        return target
+    return os.path.relpath(target, start)
+
+
+def _is_path_at(place: Place, value: str) -> bool:
+    """Whether a text at a place of a mission file is a path, not one of the words it takes."""
+    is_path = False
+    for node in nodes_at(place):
+        for arm in alternatives(node):
+            if value == arm.get("const") or value in arm.get("enum", ()):
+                return False
+            is_path = is_path or arm.get("pattern") == PATH
+    return is_path
 
 
 def refuse_twins(campaign: Campaign, named: Iterable[tuple[MissionRef, str, object]]) -> None:
@@ -195,14 +271,14 @@ def refuse_twins(campaign: Campaign, named: Iterable[tuple[MissionRef, str, obje
     names: dict[str, MissionRef] = {}
     folders: dict[str, tuple[MissionRef, str]] = {}
     for ref, name, output in named:
-        other = names.setdefault(os.path.normcase(name), ref)
-        if other is not ref:
-            raise ConfigError.of(
-                "CAMPAIGN-SAME-NAME", campaign.path, name=name, first=other.path, second=ref.path
+        namesake = names.setdefault(os.path.normcase(name), ref)
+        if namesake is not ref:
+            raise messages.campaign_same_name(
+                path=campaign.path, name=name, first=namesake.path, second=ref.path
             )
         folder = os.path.normcase(os.path.realpath(str(output)))
-        first, of_first = folders.setdefault(folder, (ref, name))
+        first, name_of_first = folders.setdefault(folder, (ref, name))
         if first is not ref:
-            raise ConfigError.of(
-                "CAMPAIGN-SAME-OUTPUT", campaign.path, first=of_first, second=name, output=output
+            raise messages.campaign_same_output(
+                path=campaign.path, first=name_of_first, second=name, output=str(output)
             )

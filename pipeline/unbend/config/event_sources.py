@@ -7,8 +7,8 @@ from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from unbend.config.cameras import PathText, Section, one_of, refuse
-from unbend.config.station_sources import ClockColumns, ImportTime
+from unbend.config.section import PathText, Section, SectionError, one_of
+from unbend.config.table_columns import ClockColumns, ImportTime
 from unbend.tables.imports import CAMERA_EVENTS, format_of
 
 _NUMBER_FORMAT = re.compile(r"^0?[0-9]{0,2}d?$")
@@ -19,13 +19,14 @@ def image_pattern(value: str) -> str:
     try:
         pieces = list(string.Formatter().parse(value))
     except ValueError as error:
-        raise ValueError(f"is not a pattern with {{index}} or {{n}} ({error})") from None
+        raise SectionError(f"is not a pattern with {{index}} or {{n}} ({error})") from None
     fields = [piece[1:] for piece in pieces if piece[1] is not None]
     for name, code, conversion in fields:
-        if name not in ("index", "n") or conversion or not _NUMBER_FORMAT.match(code or ""):
-            raise ValueError("is not a pattern with {index} or {n}, as in IMG_{index:05d}.tif")
+        is_number = _NUMBER_FORMAT.match(code or "")
+        if name not in ("index", "n") or conversion or not is_number:
+            raise SectionError("is not a pattern with {index} or {n}, as in IMG_{index:05d}.tif")
     if not fields and "*" not in value:
-        raise ValueError("gives every exposure the same name; put {index}, {n} or * into it")
+        raise SectionError("gives every exposure the same name; put {index}, {n} or * into it")
     return value
 
 
@@ -35,9 +36,32 @@ ImagePattern = Annotated[str, AfterValidator(image_pattern)]
 class LogEvents(Section):
     """Exposures of one camera from the log."""
 
-    channel: str | None = None
-    image: ImagePattern = "*"
-    delay_s: Annotated[float, Field(ge=-10, le=10)] | Literal["from_feedback"] = 0.0
+    channel: str | None = Field(
+        None,
+        description=(
+            "channel of this camera's exposures, as `unbend inspect` prints it; by default the "
+            "only event channel of the log"
+        ),
+        examples=["CAM[0]"],
+    )
+    image: ImagePattern = Field(
+        "*",
+        description=(
+            "name of the image: {index} is the log's number, {n} counts from 1; format codes as in "
+            "Python, for example IMG_{index:05d}.tif. With * for any characters, as in left/* or "
+            "DJI_*_{n:04d}.JPG, the names are those of the observations and of events.images"
+        ),
+        examples=["IMG_{index:05d}.tif"],
+    )
+    delay_s: Annotated[float, Field(ge=-10, le=10)] | Literal["from_feedback"] = Field(
+        0.0,
+        description=(
+            "shutter time minus event time; from_feedback takes the median of the triggers of this "
+            "camera whose shutter pulse was logged too"
+        ),
+        examples=[0.1],
+        json_schema_extra={"unit": "s"},
+    )
 
 
 class CsvEventColumns(ClockColumns):
@@ -46,34 +70,101 @@ class CsvEventColumns(ClockColumns):
     @model_validator(mode="after")
     def _check_time(self) -> Self:
         if self.time_utc is None and self.gps_week is None:
-            raise ValueError("give time_utc, or both gps_week and gps_seconds")
+            raise SectionError("give time_utc, or both gps_week and gps_seconds")
         return self
 
 
 class CsvEvents(Section):
     """Exposures from a CSV of image names and times."""
 
-    path: PathText
-    columns: CsvEventColumns = CsvEventColumns(time_utc="time_utc")
-    camera: str | None = None
-    delay_s: float = Field(0.0, ge=-86_400, le=86_400)
+    path: PathText = Field(
+        description="table of images and their times, one row an exposure",
+        examples=["events.csv"],
+    )
+    columns: CsvEventColumns = Field(
+        CsvEventColumns(time_utc="time_utc"),
+        description="names of the table's columns",
+    )
+    camera: str | None = Field(
+        None,
+        description="camera of every row, without a column camera",
+        examples=["nadir"],
+    )
+    delay_s: float = Field(
+        0.0,
+        ge=-86_400,
+        le=86_400,
+        description="true time minus the table's: what the camera's clock is slow",
+        examples=[0.0],
+        json_schema_extra={"unit": "s"},
+    )
 
 
 class PositionEvents(Section):
     """Exposures of one camera with their positions, as receivers and other programs write them."""
 
-    path: PathText
-    format: Annotated[str, one_of(CAMERA_EVENTS.keys)] | None = None
-    image: ImagePattern | Literal["{name}"]
-    delay_s: float = Field(0.0, ge=-10, le=10)
-    times_only: bool = False
-    point: Literal["antenna", "camera"] | None = None
-    heights: Literal["msl", "ellipsoid"] | None = None
-    grid: str | None = Field(None, pattern=r"^EPSG:\d{4,6}$")
-    time: ImportTime = ImportTime()
+    path: PathText = Field(
+        description="file of exposures with their positions",
+        examples=["flight_events.pos"],
+    )
+    format: Annotated[str, one_of(CAMERA_EVENTS.keys)] | None = Field(
+        None,
+        description=(
+            "format of the file; by default by the ending: .pos (rtklib), .MRK (mrk), .txt (eo, "
+            "POSPac's)"
+        ),
+        examples=["rtklib"],
+    )
+    image: ImagePattern | Literal["{name}"] = Field(
+        description=(
+            "name of the image: {index} the file's number, {n} counted from 1, {name} the column "
+            "ID of an EO text"
+        ),
+        examples=["IMG_{index:05d}.tif"],
+    )
+    delay_s: float = Field(
+        0.0,
+        ge=-10,
+        le=10,
+        description="shutter time minus the file's; only with times_only: true",
+        examples=[0.0],
+        json_schema_extra={"unit": "s"},
+    )
+    times_only: bool = Field(
+        default=False,
+        description="true: positions (and attitudes) come from the log or a trajectory",
+        examples=[False],
+    )
+    point: Literal["antenna", "camera"] | None = Field(
+        None,
+        description=(
+            "point whose positions the file has; by default the camera's, of .pos the antenna's"
+        ),
+        examples=["antenna"],
+    )
+    heights: Literal["msl", "ellipsoid"] | None = Field(
+        None,
+        description="what its heights count from, where the file does not say it",
+        examples=["ellipsoid"],
+    )
+    grid: str | None = Field(
+        None,
+        pattern=r"^EPSG:\d{4,6}$",
+        description=(
+            "projection in whose axes omega, phi, kappa of an EO text count, where its head names "
+            "no UTM zone"
+        ),
+        examples=["EPSG:32632"],
+        json_schema_extra={"patternErrorMessage": "a code as EPSG:32632"},
+    )
+    time: ImportTime = Field(
+        ImportTime(),
+        description="the time system of the file, where the file does not say it",
+    )
 
     @property
     def format_name(self) -> str:
+        """The format, stated or by the ending of the file."""
         return format_of(CAMERA_EVENTS, Path(self.path), self.format)
 
     @property
@@ -84,48 +175,106 @@ class PositionEvents(Section):
     @model_validator(mode="after")
     def _check_delay(self) -> Self:
         if self.delay_s and not self.times_only:
-            raise ValueError("its positions are of its times: delay_s needs times_only: true")
+            raise SectionError("its positions are of its times: delay_s needs times_only: true")
         return self
 
 
 class ImageFiles(Section):
     """The images that exist, beside the pulses of events.log or events.positions."""
 
-    path: PathText
-    time_zone: str = Field("", pattern=r"^(|UTC|[+-](0[0-9]|1[0-4]):[0-5][0-9])$")
+    path: PathText = Field(
+        description=(
+            "folder of the images, whose EXIF has their times, or a table that exiftool -csv -r "
+            "FOLDER wrote"
+        ),
+        examples=["images"],
+    )
+    time_zone: str = Field(
+        "",
+        pattern=r"^(|UTC|[+-](0[0-9]|1[0-4]):[0-5][0-9])$",
+        description=(
+            "time zone of the camera's clock, where the images do not state it: UTC, or an offset "
+            "as +02:00"
+        ),
+        examples=["+02:00"],
+        json_schema_extra={"patternErrorMessage": "UTC, or an offset as +02:00"},
+    )
 
 
 class FirstImage(Section):
     """One image and its event, which fixes all others by their order."""
 
-    image: str
-    event: int = Field(1, ge=1)
+    image: str = Field(
+        description="name of the image, as the observations have it",
+        examples=["IMG_00001.tif"],
+    )
+    event: int = Field(
+        1,
+        ge=1,
+        description="place of the event among those of its channel, from 1",
+        examples=[1],
+        json_schema_extra={"unit": "1"},
+    )
 
 
 class EventsSection(Section):
     """When the images were exposed: from the log, a CSV or files with positions, per camera."""
 
-    log: dict[str, LogEvents] | None = None
-    csv: CsvEvents | None = None
-    positions: dict[str, PositionEvents] | None = None
-    images: ImageFiles | None = None
-    first_image: dict[str, str | FirstImage] = Field({})
+    log: dict[str, LogEvents] | None = Field(
+        None,
+        description="from the event channels of the log, by camera",
+    )
+    csv: CsvEvents | None = Field(
+        None,
+        description="from a table of images and their times",
+    )
+    positions: dict[str, PositionEvents] | None = Field(
+        None,
+        description="from files of exposures with positions, by camera",
+    )
+    images: ImageFiles | None = Field(
+        None,
+        description=(
+            "the images themselves, whose EXIF times help to assign the pulses of log or positions"
+        ),
+    )
+    first_image: dict[str, str | FirstImage] = Field(
+        {},
+        description=(
+            "by camera, where the evidence does not decide: the image of the first event, or "
+            "{image: NAME, event: 6} that of the sixth"
+        ),
+        examples=[{"nadir": "IMG_00001.tif"}],
+    )
 
     @model_validator(mode="after")
     def _check_source(self) -> Self:
-        given = [n for n in ("log", "csv", "positions") if getattr(self, n) is not None]
-        refuse(
-            (len(given) != 1, "give either log, csv or positions"),
-            (given and not getattr(self, given[0]), f"{''.join(given)} needs at least one camera"),
-            (self.csv is not None and (self.images or self.first_image), "images-of-csv"),
-        )
-        for camera in sorted(set(self.first_image) - set(self.patterns)):
-            raise ValueError(f"first_image names camera {camera!r}, which has no pulses")
+        given = [key for key in ("log", "csv", "positions") if getattr(self, key) is not None]
+        if len(given) != 1:
+            raise SectionError("give either log, csv or positions")
+        if not getattr(self, given[0]):
+            raise SectionError(f"{given[0]} needs at least one camera")
+        if self.csv is not None and (self.images or self.first_image):
+            raise SectionError(
+                "images and first_image say which pulse an image belongs to; a csv gives each "
+                "image a time of its own"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _check_patterns(self) -> Self:
+        for camera in sorted(self.first_image.keys() - self.patterns.keys()):
+            raise SectionError(f"first_image names camera {camera!r}, which has no pulses")
         for camera, pattern in self.patterns.items():
-            numbered = camera in self.first_image and re.search("{index|{name", pattern)
-            every = pattern == "*" and len(self.patterns) > 1
-            rules = (numbered, "first-of-numbered"), (every, "pattern-of-all")
-            refuse(*rules, pattern=pattern, camera=camera)
+            if camera in self.first_image and re.search("{index|{name", pattern):
+                raise SectionError(
+                    f"the image {pattern} of {camera} has the number or name of its event: leave "
+                    "first_image out, or count the images by {n} or name them by *"
+                )
+            if pattern == "*" and len(self.patterns) > 1:
+                raise SectionError(
+                    f"the image of {camera} must state which images are this camera's, as in left/*"
+                )
         return self
 
     @property

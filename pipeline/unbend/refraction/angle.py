@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from unbend.atmosphere import standard_atmosphere
 from unbend.atmosphere.profile import Profile
-from unbend.errors import PhysicsError
-from unbend.refraction import ray
+from unbend.refraction import messages, ray
 from unbend.refraction.image import ground_displacement
 from unbend.refraction.published.bertram import manual
 from unbend.refraction.status_codes import FAR_BRANCH, STATUS_NAMES
@@ -40,16 +39,24 @@ def one_angle(
     61.778543
     """
     if distance is not None and not 0.0 < distance < math.inf:
-        raise PhysicsError.of("ANGLE-DISTANCE", distance=distance)
+        raise messages.angle_distance(distance=distance)
     air = standard_atmosphere(atmosphere, index=index)
     zeta = nadir_angle * DEGREE
     r_c, status = ray.angle_and_status(
-        air, camera_height, ground_height, zeta, radius, method=method,
+        air,
+        camera_height,
+        ground_height,
+        zeta,
+        radius,
+        method=method,
         distance=math.nan if distance is None else distance,
-    )  # fmt: skip
-    angle, code = float(r_c), int(status)
-    far = code == FAR_BRANCH
-    ground = float(ground_displacement(camera_height, ground_height, zeta, angle, radius, far=far))
+    )
+    angle = float(r_c)
+    code = int(status)
+    displacement = ground_displacement(
+        camera_height, ground_height, zeta, angle, radius, far=code == FAR_BRANCH
+    )
+    ground = float(displacement)
     return {
         "r_c_arcsec": angle / ARCSEC,
         "r_c_urad": angle / MICRORADIAN,
@@ -119,24 +126,30 @@ def radial_table(
     """
     zeta = np.asarray(nadir_angle, dtype=np.float64)
     if not bool(np.all((zeta >= 0.0) & (zeta < 90.0 * DEGREE))):
-        raise PhysicsError.of(
-            "RADIAL-ANGLE", least_deg=zeta.min() / DEGREE, largest_deg=zeta.max() / DEGREE
-        )
+        raise messages.radial_angle(least_deg=zeta.min() / DEGREE, largest_deg=zeta.max() / DEGREE)
     if not h_c > h_g:
-        raise PhysicsError.of("RADIAL-HEIGHTS", h_c=h_c, h_g=h_g)
+        raise messages.radial_heights(h_c=h_c, h_g=h_g)
     if focal_px is not None and not 0.0 < focal_px < math.inf:
-        what = f"a principal distance of {focal_px:g} px is none"
-        raise PhysicsError("RADIAL-FOCAL", what, remedy="give it in pixels")
+        raise messages.radial_focal(focal_px=focal_px)
     k = ray.refraction_angle(profile, h_c, h_g, 45.0 * DEGREE, radius, method=method)
     air = ray.rays_by(profile, method)
     r_c, status = ray.bend(air, h_c, h_g, np.sin(zeta), np.cos(zeta), radius=radius)
     ground = ground_displacement(h_c, h_g, zeta, r_c, radius)
     f = math.nan if focal_px is None else focal_px
+    # f (tan(zeta - R) - tan(zeta)), without cancellation; no negative zero.
+    dr_px = f * np.sin(-r_c) / (np.cos(zeta) * np.cos(zeta - r_c)) + 0.0
     return RadialTable(
-        h_c, h_g, zeta, r_c, ground, f * np.tan(zeta),
-        f * np.sin(-r_c) / (np.cos(zeta) * np.cos(zeta - r_c)) + 0.0, status,
-        k, float(manual(profile, h_c, h_g, 45.0 * DEGREE, radius)),
-    )  # fmt: skip
+        h_c_m=h_c,
+        h_g_m=h_g,
+        nadir_angle_rad=zeta,
+        r_c_rad=r_c,
+        shift_ground_m=ground,
+        radius_px=f * np.tan(zeta),
+        dr_px=dr_px,
+        status=status,
+        k_rad=k,
+        k_manual_rad=float(manual(profile, h_c, h_g, 45.0 * DEGREE, radius)),
+    )
 
 
 def angles_to(largest_deg: float, step_deg: float = 5.0) -> Array:
@@ -146,7 +159,7 @@ def angles_to(largest_deg: float, step_deg: float = 5.0) -> Array:
     [0.0, 5.0, 10.0, 12.0]
     """
     if not (0.0 < largest_deg < 90.0 and step_deg > 0.0):
-        raise PhysicsError.of("RADIAL-ANGLE/angles-to", largest_deg=largest_deg, step_deg=step_deg)
+        raise messages.radial_angle_angles_to(largest_deg=largest_deg, step_deg=step_deg)
     steps = np.arange(0.0, largest_deg - 1e-9 * step_deg, step_deg)
     return np.append(steps, largest_deg) * DEGREE
 

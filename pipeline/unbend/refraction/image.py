@@ -14,9 +14,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from unbend.geodesy import principal_radii
 from unbend.refraction.camera.camera import Camera
-from unbend.refraction.kernels import columns as of
-from unbend.refraction.kernels import image as kernel
-from unbend.refraction.kernels.sigma import propagate
+from unbend.refraction.kernels.columns import (
+    CAMERA_HEIGHT,
+    NADIR_COSINE,
+    NADIR_SINE,
+    RAY_ROWS,
+    SPHERE_RADIUS,
+    CameraConstants,
+    ExposureColumns,
+    ObservationColumns,
+    RayColumns,
+    TracedColumns,
+)
 from unbend.refraction.kernels.threads import in_blocks
 from unbend.refraction.ray import PublishedRays, as_columns, bend
 from unbend.refraction.ray_table import RayTable
@@ -61,27 +70,35 @@ class Exposures:
     @property
     def changes_px(self) -> Array:
         """(s,) what is added to the principal distance."""
-        change = self.principal_change_px
-        return np.zeros(self.usable.size) if change is None else change
+        if self.principal_change_px is None:
+            return np.zeros(self.usable.size)
+        return self.principal_change_px
 
     @property
-    def columns(self) -> of.ExposureColumns:
+    def columns(self) -> ExposureColumns:
         """The exposures for compiled functions."""
         if self.radius_m is None:
             curvature = 1.0 / np.stack(principal_radii(self.latitude_rad), axis=1)
         else:
             curvature = np.full((self.usable.size, 2), 1.0 / self.radius_m)
-        return of.ExposureColumns(
-            self.usable, self.rotation, curvature, self.height_m, self.refractivity_outside,
-            self.refractivity_cabin, self.normals, self.changes_px,
-        )  # fmt: skip
+        return ExposureColumns(
+            usable=self.usable,
+            rotation=self.rotation,
+            curvature=curvature,
+            height=self.height_m,
+            outside=self.refractivity_outside,
+            cabin=self.refractivity_cabin,
+            normal=self.normals,
+            change_px=self.changes_px,
+        )
 
 
 @dataclass(frozen=True, eq=False)
 class Corrections:
     """Corrected observations, with ``sigmas`` where they were asked for.
 
-    Arrays (n,), NaN where ``status`` says there is no correction.
+    Arrays (n,), NaN where ``status`` says there is no correction. The corrected pixels are the
+    measured ones and ``dx_px``, ``dy_px``; of `apply_refraction` they are the displaced ones.
 
     ``shift_ground_m`` is the horizontal displacement, at the target's height, of the point where
     the uncorrected straight ray would land. It is also NaN where that ray passes over the horizon
@@ -90,8 +107,8 @@ class Corrections:
 
     dx_px: Array
     dy_px: Array
-    x_px: Array
-    y_px: Array
+    x_corrected_px: Array
+    y_corrected_px: Array
     zeta_c_rad: Array
     r_c_rad: Array
     r_cc_rad: Array
@@ -99,9 +116,11 @@ class Corrections:
     status: NDArray[np.uint8]
     sigmas: Sigmas | None = None
 
-    def rows(self, which: Rows) -> Corrections:
-        """Some of the rows."""
-        columns: dict[str, Any] = {name: getattr(self, name)[which] for name in COLUMNS}
+    def rows(self, which: Rows | slice) -> Corrections:
+        """Some of the rows; those of a slice can be filled."""
+        columns: dict[str, Any] = {}
+        for name in COLUMNS:
+            columns[name] = getattr(self, name)[which]
         sigmas = None if self.sigmas is None else self.sigmas.rows(which)
         return Corrections(**columns, status=self.status[which], sigmas=sigmas)
 
@@ -146,55 +165,125 @@ def correct_observations(
     coordinates. Rows of one exposure that follow each other are fastest.
     """
     n = x_px.size
-    distance = np.full(n, np.nan) if distance_m is None else distance_m
-    sigma_h_g = np.full(n, np.nan) if sigma_h_g is None else sigma_h_g
-    changes = int(np.count_nonzero(np.diff(exposure)))
-    if changes * _ROWS_OF_AN_IMAGE > n and not bool(np.all(np.diff(exposure) >= 0)):
+    n = x_px.size
+    distance = _or_unknown(distance_m, n)
+    sigma_h_g = _or_unknown(sigma_h_g, n)
+    if _pays_to_sort(exposure):
         order = np.argsort(exposure, kind="stable")
         sorted_corrections = correct_observations(
-            x_px[order], y_px[order], h_g[order], exposure[order], exposures, camera=camera,
-            table=table, distance_m=distance[order], uncertainty=uncertainty,
+            x_px[order],
+            y_px[order],
+            h_g[order],
+            exposure[order],
+            exposures,
+            camera=camera,
+            table=table,
+            distance_m=distance[order],
+            uncertainty=uncertainty,
             sigma_h_g=sigma_h_g[order],
-        )  # fmt: skip
+        )
         return sorted_corrections.rows(np.argsort(order))
     # In one piece: the system hands large ones out in large pages, which take less time.
     columns = dict(zip(COLUMNS, np.empty((len(COLUMNS), n)), strict=True))
-    status = np.empty(n, np.uint8)
-    sigmas = None if uncertainty is None else Sigmas.room(n)
-    observations = of.ObservationColumns(x_px, y_px, h_g, sigma_h_g, exposure)
-    setup = camera.constants, exposures.columns
+    room = Corrections(
+        status=np.empty(n, np.uint8),
+        sigmas=None if uncertainty is None else Sigmas.room(n),
+        **columns,
+    )
+    observations = ObservationColumns(x_px, y_px, h_g, sigma_h_g, exposure)
+    task = _Correction(camera.constants, exposures.columns, table, uncertainty)
 
     def correct_block(rows: slice) -> None:
-        observed = observations.part(rows)
-        part = {name: values[rows] for name, values in columns.items()}
-        rays, part["r_cc_rad"][:], seen = outgoing_rays(observed, *setup)
-        r_c, bent = bend(
-            table, rays[of.H_C], observed.h_g, rays[of.SIN], rays[of.COS],
-            radius=rays[of.RADIUS], distance=distance[rows],
-        )  # fmt: skip
-        traced = of.TracedColumns(rays, r_c, np.where(seen == OK, bent, seen))
-        part["r_c_rad"][:], status[rows] = r_c, traced.status
-        part["zeta_c_rad"][:] = np.arctan2(rays[of.SIN], rays[of.COS])
-        shifts = part["dx_px"], part["dy_px"], part["shift_ground_m"]
-        kernel.shift_back(observed, *setup, traced, shifts)
-        part["x_px"][:] = observed.x + part["dx_px"]
-        part["y_px"][:] = observed.y + part["dy_px"]
-        if sigmas is not None and uncertainty is not None:
-            air = uncertainty.stations, uncertainty.tables
-            pose = setup[0], exposures.rotation
-            propagate(observed, pose, traced, air, tuple(sigmas.rows(rows)))
+        task.fill(room.rows(rows), observations.part(rows), distance[rows])
 
     in_blocks(correct_block, n)
-    return Corrections(status=status, sigmas=sigmas, **columns)
+    return room
+
+
+def _or_unknown(values: Array | None, count: int) -> Array:
+    """Values, or NaN for each row where none are given."""
+    return np.full(count, np.nan) if values is None else values
+
+
+def _pays_to_sort(exposure: Integers) -> bool:
+    """Whether rows of an exposure follow each other so seldom that sorting them is faster."""
+    steps = np.diff(exposure)
+    changes = int(np.count_nonzero(steps))
+    is_sorted = bool(np.all(steps >= 0))
+    return changes * _ROWS_OF_AN_IMAGE > exposure.size and not is_sorted
+
+
+@dataclass(frozen=True, eq=False)
+class _Correction:
+    """What all blocks of a correction share."""
+
+    camera: CameraConstants
+    exposures: ExposureColumns
+    table: RayTable | PublishedRays
+    uncertainty: Uncertainty | None
+
+    def fill(self, part: Corrections, observed: ObservationColumns, distance: Array) -> None:
+        """Fill the corrections of some observations with slant ranges (n,) [m]."""
+        from unbend.refraction.kernels.image import shift_back
+
+        rays, part.r_cc_rad[:], seen = outgoing_rays(observed, self.camera, self.exposures)
+        r_c, bent = bend(
+            self.table,
+            rays[CAMERA_HEIGHT],
+            observed.h_g,
+            rays[NADIR_SINE],
+            rays[NADIR_COSINE],
+            radius=rays[SPHERE_RADIUS],
+            distance=distance,
+        )
+        status = np.where(seen == OK, bent, seen)
+        traced = TracedColumns(rays, r_c, status)
+        part.r_c_rad[:] = r_c
+        part.status[:] = status
+        part.zeta_c_rad[:] = np.arctan2(rays[NADIR_SINE], rays[NADIR_COSINE])
+        shifts = (part.dx_px, part.dy_px, part.shift_ground_m)
+        shift_back(observed, self.camera, self.exposures, traced, shifts)
+        part.x_corrected_px[:] = observed.x + part.dx_px
+        part.y_corrected_px[:] = observed.y + part.dy_px
+        if self.uncertainty is not None and part.sigmas is not None:
+            fill_sigmas(
+                part.sigmas,
+                observed=observed,
+                traced=traced,
+                camera=self.camera,
+                exposures=self.exposures,
+                uncertainty=self.uncertainty,
+            )
+
+
+def fill_sigmas(
+    sigmas: Sigmas,
+    *,
+    observed: ObservationColumns,
+    traced: TracedColumns,
+    camera: CameraConstants,
+    exposures: ExposureColumns,
+    uncertainty: Uncertainty,
+) -> None:
+    """Fill the standard deviations of some observations."""
+    from unbend.refraction.kernels.sigma import propagate
+
+    pose = (camera, exposures.rotation)
+    air = (uncertainty.stations, uncertainty.tables)
+    propagate(observed, pose, traced, air, tuple(sigmas))
 
 
 def outgoing_rays(
-    observed: of.ObservationColumns, camera: of.CameraConstants, exposures: of.ExposureColumns
+    observed: ObservationColumns, camera: CameraConstants, exposures: ExposureColumns
 ) -> tuple[Array, Array, NDArray[np.uint8]]:
     """The matrix of rays that pixels see outside the window, R_cc [rad] and status."""
+    from unbend.refraction.kernels.image import fill_outgoing_rays
+
     n = observed.x.size
-    rays, r_cc, status = np.empty((of.RAY_ROWS, n)), np.empty(n), np.empty(n, np.uint8)
-    kernel.outgoing_rays(observed, camera, exposures, rays, (status, r_cc))
+    rays = np.empty((RAY_ROWS, n))
+    r_cc = np.empty(n)
+    status = np.empty(n, np.uint8)
+    fill_outgoing_rays(observed, camera, exposures, rays, (status, r_cc))
     return rays, r_cc, status
 
 
@@ -209,10 +298,20 @@ def straight_reach(
     >>> straight_reach(3000.0, 1000.0, 0.8, radius=6371e3, far=[False, True]).round(3).tolist()
     [2500.221, 10195899.779]
     """
-    shape, (h_c, h_g, cosine, radius, far) = as_columns(h_c, h_g, cos_zeta, radius, far)
-    distance = np.empty(h_c.shape)
-    rays = of.RayColumns(h_c, h_g, cosine, cosine, radius, distance)
-    kernel.straight_reach(rays, far != 0.0, distance)
+    from unbend.refraction.kernels.image import fill_straight_reach
+
+    shape, columns = as_columns(h_c, h_g, cos_zeta, radius, far)
+    distance = np.empty(columns[0].shape)
+    rays = RayColumns(
+        h_c=columns[0],
+        h_g=columns[1],
+        sin_c=columns[2],  # is not read
+        cos_c=columns[2],
+        r_e=columns[3],
+        distance=distance,
+    )
+    is_far = columns[4] != 0.0
+    fill_straight_reach(rays, is_far, distance)
     return distance.reshape(shape)
 
 
@@ -231,7 +330,9 @@ def ground_displacement(
     angles = np.stack(np.broadcast_arrays(zeta_c, np.subtract(zeta_c, r_c)))
     reach = straight_reach(h_c, h_g, np.cos(angles), radius=radius, far=far)
     apparent, true = np.stack([np.sin(angles), -np.cos(angles)], axis=1) * reach[:, None]
-    return np.asarray(np.sqrt((apparent[0] - true[0]) ** 2 + (apparent[1] - true[1]) ** 2))
+    along = apparent[0] - true[0]
+    down = apparent[1] - true[1]
+    return np.asarray(np.sqrt(along**2 + down**2))
 
 
 def lattice_nodes(camera: Camera, columns: int, rows: int) -> tuple[Array, Array]:
@@ -245,6 +346,7 @@ def lattice_nodes(camera: Camera, columns: int, rows: int) -> tuple[Array, Array
     """
     if columns < 2 or rows < 2:
         raise ValueError("a lattice has at least two columns and two rows")
-    sides = (camera.width_px, columns), (camera.height_px, rows)
-    x, y = np.meshgrid(*(np.linspace(0.0, length, count) for length, count in sides))
+    across = np.linspace(0.0, camera.width_px, columns)
+    down = np.linspace(0.0, camera.height_px, rows)
+    x, y = np.meshgrid(across, down)
     return x.ravel(), y.ravel()

@@ -16,16 +16,20 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from unbend.atmosphere.profile import Profile
-from unbend.errors import PhysicsError
-from unbend.refraction import status_codes as codes
-from unbend.refraction.kernels.columns import RayColumns
-from unbend.refraction.kernels.grazing import bend_grazing_rays
-from unbend.refraction.kernels.moments import WORTH_A_TABLE, bend_steep_rays
-from unbend.refraction.kernels.ray import LEFT, bend_rays
+from unbend.refraction import messages
+from unbend.refraction.kernels.columns import LEFT, WORTH_A_TABLE, RayColumns
 from unbend.refraction.kernels.threads import in_blocks
 from unbend.refraction.published import PUBLISHED
 from unbend.refraction.published.column import Method, finite
 from unbend.refraction.ray_table import RayTable, ray_table
+from unbend.refraction.status_codes import (
+    BAD_MEASUREMENT,
+    BEYOND_GRAZING,
+    FAR_BRANCH,
+    MISSES_GROUND,
+    OK,
+    OUTSIDE_PROFILE,
+)
 from unbend.units import Array
 
 DEFAULT_RADIUS_M = 6_371_000.0
@@ -53,11 +57,11 @@ class PublishedRays:
         good &= (zeta_c >= 0.0) & (zeta_c <= math.pi)
         r_c = np.full(good.shape, np.nan)
         r_c[good] = self.method(self.profile, h_c[good], h_g[good], zeta_c[good], radius[good])
-        status = np.where(good, codes.OK, codes.BAD_MEASUREMENT).astype(np.uint8)
+        status = np.where(good, OK, BAD_MEASUREMENT).astype(np.uint8)
         lost = np.isnan(r_c) & good
         # Straight down every ray reaches the ground, unless the heights are not covered.
         at_nadir = self.method(self.profile, h_c[lost], h_g[lost], 0.0, radius[lost])
-        status[lost] = np.where(np.isnan(at_nadir), codes.OUTSIDE_PROFILE, codes.MISSES_GROUND)
+        status[lost] = np.where(np.isnan(at_nadir), OUTSIDE_PROFILE, MISSES_GROUND)
         return r_c, status
 
 
@@ -73,7 +77,7 @@ def rays_by(profile: Profile, method: str) -> RayTable | PublishedRays:
     if method == "spherical":
         return ray_table(profile)
     if method not in PUBLISHED:
-        raise PhysicsError.of("METHOD-NAME", method=method, known=", ".join(METHODS))
+        raise messages.method_name(method=method, known=", ".join(METHODS))
     return PublishedRays(profile, PUBLISHED[method])
 
 
@@ -106,22 +110,37 @@ def bend(
     if isinstance(table, PublishedRays):
         return table.bend(h_c, h_g, sin_zeta_c, cos_zeta_c, radius)
     shape, flat = as_columns(h_c, h_g, sin_zeta_c, cos_zeta_c, radius, distance)
-    r_c, status = np.empty(flat[0].shape), np.empty(flat[0].shape, np.uint8)
+    r_c = np.empty(flat[0].shape)
+    status = np.empty(flat[0].shape, np.uint8)
 
     def bend_block(rows: slice) -> None:
-        rays, r_c_rows, status_rows = RayColumns(*(a[rows] for a in flat)), r_c[rows], status[rows]
-        left = np.arange(r_c_rows.size)
-        if left.size > WORTH_A_TABLE:  # those that can share a table of moments first
-            bend_steep_rays(table.fine, rays, r_c_rows, status_rows)
-            left = np.flatnonzero(status_rows == LEFT)
-        if left.size:
-            bend_rays(table.pieces, rays, left, r_c_rows, status_rows)
-            left = left[status_rows[left] == LEFT]
-        if left.size:
-            bend_grazing_rays(table.pieces, rays, left, r_c_rows, status_rows)
+        rays = RayColumns(*(column[rows] for column in flat))
+        _bend_rows(table, rays, r_c[rows], status[rows])
 
     in_blocks(bend_block, flat[0].size)
     return r_c.reshape(shape), status.reshape(shape)
+
+
+def _bend_rows(table: RayTable, rays: RayColumns, r_c: Array, status: NDArray[np.uint8]) -> None:
+    """Fill angles and status of rays, by the fastest kernel that serves each.
+
+    Kernels are imported, and compiled, where the first ray needs them.
+    """
+    left = np.arange(r_c.size)
+    if left.size > WORTH_A_TABLE:  # those that can share a table of moments first
+        from unbend.refraction.kernels.moments import bend_steep_rays
+
+        bend_steep_rays(table.fine, rays, r_c, status)
+        left = np.flatnonzero(status == LEFT)
+    if left.size:
+        from unbend.refraction.kernels.ray import bend_rays
+
+        bend_rays(table.pieces, rays, left, r_c, status)
+        left = left[status[left] == LEFT]
+    if left.size:
+        from unbend.refraction.kernels.grazing import bend_grazing_rays
+
+        bend_grazing_rays(table.pieces, rays, left, r_c, status)
 
 
 def as_columns(*values: ArrayLike) -> tuple[tuple[int, ...], list[Array]]:
@@ -190,23 +209,23 @@ def angle_and_status(
     zeta = np.asarray(zeta_c, dtype=np.float64)
     zeta = np.where((zeta >= 0.0) & (zeta <= math.pi), zeta, np.nan)
     r_c, found = bend(
-        rays_by(profile, method), h_c, h_g, np.sin(zeta), np.cos(zeta), radius=radius,
+        rays_by(profile, method),
+        h_c,
+        h_g,
+        np.sin(zeta),
+        np.cos(zeta),
+        radius=radius,
         distance=distance,
-    )  # fmt: skip
-    status = int(found) if found.ndim == 0 else codes.OK
-    if status in (codes.OK, codes.BEYOND_GRAZING, codes.FAR_BRANCH):
-        return r_c, found
-    reason = {
-        codes.BAD_MEASUREMENT: "heights and angle (0 to 180 degrees) must be numbers, the radius "
-        "above 0",
-        codes.OUTSIDE_PROFILE: f"the profile ({profile.bottom_m:.0f} to {profile.top_m:.0f} m) "
-        f"or the method ({method}) does not cover the heights",
-        codes.MISSES_GROUND: "the ray never reaches the target's height",
-    }[status]
-    raise PhysicsError(
-        f"RAY-{codes.STATUS_NAMES[status].upper().replace('_', '-')}",
-        reason,
-        where=f"h_c = {h_c!r} m, h_g = {h_g!r} m, zeta_c = {np.degrees(zeta_c):.6f} deg, "
-        f"radius = {radius!r} m",
-        remedy="check heights, angle and radius (inside the package angles are radians)",
     )
+    status = int(found) if found.ndim == 0 else OK
+    if status in (OK, BEYOND_GRAZING, FAR_BRANCH):
+        return r_c, found
+    where = f"h_c = {h_c!r} m, h_g = {h_g!r} m, zeta_c = {np.degrees(zeta_c):.6f} deg, "
+    where += f"radius = {radius!r} m"
+    if status == OUTSIDE_PROFILE:
+        raise messages.ray_outside_profile(
+            where=where, bottom_m=profile.bottom_m, top_m=profile.top_m, method=method
+        )
+    if status == MISSES_GROUND:
+        raise messages.ray_misses_ground(where=where)
+    raise messages.ray_bad_measurement(where=where)

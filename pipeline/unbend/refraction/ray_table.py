@@ -42,12 +42,15 @@ class RayTable:
         piece = np.searchsorted(self.edge_m, edge[:-1], side="right") - 1
         nodes = _chebyshev_nodes(_FINE_DEGREE)
         height = edge[:-1, None] + np.diff(edge)[:, None] * nodes
-        u = (height - self.edge_m[piece, None]) / np.diff(self.edge_m)[piece, None]
+        thickness = np.diff(self.edge_m)
+        u = (height - self.edge_m[piece, None]) / thickness[piece, None]
         powers = self.coefficient[piece].T[..., None]
         value = np.polynomial.polynomial.polyval(u, powers, tensor=False)
+        coefficient = _polynomials(nodes, np.asarray(value, np.float64))
         marks = np.arange(edge[0], edge[-1], HINT_M)
-        hint = np.clip(np.searchsorted(edge, marks, side="right") - 1, 0, edge.size - 2)
-        return FineTable(edge, _polynomials(nodes, np.asarray(value, np.float64)), hint)
+        interval = np.searchsorted(edge, marks, side="right") - 1
+        hint = np.clip(interval, 0, edge.size - 2)
+        return FineTable(edge, coefficient, hint)
 
 
 @lru_cache(maxsize=64)
@@ -69,10 +72,9 @@ def cut(edge: Array, longest: float | Array) -> Array:
     [0.0, 1.0, 2.5, 4.0]
     """
     parts = np.maximum(1, np.ceil(np.diff(edge) / longest)).astype(int)
-    pieces = [
-        np.linspace(low, high, count, endpoint=False)
-        for low, high, count in zip(edge[:-1], edge[1:], parts, strict=True)
-    ]
+    pieces = []
+    for low, high, count in zip(edge[:-1], edge[1:], parts, strict=True):
+        pieces.append(np.linspace(low, high, count, endpoint=False))
     return np.concatenate([*pieces, edge[-1:]])
 
 

@@ -9,17 +9,39 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from unbend.geodesy import euler_radius, offset_geodetic
-from unbend.refraction import status_codes as codes
 from unbend.refraction.camera.camera import Camera
 from unbend.refraction.image import Exposures, outgoing_rays, straight_reach
-from unbend.refraction.kernels import columns as of
-from unbend.refraction.kernels.columns import ObservationColumns, RayColumns, TerrainRays
-from unbend.refraction.kernels.ray import ray_heights
-from unbend.refraction.kernels.terrain import divide_differences, follow_rays
+from unbend.refraction.kernels.columns import (
+    CAMERA_HEIGHT,
+    CHART_DEGREE,
+    DIRECTION,
+    EMERGES,
+    HIDDEN,
+    LANDED,
+    NADIR_COSINE,
+    NADIR_SINE,
+    NO_TERRAIN,
+    PASSES,
+    SPHERE_RADIUS,
+    WAITS,
+    ObservationColumns,
+    RayColumns,
+    TerrainGrid,
+    TerrainRays,
+    TerrainState,
+)
 from unbend.refraction.kernels.threads import in_blocks
 from unbend.refraction.ray import DEFAULT_RADIUS_M, PublishedRays, as_columns, bend
 from unbend.refraction.ray_table import RayTable, ray_table
-from unbend.units import Array, Integers
+from unbend.refraction.status_codes import (
+    BAD_MEASUREMENT,
+    MISSES_GROUND,
+    NO_GROUND,
+    OK,
+    OUTSIDE_PROFILE,
+    SEVERAL_CROSSINGS,
+)
+from unbend.units import Array, Integers, Rows
 
 # Rounds for a published method: each gains three digits, and they go no nearer to grazing.
 _ROUNDS = 12
@@ -61,15 +83,25 @@ def height_at_distance(
     """
     shape, columns = as_columns(h_c, sin_zeta_c, cos_zeta_c, distance, radius)
     h_c, sin_z, cos_z, distance, radius = columns
-    height, status = np.empty(h_c.shape), np.empty(h_c.shape, np.uint8)
-    rays = RayColumns(h_c, height, sin_z, cos_z, radius, distance)  # h_g is not read
+    height = np.empty(h_c.shape)
+    status = np.empty(h_c.shape, np.uint8)
+    rays = RayColumns(
+        h_c=h_c,
+        h_g=height,  # is not read
+        sin_c=sin_z,
+        cos_c=cos_z,
+        r_e=radius,
+        distance=distance,
+    )
     if isinstance(table, PublishedRays):
         height, status = _by_repetition(table, rays)
     else:
+        from unbend.refraction.kernels.ray import ray_heights
+
         pieces = table.pieces
 
         def heights_of_block(rows: slice) -> None:
-            part = RayColumns(*(a[rows] for a in rays))
+            part = RayColumns(*(column[rows] for column in rays))
             ray_heights(pieces, part, height[rows], status[rows])
 
         in_blocks(heights_of_block, h_c.size)
@@ -96,11 +128,13 @@ def target_heights(
     `correct_observations` will name, or its chord ends outside the profile.
     """
     rays = target_rays(x_px, y_px, exposure, exposures, camera=camera, ideal=ideal)
-    h_c, radius = rays[of.H_C], rays[of.RADIUS]
+    h_c, radius = rays[CAMERA_HEIGHT], rays[SPHERE_RADIUS]
     if ideal:
         with np.errstate(invalid="ignore"):
-            return chord_height(h_c, rays[of.COS], distance_m, radius)
-    return height_at_distance(table, h_c, rays[of.SIN], rays[of.COS], distance_m, radius=radius)[0]
+            return chord_height(h_c, rays[NADIR_COSINE], distance_m, radius)
+    return height_at_distance(
+        table, h_c, rays[NADIR_SINE], rays[NADIR_COSINE], distance_m, radius=radius
+    )[0]
 
 
 def target_rays(
@@ -119,7 +153,8 @@ def target_rays(
             cx_px=camera.cx_px + _MARGIN_PX,
             cy_px=camera.cy_px + _MARGIN_PX,
         )
-        x, y = x + _MARGIN_PX, y + _MARGIN_PX
+        x = x + _MARGIN_PX
+        y = y + _MARGIN_PX
     anywhere = np.zeros(x.size)
     observed = ObservationColumns(x, y, anywhere, anywhere, exposure)
     rays, _, _ = outgoing_rays(observed, camera.constants, exposures.columns)
@@ -154,9 +189,9 @@ def _by_repetition(table: PublishedRays, rays: RayColumns) -> tuple[Array, NDArr
             height = height + step
             if not np.nanmax(np.abs(step), initial=0.0) > _CLOSE_M:
                 break
-    status[(status == codes.OK) & ~(np.abs(step) <= _CLOSE_M)] = codes.MISSES_GROUND
-    status[~sound] = codes.BAD_MEASUREMENT
-    return np.where(status == codes.OK, height, math.nan), status
+    status[(status == OK) & ~(np.abs(step) <= _CLOSE_M)] = MISSES_GROUND
+    status[~sound] = BAD_MEASUREMENT
+    return np.where(status == OK, height, math.nan), status
 
 
 # Some hundred bytes are needed for each.
@@ -166,7 +201,8 @@ _ROWS_AT_ONCE = 65_536
 _SCOUTS = 64
 
 # From here on down [m] a ray is under all land.
-_LOWEST_M, _HIGHEST_M = -500.0, 9_000.0
+_LOWEST_M = -500.0
+_HIGHEST_M = 9_000.0  # and above this over all land
 
 # Rays steeper than this reach the lowest land from any height below 50 km.
 _STEEP = 0.17
@@ -177,11 +213,18 @@ _STEEP_SHARES = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, 5) / 4)
 _LEVEL_SHARES = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, 9) / 8)
 
 # Polynomials from east and north of a station to rows and columns: powers, nodes, and between.
-_POWERS = [(d - p, p) for d in range(of.CHART_DEGREE + 1) for p in range(d + 1)]
-_NODES, _CHECKS = (
-    np.stack(np.meshgrid(a, a), axis=-1).reshape(-1, 2)
-    for a in (np.cos(np.pi * (np.arange(6) + 0.5) / 6), np.linspace(-0.95, 0.95, 5))
-)
+_POWERS = [(d - p, p) for d in range(CHART_DEGREE + 1) for p in range(d + 1)]
+
+
+def _square_of(side: Array) -> Array:
+    """(n * n, 2) the points whose east and north are among n values."""
+    return np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+
+
+_NODES = _square_of(np.cos(np.pi * (np.arange(6) + 0.5) / 6))
+_CHECKS = _square_of(np.linspace(-0.95, 0.95, 5))
+_MOST_HALVINGS = 12
+_PART_OF_REACH = 0.98  # of a polynomial, that rays are followed for
 _LARGEST_ERROR = 0.01
 """Of row and column [cells]; where a polynomial is worse, it is for half the distance."""
 
@@ -195,7 +238,7 @@ class Terrain(Protocol):
     """
 
     @property
-    def grid(self) -> of.TerrainGrid: ...
+    def grid(self) -> TerrainGrid: ...
     @property
     def lock(self) -> AbstractContextManager[object]: ...
     def nodes(self, lat_rad: Array, lon_rad: Array) -> tuple[Array, Array]: ...
@@ -241,12 +284,14 @@ def terrain_heights(
     interpolated. Against steps of an integrated ray: 1 mm below 60 degrees, 1 cm below 75.
     """
     n = x_px.size
-    numbers, status = np.full((3, n), np.nan), np.full(n, codes.OK, np.uint8)
-    of_table = ray_table(table.profile) if isinstance(table, PublishedRays) else table
-    air = None if ideal else of_table
+    numbers = np.full((3, n), np.nan)
+    status = np.full(n, OK, np.uint8)
+    if isinstance(table, PublishedRays):
+        table = ray_table(table.profile)
+    air = None if ideal else table
     for first in range(0, n, _ROWS_AT_ONCE):
         some = slice(first, min(first + _ROWS_AT_ONCE, n))
-        rays = np.empty((of.H_C + 1, some.stop - first))
+        rays = np.empty((CAMERA_HEIGHT + 1, some.stop - first))
 
         def leave(rows: slice, first: int = first, rays: Array = rays) -> None:
             at = slice(first + rows.start, first + rows.stop)
@@ -255,9 +300,9 @@ def terrain_heights(
             )
 
         in_blocks(leave, rays.shape[1])
-        is_steep = rays[of.COS] > _STEEP
+        is_steep = rays[NADIR_COSINE] > _STEEP
         for steep in (True, False):
-            rows = np.flatnonzero((is_steep == steep) & ~np.isnan(rays[of.COS]))
+            rows = np.flatnonzero((is_steep == steep) & ~np.isnan(rays[NADIR_COSINE]))
             if rows.size:
                 way, end, at_end = _ways(
                     rays[:, rows], exposure[first + rows], places, air, terrain, steep=steep
@@ -279,20 +324,34 @@ def _ways(
 ) -> tuple[TerrainRays, Array, NDArray[np.uint8]]:
     """Rays over the terrain's grid, their ends [m] and the status of a ray that reaches its end."""
     knot, r_c, at_end = _bent_paths(rays, air, steep=steep)
-    sine, cosine, radius, h_c = rays[[of.SIN, of.COS, of.RADIUS, of.H_C]]
+    sine, cosine, radius, h_c = rays[[NADIR_SINE, NADIR_COSINE, SPHERE_RADIUS, CAMERA_HEIGHT]]
     end = knot[:, -1].copy()
     arc = radius * np.arctan2(end * sine, radius + h_c - end * cosine)
+    latitude, longitude = places
     station, chart = np.unique(exposure, return_inverse=True)
     needed = np.zeros(station.size)
     np.fmax.at(needed, chart, 1.01 * arc)
-    charts, reach = _charts(places[0][station], places[1][station], needed + 1.0, terrain)
-    short = 0.98 * reach[chart] < arc
-    end[short] *= 0.98 * reach[chart][short] / arc[short]
-    at_end[short] = codes.NO_GROUND
+    charts, reach = _charts(latitude[station], longitude[station], needed + 1.0, terrain)
+    usable_reach = _PART_OF_REACH * reach[chart]
+    short = usable_reach < arc
+    end[short] *= usable_reach[short] / arc[short]
+    at_end[short] = NO_GROUND
     with np.errstate(invalid="ignore"):
-        east, north = rays[of.APPARENT : of.APPARENT + 2] / np.where(sine > 0, sine, 1)
+        east, north = rays[DIRECTION : DIRECTION + 2] / np.where(sine > 0, sine, 1)
     r_c /= knot
-    way = TerrainRays(sine, cosine, h_c, radius, east, north, knot, r_c, chart, charts, reach)
+    way = TerrainRays(
+        sin_c=sine,
+        cos_c=cosine,
+        h_c=h_c,
+        r_e=radius,
+        east=east,
+        north=north,
+        knot=knot,
+        bend=r_c,
+        chart=chart,
+        charts=charts,
+        reach=reach,
+    )
     return way, end, at_end
 
 
@@ -304,13 +363,17 @@ def _bent_paths(
     Steep rays as far as the lowest land, others where they leave all land or for 200 km; straight
     without ``air``, NaN where that does not reach as far.
     """
-    n, shares = rays.shape[1], _STEEP_SHARES if steep else _LEVEL_SHARES
-    knot, r_c = np.empty((n, shares.size)), np.zeros((n, shares.size))
-    at_end = np.full(n, codes.OUTSIDE_PROFILE, np.uint8)
+    n = rays.shape[1]
+    shares = _STEEP_SHARES if steep else _LEVEL_SHARES
+    knot = np.empty((n, shares.size))
+    r_c = np.zeros((n, shares.size))
+    at_end = np.full(n, OUTSIDE_PROFILE, np.uint8)
     bottom = _LOWEST_M if air is None else max(_LOWEST_M, float(air.edge_m[0]))
 
     def fill(rows: slice) -> None:
-        sine, cosine, radius, h_c = rays[[of.SIN, of.COS, of.RADIUS, of.H_C], rows]
+        sine, cosine, radius, h_c = rays[
+            [NADIR_SINE, NADIR_COSINE, SPHERE_RADIUS, CAMERA_HEIGHT], rows
+        ]
         if steep:
             for k, share in enumerate(shares):
                 h_k = h_c - share * (h_c - bottom)
@@ -324,11 +387,12 @@ def _bent_paths(
             down = straight_reach(h_c, bottom, cosine, radius=radius, far=False)
             up = np.nan_to_num(straight_reach(h_c, _HIGHEST_M, cosine, radius=radius, far=True))
             end = np.fmin(np.where(cosine > 0.0, down, np.nan), up)
-            at_end[rows] = np.where(end == up, codes.MISSES_GROUND, codes.OUTSIDE_PROFILE)
-            at_end[rows][end > _FARTHEST_M] = codes.NO_GROUND
+            at_end[rows] = np.where(end == up, MISSES_GROUND, OUTSIDE_PROFILE)
+            at_end[rows][end > _FARTHEST_M] = NO_GROUND
             end = np.clip(end, 1.0, _FARTHEST_M)
             for k, share in enumerate(shares):
-                t = knot[rows, k] = share * end
+                t = share * end
+                knot[rows, k] = t
                 if air is not None:
                     h_k = height_at_distance(air, h_c, sine, cosine, t, radius=radius)[0]
                     rise = (h_c - h_k) * (2.0 * radius + h_c + h_k)
@@ -349,15 +413,17 @@ def _charts(lat_rad: Array, lon_rad: Array, needed: Array, terrain: Terrain) -> 
     charts = np.empty((needed.size, 2, len(_POWERS)))
     solve = np.linalg.pinv(_terms(_NODES))
     left = np.arange(needed.size)
-    for _ in range(12):
+    for _ in range(_MOST_HALVINGS):
         at = np.concatenate([_NODES, _CHECKS]) * reach[left, None, None]
-        lat, lon = np.repeat(lat_rad[left], at.shape[1]), np.repeat(lon_rad[left], at.shape[1])
+        lat = np.repeat(lat_rad[left], at.shape[1])
+        lon = np.repeat(lon_rad[left], at.shape[1])
         east, north = at.reshape(-1, 2).T
         # The ends of arcs in the vertical planes of the places.
         azimuth = np.arctan2(east, north)
         radius = euler_radius(lat, azimuth)
         angle = np.hypot(east, north) / radius
-        across, up = radius * np.sin(angle), -2.0 * radius * np.sin(0.5 * angle) ** 2
+        across = radius * np.sin(angle)
+        up = -2.0 * radius * np.sin(0.5 * angle) ** 2
         enu = np.stack([across * np.sin(azimuth), across * np.cos(azimuth), up], axis=-1)
         lat, lon, _ = offset_geodetic(lat, lon, np.zeros(lat.size), enu)
         nodes = np.stack(terrain.nodes(lat, lon), axis=-1).reshape(left.size, -1, 2)
@@ -385,30 +451,45 @@ def _follow(
     paths: TerrainRays, end: Array, at_end: NDArray[np.uint8], terrain: Terrain
 ) -> TerrainHeights:
     """Where rays land, with the tiles read that they come to."""
+    from unbend.refraction.kernels.terrain import divide_differences, follow_rays
+
     n = end.size
     divide_differences(paths.knot, paths.bend)
-    side, gap, wanted = np.zeros(n, np.int8), np.zeros(n, bool), np.full(n, -1)
-    height, distance, factor = np.full((3, n), np.nan)
     usable = np.isfinite(paths.bend).all(axis=1) & np.isfinite(end)
     follows = usable & (paths.reach[paths.chart] > 0.0)
-    result = np.where(follows, np.uint8(of.WAITS), np.uint8(of.NO_TERRAIN))
-    state = of.TerrainState(end, np.zeros(n), side, gap, distance, height, factor, wanted, result)
+    height, distance, factor = np.full((3, n), np.nan)
+    state = TerrainState(
+        end=end,
+        t=np.zeros(n),
+        side=np.zeros(n, np.int8),
+        gap=np.zeros(n, bool),
+        distance=distance,
+        height=height,
+        factor=factor,
+        wanted=np.full(n, -1),
+        result=np.where(follows, np.uint8(WAITS), np.uint8(NO_TERRAIN)),
+    )
     followed = np.flatnonzero(follows)
     with terrain.lock:
         for some in (followed[::_SCOUTS], followed):
-            while (going := some[state.result[some] == of.WAITS]).size:
-                in_blocks(
-                    lambda rows: follow_rays(paths, going[rows], terrain.grid, state), going.size
-                )
+            while (going := some[state.result[some] == WAITS]).size:
+
+                def follow_block(rows: slice, going: Rows = going) -> None:
+                    follow_rays(paths, going[rows], terrain.grid, state)
+
+                in_blocks(follow_block, going.size)
                 tiles, count = np.unique(state.wanted[going], return_counts=True)
                 tiles = tiles[np.argsort(-count, kind="stable")]
                 terrain.load(tiles[tiles >= 0])
-    status_of = np.empty(of.WAITS + 1, np.uint8)
-    status_of[[of.LANDED, of.EMERGES, of.HIDDEN, of.NO_TERRAIN]] = (
-        codes.OK, codes.SEVERAL_CROSSINGS, codes.MISSES_GROUND, codes.NO_GROUND,
-    )  # fmt: skip
-    status = np.where(state.result == of.PASSES, at_end, status_of[state.result]).astype(np.uint8)
-    status[~usable] = codes.OUTSIDE_PROFILE
-    landed = (status == codes.OK) | (status == codes.SEVERAL_CROSSINGS)
-    height[~landed] = distance[~landed] = np.nan
+    status_of = np.empty(WAITS + 1, np.uint8)
+    status_of[LANDED] = OK
+    status_of[EMERGES] = SEVERAL_CROSSINGS
+    status_of[HIDDEN] = MISSES_GROUND
+    status_of[NO_TERRAIN] = NO_GROUND
+    passes = state.result == PASSES
+    status = np.where(passes, at_end, status_of[state.result]).astype(np.uint8)
+    status[~usable] = OUTSIDE_PROFILE
+    landed = (status == OK) | (status == SEVERAL_CROSSINGS)
+    height[~landed] = np.nan
+    distance[~landed] = np.nan
     return TerrainHeights(height, factor, distance, status)

@@ -11,8 +11,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from unbend.errors import PhysicsError
-from unbend.refraction.kernels.image import refract_directions
+from unbend.refraction import messages
 from unbend.units import HECTOPASCAL, Array
 
 OPTICAL_AXIS = np.array([0.0, 0.0, 1.0])
@@ -76,12 +75,11 @@ class Window:
     def __post_init__(self) -> None:
         length = float(np.linalg.norm(self.normal))
         if not abs(length - 1.0) < 1e-9:
-            raise PhysicsError.of("WINDOW-NORMAL", length=length)
+            raise messages.window_normal(length=length)
         if self.frame == "camera" and not self.normal[2] > 0.0:
-            raise PhysicsError.of("WINDOW-NORMAL/post-init")
+            raise messages.window_normal_inwards()
         if self.cabin is None and self.shape == "plane":
-            what = "the air behind the window is missing: a plane window bends by it"
-            raise PhysicsError("WINDOW-AIR", what, remedy="give the cabin's air")
+            raise messages.window_without_air()
 
 
 def scheduled_pressure(ambient_pa: ArrayLike) -> Array:
@@ -124,11 +122,15 @@ def refract_at_window(
     >>> (r_cc * 180 * 3600 / np.pi).round(2).tolist()  # Gyer's Table 7, 10 km: 19.44
     [19.44]
     """
+    from unbend.refraction.kernels.image import refract_directions
+
+    n_before = np.asarray(refractivity_before, dtype=np.float64)
     n_after = np.asarray(refractivity_after, dtype=np.float64)
-    excess = (np.asarray(refractivity_before, np.float64) - n_after) / (1.0 + n_after)
+    excess = (n_before - n_after) / (1.0 + n_after)
     rays = np.array(direction, np.float64, order="C")
     normals = np.array(np.broadcast_to(normal, rays.shape), np.float64)
-    change, angle = np.empty(rays.shape), np.empty(rays.shape[0])
-    excess = np.array(np.broadcast_to(excess, angle.shape))
-    refract_directions(rays, normals, excess, change, angle)
+    change = np.empty(rays.shape)
+    angle = np.empty(rays.shape[0])
+    excess_of_ray = np.array(np.broadcast_to(excess, angle.shape))
+    refract_directions(rays, normals, excess_of_ray, change, angle)
     return change, angle

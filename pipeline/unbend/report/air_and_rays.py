@@ -1,17 +1,16 @@
 """The air and refraction angles as text: profiles, one angle, radial tables, tables of papers."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rich.console import Console
 from rich.padding import Padding
 from rich.table import Column, Table
 
-from unbend.atmosphere.estimate.sensors import FAULT_TEXTS
-from unbend.refraction.angle import RadialTable
-from unbend.refraction.effect import FlightAir
 from unbend.refraction.status_codes import STATUS_NAMES
 from unbend.report import summary
 from unbend.report.console import (
@@ -23,8 +22,11 @@ from unbend.report.console import (
     shown,
 )
 from unbend.report.words import significant, with_sigma
-from unbend.tables.exports.correction_tables import radial_columns
 from unbend.units import MICRORADIAN
+
+if TYPE_CHECKING:  # scipy: angles need none
+    from unbend.refraction.angle import RadialTable
+    from unbend.refraction.effect import FlightAir
 
 
 def print_angle(console: Console, angle: Mapping[str, Any]) -> None:
@@ -83,23 +85,27 @@ def print_profile(console: Console, rows: Sequence[Mapping[str, Any]], standard:
 
 def print_air(console: Console, air: FlightAir) -> None:
     """The effect of the air of a flight on R, its sources and the estimated sensor errors."""
+    from unbend.atmosphere.estimate.sensors import FAULT_TEXTS  # scipy: angles need none
+
     adjustment = air.adjustment
     rows = [effect.row() for effect in air.effects]
-    profiles = [f"{len(air.series.timed_profiles)} profiles follow the air"] if air.windows else []
-    for line in (
-        *summary.effect_lines(rows, adjustment.standard.name),
-        *(use.sentence() for use in adjustment.sources),
-        *(
-            f"{FAULT_TEXTS[f.fault]}: {with_sigma(f.value, f.sigma)}"
-            for f in (fault.in_units() for fault in adjustment.faults)
-        ),
-        *profiles,
-    ):
+    lines = list(summary.effect_lines(rows, adjustment.standard.name))
+    for use in adjustment.sources:
+        lines.append(use.sentence())
+    lines += [use.sentence() for use in adjustment.sensor_uses]
+    for fault in adjustment.faults:
+        stated = fault.in_units()
+        lines.append(f"{FAULT_TEXTS[stated.fault]}: {with_sigma(stated.value, stated.sigma)}")
+    if air.windows:
+        lines.append(f"{len(air.series.timed_profiles)} profiles follow the air")
+    for line in lines:
         print_indented(console, shown(line))
 
 
 def radial_rows(tables: Sequence[RadialTable]) -> list[dict[str, Any]]:
     """The rows of several radial tables, None where there is no value."""
+    from unbend.tables.exports.correction_tables import radial_columns  # pandas: angles need none
+
     rows = []
     for table in tables:
         columns = {name: np.asarray(v).tolist() for name, v in radial_columns(table).items()}

@@ -1,235 +1,116 @@
-"""The correction: batches of observations in, corrected observations out, one part each.
+"""The correction: batches of observations in, corrected parts of the results out.
 
-Batches are independent: what a part holds does not depend on how many are in progress.
+Parts are independent: what one holds does not depend on how many are in progress.
 """
 
 import math
+import os
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import closing, suppress
-from dataclasses import dataclass, replace
-from functools import cached_property, partial
-from itertools import groupby
-from pathlib import Path
-from typing import Any, Protocol
+from contextlib import closing
+from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise
+from typing import Any, TypeVar
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
-from unbend.batch.executors import Slices, Worker, make_parts
-from unbend.batch.store import RunFolder, atomic_write
-from unbend.errors import storage_errors
 from unbend.interrupts import held_back
 from unbend.refraction.camera.camera import Camera
 from unbend.refraction.forward import apply_refraction
-from unbend.refraction.image import COLUMNS, Corrections, Exposures, correct_observations
+from unbend.refraction.image import COLUMNS, Corrections, correct_observations
 from unbend.refraction.kernels.threads import usable_cpus
-from unbend.refraction.ray import PublishedRays
-from unbend.refraction.ray_table import RayTable
 from unbend.refraction.status_codes import NO_STATION
-from unbend.refraction.uncertainty.sigmas import Sigmas, Uncertainty
-from unbend.stages.ground_heights import Ground, GroundHeights
+from unbend.refraction.uncertainty.sigmas import Sigmas
+from unbend.stages.correction_setup import CorrectionSetup, GroundHeights
 from unbend.stages.statistics import SAMPLED_ROWS, SampledRows, Statistics
 from unbend.tables.geodata.object_points import matching_rows
 from unbend.tables.observations import Batch, Observations
-from unbend.tables.refraction_mark import Direction
 from unbend.tables.schemas import DISPLACED_COLUMNS, OBSERVATION_COLUMNS, schema_of
-from unbend.tables.writing import table_of_observations, write_parquet
-from unbend.units import Array, Integers, Names
+from unbend.tables.writing import table_of_observations
+from unbend.units import Array, Integers
 
-_MOST_WORKERS = 4
-"""Batches corrected at the same time: each holds 250,000 rows, and reading and writing take the
-rest of the time."""
+BYTES_OF_A_ROW = 1500
+"""Memory that a row takes while it is corrected and written: columns, temporaries, Parquet."""
+
+SHARE_OF_MEMORY = 0.25
+"""Of the machine's memory, for the parts in progress."""
+
+Done = TypeVar("Done")
 
 
 @dataclass(frozen=True, eq=False)
-class CorrectionSetup:
-    """Everything that a batch of observations is corrected with.
+class CorrectedPart:
+    """A part of the results by its number: a table with the columns of a run, and its counts."""
 
-    ``images``, ``camera_names`` and ``profile_number`` (s,) belong to the rows of ``exposures``;
-    the last indexes ``rays`` and ``uncertainties`` (None: no standard deviations).
-    """
-
-    images: Names
-    camera_names: Names
-    exposures: Exposures
-    ground: Ground
-    cameras: Mapping[str, Camera]
-    rays: tuple[RayTable | PublishedRays, ...]
-    profile_number: Integers
-    direction: Direction = "remove"
-    uncertainties: tuple[Uncertainty | None, ...] = (None,)
-
-    @property
-    def computes_sigmas(self) -> bool:
-        return any(uncertainty is not None for uncertainty in self.uncertainties)
-
-    @cached_property
-    def camera_number(self) -> Integers:
-        """(s + 1,) the position in ``cameras`` of each station's camera, -1 without one.
-
-        An image without an exposure has a station without a camera. The last entry is for
-        observations without a station, whose station is -1.
-        """
-        number_of = {name: number for number, name in enumerate(self.cameras)}
-        return np.array([number_of.get(n, -1) for n in self.camera_names] + [-1], np.int64)
-
-    def groups(self, station: Integers) -> Iterator[tuple[Integers, Camera, int]]:
-        """The observations (n,) of each camera in each profile: rows, camera, profile number."""
-        camera_number = self.camera_number[station]
-        for number, camera in enumerate(self.cameras.values()):
-            rows = np.flatnonzero(camera_number == number)
-            if len(self.rays) == 1:
-                if rows.size:
-                    yield rows, camera, 0
-                continue
-            profile = self.profile_number[station[rows]]
-            for i in np.unique(profile).tolist():
-                yield rows[profile == i], camera, i
-
-    def directions(self, x_px: Array, y_px: Array, station: Integers) -> tuple[Array, Array]:
-        """(n, 3) unit vectors of pixels in their cameras, and (n,) the size of a pixel [rad]."""
-        direction, sigma = np.full((station.size, 3), np.nan), np.ones(station.size)
-        for rows, camera, _ in self.groups(station):
-            u, v, _ = camera.rays(x_px[rows], y_px[rows])
-            direction[rows] = np.stack([u, v, np.ones(u.size)], axis=1)
-            sigma[rows] = 1.0 / camera.fx_px
-        return direction / np.linalg.norm(direction, axis=1)[:, None], sigma
+    number: int
+    table: pa.Table
+    statistics: Statistics
 
 
-class Parts(Protocol):
-    """Where the corrected parts of the observations go, by number."""
-
-    def finished(self, number: int) -> Statistics | None:
-        """The counts of a part that is there already; None where it must be made."""
-
-    def write(self, number: int, table: pa.Table, statistics: Statistics) -> None:
-        """Write a part; called on threads."""
+def number_of_parts(observations: Observations, batch_rows: int) -> int:
+    """How many parts the results have."""
+    return math.ceil(observations.rows / observations.rows_of_part(batch_rows))
 
 
-def correct_stream(
+def correct_parts(
     observations: Observations,
     setup: CorrectionSetup,
-    parts: Parts,
+    finish: Callable[[CorrectedPart], Done],
     *,
+    numbers: Sequence[int] | None = None,
     batch_rows: int,
     metadata: Mapping[str, str],
-    progress: Callable[[int], None] = lambda _: None,
-    numbers: Sequence[int] | None = None,
-) -> Statistics:
-    """Correct all observations, or parts of these ``numbers``, and write them part by part.
+) -> Generator[Done, None, None]:
+    """Correct all observations, or the parts of some numbers, which rise.
 
-    Parts that are finished are counted and not made again. Memory holds at most five batches,
-    whatever the number of rows. ``progress`` is called with the number of rows of every part.
+    ``finish`` takes each part on the thread that made it, for instance to write it; what it returns
+    is yielded in the order of the parts. Memory holds a part for each thread, and one more.
     """
     columns = OBSERVATION_COLUMNS if setup.direction == "remove" else DISPLACED_COLUMNS
     schema = schema_of(columns, metadata, observations.user_fields)
-    there: dict[int, Statistics] = {}
 
-    def correct_part(number: int, batch: Batch) -> Statistics:
+    def correct_part(number: int, batch: Batch) -> Done:
         sampled = math.ceil(SAMPLED_ROWS * len(batch) / observations.rows)
         corrections, h_g, statistics = correct_counted(batch, setup, sampled)
         table = table_of_observations(batch, corrections, h_g, observations.pixels, schema)
-        parts.write(number, table, statistics)
-        return statistics
-
-    def is_there(number: int) -> bool:
-        if (statistics := parts.finished(number)) is not None:
-            there[number] = statistics
-        return statistics is not None
-
-    def in_order(of_all: Sequence[int]) -> Generator[Statistics]:
-        for finished, run in groupby(of_all, is_there):
-            if finished:
-                yield from (there.pop(number) for number in run)
-                continue
-            first, *others = run
-            batches = observations.batches(batch_rows, first, first + 1 + len(others))
-            # closing() waits for the threads before the caller removes the folder they write to.
-            with closing(on_threads(correct_part, batches, first)) as made:
-                yield from made
+        return finish(CorrectedPart(number, table, statistics))
 
     if numbers is None:
-        numbers = range(math.ceil(observations.rows / observations.rows_of_part(batch_rows)))
-    total = Statistics.of(setup.cameras)
-    with closing(in_order(numbers)) as counted:
-        for part in counted:
-            total.merge(part)
-            progress(part.rows)
-    return total
+        numbers = range(number_of_parts(observations, batch_rows))
+    threads = threads_for(observations.rows_of_part(batch_rows))
+    for run in runs_of_numbers(numbers):
+        batches = observations.batches(batch_rows, run.start, run.stop)
+        # closing() waits for the threads before the caller removes the folder they write to.
+        with closing(on_threads(correct_part, batches, run.start, threads=threads)) as made:
+            yield from made
 
 
-@dataclass(frozen=True)
-class PartsOfRun:
-    """Parts as ``observations/part-*.parquet`` of a run, each with a receipt when it is written.
+def runs_of_numbers(numbers: Sequence[int]) -> Iterator[range]:
+    """Rising numbers as ranges without gaps.
 
-    ``check`` comes before each of the two: it refuses changed inputs, and a run that has ended.
+    >>> list(runs_of_numbers([0, 1, 4, 6, 7]))
+    [range(0, 2), range(4, 5), range(6, 8)]
     """
-
-    folder: RunFolder
-    check: Callable[[], None] = lambda: None
-    verify: bool = True
-
-    def finished(self, number: int) -> Statistics | None:
-        """The counts of a part whose receipt says that it is whole; by its size unless verified."""
-        found: Statistics | None = self.folder.read_receipt(_name(number), verify=self.verify)
-        return found
-
-    def write(self, number: int, table: pa.Table, statistics: Statistics) -> None:
-        """Write, seal and receipt a part, whole at any time: another process may write it too."""
-        name = _name(number)
-        with atomic_write(self.folder.place(name)) as draft:
-            write_parquet(table, draft)
-            self.check()
-        self.folder.seal(name)
-        self.check()
-        self.folder.write_receipt(name, statistics)
+    if not numbers:
+        return
+    first = numbers[0]
+    for number, following in pairwise([*numbers, numbers[-1] + 2]):
+        if following != number + 1:
+            yield range(first, number + 1)
+            first = following
 
 
-def _name(number: int) -> str:
-    return f"observations/part-{number:05d}.parquet"
-
-
-def parts_of(path: Path, batch_rows: int) -> int:
-    """How many parts a table has that lets read slices of it alone (Parquet); 0 for others."""
-    rows = 0
-    if path.suffix.lower() == ".parquet":
-        with suppress(OSError, pa.ArrowException):  # said where the table is opened
-            rows = pq.read_metadata(path).num_rows
-    return math.ceil(rows / batch_rows)
-
-
-def correct_in_slices(
-    observations: Observations,
-    setup: CorrectionSetup,
-    parts: PartsOfRun,
-    *,
-    workers: Sequence[Worker],
-    progress: Callable[[int], None],
-    **named: Any,
-) -> Statistics:
-    """`correct_stream` by several workers; counts are merged in order, the same to the last bit."""
-    make = partial(correct_stream, observations, setup, **named)
-    if not workers:
-        return make(parts=parts, progress=progress)
-    rows = observations.rows_of_part(named["batch_rows"])
-    count = math.ceil(observations.rows / rows)
-    missing = [number for number in range(count) if parts.finished(number) is None]
-    with storage_errors(parts.folder.path):
-        slices = Slices.of(parts.folder.staging, missing, len(workers))
-        parts_of_workers = replace(parts, check=partial(check_wanted, slices, parts.check))
-        make_all = partial(make, parts=parts_of_workers)
-        make_parts(make_all, slices, workers, lambda made: progress(made * rows))
-    # What a worker left unmade is made here.
-    return make(parts=replace(parts, verify=False))
-
-
-def check_wanted(slices: Slices, check: Callable[[], None]) -> None:
-    """Raise OSError where the run that slices belong to has ended, then check."""
-    (slices.folder / "setup").open("rb").close()
-    check()
+def threads_for(rows: int) -> int:
+    """How many parts of that many rows are corrected at once: one a CPU, as memory allows."""
+    try:
+        memory_bytes = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    except (AttributeError, ValueError, OSError):  # Windows says it in another way
+        memory_bytes = 8 << 30
+    fitting = int(SHARE_OF_MEMORY * memory_bytes / (rows * BYTES_OF_A_ROW))
+    return max(1, min(usable_cpus(), fitting))
 
 
 def correct_counted(
@@ -250,14 +131,17 @@ def correct_counted(
 
 
 def on_threads(
-    correct_part: Callable[[int, Batch], Statistics], batches: Iterator[Batch], first: int = 0
-) -> Generator[Statistics, None, None]:
-    """Results for batches, in their order, computed on threads: one a CPU, four at most."""
-    workers = min(_MOST_WORKERS, usable_cpus())
-    pending: deque[Future[Statistics]] = deque()
-    pool = ThreadPoolExecutor(workers, thread_name_prefix="batch")
+    correct_part: Callable[[int, Batch], Done],
+    batches: Iterator[Batch],
+    first: int = 0,
+    *,
+    threads: int,
+) -> Generator[Done, None, None]:
+    """Results for batches, in their order, computed on threads; ``first`` numbers the first one."""
+    pending: deque[Future[Done]] = deque()
+    pool = ThreadPoolExecutor(threads, thread_name_prefix="batch")
 
-    def oldest() -> Statistics:
+    def oldest() -> Done:
         with held_back():
             return pending.popleft().result()
 
@@ -265,7 +149,7 @@ def on_threads(
         for number, batch in enumerate(batches, first):  # a signal ends the reading at once
             with held_back():
                 pending.append(pool.submit(correct_part, number, batch))
-            if len(pending) > workers:
+            if len(pending) > threads:
                 yield oldest()
         while pending:
             yield oldest()
@@ -283,34 +167,47 @@ def correct_batch(
 
     ``station`` (n,) as `matching_rows` returns it, ``ground`` the heights of the batch.
     """
-    method = correct_observations if setup.direction == "remove" else apply_refraction
     parts: list[tuple[Integers, Corrections]] = []
-    distance = ground.distance_m if batch.distance_m is None else batch.distance_m
-    for group, camera, profile in setup.groups(station):
-        whole = group.size == len(batch)
-        rows = slice(None) if whole else group
-        uncertainty = setup.uncertainties[profile]
-        corrections = method(
-            batch.x_px[rows],
-            batch.y_px[rows],
-            ground.h_m[rows],
-            station[rows],
-            setup.exposures,
-            camera=camera,
-            table=setup.rays[profile],
-            distance_m=None if distance is None else distance[rows],
-            uncertainty=uncertainty,
-            sigma_h_g=None if uncertainty is None else ground.sigma_m[rows],
-        )
-        if whole:
-            return corrections
-        parts.append((group, corrections))
+    for rows, camera, profile in setup.groups(station):
+        correct = partial(correct_rows, batch, camera=camera, profile=profile)
+        if rows.size == len(batch):
+            return correct(slice(None), station, ground, setup)
+        corrections = correct(rows, station, ground, setup)
+        parts.append((rows, corrections))
     columns: dict[str, Any] = {name: np.full(len(batch), np.nan) for name in COLUMNS}
     columns["status"] = np.full(len(batch), NO_STATION, np.uint8)
     sigmas = Sigmas.unknown(len(batch)) if setup.computes_sigmas else None
-    for group, part in parts:
+    for rows, part in parts:
         for name, column in columns.items():
-            column[group] = getattr(part, name)
+            column[rows] = getattr(part, name)
         if sigmas is not None and part.sigmas is not None:
-            sigmas.put(group, part.sigmas)
+            sigmas.put(rows, part.sigmas)
     return Corrections(**columns, sigmas=sigmas)
+
+
+def correct_rows(
+    batch: Batch,
+    rows: Integers | slice,
+    station: Integers,
+    ground: GroundHeights,
+    setup: CorrectionSetup,
+    *,
+    camera: Camera,
+    profile: int,
+) -> Corrections:
+    """The corrections of some rows of a batch, which one camera saw in one profile."""
+    method = correct_observations if setup.direction == "remove" else apply_refraction
+    uncertainty = setup.uncertainties[profile]
+    distance_m = ground.distance_m if batch.distance_m is None else batch.distance_m
+    return method(
+        batch.x_px[rows],
+        batch.y_px[rows],
+        ground.h_m[rows],
+        station[rows],
+        setup.exposures,
+        camera=camera,
+        table=setup.rays[profile],
+        distance_m=None if distance_m is None else distance_m[rows],
+        uncertainty=uncertainty,
+        sigma_h_g=None if uncertainty is None else ground.sigma_m[rows],
+    )

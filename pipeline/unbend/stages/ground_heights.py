@@ -1,60 +1,21 @@
 """Heights of the observed points, batch by batch, from any source of a mission file."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from unbend.errors import MissionError
 from unbend.flight.heights import HIGHEST_GROUND_M, LOWEST_GROUND_M, HeightSystem
 from unbend.flight.stations import Stations
 from unbend.messages import Ledger
-from unbend.refraction.image import Corrections
-from unbend.refraction.status_codes import NO_GROUND, OK
+from unbend.refraction.status_codes import OK
 from unbend.refraction.target_heights import target_heights, terrain_heights
-from unbend.tables.geodata.elevation import ElevationModel, open_elevation
+from unbend.stages import messages
+from unbend.stages.correction_setup import CorrectionSetup, GroundHeights
+from unbend.stages.opened_inputs import OpenedInputs
+from unbend.tables.geodata.elevation import ElevationModel
 from unbend.tables.observations import Batch
 from unbend.units import Array, Integers
-
-if TYPE_CHECKING:
-    from unbend.batch.plan import Plan
-    from unbend.stages.correction import CorrectionSetup
-
-
-class GroundHeights(NamedTuple):
-    """Heights of the points of a batch above sea level [m], their sigmas, all (n,); NaN unknown.
-
-    ``status`` (codes) and ``distance_m`` (slant ranges) where a source has them; ``implausible``
-    counts heights that are of no ground on earth.
-    """
-
-    h_m: Array
-    sigma_m: Array
-    status: NDArray[np.uint8] | None = None
-    implausible: int = 0
-    distance_m: Array | None = None
-
-    def flagged(self, corrections: Corrections) -> Corrections:
-        """The corrections with this status where theirs is ok or no_ground."""
-        if self.status is None:
-            return corrections
-        of_ground = np.isin(corrections.status, (OK, NO_GROUND)) & (self.status != OK)
-        status = np.where(of_ground, self.status, corrections.status)
-        return replace(corrections, status=status.astype(np.uint8))
-
-
-class Ground(Protocol):
-    """A source of heights: one class each; `correction_setup` chooses."""
-
-    @property
-    def limits(self) -> tuple[float, float]:
-        """The lowest and the highest height above sea level that a point can have [m]."""
-
-    def heights(self, batch: Batch, station: Integers, setup: CorrectionSetup) -> GroundHeights:
-        """The heights of a batch; ``station`` (n,) as `matching_rows` returns it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,10 +67,15 @@ class SlantRangeGround:
         if batch.distance_m is not None:
             for rows, camera, profile in setup.groups(station):
                 h_g[rows] = target_heights(
-                    batch.x_px[rows], batch.y_px[rows], batch.distance_m[rows], station[rows],
-                    setup.exposures, camera=camera, table=setup.rays[profile],
+                    batch.x_px[rows],
+                    batch.y_px[rows],
+                    batch.distance_m[rows],
+                    station[rows],
+                    setup.exposures,
+                    camera=camera,
+                    table=setup.rays[profile],
                     ideal=setup.direction == "apply",
-                )  # fmt: skip
+                )
         return GroundHeights(plausible_heights(h_g), sigmas_given(batch, self.sigma_m))
 
 
@@ -139,7 +105,18 @@ def plausible_heights(height_m: Array) -> Array:
     return np.where(plausible, height_m, np.nan)
 
 
-_LARGEST_FACTOR = 20.0  # of an error of the model's height, where a ray grazes a slope
+LARGEST_SLOPE_FACTOR = 20.0  # of an error of the model's height, where a ray grazes a slope
+
+
+class Landings(NamedTuple):
+    """Where rays meet an elevation model, (n,): height [m], its error over the model's, slant range
+    [m] and status.
+    """
+
+    h_m: Array
+    error_factor: Array
+    distance_m: Array
+    status: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,34 +134,42 @@ class TerrainGround:
 
     def heights(self, batch: Batch, station: Integers, setup: CorrectionSetup) -> GroundHeights:
         """(n,) heights above sea level [m], with the reason where there is none."""
-        h_m, factor, distance, status = self.landings(batch.x_px, batch.y_px, station, setup)
-        sigma = sigmas_given(batch, self.sigma_m) * np.minimum(factor, _LARGEST_FACTOR)
-        return GroundHeights(h_m, sigma, status.astype(np.uint8), distance_m=distance)
+        landings = self.landings(batch.x_px, batch.y_px, station, setup)
+        sigma = sigmas_given(batch, self.sigma_m) * np.minimum(
+            landings.error_factor, LARGEST_SLOPE_FACTOR
+        )
+        return GroundHeights(
+            landings.h_m, sigma, landings.status.astype(np.uint8), distance_m=landings.distance_m
+        )
 
     def landings(
         self, x_px: Array, y_px: Array, station: Integers, setup: CorrectionSetup
-    ) -> Array:
-        """(4, n) height [m], its error over the model's, slant range [m] and status of pixels."""
+    ) -> Landings:
+        """Where the rays of pixels meet the model."""
         found = np.full((4, station.size), np.nan)
         found[3] = OK
         for rows, camera, profile in setup.groups(station):
             found[:, rows] = terrain_heights(
-                x_px[rows], y_px[rows], station[rows], setup.exposures, self.places, camera=camera,
-                table=setup.rays[profile], terrain=self.model, ideal=setup.direction == "apply",
-            )  # fmt: skip
-        return found
+                x_px[rows],
+                y_px[rows],
+                station[rows],
+                setup.exposures,
+                self.places,
+                camera=camera,
+                table=setup.rays[profile],
+                terrain=self.model,
+                ideal=setup.direction == "apply",
+            )
+        return Landings(*found)
 
 
 def elevation_of_mission(
-    plan: Plan, heights: HeightSystem, ledger: Ledger
+    inputs: OpenedInputs, heights: HeightSystem, ledger: Ledger
 ) -> ElevationModel | None:
-    section, reference = plan.mission.ground.model, plan.mission.ground.reference
-    if section is None:
+    """The elevation model above sea level, None where the mission file names none."""
+    if inputs.elevation is None:
         return None
-    paths = [plan.input(f"elevation model {i + 1}").path for i in range(len(section.paths))]
-    undulation = heights.undulation
-    opened = open_elevation(paths, section.crs, reference=reference, undulation=undulation)
-    return ledger.take(opened)
+    return ledger.take(inputs.elevation(undulation=heights.undulation))
 
 
 def with_terrain(
@@ -200,16 +185,25 @@ def with_terrain(
     """
     if model is None:
         return setup
-    lat, lon = stations.lat_rad, stations.lon_rad
-    outside = ~model.covers(lat[stations.ok], lon[stations.ok])
-    count, placed = int(outside.sum()), int(stations.ok.sum())
-    if count and count == placed:
-        first = np.flatnonzero(stations.ok)[0]
-        row, column = (float(a[0]) for a in model.nodes(lat[[first]], lon[[first]]))
-        raise MissionError.of(
-            "DEM-OUTSIDE", model.name, count=count, rows=model.size[0], columns=model.size[1],
-            north=np.degrees(lat[first]), east=np.degrees(lon[first]), row=row, column=column,
-        )  # fmt: skip
+    latitude = stations.lat_rad
+    longitude = stations.lon_rad
+    ok = stations.ok
+    outside = ~model.covers(latitude[ok], longitude[ok])
+    count = int(outside.sum())
+    total = int(ok.sum())
+    if count and count == total:
+        first = np.flatnonzero(ok)[:1]
+        row, column = model.nodes(latitude[first], longitude[first])
+        raise messages.no_station_on_model(
+            where=model.name,
+            count=count,
+            rows=model.size[0],
+            columns=model.size[1],
+            north=float(np.degrees(latitude[first[0]])),
+            east=float(np.degrees(longitude[first[0]])),
+            row=float(row[0]),
+            column=float(column[0]),
+        )
     if count:
-        ledger.loss("DEM-OUTSIDE/some", where=model.name, count=count, total=placed)
-    return replace(setup, ground=TerrainGround(model, (lat, lon), sigma_m))
+        ledger.add(messages.stations_off_model(where=model.name, count=count, total=total))
+    return replace(setup, ground=TerrainGround(model, (latitude, longitude), sigma_m))

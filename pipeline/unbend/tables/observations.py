@@ -319,13 +319,74 @@ def open_observations(
     ending = path.suffix.lower().removeprefix(".")
     kind = file_format or {"txt": "csv", "pq": "parquet"}.get(ending, ending)
     schema, records = _opened(path, kind)
+    return _checked(
+        path,
+        kind,
+        schema,
+        records,
+        columns,
+        ground_column,
+        ledger,
+        ground_is_msl=ground_is_msl,
+        sigma_column=sigma_column,
+        direction=direction,
+        pixels=pixels,
+        most_rows=most_rows,
+    )
+
+
+def observations_of_table(
+    table: pa.Table,
+    name: str,
+    columns: Mapping[str, str | None],
+    ground_column: str | None,
+    ledger: Ledger,
+    *,
+    ground_is_msl: bool = True,
+    sigma_column: str | None = None,
+    direction: Direction = "remove",
+    pixels: PixelSystem = COLMAP,
+) -> Observations:
+    """As `open_observations` of a table in memory, which messages call ``name``."""
+    return _checked(
+        Path(name),
+        "memory",
+        table.schema,
+        partial(_table_records, table),
+        columns,
+        ground_column,
+        ledger,
+        ground_is_msl=ground_is_msl,
+        sigma_column=sigma_column,
+        direction=direction,
+        pixels=pixels,
+        most_rows=None,
+    )
+
+
+def _checked(
+    path: Path,
+    kind: str,
+    schema: pa.Schema,
+    records: Records,
+    columns: Mapping[str, str | None],
+    ground_column: str | None,
+    ledger: Ledger,
+    *,
+    ground_is_msl: bool,
+    sigma_column: str | None,
+    direction: Direction,
+    pixels: PixelSystem,
+    most_rows: int | None,
+) -> Observations:
+    """The observations of a table that was opened; ``kind`` is its format, or memory."""
     named = {role: name for role, name in columns.items() if name is not None}
     wanted = [(role, name, f"observations.columns.{role}") for role, name in named.items()]
     if ground_column:
         wanted.append(("ground height", ground_column, "ground.height.column"))
     if sigma_column:
         wanted.append(("sigma of the ground", sigma_column, "ground.sigma_column"))
-    refuse_done(path, schema, direction)
+    refuse_done(path, schema, direction, is_file=kind != "memory")
     refuse_other_pixels(path, schema, direction, named)
     require_columns(path, schema, wanted)
     sample, has_points = None if most_rows is None else RowSample(most_rows), kind not in BLOCKS
@@ -439,6 +500,13 @@ def _parquet_records(
         left = list(range(group, len(groups)))
         batches = file.iter_batches(batch_size=rows, columns=only, row_groups=left)
         yield from _from_row(first - int(begins[group]), batches)
+
+
+def _table_records(
+    table: pa.Table, rows: int, only: list[str] | None, first: int
+) -> Iterator[pa.RecordBatch]:
+    chosen = table if only is None else table.select(only)
+    yield from chosen.slice(first).to_batches(max_chunksize=rows)
 
 
 def _from_row(first: int, batches: Iterable[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:

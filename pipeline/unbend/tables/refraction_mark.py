@@ -71,12 +71,14 @@ def refuse_marked(path: Path, direction: Direction = "remove") -> None:
             raise InputError.of("OBS-MARK-CHANGED", file, name=by_name[file.name].name)
 
 
-def refuse_done(path: Path, schema: pa.Schema, direction: Direction) -> None:
+def refuse_done(
+    path: Path, schema: pa.Schema, direction: Direction, *, is_file: bool = True
+) -> None:
     """Refuse to do to a table what was done to it already.
 
     ``schema`` is the table's, ``direction`` what is to be done. The mark in the metadata is
     enough, and so is a column of our results without it: a CSV has no metadata. A sidecar may name
-    it as any other file.
+    it as any other file; a table in memory (``is_file`` False) has none.
     """
     removing = direction == "remove"
     mark = REFRACTION_REMOVED if removing else REFRACTION_APPLIED
@@ -88,7 +90,9 @@ def refuse_done(path: Path, schema: pa.Schema, direction: Direction) -> None:
     elif ours:
         why = f"the table has a column {ours[0]}: {words}"
     else:
-        return refuse_marked(path, direction)
+        if is_file:
+            refuse_marked(path, direction)
+        return
     if removing:
         raise InputError.of("OBS-ALREADY-CORRECTED", path, why=why)
     raise InputError.of("OBS-ALREADY-DISPLACED", path, why=why)

@@ -14,13 +14,14 @@ from numpy.typing import NDArray
 from unbend.errors import InputError
 from unbend.flight.channels import TimeArray
 from unbend.flight.clock import SECONDS_PER_WEEK, utc_of_gps
-from unbend.refraction.kernels.jit import entry
 from unbend.tables.refraction_mark import Direction
 from unbend.units import RADIANS, UNIX_NS_OF_GPS_EPOCH, AngleUnit, Array, Mask
 
 Hashes = NDArray[np.uint64]
 
-_FEW_NAMES = 50_000  # take less time letter by letter than compiled code takes to load
+_FNV_BASIS = np.uint64(0xCBF29CE484222325)  # of FNV-1a with 64 bits
+_FNV_PRIME = np.uint64(0x100000001B3)
+_MIXING_FACTOR = np.uint64(0xD6E8FEB86659FD93)  # FNV-1a hardly changes the highest bits
 _WEEK_NS = SECONDS_PER_WEEK * 10**9
 
 
@@ -42,9 +43,7 @@ def text_table(
             encoding="utf-8-sig", sep=max(",;\t", key=head.count),
         ).fillna("")  # fmt: skip
         names = rows.iloc[0].tolist()
-        twice = sorted({name for name in names if names.count(name) > 1})
-        if twice:
-            raise ValueError(f"the columns {', '.join(twice)} stand there twice")
+        _refuse_twice(names)
     except (OSError, ValueError) as error:
         raise InputError(
             codes[0], f"is no readable CSV: {str(error).strip()}", where=str(path),
@@ -52,6 +51,29 @@ def text_table(
         ) from None  # fmt: skip
     require_names(codes[1], path, names, ((q, n, f"{key}.{q}") for q, n in wanted.items()))
     return rows.iloc[1:].set_axis(names, axis="columns").reset_index(drop=True)
+
+
+def text_of_frame(
+    frame: pd.DataFrame, wanted: Mapping[str, str], name: str, *, codes: tuple[str, str], key: str
+) -> pd.DataFrame:
+    """The fields of a table in memory as `text_table` reads them; numbers keep all their digits."""
+    names = [str(column) for column in frame.columns]
+    try:
+        _refuse_twice(names)
+    except ValueError as error:
+        remedy = "give each column a name of its own"
+        raise InputError(codes[0], str(error), where=name, remedy=remedy) from None
+    stated = ((quantity, column, f"{key}.{quantity}") for quantity, column in wanted.items())
+    require_names(codes[1], Path(name), names, stated)
+    text = frame.astype(object).where(frame.notna(), "").map(str)
+    return text.set_axis(names, axis="columns").reset_index(drop=True)
+
+
+def _refuse_twice(names: Sequence[str]) -> None:
+    """Raise ValueError where a name stands there twice."""
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise ValueError(f"the columns {', '.join(twice)} stand there twice")
 
 
 def split_lines(lines: Sequence[str], names: Sequence[str], separator: str) -> pd.DataFrame:
@@ -144,32 +166,22 @@ def utc_of_columns(table: pd.DataFrame, names: Mapping[str, str]) -> tuple[TimeA
     return utc_of_weeks(np.where(good, week, np.nan), seconds, "gpst"), good
 
 
-@entry(rows=2)
-def fnv_1a(data, begin, found):  # type: ignore[no-untyped-def]
-    """Fill ``found`` with FNV-1a of each of many names, its bits mixed: 10 ns a name."""
-    for row in range(found.size):
-        bits = np.uint64(0xCBF29CE484222325)
-        for k in range(begin[row], begin[row + 1]):
-            bits = (bits ^ np.uint64(data[k])) * np.uint64(0x100000001B3)
-        bits = (bits ^ (bits >> np.uint64(32))) * np.uint64(0xD6E8FEB86659FD93)
-        found[row] = bits ^ (bits >> np.uint64(32))
-
-
 def hashes_of(names: pa.StringArray) -> Hashes:
-    """(n,) 64 bits of each name, the same for the same name anywhere; null as an empty name."""
+    """(n,) 64 bits of each name, the same for the same name anywhere; null as an empty name.
+
+    FNV-1a, letter by letter over all names (100 ns a name), and its bits mixed.
+    """
     _, offsets, data = names.buffers()
     begin = np.frombuffer(offsets, np.int32, len(names) + 1, 4 * names.offset)
     text = np.frombuffer(data or b"\0", np.uint8)
-    if len(names) > _FEW_NAMES:
-        found = np.empty(len(names), np.uint64)
-        fnv_1a(text, begin, found)
-        return found
-    length, found = np.diff(begin), np.full(len(names), 0xCBF29CE484222325, np.uint64)
-    for k in range(length.max(initial=0)):  # letter by letter over all names
+    length = np.diff(begin)
+    bits = np.full(len(names), _FNV_BASIS, np.uint64)
+    for k in range(length.max(initial=0)):
         rows = np.flatnonzero(length > k)
-        found[rows] = (found[rows] ^ text[begin[rows] + k]) * np.uint64(0x100000001B3)
-    found = (found ^ (found >> np.uint64(32))) * np.uint64(0xD6E8FEB86659FD93)
-    return np.asarray(found ^ (found >> np.uint64(32)))
+        letter = text[begin[rows] + k]
+        bits[rows] = (bits[rows] ^ letter) * _FNV_PRIME
+    bits = (bits ^ (bits >> np.uint64(32))) * _MIXING_FACTOR
+    return np.asarray(bits ^ (bits >> np.uint64(32)))
 
 
 def rows_among(hashes: Hashes, wanted: Hashes) -> NDArray[np.int64]:

@@ -73,7 +73,8 @@ def table_of_observations(
     batch: Batch, corrections: Corrections, h_g: Any, pixels: PixelSystem, schema: pa.Schema
 ) -> pa.Table:
     """The output rows of a batch, in the pixel system of the table that it was read from."""
-    x, y = pixels.from_colmap(corrections.x_px), pixels.from_colmap(corrections.y_px)
+    x = pixels.from_colmap(corrections.x_corrected_px)
+    y = pixels.from_colmap(corrections.y_corrected_px)
     names, sigmas = pa.array(STATUS_NAMES), corrections.sigmas
     spread = {} if sigmas is None else sigmas.named()
     columns = {

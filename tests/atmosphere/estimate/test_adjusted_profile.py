@@ -6,12 +6,14 @@ import math
 
 import numpy as np
 import pytest
+from scipy.integrate import trapezoid
 
 from unbend.atmosphere import standard_atmosphere
 from unbend.atmosphere.air_samples import AirSamples, SensorSamples, bin_by_height
 from unbend.atmosphere.estimate.adjusted_profile import build_adjusted_profile, unadjusted
 from unbend.atmosphere.estimate.sensors import SensorCalibration, SensorSettings
 from unbend.atmosphere.estimate.state import SensorFault
+from unbend.atmosphere.rejection import Reason, reasons_where
 from unbend.messages import Kind, Ledger
 from unbend.simulate.true_air import (
     TrueAir,
@@ -41,7 +43,8 @@ def flight(climb: float, rate: float = 5.0) -> tuple[np.ndarray, np.ndarray]:
 
 def samples(time_ns, h, value, name="sensor", accepted=None) -> SensorSamples:
     used = np.ones(h.size, bool) if accepted is None else accepted
-    return SensorSamples(time_ns, h, np.asarray(value, float), used, name)
+    rejected = reasons_where(~used, Reason.GROUND_SOAK)
+    return SensorSamples(time_ns, h, np.asarray(value, float), rejected, name)
 
 
 def measured(air: TrueAir, climb: float, *, t=True, p=True, rh=True, **change) -> AirSamples:
@@ -217,7 +220,7 @@ def test_humidity_changes_the_weight_of_the_air_too(air):
     # The same thermometer: virtual temperature differs by the factor 1 - 0.378 e/p.
     way = np.linspace(500.0, 3400.0, 200)
     light = 0.378 * vapour_pressure_pa(way) / air.pressure_pa(way) / temperature_k(way)
-    truth = 0.0341632 * np.trapezoid(light, way)
+    truth = 0.0341632 * trapezoid(light, way)
     # The hygrometer's own bias, 3 %, leaves some of the climatology's humidity in arid air.
     assert thickness[0] - thickness[1] == pytest.approx(truth, rel=0.15)
 

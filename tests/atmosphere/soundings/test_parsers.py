@@ -17,9 +17,7 @@ from unbend.tables import soundings as from_disk
 from unbend.tables.soundings import read_sounding
 
 SHARED = Path(__file__).resolve().parents[3].parent / "shared" / "soundings"
-real = pytest.mark.skipif(
-    not SHARED.is_dir(), reason="the real soundings of ../shared are not beside the repository"
-)
+real = pytest.mark.shared("soundings")
 
 
 def ns(text: str) -> int:

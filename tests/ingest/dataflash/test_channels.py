@@ -12,12 +12,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from tests.logs import LOGS, at_hand
 from unbend.errors import LogError
 from unbend.flight.clock import full_weeks, utc_of_gps
 from unbend.ingest import Log, open_log
 from unbend.ingest.buffers import view_of_bytes
-from unbend.ingest.dataflash.log import read_tables
-from unbend.ingest.dataflash.records import find_records
+from unbend.ingest.dataflash.binary_log import read_tables
+from unbend.ingest.dataflash.dataflash_records import find_records
 
 ROOT = Path(__file__).resolve().parents[3]
 SAMPLE = ROOT / "sample_logs" / "flight.bin"
@@ -168,11 +169,10 @@ def test_the_gaps_of_a_real_log_fit_into_its_span(real_log: Callable[[str], Path
     assert log.duration_s == pytest.approx(700.8, abs=0.1)
 
 
-def test_one_flipped_type_byte_in_the_middle_costs_one_message(
-    tmp_path: Path, real_log: Callable[[str], Path]
-) -> None:
-    """pymavlink's index loses more than half of the GPS rows of this log."""
-    data = bytearray(real_log("beastayyg_sample.bin").read_bytes())
+@pytest.mark.parametrize("name", at_hand("gps0_lost.bin", "beastayyg_sample.bin"))
+def test_one_flipped_type_byte_in_the_middle_costs_one_message(tmp_path: Path, name: str) -> None:
+    """pymavlink's index loses more than half of the GPS rows of the real log."""
+    data = bytearray(LOGS[name].read_bytes())
     whole = records(bytes(data))
     places = whole.offsets
     middle = int(places[np.searchsorted(places, len(data) // 2)])
@@ -193,7 +193,7 @@ def tables(path: Path, data: bytes | bytearray) -> dict[str, Any]:
 
 def test_the_walk_does_not_depend_on_where_blocks_end(monkeypatch: pytest.MonkeyPatch) -> None:
     from unbend.ingest import buffers as window
-    from unbend.ingest.dataflash import records as dataflash_records
+    from unbend.ingest.dataflash import dataflash_records as dataflash_records
 
     data = bytearray(SAMPLE.read_bytes()[:60_000])
     for at in range(5_000, 55_000, 1_700):  # damage of several kinds, all over
@@ -255,7 +255,7 @@ def test_the_format_letters_are_those_of_the_library():
     """Letter by letter: size, kind and divisor as pymavlink unpacks and scales them."""
     from pymavlink.DFReader import FORMAT_TO_STRUCT
 
-    from unbend.ingest.dataflash.records import DIVISORS, FORMAT_LETTERS
+    from unbend.ingest.dataflash.record_definitions import DIVISORS, FORMAT_LETTERS
 
     assert set(FORMAT_LETTERS) == set(FORMAT_TO_STRUCT)
     for letter, (struct_code, scale, _) in FORMAT_TO_STRUCT.items():

@@ -12,7 +12,7 @@ import pytest
 
 from unbend.ingest import Log, open_log
 from unbend.ingest.buffers import FileView, view_of_bytes
-from unbend.ingest.dataflash.records import find_records
+from unbend.ingest.dataflash.dataflash_records import find_records
 
 BARO, HYGR, GPS, POS = 23, 24, 20, 25
 ROWS = 400
@@ -195,7 +195,7 @@ def test_all_records_of_a_type_in_doubt_cost_what_lies_between_them(
         return array(self, begin, end)
 
     monkeypatch.setattr(FileView, "array", counted)
-    monkeypatch.setattr("unbend.ingest.dataflash.records.REACH", 8)
+    monkeypatch.setattr("unbend.ingest.dataflash.dataflash_records.REACH", 8)
     found = records(bytes(data))
     assert found.bad_bytes >= 18 * ROWS
     assert sum(read) < 10 * len(data)

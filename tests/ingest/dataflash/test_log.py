@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from tests.logs import LOGS, at_hand
 from unbend.errors import LogError
 from unbend.flight.clock import utc_of_gps
 from unbend.flight.roles import assign_roles
 from unbend.ingest import Log, open_log
 from unbend.ingest.buffers import view_of_bytes
-from unbend.ingest.dataflash.records import find_records
+from unbend.ingest.dataflash.dataflash_records import find_records
 from unbend.messages import Ledger
 
 DEGREE = np.pi / 180.0
@@ -40,8 +41,7 @@ def library_rows(path: Path, message: str) -> list:
     rows = []
     while (row := reader.recv_match(type=message)) is not None:
         rows.append(row)
-    reader.data_map.close()
-    reader.filehandle.close()
+    reader.close()
     return rows
 
 
@@ -49,12 +49,13 @@ def entries(log: Log, code: str) -> list:
     return [entry for entry in log.ledger if entry.code == code]
 
 
-@pytest.mark.parametrize("name", ["pymavlink_test.BIN", "beastayyg_sample.bin"])
-def test_columns_are_those_of_the_library_bit_for_bit(
-    name: str, real_log: Callable[[str], Path]
-) -> None:
-    path = real_log(name)
+@pytest.mark.parametrize(
+    "name", at_hand("glitch_cleared.bin", "pymavlink_test.BIN", "beastayyg_sample.bin")
+)
+def test_columns_are_those_of_the_library_bit_for_bit(name: str) -> None:
+    path = LOGS[name]
     log = open_log(path)
+    named = {channel.source.message: channel.name for channel in log.channels}
     expected = {
         ("POS", "lat_rad"): ("Lat", DEGREE, 0.0),
         ("POS", "lon_rad"): ("Lng", DEGREE, 0.0),
@@ -64,12 +65,12 @@ def test_columns_are_those_of_the_library_bit_for_bit(
         ("BARO", "pressure_pa"): ("Press", 1.0, 0.0),
         ("BARO", "board_temperature_k"): ("Temp", 1.0, 273.15),
     }
-    for (channel, column), (field, factor, offset) in expected.items():
-        rows = library_rows(path, channel)
+    for (message, column), (field, factor, offset) in expected.items():
+        rows, channel = library_rows(path, message), log.channel(named[message])
         theirs = np.array([getattr(row, field) for row in rows]) * factor + offset
-        np.testing.assert_array_equal(log.channel(channel)[column], theirs)
+        np.testing.assert_array_equal(channel[column], theirs)
         times = np.array([row.TimeUS for row in rows], np.int64)
-        np.testing.assert_array_equal(np.diff(log.channel(channel).time_ns), np.diff(times) * 1000)
+        np.testing.assert_array_equal(np.diff(channel.time_ns), np.diff(times) * 1000)
     attitude = library_rows(path, "ATT")
     angles = np.array([(row.Yaw, row.Pitch, row.Roll) for row in attitude])
     theirs = Rotation.from_euler("ZYX", angles, degrees=True)
@@ -78,13 +79,15 @@ def test_columns_are_those_of_the_library_bit_for_bit(
     assert (ours.inv() * theirs).magnitude().max() < 1e-12
 
 
-def test_utc_agrees_with_the_gps_rows(real_log: Callable[[str], Path]) -> None:
-    path = real_log("beastayyg_sample.bin")
+@pytest.mark.parametrize("name", at_hand("glitch_cleared.bin", "beastayyg_sample.bin"))
+def test_utc_agrees_with_the_gps_rows(name: str) -> None:
+    path = LOGS[name]
     rows = library_rows(path, "GPS")
     told = utc_of_gps(
         np.array([row.GWk for row in rows]), np.array([row.GMS for row in rows]) / 1e3
     )
-    late_s = (open_log(path).channel("GPS").time_ns - told) / 1e9
+    fixes = next(c for c in open_log(path).channels if c.source.message == "GPS")
+    late_s = (fixes.time_ns - told) / 1e9
     assert abs(np.median(late_s)) < 1e-6
     assert np.percentile(np.abs(late_s), 95) < 0.04  # LOGS.md: 20-39 ms from p5 to p95
 

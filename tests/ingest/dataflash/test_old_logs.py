@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.logs import LOGS, at_hand
 from unbend.ingest import Log, open_log
-from unbend.ingest.dataflash.log import read_tables
+from unbend.ingest.dataflash.binary_log import read_tables
 
 SAMPLE = Path(__file__).resolve().parents[3] / "sample_logs" / "flight.bin"
 
@@ -68,16 +69,16 @@ def last_fixes(path: Path) -> bytes:
     return bytes(data)
 
 
-@pytest.fixture(params=["sample", "sitl_survey.BIN", "sitl_belowsea_2cam.BIN"])
+@pytest.fixture(params=at_hand("flight.bin", "sitl_survey.BIN", "sitl_belowsea_2cam.BIN"))
 def both(
-    request: pytest.FixtureRequest, real_log: Callable, dataflash_writer: Callable, tmp_path: Path
+    request: pytest.FixtureRequest, dataflash_writer: Callable, tmp_path: Path
 ) -> tuple[Log, Log]:
     """A log of today, and the same as ArduPilot 3.2 writes it."""
     path = tmp_path / "today.bin"
-    if request.param == "sample":
+    if request.param == "flight.bin":
         path.write_bytes(last_fixes(SAMPLE))
     else:
-        path.symlink_to(real_log(request.param))
+        path.symlink_to(LOGS[request.param])
     old = tmp_path / "old.bin"
     old.write_bytes(as_32(path, dataflash_writer()))
     return open_log(path), open_log(old)

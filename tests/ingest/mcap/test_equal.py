@@ -14,12 +14,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.logs import with_suffix
 from unbend.ingest import Log, open_log
-from unbend.ingest.mcap.cdr import SchemaError, decode, decode_plan, steps_of
+from unbend.ingest.mcap.cdr import decode, decode_plan
+from unbend.ingest.mcap.ros2_definitions import SchemaError, steps_of
 
-REPOSITORY = Path(__file__).resolve().parents[3]
-FOLDERS = (REPOSITORY.parent / "shared" / "logs", REPOSITORY / "sample_logs")
-LOGS = sorted(path for folder in FOLDERS for path in folder.glob("*.mcap"))
 SECOND = 10**9
 START = 1_763_073_169 * SECOND
 
@@ -92,7 +91,7 @@ def compare(table: dict[str, np.ndarray], messages: list) -> int:
     return cells
 
 
-@pytest.mark.parametrize("path", LOGS, ids=lambda path: path.name)
+@pytest.mark.parametrize("path", with_suffix(".mcap"), ids=lambda path: path.name)
 def test_every_cell_is_the_librarys(
     path: Path, record_property: Callable[[str, object], None]
 ) -> None:
@@ -255,6 +254,8 @@ def test_without_the_protobuf_library_its_topics_are_a_stated_loss(
     monkeypatch.setitem(__import__("sys").modules, "mcap_protobuf.decoder", None)
     with pytest.raises(Exception, match="LOG-NO-MESSAGES"):
         open_log(path)
+    log = open_log(path, needs_channels=False)
+    assert [(entry.code, entry.where) for entry in log.ledger] == [("LOG-NO-PROTOBUF", "/fix")]
 
 
 def json_log(path: Path, rows: list[tuple[str, str, dict | bytes]]) -> Log:

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.logs import LOGS, at_hand
 from unbend.errors import LogError
 from unbend.ingest import Log, open_log
 from unbend.ingest.mcap.chunks import MAX_CHUNK, Chunk, inflate
@@ -272,7 +273,7 @@ def test_bytes_behind_an_lz4_frame_cost_nothing(behind: bytes) -> None:
 
     packed = lz4.frame.compress(bytes(1000)) + behind
     chunk = Chunk(0, 0, 1000, 0, "lz4", 0, len(packed), 0)
-    assert inflate(packed, chunk) == bytes(1000)
+    assert inflate(packed, chunk, where="a.mcap, byte 0", count=1000) == bytes(1000)
 
 
 def bomb(compression: str, promised: int, size: int) -> bytes:
@@ -371,6 +372,7 @@ def test_messages_that_a_recorder_missed_show_by_their_numbers(
     log = opened(tmp_path, file.getvalue())
     assert log.lost_messages == 10
     assert [(e.kind, e.count) for e in entries(log, "LOG-LINK-LOSS")] == [("loss", 10)]
+    assert bool(entries(log, "LOG-NO-STATISTICS")) is not statistics
 
 
 def test_log_time_0_takes_nothing_from_messages_with_a_stamp(tmp_path: Path) -> None:
@@ -561,13 +563,49 @@ def test_without_a_header_stamp_the_recorders_time_is_a_stated_fallback(tmp_path
     assert entries(log, "TIME-LOG-TIME")[0].kind == "fallback"
 
 
+def with_message(bag: bytes, topic: str, content: bytes) -> bytes:
+    """A copy of a bag with a message of any bytes at the end, which its writer would not write."""
+    from mcap.reader import make_reader
+    from mcap.writer import Writer
+
+    file = io.BytesIO()
+    writer = Writer(file)
+    writer.start()
+    channels: dict[str, int] = {}
+    for schema, channel, message in make_reader(io.BytesIO(bag)).iter_messages():
+        if channel.topic not in channels:
+            number = writer.register_schema(schema.name, schema.encoding, schema.data)
+            channels[channel.topic] = writer.register_channel(
+                channel.topic, channel.message_encoding, number
+            )
+        writer.add_message(
+            channels[channel.topic], message.log_time, message.data, message.publish_time
+        )
+    writer.add_message(channels[topic], START, content, START)
+    writer.finish()
+    return file.getvalue()
+
+
 def test_a_message_that_does_not_fit_its_schema_is_a_loss(tmp_path: Path) -> None:
-    bag = flight()
-    channel = bag.writer._channel_ids["/outside/air"]
-    bag.writer._writer.add_message(channel, START, b"\x00\x01\x00\x00abc", START, 0)
-    log = opened(tmp_path, bag.data)
+    damaged = with_message(flight().data, "/outside/air", b"\x00\x01\x00\x00abc")
+    log = opened(tmp_path, damaged)
     assert entries(log, "LOG-DECODE")[0].count == 1
     assert len(log.channel("/outside/air")) == 60
+
+
+def test_a_schema_that_cannot_be_parsed_costs_its_topic(tmp_path: Path) -> None:
+    bag = Bag()
+    schema = bag.writer.register_msgdef("sensor_msgs/msg/FluidPressure", "wstring name")
+    number = bag.writer._writer.register_channel("/odd", "cdr", schema.id)
+    bag.writer._writer.add_message(number, START, b"\x00\x01\x00\x00abc", START, 0)
+    bag.write("/air", "Temperature", START, temperature=20.0, variance=0.0)
+    log = opened(tmp_path, bag.data)
+    (entry,) = entries(log, "LOG-SCHEMA")
+    assert (entry.kind, entry.where) == ("loss", "/odd")
+    assert "name is a wstring" in entry.what
+    with pytest.raises(LogError, match="the schema of sensor_msgs/FluidPressure") as caught:
+        log.message("/odd")
+    assert caught.value.code == "LOG-NO-TABLE"
 
 
 def test_ros_1_is_counted_and_not_read(tmp_path: Path) -> None:
@@ -619,9 +657,6 @@ def test_any_damage_opens_or_refuses(tmp_path: Path) -> None:
         }
 
 
-SAMPLE = Path(__file__).resolve().parents[3] / "sample_logs" / "flight.mcap"
-
-
 def headless(data: bytes, what: str) -> bytes:
     """A file whose beginning is lost, or overwritten with zeros."""
     count = {"first": 1, "mark": 8, "header": 60, "quarter": len(data) // 4}[what.split()[0]]
@@ -630,12 +665,10 @@ def headless(data: bytes, what: str) -> bytes:
 
 @pytest.mark.parametrize("end", ["lost", "zero"])
 @pytest.mark.parametrize("what", ["first", "mark", "header", "quarter"])
-@pytest.mark.parametrize("name", ["sample", "cubs2_cub_stabilize.mcap"])
-def test_a_file_whose_head_is_lost(
-    tmp_path: Path, real_log: Callable, name: str, what: str, end: str
-) -> None:
+@pytest.mark.parametrize("name", at_hand("flight.mcap", "cubs2_cub_stabilize.mcap"))
+def test_a_file_whose_head_is_lost(tmp_path: Path, name: str, what: str, end: str) -> None:
     """Chunks behind the damage are whole: what they hold is the same, and the loss is told."""
-    whole = SAMPLE if name == "sample" else real_log(name)
+    whole = LOGS[name]
     path = tmp_path / "headless.mcap"
     path.write_bytes(headless(whole.read_bytes(), f"{what} {end}"))
     log, expected = open_log(path), open_log(whole)

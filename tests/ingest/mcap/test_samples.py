@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from unbend.ingest.mcap.samples import in_sequence
+from unbend.ingest.mcap.stamps import in_sequence
 
 
 @pytest.mark.parametrize(

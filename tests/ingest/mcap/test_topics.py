@@ -13,7 +13,8 @@ import pytest
 
 from unbend.errors import LogError
 from unbend.ingest import Log, open_log
-from unbend.ingest.mcap.cdr import SchemaError, decode_plan, steps_of
+from unbend.ingest.mcap.cdr import decode_plan
+from unbend.ingest.mcap.ros2_definitions import SchemaError, steps_of
 
 SECOND = 10**9
 START = 1_763_073_169 * SECOND
@@ -133,7 +134,7 @@ def test_a_value_that_is_no_number_costs_itself(tmp_path: Path, odd: str) -> Non
 def test_texts_in_one_block_take_no_numbers_from_others(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("unbend.ingest.mcap.records.SPAN", 20_000)
+    monkeypatch.setattr("unbend.ingest.mcap.mcap_records.SPAN", 20_000)
     values = [str(k) for k in range(600)]
     values[20] = '"n/a"'
     log = readings(tmp_path / "log.mcap", values, "x" * 300)
@@ -170,7 +171,7 @@ def test_integers_are_exact_in_tables(tmp_path: Path, monkeypatch: pytest.Monkey
     table = log.message("/cabin")
     assert (table["value"].tolist(), table["value"].dtype) == (values, np.int64)
     assert table["timestamp"].tolist() == times(300)
-    monkeypatch.setattr("unbend.ingest.mcap.records.SPAN", 8000)  # parts of several kinds
+    monkeypatch.setattr("unbend.ingest.mcap.mcap_records.SPAN", 8000)  # parts of several kinds
     odd = [2**64 - 1, None, *values[2:200], True, *values[201:250], 0.5, *values[251:]]
     log = readings(tmp_path / "odd.mcap", [json.dumps(value) for value in odd])
     assert log.message("/cabin")["value"].tolist() == odd

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from tests.logs import LOGS, at_hand
 from unbend.ingest import Log, open_log
-from unbend.ingest.tlog.clock import NEAR_NS, ROUND_US, Sampler, unrolled
+from unbend.ingest.tlog.clock_samples import Sampler
+from unbend.ingest.tlog.sender_clocks import NEAR_NS, ROUND_US, unrolled
 
 SECOND = 10**9
 START_US = 1_700_000_000_000_000
@@ -309,7 +310,7 @@ REPOSITORY = Path(__file__).resolve().parents[3]
 
 def frames_of(data: bytes) -> list[bytes]:
     """The frames of a log without damage, each with the stamp before it."""
-    from unbend.ingest.tlog.scan import frame_length
+    from unbend.ingest.tlog.frames import frame_length
 
     frames, at = [], 0
     while at < len(data) and (length := frame_length(data[at : at + 400], 0)):
@@ -318,12 +319,10 @@ def frames_of(data: bytes) -> list[bytes]:
     return frames
 
 
-@pytest.mark.parametrize("name", ["sample", "sitl_belowsea_2cam.tlog"])
-def test_packets_that_others_overtake_are_no_boot_and_no_loss(
-    tmp_path: Path, real_log: Callable, name: str
-) -> None:
+@pytest.mark.parametrize("name", at_hand("flight.tlog", "sitl_belowsea_2cam.tlog"))
+def test_packets_that_others_overtake_are_no_boot_and_no_loss(tmp_path: Path, name: str) -> None:
     """Half a second of packets arrives 1.4 s late, behind those that were sent after it."""
-    whole = REPOSITORY / "sample_logs" / "flight.tlog" if name == "sample" else real_log(name)
+    whole = LOGS[name]
     frames = frames_of(whole.read_bytes())
     stamps = np.array([struct.unpack(">Q", frame[:8])[0] for frame in frames])
     for fraction in (0.3, 0.6):

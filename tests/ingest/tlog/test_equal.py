@@ -9,11 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.logs import REAL, with_suffix
 from unbend.ingest import open_log
 
-REPOSITORY = Path(__file__).resolve().parents[3]
-FOLDERS = (REPOSITORY.parent / "shared" / "logs", REPOSITORY / "sample_logs")
-LOGS = sorted(path for folder in FOLDERS for path in folder.glob("*.tlog"))
+LOGS = with_suffix(".tlog")
 
 
 def library_messages(path: Path) -> dict[str, list]:
@@ -31,9 +30,7 @@ def library_messages(path: Path) -> dict[str, list]:
 
 def test_logs_are_at_hand() -> None:
     assert any(path.parent.name == "sample_logs" for path in LOGS)
-    if not FOLDERS[0].is_dir():
-        pytest.skip(f"{FOLDERS[0]} is not there: real logs live beside the repository")
-    assert len(LOGS) >= 5
+    assert len(LOGS) >= (8 if REAL.is_dir() else 4)
 
 
 @pytest.mark.parametrize("path", LOGS, ids=lambda path: path.name)
@@ -66,6 +63,6 @@ def test_every_cell_is_the_librarys(
                 assert same or np.array_equal(ours, theirs, equal_nan=True), f"{name}.{field}"
             cells += ours.size
             columns += 1
-    assert cells > 100_000
+    assert cells > (100_000 if path.stat().st_size > 1_000_000 else 10_000)
     record_property("cells compared", cells)
     print(f"{path.name}: {cells} cells of {columns} columns, all bit-equal")

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from tests.logs import LOGS, at_hand
 from unbend.errors import LogError
 from unbend.flight.mount import payload_attitude
 from unbend.ingest import Log, open_log
@@ -38,8 +39,12 @@ def entries(log: Log, code: str) -> list:
     return [entry for entry in log.ledger if entry.code == code]
 
 
-def test_columns_are_those_of_the_library_bit_for_bit(real_log: Callable[[str], Path]) -> None:
-    path = real_log("pymavlink_swift_flight.tlog")
+@pytest.mark.parametrize("name", at_hand("flight.tlog", "pymavlink_swift_flight.tlog"))
+def test_columns_are_those_of_the_library_bit_for_bit(
+    monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    monkeypatch.setenv("MAVLINK20", "1")  # so that the library knows the fields of MAVLink 2
+    path = LOGS[name]
     log = open_log(path)
     expected = {
         ("SCALED_PRESSURE", "pressure_pa"): ("press_abs", 1.0, 100.0, 0.0),
@@ -54,7 +59,8 @@ def test_columns_are_those_of_the_library_bit_for_bit(real_log: Callable[[str], 
         theirs = np.array([getattr(row, field) for row in rows[name]], np.float64)
         np.testing.assert_array_equal(log.channel(name)[column], theirs / divisor * factor + offset)
     # MAVLink 1: no ellipsoidal height was sent, none is made up
-    assert "h_ellipsoid_m" not in log.channel("GPS_RAW_INT").columns
+    sent = "h_ellipsoid_m" in log.channel("GPS_RAW_INT").columns
+    assert sent is (path.name == "flight.tlog")
 
 
 def test_five_boots(real_log: Callable[[str], Path]) -> None:

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from unbend.ingest.buffers import view_of_bytes
-from unbend.ingest.ulog.records import ULogMessages, flags_of
+from unbend.ingest.ulog.ulog_messages import ULogMessages, flags_of
 
 SIZES = {
     "int8_t": 1, "uint8_t": 1, "bool": 1, "char": 1, "int16_t": 2, "uint16_t": 2, "int32_t": 4,

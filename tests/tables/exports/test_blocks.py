@@ -509,7 +509,7 @@ def read_opensfm(tracks: Path, reconstruction: Path):
         yield name, rows, xy, opensfm_pixels(camera, shot, places) - xy, camera
 
 
-@pytest.mark.skipif(not BERLIN.is_dir(), reason="needs the shared fixtures")
+@pytest.mark.shared("ba")
 def test_a_real_reconstruction_of_opensfm_projects_as_assumed():
     """The formulas above, signs and axes: half a pixel of 3264, the noise of the tie points."""
     found = list(read_opensfm(

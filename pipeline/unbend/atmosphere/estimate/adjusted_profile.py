@@ -12,12 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from unbend.atmosphere.air_samples import AirSamples
+from unbend.atmosphere.air_samples import AirSamples, SensorUse, sensor_uses
 from unbend.atmosphere.climatology import Climatology, climatology, month_of
 from unbend.atmosphere.covariance import ProfileCovariance
 from unbend.atmosphere.estimate import (
     candidates,
     estimate_checks,
+    messages,
     sensor_checks,
     sensors,
     thermometer_checks,
@@ -28,10 +29,11 @@ from unbend.atmosphere.estimate.sensors import SensorSettings
 from unbend.atmosphere.estimate.solver import Estimate, FaultEstimate, estimate
 from unbend.atmosphere.layers import BAROMETRIC, MEASURED, RELAXED, STANDARD, stack_layers
 from unbend.atmosphere.profile import Profile
+from unbend.atmosphere.rejection import Reason, Reasons, with_reason
 from unbend.atmosphere.soundings import Sounding
 from unbend.atmosphere.surface_report import SurfaceReport
 from unbend.geodesy import normal_gravity
-from unbend.messages import Entry, Ledger, Notes, fallback, finding, loss, note, warning
+from unbend.messages import Ledger, Message, Notes
 from unbend.units import Array, Mask
 
 WIDEST_GAP_M = 400.0
@@ -48,7 +50,9 @@ class Adjustment:
 
     ``basis`` is thermometer | both | barometer | sounding | surface | climatology | standard, and
     ``reason`` why; ``time_ns`` is the middle of the samples that were used. ``covariance`` is None
-    for a standard as it is; ``rejected`` are the outliers among each sensor's samples. ``samples``,
+    for a standard as it is; ``rejected`` says of each sensor why samples are not used, also of one
+    that is not used at all, and ``sensor_uses`` counts them; both are empty where nothing was
+    estimated. ``samples``,
     ``settings`` and ``moisture`` are what the estimate was made from, None where there is none.
     """
 
@@ -60,7 +64,8 @@ class Adjustment:
     covariance: ProfileCovariance | None = None
     faults: tuple[FaultEstimate, ...] = ()
     sources: tuple[SourceUse, ...] = ()
-    rejected: Mapping[str, Mask] = field(default_factory=dict)
+    rejected: Mapping[str, Reasons] = field(default_factory=dict)
+    sensor_uses: tuple[SensorUse, ...] = ()
     samples: AirSamples | None = None
     settings: SensorSettings | None = None
     moisture: Climatology | None = None
@@ -126,7 +131,7 @@ def build_adjusted_profile(
     external = ExternalSources(tuple(soundings), tuple(surface))
     whys = {source.name: reason_uninformative(source, flight) for source in external.sources}
     unused = {name: why for name, why in whys.items() if why is not None}
-    ledger.extend(_left_out("AIR-SOURCE-FAR", unused))
+    ledger.extend(messages.source_far(name=name, reason=why) for name, why in unused.items())
     near = [sounding for sounding in soundings if sounding.name not in unused]
     reports = [report for report in surface if report.name not in unused]
     make = partial(_estimate_of, background=background, moisture=moisture, flight=flight)
@@ -135,7 +140,7 @@ def build_adjusted_profile(
     )
     own = try_all(candidates.candidates(usable, (), ()))[0].passed if near else None
     against = estimate_checks.reasons_against(near, own and own[1], background, flight)
-    ledger.extend(_left_out("AIR-SOURCE-REFUSED", against))
+    ledger.extend(_refused_sources(against))
     unused |= against
     near = [sounding for sounding in near if sounding.name not in unused]
     choices = candidates.candidates(usable, near, reports)
@@ -149,14 +154,18 @@ def build_adjusted_profile(
         kept = "standard atmosphere" if is_standard else "climatology"
         kept = f"the {kept} {background.profile.name}"
         reason = candidates.reason_unadjusted(usable, trials.faults, kept)
-        ledger.fallback("AIR-STANDARD", reason)
+        ledger.add(messages.air_standard(reason=reason))
         ledger.extend(sensor_checks.unused_calibration(set(settings.calibration)))
         air = covariance_of_background(background)
         basis, uses = UNADJUSTED if is_standard else UNMEASURED, usage(flown, (), unused=unused)
-        return Adjustment(air.profile, standard, basis, reason, None, air, sources=uses)
+        rejected = _rejected_samples(samples, usable, {})
+        return Adjustment(
+            air.profile, standard, basis, reason, None, air, sources=uses,
+            rejected=rejected, sensor_uses=sensor_uses(samples, rejected),
+        )  # fmt: skip
     candidate, made = trials.passed
     misfits = dict.fromkeys(candidate.external.left_out, _NO_AIR_FITS)
-    ledger.extend(_left_out("AIR-SOURCE-REFUSED", misfits))
+    ledger.extend(_refused_sources(misfits))
     unused |= misfits
     profile = replace(made.profile, layers=replace(made.profile.layers, source=_sources(made)))
     ledger.add(sensor_checks.pressure_level(profile, background, candidate.samples.pressure))
@@ -168,12 +177,29 @@ def build_adjusted_profile(
         if isinstance(readings, sensors.Barometer):  # pressure changes since here, in parts too
             settings = replace(settings, highest=readings.highest)
     uses = usage(replace(flown, used=candidate.samples), made.fits, unused=unused)
+    rejected = _rejected_samples(samples, usable, made.readings.rejected)
     return Adjustment(
         profile, standard, candidate.basis, candidate.reason,
         None if candidate.main is None else candidate.main.middle_ns,
-        replace(made.covariance, profile=profile), made.faults, uses, made.readings.rejected,
+        replace(made.covariance, profile=profile), made.faults, uses,
+        rejected, sensor_uses(samples, rejected),
         samples=candidate.samples, settings=settings, moisture=moisture,
     )  # fmt: skip
+
+
+def _rejected_samples(
+    given: AirSamples, usable: AirSamples, of_estimate: Mapping[str, Reasons]
+) -> dict[str, Reasons]:
+    """Why samples of each sensor are not used; of one that the estimate lacks, none is."""
+    rejected: dict[str, Reasons] = {}
+    for quantity, sensor in given.sensors.items():
+        if quantity in of_estimate:
+            rejected[quantity] = of_estimate[quantity]
+            continue
+        checked = usable.sensors.get(quantity, sensor)
+        every = np.ones(checked.rejected.shape, np.bool_)
+        rejected[quantity] = with_reason(checked.rejected, every, Reason.SENSOR_NOT_USED)
+    return rejected
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,7 +221,7 @@ def _first_that_passes(
     moisture: Climatology,
 ) -> tuple[_Trials, Notes]:
     """The first estimate that passes its checks."""
-    remaining, notes = list(choices), list[Entry]()
+    remaining, notes = list(choices), list[Message]()
     tried, faults, refused = list[AirSamples](), list[str](), dict[str, str]()
     while remaining:
         candidate = remaining.pop(0)
@@ -208,12 +234,12 @@ def _first_that_passes(
         if not check and candidate.main is not None:
             remaining = [other for other in remaining if other.samples.temperature is None]
             refused["temperature"] = check.reason
-            notes.append(loss("AIR-THERMOMETER", f"{name} is not used: {check.reason}", where=name))
+            notes.append(messages.thermometer_not_used(name=name, reason=check.reason))
         elif not (check := estimate_checks.hygrometer_is_outside(made, moisture)):
             humidity = candidate.samples.humidity
             name = humidity.name if humidity is not None else ""
             refused["humidity"] = check.reason
-            notes.append(loss("AIR-HYGROMETER", f"{name} is not used: {check.reason}", where=name))
+            notes.append(messages.hygrometer_not_used(name=name, reason=check.reason))
             remaining = [
                 replace(other, samples=replace(other.samples, humidity=None))
                 for other in (candidate, *remaining)
@@ -229,16 +255,17 @@ def _first_that_passes(
             check = check and estimate_checks.is_better_than_background(made, background, moisture)
             if check:
                 return _Trials(tried, faults, refused, (candidate, made)), tuple(notes)
-            what = f"the air estimated from {candidate.reason} is not used: {check.reason}"
-            notes.append(loss("AIR-IMPLAUSIBLE", what, where=name))
+            notes.append(
+                messages.air_implausible(sources=candidate.reason, reason=check.reason, sensor=name)
+            )
         faults.append(check.reason)
     return _Trials(tried, faults, refused), tuple(notes)
 
 
-def _left_out(code: str, reasons: Mapping[str, str]) -> Iterator[Entry]:
-    """What is reported of sources that are not used, by their names."""
-    for name, why in reasons.items():
-        yield loss(code, f"{name} is not used: {why}", where=name)
+def _refused_sources(reasons: Mapping[str, str]) -> Iterator[Message]:
+    """What is reported of sources that contradict others, by their names."""
+    for name, reason in reasons.items():
+        yield messages.source_refused(name=name, reason=reason)
 
 
 def covariance_of_background(background: Climatology) -> ProfileCovariance:
@@ -292,28 +319,37 @@ def unadjusted(standard: Profile, reason: str) -> Adjustment:
     return Adjustment(standard, standard, UNADJUSTED, reason)
 
 
-def _notes(candidate: Candidate, made: Estimate) -> Iterator[Entry]:
+def _notes(candidate: Candidate, made: Estimate) -> Iterator[Message]:
     """Substitutes, estimated sensor faults, readings that do not fit, and outliers."""
     if candidate.basis == "barometer":
         where = candidate.main.name if candidate.main else ""
-        yield fallback("AIR-BAROMETRIC", candidate.reason, where=where)
+        yield messages.air_barometric(where=where, sources=candidate.reason)
     if not any(isinstance(readings, sensors.Humidities) for readings in made.readings.sets):
-        yield fallback("AIR-HUMIDITY-EXPECTED")
+        yield messages.air_humidity_expected()
     if not made.converged:
-        yield warning("AIR-UNSETTLED")
+        yield messages.air_unsettled()
     learnt = [f for f in made.faults if f.sigma < 0.7 * f.prior_sigma]
     if learnt:
-        yield note("AIR-SENSORS", "; ".join(map(sensor_checks.described_fault, learnt)))
+        faults = "; ".join(sensor_checks.described_fault(fault) for fault in learnt)
+        yield messages.air_sensors(count=len(learnt), faults=faults)
     for fit in made.fits:
         few = fit.count < FEWEST_TO_INFLATE
         if (fit.rms if few else fit.sigma_inflation) <= estimate_checks.MISFIT:
             continue
         if few and fit.name in candidate.external.names:
-            yield finding("AIR-CONTRADICTED", where=fit.name, count=fit.count, fit=fit)
+            yield messages.air_contradicted(
+                where=fit.name, count=fit.count, quantity=fit.quantity, rms=fit.rms
+            )
         else:
-            yield warning("AIR-MISFIT", where=fit.name, count=fit.count, fit=fit)
+            yield messages.air_misfit(
+                where=fit.name,
+                count=fit.count,
+                quantity=fit.quantity,
+                rms=fit.rms,
+                inflation=fit.sigma_inflation,
+            )
     for name, rejected in made.readings.rejected.items():
-        if count := int(rejected.sum()):
+        if count := int(np.count_nonzero(rejected == Reason.OUTLIER)):
             sensor = getattr(candidate.samples, name)
             total = int(sensor.accepted.sum())
-            yield note("AIR-OUTLIERS", where=sensor.name, count=count, total=total)
+            yield messages.air_outliers(where=sensor.name, count=count, total=total)

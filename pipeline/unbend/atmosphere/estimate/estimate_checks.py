@@ -9,14 +9,13 @@ from unbend.atmosphere import refractive_index
 from unbend.atmosphere.air_samples import part_of
 from unbend.atmosphere.climatology import Climatology
 from unbend.atmosphere.covariance import RAY_STEPS, plane_rule
-from unbend.atmosphere.estimate import external_readings
+from unbend.atmosphere.estimate import external_readings, messages
 from unbend.atmosphere.estimate.sensors import Barometer, Humidities, Thermometer
 from unbend.atmosphere.estimate.solver import Estimate, layout_of, solve
 from unbend.atmosphere.estimate.state import air_of, prior_of
 from unbend.atmosphere.hypsometry import ADIABATIC_K_PER_M, COLDEST_K, WARMEST_K, hats
 from unbend.atmosphere.soundings import Sounding
 from unbend.atmosphere.soundings.level_checks import DRIEST_RH
-from unbend.errors import texts
 from unbend.units import HECTOPASCAL, ZERO_CELSIUS_K, Array
 
 OVERTURNING_M, SUNNY_M = 500.0, 100.0
@@ -60,11 +59,6 @@ class Check:
 
     reason: str = ""
 
-    @classmethod
-    def failed(cls, key: str, **values: object) -> "Check":
-        """Not passed, for the reason of a key in ``texts.toml``."""
-        return cls(texts()[key]["what"].format_map(values))
-
     def __bool__(self) -> bool:
         return not self.reason
 
@@ -85,14 +79,16 @@ def is_plausible(made: Estimate, background: Climatology) -> Check:
     height = background.profile.gravity.height(h)
     t = made.profile.temperature(height)
     if not bool(np.all((t > COLDEST_K) & (t < WARMEST_K))):
-        return Check(f"temperatures of {t.min():.0f} to {t.max():.0f} K are not those of air")
+        return Check(messages.not_temperatures_of_air(lowest_k=t.min(), highest_k=t.max()))
     spread = background.spread.sigma_temperature(made.profile.break_heights_m)
     sigma = np.interp(h, layers.edge, spread)
     departure = (t - background.profile.temperature(height)) / sigma
     worst = int(np.argmax(np.abs(departure)))
     if abs(departure[worst]) > FARTHEST:
-        far = f"{t[worst]:.0f} K at {height[worst]:.0f} m is {abs(departure[worst]):.1f} sigma"
-        return Check(f"{far} from the climatology")
+        reason = messages.far_from_climatology(
+            kelvin=t[worst], height_m=height[worst], sigmas=abs(departure[worst])
+        )
+        return Check(reason)
     over = round(OVERTURNING_M / 50.0)
     h, t, height = (values[round(SUNNY_M / 50.0) :] for values in (h, t, height))
     if h.size > over:
@@ -104,8 +100,7 @@ def is_plausible(made: Estimate, background: Climatology) -> Check:
         steepest = int(np.argmax(excess))
         if excess[steepest] > 0.0:
             lapse = (t[steepest] - t[steepest + over]) / OVERTURNING_M * 1000.0
-            where = f"above {height[steepest]:.0f} m: air overturns at 9.8 K/km"
-            return Check(f"temperature falls by {lapse:.1f} K/km {where}")
+            return Check(messages.air_overturns(lapse=lapse, height_m=height[steepest]))
     return PASSED
 
 
@@ -133,15 +128,19 @@ def column_is_plausible(column: Sounding, background: Climatology) -> Check:
     expected = float(profile.pressure(h))
     sigmas = float(np.log(column.pressure_pa[0] / expected)) / background.sigma_log_pressure(h)
     if abs(sigmas) > UNLIKELY_COLUMN:
-        return Check.failed(
-            "AIR-SOURCE-REFUSED/level", hpa=column.pressure_pa[0] / HECTOPASCAL, height_m=h,
-            sigmas=abs(sigmas), expected_hpa=expected / HECTOPASCAL,
-        )  # fmt: skip
+        reason = messages.level_far_from_climatology(
+            hpa=column.pressure_pa[0] / HECTOPASCAL,
+            height_m=h,
+            sigmas=abs(sigmas),
+            expected_hpa=expected / HECTOPASCAL,
+        )
+        return Check(reason)
     heights: Array = column.h_m[column.h_m < h + 3000.0]
     off = column.temperature_k[: heights.size] - profile.temperature(heights)
     sigmas = float(np.mean(off / background.spread.sigma_temperature(heights)))
     if abs(sigmas) > UNLIKELY_COLUMN:
-        return Check.failed("AIR-SOURCE-REFUSED/climate", kelvin=off.mean(), sigmas=abs(sigmas))
+        reason = messages.column_far_from_climatology(kelvin=off.mean(), sigmas=abs(sigmas))
+        return Check(reason)
     return PASSED
 
 
@@ -169,9 +168,10 @@ def column_agrees(
     )
     if abs(mean) <= max(CONTRADICTED_K, CONTRADICTED * sigma):
         return PASSED
-    return Check.failed(
-        "AIR-SOURCE-REFUSED/flight", kelvin=mean, sigmas=abs(mean) / sigma, extent=high - low
+    reason = messages.column_contradicts_flight(
+        kelvin=mean, sigmas=abs(mean) / sigma, extent_m=high - low
     )
+    return Check(reason)
 
 
 def has_information(made: Estimate, background: Climatology, moisture: Climatology) -> Check:
@@ -189,8 +189,8 @@ def has_information(made: Estimate, background: Climatology, moisture: Climatolo
     ]
     if sigmas[0] < UNCHANGED * sigmas[1]:
         return PASSED
-    kept = 100.0 * sigmas[0] / sigmas[1]
-    return Check(f"it has no information on temperature: {kept:.0f} % of the sigma of R are left")
+    percent_left = 100.0 * sigmas[0] / sigmas[1]
+    return Check(messages.no_information(percent=percent_left))
 
 
 def is_better_than_background(
@@ -223,10 +223,14 @@ def is_better_than_background(
         is_pressure = isinstance(readings, Barometer)
         if by_estimate > max(by_background, HARMLESS_LOG_P if is_pressure else HARMLESS_K):
             unit, factor = ("%", 100.0) if is_pressure else ("K", 1.0)
-            return Check.failed(
-                "AIR-IMPLAUSIBLE/held_out", sensor=readings.name, unit=unit, name=name,
-                by_estimate=factor * by_estimate, by_background=factor * by_background,
-            )  # fmt: skip
+            reason = messages.held_out_readings_differ(
+                sensor=readings.name,
+                unit=unit,
+                name=name,
+                by_estimate=factor * by_estimate,
+                by_background=factor * by_background,
+            )
+            return Check(reason)
     return PASSED
 
 
@@ -240,7 +244,7 @@ def hygrometer_is_outside(made: Estimate, moisture: Climatology) -> Check:
             continue
         h = gravity.height(readings.height)
         if h.min() < DRY_BELOW_M and readings.value.max() <= DRIEST_RH:
-            return Check.failed("AIR-HYGROMETER/dry", percent=100.0 * readings.value.max())
+            return Check(messages.hygrometer_too_dry(percent=100.0 * readings.value.max()))
         saturated = refractive_index.saturation_vapour_pressure(made.profile.temperature(h))
         dew = refractive_index.dew_point(readings.value * saturated)
         usual = refractive_index.dew_point(moisture.profile.vapour_pressure(h))
@@ -250,11 +254,13 @@ def hygrometer_is_outside(made: Estimate, moisture: Climatology) -> Check:
         limit = np.minimum(usual + WETTEST_SIGMAS * sigma, HIGHEST_DEW_POINT_K)
         worst = int(np.argmax(dew - limit))
         if dew[worst] > limit[worst]:
-            return Check.failed(
-                "AIR-HYGROMETER/dew_point", percent=100.0 * readings.value[worst],
-                height_m=h[worst], dew_c=dew[worst] - ZERO_CELSIUS_K,
+            reason = messages.hygrometer_too_wet(
+                percent=100.0 * readings.value[worst],
+                height_m=h[worst],
+                dew_c=dew[worst] - ZERO_CELSIUS_K,
                 limit_c=limit[worst] - ZERO_CELSIUS_K,
-            )  # fmt: skip
+            )
+            return Check(reason)
         wet = readings.height[readings.value >= CLOUD_RH]
         if wet.size == 0 or np.ptp(wet) < CLOUD_M:
             continue
@@ -265,8 +271,12 @@ def hygrometer_is_outside(made: Estimate, moisture: Climatology) -> Check:
         p = made.profile.pressure(gravity.height(ends))
         adiabat = float(refractive_index.saturated_lapse(t, p).mean())
         if wet.size >= CLOUD_SHARE * inside.sum() and lapse > adiabat + CLOUD_EXCESS_K_PER_M:
-            return Check.failed(
-                "AIR-HYGROMETER/cloud", percent=100.0 * CLOUD_RH, low=ends[0], high=ends[1],
-                lapse=1e3 * lapse, adiabat=1e3 * adiabat,
-            )  # fmt: skip
+            reason = messages.hygrometer_in_no_cloud(
+                percent=100.0 * CLOUD_RH,
+                low_m=ends[0],
+                high_m=ends[1],
+                lapse=1e3 * lapse,
+                adiabat=1e3 * adiabat,
+            )
+            return Check(reason)
     return PASSED

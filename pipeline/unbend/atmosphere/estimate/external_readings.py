@@ -12,12 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from unbend.atmosphere.climatology import Climatology
-from unbend.atmosphere.estimate import sensors
+from unbend.atmosphere.estimate import messages, sensors
 from unbend.atmosphere.estimate.state import TOP_M, Drift
 from unbend.atmosphere.refractive_index import enhancement_factor, saturation_vapour_pressure
 from unbend.atmosphere.soundings import Sounding
 from unbend.atmosphere.surface_report import SurfaceReport
-from unbend.messages import Entry, fallback, warning
+from unbend.messages import Entry
 from unbend.units import Array, Mask
 
 SPREAD_K, SPREAD_RH = 5.0, 0.3  # of the climatology in the free troposphere
@@ -152,23 +152,23 @@ def distance_notes(
     for sounding in soundings:
         name = sounding.name
         if sounding.time_ns is None:
-            yield fallback("SOUNDING-UNDATED", where=name, hours=UNDATED_SOUNDING_H)
+            yield messages.sounding_undated(where=name, hours=UNDATED_SOUNDING_H)
         metres = flight.metres_from(sounding.latitude_rad, sounding.longitude_rad)
         if not math.isfinite(metres) and math.isfinite(flight.latitude_rad):
-            yield fallback("SOUNDING-UNPLACED", where=name, km=UNPLACED_M / 1e3)
+            yield messages.sounding_unplaced(where=name, km=UNPLACED_M / 1e3)
         if metres > FAR_M:
             growth = variance_growth(0.0, metres)
             worth = f"temperatures are {SPREAD_K * math.sqrt(growth):.1f} K less certain for that"
             worth = worth if growth <= MOST_GROWTH else "it has no information on its air"
-            yield warning("SOUNDING-FAR-AWAY", where=name, km=metres / 1e3, worth=worth)
+            yield messages.sounding_far_away(where=name, km=metres / 1e3, worth=worth)
     for report in surface:
         hours = flight.hours_from(report.time_ns)
         if report.time_ns is None and flight.time_ns is not None:
-            yield fallback("SURFACE-UNDATED", where=report.name, hours=UNDATED_REPORT_H)
+            yield messages.surface_undated(where=report.name, hours=UNDATED_REPORT_H)
         if hours > FAR_REPORT_H and report.is_metar:
-            yield warning("METAR-FAR-IN-TIME", where=report.name, hours=hours)
+            yield messages.metar_far_in_time(where=report.name, hours=hours)
         elif hours > FAR_REPORT_H:
-            yield warning("SURFACE-FAR-IN-TIME", where=report.name, hours=hours)
+            yield messages.surface_far_in_time(where=report.name, hours=hours)
 
 
 def sounding_departures(

@@ -10,12 +10,14 @@ import numpy as np
 from unbend.atmosphere import air_samples
 from unbend.atmosphere.air_samples import BIN_M, AirSamples, SensorSamples, bin_by_height
 from unbend.atmosphere.climatology import Climatology
+from unbend.atmosphere.estimate import messages
 from unbend.atmosphere.estimate.sensors import FAULT_TEXTS, SensorSettings
 from unbend.atmosphere.estimate.solver import Estimate, FaultEstimate
 from unbend.atmosphere.estimate.state import SensorFault
 from unbend.atmosphere.hypsometry import Fall, fall_of_pressure
 from unbend.atmosphere.profile import Profile
-from unbend.messages import Entry, Kind, Notes, fallback, finding, loss, note, warning
+from unbend.atmosphere.rejection import Reason
+from unbend.messages import Entry, Kind, Notes
 from unbend.units import HECTOPASCAL, Mask
 
 CLIMB_TO_COMPARE_M = 200.0  # over less height the fall of pressure shows nothing [m]
@@ -68,7 +70,7 @@ def subtract_known_biases(
         corrected[sensor] = replace(readings, value=readings.value - known.mean)
         rest[fault] = replace(known, mean=0.0, subtracted=known.mean)
         texts.append(f"{FAULT_TEXTS[fault]} of {readings.name} {known.mean:g}")
-    entry = note("AIR-CALIBRATED", where=_MISSION_KEY, count=len(texts), biases="; ".join(texts))
+    entry = messages.air_calibrated(where=_MISSION_KEY, count=len(texts), biases="; ".join(texts))
     result = replace(samples, **corrected), replace(settings, calibration=rest)
     return result, (entry,) if texts else ()
 
@@ -101,13 +103,19 @@ def check_calibration(
         sigmas = abs(flown.value - mean[name]) / math.hypot(flown.sigma, fault.prior_sigma)
         if flown.sigma < _LEARNT * flown.prior_sigma and sigmas > worst:
             worst = sigmas
-            notes = [finding(
-                "AIR-CALIBRATION", where=known.path, fault=FAULT_TEXTS[name], sigmas=sigmas,
-                stated=mean[name] + known.subtracted, prior=fault.prior_sigma,
-                flown=flown.value + known.subtracted, sigma=flown.sigma,
-            )]  # fmt: skip
+            notes = [
+                messages.air_calibration(
+                    where=known.path,
+                    fault=FAULT_TEXTS[name],
+                    sigmas=sigmas,
+                    stated=mean[name] + known.subtracted,
+                    prior=fault.prior_sigma,
+                    flown=flown.value + known.subtracted,
+                    sigma=flown.sigma,
+                )
+            ]
     if large:
-        notes.append(warning("AIR-SENSORS/large", count=len(large), faults="; ".join(large)))
+        notes.append(messages.air_sensors_large(count=len(large), faults="; ".join(large)))
     drifts = {drift.name for drift in made.readings.drifts}
     return *notes, *unused_calibration(set(settings.calibration) - set(mean) - drifts)
 
@@ -123,8 +131,11 @@ def unused_calibration(faults: set[SensorFault]) -> Notes:
     """What is reported of stated calibrations of faults that no sensor in use has."""
     if not faults:
         return ()
-    what = f"no sensor in use has a {', '.join(sorted(FAULT_TEXTS[fault] for fault in faults))}"
-    return (note("AIR-CALIBRATION-UNUSED", what, where=_MISSION_KEY, count=len(faults)),)
+    names = sorted(FAULT_TEXTS[fault] for fault in faults)
+    unused = messages.calibration_unused(
+        where=_MISSION_KEY, count=len(faults), faults=", ".join(names)
+    )
+    return (unused,)
 
 
 def usable_sensors(samples: AirSamples, standard: Profile) -> tuple[AirSamples, Notes]:
@@ -140,12 +151,17 @@ def usable_sensors(samples: AirSamples, standard: Profile) -> tuple[AirSamples, 
             kept[name] = None
             notes.append(_indoors(sensor, f"stays at {value:.0f} Pa"))
             continue
-        rest = replace(sensor, accepted=sensor.accepted & ~stuck)
+        rest = sensor.reject(stuck, Reason.STUCK)
         kept[name] = rest if bool(rest.accepted.any()) else None
-        notes.append(loss(
-            "AIR-STUCK", where=sensor.name, count=int(stuck.sum()), value=value, extent=extent,
-            total=int(sensor.accepted.sum()),
-        ))  # fmt: skip
+        notes.append(
+            messages.air_stuck(
+                where=sensor.name,
+                count=int(stuck.sum()),
+                value=value,
+                extent=extent,
+                total=int(sensor.accepted.sum()),
+            )
+        )
     samples = replace(samples, **kept)
     pressure, gravity = samples.pressure, standard.gravity
     if pressure is None or pressure.extent_m < CLIMB_TO_COMPARE_M:
@@ -166,7 +182,7 @@ def usable_sensors(samples: AirSamples, standard: Profile) -> tuple[AirSamples, 
 
 def _indoors(pressure: SensorSamples, what: str) -> Entry:
     extent = pressure.extent_m
-    return loss("AIR-NOT-OUTSIDE", where=pressure.name, what_is_odd=what, extent=extent)
+    return messages.air_not_outside(where=pressure.name, what_is_odd=what, extent=extent)
 
 
 def is_maybe_indoors(
@@ -183,7 +199,7 @@ def is_maybe_indoors(
     climb = air_samples.climb_of((temperature.time_ns - temperature.time_ns[0]) * 1e-9, at)
     ways = []
     for way in (climb >= 0.0, climb < 0.0):
-        part = replace(temperature, accepted=temperature.accepted & way)
+        part = temperature.reject(~way, Reason.LEFT_OUT)
         h, t = bin_by_height(at, part, BIN_M)
         ways.append(dict(zip(np.floor(h / BIN_M), t, strict=True)))
     changes = [abs(t - ways[1][h]) for h, t in ways[0].items() if h in ways[1]]
@@ -192,8 +208,11 @@ def is_maybe_indoors(
     by_height = float(np.ptp(binned)) if binned.size else 0.0
     if not binned.size or by_height >= max(ISOTHERMAL_K, by_time):
         return False, ()
-    return True, (warning("AIR-ISOTHERMAL", where=temperature.name, extent=extent,
-                          by_height=by_height, by_time=by_time),)  # fmt: skip
+    return True, (
+        messages.air_isothermal(
+            where=temperature.name, extent=extent, by_height=by_height, by_time=by_time
+        ),
+    )
 
 
 def _stuck(sensor: SensorSamples, name: str) -> Mask:
@@ -223,20 +242,23 @@ def pressure_level(
     within 5 sigma of the climatology's (about 50 hPa; the deepest lows reach 6); 10 sigma, a tenth
     of the pressure, are no weather."""
     if pressure is None or not bool(pressure.accepted.any()):
-        return fallback("AIR-NO-BAROMETER")
+        return messages.air_no_barometer()
     h, measured = pressure.used()
     residual = np.abs(measured - profile.pressure(h)) / HECTOPASCAL
     at_sea = float(profile.pressure(0.0))
     departure = np.log(at_sea / float(background.profile.pressure(0.0)))
     sigmas = abs(float(departure)) / background.spread.pressure_ratio
-    kind, remark = Kind.NOTE, ""
+    kind = Kind.NOTE
     if sigmas > UNLIKELY_SIGMAS:
-        kind, remark = Kind.WARNING, f", {sigmas:.0f} sigma from the climatology"
+        kind = Kind.WARNING
     if sigmas > IMPOSSIBLE_SIGMAS:
-        kind, remark = Kind.LOSS, f"{remark}: the barometer or its unit is wrong"
-    entry = note(
-        "AIR-ANCHOR", where=pressure.name, count=int(measured.size), remark=remark,
-        median=float(np.nanmedian(residual)), largest=np.nanmax(residual),
+        kind = Kind.LOSS
+    return messages.air_anchor(
+        kind=kind,
+        where=pressure.name,
+        count=int(measured.size),
+        sigmas=sigmas,
+        median=float(np.nanmedian(residual)),
+        largest=np.nanmax(residual),
         at_sea=at_sea / HECTOPASCAL,
-    )  # fmt: skip
-    return replace(entry, kind=kind)
+    )

@@ -8,12 +8,14 @@ import numpy as np
 
 from unbend.atmosphere.air_samples import AirSamples
 from unbend.atmosphere.climatology import Climatology
+from unbend.atmosphere.estimate import messages
 from unbend.atmosphere.estimate.estimate_checks import MISFIT, PASSED, Check, is_plausible
 from unbend.atmosphere.estimate.readings import collect_readings
 from unbend.atmosphere.estimate.sensor_checks import LOST_SIGMAS
 from unbend.atmosphere.estimate.sensors import Barometer, SensorSettings, Thermometer
 from unbend.atmosphere.estimate.solver import Estimate, Solution, estimate, layout_of, solve
 from unbend.atmosphere.estimate.state import SensorFault, prior_of
+from unbend.atmosphere.rejection import Reason
 
 MISFIT_K = 1.5
 """Readings of a thermometer disagree with the others where their inflated sigma is larger than this
@@ -70,22 +72,27 @@ def thermometer_is_outside(
         # The flight until half an hour after its thermometer's first accepted reading.
         until = int(temperature.time_ns[temperature.accepted][0]) + round(TOGETHER_S * 1e9)
         early: dict[str, Any] = {
-            name: replace(sensor, accepted=sensor.accepted & (sensor.time_ns <= until))
+            name: sensor.reject(sensor.time_ns > until, Reason.LEFT_OUT)
             for name, sensor in samples.sensors.items()
         }
         inflated_k = _inflated_sigma_k(estimate_of(replace(samples, **early)))
         if inflated_k > MISFIT_K:
-            return Check.failed(
-                "AIR-THERMOMETER/together", minutes=TOGETHER_S / 60.0, barometer=pressure.name,
-                kelvin=inflated_k, limit=MISFIT_K,
-            )  # fmt: skip
+            reason = messages.thermometer_contradicts_barometer(
+                minutes=TOGETHER_S / 60.0,
+                barometer=pressure.name,
+                kelvin=inflated_k,
+                limit_k=MISFIT_K,
+            )
+            return Check(reason)
     if drifted or _sigma_inflation(made, Barometer) > MISFIT:
         inflation = _sigma_inflation(estimate_of(samples), Barometer)
         alone = estimate_of(replace(samples, temperature=None))
         fits = _sigma_inflation(alone, Barometer) <= MISFIT and is_plausible(alone, background)
         if inflation > MISFIT and fits:
-            return Check.failed("AIR-THERMOMETER/barometer", barometer=pressure.name,
-                                inflation=inflation, limit=MISFIT)  # fmt: skip
+            reason = messages.barometer_fits_other_temperatures(
+                barometer=pressure.name, inflation=inflation, limit=MISFIT
+            )
+            return Check(reason)
     return PASSED
 
 
@@ -121,7 +128,10 @@ def is_predicted(thermometer: Thermometer, without: Solution) -> Check:
         limit = float(np.hypot(largest, COMPARED_SIGMAS * sigma) + abs(weights @ moist))
         seen = float(weights @ (thermometer.value - predicted))
         if abs(seen) > limit:
-            return Check.failed("AIR-THERMOMETER/predicted", seen=seen, limit=limit, reads=what)
+            reason = messages.thermometer_not_as_predicted(
+                reads=what, departure_k=seen, limit_k=limit
+            )
+            return Check(reason)
     return PASSED
 
 

@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike
 
+from unbend.atmosphere import messages
 from unbend.atmosphere.air_samples import AirSamples
 from unbend.atmosphere.covariance import ProfileCovariance, plane_rule
 from unbend.atmosphere.estimate.state import exponential
@@ -16,7 +17,7 @@ from unbend.atmosphere.hypsometry import hats
 from unbend.atmosphere.layers import stack_layers
 from unbend.atmosphere.profile import Profile
 from unbend.atmosphere.refractive_index import IndexModel, saturation_vapour_pressure
-from unbend.messages import Notes, note
+from unbend.messages import Notes
 from unbend.units import Array, Integers
 
 FINEST_CHANGE = 5e-4
@@ -272,11 +273,11 @@ def add_ageing(
             airs.append(air if age.is_fresh else replace(air, time_ns=middles[i], ages=age))
         new[i] = place[key]
     oldest = max(ages, key=lambda age: float(age.hours.max()))
-    aged = note(
-        "AIR-AGED", hours=np.hypot(oldest.hours.max(), FRESH_S / 3600.0),
+    aged = messages.air_aged(
+        hours=np.hypot(oldest.hours.max(), FRESH_S / 3600.0),
         height_m=oldest.h_m[int(np.argmax(oldest.hours))],
         count=int(np.isin(new[group], [i for i, air in enumerate(airs) if air.ages]).sum()),
-    )  # fmt: skip
+    )
     return ProfileSeries(tuple(airs), new[group]), (aged,)
 
 

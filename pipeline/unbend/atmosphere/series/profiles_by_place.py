@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from unbend.atmosphere import messages
 from unbend.atmosphere.layers import stack_layers
 from unbend.atmosphere.series.profile_series import (
     FINEST_CHANGE,
@@ -18,7 +19,7 @@ from unbend.atmosphere.series.profile_series import (
     TimedProfile,
 )
 from unbend.atmosphere.soundings.model_field import ModelColumns, ModelField
-from unbend.messages import Notes, note
+from unbend.messages import Notes
 from unbend.units import VAPOUR_DEFICIT, Array, Integers
 
 LONG_KM, LONG_H = 30.0, 2.0  # in a shorter flight the air of one place and time is that of all
@@ -92,10 +93,9 @@ def add_model_changes(
     numbers = series.profile_number.copy()
     numbers[known] = new[number.ravel()]
     used, numbers = np.unique(numbers, return_inverse=True)
-    entry = note(
-        "AIR-BY-PLACE", count=len(place_of), length_km=length_km, hours=hours,
-        percent=100.0 * largest,
-    )  # fmt: skip
+    entry = messages.air_by_place(
+        count=len(place_of), length_km=length_km, hours=hours, percent=100.0 * largest
+    )
     return ProfileSeries(tuple(airs[u] for u in used), numbers.astype(np.int64)), (entry,)
 
 

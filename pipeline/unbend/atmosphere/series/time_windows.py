@@ -10,6 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from unbend.atmosphere import messages
 from unbend.atmosphere.air_samples import AirSamples, SensorSamples, part_of
 from unbend.atmosphere.climatology import Climatology, Spread
 from unbend.atmosphere.covariance import ProfileCovariance
@@ -19,7 +20,7 @@ from unbend.atmosphere.estimate.estimate_checks import is_better_than_background
 from unbend.atmosphere.estimate.solver import estimate
 from unbend.atmosphere.series import profile_series
 from unbend.atmosphere.series.profile_series import SampleAges, TimedProfile
-from unbend.messages import Notes, fallback, note
+from unbend.messages import Notes
 
 MOST_WINDOWS = 12  # each as long as the air stays fresh, or longer
 
@@ -140,19 +141,18 @@ def estimate_windows(
         windows.append(TimeWindow(start_ns, end_ns, own, change, sigma))
     estimated = [window for window in windows if not window.why_not]
     if not estimated:
-        return (), (note("AIR-WINDOWS/none", hours=hours),)
+        return (), (messages.air_windows_none(hours=hours),)
     departure = float(np.sqrt(np.mean([(w.change / w.sigma) ** 2 for w in estimated])))
     largest, count = 100.0 * max(abs(w.change) for w in estimated), len(parts)
     if departure < SIGNIFICANT:
-        return (), (note("AIR-WINDOWS/one", hours=hours, total=count, sigmas=departure,
-                         largest=largest),)  # fmt: skip
-    notes = [note("AIR-WINDOWS", hours=hours, count=count, sigmas=departure, largest=largest)]
+        return (), (
+            messages.air_windows_one(hours=hours, total=count, sigmas=departure, largest=largest),
+        )
+    notes = [messages.air_windows(hours=hours, count=count, sigmas=departure, largest=largest)]
     for w in windows:
         if w.why_not:
             when = np.datetime64(w.air.time_ns, "ns").astype("datetime64[s]")
-            notes.append(
-                fallback("AIR-WINDOW", f"about {when} the whole flight's air: {w.why_not}")
-            )
+            notes.append(messages.air_window(when=str(when), reason=w.why_not))
     return tuple(windows), tuple(notes)
 
 

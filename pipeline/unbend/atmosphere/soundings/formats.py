@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from unbend.atmosphere.soundings import messages
 from unbend.atmosphere.soundings.level_checks import check_levels
 from unbend.atmosphere.soundings.levels import (
     RawLevels,
@@ -25,8 +26,7 @@ from unbend.atmosphere.soundings.levels import (
     to_si,
     utc_ns,
 )
-from unbend.errors import InputError
-from unbend.messages import Ledger, Notes, loss, note, warning
+from unbend.messages import Ledger, Notes
 from unbend.units import NANOSECONDS_PER_SECOND, ZERO_CELSIUS_K, Array
 
 _HEADER = re.compile(r"#[A-Z0-9]{11} \d{4} \d\d \d\d \d\d ")
@@ -91,11 +91,11 @@ def _igra_blocks(text: str, where: str) -> Iterator[tuple[str, list[str], str]]:
     lines = text.splitlines()
     heads = [i for i, line in enumerate(lines) if line.startswith("#")]
     if not heads:
-        raise InputError.of("SOUNDING-FORMAT/igra", where)
+        raise messages.sounding_format_igra(where=where)
     for head, after in pairwise([*heads, len(lines)]):
         at = f"{where}, line {head + 1}"
         if not _HEADER.match(lines[head]):
-            raise InputError.of("SOUNDING-FORMAT/header", at, header=lines[head][:24])
+            raise messages.sounding_format_header(where=at, header=lines[head][:24])
         yield lines[head], [line for line in lines[head + 1 : after] if line.strip()], at
 
 
@@ -107,7 +107,7 @@ def _igra_column(lines: list[str], first: int, last: int, scale: float) -> Array
 def _igra_lines_missing(header: str, lines: list[str], at: str) -> Notes:
     """What is reported where the header promises more levels."""
     missing = number(header[32:36]) - len(lines)
-    return (loss("SOUNDING-TRUNCATED", where=at, count=int(missing)),) if missing > 0.0 else ()
+    return (messages.sounding_truncated(where=at, count=int(missing)),) if missing > 0.0 else ()
 
 
 def _igra_time_ns(header: str) -> int | None:
@@ -218,7 +218,7 @@ def _refuse_several(times: Sequence[str], where: str) -> None:
     known = [t for t in map(utc_ns, times) if t is not None]
     hours = (max(known) - min(known)) / 3.6e12 if known else 0.0
     if hours > LONGEST_ASCENT_H:
-        raise InputError.of("SOUNDING-CHOICE/rows", where, hours=hours)
+        raise messages.sounding_choice_rows(where=where, hours=hours)
 
 
 def parse_wyoming_csv(text: str, where: str) -> list[RawLevels]:
@@ -226,7 +226,7 @@ def parse_wyoming_csv(text: str, where: str) -> list[RawLevels]:
     columns = table(text.splitlines(), where)
     missing = [name for name in _CSV_COLUMNS.values() if name not in columns]
     if missing:
-        raise InputError.of("SOUNDING-COLUMN/wyoming", where, missing=missing[0])
+        raise messages.sounding_column_wyoming(where=where, missing=missing[0])
     time, north, east = (
         next(iter(columns.get(name, [])), "") for name in ("time", "latitude", "longitude")
     )
@@ -280,24 +280,30 @@ def parse_plain(text: str, where: str) -> list[RawLevels]:
     for name in (name for name in PLAIN_COLUMNS if name in columns):
         quantity, unit = PLAIN_COLUMNS[name]
         if quantity in column_of:
-            what = f"{column_of[quantity]} and {name} both give the {quantity}"
-            raise InputError("SOUNDING-COLUMN", what, where=where, remedy="keep one of them")
+            raise messages.sounding_quantity_twice(
+                where=where, column=column_of[quantity], other=name, quantity=quantity
+            )
         values[quantity], column_of[quantity] = to_si(numbers(columns[name]), unit), name
     for needed in ("pressure", "temperature"):
         if needed not in values:
             names = [name for name, (quantity, _) in PLAIN_COLUMNS.items() if quantity == needed]
-            raise InputError.of("SOUNDING-COLUMN", where, needed=needed, present=", ".join(columns),
-                                names=" or ".join(names))  # fmt: skip
+            raise messages.sounding_column(
+                where=where, needed=needed, present=", ".join(columns), names=" or ".join(names)
+            )
     notes: Notes = ()
-    if other := sorted(set(columns) - set(PLAIN_COLUMNS) - set(_PLACE)):
-        what = f"columns that are not read: {', '.join(other)}"
-        notes = (note("SOUNDING-COLUMNS-UNUSED", what, where=where, count=len(other)),)
+    unread = sorted(set(columns) - set(PLAIN_COLUMNS) - set(_PLACE))
+    if unread:
+        notes = (
+            messages.sounding_columns_unused(
+                where=where, count=len(unread), columns=", ".join(unread)
+            ),
+        )
     geopotential = "height" not in values
     time = next((text.strip() for text in columns.get("time_utc", []) if text.strip()), "")
     time_ns = utc_ns(time)
     _refuse_several(columns.get("time_utc", []), where)
     if time and time_ns is None:
-        notes += (warning("SOUNDING-TIME", where=where, count=1, time=time[:40]),)
+        notes += (messages.sounding_time(where=where, count=1, time=time[:40]),)
     unknown = np.full(values["pressure"].shape, np.nan)
     first = {name: next(iter(columns.get(name, [])), "") for name in _PLACE}
     return [
@@ -367,10 +373,10 @@ def parse_sounding(
         name = next((name for name, (is_it, _) in FORMATS.items() if is_it(text)), "")
         if not name:
             begins = text.lstrip()[:60].splitlines()
-            raise InputError.of("SOUNDING-FORMAT", where, begins=begins[0] if begins else "")
+            raise messages.sounding_format(where=where, begins=begins[0] if begins else "")
     if name not in FORMATS:
         names = ", ".join(FORMATS)
-        raise InputError.of("SOUNDING-FORMAT/name", where, name=name, names=names)
+        raise messages.sounding_format_name(where=where, name=name, names=names)
     raw = nearest_in_time(FORMATS[name][1](text, where), time_ns, where)
     return ledger.take(check_levels(raw, latitude_rad=latitude_rad, station_h_m=station_h_m))
 
@@ -379,21 +385,21 @@ def nearest_in_time(ascents: list[RawLevels], time_ns: int | None, where: str) -
     """Of several ascents the one released nearest to a time; without a time, the only one."""
     full = [raw for raw in ascents if raw.pressure_pa.size]
     if not full:
-        raise InputError.of("SOUNDING-EMPTY", where)
+        raise messages.sounding_empty(where=where)
     notes: Notes = ()
     if count := len(ascents) - len(full):  # a file that was cut off may end with a header
-        notes = (loss("SOUNDING-CUT-OFF", where=where, count=count),)
+        notes = (messages.sounding_cut_off(where=where, count=count),)
     if len(full) == 1 and (time_ns is None or full[0].time_ns is None):
         return full[0].noting(*notes)
     if time_ns is None:
-        raise InputError.of("SOUNDING-CHOICE", where, total=len(full))
+        raise messages.sounding_choice(where=where, total=len(full))
     dated = [(abs(raw.time_ns - time_ns), raw) for raw in full if raw.time_ns is not None]
     if not dated:
-        raise InputError.of("SOUNDING-CHOICE/undated", where, total=len(full))
+        raise messages.sounding_choice_undated(where=where, total=len(full))
     apart, raw = min(dated, key=lambda pair: pair[0])
     hours = apart / NANOSECONDS_PER_SECOND / 3600.0
     if hours > FAR_HOURS:
-        notes += (warning("SOUNDING-FAR-IN-TIME", where=raw.where, hours=hours),)
+        notes += (messages.sounding_far_in_time(where=raw.where, hours=hours),)
     if len(full) > 1:
-        notes += (note("SOUNDING-CHOSEN", where=raw.where, count=len(full), hours=hours),)
+        notes += (messages.sounding_chosen(where=raw.where, count=len(full), hours=hours),)
     return raw.noting(*notes)

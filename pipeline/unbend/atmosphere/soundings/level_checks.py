@@ -13,10 +13,10 @@ from unbend.atmosphere import refractive_index
 from unbend.atmosphere.air_samples import part_of
 from unbend.atmosphere.hypsometry import ADIABATIC_K_PER_M
 from unbend.atmosphere.refractive_index import vapour_pressure
+from unbend.atmosphere.soundings import messages
 from unbend.atmosphere.soundings.levels import RawLevels, Sounding
-from unbend.errors import InputError
 from unbend.geodesy import normal_gravity
-from unbend.messages import Notes, fallback, loss, note, warning
+from unbend.messages import Notes
 from unbend.units import DEGREE, HECTOPASCAL, HYDROSTATIC_CONSTANT, ZERO_CELSIUS_K, Array, Mask
 
 FEWEST_LEVELS = 5
@@ -40,6 +40,8 @@ _INDEX_ROUNDING = 5e-4
 _UNKNOWN_LATITUDE_RAD = 45.0 * DEGREE
 
 # No sounding begins above 25 km, nor below the Dead Sea.
+_DEW_POINT_K = (150.0, 333.0)  # of any air, from the stratosphere to the Persian Gulf
+_MAX_VAPOUR_PA = 10_000.0  # 46 C of dew point
 _GROUND_PA = (2_500.0, HIGHEST_PA)
 # The warmest level of a sounding: air below -75 C or above 60 C is nowhere near the ground.
 _WARMEST_LEVEL_K = (198.0, 333.0)
@@ -63,7 +65,7 @@ def check_levels(
     refuse_wrong_units(raw)
     latitude = raw.latitude_rad if math.isfinite(raw.latitude_rad) else latitude_rad
     if not math.isfinite(latitude):
-        raw = raw.noting(fallback("SOUNDING-LATITUDE", where=raw.where))
+        raw = raw.noting(messages.sounding_latitude(where=raw.where))
         latitude = _UNKNOWN_LATITUDE_RAD
     gravity = normal_gravity(latitude)
     if not raw.geopotential:
@@ -81,53 +83,84 @@ def check_levels(
     lapse = -np.diff(np.interp(grid, h, t)) / _SLICE_M
     if count := int((lapse > ADIABATIC_K_PER_M + _STEEPER_K_PER_M).sum()):
         i = int(np.argmax(lapse))
-        notes.append(warning(
-            "SOUNDING-SUPERADIABATIC", where=where, count=count, k_per_km=1e3 * lapse[i],
-            height_m=grid[i], over_m=_SLICE_M * count,
-        ))  # fmt: skip
+        notes.append(
+            messages.sounding_superadiabatic(
+                where=where,
+                count=count,
+                k_per_km=1e3 * lapse[i],
+                height_m=grid[i],
+                over_m=_SLICE_M * count,
+            )
+        )
     n = refractive_index.refractivity_gyer(t, p, np.nan_to_num(e))
     rising = np.diff(n) > _INDEX_ROUNDING * n[:-1]
     if count := int(rising.sum()):
         lowest = h[int(np.argmax(rising))]
-        notes.append(warning("SOUNDING-INDEX-RISES", where=where, count=count, lowest=lowest))
+        notes.append(messages.sounding_index_rises(where=where, count=count, lowest=lowest))
     return sounding, tuple(notes)
 
 
 def refuse_wrong_units(raw: RawLevels) -> None:
     """Refuse pressures, temperatures or humidities whose largest values no ground has."""
-    p, t = _largest(raw.pressure_pa), _largest(raw.temperature_k)
-    if p is not None and not _GROUND_PA[0] <= p <= _GROUND_PA[1]:
-        as_pa, as_hpa = p * HECTOPASCAL, p / HECTOPASCAL
-        likely = (
-            "they look like hPa where Pa is stated" if _GROUND_PA[0] <= as_pa <= _GROUND_PA[1]
-            else "they look like Pa where hPa is stated" if _GROUND_PA[0] <= as_hpa <= _GROUND_PA[1]
-            else "that is no air near the ground"
-        )  # fmt: skip
-        raise _refusal(raw, "pressure", f"the highest pressure is {p:.6g} Pa: {likely}",
-                       "pressure_pa or pressure_hpa")  # fmt: skip
-    if t is not None and not _WARMEST_LEVEL_K[0] <= t <= _WARMEST_LEVEL_K[1]:
-        likely = (
-            "they look like Celsius where Kelvin is stated" if t < 80.0
-            else "they look like Kelvin where Celsius is stated" if t > 198.0 + ZERO_CELSIUS_K
-            else "they look like Fahrenheit" if t > _WARMEST_LEVEL_K[1]
-            else "that is too cold for the warmest level of a sounding"
-        )  # fmt: skip
-        raise _refusal(raw, "temperature", f"the warmest level has {t:.6g} K: {likely}",
-                       "temperature_k or temperature_c, and convert Fahrenheit")  # fmt: skip
-    dew = None if raw.dew_point_k is None else _largest(raw.dew_point_k)
-    if dew is not None and not 150.0 <= dew <= 333.0:
-        raise _refusal(raw, "dew point", f"the highest dew point is {dew:.6g} K",
-                       "dew_point_c or dew_point_k")  # fmt: skip
-    wet = None if raw.relative_humidity is None else _largest(raw.relative_humidity)
+    pressure_pa = _largest(raw.pressure_pa)
+    if pressure_pa is not None and not _GROUND_PA[0] <= pressure_pa <= _GROUND_PA[1]:
+        raise messages.sounding_pressure_unit(
+            **_where_stated(raw, "pressure"),
+            highest_pa=pressure_pa,
+            likely=_likely_pressure(pressure_pa),
+        )
+    temperature_k = _largest(raw.temperature_k)
+    if (
+        temperature_k is not None
+        and not _WARMEST_LEVEL_K[0] <= temperature_k <= _WARMEST_LEVEL_K[1]
+    ):
+        raise messages.sounding_temperature_unit(
+            **_where_stated(raw, "temperature"),
+            warmest_k=temperature_k,
+            likely=_likely_temperature(temperature_k),
+        )
+    dew_point_k = None if raw.dew_point_k is None else _largest(raw.dew_point_k)
+    if dew_point_k is not None and not _DEW_POINT_K[0] <= dew_point_k <= _DEW_POINT_K[1]:
+        raise messages.sounding_dew_point_unit(
+            **_where_stated(raw, "dew point"), highest_k=dew_point_k
+        )
+    humidity = None if raw.relative_humidity is None else _largest(raw.relative_humidity)
     # Sensors read up to 1.1 in cloud. All of a sounding below 1 % does not happen: the lowest
     # kilometre holds more, even over deserts.
-    if wet is not None and (wet > TOO_WET or wet <= DRIEST_RH):
-        raise _refusal(raw, "relative humidity", f"the highest is {wet:.4g} as a fraction of one",
-                       "relative_humidity (0 to 1) or relative_humidity_percent")  # fmt: skip
-    e = None if raw.vapour_pressure_pa is None else _largest(raw.vapour_pressure_pa)
-    if e is not None and e > 10_000.0:  # 46 C of dew point
-        raise _refusal(raw, "vapour pressure", f"the highest is {e:.6g} Pa",
-                       "vapour_pressure_pa or vapour_pressure_hpa")  # fmt: skip
+    if humidity is not None and (humidity > TOO_WET or humidity <= DRIEST_RH):
+        raise messages.sounding_humidity_unit(
+            **_where_stated(raw, "relative humidity"), highest=humidity
+        )
+    vapour_pa = None if raw.vapour_pressure_pa is None else _largest(raw.vapour_pressure_pa)
+    if vapour_pa is not None and vapour_pa > _MAX_VAPOUR_PA:
+        raise messages.sounding_vapour_unit(
+            **_where_stated(raw, "vapour pressure"), highest_pa=vapour_pa
+        )
+
+
+def _where_stated(raw: RawLevels, quantity: str) -> dict[str, str]:
+    """The file and the column, if any, that a quantity comes from."""
+    return {"where": raw.where, "column": raw.column_of.get(quantity, "")}
+
+
+def _likely_pressure(pressure_pa: float) -> str:
+    """What a highest pressure that no ground has may be."""
+    if _GROUND_PA[0] <= pressure_pa * HECTOPASCAL <= _GROUND_PA[1]:
+        return "they look like hPa where Pa is stated"
+    if _GROUND_PA[0] <= pressure_pa / HECTOPASCAL <= _GROUND_PA[1]:
+        return "they look like Pa where hPa is stated"
+    return "that is no air near the ground"
+
+
+def _likely_temperature(warmest_k: float) -> str:
+    """What a warmest level that no air has may be."""
+    if warmest_k < 80.0:
+        return "they look like Celsius where Kelvin is stated"
+    if warmest_k > 198.0 + ZERO_CELSIUS_K:
+        return "they look like Kelvin where Celsius is stated"
+    if warmest_k > _WARMEST_LEVEL_K[1]:
+        return "they look like Fahrenheit"
+    return "that is too cold for the warmest level of a sounding"
 
 
 def refuse_wrong_heights(raw: RawLevels, h: Array, rise: Array) -> None:
@@ -143,7 +176,7 @@ def refuse_wrong_heights(raw: RawLevels, h: Array, rise: Array) -> None:
         return
     ratio = float(np.median((h[apart:] - h[:-apart])[thick] / far[thick]))
     if abs(ratio - 1.0) > THICKNESS_RATIO:
-        raise InputError.of("SOUNDING-INCONSISTENT", raw.where, ratio=ratio)
+        raise messages.sounding_inconsistent(where=raw.where, ratio=ratio)
 
 
 def _largest(column: Array) -> float | None:
@@ -152,17 +185,10 @@ def _largest(column: Array) -> float | None:
     return float(np.quantile(known, 1.0 - WILD, method="lower")) if known.size else None
 
 
-def _refusal(raw: RawLevels, quantity: str, what: str, remedy: str) -> InputError:
-    column = raw.column_of.get(quantity, "")
-    text = f"{quantity}: {what}" + (f" (column {column})" if column else "")
-    remedy = f"state the unit in the column's name: {remedy}"
-    return InputError("SOUNDING-UNITS", text, where=raw.where, remedy=remedy)
-
-
 def _refuse_few(raw: RawLevels) -> RawLevels:
     count = raw.pressure_pa.size
     if count < FEWEST_LEVELS:
-        raise InputError.of("SOUNDING-LEVELS", raw.where, count=count, fewest=FEWEST_LEVELS)
+        raise messages.sounding_levels(where=raw.where, count=count, fewest=FEWEST_LEVELS)
     return raw
 
 
@@ -172,16 +198,16 @@ def _complete_levels(raw: RawLevels) -> RawLevels:
     has = np.isfinite(p) & np.isfinite(t) & ~_is_fill(t)
     possible = (p > 0.0) & (p <= HIGHEST_PA) & (t >= COLDEST_K) & (t <= WARMEST_K)
     if missing := int((~has).sum()):
-        raw = raw.noting(note("SOUNDING-MISSING", where=raw.where, count=missing, total=p.size))
+        raw = raw.noting(messages.sounding_missing(where=raw.where, count=missing, total=p.size))
     if (wrong := np.flatnonzero(has & ~possible)).size:
         hpa, kelvin, count = p[wrong[0]] / HECTOPASCAL, t[wrong[0]], int(wrong.size)
         raw = raw.noting(
-            loss("SOUNDING-RANGE", where=raw.where, count=count, hpa=hpa, kelvin=kelvin)
+            messages.sounding_range(where=raw.where, count=count, hpa=hpa, kelvin=kelvin)
         )
     raw = _refuse_few(part_of(raw, has & possible))
     if up := int((np.diff(raw.pressure_pa) > 0.0).sum()):
         raw = part_of(raw, np.argsort(-raw.pressure_pa, kind="stable"))
-        raw = raw.noting(warning("SOUNDING-UNSORTED", where=raw.where, count=up))
+        raw = raw.noting(messages.sounding_unsorted(where=raw.where, count=up))
     return raw
 
 
@@ -198,15 +224,16 @@ def _with_vapour_pressure(raw: RawLevels) -> RawLevels:
         impossible = np.isfinite(dew) & ~((dew >= COLDEST_K) & (dew <= WARMEST_K))
         if count := int(impossible.sum()):
             first = dew[impossible][0]
-            raw = raw.noting(warning(
-                "SOUNDING-HUMIDITY-RANGE", where=where, count=count, first=first))  # fmt: skip
+            raw = raw.noting(
+                messages.sounding_humidity_range(where=where, count=count, first=first)
+            )
         dew = np.where(impossible, np.nan, dew)
         e = np.where(np.isfinite(e), e, vapour_pressure(1.0, dew, p))
     if raw.relative_humidity is not None:
         e = np.where(np.isfinite(e), e, vapour_pressure(raw.relative_humidity, t, p))
     negative = np.isfinite(e) & (e < 0.0)
     if count := int(negative.sum()):
-        raw = raw.noting(warning("SOUNDING-HUMIDITY-NEGATIVE", where=where, count=count))
+        raw = raw.noting(messages.sounding_humidity_negative(where=where, count=count))
         e[negative] = np.nan
     saturated = vapour_pressure(1.0, t, p)
     # A rounded dew point, 0.05 K of it, may pass saturation by 0.4 %: not reported.
@@ -215,13 +242,14 @@ def _with_vapour_pressure(raw: RawLevels) -> RawLevels:
         percent = 100.0 * np.max(e[over] / saturated[over])
         wet = float(np.mean(e[np.isfinite(e)] > TOO_WET * saturated[np.isfinite(e)]))
         if wet > MOST_TOO_WET:
-            what = f"{100.0 * wet:.0f} % of the levels have more than {100.0 * TOO_WET:.0f} % of "
-            what += "humidity: dew-point depressions in the place of dew points, or another unit"
             quantity = "dew point" if raw.dew_point_k is not None else "relative humidity"
-            remedy = "dew_point_c (temperature less depression), relative_humidity_percent"
-            raise _refusal(raw, quantity, what, remedy)
-        raw = raw.noting(warning(
-            "SOUNDING-HUMIDITY-OVER", where=where, count=count, percent=percent))  # fmt: skip
+            raise messages.sounding_too_wet(
+                **_where_stated(raw, quantity),
+                quantity=quantity,
+                percent=100.0 * wet,
+                limit_percent=100.0 * TOO_WET,
+            )
+        raw = raw.noting(messages.sounding_humidity_over(where=where, count=count, percent=percent))
     return replace(raw, vapour_pressure_pa=np.minimum(e, saturated))
 
 
@@ -237,12 +265,12 @@ def _with_heights(raw: RawLevels, start: float) -> RawLevels:
     rise = np.concatenate([[0.0], np.cumsum(steps)])
     if not bool(np.isfinite(h).any()):
         if not math.isfinite(start):
-            raise InputError.of("SOUNDING-HEIGHT", raw.where, total=h.size)
+            raise messages.sounding_height(where=raw.where, total=h.size)
         h[0] = start
     known = np.isfinite(h)
     refuse_wrong_heights(raw, h[known], rise[known])
     if count := int((~known).sum()):
-        raw = raw.noting(fallback("SOUNDING-HEIGHTS", where=raw.where, count=count))
+        raw = raw.noting(messages.sounding_heights(where=raw.where, count=count))
         # The departure of the reported heights from the hypsometric ones, carried to the gaps.
         h = np.where(known, h, rise + np.interp(rise, rise[known], (h - rise)[known]))
     return replace(raw, h_m=h)
@@ -255,7 +283,7 @@ def _rising_levels(raw: RawLevels) -> RawLevels:
     # Centimetres: rounding in a conversion does not make two heights different.
     raw = _mean_of_runs(raw, np.round(raw.h_m, 2))
     if merged := before - raw.pressure_pa.size:
-        raw = raw.noting(note("SOUNDING-DUPLICATE", where=raw.where, count=merged))
+        raw = raw.noting(messages.sounding_duplicate(where=raw.where, count=merged))
     # The longest strictly increasing subsequence of heights, by patience sorting.
     tails: list[int] = []
     before_it = np.full(raw.h_m.size, -1, dtype=np.intp)
@@ -269,8 +297,9 @@ def _rising_levels(raw: RawLevels) -> RawLevels:
     keep = np.array(chain[::-1], dtype=np.intp)
     if (out := np.setdiff1d(np.arange(raw.h_m.size), keep)).size:
         h, hpa = raw.h_m[out[0]], raw.pressure_pa[out[0]] / HECTOPASCAL
-        raw = raw.noting(warning(
-            "SOUNDING-ORDER", where=raw.where, count=out.size, height_m=h, hpa=hpa))  # fmt: skip
+        raw = raw.noting(
+            messages.sounding_order(where=raw.where, count=out.size, height_m=h, hpa=hpa)
+        )
     return _refuse_few(part_of(raw, keep))
 
 

@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from unbend.errors import InputError
+from unbend.atmosphere.soundings import messages
 from unbend.messages import Entry, Notes
 from unbend.units import HECTOPASCAL, NANOSECONDS_PER_SECOND, ZERO_CELSIUS_K, Array
 
@@ -141,14 +141,11 @@ def table(lines: Iterable[str], where: str) -> dict[str, list[str]]:
     """The columns of a CSV by name, fields as text; lines that begin with # are comments."""
     rows = list(csv.reader(line for line in lines if line.strip() and not line.startswith("#")))
     if not rows:
-        raise InputError(
-            "SOUNDING-EMPTY", "the sounding has no line", where=where, remedy="fetch the file again"
-        )
+        raise messages.sounding_without_lines(where=where)
     names = [name.strip().lstrip("\ufeff") for name in rows[0]]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
-        what = f"the column {twice[0]!r} stands there twice"
-        raise InputError("SOUNDING-COLUMN", what, where=where, remedy="keep one of them")
+        raise messages.sounding_column_twice(where=where, column=twice[0])
     # A row that was cut off has empty fields where it ends.
     return {
         name: [row[i] if i < len(row) else "" for row in rows[1:]] for i, name in enumerate(names)

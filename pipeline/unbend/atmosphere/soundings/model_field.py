@@ -20,12 +20,12 @@ import numpy as np
 from unbend.atmosphere.climate_tables import rows_of
 from unbend.atmosphere.hypsometry import ADIABATIC_K_PER_M
 from unbend.atmosphere.refractive_index import vapour_pressure
-from unbend.atmosphere.soundings import level_checks
+from unbend.atmosphere.soundings import level_checks, messages
 from unbend.atmosphere.soundings.level_checks import FEWEST_LEVELS, THICKNESS_RATIO
 from unbend.atmosphere.soundings.levels import ColumnErrors, Sounding
 from unbend.errors import InputError
 from unbend.geodesy import longitudes_near, normal_gravity
-from unbend.messages import Entry, Notes, fallback, note, warning
+from unbend.messages import Entry, Notes
 from unbend.units import (
     DEGREE,
     HECTOPASCAL,
@@ -158,10 +158,16 @@ class ModelField:
         if away[worst] == 0.0:
             return
         y, x = (nodes[[0, -1]] / DEGREE for nodes in (self.latitude_rad, self.longitude_rad))
-        raise InputError.of(
-            "MODEL-AREA", self.name, north=latitude_rad[worst] / DEGREE, east=east[worst] / DEGREE,
-            away_km=away[worst], south_node=y[0], north_node=y[1], west_node=x[0], east_node=x[1],
-        )  # fmt: skip
+        raise messages.model_area(
+            where=self.name,
+            north=latitude_rad[worst] / DEGREE,
+            east=east[worst] / DEGREE,
+            away_km=away[worst],
+            south_node=y[0],
+            north_node=y[1],
+            west_node=x[0],
+            east_node=x[1],
+        )
 
 
 def _outside(node: Array, x: Array) -> Array:
@@ -214,29 +220,24 @@ def checked_field(field: ModelField, where: str) -> tuple[ModelField, Notes]:
     of it by the hydrostatic equation; relative humidity in percent or as a fraction. Refuses
     (`InputError`) what is neither.
     """
-
-    def refused(what: str) -> InputError:
-        return InputError.of("MODEL-UNITS", where, what=what)
-
     notes: Notes = ()
     t, q = field.temperature_k, field.humidity
     if not bool(np.isfinite(t + q).any()):
-        raise refused("no value of temperature and humidity around the flight")
+        raise messages.model_without_values(where=where)
     low, high = float(np.nanmin(t)), float(np.nanmax(t))
     if not level_checks.COLDEST_K <= low <= high <= level_checks.WARMEST_K:
-        raise refused(f"temperatures from {low:.6g} to {high:.6g} K: that is no air")
+        raise messages.model_temperatures(where=where, coldest_k=low, warmest_k=high)
     if field.relative and np.nanmax(q) > _MOST_FRACTION:
         field = replace(field, humidity=q / 100.0)
     driest, wettest = float(np.nanmin(field.humidity)), float(np.nanmax(field.humidity))
     lowest, least, most = _RELATIVE if field.relative else _SPECIFIC
     if driest < lowest or not least <= wettest <= most:
         kind = "relative" if field.relative else "specific"
-        raise refused(f"{kind} humidity from {driest:.6g} up to {wettest:.6g}: not kg/kg, and no "
-                      "fraction of 1")  # fmt: skip
+        raise messages.model_humidities(where=where, kind=kind, driest=driest, wettest=wettest)
     if bool(np.isfinite(field.surface).any()):
         ground = field.surface
         if not _GROUND_M[0] <= float(np.nanmin(ground)) <= float(np.nanmax(ground)) <= _GROUND_M[1]:
-            raise refused(f"its ground is up to {np.nanmax(ground):.6g} m high")
+            raise messages.model_ground_height(where=where, highest_m=np.nanmax(ground))
         if field.on_model_levels:
             if not field.ground_has_unit:
                 field, notes = _likely_ground(field, where)
@@ -244,8 +245,7 @@ def checked_field(field: ModelField, where: str) -> tuple[ModelField, Notes]:
             expected = math.log(_SEA_LEVEL_PA) - ground / _SCALE_HEIGHT_M
             off = float(np.nanmax(np.abs(field.log_surface_pa - expected)))
             if off > _SURFACE_LOG_P:
-                raise refused(f"ln of surface pressure is up to {off:.3g} from that of its "
-                              "ground's height: z or lnsp has another unit")  # fmt: skip
+                raise messages.model_surface_pressure(where=where, departure=off)
     if field.on_model_levels:
         surface_pa = np.exp(field.log_surface_pa[:, 0])
         half = half_levels(surface_pa.ravel())[:, int(field.level[0]) - 1 :]
@@ -258,8 +258,8 @@ def checked_field(field: ModelField, where: str) -> tuple[ModelField, Notes]:
         factor = next((f for f in (HECTOPASCAL, 1.0 / HECTOPASCAL)
                        if _SURFACE_PA[0] <= f * lowest <= _SURFACE_PA[1]), None)  # fmt: skip
         if factor is None:
-            raise refused(f"the highest pressure level is {lowest:.6g} Pa, not near the ground")
-        notes = (fallback("MODEL-PRESSURE-UNIT", where=where, lowest=lowest, factor=factor),)
+            raise messages.model_highest_pressure(where=where, highest_pa=lowest)
+        notes = (messages.model_pressure_unit(where=where, lowest=lowest, factor=factor),)
         field = replace(field, level=factor * field.level)
     layers = 0.5 * (t[0, 1:] + t[0, :-1]) * np.diff(np.log(field.level))[:, None, None]
     thickness = -HYDROSTATIC_CONSTANT * np.diff(field.height[0], axis=0)
@@ -267,8 +267,7 @@ def checked_field(field: ModelField, where: str) -> tuple[ModelField, Notes]:
     if abs(ratio / STANDARD_GRAVITY - 1.0) < THICKNESS_RATIO:
         field = replace(field, height=field.height / STANDARD_GRAVITY)
     elif not abs(ratio - 1.0) < THICKNESS_RATIO:
-        raise refused(f"layers are {ratio:.4g} times as thick as pressure and temperature imply: "
-                      "1 is geopotential metres, 9.807 geopotential")  # fmt: skip
+        raise messages.model_thickness(where=where, ratio=ratio)
     refuse_wrong_level(field, field.level[:, None, None], where)
     return field, notes
 
@@ -288,7 +287,7 @@ def _likely_ground(field: ModelField, where: str) -> tuple[ModelField, Notes]:
     if off < _WEATHER_LOG_P or other > _WEATHER_LOG_P:
         return field, ()
     highest = float(np.nanmax(metres))
-    repaired = fallback("MODEL-GROUND-UNIT", where=where, count=metres.size, highest=highest)
+    repaired = messages.model_ground_unit(where=where, count=metres.size, highest=highest)
     return replace(field, surface=metres, ground_has_unit=True), (repaired,)
 
 
@@ -307,11 +306,16 @@ def refuse_wrong_level(field: ModelField, pressure_pa: Array, where: str) -> Non
     i, upper, y, x = np.unravel_index(int(np.nanargmax(beyond)), beyond.shape)
     on = {row: f"level {field.level[row]:.0f}" if field.on_model_levels
           else f"{field.level[row] / HECTOPASCAL:g} hPa" for row in (upper, upper + 1)}  # fmt: skip
-    raise InputError.of(
-        "MODEL-LEVELS/jump", where, lower=on[upper + 1], upper=on[upper],
-        lower_k=t[i, upper + 1, y, x], upper_k=t[i, upper, y, x], thick=thick[i, upper, y, x],
-        north=field.latitude_rad[y] / DEGREE, east=field.longitude_rad[x] / DEGREE,
-    )  # fmt: skip
+    raise messages.model_levels_jump(
+        where=where,
+        lower=on[upper + 1],
+        upper=on[upper],
+        lower_k=t[i, upper + 1, y, x],
+        upper_k=t[i, upper, y, x],
+        thick=thick[i, upper, y, x],
+        north=field.latitude_rad[y] / DEGREE,
+        east=field.longitude_rad[x] / DEGREE,
+    )
 
 
 LOW_K, ALOFT_K, LOW_M, ALOFT_M = 2.0, 1.0, 1000.0, 1500.0
@@ -356,12 +360,13 @@ def model_column(
     ground = float(gravity.geopotential_height(ground_h_m))
     if math.isnan(ground):
         ground = 0.0 if math.isnan(surface) else surface
-        notes.append(fallback("MODEL-GROUND", where=where, ground=ground))
+        notes.append(messages.model_ground(where=where, ground=ground))
     elif not field.ground_has_unit and abs(surface - ground) > (
         _ANOTHER_GROUND_M + 2.0 * abs(STANDARD_GRAVITY * surface - ground)
     ):
-        raise InputError.of("MODEL-UNITS/ground", where, surface=surface, ground=ground,
-                            metres=STANDARD_GRAVITY * surface)  # fmt: skip
+        raise messages.model_units_ground(
+            where=where, surface=surface, ground=ground, metres=STANDARD_GRAVITY * surface
+        )
     bottom = ground if math.isnan(surface) else max(surface, ground)
     with np.errstate(invalid="ignore"):
         under = known & (height < bottom)
@@ -369,12 +374,12 @@ def model_column(
         top = max(ground + _TOP_M, highest)
         used = known & ~under & (height < top)
     if count := int(under.sum()):
-        notes.append(note("MODEL-UNDERGROUND", where=where, count=count, bottom=bottom))
+        notes.append(messages.model_underground(where=where, count=count, bottom=bottom))
     if used.sum() < FEWEST_LEVELS or bool(np.any(np.diff(height[used]) <= 0.0)):
         raise too_few_levels(np.exp(log_p[used]), where, "above the ground")
     above = log_p[known & (height >= top)]  # none: what is missing may have been the top
     if missing := int((~known & (log_p >= above[:1].max(initial=-math.inf))).sum()):
-        notes.append(fallback("MODEL-MISSING", where=where, count=missing, total=known.size))
+        notes.append(messages.model_missing(where=where, count=missing, total=known.size))
     height, t, vapour, log_p = height[used], t[used], vapour[used], log_p[used]
     if field.height.size:  # which heights of model levels are not
         virtual = t / (1.0 - VAPOUR_DEFICIT * vapour)
@@ -383,10 +388,16 @@ def model_column(
         worst = int(np.argmax(np.abs(implied - mean)))
         if abs(implied[worst] - mean[worst]) > _THICKNESS_K:
             lower, upper = np.exp(log_p[worst : worst + 2]) / HECTOPASCAL
-            notes.append(warning(
-                "MODEL-LAYER", where=where, lower=lower, upper=upper, mean=mean[worst],
-                implied=implied[worst], count=int(np.sum(np.abs(implied - mean) > _THICKNESS_K)),
-            ))  # fmt: skip
+            notes.append(
+                messages.model_layer(
+                    where=where,
+                    lower=lower,
+                    upper=upper,
+                    mean=mean[worst],
+                    implied=implied[worst],
+                    count=int(np.sum(np.abs(implied - mean) > _THICKNESS_K)),
+                )
+            )
     above = height - ground
     days = float(np.interp(time_ns, field.time_ns, field.lead_h)) / 24.0 if field.lead_h.size else 0
     sigma = np.interp(above, [LOW_M, ALOFT_M], [LOW_K, ALOFT_K])
@@ -402,9 +413,9 @@ def model_column(
         sigma = np.concatenate([np.hypot(sigma[0], EXTENSION_K_PER_M * below), sigma])
         sigma_rh = np.concatenate([np.hypot(HUMIDITY_RH, EXTENSION_RH_PER_M * below), sigma_rh])
         if depth > _USUAL_STEP_M:
-            notes.append(fallback(
-                "MODEL-EXTENDED", where=where, depth=depth, ground=ground, sigma=sigma[0]
-            ))  # fmt: skip
+            notes.append(
+                messages.model_extended(where=where, depth=depth, ground=ground, sigma=sigma[0])
+            )
     depth = max(depth, 0.0)
     level = HYDROSTATIC_CONSTANT * EXTENSION_K_PER_M * depth**2 / (2.0 * float(t[0]) ** 2)
     p = np.exp(log_p)
@@ -425,7 +436,6 @@ def model_column(
 def too_few_levels(pressure_pa: Array, where: str, which: str) -> InputError:
     """The refusal of levels that make no profile."""
     listed = ", ".join(f"{p / HECTOPASCAL:.4g}" for p in np.sort(pressure_pa)[:8]) or "no"
-    return InputError.of(
-        "MODEL-LEVELS", where, total=pressure_pa.size, which=which, listed=listed,
-        fewest=FEWEST_LEVELS,
-    )  # fmt: skip
+    return messages.model_levels(
+        where=where, total=pressure_pa.size, which=which, listed=listed, fewest=FEWEST_LEVELS
+    )

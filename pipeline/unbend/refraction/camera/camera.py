@@ -13,8 +13,7 @@ from numpy.typing import ArrayLike
 
 from unbend.refraction.camera import model_of
 from unbend.refraction.camera.brown_conrady import BrownConrady
-from unbend.refraction.kernels.columns import RAY_ROWS, CameraConstants, U, V
-from unbend.refraction.kernels.image import rays_of_pixels
+from unbend.refraction.kernels.columns import IDEAL_U, IDEAL_V, RAY_ROWS, CameraConstants
 from unbend.units import Array, Mask
 
 NO_DISTORTION = BrownConrady()
@@ -69,10 +68,12 @@ class Camera:
         >>> camera.project(u, v)[0].round(9).tolist(), covered.tolist()
         ([500.0, 950.0], [True, True])
         """
+        from unbend.refraction.kernels.image import rays_of_pixels
+
         x, y = (np.ascontiguousarray(a, np.float64) for a in (x_px, y_px))
         rays = np.empty((RAY_ROWS, x.size))
         rays_of_pixels(x, y, self.constants, rays)
-        return rays[U], rays[V], np.isfinite(rays[U])
+        return rays[IDEAL_U], rays[IDEAL_V], np.isfinite(rays[IDEAL_U])
 
     def project(self, u: Array, v: Array) -> tuple[Array, Array]:
         """Pixels of ideal image coordinates, both (n,)."""

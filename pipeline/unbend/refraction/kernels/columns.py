@@ -13,23 +13,40 @@ from numpy.typing import NDArray
 
 from unbend.units import Array, Integers, Mask, Rows
 
-# Rows of a matrix of rays (RAY_ROWS, n): ideal image coordinates; change of direction in the window
-# (camera frame); direction outside (east, north, up); sine and cosine of the nadir angle, radius of
-# the sphere [m], height of the camera [m].
-U, V, THROUGH, APPARENT, SIN, COS, RADIUS, H_C = 0, 1, 2, 5, 8, 9, 10, 11
+# Rows of a matrix of rays (RAY_ROWS, n).
+IDEAL_U = 0  # ideal image coordinates
+IDEAL_V = 1
+WINDOW_CHANGE = 2  # three: change of direction in the window, in the frame of the camera
+DIRECTION = 5  # three: direction outside, east, north and up
+NADIR_SINE = 8  # of the apparent nadir angle
+NADIR_COSINE = 9
+SPHERE_RADIUS = 10  # [m]
+CAMERA_HEIGHT = 11  # [m]
 RAY_ROWS = 12
 
-# Columns of a matrix of stations (s, STATION_COLUMNS): refractivity N outside and N'/n [1/m] there;
-# node below it among the cameras of the table, share of the way to the next, share of the way from
-# the lowest to the highest camera; variance of tilt, by what that of yaw exceeds it [rad2], east
-# and north of the yaw axis; sigma of height [m]; number of its kind of window in the tables, -1
-# without a plane window; N'/n less the cabin's share that follows it [1/m]; the normal of the
-# window in the camera frame; what the sigmas of pressure and of temperature in the cabin do to its
-# refractivity, and to the principal distance [px].
-N, BEND, NODE, SHARE, SPAN, TILT2, YAW2, AXIS_E, AXIS_N, SIGMA_H = range(10)
-WINDOW, WINDOW_BEND, NORMAL = 10, 11, 12
-CABIN = NORMAL + 3
-STATION_COLUMNS = CABIN + 4
+# Columns of a matrix of stations (s, STATION_COLUMNS).
+REFRACTIVITY = 0  # N outside
+RELATIVE_GRADIENT = 1  # N'/n there [1/m]
+TABLE_NODE = 2  # node below it among the cameras of the table
+NODE_SHARE = 3  # share of the way to the next
+HEIGHT_SHARE = 4  # share of the way from the lowest to the highest camera
+TILT_VARIANCE = 5  # [rad2]
+YAW_EXCESS_VARIANCE = 6  # by what that of yaw exceeds that of tilt [rad2]
+YAW_AXIS_EAST = 7
+YAW_AXIS_NORTH = 8
+SIGMA_HEIGHT = 9  # [m]
+WINDOW_KIND = 10  # number of its kind of window in the tables, -1 without a plane window
+WINDOW_GRADIENT = 11  # N'/n less the cabin's share that follows it [1/m]
+WINDOW_NORMAL = 12  # three: the normal of the window in the camera frame
+CABIN_SIGMAS = 15  # two: what the sigmas of pressure and temperature in the cabin do to N there
+LENS_SIGMAS = 17  # two: and what they do to the principal distance [px]
+STATION_COLUMNS = 19
+
+LEFT = 255
+"""Status of a ray that one kernel leaves to another."""
+
+WORTH_A_TABLE = 24
+"""Rays from one height for which a table of moments is made: it costs as many integrals."""
 
 
 class IndexTable(NamedTuple):
@@ -152,14 +169,21 @@ class AirTables(NamedTuple):
     mode_sigma: float
 
 
-TILE, BLOCK = 512, 16
-"""Cells of a terrain's tile, and of a block of it, in either direction."""
+TILE = 512
+"""Cells of a terrain's tile in either direction."""
+
+BLOCK = 16
+"""Cells of a block of a tile in either direction."""
 
 CHART_DEGREE = 4
 
-LANDED, EMERGES, PASSES, HIDDEN, NO_TERRAIN, WAITS = range(6)
-"""What becomes of a ray over a terrain: it lands; it would come out of the ground again; it never
-lands; it starts under the ground; it ends where no terrain is known; it waits for a tile."""
+# What becomes of a ray over a terrain.
+LANDED = 0
+EMERGES = 1  # it would come out of the ground again
+PASSES = 2  # it never lands
+HIDDEN = 3  # it starts under the ground
+NO_TERRAIN = 4  # it ends where no terrain is known
+WAITS = 5  # for a tile
 
 
 class TerrainGrid(NamedTuple):

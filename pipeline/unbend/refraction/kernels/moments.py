@@ -17,14 +17,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from unbend.refraction.kernels.columns import HINT_M
+from unbend.refraction.kernels.columns import HINT_M, LEFT, WORTH_A_TABLE
+from unbend.refraction.kernels.grazing import gauss_legendre
 from unbend.refraction.kernels.jit import entry, jit, within
-from unbend.refraction.kernels.ray import LEFT, Triangle, sides_of, small_angle
+from unbend.refraction.kernels.ray import Triangle, sides_of, small_angle
 from unbend.refraction.status_codes import OK
 from unbend.units import Array
-
-# A table of moments costs as much as this many integrals.
-WORTH_A_TABLE = 24
 
 # As many rays from one height are taken together: their columns fit into a core's cache.
 _TOGETHER = 4096
@@ -44,8 +42,9 @@ _SAME_RADIUS = 0.01
 # How many moments of each order p the series needs for 1e-12 of itself, and up to which w u and
 # w m: three classes, most rays of a camera are in the first.
 _COUNT = np.array([[6, 4, 3, 1, 0], [8, 6, 4, 3, 1], [12, 9, 7, 5, 4]])
-_DROP = np.array([0.005, 0.02, _LARGEST_DROP])
-_BEND = np.array([6e-4, 2e-3, _LARGEST_BEND])
+_DROP_OF_CLASS = np.array([0.005, 0.02, _LARGEST_DROP])
+_BEND_OF_CLASS = np.array([6e-4, 2e-3, _LARGEST_BEND])
+_CLASSES = _DROP_OF_CLASS.size
 
 _ORDERS = _COUNT.shape[1]
 _LONGEST = _COUNT[-1]
@@ -59,22 +58,30 @@ for _p in range(1, _ORDERS + 1):
 # Columns of the table: the moments with their derivatives, and the largest |m| above.
 _MOMENTS = 2 * int(_START[-1]) + 1
 
-_X3, _W3 = (0.5 * a for a in np.polynomial.legendre.leggauss(3))
-_X3 = 0.5 + _X3
+_X3, _W3 = gauss_legendre(3)
+_FINE_DEGREE = 5  # of the polynomials of `FineTable`
 
-# Columns of the rays to one interval: target height, sine and cosine of zeta_c, radius, w and x as
-# above, the difference integral below and above the interval's upper end, scratch, and the angle.
-_H_G, _SIN, _COS, _R_E, _W, _X, _REST, _ABOVE, _SCRATCH, _ANGLE = (*range(9), 11)
-_ROWS = _ANGLE + 1
+# Rows of the rays to one interval.
+_H_G = 0  # target height
+_SIN = 1  # of zeta_c
+_COS = 2
+_R_E = 3  # radius
+_W = 4  # w and x as above
+_X = 5
+_REST = 6  # the difference integral below the interval's upper end
+_ABOVE = 7  # and above it
+_SCRATCH = 8  # three rows
+_ANGLE = 11
+_ROWS = 12
 
 
 class _Camera(NamedTuple):
-    """The camera of some rays: height [m], N there, 1/r_c of the table, the table of moments."""
+    """The camera of some rays."""
 
-    h_c: float
-    n_c: float
-    x: float
-    table: Array
+    h_c: float  # height [m]
+    n_c: float  # N there
+    x: float  # 1/r_c of the table
+    table: Array  # of moments
 
 
 class _Group(NamedTuple):
@@ -92,8 +99,8 @@ class _Group(NamedTuple):
 @jit
 def _refractivity_in(coefficient, i, u):  # type: ignore[no-untyped-def]
     """N at the share u of interval i, by its polynomial of degree 5."""
-    value = coefficient[i, 5]
-    for j in range(4, -1, -1):
+    value = coefficient[i, _FINE_DEGREE]
+    for j in range(_FINE_DEGREE - 1, -1, -1):
         value = value * u + coefficient[i, j]
     return value
 
@@ -111,7 +118,8 @@ def _fill_moments(air, camera, first, last):  # type: ignore[no-untyped-def]
         moments = table[i]
         for column in range(_MOMENTS):
             moments[column] = table[i + 1, column]
-        low, high = edge[i], edge[i + 1] if edge[i + 1] < h_c else h_c
+        low = edge[i]
+        high = edge[i + 1] if edge[i + 1] < h_c else h_c
         share = (high - low) / (edge[i + 1] - low)
         for j in range(_X3.size):
             n = _refractivity_in(coefficient, i, share * _X3[j])
@@ -142,8 +150,12 @@ def _series(n, moments, c, x_table, rays):  # type: ignore[no-untyped-def]
 
     ``moments`` is the height's row of the table, made for ``x_table``.
     """
-    w, x, total = rays[_W], rays[_X], rays[_ABOVE]
-    t, change, part = rays[_SCRATCH], rays[_SCRATCH + 1], rays[_SCRATCH + 2]
+    w = rays[_W]
+    x = rays[_X]
+    total = rays[_ABOVE]
+    t = rays[_SCRATCH]
+    change = rays[_SCRATCH + 1]
+    part = rays[_SCRATCH + 2]
     for i in range(n):
         t[i] = w[i] * x[i]
     for i in range(n):
@@ -155,7 +167,8 @@ def _series(n, moments, c, x_table, rays):  # type: ignore[no-untyped-def]
             part[i] = 0.0
         for k in range(_COUNT[c, p] - 1, -1, -1):
             column = 2 * (_START[p] + k)
-            value, slope = moments[column], moments[column + 1]
+            value = moments[column]
+            slope = moments[column + 1]
             for i in range(n):
                 part[i] = part[i] * t[i] + (value + change[i] * slope)
         for i in range(n):
@@ -165,7 +178,8 @@ def _series(n, moments, c, x_table, rays):  # type: ignore[no-untyped-def]
 @jit
 def _interval(edge, hint, h):  # type: ignore[no-untyped-def]
     """Number of the fine interval that holds height h."""
-    k, last = int((h - edge[0]) / HINT_M), hint.size - 1
+    k = int((h - edge[0]) / HINT_M)
+    last = hint.size - 1
     i = hint[k if k < last else last]
     while i < edge.size - 2 and edge[i + 1] <= h:
         i += 1
@@ -179,7 +193,12 @@ def _by_interval(air, group, top, at, order):  # type: ignore[no-untyped-def]
     They get the status OK, others and what is no ray LEFT. Gives where in ``order`` those of each
     interval begin, counted from ``top`` downwards.
     """
-    h_c, h_g, sin_c, cos_c, r_e, _, status = group
+    h_c = group.h_c
+    h_g = group.h_g
+    sin_c = group.sin_c
+    cos_c = group.cos_c
+    r_e = group.r_e
+    status = group.status
     edge, _, hint = air
     deepest = -1
     r_table = r_e[0] + h_c
@@ -188,17 +207,17 @@ def _by_interval(air, group, top, at, order):  # type: ignore[no-untyped-def]
         level = r_c * cos_c[i] * cos_c[i]
         ray = (cos_c[i] > 0.0) & (cos_c[i] <= 1.0) & (sin_c[i] >= 0.0) & (sin_c[i] <= 1.0)
         downwards = (edge[0] <= h_g[i]) & (h_g[i] < h_c)
-        served = (abs(r_c - r_table) < _SAME_RADIUS * r_table) & (
-            2.0 * (h_c - h_g[i]) <= _LARGEST_DROP * level
-        )
+        same_radius = abs(r_c - r_table) < _SAME_RADIUS * r_table
+        near = 2.0 * (h_c - h_g[i]) <= _LARGEST_DROP * level
         # Only then can the ray turn above land; the other kernel decides about those.
         deep = level > 2.0 * (1.0 + sin_c[i]) * (h_c + _DEEP_M)
-        status[i] = OK if ray & downwards & served & deep else LEFT
+        status[i] = OK if ray & downwards & same_radius & near & deep else LEFT
         if status[i] == OK:
             at[i] = top - _interval(edge, hint, h_g[i])
             if at[i] > deepest:
                 deepest = at[i]
-    start, place = np.empty(deepest + 2, np.int64), np.empty(deepest + 2, np.int64)
+    start = np.empty(deepest + 2, np.int64)
+    place = np.empty(deepest + 2, np.int64)
     for k in range(deepest + 2):
         start[k] = 0
     for i in range(h_g.size):
@@ -221,21 +240,34 @@ def _rest(n, air, interval, camera, rays):  # type: ignore[no-untyped-def]
     The integrand of the difference form, expanded in the bending, which is below 5e-3 here, and
     about the middle, from where b^2 differs by less than 1e-3 of itself.
     """
-    low, h_1, polynomial = air.edge[interval], air.edge[interval + 1], air.coefficient[interval]
-    h_c, n_c = camera.h_c, camera.n_c
+    low = air.edge[interval]
+    h_1 = air.edge[interval + 1]
+    h_c = camera.h_c
+    n_c = camera.n_c
     high = h_1 if h_1 < h_c else h_c
-    h_g, cos_c, r_e, rest = rays[_H_G], rays[_COS], rays[_R_E], rays[_REST]
-    index2, per_metre = (1.0 + n_c) * (1.0 + n_c), 1.0 / (h_1 - low)
-    a_0, a_1, a_2 = polynomial[0], polynomial[1], polynomial[2]
-    a_3, a_4, a_5 = polynomial[3], polynomial[4], polynomial[5]
+    h_g = rays[_H_G]
+    cos_c = rays[_COS]
+    r_e = rays[_R_E]
+    rest = rays[_REST]
+    index2 = (1.0 + n_c) * (1.0 + n_c)
+    per_metre = 1.0 / (h_1 - low)
+    polynomial = air.coefficient[interval]
+    a_0 = polynomial[0]
+    a_1 = polynomial[1]
+    a_2 = polynomial[2]
+    a_3 = polynomial[3]
+    a_4 = polynomial[4]
+    a_5 = polynomial[5]
     for i in range(n):
-        r_c, middle = r_e[i] + h_c, 0.5 * (h_g[i] + high)
+        r_c = r_e[i] + h_c
+        middle = 0.5 * (h_g[i] + high)
         b2 = index2 * (r_c * cos_c[i] * r_c * cos_c[i] - (h_c - middle) * (r_c + r_e[i] + middle))
         inverse = 1.0 / b2
         total = 0.0
         for j in range(_X3.size):
             h = h_g[i] + (high - h_g[i]) * _X3[j]
-            u, r = (h - low) * per_metre, r_e[i] + h
+            u = (h - low) * per_metre
+            r = r_e[i] + h
             index = a_0 + u * (a_1 + u * (a_2 + u * (a_3 + u * (a_4 + u * a_5))))
             m = (index - n_c) * (2.0 + index + n_c)
             off = index2 * (h - middle) * (r + r_e[i] + middle) * inverse
@@ -246,26 +278,49 @@ def _rest(n, air, interval, camera, rays):  # type: ignore[no-untyped-def]
         rest[i] = total * (high - h_g[i]) * inverse * math.sqrt(inverse)
 
 
-@within
-def _to_interval(n, air, i, camera, rays):  # type: ignore[no-untyped-def]
-    """The angles of n rays whose targets lie in interval i; False where the series serves none."""
-    h_g, sin_c, cos_c, r_e = rays[_H_G], rays[_SIN], rays[_COS], rays[_R_E]
-    w, x, rest, above, angle = rays[_W], rays[_X], rays[_REST], rays[_ABOVE], rays[_ANGLE]
-    h_c, n_c = camera.h_c, camera.n_c
-    for j in range(n):
-        w[j] = 1.0 / (cos_c[j] * cos_c[j])
-        x[j] = 1.0 / (r_e[j] + h_c)
-    # Class of lengths of the series that is enough for all rays it serves.
-    largest, drop, bend, size = camera.table[i, -1], -1.0, -1.0, _DROP.size
+@jit
+def _class_of(n, largest, h_c, rays):  # type: ignore[no-untyped-def]
+    """Class of lengths of the series that is enough for all rays it serves; `_CLASSES` for none.
+
+    ``largest`` is that |m| above the interval.
+    """
+    h_g = rays[_H_G]
+    w = rays[_W]
+    x = rays[_X]
+    drop = -1.0
+    bend = -1.0
     for j in range(n):
         if largest * w[j] <= _LARGEST_BEND:
             fall = 2.0 * (h_c - h_g[j]) * w[j] * x[j]
             bend = largest * w[j] if largest * w[j] > bend else bend
             drop = fall if fall > drop else drop
-    for c in range(_DROP.size - 1, -1, -1):
-        if bend >= 0.0 and drop <= _DROP[c] and bend <= _BEND[c]:
-            size = c
-    if size == _DROP.size:
+    if bend < 0.0:
+        return _CLASSES
+    for c in range(_CLASSES):
+        if drop <= _DROP_OF_CLASS[c] and bend <= _BEND_OF_CLASS[c]:
+            return c
+    return _CLASSES
+
+
+@within
+def _to_interval(n, air, i, camera, rays):  # type: ignore[no-untyped-def]
+    """The angles of n rays whose targets lie in interval i; False where the series serves none."""
+    h_g = rays[_H_G]
+    sin_c = rays[_SIN]
+    cos_c = rays[_COS]
+    r_e = rays[_R_E]
+    w = rays[_W]
+    x = rays[_X]
+    rest = rays[_REST]
+    above = rays[_ABOVE]
+    angle = rays[_ANGLE]
+    h_c = camera.h_c
+    n_c = camera.n_c
+    for j in range(n):
+        w[j] = 1.0 / (cos_c[j] * cos_c[j])
+        x[j] = 1.0 / (r_e[j] + h_c)
+    size = _class_of(n, camera.table[i, -1], h_c, rays)
+    if size == _CLASSES:
         return False
     _series(n, camera.table[i + 1], size, camera.x, rays)
     _rest(n, air, i, camera, rays)
@@ -274,7 +329,8 @@ def _to_interval(n, air, i, camera, rays):  # type: ignore[no-untyped-def]
         rest[j] = 0.5 * (straight + sin_c[j] / cos_c[j] * x[j] * above[j])
     # Angles are below 0.01 wherever the series holds.
     for j in range(n):
-        r_c, r_g = r_e[j] + h_c, r_e[j] + h_g[j]
+        r_c = r_e[j] + h_c
+        r_g = r_e[j] + h_g[j]
         b2_g = r_c * cos_c[j] * r_c * cos_c[j] - (h_c - h_g[j]) * (r_c + r_g)
         line = Triangle(1.0, r_c * sin_c[j], h_c - h_g[j], r_c * cos_c[j], b2_g, r_c, r_g)
         aside, ahead = sides_of(rest[j], line)
@@ -290,12 +346,13 @@ def _bend_group(air, group, table, numbers, rays):  # type: ignore[no-untyped-de
     scratch for the moments, ``numbers`` (2, n) and ``rays`` (_ROWS, n) for the rays.
     """
     edge, coefficient, hint = air
-    h_c, h_g, sin_c, cos_c, r_e, angle, status = group
+    h_c = group.h_c
     order = numbers[1]
     top = _interval(edge, hint, h_c)
     start = _by_interval(air, group, top, numbers[0], order)
-    n_c = _refractivity_in(coefficient, top, (h_c - edge[top]) / (edge[top + 1] - edge[top]))
-    camera = _Camera(h_c, n_c, 1.0 / (r_e[0] + h_c), table)
+    share = (h_c - edge[top]) / (edge[top + 1] - edge[top])
+    n_c = _refractivity_in(coefficient, top, share)
+    camera = _Camera(h_c, n_c, 1.0 / (group.r_e[0] + h_c), table)
     for column in range(_MOMENTS):
         table[top + 1, column] = 0.0
     _fill_moments(air, camera, top, top - start.size + 2)
@@ -305,19 +362,21 @@ def _bend_group(air, group, table, numbers, rays):  # type: ignore[no-untyped-de
             continue
         for j in range(n):
             i = order[start[k] + j]
-            rays[_H_G, j], rays[_SIN, j] = h_g[i], sin_c[i]
-            rays[_COS, j], rays[_R_E, j] = cos_c[i], r_e[i]
+            rays[_H_G, j] = group.h_g[i]
+            rays[_SIN, j] = group.sin_c[i]
+            rays[_COS, j] = group.cos_c[i]
+            rays[_R_E, j] = group.r_e[i]
         served = _to_interval(n, air, top - k, camera, rays)
         largest = table[top - k, -1]
         for j in range(n):
             i = order[start[k] + j]
             if served and largest * rays[_W, j] <= _LARGEST_BEND:
-                angle[i] = rays[_ANGLE, j]
+                group.angle[i] = rays[_ANGLE, j]
             else:
-                status[i] = LEFT
+                group.status[i] = LEFT
 
 
-@entry(rows=2, most=24_000)
+@entry
 def bend_steep_rays(air, rays, angle, status):  # type: ignore[no-untyped-def]
     """Fill ``angle`` [rad] and ``status`` of the steep rays among many from the same heights.
 
@@ -325,10 +384,12 @@ def bend_steep_rays(air, rays, angle, status):  # type: ignore[no-untyped-def]
     share a table of moments, filled downwards as far as their targets lie. The others get the
     status `LEFT`.
     """
-    edge, h_c = air.edge, rays.h_c
+    edge = air.edge
+    h_c = rays.h_c
     table = np.empty((edge.size, _MOMENTS))
     room = h_c.size if h_c.size < _TOGETHER else _TOGETHER
-    numbers, columns = np.empty((2, room), np.int64), np.empty((_ROWS, room))
+    numbers = np.empty((2, room), np.int64)
+    columns = np.empty((_ROWS, room))
     first = 0
     while first < h_c.size:
         last = first + 1
@@ -337,9 +398,14 @@ def bend_steep_rays(air, rays, angle, status):  # type: ignore[no-untyped-def]
         if last - first >= WORTH_A_TABLE and edge[0] <= h_c[first] <= edge[-1]:
             rows = slice(first, last)
             group = _Group(
-                h_c[first], rays.h_g[rows], rays.sin_c[rows], rays.cos_c[rows], rays.r_e[rows],
-                angle[rows], status[rows],
-            )  # fmt: skip
+                h_c[first],
+                rays.h_g[rows],
+                rays.sin_c[rows],
+                rays.cos_c[rows],
+                rays.r_e[rows],
+                angle[rows],
+                status[rows],
+            )
             _bend_group(air, group, table, numbers, columns)
         else:
             for i in range(first, last):

@@ -24,15 +24,36 @@ from unbend.atmosphere.covariance import ProfileCovariance
 from unbend.atmosphere.profile import Profile
 from unbend.refraction.camera.camera import Camera
 from unbend.refraction.image import Exposures
-from unbend.refraction.kernels import columns as of
+from unbend.refraction.kernels.columns import (
+    CABIN_SIGMAS,
+    HEIGHT_SHARE,
+    NODE_SHARE,
+    REFRACTIVITY,
+    RELATIVE_GRADIENT,
+    SIGMA_HEIGHT,
+    STATION_COLUMNS,
+    TABLE_NODE,
+    TILT_VARIANCE,
+    WINDOW_GRADIENT,
+    WINDOW_KIND,
+    WINDOW_NORMAL,
+    YAW_AXIS_EAST,
+    YAW_AXIS_NORTH,
+    YAW_EXCESS_VARIANCE,
+)
 from unbend.refraction.ray import DEFAULT_RADIUS_M
 from unbend.refraction.uncertainty import sigmas
 from unbend.refraction.uncertainty.sensitivity import sensitivity
 from unbend.refraction.uncertainty.sigmas import AirMode, Uncertainty
 from unbend.units import Array, Integers, Mask
 
-_MOST_EXPOSURES, _ACROSS = 24, 5  # and rays in five rows and columns of an image
+_MOST_EXPOSURES = 24  # whose rays stand for a block
+_ACROSS = 5  # rows and columns of rays in an image
 _LARGEST_ZETA = np.radians(88.0)
+_ZETA_TO_SPARE = np.radians(0.5)  # beyond the borders of images
+
+_SLOPE_STEP_M = 0.5  # below and above, for the slopes of the air
+_BORDER = 9  # points along each side of an image
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,23 +100,29 @@ def rays_of_exposures(
     directions are those before the window, which turns them by less than 1e-3.
     """
     side = (np.arange(_ACROSS) + 0.5) / _ACROSS
-    x, y = (axis.ravel() for axis in np.meshgrid(side, side))
+    grid_x, grid_y = np.meshgrid(side, side)
+    x = grid_x.ravel()
+    y = grid_y.ravel()
     usable = np.flatnonzero(exposures.usable)
-    drawn = usable[np.linspace(0, usable.size - 1, min(usable.size, _MOST_EXPOSURES)).astype(int)]
-    rows, directions = [np.empty(0, np.int64)], [np.empty((0, 3))]
+    evenly = np.linspace(0, usable.size - 1, min(usable.size, _MOST_EXPOSURES))
+    drawn = usable[evenly.astype(int)]
+    rows = [np.empty(0, np.int64)]
+    directions = [np.empty((0, 3))]
     for camera, exposed in cameras:
         u, v, covered = camera.rays(x * camera.width_px, y * camera.height_px)
         ray = np.stack([u, v, np.ones(u.size)], axis=1)[covered]
+        ray = ray / np.linalg.norm(ray, axis=1)[:, None]
         of_camera = drawn[exposed[drawn]]
         rows.append(np.repeat(of_camera, len(ray)))
-        directions.append(np.tile(ray / np.linalg.norm(ray, axis=1)[:, None], (of_camera.size, 1)))
-    row, direction = np.concatenate(rows), np.concatenate(directions)
+        directions.append(np.tile(ray, (of_camera.size, 1)))
+    row = np.concatenate(rows)
+    direction = np.concatenate(directions)
     down = -exposures.rotation[row, :, 2]
     zeta = np.arccos(np.clip(np.einsum("ij,ij->i", down, direction), -1.0, 1.0))
     below = zeta < _LARGEST_ZETA
-    row, direction, down, zeta = row[below], direction[below], down[below], zeta[below]
-    turns = window_turn(direction, down, exposures.normals[row])
-    return WindowRays(exposures.height_m[row], zeta, kinds[row], *turns)
+    row = row[below]
+    towards, across = window_turn(direction[below], down[below], exposures.normals[row])
+    return WindowRays(exposures.height_m[row], zeta[below], kinds[row], towards, across)
 
 
 def leading_mode(
@@ -146,14 +173,11 @@ def leading_mode(
     if not np.any(length > 0.0):
         return None
     r = traced.r_c[good]
-    u = direction[0] * (np.sign(r @ along @ direction[0]) or 1.0)
+    sense = np.sign(r @ along @ direction[0]) or 1.0
+    u = direction[0] * sense
     # Six digits, as in the manifest, which then has it exactly.
     sigma = float(f"{length[0] / np.linalg.norm(r):.6g}")
     return AirMode(root.matrix @ u, sigma, float(length[0] ** 2 / np.sum(length**2)))
-
-
-_SLOPE_STEP_M = 0.5
-_BORDER = 9  # points along each side of an image
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,27 +249,19 @@ def uncertainty_of(
     radius = exposures.radius_m or DEFAULT_RADIUS_M
     kinds = np.full(usable.shape, sigmas.OPEN) if window_kinds is None else window_kinds
     kinds = np.where(usable, kinds, sigmas.OPEN)
-    low, high = max(ground_heights_m[0], profile.bottom_m), min(ground_heights_m[1], heights.min())
+    low = max(ground_heights_m[0], profile.bottom_m)
+    high = min(ground_heights_m[1], heights.min())
     ground_m = 0.5 * (low + high) if typical_ground_m is None else typical_ground_m
     mode = None
     if covariance is not None:
         seen = rays_of_exposures(replace(exposures, usable=usable), cameras, kinds)
         mode = leading_mode(profile, covariance, seen, ground_m, radius=radius)
-    # The largest nadir angle that a border of an image shows, half a degree to spare.
-    zeta, side, ends = [0.0], np.linspace(0.0, 1.0, _BORDER), np.repeat([0.0, 1.0], _BORDER)
-    x, y = np.concatenate([side, side, ends]), np.concatenate([ends, side, side])
-    for camera, exposed in cameras:
-        down = -exposures.rotation[usable & exposed, :, 2]
-        u, v, covered = camera.rays(x * camera.width_px, y * camera.height_px)
-        rays = np.stack([u, v, np.ones(u.size)]) / np.sqrt(u * u + v * v + 1.0)
-        least = float((down @ rays).min(initial=1.0)) if bool(covered.all()) else 0.0
-        zeta.append(float(np.arccos(least) + np.radians(0.5)) if down.size else 0.0)
     camera_m, tables = sigmas.air_sigma(
         profile,
         covariance,
         (float(heights.min()), float(heights.max())),
         ground_heights_m,
-        largest_zeta_rad=max(zeta),
+        largest_zeta_rad=_largest_zeta(exposures, usable, cameras),
         radius=radius,
         window_kinds=np.unique(kinds[kinds != sigmas.OPEN]).tolist(),
         mode=mode,
@@ -254,14 +270,36 @@ def uncertainty_of(
     return Uncertainty(tables, columns, mode)
 
 
+def _largest_zeta(
+    exposures: Exposures, usable: Mask, cameras: Sequence[tuple[Camera, Mask]]
+) -> float:
+    """The largest nadir angle [rad] that a border of an image shows, half a degree to spare."""
+    side = np.linspace(0.0, 1.0, _BORDER)
+    ends = np.repeat([0.0, 1.0], _BORDER)
+    x = np.concatenate([side, side, ends])
+    y = np.concatenate([ends, side, side])
+    largest = 0.0
+    for camera, exposed in cameras:
+        down = -exposures.rotation[usable & exposed, :, 2]
+        if down.size == 0:
+            continue
+        u, v, covered = camera.rays(x * camera.width_px, y * camera.height_px)
+        rays = np.stack([u, v, np.ones(u.size)]) / np.sqrt(u * u + v * v + 1.0)
+        least_cosine = float((down @ rays).min(initial=1.0)) if bool(covered.all()) else 0.0
+        largest = max(largest, float(np.arccos(least_cosine) + _ZETA_TO_SPARE))
+    return largest
+
+
 def _station_columns(
     profile: Profile, exposures: Exposures, stations: StationSigmas, kinds: Integers, at_m: Array
 ) -> Array:
-    """(s, 19) columns `N` to `CABIN` of `kernels.columns`, beside tables for cameras ``at_m``;
-    ``kinds`` (s,) are those of windows."""
+    """(s, 19) columns `REFRACTIVITY` to `LENS_SIGMAS` of `kernels.columns`.
+
+    Beside tables for cameras at ``at_m``; ``kinds`` (s,) are those of windows.
+    """
     n = exposures.refractivity_outside
     h = np.where(exposures.usable & np.isfinite(n), exposures.height_m, at_m[0])
-    table = np.full((h.size, of.STATION_COLUMNS), np.nan)
+    table = np.full((h.size, STATION_COLUMNS), np.nan)
     # Slopes over half a metre below and above, within the profile.
     low = np.maximum(h - _SLOPE_STEP_M, profile.bottom_m)
     high = np.minimum(h + _SLOPE_STEP_M, profile.top_m)
@@ -269,22 +307,24 @@ def _station_columns(
     thinner = np.log(profile.pressure(high) / profile.pressure(low)) / (high - low)
     node = np.clip(np.searchsorted(at_m, h, side="right") - 1, 0, at_m.size - 2)
     axis = np.einsum("sji,sj->si", exposures.rotation, stations.yaw_axis)
-    table[:, of.N] = n
-    table[:, of.BEND] = slope / (1.0 + n)
-    table[:, of.NODE] = node
-    table[:, of.SHARE] = (h - at_m[node]) / (at_m[node + 1] - at_m[node])
-    table[:, of.SPAN] = (h - at_m[0]) / (at_m[-1] - at_m[0])
-    table[:, of.TILT2] = stations.tilt_rad**2
-    table[:, of.YAW2] = stations.yaw_rad**2 - stations.tilt_rad**2
-    table[:, of.AXIS_E], table[:, of.AXIS_N] = axis[:, 0], axis[:, 1]
-    table[:, of.SIGMA_H] = np.nan_to_num(stations.height_m)
-    table[:, of.WINDOW], table[:, of.WINDOW_BEND] = -1.0, 0.0
-    table[:, of.NORMAL : of.CABIN] = exposures.normals
+    table[:, REFRACTIVITY] = n
+    table[:, RELATIVE_GRADIENT] = slope / (1.0 + n)
+    table[:, TABLE_NODE] = node
+    table[:, NODE_SHARE] = (h - at_m[node]) / (at_m[node + 1] - at_m[node])
+    table[:, HEIGHT_SHARE] = (h - at_m[0]) / (at_m[-1] - at_m[0])
+    table[:, TILT_VARIANCE] = stations.tilt_rad**2
+    table[:, YAW_EXCESS_VARIANCE] = stations.yaw_rad**2 - stations.tilt_rad**2
+    table[:, YAW_AXIS_EAST] = axis[:, 0]
+    table[:, YAW_AXIS_NORTH] = axis[:, 1]
+    table[:, SIGMA_HEIGHT] = np.nan_to_num(stations.height_m)
+    table[:, WINDOW_KIND] = -1.0
+    table[:, WINDOW_GRADIENT] = 0.0
+    table[:, WINDOW_NORMAL:CABIN_SIGMAS] = exposures.normals
     if stations.cabin is not None:
-        table[:, of.CABIN :] = stations.cabin
+        table[:, CABIN_SIGMAS:] = stations.cabin
     for number, kind in enumerate(np.unique(kinds[kinds != sigmas.OPEN]).tolist()):
         rows = kinds == kind
         response = sigmas.cabin_response(profile, h[rows], kind)
-        table[rows, of.WINDOW] = number
-        table[rows, of.WINDOW_BEND] = table[rows, of.BEND] - thinner[rows] * response
+        table[rows, WINDOW_KIND] = number
+        table[rows, WINDOW_GRADIENT] = table[rows, RELATIVE_GRADIENT] - thinner[rows] * response
     return table

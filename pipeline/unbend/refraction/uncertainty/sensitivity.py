@@ -48,12 +48,15 @@ _NODES = 6
 # (n r - k) / n_c [m], the excess, is a ray's distance from being level. m has a pole where it is
 # zero; down to this excess the derivatives are good to 1e-9.
 LEVEL_GUARD_M = 1e-3
-_COARSE, _FINE = (np.polynomial.legendre.leggauss(count) for count in (4, 20))
-_COARSE_GRADING = 0.4  # ln of the ratio of the excess at the ends of a piece
+_COARSE = np.polynomial.legendre.leggauss(4)
+_FINE = np.polynomial.legendre.leggauss(20)
+_COARSE_GRADING = 0.4  # ln of the ratio of the excess at the ends of a piece: up to it 4 nodes do
+_LEAST_GRADING = 1e-9  # no division by zero
 
 _BLOCK = 200_000  # quadrature nodes at a time: 10 MB of polynomials
 # Rays shorter than this in height follow their closed limit: both err by 6e-8 in dR/dh.
 _SHORT_M = 1e-4
+_SHORT_GUARD_M = 1.0  # of the excess of short rays
 
 _ANGLES = math.pi * (np.arange(_NODES) + 0.5) / _NODES
 _CHEBYSHEV = np.cos(_ANGLES)  # nodes on -1 to 1
@@ -76,17 +79,26 @@ class Pieces(NamedTuple):
 
 
 class Rays(NamedTuple):
-    """Rays as vectors of one length: heights [m], nadir angle at the camera [rad], radius [m], and
-    the refraction angle [rad]."""
+    """Rays as vectors of one length."""
 
-    h_c: Array
+    h_c: Array  # heights [m]
     h_g: Array
-    zeta_c: Array
-    radius: Array
-    r_c: Array
+    zeta_c: Array  # nadir angle at the camera [rad]
+    radius: Array  # [m]
+    r_c: Array  # refraction angle [rad]
 
     def rows(self, which: Rows) -> Rays:
-        return Rays(*(a[which] for a in self))
+        """Some of the rays."""
+        return Rays(*(column[which] for column in self))
+
+
+class _Integrals(NamedTuple):
+    """Integrals along rays (n,): see `_integrals`."""
+
+    theta: Array
+    by_s: Array
+    moments: Array
+    least_excess: Array
 
 
 def pieces_between(profile: Profile, low: float, high: float) -> Pieces:
@@ -112,13 +124,15 @@ def trace_adjoints(pieces: Pieces, rays: Rays) -> tuple[Array, Array, Mask]:
     """
     camera, at_camera = _at(pieces, rays.h_c, rays.h_g)
     n_c = np.sum(pieces.coefficient[camera] * at_camera, axis=1)
-    theta, by_s, moments, least = _integrals(pieces, rays, n_c)
-    short = np.abs(rays.h_c - rays.h_g) < _SHORT_M
-    valid = least > np.where(short, 1e4 * _SHORT_M, LEVEL_GUARD_M)
+    theta, by_s, moments, least_excess = _integrals(pieces, rays, n_c)
+    fall = rays.h_c - rays.h_g
+    short = np.abs(fall) < _SHORT_M
+    valid = least_excess > np.where(short, _SHORT_GUARD_M, LEVEL_GUARD_M)
 
     # Length of the chord, one where camera and target coincide, and cos(beta).
-    r_c, r_g = rays.radius + rays.h_c, rays.radius + rays.h_g
-    fall, sagitta = rays.h_c - rays.h_g, 2.0 * np.sin(0.5 * theta) ** 2
+    r_c = rays.radius + rays.h_c
+    r_g = rays.radius + rays.h_g
+    sagitta = 2.0 * np.sin(0.5 * theta) ** 2
     chord = np.sqrt(fall * fall + 2.0 * r_c * r_g * sagitta)
     chord[chord == 0.0] = 1.0
     cos_beta = (fall - r_c * sagitta) / chord
@@ -138,9 +152,10 @@ def trace_adjoints(pieces: Pieces, rays: Rays) -> tuple[Array, Array, Mask]:
     d_h_g = _by_target_height(pieces, rays, n_c, chord, cos_beta)
     # In the limit of a short ray R_c = -tan(zeta_c) N' (h_c - h_g) / (2 n).
     half = 0.5 * bend_c
-    limit = -tan_c * half, tan_c * half, -(1.0 + tan_c * tan_c) * half * fall
-    place = np.where(short, limit, (d_h_c, d_h_g, d_zeta_c))
-    return weight, np.where(valid, place, np.nan).T, valid
+    limit = (-tan_c * half, tan_c * half, -(1.0 + tan_c * tan_c) * half * fall)
+    by_place = np.where(short, limit, (d_h_c, d_h_g, d_zeta_c))
+    by_place = np.where(valid, by_place, np.nan)
+    return weight, by_place.T, valid
 
 
 def _basis(u: Array) -> Array:
@@ -167,36 +182,53 @@ def _lift(rays: Rays) -> Array:
 
 def _excess(pieces: Pieces, rays: Rays, n_c: Array, h: Array) -> tuple[Array, Array, Array]:
     """nu r - s [m] without cancellation, N and the polynomials, at ``h`` (rays, p, j)."""
-    low, high = pieces.edge_m[:-1, None], pieces.edge_m[1:, None]
-    basis = _basis(np.clip(2.0 * (h - low) / (high - low) - 1.0, -1.0, 1.0))
+    low = pieces.edge_m[:-1, None]
+    high = pieces.edge_m[1:, None]
+    u = np.clip(2.0 * (h - low) / (high - low) - 1.0, -1.0, 1.0)
+    basis = _basis(u)
     n = np.einsum("pa,abpj->bpj", pieces.coefficient, basis)
-    h_c, radius, n_c, lift = (a[:, None, None] for a in (rays.h_c, rays.radius, n_c, _lift(rays)))
-    return (radius + h) * (n - n_c) / (1.0 + n_c) + (h - h_c) + lift, n, basis
+    h_c = rays.h_c[:, None, None]
+    radius = rays.radius[:, None, None]
+    n_c = n_c[:, None, None]
+    lift = _lift(rays)[:, None, None]
+    excess = (radius + h) * (n - n_c) / (1.0 + n_c) + (h - h_c) + lift
+    return excess, n, basis
 
 
-def _integrals(pieces: Pieces, rays: Rays, n_c: Array) -> tuple[Array, Array, Array, Array]:
-    """Along rays theta, the integral of m dh = d theta / d s, (rays, p, 6) those of m / n with the
-    Chebyshev polynomials of each piece, and the least excess met [m].
+def _integrals(pieces: Pieces, rays: Rays, n_c: Array) -> _Integrals:
+    """Integrals along rays.
+
+    ``theta``; ``by_s`` the integral of m dh = d theta / d s; ``moments`` (rays, p, 6) those of
+    m / n with the Chebyshev polynomials of each piece; and the least excess met [m].
 
     The nodes are at steps of equal ratio of the excess, which undoes the pole of m.
     """
     low = np.minimum(rays.h_c, rays.h_g)[:, None]
     high = np.maximum(rays.h_c, rays.h_g)[:, None]
-    ends = np.stack([np.clip(e, low, high) for e in (pieces.edge_m[:-1], pieces.edge_m[1:])], 2)
+    lower_end = np.clip(pieces.edge_m[:-1], low, high)
+    upper_end = np.clip(pieces.edge_m[1:], low, high)
+    ends = np.stack([lower_end, upper_end], axis=2)
     width = np.diff(ends)
     inside = width > 0.0
-    excess = np.where(inside, _excess(pieces, rays, n_c, ends)[0], np.inf)
+    excess, _, _ = _excess(pieces, rays, n_c, ends)
+    excess = np.where(inside, excess, np.inf)
     least = excess.min(axis=(1, 2))
-    excess[~np.isfinite(excess) | (least <= 0.0)[:, None, None]] = 1.0
+    turns = (least <= 0.0)[:, None, None]
+    excess[~np.isfinite(excess) | turns] = 1.0
     grading = np.diff(np.log(excess))
-    grading[np.abs(grading) < 1e-9] = 1e-9
-    x, w = _COARSE if np.abs(grading).max(initial=0.0) < _COARSE_GRADING else _FINE
-    x, w = 0.5 + 0.5 * x, 0.5 * w
+    grading[np.abs(grading) < _LEAST_GRADING] = _LEAST_GRADING
+    steepest = np.abs(grading).max(initial=0.0)
+    nodes, weights = _COARSE if steepest < _COARSE_GRADING else _FINE
+    x = 0.5 + 0.5 * nodes
+    w = 0.5 * weights
     scale = width / np.expm1(grading)
-    excess, n, basis = _excess(pieces, rays, n_c, ends[..., :1] + scale * np.expm1(grading * x))
+    height = ends[..., :1] + scale * np.expm1(grading * x)
+    excess, n, basis = _excess(pieces, rays, n_c, height)
     step = scale * grading * np.exp(grading * x) * w
-    least = np.minimum(least, np.where(inside, excess, np.inf).min(axis=(1, 2)))
-    excess = np.where(inside & (least > 0.0)[:, None, None], excess, 1.0)
+    met = np.where(inside, excess, np.inf)
+    least = np.minimum(least, met.min(axis=(1, 2)))
+    does_not_turn = (least > 0.0)[:, None, None]
+    excess = np.where(inside & does_not_turn, excess, 1.0)
 
     s = ((rays.radius + rays.h_c) * np.sin(rays.zeta_c))[:, None, None]
     nu = 1.0 + (n - n_c[:, None, None]) / (1.0 + n_c[:, None, None])
@@ -205,14 +237,15 @@ def _integrals(pieces: Pieces, rays: Rays, n_c: Array) -> tuple[Array, Array, Ar
     density = step * nu * nu * r / root**3
     theta = np.sum(step * s / (r * root), axis=(1, 2))
     moments = np.einsum("abpj,bpj->bpa", basis, density / (1.0 + n))
-    return theta, density.sum(axis=(1, 2)), moments, least
+    return _Integrals(theta, density.sum(axis=(1, 2)), moments, least)
 
 
 def _by_target_height(air: Pieces, rays: Rays, n_c: Array, chord: Array, cos_beta: Array) -> Array:
     """dR_c/dh_g, with sin(beta) - sin(z_g) from r_g sin(beta) = r_c sin(zeta_c - R_c)."""
     target, at_target = _at(air, rays.h_g, rays.h_c)
     n_g = np.sum(air.coefficient[target] * at_target, axis=1)
-    r_c, r_g = rays.radius + rays.h_c, rays.radius + rays.h_g
+    r_c = rays.radius + rays.h_c
+    r_g = rays.radius + rays.h_g
     s = r_c * np.sin(rays.zeta_c)
     excess = r_g * (n_g - n_c) / (1.0 + n_c) - (rays.h_c - rays.h_g) + _lift(rays)
     excess = np.maximum(excess, LEVEL_GUARD_M)
@@ -291,7 +324,8 @@ def ray_weights(
     >>> (ray.r_c * 1e6).round(4).item(), (one_percent_denser * 1e6).round(4).item()
     (60.6689, 0.6065)
     """
-    return _derivatives(profile, (h_c, h_g, zeta_c, radius), lambda h: np.eye(h.size))[0]
+    weights, _ = _derivatives(profile, (h_c, h_g, zeta_c, radius), lambda h: np.eye(h.size))
+    return weights
 
 
 def sensitivity(
@@ -324,16 +358,22 @@ def sensitivity(
     ([0.0, -413.824, 58.604], [-0.0, -11.8448])
     """
     air = partial(air_jacobian, profile, anchor_height_m=anchor_height_m)
-    traced, place = _derivatives(profile, (h_c, h_g, zeta_c, radius), air)
-    _, gradient, r_c, status, valid = traced
+    traced, by_place = _derivatives(profile, (h_c, h_g, zeta_c, radius), air)
     edges = profile.layers.edge.size
-    d_log_pressure = gradient[..., edges]
-    d_h_c, d_h_g, d_zeta_c = np.moveaxis(place, -1, 0)
+    d_log_pressure = traced.weight[..., edges]
     return Sensitivity(
-        profile.break_heights_m, r_c, gradient[..., :edges], gradient[..., edges + 1 :],
-        d_log_pressure, d_log_pressure / profile.pressure(anchor_height_m), d_h_c, d_h_g, d_zeta_c,
-        status, valid,
-    )  # fmt: skip
+        edge_height_m=profile.break_heights_m,
+        r_c=traced.r_c,
+        d_temperature=traced.weight[..., :edges],
+        d_vapour=traced.weight[..., edges + 1 :],
+        d_log_pressure=d_log_pressure,
+        d_pressure=d_log_pressure / profile.pressure(anchor_height_m),
+        d_h_c=by_place[..., 0],
+        d_h_g=by_place[..., 1],
+        d_zeta_c=by_place[..., 2],
+        status=traced.status,
+        valid=traced.valid,
+    )
 
 
 def _derivatives(
@@ -341,26 +381,39 @@ def _derivatives(
 ) -> tuple[RayWeights, Array]:
     """Derivatives (..., k) by what changes N at heights (n,), as ``air_of`` (n, k) has it, and
     (..., 3) by h_c, h_g and zeta_c."""
-    shape, (h_c, h_g, zeta_c, radius) = as_columns(*rays)
+    shape, columns = as_columns(*rays)
+    h_c, h_g, zeta_c, radius = columns
     safe = np.where((zeta_c >= 0.0) & (zeta_c <= np.pi), zeta_c, np.nan)
     r_c, status = bend(ray_table(profile), h_c, h_g, np.sin(safe), np.cos(safe), radius=radius)
     turns = (h_g > h_c) & (np.cos(safe) > 0.0)
     traced = np.flatnonzero(np.isin(status, (OK, BEYOND_GRAZING)) & ~turns)
     # The steepest first: blocks of them need fewer nodes.
-    traced = traced[np.argsort(-np.abs(np.cos(zeta_c[traced])), kind="stable")]
-    columns = Rays(h_c, h_g, zeta_c, radius, r_c)
-    heights = np.stack([h_c, h_g])[:, traced]
-    low, high = (heights.min(), heights.max()) if traced.size else (profile.bottom_m,) * 2
-    pieces = pieces_between(profile, float(low), float(high))
+    steepness = np.abs(np.cos(zeta_c[traced]))
+    traced = traced[np.argsort(-steepness, kind="stable")]
+    every_ray = Rays(h_c, h_g, zeta_c, radius, r_c)
+    low = profile.bottom_m
+    high = profile.bottom_m
+    if traced.size:
+        heights = np.stack([h_c, h_g])[:, traced]
+        low = float(heights.min())
+        high = float(heights.max())
+    pieces = pieces_between(profile, low, high)
     height_m = pieces.height_m.reshape(-1)
     air = air_of(height_m)
-    gradient, place = np.full((h_c.size, air.shape[1]), np.nan), np.full((h_c.size, 3), np.nan)
+    gradient = np.full((h_c.size, air.shape[1]), np.nan)
+    by_place = np.full((h_c.size, 3), np.nan)
     valid = np.zeros(h_c.size, dtype=bool)
-    at_once = max(1, _BLOCK // (height_m.size // _NODES * _FINE[0].size))
+    nodes_of_ray = height_m.size // _NODES * _FINE[0].size
+    at_once = max(1, _BLOCK // nodes_of_ray)
     for first in range(0, traced.size, at_once):
         rows = traced[first : first + at_once]
-        weight, place[rows], valid[rows] = trace_adjoints(pieces, columns.rows(rows))
+        weight, by_place[rows], valid[rows] = trace_adjoints(pieces, every_ray.rows(rows))
         gradient[rows] = weight @ air
-    gradient, place = gradient.reshape(*shape, air.shape[1]), place.reshape(*shape, 3)
-    of_rays = r_c.reshape(shape), status.reshape(shape), valid.reshape(shape)
-    return RayWeights(height_m, gradient, *of_rays), place
+    derivatives = RayWeights(
+        height_m=height_m,
+        weight=gradient.reshape(*shape, air.shape[1]),
+        r_c=r_c.reshape(shape),
+        status=status.reshape(shape),
+        valid=valid.reshape(shape),
+    )
+    return derivatives, by_place.reshape(*shape, 3)

@@ -40,16 +40,18 @@ from unbend.refraction.uncertainty.sensitivity import sensitivity
 from unbend.refraction.window import SCHEDULE_PRESSURE_PA, SCHEDULE_TEMPERATURE_K
 from unbend.units import Array, Integers, Rows
 
-OPEN, SEALED, SCHEDULED = range(3)
-"""Kinds of windows: none that bends; a plane window with air behind it that does not
-depend on that outside; one with Gyer's schedule where the cabin is as thin as the air outside."""
+# Kinds of windows.
+OPEN = 0  # none that bends
+SEALED = 1  # plane, with air behind it that does not depend on that outside
+SCHEDULED = 2  # with Gyer's schedule where the cabin is as thin as the air outside
 
 # Heights at which gradients are kept, linear between them: 4e-4 of R over a way of 10 m.
 _STEP_M = 12.5
 # A layer's share between nodes of camera height: sigma of N_c sags by some 15 % between knots that
 # hardly correlate, and a straight line over an eighth errs by 0.3 %.
 _PARTS_OF_A_LAYER = 8
-_FINEST_M, _WIDEST_M = 4.0, 50.0
+_FINEST_M = 4.0  # between nodes of camera height
+_WIDEST_M = 50.0
 _AT_MOST_CAMERA_NODES = 600
 
 # Ways are even in their root [m^0.5]: 4 m apart at 50 m, 46 m at 6 km.
@@ -65,6 +67,10 @@ _MOST_RAYS = 1500  # traced for the factors: 0.2 s
 
 _REFRACTIVITY_STEP_M = 5.0
 _NOTHING = 1e-30  # in the place of a sigma of zero, by which nothing can be divided
+_LOG_PRESSURE_STEP = 1e-3  # of differences
+_SMALLEST_EIGENVALUE = 1e-12  # of the largest: smaller ones are rounding
+_LOWEST_TARGET_M = -5000.0
+_CAMERAS_PER_WIDEST = 5  # heights of cameras at most, for rays that are traced
 
 
 def air_sigma(
@@ -92,23 +98,22 @@ def air_sigma(
     ground may lie anywhere. dR/dzeta to 1 %.
     """
     root = None if covariance is None else CovarianceRoot.of(covariance)
-    if root is not None:  # the first column is the mode
-        first = np.zeros(len(root.matrix)) if mode is None else mode.state
-        root = replace(root, matrix=np.column_stack([first, root.matrix]))
+    if root is not None:
+        root = root.with_mode_first(mode)
     low, high = camera_heights_m
     top = min(ground_heights_m[1], high)
     bottom = min(max(ground_heights_m[0], profile.bottom_m), low - _SHORTEST_M)
-    # Each layer in eighths, because its edges are knots of sigma.
-    breaks = profile.break_heights_m
-    inside = breaks[(breaks > low) & (breaks < high)]
-    edges = np.concatenate([[low], inside, [max(high, low + _FINEST_M)]])
-    layer = np.diff(breaks)[np.clip(np.searchsorted(breaks, edges[:-1], side="right") - 1, 0, None)]
-    finest = max(_FINEST_M, float(edges[-1] - edges[0]) / _AT_MOST_CAMERA_NODES)
-    camera = cut(edges, np.clip(layer / _PARTS_OF_A_LAYER, finest, max(_WIDEST_M, finest)))
-    first, last = np.sqrt(max(low - top, _SHORTEST_M)), np.sqrt(high - bottom)
-    ways = first + _WAY_STEP * np.arange(2 + max(0, int(np.ceil((last - first) / _WAY_STEP - 1))))
+    camera = _camera_nodes(profile, low, high)
+
+    # Roots of the ways from cameras to targets: fine in the plane, coarse on the sphere.
+    first = np.sqrt(max(low - top, _SHORTEST_M))
+    last = np.sqrt(high - bottom)
+    fine_steps = 2 + max(0, int(np.ceil((last - first) / _WAY_STEP - 1)))
+    ways = first + _WAY_STEP * np.arange(fine_steps)
+    coarse_steps = 2 + int((ways[-1] - first) / _COARSE_STEP)
+    coarse = first + _COARSE_STEP * np.arange(coarse_steps)
+
     plane = _in_the_plane(profile, root, camera, ways**2, window_kinds)
-    coarse = first + _COARSE_STEP * np.arange(2 + int((ways[-1] - first) / _COARSE_STEP))
     # Cosine of the largest nadir angle at the lowest ground in sight.
     sine = np.sin(min(largest_zeta_rad, 0.5 * np.pi)) * (radius + high) / (radius + bottom)
     least = max(LEVEL_COSINE, float(np.sqrt(max(0.0, 1.0 - sine * sine))))
@@ -131,6 +136,18 @@ def air_sigma(
     )
 
 
+def _camera_nodes(profile: Profile, low: float, high: float) -> Array:
+    """(c,) heights of cameras to tabulate: each layer in eighths, its edges are knots of sigma."""
+    breaks = profile.break_heights_m
+    inside = breaks[(breaks > low) & (breaks < high)]
+    edges = np.concatenate([[low], inside, [max(high, low + _FINEST_M)]])
+    layer = np.searchsorted(breaks, edges[:-1], side="right") - 1
+    thickness = np.diff(breaks)[np.clip(layer, 0, None)]
+    finest = max(_FINEST_M, float(edges[-1] - edges[0]) / _AT_MOST_CAMERA_NODES)
+    widest = max(_WIDEST_M, finest)
+    return cut(edges, np.clip(thickness / _PARTS_OF_A_LAYER, finest, widest))
+
+
 def cabin_response(profile: Profile, h: Array, kind: int) -> Array:
     """(n,) change of N in the cabin with ln p outside, at heights of cameras (n,) [m].
 
@@ -139,12 +156,11 @@ def cabin_response(profile: Profile, h: Array, kind: int) -> Array:
     """
     if kind != SCHEDULED:
         return np.zeros(h.shape)
-    p, step = profile.pressure(h), 1e-3
-
-    def n(factor: float) -> Array:
-        return profile.index.refractivity(SCHEDULE_TEMPERATURE_K, factor * p, 0.0)
-
-    return np.asarray((n(1.0 + step) - n(1.0 - step)) / (2.0 * step))
+    p = profile.pressure(h)
+    refractivity = profile.index.refractivity
+    above = refractivity(SCHEDULE_TEMPERATURE_K, (1.0 + _LOG_PRESSURE_STEP) * p, 0.0)
+    below = refractivity(SCHEDULE_TEMPERATURE_K, (1.0 - _LOG_PRESSURE_STEP) * p, 0.0)
+    return np.asarray((above - below) / (2.0 * _LOG_PRESSURE_STEP))
 
 
 def window_kind_of(pressure_pa: Array, *, scheduled: bool) -> Integers:
@@ -181,9 +197,14 @@ class CovarianceRoot:
         scale = np.sqrt(np.maximum(np.diag(covariance.matrix), 0.0))
         safe = np.where(scale > 0.0, scale, 1.0)
         value, vector = np.linalg.eigh(covariance.matrix / np.outer(safe, safe))
-        kept = value > 1e-12 * value[-1]
+        kept = value > _SMALLEST_EIGENVALUE * value[-1]
         matrix = scale[:, None] * vector[:, kept] * np.sqrt(value[kept])
         return cls(np.asarray(matrix), covariance.anchor_height_m)
+
+    def with_mode_first(self, mode: AirMode | None) -> CovarianceRoot:
+        """The same with what one sigma of the leading mode adds as a further, first column."""
+        first = np.zeros(len(self.matrix)) if mode is None else mode.state
+        return replace(self, matrix=np.column_stack([first, self.matrix]))
 
 
 def window_errors(profile: Profile, root: CovarianceRoot, h: Array, kind: int) -> Array:
@@ -207,31 +228,46 @@ def _in_the_plane(
     """The tables for ways (w,) [m]; the first column of ``root`` is the leading mode."""
     lowest, columns_at = columns_of_air(profile, root, camera[0] - way[-1], camera[-1])
     shape = (camera.size, way.size)
-    sigma, angle, mode = np.full(shape, np.nan), np.empty(shape), np.full(shape, np.nan)
+    sigma = np.full(shape, np.nan)
+    angle = np.empty(shape)
+    mode = np.full(shape, np.nan)
     behind = np.full((len(kinds), 2, *shape), np.nan)
-    lean, mode_lean = np.full((2, len(kinds), camera.size), np.nan)
+    lean = np.full((len(kinds), camera.size), np.nan)
+    mode_lean = np.full((len(kinds), camera.size), np.nan)
     at_camera, above = columns_at(camera)
-    cabins = [_cabin_errors(profile, root, camera, v) for v in kinds] if root else []
+    cabins = []
+    if root is not None:
+        cabins = [_cabin_errors(profile, root, camera, kind) for kind in kinds]
     for row, height in enumerate(camera):
         reach = np.maximum(np.minimum(way, height - lowest), _SHORTEST_M)[:, None]
-        mean = (above[row] - columns_at(height - reach[:, 0])[1]) / reach
+        _, integral_below = columns_at(height - reach[:, 0])
+        mean = (above[row] - integral_below) / reach
         angle[row] = (mean[:, 0] - at_camera[row, 0]) / reach[:, 0]
         if root is None:
             continue
         own = at_camera[row, 1:]
         by_air = (mean[:, 1:] - own) / reach
-        mode[row], sigma[row] = by_air[:, 0], _lengths(by_air[:, 1:])
+        mode[row] = by_air[:, 0]
+        sigma[row] = _lengths(by_air[:, 1:])
         for k, cabin in enumerate(cabins):
-            x, y = mean[:, 2:] - cabin[row, 1:], (own - cabin[row])[1:]
+            x = mean[:, 2:] - cabin[row, 1:]
+            y = (own - cabin[row])[1:]
             mode_lean[k, row] = own[0] - cabin[row, 0]
             lean[k, row] = np.linalg.norm(y)
             behind[k, 0, row] = _lengths(x)
             behind[k, 1, row] = x @ y / max(lean[k, row], _NOTHING)
-    return {"sigma": sigma, "angle": angle, "behind": behind, "lean": lean, "mode": mode,
-            "mode_lean": mode_lean}  # fmt: skip
+    return {
+        "sigma": sigma,
+        "angle": angle,
+        "behind": behind,
+        "lean": lean,
+        "mode": mode,
+        "mode_lean": mode_lean,
+    }
 
 
 def _lengths(rows: Array) -> Array:
+    """The length of each row."""
     return np.asarray(np.sqrt(np.einsum("ij,ij->i", rows, rows)))
 
 
@@ -243,11 +279,13 @@ def columns_of_air(
     lowest = max(low, profile.bottom_m)
     breaks = profile.break_heights_m
     even = np.arange(lowest, high + _STEP_M, _STEP_M)
-    h = np.unique(np.concatenate([even, breaks[(breaks > lowest) & (breaks < even[-1])]]))
+    inside = breaks[(breaks > lowest) & (breaks < even[-1])]
+    h = np.unique(np.concatenate([even, inside]))
     h = h[h <= profile.top_m]
     value = profile.refractivity(h)[:, None]
     if root is not None:
-        value = np.column_stack([value, air_jacobian(profile, h, root.anchor_m) @ root.matrix])
+        errors = air_jacobian(profile, h, root.anchor_m) @ root.matrix
+        value = np.column_stack([value, errors])
     thickness = np.diff(h)[:, None]
     slope = np.diff(value, axis=0) / thickness
     steps = 0.5 * thickness * (value[1:] + value[:-1])
@@ -256,7 +294,9 @@ def columns_of_air(
     def at(height: Array) -> tuple[Array, Array]:
         i = np.clip(np.searchsorted(h, height, side="right") - 1, 0, h.size - 2)
         rise = np.clip(height - h[i], 0.0, None)[:, None]
-        return value[i] + slope[i] * rise, integral[i] + rise * (value[i] + 0.5 * rise * slope[i])
+        value_at = value[i] + slope[i] * rise
+        integral_at = integral[i] + rise * (value[i] + 0.5 * rise * slope[i])
+        return value_at, integral_at
 
     return float(h[0]), at
 
@@ -279,9 +319,10 @@ def _on_the_sphere(
     low, high = camera_heights_m
     count = 2 + int((least_cosine**-0.5 - 1.0) / _INCIDENCE_STEP)
     cosine = (1.0 + _INCIDENCE_STEP * np.arange(count)) ** -2.0
-    cameras = int(np.clip(_MOST_RAYS // (count * way.size), 2, 2 + (high - low) / _WIDEST_M * 5))
+    most_cameras = 2 + (high - low) / _WIDEST_M * _CAMERAS_PER_WIDEST
+    cameras = int(np.clip(_MOST_RAYS // (count * way.size), 2, most_cameras))
     h_c = np.linspace(low, high, cameras)[:, None, None]
-    lowest = max(profile.bottom_m, -5000.0)
+    lowest = max(profile.bottom_m, _LOWEST_TARGET_M)
     h_g = np.maximum(h_c - np.maximum(way, _SHORTEST_M)[None, :, None], lowest)
     h_g = np.minimum(h_g, h_c - _SHORTEST_M)
     sine = np.sqrt(1.0 - cosine * cosine) * (radius + h_g) / (radius + h_c)
@@ -295,7 +336,8 @@ def _on_the_sphere(
         return np.stack([unknown, slope, unknown], axis=-1)
     traced = sensitivity(profile, h_c, h_g, zeta, radius, anchor_height_m=root.anchor_m)
     by_air = (traced.gradient @ root.matrix) / np.tan(zeta)[..., None]
-    sigma, mode = np.linalg.norm(by_air[..., 1:], axis=-1), by_air[..., 0] / (h_c - h_g)
+    sigma = np.linalg.norm(by_air[..., 1:], axis=-1)
+    mode = by_air[..., 0] / (h_c - h_g)
     return np.stack([sigma / sigma[..., :1], slope, mode - mode[..., :1]], axis=-1)
 
 
@@ -309,7 +351,7 @@ PARTIALS = ("dx_ds_px", "dy_ds_px", "dx_dncc_px", "dy_dncc_px")
 class Uncertainty:
     """All that turns corrections into standard deviations; made by `uncertainty_of`.
 
-    ``tables`` of sigma_R; ``stations`` (s, 19) columns `N` to `CABIN` of
+    ``tables`` of sigma_R; ``stations`` (s, 19) columns `REFRACTIVITY` to `LENS_SIGMAS` of
     `unbend.refraction.kernels.columns`; ``mode`` the leading mode of the air's covariance, None
     where that is not known.
     """
@@ -364,7 +406,11 @@ class Sigmas(NamedTuple):
 
     def named(self) -> dict[str, Any]:
         """The arrays by the names of columns of tables."""
-        return {n if n in PARTIALS else f"sigma_{n}": v for n, v in self._asdict().items()}
+        columns = {}
+        for name, values in self._asdict().items():
+            column = name if name in PARTIALS else f"sigma_{name}"
+            columns[column] = values
+        return columns
 
     def rows(self, which: Rows | slice) -> Sigmas:
         """Some of the rows; those of a slice can be filled."""

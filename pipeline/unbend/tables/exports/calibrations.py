@@ -131,13 +131,18 @@ def seen_rays(
     given = run.cameras[camera].camera
     some = np.linspace(0, stations.size - 1, min(stations.size, _MOST_IMAGES)).round()
     x, y = lattice_nodes(given, _COLUMNS, _ROWS)
-    parts = [
-        np.stack([
-            np.repeat(part, x.size), np.tile(x, part.size), np.tile(y, part.size), c.x_px, c.y_px,
-            c.zeta_c_rad, np.repeat(run.ground_m[part], x.size),
-        ])
-        for part, c in lattice_parts(run, camera, stations[some.astype(int)], (x, y))
-    ]  # fmt: skip
+    parts = []
+    for part, corrections in lattice_parts(run, camera, stations[some.astype(int)], (x, y)):
+        columns = [
+            np.repeat(part, x.size),
+            np.tile(x, part.size),
+            np.tile(y, part.size),
+            corrections.x_corrected_px,
+            corrections.y_corrected_px,
+            corrections.zeta_c_rad,
+            np.repeat(run.ground_m[part], x.size),
+        ]
+        parts.append(np.stack(columns))
     nodes = np.concatenate(parts, axis=1)
     nodes = nodes[:, nodes[5] < _LARGEST_ZETA_RAD]
     rows = np.concatenate([observed[:, np.isin(observed[0], stations)], nodes], axis=1)

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from unbend.errors import InputError
 from unbend.messages import Notes, note, warning
 from unbend.refraction.kernels.columns import BLOCK, TILE, TerrainGrid
-from unbend.refraction.kernels.terrain import extremes_of_tile
 from unbend.tables.geodata.coordinate_systems import GridSystem, grid_system
 from unbend.tables.geodata.gdal import GDAL_OPTIONS, NAME_OTHERS
 from unbend.units import Array, Integers, Mask
@@ -112,6 +111,8 @@ class ElevationModel:
 
     def load(self, tiles: Integers) -> None:
         """Read tiles that are not in memory, as many as fit there, in the place of others."""
+        from unbend.refraction.kernels.terrain import extremes_of_tile
+
         grid = self.grid
         wanted = sorted(tiles[: grid.tiles.shape[0]].tolist())  # neighbours share blocks of files
         for tile in wanted:

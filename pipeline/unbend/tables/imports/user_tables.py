@@ -22,6 +22,7 @@ from unbend.tables.text_columns import (
     angles_in_radians,
     numbers,
     numbers_of,
+    text_of_frame,
     text_table,
     utc_of_columns,
     utc_of_dates,
@@ -130,6 +131,7 @@ def _utc(
 _ANGLES = {
     "omega", "phi", "kappa", "roll", "pitch", "yaw", "q_w", "q_x", "q_y", "q_z",
 }  # fmt: skip
+_CODES_OF_ORIENTATION = ("ORIENTATION-CSV", "ORIENTATION-COLUMN")
 _LIMITS_DEG = {"latitude": 90.0, "longitude": 360.0}
 _LONGEST_NORM_ERROR = 1e-3
 
@@ -165,9 +167,27 @@ def read_orientation(path: Path, stated: Stated, ledger: Ledger) -> OrientationT
     Refuses (InputError) columns that are not there, text for numbers, images that stand there
     twice, latitudes and angles that none can be, and quaternions that are no rotations.
     """
+    key = "stations.orientation.columns"
+    table = text_table(path, stated.columns, codes=_CODES_OF_ORIENTATION, key=key)
+    return _orientation(table, path, stated, ledger)
+
+
+def orientation_of_frame(
+    frame: pd.DataFrame, name: str, stated: Stated, ledger: Ledger
+) -> OrientationTable:
+    """As `read_orientation` of a table in memory, which messages call ``name``."""
+    key = "stations.orientation.columns"
+    table = text_of_frame(frame, stated.columns, name, codes=_CODES_OF_ORIENTATION, key=key)
+    return _orientation(table, Path(name), stated, ledger)
+
+
+def _orientation(
+    table: pd.DataFrame, path: Path, stated: Stated, ledger: Ledger
+) -> OrientationTable:
+    """The orientations of a table of text."""
     names, unit = stated.columns, stated.angle_unit
     angle_names = [name for name in names if name in _ANGLES]
-    table = _table_with(path, names, "stations.orientation.columns")
+    _refuse_repeated(table, names["image"], path)
     value = _numbers(table, names, path)
     position = _positions(value, path, "stations.orientation.columns")
     angles = np.stack([value[name] for name in angle_names], axis=1)
@@ -200,15 +220,15 @@ def read_orientation(path: Path, stated: Stated, ledger: Ledger) -> OrientationT
 def read_known_positions(path: Path, names: Mapping[str, str]) -> tuple[Names, Array]:
     """Images, and (m, 3) their latitude, longitude [rad] and height [m], from a CSV."""
     key = "stations.orientation.known_positions"
-    table = _table_with(path, names, key)
+    table = text_table(path, names, codes=_CODES_OF_ORIENTATION, key=key)
+    _refuse_repeated(table, names["image"], path)
     position = _positions(_numbers(table, names, path), path, key)
     return table[names["image"]].to_numpy(object), position
 
 
-def _table_with(path: Path, names: Mapping[str, str], key: str) -> pd.DataFrame:
-    """A table that has the columns, and each image once."""
-    table = text_table(path, names, codes=("ORIENTATION-CSV", "ORIENTATION-COLUMN"), key=key)
-    images = table[names["image"]]
+def _refuse_repeated(table: pd.DataFrame, column: str, path: Path) -> None:
+    """Refuse a table without rows, and one that has an image twice."""
+    images = table[column]
     if len(images) == 0:
         raise InputError.of("ORIENTATION-EMPTY", path)
     twice = images[images.duplicated(keep=False)]
@@ -217,7 +237,6 @@ def _table_with(path: Path, names: Mapping[str, str], key: str) -> pd.DataFrame:
         raise InputError.of(
             "ORIENTATION-REPEATED", path, repeated=twice.nunique(), image=twice.iloc[0], lines=lines
         )
-    return table
 
 
 def _numbers(table: pd.DataFrame, names: Mapping[str, str], path: Path) -> dict[str, Array]:

@@ -109,11 +109,10 @@ def test_opensfm(tmp_path, given):
     )
 
 
+@pytest.mark.shared("ba")
 def test_a_block_of_opensfm():
     """Its points through its poses and our camera land on its tracks."""
     path = BLOCKS / "opensfm_berlin" / "reconstruction_example.json"
-    if not path.exists():
-        pytest.skip("no blocks beside the checkout")
     from scipy.spatial.transform import Rotation
 
     (block,) = json.loads(path.read_text())
@@ -189,12 +188,11 @@ def ply(path, fields):
     return np.frombuffer(content[content.index(b"end_header\n") + 11 :], np.dtype(fields))
 
 
+@pytest.mark.shared("ba")
 def test_a_block_of_metashape(tmp_path):
     """Points of the archive through its poses and the camera read from it land on its own
     projections; half a pixel more or less in the principal point would show in their mean."""
     path = BLOCKS / "dbat_sxb" / "sxb.psz"
-    if not path.exists():
-        pytest.skip("no blocks beside the checkout")
     from xml.etree import ElementTree
 
     camera = read_camera(path, None, "unknown")

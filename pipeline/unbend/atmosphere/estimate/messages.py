@@ -1,0 +1,722 @@
+"""Messages of atmosphere/estimate: what each code means, and the words of what is sent."""
+
+from unbend.errors import Code
+from unbend.messages import Kind, Message, fallback, finding, loss, message, note, warning
+
+AIR_ANCHOR = Code(
+    "AIR-ANCHOR",
+    means=(
+        "The level of the profile's pressure follows the barometer outside. The entry "
+        "gives its residuals and how far the pressure at sea level is from the "
+        "climatology."
+    ),
+    effect=(
+        "A note; from 5 sigma a warning, from 10 sigma a loss: then the barometer or its "
+        "unit is wrong, and so is the air."
+    ),
+    remedy="If it is a loss, check log.channels.pressure and its unit.",
+)
+
+
+def air_anchor(
+    *,
+    kind: Kind,
+    where: str,
+    count: int,
+    sigmas: float,
+    median: float,
+    largest: float,
+    at_sea: float,
+) -> Message:
+    """How well the profile's pressure fits the barometer; a loss where the level is impossible."""
+    text = (
+        "pressure anchored to {where}: residuals of {median:.2f} hPa in the median, "
+        "{largest:.2f} hPa at most; {at_sea:.0f} hPa at sea level"
+    )
+    if kind is not Kind.NOTE:
+        text += ", {sigmas:.0f} sigma from the climatology"
+    if kind is Kind.LOSS:
+        text += ": the barometer or its unit is wrong"
+    return message(
+        kind,
+        AIR_ANCHOR,
+        text,
+        where=where,
+        count=count,
+        sigmas=sigmas,
+        median=median,
+        largest=largest,
+        at_sea=at_sea,
+    )
+
+
+AIR_BAROMETRIC = Code(
+    "AIR-BAROMETRIC",
+    means=(
+        "No thermometer outside could be used. Temperatures follow from the fall of "
+        "pressure with GNSS height."
+    ),
+    effect="Allowed substitute; the air is less certain than with a thermometer, see its sigmas.",
+    remedy="Name a thermometer outside under log.channels.temperature, or add a sounding.",
+)
+
+
+def air_barometric(*, where: str, sources: str) -> Message:
+    """Temperatures follow from the fall of pressure with height."""
+    return fallback(AIR_BAROMETRIC, "{sources}", where=where, sources=sources)
+
+
+AIR_CALIBRATED = Code(
+    "AIR-CALIBRATED",
+    means=(
+        "Known errors of sensors, stated under atmosphere.sensors, were subtracted from "
+        "the readings."
+    ),
+    effect="The sensor errors in the report are what remains after that.",
+    remedy="Nothing.",
+)
+
+
+def air_calibrated(*, where: str, count: int, biases: str) -> Message:
+    """Known errors of sensors, stated under atmosphere.sensors, were subtracted from the re."""
+    return note(
+        AIR_CALIBRATED,
+        "subtracted from the readings by the mission file: {biases}",
+        where=where,
+        count=count,
+        biases=biases,
+    )
+
+
+AIR_CALIBRATION = Code(
+    "AIR-CALIBRATION",
+    means="The flight contradicts a stated calibration of a sensor by four sigmas or more.",
+    effect=(
+        "The stated value was used; the air may be wrong by the difference; the run ends with 3."
+    ),
+    remedy=(
+        "Check atmosphere.sensors: the sign (reading minus air), the unit, and that it is"
+        " this sensor; and the other sensors."
+    ),
+)
+
+
+def air_calibration(
+    *,
+    where: str,
+    fault: str,
+    sigmas: float,
+    stated: float,
+    prior: float,
+    flown: float,
+    sigma: float,
+) -> Message:
+    """The flight contradicts a stated calibration of a sensor by four sigmas or more."""
+    return finding(
+        AIR_CALIBRATION,
+        (
+            "{fault}: {stated:.3g} ± {prior:.2g} by the mission file, {flown:.3g} ± "
+            "{sigma:.2g} by the flight alone, {sigmas:.0f} sigma away: one of the two is "
+            "wrong, or another sensor"
+        ),
+        where=where,
+        fault=fault,
+        sigmas=sigmas,
+        stated=stated,
+        prior=prior,
+        flown=flown,
+        sigma=sigma,
+    )
+
+
+AIR_CALIBRATION_UNUSED = Code(
+    "AIR-CALIBRATION-UNUSED",
+    means="A calibration is stated for an error that no sensor in use has.",
+    effect="It was not used.",
+    remedy="Remove it, or check which sensors were used and why others were not.",
+)
+
+
+def calibration_unused(*, where: str, count: int, faults: str) -> Message:
+    """Calibrations are stated for errors that no sensor in use has."""
+    return note(
+        AIR_CALIBRATION_UNUSED,
+        "no sensor in use has a {faults}",
+        where=where,
+        count=count,
+        faults=faults,
+    )
+
+
+AIR_CONTRADICTED = Code(
+    "AIR-CONTRADICTED",
+    means=(
+        "A surface report, or the lowest pressure of a sounding or model column, is five "
+        "sigmas or more from what the other sources give."
+    ),
+    effect=(
+        "Robust weights let the others prevail, which may be the flight's own sensor; the"
+        " run ends with 3."
+    ),
+    remedy=(
+        "Check its height, unit and time, and the barometer, its calibration and the "
+        "heights of the log; leave out what is wrong."
+    ),
+)
+
+
+def air_contradicted(*, where: str, count: int, quantity: str, rms: float) -> Message:
+    """A surface report, or the lowest pressure of a sounding or model column, is five sigma."""
+    return finding(
+        AIR_CONTRADICTED,
+        (
+            "{where} ({quantity}) is {rms:.1f} sigma from what the other sources "
+            "give, and robust weights let them prevail: it is wrong, or the flight's own "
+            "sensor or heights are"
+        ),
+        where=where,
+        count=count,
+        quantity=quantity,
+        rms=rms,
+    )
+
+
+AIR_HUMIDITY_EXPECTED = Code(
+    "AIR-HUMIDITY-EXPECTED",
+    means="No humidity was measured outside.",
+    effect="The climatology's humidity is taken; its share of R is small, and in the sigmas.",
+    remedy="Name a hygrometer under log.channels.humidity, or add a sounding.",
+)
+
+
+def air_humidity_expected() -> Message:
+    """No humidity was measured outside."""
+    return fallback(
+        AIR_HUMIDITY_EXPECTED,
+        "no humidity measured outside: that of the climatology is taken",
+    )
+
+
+AIR_HYGROMETER = Code(
+    "AIR-HYGROMETER",
+    means=(
+        "A hygrometer reads air that is more humid than any: a dew point above 35 C, or 4"
+        " sigma above the climatology's. It is stuck, wet, or beside a warm board; or it "
+        "reads 1.1 % at most."
+    ),
+    effect="It is not used, the climatology's humidity is taken; the run ends with 3.",
+    remedy="Check the sensor and its unit (log.channels.humidity).",
+)
+
+
+def hygrometer_not_used(*, name: str, reason: str) -> Message:
+    """A hygrometer reads more humid or drier air than there is."""
+    return loss(AIR_HYGROMETER, "{where} is not used: {reason}", where=name, reason=reason)
+
+
+def hygrometer_too_dry(*, percent: float) -> str:
+    """Why a hygrometer is not used: it reads dry air throughout."""
+    return (
+        f"it reads {percent:.1f} % of relative humidity at most: no air near the ground is so dry; "
+        "it is dead, or its fractions are taken for per cent"
+    )
+
+
+def hygrometer_too_wet(*, percent: float, height_m: float, dew_c: float, limit_c: float) -> str:
+    """Why a hygrometer is not used: no air has such a dew point."""
+    return (
+        f"{percent:.0f} % of relative humidity at {height_m:.0f} m is a dew point of "
+        f"{dew_c:.1f} C, and no air there has more than {limit_c:.1f} C"
+    )
+
+
+def hygrometer_in_no_cloud(
+    *, percent: float, low_m: float, high_m: float, lapse: float, adiabat: float
+) -> str:
+    """Why a hygrometer is not used: saturated air would overturn."""
+    return (
+        f"{percent:.0f} % and more from {low_m:.0f} to {high_m:.0f} m, where temperature falls by "
+        f"{lapse:.1f} K/km: saturated air overturns at {adiabat:.1f} K/km"
+    )
+
+
+AIR_IMPLAUSIBLE = Code(
+    "AIR-IMPLAUSIBLE",
+    means=(
+        "Air that was estimated from a source is no air, or is farther from plausible "
+        "than the climatology."
+    ),
+    effect="That source is not used; the next best is taken.",
+    remedy="Check the unit and the place of the sensor that is named; see the reason in the entry.",
+)
+
+
+def air_implausible(*, sources: str, reason: str, sensor: str) -> Message:
+    """Air that was estimated from some sources cannot be."""
+    return loss(
+        AIR_IMPLAUSIBLE,
+        "the air estimated from {sources} is not used: {reason}",
+        where=sensor,
+        sources=sources,
+        reason=reason,
+    )
+
+
+def not_temperatures_of_air(*, lowest_k: float, highest_k: float) -> str:
+    """Why air is implausible: its temperatures."""
+    return f"temperatures of {lowest_k:.0f} to {highest_k:.0f} K are not those of air"
+
+
+def far_from_climatology(*, kelvin: float, height_m: float, sigmas: float) -> str:
+    """Why air is implausible: it is far from that of place and season."""
+    return f"{kelvin:.0f} K at {height_m:.0f} m is {sigmas:.1f} sigma from the climatology"
+
+
+def air_overturns(*, lapse: float, height_m: float) -> str:
+    """Why air is implausible: it would overturn."""
+    return (
+        f"temperature falls by {lapse:.1f} K/km above {height_m:.0f} m: air overturns at 9.8 K/km"
+    )
+
+
+def no_information(*, percent: float) -> str:
+    """Why a barometer's air is not used: R is as uncertain as before."""
+    return f"it has no information on temperature: {percent:.0f} % of the sigma of R are left"
+
+
+def held_out_readings_differ(
+    *, sensor: str, unit: str, name: str, by_estimate: float, by_background: float
+) -> str:
+    """Why air is implausible: it predicts readings worse than the climatology does."""
+    return (
+        f"readings of {sensor} that were held out differ by {by_estimate:.2f} {unit} from the "
+        f"estimate and by {by_background:.2f} {unit} from {name}"
+    )
+
+
+AIR_ISOTHERMAL = Code(
+    "AIR-ISOTHERMAL",
+    means=(
+        "A thermometer reads the same over hundreds of metres of height, or changes more "
+        "between climb and descent than with height, as one indoors does. Over so little "
+        "height the barometer cannot decide."
+    ),
+    effect=(
+        "The thermometer is used as if it may be 10 K wrong: it says little, and the "
+        "sigma is nearly the barometer's."
+    ),
+    remedy="Name the thermometer outside, or this one as log.channels.cabin_temperature.",
+)
+
+
+def air_isothermal(*, where: str, extent: float, by_height: float, by_time: float) -> Message:
+    """A thermometer reads the same over hundreds of metres of height, or changes more betwe."""
+    return warning(
+        AIR_ISOTHERMAL,
+        (
+            "{where} changes by {by_height:.1f} K over {extent:.0f} m of height, and by "
+            "{by_time:.1f} K between climb and descent: if it is indoors its temperatures are"
+            " not those of the air outside, and over so little height the barometer cannot "
+            "show it. Its error is expected to be that of a circuit board's"
+        ),
+        where=where,
+        extent=extent,
+        by_height=by_height,
+        by_time=by_time,
+    )
+
+
+AIR_MISFIT = Code(
+    "AIR-MISFIT",
+    means="The residuals of a source are larger than its errors explain.",
+    effect="Its sigma is inflated; the estimate stands.",
+    remedy="Compare the source with the others in the report; leave it out if it is wrong.",
+)
+
+
+def air_misfit(*, where: str, count: int, quantity: str, rms: float, inflation: float) -> Message:
+    """The residuals of a source are larger than its errors explain."""
+    return warning(
+        AIR_MISFIT,
+        (
+            "residuals of {where} ({quantity}) are {rms:.1f} times what its errors "
+            "explain: sigma inflation factor {inflation:.0f}"
+        ),
+        where=where,
+        count=count,
+        quantity=quantity,
+        rms=rms,
+        inflation=inflation,
+    )
+
+
+AIR_NO_BAROMETER = Code(
+    "AIR-NO-BAROMETER",
+    means="The log has no static pressure outside that can be used.",
+    effect="The level of pressure is that of a sounding, a weather station or the climatology.",
+    remedy="Name a barometer under log.channels.pressure, or add a surface report.",
+)
+
+
+def air_no_barometer() -> Message:
+    """The log has no static pressure outside that can be used."""
+    return fallback(
+        AIR_NO_BAROMETER,
+        (
+            "no static pressure outside: its level is that of a sounding, a station or the "
+            "climatology"
+        ),
+    )
+
+
+AIR_NOT_OUTSIDE = Code(
+    "AIR-NOT-OUTSIDE",
+    means="The pressure of a barometer does not follow GNSS height as the air outside does.",
+    effect="It is not used for the air outside.",
+    remedy=(
+        "Name another barometer under log.channels.pressure, or this one as "
+        "log.channels.cabin_pressure."
+    ),
+)
+
+
+def air_not_outside(*, where: str, what_is_odd: str, extent: float) -> Message:
+    """The pressure of a barometer does not follow GNSS height as the air outside does."""
+    return loss(
+        AIR_NOT_OUTSIDE,
+        (
+            "the pressure of {where} {what_is_odd} over {extent:.0f} m of GNSS height: it is "
+            "not that of the air outside and is not used"
+        ),
+        where=where,
+        what_is_odd=what_is_odd,
+        extent=extent,
+    )
+
+
+AIR_OUTLIERS = Code(
+    "AIR-OUTLIERS",
+    means="Single readings are far from their neighbours in height and time.",
+    effect="They are not used.",
+    remedy="Nothing, if they are few.",
+)
+
+
+def air_outliers(*, where: str, count: int, total: int) -> Message:
+    """Single readings are far from their neighbours in height and time."""
+    return note(
+        AIR_OUTLIERS,
+        (
+            "{count} of {total} readings are far from their neighbours in height and time and"
+            " are not used"
+        ),
+        where=where,
+        count=count,
+        total=total,
+    )
+
+
+AIR_SENSORS = Code(
+    "AIR-SENSORS",
+    means=(
+        "The flight determined errors of its sensors, such as bias or lag. The entry "
+        "gives each with its sigma."
+    ),
+    effect=(
+        "These errors were removed in the estimate. A warning where one is larger than a "
+        "working sensor's (two expected sigmas; a static pressure that loses 1 % of its "
+        "change, by three of its sigmas): then that sensor is wrong, or the source that "
+        "shows it."
+    ),
+    remedy=(
+        "Nothing for a note. Of a warning: calibrate the sensor; check the static port "
+        "and its tubes for leaks, and the heights."
+    ),
+)
+
+
+def air_sensors(*, count: int, faults: str) -> Message:
+    """Errors of sensors that the flight determined."""
+    return note(AIR_SENSORS, "{faults}", count=count, faults=faults)
+
+
+def air_sensors_large(*, count: int, faults: str) -> Message:
+    """The flight determined errors of its sensors, such as bias or lag."""
+    return warning(
+        AIR_SENSORS,
+        "{faults}: larger than a working sensor's, or another source is wrong",
+        count=count,
+        faults=faults,
+    )
+
+
+AIR_STANDARD = Code(
+    "AIR-STANDARD",
+    means=(
+        "No measurement of the air could be used: the climatology or the standard "
+        "atmosphere was kept."
+    ),
+    effect="Allowed substitute: a standard leaves 0.3 to 21 % of the shift, see its sigma.",
+    remedy=(
+        "Add a barometer and a thermometer outside, a sounding or a surface report; the "
+        "entry says why each source failed."
+    ),
+)
+
+
+def air_standard(*, reason: str) -> Message:
+    """No measurement of the air could be used."""
+    return fallback(AIR_STANDARD, "{reason}", reason=reason)
+
+
+AIR_STUCK = Code(
+    "AIR-STUCK",
+    means="A sensor gave exactly the same value over hundreds of metres of height: it is stuck.",
+    effect="These readings are not used.",
+    remedy="Check the sensor and its wiring.",
+)
+
+
+def air_stuck(*, where: str, count: int, value: float, extent: float, total: int) -> Message:
+    """A sensor gave exactly the same value over hundreds of metres of height."""
+    return loss(
+        AIR_STUCK,
+        (
+            "{count} of {total} readings of {where} are exactly {value:.6g} over {extent:.0f}"
+            " m of height: the sensor is stuck, and they are not used"
+        ),
+        where=where,
+        count=count,
+        value=value,
+        extent=extent,
+        total=total,
+    )
+
+
+AIR_THERMOMETER = Code(
+    "AIR-THERMOMETER",
+    means=(
+        "A thermometer contradicts what barometer and GNSS height imply (8 K in the mean,"
+        " or 3.5 K in its change with height, beside 3.5 sigma of the comparison; or no "
+        "physical air fits both): so it does not measure the air outside."
+    ),
+    effect="It is not used; the run ends with 3.",
+    remedy="Name the thermometer outside under log.channels.temperature, or check its unit.",
+)
+
+
+def thermometer_not_used(*, name: str, reason: str) -> Message:
+    """A thermometer contradicts barometer and heights."""
+    return loss(AIR_THERMOMETER, "{where} is not used: {reason}", where=name, reason=reason)
+
+
+def thermometer_not_as_predicted(*, reads: str, departure_k: float, limit_k: float) -> str:
+    """Why a thermometer is not used: an estimate without it predicts others."""
+    return (
+        f"it {reads} {departure_k:+.1f} K against what pressure and GNSS height imply, "
+        f"limit {limit_k:.1f} K (log.channels.temperature)"
+    )
+
+
+def thermometer_contradicts_barometer(
+    *, minutes: float, barometer: str, kelvin: float, limit_k: float
+) -> str:
+    """Why a thermometer is not used: within a short time no air has its readings."""
+    return (
+        f"its readings within {minutes:.0f} minutes, beside {barometer} against GNSS height, fit "
+        f"physical air only with errors of {kelvin:.1f} K, limit {limit_k:.1f} K"
+    )
+
+
+def barometer_fits_other_temperatures(*, barometer: str, inflation: float, limit: float) -> str:
+    """Why a thermometer is not used: the barometer fits plausible air of its own."""
+    return (
+        f"{barometer} against GNSS height fits plausible air, but with these temperatures only "
+        f"with a sigma inflation factor of {inflation:.0f}, limit {limit:.0f}"
+    )
+
+
+AIR_UNSETTLED = Code(
+    "AIR-UNSETTLED",
+    means="The estimate of the air had not converged when it was stopped.",
+    effect="It is used; its last step still moved.",
+    remedy="Report the log to the authors, and compare the profile with a sounding.",
+)
+
+
+def air_unsettled() -> Message:
+    """The estimate of the air had not converged when it was stopped."""
+    return warning(
+        AIR_UNSETTLED,
+        "the estimate did not converge: its last step still moved",
+    )
+
+
+METAR_FAR_IN_TIME = Code(
+    "METAR-FAR-IN-TIME",
+    means="The METAR is hours away from the flight.",
+    effect="It weighs less for that.",
+    remedy="Give one of the time of the flight.",
+)
+
+
+def metar_far_in_time(*, where: str, hours: float) -> Message:
+    """The METAR is hours away from the flight."""
+    return warning(
+        METAR_FAR_IN_TIME,
+        "the report is {hours:.1f} hours away from the flight",
+        where=where,
+        hours=hours,
+    )
+
+
+SOUNDING_FAR_AWAY = Code(
+    "SOUNDING-FAR-AWAY",
+    means="The sounding is far from the flight.",
+    effect="It weighs less for that.",
+    remedy="Give a nearer one, if there is one.",
+)
+
+
+def sounding_far_away(*, where: str, km: float, worth: str) -> Message:
+    """The sounding is far from the flight."""
+    return warning(
+        SOUNDING_FAR_AWAY,
+        "the sounding is {km:.0f} km from the flight: {worth}",
+        where=where,
+        km=km,
+        worth=worth,
+    )
+
+
+SOUNDING_UNDATED = Code(
+    "SOUNDING-UNDATED",
+    means="The sounding has no time.",
+    effect="It is taken as some hours from the flight, and weighs accordingly.",
+    remedy="Add time_utc.",
+)
+
+
+def sounding_undated(*, where: str, hours: float) -> Message:
+    """The sounding has no time."""
+    return fallback(
+        SOUNDING_UNDATED,
+        "the sounding has no time: it is taken as {hours:.0f} hours from the flight",
+        where=where,
+        hours=hours,
+    )
+
+
+SOUNDING_UNPLACED = Code(
+    "SOUNDING-UNPLACED",
+    means="The sounding has no position.",
+    effect="It is taken as 100 km from the flight.",
+    remedy="Add latitude_deg and longitude_deg.",
+)
+
+
+def sounding_unplaced(*, where: str, km: float) -> Message:
+    """The sounding has no position."""
+    return fallback(
+        SOUNDING_UNPLACED,
+        "the sounding has no position: it is taken as {km:.0f} km from the flight",
+        where=where,
+        km=km,
+    )
+
+
+SURFACE_FAR_IN_TIME = Code(
+    "SURFACE-FAR-IN-TIME",
+    means="The report is hours away from the flight.",
+    effect="It weighs less for that.",
+    remedy="Give one of the time of the flight.",
+)
+
+
+def surface_far_in_time(*, where: str, hours: float) -> Message:
+    """The report is hours away from the flight."""
+    return warning(
+        SURFACE_FAR_IN_TIME,
+        "the report is {hours:.1f} hours away from the flight",
+        where=where,
+        hours=hours,
+    )
+
+
+SURFACE_UNDATED = Code(
+    "SURFACE-UNDATED",
+    means="The report has no time.",
+    effect="It is taken as some hours from the flight, and weighs accordingly.",
+    remedy="Add time_utc.",
+)
+
+
+def surface_undated(*, where: str, hours: float) -> Message:
+    """The report has no time."""
+    return fallback(
+        SURFACE_UNDATED,
+        "the report has no time: it is taken as {hours:.0f} hours from the flight",
+        where=where,
+        hours=hours,
+    )
+
+
+AIR_SOURCE_FAR = Code(
+    "AIR-SOURCE-FAR",
+    means=(
+        "A sounding or weather report is too old or too far away to have information on this "
+        "flight's air."
+    ),
+    effect="It is not used.",
+    remedy="Give one of the day and the region.",
+)
+
+
+def source_far(*, name: str, reason: str) -> Message:
+    """A sounding or report that says nothing on the air of this flight."""
+    return loss(AIR_SOURCE_FAR, "{where} is not used: {reason}", where=name, reason=reason)
+
+
+AIR_SOURCE_REFUSED = Code(
+    "AIR-SOURCE-REFUSED",
+    means=(
+        "A sounding, model column or report contradicts the climatology (lowest pressure or "
+        "temperatures by 4 sigma), the flight's own sensors (by 4.5 sigma and 2 K), or the "
+        "other sources."
+    ),
+    effect="It is not used; the run ends with 3.",
+    remedy=(
+        "Check its units, heights above sea level, time and place; and the sensors of the flight."
+    ),
+)
+
+
+def source_refused(*, name: str, reason: str) -> Message:
+    """A sounding, model column or report that contradicts others."""
+    return loss(AIR_SOURCE_REFUSED, "{where} is not used: {reason}", where=name, reason=reason)
+
+
+def level_far_from_climatology(
+    *, hpa: float, height_m: float, sigmas: float, expected_hpa: float
+) -> str:
+    """Why a column is refused: its lowest pressure."""
+    return (
+        f"{hpa:.1f} hPa at {height_m:.0f} m is {sigmas:.1f} sigma from the {expected_hpa:.1f} hPa "
+        "of the climatology: its heights may count from the ground, or be in feet"
+    )
+
+
+def column_far_from_climatology(*, kelvin: float, sigmas: float) -> str:
+    """Why a column is refused: its temperatures, by place and season."""
+    return (
+        f"its temperatures are {kelvin:+.1f} K from the climatology of place and season, "
+        f"{sigmas:.1f} sigma, in the mean of the lowest 3 km"
+    )
+
+
+def column_contradicts_flight(*, kelvin: float, sigmas: float, extent_m: float) -> str:
+    """Why a column is refused: the flight's own sensors."""
+    return (
+        f"its temperatures are {kelvin:+.1f} K from those of the flight's own sensors, "
+        f"{sigmas:.1f} sigma, in the mean of {extent_m:.0f} m of height: one of both is wrong"
+    )

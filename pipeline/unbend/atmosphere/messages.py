@@ -1,0 +1,455 @@
+"""Messages of atmosphere: what each code means, and the words of what is sent."""
+
+from unbend.errors import Code, InputError, PhysicsError
+from unbend.messages import Message, fallback, note, warning
+
+AIR_AGED = Code(
+    "AIR-AGED",
+    means="Some exposures were made hours after the air at their heights was sampled.",
+    effect="The sigmas of the air of these exposures grow with that time.",
+    remedy="Climb or descend through the air more often, or add a sounding of the time.",
+)
+
+
+def air_aged(*, hours: float, height_m: float, count: int) -> Message:
+    """Some exposures were made hours after the air at their heights was sampled."""
+    return note(
+        AIR_AGED,
+        (
+            "some exposures are {hours:.1f} h from when the air at {height_m:.0f} m was "
+            "sampled: the sigmas of the air grow with that time"
+        ),
+        hours=hours,
+        height_m=height_m,
+        count=count,
+    )
+
+
+AIR_BY_PLACE = Code(
+    "AIR-BY-PLACE",
+    means="The flight is long, and the weather model's air differs along it.",
+    effect=(
+        "Each exposure has the profile of its place and time: what was measured, plus the"
+        " model's change from there."
+    ),
+    remedy="Nothing.",
+)
+
+
+def air_by_place(*, count: int, length_km: float, hours: float, percent: float) -> Message:
+    """The flight is long, and the weather model's air differs along it."""
+    return note(
+        AIR_BY_PLACE,
+        (
+            "the weather model's air changes along {length_km:.0f} km and {hours:.1f} h: "
+            "{count} profiles, R by up to {percent:.2f} %"
+        ),
+        one=(
+            "the weather model's air changes along {length_km:.0f} km and {hours:.1f} h: "
+            "1 profile, R by up to {percent:.2f} %"
+        ),
+        count=count,
+        length_km=length_km,
+        hours=hours,
+        percent=percent,
+    )
+
+
+AIR_INDEX = Code(
+    "AIR-INDEX",
+    means="The name of a refractive index is not known.",
+    effect="The call is refused.",
+    remedy="Take ciddor or gyer.",
+)
+
+
+def unknown_index(*, name: str, names: str) -> PhysicsError:
+    """No refractive index has this name."""
+    return PhysicsError(
+        AIR_INDEX,
+        "no refractive index is called {name!r}",
+        remedy="one of {names}",
+        name=name,
+        names=names,
+    )
+
+
+AIR_WAVELENGTH = Code(
+    "AIR-WAVELENGTH",
+    means="The wavelength is outside the range of the formula of the refractive index.",
+    effect="The call is refused.",
+    remedy="Give the wavelength in metres, as 0.55e-6.",
+)
+
+
+def wavelength_outside_range(*, wavelength_m: float) -> PhysicsError:
+    """The formula of the refractive index does not hold for this wavelength."""
+    return PhysicsError(
+        AIR_WAVELENGTH,
+        "a wavelength of {wavelength_m:g} m lies outside 0.23e-6 to 2.0e-6 m",
+        remedy="give the wavelength of vacuum in metres, for example 0.55e-6",
+        wavelength_m=wavelength_m,
+    )
+
+
+AIR_WINDOW = Code(
+    "AIR-WINDOW",
+    means="One part of the flight had too little information for air of its own.",
+    effect="The air of the whole flight is taken there.",
+    remedy="Nothing.",
+)
+
+
+def air_window(*, when: str, reason: str) -> Message:
+    """A part of the flight that has no air of its own."""
+    return fallback(
+        AIR_WINDOW, "about {when} the whole flight's air: {reason}", when=when, reason=reason
+    )
+
+
+AIR_WINDOWS = Code(
+    "AIR-WINDOWS",
+    means=(
+        "Whether the air changed during the flight was tested by estimating it in windows of time."
+    ),
+    effect="Where it changed, each exposure gets the air of its time; else one profile holds.",
+    remedy="Nothing.",
+)
+
+
+def air_windows(*, hours: float, count: int, sigmas: float, largest: float) -> Message:
+    """Whether the air changed during the flight was tested by estimating it in windows of t."""
+    return note(
+        AIR_WINDOWS,
+        (
+            "the air changes: {count} windows in {hours:.1f} h, R departs from that of the "
+            "whole flight by up to {largest:.2f} %, {sigmas:.1f} sigma"
+        ),
+        one=(
+            "the air changes: 1 window in {hours:.1f} h, R departs from that of the whole"
+            " flight by up to {largest:.2f} %, {sigmas:.1f} sigma"
+        ),
+        hours=hours,
+        count=count,
+        sigmas=sigmas,
+        largest=largest,
+    )
+
+
+def air_windows_none(*, hours: float) -> Message:
+    """Whether the air changed during the flight was tested by estimating it in windows of t."""
+    return note(
+        AIR_WINDOWS,
+        "one profile for {hours:.1f} h: no part of it has enough information",
+        hours=hours,
+    )
+
+
+def air_windows_one(*, hours: float, total: int, sigmas: float, largest: float) -> Message:
+    """Whether the air changed during the flight was tested by estimating it in windows of t."""
+    return note(
+        AIR_WINDOWS,
+        (
+            "one profile for {hours:.1f} h: over {total} windows R changes by {largest:.2f} %"
+            " at most, {sigmas:.1f} sigma"
+        ),
+        hours=hours,
+        total=total,
+        sigmas=sigmas,
+        largest=largest,
+    )
+
+
+ATMOSPHERE_LATITUDE = Code(
+    "ATMOSPHERE-LATITUDE",
+    means="A latitude lies beyond the pole.",
+    effect="The call is refused.",
+    remedy="Give latitudes in radians there.",
+)
+
+
+def latitude_beyond_pole(*, latitude_rad: float) -> PhysicsError:
+    """Degrees where radians are meant."""
+    return PhysicsError(
+        ATMOSPHERE_LATITUDE,
+        "a latitude of {latitude_rad:g} rad lies beyond the pole",
+        remedy="give it in radians",
+        latitude_rad=latitude_rad,
+    )
+
+
+ATMOSPHERE_MSIS = Code(
+    "ATMOSPHERE-MSIS",
+    means="The climatology nrlmsis2.1 needs the package pymsis, which is not installed.",
+    effect="The mission is refused.",
+    remedy='pip install "unbend[msis]", or take another climatology.',
+)
+
+
+def msis_not_installed() -> PhysicsError:
+    """NRLMSIS is asked for, and its package is not there."""
+    return PhysicsError(
+        ATMOSPHERE_MSIS,
+        "NRLMSIS 2.1 needs the package pymsis, which is not installed",
+        remedy='pip install "unbend[msis]", or take another climatology',
+    )
+
+
+ATMOSPHERE_NAME = Code(
+    "ATMOSPHERE-NAME",
+    means="No standard atmosphere or climatology has this name.",
+    effect="The command is refused.",
+    remedy="Take one of the names that the refusal lists.",
+)
+
+
+def unknown_standard(*, name: str, names: str) -> PhysicsError:
+    """No standard atmosphere has this name."""
+    return PhysicsError(
+        ATMOSPHERE_NAME,
+        "no standard atmosphere is called {name!r}",
+        remedy="one of {names}",
+        name=name,
+        names=names,
+    )
+
+
+def unknown_climatology(*, name: str, names: str) -> PhysicsError:
+    """No climatology has this name."""
+    return PhysicsError(
+        ATMOSPHERE_NAME,
+        "no climatology is called {name!r}",
+        remedy="one of {names}",
+        name=name,
+        names=names,
+    )
+
+
+METAR_DEW_POINT = Code(
+    "METAR-DEW-POINT",
+    means="The dew point of the METAR lies above its temperature.",
+    effect="The air is taken as saturated.",
+    remedy="Check the report for a wrong digit.",
+)
+
+
+def metar_dew_point(*, where: str, count: int, dew_c: float, celsius: float) -> Message:
+    """The dew point of the METAR lies above its temperature."""
+    return warning(
+        METAR_DEW_POINT,
+        (
+            "the dew point {dew_c:.1f} C lies above the temperature {celsius:.1f} C: taken as"
+            " saturated"
+        ),
+        where=where,
+        count=count,
+        dew_c=dew_c,
+        celsius=celsius,
+    )
+
+
+METAR_GROUPS = Code(
+    "METAR-GROUPS",
+    means="Groups of the METAR were not understood.",
+    effect="They are not used.",
+    remedy="Nothing, unless temperature or pressure is among them.",
+)
+
+
+def metar_groups(*, where: str, count: int, groups: str) -> Message:
+    """Groups of a METAR that were not understood."""
+    return note(METAR_GROUPS, "{groups}", where=where, count=count, groups=groups)
+
+
+METAR_MISSING = Code(
+    "METAR-MISSING",
+    means="A quantity of the METAR cannot be read.",
+    effect="It is not used.",
+    remedy="Check the report.",
+)
+
+
+def metar_missing(
+    *, where: str, count: int, quantities: str, report: str, dew_point_alone: bool
+) -> Message:
+    """Quantities that a METAR does not give."""
+    text = "no {quantities} can be read in {report!r}"
+    if dew_point_alone:
+        text += "; the dew point alone gives no humidity without the temperature"
+    return fallback(
+        METAR_MISSING, text, where=where, count=count, quantities=quantities, report=report
+    )
+
+
+METAR_PARSE = Code(
+    "METAR-PARSE",
+    means="The text is no METAR.",
+    effect="The mission is refused.",
+    remedy="Give it as the station sent it.",
+)
+
+
+def metar_parse(*, where: object, why: str) -> InputError:
+    """The text is no METAR."""
+    return InputError(
+        METAR_PARSE,
+        "{why}",
+        where=where,
+        why=why,
+        remedy="give it as the station sent it: METAR EDDF 221150Z 24011KT 9999 SCT040 12/08 Q1013",
+    )
+
+
+METAR_RANGE = Code(
+    "METAR-RANGE",
+    means="A value of the METAR does not occur at the ground.",
+    effect="The mission is refused.",
+    remedy="Check whether a digit is missing.",
+)
+
+
+def metar_range(*, where: object, quantity: str, number: float, unit: str) -> InputError:
+    """A value of the METAR does not occur at the ground."""
+    return InputError(
+        METAR_RANGE,
+        "the {quantity} is {number:.6g} {unit}, which does not occur at the ground",
+        where=where,
+        quantity=quantity,
+        number=number,
+        unit=unit,
+        remedy="check whether a digit is missing",
+    )
+
+
+PROFILE_RANGE = Code(
+    "PROFILE-RANGE",
+    means="Heights leave the profile.",
+    effect="The call is refused.",
+    remedy="Ask for heights inside it.",
+)
+
+
+def reference_height_outside_profile(*, height_m: float, where: str) -> PhysicsError:
+    """Pressure is referred to a height that the profile does not reach."""
+    return PhysicsError(
+        PROFILE_RANGE,
+        "a reference height of {height_m:g} m leaves the profile",
+        where=where,
+        remedy="refer pressure to a height inside it",
+        height_m=height_m,
+    )
+
+
+def heights_outside_profile(*, lowest_m: float, highest_m: float, where: str) -> PhysicsError:
+    """The profile is asked for heights that it does not reach."""
+    return PhysicsError(
+        PROFILE_RANGE,
+        "heights of {lowest_m:.0f} to {highest_m:.0f} m leave the profile",
+        where=where,
+        remedy="ask for heights inside it",
+        lowest_m=lowest_m,
+        highest_m=highest_m,
+    )
+
+
+SURFACE_EMPTY = Code(
+    "SURFACE-EMPTY",
+    means="A surface report has neither temperature nor pressure.",
+    effect="The mission is refused.",
+    remedy="Give temperature_c, pressure_hpa or a metar.",
+)
+
+
+def surface_empty(*, where: object) -> InputError:
+    """A surface report has neither temperature nor pressure."""
+    return InputError(
+        SURFACE_EMPTY,
+        "a surface report needs a temperature or a pressure",
+        where=where,
+        remedy="give temperature_c, pressure_hpa or a metar",
+    )
+
+
+SURFACE_HEIGHT = Code(
+    "SURFACE-HEIGHT",
+    means="The height of a weather station is not on the ground.",
+    effect="The mission is refused.",
+    remedy="Give its elevation in metres, -500 to 6000.",
+)
+
+
+def surface_height(*, where: object, height_m: float) -> InputError:
+    """The height of a weather station is not on the ground."""
+    return InputError(
+        SURFACE_HEIGHT,
+        "a station {height_m:g} m above the sea is not on the ground",
+        where=where,
+        height_m=height_m,
+        remedy="give its elevation in metres, -500 to 6000",
+    )
+
+
+SURFACE_HUMIDITY = Code(
+    "SURFACE-HUMIDITY",
+    means="A relative humidity is not between 0 and 1.",
+    effect="The mission is refused.",
+    remedy="Give a fraction: 55 % is 0.55.",
+)
+
+
+def surface_humidity(*, where: object, humidity: float) -> InputError:
+    """A relative humidity is not between 0 and 1."""
+    return InputError(
+        SURFACE_HUMIDITY,
+        "a relative humidity of {humidity:g} is not between 0 and 1",
+        where=where,
+        humidity=humidity,
+        remedy="give a fraction: 55 % is 0.55",
+    )
+
+
+SURFACE_PRESSURE = Code(
+    "SURFACE-PRESSURE",
+    means="The pressure is impossible at that height.",
+    effect="The mission is refused.",
+    remedy="pressure_hpa is what the barometer shows there, in hPa, not reduced to sea level.",
+)
+
+
+def surface_pressure(
+    *, where: object, hpa: float, height_m: float, ratio: float, usual_hpa: float
+) -> InputError:
+    """The pressure is impossible at that height."""
+    return InputError(
+        SURFACE_PRESSURE,
+        "{hpa:.2f} hPa at {height_m:.0f} m is {ratio:.3f} times the usual {usual_hpa:.0f} hPa",
+        where=where,
+        hpa=hpa,
+        height_m=height_m,
+        ratio=ratio,
+        usual_hpa=usual_hpa,
+        remedy="pressure_hpa is what the barometer shows there, in hPa, not reduced to sea level",
+    )
+
+
+SURFACE_TEMPERATURE = Code(
+    "SURFACE-TEMPERATURE",
+    means="The temperature does not occur at the ground.",
+    effect="The mission is refused.",
+    remedy="Give temperature_c in Celsius.",
+)
+
+
+def surface_temperature(*, where: object, kelvin: float, celsius: float) -> InputError:
+    """The temperature does not occur at the ground."""
+    return InputError(
+        SURFACE_TEMPERATURE,
+        "{kelvin:.2f} K ({celsius:.2f} C) is no temperature of air at the ground",
+        where=where,
+        kelvin=kelvin,
+        celsius=celsius,
+        remedy=(
+            "temperature_c is in Celsius: convert Fahrenheit by (F - 32) / 1.8, Kelvin by"
+            " K - 273.15"
+        ),
+    )

@@ -1,0 +1,1114 @@
+"""Messages of atmosphere/soundings: what each code means, and the words of what is sent."""
+
+from unbend.errors import Code, InputError
+from unbend.messages import Message, fallback, loss, note, warning
+
+MODEL_AREA = Code(
+    "MODEL-AREA",
+    means="Places of the flight lie outside the fields of the weather model, or in a hole of them.",
+    effect="The mission is refused, with the distance.",
+    remedy="Download an area that reaches half a degree beyond the flight on all sides.",
+)
+
+
+def model_area(
+    *,
+    where: object,
+    north: float,
+    east: float,
+    away_km: float,
+    south_node: float,
+    north_node: float,
+    west_node: float,
+    east_node: float,
+) -> InputError:
+    """Places of the flight lie outside the fields of the weather model, or in a hole of the."""
+    return InputError(
+        MODEL_AREA,
+        (
+            "the flight at {north:.2f}°, {east:.2f}° is {away_km:.0f} km from its nodes, the "
+            "nearest within {south_node:.2f}° to {north_node:.2f}°, {west_node:.2f}° to "
+            "{east_node:.2f}°"
+        ),
+        where=where,
+        north=north,
+        east=east,
+        away_km=away_km,
+        south_node=south_node,
+        north_node=north_node,
+        west_node=west_node,
+        east_node=east_node,
+        remedy="download an area that reaches half a degree beyond the flight on all sides",
+    )
+
+
+MODEL_EXTENDED = Code(
+    "MODEL-EXTENDED",
+    means="The lowest level of a weather model lies above the true ground.",
+    effect="The column goes on down to it with 6.5 K/km, its sigma growing by 8 K per kilometre.",
+    remedy="Nothing, or give surface values of a valley: atmosphere.surface.",
+)
+
+
+def model_extended(*, where: str, depth: float, ground: float, sigma: float) -> Message:
+    """The lowest level of a weather model lies above the true ground."""
+    return fallback(
+        MODEL_EXTENDED,
+        (
+            "its lowest level is {depth:.0f} m above the ground at {ground:.0f} m: continued "
+            "down to it with 6.5 K/km, at the ground ± {sigma:.1f} K"
+        ),
+        where=where,
+        depth=depth,
+        ground=ground,
+        sigma=sigma,
+    )
+
+
+MODEL_GROUND = Code(
+    "MODEL-GROUND",
+    means=(
+        "Neither the mission nor the log has the height of the ground, which says what "
+        "levels lie under it."
+    ),
+    effect="The ground of the weather model is taken, or sea level.",
+    remedy=(
+        "State it: a number as ground.height with ground.reference: msl, or ground.home_h_msl_m."
+    ),
+)
+
+
+def model_ground(*, where: str, ground: float) -> Message:
+    """Neither the mission nor the log has the height of the ground, which says what levels ."""
+    return fallback(
+        MODEL_GROUND,
+        (
+            "the height of the ground is not known: {ground:.0f} m is taken, that of the "
+            "model or of the sea"
+        ),
+        where=where,
+        ground=ground,
+    )
+
+
+MODEL_GROUND_UNIT = Code(
+    "MODEL-GROUND-UNIT",
+    means=(
+        "The ground of a weather model on model levels has no unit, and its surface "
+        "pressure is that of a ground in metres."
+    ),
+    effect="It is taken in metres.",
+    remedy="State the unit in the file: ncatted.",
+)
+
+
+def model_ground_unit(*, where: str, count: int, highest: float) -> Message:
+    """The ground of a weather model on model levels has no unit, and its surface pressure i."""
+    return fallback(
+        MODEL_GROUND_UNIT,
+        (
+            "z of its ground has no unit, and as geopotential its surface pressure is no "
+            "weather: taken as metres at {count} nodes, up to {highest:.0f} m"
+        ),
+        one=(
+            "z of its ground has no unit, and as geopotential its surface pressure is no "
+            "weather: taken as metres at 1 node, up to {highest:.0f} m"
+        ),
+        where=where,
+        count=count,
+        highest=highest,
+    )
+
+
+MODEL_LAYER = Code(
+    "MODEL-LAYER",
+    means=(
+        "A layer of a weather model is not as thick as its temperatures imply: one of its"
+        " levels is wrong, or it lies under the ground of the model and holds "
+        "extrapolated air."
+    ),
+    effect="It is used.",
+    remedy="Compare the levels that are named with their neighbours; download the file again.",
+)
+
+
+def model_layer(
+    *, where: str, lower: float, upper: float, mean: float, implied: float, count: int
+) -> Message:
+    """A layer of a weather model is not as thick as its temperatures imply."""
+    return warning(
+        MODEL_LAYER,
+        (
+            "between {lower:.4g} and {upper:.4g} hPa its temperatures are {mean:.1f} K in the"
+            " mean, and {implied:.1f} K by the heights of these levels (the worst of "
+            "{count}): a wrong level, or extrapolated air under the model's ground"
+        ),
+        where=where,
+        lower=lower,
+        upper=upper,
+        mean=mean,
+        implied=implied,
+        count=count,
+    )
+
+
+MODEL_LEVELS = Code(
+    "MODEL-LEVELS",
+    means=(
+        "The levels of a weather model are too few for a profile, some are missing, or "
+        "the temperature changes from one to the next as in no air."
+    ),
+    effect="The mission is refused; the levels are listed.",
+    remedy="Request all levels from the ground to the highest camera; leave a wrong level out.",
+)
+
+
+def model_levels_jump(
+    *,
+    where: object,
+    lower: str,
+    upper: str,
+    lower_k: float,
+    upper_k: float,
+    thick: float,
+    north: float,
+    east: float,
+) -> InputError:
+    """The levels of a weather model are too few for a profile, some are missing, or the tem."""
+    return InputError(
+        MODEL_LEVELS,
+        (
+            "temperature changes from {lower_k:.1f} K on {lower} to {upper_k:.1f} K on "
+            "{upper}, {thick:.0f} m higher, at {north:.2f}°, {east:.2f}°: no air does so"
+        ),
+        where=where,
+        lower=lower,
+        upper=upper,
+        lower_k=lower_k,
+        upper_k=upper_k,
+        thick=thick,
+        north=north,
+        east=east,
+        remedy="one of these levels is wrong: download the file again, or leave that level out",
+    )
+
+
+def model_levels(*, where: object, total: int, which: str, listed: str, fewest: int) -> InputError:
+    """The levels of a weather model are too few for a profile, some are missing, or the tem."""
+    return InputError(
+        MODEL_LEVELS,
+        "{total} levels {which} ({listed} hPa): a profile needs at least {fewest}, rising",
+        where=where,
+        total=total,
+        which=which,
+        listed=listed,
+        fewest=fewest,
+        remedy="request all levels from the ground to the highest camera, 1000 to 100 hPa",
+    )
+
+
+MODEL_MISSING = Code(
+    "MODEL-MISSING",
+    means="Some levels of a weather model have missing values at the place of the flight.",
+    effect="They are left out; the others are used.",
+    remedy="Nothing, or download the file again.",
+)
+
+
+def model_missing(*, where: str, count: int, total: int) -> Message:
+    """Some levels of a weather model have missing values at the place of the flight."""
+    return fallback(
+        MODEL_MISSING,
+        "{count} of {total} levels have missing values there: left out",
+        where=where,
+        count=count,
+        total=total,
+    )
+
+
+MODEL_PRESSURE_UNIT = Code(
+    "MODEL-PRESSURE-UNIT",
+    means=(
+        "The pressure levels cannot be in the unit that the file states: Pa and hPa are confused."
+    ),
+    effect="They are taken in the other unit.",
+    remedy="Check the levels: unbend inspect.",
+)
+
+
+def model_pressure_unit(*, where: str, lowest: float, factor: float) -> Message:
+    """The pressure levels cannot be in the unit that the file states."""
+    return fallback(
+        MODEL_PRESSURE_UNIT,
+        "pressure levels up to {lowest:.6g} Pa by their unit: taken as {factor:g} times",
+        where=where,
+        lowest=lowest,
+        factor=factor,
+    )
+
+
+MODEL_UNDERGROUND = Code(
+    "MODEL-UNDERGROUND",
+    means="Levels of a weather model lie under the ground: they hold air that was extrapolated.",
+    effect="They are left out.",
+    remedy="Nothing.",
+)
+
+
+def model_underground(*, where: str, count: int, bottom: float) -> Message:
+    """Levels of a weather model lie under the ground."""
+    return note(
+        MODEL_UNDERGROUND,
+        "{count} levels lie under the ground at {bottom:.0f} m: left out",
+        one="1 level lies under the ground at {bottom:.0f} m: left out",
+        where=where,
+        count=count,
+        bottom=bottom,
+    )
+
+
+FETCH_MODEL_AGAIN = "download the file again as the model's centre offers it"
+
+MODEL_UNITS = Code(
+    "MODEL-UNITS",
+    means=(
+        "Values of a weather model are not what their names say: no temperature of air, "
+        "no humidity, or heights that contradict pressure and temperature."
+    ),
+    effect="The mission is refused.",
+    remedy="Download the file again as the model's centre offers it.",
+)
+
+
+def model_without_values(*, where: str) -> InputError:
+    """All temperatures and humidities around the flight are missing."""
+    return InputError(
+        MODEL_UNITS,
+        "no value of temperature and humidity around the flight",
+        remedy=FETCH_MODEL_AGAIN,
+        where=where,
+    )
+
+
+def model_temperatures(*, where: str, coldest_k: float, warmest_k: float) -> InputError:
+    """Temperatures of a model that no air has."""
+    return InputError(
+        MODEL_UNITS,
+        "temperatures from {coldest_k:.6g} to {warmest_k:.6g} K: that is no air",
+        remedy=FETCH_MODEL_AGAIN,
+        where=where,
+        coldest_k=coldest_k,
+        warmest_k=warmest_k,
+    )
+
+
+def model_humidities(*, where: str, kind: str, driest: float, wettest: float) -> InputError:
+    """Humidities of a model that are no fractions."""
+    return InputError(
+        MODEL_UNITS,
+        ("{kind} humidity from {driest:.6g} up to {wettest:.6g}: not kg/kg, and no fraction of 1"),
+        remedy=FETCH_MODEL_AGAIN,
+        where=where,
+        kind=kind,
+        driest=driest,
+        wettest=wettest,
+    )
+
+
+def model_ground_height(*, where: str, highest_m: float) -> InputError:
+    """The ground of a model is higher or lower than any."""
+    return InputError(
+        MODEL_UNITS,
+        "its ground is up to {highest_m:.6g} m high",
+        remedy=FETCH_MODEL_AGAIN,
+        where=where,
+        highest_m=highest_m,
+    )
+
+
+def model_surface_pressure(*, where: str, departure: float) -> InputError:
+    """Surface pressure and height of the ground contradict each other."""
+    return InputError(
+        MODEL_UNITS,
+        "ln of surface pressure is up to {departure:.3g} from that of its ground's height: "
+        "z or lnsp has another unit",
+        remedy=FETCH_MODEL_AGAIN,
+        where=where,
+        departure=departure,
+    )
+
+
+def model_highest_pressure(*, where: str, highest_pa: float) -> InputError:
+    """The lowest level of a model is not near the ground in any unit."""
+    return InputError(
+        MODEL_UNITS,
+        "the highest pressure level is {highest_pa:.6g} Pa, not near the ground",
+        remedy=FETCH_MODEL_AGAIN,
+        where=where,
+        highest_pa=highest_pa,
+    )
+
+
+def model_thickness(*, where: str, ratio: float) -> InputError:
+    """Layers of a model are not as thick as their temperatures imply."""
+    return InputError(
+        MODEL_UNITS,
+        "layers are {ratio:.4g} times as thick as pressure and temperature imply: 1 is "
+        "geopotential metres, 9.807 geopotential",
+        remedy=FETCH_MODEL_AGAIN,
+        where=where,
+        ratio=ratio,
+    )
+
+
+def model_units_ground(
+    *, where: object, surface: float, ground: float, metres: float
+) -> InputError:
+    """Values of a weather model are not what their names say."""
+    return InputError(
+        MODEL_UNITS,
+        (
+            "z of its ground has no unit: as geopotential the ground is at {surface:.0f} m, "
+            "in metres at {metres:.0f} m, and that of the mission at {ground:.0f} m"
+        ),
+        where=where,
+        surface=surface,
+        ground=ground,
+        metres=metres,
+        remedy="state the unit: ncatted -a units,z,c,c,'m' file.nc, or 'm**2 s**-2'",
+    )
+
+
+SOUNDING_CHOICE = Code(
+    "SOUNDING-CHOICE",
+    means="The file holds several soundings, and nothing says which is meant.",
+    effect="The mission is refused.",
+    remedy="Keep the one of the flight in the file, or give times.",
+)
+
+
+def sounding_choice_rows(*, where: object, hours: float) -> InputError:
+    """The file holds several soundings, and nothing says which is meant."""
+    return InputError(
+        SOUNDING_CHOICE,
+        (
+            "its rows are up to {hours:.1f} hours apart: no ascent takes so long, so it holds"
+            " several"
+        ),
+        where=where,
+        hours=hours,
+        remedy="keep the rows of one ascent",
+    )
+
+
+def sounding_choice(*, where: object, total: int) -> InputError:
+    """The file holds several soundings, and nothing says which is meant."""
+    return InputError(
+        SOUNDING_CHOICE,
+        "the file holds {total} soundings and no time is given to choose by",
+        where=where,
+        total=total,
+        remedy="keep the one sounding of the flight in the file",
+    )
+
+
+def sounding_choice_undated(*, where: object, total: int) -> InputError:
+    """The file holds several soundings, and nothing says which is meant."""
+    return InputError(
+        SOUNDING_CHOICE,
+        "none of the {total} soundings has a date to choose by",
+        where=where,
+        total=total,
+        remedy="keep one sounding",
+    )
+
+
+SOUNDING_CHOSEN = Code(
+    "SOUNDING-CHOSEN",
+    means="Of several soundings the nearest in time is taken.",
+    effect="As stated.",
+    remedy="Nothing.",
+)
+
+
+def sounding_chosen(*, where: str, count: int, hours: float) -> Message:
+    """Of several soundings the nearest in time is taken."""
+    return note(
+        SOUNDING_CHOSEN,
+        "of {count} soundings the one {hours:.1f} hours away is taken",
+        one="of 1 sounding the one {hours:.1f} hours away is taken",
+        where=where,
+        count=count,
+        hours=hours,
+    )
+
+
+SOUNDING_COLUMN = Code(
+    "SOUNDING-COLUMN",
+    means="A column of the sounding is missing, stands there twice, or two give one quantity.",
+    effect="The mission is refused.",
+    remedy="Name columns like h_m, pressure_hpa, temperature_c, dew_point_c.",
+)
+
+
+def sounding_column_twice(*, where: str, column: str) -> InputError:
+    """A name stands twice in the head of a table."""
+    return InputError(
+        SOUNDING_COLUMN,
+        "the column {column!r} stands there twice",
+        where=where,
+        remedy="keep one of them",
+        column=column,
+    )
+
+
+def sounding_quantity_twice(*, where: str, column: str, other: str, quantity: str) -> InputError:
+    """Two columns give the same quantity."""
+    return InputError(
+        SOUNDING_COLUMN,
+        "{column} and {other} both give the {quantity}",
+        where=where,
+        remedy="keep one of them",
+        column=column,
+        other=other,
+        quantity=quantity,
+    )
+
+
+def sounding_column_wyoming(*, where: object, missing: str) -> InputError:
+    """A column of the sounding is missing, stands there twice, or two give one quantity."""
+    return InputError(
+        SOUNDING_COLUMN,
+        "the Wyoming CSV has no column {missing!r}",
+        where=where,
+        missing=missing,
+        remedy="fetch the file again, with all columns",
+    )
+
+
+def sounding_column(*, where: object, needed: str, present: str, names: str) -> InputError:
+    """A column of the sounding is missing, stands there twice, or two give one quantity."""
+    return InputError(
+        SOUNDING_COLUMN,
+        "no column gives the {needed} with its unit; there are {present}",
+        where=where,
+        needed=needed,
+        present=present,
+        names=names,
+        remedy="name the column {names}",
+    )
+
+
+SOUNDING_COLUMNS_UNUSED = Code(
+    "SOUNDING-COLUMNS-UNUSED",
+    means="Columns of the sounding are not read.",
+    effect="None.",
+    remedy="Rename them, if they are needed.",
+)
+
+
+def sounding_columns_unused(*, where: str, count: int, columns: str) -> Message:
+    """Columns of a table that have no meaning here."""
+    return note(
+        SOUNDING_COLUMNS_UNUSED,
+        "columns that are not read: {columns}",
+        where=where,
+        count=count,
+        columns=columns,
+    )
+
+
+SOUNDING_CUT_OFF = Code(
+    "SOUNDING-CUT-OFF",
+    means="Soundings have a header and no levels: the file was cut off.",
+    effect="One of them may have been nearer to the flight.",
+    remedy="Fetch the file again.",
+)
+
+
+def sounding_cut_off(*, where: str, count: int) -> Message:
+    """Soundings have a header and no levels."""
+    return loss(
+        SOUNDING_CUT_OFF,
+        (
+            "{count} soundings have a header and no level: one of them may have been nearer "
+            "to the flight"
+        ),
+        one=(
+            "1 sounding has a header and no level: one of them may have been nearer to the flight"
+        ),
+        where=where,
+        count=count,
+    )
+
+
+SOUNDING_DUPLICATE = Code(
+    "SOUNDING-DUPLICATE",
+    means="Levels repeat the pressure or the height of another.",
+    effect="They are averaged.",
+    remedy="Nothing.",
+)
+
+
+def sounding_duplicate(*, where: str, count: int) -> Message:
+    """Levels repeat the pressure or the height of another."""
+    return note(
+        SOUNDING_DUPLICATE,
+        "{count} levels repeat the pressure or the height of another: averaged",
+        one="1 level repeat the pressure or the height of another: averaged",
+        where=where,
+        count=count,
+    )
+
+
+SOUNDING_EMPTY = Code(
+    "SOUNDING-EMPTY",
+    means="The sounding has no levels.",
+    effect="The mission is refused.",
+    remedy="Fetch the file again.",
+)
+
+
+def sounding_without_lines(*, where: str) -> InputError:
+    """The file of a sounding has no line."""
+    return InputError(
+        SOUNDING_EMPTY, "the sounding has no line", where=where, remedy="fetch the file again"
+    )
+
+
+def sounding_empty(*, where: object) -> InputError:
+    """The sounding has no levels."""
+    return InputError(
+        SOUNDING_EMPTY,
+        "the file holds no levels",
+        where=where,
+        remedy="fetch it again",
+    )
+
+
+SOUNDING_FAR_IN_TIME = Code(
+    "SOUNDING-FAR-IN-TIME",
+    means="The nearest sounding is many hours away from the flight.",
+    effect="It weighs less for that.",
+    remedy="Give one of the time of the flight.",
+)
+
+
+def sounding_far_in_time(*, where: str, hours: float) -> Message:
+    """The nearest sounding is many hours away from the flight."""
+    return warning(
+        SOUNDING_FAR_IN_TIME,
+        "the nearest sounding is {hours:.0f} hours away from the flight",
+        where=where,
+        hours=hours,
+    )
+
+
+SOUNDING_FORMAT = Code(
+    "SOUNDING-FORMAT",
+    means="The file is no sounding of the format that is named or found.",
+    effect="The mission is refused.",
+    remedy="Leave format out, or name the one that the file has.",
+)
+
+
+def sounding_format_igra(*, where: object) -> InputError:
+    """The file is no sounding of the format that is named or found."""
+    return InputError(
+        SOUNDING_FORMAT,
+        "is no IGRA file: none of its lines begins with # as the header of a sounding does",
+        where=where,
+        remedy="leave out format, or name the one that the file has",
+    )
+
+
+def sounding_format_name(*, where: object, name: str, names: str) -> InputError:
+    """The file is no sounding of the format that is named or found."""
+    return InputError(
+        SOUNDING_FORMAT,
+        "no format of soundings is called {name!r}",
+        where=where,
+        name=name,
+        names=names,
+        remedy="one of auto, {names}",
+    )
+
+
+def sounding_format_header(*, where: object, header: str) -> InputError:
+    """The file is no sounding of the format that is named or found."""
+    return InputError(
+        SOUNDING_FORMAT,
+        "{header!r} is no header of an IGRA sounding",
+        where=where,
+        header=header,
+        remedy="fetch the station's file again",
+    )
+
+
+def sounding_format(*, where: object, begins: str) -> InputError:
+    """The file is no sounding of the format that is named or found."""
+    return InputError(
+        SOUNDING_FORMAT,
+        "is no sounding in a known format: it begins with {begins!r}",
+        where=where,
+        begins=begins,
+        remedy=(
+            "give IGRA v2, a University of Wyoming list or CSV, or a CSV whose columns "
+            "are named like h_m, pressure_hpa, temperature_c, dew_point_c"
+        ),
+    )
+
+
+SOUNDING_HEIGHT = Code(
+    "SOUNDING-HEIGHT",
+    means="No level of the sounding has a height.",
+    effect="The mission is refused.",
+    remedy="Give station_h_msl_m.",
+)
+
+
+def sounding_height(*, where: object, total: int) -> InputError:
+    """No level of the sounding has a height."""
+    return InputError(
+        SOUNDING_HEIGHT,
+        "none of the {total} levels has a height",
+        where=where,
+        total=total,
+        remedy="give the height of the station above the sea as station_h_msl_m",
+    )
+
+
+SOUNDING_HEIGHTS = Code(
+    "SOUNDING-HEIGHTS",
+    means="Levels have no height: it is computed from pressure and temperature.",
+    effect="Allowed substitute.",
+    remedy="Nothing.",
+)
+
+
+def sounding_heights(*, where: str, count: int) -> Message:
+    """Levels have no height."""
+    return fallback(
+        SOUNDING_HEIGHTS,
+        "{count} levels have no height: it is computed from pressure and temperature",
+        one="1 level has no height: it is computed from pressure and temperature",
+        where=where,
+        count=count,
+    )
+
+
+SOUNDING_HUMIDITY_NEGATIVE = Code(
+    "SOUNDING-HUMIDITY-NEGATIVE",
+    means="Levels have a humidity below zero.",
+    effect="It is taken as unknown there.",
+    remedy="Nothing.",
+)
+
+
+def sounding_humidity_negative(*, where: str, count: int) -> Message:
+    """Levels have a humidity below zero."""
+    return warning(
+        SOUNDING_HUMIDITY_NEGATIVE,
+        "{count} levels have a humidity below zero: taken as unknown",
+        one="1 level has a humidity below zero: taken as unknown",
+        where=where,
+        count=count,
+    )
+
+
+SOUNDING_HUMIDITY_OVER = Code(
+    "SOUNDING-HUMIDITY-OVER",
+    means="Levels have more than 100 % humidity.",
+    effect="They are taken as saturated.",
+    remedy="Nothing.",
+)
+
+
+def sounding_humidity_over(*, where: str, count: int, percent: float) -> Message:
+    """Levels have more than 100 % humidity."""
+    return warning(
+        SOUNDING_HUMIDITY_OVER,
+        (
+            "{count} levels have a dew point above the temperature or more than 100 % "
+            "humidity, at most {percent:.0f} %: taken as saturated"
+        ),
+        one=(
+            "1 level has a dew point above the temperature or more than 100 % humidity, "
+            "at most {percent:.0f} %: taken as saturated"
+        ),
+        where=where,
+        count=count,
+        percent=percent,
+    )
+
+
+SOUNDING_HUMIDITY_RANGE = Code(
+    "SOUNDING-HUMIDITY-RANGE",
+    means="Levels have a dew point that no air has.",
+    effect="It is taken as unknown there.",
+    remedy="Check the unit of the dew point.",
+)
+
+
+def sounding_humidity_range(*, where: str, count: int, first: float) -> Message:
+    """Levels have a dew point that no air has."""
+    return warning(
+        SOUNDING_HUMIDITY_RANGE,
+        (
+            "{count} levels have a dew point that no air has, the first {first:.1f} K: taken "
+            "as unknown"
+        ),
+        one="1 level has a dew point that no air has, the first {first:.1f} K: taken as unknown",
+        where=where,
+        count=count,
+        first=first,
+    )
+
+
+SOUNDING_INCONSISTENT = Code(
+    "SOUNDING-INCONSISTENT",
+    means="The layers of the sounding are not as thick as their pressures and temperatures imply.",
+    effect="The mission is refused.",
+    remedy="Look for heights in feet, temperatures in Fahrenheit, columns mixed up.",
+)
+
+
+def sounding_inconsistent(*, where: object, ratio: float) -> InputError:
+    """The layers of the sounding are not as thick as their pressures and temperatures imply."""
+    return InputError(
+        SOUNDING_INCONSISTENT,
+        "the layers are {ratio:.3f} times as thick as their pressures and temperatures imply",
+        where=where,
+        ratio=ratio,
+        remedy=(
+            "look for heights in feet (3.28 times), temperatures in Fahrenheit, columns "
+            "mixed up, or another file in atmosphere.soundings.path"
+        ),
+    )
+
+
+SOUNDING_INDEX_RISES = Code(
+    "SOUNDING-INDEX-RISES",
+    means="The refractive index grows with height in layers: light bends away from the ground.",
+    effect="They are kept.",
+    remedy="Nothing; it happens over cold ground.",
+)
+
+
+def sounding_index_rises(*, where: str, count: int, lowest: float) -> Message:
+    """The refractive index grows with height in layers."""
+    return warning(
+        SOUNDING_INDEX_RISES,
+        (
+            "in {count} layers the refractive index grows with height, the lowest at "
+            "{lowest:.0f} m: light bends away from the ground there, a mirage: kept"
+        ),
+        one=(
+            "in 1 layer the refractive index grows with height, the lowest at "
+            "{lowest:.0f} m: light bends away from the ground there, a mirage: kept"
+        ),
+        where=where,
+        count=count,
+        lowest=lowest,
+    )
+
+
+SOUNDING_LATITUDE = Code(
+    "SOUNDING-LATITUDE",
+    means="The latitude of the sounding is not known.",
+    effect="Its heights are those of 45 degrees: at most 27 m wrong at 10 km.",
+    remedy="Add latitude_deg.",
+)
+
+
+def sounding_latitude(*, where: str) -> Message:
+    """The latitude of the sounding is not known."""
+    return fallback(
+        SOUNDING_LATITUDE,
+        (
+            "the sounding's latitude is not known: its heights are those of 45 degrees, at "
+            "most 27 m wrong at 10 km"
+        ),
+        where=where,
+    )
+
+
+SOUNDING_LEVELS = Code(
+    "SOUNDING-LEVELS",
+    means="Too few levels have pressure and temperature and are in order.",
+    effect="The mission is refused.",
+    remedy="Give another sounding, or the lowest level as a surface report.",
+)
+
+
+def sounding_levels(*, where: object, count: int, fewest: int) -> InputError:
+    """Too few levels have pressure and temperature and are in order."""
+    return InputError(
+        SOUNDING_LEVELS,
+        "{count} levels have a pressure and a temperature and are in order; {fewest} are needed",
+        one="1 level has a pressure and a temperature and are in order; {fewest} are needed",
+        where=where,
+        count=count,
+        fewest=fewest,
+        remedy="give another sounding, or the lowest level as a surface report",
+    )
+
+
+SOUNDING_MISSING = Code(
+    "SOUNDING-MISSING",
+    means="Levels have no pressure or no temperature.",
+    effect="They are not used.",
+    remedy="Nothing.",
+)
+
+
+def sounding_missing(*, where: str, count: int, total: int) -> Message:
+    """Levels have no pressure or no temperature."""
+    return note(
+        SOUNDING_MISSING,
+        "{count} of {total} levels have no pressure or no temperature, and are not used",
+        where=where,
+        count=count,
+        total=total,
+    )
+
+
+SOUNDING_ORDER = Code(
+    "SOUNDING-ORDER",
+    means="Levels stand lower than one of higher pressure.",
+    effect="They are not used.",
+    remedy="Nothing, if they are few.",
+)
+
+
+def sounding_order(*, where: str, count: int, height_m: float, hpa: float) -> Message:
+    """Levels stand lower than one of higher pressure."""
+    return warning(
+        SOUNDING_ORDER,
+        (
+            "{count} levels are lower than one of higher pressure, the first at "
+            "{height_m:.0f} m and {hpa:.1f} hPa: not used"
+        ),
+        one=(
+            "1 level is lower than one of higher pressure, the first at {height_m:.0f} m "
+            "and {hpa:.1f} hPa: not used"
+        ),
+        where=where,
+        count=count,
+        height_m=height_m,
+        hpa=hpa,
+    )
+
+
+SOUNDING_RANGE = Code(
+    "SOUNDING-RANGE",
+    means="Levels have values that no air has.",
+    effect="They are not used.",
+    remedy="Check units, or fetch the file again.",
+)
+
+
+def sounding_range(*, where: str, count: int, hpa: float, kelvin: float) -> Message:
+    """Levels have values that no air has."""
+    return loss(
+        SOUNDING_RANGE,
+        "{count} levels have values that no air has, the first {hpa:.1f} hPa and {kelvin:.1f} K",
+        one="1 level has values that no air has, the first {hpa:.1f} hPa and {kelvin:.1f} K",
+        where=where,
+        count=count,
+        hpa=hpa,
+        kelvin=kelvin,
+    )
+
+
+SOUNDING_SUPERADIABATIC = Code(
+    "SOUNDING-SUPERADIABATIC",
+    means="The air cools faster with height than dry air that rises.",
+    effect="The levels are kept.",
+    remedy="Nothing near the ground; elsewhere check the thermometer of the sonde.",
+)
+
+
+def sounding_superadiabatic(
+    *, where: str, count: int, k_per_km: float, height_m: float, over_m: float
+) -> Message:
+    """The air cools faster with height than dry air that rises."""
+    return warning(
+        SOUNDING_SUPERADIABATIC,
+        (
+            "over {over_m:.0f} m of height the air cools faster than dry air that rises, at "
+            "most by {k_per_km:.1f} K/km at {height_m:.0f} m: kept"
+        ),
+        where=where,
+        count=count,
+        k_per_km=k_per_km,
+        height_m=height_m,
+        over_m=over_m,
+    )
+
+
+SOUNDING_TIME = Code(
+    "SOUNDING-TIME",
+    means="time_utc of the sounding is no time.",
+    effect="The sounding has none: 6 hours are assumed.",
+    remedy="Write it as 2026-05-14T10:20:00Z.",
+)
+
+
+def sounding_time(*, where: str, count: int, time: str) -> Message:
+    """time_utc of the sounding is no time."""
+    return warning(
+        SOUNDING_TIME,
+        "time_utc {time!r} is no time like 2026-05-14T10:20:00Z: the sounding has none",
+        where=where,
+        count=count,
+        time=time,
+    )
+
+
+SOUNDING_TRUNCATED = Code(
+    "SOUNDING-TRUNCATED",
+    means="The header announces more levels than there are.",
+    effect="The levels that are there are used.",
+    remedy="Fetch the file again.",
+)
+
+
+def sounding_truncated(*, where: str, count: int) -> Message:
+    """The header announces more levels than there are."""
+    return loss(
+        SOUNDING_TRUNCATED,
+        "the header announces {count} levels more than there are",
+        one="the header announces 1 level more than there are",
+        where=where,
+        count=count,
+    )
+
+
+SOUNDING_UNITS = Code(
+    "SOUNDING-UNITS",
+    means="Values of the sounding look like another unit than their column's name says.",
+    effect="The mission is refused.",
+    remedy="State the unit in the column's name.",
+)
+
+
+def sounding_too_wet(
+    *, where: str, column: str, quantity: str, percent: float, limit_percent: float
+) -> InputError:
+    """Many levels are far above saturation."""
+    return InputError(
+        SOUNDING_UNITS,
+        _with_column(
+            "{quantity}: {percent:.0f} % of the levels have more than {limit_percent:.0f} % of "
+            "humidity: dew-point depressions in the place of dew points, or another unit",
+            column,
+        ),
+        where=where,
+        remedy=(
+            "state the unit in the column's name: dew_point_c (temperature less depression), "
+            "relative_humidity_percent"
+        ),
+        column=column,
+        quantity=quantity,
+        percent=percent,
+        limit_percent=limit_percent,
+    )
+
+
+def sounding_pressure_unit(
+    *, where: str, column: str, highest_pa: float, likely: str
+) -> InputError:
+    """The highest pressure of a sounding is that of no ground."""
+    return InputError(
+        SOUNDING_UNITS,
+        _with_column("pressure: the highest pressure is {highest_pa:.6g} Pa: {likely}", column),
+        remedy="state the unit in the column's name: pressure_pa or pressure_hpa",
+        where=where,
+        column=column,
+        highest_pa=highest_pa,
+        likely=likely,
+    )
+
+
+def sounding_temperature_unit(
+    *, where: str, column: str, warmest_k: float, likely: str
+) -> InputError:
+    """The warmest level of a sounding is that of no air."""
+    return InputError(
+        SOUNDING_UNITS,
+        _with_column("temperature: the warmest level has {warmest_k:.6g} K: {likely}", column),
+        remedy=(
+            "state the unit in the column's name: temperature_k or temperature_c, and convert "
+            "Fahrenheit"
+        ),
+        where=where,
+        column=column,
+        warmest_k=warmest_k,
+        likely=likely,
+    )
+
+
+def sounding_dew_point_unit(*, where: str, column: str, highest_k: float) -> InputError:
+    """The highest dew point of a sounding is that of no air."""
+    return InputError(
+        SOUNDING_UNITS,
+        _with_column("dew point: the highest dew point is {highest_k:.6g} K", column),
+        remedy="state the unit in the column's name: dew_point_c or dew_point_k",
+        where=where,
+        column=column,
+        highest_k=highest_k,
+    )
+
+
+def sounding_humidity_unit(*, where: str, column: str, highest: float) -> InputError:
+    """The highest relative humidity of a sounding is no fraction."""
+    return InputError(
+        SOUNDING_UNITS,
+        _with_column(
+            "relative humidity: the highest is {highest:.4g} as a fraction of one", column
+        ),
+        remedy=(
+            "state the unit in the column's name: relative_humidity (0 to 1) or "
+            "relative_humidity_percent"
+        ),
+        where=where,
+        column=column,
+        highest=highest,
+    )
+
+
+def sounding_vapour_unit(*, where: str, column: str, highest_pa: float) -> InputError:
+    """The highest vapour pressure of a sounding is that of no air."""
+    return InputError(
+        SOUNDING_UNITS,
+        _with_column("vapour pressure: the highest is {highest_pa:.6g} Pa", column),
+        remedy="state the unit in the column's name: vapour_pressure_pa or vapour_pressure_hpa",
+        where=where,
+        column=column,
+        highest_pa=highest_pa,
+    )
+
+
+def _with_column(text: str, column: str) -> str:
+    """A text that names the column, where the table has one."""
+    return f"{text} (column {{column}})" if column else text
+
+
+SOUNDING_UNSORTED = Code(
+    "SOUNDING-UNSORTED",
+    means="Pressure rises from one level to the next.",
+    effect="The levels are put in order.",
+    remedy="Nothing.",
+)
+
+
+def sounding_unsorted(*, where: str, count: int) -> Message:
+    """Pressure rises from one level to the next."""
+    return warning(
+        SOUNDING_UNSORTED,
+        "pressure rises {count} times from one level to the next: the levels are put in order",
+        one="pressure rises 1 time from one level to the next: the levels are put in order",
+        where=where,
+        count=count,
+    )

@@ -1,0 +1,237 @@
+"""The inputs of a mission are opened: paths become the tables and readers that the stages take."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+from unbend.batch import messages, remote
+from unbend.batch.input_files import named_inputs
+from unbend.batch.plan import located, with_camera_files
+from unbend.batch.remote import Place
+from unbend.config import Mission
+from unbend.config.orientations import KnownPositions as KnownPositionsSection
+from unbend.config.orientations import OrientationSection
+from unbend.flight.channels import Channel
+from unbend.ingest import Log, open_log
+from unbend.messages import Ledger
+from unbend.stages import opened_inputs
+from unbend.stages.opened_inputs import ChannelReader, OpenedInputs
+from unbend.tables.geodata.elevation import open_elevation
+from unbend.tables.geodata.geoid import read_geoid
+from unbend.tables.geodata.object_points import read_object_points
+from unbend.tables.imports import CAMERA_EVENTS, ORIENTATIONS, TRAJECTORIES, blocks, reader_of
+from unbend.tables.imports.exif import ImageTimes, read_image_times
+from unbend.tables.imports.stated import Stated
+from unbend.tables.imports.user_tables import (
+    EventTable,
+    OrientationTable,
+    read_events,
+    read_known_positions,
+)
+from unbend.tables.observations import Observations, open_observations
+from unbend.tables.soundings import read_sounding
+from unbend.tables.weather_files import read_model_field
+
+Paths = Mapping[str, Path]
+"""Where each input is, by its role."""
+
+
+def open_inputs(
+    mission: Mission,
+    paths: Paths,
+    observations: Observations,
+    log: Log | None,
+    ledger: Ledger,
+    *,
+    camera_names: Mapping[str, str] | None = None,
+) -> OpenedInputs:
+    """All inputs of a mission beside its observations and its log, opened.
+
+    ``camera_names`` are the mission's cameras by what a block calls them.
+    """
+    return OpenedInputs(
+        observations=observations,
+        log=log,
+        geoid=read_geoid(paths["geoid"]) if "geoid" in paths else None,
+        trajectory=_trajectory(mission, paths),
+        camera_events=_camera_events(mission, paths),
+        events=_events(mission, paths, ledger),
+        image_times=_image_times(mission, paths, ledger),
+        orientation=_orientation(mission, paths, ledger),
+        camera_names=camera_names or {},
+        known_positions=_known_positions(mission, paths),
+        block_points=_block_points(mission, paths),
+        object_points=_object_points(mission, paths),
+        control=_control(mission, paths),
+        elevation=_elevation(mission, paths),
+        soundings=_soundings(mission, paths),
+        weather_model=_weather_model(mission, paths),
+    )
+
+
+def open_table(
+    mission: Mission, path: Path, ledger: Ledger, most_rows: int | None = None
+) -> Observations:
+    """The table of observations, its columns checked, and ``most_rows`` rows drawn of it."""
+    section = mission.observations
+    ground = mission.ground
+    return open_observations(
+        path,
+        section.columns.model_dump(),
+        ground.column,
+        ledger,
+        ground_is_msl=ground.reference == "msl",
+        sigma_column=ground.sigma_column,
+        direction=mission.refraction.direction,
+        pixels=section.pixels,
+        most_rows=most_rows,
+        file_format=section.format,
+    )
+
+
+def decode_log(mission: Mission, paths: Paths, sha256: str | None) -> Log | None:
+    """The log of a mission, decoded; None where stations come from elsewhere."""
+    if mission.log is None:
+        return None
+    return open_log(paths["log"], sha256)
+
+
+def paths_beside_tables(mission: Mission, folder: Path) -> tuple[Mission, dict[str, Path]]:
+    """A mission whose observations and orientations are in memory, and where its other inputs are.
+
+    The mission comes with what the files of its cameras say. Refuses (INPUT-MISSING) what is not
+    there; an input in object storage is copied.
+    """
+    paths = {}
+    for named in named_inputs(mission):
+        if named.role in ("log", "observations", "orientation"):
+            continue
+        place = located(named.name, folder)
+        if isinstance(place, Place):
+            paths[named.role] = remote.fetch(remote.look_up(place))
+        elif place.exists():
+            paths[named.role] = place
+        else:
+            raise messages.input_missing(role=named.role, path=str(place), key=named.key)
+    return with_camera_files(mission, paths), paths
+
+
+def _trajectory(mission: Mission, paths: Paths) -> ChannelReader | None:
+    section = mission.stations.trajectory
+    if section is None:
+        return None
+    path = paths["trajectory"]
+    reader: Callable[[Path, Stated, Ledger], Channel]
+    reader = reader_of(TRAJECTORIES, path, section.format)
+    accuracy = paths["trajectory accuracy"] if section.accuracy else None
+
+    def read(stated: Stated, ledger: Ledger) -> Channel:
+        return reader(path, replace(stated, accuracy=accuracy), ledger)
+
+    return read
+
+
+def _camera_events(mission: Mission, paths: Paths) -> dict[str, ChannelReader]:
+    readers: dict[str, ChannelReader] = {}
+    for camera, source in mission.position_events.items():
+        path = paths[f"events of {camera}"]
+        readers[camera] = partial(reader_of(CAMERA_EVENTS, path, source.format), path)
+    return readers
+
+
+def _events(mission: Mission, paths: Paths, ledger: Ledger) -> EventTable | None:
+    section = mission.events
+    if section is None or section.csv is None:
+        return None
+    return read_events(paths["events"], section.csv.columns.named, ledger)
+
+
+def _image_times(mission: Mission, paths: Paths, ledger: Ledger) -> ImageTimes | None:
+    section = mission.events
+    if section is None or section.images is None or section.csv is not None:
+        return None
+    return read_image_times(paths["images"], section.images.time_zone, ledger)
+
+
+def _orientation(mission: Mission, paths: Paths, ledger: Ledger) -> OrientationTable | None:
+    section = mission.stations.orientation
+    if section is None or "orientation" not in paths:
+        return None  # or a table in memory
+    path = paths["orientation"]
+    if section.of_block:
+        return blocks.read_block_images(path, section.format)
+    reader: Callable[[Path, Stated, Ledger], OrientationTable]
+    reader = reader_of(ORIENTATIONS, path, section.format)
+    return reader(path, stated_orientation(section), ledger)
+
+
+def stated_orientation(section: OrientationSection) -> Stated:
+    """What the mission file states of a table of orientations."""
+    return Stated(columns=section.column_names, angle_unit=section.unit)
+
+
+def _known_positions(mission: Mission, paths: Paths) -> opened_inputs.KnownPositions | None:
+    section = mission.stations.orientation
+    known = None if section is None else section.known_positions
+    if not isinstance(known, KnownPositionsSection):
+        return None
+    names = known.model_dump(exclude={"path", "sigma_m"})
+    return opened_inputs.KnownPositions(*read_known_positions(paths["known positions"], names))
+
+
+def _block_points(mission: Mission, paths: Paths) -> opened_inputs.BlockPoints | None:
+    section = mission.stations.orientation
+    if mission.ground.height != "block" or section is None:
+        return None
+    path = paths["orientation"]
+    with blocks.damage_refused(path, section.format):
+        name, position = blocks.block_reader(section.format).read_points(path)
+    rows = partial(blocks.block_rows, path, section.format)
+    return opened_inputs.BlockPoints(name, position, rows)
+
+
+def _object_points(mission: Mission, paths: Paths) -> opened_inputs.PointTable | None:
+    section = mission.ground.points
+    if section is None:
+        return None
+    return _points(paths["object points"], section.columns.named, "ground.height.columns")
+
+
+def _control(mission: Mission, paths: Paths) -> opened_inputs.PointTable | None:
+    section = mission.control
+    if section is None:
+        return None
+    return _points(paths["control"], section.columns.named, "control.columns")
+
+
+def _points(path: Path, names: Mapping[str, str], key: str) -> opened_inputs.PointTable:
+    name, columns = read_object_points(path, names, key=key)
+    return opened_inputs.PointTable(name, columns, str(path))
+
+
+def _elevation(mission: Mission, paths: Paths) -> opened_inputs.ElevationReader | None:
+    section = mission.ground.model
+    if section is None:
+        return None
+    rasters = [paths[f"elevation model {number + 1}"] for number in range(len(section.paths))]
+    return partial(open_elevation, rasters, section.crs, reference=mission.ground.reference)
+
+
+def _soundings(mission: Mission, paths: Paths) -> tuple[opened_inputs.SoundingReader, ...]:
+    readers = []
+    for number, section in enumerate(mission.atmosphere.soundings, 1):
+        readers.append(
+            partial(read_sounding, paths[f"sounding {number}"], format_name=section.format)
+        )
+    return tuple(readers)
+
+
+def _weather_model(mission: Mission, paths: Paths) -> opened_inputs.WeatherModel | None:
+    section = mission.atmosphere.model
+    if section is None:
+        return None
+    path = paths["weather model"]
+    return opened_inputs.WeatherModel(
+        path.name, partial(read_model_field, path, member=section.member)
+    )

@@ -1,0 +1,97 @@
+"""The files of a run's folder that hold its results, part by part, each whole at any time."""
+
+from collections.abc import Callable, Mapping
+from contextlib import closing
+from dataclasses import dataclass
+
+from unbend.batch.store import RunFolder, atomic_write
+from unbend.flight.stations import Stations
+from unbend.refraction.effect import FlightAir
+from unbend.stages.correction import CorrectedPart, correct_parts, number_of_parts
+from unbend.stages.correction_setup import CorrectionSetup
+from unbend.stages.statistics import Statistics
+from unbend.tables.observations import Observations
+from unbend.tables.writing import table_of_profiles, table_of_stations, write_parquet
+
+
+@dataclass(frozen=True)
+class PartsOfRun:
+    """Parts as ``observations/part-*.parquet`` of a run, each with a receipt when it is written.
+
+    ``check`` comes before each of the two: it refuses changed inputs.
+    """
+
+    folder: RunFolder
+    check: Callable[[], None] = lambda: None
+
+    def finished(self, number: int) -> Statistics | None:
+        """The counts of a part whose receipt says that it is whole."""
+        found: Statistics | None = self.folder.read_receipt(name_of_part(number))
+        return found
+
+    def write(self, part: CorrectedPart) -> Statistics:
+        """Write, seal and receipt a part; returns its counts. Called on threads."""
+        name = name_of_part(part.number)
+        with atomic_write(self.folder.place(name)) as draft:
+            write_parquet(part.table, draft)
+            self.check()
+        self.folder.seal(name)
+        self.check()
+        self.folder.write_receipt(name, part.statistics)
+        return part.statistics
+
+
+def name_of_part(number: int) -> str:
+    """The file of a part in the folder of a run."""
+    return f"observations/part-{number:05d}.parquet"
+
+
+def correct_into(
+    parts: PartsOfRun,
+    observations: Observations,
+    setup: CorrectionSetup,
+    *,
+    batch_rows: int,
+    metadata: Mapping[str, str],
+    progress: Callable[[int], None] = lambda _: None,
+) -> Statistics:
+    """Correct all observations and write them; parts that an earlier run finished are kept.
+
+    ``progress`` is called with the number of rows of every part. The counts are merged in the order
+    of the parts, the same to the last bit whichever run made them.
+    """
+    finished: dict[int, Statistics] = {}
+    missing = []
+    count = number_of_parts(observations, batch_rows)
+    for number in range(count):
+        statistics = parts.finished(number)
+        if statistics is None:
+            missing.append(number)
+        else:
+            finished[number] = statistics
+    made = correct_parts(
+        observations,
+        setup,
+        parts.write,
+        numbers=missing,
+        batch_rows=batch_rows,
+        metadata=metadata,
+    )
+    total = Statistics.of(setup.cameras)
+    with closing(made):
+        for number in range(count):
+            statistics = finished.pop(number) if number in finished else next(made)
+            total.merge(statistics)
+            progress(statistics.rows)
+    return total
+
+
+def write_tables(folder: RunFolder, stations: Stations, air: FlightAir) -> None:
+    """Write and seal the stations and the profiles of a run."""
+    tables = {
+        "stations.parquet": table_of_stations(stations, air.series),
+        "profile.parquet": table_of_profiles(air.adjustment, air.series),
+    }
+    for name, table in tables.items():
+        write_parquet(table, folder.place(name))
+        folder.seal(name)

@@ -1,0 +1,275 @@
+"""A mission is run into its folder: locked, hashed, resumed, published; rehearsed; looked at."""
+
+import shutil
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from unbend.atmosphere import standard_atmosphere
+from unbend.atmosphere.air_samples import AirSamples
+from unbend.atmosphere.estimate.adjusted_profile import unadjusted
+from unbend.atmosphere.series.profile_series import TimedProfile, constant_series
+from unbend.batch import opening, remote, store
+from unbend.batch.differences import reasons_to_run
+from unbend.batch.executors import Outcome
+from unbend.batch.plan import Plan, fetch_inputs, make_plan, places_named, refuse_other_mission
+from unbend.batch.remote import Place
+from unbend.batch.results import read_manifest
+from unbend.batch.run_files import PartsOfRun, correct_into, write_tables
+from unbend.batch.unchanged import load
+from unbend.config.campaign import MissionRef
+from unbend.errors import StorageError, storage_errors
+from unbend.messages import Ledger
+from unbend.refraction.effect import FlightAir
+from unbend.report.flown import Flown, flown_of
+from unbend.report.html import write_report
+from unbend.report.progress import Progress
+from unbend.stages.correction import correct_counted
+from unbend.stages.correction_setup import CorrectionSetup
+from unbend.stages.results import observation_metadata
+from unbend.stages.statistics import SAMPLED_ROWS, Statistics
+from unbend.stages.story import CorrectedMission, PreparedMission, correct_mission, prepare_mission
+
+
+def run_mission(
+    mission: MissionRef | Path | str,
+    *,
+    force: bool = False,
+    verify_inputs: bool = False,
+    progress: Progress | None = None,
+) -> Outcome:
+    """Run one mission into its folder of results, unless the same gave these before, or ``force``.
+
+    ``verify_inputs`` reads inputs that seem unchanged too.
+    """
+    progress = progress or Progress()
+    progress.start("hashing the inputs")
+    plan = plan_of(mission, verify=verify_inputs)
+    with places_named(plan):
+        if isinstance(plan.output, Place):
+            return run_and_publish(plan, place=plan.output, force=force, progress=progress)
+        return run_plan(plan, force=force, progress=progress)
+
+
+def plan_of(mission: MissionRef | Path | str, *, verify: bool = False) -> Plan:
+    """A mission file as understood, with its inputs hashed."""
+    ref = MissionRef.of(mission)
+    loaded = load(ref)
+    return make_plan(loaded.mission, ref.folder, verify=verify, text_sha256=loaded.text_sha256)
+
+
+def run_and_publish(plan: Plan, *, place: Place, force: bool, progress: Progress) -> Outcome:
+    """Run a mission in the user's cache, then publish it, or only publish what was made before."""
+    publication = remote.Publication(place, plan.fingerprint)
+    earlier = finished_before(plan, force=force)
+    if earlier is not None:
+        return outcome_of(plan, earlier, repeated=True)
+    remote.rehearse(place, writes=True)
+    with storage_errors(plan.folder):
+        plan.folder.mkdir(parents=True, exist_ok=True)
+    lock = store.lock_folder(plan.folder.parent)
+    try:
+        here = replace(plan, output=plan.folder)
+        run = run_plan(here, force=force, progress=progress)
+        if run.repeated and store.find_damage(plan.folder, run.manifest):
+            run = run_plan(here, force=True, progress=progress)
+        size = sum(int(item["bytes"]) for item in run.manifest["outputs"])
+        progress.start("uploading", size)
+        manifest = publication.publish(plan.folder, run.manifest, progress.advance)
+        shutil.rmtree(plan.folder, ignore_errors=True)
+    finally:
+        lock.release()
+    return outcome_of(plan, manifest, repeated=False)
+
+
+def run_plan(plan: Plan, *, force: bool, progress: Progress) -> Outcome:
+    """Run a mission with its inputs hashed, whose results go to a folder."""
+    with store.open_folder(plan.folder) as folder:
+        earlier = finished_before(plan, force=force)
+        if earlier is not None:
+            earlier = renewed(plan, folder, earlier)
+            return outcome_of(plan, earlier, repeated=True)
+        prepared = prepare(plan, progress)
+        observations = prepared.observations
+        batch_rows = plan.mission.output.batch_rows
+        progress.start("correcting", observations.rows)
+
+        def correct_all(setup: CorrectionSetup) -> Statistics:
+            plan.check_unchanged()
+            folder.resume(f"{plan.fingerprint} {batch_rows}", anew=force)
+            return correct_into(
+                PartsOfRun(folder, partial(plan.check_unchanged, folders=False)),
+                observations,
+                setup,
+                batch_rows=batch_rows,
+                metadata=observation_metadata(plan.mission),
+                progress=progress.advance,
+            )
+
+        corrected = correct_mission(prepared, correct_all)
+        progress.start("writing the report")
+        write_tables(folder, corrected.stations, corrected.air)
+        manifest = manifest_of(plan, corrected)
+        manifest = finish_run(plan, folder, manifest, drawing_of(corrected))
+    return outcome_of(plan, manifest, repeated=False)
+
+
+def prepare(plan: Plan, progress: Progress, most_rows: int | None = None) -> PreparedMission:
+    """Open the inputs of a mission, build its stations and estimate its air.
+
+    ``most_rows`` of the observations are drawn, to stand for all.
+    """
+    ledger = Ledger()
+    mission = plan.mission
+    paths = {item.role: item.path for item in plan.inputs}
+    hashes = {item.role: item.sha256 for item in plan.inputs}
+    if plan.remotes:
+        progress.start("copying inputs from object storage")
+        fetch_inputs(plan)
+    progress.start("reading the observations")
+    observations = opening.open_table(mission, paths["observations"], ledger, most_rows)
+    progress.start("reading the log")
+    log = opening.decode_log(mission, paths, hashes.get("log"))
+    inputs = opening.open_inputs(
+        mission, paths, observations, log, ledger, camera_names=plan.camera_names
+    )
+    return prepare_mission(mission, inputs, ledger)
+
+
+def manifest_of(plan: Plan, corrected: CorrectedMission) -> dict[str, Any]:
+    """The manifest of a run, without its outputs.
+
+    Holds no host name and no absolute path, and no clock but the times of the inputs.
+    """
+    manifest = corrected.results.row()
+    for entry in manifest["ledger"]:  # a file is named as in the mission file, without its folder
+        for item in plan.inputs:
+            entry["where"] = str(entry["where"]).replace(str(item.path), item.name)
+    return manifest | plan.identity()
+
+
+def outcome_of(plan: Plan, manifest: dict[str, Any], *, repeated: bool) -> Outcome:
+    """How a mission ended whose results have a manifest."""
+    return Outcome(
+        name=plan.mission.mission.name,
+        output=plan.output,
+        manifest=manifest,
+        exit_code=int(manifest["exit_code"]),
+        repeated=repeated,
+    )
+
+
+def finished_before(plan: Plan, *, force: bool = False) -> dict[str, Any] | None:
+    """The manifest of an earlier run of this plan; refuses another mission's, ``force`` or not."""
+    manifest = read_manifest(plan.output, damaged=force)
+    refuse_other_mission(plan, manifest)
+    if force or manifest is None or reasons_to_run(plan, manifest):
+        return None
+    return manifest
+
+
+def renewed(plan: Plan, folder: store.RunFolder, manifest: dict[str, Any]) -> dict[str, Any]:
+    """The manifest of an unchanged run with sizes and times of its inputs as they are now.
+
+    Where an input, or the mission file, was copied or written again with the same content, the
+    next run need not read it. A folder that cannot be written to stays as it is.
+    """
+    now = plan.identity()
+    seen = {key: now[key] for key in ("inputs", "mission_file_sha256")}
+    if all(manifest.get(key) == value for key, value in seen.items()):
+        return manifest
+    with suppress(StorageError):
+        folder.rewrite_manifest(manifest | seen)
+    return manifest | seen
+
+
+@dataclass(frozen=True, eq=False)
+class CheckedMission:
+    """A rehearsed mission, and the manifest that it would have."""
+
+    plan: Plan
+    corrected: CorrectedMission
+    manifest: dict[str, Any]
+
+
+def check_mission(
+    mission: MissionRef | Path | str, *, progress: Progress | None = None
+) -> CheckedMission:
+    """Rehearse a mission: all that `run_mission` does, on `SAMPLED_ROWS` rows; writes nothing."""
+    progress = progress or Progress()
+    plan = plan_of(mission)
+    if isinstance(plan.output, Path):
+        store.rehearse_folder(plan.output)
+    finished_before(plan)
+    if isinstance(plan.output, Place):
+        remote.rehearse(plan.output)
+    prepared = prepare(plan, progress, SAMPLED_ROWS)
+    progress.start("correcting a sample")
+
+    def correct_sample(setup: CorrectionSetup) -> Statistics:
+        _, _, statistics = correct_counted(prepared.observations.sampled(), setup)
+        return statistics
+
+    corrected = correct_mission(prepared, correct_sample)
+    plan.check_unchanged()
+    return CheckedMission(plan, corrected, manifest_of(plan, corrected))
+
+
+def mission_status(mission: MissionRef | Path | str) -> tuple[Plan, list[str]]:
+    """Why `run_mission` would run a mission now, one reason each; nothing is locked or written."""
+    plan = plan_of(mission)
+    manifest = read_manifest(plan.output, damaged=True)
+    refuse_other_mission(plan, manifest)
+    if manifest is None:
+        return plan, [f"{plan.output} has no results of it"]
+    return plan, reasons_to_run(plan, manifest)
+
+
+def drawing_of(corrected: CorrectedMission) -> Flown:
+    """What the report draws, beside its manifest."""
+    prepared = corrected.prepared
+    setup = corrected.setup
+    return flown_of(
+        corrected.stations,
+        corrected.air,
+        prepared.samples,
+        prepared.track(),
+        cameras=setup.cameras,
+        ground_m=corrected.statistics.ground_of_stations(len(corrected.stations)),
+        radius_m=setup.exposures.radius_m,
+        terrain=prepared.terrain,
+    )
+
+
+def finish_run(
+    plan: Plan, folder: store.RunFolder, manifest: dict[str, Any], flown: Flown
+) -> dict[str, Any]:
+    """Write the report, and last the manifest, with the outputs, which makes the run finished."""
+    report = folder.place("report.html")
+    with storage_errors(report):
+        write_report(report, manifest, flown)
+    folder.seal("report.html")
+    plan.check_unchanged()
+    manifest = manifest | {"outputs": folder.outputs()}
+    folder.commit(manifest)
+    return manifest
+
+
+def read_mission(mission: MissionRef | Path) -> PreparedMission:
+    """A mission with everything read, its stations built and its air estimated."""
+    return prepare(plan_of(mission), Progress())
+
+
+def air_of_mission_or_standard(
+    config: Path | None, atmosphere: str | None
+) -> tuple[FlightAir, AirSamples, Ledger]:
+    """The air of a mission, or a standard atmosphere by its name."""
+    if config is not None:
+        prepared = read_mission(config)
+        return prepared.air, prepared.samples, prepared.ledger
+    standard = standard_atmosphere(atmosphere or "")
+    adjustment = unadjusted(standard, f"the standard atmosphere {standard.name}")
+    air = FlightAir(adjustment, constant_series(TimedProfile(None, standard), 0))
+    return air, AirSamples(), Ledger()

@@ -1,0 +1,165 @@
+"""Messages of block: what each code means, and the words of what is sent."""
+
+from unbend.errors import Code, Counted, MissionError
+from unbend.messages import Message, loss
+
+ORIENTATION_FAR = Code(
+    "ORIENTATION-FAR",
+    means="Images are far from the middle of all others.",
+    effect="They are suspect, without corrected values; the run ends with 3.",
+    remedy="Check their coordinates: exchanged, or of another zone.",
+)
+
+
+def orientation_far(
+    *, where: str, count: int, total: int, first: int, limit_km: float, away_km: float
+) -> Message:
+    """Images are far from the middle of all others."""
+    return loss(
+        ORIENTATION_FAR,
+        (
+            "{count} of {total} images are more than {limit_km:.0f} km from the middle of "
+            "all: suspect; the first is {first}, {away_km:.0f} km away"
+        ),
+        where=where,
+        count=count,
+        total=total,
+        first=first,
+        limit_km=limit_km,
+        away_km=away_km,
+    )
+
+
+ORIENTATION_FIT = Code(
+    "ORIENTATION-FIT",
+    means="How the model fits the known positions: residuals and the sigma of its vertical.",
+    effect="A note or a warning; refused where it does not fit.",
+    remedy="Check names and coordinates of the known positions; give more than three.",
+)
+
+
+def orientation_fit(*, where: object, size: int, fit: str) -> MissionError:
+    """How the model fits the known positions."""
+    return MissionError(
+        ORIENTATION_FIT,
+        "the model does not fit {size} known positions: {fit}",
+        where=where,
+        size=size,
+        fit=fit,
+        remedy=(
+            "are latitude and longitude swapped, are the names those of other images, are"
+            " x, y and z right-handed?"
+        ),
+    )
+
+
+ORIENTATION_KNOWN = Code(
+    "ORIENTATION-KNOWN",
+    means="Fewer than three known positions belong to an image.",
+    effect="The mission is refused.",
+    remedy="Give known_positions of at least three images, off one line.",
+)
+
+
+def orientation_known(*, where: object, usable: int, known: int) -> MissionError:
+    """Fewer than three known positions belong to an image."""
+    return MissionError(
+        ORIENTATION_KNOWN,
+        (
+            "{usable} of {known} known positions belong to an image of the orientation and "
+            "are complete: a model in an unknown frame has no vertical, no north and no "
+            "scale, and needs at least three"
+        ),
+        where=where,
+        usable=usable,
+        known=known,
+        remedy=(
+            "give more known positions, with the names of images as in the orientation, "
+            "or state the frame"
+        ),
+    )
+
+
+ORIENTATION_LINE = Code(
+    "ORIENTATION-LINE",
+    means="The known positions lie on a line: the model could roll about it.",
+    effect="The mission is refused.",
+    remedy="Give positions of images away from that line.",
+)
+
+
+def orientation_line(*, where: object, size: int, sigma: float, tilt: float) -> MissionError:
+    """The known positions lie on a line."""
+    return MissionError(
+        ORIENTATION_LINE,
+        (
+            "{size} known positions lie on a line, or nearly so: with {sigma:.2g} m of sigma "
+            "they leave the model free to roll about it by {tilt:.2g} deg (one sigma)"
+        ),
+        where=where,
+        size=size,
+        sigma=sigma,
+        tilt=tilt,
+        remedy="give known positions on both sides of that line",
+    )
+
+
+ORIENTATION_TURNS = Code(
+    "ORIENTATION-TURNS",
+    means=(
+        "The images turn against the flight: the sense of yaw or of the quaternion is the"
+        " other one."
+    ),
+    effect="The mission is refused.",
+    remedy="Yaw counts clockwise from north, kappa counter-clockwise; choose the other sense.",
+)
+
+
+def orientation_turns(*, where: object) -> MissionError:
+    """The images turn against the flight."""
+    return MissionError(
+        ORIENTATION_TURNS,
+        "the images turn against the flight: where the track turns right, they turn left",
+        where=where,
+        remedy=(
+            "yaw counts clockwise from north, kappa counter-clockwise; a quaternion may "
+            "be the inverse one: choose the other sense of stations.orientation.angles"
+        ),
+    )
+
+
+ORIENTATION_UP = Code(
+    "ORIENTATION-UP",
+    means="Cameras look above the horizon.",
+    effect="They are suspect; refused where many do.",
+    remedy="Check unit, names of the angles, frame, and the mount.",
+)
+
+
+def cameras_look_up(*, where: str, count: int, total: int, first: str) -> MissionError:
+    """More than few cameras look above the horizon."""
+    return MissionError(
+        ORIENTATION_UP,
+        "the camera looks above the horizon in {count} of {images}; the first is {first}",
+        where=where,
+        count=count,
+        images=Counted(total, "image"),
+        first=first,
+        remedy=(
+            "check unit (grad?), angles, columns (omega, phi, kappa; roll, pitch, yaw; q_w to q_z) "
+            "and frame there, and the axes of the camera: x right, y down, z forward for a "
+            "quaternion; roll, pitch and yaw of 0 look straight down unless mount says otherwise"
+        ),
+    )
+
+
+def some_cameras_look_up(*, where: str, count: int, total: int, first: str) -> Message:
+    """Few cameras look above the horizon."""
+    return loss(
+        ORIENTATION_UP,
+        "the camera looks above the horizon in {count} of {images}: suspect; the first is {first}",
+        where=where,
+        count=count,
+        images=Counted(total, "image"),
+        first=first,
+    )

@@ -1,0 +1,66 @@
+"""What the missions of a campaign share, and what each says itself."""
+
+from collections.abc import Sequence
+from fnmatch import fnmatchcase
+from typing import Any
+
+WHOLE = (
+    "atmosphere.model",
+    "atmosphere.sensors.*",
+    "cameras.*",
+    "control",
+    "events.csv",
+    "events.first_image.*",
+    "events.images",
+    "events.positions.*",
+    "ground.height",
+    "log.channels.*",
+    "log.local_origin",
+    "mount.*",
+    "stations.orientation",
+    "stations.trajectory",
+)
+"""Sections whose values belong together: a mission's own replaces the default as a whole."""
+
+LEADING = ("ground.height", "mission.geoid", "mission.undulation_m", "events.log.*.channel")
+"""Keys that the others of their section describe: of a mission that has one, these are its own."""
+
+
+def merged(defaults: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
+    """A mission's own values, and the defaults where it has none; null takes a default away.
+
+    ``{mission}`` in a path of results is its name; `WHOLE` and `LEADING` values stay together.
+
+    >>> merged({"log": {"path": "a", "max_gap_s": 2.0}, "mount": {"nadir": {"roll_deg": 1.0}}},
+    ...        {"log": {"path": "b"}, "mount": {"nadir": {"yaw_deg": 90.0}}})
+    {'log': {'path': 'b', 'max_gap_s': 2.0}, 'mount': {'nadir': {'yaw_deg': 90.0}}}
+    """
+    values = _merged_sections(defaults, own)
+    states_output = isinstance(own.get("output"), dict) and "path" in own["output"]
+    if states_output:
+        return values
+    match values:
+        case {"output": {"path": str(path)}, "mission": {"name": str(name)}}:
+            values["output"] = values["output"] | {"path": path.replace("{mission}", name)}
+    return values
+
+
+def _merged_sections(
+    defaults: dict[str, Any], own: dict[str, Any], above: str = ""
+) -> dict[str, Any]:
+    values = defaults | own
+    for key in defaults.keys() & own.keys():
+        place = f"{above}.{key}".removeprefix(".")
+        if own[key] is None:
+            del values[key]
+            continue
+        if not isinstance(defaults[key], dict) or not isinstance(own[key], dict):
+            continue
+        has_leading = any(_is_one_of(LEADING, f"{place}.{inner}") for inner in own[key])
+        if not has_leading and not _is_one_of(WHOLE, place):
+            values[key] = _merged_sections(defaults[key], own[key], place)
+    return values
+
+
+def _is_one_of(patterns: Sequence[str], place: str) -> bool:
+    return any(fnmatchcase(place, pattern) for pattern in patterns)

@@ -1,0 +1,123 @@
+"""The keys of mission files one by one, with what they take, in words."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from unbend.config.schema import Node, alternatives, campaign_schema, mission_schema
+
+
+@dataclass(frozen=True)
+class MissionKey:
+    """One key of a mission file: ``cameras.*.f_px``, where ``*`` is any name or place in a list."""
+
+    path: str
+    text: str
+    allowed: str
+    unit: str
+    default: str
+    example: str
+
+
+def in_words(node: Node) -> str:
+    """What a node of the schema allows, for example ``a number from 10 to 1000000 [px]``."""
+    unit = node.get("unit", "1")
+    shown_unit = "" if unit == "1" else f" [{unit}]"
+    form = node.get("patternErrorMessage", "text")
+    words = [_arm_in_words(arm, shown_unit, form) for arm in alternatives(node)]
+    return " or ".join(dict.fromkeys(words))
+
+
+def _arm_in_words(arm: Node, unit: str, form: str) -> str:
+    """What one alternative of a node allows; ``unit`` as it is shown, ``form`` of a text."""
+    if "enum" in arm:
+        return " | ".join(str(value) for value in arm["enum"])
+    if "const" in arm:
+        return str(arm["const"])
+    match arm.get("type"):
+        case "number":
+            return f"a number{_range_in_words(arm)}{unit}"
+        case "integer":
+            return f"a whole number{_range_in_words(arm)}{unit}"
+        case "boolean":
+            return "true or false"
+        case "array":
+            items = in_words(arm["items"])
+            count = arm.get("minItems")
+            if count is not None and count == arm.get("maxItems"):
+                return f"a list of {count}: each {items}{unit}"
+            return f"a list of {items}{unit}"
+        case "object":
+            keys = ", ".join(arm.get("properties", {}))
+            return f"a section {{{keys}}}" if keys else "a section for each name"
+    return form
+
+
+def _range_in_words(arm: Node) -> str:
+    """The limits of a number, with a space before them."""
+    words = ""
+    if "exclusiveMinimum" in arm:
+        words += f" above {arm['exclusiveMinimum']:.10g}"
+    elif "minimum" in arm:
+        words += f" from {arm['minimum']:.10g}"
+    highest = arm.get("maximum", arm.get("exclusiveMaximum"))
+    if highest is not None:
+        words += f" to {highest:.10g}"
+    return words
+
+
+def as_written(value: object) -> str:
+    """A value as it is written in a mission file."""
+    match value:
+        case None:
+            return "none"
+        case bool():
+            return str(value).lower()
+        case list():
+            return f"[{', '.join(as_written(item) for item in value)}]"
+        case dict():
+            items = ", ".join(f"{key}: {as_written(item)}" for key, item in value.items())
+            return f"{{{items}}}"
+    return str(value) or '""'
+
+
+def mission_keys(node: Node | None = None, above: str = "") -> Iterator[MissionKey]:
+    """All keys of a mission file, each after the one that it stands under.
+
+    >>> keys = {key.path: key for key in mission_keys()}
+    >>> keys["cameras.*.f_px"].allowed, keys["log.max_gap_s"].default
+    ('a number from 10 to 1000000 [px]', '2.0')
+    """
+    for arm in alternatives(mission_schema() if node is None else node):
+        named = arm.get("additionalProperties")
+        if "items" in arm:
+            yield from mission_keys(arm["items"], f"{above}.*")
+        elif isinstance(named, dict):
+            yield from mission_keys(named, f"{above}.*")
+        required = arm.get("required", ())
+        for key, value in arm.get("properties", {}).items():
+            path = f"{above}.{key}".removeprefix(".")
+            yield MissionKey(
+                path,
+                text=value["description"],
+                allowed=in_words(value),
+                unit=value.get("unit", ""),
+                default=_default_in_words(value, is_required=key in required),
+                example=as_written(value["examples"][0]) if "examples" in value else "",
+            )
+            yield from mission_keys(value, path)
+
+
+def _default_in_words(value: Node, *, is_required: bool) -> str:
+    """What holds where a key is not given."""
+    if "default" not in value:
+        return "must be given" if is_required else "must be given, unless other keys say it"
+    default = value["default"]
+    if isinstance(default, dict):
+        return "as its own keys" if default else "none"
+    return as_written(default)
+
+
+def campaign_keys() -> list[MissionKey]:
+    """The keys of a campaign file that are none of a mission file."""
+    keys = mission_keys(campaign_schema())
+    return [key for key in keys if not key.path.startswith(("defaults.", "missions."))]

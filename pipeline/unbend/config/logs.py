@@ -1,0 +1,168 @@
+"""The sections of a mission file on the flight log and its channels."""
+
+from typing import Literal
+
+from pydantic import (
+    Field,
+)
+
+from unbend.config.local_frames import LocalOrigin
+from unbend.config.section import (
+    PathText,
+    Section,
+)
+
+USUAL_MAX_GAP_S = 2.0  # autopilots log attitude and position ten times a second and more
+
+
+class NamedChannel(Section):
+    """A channel by its name, with the unit it is really in."""
+
+    name: str = Field(
+        description="name of the channel, as `unbend inspect` prints it",
+        examples=["BARO[0]"],
+    )
+    unit: Literal["Pa", "hPa", "kPa", "K", "degC", "fraction", "percent", "m/s"] | None = Field(
+        None,
+        description="unit that the channel's values are really in, where the log says another one",
+        examples=["hPa"],
+    )
+
+
+class ChannelsSection(Section):
+    """Which channel plays which role; names as ``unbend inspect`` prints them."""
+
+    position: str | NamedChannel | None = Field(
+        None,
+        description=(
+            "channel of latitude and longitude; a name as `unbend inspect` prints it, or {name, "
+            "unit} where the log's unit is wrong. By default the only one of its kind"
+        ),
+        examples=["GPS[0]"],
+    )
+    height: str | NamedChannel | None = Field(
+        None,
+        description=(
+            "channel of the heights of the GNSS receiver, at which the air was sampled; a name as "
+            "`unbend inspect` prints it, or {name, unit}. By default the best receiver"
+        ),
+        examples=["GPS[0]"],
+    )
+    attitude: str | NamedChannel | None = Field(
+        None,
+        description=(
+            "channel of the attitude to which the cameras are mounted: the aircraft's, or that of "
+            "a stabilised mount; a name as `unbend inspect` prints it"
+        ),
+        examples=["ATT"],
+    )
+    aircraft_attitude: str | NamedChannel | None = Field(
+        None,
+        description=(
+            "channel of the attitude of the aircraft itself, where attitude is that of a "
+            "stabilised mount; only needed for window.frame: body"
+        ),
+        examples=["ATT"],
+    )
+    pressure: str | NamedChannel | None = Field(
+        None,
+        description=(
+            "channel of the static pressure outside; a name as `unbend inspect` prints it, or "
+            "{name, unit} where the log's unit is wrong. By default the only one of its kind"
+        ),
+        examples=["BARO[0]"],
+    )
+    temperature: str | NamedChannel | None = Field(
+        None,
+        description=(
+            "channel of the temperature of the air outside; a name as `unbend inspect` prints it, "
+            "or {name, unit} where the log's unit is wrong. By default the only one of its kind"
+        ),
+        examples=["HYGR[0]"],
+    )
+    humidity: str | NamedChannel | None = Field(
+        None,
+        description=(
+            "channel of the relative humidity outside; a name as `unbend inspect` prints it, or "
+            "{name, unit} where the log's unit is wrong. By default the only one of its kind"
+        ),
+        examples=["HYGR[0]"],
+    )
+    airspeed: str | NamedChannel | None = Field(
+        None,
+        description=(
+            "channel of the airspeed, by which a thermometer is heated; a name as `unbend inspect` "
+            "prints it"
+        ),
+        examples=["ARSP[0]"],
+    )
+    cabin_pressure: str | NamedChannel | None = Field(
+        None,
+        description=(
+            "channel of the pressure in the compartment of the camera; a name as `unbend inspect` "
+            "prints it, or {name, unit} where the log's unit is wrong. By default the only one of "
+            "its kind"
+        ),
+        examples=["BARO[1]"],
+    )
+    cabin_temperature: str | NamedChannel | None = Field(
+        None,
+        description=(
+            "channel of the temperature in the compartment of the camera; a name as `unbend "
+            "inspect` prints it, or {name, unit} where the log's unit is wrong. By default the "
+            "only one of its kind"
+        ),
+        examples=["HYGR[1]"],
+    )
+    cabin_humidity: str | NamedChannel | None = Field(
+        None,
+        description=(
+            "channel of the relative humidity in the compartment of the camera; a name as `unbend "
+            "inspect` prints it, or {name, unit} where the log's unit is wrong. By default the "
+            "only one of its kind"
+        ),
+        examples=["HYGR[1]"],
+    )
+
+    def named(self) -> dict[str, NamedChannel]:
+        """The channels that are named, by their roles."""
+        channels = {}
+        for role in type(self).model_fields:
+            value = getattr(self, role)
+            if isinstance(value, str):
+                value = NamedChannel(name=value)
+            if value is not None:
+                channels[role] = value
+        return channels
+
+
+class LogSection(Section):
+    """The flight log."""
+
+    path: PathText = Field(
+        description=(
+            "the log, a file or a URL of object storage: MCAP (.mcap), PX4 ULog (.ulg .ulog), "
+            "ArduPilot DataFlash (.bin), ArduPilot DataFlash as text (.log), MAVLink telemetry "
+            "(.tlog .rlog)"
+        ),
+        examples=["flight.bin"],
+    )
+    channels: ChannelsSection = Field(
+        ChannelsSection(),
+        description="which channel plays which role; only what is not found without it",
+    )
+    max_gap_s: float = Field(
+        USUAL_MAX_GAP_S,
+        gt=0,
+        le=60,
+        description=(
+            "longest interval between two positions or attitudes that is no gap: an exposure in a "
+            "longer one is in a gap (in_gap)"
+        ),
+        examples=[2.0],
+        json_schema_extra={"unit": "s"},
+    )
+    local_origin: LocalOrigin | None = Field(
+        None,
+        description="where the origin of local positions (motion capture) lies",
+    )

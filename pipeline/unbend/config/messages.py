@@ -1,0 +1,261 @@
+"""What is refused about mission files, campaign files and the files of cameras.
+
+What is wrong with single values is said beside the check of each, in the sections.
+"""
+
+from pathlib import Path
+
+from unbend.errors import Code, ConfigError, InputError
+
+CONFIG_MISSING = Code(
+    "CONFIG-MISSING",
+    means="There is no mission file of this name.",
+    effect="The command is refused.",
+    remedy="Check the path.",
+)
+
+CONFIG_UNREADABLE = Code(
+    "CONFIG-UNREADABLE",
+    means="The mission file cannot be read, or is no UTF-8 text.",
+    effect="The mission is refused.",
+    remedy="Check permissions, and save it as UTF-8.",
+)
+
+CONFIG_YAML = Code(
+    "CONFIG-YAML",
+    means="The mission file is no YAML, or a key stands there twice.",
+    effect="The mission is refused.",
+    remedy="Correct the line that is named: indentation, brackets, quotes.",
+)
+
+CONFIG_EMPTY = Code(
+    "CONFIG-EMPTY",
+    means="The mission file holds no sections.",
+    effect="The mission is refused.",
+    remedy="Write it with `unbend init LOG OBSERVATIONS`.",
+)
+
+CONFIG_CAMPAIGN = Code(
+    "CONFIG-CAMPAIGN",
+    means="A campaign file was given where one mission is wanted.",
+    effect="The command is refused.",
+    remedy="Name one of its mission files; run, check and status take campaigns.",
+)
+
+CONFIG_INVALID = Code(
+    "CONFIG-INVALID",
+    means=(
+        "Values of the mission file are none that their keys take. Each mistake is listed with "
+        "its line."
+    ),
+    effect="The mission is refused.",
+    remedy="Correct the lines; `unbend help KEY` says what a key takes.",
+)
+
+CONFIG_UNKNOWN_KEY = Code(
+    "CONFIG-UNKNOWN-KEY",
+    means="The mission file has keys that are not known; the nearest known key is named.",
+    effect="The mission is refused.",
+    remedy="Correct the key, or move it to its section; `unbend help KEY` finds keys.",
+)
+
+CONFIG_TODO = Code(
+    "CONFIG-TODO",
+    means=(
+        "The mission file still has open questions: values that are TODO. Each is listed with "
+        "its line and what it takes."
+    ),
+    effect="The mission is refused.",
+    remedy="Write the values; `unbend help KEY` explains a key.",
+)
+
+CAMPAIGN_NO_MATCH = Code(
+    "CAMPAIGN-NO-MATCH",
+    means="No file is called like a pattern of a campaign's missions.",
+    effect="The command is refused; nothing was run.",
+    remedy="Correct the pattern; it is relative to the campaign file.",
+)
+
+CAMPAIGN_SAME_NAME = Code(
+    "CAMPAIGN-SAME-NAME",
+    means="Two missions of a campaign have one name.",
+    effect="The command is refused; nothing was run.",
+    remedy="Give each mission.name of its own, in its file and not in defaults.",
+)
+
+CAMPAIGN_SAME_OUTPUT = Code(
+    "CAMPAIGN-SAME-OUTPUT",
+    means="Two missions of a campaign write to one folder.",
+    effect="The command is refused; nothing was run.",
+    remedy="Give each output.path of its own, or leave it out.",
+)
+
+URL_INVALID = Code(
+    "URL-INVALID",
+    means=(
+        "A path looks like a URL, and names no object in a bucket or container, or stands where "
+        "only files of this machine are taken. URLs with a user, a password, a query or a "
+        "fragment are refused, since they may hold a secret."
+    ),
+    effect="The mission is refused.",
+    remedy="Write s3://bucket/key or az://container/key, and put credentials into the environment.",
+)
+
+CAMERA_SIZE = Code(
+    "CAMERA-SIZE",
+    means="The images of the calibration file have another size than the mission file says.",
+    effect="The mission is refused.",
+    remedy="Check width_px and height_px, or choose the camera of these images.",
+)
+
+CAMERA_FILE = Code(
+    "CAMERA-FILE",
+    means="The calibration in a file is none that a camera can have.",
+    effect="The mission is refused.",
+    remedy="Check the file, or give another one.",
+)
+
+
+def config_missing(*, path: Path) -> ConfigError:
+    """The mission file is not there."""
+    return ConfigError(CONFIG_MISSING, "there is no such file", where=path, remedy="check the path")
+
+
+def config_unreadable(*, path: Path, problem: str) -> ConfigError:
+    """The operating system refuses to read the file, or its text is not UTF-8."""
+    return ConfigError(
+        CONFIG_UNREADABLE,
+        "cannot be read: {problem}",
+        where=path,
+        remedy="a mission file is YAML in UTF-8",
+        problem=problem,
+    )
+
+
+def config_yaml(*, where: str, problem: str) -> ConfigError:
+    """The text of the file is not YAML, or a key stands there twice."""
+    return ConfigError(
+        CONFIG_YAML, "{problem}", where=where, remedy="correct the YAML", problem=problem
+    )
+
+
+def config_empty(*, path: Path, required: str) -> ConfigError:
+    """The file has no keys."""
+    return ConfigError(
+        CONFIG_EMPTY,
+        "holds no sections",
+        where=path,
+        remedy="it needs {required}",
+        required=required,
+    )
+
+
+def config_campaign(*, where: str) -> ConfigError:
+    """A campaign file stands where a mission file is wanted."""
+    return ConfigError(
+        CONFIG_CAMPAIGN,
+        "is a campaign file, of several missions, and one mission is wanted",
+        where=where,
+        remedy="name one of its mission files; run, check and status take campaigns",
+    )
+
+
+def mission_file_refused(code: Code, *, where: str, mistakes: list[str]) -> ConfigError:
+    """The file has mistakes, or open questions; one sentence for each."""
+    if code is CONFIG_TODO:
+        several = "{count} questions are open\n    {mistakes}"
+    else:
+        several = "{count} mistakes\n    {mistakes}"
+    return ConfigError(
+        code,
+        several,
+        one="{mistakes}",
+        where=where,
+        count=len(mistakes),
+        remedy=("correct the file; `unbend help KEY` explains a key, `unbend schema` has them all"),
+        mistakes="\n    ".join(mistakes),
+    )
+
+
+def campaign_output_is_url(*, path: Path) -> ConfigError:
+    """The page of a campaign is to go to object storage."""
+    return ConfigError(
+        URL_INVALID,
+        "the page of a campaign goes to a folder here, and campaign.output is a URL",
+        where=path,
+        remedy=(
+            "name a folder; output.path under defaults may be a URL, with the name of the mission "
+            "in it: s3://bucket/season/{{mission}}"
+        ),
+    )
+
+
+def campaign_no_match(*, path: Path, pattern: str) -> ConfigError:
+    """A pattern of mission files matches none."""
+    return ConfigError(
+        CAMPAIGN_NO_MATCH,
+        "missions: no file is called like {pattern!r}",
+        where=path,
+        remedy="patterns are relative to the campaign file; ** stands for any folders",
+        pattern=pattern,
+    )
+
+
+def campaign_same_name(*, path: Path, name: str, first: Path, second: Path) -> ConfigError:
+    """Two missions of a campaign have one name."""
+    return ConfigError(
+        CAMPAIGN_SAME_NAME,
+        "two missions are called {name}: {first} and {second}",
+        where=path,
+        remedy=(
+            "give each mission.name of its own, in its file and not in defaults; nothing was run"
+        ),
+        name=name,
+        first=str(first),
+        second=str(second),
+    )
+
+
+def campaign_same_output(*, path: Path, first: str, second: str, output: str) -> ConfigError:
+    """Two missions of a campaign write to one folder."""
+    return ConfigError(
+        CAMPAIGN_SAME_OUTPUT,
+        "missions {first} and {second} both write to {output}",
+        where=path,
+        remedy=(
+            "give each output.path of its own, or leave it out: the folder is then that of the "
+            "campaign and the mission's name; {{mission}} in that of defaults is the name; "
+            "nothing was run"
+        ),
+        first=first,
+        second=second,
+        output=output,
+    )
+
+
+def camera_size(
+    *, path: Path, width: int, height: int, stated_width: int, stated_height: int
+) -> InputError:
+    """A calibration file is of images of another size."""
+    return InputError(
+        CAMERA_SIZE,
+        "it is of {width} x {height} px, and the mission file says {stated_width} x "
+        "{stated_height}",
+        where=path,
+        remedy="check width_px and height_px, or choose the camera of these images",
+        width=width,
+        height=height,
+        stated_width=stated_width,
+        stated_height=stated_height,
+    )
+
+
+def camera_file(*, path: Path, problem: str) -> InputError:
+    """The camera of a calibration file is none that can be."""
+    return InputError(
+        CAMERA_FILE,
+        "{problem}",
+        where=path,
+        remedy="check the file, or give another one",
+        problem=problem,
+    )

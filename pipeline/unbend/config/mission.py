@@ -1,0 +1,470 @@
+"""A mission file as a model with strict types and no unknown keys."""
+
+import difflib
+from functools import cached_property
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from pydantic import (
+    Field,
+    field_validator,
+    model_validator,
+)
+
+from unbend.config.atmosphere import AtmosphereSection
+from unbend.config.blocks import with_block
+from unbend.config.cameras import CameraSection
+from unbend.config.event_sources import EventsSection, PositionEvents
+from unbend.config.ground import ControlSection, GroundSection
+from unbend.config.logs import USUAL_MAX_GAP_S, LogSection
+from unbend.config.mounts import MountSection
+from unbend.config.observations import ObservationsSection
+from unbend.config.section import (
+    PathText,
+    Section,
+    SectionError,
+    is_block,
+    one_of,
+)
+from unbend.config.stations import StationsSection
+from unbend.flight.mount import Mount
+from unbend.refraction import METHODS, Camera, LensInAir, Window
+from unbend.tables.imports.blocks import BLOCKS
+
+
+class MissionSection(Section):
+    """Name of the mission, and what its log does not hold."""
+
+    name: str = Field(
+        pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,99}$",
+        description="name of the mission: letters, digits, dot, dash, underscore",
+        examples=["survey-2026-05"],
+        json_schema_extra={
+            "patternErrorMessage": "letters, digits, dots, dashes and underscores, at most 100"
+        },
+    )
+    undulation_m: float | None = Field(
+        None,
+        ge=-120,
+        le=100,
+        description=(
+            "ellipsoidal height minus height above mean sea level, where the log does not carry "
+            "both; by default that of the geoid"
+        ),
+        examples=[47.6],
+        json_schema_extra={"unit": "m"},
+    )
+    geoid: Literal["egm96"] | PathText = Field(
+        "egm96",
+        description=(
+            "geoid of the undulations that neither the log nor undulation_m gives: egm96 (in the "
+            "package), or the path of a .gtx or a GeoTIFF of ellipsoidal minus orthometric heights "
+            "[m]"
+        ),
+        examples=["egm96"],
+    )
+
+
+class RefractionSection(Section):
+    """How rays are traced."""
+
+    direction: Literal["remove", "apply"] = Field(
+        "remove",
+        description=(
+            "remove: from measured observations to the straight chord; apply: from ideal "
+            "observations to what a camera in this air would measure, for planning"
+        ),
+        examples=["remove"],
+    )
+    method: Annotated[str, one_of(lambda: METHODS)] = Field(
+        "spherical",
+        description=(
+            "how the ray is computed: spherical, or a published method for comparison; `unbend "
+            "angle --help` lists them"
+        ),
+        examples=["spherical"],
+    )
+    radius_m: float | None = Field(
+        None,
+        ge=6.2e6,
+        le=6.5e6,
+        description="radius of the earth; by default the ellipsoid's in the azimuth of the ray",
+        examples=[6371000.0],
+        json_schema_extra={"unit": "m"},
+    )
+
+
+class OutputSection(Section):
+    """Where the results go."""
+
+    path: PathText = Field(
+        description="folder of this mission's results, or a URL of object storage",
+        examples=["results/survey-2026-05"],
+    )
+    batch_rows: int = Field(
+        250_000,
+        ge=1_000,
+        le=2_000_000,
+        description="rows of observations that are held in memory at a time",
+        examples=[250000],
+        json_schema_extra={"unit": "1"},
+    )
+
+
+class AcceptedFinding(Section):
+    """A finding that no longer makes a run end with code 3; the ledger keeps it, with the reason.
+
+    Losses (rows flagged, data lost or damaged) cannot be accepted."""
+
+    code: str = Field(
+        pattern="^[A-Z0-9]+(-[A-Z0-9]+)+$",
+        description="code of the finding, as the ledger prints it",
+        examples=["PLAUSIBLE-GROUND"],
+        json_schema_extra={"patternErrorMessage": "a code in capitals, as PLAUSIBLE-GROUND"},
+    )
+    reason: str = Field(
+        min_length=3,
+        description="why it is right all the same; it stands in the report",
+        examples=["flown from a pass 1200 m above the valley"],
+    )
+
+
+class Mission(Section):
+    """A mission file as understood."""
+
+    mission: MissionSection = Field(
+        description="name of the mission, and what its log does not hold",
+    )
+    log: LogSection | None = Field(
+        None,
+        description=(
+            "the flight log. May be left out where stations.orientation, or stations.trajectory "
+            "with attitudes and events with times, give the stations"
+        ),
+    )
+    observations: ObservationsSection = Field(
+        description="the table of image measurements",
+    )
+    cameras: dict[str, CameraSection] = Field(
+        min_length=1,
+        description="interior orientation of each camera, by a name of choice",
+    )
+    mount: dict[str, MountSection] = Field(
+        {},
+        description=(
+            "how each camera sits in the aircraft, by the camera's name; with stations.orientation "
+            "only where one is not at rest"
+        ),
+    )
+    events: EventsSection | None = Field(
+        None,
+        description=(
+            "when the images were exposed: log, csv or positions. May be left out with "
+            "stations.orientation"
+        ),
+    )
+    stations: StationsSection = Field(
+        StationsSection(),
+        description=(
+            "stations that come from elsewhere than the log, and which stations may be used"
+        ),
+    )
+    ground: GroundSection = Field(
+        description="heights of the observed points. There is no default",
+    )
+    atmosphere: AtmosphereSection = Field(
+        AtmosphereSection(),
+        description="the air: what it is estimated from, and what it is shown beside",
+    )
+    refraction: RefractionSection = Field(
+        RefractionSection(),
+        description="how rays are traced",
+    )
+    control: ControlSection | None = Field(
+        None,
+        description=(
+            "a path, or {path, columns, crs, reference}: control points, which stand in the report "
+            "before and after; they change no result"
+        ),
+        examples=["control.csv"],
+    )
+    output: OutputSection = Field(
+        description="where the results go",
+    )
+    accept: list[AcceptedFinding] = Field(
+        [],
+        description=(
+            "findings that are right all the same: each with its code and the reason. Losses "
+            "cannot be accepted"
+        ),
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _mounts_at_rest(cls, values: object) -> object:
+        """With stations from elsewhere, a camera without a mount is at rest in the aircraft."""
+        if not isinstance(values, dict):
+            return values
+        cameras = values.get("cameras", {})
+        mount = values.get("mount", {})
+        stations = values.get("stations", {})
+        if not all(isinstance(section, dict) for section in (cameras, mount, stations)):
+            return values
+        if stations.get("orientation") is None:
+            return values
+        at_rest: dict[str, Any] = {name: {} for name in cameras}
+        return values | {"mount": at_rest | mount}
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_block(cls, values: object) -> object:
+        """Cameras and orientations that are not given are those of the block of observations.
+
+        The last of these validators runs first.
+        """
+        return with_block(values) if isinstance(values, dict) else values
+
+    @field_validator("control", mode="before")
+    @classmethod
+    def _path_of_control(cls, value: object) -> object:
+        return {"path": value} if isinstance(value, str) else value
+
+    @model_validator(mode="after")
+    def _check_sources_of_stations(self) -> Self:
+        """Something says where each image was taken, and how the camera was turned."""
+        orientation = self.stations.orientation
+        trajectory = self.stations.trajectory
+        if self.log is None and not (orientation or trajectory or self.position_events):
+            raise SectionError(
+                "log is missing: the flight log, unless stations.orientation, stations.trajectory "
+                "or events.positions gives position and attitude"
+            )
+        if self.log is None and trajectory is not None and trajectory.replaces is not None:
+            needed = {"attitude"} if self._has_placed_events else {"position", "height", "attitude"}
+            if not needed <= set(trajectory.replaces):
+                raise SectionError(
+                    "stations.trajectory.replaces leaves to the log what there is no log for: "
+                    "leave it out"
+                )
+        if orientation is None and self.events is None:
+            raise SectionError("events is missing, and there is no stations.orientation")
+        if orientation is None and not self.mount:
+            raise SectionError("mount is missing, and there is no stations.orientation")
+        return self
+
+    @model_validator(mode="after")
+    def _check_without_log(self) -> Self:
+        """Nothing is to come from a log where there is none."""
+        if self.log is not None:
+            return self
+        if self.events is not None and self.events.log is not None:
+            raise SectionError("events.log takes the exposures from a log, and there is no log")
+        for name, mount in self.mount.items():
+            if mount.attitude is not None:
+                raise SectionError(f"mount.{name}.attitude names a channel, and there is no log")
+        for name, camera in self.cameras.items():
+            if camera.needs_cabin_from_log:
+                raise SectionError(
+                    f"cameras.{name}.window.cabin takes the cabin's air from a log, and there is "
+                    "no log"
+                )
+        return self
+
+    @model_validator(mode="after")
+    def _check_cameras_of_files(self) -> Self:
+        orientation = self.stations.orientation
+        of_block = is_block(self.observations.format) or (orientation and orientation.of_block)
+        for camera in self.cameras.values():
+            if camera.camera is not None and not camera.file and not of_block:
+                raise SectionError("cameras.<name>.camera goes with file, or with a block")
+        return self
+
+    @model_validator(mode="after")
+    def _check_orientation(self) -> Self:
+        """The images of a table of orientations have a camera and a time."""
+        orientation = self.stations.orientation
+        if orientation is None:
+            return self
+        if orientation.known_positions == "log" and (self.log is None or self.events is None):
+            raise SectionError("known_positions: log needs log and events")
+        camera = orientation.camera
+        has_column = orientation.columns.camera is not None or orientation.of_block
+        if camera is None and not has_column and len(self.cameras) > 1:
+            raise SectionError(
+                "stations.orientation must state which camera: camera or columns.camera"
+            )
+        if camera is not None and camera not in self.cameras:
+            raise SectionError(f"stations.orientation names camera {camera!r}, which is not there")
+        has_time = orientation.has_clock or orientation.date is not None or self.events is not None
+        if self.atmosphere.adjust and not has_time:
+            raise SectionError(
+                "stations.orientation needs a time for the air: columns.time_utc, gps_week and "
+                "gps_seconds, or date"
+            )
+        return self
+
+    @cached_property
+    def interior_orientations(self) -> dict[str, Camera]:
+        """By camera, in COLMAP's pixels; of those of files once these are read (`with_file`)."""
+        origin = self.observations.pixel_origin
+        return {
+            name: camera.interior_orientation_by(origin) for name, camera in self.cameras.items()
+        }
+
+    @cached_property
+    def windows(self) -> dict[str, Window]:
+        """The window of each camera that has one."""
+        windows = {}
+        for name, camera in self.cameras.items():
+            if camera.window is not None:
+                windows[name] = camera.window.window
+        return windows
+
+    @cached_property
+    def lenses(self) -> dict[str, LensInAir]:
+        """How the lens follows the air, of the cameras of which the mission file says it."""
+        lenses = {}
+        for name, camera in self.cameras.items():
+            if camera.lens is not None:
+                lenses[name] = camera.lens
+        return lenses
+
+    @cached_property
+    def mounts(self) -> dict[str, Mount]:
+        """How each camera sits in the aircraft."""
+        return {name: section.mount for name, section in self.mount.items()}
+
+    @property
+    def position_events(self) -> dict[str, PositionEvents]:
+        """Files of exposures with their positions, by camera."""
+        if self.events is None or self.events.positions is None:
+            return {}
+        return self.events.positions
+
+    @property
+    def _has_placed_events(self) -> bool:
+        """Whether positions come from the files of exposures."""
+        return any(not source.times_only for source in self.position_events.values())
+
+    def attitude_key(self, camera: str) -> str:
+        """Where the angles of a camera are stated: its mount, or orientations that are its own."""
+        orientation = self.stations.orientation
+        if orientation is not None and orientation.angles != "roll_pitch_yaw":
+            return "stations.orientation"
+        return f"mount.{camera}"
+
+    @property
+    def max_gap_s(self) -> float:
+        """The longest interval of a log that is no gap [s]."""
+        return USUAL_MAX_GAP_S if self.log is None else self.log.max_gap_s
+
+    @model_validator(mode="after")
+    def _check_window_directions(self) -> Self:
+        """A window of the aircraft is where the camera behind it looks."""
+        if self.log is not None and self.log.channels.aircraft_attitude is not None:
+            return self  # a stabilised camera turns behind the window: only the log knows how
+        for name, window in self.windows.items():
+            if window.frame == "camera" or name not in self.mount:
+                continue
+            if self.mount[name].attitude is not None:
+                continue
+            x, y, z = self.mounts[name].camera_from_body @ np.array(window.normal)
+            if z <= 0.0:
+                raise SectionError(
+                    f"the window of camera {name!r} looks away from what the camera sees: with "
+                    f"this mount its normal is [{x:.3f}, {y:.3f}, {z:.3f}] in the camera frame, "
+                    "where forward is positive"
+                )
+        return self
+
+    @model_validator(mode="after")
+    def _check_named_inputs(self) -> Self:
+        """What a key asks for is named by another key."""
+        names_board = self.log is not None and self.log.channels.temperature is not None
+        if self.atmosphere.board_temperature and not names_board:
+            raise SectionError(
+                "atmosphere.board_temperature needs log.channels.temperature, the channel whose "
+                "board is meant, as BARO[0]"
+            )
+        orientation = self.stations.orientation
+        has_points = (
+            orientation is not None
+            and orientation.of_block
+            and orientation.known_positions != "log"
+        )
+        if self.ground.height == "block" and not has_points:
+            raise SectionError(
+                "ground.height: block takes the points of stations.orientation: give it a format "
+                f"of {', '.join(BLOCKS)}, and a frame that does not need the log"
+            )
+        if self.control is not None and self.refraction.direction == "apply":
+            raise SectionError(
+                "control shows what removing refraction does: leave it out with "
+                "refraction.direction: apply"
+            )
+        if self.ground.from_distance and not self.observations.columns.distance_m:
+            raise SectionError(
+                "ground.height: from_distance needs observations.columns.distance_m, the name of "
+                "the column of slant ranges"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _check_positions_once(self) -> Self:
+        """Positions come from one source, and lead to the cameras."""
+        trajectory = self.stations.trajectory
+        events = self.position_events
+        if self.stations.orientation is not None and (trajectory is not None or events):
+            raise SectionError(
+                "stations.orientation has position and attitude of every image: leave "
+                "stations.trajectory and events.positions out"
+            )
+        if trajectory is None or not trajectory.moves_stations:
+            return self
+        if trajectory.point == "camera" and len(self.cameras) > 1:
+            raise SectionError(
+                "stations.trajectory.point: camera is that of one camera, not of "
+                f"{', '.join(self.cameras)}"
+            )
+        if self._has_placed_events:
+            raise SectionError(
+                "stations.trajectory and events.positions both give positions; "
+                "events.positions.<camera>.times_only: true leaves them to the trajectory"
+            )
+        if trajectory.lever_arm_m == "from_events" and not events:
+            raise SectionError(
+                "stations.trajectory.lever_arm_m: from_events needs events.positions"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _check_camera_names(self) -> Self:
+        """All sections speak of the same cameras."""
+        named = self._cameras_by_section()
+        for section, names in named.items():
+            for name in sorted(names - self.cameras.keys()):
+                nearest = difflib.get_close_matches(name, self.cameras, n=1, cutoff=0.0)[0]
+                raise SectionError(f"{section} names camera {name!r}; perhaps {nearest!r}?")
+        for section, names in named.items():
+            if section == "events.csv.camera":
+                continue
+            for name in sorted(self.cameras.keys() - names):
+                raise SectionError(f"camera {name!r} has no entry under {section}")
+        return self
+
+    def _cameras_by_section(self) -> dict[str, set[str]]:
+        """The cameras that sections name, by the keys of these."""
+        named = {"mount": set(self.mount)}
+        events = self.events
+        if events is None:
+            return named
+        if events.log is not None:
+            named["events.log"] = set(events.log)
+        if self.position_events:
+            named["events.positions"] = set(self.position_events)
+        if events.csv is not None:
+            camera = events.csv.camera
+            if camera is None and events.csv.columns.camera is None and len(self.cameras) > 1:
+                raise SectionError("events.csv must state which camera: camera or columns.camera")
+            named["events.csv.camera"] = set() if camera is None else {camera}
+        return named

@@ -1,0 +1,192 @@
+"""What is wrong with the values of a mission file, in a sentence for each mistake."""
+
+import difflib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import yaml
+
+from unbend.config.keys import as_written, in_words
+from unbend.config.schema import Node, alternatives, campaign_schema, nodes_at
+from unbend.config.section import SectionError
+from unbend.config.yaml_text import Place, has_place, line_of, open_questions
+
+LEAST_SIMILARITY = 0.5  # of the similarity of difflib: a letter wrong, or a word of several
+LONGEST_ALLOWED = 150  # characters of what a key takes, beside its text
+LONGEST_VALUE = 40  # characters of a value that is shown whole
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """A value that is not allowed: where it stands, and what is wrong."""
+
+    place: Place
+    what: str
+
+
+@dataclass(frozen=True)
+class Refused:
+    """One thing that the models refuse: pydantic's type of it, the place in the file, the value."""
+
+    kind: str
+    place: Place
+    value: Any
+    text: str = ""  # of the validator that refuses it
+
+
+def sentences_of(
+    items: Sequence[Mapping[str, Any]],
+    values: dict[str, Any],
+    node: yaml.Node,
+    own: dict[str, Any] | None = None,
+) -> list[str]:
+    """One sentence for each mistake, in the order of the file.
+
+    ``items`` is what the models refuse, ``values`` and ``node`` are the file. Open questions come
+    as such. What is not in ``own``, where that is given, is of a campaign's defaults: no line.
+    """
+    mistakes = dict.fromkeys(mistakes_of(items, values))
+    sentences: dict[tuple[int, str], None] = {}
+    for mistake in mistakes:
+        line = line_of(node, mistake.place)
+        inherited = own is not None and not has_place(own, _nearest_place(values, mistake.place))
+        begin = "defaults of the campaign" if inherited else f"line {line}"
+        key = _written(mistake.place)
+        sentence = f"{begin}: {key}: {mistake.what}" if key else f"{begin}: {mistake.what}"
+        sentences[line, sentence] = None
+    return [sentence for _, sentence in sorted(sentences)]
+
+
+def mistakes_of(items: Iterable[Mapping[str, Any]], values: dict[str, Any]) -> Iterator[Mistake]:
+    """The open questions of a file, and what the models refuse of it for other reasons."""
+    questions = open_questions(values)
+    for place in questions:
+        yield Mistake(place, f"still TODO: it takes {allowed_at(place)}")
+    all_refused = [_refused(values, item) for item in items]
+    for refused in all_refused:
+        follows = any(_overlap(refused.place, question) for question in questions)
+        if follows or _is_arm(refused, all_refused):
+            continue
+        yield Mistake(refused.place, _what(refused, values))
+
+
+def _refused(values: object, item: Mapping[str, Any]) -> Refused:
+    """An error of pydantic, without the arms of unions in its place."""
+    error = item.get("ctx", {}).get("error")
+    place, value = _found_at(values, item["loc"])
+    if isinstance(error, SectionError) and error.key:
+        place = (*place, error.key)
+    return Refused(item["type"], place, value, "" if error is None else str(error))
+
+
+def _is_within(place: Place, outer: Place) -> bool:
+    """Whether a place is another one, or inside it."""
+    return place[: len(outer)] == outer
+
+
+def _overlap(place: Place, other: Place) -> bool:
+    """Whether one of two places is the other, or inside it."""
+    return _is_within(place, other) or _is_within(other, place)
+
+
+def _is_arm(refused: Refused, others: Iterable[Refused]) -> bool:
+    """Whether a section is refused as one arm of a union: its own mistakes say more."""
+    if refused.kind in ("value_error", "extra_forbidden", "missing"):
+        return False
+    if not isinstance(refused.value, dict | list):
+        return False
+    return any(
+        other.place != refused.place and _is_within(other.place, refused.place) for other in others
+    )
+
+
+def _what(refused: Refused, values: dict[str, Any]) -> str:
+    """What is wrong with a value."""
+    match refused.kind:
+        case "value_error":
+            return refused.text
+        case "extra_forbidden":
+            return _unknown_key(refused.place, is_campaign="campaign" in values)
+        case "missing":
+            return _missing_key(refused.place)
+    allowed = allowed_at(refused.place)
+    if refused.value is None:
+        return f"is empty; use {allowed}"
+    return f"{_shown(refused.value)} is not allowed; use {allowed}"
+
+
+def _unknown_key(place: Place, *, is_campaign: bool) -> str:
+    """What to write instead of a key that there is not."""
+    section = place[:-1]
+    nodes = [campaign_schema()] if is_campaign and not section else nodes_at(section)
+    known: set[str] = set()
+    for node in nodes:
+        for arm in alternatives(node):
+            known.update(arm.get("properties", {}))
+    near = difflib.get_close_matches(str(place[-1]), sorted(known), n=1, cutoff=LEAST_SIMILARITY)
+    if near:
+        return f"unknown key; perhaps {near[0]!r}?"
+    return f"unknown key; allowed: {', '.join(sorted(known))}"
+
+
+def _missing_key(place: Place) -> str:
+    """What a key that is missing means, and what it takes."""
+    texts = [node["description"] for node in nodes_at(place) if "description" in node][:1]
+    allowed = allowed_at(place)
+    if not texts or len(allowed) < LONGEST_ALLOWED:
+        texts.append(f"it takes {allowed}")
+    return f"is missing: {'; '.join(texts)}"
+
+
+def _found_at(values: object, loc: Sequence[int | str]) -> tuple[Place, object]:
+    """Place and value of an error of the models, without the arms of unions; None if missing."""
+    place: list[str | int] = []
+    value: Any = values
+    for i, part in enumerate(loc):
+        if has_place(value, (part,)):
+            value = value[part]
+            place.append(part)
+            continue
+        is_last = i == len(loc) - 1
+        if is_last and isinstance(value, dict) and nodes_at((*place, part)):
+            value = None
+            place.append(part)  # a key that is missing
+    return tuple(place), value
+
+
+def _nearest_place(values: object, place: Place) -> Place:
+    """The place itself, or the section around it that is in the file."""
+    while not has_place(values, place):
+        place = place[:-1]
+    return place
+
+
+def _written(place: Place) -> str:
+    """A place as people write it: ``events.csv``, ``soundings[0].path``."""
+    parts = [f"[{part}]" if isinstance(part, int) else f".{part}" for part in place]
+    return "".join(parts).removeprefix(".")
+
+
+def _shown(value: object) -> str:
+    """A value in a message: short, and on one line."""
+    match value:
+        case dict():
+            return "a section"
+        case list():
+            return f"a list of {len(value)}"
+        case str() if len(value) > LONGEST_VALUE:
+            return repr(f"{value[:20]}...{value[-16:]}")
+        case str():
+            return repr(value)
+    return as_written(value)
+
+
+def allowed_at(place: Place) -> str:
+    """What a place takes, with an example."""
+    nodes: list[Node] = nodes_at(place)
+    words = " or ".join(dict.fromkeys(in_words(node) for node in nodes))
+    examples = [as_written(node["examples"][0]) for node in nodes if "examples" in node]
+    if examples and " | " not in words:
+        return f"{words}, as {examples[0]}"
+    return words or "something else"

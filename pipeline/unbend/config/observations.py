@@ -1,0 +1,129 @@
+"""The sections of a mission file on the table of image measurements."""
+
+from typing import Literal, Self
+
+from pydantic import (
+    Field,
+    field_validator,
+    model_validator,
+)
+
+from unbend.config.section import (
+    PathText,
+    Section,
+    SectionError,
+    is_block,
+)
+from unbend.flight.image_names import Difference
+from unbend.tables.imports.blocks import BLOCKS
+from unbend.tables.pixels import PixelOrigin, PixelSystem
+
+
+class ObservationColumnNames(Section):
+    """What the columns of the table are called."""
+
+    image: str = Field(
+        "image",
+        description="column of the names of the images",
+        examples=["image"],
+    )
+    point: str = Field(
+        "point",
+        description="column of the names of the points",
+        examples=["point"],
+    )
+    x_px: str = Field(
+        "x_px",
+        description="column of the measured x, in pixels to the right",
+        examples=["x_px"],
+    )
+    y_px: str = Field(
+        "y_px",
+        description="column of the measured y, in pixels down",
+        examples=["y_px"],
+    )
+    distance_m: str | None = Field(
+        None,
+        description=(
+            "column of slant ranges to the points [m], where they are known. They tell the near "
+            "from the far crossing of a ray that meets the point's height twice"
+        ),
+        examples=["distance_m"],
+    )
+
+
+class ObservationsSection(Section):
+    """The table of image measurements."""
+
+    path: PathText = Field(
+        description=(
+            "the table, a file or a URL of object storage: CSV or Parquet, or a block in the "
+            "format that format names"
+        ),
+        examples=["observations.csv"],
+    )
+    format: Literal["csv", "parquet", *BLOCKS] | None = Field(  # type: ignore[valid-type]
+        None,
+        description=(
+            "csv or parquet, where the ending does not say it; or the block of another program, "
+            "with its cameras and orientations: colmap, a model's folder or a database; opensfm, a "
+            "project's folder; metashape, a .psz or .xml; dbat, a script"
+        ),
+        examples=["csv"],
+    )
+    columns: ObservationColumnNames = Field(
+        ObservationColumnNames(),
+        description="names of the table's columns, where they are called otherwise",
+    )
+    pixel_origin: PixelOrigin = Field(
+        "corner",
+        description=(
+            "where the table counts its pixels from. corner: the centre of the upper left pixel is "
+            "(0.5, 0.5), as in COLMAP; centre: it is (0, 0), as in OpenCV"
+        ),
+        examples=["corner"],
+    )
+    match_names: list[Difference] = Field(
+        [],
+        description=(
+            "in what the images may be called otherwise than their exposures: case, extension, "
+            "folder, digits (DSC1 for DSC_0001)"
+        ),
+        examples=[["case", "digits"]],
+    )
+    refraction: Literal["none", "removed_by_other"] = Field(
+        "none",
+        description=(
+            "what was done to the observations before: none, as measured; removed_by_other: "
+            "another program has removed refraction, and they are refused"
+        ),
+        examples=["none"],
+    )
+
+    @field_validator("refraction")
+    @classmethod
+    def _check_not_twice(cls, value: str) -> str:
+        if value != "none":
+            raise SectionError(
+                "another program has removed refraction from these observations, and removing it "
+                "again would count it twice: give them as measured, or adjust them as they are"
+            )
+        return value
+
+    @model_validator(mode="after")
+    def _check_block(self) -> Self:
+        if not is_block(self.format):
+            return self
+        if self.columns != ObservationColumnNames():
+            raise SectionError(f"format: {self.format} names its columns itself; leave columns out")
+        if self.pixel_origin != "corner":
+            raise SectionError(
+                f"format: {self.format} says itself where pixels count from, and they are written "
+                "with pixel_origin: corner; leave it out"
+            )
+        return self
+
+    @property
+    def pixels(self) -> PixelSystem:
+        """The pixel system of the table, and of cameras that name none."""
+        return PixelSystem(self.pixel_origin)

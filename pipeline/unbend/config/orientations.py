@@ -1,0 +1,401 @@
+"""The sections of a mission file on the position and attitude of every image."""
+
+from datetime import UTC, date, datetime
+from typing import Annotated, Literal, Self
+
+from pydantic import (
+    Field,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
+
+from unbend.config.local_frames import EnuFrame
+from unbend.config.section import (
+    PathText,
+    Section,
+    SectionError,
+    is_block,
+    one_of,
+)
+from unbend.config.table_columns import ClockColumns, PoseColumns
+from unbend.tables.imports import ORIENTATIONS
+from unbend.tables.imports.blocks import BLOCKS
+from unbend.units import NANOSECONDS_PER_SECOND, AngleUnit
+
+_OF_ANGLES = {
+    "omega_phi_kappa": ("omega", "phi", "kappa"),
+    "phi_omega_kappa": ("phi", "omega", "kappa"),
+    "roll_pitch_yaw": ("roll", "pitch", "yaw"),
+    "quaternion": ("q_w", "q_x", "q_y", "q_z"),
+    "quaternion_to_frame": ("q_w", "q_x", "q_y", "q_z"),
+}
+_SAY_FRAME = ("opensfm", "metashape")
+_GEODETIC = ("latitude", "longitude", "height")
+_CARTESIAN = ("x", "y", "z")
+_SIGMAS = ("sigma_horizontal_m", "sigma_height_m", "sigma_tilt", "sigma_yaw")
+_CLOCK = ("time_utc", "gps_week", "gps_seconds")
+
+EARLIEST_DATE = date(1900, 1, 1)  # an earlier one is a typing error
+
+
+class OrientationColumns(ClockColumns, PoseColumns):
+    """What the columns are called; those of the position and the angles by default as here."""
+
+    omega: str | None = Field(
+        None,
+        description="column of omega, about x",
+        examples=["omega"],
+    )
+    phi: str | None = Field(
+        None,
+        description="column of phi, about y",
+        examples=["phi"],
+    )
+    kappa: str | None = Field(
+        None,
+        description="column of kappa, about z",
+        examples=["kappa"],
+    )
+    sigma_horizontal_m: str | None = Field(
+        None,
+        description="column of the sigma of a horizontal axis [m]",
+        examples=["sigma_h_m"],
+    )
+    sigma_height_m: str | None = Field(
+        None,
+        description="column of the sigma of the height [m]",
+        examples=["sigma_v_m"],
+    )
+    sigma_tilt: str | None = Field(
+        None,
+        description="column of the sigma about a level axis, in the unit of the angles",
+        examples=["sigma_tilt"],
+    )
+    sigma_yaw: str | None = Field(
+        None,
+        description="column of the sigma about the vertical, in the unit of the angles",
+        examples=["sigma_yaw"],
+    )
+
+
+class KnownPositions(Section):
+    """Positions of at least three images, for a frame that is unknown."""
+
+    path: PathText = Field(
+        description="a CSV of images with latitude and longitude [deg] and height [m]",
+        examples=["positions.csv"],
+    )
+    image: str = Field(
+        "image",
+        description="column of the names of the images",
+        examples=["image"],
+    )
+    latitude: str = Field(
+        "latitude",
+        description="column of latitudes [deg], WGS 84",
+        examples=["latitude"],
+    )
+    longitude: str = Field(
+        "longitude",
+        description="column of longitudes [deg], WGS 84",
+        examples=["longitude"],
+    )
+    height: str = Field(
+        "height",
+        description="column of heights [m], above what stations.orientation.heights says",
+        examples=["height"],
+    )
+    sigma_m: float = Field(
+        default=1.0,
+        gt=0,
+        le=1000,
+        description="standard deviation of each coordinate",
+        examples=[1.0],
+        json_schema_extra={"unit": "m"},
+    )
+
+
+class OrientationSection(Section):
+    """Position and attitude of every image from a CSV, or from DJI's images themselves."""
+
+    path: PathText = Field(
+        description=(
+            "table of the oriented images: a CSV, a folder of DJI's images, or the block of "
+            "another program"
+        ),
+        examples=["opk.csv"],
+    )
+    format: Annotated[str, one_of(lambda: [*ORIENTATIONS, *BLOCKS])] = Field(
+        "csv",
+        description=(
+            "csv; dji: positions and gimbal angles in the images of a folder, or of a table that "
+            "exiftool -csv -r FOLDER wrote; or the block of another program as under "
+            "observations.format, which has angles, columns and cameras itself"
+        ),
+        examples=["csv"],
+    )
+    angles: Literal[
+        "omega_phi_kappa", "phi_omega_kappa", "roll_pitch_yaw", "quaternion", "quaternion_to_frame"
+    ] = Field(
+        description=(
+            "omega, phi and kappa of the camera, the primary rotation first; roll, pitch and yaw "
+            "of the aircraft, to which the camera is mounted as under mount; or the quaternion q_w "
+            "to q_z, which turns from the frame to the camera (x right, y down, z forward), or "
+            "back"
+        ),
+        examples=["omega_phi_kappa"],
+    )
+    unit: AngleUnit = Field(
+        "deg",
+        description="unit of the angles; latitude and longitude are in degrees",
+        examples=["deg"],
+    )
+    frame: Literal["geographic", "projected", "ecef", "unknown"] | EnuFrame | None = Field(
+        None,
+        validate_default=True,
+        description=(
+            "frame of the angles, and of x, y, z. geographic: east, north, up (roll_pitch_yaw: "
+            "north, east, down) at each station; projected: x, y of crs, whose grid north the "
+            "angles count from, and z, the height; ecef: earth-centred; {enu: {lat_deg, lon_deg, "
+            "h_ellipsoid_m}}: east, north, up at this one place; unknown: fitted to "
+            "known_positions. By default what the block says: OpenSfM's reference_lla, Metashape's "
+            "coordinate system"
+        ),
+        examples=["geographic"],
+    )
+    heights: Literal["msl", "ellipsoid"] | None = Field(
+        None,
+        description=(
+            "what the height column counts from: mean sea level or the ellipsoid (in a frame that "
+            "is unknown, that of known_positions; of a block that says its frame, the altitudes "
+            "that its program was given)"
+        ),
+        examples=["ellipsoid"],
+    )
+    crs: str | None = Field(
+        None,
+        description=(
+            "coordinate system of x and y, as EPSG:25832, or of latitude and longitude that are "
+            "not WGS 84"
+        ),
+        examples=["EPSG:25832"],
+    )
+    convergence_deg: float = Field(
+        0.0,
+        ge=-30,
+        le=30,
+        description=(
+            "convergence of the grid from whose north kappa or yaw is counted: true minus grid "
+            "azimuth, positive where grid north lies east of true north"
+        ),
+        examples=[1.2],
+        json_schema_extra={"unit": "deg"},
+    )
+    columns: OrientationColumns = Field(
+        OrientationColumns(),
+        description="names of the table's columns, where they are called otherwise",
+    )
+    camera: str | None = Field(
+        None,
+        description="camera of every row, without a column camera",
+        examples=["nadir"],
+    )
+    date: str | None = Field(
+        None,
+        description=(
+            "UTC day, as 2026-05-14, or day and time, where no column has the time: season of the "
+            "climatology, and how far soundings and surface reports are away"
+        ),
+        examples=["2026-05-14"],
+    )
+    known_positions: KnownPositions | Literal["log"] | None = Field(
+        None,
+        description=(
+            "positions of at least three images, for an unknown frame: a CSV, or log: the "
+            "exposures of the log"
+        ),
+        examples=["log"],
+    )
+    sigma_horizontal_m: float | None = Field(
+        None,
+        ge=0,
+        le=10_000,
+        description="standard deviation of the positions of all images, per axis",
+        examples=[0.05],
+        json_schema_extra={"unit": "m"},
+    )
+    sigma_height_m: float | None = Field(
+        None,
+        ge=0,
+        le=10_000,
+        description="standard deviation of the heights of all images",
+        examples=[0.05],
+        json_schema_extra={"unit": "m"},
+    )
+    sigma_tilt_deg: float | None = Field(
+        None,
+        ge=0,
+        le=45,
+        description="standard deviation of the attitude about each level axis, of all images",
+        examples=[0.01],
+        json_schema_extra={"unit": "deg"},
+    )
+    sigma_yaw_deg: float | None = Field(
+        None,
+        ge=0,
+        le=180,
+        description="standard deviation of the attitude about the vertical, of all images",
+        examples=[0.02],
+        json_schema_extra={"unit": "deg"},
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _angles_of_block(cls, values: object) -> object:
+        if isinstance(values, dict) and is_block(values.get("format")):
+            return {"angles": "quaternion"} | values
+        return values
+
+    @field_validator("frame")
+    @classmethod
+    def _require_frame(cls, value: object, info: ValidationInfo) -> object:
+        if value is None and info.data.get("format") not in _SAY_FRAME:
+            raise SectionError("is missing (geographic | projected | ecef | {enu: ...} | unknown)")
+        return value
+
+    @property
+    def of_block(self) -> bool:
+        """Whether the file is the block of another program."""
+        return is_block(self.format)
+
+    @property
+    def is_geodetic(self) -> bool:
+        """Whether the positions are latitude, longitude and height, or become them by the crs."""
+        level = self.frame in ("geographic", "projected")
+        return level or self.columns.latitude is not None
+
+    def is_msl(self, found: str | None) -> bool:
+        """Whether heights are above the sea; ``found`` is what a coordinate system says of them."""
+        has_heights = self.is_geodetic or self.frame is None
+        return has_heights and (found or self.heights) == "msl"
+
+    @property
+    def column_names(self) -> dict[str, str]:
+        """Quantity -> name of its column, for all that are to be read."""
+        on_ellipsoid = self.is_geodetic and self.frame != "projected"
+        position = _GEODETIC if on_ellipsoid else _CARTESIAN
+        named = self.columns.named
+        columns = {}
+        for quantity in ("image", "camera", *_CLOCK, *_SIGMAS):
+            if quantity in named:
+                columns[quantity] = named[quantity]
+        for quantity in (*position, *self.angle_names):
+            columns[quantity] = named.get(quantity, quantity)
+        return columns
+
+    @property
+    def angle_names(self) -> tuple[str, ...]:
+        """The quantities of the attitude, in the order of their names."""
+        return _OF_ANGLES[self.angles]
+
+    @property
+    def has_clock(self) -> bool:
+        """Whether columns give the time of each image."""
+        return self.format == "dji" or not self.columns.named.keys().isdisjoint(_CLOCK)
+
+    @property
+    def date_ns(self) -> int | None:
+        """The stated date [Unix ns]; a day without a time is its noon in UTC."""
+        if self.date is None:
+            return None
+        time = datetime.fromisoformat(self.date)
+        if len(self.date) == len("2026-05-14"):
+            time = time.replace(hour=12)
+        if time.tzinfo is None:
+            time = time.replace(tzinfo=UTC)
+        return round(time.timestamp()) * NANOSECONDS_PER_SECOND
+
+    @field_validator("date")
+    @classmethod
+    def _check_date(cls, value: str | None) -> str | None:
+        if value is None:
+            return None
+        mistake = SectionError("is no date like 2026-05-14 or 2026-05-14T10:20")
+        try:
+            day = datetime.fromisoformat(value).date()
+        except ValueError:
+            raise mistake from None
+        if day < EARLIEST_DATE:
+            raise mistake
+        return value
+
+    @property
+    def _is_level(self) -> bool:
+        """Whether the angles count from the horizon of each station."""
+        return self.frame in ("geographic", "projected")
+
+    @model_validator(mode="after")
+    def _check_angles(self) -> Self:
+        of_body = self.angles == "roll_pitch_yaw"
+        if self.format == "dji" and not of_body:
+            raise SectionError("format: dji has angles: roll_pitch_yaw, of the gimbal")
+        if of_body and not self._is_level:
+            raise SectionError(
+                "roll, pitch and yaw are those of north, east and down at the station: frame is "
+                "geographic, or projected"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _check_frame(self) -> Self:
+        lacks_crs = self.frame == "projected" and self.crs is None
+        if lacks_crs or (self.crs and not self._is_level):
+            raise SectionError(
+                "frame: projected needs crs, as EPSG:25832, and crs frame: projected or geographic"
+            )
+        if self.frame != "unknown":
+            if self.known_positions is not None:
+                raise SectionError("known_positions are for frame: unknown")
+            return self
+        if self.is_geodetic:
+            raise SectionError("an unknown frame has x, y and z, not columns.latitude")
+        if self.known_positions is None:
+            raise SectionError(
+                "an unknown frame has no vertical, no north and no scale: give known_positions, of "
+                "at least three images that do not lie on one line"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _check_heights(self) -> Self:
+        known = isinstance(self.known_positions, KnownPositions)
+        has_heights = self.is_geodetic or self.frame is None or known
+        if has_heights == (self.heights is not None):
+            return self
+        mistake = (
+            "give heights, msl or ellipsoid, where there is a column of heights, and only there"
+        )
+        if self.of_block:
+            mistake += " (a block without frame has those that its program was given)"
+        raise SectionError(mistake)
+
+    @model_validator(mode="after")
+    def _check_block(self) -> Self:
+        if not self.of_block:
+            return self
+        says_columns = self.camera is not None or self.columns != OrientationColumns()
+        if says_columns or self.frame == "geographic" or self.angles != "quaternion":
+            raise SectionError(
+                f"format: {self.format} has angles, columns and cameras itself, and a frame of "
+                "x, y, z: projected, ecef, enu or unknown"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _check_convergence_and_date(self) -> Self:
+        if self.convergence_deg and self.frame != "geographic":
+            raise SectionError("convergence_deg is for frame: geographic")
+        if self.has_clock and self.date is not None:
+            raise SectionError("give either date, or the columns of time")
+        return self

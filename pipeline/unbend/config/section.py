@@ -1,0 +1,63 @@
+"""What all sections of a mission file are made of."""
+
+from collections.abc import Callable, Collection
+from typing import Annotated, Self
+
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+)
+
+from unbend.tables.imports.blocks import BLOCKS
+
+PathText = Annotated[str, Field(min_length=1, pattern=r"^[^\x00]+$")]
+Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
+LeverArm = Annotated[
+    list[Annotated[float, Field(ge=-100, le=100)]], Field(min_length=3, max_length=3)
+]
+Hectopascal = Annotated[float, Field(ge=100, le=1200)]
+Celsius = Annotated[float, Field(ge=-60, le=60)]
+
+
+def one_of(names: Callable[[], Collection[str]]) -> AfterValidator:
+    """The check that a value is one of those that are registered when it is read."""
+
+    def check(value: str) -> str:
+        if value not in names():
+            raise SectionError(f"{value!r} is not valid; choose {', '.join(names())}")
+        return value
+
+    return AfterValidator(check)
+
+
+def is_block(value: object) -> bool:
+    """Whether a format is that of a block of another program, with cameras and orientations."""
+    return isinstance(value, str) and value in BLOCKS
+
+
+class Section(BaseModel):
+    """A part of the mission file: strict types, no unknown keys, no NaN."""
+
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, strict=True, allow_inf_nan=False, defer_build=True
+    )
+
+    def __copy__(self) -> Self:
+        """A copy of the keys: what was computed of them may be another one of changed keys."""
+        copied = super().__copy__()
+        for name in copied.__dict__.keys() - type(self).model_fields.keys():
+            del copied.__dict__[name]
+        return copied
+
+
+class SectionError(ValueError):
+    """Values of a section that do not go together, said by its validator.
+
+    ``key`` is the key of the section that the mistake is at; without it, it is the whole section.
+    """
+
+    def __init__(self, text: str, *, key: str = "") -> None:
+        super().__init__(text)
+        self.key = key

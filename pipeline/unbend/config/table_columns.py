@@ -1,0 +1,148 @@
+"""What the columns of imported tables are called, and the time of their rows."""
+
+from typing import Literal, Self
+
+from pydantic import (
+    Field,
+    model_validator,
+)
+
+from unbend.config.section import (
+    Section,
+    SectionError,
+)
+
+
+class ImportTime(Section):
+    """The time of a file of another program."""
+
+    system: Literal["gpst", "utc"] | None = Field(
+        None,
+        description="time system of the file, where the file does not say it: SBET, EO text, CSV",
+        examples=["gpst"],
+    )
+    week: int | None = Field(
+        None,
+        ge=0,
+        le=9999,
+        description="GPS week of the first row; by default that of the log",
+        examples=[2418],
+        json_schema_extra={"unit": "1"},
+    )
+
+
+class NamedColumns(Section):
+    """What the columns of a table are called, by quantity."""
+
+    @property
+    def named(self) -> dict[str, str]:
+        """Quantity -> column, for those that are named."""
+        return self.model_dump(exclude_none=True)
+
+
+class ClockColumns(NamedColumns):
+    """Columns of images with their times: UTC, or GPS week and seconds of the week."""
+
+    image: str = Field(
+        "image",
+        description="column of the names of the images",
+        examples=["image"],
+    )
+    camera: str | None = Field(
+        None,
+        description="column of the camera of each row, where there are several",
+        examples=["camera"],
+    )
+    time_utc: str | None = Field(
+        None,
+        description="column of UTC times: dates as 2026-05-14T10:20:00.5Z",
+        examples=["time_utc"],
+    )
+    gps_week: str | None = Field(
+        None,
+        description="column of GPS weeks, with gps_seconds in place of time_utc",
+        examples=["gps_week"],
+    )
+    gps_seconds: str | None = Field(
+        None,
+        description="column of seconds of the GPS week",
+        examples=["gps_seconds"],
+    )
+
+    @model_validator(mode="after")
+    def _check_clock(self) -> Self:
+        has_week = self.gps_week is not None
+        has_seconds = self.gps_seconds is not None
+        if has_week != has_seconds or (has_week and self.time_utc is not None):
+            raise SectionError("give time_utc, or both gps_week and gps_seconds")
+        return self
+
+
+class PoseColumns(NamedColumns):
+    """Columns of a position, latitude, longitude, height or x, y, z [m], and of an attitude."""
+
+    latitude: str | None = Field(
+        None,
+        description="column of latitudes [deg, or position_unit]",
+        examples=["lat"],
+    )
+    longitude: str | None = Field(
+        None,
+        description="column of longitudes [deg, or position_unit]",
+        examples=["lon"],
+    )
+    height: str | None = Field(
+        None,
+        description="column of heights [m]",
+        examples=["height"],
+    )
+    x: str | None = Field(
+        None,
+        description="column of x [m]: east of a projection, or earth-centred",
+        examples=["x"],
+    )
+    y: str | None = Field(
+        None,
+        description="column of y [m]: north of a projection, or earth-centred",
+        examples=["y"],
+    )
+    z: str | None = Field(
+        None,
+        description="column of z [m]: the height in a projection, or earth-centred",
+        examples=["z"],
+    )
+    roll: str | None = Field(
+        None,
+        description="column of roll, positive with the right wing down",
+        examples=["roll"],
+    )
+    pitch: str | None = Field(
+        None,
+        description="column of pitch, positive with the nose up",
+        examples=["pitch"],
+    )
+    yaw: str | None = Field(
+        None,
+        description="column of yaw, clockwise from north",
+        examples=["yaw"],
+    )
+    q_w: str | None = Field(
+        None,
+        description="column of the real part of the quaternion",
+        examples=["q_w"],
+    )
+    q_x: str | None = Field(
+        None,
+        description="column of the x part of the quaternion",
+        examples=["q_x"],
+    )
+    q_y: str | None = Field(
+        None,
+        description="column of the y part of the quaternion",
+        examples=["q_y"],
+    )
+    q_z: str | None = Field(
+        None,
+        description="column of the z part of the quaternion",
+        examples=["q_z"],
+    )

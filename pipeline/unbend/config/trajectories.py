@@ -1,0 +1,200 @@
+"""The sections of a mission file on the trajectory of another program."""
+
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+from pydantic import (
+    Field,
+    model_validator,
+)
+
+from unbend.config.section import (
+    LeverArm,
+    PathText,
+    Section,
+    SectionError,
+    one_of,
+)
+from unbend.config.table_columns import ImportTime, PoseColumns
+from unbend.tables.imports import TRAJECTORIES
+from unbend.units import AngleUnit
+
+Replaced = Literal["position", "height", "attitude"]
+
+NO_LEVER_ARM = [0.0, 0.0, 0.0]
+
+
+class TrajectoryColumns(PoseColumns):
+    """Columns of a CSV; position is latitude, longitude, height, or earth-centred x, y, z [m]."""
+
+    time: str = Field(
+        "time",
+        description=(
+            "column of times: dates, seconds of the GPS week, or seconds since 1970 (utc) or 1980 "
+            "(gpst)"
+        ),
+        examples=["time"],
+    )
+    week: str | None = Field(
+        None,
+        description="column of GPS weeks, beside seconds of the week",
+        examples=["week"],
+    )
+    v_north_m_s: str | None = Field(
+        None,
+        description="column of the velocity to the north [m/s]",
+        examples=["v_north"],
+    )
+    v_east_m_s: str | None = Field(
+        None,
+        description="column of the velocity to the east [m/s]",
+        examples=["v_east"],
+    )
+    v_down_m_s: str | None = Field(
+        None,
+        description="column of the velocity downwards [m/s]",
+        examples=["v_down"],
+    )
+    sigma_h_m: str | None = Field(
+        None,
+        description="column of the sigma of a horizontal axis [m]",
+        examples=["sigma_h"],
+    )
+    sigma_v_m: str | None = Field(
+        None,
+        description="column of the sigma of the height [m]",
+        examples=["sigma_v"],
+    )
+
+    @model_validator(mode="after")
+    def _check_groups(self) -> Self:
+        geodetic = self._has_all("latitude", "longitude", "height")
+        cartesian = self._has_all("x", "y", "z")
+        angles = self._has_all("roll", "pitch", "yaw")
+        quaternion = self._has_all("q_w", "q_x", "q_y", "q_z")
+        if geodetic == cartesian:
+            raise SectionError("give either latitude, longitude, height or x, y, z")
+        if angles and quaternion:
+            raise SectionError("give either roll, pitch, yaw or q_w, q_x, q_y, q_z")
+        return self
+
+    def _has_all(self, *names: str) -> bool:
+        """Whether the columns of a group are named; refuses some of them."""
+        given = [name for name in names if name in self.named]
+        if given and len(given) < len(names):
+            raise SectionError(f"{given[0]} needs {', '.join(names)}")
+        return bool(given)
+
+
+class TrajectorySection(Section):
+    """A trajectory of another program, in place of the log's."""
+
+    path: PathText = Field(
+        description="the file of the trajectory: RTKLIB .pos, SBET or CSV",
+        examples=["flight.pos"],
+    )
+    format: Annotated[str, one_of(TRAJECTORIES.keys)] | None = Field(
+        None,
+        description=(
+            "format of the file; by default by the ending: .pos (rtklib), .sbet and .out (sbet), "
+            ".csv and .txt (csv)"
+        ),
+        examples=["rtklib"],
+    )
+    replaces: list[Replaced] | None = Field(
+        None,
+        min_length=1,
+        description=(
+            "what it replaces of the log: position, height, attitude; by default all that the file "
+            "has"
+        ),
+        examples=[["position", "height"]],
+    )
+    point: Literal["imu", "antenna", "camera"] = Field(
+        description="point whose positions the file has; with camera, the mount has no lever arm",
+        examples=["antenna"],
+    )
+    lever_arm_m: LeverArm | Literal["from_events"] = Field(
+        default_factory=lambda: [0.0, 0.0, 0.0],
+        description=(
+            "point from which mount.<camera>.lever_arm_m counts, minus the file's point: forward, "
+            "right, down; from_events: from the antenna to the camera as in the .MRK of "
+            "events.positions"
+        ),
+        examples=[[0.0, 0.0, 0.9]],
+        json_schema_extra={"unit": "m"},
+    )
+    heights: Literal["msl", "ellipsoid"] | None = Field(
+        None,
+        description="what the heights count from; needed for SBET and for latitudes in a CSV",
+        examples=["ellipsoid"],
+    )
+    time: ImportTime = Field(
+        ImportTime(),
+        description="the time system of the file, where the file does not say it",
+    )
+    crs: str | None = Field(
+        None,
+        description=(
+            "projection of a CSV's x and y (z is then the height), or the datum of latitude and "
+            "longitude that are not WGS 84. In a projection attitudes and velocities count from "
+            "grid north"
+        ),
+        examples=["EPSG:25832"],
+    )
+    accuracy: PathText | None = Field(
+        None,
+        description="the smrmsg file of an SBET, with its sigmas",
+        examples=["smrmsg.out"],
+    )
+    columns: TrajectoryColumns | None = Field(
+        None,
+        description="names of a CSV's columns; needed for CSV",
+    )
+    position_unit: AngleUnit = Field(
+        "deg",
+        description="unit of latitude and longitude in a CSV",
+        examples=["deg"],
+    )
+    angle_unit: AngleUnit = Field(
+        "deg",
+        description="unit of roll, pitch and yaw in a CSV",
+        examples=["deg"],
+    )
+    angle_order: str = Field(
+        "ZYX",
+        pattern="^(?:XYZ|XZY|YXZ|YZX|ZXY|ZYX)$",
+        description="order of the rotations about the body's axes: ZYX is yaw, pitch, roll",
+        examples=["ZYX"],
+        json_schema_extra={"patternErrorMessage": "XYZ, XZY, YXZ, YZX, ZXY or ZYX"},
+    )
+
+    @property
+    def moves_stations(self) -> bool:
+        """Whether positions come from it, and with them the point that they are of."""
+        return self.replaces is None or "position" in self.replaces
+
+    @model_validator(mode="after")
+    def _check_point(self) -> Self:
+        moves_camera = self.lever_arm_m != NO_LEVER_ARM
+        if self.crs is not None and not self._is_csv:
+            raise SectionError("crs is that of a CSV; the positions of other formats are WGS 84")
+        if self.lever_arm_m == "from_events" and self.point != "antenna":
+            raise SectionError("lever_arm_m: from_events leads from the antenna: point: antenna")
+        if self.point == "camera" and moves_camera:
+            raise SectionError("point: camera has no lever arm")
+        replaces_one = self.replaces is not None and (
+            ("position" in self.replaces) != ("height" in self.replaces)
+        )
+        if replaces_one and (self.point == "camera" or moves_camera):
+            raise SectionError(
+                "a lever arm or point: camera needs both position and height replaced"
+            )
+        return self
+
+    @property
+    def _is_csv(self) -> bool:
+        if self.format is not None:
+            return self.format == "csv"
+        _, endings = TRAJECTORIES["csv"]
+        return Path(self.path).suffix.lower() in endings

@@ -1,0 +1,168 @@
+"""The text of a mission file: YAML of plain values, and the lines of its keys."""
+
+import re
+from collections.abc import Collection
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from unbend.config import messages
+from unbend.config.mission import Mission
+
+Place = tuple[str | int, ...]
+"""The keys that lead to a value, and places in lists, from 0."""
+
+TODO = "TODO"
+"""What stands in a mission file for a question that is still open."""
+
+PROBLEMS = {
+    "mapping values are not allowed here": (
+        "there is a colon where none can stand: put quotes around the text, or check the "
+        "indentation"
+    ),
+    "found character '\\t' that cannot start any token": (
+        "there is a tab: YAML is indented by spaces"
+    ),
+    "could not find expected ':'": "a key without a colon stands here or above",
+    "expected <block end>": "the indentation differs from that of the lines above",
+    "expected ',' or": "a bracket or a brace is not closed, or a comma is missing",
+    "could not determine a constructor": "tags (!) are not taken",
+    "found undefined alias": "an alias (*) has no anchor (&)",
+    "expected a single document": ("there are several documents (---); a mission file is one"),
+}
+"""Beginnings of what the YAML parser says, and the same in plain words."""
+
+_REPLACED_TYPES = ("bool", "int", "float", "timestamp")
+
+
+class MissionLoader(yaml.SafeLoader):
+    """YAML 1.2 scalars (1e-6 is a number, no, on and 1:30 are words) and no repeated keys."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        """A mapping whose keys are words, each once."""
+        seen: set[str] = set()
+        for key, _ in node.value:
+            if not isinstance(key, yaml.ScalarNode):
+                raise yaml.constructor.ConstructorError(
+                    problem="a key must be a word", problem_mark=key.start_mark
+                )
+            if key.value in seen:
+                raise yaml.constructor.ConstructorError(
+                    problem=f"the key {key.value!r} stands here twice", problem_mark=key.start_mark
+                )
+            seen.add(key.value)
+        return super().construct_mapping(node, deep)
+
+
+MissionLoader.yaml_implicit_resolvers = {
+    first: [(tag, rule) for tag, rule in rules if tag.rsplit(":", 1)[1] not in _REPLACED_TYPES]
+    for first, rules in yaml.SafeLoader.yaml_implicit_resolvers.items()
+}
+MissionLoader.add_implicit_resolver(
+    "tag:yaml.org,2002:bool", re.compile(r"^(?:true|True|false|False)$"), list("tTfF")
+)
+# A leading zero is left to the next rule: YAML 1.1 would read 0100 as 64.
+MissionLoader.add_implicit_resolver(
+    "tag:yaml.org,2002:int", re.compile(r"^[-+]?(?:0|[1-9][0-9]*)$"), list("-+0123456789")
+)
+MissionLoader.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(
+        r"^[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?$|^[-+]?\.(?:inf|Inf|INF)$"
+        r"|^\.(?:nan|NaN|NAN)$"
+    ),
+    list("-+0123456789."),
+)
+
+
+def read_yaml(path: Path) -> tuple[dict[str, Any], yaml.Node]:
+    """The sections of a file, and its nodes, which know their lines; refuses what is not YAML."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise messages.config_missing(path=path) from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise messages.config_unreadable(path=path, problem=str(error)) from None
+    try:
+        loader = MissionLoader(text)
+        node = loader.get_single_node()
+        values = None if node is None else loader.construct_document(node)
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        mark = getattr(error, "problem_mark", None)
+        where = str(path) if mark is None else f"{path}:{mark.line + 1}"
+        raise messages.config_yaml(where=where, problem=problem_of(error)) from None
+    if node is None or not isinstance(values, dict):
+        required = [name for name, field in Mission.model_fields.items() if field.is_required()]
+        raise messages.config_empty(path=path, required=", ".join(required))
+    return values, node
+
+
+def problem_of(error: Exception) -> str:
+    """What the parser found, in plain words."""
+    problem = str(getattr(error, "problem", None) or error)
+    if problem.startswith(("the key ", "a key ")):
+        return problem  # in the words of `MissionLoader`
+    for beginning, words in PROBLEMS.items():
+        if problem.startswith(beginning):
+            return words
+    return "here the text is no YAML"
+
+
+def open_questions(values: object) -> list[Place]:
+    """The places of a mission file where `TODO` stands; what aliases repeat counts once."""
+    questions: list[Place] = []
+    walked: set[int] = set()
+    left: list[tuple[Place, Any]] = [((), values)]
+    while left:
+        place, value = left.pop()
+        if value == TODO:
+            questions.append(place)
+        if not isinstance(value, dict | list) or id(value) in walked:
+            continue
+        walked.add(id(value))
+        items = value.items() if isinstance(value, dict) else enumerate(value)
+        inner = [((*place, key), item) for key, item in items]
+        left += reversed(inner)
+    return questions
+
+
+def line_of(node: yaml.Node, place: Place) -> int:
+    """The line of the key that a place ends with, or of the last on the way that is there."""
+    line = int(node.start_mark.line) + 1
+    for key in place:
+        if isinstance(node, yaml.SequenceNode) and isinstance(key, int):
+            node = node.value[key]
+            continue
+        pair = _pair_of(node, key)
+        if pair is None:
+            break
+        key_node, node = pair
+        line = int(key_node.start_mark.line) + 1
+    return line
+
+
+def _pair_of(node: yaml.Node, key: str | int) -> tuple[yaml.Node, yaml.Node] | None:
+    """The nodes of a key of a mapping, and of its value."""
+    if not isinstance(node, yaml.MappingNode):
+        return None
+    for key_node, value_node in node.value:
+        if key_node.value == key:
+            return key_node, value_node
+    return None
+
+
+def has_place(values: object, place: Place) -> bool:
+    """Whether a place is in the values of a file."""
+    value: Any = values
+    for key in place:
+        if isinstance(value, dict):
+            keys: Collection[object] = value
+        elif isinstance(value, list):
+            keys = range(len(value))
+        else:
+            return False
+        if key not in keys:
+            return False
+        value = value[key]
+    return True

@@ -1,0 +1,60 @@
+"""ArduPilot DataFlash logs (.bin): the registry's entry of this format, and how one is read."""
+
+from collections.abc import Collection
+from functools import partial
+from pathlib import Path
+
+from unbend.ingest.boot_clock import timeline
+from unbend.ingest.buffers import open_view
+from unbend.ingest.dataflash import messages
+from unbend.ingest.dataflash.dataflash_channels import stamps, wanted_fields
+from unbend.ingest.dataflash.dataflash_contents import contents_of
+from unbend.ingest.dataflash.dataflash_records import RecordWalker, find_records
+from unbend.ingest.dataflash.record_definitions import START
+from unbend.ingest.dataflash.record_tables import decode
+from unbend.ingest.flight_log import Contents, LogFormat
+from unbend.ingest.message_tables import Table
+from unbend.messages import Ledger
+
+
+def read_log(path: Path, ledger: Ledger) -> Contents:
+    """The contents of a binary log."""
+    wanted = wanted_fields()
+    with open_view(path) as data:
+        walker = RecordWalker(data, wanted)
+        line = timeline(stamps(data, walker))
+        tables = decode(walker, wanted)
+    walker.report_bytes(ledger, path.name, "record")
+    for definition in walker.refused:
+        if walker.bad_bytes:
+            ledger.add(messages.bad_definition(file=path.name, definition=definition))
+        else:  # all bytes are of records that are defined
+            ledger.add(messages.unused_bad_definition(file=path.name, definition=definition))
+    return contents_of(
+        walker,
+        walker.message_counts(),
+        line,
+        tables,
+        ledger,
+        reread=partial(read_tables, path),
+    )
+
+
+def _is_binary(head: bytes) -> bool:
+    """Whether a file begins with the definition of a record."""
+    return head.startswith(START)
+
+
+DATAFLASH = LogFormat("dataflash", "ArduPilot DataFlash", (".bin",), _is_binary, read_log)
+
+
+def read_tables(path: Path, names: Collection[str] | None = None) -> dict[str, Table]:
+    """All messages of some types, or of every type, with all their fields and `PLACE`."""
+    with open_view(path) as data:
+        found = find_records(data, names)
+        chosen = found.message_counts() if names is None else names
+        return decode(found, dict.fromkeys(chosen, _every_field))
+
+
+def _every_field(name: str) -> bool:
+    return True

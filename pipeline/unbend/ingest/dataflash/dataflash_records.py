@@ -1,0 +1,310 @@
+"""Records of an ArduPilot DataFlash log: their places, and recovery after damage.
+
+A record is 0xA3 0x95, a type byte and a payload whose length the FMT record of that type gave. It
+is confirmed when the next one begins where it ends: there is no checksum. All places where one may
+begin are found at once in a block of the file; where each ends on the next, nothing is walked.
+"""
+
+from collections import Counter, deque
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unbend.ingest.buffers import SPAN, FileView, Runs
+from unbend.ingest.damaged_bytes import DamagedBytes
+from unbend.ingest.dataflash.record_definitions import (
+    FMT_LENGTH,
+    FMT_TYPE,
+    HEADER,
+    MAGIC,
+    define,
+    definition_of_fmt,
+)
+from unbend.units import Integers
+
+LINKS = 3  # records in a row that confirm a place to continue after damage
+LONGEST = 255  # bytes of a record: its length is one byte
+REACH = 1 << 14  # [bytes] first searched after damage: the next record is seldom farther
+MOST_DEFINITIONS = 1 << 15  # real logs have 16 to 200; the number of a definition fits two bytes
+TYPES = 256  # a type is one byte
+
+
+@dataclass(frozen=True)
+class RecordBlock:
+    """The records that begin in one block of the file at ``base``: 6 bytes for each.
+
+    ``at`` (n,) their places behind it, rising; ``numbers`` (n,) their definitions.
+    """
+
+    base: int
+    at: NDArray[np.uint32]
+    numbers: NDArray[np.uint16]
+
+    def end(self) -> int:
+        """A place behind the last record."""
+        if not self.at.size:
+            return self.base
+        return self.base + int(self.at[-1]) + LONGEST
+
+
+class _Candidates(Runs):
+    """Where a record may begin in one block, and the type bytes there."""
+
+    def __init__(self, places: Integers, types: NDArray[np.uint8], length_of: Integers) -> None:
+        super().__init__(places, places + length_of[types])
+        self.types = types
+
+
+@dataclass
+class _RecordRun:
+    """Records that follow each other: their places, and the numbers of their definitions."""
+
+    places: Integers
+    numbers: NDArray[np.uint16]
+
+
+class RecordWalker(DamagedBytes):
+    """One pass over a file: where the records of some ``names`` (None for all) are, in its order.
+
+    After it ``wanted`` has their blocks, ``definitions`` are all that occurred, ``refused``
+    describes FMT records that are not valid.
+    """
+
+    def __init__(self, data: FileView, names: Collection[str] | None = None) -> None:
+        super().__init__()
+        self.data = data
+        self.names = names
+        self.size = data.size
+        self.definitions = [definition_of_fmt()]
+        self.number_of = np.zeros(TYPES, np.uint16)  # of the definition in force, by type
+        self.length_of = np.zeros(TYPES, np.int64)
+        self.length_of[FMT_TYPE] = FMT_LENGTH
+        self.seen: dict[bytes, int] = {}  # numbers of definitions by their payload
+        self.refused: list[str] = []
+        self.wanted: list[RecordBlock] = []
+        self.runs: list[_RecordRun] = []  # of the block in work
+        self._counts = np.zeros(1, np.int64)
+
+    def blocks(self) -> Iterator[RecordBlock]:
+        """All records block by block, while their bytes are in memory; wanted ones are kept."""
+        at = 0
+        while at + HEADER <= self.size:
+            at = self._walk_block(at)
+            yield from self._flush(keep=1)  # damage where the next block begins may include it
+        if at < self.size:
+            self._resume(at)
+        yield from self._flush(keep=0)
+
+    @property
+    def counts(self) -> Integers:
+        """(n,) how many records there are so far, wanted or not, by definition."""
+        missing = len(self.definitions) - self._counts.shape[0]
+        return np.append(self._counts, np.zeros(missing, np.int64))
+
+    def message_counts(self) -> dict[str, int]:
+        """How many messages of each name there are."""
+        counts: Counter[str] = Counter()
+        for form, count in zip(self.definitions, self.counts.tolist(), strict=True):
+            counts[form.name] += count
+        return dict(+counts)
+
+    def _walk_block(self, at: int) -> int:
+        """Walk the records that begin in a block; its arrays are freed before the next is read."""
+        begin = at
+        end = min(at + SPAN, self.size - HEADER + 1)
+        raw = self.data.array(begin, end + HEADER - 1)
+        rows = np.flatnonzero((raw[:-2] == MAGIC[0]) & (raw[1:-1] == MAGIC[1]))
+        block = _Candidates(rows + begin, raw[rows + 2], self.length_of)
+        while at < end:
+            run = block.starting_at(at)
+            first = run.start
+            stop = run.stop
+            if stop > first:
+                last = stop - 1
+                if not block.at[last] < block.end[last] <= self.size:
+                    stop = last  # its type is unknown, or the file ends in it
+            if stop == first:
+                at = self._resume(at)
+                continue
+            stop = self._keep(block, first, stop)
+            at = int(block.end[stop - 1])
+            if block.types[stop - 1] == FMT_TYPE:  # the lengths may be others from here on
+                block = _Candidates(block.at, block.types, self.length_of)
+        return at
+
+    def _keep(self, block: _Candidates, row: int, stop: int) -> int:
+        """Keep a run of records; it ends early where an FMT record redefines the following ones."""
+        definitions = row + np.flatnonzero(block.types[row:stop] == FMT_TYPE)
+        for place in definitions.tolist():
+            number = self._number_of_definition(int(block.at[place]))
+            if number is None:
+                continue
+            form = self.definitions[number]
+            if self.number_of[form.type_id] == number:
+                continue  # repeated
+            self._enter(block, row, place + 1)  # by the definitions before this one
+            row = place + 1
+            self.number_of[form.type_id] = number
+            self.length_of[form.type_id] = form.length
+            only_definitions_follow = bool((block.types[row:stop] == FMT_TYPE).all())
+            if not only_definitions_follow:  # the length of these never changes
+                return row
+        self._enter(block, row, stop)
+        return stop
+
+    def _number_of_definition(self, at: int) -> int | None:
+        """The number of the definition in an FMT record; None where that is not valid."""
+        payload = self.data[at + HEADER : at + FMT_LENGTH]
+        number = self.seen.get(payload)
+        if number is not None:
+            return number
+        definition = define(payload)
+        if definition is None or len(self.definitions) == MOST_DEFINITIONS:
+            self.refused.append(f"type {payload[0]} {payload[2:6]!r} at byte {at}")
+            return None
+        number = len(self.definitions)
+        self.seen[payload] = number
+        self.definitions.append(definition)
+        return number
+
+    def _enter(self, block: _Candidates, row: int, stop: int) -> None:
+        """Keep the records of some rows of a block, by the definitions that are in force."""
+        if row < stop:
+            numbers = self.number_of[block.types[row:stop]]
+            self.runs.append(_RecordRun(block.at[row:stop], numbers))
+
+    def _flush(self, keep: int) -> Iterator[RecordBlock]:
+        """Pack the runs into blocks; the last record may be kept back, as damage may include it."""
+        if not self.runs:
+            return
+        places = np.concatenate([run.places for run in self.runs])
+        numbers = np.concatenate([run.numbers for run in self.runs])
+        self.runs = []
+        if keep:
+            self.runs.append(_RecordRun(places[-keep:].copy(), numbers[-keep:].copy()))
+            places = places[:-keep]
+            numbers = numbers[:-keep]
+        holes = np.flatnonzero(np.diff(places) > SPAN) + 1  # a block is read in one piece
+        parts = zip(np.split(places, holes), np.split(numbers, holes), strict=True)
+        for places_of_part, numbers_of_part in parts:
+            if not places_of_part.size:
+                continue
+            base = int(places_of_part[0])
+            block = RecordBlock(
+                base=base,
+                at=(places_of_part - base).astype(np.uint32),
+                numbers=numbers_of_part,
+            )
+            yield block
+            counts = np.bincount(block.numbers, minlength=len(self.definitions))
+            self._counts = self.counts + counts
+            self.wanted.append(self._wanted_of(block))
+
+    def _wanted_of(self, block: RecordBlock) -> RecordBlock:
+        """The records of a block whose names are wanted."""
+        if self.names is None:
+            return block
+        is_wanted = np.array([form.name in self.names for form in self.definitions], np.bool_)
+        rows = is_wanted[block.numbers]
+        return RecordBlock(block.base, block.at[rows], block.numbers[rows])
+
+    def _resume(self, at: int) -> int:
+        """Skip the damage at a byte where no record begins; returns where records continue."""
+        begin = at
+        if self._record_before_is_damaged(at):
+            begin = int(self.runs[-1].places[-1])
+        resumed = self._next_chain(begin + 1)
+        if resumed == self.size and self._is_cut_record(at):
+            self.cut_bytes = self.size - at
+            return self.size
+        if begin < at:
+            self._drop_last_record()
+        self.drop(begin, resumed)
+        return resumed
+
+    def _record_before_is_damaged(self, at: int) -> bool:
+        """Whether a record that ends here has another type than it should.
+
+        A record whose type byte was flipped ends in the wrong place. It is damaged when the bytes
+        at its end do not resemble a header, or when records follow from inside it.
+        """
+        if not self.runs:
+            return False
+        before = int(self.runs[-1].places[-1])
+        type_byte = self.data[before + 2 : before + HEADER]
+        if before + self._length(type_byte) != at:
+            return False
+        mark = self.data[at : at + len(MAGIC)]
+        if mark and mark[:1] != MAGIC[:1] and mark[1:] != MAGIC[1:]:
+            return True
+        inside = self.data.find(MAGIC, before + HEADER, at)
+        while inside != -1:
+            if self._chain(inside):
+                return True
+            inside = self.data.find(MAGIC, inside + 1, at)
+        return False
+
+    def _next_chain(self, place: int) -> int:
+        """The first place from here on where records follow each other, or the end of the file.
+
+        The search widens: where all records of a type are damaged, it costs what lies between two
+        of them and not a block for each.
+        """
+        reach = REACH
+        while place < self.size:
+            end = min(place + reach, self.size)
+            raw = self.data.array(place, end + 1)
+            rows = np.flatnonzero((raw[:-1] == MAGIC[0]) & (raw[1:] == MAGIC[1]))
+            for candidate in (rows + place).tolist():
+                if self._chain(candidate):
+                    return int(candidate)
+            place = end
+            reach = min(2 * reach, SPAN)
+        return self.size
+
+    def _is_cut_record(self, at: int) -> bool:
+        """Whether the file ends in a record that begins here."""
+        header = self.data[at : at + HEADER]
+        if not MAGIC.startswith(header[: len(MAGIC)]):
+            return False
+        return len(header) < HEADER or self._length(header[2:]) > self.size - at
+
+    def _drop_last_record(self) -> None:
+        """Take back the last record, which is part of the damage."""
+        last = self.runs.pop()
+        if last.places.shape[0] > 1:
+            self.runs.append(_RecordRun(last.places[:-1], last.numbers[:-1]))
+
+    def _length(self, type_byte: bytes) -> int:
+        """The length of the records of a type; 0 where it is not defined, or not there."""
+        if not type_byte:
+            return 0
+        return int(self.length_of[type_byte[0]])
+
+    def _chain(self, at: int) -> bool:
+        """Whether `LINKS` records follow each other from a byte, or as many as the file has."""
+        for link in range(LINKS):
+            header = self.data[at : at + HEADER]
+            if not MAGIC.startswith(header[: len(MAGIC)]):
+                return False
+            if len(header) < HEADER:
+                return True
+            length = self._length(header[2:])
+            if not length:
+                return False
+            at += length
+            if at >= self.size:
+                return at == self.size or link > 0  # the last record may be cut
+        return True
+
+
+def find_records(data: FileView, names: Collection[str] | None = None) -> RecordWalker:
+    """Where the records of some types are, or of all, and the damage between them.
+
+    A flipped type byte costs that record; after it reading goes on at three in a row.
+    """
+    walker = RecordWalker(data, names)
+    deque(walker.blocks(), 0)
+    return walker

@@ -1,0 +1,255 @@
+"""Field maps: which field of a message is which column of a channel, in which unit."""
+
+import re
+import tomllib
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import cache
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unbend.flight.channels import ROLE_COLUMNS, Channel
+from unbend.ingest import messages
+from unbend.units import Array
+
+MAPS = tomllib.loads(files("unbend.ingest").joinpath("data/field_maps.toml").read_text("utf-8"))
+UNITS: Mapping[str, tuple[float, float, float]] = MAPS["units"]
+FLAGS: Mapping[str, list[tuple[int, int]]] = MAPS["flags"]
+STATED_UNITS: Mapping[str, tuple[str, float, float]] = MAPS["stated_units"]
+
+# "q_w q_x = q.0 q.1|old [unit] unless MISSING from FLOOR"
+_COLUMN = re.compile(
+    r"(?P<names>[\w ]+) = (?P<fields>[^\[ ]+(?: [^\[ ]+)*?)(?: \[(?P<unit>.+)\])?"
+    r"(?: unless (?P<missing>\S+))?(?: from (?P<floor>\S+))?"
+)
+
+# The scaled integers of a log are numbers of these units: 8050 c% is 80.5 percent.
+_NUMBERS_OF = {"cdegC": "degC", "%": "percent", "c%": "percent"}
+
+_SAME_FLAGS = 0x3FF  # the lowest ten bits mean the same in all logs
+
+
+@dataclass(frozen=True)
+class FieldColumn:
+    """One column of a channel, and the names of its field in all versions, newest first.
+
+    ``missing`` is the value in the log that means unknown, as do those below ``floor``.
+    """
+
+    name: str
+    fields: tuple[str, ...]
+    unit: str = ""
+    missing: float | None = None
+    floor: float | None = None
+
+
+@dataclass(frozen=True)
+class MessageMap:
+    """One message and the channel it becomes.
+
+    ``id_field`` tells instances apart, ``time_field`` is the message's own time, where the format
+    has neither. ``spare_rank``: of all instances but the first, which are spares (numbers do not
+    show which thermometer is outside). ``position`` drops rows without a fix, ``attitude`` makes
+    quaternions of Euler angles, ``text_field`` is what the autopilot says: no columns.
+    """
+
+    columns: tuple[FieldColumn, ...]
+    roles: tuple[str, ...] = ()
+    rank: int = 50
+    id_field: str = ""
+    time_field: str = "timestamp"
+    position: bool = False
+    attitude: bool = False
+    text_field: str = ""
+    spare_rank: int | None = None
+
+    @property
+    def event(self) -> bool:
+        """Whether each row is an exposure."""
+        return "events" in self.roles
+
+    @property
+    def fields(self) -> set[str]:
+        """The names of all fields that its columns are made of, in all versions."""
+        return {field for column in self.columns for field in column.fields}
+
+
+def parse_columns(lines: Iterable[str], groups: Mapping[str, list[str]]) -> Iterator[FieldColumn]:
+    """Columns as ``data/field_maps.toml`` writes them, the groups in their places.
+
+    >>> [*parse_columns(["q_w q_x = q.0 q|old", "@a"], {"a": ["t_k = t [degC] unless 0"]})][1:]
+    [FieldColumn(name='q_x', fields=('q', 'old'), unit='', missing=None, floor=None), \
+FieldColumn(name='t_k', fields=('t',), unit='degC', missing=0.0, floor=None)]
+    """
+    for line in lines:
+        if line.startswith("@"):
+            yield from parse_columns(groups[line[1:]], groups)
+            continue
+        found = _COLUMN.fullmatch(line)
+        if found is None:
+            raise ValueError(line)
+        names = found["names"].split()
+        fields = found["fields"].split()
+        for name, field in zip(names, fields, strict=True):
+            yield FieldColumn(
+                name=name,
+                fields=tuple(field.split("|")),
+                unit=found["unit"] or "",
+                missing=_number_or_none(found["missing"]),
+                floor=_number_or_none(found["floor"]),
+            )
+
+
+def _number_or_none(text: str | None) -> float | None:
+    return None if text is None else float(text)
+
+
+@cache
+def message_maps(section: str) -> dict[str, MessageMap]:
+    """The messages of a format that are wanted: a section of ``data/field_maps.toml``."""
+    maps: dict[str, MessageMap] = {}
+    for name, stated in MAPS[section].items():
+        options = dict(stated)
+        # a message that is like an earlier one has its own rank all the same
+        template = maps.get(options.pop("like", ""), MessageMap(()))
+        template = replace(template, rank=MessageMap.rank, spare_rank=None)
+        if "columns" in options:
+            options["columns"] = tuple(parse_columns(options["columns"], MAPS["groups"]))
+        if "roles" in options:
+            options["roles"] = tuple(options["roles"])
+        maps[name] = replace(template, **options)
+    return maps
+
+
+def to_si(raw: NDArray[Any], spec: FieldColumn) -> Array:
+    """Values of a log -> SI, NaN where the log says unknown or the value is not finite.
+
+    >>> to_si(np.array([-32768, 2000]), FieldColumn("temperature_k", ("t",), "cdegC", -32768))
+    array([   nan, 293.15])
+    """
+    with np.errstate(invalid="ignore"):  # signalling NaNs
+        value: Array = np.array(raw, np.float64)
+    unknown = ~np.isfinite(value)
+    if spec.missing is not None:
+        unknown |= value == spec.missing
+    if spec.floor is not None:
+        unknown |= value < spec.floor
+    if spec.unit in FLAGS:
+        bits = np.where(unknown, 0.0, value).astype(np.int64)
+        flags = _translated_flags(bits, FLAGS[spec.unit])
+        return np.where(unknown, np.nan, flags.astype(np.float64))
+    divisor, factor, offset = UNITS[spec.unit]
+    value[unknown] = np.nan  # before the arithmetic, which warns of signalling NaNs
+    value /= divisor  # in place: a column of a long log has hundreds of MB
+    value *= factor
+    value += offset
+    return value
+
+
+def _translated_flags(bits: NDArray[np.int64], pairs: list[tuple[int, int]]) -> NDArray[np.int64]:
+    """Flags of a log in the package's order; ``pairs``: number of a bit in the log, and here."""
+    flags = bits & _SAME_FLAGS
+    for logged_bit, own_bit in pairs:
+        flags |= (bits >> logged_bit & 1) << own_bit
+    return flags
+
+
+def in_stated_unit(channel: Channel, role: str, unit: str) -> Channel:
+    """The channel with the column of a role in SI, where its numbers are really in another unit.
+
+    ``unit``: of `STATED_UNITS`, by the mission file. A bare ``value`` becomes the column; else
+    numbers are converted back first: SCALED_PRESSURE is in hPa; a driver that sends kPa has 81.25
+    for 81,250 Pa, read as 8125 Pa, stated as kPa 81,250 Pa. Raises MissionError (CHANNEL-UNIT).
+    """
+    column, factor, offset = STATED_UNITS[unit]
+    if column not in ROLE_COLUMNS[role]:
+        raise messages.not_a_unit_of_role(role=role, unit=unit, columns=ROLE_COLUMNS[role])
+    raw = channel.columns.get("value")
+    if raw is None and column in channel.columns:
+        logged = channel.logged_units.get(column, "")
+        logged = _NUMBERS_OF.get(logged, logged)
+        _, logged_factor, logged_offset = STATED_UNITS.get(logged, (column, 1.0, 0.0))
+        raw = (channel[column] - logged_offset) / logged_factor
+    if raw is None:
+        return channel
+    return replace(channel, columns=dict(channel.columns) | {column: raw * factor + offset})
+
+
+def is_number(column: NDArray[Any]) -> bool:
+    """Whether a column holds one number a row."""
+    return column.ndim == 1 and column.dtype.kind in "biuf"
+
+
+def extract(
+    table: Mapping[str, NDArray[Any]],
+    columns: tuple[FieldColumn, ...],
+    kept: Callable[[Array], Array] = np.asarray,
+    used_up: dict[str, NDArray[Any]] | None = None,
+) -> dict[str, Array]:
+    """The columns of a field map that a decoded message has, each as it is to be ``kept``.
+
+    A field that is an array or a text where a number is expected is left out. Speed and course
+    become velocity, a vibration that of the worst axis, clippings of several sensors their sum.
+    Fields that are read are removed from ``used_up``: memory has its peak here.
+    """
+    result: dict[str, Array] = {}
+    last_use = {field: spec.name for spec in columns for field in spec.fields}
+    for spec in columns:
+        field = _field_of(spec, table)
+        if field is None:
+            continue
+        result[spec.name] = kept(to_si(table[field], spec))
+        if used_up is not None and last_use[field] == spec.name:
+            del used_up[field]
+    if "speed_m_s" in result and "course_rad" in result:
+        speed = result.pop("speed_m_s")
+        course = result.pop("course_rad")
+        result["v_north_m_s"] = kept(speed * np.cos(course))
+        result["v_east_m_s"] = kept(speed * np.sin(course))
+    has_vertical_speed = result.pop("has_vertical_speed", None)  # the speed is 0 where it has none
+    if has_vertical_speed is not None and "v_down_m_s" in result:
+        result["v_down_m_s"][has_vertical_speed == 0.0] = np.nan
+    vibrations = _taken(result, "vibration_m_s2_")
+    if vibrations:
+        result["vibration_m_s2"] = kept(np.fmax.reduce(vibrations))
+    clippings = _taken(result, "clipping_")
+    if clippings:
+        result["clipping"] = kept(np.add.reduce(clippings))
+    return result
+
+
+def _field_of(spec: FieldColumn, table: Mapping[str, NDArray[Any]]) -> str | None:
+    """The field of a table that a column is made of, or None."""
+    for field in spec.fields:
+        if field in table and is_number(table[field]):
+            return field
+    return None
+
+
+def _taken(columns: dict[str, Array], prefix: str) -> list[Array]:
+    """The columns whose names begin so, taken out."""
+    names = sorted(name for name in columns if name.startswith(prefix))
+    return [columns.pop(name) for name in names]
+
+
+PX4_MESSAGES: Mapping[str, MessageMap] = message_maps("px4")
+"""By name in px4_msgs; PX4 logs the same to .ulg and, over ROS 2, to MCAP."""
+
+
+def topic_of(name: str) -> str:
+    """The topic of PX4 on which messages of a name are published.
+
+    >>> topic_of("VehicleGpsPosition")
+    'vehicle_gps_position'
+    """
+    return re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower()
+
+
+PX4_TOPICS: Mapping[str, MessageMap] = {topic_of(name): spec for name, spec in PX4_MESSAGES.items()}
+
+UTC_FIELD = "time_utc_usec"  # Unix time [us] of receivers, beside their time since boot
+# Unix time [us] of an exposure, by the autopilot's own clock, which it sets now and then.
+CAPTURE_UTC_FIELD = "timestamp_utc"

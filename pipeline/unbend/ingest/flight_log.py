@@ -1,0 +1,200 @@
+"""What a log is once it is read, and what a log format has to offer."""
+
+import difflib
+import hashlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from unbend.flight.channels import Channel
+from unbend.ingest import messages
+from unbend.ingest.message_tables import Table
+from unbend.messages import Ledger
+
+SIMILAR_NAMES = 3  # that a refusal lists first, of an unknown name
+LEAST_SIMILARITY = 0.5  # of these, as difflib counts it: half of the letters
+
+
+@dataclass(frozen=True, eq=False)
+class Contents:
+    """The result of reading a file of one format.
+
+    ``messages`` by type or topic, wanted or not; ``channels`` (in a `Log` sorted, none empty);
+    ``bad_bytes`` of no valid message; ``lost_messages`` by the log's own numbers; ``boots`` of the
+    vehicle; ``time_base`` of its UTC in words; ``table`` decodes all messages of a type, or of one
+    instance; ``parameters`` as last logged; ``utc_sigma_s`` [s] of its UTC, NaN where unknown.
+    """
+
+    messages: Mapping[str, int]
+    channels: tuple[Channel, ...]
+    bad_bytes: int
+    lost_messages: int
+    boots: int
+    time_base: str
+    table: Callable[[str, str | None], Table] | None = None
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    utc_sigma_s: float = float("nan")
+
+
+@dataclass(frozen=True)
+class LogFormat:
+    """A log format: ``title`` in messages; ``extensions`` in lower case with dot, the usual first.
+
+    ``matches`` says whether the first 64 KiB of a file look like it; ``read`` decodes the wanted
+    messages, and enters what is damaged or skipped.
+    """
+
+    name: str
+    title: str
+    extensions: tuple[str, ...]
+    matches: Callable[[bytes], bool]
+    read: Callable[[Path, Ledger], Contents]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Log(Contents):
+    """A log that was read, and in ``ledger`` what was repaired, assumed, skipped and lost.
+
+    ``start_ns``, ``end_ns``: Unix time [ns] of the first and the last sample of any channel.
+    """
+
+    path: Path
+    format: str
+    sha256: str
+    size_bytes: int
+    start_ns: int
+    end_ns: int
+    ledger: Ledger
+
+    @property
+    def duration_s(self) -> float:
+        """From the first sample to the last [s]."""
+        return (self.end_ns - self.start_ns) / 1e9
+
+    def channel(self, name: str) -> Channel:
+        """The channel of that name, or a LogError that says what there is instead."""
+        for channel in self.channels:
+            if channel.name == name:
+                return channel
+        available = _available(name, [channel.name for channel in self.channels])
+        raise messages.no_channel(path=str(self.path), name=name, available=available)
+
+    def to_pandas(self, name: str) -> Any:
+        """One channel as a pandas DataFrame indexed by UTC time."""
+        return self.channel(name).to_pandas()
+
+    def message_types(self) -> dict[str, int]:
+        """Every message type or topic of the log, wanted or not, with its count."""
+        return dict(self.messages)
+
+    def message(self, name: str, instance: str | None = None) -> Table:
+        """All messages of one type as columns of one length, with the log's names and units.
+
+        ``name``: a type or topic of `message_types`, or a channel, upper or lower case.
+        ``instance``: only those, where the type has instances. In the order of the file, damaged
+        rows included. Raises LogError (LOG-NO-TYPE, LOG-NO-TABLE).
+        """
+        kind, instance_of_channel = self._type_of(name)
+        if instance is None:
+            instance = instance_of_channel
+        if kind not in self.messages:
+            available = _available(kind, sorted(self.messages))
+            raise messages.no_message_type(path=str(self.path), name=kind, available=available)
+        columns = self.table(kind, instance) if self.table else {}
+        if not columns:
+            raise messages.no_table(path=str(self.path), name=kind, instance=instance)
+        return columns
+
+    def _type_of(self, name: str) -> tuple[str, str | None]:
+        """The message type, and the instance where ``name`` is that of a channel."""
+        if name in self.messages:
+            return name, None
+        for kind in self.messages:
+            if kind.lower() == name.lower():
+                return kind, None
+        for channel in self.channels:
+            if channel.name.lower() == name.lower():
+                return channel.source.message, channel.source.instance
+        return name, None
+
+    def message_to_pandas(self, name: str, instance: str | None = None) -> Any:
+        """All messages of one type as a pandas DataFrame."""
+        import pandas as pd
+
+        columns: dict[str, Any] = {}
+        for column_name, column in self.message(name, instance).items():
+            # a field that is an array itself is one object a row
+            columns[column_name] = column if column.ndim == 1 else list(column)
+        return pd.DataFrame(columns)
+
+    def to_json_dict(self) -> dict[str, Any]:
+        """A summary of the log for ``unbend inspect --json``."""
+        from unbend.ingest.overview import roles_of
+
+        flight, roles = roles_of(self.channels)
+        return {
+            "format": self.format,
+            "sha256": self.sha256,
+            "size_bytes": self.size_bytes,
+            "messages": self.messages,
+            "bad_bytes": self.bad_bytes,
+            "lost_messages": self.lost_messages,
+            "boots": self.boots,
+            "channels": [describe(channel) for channel in self.channels],
+            "start_utc": utc_text(self.start_ns),
+            "end_utc": utc_text(self.end_ns),
+            "duration_s": self.duration_s,
+            "flight": flight,
+            "roles": roles,
+            "time_base": self.time_base,
+            "ledger": self.ledger.rows(),
+        }
+
+
+def _available(name: str, names: list[str]) -> str:
+    """The names of a log, first those that are similar to one that it does not have."""
+    similar = difflib.get_close_matches(name, names, n=SIMILAR_NAMES, cutoff=LEAST_SIMILARITY)
+    listed = f"this log has {', '.join(names)}"
+    if not similar:
+        return listed
+    return f"perhaps {', '.join(similar)}? {listed}"
+
+
+def utc_text(time_ns: int) -> str:
+    """Unix time [ns] as ISO 8601 with microseconds.
+
+    >>> utc_text(1_482_451_200_000_000_000)
+    '2016-12-23T00:00:00.000000Z'
+    """
+    return f"{np.datetime64(time_ns // 1000, 'us')}Z"
+
+
+def describe(channel: Channel) -> dict[str, Any]:
+    """A summary of a channel for ``unbend inspect --json``."""
+    steps = np.diff(channel.time_ns) / 1e9
+    gaps = np.flatnonzero(steps > channel.gap_limit_s()).tolist()
+    if "events" in channel.roles or not channel.columns or len(channel) < 3:
+        gaps = []  # events and texts come when they come
+    listed_gaps = []
+    for row in gaps:
+        start = utc_text(int(channel.time_ns[row]))
+        listed_gaps.append({"start_utc": start, "seconds": float(steps[row])})
+    return {
+        "name": channel.name,
+        "roles": list(channel.roles),
+        "columns": sorted(channel.columns),
+        "samples": len(channel),
+        "rate_hz": channel.rate_hz,
+        "start_utc": utc_text(int(channel.time_ns[0])),
+        "end_utc": utc_text(int(channel.time_ns[-1])),
+        "gaps": listed_gaps,
+    }
+
+
+def hash_file(path: Path) -> str:
+    """SHA-256 of a file, in hexadecimal."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()

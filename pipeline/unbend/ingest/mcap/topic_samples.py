@@ -1,0 +1,268 @@
+"""Which messages of MCAP logs are wanted, and what was read of them: columns in SI, times."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unbend.flight.channels import Source, TimeArray
+from unbend.flight.clock import UNIX_US_FROM
+from unbend.ingest.attitude import earth_frame_attitude, ned_frd_of_enu_flu, replace_in_blocks
+from unbend.ingest.boot_clock import (
+    LOWEST_FIX,
+    BootClock,
+    Timeline,
+    UtcReadings,
+    microseconds,
+    rows_of,
+)
+from unbend.ingest.buffers import ColumnStore
+from unbend.ingest.channel_builder import ColumnStores, DecodedRows, captured_rows, without_stray
+from unbend.ingest.field_maps import (
+    CAPTURE_UTC_FIELD,
+    PX4_MESSAGES,
+    UTC_FIELD,
+    FieldColumn,
+    MessageMap,
+    extract,
+    message_maps,
+)
+from unbend.ingest.mcap import messages
+from unbend.ingest.mcap.ros2_definitions import short
+from unbend.ingest.mcap.stamps import (
+    LOG_TIME,
+    SEQUENCE,
+    STAMP,
+    Columns,
+    good_rows,
+    in_sequence,
+    since_boot,
+    times_of,
+)
+from unbend.ingest.message_tables import PLACE
+from unbend.messages import Ledger
+from unbend.units import Array, Integers
+
+_NAMED_VALUE_INT = 4.0  # DebugValue.TYPE_NAMED_VALUE_INT: the value is in another field
+_NO_ORIENTATION = -1.0  # of the first covariance of an Imu (sensor_msgs/Imu)
+_ROS_FIX = 0.0  # NavSatStatus: STATUS_FIX and better; -1 is none
+
+_STAMP_FIELDS = {"mavros_msgs/CamIMUStamp": "frame_stamp"}
+
+
+def _schemas() -> dict[str, MessageMap]:
+    """The wanted messages by name; those of ROS 2 have their time in the header."""
+    schemas = {}
+    for name, spec in message_maps("ros").items():
+        time_field = _STAMP_FIELDS.get(name, "header.stamp")
+        schemas[name] = replace(spec, time_field=time_field)
+    for name, spec in PX4_MESSAGES.items():
+        schemas[f"px4_msgs/{name}"] = spec
+    schemas.update(message_maps("foxglove"))
+    return schemas
+
+
+SCHEMAS: Mapping[str, MessageMap] = _schemas()
+
+# JSON of a schema of the user's own: a time and a value, of a role only when it is named.
+PLAIN_JSON = MessageMap((FieldColumn("value", ("value",)),))
+# Texts that belong to each event, and where they may be.
+LABELS: Mapping[str, tuple[str, ...]] = {
+    "file_url": ("file_url",),
+    "frame_id": ("header.frame_id", "frame_id"),
+}
+
+
+def known_name(schema: str) -> str:
+    """The name of a message in `SCHEMAS`, whatever the encoding writes between its parts.
+
+    >>> known_name("sensor_msgs/msg/NavSatFix"), known_name("foxglove_msgs/msg/RawImage")
+    ('sensor_msgs/NavSatFix', 'foxglove.RawImage')
+    """
+    return short(schema).replace("foxglove_msgs/", "foxglove.")
+
+
+def finished(schema: str, columns: Mapping[str, Array]) -> dict[str, Array]:
+    """Columns as decoded -> columns in use: one attitude convention, sigmas, a fix as in MAVLink.
+
+    An Imu whose first covariance is -1 has no orientation (sensor_msgs/Imu); a NavSatFix whose
+    covariance type is 0 does not know its accuracy.
+    """
+    result = dict(columns)
+    if schema.endswith("/GimbalDeviceAttitudeStatus") and "flags" in result:
+        result = earth_frame_attitude(result)
+    if schema.endswith("/DebugValue"):
+        kind = result.pop("kind", None)
+        integer = result.pop("integer", None)
+        if kind is not None and integer is not None:
+            result["value"] = np.where(kind == _NAMED_VALUE_INT, integer, result["value"])
+    if "ros_w" in result:
+        _turn_ros_attitude(result)
+    if "status" in result:
+        has_fix = result.pop("status") >= _ROS_FIX
+        result["fix"] = np.where(has_fix, float(LOWEST_FIX), 0.0)
+    if "covariance_type" in result:
+        _add_sigmas(result)
+    return result
+
+
+def _turn_ros_attitude(columns: dict[str, Array]) -> None:
+    """Replace the attitude of ROS by that of the package, in the same memory."""
+    q = [columns.pop(f"ros_{axis}") for axis in "wxyz"]
+    replace_in_blocks(ned_frd_of_enu_flu, q)
+    if "covariance_0" in columns:
+        unknown = columns.pop("covariance_0") == _NO_ORIENTATION
+        for part in q:
+            part[unknown] = np.nan
+    columns.update(zip(("q_w", "q_x", "q_y", "q_z"), q, strict=True))
+
+
+def _add_sigmas(columns: dict[str, Array]) -> None:
+    """Replace the variances of a NavSatFix by sigmas."""
+    known = columns.pop("covariance_type") > 0.0
+    variances = []
+    for name in ("variance_0", "variance_1", "variance_2"):  # east, north, up
+        variance = columns.pop(name, np.full(known.shape, np.nan))
+        variances.append(np.where(known, np.maximum(variance, 0.0), np.nan))
+    east, north, up = variances
+    columns["sigma_h_m"] = np.sqrt(east / 2.0 + north / 2.0)
+    columns["sigma_v_m"] = np.sqrt(up)
+
+
+def _int64_store() -> ColumnStore:
+    return ColumnStore("i8")
+
+
+def _uint32_store() -> ColumnStore:
+    return ColumnStore("u4")
+
+
+@dataclass
+class TopicSamples:
+    """What was read of one topic, or of one name in it.
+
+    ``stamp_ns`` own times, 0 without; ``log_ns`` the recorder's by their first row, where needed;
+    ``utc_us`` UTC beside the time since boot. ``counted`` stamps are microseconds, maybe from a
+    boot: then ``places`` are those in the whole log; else ``sequence`` are the messages' numbers.
+    """
+
+    name: str
+    source: Source
+    spec: MessageMap
+    counted: bool = False
+    stamp_ns: ColumnStore = field(default_factory=_int64_store)
+    places: ColumnStore = field(default_factory=_int64_store)
+    sequence: ColumnStore = field(default_factory=_uint32_store)
+    log_ns: list[tuple[int, TimeArray]] = field(default_factory=list)
+    utc_us: ColumnStore = field(default_factory=_int64_store)
+    labels: dict[str, list[str]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.columns = ColumnStores(self.spec)
+
+    def add(self, columns: Columns) -> None:
+        """The next messages, as decoded."""
+        before = len(self.stamp_ns)
+        count = columns[STAMP].shape[0]
+        self.stamp_ns.add(columns[STAMP])
+        if self.counted:
+            self.places.add(columns[PLACE])
+        else:
+            self.sequence.add(columns[SEQUENCE])
+        if not bool(columns[STAMP].all()):
+            self.log_ns.append((before, columns[LOG_TIME]))
+        utc = columns.get(UTC_FIELD if self.spec.position else CAPTURE_UTC_FIELD)
+        if utc is not None and utc.dtype.kind in "iu":
+            self.utc_us.add(microseconds(utc))
+        numbers = {name: column for name, column in columns.items() if column.dtype.kind in "biuf"}
+        values = extract(numbers, self.spec.columns)
+        self.columns.add(finished(self.source.message, values), count)
+        if self.spec.event:
+            self._add_labels(columns, before, count)
+
+    def _add_labels(self, columns: Columns, before: int, count: int) -> None:
+        """The texts of the next ``count`` exposures, "" where they have none."""
+        for name, paths in LABELS.items():
+            path = next((path for path in paths if path in columns), None)
+            if path is not None:
+                values = columns[path].tolist()
+                texts = ["" if value is None else str(value) for value in values]
+            elif name in self.labels:
+                texts = [""] * count
+            else:
+                continue
+            self.labels.setdefault(name, [""] * before).extend(texts)
+
+    def stamps(self, line: Timeline) -> tuple[Integers, TimeArray]:
+        """Places and times since boot [ns] of the messages that count it."""
+        places = _copied(self.places)
+        stamp_ns = _copied(self.stamp_ns)
+        good = since_boot(stamp_ns) & line.good(places)
+        return places[good], stamp_ns[good]
+
+    def utc_readings(self) -> UtcReadings | None:
+        """UTC beside the time since boot in these messages; None where they have none."""
+        if not self.counted or not len(self.utc_us):
+            return None
+        utc_us = _copied(self.utc_us)
+        stamp_ns = _copied(self.stamp_ns)
+        return rows_of(
+            self.name,
+            places=_copied(self.places),
+            boot_ns=stamp_ns,
+            utc_ns=utc_us * 1000,
+            usable=(utc_us > UNIX_US_FROM) & since_boot(stamp_ns),
+            fix=_copied(self.columns.stores.get("fix", ColumnStore("f8"))),
+        )
+
+    def rows(self, clock: BootClock, ledger: Ledger) -> tuple[DecodedRows, int]:
+        """All of it, handed over, and how many messages had no time of their own.
+
+        Never in the order of log_time: a clock that was set back would shuffle parts of the flight.
+        """
+        stamp_ns = self.stamp_ns.whole()
+        log_ns = np.zeros(stamp_ns.shape, np.int64)
+        for first, part in self.log_ns:
+            log_ns[first : first + part.shape[0]] = part
+        self.log_ns.clear()
+        places = self.places.whole() if self.counted else None
+        good = None if places is None else good_rows(places, stamp_ns, clock)
+        times = times_of(stamp_ns, log_ns, places, clock, ledger=ledger, topic=self.name)
+        rows = DecodedRows(
+            name=self.name,
+            source=self.source,
+            time_ns=times.time_ns,
+            boot=times.boot,
+            columns=self.columns.whole(),
+            labels={name: tuple(texts) for name, texts in self.labels.items()},
+        )
+        if not self.counted:
+            rows = _in_sequence(rows, self.sequence.whole(), ledger)
+        if good is not None:
+            rows = without_stray(rows, ~good, ledger)
+        if self.spec.event:
+            rows = captured_rows(rows, ledger)
+        return rows, times.unstamped
+
+
+def _in_sequence(rows: DecodedRows, sequence: NDArray[np.uint32], ledger: Ledger) -> DecodedRows:
+    """The rows in the order of their numbers, where that puts their times right."""
+    order = in_sequence(sequence, rows.time_ns)
+    if order is None:
+        return rows
+    ledger.add(
+        messages.messages_reordered(
+            topic=rows.name,
+            first=int(np.flatnonzero(np.diff(order) != 1)[0]) + 1,
+            count=int(np.count_nonzero(order != np.arange(len(rows)))),
+            total=len(rows),
+        )
+    )
+    return rows.take(order)
+
+
+def _copied(store: ColumnStore) -> NDArray[Any]:
+    """All rows of a store, which stays as it is."""
+    return np.concatenate([np.empty(0, store.dtype), *store.blocks()])

@@ -1,0 +1,146 @@
+"""Senders without a clock of their own: whether that of another component fits."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unbend.flight.channels import TimeArray
+from unbend.flight.clock import UNIX_US_FROM
+from unbend.ingest.boot_clock import microseconds
+from unbend.ingest.buffers import ColumnStore
+from unbend.ingest.tlog import messages
+from unbend.ingest.tlog.clock_samples import MICROSECOND, READING, Readings
+from unbend.ingest.tlog.sender_clocks import (
+    CLOCK_FIELDS,
+    EARLIEST_NS,
+    LATEST_NS,
+    Clocks,
+    SenderClock,
+    clock_field,
+    fit_sender,
+)
+from unbend.ingest.tlog.senders import Sender, by_sender
+from unbend.messages import Ledger
+from unbend.units import Integers
+
+OWN_UTC = "time_utc"  # the field of images with the UTC of the camera
+
+
+@dataclass(frozen=True)
+class _SentTimes:
+    """The times that some messages of a sender carry; those since boot wrap after ``turn_ns``."""
+
+    readings: Readings
+    turn_ns: int
+
+    def late_by_utc(self, clock: SenderClock) -> TimeArray:
+        """How long after their own UTC the messages with one were received [ns]."""
+        has_utc = self.readings["utc_ns"] > 0
+        received_ns = self._received_ns(clock)
+        return np.asarray((received_ns - self.readings["utc_ns"])[has_utc], np.int64)
+
+    def late_by_boot(self, clock: SenderClock) -> TimeArray:
+        """How long after their time since boot by this clock the others were received [ns]."""
+        rows = (self.readings["utc_ns"] <= 0) & (self.readings["boot_ns"] > 0)
+        of_boot = self.readings[rows]
+        stamped_ns = clock.utc_of_boot(
+            of_boot["at"], of_boot["host_us"] * MICROSECOND, of_boot["boot_ns"], self.turn_ns
+        )
+        return np.asarray(self._received_ns(clock)[rows] - stamped_ns, np.int64)
+
+    def _received_ns(self, clock: SenderClock) -> TimeArray:
+        """UTC at which the messages were received."""
+        return clock.utc_of_host(self.readings["at"], self.readings["host_us"] * MICROSECOND)
+
+
+def with_borrowed_clocks(clocks: Clocks, sent: Sequence[ColumnStore], ledger: Ledger) -> Clocks:
+    """The clocks, with one for each sender whose times do not fit the clock it would borrow.
+
+    The UTC that images carry is not used where it does not fit the time of their reception.
+    """
+    times_of: dict[Sender, list[_SentTimes]] = {}
+    for store in sent:
+        names = store.dtype["records"].names or ()
+        field = clock_field(names)
+        if not field:
+            continue
+        for block in store.blocks():
+            for sender, rows in by_sender(block):
+                if sender not in clocks.senders or OWN_UTC in names:
+                    times_of.setdefault(sender, []).append(_sent_times(block[rows], field))
+    for sender, times in sorted(times_of.items()):
+        clocks = _with_checked_clock(clocks, sender, times, ledger)
+    return clocks
+
+
+def _sent_times(rows: NDArray[Any], field: str) -> _SentTimes:
+    """The times of messages; ``field`` is that of the time since boot."""
+    unit_ns, turn_ns = CLOCK_FIELDS[field]
+    raw = microseconds(rows["records"][field])
+    readings = np.empty(rows.shape, READING)
+    for name in ("at", "source", "host_us"):
+        readings[name] = rows[name]
+    readings["boot_ns"] = np.where(raw < UNIX_US_FROM, raw * unit_ns, 0)
+    readings["utc_ns"] = unix_us(rows["records"]) * MICROSECOND
+    return _SentTimes(readings, turn_ns)
+
+
+def unix_us(records: NDArray[Any]) -> Integers:
+    """The UTC that images carry [us]; 0 where they have none."""
+    if OWN_UTC not in (records.dtype.names or ()):
+        return np.zeros(records.shape, np.int64)
+    raw = microseconds(records[OWN_UTC])
+    return np.asarray(np.where(raw > UNIX_US_FROM, raw, 0), np.int64)
+
+
+def _with_checked_clock(
+    clocks: Clocks, sender: Sender, times: Sequence[_SentTimes], ledger: Ledger
+) -> Clocks:
+    """The clocks after the delay of one sender's messages is checked, by their UTC and by boot."""
+    clock = clocks.of(sender)
+    late_ns = np.concatenate([part.late_by_utc(clock) for part in times])
+    if late_ns.size and not _is_plausible(late_ns):
+        ledger.add(
+            messages.camera_utc_wrong(
+                sender=str(sender), count=late_ns.size, late_s=_median_s(late_ns)
+            )
+        )
+        clocks = replace(clocks, wrong_utc=clocks.wrong_utc | {sender})
+        for part in times:
+            part.readings["utc_ns"] = 0
+    late_ns = np.concatenate([part.late_by_boot(clock) for part in times])
+    if sender in clocks.senders or not late_ns.size:
+        return clocks
+    lender = clocks.lender(sender)
+    if lender is None:
+        ledger.add(messages.no_clock_of_system(sender=str(sender), count=late_ns.size))
+        return clocks
+    fits = _is_plausible(late_ns)
+    report = messages.clock_borrowed if fits else messages.clock_not_borrowed
+    ledger.add(
+        report(
+            sender=str(sender),
+            count=late_ns.size,
+            lender=lender.component,
+            late_s=_median_s(late_ns),
+        )
+    )
+    if fits:
+        return clocks
+    readings = np.concatenate([part.readings for part in times])
+    readings = readings[readings["boot_ns"] > 0]
+    readings = readings[np.argsort(readings["at"], kind="stable")]
+    own_clock = fit_sender(readings, clock, sender, ledger)
+    return replace(clocks, senders={**clocks.senders, sender: own_clock})
+
+
+def _is_plausible(late_ns: TimeArray) -> bool:
+    """Whether messages were received so late after their time as links delay them."""
+    return bool(EARLIEST_NS <= np.median(late_ns) <= LATEST_NS)
+
+
+def _median_s(late_ns: TimeArray) -> float:
+    return float(np.median(late_ns)) / 1e9

@@ -1,0 +1,115 @@
+"""Messages of MAVLink by the dialect: names, checksums, layouts, and which are wanted."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from unbend.ingest.field_maps import MessageMap, message_maps
+from unbend.ingest.tlog.sender_clocks import CLOCK_FIELDS
+
+# A key with a dot is a second channel out of the same message.
+MESSAGES: Mapping[str, MessageMap] = message_maps("tlog")
+# Messages with a text that belongs to each row.
+LABELS: Mapping[str, str] = {"CAMERA_IMAGE_CAPTURED": "file_url", "STATUSTEXT": "text"}
+
+SYSTEM_TIME = "SYSTEM_TIME"
+PARAM_VALUE = "PARAM_VALUE"
+
+
+@dataclass(frozen=True)
+class MessageDefinition:
+    """One message: ``dtype`` as on the wire, ``fields`` as defined, those of ``texts`` are char."""
+
+    number: int
+    name: str
+    crc_extra: int
+    dtype: np.dtype[Any]
+    fields: tuple[str, ...]
+    texts: frozenset[str]
+    instance_field: str
+
+
+@cache
+def dialect() -> Mapping[int, MessageDefinition]:
+    """The library's union of all dialects, by number."""
+    from pymavlink.dialects.v20 import all as library
+
+    return {int(number): _definition(own) for number, own in library.mavlink_map.items()}
+
+
+def _definition(library_class: Any) -> MessageDefinition:
+    """The definition of a message by the class that the library has for it."""
+    name = str(library_class.msgname)
+    fields = tuple(library_class.fieldnames)
+    kinds = zip(fields, library_class.fieldtypes, strict=True)
+    own_instance_field = MESSAGES[name].id_field if name in MESSAGES else ""
+    return MessageDefinition(
+        number=int(library_class.id),
+        name=name,
+        crc_extra=int(library_class.crc_extra),
+        dtype=layout_of(library_class.unpacker.format, library_class.ordered_fieldnames),
+        fields=fields,
+        texts=frozenset(field for field, kind in kinds if kind == "char"),
+        instance_field=own_instance_field or library_class.instance_field or "",
+    )
+
+
+def crc_extras() -> dict[int, int]:
+    """CRC_EXTRA by message id."""
+    return {number: message.crc_extra for number, message in dialect().items()}
+
+
+@cache
+def message_of_name() -> Mapping[str, MessageDefinition]:
+    """The same by name."""
+    return {message.name: message for message in dialect().values()}
+
+
+def name_of(number: int) -> str:
+    """The name of a message, made up where the dialect does not know it."""
+    known = dialect().get(number)
+    return f"UNKNOWN_{number}" if known is None else known.name
+
+
+def message_of_key(key: str) -> str:
+    """The message of a key of `MESSAGES`."""
+    return key.partition(".")[0]
+
+
+def wanted_layouts() -> dict[int, np.dtype[Any]]:
+    """The layouts, by number, of the fields that channels and clocks are made of."""
+    wanted = {
+        SYSTEM_TIME: {"time_unix_usec"},
+        PARAM_VALUE: {"param_id", "param_value"},
+        "CAMERA_IMAGE_CAPTURED": {"capture_result", "time_utc"},
+        "STATUSTEXT": {"id", "chunk_seq"},
+    }
+    for key, spec in MESSAGES.items():
+        fields = {name.partition(".")[0] for name in spec.fields}  # of "q.0" the array q
+        if key in LABELS:
+            fields.add(LABELS[key])
+        wanted.setdefault(message_of_key(key), set()).update(fields)
+    result = {}
+    for message in dialect().values():
+        if message.name not in wanted:
+            continue
+        kept = {*wanted[message.name], message.instance_field, *CLOCK_FIELDS}
+        names = [name for name in message.dtype.names or () if name in kept]
+        result[message.number] = message.dtype[names]
+    return result
+
+
+def layout_of(layout: str, fields: list[str]) -> np.dtype[Any]:
+    """The numpy type of a struct format such as ``<If10s``, which has one item a field.
+
+    >>> layout_of("<If10s", ["time_boot_ms", "value", "name"]).itemsize
+    18
+    """
+    kinds = []
+    for count, letter in re.findall(r"(\d*)([a-zA-Z])", layout):
+        kinds.append(f"S{count or 1}" if letter == "s" else f"{count}<{letter}")
+    return np.dtype(list(zip(fields, kinds, strict=True)))

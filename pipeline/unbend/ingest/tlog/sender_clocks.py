@@ -1,0 +1,291 @@
+"""The clocks of a telemetry log: each sender's boots, and its time in UTC.
+
+Messages carry time since boot; SYSTEM_TIME ties that to UTC. The log's stamps are of the ground
+station, seconds off UTC and irregular by the radio link: they place messages without a time among
+those with one. Cameras and gimbals have no SYSTEM_TIME: whether they count by the autopilot's clock
+or their own, the reception of their messages shows.
+"""
+
+from collections.abc import Callable, Container, Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unbend.flight.channels import TimeArray
+from unbend.flight.clock import BOOT_STEP_NS, clock_map, stray_times
+from unbend.ingest.boot_clock import BootClock, UtcReadings, fit_clock, timeline
+from unbend.ingest.tlog import messages
+from unbend.ingest.tlog.clock_samples import MICROSECOND, MILLISECOND, Readings
+from unbend.ingest.tlog.senders import Sender
+from unbend.messages import Ledger
+from unbend.units import NANOSECONDS_PER_SECOND, Integers, Mask, Rows
+
+ROUND_MS = (1 << 32) * MILLISECOND  # [ns] 49.7 days: a 32-bit count of milliseconds runs over
+ROUND_US = (1 << 32) * MICROSECOND  # [ns] 71.6 minutes: one of microseconds
+
+
+class ClockField(NamedTuple):
+    """A field with a time since boot: its unit [ns], and the time [ns] after which it wraps."""
+
+    unit_ns: int
+    turn_ns: int
+
+
+CLOCK_FIELDS: Mapping[str, ClockField] = {
+    "time_boot_ms": ClockField(MILLISECOND, ROUND_MS),
+    "time_usec": ClockField(MICROSECOND, ROUND_US),
+}
+
+# Largest difference of a stamp that wrapped from the sender's clock: exposures are reported up to
+# some seconds late, and a minute is a seventieth of the shorter period.
+NEAR_NS = 60 * NANOSECONDS_PER_SECOND
+# Delay of a message that is stamped on arrival: links and cameras delay by up to some seconds, the
+# link's jitter is 2 s at most in real logs.
+EARLIEST_NS = -2 * NANOSECONDS_PER_SECOND
+LATEST_NS = 10 * NANOSECONDS_PER_SECOND
+
+
+@dataclass(frozen=True)
+class SenderClock:
+    """One sender's clock and its boots in UTC.
+
+    ``at``, ``boot_ns`` (n,): readings each second and at each boot, empty where none is known. By
+    boot: ``counts`` of readings, ``maps`` from the ground station's clock to UTC.
+    """
+
+    at: Integers
+    boot_ns: TimeArray
+    clock: BootClock
+    counts: tuple[int, ...]
+    maps: tuple[Callable[[TimeArray], TimeArray], ...]
+
+    def boot(self, at: Integers) -> NDArray[np.int16]:
+        """The boot of messages at these places of the file."""
+        return self.clock.line.boot_of(at)
+
+    def _row(self, at: Integers) -> Rows:
+        """The reading that stands before each place of the file, or the first."""
+        return np.maximum(np.searchsorted(self.at, at, side="right") - 1, 0)
+
+    def boot_places(self, at: Integers, boot_ns: TimeArray) -> Integers:
+        """Places of that boot: messages may come before the first reading of its clock."""
+        if self.clock.line.boots == 1:
+            return at
+        before = self._row(at)
+        after = np.minimum(before + 1, self.at.shape[0] - 1)
+        from_before_ns = np.abs(boot_ns - self.boot_ns[before])
+        from_after_ns = np.abs(boot_ns - self.boot_ns[after])
+        is_of_next = from_after_ns < from_before_ns
+        is_of_next &= self.boot(self.at[after]) != self.boot(at)
+        return np.asarray(np.where(is_of_next, self.at[after], at), np.int64)
+
+    def utc_of_host(self, at: Integers, host_ns: TimeArray) -> TimeArray:
+        """UTC [ns] of messages without a time of their own."""
+        if not self.at.size:
+            return host_ns
+        boot = self.boot(at)
+        utc_ns = host_ns.copy()
+        for number in np.unique(boot).tolist():
+            rows = boot == number
+            utc_ns[rows] = self.maps[number](host_ns[rows])
+        return utc_ns
+
+    def utc_of_boot(
+        self, at: Integers, host_ns: TimeArray, boot_ns: TimeArray, turn_ns: int
+    ) -> TimeArray:
+        """UTC [ns] of times since boot that wrap after ``turn_ns``; the log's without a clock."""
+        if not self.at.size:
+            return host_ns
+        near_ns = np.asarray(self.boot_ns[self._row(at)], np.int64)
+        return self.clock.utc(at, unrolled(boot_ns, near_ns, turn_ns))
+
+
+def _unchanged(host_ns: TimeArray) -> TimeArray:
+    return host_ns
+
+
+_HOST_CLOCK = SenderClock(
+    at=np.empty(0, np.int64),
+    boot_ns=np.empty(0, np.int64),
+    clock=BootClock(timeline([]), (None,), (False,)),
+    counts=(0,),
+    maps=(_unchanged,),
+)
+
+
+@dataclass(frozen=True)
+class Clocks:
+    """All senders of a log, the vehicle's ``boots``; ``wrong_utc``: of images of these senders."""
+
+    senders: Mapping[Sender, SenderClock]
+    boots: int
+    description: str
+    wrong_utc: frozenset[Sender] = frozenset()
+
+    def lender(self, sender: Sender) -> Sender | None:
+        """The sender whose clock is used: this one, else another component of its system."""
+        if sender in self.senders:
+            return sender
+        same_system = [key for key in self.senders if key.system == sender.system]
+        return max(same_system, key=lambda key: sum(self.senders[key].counts), default=None)
+
+    def of(self, sender: Sender) -> SenderClock:
+        """The clock of a sender; where none is known, that of the ground station."""
+        lender = self.lender(sender)
+        if lender is None:
+            return _HOST_CLOCK
+        return self.senders[lender]
+
+    def advanced(self, sender: Sender, at: int, least_ns: int) -> bool:
+        """Whether a sender's clock, if known, advances by so much at a place, within a boot."""
+        clock = self.senders.get(sender, _HOST_CLOCK)
+        row = int(np.searchsorted(clock.at, at))
+        if not 0 < row < clock.at.shape[0]:
+            return True
+        boot_before, boot_after = clock.boot(clock.at[row - 1 : row + 1]).tolist()
+        step_ns = int(clock.boot_ns[row] - clock.boot_ns[row - 1])
+        return bool(boot_before == boot_after and step_ns >= least_ns)
+
+
+def clock_field(names: Container[str]) -> str:
+    """The field of a message that has its time, or ""."""
+    return next((name for name in CLOCK_FIELDS if name in names), "")
+
+
+def unrolled(stamp_ns: TimeArray, near_ns: TimeArray, turn_ns: int) -> TimeArray:
+    """(n,) stamps [ns] of a counter that wraps after ``turn_ns``, completed where near the clock.
+
+    >>> unrolled(np.array([5 * 10**9]), np.array([ROUND_US + 4 * 10**9]), ROUND_US) - ROUND_US
+    array([5000000000])
+    """
+    behind_ns = near_ns - stamp_ns
+    if not behind_ns.shape[0] or int(behind_ns.max()) <= turn_ns // 2:
+        return stamp_ns
+    turns = np.rint(behind_ns / turn_ns).astype(np.int64)
+    whole_ns = stamp_ns + turns * turn_ns
+    fits = (turns > 0) & (np.abs(whole_ns - near_ns) < NEAR_NS)
+    return np.asarray(np.where(fits, whole_ns, stamp_ns), np.int64)
+
+
+def clocks_of(readings: Readings, ledger: Ledger) -> Clocks:
+    """Fit the clocks of all senders; residuals and fallbacks are entered in the ledger."""
+    if not readings.size:
+        ledger.add(messages.no_vehicle_time())
+        return Clocks({}, 1, "ground station clock")
+    numbers, counts = np.unique(readings["source"], return_counts=True)
+    busiest_first = numbers[np.argsort(-counts, kind="stable")].tolist()
+    vehicle = Sender.of_number(busiest_first[0])
+    clocks: dict[Sender, SenderClock] = {}
+    for number in busiest_first:
+        sender = Sender.of_number(number)
+        lead = _HOST_CLOCK
+        if sender.system == vehicle.system:
+            lead = clocks.get(vehicle, _HOST_CLOCK)
+        of_sender = _some(readings, readings["source"] == number)
+        clocks[sender] = fit_sender(of_sender, lead, sender, ledger)
+    clock = clocks[vehicle].clock
+    return Clocks(clocks, clock.line.boots, _description(clock))
+
+
+def _description(clock: BootClock) -> str:
+    """Where the UTC of the vehicle's clock comes from."""
+    known = clock.utc_known.count(True)
+    boots = len(clock.utc_known)
+    if known == boots:
+        return "vehicle clock, set to UTC by the median of SYSTEM_TIME"
+    if known == 0:
+        return "vehicle clock, set by the ground station's clock"
+    return f"vehicle clock, set to UTC by SYSTEM_TIME in {known} of {boots} boots"
+
+
+def _some(readings: Readings, rows: Mask) -> Readings:
+    """Some of the readings, not copied where these are all: memory has its peak here."""
+    return readings if bool(rows.all()) else readings[rows]
+
+
+def overtaken(readings: Readings) -> Mask:
+    """Which (n,) readings of a sender are of messages that others overtook, without a restart.
+
+    They are up to `LATEST_NS` older than one before them, received when the sender was on as long.
+    """
+    boot_ns = readings["boot_ns"]
+    host_ns = readings["host_us"] * MICROSECOND
+    newest_ns = np.maximum.accumulate(boot_ns)
+    is_newest = newest_ns == boot_ns
+    row_of_newest = np.maximum.accumulate(np.where(is_newest, np.arange(boot_ns.size), 0))
+    late_ns = newest_ns - boot_ns
+    boot_by_host_ns = host_ns - boot_ns
+    was_on = boot_by_host_ns < host_ns[row_of_newest] - LATEST_NS
+    return np.asarray((late_ns > BOOT_STEP_NS) & (late_ns < LATEST_NS) & was_on, np.bool_)
+
+
+def fit_sender(
+    readings: Readings, lead: SenderClock, sender: Sender, ledger: Ledger
+) -> SenderClock:
+    """A sender's clock; without UTC of its own it is set by when its messages were received."""
+    readings = _some(readings, ~stray_times(readings["boot_ns"]))  # a glitch of it is no boot
+    if bool(np.any(np.diff(readings["boot_ns"]) < -BOOT_STEP_NS)):
+        readings = _some(readings, ~overtaken(readings))
+    at = readings["at"]
+    sent_utc_ns = readings["utc_ns"]
+    stamped_ns = readings["host_us"] * MICROSECOND
+    boot_ns = _continued(readings["boot_ns"], stamped_ns, sender, ledger)
+    system_time = UtcReadings(
+        source="SYSTEM_TIME messages",
+        one="SYSTEM_TIME message",
+        places=at,
+        boot_ns=boot_ns,
+        utc_ns=sent_utc_ns,
+        usable=sent_utc_ns > 0,
+    )
+    received = UtcReadings(
+        source="stamps",
+        one="stamp",
+        places=at,
+        boot_ns=boot_ns,
+        utc_ns=lead.utc_of_host(at, stamped_ns),
+        usable=np.ones(at.shape, np.bool_),
+    )
+    line = timeline([(at, boot_ns)])
+    clock = fit_clock(line, [system_time], ledger, received, str(sender))
+    boot = clock.line.boot_of(at)
+    counts = np.bincount(boot, minlength=clock.line.boots).tolist()
+    maps = []
+    begin = 0
+    for number, count in enumerate(counts):
+        rows = slice(begin, begin + count)
+        begin += count
+        maps.append(clock_map(stamped_ns[rows], clock.utc(at[rows], boot_ns[rows])))
+        fit = clock.fits[number]
+        if fit is not None and not clock.utc_known[number]:
+            ledger.add(
+                messages.set_by_host_clock(
+                    sender=str(sender), boot=number, count=count, spread_ms=fit.spread_ns / 1e6
+                )
+            )
+    kept = np.ones(boot.shape, np.bool_)
+    new_second = np.diff(boot_ns // NANOSECONDS_PER_SECOND) != 0
+    new_boot = np.diff(boot) != 0
+    kept[1:] = new_second | new_boot
+    return SenderClock(at[kept], boot_ns[kept], clock, tuple(counts), tuple(maps))
+
+
+def _continued(
+    boot_ns: TimeArray, stamped_ns: TimeArray, sender: Sender, ledger: Ledger
+) -> TimeArray:
+    """Times since boot that go on where the 32-bit count of milliseconds wrapped.
+
+    A new boot starts near zero too, but not exactly when the count was full by the host's clock. A
+    message that was overtaken has the time before the wrap: a step by a turn the other way.
+    """
+    step_ns = np.diff(boot_ns)
+    turn = np.rint(-step_ns / ROUND_MS).astype(np.int64)
+    unexplained_ns = step_ns + turn * ROUND_MS - np.diff(stamped_ns)
+    turn[np.abs(unexplained_ns) > NEAR_NS] = 0
+    if not turn.any():
+        return boot_ns
+    turns = np.concatenate([[0], np.cumsum(turn)])
+    ledger.add(messages.count_wrapped(sender=str(sender), count=int(turns.max())))
+    return np.asarray(boot_ns + turns * ROUND_MS, np.int64)

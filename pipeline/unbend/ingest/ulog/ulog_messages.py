@@ -1,0 +1,381 @@
+"""The messages of a ULog file: the walk over the file, rows decoded into columns.
+
+Source: PX4 User Guide, "ULog File Format"; rows are those of pyulog, bit for bit. A message counts
+when its kind is known, it ends inside the file, and, as data, it has the size of its format; after
+damage the walk goes on where three messages follow each other.
+"""
+
+import re
+import struct
+from collections import Counter, defaultdict
+from collections.abc import Collection
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unbend.ingest.buffers import ColumnStore, FileView, gather
+from unbend.ingest.damaged_bytes import DamagedBytes
+from unbend.ingest.messages import rows_without_field
+from unbend.ingest.ulog import messages
+from unbend.ingest.ulog.ulog_definitions import Definitions, dtype_of_value
+from unbend.messages import Ledger
+
+MAGIC = b"ULog\x01\x12\x35"
+FILE_HEADER = 16  # [bytes]
+HEAD = struct.Struct("<HB")  # size of what follows, kind
+DATA = struct.Struct("<HBH")  # ... and the number of the topic
+FLAGS = struct.Struct("<8s8s3Q")  # compatible, incompatible, places where data was appended
+APPENDED = 1  # the first bit of the incompatible flags, the only one that is defined
+SPAN = 4 << 20  # [bytes] walked at once
+NEAR = 4096  # [bytes] searched first after damage
+LONGEST = HEAD.size + 0xFFFF
+LINKS = 3  # messages in a row that prove a place after damage
+_NUMBER = 2  # [bytes] of the number of a topic, at the beginning of data
+_TIME = 8  # [bytes] of a time since boot
+_LEAST_UNKNOWN = _NUMBER + _TIME  # [bytes] of data whose definition was lost: it begins so
+
+
+class Kind:
+    """The kinds of messages."""
+
+    FLAGS = ord("B")
+    FORMAT = ord("F")
+    INFORMATION = ord("I")
+    INFORMATION_PARTS = ord("M")
+    PARAMETER = ord("P")
+    DEFAULT_PARAMETER = ord("Q")
+    SUBSCRIPTION = ord("A")
+    DATA = ord("D")
+    TEXT = ord("L")
+    TAGGED_TEXT = ord("C")
+    SYNC = ord("S")
+    DROPOUT = ord("O")
+    REMOVED = ord("R")
+
+
+_KINDS = np.frombuffer(b"BFIMPQLCADSOR", np.uint8)
+_FIXED_SIZES = {Kind.SYNC: 8, Kind.DROPOUT: 2, Kind.REMOVED: 2}
+# Bytes before the length of the key.
+_BEFORE_KEY = {
+    Kind.INFORMATION: 0,
+    Kind.PARAMETER: 0,
+    Kind.INFORMATION_PARTS: 1,
+    Kind.DEFAULT_PARAMETER: 1,
+}
+_BEFORE_TEXT = {Kind.TEXT: 1, Kind.TAGGED_TEXT: 3}  # [bytes]: the level, and a tag
+_LEVELS = tuple(bytes([level]) for level in b"01234567")
+_LONGEST_KEYED = 2 + 255  # [bytes] that show whether a message is one: its key, at most
+_KEY = re.compile(rb"(?P<type>[\w\[\]]+) (?P<name>[\w.:-]+)")
+
+
+class FileFlags(NamedTuple):
+    """The incompatible flags of a file, and the places where data was appended after a crash."""
+
+    incompatible: bytes
+    appended: list[int]
+
+
+def flags_of(data: FileView) -> FileFlags:
+    """The flags of a file; none where it has no message of them."""
+    raw = data[FILE_HEADER : FILE_HEADER + HEAD.size + FLAGS.size]
+    if len(raw) < HEAD.size + FLAGS.size or raw[HEAD.size - 1] != Kind.FLAGS:
+        return FileFlags(bytes(8), [])
+    _, incompatible, *places = FLAGS.unpack_from(raw, HEAD.size)
+    appended = []
+    if incompatible[0] & APPENDED:
+        appended = [place for place in places if FILE_HEADER < place < data.size]
+    return FileFlags(incompatible, appended)
+
+
+class Topic(NamedTuple):
+    """A topic and which of its instances."""
+
+    name: str
+    instance: int
+
+
+class Text(NamedTuple):
+    """What the vehicle says, and when [us since boot]."""
+
+    time_us: int
+    words: str
+
+
+class _View(NamedTuple):
+    """Bytes of the file, and where in it they begin."""
+
+    raw: bytes
+    base: int
+
+
+class _KeyedValue(NamedTuple):
+    """A value of a parameter or an information message, with its type and name."""
+
+    key: re.Match[bytes] | None
+    raw: bytes
+
+
+def _keyed_value(content: bytes, kind: int) -> _KeyedValue:
+    """The key and the value in the content of a keyed message."""
+    length_at = _BEFORE_KEY[kind]
+    begin = length_at + 1
+    end = begin + content[length_at]
+    return _KeyedValue(_KEY.fullmatch(content[begin:end]), content[end:])
+
+
+class ULogMessages(DamagedBytes):
+    """The messages of a file with a whole header, those of the ``wanted`` topics as rows.
+
+    ``counts`` by topic; ``rows`` by topic and instance; ``timeless`` topics have no timestamp and
+    no rows; ``damaged_values``: parameters and information of a wrong length; ``dropouts_ms`` of
+    the logger; ``texts`` of the vehicle; ``parameters``: the last value of each.
+    """
+
+    def __init__(self, data: FileView, wanted: Collection[str]) -> None:
+        super().__init__()
+        self.counts: Counter[str] = Counter()
+        self.rows: dict[Topic, NDArray[Any]] = {}
+        self.timeless: set[str] = set()
+        self.damaged_values = 0
+        self.dropouts_ms: list[int] = []
+        self.texts: list[Text] = []
+        self.parameters: dict[str, float] = {}
+        self.definitions = Definitions()
+        self.topics: dict[int, Topic] = {}  # by number
+        self.sizes: dict[int, tuple[int, int]] = {}  # of data: without and with padding
+        self._data = data
+        self._wanted = wanted
+        self._defining = True  # until the first subscription or text
+        self._appended = flags_of(data).appended
+        self._places: defaultdict[int, list[int]] = defaultdict(list)  # of data, in one block
+        self._stores: dict[Topic, ColumnStore] = {}
+        self._walk()
+
+    def report_damage(self, ledger: Ledger, file_name: str) -> None:
+        """Enter what is damaged. The format does not number messages: lost ones are not counted."""
+        self.report_bytes(ledger, file_name, "message")
+        for topic in sorted(self.timeless):
+            ledger.add(
+                rows_without_field(where=topic, count=self.counts[topic], fields=["timestamp"])
+            )
+        if self.damaged_values:
+            ledger.add(messages.damaged_values(file=file_name, count=self.damaged_values))
+        if self.dropouts_ms:
+            seconds = sum(self.dropouts_ms) / 1000.0
+            count = len(self.dropouts_ms)
+            ledger.add(messages.logger_dropouts(file=file_name, count=count, seconds=seconds))
+
+    def _walk(self) -> None:
+        """Walk over the file, a span at a time."""
+        if self._data[0 : len(MAGIC)] != MAGIC:
+            self.drop(0, FILE_HEADER)
+        at = FILE_HEADER
+        while at < self._data.size:
+            view = _View(self._data[at : at + SPAN + LONGEST], at)
+            at += self._walk_span(view)
+            self._store_data(np.frombuffer(view.raw, np.uint8))
+        for topic, store in sorted(self._stores.items()):
+            if len(store):
+                self.rows[topic] = store.whole()
+
+    def _walk_span(self, view: _View) -> int:
+        """Take the messages that begin in a span; returns where the next begins in the view."""
+        is_last = view.base + len(view.raw) >= self._data.size
+        end = len(view.raw) if is_last else SPAN
+        place = 0
+        while place < end:
+            place = self._pass_data(view.raw, place, end)
+            if place >= end:
+                break
+            length = self._length(view, place)
+            if not length:
+                place = self._resume(view, place) - view.base
+                continue
+            if not self._take(view.raw, place, length):
+                self.drop(view.base + place, view.base + place + length)
+            place += length
+        return place
+
+    def _pass_data(self, raw: bytes, place: int, end: int) -> int:
+        """Take data wall to wall, which most of a file is; returns where something else begins."""
+        if self._appended:  # such files are read message by message
+            return place
+        unpack = DATA.unpack_from
+        sizes = self.sizes
+        places_of = self._places
+        whole = len(raw)
+        last = min(end, whole - DATA.size)
+        while place < last:
+            size, kind, number = unpack(raw, place)
+            following = place + HEAD.size + size
+            if kind != Kind.DATA or following > whole or number not in sizes:
+                break
+            least, most = sizes[number]
+            if not least <= size - _NUMBER <= most:
+                break
+            places_of[number].append(place)
+            place = following
+        return place
+
+    def _store_data(self, view: NDArray[np.uint8]) -> None:
+        """Count the data of a span, and decode that of the wanted topics."""
+        for number, places in self._places.items():
+            topic = self.topics[number]
+            self.counts[topic.name] += len(places)
+            layout = self.definitions.layouts.get(topic.name)
+            if layout is None:
+                self.timeless.add(topic.name)
+            elif topic.name in self._wanted:
+                store = self._stores.setdefault(topic, ColumnStore(layout))
+                starts = np.array(places, np.int64) + DATA.size
+                store.add(gather(view, starts, layout.itemsize).view(layout))
+        self._places.clear()
+
+    def _length(self, view: _View, place: int, *, loose: bool = False) -> int:
+        """The length of a message that begins here, or 0; ``loose``: also of unknown topics."""
+        if place + HEAD.size > len(view.raw):
+            return 0
+        size, kind = HEAD.unpack_from(view.raw, place)
+        length = int(HEAD.size + size)
+        begin = view.base + place
+        if place + length > len(view.raw):
+            return 0
+        if any(begin < cut < begin + length for cut in self._appended):
+            return 0
+        if self._fits(view, place):
+            return length
+        return length if loose and kind == Kind.DATA and size >= _LEAST_UNKNOWN else 0
+
+    def _fits(self, view: _View, place: int) -> bool:
+        """Whether the beginning of a message, as far as it is there, is that of its kind."""
+        size, kind = HEAD.unpack_from(view.raw, place)
+        begin = place + HEAD.size
+        content = view.raw[begin : begin + _LONGEST_KEYED]
+        if kind in _FIXED_SIZES:
+            return bool(size == _FIXED_SIZES[kind])
+        if kind in _BEFORE_TEXT:  # what the vehicle says has no other mark than its level
+            return size > 1 + _TIME and content[:1] in _LEVELS
+        if kind in _BEFORE_KEY:
+            return _has_key(content, kind, size)
+        if kind == Kind.DATA:
+            number = int.from_bytes(content[:_NUMBER], "little")
+            least, most = self.sizes.get(number, (1, 0))
+            return bool(least <= size - _NUMBER <= most)
+        if kind == Kind.FLAGS:
+            return bool(view.base + place == FILE_HEADER and size >= FLAGS.size)
+        return kind in (Kind.FORMAT, Kind.SUBSCRIPTION)
+
+    def _take(self, raw: bytes, place: int, length: int) -> bool:
+        """Take a message; False where it cannot be used."""
+        kind = raw[place + HEAD.size - 1]
+        content = raw[place + HEAD.size : place + length]
+        if kind == Kind.DATA:
+            self._places[int.from_bytes(content[:_NUMBER], "little")].append(place)
+        elif kind == Kind.FORMAT:  # among the data it is none
+            return self._defining and self.definitions.add_format(content)
+        elif kind == Kind.SUBSCRIPTION:
+            self._defining = False
+            return self._subscribe(content)
+        elif kind in _BEFORE_TEXT:
+            self._defining = False
+            self._take_text(content[_BEFORE_TEXT[kind] :])
+        elif kind in _BEFORE_KEY:
+            self._take_value(kind, content)
+        elif kind == Kind.DROPOUT and not self._defining:
+            self.dropouts_ms.append(int.from_bytes(content, "little"))
+        return True
+
+    def _subscribe(self, content: bytes) -> bool:
+        """Take a subscription; False where its format is not defined or its number is taken."""
+        name = content[3:].decode("ascii", "replace")
+        number = int.from_bytes(content[1:3], "little")
+        topic = Topic(name, content[0])
+        sizes = self.definitions.sizes_of(name)
+        if sizes is None or self.topics.setdefault(number, topic) != topic:
+            return False
+        self.sizes[number] = sizes
+        return True
+
+    def _take_text(self, content: bytes) -> None:
+        """Keep what the vehicle says: the time and the words."""
+        if len(content) >= _TIME:
+            time_us = int.from_bytes(content[:_TIME], "little")
+            self.texts.append(Text(time_us, content[_TIME:].decode("utf-8", "replace")))
+
+    def _take_value(self, kind: int, content: bytes) -> None:
+        """Check the value of a parameter or of information, and keep that of a parameter."""
+        value = _keyed_value(content, kind)
+        dtype = dtype_of_value(value.key)
+        if value.key is None or dtype is None:
+            return
+        if len(value.raw) != dtype.itemsize:
+            self.damaged_values += 1
+        elif kind == Kind.PARAMETER:
+            name = value.key["name"].decode()
+            self.parameters[name] = float(np.frombuffer(value.raw, dtype)[0])
+
+    def _resume(self, view: _View, place: int) -> int:
+        """Where in the file messages go on after a place that begins none."""
+        at = view.base + place
+        skipped = self._length(view, place, loose=True)  # data whose definition was lost
+        number = int.from_bytes(view.raw[place + HEAD.size : place + DATA.size], "little")
+        if skipped and number not in self.sizes and self._linked(view, place + skipped):
+            self.drop(at, at + skipped)
+            return at + skipped
+        found = self._next_linked(at + 1)
+        if found < self._data.size:
+            self.drop(at, found)
+        elif self._is_cut_message(at):
+            self.cut_bytes = self._data.size - at
+        else:
+            self.drop(at, self._data.size)
+        return found
+
+    def _next_linked(self, begin: int) -> int:
+        """The first place from here on where messages follow each other, or the file's end."""
+        reach = NEAR
+        while begin < self._data.size:
+            data = self._data.array(begin, begin + reach + LONGEST * LINKS)
+            view = _View(data.tobytes(), begin)
+            kinds = data[HEAD.size - 1 : HEAD.size - 1 + reach]
+            starts = np.flatnonzero(np.isin(kinds, _KINDS)).tolist()
+            cuts = [cut - begin for cut in self._appended if begin <= cut < begin + reach]
+            for start in sorted({*starts, *cuts}):
+                if self._linked(view, start):
+                    return int(begin + start)
+            begin += reach
+            reach = SPAN
+        return self._data.size
+
+    def _is_cut_message(self, at: int) -> bool:
+        """Whether the file ends in a message that begins here."""
+        rest = self._data[at : at + LONGEST]
+        if len(rest) < DATA.size:
+            return True
+        size, _ = HEAD.unpack_from(rest)
+        return HEAD.size + size > len(rest) and self._fits(_View(rest, at), 0)
+
+    def _linked(self, view: _View, place: int) -> bool:
+        """Whether three messages follow each other from here, or fewer up to the file's end."""
+        if view.base + place in self._appended:
+            return True
+        reaches_end = view.base + len(view.raw) >= self._data.size
+        for link in range(LINKS):
+            length = self._length(view, place, loose=link > 0)
+            if not length:
+                return False
+            place += length
+            if reaches_end and place == len(view.raw):
+                return True
+        return True
+
+
+def _has_key(content: bytes, kind: int, size: int) -> bool:
+    """Whether a keyed message of so many bytes begins with a whole key."""
+    length_at = _BEFORE_KEY[kind]
+    if length_at >= min(size, len(content)):
+        return False
+    begin = length_at + 1
+    key = content[begin : begin + content[length_at]]
+    return begin + len(key) <= size and _KEY.fullmatch(key) is not None

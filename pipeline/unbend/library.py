@@ -1,0 +1,262 @@
+"""The correction as a library: tables in memory in, the table of a run out.
+
+It is a run without a file: a mission of the tables is prepared, checked and corrected by the
+story's steps.
+"""
+
+import json
+import warnings
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, TypeAlias, TypeVar
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.compute as pc
+import yaml
+
+from unbend.atmosphere import Profile
+from unbend.atmosphere.estimate.adjusted_profile import unadjusted
+from unbend.atmosphere.series.profile_series import ProfileSeries, TimedProfile, constant_series
+from unbend.batch.finished_run import air_of, stations_of
+from unbend.batch.opening import open_inputs, paths_beside_tables, stated_orientation
+from unbend.config import Mission
+from unbend.config.reading import mission_of
+from unbend.errors import ConfigError
+from unbend.flight.stations import Stations
+from unbend.messages import Kind, Ledger
+from unbend.refraction.effect import FlightAir
+from unbend.stages.correction import correct_parts
+from unbend.stages.correction_setup import CorrectionSetup
+from unbend.stages.opened_inputs import OpenedInputs
+from unbend.stages.results import observation_metadata
+from unbend.stages.statistics import Statistics
+from unbend.stages.story import correct_mission, prepare_mission
+from unbend.tables.imports.user_tables import orientation_of_frame
+from unbend.tables.observations import observations_of_table
+
+Table = TypeVar("Table", pd.DataFrame, pa.Table)
+Air: TypeAlias = Profile | TimedProfile | ProfileSeries | pa.Table | str | Mapping[str, Any]
+
+_NO_FILE = yaml.MappingNode("tag:yaml.org,2002:map", [], yaml.Mark("", 0, 0, 0, None, 0))
+_DEGREES = ("latitude", "longitude", "omega", "phi", "kappa", "roll", "pitch", "yaw")
+_NAMES = {"lat_deg": "latitude", "lon_deg": "longitude", "sigma_tilt_deg": "sigma_tilt",
+          "sigma_yaw_deg": "sigma_yaw"} | {f"{name}_deg": name for name in _DEGREES}  # fmt: skip
+_HEIGHTS = {"h_msl_m": "msl", "h_ellipsoid_m": "ellipsoid"}
+_ANGLES = {"omega": "omega_phi_kappa", "roll": "roll_pitch_yaw", "q_w": "quaternion"}
+_FURTHER = ("camera", "time_utc", "sigma_horizontal_m", "sigma_height_m", "sigma_tilt", "sigma_yaw")
+
+
+def correct(
+    observations: Table,
+    stations: pd.DataFrame | pa.Table,
+    profile: Air,
+    cameras: Mapping[str, Mapping[str, Any]],
+    *,
+    orientation: Mapping[str, Any] | None = None,
+    **sections: Any,
+) -> Table:
+    """Remove the refraction of the air and of windows from observations in tables in memory.
+
+    Parameters
+    ----------
+    observations : image, point, x_px, y_px [px], h_g_m [m above sea level]; others pass through.
+    stations : image, camera (where there are several), position and attitude of each image:
+        latitude, longitude [deg] (or lat_deg, lon_deg) and a height, named h_msl_m or
+        h_ellipsoid_m [m]; omega, phi, kappa, or roll, pitch, yaw, or q_w to q_z, the angles in
+        degrees (omega_deg too) against east, north and up at the station. Or the whole
+        ``stations.parquet`` of a run, of which then everything is taken as it is.
+    profile : a `Profile`; with a covariance a `TimedProfile`; the `ProfileSeries` or the
+        ``profile.parquet`` of a run with its stations; the name of a standard atmosphere; or the
+        section ``atmosphere`` of a mission file, from which the air is estimated.
+    cameras : the section of that name of a mission file.
+    orientation : further keys of ``stations.orientation``, where names do not say everything:
+        frame, heights, unit, columns, date, sigmas.
+    sections : other sections of a mission file, as ``ground={"height": 120.0}``.
+
+    Returns a table of the kind of ``observations`` with the columns of a run, the same to the last
+    bit. ``uncertainty``, ``cabin_air`` and ``ledger`` of the manifest are in ``attrs`` of a
+    DataFrame, and as JSON in the metadata of an Arrow table.
+
+    Refuses what a run refuses, with its codes (`UnbendError`); what ends a run with code 3 is a
+    UserWarning each. Raises TypeError for what is no table and ValueError for a series of profiles
+    that belongs to other stations.
+    """
+    taken = sorted({"log", "stations", "events", "atmosphere", "output"} & sections.keys())
+    if taken:
+        raise TypeError(f"{', '.join(taken)}: tables in memory take the place of these sections")
+    measured = _arrow(observations, "observations")
+    placed: pa.Table = _arrow(stations, "stations")
+    own = stations_of(placed) if {"profile_id", "status", "q_w"} <= {*placed.column_names} else None
+    # The section does not count where the profile itself is given.
+    atmosphere: Mapping[str, Any] = {"adjust": False, "standard": profile}
+    if not isinstance(profile, str):
+        atmosphere = profile if isinstance(profile, Mapping) else {"adjust": False}
+    given = {"cameras": cameras, "atmosphere": atmosphere, **sections}
+    frame = placed.to_pandas().rename(columns=_NAMES)
+    mission = mission_of_tables(frame, orientation or {}, given)
+    if own is not None:
+        from_run = mission.stations.model_copy(update={"orientation": None})
+        mission = mission.model_copy(update={"log": None, "stations": from_run})
+    ledger = Ledger()
+    mission, inputs = inputs_of_tables(mission, measured, frame, ledger)
+    prepared = prepare_mission(mission, inputs, ledger, stations=own)
+    if not isinstance(profile, str | Mapping):
+        prepared = replace(prepared, air=air_of_stations(profile, placed, prepared.stations))
+    parts: list[pa.Table] = []
+
+    def correct_all(setup: CorrectionSetup) -> Statistics:
+        total = Statistics.of(setup.cameras)
+        for part in correct_parts(
+            prepared.observations,
+            setup,
+            finish=lambda part: part,
+            batch_rows=mission.output.batch_rows,
+            metadata=observation_metadata(mission),
+        ):
+            total.merge(part.statistics)
+            parts.append(part.table)
+        return total
+
+    manifest = correct_mission(prepared, correct_all).results.row()
+    facts = {name: manifest[name] for name in ("uncertainty", "cabin_air", "ledger")}
+    for entry in facts["ledger"]:
+        if entry["kind"] in (Kind.LOSS, Kind.FINDING):
+            warnings.warn(f"{entry['code']}: {entry['what']}", UserWarning, stacklevel=2)
+    table = pa.concat_tables(parts)
+    if isinstance(observations, pd.DataFrame):
+        corrected: pd.DataFrame = table.to_pandas()
+        corrected.attrs |= facts
+        return corrected
+    texts = {f"unbend.{name}": json.dumps(value) for name, value in facts.items()}
+    return table.replace_schema_metadata(table.schema.metadata | texts)
+
+
+def _arrow(table: pd.DataFrame | pa.Table, name: str) -> pa.Table:
+    if isinstance(table, pd.DataFrame):
+        return pa.Table.from_pandas(table, preserve_index=False)
+    if not isinstance(table, pa.Table):
+        kind = type(table).__name__
+        raise TypeError(f"{name} is a pandas DataFrame or a pyarrow Table, no {kind}")
+    return table
+
+
+def mission_of_tables(
+    frame: pd.DataFrame, orientation: Mapping[str, Any], sections: Mapping[str, Any]
+) -> Mission:
+    """The mission of tables in memory; the ``frame`` of stations has the names of quantities."""
+    known = [name for name in frame if frame[name].notna().any()]
+    columns = {name: name for name in _FURTHER if name in known}
+    if "date" in orientation:
+        columns.pop("time_utc", None)
+    stated: dict[str, Any] = {"frame": "geographic"}
+    stated.update(("angles", angles) for name, angles in _ANGLES.items() if name in known)
+    for name, heights in _HEIGHTS.items():
+        if name in known and "latitude" in known and "height" not in columns:
+            columns["height"] = name
+            stated["heights"] = heights
+    stated |= orientation
+    stated["columns"] = columns | dict(orientation.get("columns", {}))
+    stated["path"] = "stations"
+    given = {
+        "ground": {"height": {"column": "h_g_m"}, "reference": "msl"},
+        **sections,
+        "mission": {"name": "tables", **sections.get("mission", {})},
+        "observations": {**sections.get("observations", {}), "path": "observations"},
+        "stations": {"orientation": stated},
+        "output": {"path": "results"},
+    }
+    if "profile_id" in known:  # the cabin's air of a run's stations may be that of a log
+        given["log"] = {"path": "-"}
+    # Plain values: tuples become lists, and numpy's numbers Python's, with all their digits.
+    text = json.dumps(given, default=lambda v: v.item() if hasattr(v, "item") else str(v))
+    try:
+        return mission_of(json.loads(text), _NO_FILE, "sections")
+    except ConfigError as error:  # no line of a file that nobody wrote
+        what = error.what.replace("line 1: ", "")
+        raise ConfigError(error.code, what, where=error.where, remedy=error.remedy) from None
+
+
+def inputs_of_tables(
+    mission: Mission, measured: pa.Table, frame: pd.DataFrame, ledger: Ledger
+) -> tuple[Mission, OpenedInputs]:
+    """The tables as inputs, with files that the mission names beside them; and what these say."""
+    mission, paths = paths_beside_tables(mission, Path.cwd())
+    section = mission.observations
+    ground = mission.ground
+    observations = observations_of_table(
+        measured,
+        section.path,
+        section.columns.model_dump(),
+        ground.column,
+        ledger,
+        ground_is_msl=ground.reference == "msl",
+        sigma_column=ground.sigma_column,
+        direction=mission.refraction.direction,
+        pixels=section.pixels,
+    )
+    inputs = open_inputs(mission, paths, observations, None, ledger)
+    of_stations = mission.stations.orientation
+    if of_stations is None:
+        return mission, inputs
+    table = orientation_of_frame(frame, of_stations.path, stated_orientation(of_stations), ledger)
+    return mission, replace(inputs, orientation=table)
+
+
+def air_of_stations(profile: Air, placed: pa.Table, stations: Stations) -> FlightAir:
+    """The air that is given, for all stations; those that have none get the first profile."""
+    series: ProfileSeries | None = None
+    if isinstance(profile, Profile):
+        profile = TimedProfile(None, profile)
+    if isinstance(profile, TimedProfile):
+        series = constant_series(profile, len(stations))
+    elif isinstance(profile, pa.Table) and b"g_phi" in (profile.schema.metadata or {}):
+        ids = placed["profile_id"] if "profile_id" in placed.column_names else pa.nulls(0)
+        several = pc.count_distinct(profile["profile_id"]).as_py() > 1
+        if several and not len(ids):
+            raise ValueError("several profiles need the stations of their run, with profile_id")
+        series = air_of(profile, ids.cast(pa.string()))
+    elif isinstance(profile, ProfileSeries):
+        series = profile
+        if (size := series.profile_number.size) != (given := placed.num_rows):
+            what = f"the profiles are those of {size} stations, not of the {given} that are given"
+            raise ValueError(what)
+    if series is None:
+        raise TypeError(
+            f"a profile is none of {type(profile).__name__}: a Profile, TimedProfile, "
+            "ProfileSeries, the Arrow table of profile.parquet, a name, or a section"
+        )
+    number = np.zeros(len(stations), np.int64)
+    number[: series.profile_number.size] = series.profile_number
+    first = series.timed_profiles[0]
+    adjustment = replace(unadjusted(first.profile, "it is given"), covariance=first.covariance)
+    return FlightAir(adjustment, ProfileSeries(series.timed_profiles, number))
+
+
+def correct_one_image() -> None:
+    """Correct one image of few points, which compiles what missions call.
+
+    A camera with a Brown-Conrady lens over ground at one height; other models of lenses, and
+    elevation models, are compiled by the first mission that has one.
+    """
+    rows = 100
+    x = np.linspace(1.0, 999.0, rows)
+    name = np.full(rows, "image")
+    point = [str(number) for number in range(rows)]
+    pixels = {"x_px": x, "y_px": x, "h_g_m": 0.0}
+    observations = pd.DataFrame({"image": name, "point": point} | pixels)
+    place = {"latitude": 47.0, "longitude": 8.0, "h_msl_m": 3000.0}
+    attitude = {"omega": 0.0, "phi": 0.0, "kappa": 0.0}
+    stations = pd.DataFrame([{"image": "image"} | place | attitude])
+    camera = {
+        "width_px": 1000,
+        "height_px": 1000,
+        "f_px": 1000.0,
+        "cx_px": 500.0,
+        "cy_px": 500.0,
+        "calibration": "laboratory",
+        "window": {"cabin": "standard_schedule"},
+    }
+    correct(observations, stations, "us1976", {"main": camera})

@@ -1,1 +1,0 @@
-"""What commands other than `unbend run` do with missions and their results."""

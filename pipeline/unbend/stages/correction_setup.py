@@ -1,0 +1,115 @@
+"""What the observations of a mission are corrected with, and where the heights of their points are.
+
+A source of ground heights needs the whole setup: where a ray lands depends on camera and air.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unbend.refraction.camera.camera import Camera
+from unbend.refraction.image import Corrections, Exposures
+from unbend.refraction.ray import PublishedRays
+from unbend.refraction.ray_table import RayTable
+from unbend.refraction.status_codes import NO_GROUND, OK
+from unbend.refraction.uncertainty.sigmas import Uncertainty
+from unbend.tables.observations import Batch
+from unbend.tables.refraction_mark import Direction
+from unbend.units import Array, Integers, Names
+
+
+class GroundHeights(NamedTuple):
+    """Heights of the points of a batch above sea level [m], their sigmas, all (n,); NaN unknown.
+
+    ``status`` (codes) and ``distance_m`` (slant ranges) where a source has them; ``implausible``
+    counts heights that are of no ground on earth.
+    """
+
+    h_m: Array
+    sigma_m: Array
+    status: NDArray[np.uint8] | None = None
+    implausible: int = 0
+    distance_m: Array | None = None
+
+    def flagged(self, corrections: Corrections) -> Corrections:
+        """The corrections with this status where theirs is ok or no_ground."""
+        if self.status is None:
+            return corrections
+        of_ground = np.isin(corrections.status, (OK, NO_GROUND)) & (self.status != OK)
+        status = np.where(of_ground, self.status, corrections.status)
+        return replace(corrections, status=status.astype(np.uint8))
+
+
+class Ground(Protocol):
+    """A source of heights: one class each; `correction_setup` chooses."""
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """The lowest and the highest height above sea level that a point can have [m]."""
+
+    def heights(self, batch: Batch, station: Integers, setup: CorrectionSetup) -> GroundHeights:
+        """The heights of a batch; ``station`` (n,) as `matching_rows` returns it."""
+
+
+@dataclass(frozen=True, eq=False)
+class CorrectionSetup:
+    """Everything that a batch of observations is corrected with.
+
+    ``images``, ``camera_names`` and ``profile_number`` (s,) belong to the rows of ``exposures``;
+    the last indexes ``rays`` and ``uncertainties`` (None: no standard deviations).
+    """
+
+    images: Names
+    camera_names: Names
+    exposures: Exposures
+    ground: Ground
+    cameras: Mapping[str, Camera]
+    rays: tuple[RayTable | PublishedRays, ...]
+    profile_number: Integers
+    direction: Direction = "remove"
+    uncertainties: tuple[Uncertainty | None, ...] = (None,)
+
+    @property
+    def computes_sigmas(self) -> bool:
+        """Whether corrections get standard deviations."""
+        return any(uncertainty is not None for uncertainty in self.uncertainties)
+
+    @cached_property
+    def camera_number(self) -> Integers:
+        """(s + 1,) the position in ``cameras`` of each station's camera, -1 without one.
+
+        An image without an exposure has a station without a camera. The last entry is for
+        observations without a station, whose station is -1.
+        """
+        number_of = {name: number for number, name in enumerate(self.cameras)}
+        numbers = [number_of.get(name, -1) for name in self.camera_names]
+        return np.array([*numbers, -1], np.int64)
+
+    def groups(self, station: Integers) -> Iterator[tuple[Integers, Camera, int]]:
+        """The observations (n,) of each camera in each profile: rows, camera, profile number."""
+        camera_number = self.camera_number[station]
+        for number, camera in enumerate(self.cameras.values()):
+            rows = np.flatnonzero(camera_number == number)
+            if len(self.rays) == 1:
+                if rows.size:
+                    yield rows, camera, 0
+                continue
+            profile = self.profile_number[station[rows]]
+            for profile_number in np.unique(profile).tolist():
+                yield rows[profile == profile_number], camera, profile_number
+
+    def directions(self, x_px: Array, y_px: Array, station: Integers) -> tuple[Array, Array]:
+        """(n, 3) unit vectors of pixels in their cameras, and (n,) the size of a pixel [rad]."""
+        direction = np.full((station.size, 3), np.nan)
+        sigma_rad = np.ones(station.size)
+        for rows, camera, _ in self.groups(station):
+            u, v, _ = camera.rays(x_px[rows], y_px[rows])
+            direction[rows] = np.stack([u, v, np.ones(u.size)], axis=1)
+            sigma_rad[rows] = 1.0 / camera.fx_px
+        return direction / np.linalg.norm(direction, axis=1)[:, None], sigma_rad

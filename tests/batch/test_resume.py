@@ -1,0 +1,298 @@
+"""A correction that is stopped anywhere goes on where it was, and gives the same bytes."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import hashlib
+import os
+import random
+import shutil
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from tests.draws import SEED
+from unbend.atmosphere import standard_atmosphere
+from unbend.batch import store
+from unbend.batch.input_files import check_unchanged
+from unbend.batch.plan import make_plan
+from unbend.batch.receipts import packed, unpacked
+from unbend.batch.run_files import PartsOfRun, correct_into
+from unbend.batch.store import find_damage, open_folder, read_manifest
+from unbend.config import load_mission
+from unbend.errors import InputError, StorageError
+from unbend.messages import Ledger
+from unbend.refraction.camera.camera import BrownConrady, Camera
+from unbend.refraction.image import Exposures
+from unbend.refraction.ray import rays_by
+from unbend.stages.correction import correct_parts
+from unbend.stages.correction_setup import CorrectionSetup
+from unbend.stages.ground_heights import GivenGround
+from unbend.tables.observations import open_observations
+
+ROWS, BATCH_ROWS, PARTS = 950, 100, 10
+MOST_THREADS = 4
+COLUMNS = {"image": "image", "point": "point", "x_px": "x_px", "y_px": "y_px"}
+
+
+class Killed(BaseException):
+    """The process is gone: nothing is cleaned up after it."""
+
+
+@pytest.fixture(scope="module")
+def stream(tmp_path_factory) -> tuple[Any, CorrectionSetup]:
+    """950 points of three images, and the air above them."""
+    rng = np.random.default_rng(16)
+    camera = Camera(4000, 3000, 3000.0, 3000.0, 2000.0, 1500.0, BrownConrady(0.0, 0.0, 0.0))
+    path = tmp_path_factory.mktemp("stream") / "o.parquet"
+    pq.write_table(pa.table({
+        "image": rng.choice(["a", "b", "c", "unknown"], ROWS),
+        "point": [f"p{i}" for i in range(ROWS)],
+        "x_px": rng.uniform(0.0, 4000.0, ROWS), "y_px": rng.uniform(0.0, 3000.0, ROWS),
+    }), path)  # fmt: skip
+    down = np.tile(np.diag([1.0, -1.0, -1.0]), (3, 1, 1))
+    height, outside = np.array([3000.0, 3100.0, 2900.0]), np.full(3, 2.1e-4)
+    exposures = Exposures(np.ones(3, bool), down, np.full(3, 0.8), height, outside, outside)
+    setup = CorrectionSetup(
+        np.array(["a", "b", "c"], object), np.full(3, "nadir", object), exposures,
+        GivenGround(200.0, np.zeros(3), sigma_m=2.0), {"nadir": camera},
+        (rays_by(standard_atmosphere("us1976"), "spherical"),), np.zeros(3, np.int64),
+    )  # fmt: skip
+    return open_observations(path, COLUMNS, None, Ledger()), setup
+
+
+def tree(folder: Path) -> dict[str, str]:
+    """Everything in a folder but its lock, by content."""
+    return {
+        p.relative_to(folder).as_posix(): hashlib.sha256(p.read_bytes()).hexdigest()
+        for p in sorted(folder.rglob("*"))
+        if p.is_file() and p.name != ".lock"
+    }
+
+
+def run(stream, out: Path, key: str = "key", batch_rows: int = BATCH_ROWS, **options) -> None:
+    """A run that is a correction and nothing else; its manifest holds all that was counted."""
+    observations, setup = stream
+    with open_folder(out) as folder:
+        folder.resume(key)
+        counted = correct_into(
+            PartsOfRun(folder, **options), observations, setup, batch_rows=batch_rows, metadata={}
+        )
+        facts = {"fingerprint": key, "mission": "m", "exit_code": 0, "outputs": folder.outputs()}
+        facts |= {"correction": asdict(counted.correction()), "sampled": counted.examples}
+        folder.commit(facts | {"rows": counted.sampled_rows().x_px.tolist()})
+
+
+class Disk:
+    """Counts what a run does to the disk; from a step on, or once, that goes wrong."""
+
+    def __init__(self, patch: pytest.MonkeyPatch, wrong: BaseException, at: int, lasting: bool):
+        self.steps, self.parts, self.failed = 0, 0, False
+        self._wrong, self._at, self._lasting = wrong, at, lasting
+        for owner, name in (
+            (os, "fsync"), (Path, "replace"), (Path, "mkdir"), (Path, "unlink"),
+            (Path, "write_bytes"), (Path, "write_text"), (store.shutil, "rmtree"),
+            (pq, "write_table"),
+        ):  # fmt: skip
+            self._wrap(patch, owner, name)
+
+    def _wrap(self, patch: pytest.MonkeyPatch, owner: Any, name: str) -> None:
+        original = getattr(owner, name)
+
+        def called(*words: Any, **options: Any) -> Any:
+            self.steps += 1
+            self.parts += name == "write_table"
+            if (self.failed and self._lasting) or self.steps == self._at:
+                self.failed = True
+                if name == "write_table":  # half a file
+                    shutil.copy(__file__, words[1])
+                if not (options.get("ignore_errors") and isinstance(self._wrong, OSError)):
+                    raise self._wrong
+            return original(*words, **options)
+
+        patch.setattr(owner, name, called)
+
+
+@pytest.fixture(scope="module")
+def untouched(stream, tmp_path_factory) -> tuple[dict[str, str], int]:
+    """The results of a run that nothing stopped, and how many steps it took on the disk."""
+    out = tmp_path_factory.mktemp("untouched")
+    with pytest.MonkeyPatch.context() as patch:
+        disk = Disk(patch, Killed(), -1, lasting=False)
+        run(stream, out)
+    assert disk.parts == PARTS
+    return tree(out), disk.steps
+
+
+def some_steps(steps: int) -> list[int]:
+    """Steps at which something goes wrong: six, drawn, or with UNBEND_KILLS=all every one."""
+    if os.environ.get("UNBEND_KILLS") == "all":
+        return list(range(1, steps + 1))
+    return sorted(random.Random(SEED).sample(range(1, steps + 1), 6))
+
+
+@pytest.mark.parametrize("before", ["nothing", "results"])
+def test_a_run_that_is_killed_goes_on_where_it_was(stream, untouched, tmp_path, before):
+    whole, steps = untouched
+    for step in some_steps(steps + (14 if before == "results" else 0)):
+        out = tmp_path / str(step)
+        if before == "results":  # of another size, so that their parts are others of the same names
+            run(stream, out, "before", 70)
+        with pytest.MonkeyPatch.context() as patch:
+            disk = Disk(patch, Killed(), step, lasting=True)
+            with contextlib.suppress(Killed):
+                run(stream, out)
+        manifest = read_manifest(out)
+        if manifest is not None:
+            assert find_damage(out, manifest) == []
+        finished = len([*(out / ".staging" / "receipts").glob("part-*.parquet")])
+        committed = manifest is not None and manifest["fingerprint"] == "key"
+        if not committed:
+            assert disk.parts - finished <= MOST_THREADS, (step, SEED)
+        with pytest.MonkeyPatch.context() as patch:
+            again = Disk(patch, Killed(), -1, lasting=False)
+            run(stream, out)
+        if not committed:
+            assert again.parts == PARTS - finished, (step, SEED)
+        assert tree(out) == whole, (step, SEED)
+
+
+@pytest.mark.parametrize("lasting", [True, False], ids=["lasting", "once"])
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EROFS])
+def test_a_disk_that_refuses_leaves_what_is_finished(stream, untouched, tmp_path, number, lasting):
+    whole, steps = untouched
+    for step in some_steps(steps)[:: 1 if os.environ.get("UNBEND_KILLS") == "all" else 3]:
+        out = tmp_path / str(step)
+        refused = None
+        with pytest.MonkeyPatch.context() as patch:
+            disk = Disk(patch, OSError(number, os.strerror(number)), step, lasting)
+            try:
+                run(stream, out)
+            except StorageError as error:
+                refused = error
+        assert disk.failed
+        if refused is None:  # while it cleaned up: then all was done
+            assert {*tree(out)} >= {*whole}, (step, SEED)
+        else:
+            assert os.strerror(number) in refused.what, (step, SEED)
+            manifest = read_manifest(out)  # which is the last but for what cleans up
+            assert manifest is None or find_damage(out, manifest) == [], (step, SEED)
+        if not lasting:
+            assert not [*out.rglob("*.draft")], (step, SEED)
+        run(stream, out)
+        assert tree(out) == whole, (step, SEED)
+
+
+def stopped_after(stream, out: Path, parts: int, **options: Any) -> None:
+    """A run that is stopped after some of its parts."""
+
+    def check() -> None:
+        if len([*(out / ".staging" / "receipts").glob("part-*")]) >= parts:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run(stream, out, check=check, **options)
+
+
+def parts_made(stream, out: Path, **options: Any) -> int:
+    """How many parts a run makes."""
+    with pytest.MonkeyPatch.context() as patch:
+        disk = Disk(patch, Killed(), -1, lasting=False)
+        run(stream, out, **options)
+    return disk.parts
+
+
+@pytest.mark.parametrize(
+    "other", [{"key": "of another air"}, {"batch_rows": 95, "key": "key 95"}], ids=["key", "size"]
+)
+def test_parts_of_another_key_are_made_again(stream, untouched, tmp_path, other):
+    stopped_after(stream, tmp_path, 4, **other)
+    assert (tmp_path / ".staging" / "receipts").exists()
+    assert parts_made(stream, tmp_path) == PARTS
+    assert tree(tmp_path) == untouched[0]
+
+
+@pytest.mark.parametrize("damage", ["part", "cut", "swap", "gone", "receipt", "other"])
+def test_a_part_that_was_damaged_meanwhile_is_made_again(stream, untouched, tmp_path, damage):
+    stopped_after(stream, tmp_path, 4)
+    receipts = sorted((tmp_path / ".staging" / "receipts").iterdir())
+    parts = [tmp_path / ".staging" / "observations" / path.name for path in receipts]
+    content, again = bytearray(parts[0].read_bytes()), 1
+    if damage == "part":
+        place = random.Random(SEED).randrange(len(content) * 8)
+        content[place // 8] ^= 1 << place % 8
+        parts[0].write_bytes(content)
+    elif damage == "cut":
+        parts[0].write_bytes(content[:-1])
+    elif damage == "swap":
+        parts[0].write_bytes(parts[1].read_bytes())
+        parts[1].write_bytes(content)
+        again = 2
+    elif damage == "gone":
+        parts[0].unlink()
+    elif damage == "receipt":
+        content = bytearray(receipts[0].read_bytes())
+        place = random.Random(SEED).randrange(len(content) * 8)
+        content[place // 8] ^= 1 << place % 8
+        receipts[0].write_bytes(content)
+    else:
+        receipts[0].write_bytes(receipts[1].read_bytes())
+    assert parts_made(stream, tmp_path) == PARTS - len(receipts) + again, SEED
+    assert tree(tmp_path) == untouched[0]
+
+
+def test_a_receipt_runs_nothing(tmp_path):
+    class Hostile:
+        def __reduce__(self) -> Any:
+            return (os.mkdir, (str(tmp_path / "made"),))
+
+    class Ours:
+        def __reduce__(self) -> Any:
+            return (store.sync_folder, (tmp_path / "nowhere",))
+
+    for hostile in (Hostile(), Ours(), np.array([Hostile()], object)):
+        assert unpacked(packed(hostile)) is None
+    assert list(tmp_path.iterdir()) == []
+    kept = {"a": np.arange(3.0), "b": [(1, None)]}
+    assert repr(unpacked(packed(kept))) == repr(kept)
+
+
+def test_no_receipt_is_written_for_inputs_that_changed(mission, tmp_path):
+    """Otherwise a run with the former content would take up parts of the other one."""
+    plan = make_plan(load_mission(mission.save()), mission.folder)
+    observed = plan.input("observations").path
+    content = observed.read_bytes()
+    check_unchanged(plan.inputs)
+    observed.write_bytes(content[:-1] + bytes([content[-1] ^ 1]))
+    os.utime(observed, ns=(plan.input("observations").states[0].mtime_ns,) * 2)
+    with pytest.raises(InputError, match="INPUT-CHANGED"):
+        check_unchanged(plan.inputs, folders=False)
+
+
+def test_parts_may_be_made_by_others_in_any_order(stream, untouched, tmp_path):
+    """Ranges of parts; the counts are merged in the order of the parts."""
+    observations, setup = stream
+    with open_folder(tmp_path) as folder:
+        folder.resume("key")
+        for numbers in (range(7, 10), range(2, 5), range(2)):
+            elsewhere = PartsOfRun(store.RunFolder(tmp_path))
+            made = correct_parts(
+                observations, setup, elsewhere.write,
+                numbers=numbers, batch_rows=BATCH_ROWS, metadata={},
+            )  # fmt: skip
+            assert [counts.rows for counts in made]
+        counted = correct_into(
+            PartsOfRun(folder), observations, setup, batch_rows=BATCH_ROWS, metadata={}
+        )
+        assert (counted.parts, counted.rows) == (PARTS, ROWS)
+        assert [item["name"] for item in folder.outputs()] == [
+            f"observations/part-{i:05d}.parquet" for i in range(PARTS)
+        ]
+        parts = {name: digest for name, digest in untouched[0].items() if "part-" in name}
+        assert {str(item["name"]): item["sha256"] for item in folder.outputs()} == parts
