@@ -37,6 +37,7 @@ from unbend.stages.multi_image.oriented_stations import oriented_stations
 from unbend.stages.multi_image.tie_point_checks import TieEvidence, check_tie_points
 from unbend.stages.opened_inputs import OpenedInputs
 from unbend.tables.geodata.elevation import ElevationModel
+from unbend.tables.messages import points_repeated
 from unbend.tables.tie_points import MOST_TIE_POINTS, draw_tie_points
 from unbend.units import DEGREE
 
@@ -205,7 +206,7 @@ def stations_of_mission(
     ties = draw_tie_points(observations, MOST_TIE_POINTS)
     if ties.repeated and not observations.is_block:  # those of a block: where it is opened
         count, first = len(ties.repeated), ties.repeated[0]
-        ledger.loss("OBS-REPEATED-POINT", where=observations.path.name, count=count, first=first)
+        ledger.add(points_repeated(where=observations.path.name, count=count, first=first))
     if mission.events is not None:
         parts = assigned_stations(
             mission, mission.events, events, parts, files=inputs.image_times,

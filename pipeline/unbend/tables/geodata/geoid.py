@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
-from unbend.errors import InputError
 from unbend.geodesy import GeoidGrid
+from unbend.tables.geodata import messages
 from unbend.tables.geodata.gdal import GDAL_OPTIONS, NAME_OTHERS
 
 _GTX = struct.Struct(">4d2i")
@@ -17,6 +17,8 @@ _GTX = struct.Struct(">4d2i")
 float32 from the south-west corner, row by row to the north. -88.8888 has no value."""
 
 _GTX_MISSING = np.float32(-88.8888)
+_LOWEST_UNDULATION_M = -120.0  # EGM96 has -107 to 86 m
+_HIGHEST_UNDULATION_M = 100.0
 
 
 @lru_cache(maxsize=1)
@@ -49,11 +51,13 @@ def read_geoid(path: Path) -> GeoidGrid:
         else:
             grid = _grid_of_raster(path)
     except (OSError, ValueError, struct.error) as error:
-        raise InputError.of("GEOID-GRID", path, why=str(error)) from None
+        raise messages.geoid_grid(where=path, why=str(error)) from None
     known = grid.values_m[np.isfinite(grid.values_m)]
-    if known.size == 0 or known.min() < -120.0 or known.max() > 100.0:
-        span = f"{known.min():.0f} to {known.max():.0f} m" if known.size else "no value at all"
-        raise InputError.of("GEOID-GRID", path, why=f"holds {span}; undulations are -107 to 86 m")
+    if known.size == 0:
+        raise messages.geoid_without_values(where=path)
+    lowest, highest = float(known.min()), float(known.max())
+    if lowest < _LOWEST_UNDULATION_M or highest > _HIGHEST_UNDULATION_M:
+        raise messages.geoid_values(where=path, lowest=lowest, highest=highest)
     return grid
 
 
