@@ -12,13 +12,11 @@ import signal
 import sys
 import time
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
-from unbend.batch import executors
 from unbend.batch.execute import run_many
 from unbend.batch.executors import Bug, Outcome
-from unbend.batch.store import atomic_write, open_folder, read_manifest
+from unbend.batch.store import open_folder, read_manifest
 from unbend.errors import InputError
 
 
@@ -42,7 +40,7 @@ def gone(process: int) -> bool:
     return False
 
 
-def one(mission, *, progress=None, helpers=None):
+def one(mission, *, progress=None):
     name, here = mission.path.stem, mission.path.parent
     output = here / f"results of {name}"
     with open_folder(output) as folder:  # as `run_plan`: removes what a killed run left
@@ -70,56 +68,15 @@ def one(mission, *, progress=None, helpers=None):
     return Outcome(name, output, manifest, 3, False)
 
 
-PARTS = 40
-
-
-def in_slices(mission, *, progress=None, helpers=None):
-    """A mission whose parts hold their numbers; nothing is made before a worker has begun."""
-    name, here = mission.path.stem, mission.path.parent
-    with open_folder(here / f"results of {name}") as folder:
-        folder.resume(name)
-        with helpers.workers(__name__, PARTS) as workers:
-            slices = executors.Slices.of(folder.staging, range(PARTS), len(workers))
-            make = partial(make_some, folder, name, os.getpid(), slices.folder)
-            executors.make_parts(make, slices, workers, lambda made: None)
-        make(range(PARTS))
-        manifest = {"fingerprint": name, "mission": name, "exit_code": 3, "workers": len(workers)}
-        manifest["outputs"] = folder.outputs()
-        folder.commit(manifest)
-    return Outcome(name, folder.path, manifest, 3, False)
-
-
-def make_some(folder, name, own, slices, numbers):
-    for number in numbers:
-        part = f"observations/part-{number:05d}.parquet"
-        if folder.read_receipt(part) is not None:
-            continue
-        limit = time.monotonic() + 100.0
-        while name != "busy" and os.getpid() == own and not list(slices.glob("worker-*")):
-            assert time.monotonic() < limit
-            time.sleep(0.01)
-        with (folder.path.parent / "begun").open("a") as file:
-            print(name, os.getpid(), number, file=file)
-        if name == "killed" and os.getpid() != own:
-            os.kill(os.getppid(), signal.SIGKILL)
-            time.sleep(100.0)
-        with atomic_write(folder.place(part)) as draft:
-            draft.write_text(str(number))
-        folder.seal(part)
-        folder.write_receipt(part, number)
-        time.sleep(float((folder.path.parent / "pace").read_text()))
-
-
 def main():
-    from unbend.batch.cluster import Cluster
-    from unbend.batch.executors import Processes
+    from unbend.batch.dask_executor import DaskExecutor
+    from unbend.batch.processes import Processes
 
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # as the command line has it
     where, folder, *names = sys.argv[1:]
-    executor = Processes(int(where)) if where.isdecimal() else Cluster(where)
+    executor = Processes(int(where)) if where.isdecimal() else DaskExecutor(where)
     missions = [Unread(Path(folder) / f"{name}.yaml") for name in names]
-    task = in_slices if names[0] in ("shared", "killed", "busy") else one
-    for mission, end in run_many(task, missions, executor):
+    for mission, end in run_many(one, missions, executor):
         word = "bug" if isinstance(end, Bug) else getattr(end, "code", None)
         if isinstance(end, Outcome):
             assert (end.name, end.exit_code, end.manifest["fingerprint"]) == (end.name, 3, end.name)

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import contextlib
-import pickle
-from functools import partial
 from itertools import chain
 from pathlib import Path
 
 import pytest
 
-from unbend.batch import executors
 from unbend.batch.campaigns import select_missions
-from unbend.batch.execute import exit_code_of, run_many, shard_of
-from unbend.batch.executors import Bug, Child, Inline, Outcome, stop_all
+from unbend.batch.execute import exit_code_of_command, run_many, shard_of
+from unbend.batch.executors import Bug, Inline, Outcome
 from unbend.config.campaign import MissionRef
 from unbend.errors import InputError
 
@@ -117,19 +114,4 @@ def test_interrupts_of_the_user_pass_through():
      ([3, 4], 6), ([5, 0], 6), ([6, 1], 1), ([1, 0], 1), ([1], 1)],
 )  # fmt: skip
 def test_the_exit_code_of_several(codes, code):
-    assert exit_code_of(codes) == code
-
-
-def test_a_child_that_has_waited_too_long_is_replaced(monkeypatch):
-    child = Child()
-    task = pickle.dumps(partial(Outcome, "a", Path("out"), {"fingerprint": "f"}, 0, False))
-    monkeypatch.setattr(executors, "_SERVE", executors._SERVE.replace("serve()", "serve(0.01)"))
-    try:
-        assert child.run(task) == Outcome("a", Path("out"), {}, 0, False, "f")
-        first = child.process
-        assert first is not None
-        assert first.wait(60.0) == 0
-        assert child.run(task) == Outcome("a", Path("out"), {}, 0, False, "f")
-        assert child.process is not first
-    finally:
-        stop_all([child])
+    assert exit_code_of_command(codes) == code

@@ -10,10 +10,9 @@ from pathlib import Path
 import pytest
 
 import unbend
-from unbend.batch import keys
-from unbend.batch import plan as planning
-from unbend.batch.file_hashes import check_unchanged, remembered_hash
-from unbend.batch.keys import code_hash, hash_of_files
+from unbend.batch import fingerprint
+from unbend.batch.fingerprint import code_hash, hash_of_files
+from unbend.batch.input_files import check_unchanged, named_inputs
 from unbend.batch.plan import make_plan
 from unbend.config import load_mission
 from unbend.errors import ConfigError, InputError
@@ -62,8 +61,7 @@ def test_inputs_mission_file_and_code_count(mission, plan, monkeypatch):
     with mission.log.open("ab") as log:
         log.write(b"\0")
     fingerprints.add(make_plan(load_mission(mission.file), mission.folder).fingerprint)
-    other = dict.fromkeys(("ingest", "air", "correction", "report"), "other")
-    monkeypatch.setattr(keys, "code_of_stages", lambda: other)
+    monkeypatch.setattr(fingerprint, "code_hash", lambda: "other")
     fingerprints.add(make_plan(load_mission(mission.file), mission.folder).fingerprint)
     assert len(fingerprints) == 4
 
@@ -82,8 +80,8 @@ def test_a_file_that_is_written_to_is_changed_even_if_its_content_is_there_again
 
 def test_inputs_have_their_roles_and_their_places_in_the_mission_file(mission):
     mission.config["atmosphere"] = {"soundings": [{"path": "a.csv"}, {"path": "b.csv"}]}
-    roles = planning.input_paths(load_mission(mission.save()), mission.folder)
-    assert {role: name for role, (name, _) in roles.items()} == {
+    inputs = named_inputs(load_mission(mission.save()))
+    assert {item.role: item.name for item in inputs} == {
         "log": mission.config["log"]["path"],
         "observations": mission.config["observations"]["path"],
         "sounding 1": "a.csv",
@@ -138,13 +136,3 @@ def test_files_beside_a_raster_count_with_it(mission):
     assert len(hashes) == 1 + 2 * len(SIDECARS)
     (mission.folder / "sea.tif.aux.xml").write_bytes(b"x")
     assert now().input("geoid").sha256 != alone == now().input("elevation model 1").sha256
-
-
-@pytest.mark.parametrize(("start", "counts"), [(b"\xff\xd8", False), (b"II*\0", True)])
-def test_only_of_a_jpeg_the_end_is_left_out(tmp_path, start, counts):
-    """EXIF may lie at the end of a TIFF file."""
-    image, hashes = tmp_path / "a.tif", set()
-    for end in (b"1", b"2"):
-        image.write_bytes(start + bytes(1 << 18) + end)
-        hashes.add(remembered_hash(image, verify=True, of_jpeg=1 << 18))
-    assert (len(hashes) == 2) == counts

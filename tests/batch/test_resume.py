@@ -8,6 +8,7 @@ import hashlib
 import os
 import random
 import shutil
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -19,11 +20,11 @@ import pytest
 from tests.draws import SEED
 from unbend.atmosphere import standard_atmosphere
 from unbend.batch import store
-from unbend.batch.file_hashes import check_unchanged
+from unbend.batch.input_files import check_unchanged
 from unbend.batch.plan import make_plan
+from unbend.batch.receipts import packed, unpacked
 from unbend.batch.run_files import PartsOfRun, correct_into
 from unbend.batch.store import find_damage, open_folder, read_manifest
-from unbend.batch.value_cache import packed, unpacked
 from unbend.config import load_mission
 from unbend.errors import InputError, StorageError
 from unbend.messages import Ledger
@@ -84,7 +85,7 @@ def run(stream, out: Path, key: str = "key", batch_rows: int = BATCH_ROWS, **opt
             PartsOfRun(folder, **options), observations, setup, batch_rows=batch_rows, metadata={}
         )
         facts = {"fingerprint": key, "mission": "m", "exit_code": 0, "outputs": folder.outputs()}
-        facts |= {"correction": counted.correction(), "sampled": counted.examples}
+        facts |= {"correction": asdict(counted.correction()), "sampled": counted.examples}
         folder.commit(facts | {"rows": counted.sampled_rows().x_px.tolist()})
 
 
@@ -269,7 +270,7 @@ def test_no_receipt_is_written_for_inputs_that_changed(mission, tmp_path):
     content = observed.read_bytes()
     check_unchanged(plan.inputs)
     observed.write_bytes(content[:-1] + bytes([content[-1] ^ 1]))
-    os.utime(observed, ns=(plan.input("observations").stamp[0][3],) * 2)
+    os.utime(observed, ns=(plan.input("observations").states[0].mtime_ns,) * 2)
     with pytest.raises(InputError, match="INPUT-CHANGED"):
         check_unchanged(plan.inputs, folders=False)
 

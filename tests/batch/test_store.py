@@ -52,18 +52,6 @@ def test_a_flipped_byte_is_seen_by_a_rerun(tmp_path: Path, name: str) -> None:
     assert find_damage(tmp_path, manifest, read=False) == [f"{name}: its content has changed"]
 
 
-def test_small_files_are_read_where_no_hash_is_remembered(tmp_path: Path, monkeypatch) -> None:
-    """Results from another machine: parts are known by their size, what is small is read."""
-    commit(tmp_path / "run", "stations.parquet", "observations/part-00000.parquet")
-    for name in ("stations.parquet", "observations/part-00000.parquet"):
-        (tmp_path / "run" / name).write_text(name[:-1] + "T", encoding="utf-8")
-    manifest = read_manifest(tmp_path / "run")
-    assert manifest is not None
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "empty"))
-    changed = ["stations.parquet: its content has changed"]
-    assert find_damage(tmp_path / "run", manifest, read=False) == changed
-
-
 def test_a_file_has_no_manifest(tmp_path: Path) -> None:
     (tmp_path / "manifest.json").write_text("{}", encoding="utf-8")
     assert read_manifest(tmp_path / "manifest.json") is None

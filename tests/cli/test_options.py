@@ -56,13 +56,13 @@ def test_options_of_simulate(unbend, monkeypatch, tmp_path, options, expected):
     assert "unbend run" in said
 
 
-def test_radial_and_angle_agree_for_another_radius(unbend, tmp_path):
+def test_the_table_and_one_angle_agree_for_another_radius(unbend, tmp_path):
     """By two commands; at 45 degrees an earth of a tenth of the radius changes R by a percent."""
     out = tmp_path / "radial.csv"
     heights = ("--atmosphere", "icao", "--camera-height", 5000, "--ground-height", 100)
     found = {}
     for radius in (6_371_000, 637_100):
-        ended = unbend("radial", *heights, "--radius", radius, "--step", 15, "--csv", out)
+        ended = unbend("angle", *heights, "--radius", radius, "--step", 15, "--csv", out)
         assert ended.code == 0
         rows = {float(row["nadir_angle_deg"]): float(row["r_c_arcsec"]) for row in rows_of(out)}
         assert list(rows) == pytest.approx([0.0, 15.0, 30.0, 45.0, 60.0])

@@ -1,4 +1,4 @@
-"""`unbend radial`, `compare`, `export` as a person meets them: eighty columns, numbers, codes."""
+"""Tables of angles, of methods, and `export` as a person meets them: eighty columns, codes."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ def longest(text: str) -> int:
 pytestmark = pytest.mark.usefixtures("eighty_columns")
 
 TWO_HEIGHTS = (
-    "radial", "--atmosphere", "us1976", "--camera-height", 3000, "--camera-height", 10000,
+    "angle", "--atmosphere", "us1976", "--camera-height", 3000, "--camera-height", 10000,
     "--ground-height", 0, "--focal-px", 20000,
 )  # fmt: skip
 
 
-@pytest.mark.parametrize("command", ["export", "radial", "compare"])
+@pytest.mark.parametrize("command", ["export", "angle", "tables"])
 def test_help_with_an_example(unbend, command):
     ended = unbend(command, "--help")
     assert ended.code == 0
@@ -77,7 +77,7 @@ def test_a_ray_that_misses_says_so(unbend):
 
 def test_metres_that_do_not_exist_are_explained(unbend, tmp_path):
     """At 86.9 degrees from 10 km only the bent ray lands."""
-    words = ("radial", "--atmosphere", "us1976", "--camera-height", 10_000, "--ground-height", 0,
+    words = ("angle", "--atmosphere", "us1976", "--camera-height", 10_000, "--ground-height", 0,
              "--step", 40)  # fmt: skip
     said = " ".join(unbend(*words, "--max-angle", 86.9).out.split())
     assert "No metres on the ground: the straight ray" in said
@@ -93,10 +93,10 @@ def test_metres_that_do_not_exist_are_explained(unbend, tmp_path):
 
 
 def test_the_air_of_a_mission(unbend, baseline):
-    ended = unbend("radial", "--config", baseline.file, "--camera-height", 2800,
+    ended = unbend("angle", "--config", baseline.file, "--camera-height", 2800,
                    "--ground-height", 300)  # fmt: skip
     assert ended.code == 0, ended.text
-    standard = unbend("radial", "--atmosphere", "us1976", "--camera-height", 2800,
+    standard = unbend("angle", "--atmosphere", "us1976", "--camera-height", 2800,
                       "--ground-height", 300)  # fmt: skip
     assert ended.out.splitlines()[0] != standard.out.splitlines()[0]
 
@@ -104,7 +104,8 @@ def test_the_air_of_a_mission(unbend, baseline):
 @pytest.mark.parametrize(
     ("options", "code"),
     [
-        ((), "PROFILE-ARGUMENTS"),
+        (("--distance", "4000"), "ANGLE-ARGUMENTS"),
+        (("--nadir-angle", "45", "--csv", "a.csv"), "ANGLE-ARGUMENTS"),
         (("--atmosphere", "us1976", "--config", "a.yaml"), "PROFILE-ARGUMENTS"),
         (("--atmosphere", "us1967"), "ATMOSPHERE-NAME"),
         (("--config", "nowhere.yaml"), "CONFIG-MISSING"),
@@ -118,14 +119,14 @@ def test_the_air_of_a_mission(unbend, baseline):
     ids=str,
 )
 def test_a_table_that_does_not_exist(unbend, options, code):
-    ended = unbend("radial", "--camera-height", 3000, "--ground-height", 500, *options)
+    ended = unbend("angle", "--camera-height", 3000, "--ground-height", 500, *options)
     assert ended.code == 2
     assert ended.err.startswith(f"{code}: ")
     assert "to do: " in ended.err
 
 
 def test_compare_in_a_terminal(unbend):
-    ended = unbend("compare")
+    ended = unbend("tables", "accuracy")
     assert ended.code == 0
     assert longest(ended.out) <= 80
     for name in ("plane", "gyer1996", "s1974_quadratic", "bertram1966", "manual"):
@@ -133,7 +134,7 @@ def test_compare_in_a_terminal(unbend):
 
 
 def test_compare_writes_page_and_picture(unbend, tmp_path):
-    ended = unbend("compare", "--atmosphere", "icao", "--out", tmp_path / "other.md")
+    ended = unbend("tables", "accuracy", "--atmosphere", "icao", "--out", tmp_path / "other.md")
     assert ended.code == 0
     text = (tmp_path / "other.md").read_text(encoding="utf-8")
     assert "standard atmosphere icao" in text
@@ -146,6 +147,6 @@ def test_compare_writes_page_and_picture(unbend, tmp_path):
     [("no/page.md", "STORAGE-WRITE", 5), ("page.png", "PAGE-FORMAT", 2)],
 )
 def test_a_page_that_cannot_be_written(unbend, tmp_path, out, code, exit_code):
-    ended = unbend("compare", "--out", tmp_path / out)
+    ended = unbend("tables", "accuracy", "--out", tmp_path / out)
     assert ended.code == exit_code
     assert ended.err.startswith(f"{code}: ")

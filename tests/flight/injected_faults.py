@@ -194,9 +194,7 @@ def inject(
         )
     channels["GPS[0]"] = raised(displaced(gps, *error.T), up, ("h_msl_m", "h_ellipsoid_m"))
     if not fix.all():
-        from unbend.flight.evidence.quality import subset
-
-        channels["GPS[0]"] = subset(channels["GPS[0]"], fix)
+        channels["GPS[0]"] = channels["GPS[0]"].rows(fix)
     channels["POS"] = displaced(pos, *places.T)
     for name in ("ATT", "XKF1[0]", "XKQ[0]"):
         at = np.interp(channels[name].time_ns, pos.time_ns, tilt)

@@ -8,6 +8,7 @@ import pytest
 from unbend.errors import MissionError
 from unbend.flight.channels import Channel, Source
 from unbend.flight.exposures import (
+    ExposureDelay,
     events_of_channel,
     events_of_table,
     lag_from_feedback,
@@ -24,7 +25,7 @@ def shots(*index: int) -> Channel:
 
 @pytest.mark.parametrize("delay_s", [0.12, -0.25, 0.0])
 def test_a_positive_delay_makes_events_of_a_log_later(delay_s):
-    events, notes = events_of_channel(shots(7, 8), "cam", "{n:02d}_{index}", delay_s)
+    events, notes = events_of_channel(shots(7, 8), "cam", "{n:02d}_{index}", ExposureDelay(delay_s))
     assert events.image.tolist() == ["01_7", "02_8"]
     assert (events.time_ns / 1e9).tolist() == pytest.approx([10.0 + delay_s, 20.0 + delay_s])
     assert not notes
@@ -35,7 +36,7 @@ def test_a_positive_delay_makes_events_of_a_table_later(delay_s):
     names = np.array(["a", "b", "c"], object)
     cameras = np.array(["left", "right", "left"], object)
     time_ns = np.array([10, 20, 30]) * SECOND
-    events = events_of_table(names, cameras, time_ns, "left", delay_s)
+    events = events_of_table(names, cameras, time_ns, "left", ExposureDelay(delay_s))
     assert events.image.tolist() == ["a", "c"]
     assert (events.time_ns / 1e9).tolist() == pytest.approx([10.0 + delay_s, 30.0 + delay_s])
 
@@ -50,7 +51,7 @@ def test_a_number_that_comes_late_across_the_turn_of_the_count():
 
 
 def test_holes_of_the_count_are_listed():
-    _, (entry,) = events_of_channel(shots(3, 5, 9, 10), "cam", "{index}", 0.0)
+    _, (entry,) = events_of_channel(shots(3, 5, 9, 10), "cam", "{index}", ExposureDelay(0.0))
     assert (entry.kind, entry.code, entry.count) == ("loss", "EVENTS-LOST", 4)
     assert "4 numbers between 3 and 10 have no event: 4, 6 to 8" in entry.what
 
@@ -70,14 +71,14 @@ def test_the_lag_of_the_shutter_is_that_of_triggers_whose_pulse_was_logged():
     late[3] = 4.9
     shutter = pulses("CAM", "0", (number * 5.0 + late)[seen], number[seen])
     other = pulses("CAM", "1", number * 5.0 + 0.4, number)
-    (delay_s, sigma_s), (note,) = lag_from_feedback((other, shutter, trigger), trigger, "cam")
+    delay, (note,) = lag_from_feedback((other, shutter, trigger), trigger, "cam")
     used = seen.copy()
     used[3] = False
-    assert delay_s == pytest.approx(np.median(late[used]), abs=1e-6)
-    assert 0.01 < sigma_s < 0.02
+    assert delay.seconds == pytest.approx(np.median(late[used]), abs=1e-6)
+    assert 0.01 < delay.sigma_s < 0.02
     assert (note.code, note.count) == ("EVENTS-SHUTTER-LAG", 39)
-    events, _ = events_of_channel(trigger, "cam", "{index}", delay_s, sigma_s)
-    np.testing.assert_allclose(events.sigma_time_s, sigma_s)
+    events, _ = events_of_channel(trigger, "cam", "{index}", delay)
+    np.testing.assert_allclose(events.sigma_time_s, delay.sigma_s)
 
 
 def test_a_lag_takes_ten_pairs_and_triggers():
@@ -93,5 +94,5 @@ def test_the_sigma_of_logged_times_is_kept():
     channel = shots(1, 2)
     columns = dict(channel.columns) | {"sigma_time_s": np.array([0.06, np.nan])}
     logged = Channel("CAM", channel.time_ns, columns, channel.source)
-    events, _ = events_of_channel(logged, "cam", "{index}", 0.1, 0.08)
+    events, _ = events_of_channel(logged, "cam", "{index}", ExposureDelay(0.1, 0.08))
     assert np.asarray(events.sigma_time_s).tolist() == pytest.approx([0.1, 0.08])

@@ -13,6 +13,7 @@ from unbend.errors import MissionError
 from unbend.flight.channels import Channel, Source
 from unbend.flight.exposures import (
     Events,
+    ExposureDelay,
     choose_event_channel,
     events_of_channel,
     refuse_repeated_images,
@@ -206,7 +207,7 @@ def test_air_at_the_exposure() -> None:
 def test_image_names_and_lost_numbers() -> None:
     shots = channel("CAM[0]", [1, 2, 3, 4], event_index=[7, 8, 10, 11])
     ledger = Ledger()
-    named = ledger.take(events_of_channel(shots, "cam", "IMG_{index:03d}", 0.5))
+    named = ledger.take(events_of_channel(shots, "cam", "IMG_{index:03d}", ExposureDelay(0.5)))
     assert named.image.tolist() == ["IMG_007", "IMG_008", "IMG_010", "IMG_011"]
     assert named.time_ns[0] == 1_500_000_000
     (entry,) = ledger
@@ -217,13 +218,13 @@ def test_image_names_and_lost_numbers() -> None:
 def test_many_lost_numbers_are_counted_too() -> None:
     shots = channel("CAM[0]", np.arange(100), event_index=np.arange(1, 301, 3))
     ledger = Ledger()
-    ledger.take(events_of_channel(shots, "cam", "{index}", 0.0))
+    ledger.take(events_of_channel(shots, "cam", "{index}", ExposureDelay(0.0)))
     assert [(e.count, e.kind) for e in ledger] == [(198, "loss")]
 
 
 def test_lost_events_are_counted_beside_counted_names() -> None:
     shots = channel("CAM[0]", [1, 2, 3], event_index=[1, 2, 5])
-    events, _ = events_of_channel(shots, "cam", "IMG_{n:03d}", 0.0)
+    events, _ = events_of_channel(shots, "cam", "IMG_{n:03d}", ExposureDelay(0.0))
     assert events.lost == 2
     assert events.index is not None
     assert events.index.tolist() == [1, 2, 5]
@@ -231,7 +232,7 @@ def test_lost_events_are_counted_beside_counted_names() -> None:
 
 def test_names_that_only_the_images_know_stay_empty() -> None:
     shots = channel("CAM[0]", [1, 2], event_index=[1, 2])
-    events, _ = events_of_channel(shots, "cam", "left/*", 0.0)
+    events, _ = events_of_channel(shots, "cam", "left/*", ExposureDelay(0.0))
     assert events.image.tolist() == ["", ""]
     refuse_repeated_images([events])
 
@@ -241,8 +242,14 @@ def test_the_take_off_height_of_two_flights_is_not_guessed() -> None:
     home = np.where(seconds < 50, 500.0, 507.0)
     moved = channel("POS", seconds, h_msl_m=home + 10.0, h_home_m=10.0)
     unset = channel("POS", seconds, h_msl_m=510.0, h_home_m=np.where(seconds < 70, 510.0, 10.0))
-    assert height_system({"position": moved}, None)[0].home_h_msl_m is None
-    assert height_system({"position": unset}, None)[0].home_h_msl_m == 500.0
+    system, (changes,) = height_system({"position": moved}, None)
+    assert system.home_h_msl_m is None
+    assert (changes.code, changes.where) == ("HEIGHT-HOME", "POS")
+    assert "changes between" in changes.what
+    system, (steady,) = height_system({"position": unset}, None)
+    assert system.home_h_msl_m == 500.0
+    assert steady.code == "HEIGHT-HOME"
+    assert steady.what == "take-off height 500.00 m above mean sea level"
 
 
 def test_triggers_without_a_shutter_are_counted() -> None:
@@ -371,13 +378,15 @@ def shots(index: list[int], boot: list[int] | None = None) -> Channel:
 )
 def test_an_image_number_that_runs_over(index: list[int], lost: int) -> None:
     ledger = Ledger()
-    ledger.take(events_of_channel(shots(index), "cam", "{index}.jpg", 0.0))
+    ledger.take(events_of_channel(shots(index), "cam", "{index}.jpg", ExposureDelay(0.0)))
     assert sum(entry.count for entry in ledger) == lost
 
 
 def test_a_number_lost_over_the_turn_is_named_as_the_log_would() -> None:
     ledger = Ledger()
-    ledger.take(events_of_channel(shots([65534, 65535, 2]), "cam", "{index}.jpg", 0.0))
+    ledger.take(
+        events_of_channel(shots([65534, 65535, 2]), "cam", "{index}.jpg", ExposureDelay(0.0))
+    )
     (entry,) = ledger
     assert (entry.code, entry.count) == ("EVENTS-LOST", 2)
     assert "between 65534 and 2" in entry.what
@@ -387,10 +396,10 @@ def test_a_number_lost_over_the_turn_is_named_as_the_log_would() -> None:
 def test_numbers_begin_anew_with_each_boot() -> None:
     ledger = Ledger()
     found = shots([0, 1, 2, 7, 8, 9], [0, 0, 0, 1, 1, 1])
-    ledger.take(events_of_channel(found, "cam", "{n}.jpg", 0.0))
+    ledger.take(events_of_channel(found, "cam", "{n}.jpg", ExposureDelay(0.0)))
     assert not list(ledger)
     begun_anew = shots([3, 4, 0, 1], [0, 0, 1, 1])
-    assert events_of_channel(begun_anew, "cam", "{n}.jpg", 0.0)[0].index is None
+    assert events_of_channel(begun_anew, "cam", "{n}.jpg", ExposureDelay(0.0))[0].index is None
 
 
 def test_camera_rows_without_triggers_are_the_triggers() -> None:

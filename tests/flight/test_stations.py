@@ -11,6 +11,7 @@ from unbend.atmosphere import standard_atmosphere
 from unbend.flight.station_builder import flag_missing_aircraft_attitude
 from unbend.flight.stations import (
     NO_TIME,
+    SigmaLimits,
     Stations,
     append_unmatched_images,
     empty_stations,
@@ -42,8 +43,8 @@ def test_a_misfit_of_ten_hectopascal_is_noticed_and_one_of_less_than_eight_is_no
     assert checked.status.tolist() == ["ok", "suspect" if flagged else "ok", "ok"]
     assert [(e.kind, e.code, e.count) for e in notes] == [("loss", "STATIONS-HEIGHT", 1)] * flagged
     if flagged:
-        assert "up to 10 hPa apart" in notes[0].what
-        assert "the first image_1" in notes[0].what
+        assert "are 10 hPa apart" in notes[0].what
+        assert "apart there, image_1" in notes[0].what
 
 
 def test_images_without_an_exposure_are_appended_in_order_and_unused_exposures_are_noted():
@@ -114,7 +115,7 @@ def test_stations_that_are_known_worse_than_needed_are_a_loss_for_each_limit():
         sigma_tilt_rad=np.radians([0.1, 0.2, 0.3, 0.4]),
         status=np.array(["ok", "ok", "ok", "in_gap"], object),
     )
-    far, high, said = sigma_notes(known, 1.0, 1.5, np.radians(0.35))
+    far, high, said = sigma_notes(known, SigmaLimits(1.0, 1.5, np.radians(0.35)))
     assert (far.kind, far.code, far.count) == ("loss", "STATIONS-SIGMA", 2)
     assert f"the worst is {known.image[2]} with 9.00 m" in far.what
     assert high.count == 1
@@ -122,5 +123,5 @@ def test_stations_that_are_known_worse_than_needed_are_a_loss_for_each_limit():
     assert said.kind == "note"
     for median in ("2.00 m", "1.00 m", "0.20 deg"):
         assert median in said.what
-    assert [entry.kind for entry in sigma_notes(known, None, None, None)] == ["note"]
-    assert not list(sigma_notes(known.with_status(known.ok, "in_gap"), 1.0, 1.0, 1.0))
+    assert [entry.kind for entry in sigma_notes(known, SigmaLimits())] == ["note"]
+    assert not list(sigma_notes(known.with_status(known.ok, "in_gap"), SigmaLimits(1.0, 1.0, 1.0)))

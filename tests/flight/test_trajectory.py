@@ -154,7 +154,8 @@ def test_a_turn_is_followed_by_its_velocities(velocity: bool, allowed: float) ->
     )
     assert beside.max() > 2.9
     assert np.linalg.norm(found.sigma_m, axis=1).max() < 2.0
-    bend, down, _ = bend_of_heights(x, "h_msl_m", at(*when), 3.0)
+    bent = bend_of_heights(x, "h_msl_m", at(*when), 3.0)
+    bend, down = bent.metres_up, bent.speed_down_m_s
     height = interpolate(x, "h_msl_m", at(*when), 3.0) + bend
     np.testing.assert_allclose(height, true["h_msl_m"], atol=1e-6)
     np.testing.assert_allclose(down[1:3], true["v_down_m_s"][1:3] if velocity else [-5.6, -7.2])

@@ -412,7 +412,7 @@ def test_a_refraction_method(copy):
     assert "toy" in copy.unbend("angle", *words, "--method", "toy")
     assert "toy" in copy.unbend("angle", *words, "--method", "none of them", code=2)
     assert "toy" in copy.unbend("angle", "--help")
-    copy.unbend("compare", "--out", "page.md")
+    copy.unbend("tables", "accuracy", "--out", "page.md")
     assert "`toy` minus `spherical`" in (copy.folder / "page.md").read_text(encoding="utf-8")
 
 

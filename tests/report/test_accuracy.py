@@ -46,7 +46,7 @@ def table(text: str, before: str) -> dict[str, list[str]]:
 
 
 def test_the_page_is_as_generated(written):
-    """After a change of the physics: unbend compare --out docs/accuracy.md"""
+    """After a change of the physics: unbend tables accuracy --out docs/accuracy.md"""
     assert PAGE.read_text(encoding="utf-8") == written.read_text(encoding="utf-8")
 
 

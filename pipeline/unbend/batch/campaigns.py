@@ -1,4 +1,4 @@
-"""The missions of a command: which run, and which the index knows; page and table of a campaign."""
+"""The missions of a command: which run, and which are unchanged; page and table of a campaign."""
 
 from __future__ import annotations
 
@@ -9,166 +9,269 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Se
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from unbend.batch.changes import IndexEntry, keep_stamps, known_stamps, look_up, remember
+from unbend.batch import messages
 from unbend.batch.execute import MissionEnd, shared_outputs
 from unbend.batch.executors import Outcome
-from unbend.batch.keys import code_hash
-from unbend.batch.object_store import Place
-from unbend.batch.plan import located
-from unbend.batch.store import atomic_write, read_manifest
+from unbend.batch.fingerprint import code_hash
+from unbend.batch.plan import output_of
+from unbend.batch.remote import Place
+from unbend.batch.results import read_manifest
+from unbend.batch.store import atomic_write
+from unbend.batch.unchanged import find_unchanged
 from unbend.config.campaign import Campaign, MissionRef, open_configs, refuse_twins
-from unbend.errors import ConfigError, StorageError, UnbendError, storage_errors
+from unbend.errors import UnbendError, storage_errors
 from unbend.exit_codes import EXIT_BUG
+from unbend.report.campaign import Row, campaign_page, campaign_table, row_of, row_without
 
-PAGE, TABLE = "campaign.html", "campaign.parquet"
+PAGE = "campaign.html"
+TABLE = "campaign.parquet"
 MARK = '<meta name="generator" content="unbend campaign">'
 
-
-def refuse_foreign_page(output: Path) -> None:
-    """Refuse (STORAGE-NOT-OURS) to replace a page or table that no campaign has written."""
-    there = [name for name in (PAGE, TABLE) if (output / name).exists()]
-    with suppress(OSError, ValueError):  # ValueError: no UTF-8, or no Parquet
-        if not there:
-            return
-        if PAGE in there:
-            ours = MARK in (output / PAGE).read_text(encoding="utf-8")[:2000]
-        else:  # the page was removed, or a run ended between the two
-            from pyarrow.parquet import read_schema
-
-            ours = b"unbend.campaign" in (read_schema(output / TABLE).metadata or {})
-        if ours:
-            return
-    raise StorageError.of("STORAGE-NOT-OURS", output, results=", ".join(there))
+_HEAD_CHARACTERS = 2000  # of a page, which hold its mark and its digest
+_MOST_LISTED = 20  # names that a refusal lists
 
 
-def write_pages(chosen: Selection, ended: Mapping[MissionRef, MissionEnd]) -> Iterator[Path]:
-    """Write page and table of each campaign, unless they say the same; yields the pages' paths."""
-    for campaign in chosen.campaigns:
-        page, table = campaign.output / PAGE, campaign.output / TABLE
-        rows = [page_row(chosen, ref, ended.get(ref), campaign.output) for ref in campaign.missions]
-        name = f"page {page.absolute()}"
-        key = hashlib.sha256(json.dumps([code_hash(), campaign.name, rows]).encode()).hexdigest()
-        if (known_stamps(name) or {}).get("key") != key:
-            from unbend.report.html import campaign_page, campaign_table
-            from unbend.tables.writing import write_parquet
+class NamedMission(NamedTuple):
+    """A mission with its name and where its results go."""
 
-            with storage_errors(campaign.output):
-                campaign.output.mkdir(parents=True, exist_ok=True)
-            with atomic_write(table) as draft:
-                write_parquet(campaign_table(campaign.name, rows), draft)
-            with atomic_write(page) as draft:
-                draft.write_text(campaign_page(campaign.name, rows), encoding="utf-8")
-            keep_stamps(name, [page, table], key=key)
-        yield page
+    ref: MissionRef
+    name: str
+    output: Path | Place
 
 
-def page_row(
-    chosen: Selection, ref: MissionRef, end: MissionEnd | None, page: Path
-) -> Mapping[str, Any]:
-    """What the page in a folder shows of a mission."""
-    name, folder = chosen.called.get(ref, (ref.label, None))
-    folder, at = (end.output if isinstance(end, Outcome) else folder), {}
-    if isinstance(folder, Place):
-        published = read_manifest(folder, damaged=True) or {"attempt": ""}
-        at = {"results": f"{folder}/attempts/{published['attempt']}"}
-    elif folder is not None:
-        away, home = os.path.realpath(folder), os.path.realpath(page)
-        with suppress(ValueError):  # on another drive
-            away = os.path.relpath(away, home)
-        at = {"results": Path(away).as_posix()}
-    repeated = end is None or (isinstance(end, Outcome) and end.repeated)
-    if repeated and chosen.is_unchanged(ref):
-        return {**chosen.known[ref].row, **at}
-    from unbend.report.html import row_of, row_without
+@dataclass(frozen=True)
+class KnownMission:
+    """A mission that is unchanged: what its manifest says of it, and its row of a page."""
 
-    if isinstance(end, Outcome):
-        return {**row_of(end.manifest), **at}
-    if isinstance(end, UnbendError):
-        return row_without(name, end.exit_code, end.code, end.what)
-    if end is not None:
-        return row_without(name, EXIT_BUG, "", "a bug in unbend")
-    manifest = None if folder is None else read_manifest(folder, damaged=True)
-    if manifest is None or manifest["mission"] != name:
-        return row_without(name, None, "", "it has no results yet")
-    return {**row_of(manifest), **at}
+    name: str
+    output: Path
+    exit_code: int
+    row: Row | None
 
 
 @dataclass(frozen=True)
 class Selection:
-    """Missions, their campaigns; ``called`` : names, folders; ``known`` : what the index says."""
+    """Missions and their campaigns: which are refused, and which are unchanged."""
 
     missions: tuple[MissionRef, ...]
     campaigns: tuple[Campaign, ...]
-    called: Mapping[MissionRef, tuple[str, Path | Place]]
+    called: Mapping[MissionRef, NamedMission]
     refused: Mapping[MissionRef, UnbendError]
-    known: Mapping[MissionRef, IndexEntry]
+    known: Mapping[MissionRef, KnownMission]
 
     def is_unchanged(self, ref: MissionRef) -> bool:
-        return ref in self.known and self.known[ref].unchanged
+        """Whether a mission is known not to run."""
+        return ref in self.known
 
     def ends(
-        self, run: Callable[[list[MissionRef]], Iterable[tuple[MissionRef, MissionEnd]]],
-        *, again: bool = False,
-    ) -> Generator[tuple[MissionRef, MissionEnd]]:  # fmt: skip
+        self,
+        run: Callable[[list[MissionRef]], Iterable[tuple[MissionRef, MissionEnd]]],
+        *,
+        again: bool = False,
+    ) -> Generator[tuple[MissionRef, MissionEnd]]:
         """How each mission ended; what is not refused or (but for ``again``) unchanged is run."""
         waiting = []
         for ref in self.missions:
             if ref in self.refused:
                 yield ref, self.refused[ref]
-            elif again or not self.is_unchanged(ref):
+            elif again or ref not in self.known:
                 waiting.append(ref)
             else:
-                entry = self.known[ref]
-                manifest = (read_manifest(entry.output) if len(self.missions) == 1 else None) or {}
-                yield ref, Outcome(entry.name, entry.output, manifest, entry.exit_code, True)
+                yield ref, self._repeated(self.known[ref])
         if waiting:
             yield from run(waiting)
 
+    def _repeated(self, known: KnownMission) -> Outcome:
+        """The outcome of an unchanged mission, with its manifest where that will be shown."""
+        manifest = None
+        if len(self.missions) == 1:
+            manifest = read_manifest(known.output)
+        return Outcome(
+            name=known.name,
+            output=known.output,
+            manifest=manifest or {},
+            exit_code=known.exit_code,
+            repeated=True,
+        )
+
 
 def select_missions(
-    configs: Iterable[Path], names: Sequence[str] = (), part: slice = slice(None),
-    *, writes: bool = True,
-) -> Selection:  # fmt: skip
+    configs: Iterable[Path],
+    names: Sequence[str] = (),
+    part: slice = slice(None),
+    *,
+    writes: bool = True,
+) -> Selection:
     """The missions of mission and campaign files; of them ``names`` (or files), and a ``part``.
 
     Refuses (ConfigError) twins in a campaign, a name that no mission has (CAMPAIGN-MISSION), and
     with ``writes`` a page of somebody else.
     """
     missions, campaigns = open_configs(configs)
-    known = look_up(missions)
-    listed: list[tuple[MissionRef, str, Path | Place]] = []
+    known = known_missions(missions, with_rows=writes and bool(campaigns))
+    listed = list(named_missions(missions, known))
+    for campaign in campaigns:
+        own = set(campaign.missions)
+        refuse_twins(campaign, [mission for mission in listed if mission.ref in own])
+        if writes:
+            refuse_foreign_page(campaign.output)
+    chosen = missions
+    if names:
+        chosen = missions_called(names, listed)
+    return Selection(
+        missions=tuple(chosen[part]),
+        campaigns=tuple(campaigns),
+        called={mission.ref: mission for mission in listed},
+        refused=shared_outputs((mission.ref, mission.output) for mission in listed),
+        known=known,
+    )
+
+
+def known_missions(
+    missions: Iterable[MissionRef], *, with_rows: bool
+) -> dict[MissionRef, KnownMission]:
+    """The missions that are unchanged."""
+    known = {}
+    for ref in missions:
+        unchanged = find_unchanged(ref)
+        if unchanged is None:
+            continue
+        row = row_of(unchanged.manifest) if with_rows else None
+        exit_code = int(unchanged.manifest["exit_code"])
+        known[ref] = KnownMission(unchanged.name, unchanged.output, exit_code, row)
+    return known
+
+
+def named_missions(
+    missions: Iterable[MissionRef], known: Mapping[MissionRef, KnownMission]
+) -> Iterator[NamedMission]:
+    """Missions whose files can be read, with their names and outputs."""
     for ref in missions:
         if ref in known:
-            listed.append((ref, known[ref].name, known[ref].output))
+            yield NamedMission(ref, known[ref].name, known[ref].output)
             continue
         with suppress(UnbendError):  # raised again, and reported, when the mission is run
             mission = ref.load()
-            listed.append((ref, mission.mission.name, located(mission.output.path, ref.folder)))
-    for campaign in campaigns:
-        own = {*campaign.missions}
-        refuse_twins(campaign, [item for item in listed if item[0] in own])
-        if writes:
-            refuse_foreign_page(campaign.output)
-    called = {ref: (name, folder) for ref, name, folder in listed}
-    words = {ref: {name, ref.words[-1]} for ref, (name, _) in called.items()}
-    for name in {*names} - {word for of in words.values() for word in of}:
-        there = ", ".join(sorted(of for of, _ in called.values())[:20])
-        raise ConfigError.of("CAMPAIGN-MISSION", name=name, known=there)
-    chosen = [ref for ref in missions if not names or words.get(ref, set()) & {*names}]
-    shared = shared_outputs((ref, folder) for ref, _, folder in listed)
-    return Selection(tuple(chosen[part]), tuple(campaigns), called, shared, known)
+            yield NamedMission(ref, mission.mission.name, output_of(mission, ref.folder))
 
 
-def keep_unchanged(chosen: Selection, ended: Mapping[MissionRef, MissionEnd]) -> None:
-    """Let the index know the missions that are done, so that the next run need not read them."""
-    done = {ref: end for ref, end in ended.items() if isinstance(end, Outcome)}
-    new = [ref for ref, end in done.items() if not (end.repeated and chosen.is_unchanged(ref))]
-    if new:
-        from unbend.report.html import row_of
+def missions_called(names: Sequence[str], listed: Sequence[NamedMission]) -> list[MissionRef]:
+    """The missions of some names or files; refuses (CAMPAIGN-MISSION) a name that none has."""
+    wanted = set(names)
+    chosen = []
+    for mission in listed:
+        own = {mission.name, mission.ref.words[-1]}
+        if own & set(names):
+            chosen.append(mission.ref)
+        wanted -= own
+    for name in wanted:
+        known = sorted(mission.name for mission in listed)
+        raise messages.no_such_mission(name=name, known=known[:_MOST_LISTED])
+    return chosen
 
-        remember(new, row_of)
+
+def refuse_foreign_page(output: Path) -> None:
+    """Refuse (STORAGE-NOT-OURS) to replace a page or table that no campaign has written."""
+    present = [name for name in (PAGE, TABLE) if (output / name).exists()]
+    if present and not is_page_ours(output, present):
+        raise messages.files_not_ours(path=str(output), results=present)
+
+
+def is_page_ours(output: Path, present: Sequence[str]) -> bool:
+    """Whether a campaign wrote the page, or the table where that is alone."""
+    if PAGE in present:
+        return MARK in head_of(output / PAGE)
+    # The page was removed, or a run ended between the two.
+    from pyarrow.parquet import read_schema
+
+    try:
+        return b"unbend.campaign" in (read_schema(output / TABLE).metadata or {})
+    except (OSError, ValueError):  # ValueError: no Parquet
+        return False
+
+
+def write_pages(chosen: Selection, ended: Mapping[MissionRef, MissionEnd]) -> Iterator[Path]:
+    """Write page and table of each campaign, where they say something new; yields the pages."""
+    for campaign in chosen.campaigns:
+        rows = [page_row(chosen, ref, ended.get(ref), campaign.output) for ref in campaign.missions]
+        content = json.dumps([code_hash(), campaign.name, rows])
+        digest = hashlib.sha256(content.encode()).hexdigest()
+        page = campaign.output / PAGE
+        if not (campaign.output / TABLE).exists() or f'"{digest}"' not in head_of(page):
+            write_page(campaign, rows, digest)
+        yield page
+
+
+def head_of(page: Path) -> str:
+    """The beginning of a page, which says who wrote it and of what; "" where there is none."""
+    try:
+        with page.open(encoding="utf-8") as file:
+            return file.read(_HEAD_CHARACTERS)
+    except (OSError, ValueError):  # ValueError: no UTF-8
+        return ""
+
+
+def write_page(campaign: Campaign, rows: Sequence[Row], digest: str) -> None:
+    """Write the table of a campaign, and last its page."""
+    from unbend.tables.writing import write_parquet
+
+    with storage_errors(campaign.output):
+        campaign.output.mkdir(parents=True, exist_ok=True)
+    with atomic_write(campaign.output / TABLE) as draft:
+        write_parquet(campaign_table(campaign.name, rows), draft)
+    with atomic_write(campaign.output / PAGE) as draft:
+        draft.write_text(campaign_page(campaign.name, rows, digest), encoding="utf-8")
+
+
+def page_row(chosen: Selection, ref: MissionRef, end: MissionEnd | None, page: Path) -> Row:
+    """What the page in a folder shows of a mission."""
+    name = ref.label
+    output: Path | Place | None = None
+    if ref in chosen.called:
+        name = chosen.called[ref].name
+        output = chosen.called[ref].output
+    if isinstance(end, Outcome):
+        output = end.output
+    link = {} if output is None else {"results": link_to(output, page)}
+    return {**row_of_end(chosen, ref, end, name, output), **link}
+
+
+def row_of_end(
+    chosen: Selection,
+    ref: MissionRef,
+    end: MissionEnd | None,
+    name: str,
+    output: Path | Place | None,
+) -> Row:
+    """What is known of a mission that ended now, or before, or never ran."""
+    is_repeated = end is None or (isinstance(end, Outcome) and end.repeated)
+    if is_repeated and ref in chosen.known:
+        known = chosen.known[ref].row
+        if known is not None:
+            return known
+    if isinstance(end, Outcome):
+        return row_of(end.manifest)
+    if isinstance(end, UnbendError):
+        return row_without(name, end.exit_code, end.code, end.what)
+    if end is not None:
+        return row_without(name, EXIT_BUG, "", "a bug in unbend")
+    manifest = None if output is None else read_manifest(output, damaged=True)
+    if manifest is None or manifest["mission"] != name:
+        return row_without(name, None, "", "it has no results yet")
+    return row_of(manifest)
+
+
+def link_to(output: Path | Place, page: Path) -> str:
+    """Where the report of a mission lies, as seen from the folder of a page."""
+    if isinstance(output, Place):
+        published = read_manifest(output, damaged=True) or {"attempt": ""}
+        return f"{output}/attempts/{published['attempt']}"
+    target = os.path.realpath(output)
+    with suppress(ValueError):  # on another drive
+        target = os.path.relpath(target, os.path.realpath(page))
+    return Path(target).as_posix()
 
 
 def run_chosen(ref: MissionRef, **options: Any) -> Outcome:

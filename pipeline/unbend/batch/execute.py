@@ -11,9 +11,10 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
+from unbend.batch import messages
 from unbend.batch.executors import Bug, Executor, Lost, Outcome, Task
-from unbend.batch.store import read_manifest
-from unbend.errors import ConfigError, MissionError, UnbendError
+from unbend.batch.results import read_manifest
+from unbend.errors import UnbendError
 from unbend.exit_codes import EXIT_BUG, EXIT_DONE, EXIT_LOSSES, EXIT_REFUSED
 
 if TYPE_CHECKING:
@@ -37,18 +38,34 @@ def run_many(
             if isinstance(end, Lost):
                 lost[mission] = end
             else:
-                yield mission, _read(end)
+                yield mission, with_manifest(end)
     if not lost:
         return
     # Most processes that die do so for want of memory: now each mission has the machine alone.
-    with closing(executor.run({mission: tasks[mission] for mission in lost}, alone=True)) as ends:
+    again = {mission: tasks[mission] for mission in lost}
+    with closing(executor.run(again, alone=True)) as ends:
         for mission, end in ends:
             if isinstance(end, Lost):
-                replay, first = shlex.join(["unbend", "run", *mission.words]), lost[mission].how
-                end = MissionError.of(
-                    "WORKER-LOST", mission.path, first=first, second=end.how, replay=replay
+                end = messages.worker_lost(
+                    path=str(mission.path),
+                    first=lost[mission].how,
+                    second=end.how,
+                    replay=shlex.join(["unbend", "run", *mission.words]),
                 )
-            yield mission, _read(end)
+            yield mission, with_manifest(end)
+
+
+def with_manifest(end: MissionEnd) -> MissionEnd:
+    """How a mission ended, with its manifest; refuses results that are not here."""
+    if not isinstance(end, Outcome) or not end.fingerprint:
+        return end
+    try:
+        manifest = read_manifest(end.output)
+        if manifest is None or manifest["fingerprint"] != end.fingerprint:
+            raise messages.results_elsewhere(path=str(end.output), name=end.name)
+    except UnbendError as error:
+        return error
+    return replace(end, manifest=manifest, fingerprint="")
 
 
 def shard_of(shard: str | None) -> slice:
@@ -57,23 +74,16 @@ def shard_of(shard: str | None) -> slice:
     >>> "abcdefg"[shard_of("1/3")], "abcdefg"[shard_of(None)]
     ('be', 'abcdefg')
     """
-    found = re.fullmatch(r"(\d+)/(\d+)", shard or "0/1")
-    if found is None or not int(found[1]) < int(found[2]):
-        raise ConfigError.of("RUN-SHARD", "--shard", shard=shard)
-    return slice(int(found[1]), None, int(found[2]))
-
-
-def _read(end: MissionEnd) -> MissionEnd:
-    """How a mission ended, with its manifest; refuses results that are not here."""
-    if not isinstance(end, Outcome) or not end.fingerprint:
-        return end
-    try:
-        manifest = read_manifest(end.output)
-        if manifest is None or manifest["fingerprint"] != end.fingerprint:
-            raise MissionError.of("RESULTS-ELSEWHERE", end.output, name=end.name)
-    except UnbendError as error:
-        return error
-    return replace(end, manifest=manifest, fingerprint="")
+    if shard is None:
+        return slice(None)
+    found = re.fullmatch(r"(\d+)/(\d+)", shard)
+    if found is None:
+        raise messages.no_such_shard(shard=shard)
+    number = int(found[1])
+    jobs = int(found[2])
+    if number >= jobs:
+        raise messages.no_such_shard(shard=shard)
+    return slice(number, None, jobs)
 
 
 def shared_outputs(folders: Iterable[tuple[MissionRef, object]]) -> dict[MissionRef, UnbendError]:
@@ -81,26 +91,29 @@ def shared_outputs(folders: Iterable[tuple[MissionRef, object]]) -> dict[Mission
 
     Folders are compared after symbolic links are resolved, and on Windows without case.
     """
-    first_of: dict[str, int] = {}
+    first_of: dict[str, MissionRef] = {}
     refused: dict[MissionRef, UnbendError] = {}
-    listed = list(folders)
-    for number, (ref, folder) in enumerate(listed):
-        first = first_of.setdefault(os.path.normcase(os.path.realpath(str(folder))), number)
-        if first != number:
-            path = listed[first][0].path
-            refused[ref] = ConfigError.of("OUTPUT-SHARED", "output.path", first=path)
+    for mission, folder in folders:
+        place = os.path.normcase(os.path.realpath(str(folder)))
+        if place in first_of:
+            refused[mission] = messages.output_shared(first=str(first_of[place].path))
+        else:
+            first_of[place] = mission
     return refused
 
 
-def exit_code_of(codes: Sequence[int]) -> int:
+def exit_code_of_command(codes: Sequence[int]) -> int:
     """The exit code of one mission, or of several: 1 for a bug, 6 for a refusal, else the worst.
 
-    >>> exit_code_of([0, 3]), exit_code_of([2]), exit_code_of([0, 2]), exit_code_of([6, 1])
-    (3, 2, 6, 1)
+    >>> [exit_code_of_command(codes) for codes in ([0, 3], [2], [0, 2], [6, 1])]
+    [3, 2, 6, 1]
     """
-    if len(codes) < 2:
-        return codes[0] if codes else EXIT_DONE
+    if not codes:
+        return EXIT_DONE
+    if len(codes) == 1:
+        return codes[0]
     if EXIT_BUG in codes:
         return EXIT_BUG
-    done = (EXIT_DONE, EXIT_LOSSES)
-    return max(code if code in done else EXIT_REFUSED for code in codes)
+    if any(code not in (EXIT_DONE, EXIT_LOSSES) for code in codes):
+        return EXIT_REFUSED
+    return max(codes)

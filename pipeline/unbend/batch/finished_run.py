@@ -20,10 +20,12 @@ from unbend.atmosphere.layers import Layers
 from unbend.atmosphere.profile import Profile
 from unbend.atmosphere.refractive_index import IndexModel
 from unbend.atmosphere.series.profile_series import ProfileSeries, TimedProfile
-from unbend.batch import store
-from unbend.batch.object_store import Place, fetched, is_url, version_of
+from unbend.batch import messages, remote, store
+from unbend.batch.manifest import MANIFEST, manifest_text
+from unbend.batch.remote import Place, is_url
+from unbend.batch.results import find_damage, manifest_of_run, verify_run
 from unbend.config import Mission
-from unbend.errors import ConfigError, InputError, MissionError, StorageError
+from unbend.errors import ConfigError, InputError, MissionError
 from unbend.flight.heights import HIGHEST_GROUND_M, LOWEST_GROUND_M
 from unbend.flight.stations import NO_TIME, SUSPECT, Stations
 from unbend.geodesy import Gravity
@@ -183,7 +185,7 @@ def largest_difference_px(run: FinishedRun, table: pa.Table, station: Integers) 
 def refuse_output(run: Path, out: Path, *, force: bool) -> None:
     """Refuse to write among the results of a run, over a file that is there already, to a URL."""
     if is_url(str(out)):
-        raise ConfigError.of("URL-INVALID/refuse-output", out)
+        raise messages.url_for_export(url=str(out))
     for resolve in (os.path.abspath, os.path.realpath):
         if Path(resolve(out)).is_relative_to(resolve(run)):
             raise ConfigError.of("EXPORT-INSIDE-RUN", out)
@@ -253,39 +255,18 @@ def database_of(mission: Mission, manifest: dict[str, Any], path: Path) -> Path 
     return file if is_it else None
 
 
-def manifest_of_run(path: Path | Place) -> dict[str, Any]:
-    """The manifest of a finished run; refuses (VERIFY-NO-MANIFEST) a place without."""
-    manifest = store.read_manifest(path)
-    if manifest is None:
-        raise StorageError.of("VERIFY-NO-MANIFEST", path)
-    return manifest
-
-
 def copy_of_run(place: Place) -> Path:
     """A copy in the user's cache of what is published at a place, as a folder; anew if replaced."""
     manifest = manifest_of_run(place)
-    attempt = Place.of(f"{place}/attempts/{manifest['attempt']}/")
     with suppress(FileNotFoundError, InputError):
-        copy = fetched(attempt, version_of(attempt))
-        if not store.find_damage(place, manifest, read=False):  # all was there until now
-            with store.atomic_write(copy / store.MANIFEST) as draft:
-                draft.write_text(json.dumps(manifest), encoding="utf-8")
+        copy = remote.copy_of_attempt(place, manifest)
+        if not find_damage(place, manifest, read=False):  # all was there until now
+            with store.atomic_write(copy / MANIFEST) as draft:
+                draft.write_text(manifest_text(manifest), encoding="utf-8")
             return copy
     if verify_run(place) == manifest:
-        raise InputError.of("INPUT-CHANGED", place, role="results")
+        raise messages.input_changed(role="results", path=str(place))
     return copy_of_run(place)
-
-
-def verify_run(path: Path | Place) -> dict[str, Any]:
-    """The manifest of a run whose results are whole and unchanged; refuses any other."""
-    manifest = manifest_of_run(path)
-    damage = store.find_damage(path, manifest)
-    if damage and isinstance(path, Place) and store.read_manifest(path) != manifest:
-        return verify_run(path)
-    if damage:
-        lines = "\n    ".join(damage)
-        raise StorageError.of("VERIFY-DAMAGED", path, count=len(damage), lines=lines)
-    return manifest
 
 
 def export_run(

@@ -5,12 +5,13 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from unbend.batch.object_store import Place, fetched, version_of
-from unbend.batch.plan import input_paths
+from unbend.batch import messages, remote
+from unbend.batch.input_files import named_inputs
+from unbend.batch.plan import located, with_camera_files
+from unbend.batch.remote import Place
 from unbend.config import Mission
 from unbend.config.orientations import KnownPositions as KnownPositionsSection
 from unbend.config.orientations import OrientationSection
-from unbend.errors import InputError
 from unbend.flight.channels import Channel
 from unbend.ingest import Log, open_log
 from unbend.messages import Ledger
@@ -103,20 +104,17 @@ def paths_beside_tables(mission: Mission, folder: Path) -> tuple[Mission, dict[s
     there; an input in object storage is copied.
     """
     paths = {}
-    for role, (_, place) in input_paths(mission, folder).items():
-        if role in ("log", "observations", "orientation"):
+    for named in named_inputs(mission):
+        if named.role in ("log", "observations", "orientation"):
             continue
+        place = located(named.name, folder)
         if isinstance(place, Place):
-            paths[role] = fetched(place, version_of(place))
+            paths[named.role] = remote.fetch(remote.look_up(place))
         elif place.exists():
-            paths[role] = place
+            paths[named.role] = place
         else:
-            raise InputError.of("INPUT-MISSING/role", place, role=role, named=role)
-    cameras = {}
-    for name, camera in mission.cameras.items():
-        path = paths.get(f"camera {name}")
-        cameras[name] = camera if path is None else camera.with_file(path)
-    return mission.model_copy(update={"cameras": cameras}), paths
+            raise messages.input_missing(role=named.role, path=str(place), key=named.key)
+    return with_camera_files(mission, paths), paths
 
 
 def _trajectory(mission: Mission, paths: Paths) -> ChannelReader | None:

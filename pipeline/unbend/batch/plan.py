@@ -1,54 +1,68 @@
-"""What a result depends on: inputs, mission file, code, libraries; and how a mission ended."""
+"""A mission before it is run: its inputs hashed, and where its results go."""
+
+from __future__ import annotations
 
 import hashlib
-import json
 import os
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import reduce
+from functools import cached_property
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
-from unbend.batch import file_hashes
-from unbend.batch.executors import Outcome
-from unbend.batch.file_hashes import GDAL, Input, files_of, remembered_hash
-from unbend.batch.keys import TABLES, keys_of, libraries
-from unbend.batch.object_store import Place, copy_of, fetched, is_url, version_of
+from unbend.batch import messages, remote
+from unbend.batch.fingerprint import fingerprint_of, versions_of
+from unbend.batch.input_files import (
+    Input,
+    InputRecord,
+    NamedInput,
+    check_unchanged,
+    files_of,
+    hash_input,
+    named_inputs,
+    record_of,
+    state_of,
+)
+from unbend.batch.remote import Place, RemoteInput, is_url
+from unbend.batch.results import read_manifest
 from unbend.batch.store import would_replace
 from unbend.caches import user_cache
 from unbend.config import Mission
-from unbend.errors import ConfigError, InputError, UnbendError
-from unbend.tables.imports.blocks import BLOCKS
-
-MANIFEST_VERSION = 1
-INPUTS: dict[str, str] = TABLES["inputs"]
-_EXIF_BYTES = 1 << 18
+from unbend.errors import UnbendError
+from unbend.tables.manifest import MANIFEST_VERSION
 
 
 @dataclass(frozen=True)
 class Plan:
-    """A mission with its inputs hashed; ``camera_names`` by what a block calls its cameras."""
+    """A mission with its inputs hashed; ``camera_names`` by what a block calls its cameras.
+
+    ``text_sha256`` is of the mission file that it was read from; "" where that is not known.
+    """
 
     mission: Mission
     inputs: tuple[Input, ...]
     output: Path | Place
     camera_names: Mapping[str, str] = field(default_factory=dict)
+    text_sha256: str = ""
+    remotes: Mapping[str, RemoteInput] = field(default_factory=dict)
 
-    @property
-    def keys(self) -> dict[str, str]:
-        """The key of each stage, as in the manifest."""
-        config = self.mission.model_dump(mode="json")
-        return keys_of(config, {item.role: item.sha256 for item in self.inputs})
+    @cached_property
+    def config(self) -> dict[str, Any]:
+        """The mission as understood, for the manifest."""
+        return self.mission.model_dump(mode="json")
 
-    @property
-    def libraries(self) -> dict[str, dict[str, str | None]]:
-        return libraries([item.role for item in self.inputs], self.mission.atmosphere.standard)
+    @cached_property
+    def versions(self) -> dict[str, str]:
+        """Versions of all that its numbers depend on."""
+        roles = [item.role for item in self.inputs]
+        return versions_of(roles, self.mission.atmosphere.standard)
 
-    @property
+    @cached_property
     def fingerprint(self) -> str:
-        """SHA-256 over the keys of all stages."""
-        return hashlib.sha256(json.dumps(self.keys, sort_keys=True).encode()).hexdigest()
+        """SHA-256 over all that its results depend on."""
+        hashes = {item.role: item.sha256 for item in self.inputs}
+        return fingerprint_of(self.config, self.versions, hashes)
 
     @property
     def folder(self) -> Path:
@@ -58,21 +72,31 @@ class Plan:
         key = hashlib.sha256(str(self.output).encode()).hexdigest()[:32]
         return Path(user_cache()) / "results" / key / "run"
 
-    @property
-    def decoded_log(self) -> str:
-        """What its log is kept under once it is decoded: its key, and its path, which it names."""
-        words = f"{self.keys['ingest']} {self.input('log').path}"
-        return f"log-{hashlib.sha256(words.encode()).hexdigest()}"
-
     def input(self, role: str) -> Input:
         """The input of a role: log, observations, events, orientation, or ``sounding 1``."""
         return next(item for item in self.inputs if item.role == role)
 
+    def identity(self) -> dict[str, Any]:
+        """What of the manifest says which run it is of."""
+        return {
+            "manifest_version": MANIFEST_VERSION,
+            "mission": self.mission.mission.name,
+            "fingerprint": self.fingerprint,
+            "mission_file_sha256": self.text_sha256,
+            "config": self.config,
+            "inputs": [item.record.row() for item in self.inputs],
+            "versions": self.versions,
+        }
 
-def outcome_of(plan: Plan, manifest: dict[str, Any], *, repeated: bool) -> Outcome:
-    return Outcome(
-        plan.mission.mission.name, plan.output, manifest, int(manifest["exit_code"]), repeated
-    )
+    def check_unchanged(self, *, folders: bool = True) -> None:
+        """Refuse (INPUT-CHANGED) inputs that were written to, or replaced, since they were hashed.
+
+        Without ``folders`` those of images are not looked at, and no object storage.
+        """
+        check_unchanged(self.inputs, folders=folders)
+        if folders:
+            for role, item in self.remotes.items():
+                remote.refuse_changed(item, role=role)
 
 
 def located(name: str, folder: Path = Path()) -> Path | Place:
@@ -80,116 +104,162 @@ def located(name: str, folder: Path = Path()) -> Path | Place:
     return Place.of(name) if is_url(name) else folder / name
 
 
-def input_paths(mission: Mission, folder: Path) -> dict[str, tuple[str, Path | Place]]:
-    """role -> (name in the mission file, path) of the files a mission reads."""
-    rasters = mission.ground.model.paths if mission.ground.model is not None else ()
-    several = {
-        "elevation model": {f"elevation model {i}": path for i, path in enumerate(rasters, 1)},
-        "camera": {f"camera {name}": c.file for name, c in mission.cameras.items() if c.file},
-        "events of": {f"events of {c}": of.path for c, of in mission.position_events.items()},
-        "sounding": {sounding_role(i): s.path for i, s in enumerate(mission.atmosphere.soundings)},
-    }
-    named: dict[str, str] = {}
-    for role, key in INPUTS.items():
-        path = reduce(lambda of, name: getattr(of, name, None), key.split("."), cast(Any, mission))
-        if role in several:
-            named |= several[role]
-        elif isinstance(path, str) and (key, path) != ("mission.geoid", "egm96"):
-            named[role] = path
-    return {role: (name, located(name, folder)) for role, name in named.items()}
+def output_of(mission: Mission, folder: Path) -> Path | Place:
+    """Where the results of a mission go."""
+    output = located(mission.output.path, folder)
+    return output if isinstance(output, Place) else Path(os.path.normpath(output))
 
 
-def sounding_role(number: int) -> str:
-    """The role of a sounding among the inputs, counted from 0."""
-    return f"sounding {number + 1}"
-
-
-def is_raster(role: str) -> bool:
-    return role == "geoid" or role.startswith("elevation model")
-
-
-def make_plan(mission: Mission, folder: Path, *, verify: bool = False) -> Plan:
+def make_plan(
+    mission: Mission, folder: Path, *, verify: bool = False, text_sha256: str = ""
+) -> Plan:
     """Hash the inputs of a mission; relative paths resolve from the mission file's folder.
 
-    Unchanged files are read only to ``verify``. Refuses results that would go over an input.
+    An input that is unchanged by size and time since the run whose results are there is read only
+    to ``verify``. Refuses results that would go over an input.
     """
-    output = located(mission.output.path, folder)
-    output = output if isinstance(output, Place) else Path(os.path.normpath(output))
-    _refuse_among_results("mission", folder, output)
+    output = output_of(mission, folder)
+    refuse_among_results("mission", folder, output)
+    earlier = read_manifest(output, damaged=True)
+    records: dict[str, InputRecord] = {}
+    if earlier is not None and not verify:
+        rows = map(InputRecord.of_row, earlier.get("inputs", ()))
+        records = {record.role: record for record in rows}
     inputs = []
-    orientation = mission.stations.orientation
-    of_images = orientation is not None and orientation.format == "dji"
-    of_folders = ("images", "orientation") if of_images else ("images",)
-    programs = {f"camera {name}": camera.format for name, camera in mission.cameras.items()}
-    programs |= {"observations": mission.observations.format,
-                 "orientation": None if orientation is None else orientation.format}  # fmt: skip
-    for role, (name, path) in input_paths(mission, folder).items():
-        program = programs.get(role) if programs.get(role) in BLOCKS else None
-        may_be_folder, version = role in of_folders or program is not None, ""
-        program = GDAL if is_raster(role) else program
-        try:
-            if isinstance(path, Place):
-                with suppress(FileNotFoundError):
-                    version = version_of(path) if may_be_folder or not path.is_folder else ""
-                is_there = bool(version)
+    remotes = {}
+    for named in named_inputs(mission):
+        place = located(named.name, folder)
+        with readable(named, place):
+            if isinstance(place, Place):
+                remotes[named.role] = found = look_up(named, place)
+                refuse_among_results(named.role, place, output)
+                inputs.append(remote_input(named, found, records.get(named.role), verify=verify))
             else:
-                is_there = path.is_file() or (path.is_dir() and may_be_folder)
-            if not is_there:
-                key = INPUTS[max((r for r in INPUTS if role.startswith(r)), key=len)]
-                raise InputError.of("INPUT-MISSING/role", path, role=role, named=key)
-            _refuse_among_results(role, path, output)
-            if isinstance(path, Place):
-                key, copy = f"{path} {program}", copy_of(path, version)
-                known = None if verify else file_hashes.recalled(key, version)
-                if known is None or role.startswith("camera "):  # that is read with the file
-                    copy = fetched(path, version, anew=verify)
-                sha256 = known or _hash_input(copy, program, verify=verify)
-                file_hashes.remember({key: (version, sha256)})
-                inputs.append(Input(role, name, copy, sha256, version, program, path))
-            else:
-                before = tuple(map(file_hashes.stamp, files_of(path, program)))
-                sha256 = _hash_input(path, program, verify=verify)
-                inputs.append(Input(role, name, path, sha256, before, program))
-        except OSError as error:
-            raise InputError(
-                "INPUT-UNREADABLE", str(error.strerror), where=str(path), remedy="mend permissions"
-            ) from None
-    files = {item.role: item.path for item in inputs if item.role.startswith("camera ")}
-    cameras = {
-        name: camera.with_file(files[f"camera {name}"]) if camera.file is not None else camera
-        for name, camera in mission.cameras.items()
-    }
-    names = {str(c.camera or name): name for name, c in mission.cameras.items()}
-    only = next(iter(mission.cameras.values()))
-    names |= {"": next(iter(names.values()))} if len(names) == 1 and only.camera is None else {}
-    return Plan(mission.model_copy(update={"cameras": cameras}), tuple(inputs), output, names)
+                refuse_missing(named, place)
+                refuse_among_results(named.role, place, output)
+                inputs.append(local_input(named, place, records.get(named.role), verify=verify))
+    return Plan(
+        mission=with_camera_files(mission, {item.role: item.path for item in inputs}),
+        inputs=tuple(inputs),
+        output=output,
+        camera_names=names_of_cameras(mission),
+        text_sha256=text_sha256,
+        remotes=remotes,
+    )
+
+
+@contextmanager
+def readable(named: NamedInput, place: Path | Place) -> Iterator[None]:
+    """Raise what the operating system says of an input as a refusal."""
+    try:
+        yield
+    except FileNotFoundError:
+        raise messages.input_missing(role=named.role, path=str(place), key=named.key) from None
+    except OSError as error:
+        raise messages.input_unreadable(path=str(place), error=str(error.strerror)) from None
+
+
+def refuse_missing(named: NamedInput, path: Path) -> None:
+    """Refuse (INPUT-MISSING) an input that is not there, or a folder in the place of a file."""
+    if path.is_file() or (path.is_dir() and named.may_be_folder):
+        return
+    raise messages.input_missing(role=named.role, path=str(path), key=named.key)
+
+
+def local_input(named: NamedInput, path: Path, known: InputRecord | None, *, verify: bool) -> Input:
+    """An input in a folder; not read where it is like the record that is known of it."""
+    files = files_of(path, named.program)
+    states = tuple(state_of(file) for file in files)
+    record = record_of(named, files, states)
+    if record.is_like(known) and known is not None:
+        record = known
+    else:
+        sha256 = hash_input(path, named.program, files, () if verify else states)
+        record = record.with_hash(sha256)
+    return Input(record, path, states, named.program)
+
+
+def look_up(named: NamedInput, place: Place) -> RemoteInput:
+    """An input in object storage; FileNotFoundError where it is not there, or is a folder."""
+    if place.is_folder and not named.may_be_folder:
+        raise FileNotFoundError(str(place))
+    return remote.look_up(place)
+
+
+def remote_input(
+    named: NamedInput, found: RemoteInput, known: InputRecord | None, *, verify: bool
+) -> Input:
+    """An input in object storage; not copied where its version is the one that is known."""
+    record = InputRecord(
+        role=named.role,
+        name=named.name,
+        sha256="",
+        size_bytes=found.size_bytes,
+        mtime_ns=found.mtime_ns,
+        version=found.version,
+    )
+    of_camera = named.role.startswith("camera ")  # it is read when the mission is understood
+    if record.is_like(known) and known is not None and not of_camera:
+        record = known
+    else:
+        copy = remote.fetch(found, anew=verify)
+        sha256 = hash_input(copy, named.program, files_of(copy, named.program))
+        record = record.with_hash(sha256)
+    return Input(record, found.copy, program=named.program, url=str(found.place))
+
+
+def with_camera_files(mission: Mission, paths: Mapping[str, Path]) -> Mission:
+    """The mission with what the files of its cameras say; ``paths`` of inputs by their roles."""
+    cameras = {}
+    for name, camera in mission.cameras.items():
+        role = f"camera {name}"
+        cameras[name] = camera.with_file(paths[role]) if role in paths else camera
+    return mission.model_copy(update={"cameras": cameras})
+
+
+def names_of_cameras(mission: Mission) -> dict[str, str]:
+    """The names of cameras by what a block calls them; "" is the only one of a mission."""
+    names = {str(camera.camera or name): name for name, camera in mission.cameras.items()}
+    if len(mission.cameras) == 1:
+        (only,) = mission.cameras.values()
+        if only.camera is None:
+            names[""] = next(iter(names.values()))
+    return names
 
 
 def refuse_other_mission(plan: Plan, manifest: dict[str, Any] | None) -> None:
     """Refuse (OUTPUT-OTHER) a folder whose manifest is that of a mission of another name."""
     name = plan.mission.mission.name
     if manifest is not None and manifest["mission"] != name:
-        raise ConfigError.of(
-            "OUTPUT-OTHER", str(plan.output), manifest=manifest["mission"], name=name
+        raise messages.output_of_other_mission(
+            path=str(plan.output), other=str(manifest["mission"]), name=name
         )
 
 
-def _refuse_among_results(role: str, path: Path | Place, output: Path | Place) -> None:
-    if would_replace(output, path):
-        raise ConfigError.of("OUTPUT-OVER-INPUT", path, role=role, output=output)
+def refuse_among_results(role: str, path: Path | Place, output: Path | Place) -> None:
+    """Refuse (OUTPUT-OVER-INPUT) what a run would remove or replace."""
+    if isinstance(output, Place) and isinstance(path, Place):
+        replaced = remote.would_replace(output, path)
+    elif isinstance(output, Path) and isinstance(path, Path):
+        replaced = would_replace(output, path)
+    else:
+        replaced = False
+    if replaced:
+        raise messages.output_over_input(role=role, path=str(path), output=str(output))
 
 
 def fetch_inputs(plan: Plan) -> None:
     """Copy inputs in object storage that have no whole copy here; refuses INPUT-CHANGED."""
-    for item in plan.inputs:
-        if item.place is None:
-            continue
-        for anew in (False, True):
-            copy = fetched(item.place, str(item.stamp), anew=anew)
-            if _hash_input(copy, item.program, verify=anew) == item.sha256:
-                break
-        else:
-            raise InputError.of("INPUT-CHANGED", item.place, role=item.role)
+    for role, found in plan.remotes.items():
+        item = plan.input(role)
+        if not is_whole(item, found, anew=False) and not is_whole(item, found, anew=True):
+            raise messages.input_changed(role=role, path=item.url)
+
+
+def is_whole(item: Input, found: RemoteInput, *, anew: bool) -> bool:
+    """Whether the copy of an input holds what its hash says; it is made where it is not there."""
+    copy = remote.fetch(found, anew=anew)
+    return hash_input(copy, item.program, files_of(copy, item.program)) == item.sha256
 
 
 @contextmanager
@@ -199,21 +269,7 @@ def places_named(plan: Plan) -> Iterator[None]:
         yield
     except UnbendError as error:
         for item in plan.inputs:
-            error.where = error.where.replace(str(item.path), str(item.place or item.path))
+            if item.url:
+                error.where = error.where.replace(str(item.path), item.url)
         error.where = error.where.replace(str(plan.folder), str(plan.output))
         raise
-
-
-def _hash_input(path: Path, program: str | None, *, verify: bool) -> str:
-    """SHA-256 of a file, or of names and hashes of a block's, a raster's or a folder's files."""
-    files = files_of(path, program)
-    if files == (path,):
-        return remembered_hash(path, verify=verify)
-    digest = hashlib.sha256()
-    for file in files:
-        if program is not None:
-            digest.update(f"{file.name}\0{remembered_hash(file, verify=verify)}\0".encode())
-            continue
-        start = remembered_hash(file, verify=verify, of_jpeg=_EXIF_BYTES)
-        digest.update(f"{file.relative_to(path)}\0{file.stat().st_size}\0{start}\0".encode())
-    return digest.hexdigest()

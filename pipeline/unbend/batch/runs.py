@@ -1,7 +1,7 @@
 """A mission is run into its folder: locked, hashed, resumed, published; rehearsed; looked at."""
 
 import shutil
-from contextlib import ExitStack
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -11,26 +11,16 @@ from unbend.atmosphere import standard_atmosphere
 from unbend.atmosphere.air_samples import AirSamples
 from unbend.atmosphere.estimate.adjusted_profile import unadjusted
 from unbend.atmosphere.series.profile_series import TimedProfile, constant_series
-from unbend.batch import opening, run_files, store
-from unbend.batch.changes import drawn_before, reasons_to_run
-from unbend.batch.executors import ALONE, Helpers, Outcome
-from unbend.batch.file_hashes import check_unchanged
-from unbend.batch.keys import code_of_stages, key_of_drawn, versions
-from unbend.batch.object_store import Place
-from unbend.batch.plan import (
-    MANIFEST_VERSION,
-    Plan,
-    fetch_inputs,
-    make_plan,
-    outcome_of,
-    places_named,
-    refuse_other_mission,
-)
-from unbend.batch.publication import Publication, rehearse_place
-from unbend.batch.run_files import write_tables
-from unbend.batch.value_cache import keep, recall
+from unbend.batch import opening, remote, store
+from unbend.batch.differences import reasons_to_run
+from unbend.batch.executors import Outcome
+from unbend.batch.plan import Plan, fetch_inputs, make_plan, places_named, refuse_other_mission
+from unbend.batch.remote import Place
+from unbend.batch.results import read_manifest
+from unbend.batch.run_files import PartsOfRun, correct_into, write_tables
+from unbend.batch.unchanged import load
 from unbend.config.campaign import MissionRef
-from unbend.errors import storage_errors
+from unbend.errors import StorageError, storage_errors
 from unbend.messages import Ledger
 from unbend.refraction.effect import FlightAir
 from unbend.report.flown import Flown, flown_of
@@ -38,7 +28,7 @@ from unbend.report.html import write_report
 from unbend.report.progress import Progress
 from unbend.stages.correction import correct_counted
 from unbend.stages.correction_setup import CorrectionSetup
-from unbend.stages.outputs import observation_metadata
+from unbend.stages.results import observation_metadata
 from unbend.stages.statistics import SAMPLED_ROWS, Statistics
 from unbend.stages.story import CorrectedMission, PreparedMission, correct_mission, prepare_mission
 
@@ -48,69 +38,69 @@ def run_mission(
     *,
     force: bool = False,
     verify_inputs: bool = False,
-    helpers: Helpers = ALONE,
     progress: Progress | None = None,
 ) -> Outcome:
     """Run one mission into its folder of results, unless the same gave these before, or ``force``.
 
-    ``verify_inputs`` reads inputs that seem unchanged too. ``helpers`` make parts of it.
+    ``verify_inputs`` reads inputs that seem unchanged too.
     """
-    progress, ref = progress or Progress(), MissionRef.of(mission)
-    mission_file = ref.load()
+    progress = progress or Progress()
     progress.start("hashing the inputs")
-    plan = make_plan(mission_file, ref.folder, verify=verify_inputs)
+    plan = plan_of(mission, verify=verify_inputs)
     with places_named(plan):
-        run = run_plan
         if isinstance(plan.output, Place):
-            run = partial(run_and_publish, place=plan.output)
-        return run(plan, force=force, progress=progress, helpers=helpers)
+            return run_and_publish(plan, place=plan.output, force=force, progress=progress)
+        return run_plan(plan, force=force, progress=progress)
 
 
-def run_and_publish(
-    plan: Plan, *, place: Place, force: bool, progress: Progress, helpers: Helpers
-) -> Outcome:
+def plan_of(mission: MissionRef | Path | str, *, verify: bool = False) -> Plan:
+    """A mission file as understood, with its inputs hashed."""
+    ref = MissionRef.of(mission)
+    loaded = load(ref)
+    return make_plan(loaded.mission, ref.folder, verify=verify, text_sha256=loaded.text_sha256)
+
+
+def run_and_publish(plan: Plan, *, place: Place, force: bool, progress: Progress) -> Outcome:
     """Run a mission in the user's cache, then publish it, or only publish what was made before."""
-    before = Publication(place, plan.fingerprint)
+    publication = remote.Publication(place, plan.fingerprint)
     earlier = finished_before(plan, force=force)
     if earlier is not None:
         return outcome_of(plan, earlier, repeated=True)
-    rehearse_place(place, writes=True)
+    remote.rehearse(place, writes=True)
     with storage_errors(plan.folder):
         plan.folder.mkdir(parents=True, exist_ok=True)
     lock = store.lock_folder(plan.folder.parent)
     try:
         here = replace(plan, output=plan.folder)
-        run = run_plan(here, force=force, progress=progress, helpers=helpers)
+        run = run_plan(here, force=force, progress=progress)
         if run.repeated and store.find_damage(plan.folder, run.manifest):
             run = run_plan(here, force=True, progress=progress)
-        progress.start("uploading", sum(int(item["bytes"]) for item in run.manifest["outputs"]))
-        manifest = before.publish(plan.folder, run.manifest, progress.advance)
+        size = sum(int(item["bytes"]) for item in run.manifest["outputs"])
+        progress.start("uploading", size)
+        manifest = publication.publish(plan.folder, run.manifest, progress.advance)
         shutil.rmtree(plan.folder, ignore_errors=True)
     finally:
         lock.release()
     return outcome_of(plan, manifest, repeated=False)
 
 
-def run_plan(plan: Plan, *, force: bool, progress: Progress, helpers: Helpers = ALONE) -> Outcome:
+def run_plan(plan: Plan, *, force: bool, progress: Progress) -> Outcome:
     """Run a mission with its inputs hashed, whose results go to a folder."""
-    with ExitStack() as stack:
-        folder = stack.enter_context(store.open_folder(plan.folder))
+    with store.open_folder(plan.folder) as folder:
         earlier = finished_before(plan, force=force)
         if earlier is not None:
+            earlier = renewed(plan, folder, earlier)
             return outcome_of(plan, earlier, repeated=True)
-        renewed = None if force else renew_report(plan, folder)
-        if renewed is not None:
-            return outcome_of(plan, renewed, repeated=False)
-        batch_rows = plan.mission.output.batch_rows
         prepared = prepare(plan, progress)
         observations = prepared.observations
+        batch_rows = plan.mission.output.batch_rows
         progress.start("correcting", observations.rows)
 
         def correct_all(setup: CorrectionSetup) -> Statistics:
-            check_unchanged(plan.inputs)
-            folder.resume(f"{plan.keys['correction']} {batch_rows}", anew=force)
-            return run_files.correct_into(
-                run_files.PartsOfRun(folder, partial(check_unchanged, plan.inputs, folders=False)),
+            plan.check_unchanged()
+            folder.resume(f"{plan.fingerprint} {batch_rows}", anew=force)
+            return correct_into(
+                PartsOfRun(folder, partial(plan.check_unchanged, folders=False)),
                 observations,
                 setup,
                 batch_rows=batch_rows,
@@ -121,9 +111,8 @@ def run_plan(plan: Plan, *, force: bool, progress: Progress, helpers: Helpers = 
         corrected = correct_mission(prepared, correct_all)
         progress.start("writing the report")
         write_tables(folder, corrected.stations, corrected.air)
-        drawn = manifest_of(plan, corrected), drawing_of(corrected)
-        manifest = finish_run(plan, folder, *drawn)
-        keep(key_of_drawn(plan.keys["correction"], batch_rows), drawn)
+        manifest = manifest_of(plan, corrected)
+        manifest = finish_run(plan, folder, manifest, drawing_of(corrected))
     return outcome_of(plan, manifest, repeated=False)
 
 
@@ -135,13 +124,13 @@ def prepare(plan: Plan, progress: Progress, most_rows: int | None = None) -> Pre
     ledger = Ledger()
     mission = plan.mission
     paths = {item.role: item.path for item in plan.inputs}
-    if any(item.place for item in plan.inputs):
+    hashes = {item.role: item.sha256 for item in plan.inputs}
+    if plan.remotes:
         progress.start("copying inputs from object storage")
-    fetch_inputs(plan)
+        fetch_inputs(plan)
     progress.start("reading the observations")
     observations = opening.open_table(mission, paths["observations"], ledger, most_rows)
     progress.start("reading the log")
-    hashes = {item.role: item.sha256 for item in plan.inputs}
     log = opening.decode_log(mission, paths, hashes.get("log"))
     inputs = opening.open_inputs(
         mission, paths, observations, log, ledger, camera_names=plan.camera_names
@@ -152,24 +141,48 @@ def prepare(plan: Plan, progress: Progress, most_rows: int | None = None) -> Pre
 def manifest_of(plan: Plan, corrected: CorrectedMission) -> dict[str, Any]:
     """The manifest of a run, without its outputs.
 
-    Holds no clock, no host name and no absolute path: the same inputs give the same bytes.
+    Holds no host name and no absolute path, and no clock but the times of the inputs.
     """
-    manifest = dict(corrected.manifest)
+    manifest = corrected.results.row()
     for entry in manifest["ledger"]:  # a file is named as in the mission file, without its folder
         for item in plan.inputs:
             entry["where"] = str(entry["where"]).replace(str(item.path), item.name)
-    return manifest | {
-        "manifest_version": MANIFEST_VERSION,
-        "mission": plan.mission.mission.name,
-        "fingerprint": plan.fingerprint,
-        "keys": plan.keys,
-        "code": code_of_stages(),
-        "config": plan.mission.model_dump(mode="json"),
-        "inputs": [
-            {"role": item.role, "name": item.name, "sha256": item.sha256} for item in plan.inputs
-        ],
-        "versions": versions(plan.libraries),
-    }
+    return manifest | plan.identity()
+
+
+def outcome_of(plan: Plan, manifest: dict[str, Any], *, repeated: bool) -> Outcome:
+    """How a mission ended whose results have a manifest."""
+    return Outcome(
+        name=plan.mission.mission.name,
+        output=plan.output,
+        manifest=manifest,
+        exit_code=int(manifest["exit_code"]),
+        repeated=repeated,
+    )
+
+
+def finished_before(plan: Plan, *, force: bool = False) -> dict[str, Any] | None:
+    """The manifest of an earlier run of this plan; refuses another mission's, ``force`` or not."""
+    manifest = read_manifest(plan.output, damaged=force)
+    refuse_other_mission(plan, manifest)
+    if force or manifest is None or reasons_to_run(plan, manifest):
+        return None
+    return manifest
+
+
+def renewed(plan: Plan, folder: store.RunFolder, manifest: dict[str, Any]) -> dict[str, Any]:
+    """The manifest of an unchanged run with sizes and times of its inputs as they are now.
+
+    Where an input, or the mission file, was copied or written again with the same content, the
+    next run need not read it. A folder that cannot be written to stays as it is.
+    """
+    now = plan.identity()
+    seen = {key: now[key] for key in ("inputs", "mission_file_sha256")}
+    if all(manifest.get(key) == value for key, value in seen.items()):
+        return manifest
+    with suppress(StorageError):
+        folder.rewrite_manifest(manifest | seen)
+    return manifest | seen
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,13 +198,13 @@ def check_mission(
     mission: MissionRef | Path | str, *, progress: Progress | None = None
 ) -> CheckedMission:
     """Rehearse a mission: all that `run_mission` does, on `SAMPLED_ROWS` rows; writes nothing."""
-    progress, ref = progress or Progress(), MissionRef.of(mission)
-    plan = make_plan(ref.load(), ref.folder)
+    progress = progress or Progress()
+    plan = plan_of(mission)
     if isinstance(plan.output, Path):
         store.rehearse_folder(plan.output)
     finished_before(plan)
     if isinstance(plan.output, Place):
-        rehearse_place(plan.output)
+        remote.rehearse(plan.output)
     prepared = prepare(plan, progress, SAMPLED_ROWS)
     progress.start("correcting a sample")
 
@@ -200,39 +213,34 @@ def check_mission(
         return statistics
 
     corrected = correct_mission(prepared, correct_sample)
-    check_unchanged(plan.inputs)
+    plan.check_unchanged()
     return CheckedMission(plan, corrected, manifest_of(plan, corrected))
 
 
 def mission_status(mission: MissionRef | Path | str) -> tuple[Plan, list[str]]:
     """Why `run_mission` would run a mission now, one reason each; nothing is locked or written."""
-    ref = MissionRef.of(mission)
-    plan = make_plan(ref.load(), ref.folder)
-    manifest = store.read_manifest(plan.output, damaged=True)
+    plan = plan_of(mission)
+    manifest = read_manifest(plan.output, damaged=True)
     refuse_other_mission(plan, manifest)
     if manifest is None:
         return plan, [f"{plan.output} has no results of it"]
     return plan, reasons_to_run(plan, manifest)
 
 
-def finished_before(plan: Plan, *, force: bool = False) -> dict[str, Any] | None:
-    """The manifest of an earlier run of this plan; refuses another mission's, ``force`` or not."""
-    manifest = store.read_manifest(plan.output, damaged=force)
-    refuse_other_mission(plan, manifest)
-    stays = not force and manifest is not None and not reasons_to_run(plan, manifest)
-    return manifest if stays else None
-
-
 def drawing_of(corrected: CorrectedMission) -> Flown:
     """What the report draws, beside its manifest."""
-    prepared, setup = corrected.prepared, corrected.setup
+    prepared = corrected.prepared
+    setup = corrected.setup
     return flown_of(
-        corrected.stations, corrected.air, prepared.samples, prepared.track(),
+        corrected.stations,
+        corrected.air,
+        prepared.samples,
+        prepared.track(),
         cameras=setup.cameras,
         ground_m=corrected.statistics.ground_of_stations(len(corrected.stations)),
         radius_m=setup.exposures.radius_m,
         terrain=prepared.terrain,
-    )  # fmt: skip
+    )
 
 
 def finish_run(
@@ -243,40 +251,15 @@ def finish_run(
     with storage_errors(report):
         write_report(report, manifest, flown)
     folder.seal("report.html")
-    check_unchanged(plan.inputs)
+    plan.check_unchanged()
     manifest = manifest | {"outputs": folder.outputs()}
     folder.commit(manifest)
     return manifest
 
 
-def renew_report(plan: Plan, folder: store.RunFolder) -> dict[str, Any] | None:
-    """Write only the report anew, where nothing before it changed; else None."""
-    earlier, keys = store.read_manifest(plan.folder, damaged=True), plan.keys
-    if earlier is None or earlier.get("keys", {}).get("correction") != keys["correction"]:
-        return None
-    damage = store.find_damage(plan.folder, earlier, read=False)
-    known = recall(drawn_before(earlier))
-    if known is None or any(not line.startswith("report.html: ") for line in damage):
-        return None
-    before, flown = known
-    manifest: dict[str, Any] = before | {
-        "fingerprint": plan.fingerprint,
-        "keys": keys,
-        "code": code_of_stages(),
-        "config": plan.mission.model_dump(mode="json"),
-        "versions": versions(plan.libraries),
-    }
-    manifest["config"]["output"]["batch_rows"] = earlier["config"]["output"]["batch_rows"]
-    for item in earlier["outputs"]:
-        if item["name"] != "report.html":
-            folder.leave(item)
-    return finish_run(plan, folder, manifest, flown)
-
-
 def read_mission(mission: MissionRef | Path) -> PreparedMission:
     """A mission with everything read, its stations built and its air estimated."""
-    ref = MissionRef.of(mission)
-    return prepare(make_plan(ref.load(), ref.folder), Progress())
+    return prepare(plan_of(mission), Progress())
 
 
 def air_of_mission_or_standard(

@@ -6,37 +6,35 @@ part of the observations has a receipt there, so that a run that is interrupted 
 again.
 """
 
-import json
 import os
 import re
 import shutil
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from errno import EACCES, EPERM, EROFS
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from uuid import uuid4
 
 from filelock import FileLock, Timeout
 
-from unbend.batch.file_hashes import known_hash, remember, remembered_hash, stamp
-from unbend.batch.object_store import Place
-from unbend.batch.value_cache import packed, unpacked
-from unbend.errors import OutputInUseError, StorageError, storage_errors
+from unbend.batch import messages
+from unbend.batch.manifest import MANIFEST, damage_of, manifest_text, parse_manifest
+from unbend.batch.receipts import packed, unpacked
+from unbend.errors import StorageError, storage_errors
 from unbend.ingest import hash_file
 
-MANIFEST = "manifest.json"
-_MANIFEST_KEYS = {"fingerprint", "mission", "outputs", "exit_code"}
 STAGING = ".staging"
+"""The hidden folder in a run's folder that results are written to."""
+
 _LOCK = ".lock"
-_KEY = "key"
+_KEY = "key"  # in the staging folder: what the parts there depend on
 _RECEIPTS = "receipts"
 _PARTS = "observations"
 _PART = re.compile(r"part-[0-9]{5,}\.parquet")
 _RESULTS = (_PARTS, "stations.parquet", "profile.parquet", "report.html")
-_ATTEMPT = re.compile("[0-9a-f]{32}")
 
 # Windows refuses to replace a file that a virus scanner or a viewer has open; most let go soon.
 _REPLACE_ATTEMPTS = 20 if os.name == "nt" else 1
@@ -53,8 +51,12 @@ def atomic_write(path: Path) -> Iterator[Path]:
     try:
         with storage_errors(path):
             yield draft
-            for file in sorted(draft.rglob("*")) if draft.is_dir() else [draft]:
-                sync_folder(file) if file.is_dir() else sync_file(file)
+            written = sorted(draft.rglob("*")) if draft.is_dir() else [draft]
+            for file in written:
+                if file.is_dir():
+                    sync_folder(file)
+                else:
+                    sync_file(file)
             replace_file(draft, path)
     finally:
         shutil.rmtree(draft, ignore_errors=True)
@@ -62,13 +64,19 @@ def atomic_write(path: Path) -> Iterator[Path]:
             draft.unlink(missing_ok=True)
 
 
+class Seal(NamedTuple):
+    """Hash and size of a file that was written and flushed."""
+
+    sha256: str
+    size_bytes: int
+
+
 @dataclass(frozen=True)
 class RunFolder:
     """The output folder of one mission, locked for this process."""
 
     path: Path
-    _seals: dict[str, tuple[str, int]] = field(default_factory=dict)
-    _in_place: set[str] = field(default_factory=set)
+    _seals: dict[str, Seal] = field(default_factory=dict)
 
     @property
     def staging(self) -> Path:
@@ -87,12 +95,7 @@ class RunFolder:
         target = self.staging / name
         with storage_errors(target):
             sync_file(target)
-            self._seals[name] = (hash_file(target), target.stat().st_size)
-
-    def leave(self, item: Mapping[str, Any]) -> None:
-        """Let a visible result, as an earlier manifest has it, be one of this run too."""
-        self._seals[item["name"]] = item["sha256"], item["bytes"]
-        self._in_place.add(item["name"])
+            self._seals[name] = Seal(hash_file(target), target.stat().st_size)
 
     def resume(self, key: str, *, anew: bool = False) -> None:
         """Go on with the parts that a run of the same key left; other ones, or all, are removed."""
@@ -108,32 +111,32 @@ class RunFolder:
         """Keep a sealed part, and what is known of it, for the case that the run is interrupted."""
         receipt = self.place(f"{_RECEIPTS}/{Path(name).name}")
         with atomic_write(receipt) as draft:
-            draft.write_bytes(packed((self._seals[name], value)))
+            draft.write_bytes(packed((tuple(self._seals[name]), value)))
         with storage_errors(receipt):
             for folder in ((self.staging / name).parent, receipt.parent):
                 sync_folder(folder)
 
-    def read_receipt(self, name: str, *, verify: bool = True) -> Any:
-        """What is known of a part that is there and sealed; None where it must be made.
-
-        Its content is compared with its hash, unless ``verify`` is False: then its size.
-        """
-        part, receipt = self.staging / name, self.staging / _RECEIPTS / Path(name).name
+    def read_receipt(self, name: str) -> Any:
+        """What is known of a part that is there, whole and sealed; None where it must be made."""
+        part = self.staging / name
+        receipt = self.staging / _RECEIPTS / part.name
         with storage_errors(receipt):
-            found = unpacked(receipt.read_bytes()) if receipt.is_file() and part.is_file() else None
+            if not receipt.is_file() or not part.is_file():
+                return None
+            found = unpacked(receipt.read_bytes())
             if found is None:
                 return None
-            seal, value = found
-            if part.stat().st_size != seal[1] or (verify and hash_file(part) != seal[0]):
+            seal = Seal(*found[0])
+            if part.stat().st_size != seal.size_bytes or hash_file(part) != seal.sha256:
                 return None
         self._seals[name] = seal
-        return value
+        return found[1]
 
     def outputs(self) -> list[dict[str, str | int]]:
         """Name, hash and size of each sealed result, for the manifest."""
         return [
-            {"name": name, "sha256": digest, "bytes": size}
-            for name, (digest, size) in sorted(self._seals.items())
+            {"name": name, "sha256": seal.sha256, "bytes": seal.size_bytes}
+            for name, seal in sorted(self._seals.items())
         ]
 
     def commit(self, manifest: dict[str, Any]) -> None:
@@ -143,12 +146,11 @@ class RunFolder:
         none: `open_folder` then finishes the removal. Therefore each step is flushed to the disk
         before the next begins.
         """
-        text = json.dumps(manifest, indent=2, sort_keys=True, ensure_ascii=False, allow_nan=False)
         with storage_errors(self.path):
             draft = self.staging / MANIFEST
-            draft.write_text(text + "\n", encoding="utf-8", newline="\n")
+            draft.write_text(manifest_text(manifest), encoding="utf-8", newline="\n")
             sync_file(draft)
-            staged = sorted(self._seals.keys() - self._in_place)
+            staged = sorted(self._seals)
             for folder in sorted({(self.staging / name).parent for name in (*staged, MANIFEST)}):
                 sync_folder(folder)
             (self.path / MANIFEST).unlink(missing_ok=True)
@@ -164,9 +166,12 @@ class RunFolder:
                 sync_folder(folder)
             replace_file(draft, self.path / MANIFEST)
             sync_folder(self.path)
-            files = {os.path.realpath(self.path / name): self._seals[name][0] for name in staged}
-            remember({file: (stamp(file), sha256) for file, sha256 in files.items()})
             _remove(self.staging)
+
+    def rewrite_manifest(self, manifest: dict[str, Any]) -> None:
+        """Replace the manifest of the results that are there, whole at any time."""
+        with atomic_write(self.path / MANIFEST) as draft:
+            draft.write_text(manifest_text(manifest), encoding="utf-8", newline="\n")
 
 
 def sync_file(path: Path) -> None:
@@ -200,7 +205,8 @@ def replace_file(source: Path, target: Path) -> None:
 
 def _parts(path: Path) -> list[Path]:
     """The parts of the observations in a folder of results; no other files beside them."""
-    return [p for p in (path / _PARTS).glob("part-*.parquet") if _PART.fullmatch(p.name)]
+    named = (path / _PARTS).glob("part-*.parquet")
+    return [part for part in named if _PART.fullmatch(part.name)]
 
 
 def _remove(path: Path) -> None:
@@ -210,7 +216,7 @@ def _remove(path: Path) -> None:
         path.unlink()
 
 
-def would_replace(folder: Path | Place, path: Path | Place) -> bool:
+def would_replace(folder: Path, path: Path) -> bool:
     """Whether a run that writes to a folder removes or replaces this file, or one of this folder.
 
     >>> would_replace(Path("/r"), Path("/r/observations/own.parquet"))
@@ -218,16 +224,15 @@ def would_replace(folder: Path | Place, path: Path | Place) -> bool:
     >>> would_replace(Path("/r"), Path("/r/flight.bin"))
     False
     """
-    if isinstance(folder, Place) or isinstance(path, Place):
-        if not isinstance(folder, Place) or not isinstance(path, Place):
-            return False
-        own = (folder / name for name in ("attempts", "runs", MANIFEST))
-        return any(map(path.is_below, own)) or (path.is_folder and folder.is_below(path))
     replaced = {*_RESULTS, MANIFEST, STAGING, _LOCK}
     # A link may lie in one folder and lead to another: neither path may be among the results.
     for resolve in (os.path.abspath, os.path.realpath):
-        results, file = Path(resolve(folder)), Path(resolve(path))
-        if file.is_relative_to(results) and {*file.relative_to(results).parts[:1]} & replaced:
+        results = Path(resolve(folder))
+        file = Path(resolve(path))
+        if not file.is_relative_to(results):
+            continue
+        parts = file.relative_to(results).parts
+        if parts and parts[0] in replaced:
             return True
     return False
 
@@ -279,7 +284,7 @@ def open_folder(path: Path) -> Iterator[RunFolder]:
 def _refuse_links(path: Path) -> None:
     for name in (_LOCK, STAGING, *_RESULTS, MANIFEST):
         if (path / name).is_symlink():
-            raise StorageError.of("STORAGE-SYMLINK", path, name=name)
+            raise messages.result_is_link(path=str(path), name=name)
 
 
 def lock_folder(path: Path) -> FileLock:
@@ -288,12 +293,12 @@ def lock_folder(path: Path) -> FileLock:
     try:
         lock.acquire()
     except Timeout:
-        raise OutputInUseError.of("OUTPUT-IN-USE", path) from None
+        raise messages.output_in_use(path=str(path)) from None
     except (OSError, NotImplementedError) as error:
         with storage_errors(path):
             if getattr(error, "errno", None) in (EACCES, EPERM, EROFS):
                 raise
-        raise StorageError.of("STORAGE-LOCK", path, error=error) from None
+        raise messages.folder_not_lockable(path=str(path), error=str(error)) from None
     return lock
 
 
@@ -302,7 +307,7 @@ def _refuse_strangers(path: Path) -> None:
     results = [name for name in _RESULTS if os.path.lexists(path / name)]
     manifests = (path / MANIFEST).exists() or (path / STAGING / MANIFEST).is_file()
     if results and not manifests:
-        raise StorageError.of("STORAGE-NOT-OURS", path, results=", ".join(results))
+        raise messages.files_not_ours(path=str(path), results=results)
 
 
 def _clear_interrupted(path: Path, *, resumable: bool) -> None:
@@ -312,91 +317,79 @@ def _clear_interrupted(path: Path, *, resumable: bool) -> None:
     """
     _refuse_strangers(path)
     staging = path / STAGING
-    receipts = [file.name for file in (staging / _RECEIPTS).glob("part-*")] if resumable else []
-    kept = {_RECEIPTS, _KEY, _PARTS} if receipts else set()
+    receipts: set[str] = set()
+    if resumable:
+        receipts = {file.name for file in (staging / _RECEIPTS).glob("part-*")}
+    kept = {_RECEIPTS, _KEY, _PARTS} if receipts else set[str]()
     if not (path / MANIFEST).exists():
         # Only a commit puts a manifest into the staging folder: it began and did not end.
-        for part in _parts(path):
-            staged = staging / _PARTS / part.name
-            if part.name in receipts and not staged.exists():
-                staged.parent.mkdir(exist_ok=True)
-                replace_file(part, staged)
-            part.unlink(missing_ok=True)
-        for name in _RESULTS:
-            if name != _PARTS:
-                (path / name).unlink(missing_ok=True)
-        with suppress(OSError):  # not empty: it holds files of the user
-            (path / _PARTS).rmdir()
+        _undo_commit(path, receipts)
         if os.path.lexists(path / _PARTS):
             # The staged manifest stays until a commit ends: it shows that the folder is unbend's.
-            kept = kept | {MANIFEST}
+            kept.add(MANIFEST)
     if not kept:
-        return _remove(staging)
-    for file in [
-        *staging.iterdir(),
-        *(staging / _PARTS).glob("*"),
-        *(staging / _RECEIPTS).glob(".*"),
-    ]:
+        _remove(staging)
+        return
+    staged = [*staging.iterdir(), *(staging / _PARTS).glob("*")]
+    staged += (staging / _RECEIPTS).glob(".*")
+    for file in staged:
         if file.name not in kept and file.name not in receipts:
             _remove(file)
-    return None
 
 
-def read_manifest(path: Path | Place, *, damaged: bool = False) -> dict[str, Any] | None:
-    """The manifest of a run's folder; None where there is none, or ``damaged`` where it is that."""
+def _undo_commit(path: Path, receipts: set[str]) -> None:
+    """Remove visible results that no manifest names; parts with receipts are staged again."""
+    for part in _parts(path):
+        staged = path / STAGING / _PARTS / part.name
+        if part.name in receipts and not staged.exists():
+            staged.parent.mkdir(exist_ok=True)
+            replace_file(part, staged)
+        part.unlink(missing_ok=True)
+    for name in _RESULTS:
+        if name != _PARTS:
+            (path / name).unlink(missing_ok=True)
+    with suppress(OSError):  # not empty: it holds files of the user
+        (path / _PARTS).rmdir()
+
+
+def read_manifest(path: Path, *, damaged: bool = False) -> dict[str, Any] | None:
+    """The manifest of a run's folder; None where there is none, or ``damaged`` a damaged one."""
     file = path / MANIFEST
     try:
-        content = file.read()[0] if isinstance(file, Place) else file.read_bytes()
-        if content is None:
+        try:
+            content = file.read_bytes()
+        except (FileNotFoundError, NotADirectoryError):
             return None
-        manifest = json.loads(content.decode("utf-8"))
-    except (FileNotFoundError, NotADirectoryError):
-        return None
-    except (OSError, ValueError) as error:
+        except OSError as error:
+            raise messages.manifest_unreadable(path=str(file), error=str(error)) from None
+        return parse_manifest(content, str(file))
+    except StorageError:
         if damaged:
             return None
-        raise StorageError.of("MANIFEST-UNREADABLE", str(file), error=error) from None
-    outputs = manifest.get("outputs") if isinstance(manifest, dict) else None
-    if (
-        not isinstance(outputs, list)
-        or not all(isinstance(item, dict) for item in outputs)
-        or not manifest.keys() >= _MANIFEST_KEYS
-        or (isinstance(path, Place) and not _ATTEMPT.fullmatch(str(manifest.get("attempt"))))
-    ):
-        if damaged:
-            return None
-        raise StorageError.of("MANIFEST-UNREADABLE/read-manifest", str(file))
-    return dict(manifest)
+        raise
 
 
-def find_damage(path: Path | Place, manifest: dict[str, Any], *, read: bool = True) -> list[str]:
+def find_damage(path: Path, manifest: dict[str, Any], *, read: bool = True) -> list[str]:
     """What is missing or changed in a run's folder, one line each; empty when nothing is.
 
-    ``read=False`` reads no file that stayed as it was hashed, nor parts of which no hash is known;
-    in object storage, where no file of an attempt is written twice, none.
+    Without ``read`` only files are read that changed after the manifest was written, which is the
+    last file of a run.
     """
-    damage = []
-    known = {str(item["name"]) for item in manifest["outputs"]}
-    if isinstance(path, Place):
-        path /= f"attempts/{manifest['attempt']}"
-        sizes = {name: meta["size"] for name, meta in path.objects().items()}
-        present = set(sizes)
-    else:
-        present = {f"{_PARTS}/{p.name}" for p in (path / _PARTS).glob("part-*.parquet")}
-        sizes = {name: (path / name).stat().st_size for name in known if (path / name).is_file()}
-    for item in manifest["outputs"]:
-        name = str(item["name"])
-        if name not in sizes:
-            damage.append(f"{name}: is missing")
-        elif sizes[name] != item["bytes"]:
-            damage.append(f"{name}: {sizes[name]} bytes, not {item['bytes']}")
-        elif isinstance(path, Place):
-            if read and (path / name).sha256() != item["sha256"]:
-                damage.append(f"{name}: its content has changed")
-        else:
-            file, by_size = path / name, "/" in name and not read
-            sha256 = known_hash(file) if by_size else remembered_hash(file, verify=read)
-            if sha256 not in (None, item["sha256"]):
-                damage.append(f"{name}: its content has changed")
-    damage += [f"{name}: belongs to no run" for name in sorted(present - known)]
-    return damage
+    names = [str(item["name"]) for item in manifest["outputs"]]
+    names += [f"{_PARTS}/{part.name}" for part in (path / _PARTS).glob("part-*.parquet")]
+    stats = {}
+    for name in names:
+        with suppress(OSError):
+            stats[name] = (path / name).stat()
+    sizes = {name: stat.st_size for name, stat in stats.items()}
+    finished_ns = 0
+    if not read:
+        with suppress(OSError):
+            finished_ns = (path / MANIFEST).stat().st_mtime_ns
+
+    def hash_of(name: str) -> str | None:
+        if read or stats[name].st_mtime_ns >= finished_ns:
+            return hash_file(path / name)
+        return None
+
+    return damage_of(manifest, sizes, hash_of)

@@ -21,7 +21,7 @@ from typer import Option
 from typer.core import TyperCommand, TyperGroup
 
 import unbend
-from unbend.errors import ConfigError, UnbendError, storage_errors
+from unbend.errors import UnbendError, storage_errors
 from unbend.exit_codes import exit_code_of
 from unbend.report.progress import DelayedProgressBar
 from unbend.report.words import visible
@@ -31,29 +31,53 @@ if TYPE_CHECKING:
 
     from unbend.messages import Ledger
 
-_ORDER = (
-    "init", "schema", "help", "run", "check", "status", "stations", "inspect", "angle", "radial",
-    "tables", "profile", "compare", "simulate", "export", "verify", "clean",
-    "warm",
-)  # fmt: skip
-"""Order of the commands in the help: the way in, missions, atmosphere and rays, results."""
+GROUPS = {
+    "From a log to files for adjustment": ("init", "check", "run", "export"),
+    "Look at missions, logs and results": ("status", "verify", "stations", "inspect", "profile"),
+    "Compute": ("angle", "tables", "simulate"),
+    "Help and preparation": ("help", "schema", "warm"),
+}
+"""The commands as the help lists them: the four steps first."""
+
+_TAKE_URLS = {"run", "export", "verify"}
+"""Commands whose arguments may be URLs."""
 
 
 class _Group(TyperGroup):
     def list_commands(self, ctx: Any) -> list[str]:
-        """Names in the order of `_ORDER`; typer would list them by module."""
-        return sorted(self.commands, key=_ORDER.index)
+        """Names in the order of `GROUPS`; typer would list them by module."""
+        return [name for names in GROUPS.values() for name in names]
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write the commands group by group, each with the first sentence of its help."""
+        width = max(len(name) for name in self.commands)
+        limit = formatter.width - 6 - width
+        for title, names in GROUPS.items():
+            rows = []
+            for name in names:
+                rows.append((name.ljust(width), self.commands[name].get_short_help_str(limit)))
+            with formatter.section(title):
+                formatter.write_dl(rows)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """The command and its words; refuses (URL-INVALID) a URL where paths are taken."""
         name, command, words = super().resolve_command(ctx, args)
-        urls = [w.partition("=")[2] if w.startswith("--") else w for w in words if ":/" in w]
-        if urls and name not in {"run", "export", "verify", "clean"}:
-            from unbend.batch.object_store import Place, is_url
-
-            for url in filter(is_url, urls):
-                raise ConfigError.of("URL-INVALID/command", Place.of(url), command=name)
+        if name is not None and name not in _TAKE_URLS:
+            refuse_urls(name, words)
         return name, command, words
+
+
+def refuse_urls(command: str, words: Iterable[str]) -> None:
+    """Refuse (URL-INVALID) a URL among the words of a command that takes paths."""
+    for word in words:
+        value = word.partition("=")[2] if word.startswith("--") else word
+        if ":/" not in value:
+            continue
+        from unbend.batch import messages
+        from unbend.batch.remote import Place, is_url
+
+        if is_url(value):
+            raise messages.url_for_command(url=str(Place.of(value)), command=command)
 
 
 app = typer.Typer(
@@ -77,10 +101,12 @@ class Answer:
     """Where the answer of a command goes: as text, as JSON with nothing else, or nowhere."""
 
     def __init__(self, *, quiet: bool, as_json: bool) -> None:
-        self.quiet, self.as_json = quiet, as_json
+        self.quiet = quiet
+        self.as_json = as_json
 
     @property
     def is_silent(self) -> bool:
+        """Whether no text is wanted."""
         return self.quiet or self.as_json
 
     @cached_property
@@ -96,8 +122,9 @@ class Answer:
             return DelayedProgressBar(None, title)
         from unbend.report.console import report_console
 
-        on_error = self.as_json or not sys.stdout.isatty()
-        return DelayedProgressBar(report_console(error=True) if on_error else self.console, title)
+        if self.as_json or not sys.stdout.isatty():
+            return DelayedProgressBar(report_console(error=True), title)
+        return DelayedProgressBar(self.console, title)
 
     def print_json(self, content: Any) -> None:
         """Print it as JSON if that is wanted; ValueError where a number is none (null is meant)."""
@@ -123,6 +150,7 @@ class Answer:
         raise typer.Exit(code)
 
     def print_paths(self, paths: Iterable[str]) -> None:
+        """Print paths whole, whatever the width of the terminal."""
         for path in paths:
             self.console.print(visible(path), markup=False, soft_wrap=True)
 
@@ -137,7 +165,7 @@ def command(
         def run(*arguments: Any, quiet: bool, as_json: bool, **options: Any) -> None:
             function(Answer(quiet=quiet, as_json=as_json), *arguments, **options)
 
-        parameters = [*signature(function, eval_str=True).parameters.values()][1:]
+        _, *parameters = signature(function, eval_str=True).parameters.values()
         for option, annotation in (("quiet", Quiet), ("as_json", AsJson)):
             parameters.append(
                 Parameter(option, Parameter.KEYWORD_ONLY, default=False, annotation=annotation)

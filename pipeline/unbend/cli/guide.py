@@ -1,4 +1,4 @@
-"""Commands beside missions: the way in, what a word means, and the caches."""
+"""Commands beside missions: the way in, and what a word means."""
 
 import json
 import textwrap
@@ -7,9 +7,10 @@ from typing import Annotated
 
 from typer import Argument, Option
 
-from unbend.caches import compiled_code, empty_caches, user_cache
+from unbend.caches import compiled_code
+from unbend.cli import messages
 from unbend.cli.app import Answer, command
-from unbend.errors import ConfigError, StorageError, storage_errors
+from unbend.errors import storage_errors
 from unbend.report.words import count
 
 
@@ -49,10 +50,18 @@ def explain_word(
         lines = explain(word)
     answer.print_json({"word": word, "lines": lines})
     width = max(40, answer.console.width)
-    for line in [] if answer.is_silent else lines:
+    if answer.is_silent:
+        return
+    for line in lines:
         indent = " " * (len(line) - len(line.lstrip()))
-        print(textwrap.fill(line, width, subsequent_indent=indent + "  " * bool(indent),
-                            break_on_hyphens=False, break_long_words=False))  # fmt: skip
+        text = textwrap.fill(
+            line,
+            width,
+            subsequent_indent=f"{indent}  " if indent else "",
+            break_on_hyphens=False,
+            break_long_words=False,
+        )
+        print(text)
 
 
 @command(epilog="Example: unbend init flight.bin observations.csv")
@@ -77,8 +86,7 @@ def init(
     """
     printed = str(out) == "-"
     if not printed and out.exists() and not force:
-        remedy = "choose another name with --out, or replace it: --force"
-        raise ConfigError("INIT-EXISTS", "the file is there already", where=str(out), remedy=remedy)
+        raise messages.file_exists(path=str(out))
     with answer.progress(f"reading {log.name}"):
         import yaml
 
@@ -103,43 +111,6 @@ def init(
     answer.print_paths([asked, f"  unbend check {out}"])
 
 
-@command(epilog="Example: unbend clean; unbend clean s3://bucket/results")
-def clean(
-    answer: Answer,
-    url: Annotated[str | None, Argument(help="results in object storage", metavar="URL")] = None,
-    recent: Annotated[
-        bool, Option(help="with a URL: uploads of the last hour too, if no run goes on")
-    ] = False,
-) -> None:
-    """Remove what is kept to save time: compiled code, hashes, copies.
-
-    No result is touched. The next run compiles again, and reads all of its inputs for their hashes.
-    Of a URL: what interrupted runs left at results in object storage, there and below.
-    """
-    if url is not None:
-        with answer.progress(f"looking at {url}"):
-            from unbend.batch.object_store import Place
-            from unbend.batch.publication import remove_orphans
-
-            orphans, young = remove_orphans(Place.of(url), recent=recent)
-        answer.print_json({"removed": orphans, "kept": young})
-        answer.print_paths(f"removed {name}" for name in orphans)
-        if young:
-            uploads = count(young, "upload")
-            answer.console.print(f"{uploads} of the last hour kept: --recent removes them too")
-        elif not orphans:
-            answer.console.print("nothing is left of interrupted runs")
-        return
-    with storage_errors(Path(user_cache())):
-        removed = empty_caches()
-    answer.print_json({"removed": removed})
-    for what in removed:
-        answer.console.print(f"removed {what['what']}, {int(what['bytes']) / 1e6:.1f} MB:")
-        answer.print_paths([f"  {what['path']}"])
-    if not removed:
-        answer.console.print("nothing is kept")
-
-
 @command(epilog="Example: unbend warm --json")
 def warm(answer: Answer) -> None:
     """Compile ahead what runs need: some ten seconds, once.
@@ -153,7 +124,7 @@ def warm(answer: Answer) -> None:
 
         folder = cache_folder()
         if folder is None:
-            raise StorageError.of("STORAGE-WRITE/warm", compiled_code())
+            raise messages.no_place_for_compiled_code(path=compiled_code())
         correct_one_image()
     answer.print_json({"compiled": folder})
     answer.print_paths([folder])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Generator, Iterable, Mapping, Sequence
 from contextlib import closing, nullcontext
 from dataclasses import replace
 from functools import cache, partial
@@ -16,8 +16,9 @@ import typer
 from typer import Argument, Option
 from typer.core import TyperCommand
 
+from unbend.cli import messages
 from unbend.cli.app import Answer, command, print_bug, print_error, write_rows_csv
-from unbend.errors import ConfigError, UnbendError
+from unbend.errors import UnbendError
 from unbend.exit_codes import EXIT_BUG, EXIT_DONE, exit_code_of
 from unbend.report.words import count
 
@@ -39,14 +40,12 @@ Names = Annotated[
 def run(
     answer: Answer,
     configs: Configs,
-    jobs: Annotated[
-        int, Option(min=1, help="processes: missions at the same time, slices of a single one")
-    ] = 1,
+    jobs: Annotated[int, Option(min=1, help="processes: so many missions at the same time")] = 1,
     force: Annotated[bool, Option(help="run even where nothing has changed")] = False,
     names: Names = None,
     *,
     verify_inputs: Annotated[
-        bool, Option(help="read and hash inputs whose size and times did not change too")
+        bool, Option(help="read and hash inputs whose size and time did not change too")
     ] = False,
     shard: Annotated[
         str | None,
@@ -67,70 +66,78 @@ def run(
     Of a campaign, campaign.html and campaign.parquet show all its missions; a shard leaves them.
     """
     if scheduler is not None and jobs > 1:
-        raise ConfigError.of("RUN-ARGUMENTS")
+        raise messages.jobs_and_scheduler()
     with answer.progress("loading"):
         if scheduler is not None:
-            from unbend.batch.cluster import refuse_missing
+            from unbend.batch.dask_executor import refuse_missing
 
             refuse_missing(scheduler)
-        from unbend.batch.campaigns import keep_unchanged, select_missions, write_pages
+        from unbend.batch.campaigns import select_missions, write_pages
         from unbend.batch.execute import shard_of
-        from unbend.batch.executors import Outcome
-        from unbend.report.terminal import print_unchanged
 
         chosen = select_missions(configs, names or (), shard_of(shard))
-    missions: list[dict[str, Any]] = []
-    ended: dict[Any, Any] = {}
+    entries: list[dict[str, Any]] = []
+    ended: dict[MissionRef, MissionEnd] = {}
     apart = jobs > 1 or scheduler is not None
-    beside = answer.progress(f"{len(chosen.missions)} missions") if apart else nullcontext()
-    options = {"force": force, "verify_inputs": verify_inputs}
-    outcomes = chosen.ends(
-        partial(run_missions, answer, scheduler or jobs, options), again=force or verify_inputs
+    title = f"{len(chosen.missions)} missions"
+    run_waiting = partial(
+        run_missions,
+        answer,
+        jobs=jobs,
+        scheduler=scheduler,
+        force=force,
+        verify_inputs=verify_inputs,
     )
-    with beside, closing(outcomes):
-        for ref, end in outcomes:
+    ends = chosen.ends(run_waiting, again=force or verify_inputs)
+    with answer.progress(title) if apart else nullcontext(), closing(ends):
+        for ref, end in ends:
             ended[ref] = end
-            missions.append(print_end(answer, ref.label, end, chosen))
-    unchanged = [of.name for of in ended.values() if isinstance(of, Outcome) and of.repeated]
-    if unchanged and len(chosen.missions) > 1:
-        print_unchanged(answer.console, unchanged, len(chosen.missions))
-    keep_unchanged(chosen, ended)
+            entries.append(print_end(answer, ref.label, end, chosen))
+    print_repeated(answer, chosen, ended.values())
     if shard is None:
         answer.print_paths(str(page) for page in write_pages(chosen, ended))
-    _end(answer, missions)
+    end_of_command(answer, entries)
 
 
 def run_missions(
-    answer: Answer, where: int | str, options: Mapping[str, Any], missions: list[MissionRef]
+    answer: Answer,
+    missions: list[MissionRef],
+    *,
+    jobs: int,
+    scheduler: str | None,
+    force: bool,
+    verify_inputs: bool,
 ) -> Generator[tuple[MissionRef, MissionEnd]]:
     """Run missions in this process, in so many others, or on the workers of a scheduler."""
     with answer.progress("loading"):
         from unbend.batch.campaigns import run_chosen
         from unbend.batch.execute import run_many
-        from unbend.batch.executors import ChildHelpers, Executor, Inline, Processes
+        from unbend.batch.executors import Executor, Inline
 
     executor: Executor = Inline(answer.progress)
     sent = {ref: ref for ref in missions}
-    if isinstance(where, str):
-        from unbend.batch.cluster import Cluster
+    if scheduler is not None:
+        from unbend.batch.dask_executor import DaskExecutor
 
-        executor = Cluster(where)
+        executor = DaskExecutor(scheduler)
         sent = {replace(ref, path=ref.path.absolute()): ref for ref in missions}
-    elif len(missions) > 1 < where:
-        executor = Processes(where)
-    else:
-        options = {**options, "helpers": ChildHelpers(where)}
-    with closing(run_many(partial(run_chosen, **options), list(sent), executor)) as ends:
-        yield from ((sent[ref], end) for ref, end in ends)
+    elif jobs > 1 and len(missions) > 1:
+        from unbend.batch.processes import Processes
+
+        executor = Processes(jobs)
+    task = partial(run_chosen, force=force, verify_inputs=verify_inputs)
+    with closing(run_many(task, list(sent), executor)) as ends:
+        for ref, end in ends:
+            yield sent[ref], end
 
 
 def print_end(answer: Answer, config: str, end: MissionEnd, chosen: Selection) -> dict[str, Any]:
     """Print how a mission ended, of a campaign in a line; its entry in the JSON of the command."""
     from unbend.batch.executors import Bug
-    from unbend.batch.store import read_manifest
+    from unbend.batch.results import read_manifest
 
     if isinstance(end, UnbendError):
-        return _refused(config, end)
+        return print_refused(config, end)
     if isinstance(end, Bug):
         print_bug(end.traceback, config)
         return {"config": config, "exit_code": EXIT_BUG}
@@ -138,28 +145,53 @@ def print_end(answer: Answer, config: str, end: MissionEnd, chosen: Selection) -
     if not (end.repeated and several):
         from unbend.report.terminal import print_run
 
-        how = {"repeated": end.repeated, "brief": several and bool(chosen.campaigns)}
-        print_run(answer.console, end.name, str(end.output), end.manifest, **how)
-    entry: dict[str, Any] = {"config": config, "output": str(end.output)}
-    entry |= {"repeated": end.repeated, "exit_code": end.exit_code}
+        print_run(
+            answer.console,
+            end.name,
+            str(end.output),
+            end.manifest,
+            repeated=end.repeated,
+            brief=several and bool(chosen.campaigns),
+        )
+    entry: dict[str, Any] = {
+        "config": config,
+        "output": str(end.output),
+        "repeated": end.repeated,
+        "exit_code": end.exit_code,
+    }
     if answer.as_json:
         entry["manifest"] = end.manifest or read_manifest(end.output)
     return entry
 
 
-def _refused(config: str, error: UnbendError) -> dict[str, Any]:
+def print_repeated(answer: Answer, chosen: Selection, ends: Iterable[MissionEnd]) -> None:
+    """Print which of several missions were unchanged."""
+    from unbend.batch.executors import Outcome
+    from unbend.report.terminal import print_unchanged
+
+    repeated = [end.name for end in ends if isinstance(end, Outcome) and end.repeated]
+    if repeated and len(chosen.missions) > 1:
+        print_unchanged(answer.console, repeated, len(chosen.missions))
+
+
+def print_refused(config: str, error: UnbendError) -> dict[str, Any]:
     """Print the refusal of a mission; its entry in the JSON of the command."""
     print_error(error, config)
-    parts = {"code": error.code, "what": error.what, "where": error.where, "to_do": error.remedy}
-    return {"config": config, "exit_code": error.exit_code, "refusal": parts}
+    refusal = {
+        "code": error.code,
+        "what": error.what,
+        "where": error.where,
+        "to_do": error.remedy,
+    }
+    return {"config": config, "exit_code": error.exit_code, "refusal": refusal}
 
 
-def _end(answer: Answer, missions: Sequence[Mapping[str, Any]]) -> NoReturn:
+def end_of_command(answer: Answer, entries: Sequence[Mapping[str, Any]]) -> NoReturn:
     """Print the entries as JSON if that is wanted, and exit with the code of all missions."""
-    from unbend.batch.execute import exit_code_of
+    from unbend.batch.execute import exit_code_of_command
 
-    answer.print_json(missions)
-    raise typer.Exit(exit_code_of([int(mission["exit_code"]) for mission in missions]))
+    answer.print_json(entries)
+    raise typer.Exit(exit_code_of_command([int(entry["exit_code"]) for entry in entries]))
 
 
 @command(epilog="Example: unbend check mission.yaml")
@@ -175,7 +207,7 @@ def check(answer: Answer, configs: Configs, names: Names = None) -> None:
         from unbend.report.terminal import print_check
 
         chosen = select_missions(configs, names or ())
-    missions: list[dict[str, Any]] = []
+    entries: list[dict[str, Any]] = []
     for ref in chosen.missions:
         try:
             if ref in chosen.refused:
@@ -184,14 +216,17 @@ def check(answer: Answer, configs: Configs, names: Names = None) -> None:
                 checked = check_mission(ref, progress=bar)
                 lines = [*input_lines(checked), *rehearsal_lines(checked)]
         except UnbendError as error:
-            missions.append(_refused(ref.label, error))
+            entries.append(print_refused(ref.label, error))
             continue
         print_check(answer.console, ref.label, lines, checked.manifest)
-        missions.append(
-            {"config": ref.label, "exit_code": checked.manifest["exit_code"],
-             "lines": dict(lines), "manifest": checked.manifest}
-        )  # fmt: skip
-    _end(answer, missions)
+        entry = {
+            "config": ref.label,
+            "exit_code": checked.manifest["exit_code"],
+            "lines": dict(lines),
+            "manifest": checked.manifest,
+        }
+        entries.append(entry)
+    end_of_command(answer, entries)
 
 
 @command(epilog="Example: unbend status configs/*.yaml")
@@ -205,28 +240,37 @@ def status(answer: Answer, configs: Configs, names: Names = None) -> None:
         from unbend.report.terminal import print_status
 
         chosen = select_missions(configs, names or (), writes=False)
-    missions: list[dict[str, Any]] = []
+    entries: list[dict[str, Any]] = []
     for ref in chosen.missions:
         try:
-            (_, output), reasons = chosen.called.get(ref, ("", None)), list[str]()
-            if not chosen.is_unchanged(ref):
-                with answer.progress(f"looking at {ref.path.name}"):
-                    from unbend.batch.runs import mission_status
-
-                    plan, reasons = mission_status(ref)
-                    output = plan.output
+            output, reasons = status_of(answer, ref, chosen)
         except UnbendError as error:
-            missions.append(_refused(ref.label, error))
+            entries.append(print_refused(ref.label, error))
             continue
         if reasons or not chosen.campaigns:
             print_status(answer.console, ref.label, reasons)
-        missions.append(
-            {"config": ref.label, "output": str(output), "would_run": bool(reasons),
-             "reasons": reasons, "exit_code": EXIT_DONE}
-        )  # fmt: skip
-    runs = sum(mission.get("would_run", False) for mission in missions)
-    answer.console.print(f"{count(runs, 'mission')} of {len(chosen.missions)} would run")
-    _end(answer, missions)
+        entry = {
+            "config": ref.label,
+            "output": output,
+            "would_run": bool(reasons),
+            "reasons": reasons,
+            "exit_code": EXIT_DONE,
+        }
+        entries.append(entry)
+    would_run = sum(entry.get("would_run", False) for entry in entries)
+    answer.console.print(f"{count(would_run, 'mission')} of {len(chosen.missions)} would run")
+    end_of_command(answer, entries)
+
+
+def status_of(answer: Answer, ref: MissionRef, chosen: Selection) -> tuple[str, list[str]]:
+    """Where the results of a mission go, and why it would run: no reason where it would not."""
+    if chosen.is_unchanged(ref):
+        return str(chosen.called[ref].output), []
+    with answer.progress(f"looking at {ref.path.name}"):
+        from unbend.batch.runs import mission_status
+
+        plan, reasons = mission_status(ref)
+    return str(plan.output), reasons
 
 
 @command(epilog="Example: unbend stations mission.yaml --plot flight.png")
@@ -256,8 +300,10 @@ def stations(
             save_figure(flight_figure(checked.stations, checked.track(), suspect), plot)
     print_stations(answer.console, table)
     about = ("EVENTS-", "EXIF-", "IMAGES-", "STATIONS-", "SUSPECT-")
-    rows = checked.ledger.rows()
-    shown = [e for e in rows if e["kind"] != "note" or str(e["code"]).startswith(about)]
+    shown = []
+    for entry in checked.ledger.rows():
+        if entry["kind"] != "note" or str(entry["code"]).startswith(about):
+            shown.append(entry)
     answer.end({"stations": table}, checked.ledger, csv, plot, shown=shown)
 
 
@@ -274,7 +320,7 @@ def inspect(
 ) -> None:
     """What a log or weather model holds, in words of a mission file."""
     if (kind is None and (as_csv or instance is not None)) or (as_csv and answer.as_json):
-        raise ConfigError.of("INSPECT-ARGUMENTS")
+        raise messages.inspect_options()
     with answer.progress(f"reading {log.name}"):
         from unbend.ingest import open_log
         from unbend.tables.weather_files import contents_of, is_model_file
@@ -316,13 +362,16 @@ def _format_parameters() -> tuple[Any, ...]:
     from unbend.tables.exports import FORMATS
 
     names: dict[str, list[str]] = {}
+    options = {}
     for form in FORMATS.values():
         names.setdefault(form.contents, []).append(form.name)
+        for option in form.options:
+            options[option.name] = option
     listed = "; ".join(f"{', '.join(of)}: {contents}" for contents, of in names.items())
-    option = Option("--format", help=listed, autocompletion=lambda: list(FORMATS))
-    hints: dict[str, Any] = {"format_name": Annotated[str, option]}
+    format_option = Option("--format", help=listed, autocompletion=lambda: list(FORMATS))
+    hints: dict[str, Any] = {"format_name": Annotated[str, format_option]}
     parameters = [Parameter("format_name", Parameter.KEYWORD_ONLY)]
-    for option in {o.name: o for form in FORMATS.values() for o in form.options}.values():
+    for option in options.values():
         unit = f" {option.unit}" if option.unit else ""
         hints[option.name] = Annotated[
             option.kind | None,
@@ -418,24 +467,65 @@ def simulate(
     )
     answer.print_paths([text, *(f"  unbend run {path}" for path in missions)])
     answer.print_json(
-        {"out": str(out), "images": flown.images, "observations": flown.observation_count,
-         "points": flown.points, "duration_s": flown.duration_s, "missions": missions}
-    )  # fmt: skip
+        {
+            "out": str(out),
+            "images": flown.images,
+            "observations": flown.observation_count,
+            "points": flown.points,
+            "duration_s": flown.duration_s,
+            "missions": missions,
+        }
+    )
 
 
 @command(epilog="Example: unbend verify results/survey")
 def verify(
     answer: Answer,
     run: Annotated[str, Argument(help="a folder of results, or their URL", metavar="RUN")],
+    *,
+    remove_leftovers: Annotated[
+        bool, Option("--remove-leftovers", help="of a URL: remove what interrupted runs left there")
+    ] = False,
+    recent: Annotated[
+        bool, Option("--recent", help="with it: uploads of the last hour too, if no run goes on")
+    ] = False,
 ) -> None:
-    """Whether the results of a run are whole and unchanged."""
-    with answer.progress(f"hashing {run}"):
-        from unbend.batch.finished_run import verify_run
-        from unbend.batch.plan import located
+    """Whether the results of a run are whole and unchanged.
 
-        manifest = verify_run(located(run))
+    With --remove-leftovers the URL may be that of many results: what is below it is looked at too,
+    and no run need have finished there. No result is touched.
+    """
+    content: dict[str, Any] = {}
+    with answer.progress(f"hashing {run}"):
+        from unbend.batch import remote
+        from unbend.batch.plan import located
+        from unbend.batch.results import read_manifest, verify_run
+
+        output = located(run)
+        is_wanted = True
+        if remove_leftovers and isinstance(output, remote.Place):
+            removed, young = remote.remove_leftovers(output, recent=recent)
+            print_leftovers(answer, removed, young)
+            content = {"removed": removed, "kept": young}
+            is_wanted = read_manifest(output) is not None
+        manifest = verify_run(output) if is_wanted else None
+    if manifest is None:
+        answer.print_json(content)
+        return
     files = len(manifest["outputs"])
-    are = "is" if files == 1 else "are"
+    verb = "is" if files == 1 else "are"
     mission = manifest["mission"]
-    answer.print_paths([f"{run}: {count(files, 'file')} of mission {mission} {are} whole"])
-    answer.print_json({"run": str(run), "mission": mission, "files": files, "whole": True})
+    answer.print_paths([f"{run}: {count(files, 'file')} of mission {mission} {verb} whole"])
+    answer.print_json(
+        content | {"run": str(run), "mission": mission, "files": files, "whole": True}
+    )
+
+
+def print_leftovers(answer: Answer, removed: Sequence[str], young: int) -> None:
+    """Print what interrupted runs left in object storage, and how much of it stays."""
+    answer.print_paths(f"removed {name}" for name in removed)
+    if young:
+        uploads = count(young, "upload")
+        answer.console.print(f"{uploads} of the last hour kept: --recent removes them too")
+    elif not removed:
+        answer.console.print("nothing is left of interrupted runs")

@@ -2,16 +2,20 @@
 
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 from typer import Argument, Option
 from typer.core import TyperCommand
 
+from unbend.cli import messages
 from unbend.cli.app import Answer, command, write_rows_csv
-from unbend.errors import ConfigError
 
 if TYPE_CHECKING:
     from unbend.report.accuracy import Accuracy
+
+DEFAULT_ATMOSPHERE = "us1976"
+DEFAULT_METHOD = "spherical"
+ACCURACY = "accuracy"  # stands for a paper: all published methods compared
 
 
 def _methods() -> list[str]:
@@ -21,12 +25,9 @@ def _methods() -> list[str]:
     return list(METHODS)
 
 
-_NAMED = Option(
-    help="name of a standard atmosphere",
-    autocompletion=lambda: list(import_module("unbend.atmosphere.standard").ATMOSPHERES),
-)
-Atmosphere = Annotated[str, _NAMED]
-Radius = Annotated[float, Option(help="radius of the earth, metres")]
+def _atmospheres() -> list[str]:
+    """Names that a shell completes; imported when it asks."""
+    return list(import_module("unbend.atmosphere.standard").ATMOSPHERES)
 
 
 class _AngleCommand(TyperCommand):
@@ -34,7 +35,9 @@ class _AngleCommand(TyperCommand):
 
     def get_params(self, ctx: Any) -> list[Any]:
         params: list[Any] = super().get_params(ctx)
-        next(p for p in params if p.name == "method").help = ", ".join(_methods())
+        for parameter in params:
+            if parameter.name == "method":
+                parameter.help = ", ".join(_methods())
         return params
 
 
@@ -42,35 +45,75 @@ class _AngleCommand(TyperCommand):
     cls=_AngleCommand,
     # \b: not to be wrapped again, which would break words at their hyphens.
     epilog="\b\nExample: unbend angle --atmosphere us1976 --index gyer \\\n"
-    "  --camera-height 10000 --ground-height 0 --nadir-angle 75",
+    "  --camera-height 10000 --ground-height 0 --nadir-angle 75\n"
+    "or: unbend angle --camera-height 3000 --camera-height 6000 \\\n"
+    "  --ground-height 0 --focal-px 20000",
 )
 def angle(
     answer: Answer,
     *,
-    camera_height: Annotated[float, Option(help="metres above sea level")],
+    camera_height: Annotated[
+        list[float], Option(help="metres above sea level; for a table perhaps several times")
+    ],
     ground_height: Annotated[float, Option(help="metres above sea level")],
-    nadir_angle: Annotated[float, Option(help="apparent nadir angle, degrees, 0 to 180")],
-    atmosphere: Atmosphere = "us1976",
-    method: Annotated[str, Option(autocompletion=_methods)] = "spherical",
+    nadir_angle: Annotated[
+        float | None, Option(help="apparent nadir angle, degrees, 0 to 180; without it: a table")
+    ] = None,
+    atmosphere: Annotated[
+        str | None,
+        Option(
+            help="name of a standard atmosphere, by default us1976", autocompletion=_atmospheres
+        ),
+    ] = None,
+    method: Annotated[str, Option(autocompletion=_methods)] = DEFAULT_METHOD,
     index: Annotated[str, Option(help="ciddor or gyer (Eq. 13)")] = "ciddor",
-    radius: Radius = 6_371_000.0,
+    radius: Annotated[float, Option(help="radius of the earth, metres")] = 6_371_000.0,
     distance: Annotated[
         float | None,
         Option(help="slant range, metres: which of two crossings is meant (spherical)"),
     ] = None,
+    config: Annotated[
+        Path | None, Option(help="of a table: a mission file, for the air it flew in")
+    ] = None,
+    focal_px: Annotated[float | None, Option(help="of a table: principal distance, pixels")] = None,
+    max_angle: Annotated[float, Option(help="of a table: largest nadir angle, degrees")] = 60.0,
+    step: Annotated[float, Option(min=0.01, help="of a table: degrees between rows")] = 5.0,
+    csv: Annotated[Path | None, Option(help="of a table: write the rows as CSV")] = None,
 ) -> None:
-    """One refraction angle: arcsec, microradians, ground metres.
+    """One refraction angle, or a table of them by nadir angle.
 
-    To five digits; all of them with --json.
+    One angle: arcsec, microradians, ground metres, to five digits (all of them with --json). A
+    table has K, which is R at 45 degrees, and beside it what the Manual of Photogrammetry's formula
+    gives. It has no metres on the ground where only the bent ray lands and the straight one passes
+    over the horizon.
     """
+    if nadir_angle is None:
+        if method != DEFAULT_METHOD or index != "ciddor" or distance is not None:
+            raise messages.angle_options(options="--method, --index, --distance", other="one angle")
+        print_table_of_angles(
+            answer,
+            camera_height,
+            ground_height,
+            atmosphere=atmosphere,
+            config=config,
+            focal_px=focal_px,
+            max_angle=max_angle,
+            step=step,
+            radius=radius,
+            csv=csv,
+        )
+    if len(camera_height) > 1 or config is not None or focal_px is not None or csv is not None:
+        raise messages.angle_options(
+            options="several heights, --config, --focal-px, --csv", other="a table"
+        )
     with answer.progress("tracing the ray"):
         from unbend.refraction.angle import one_angle
         from unbend.report.air_and_rays import print_angle
 
         result = one_angle(
-            atmosphere=atmosphere,
+            atmosphere=atmosphere or DEFAULT_ATMOSPHERE,
             index=index,
-            camera_height=camera_height,
+            camera_height=camera_height[0],
             ground_height=ground_height,
             nadir_angle=nadir_angle,
             radius=radius,
@@ -81,32 +124,23 @@ def angle(
     print_angle(answer.console, result)
 
 
-@command(
-    epilog="\b\nExample: unbend radial --atmosphere us1976 --camera-height 3000 \\\n"
-    "  --camera-height 6000 --ground-height 0 --focal-px 20000"
-)
-def radial(
+def print_table_of_angles(
     answer: Answer,
+    camera_heights: list[float],
+    ground_height: float,
     *,
-    camera_height: Annotated[
-        list[float], Option(help="metres above sea level; may be given several times")
-    ],
-    ground_height: Annotated[float, Option(help="metres above sea level")],
-    atmosphere: Annotated[str | None, Option(help="name of a standard atmosphere")] = None,
-    config: Annotated[Path | None, Option(help="a mission file: the air it flew in")] = None,
-    focal_px: Annotated[float | None, Option(help="principal distance, pixels")] = None,
-    max_angle: Annotated[float, Option(help="largest nadir angle, degrees")] = 60.0,
-    step: Annotated[float, Option(min=0.01, help="degrees between rows")] = 5.0,
-    radius: Radius = 6_371_000.0,
-    csv: Annotated[Path | None, Option(help="write the rows as CSV")] = None,
-) -> None:
-    """Refraction by nadir angle per flying height; the Manual's K.
-
-    K is R at 45 degrees; beside it stands what the Manual of Photogrammetry's formula gives. No
-    metres on the ground are given where only the bent ray lands and the straight one passes over
-    the horizon.
-    """
-    _require_one_atmosphere(config, atmosphere)
+    atmosphere: str | None,
+    config: Path | None,
+    focal_px: float | None,
+    max_angle: float,
+    step: float,
+    radius: float,
+    csv: Path | None,
+) -> NoReturn:
+    """Refraction by nadir angle for some flying heights, printed or written."""
+    if config is None and atmosphere is None:
+        atmosphere = DEFAULT_ATMOSPHERE
+    require_one_atmosphere(config, atmosphere)
     with answer.progress("estimating the air"):
         from unbend.batch.runs import air_of_mission_or_standard
         from unbend.refraction.angle import angles_to, radial_table
@@ -114,11 +148,17 @@ def radial(
 
         angles = angles_to(max_angle, step)
         air, _, ledger = air_of_mission_or_standard(config, atmosphere)
-        profile = air.adjustment.profile
-        tables = [
-            radial_table(profile, h, ground_height, angles, focal_px=focal_px, radius=radius)
-            for h in camera_height
-        ]
+        tables = []
+        for height in camera_heights:
+            table = radial_table(
+                air.adjustment.profile,
+                height,
+                ground_height,
+                angles,
+                focal_px=focal_px,
+                radius=radius,
+            )
+            tables.append(table)
         rows = radial_rows(tables)
     if csv is not None:
         write_rows_csv(csv, rows)
@@ -127,15 +167,31 @@ def radial(
     answer.end({"rows": rows}, ledger, csv)
 
 
-@command(epilog="Example: unbend tables gyer1996 --csv gyer.csv")
+@command(epilog="Example: unbend tables gyer1996 --csv gyer.csv; unbend tables accuracy")
 def tables(
     answer: Answer,
     paper: Annotated[
-        str, Argument(help="gyer1996, saastamoinen1974 or bertram1966", metavar="PAPER")
+        str,
+        Argument(help="gyer1996, saastamoinen1974, bertram1966, or accuracy", metavar="PAPER"),
     ],
     csv: Annotated[Path | None, Option(help="write the rows as CSV")] = None,
+    atmosphere: Annotated[
+        str,
+        Option(help="of accuracy: name of a standard atmosphere", autocompletion=_atmospheres),
+    ] = DEFAULT_ATMOSPHERE,
+    out: Annotated[
+        Path | None,
+        Option(help="of accuracy: write the page as Markdown, its picture beside it as .png"),
+    ] = None,
 ) -> None:
-    """Recompute a paper's tables: as printed, as published, and exact."""
+    """Recompute a paper's tables: as printed, as published, and exact.
+
+    `accuracy` says how far each published method can be trusted: by flying height, to which nadir
+    angle it stays within 0.1 and 1 arcsec of the spherical ray.
+    """
+    if paper == ACCURACY:
+        print_accuracy_of_methods(answer, atmosphere, csv, out)
+        return
     with answer.progress("computing the tables"):
         from unbend.refraction.printed_tables import paper_tables
         from unbend.report.air_and_rays import print_paper
@@ -147,6 +203,39 @@ def tables(
     else:
         write_rows_csv(csv, rows)
     answer.print_json({"rows": rows, "notes": table.notes})
+
+
+def print_accuracy_of_methods(
+    answer: Answer, atmosphere: str, csv: Path | None, out: Path | None
+) -> None:
+    """The comparison of all published methods with the exact ray, printed or written."""
+    with answer.progress("comparing the methods"):
+        from unbend.report.accuracy import compare_all, comparison_rows, print_accuracy
+
+        comparisons = compare_all(atmosphere)
+        rows = comparison_rows(comparisons)
+        if out is not None:
+            write_comparison(comparisons, out)
+        if csv is not None:
+            write_rows_csv(csv, rows)
+    if out is None and csv is None:
+        print_accuracy(answer.console, comparisons)
+    answer.print_json({"atmosphere": atmosphere, "rows": rows})
+
+
+def write_comparison(accuracy: "Accuracy", path: Path) -> None:
+    """Write the comparison of the methods as a page, and its picture beside it."""
+    from unbend.batch.store import atomic_write
+    from unbend.report.accuracy import accuracy_page, accuracy_png, text_hash
+
+    if path.suffix.lower() != ".md":
+        raise messages.page_not_markdown(path=str(path), suffix=path.suffix)
+    picture = path.with_suffix(".png")
+    text = accuracy_page(accuracy, picture.name)
+    png = accuracy_png(accuracy.curves, text_hash(text))
+    for target, content in ((path, text.encode()), (picture, png)):
+        with atomic_write(target) as draft:
+            draft.write_bytes(content)
 
 
 @command(
@@ -166,7 +255,7 @@ def profile(
     ] = None,
 ) -> None:
     """The air of a mission or of a standard: a table, CSV or plot."""
-    _require_one_atmosphere(config, atmosphere)
+    require_one_atmosphere(config, atmosphere)
     with answer.progress("estimating the air"):
         from unbend.atmosphere.profile import heights_every
         from unbend.batch.runs import air_of_mission_or_standard
@@ -193,45 +282,7 @@ def profile(
     answer.end({"profile": rows.to_pylist(), "effect": effects}, ledger, csv, plot)
 
 
-@command(epilog="Example: unbend compare --out docs/accuracy.md")
-def compare(
-    answer: Answer,
-    atmosphere: Atmosphere = "us1976",
-    out: Annotated[
-        Path | None, Option(help="write the page as Markdown, its picture beside it as .png")
-    ] = None,
-) -> None:
-    """How far each published method can be trusted.
-
-    By flying height: to which nadir angle it stays within 0.1 and 1 arcsec of the spherical ray.
-    """
-    with answer.progress("comparing the methods"):
-        from unbend.report.accuracy import compare_all, comparison_rows, print_accuracy
-
-        comparisons = compare_all(atmosphere)
-        if out is not None:
-            write_comparison(comparisons, out)
-    if out is None:
-        print_accuracy(answer.console, comparisons)
-    answer.print_json({"atmosphere": atmosphere, "rows": comparison_rows(comparisons)})
-
-
-def write_comparison(accuracy: "Accuracy", path: Path) -> None:
-    """Write the comparison of the methods as a page, and its picture beside it."""
-    from unbend.batch.store import atomic_write
-    from unbend.report.accuracy import accuracy_page, accuracy_png, text_hash
-
-    if path.suffix.lower() != ".md":
-        raise ConfigError.of("PAGE-FORMAT", path, suffix=path.suffix or "nothing")
-    picture = path.with_suffix(".png")
-    text = accuracy_page(accuracy, picture.name)
-    png = accuracy_png(accuracy.curves, text_hash(text))
-    for target, content in ((path, text.encode()), (picture, png)):
-        with atomic_write(target) as draft:
-            draft.write_bytes(content)
-
-
-def _require_one_atmosphere(config: Path | None, atmosphere: str | None) -> None:
+def require_one_atmosphere(config: Path | None, atmosphere: str | None) -> None:
+    """Refuse (PROFILE-ARGUMENTS) a mission and a standard atmosphere together, and neither."""
     if (config is None) == (atmosphere is None):
-        what = "give either a mission file or --atmosphere"
-        raise ConfigError("PROFILE-ARGUMENTS", what, remedy="for example: --atmosphere us1976")
+        raise messages.one_atmosphere_wanted()

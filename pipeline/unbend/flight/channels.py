@@ -1,14 +1,16 @@
 """What a log holds, as columns in SI: the only thing that leaves `ingest`."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import compress
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from unbend.units import Array
+from unbend.atmosphere.rejection import Reason, Reasons, RemovedSamples, with_reason
+from unbend.units import Array, Mask
 
 TimeArray = NDArray[np.int64]
 
@@ -28,11 +30,22 @@ ROLE_COLUMNS: Mapping[str, tuple[str, ...]] = {
 }
 """Roles a channel can play, and the columns it needs for that."""
 
+_INTERVALS_OF_A_GAP = 3.0  # usual ones: a channel that misses two samples has a gap
+
 _OF_HEALTH = {
-    "innovation_velocity", "innovation_position", "innovation_height", "innovation_compass",
-    "filter_flags", "filter_timeouts", "filter_faults", "vibration_m_s2", "clipping",
-    "rate_x_rad_s", "rate_y_rad_s", "rate_z_rad_s",
-}  # fmt: skip
+    "innovation_velocity",
+    "innovation_position",
+    "innovation_height",
+    "innovation_compass",
+    "filter_flags",
+    "filter_timeouts",
+    "filter_faults",
+    "vibration_m_s2",
+    "clipping",
+    "rate_x_rad_s",
+    "rate_y_rad_s",
+    "rate_z_rad_s",
+}
 
 
 @dataclass(frozen=True)
@@ -58,8 +71,9 @@ class Channel:
     rank : the smaller, the sooner it is chosen among candidates for a role.
     labels : strings that belong to the samples, such as image names.
     logged_units : by column, the unit of the log that was converted; SI where a column has none.
-    masked : by column, how many of its unknown values were impossible ones, counted in the ledger
-        when the log was read.
+    rejected : by column, (n,) why values are unknown that were impossible; 0 elsewhere. Counted in
+        the ledger when the log was read.
+    removed : samples that the channel no longer holds, and why.
 
     Columns in use: lat_rad, lon_rad, h_msl_m, h_gnss_m (above sea level, by the receiver alone),
     h_ellipsoid_m, h_home_m, east_m, north_m, up_m (local); v_north_m_s, v_east_m_s, v_down_m_s;
@@ -89,7 +103,8 @@ class Channel:
     rank: int = 50
     labels: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     logged_units: Mapping[str, str] = field(default_factory=dict)
-    masked: Mapping[str, int] = field(default_factory=dict)
+    rejected: Mapping[str, Reasons] = field(default_factory=dict)
+    removed: RemovedSamples = field(default_factory=RemovedSamples)
 
     def __post_init__(self) -> None:
         n = self.time_ns.shape[0]
@@ -99,9 +114,10 @@ class Channel:
             raise ValueError(f"channel {self.name}: time_ns must increase strictly")
         if self.boot.shape[0] == 0 and n:
             object.__setattr__(self, "boot", np.zeros(n, np.int16))
-        for name, column in self.columns.items():
-            if column.shape != (n,):
-                raise ValueError(f"channel {self.name}: {name} is {column.shape}, not ({n},)")
+        for arrays in (self.columns, self.rejected):
+            for name, values in arrays.items():
+                if values.shape != (n,):
+                    raise ValueError(f"channel {self.name}: {name} is {values.shape}, not ({n},)")
 
     def __len__(self) -> int:
         return int(self.time_ns.shape[0])
@@ -127,23 +143,58 @@ class Channel:
         """The column of heights above one surface, sea level before ellipsoid; None without."""
         if np.isfinite(self.columns.get("h_msl_m", np.nan)).any():
             return "h_msl_m"
-        return "h_ellipsoid_m" if "h_ellipsoid_m" in self.columns else None
+        if "h_ellipsoid_m" in self.columns:
+            return "h_ellipsoid_m"
+        return None
 
     @property
     def rate_hz(self) -> float:
         """Median sampling rate [1/s]; 0 with fewer than two samples."""
-        return 0.0 if len(self) < 2 else 1.0 / self._usual_interval_s
+        if len(self) < 2:
+            return 0.0
+        return 1.0 / self._usual_interval_s
 
     def gap_limit_s(self, max_gap_s: float = 1.0) -> float:
         """The longest interval between two samples that is no gap [s].
 
         ``max_gap_s``, or three of the channel's usual intervals where it is slower than that.
         """
-        return max_gap_s if len(self) < 2 else max(max_gap_s, 3.0 * self._usual_interval_s)
+        if len(self) < 2:
+            return max_gap_s
+        return max(max_gap_s, _INTERVALS_OF_A_GAP * self._usual_interval_s)
 
     @cached_property
     def _usual_interval_s(self) -> float:
         return float(np.median(np.diff(self.time_ns))) * 1e-9
+
+    def rows(self, keep: Mask) -> "Channel":
+        """The samples that a mask keeps."""
+        return replace(
+            self,
+            time_ns=self.time_ns[keep],
+            boot=self.boot[keep],
+            columns={name: values[keep] for name, values in self.columns.items()},
+            labels={name: tuple(compress(texts, keep)) for name, texts in self.labels.items()},
+            rejected={name: reasons[keep] for name, reasons in self.rejected.items()},
+        )
+
+    def without(self, reasons: Reasons) -> "Channel":
+        """The channel without the samples that have a reason, which go to ``removed``."""
+        gone = reasons != Reason.USED
+        if not gone.any():
+            return self
+        removed = self.removed.and_also(self.time_ns[gone], reasons[gone])
+        return replace(self.rows(~gone), removed=removed)
+
+    def with_impossible(self, column: str, rows: Mask, reason: Reason) -> "Channel":
+        """The channel with some values of a column unknown (NaN), and why."""
+        values = np.where(rows, np.nan, self.columns[column])
+        known = self.rejected.get(column, np.zeros(len(self), np.uint8))
+        return replace(
+            self,
+            columns=dict(self.columns) | {column: values},
+            rejected=dict(self.rejected) | {column: with_reason(known, rows, reason)},
+        )
 
     def to_pandas(self) -> Any:
         """The channel as a pandas DataFrame indexed by UTC time."""

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from unbend.flight.channels import TimeArray
-from unbend.messages import Entry, loss, note
+from unbend.flight.messages import clock_stepped, time_fit
+from unbend.messages import Message
 from unbend.units import NANOSECONDS_PER_SECOND, UNIX_NS_OF_GPS_EPOCH, Array, Integers, Mask, Rows
 
 SECONDS_PER_WEEK = 604_800
@@ -89,12 +90,16 @@ def stray_times(time_ns: TimeArray) -> Mask:
     """
     n = time_ns.shape[0]
     steps = np.diff(time_ns)
-    first = np.concatenate([[0], np.flatnonzero(np.abs(steps, out=steps) > BOOT_STEP_NS) + 1])
-    if n == 0 or first.shape[0] == 1:
+    np.abs(steps, out=steps)
+    far_from_previous = np.flatnonzero(steps > BOOT_STEP_NS) + 1
+    if n == 0 or far_from_previous.size == 0:
         return np.zeros(n, np.bool_)
+    first = np.append(0, far_from_previous)
     length = np.diff(np.append(first, n))
-    begin, end = time_ns[first], time_ns[first + length - 1]
-    return np.repeat(stray_stretches(begin, end, length), length)
+    begin = time_ns[first]
+    end = time_ns[first + length - 1]
+    is_stray = stray_stretches(begin, end, length)
+    return np.repeat(is_stray, length)
 
 
 def stray_stretches(begin: TimeArray, end: TimeArray, length: Integers) -> Mask:
@@ -103,7 +108,8 @@ def stray_stretches(begin: TimeArray, end: TimeArray, length: Integers) -> Mask:
     ``begin``, ``end``: (n,) [ns] the first and the last stamp of each stretch, in the order of the
     file; ``length``: (n,) how many stamps each has. Returns (n,) True where a stretch is stray.
 
-    >>> begin, end = np.array([0, 70, 2]) * 10**9, np.array([1, 70, 9]) * 10**9
+    >>> begin = np.array([0, 70, 2]) * 10**9
+    >>> end = np.array([1, 70, 9]) * 10**9
     >>> stray_stretches(begin, end, np.array([9, 1, 9]))
     array([False,  True, False])
     """
@@ -113,11 +119,13 @@ def stray_stretches(begin: TimeArray, end: TimeArray, length: Integers) -> Mask:
         return stray
     stray[0] = short[0] and not short[1] and begin[1] < end[0]
     stray[-1] = short[-1] and not short[-2] and begin[-1] < end[-2]
-    last = begin[1] if stray[0] else end[0]  # the last stamp that is not stray
+    last_good = begin[1] if stray[0] else end[0]
     for k in range(1, begin.shape[0] - 1):
-        far = abs(begin[k] - last) > BOOT_STEP_NS
-        stray[k] = short[k] and far and abs(begin[k + 1] - last) <= BOOT_STEP_NS
-        last = last if stray[k] else end[k]
+        leaves = abs(begin[k] - last_good) > BOOT_STEP_NS
+        next_returns = abs(begin[k + 1] - last_good) <= BOOT_STEP_NS
+        stray[k] = short[k] and leaves and next_returns
+        if not stray[k]:
+            last_good = end[k]
     return stray
 
 
@@ -132,21 +140,26 @@ def longest_increasing(time_ns: TimeArray) -> Mask:
     """
     if bool(np.all(np.diff(time_ns) > 0)):
         return np.ones(time_ns.shape, np.bool_)
+    no_row = -1
     ends: list[int] = []  # the smallest time that ends an increasing run of each length
     row_of_end: list[int] = []
-    before = [-1] * time_ns.shape[0]
+    row_before = [no_row] * time_ns.shape[0]
     for row, time in enumerate(time_ns.tolist()):
-        length = len(ends) if not ends or time > ends[-1] else bisect_left(ends, time)
-        if length < len(ends) and ends[length] == time:
-            continue
-        before[row] = row_of_end[length - 1] if length else -1
+        length = len(ends)
+        if ends and time <= ends[-1]:
+            length = bisect_left(ends, time)
+            if ends[length] == time:
+                continue
+        if length:
+            row_before[row] = row_of_end[length - 1]
         ends[length : length + 1] = [time]
         row_of_end[length : length + 1] = [row]
+    # Back from the end of the longest run.
     keep = np.zeros(time_ns.shape, np.bool_)
     row = row_of_end[-1]
-    while row >= 0:
+    while row != no_row:
         keep[row] = True
-        row = before[row]
+        row = row_before[row]
     return keep
 
 
@@ -164,16 +177,18 @@ def rows_in_time_order(time_ns: TimeArray) -> tuple[Rows, NDArray[np.int16]]:
     """
     keep = longest_increasing(time_ns)
     rows = np.flatnonzero(keep | _in_long_runs(~keep))
-    back = np.diff(time_ns[rows]) <= 0
-    if not 0 < int(np.count_nonzero(back)) <= SET_BACKS:
+    set_back = np.diff(time_ns[rows]) <= 0
+    settings = int(np.count_nonzero(set_back))
+    if settings == 0 or settings > SET_BACKS:
         rows = np.flatnonzero(keep)
         return rows, np.zeros(rows.shape, np.int16)
-    stretch = np.concatenate([[0], np.cumsum(back)]).astype(np.int16)
+    stretch = np.append(0, np.cumsum(set_back)).astype(np.int16)
     time = time_ns[rows]
     stays = np.ones(rows.shape, np.bool_)
-    for number in range(1, int(stretch[-1]) + 1):
+    for number in range(1, settings + 1):
         later = time[stretch == number]
-        stays &= (stretch >= number) | (time < later[0]) | (time > later[-1])
+        passed_again = (time >= later[0]) & (time <= later[-1])
+        stays &= (stretch >= number) | ~passed_again
     order = np.argsort(time[stays], kind="stable")
     return rows[stays][order], stretch[stays][order]
 
@@ -220,12 +235,21 @@ def fit_offset(utc_ns: TimeArray, boot_ns: TimeArray) -> ClockOffset | None:
     apart = (difference - base).astype(np.float64)
     low, middle, high = np.percentile(apart, (5.0, 50.0, 95.0))
     largest = max(float(apart.max() - middle), float(middle - apart.min()))
-    offset = ClockOffset(base + round(middle), round(high - low), utc_ns.size, round(largest))
+    offset = ClockOffset(
+        offset_ns=base + round(middle),
+        spread_ns=round(high - low),
+        rows=utc_ns.size,
+        largest_ns=round(largest),
+    )
     if largest <= LARGEST_SPREAD_NS:
         return offset
-    far = np.abs(apart - middle) > LARGEST_SPREAD_NS
-    first, stepped = int(boot_ns[np.argmax(far)]), bool(_in_long_runs(far).any())
-    return replace(offset, far=int(np.count_nonzero(far)), first_far_ns=first, stepped=stepped)
+    is_far = np.abs(apart - middle) > LARGEST_SPREAD_NS
+    return replace(
+        offset,
+        far=int(np.count_nonzero(is_far)),
+        first_far_ns=int(boot_ns[np.argmax(is_far)]),
+        stepped=bool(_in_long_runs(is_far).any()),
+    )
 
 
 def new_readings(time_ns: TimeArray) -> Mask:
@@ -247,36 +271,49 @@ def clock_map(from_ns: TimeArray, to_ns: TimeArray) -> Callable[[TimeArray], Tim
     array([ 99, 110, 122])
     """
     order = np.argsort(from_ns, kind="stable")
-    since, steady = from_ns[order], to_ns[order]
+    first_clock = from_ns[order]
+    second_clock = to_ns[order]
     del order  # in long logs these are the peak of memory
-    np.maximum.accumulate(steady, out=steady)
-    base_from, base_to = int(since[0]), int(steady[0])
-    since -= base_from
-    steady -= base_to
-    at: Array = since.astype(np.float64)
-    ahead: Array = steady.astype(np.float64)
-    ahead -= at
-    del since, steady
+    np.maximum.accumulate(second_clock, out=second_clock)
+    # Since the first reading, float64 holds nanoseconds exactly.
+    base_from = int(first_clock[0])
+    base_to = int(second_clock[0])
+    first_clock -= base_from
+    second_clock -= base_to
+    elapsed: Array = first_clock.astype(np.float64)
+    ahead: Array = second_clock.astype(np.float64)
+    ahead -= elapsed
+    del first_clock, second_clock
 
     def mapped(time_ns: TimeArray) -> TimeArray:
         since = time_ns - base_from
-        shift: Array = np.interp(since.astype(np.float64), at, ahead)
+        shift: Array = np.interp(since.astype(np.float64), elapsed, ahead)
         return np.asarray(since + base_to + np.rint(shift).astype(np.int64), np.int64)
 
     return mapped
 
 
-def clock_fit_note(source: str, fit: ClockOffset, where: str) -> Entry:
+def clock_fit_note(source: str, fit: ClockOffset, where: str) -> Message:
     """How well the stamps agree that tie a vehicle's clock to UTC; one that stepped is a loss.
 
     p5 to p95 do not see a tenth of the rows: the farthest counts as well, and rows that stay away.
     """
-    spread, largest = fit.spread_ns / 1e6, fit.largest_ns / 1e6
+    spread_ms = fit.spread_ns / 1e6
+    largest_ms = fit.largest_ns / 1e6
     steady = fit.spread_ns <= LARGEST_SPREAD_NS and fit.largest_ns <= BOOT_STEP_NS
     if steady and not fit.stepped:
-        return note("TIME-FIT", where=where, count=fit.rows, source=source, spread=spread,
-                    largest=largest)  # fmt: skip
-    where = f"{where}, first {fit.first_far_ns / 1e9:.3f} s after boot"
-    limit = LARGEST_SPREAD_NS / 1e6
-    return loss("TIME-FIT/stepped", where=where, count=fit.far, source=source, spread=spread,
-                largest=largest, limit=limit)  # fmt: skip
+        return time_fit(
+            where=where,
+            rows=fit.rows,
+            source=source,
+            spread_ms=spread_ms,
+            largest_ms=largest_ms,
+        )
+    return clock_stepped(
+        where=f"{where}, first {fit.first_far_ns / 1e9:.3f} s after boot",
+        far=fit.far,
+        source=source,
+        spread_ms=spread_ms,
+        largest_ms=largest_ms,
+        limit_ms=LARGEST_SPREAD_NS / 1e6,
+    )

@@ -7,12 +7,12 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from unbend.errors import MissionError
+from unbend.flight import messages
 from unbend.flight.channels import Channel
 from unbend.flight.ground_times import times_on_the_ground
 from unbend.flight.stations import Stations
-from unbend.messages import Entry, Notes, loss, note, warning
-from unbend.units import Array, Integers, Names
+from unbend.messages import Message, Notes
+from unbend.units import NANOSECONDS_PER_SECOND, Array, Integers, Mask, Names
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,60 +34,91 @@ class Events:
     counts: Literal["no", "maybe", "always"] = "no"
 
 
-LONGEST_LAG_S, FEWEST_PAIRS = 1.0, 10
+@dataclass(frozen=True)
+class ExposureDelay:
+    """What is added to times of events, positive where the shutter opens later, and its sigma."""
+
+    seconds: float
+    sigma_s: float = 0.0
+
+    @property
+    def nanoseconds(self) -> int:
+        """The delay in whole nanoseconds."""
+        return round(self.seconds * 1e9)
+
+
+LONGEST_LAG_S = 1.0  # of a shutter behind its trigger; a later pulse is another exposure's
+FEWEST_PAIRS = 10  # of triggers and pulses, of which the median is a lag
+_NUMBERS_PER_BOOT = 1e6  # numbers of two power-ups are kept apart by this
 
 
 def lag_from_feedback(
     channels: tuple[Channel, ...], trigger: Channel, camera: str
-) -> tuple[tuple[float, float], Notes]:
-    """The shutter's lag behind the trigger and its sigma [s], by triggers with a logged pulse.
+) -> tuple[ExposureDelay, Notes]:
+    """The shutter's lag behind the trigger, by triggers with a logged pulse.
 
     The median of the pairs of one number and power-up, with their scatter as sigma; refuses
     (MissionError EVENTS-FEEDBACK) fewer than ten, or events that are no triggers.
     """
     lags = np.empty(0)
-    for shots in channels:
-        pairs = shots.source.message == "CAM" and trigger.source.message == "TRIG"
-        if not pairs or not _of_one_camera(trigger, shots):
-            continue
-        sent, seen = (c["event_index"] + 1e6 * c.boot for c in (trigger, shots))
-        _, first, second = np.intersect1d(sent, seen, return_indices=True)
-        apart = (shots.time_ns[second] - trigger.time_ns[first]) * 1e-9
-        lags = np.append(lags, apart[(apart > 0.0) & (apart < LONGEST_LAG_S)])
+    if trigger.source.message == "TRIG":
+        for shots in channels:
+            if shots.source.message == "CAM" and _of_one_camera(trigger, shots):
+                lags = np.append(lags, _lags_of_pairs(trigger, shots))
     if lags.size < FEWEST_PAIRS:
-        where, needed = f"events.log.{camera}.delay_s", FEWEST_PAIRS
-        raise MissionError.of(
-            "EVENTS-FEEDBACK", where, name=trigger.name, found=lags.size, needed=needed
+        raise messages.too_few_feedback_pairs(
+            camera=camera, channel=trigger.name, pairs=lags.size, needed=FEWEST_PAIRS
         )
     low, middle, high = np.percentile(lags, [16.0, 50.0, 84.0])
-    entry = note("EVENTS-SHUTTER-LAG", where=trigger.name, count=int(lags.size), camera=camera,
-                 lag_ms=middle * 1e3, scatter_ms=(high - low) * 5e2)  # fmt: skip
-    return (float(middle), float(high - low) / 2.0), (entry,)
+    message = messages.shutter_lag(
+        camera=camera,
+        channel=trigger.name,
+        pairs=lags.size,
+        lag_ms=middle * 1e3,
+        scatter_ms=(high - low) * 5e2,
+    )
+    return ExposureDelay(float(middle), sigma_s=float(high - low) / 2.0), (message,)
+
+
+def _lags_of_pairs(trigger: Channel, shots: Channel) -> Array:
+    """(k,) seconds from each trigger to the pulse of the same number and power-up."""
+    sent = trigger["event_index"] + _NUMBERS_PER_BOOT * trigger.boot
+    seen = shots["event_index"] + _NUMBERS_PER_BOOT * shots.boot
+    _, sent_row, seen_row = np.intersect1d(sent, seen, return_indices=True)
+    apart = (shots.time_ns[seen_row] - trigger.time_ns[sent_row]) * 1e-9
+    lags = apart[(apart > 0.0) & (apart < LONGEST_LAG_S)]
+    return np.asarray(lags)
 
 
 def events_of_channel(
-    channel: Channel, camera: str, pattern: str, delay_s: float, sigma_s: float = 0.0
+    channel: Channel, camera: str, pattern: str, delay: ExposureDelay
 ) -> tuple[Events, Notes]:
     """Exposures of an event channel, named by a pattern of ``{index}`` and ``{n}``.
 
     ``pattern``: with ``*`` in it, the names are those of images that exist, and left empty here.
-    ``delay_s``: what is added to the times of the log [s], positive where the shutter opens later.
-    ``sigma_s``: of that [s].
 
     Numbers that the log skips are pulses that were lost: a loss for each power-up. ``{index}`` is
     the number as the log has it, which may count modulo 65536.
     """
     index = channel["event_index"].astype(np.int64)
-    names = ["" if "*" in pattern else pattern.format(index=int(i), n=n)
-             for n, i in enumerate(index, start=1)]  # fmt: skip
-    notes = tuple(_skipped_numbers(channel, index))
-    time_ns = channel.time_ns + round(delay_s * 1e9)
-    logged = np.nan_to_num(channel.columns.get("sigma_time_s", np.zeros(len(channel))))
-    late = np.hypot(logged, sigma_s)
+    if "*" in pattern:
+        names = [""] * index.size
+    else:
+        names = [pattern.format(index=int(number), n=n) for n, number in enumerate(index, start=1)]
+    logged_sigma_s = np.zeros(len(channel))
+    if "sigma_time_s" in channel.columns:
+        logged_sigma_s = np.nan_to_num(channel["sigma_time_s"])
     counts_on = bool((np.diff(unwrapped_numbers(index)) > 0).all())
-    lost = sum(entry.count for entry in notes)
-    image = np.array(names, dtype=object)
-    return Events(camera, image, time_ns, late, index if counts_on else None, lost), notes
+    skipped = _skipped_numbers(channel, index)
+    events = Events(
+        camera,
+        np.array(names, dtype=object),
+        channel.time_ns + delay.nanoseconds,
+        sigma_time_s=np.hypot(logged_sigma_s, delay.sigma_s),
+        index=index if counts_on else None,
+        lost=sum(numbers.missing for numbers in skipped),
+    )
+    return events, tuple(numbers.message(channel) for numbers in skipped)
 
 
 def events_of_table(
@@ -95,17 +126,20 @@ def events_of_table(
     camera_of: NDArray[Any],
     time_ns: Integers,
     camera: str,
-    delay_s: float,
-    *,
-    sigma_s: float = 0.0,
+    delay: ExposureDelay,
 ) -> Events:
-    """Exposures of one camera from a table, ``delay_s`` [s] later, with ``sigma_s`` [s]."""
+    """Exposures of one camera from a table, ``delay`` later."""
     rows = camera_of == camera
-    return Events(camera, image[rows], time_ns[rows] + round(delay_s * 1e9), sigma_s)
+    return Events(
+        camera,
+        image[rows],
+        time_ns[rows] + delay.nanoseconds,
+        sigma_time_s=delay.sigma_s,
+    )
 
 
-# Counts of 16 bits run over; a count that goes on farther than this from zero has begun anew.
-_COUNT_ROUND, _COUNT_NEAR = 1 << 16, 1 << 12
+_COUNT_ROUND = 1 << 16  # counts of 16 bits run over here
+_COUNT_NEAR = 1 << 12  # a count that goes on farther than this from zero has begun anew
 
 
 def unwrapped_numbers(index: Integers) -> Integers:
@@ -123,37 +157,100 @@ def unwrapped_numbers(index: Integers) -> Integers:
     return np.asarray(index + _COUNT_ROUND * np.append(0, rounds), np.int64)
 
 
-def _skipped_numbers(channel: Channel, index: Integers) -> Iterator[Entry]:
-    """A loss for each power-up in which numbers between others have no event."""
-    for boot in np.unique(channel.boot):
+@dataclass(frozen=True)
+class _SkippedNumbers:
+    """Numbers of one power-up, from ``first`` to ``last``, of which some have no event.
+
+    ``gaps`` are the first and the last number of each gap.
+    """
+
+    boot: int
+    first: int
+    last: int
+    gaps: tuple[tuple[int, int], ...]
+
+    @property
+    def missing(self) -> int:
+        """How many numbers have no event."""
+        return sum(end - begin + 1 for begin, end in self.gaps)
+
+    def message(self, channel: Channel) -> Message:
+        """The loss that names the first gaps."""
+        listed: list[str] = []
+        for begin, end in self.gaps:
+            first = _number_as_logged(begin)
+            last = _number_as_logged(end)
+            listed.append(f"{first}" if begin == end else f"{first} to {last}")
+        where = channel.name
+        if channel.boot[-1] > 0:
+            where = f"{channel.name}, boot {self.boot}"
+        return messages.numbers_without_event(
+            where=where,
+            missing=self.missing,
+            listed=messages.first_names(listed, _GAPS_LISTED),
+            first=_number_as_logged(self.first),
+            last=_number_as_logged(self.last),
+        )
+
+
+_GAPS_LISTED = 4
+
+
+def _skipped_numbers(channel: Channel, index: Integers) -> list[_SkippedNumbers]:
+    """The power-ups in which numbers between others have no event."""
+    skipped = []
+    for boot in np.unique(channel.boot).tolist():
         known = np.unique(unwrapped_numbers(index[channel.boot == boot]))
-        gaps = np.diff(known) - 1
-        missing = int(gaps.sum())
-        if missing == 0:
+        before_gap = np.flatnonzero(np.diff(known) > 1)
+        if before_gap.size == 0:
             continue
-        holes = zip(known[:-1][gaps > 0][:4].tolist(), gaps[gaps > 0][:4].tolist(), strict=True)
-        first = [
-            f"{_sent(low + 1)}" if gap == 1 else f"{_sent(low + 1)} to {_sent(low + gap)}"
-            for low, gap in holes
-        ]
-        listed = ", ".join(first) + (" ..." if np.count_nonzero(gaps) > 4 else "")
-        where = channel.name if channel.boot[-1] == 0 else f"{channel.name}, boot {boot}"
-        begin, end = _sent(int(known[0])), _sent(int(known[-1]))
-        yield loss("EVENTS-LOST/numbers", where=where, count=missing, listed=listed, first=begin,
-                   last=end)  # fmt: skip
+        begins = known[before_gap] + 1
+        ends = known[before_gap + 1] - 1
+        gaps = tuple(zip(begins.tolist(), ends.tolist(), strict=True))
+        skipped.append(_SkippedNumbers(boot, int(known[0]), int(known[-1]), gaps))
+    return skipped
 
 
-def _sent(counted: int) -> int:
+def _number_as_logged(counted: int) -> int:
     """A counted number as the log has it."""
     return counted % _COUNT_ROUND if counted >= _COUNT_ROUND else counted
 
 
-_USUAL_SHIFTS_S = [
-    sign * size
-    for size in (18, *range(3600, 50_401, 3600), 86_400, 604_800, *range(900, 50_401, 900))
-    for sign in (1, -1)
-]
-"""Leap seconds, whole hours of time zones, a day, a week, quarters of an hour: in this order."""
+def _usual_shifts_ns() -> list[int]:
+    """Shifts of clocks [ns], the most usual first, each later and earlier."""
+    leap_seconds = 18
+    hour = 3600
+    quarter = 900
+    widest_zone = 14 * hour
+    sizes_s = [leap_seconds, *range(hour, widest_zone + 1, hour)]  # hours of time zones
+    sizes_s += [24 * hour, 7 * 24 * hour]
+    sizes_s += range(quarter, widest_zone + 1, quarter)
+    shifts: list[int] = []
+    for size_s in sizes_s:
+        shifts += [size_s * NANOSECONDS_PER_SECOND, -size_s * NANOSECONDS_PER_SECOND]
+    return shifts
+
+
+@dataclass(frozen=True)
+class _Span:
+    """From a first to a last instant [Unix ns]."""
+
+    first_ns: int
+    last_ns: int
+
+    @classmethod
+    def of(cls, time_ns: Integers) -> "_Span":
+        """That of increasing times, of which there is one at least."""
+        return cls(int(time_ns[0]), int(time_ns[-1]))
+
+    def count_outside(self, time_ns: Integers) -> int:
+        """How many times lie before or after it."""
+        outside = (time_ns < self.first_ns) | (time_ns > self.last_ns)
+        return int(np.count_nonzero(outside))
+
+    def __str__(self) -> str:
+        ends = np.array([self.first_ns, self.last_ns], "datetime64[ns]").astype("datetime64[ms]")
+        return f"{ends[0]} to {ends[1]}"
 
 
 def span_notes(events: list[Events], position: Channel, key: str) -> Notes:
@@ -164,28 +261,51 @@ def span_notes(events: list[Events], position: Channel, key: str) -> Notes:
     into it. ``key`` says where the times are stated. Refuses (MissionError EVENTS-SPAN) where more
     than half lie beyond it.
     """
-    time_ns = np.sort(np.concatenate([np.empty(0, np.int64), *(e.time_ns for e in events)]))
+    times = [exposed.time_ns for exposed in events]
+    time_ns = np.sort(np.concatenate([np.empty(0, np.int64), *times]))
     if time_ns.size == 0 or len(position) == 0:
         return ()
-    first, last = int(position.time_ns[0]), int(position.time_ns[-1])
-    beyond = int(np.count_nonzero((time_ns < first) | (time_ns > last)))
+    of_events = _Span.of(time_ns)
+    of_flight = _Span.of(position.time_ns)
+    beyond = of_flight.count_outside(time_ns)
     if beyond == 0:
         return ()
-    shifts = [shift * 1_000_000_000 for shift in _USUAL_SHIFTS_S]
-    able = [s for s in shifts if time_ns[0] + s >= first and time_ns[-1] + s <= last]
-    shift = [*able, first - int(time_ns[0])][0]
-    left = int(np.count_nonzero((time_ns + shift < first) | (time_ns + shift > last)))
-    spans = [
-        " to ".join(str(np.datetime64(t, "ns").astype("datetime64[ms]")) for t in span)
-        for span in ((int(time_ns[0]), int(time_ns[-1])), (first, last))
-    ]
-    fitting = f"{shift * 1e-9:+.6g} s would bring {time_ns.size - left if left else 'all'} of them"
-    fitting = fitting if left < beyond else "no offset would bring more of them"
-    what = f"{beyond} of {time_ns.size} events lie beyond the flight: events {spans[0]}, "
-    what += f"{position.name} {spans[1]}; {fitting} into it"
+    shift_ns = _fitting_shift(of_events, of_flight)
+    left = of_flight.count_outside(time_ns + shift_ns)
+    fitting = "no offset would bring more of them"
+    if left < beyond:
+        brought = f"{time_ns.size - left}" if left else "all"
+        fitting = f"{shift_ns * 1e-9:+.6g} s would bring {brought} of them"
     if 2 * beyond > time_ns.size:
-        raise MissionError.of("EVENTS-SPAN", key, what=what, stated=key)
-    return (warning("EVENTS-SPAN", what, where=key, count=beyond),)
+        raise messages.most_events_beyond_flight(
+            key=key,
+            beyond=beyond,
+            total=time_ns.size,
+            of_events=str(of_events),
+            channel=position.name,
+            of_flight=str(of_flight),
+            fitting=fitting,
+        )
+    warning = messages.events_beyond_flight(
+        key=key,
+        beyond=beyond,
+        total=time_ns.size,
+        of_events=str(of_events),
+        channel=position.name,
+        of_flight=str(of_flight),
+        fitting=fitting,
+    )
+    return (warning,)
+
+
+def _fitting_shift(of_events: _Span, of_flight: _Span) -> int:
+    """The first usual shift [ns] that brings all events into a flight, else to its begin."""
+    for shift in _usual_shifts_ns():
+        after_begin = of_events.first_ns + shift >= of_flight.first_ns
+        before_end = of_events.last_ns + shift <= of_flight.last_ns
+        if after_begin and before_end:
+            return shift
+    return of_flight.first_ns - of_events.first_ns
 
 
 def ground_shot_notes(
@@ -197,53 +317,79 @@ def ground_shot_notes(
     half of all exposures are: then the events are of another time.
     """
     height = roles.get("height")
-    on_ground_ns = times_on_the_ground(height) if height is not None else np.empty(0, np.int64)
-    if on_ground_ns.size == 0 or len(stations) == 0:
+    if height is None or len(stations) == 0:
         return ()
-    near = np.clip(np.searchsorted(on_ground_ns, stations.time_ns), 1, on_ground_ns.size - 1)
-    away = [np.abs(stations.time_ns - on_ground_ns[row]) for row in (near - 1, near)]
-    names = stations.image[stations.ok & (np.minimum(*away) < 1_000_000_000)].tolist()
+    on_ground_ns = times_on_the_ground(height)
+    if on_ground_ns.size == 0:
+        return ()
+    on_ground = _within_a_second(stations.time_ns, on_ground_ns)
+    names = stations.image[stations.ok & on_ground].tolist()
     if not names:
         return ()
-    measured = [name for name in names if name in set(images)]
-    what = f"{len(names)} exposures were made while the aircraft stood on the ground: "
-    what += ", ".join(names[:5]) + (" ..." if len(names) > 5 else "")
-    what += f"; {len(measured)} of them are in the observations" if measured else ""
-    entry = loss if 2 * len(names) > int(stations.ok.sum()) else warning if measured else note
-    return (entry("EVENTS-ON-GROUND", what, where="events", count=len(names)),)
+    observed = set(images)
+    message = messages.exposures_on_ground(
+        names=names,
+        measured=sum(name in observed for name in names),
+        most=2 * len(names) > int(np.count_nonzero(stations.ok)),
+    )
+    return (message,)
+
+
+def _within_a_second(time_ns: Integers, others_ns: Integers) -> Mask:
+    """Which times are within a second of the nearest of others, which increase."""
+    after = np.clip(np.searchsorted(others_ns, time_ns), 1, others_ns.size - 1)
+    to_before = np.abs(time_ns - others_ns[after - 1])
+    to_after = np.abs(time_ns - others_ns[after])
+    return np.asarray(np.minimum(to_before, to_after) < NANOSECONDS_PER_SECOND)
 
 
 def choose_event_channel(channels: tuple[Channel, ...], name: str | None) -> Channel:
     """The event channel of a camera: the one that was named, or the only one of the best rank."""
-    able = [c for c in channels if c.fits_role("events")]
-    candidates = [c for c in able if c.name == name] if name else able
+    able = [channel for channel in channels if channel.fits_role("events")]
+    candidates = able
+    if name:
+        candidates = [channel for channel in able if channel.name == name]
     if candidates:
-        best = [c for c in candidates if c.rank == min(c.rank for c in candidates)]
+        best_rank = min(channel.rank for channel in candidates)
+        best = [channel for channel in candidates if channel.rank == best_rank]
         if len(best) == 1:
             return best[0]
-    there = ", ".join(f"{c.name} ({len(c)})" for c in able) or "no camera events at all"
-    what = f"the log has no event channel {name!r}" if name else "which events are this camera's?"
-    raise MissionError.of("EVENTS-CHANNEL", "events.log", text=what, there=there)
+    there = [f"{channel.name} ({len(channel)})" for channel in able]
+    raise messages.event_channel_unknown(name=name, channels=there)
 
 
-def trigger_notes(channels: tuple[Channel, ...], chosen: Channel) -> Iterator[Entry]:
+def trigger_notes(channels: tuple[Channel, ...], chosen: Channel) -> Iterator[Message]:
     """How many triggers have no shutter event, and whether the events are triggers themselves.
 
     ArduPilot logs TRIG at the trigger and CAM at the feedback of a camera with a feedback pin, and
     without one CAM alone, at the trigger. Cameras fire apart: the rows of an instance belong to one
     camera.
     """
-    triggers = [c for c in channels if c.source.message == "TRIG" and _of_one_camera(c, chosen)]
-    if chosen.source.message in ("TRIG", "CAMERA_TRIGGER") or (
-        chosen.source.message == "CAM" and not triggers
-    ):
-        yield note("EVENTS-TRIGGER-TIME", where=chosen.name, count=len(chosen))
-    for trigger in triggers if chosen.source.message == "CAM" else ():
-        fired = [c for c in channels if c.source.message == "CAM" and _of_one_camera(trigger, c)]
-        names, events = ", ".join(c.name for c in fired), sum(map(len, fired))
+    kind = chosen.source.message
+    triggers = [
+        channel
+        for channel in channels
+        if channel.source.message == "TRIG" and _of_one_camera(channel, chosen)
+    ]
+    is_trigger = kind in ("TRIG", "CAMERA_TRIGGER")
+    if is_trigger or (kind == "CAM" and not triggers):
+        yield messages.trigger_times(channel=chosen.name, events=len(chosen))
+    if kind != "CAM":
+        return
+    for trigger in triggers:
+        shutters = [
+            channel
+            for channel in channels
+            if channel.source.message == "CAM" and _of_one_camera(trigger, channel)
+        ]
+        events = sum(len(channel) for channel in shutters)
         if len(trigger) > events:
-            yield loss("EVENTS-LOST/triggers", where=names, count=len(trigger) - events,
-                       events=events, sent=len(trigger), trigger=trigger.name)  # fmt: skip
+            yield messages.triggers_without_pulse(
+                shutters=", ".join(channel.name for channel in shutters),
+                trigger=trigger.name,
+                sent=len(trigger),
+                events=events,
+            )
 
 
 def _of_one_camera(trigger: Channel, shots: Channel) -> bool:
@@ -253,9 +399,11 @@ def _of_one_camera(trigger: Channel, shots: Channel) -> bool:
 
 def refuse_repeated_images(events: list[Events]) -> None:
     """Refuse two exposures of one name: the observations could belong to either."""
-    names = np.concatenate([e.image for e in events]) if events else np.empty(0, object)
+    if not events:
+        return
+    names = np.concatenate([exposed.image for exposed in events])
     names = names[names != ""]
     unique, count = np.unique(names.astype(str), return_counts=True)
-    if bool((count > 1).any()):
-        twice = unique[count > 1]
-        raise MissionError.of("EVENTS-REPEATED", "events", total=twice.size, example=twice[0])
+    repeated = unique[count > 1]
+    if repeated.size:
+        raise messages.image_names_repeated(total=repeated.size, example=str(repeated[0]))

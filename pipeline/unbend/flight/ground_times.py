@@ -3,12 +3,16 @@
 import numpy as np
 
 from unbend.flight.channels import Channel
-from unbend.units import Integers
+from unbend.units import Array, Integers, Mask
 
-# An aircraft that does not move, this near the lowest height of the log, is on the ground [m].
-GROUND_RISE_M = 20.0
-_EARTH_M = 6.37e6
+GROUND_RISE_M = 20.0  # an aircraft that stands, this near the lowest height, is on the ground [m]
 STILL_M_S = 1.0  # slower than this, over ten seconds, an aircraft does not move [m/s]
+WINDOW_S = 10.0
+SHORTEST_WINDOW_S = 5.0  # at the ends of a log
+FEWEST_SAMPLES = 3
+LOWEST_PERCENTILE = 0.5  # of heights: the lowest ones may be wrong
+
+_EARTH_M = 6.37e6  # only to notice that an aircraft moves: any radius will do
 
 
 def times_on_the_ground(height: Channel) -> Integers:
@@ -18,19 +22,29 @@ def times_on_the_ground(height: Channel) -> Integers:
     log; so each landing and take-off of a log with several flights is seen.
     """
     column = height.height_column
-    known = np.isfinite(height["lat_rad"] if column is None else height[column] + height["lat_rad"])
-    if column is None or known.sum() < 3:
+    if column is None:
         return np.empty(0, np.int64)
-    time_ns, h, lat = height.time_ns[known], height[column][known], height["lat_rad"][known]
+    known = np.isfinite(height[column] + height["lat_rad"])
+    if np.count_nonzero(known) < FEWEST_SAMPLES:
+        return np.empty(0, np.int64)
+    time_ns = height.time_ns[known]
+    height_m = height[column][known]
+    lat_rad = height["lat_rad"][known]
+    lon_rad = np.unwrap(height["lon_rad"][known])
     seconds = (time_ns - time_ns[0]) * 1e-9
-    east = np.unwrap(height["lon_rad"][known]) * np.cos(lat[0])
-    track = (lat * _EARTH_M, east * _EARTH_M, h)
-    still = np.zeros(h.size, np.bool_)
+    north_m = lat_rad * _EARTH_M
+    east_m = lon_rad * np.cos(lat_rad[0]) * _EARTH_M
+    track = [north_m, east_m, height_m]
     # The ten seconds before see the take-off, the ten seconds after the landing.
-    for window_s in (-10.0, 10.0):
-        other = np.clip(seconds + window_s, seconds[0], seconds[-1])
-        moved = [np.interp(other, seconds, values) - values for values in track]
-        lasted = np.abs(other - seconds)  # of a log that began in the air there is no half of it
-        still |= (lasted >= 5.0) & (np.sqrt(np.sum(np.square(moved), axis=0)) < STILL_M_S * lasted)
-    lowest = float(np.percentile(h, 0.5))
-    return np.asarray(time_ns[still & (h < lowest + GROUND_RISE_M)])
+    still = _moves_little(track, seconds, -WINDOW_S) | _moves_little(track, seconds, WINDOW_S)
+    lowest = float(np.percentile(height_m, LOWEST_PERCENTILE))
+    return np.asarray(time_ns[still & (height_m < lowest + GROUND_RISE_M)])
+
+
+def _moves_little(track: list[Array], seconds: Array, window_s: float) -> Mask:
+    """(n,) whether a track moves by less than `STILL_M_S` from each sample to a window away."""
+    other = np.clip(seconds + window_s, seconds[0], seconds[-1])
+    moved = [np.interp(other, seconds, values) - values for values in track]
+    distance = np.sqrt(np.sum(np.square(moved), axis=0))
+    lasted = np.abs(other - seconds)  # of a log that began in the air there is no half of it
+    return np.asarray((lasted >= SHORTEST_WINDOW_S) & (distance < STILL_M_S * lasted))

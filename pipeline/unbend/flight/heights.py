@@ -3,25 +3,28 @@
 Local positions (motion capture, visual odometry) get a place on the earth, and with it heights.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from unbend.errors import MissionError
+from unbend.flight import messages
 from unbend.flight.channels import Channel
 from unbend.flight.stations import Stations
 from unbend.flight.trajectory import interpolate
 from unbend.geodesy import GeoidGrid, offset_geodetic
-from unbend.messages import Entry, Notes, finding, loss, note, warning
+from unbend.messages import Message, Notes
 from unbend.units import Array, Integers
 
 STEADY_HOME_M = 2.0  # the take-off height of a flight does not change by more than this [m]
+_HOME_NOT_SET_M = 0.01  # where a height above home is that above the sea, home is not set [m]
 
-LOWEST_GROUND_M, HIGHEST_GROUND_M = -600.0, 10_000.0
+LOWEST_GROUND_M = -600.0
+HIGHEST_GROUND_M = 10_000.0
 """Heights outside this range are no ground heights [m]."""
 
-USUAL_GEOID_M, LARGEST_GEOID_M = 3.0, 10.0
+USUAL_GEOID_M = 3.0
+LARGEST_GEOID_M = 10.0
 """EGM96 at 15 minutes and national sea levels differ by less than the first, and by the second
 nowhere [m]."""
 
@@ -36,6 +39,7 @@ class HeightSystem:
         ``undulation_m`` is None.
     source : where the undulation comes from.
     one_height : the log's height above the ellipsoid is a copy of the other and not used.
+    by_log : the undulation is that of two heights of the log.
     """
 
     undulation_m: float | None = None
@@ -44,6 +48,7 @@ class HeightSystem:
     offset_m: float = 0.0
     source: str = ""
     one_height: bool = False
+    by_log: bool = False
 
     def undulation(self, lat_rad: Array, lon_rad: Array) -> Array:
         """(n,) undulation [m] at (n,) places; NaN where unknown, and outside the grid."""
@@ -64,46 +69,96 @@ def height_system(
     The take-off height is known where the height of the position above sea level and above home
     differ by one value, but for rows that give both alike: there the home is not set.
     """
-    undulation, home, offset, one_height = stated_undulation_m, None, 0.0, False
-    source = "mission.undulation_m"
-    if undulation is None:
-        source = "unknown" if geoid is None else geoid.name
-    notes: list[Entry] = []
-    height, position = roles.get("height"), roles.get("position")
-    both = np.empty(0) if height is None else _difference(height, "h_ellipsoid_m", "h_msl_m")
-    if height is not None and both.size:
-        where, count, own = height.name, int(both.size), float(np.median(both))
-        of_grid = np.full(len(height), np.nan)
-        if undulation is None and geoid is not None:
-            of_grid = geoid.undulation(height["lat_rad"], height["lon_rad"])
-        one_height = not both.any()  # as some receivers on a CAN bus do
-        if one_height:
-            here = _median(of_grid) if undulation is None else undulation
-            size = "" if here is None else f" of {here:.1f} m"
-            notes.append(warning("HEIGHT-SAME", where=where, count=count, source=source, size=size))
-        elif undulation is None:
-            source = f"the two heights of {height.name}"
-            if geoid is None:
-                undulation = own
-            apart = height["h_ellipsoid_m"] - height["h_msl_m"] - of_grid
-            offset = _median(apart) or 0.0
-        elif abs(undulation - own) > USUAL_GEOID_M:
-            entry, stated = _by_size(undulation - own), undulation
-            notes += [entry("HEIGHT-GEOID/log", where=where, count=count, stated=stated, own=own)]
-    homes = np.empty(0) if position is None else _difference(position, "h_msl_m", "h_home_m")
-    is_set = np.abs(homes) > 0.01
-    homes = homes[is_set] if bool(is_set.any()) else homes
-    if position is not None and homes.size:
-        low, middle, high = np.percentile(homes, [5.0, 50.0, 95.0])
-        steady = bool(high - low <= STEADY_HOME_M)
-        home, where = float(middle) if steady else None, position.name
-        notes.append(
-            note("HEIGHT-HOME/steady", where=where, height=middle) if steady
-            else note("HEIGHT-HOME/changes", where=where, low=low, high=high)
-        )  # fmt: skip
-    home = home if stated_home_m is None else stated_home_m
-    system = HeightSystem(undulation, home, geoid, offset, source, one_height)
-    return system, tuple(notes)
+    system = _without_log(stated_undulation_m, geoid)
+    notes: list[Message] = []
+    height = roles.get("height")
+    if height is not None:
+        own_undulation = _difference(height, "h_ellipsoid_m", "h_msl_m")
+        if own_undulation.size:
+            system, note = _with_two_heights(system, height, own_undulation)
+            notes += note
+    home_m = None
+    position = roles.get("position")
+    if position is not None:
+        home_m, note = _logged_home(position)
+        notes += note
+    if stated_home_m is not None:
+        home_m = stated_home_m
+    return replace(system, home_h_msl_m=home_m), tuple(notes)
+
+
+def _without_log(stated_undulation_m: float | None, geoid: GeoidGrid | None) -> HeightSystem:
+    """Heights by what the mission file states, else by a geoid."""
+    if stated_undulation_m is not None:
+        source = "mission.undulation_m"
+    elif geoid is not None:
+        source = geoid.name
+    else:
+        source = "unknown"
+    return HeightSystem(undulation_m=stated_undulation_m, geoid=geoid, source=source)
+
+
+def _with_two_heights(
+    system: HeightSystem, height: Channel, own_undulation: Array
+) -> tuple[HeightSystem, Notes]:
+    """Heights by a channel that has both, unless the mission file states the undulation.
+
+    ``own_undulation`` : the known differences of its heights.
+    """
+    own_m = float(np.median(own_undulation))
+    rows = own_undulation.size
+    stated_m = system.undulation_m
+    if not own_undulation.any():  # as some receivers on a CAN bus do
+        here_m = stated_m
+        if stated_m is None:
+            here_m = _median(_undulation_of_grid(system.geoid, height))
+        warning = messages.heights_are_one(
+            channel=height.name, rows=rows, source=system.source, undulation_m=here_m
+        )
+        return replace(system, one_height=True), (warning,)
+    if stated_m is None:
+        apart = height["h_ellipsoid_m"] - height["h_msl_m"]
+        from_grid = _median(apart - _undulation_of_grid(system.geoid, height))
+        by_log = replace(
+            system,
+            undulation_m=own_m if system.geoid is None else None,
+            offset_m=from_grid or 0.0,
+            source=f"the two heights of {height.name}",
+            by_log=True,
+        )
+        return by_log, ()
+    if abs(stated_m - own_m) > USUAL_GEOID_M:
+        differs = messages.stated_undulation_off(
+            channel=height.name,
+            rows=rows,
+            stated_m=stated_m,
+            own_m=own_m,
+            grave=_is_grave(stated_m - own_m),
+        )
+        return system, (differs,)
+    return system, ()
+
+
+def _undulation_of_grid(geoid: GeoidGrid | None, channel: Channel) -> Array:
+    """Undulations of a geoid at the places of a channel; NaN without one."""
+    if geoid is None:
+        return np.full(len(channel), np.nan)
+    return geoid.undulation(channel["lat_rad"], channel["lon_rad"])
+
+
+def _logged_home(position: Channel) -> tuple[float | None, Notes]:
+    """The take-off height [m] by two heights of a position; None where unknown or not steady."""
+    homes_m = _difference(position, "h_msl_m", "h_home_m")
+    is_set = np.abs(homes_m) > _HOME_NOT_SET_M
+    if is_set.any():
+        homes_m = homes_m[is_set]
+    if homes_m.size == 0:
+        return None, ()
+    low_m, middle_m, high_m = np.percentile(homes_m, [5.0, 50.0, 95.0]).tolist()
+    if high_m - low_m > STEADY_HOME_M:
+        changes = messages.home_height_changes(channel=position.name, low_m=low_m, high_m=high_m)
+        return None, (changes,)
+    return middle_m, (messages.home_height(channel=position.name, height_m=middle_m),)
 
 
 def _median(values: Array) -> float | None:
@@ -111,44 +166,58 @@ def _median(values: Array) -> float | None:
     return float(np.nanmedian(values)) if np.isfinite(values).any() else None
 
 
-def _by_size(off_m: float) -> Callable[..., Entry]:
-    """An undulation that is off: a warning, beyond 10 m a finding."""
-    return finding if abs(off_m) > LARGEST_GEOID_M else warning
+def _is_grave(off_m: float) -> bool:
+    """Whether an undulation is farther off than two sea levels can be."""
+    return abs(off_m) > LARGEST_GEOID_M
 
 
 def undulation_notes(
     heights: HeightSystem, stations: Stations, egm96: GeoidGrid
-) -> Iterator[Entry]:
+) -> Iterator[Message]:
     """Which undulation is used at the stations; what speaks against it, by EGM96."""
     placed = np.isfinite(stations.lat_rad)
-    lat, lon = stations.lat_rad[placed], stations.lon_rad[placed]
-    used, where = heights.undulation(lat, lon), "mission.geoid"
-    known = np.isfinite(used)
+    lat_rad = stations.lat_rad[placed]
+    lon_rad = stations.lon_rad[placed]
+    where = "mission.geoid"
     if heights.undulation_m is not None:
         where = "mission.undulation_m"
-    if not bool(known.all()):
-        count = int((~known).sum())
-        grid = heights.source if heights.geoid is None else heights.geoid.name
-        what = f"{count} of {known.size} stations lie outside {grid}, or in its holes"
-        yield loss("GEOID-OUTSIDE", what, where=where, count=count)
+    used_m = heights.undulation(lat_rad, lon_rad)
+    known = np.isfinite(used_m)
+    unknown = int(np.count_nonzero(~known))
+    if unknown:
+        yield messages.stations_outside_geoid(
+            where=where,
+            count=unknown,
+            total=known.size,
+            grid=heights.source if heights.geoid is None else heights.geoid.name,
+        )
     if not bool(known.any()):
         return
-    used, of_egm = used[known], egm96.undulation(lat, lon)[known]
-    there, size = used, int(used.size)
-    if heights.source.startswith("the two heights"):
-        own, where = stations.h_ellipsoid_m - stations.h_msl_m, "log.channels.height"
-        there = np.where(np.isfinite(own[placed][known]), own[placed][known], used)
-    ends = dict.fromkeys(f"{h:.2f}" for h in (there.min(), there.max()))
-    what = f"undulation of {' to '.join(ends)} m, by {heights.source}"
-    yield note("HEIGHT-UNDULATION", what, where=where, count=size)
-    off, other = float(np.median(used - of_egm)), float(np.median(-used - of_egm))
-    if abs(off) > USUAL_GEOID_M:
-        what += f", is {off:+.1f} m from EGM96, which has {np.median(of_egm):.1f} m here"
-        if abs(other) < min(USUAL_GEOID_M, abs(off)):
-            what += f"; with the other sign it is {other:+.1f} m from it: the undulation is the "
-            what += "ellipsoidal height minus the height above sea level"
-        entry = _by_size(off)
-        yield entry("HEIGHT-GEOID", what, where=where, count=size)
+    used_m = used_m[known]
+    shown_m = used_m
+    if heights.by_log:
+        where = "log.channels.height"
+        own_m = (stations.h_ellipsoid_m - stations.h_msl_m)[placed][known]
+        shown_m = np.where(np.isfinite(own_m), own_m, used_m)
+    ends = dict.fromkeys([f"{shown_m.min():.2f}", f"{shown_m.max():.2f}"])
+    used = f"undulation of {' to '.join(ends)} m, by {heights.source}"
+    yield messages.undulation_used(where=where, stations=used_m.size, used=used)
+
+    egm96_m = egm96.undulation(lat_rad[known], lon_rad[known])
+    off_m = float(np.median(used_m - egm96_m))
+    other_sign_off_m = float(np.median(-used_m - egm96_m))
+    if abs(off_m) <= USUAL_GEOID_M:
+        return
+    other_is_nearer = abs(other_sign_off_m) < min(USUAL_GEOID_M, abs(off_m))
+    yield messages.undulation_off(
+        where=where,
+        stations=used_m.size,
+        used=used,
+        off_m=off_m,
+        egm96_m=float(np.median(egm96_m)),
+        other_sign_off_m=other_sign_off_m if other_is_nearer else None,
+        grave=_is_grave(off_m),
+    )
 
 
 def _difference(channel: Channel, first: str, second: str) -> Array:
@@ -164,19 +233,26 @@ def heights_at(
 ) -> tuple[Array, Array]:
     """(n,) heights [m] above sea level and above the ellipsoid at instants [Unix ns]."""
     h_msl = interpolate(height, "h_msl_m", time_ns, max_gap_s)
-    h_ell = interpolate(height, "h_ellipsoid_m", time_ns, max_gap_s)
+    h_ellipsoid = interpolate(height, "h_ellipsoid_m", time_ns, max_gap_s)
     if heights.one_height:
-        h_ell = np.full(h_msl.shape, np.nan)
-    if np.isnan(h_msl).any() or np.isnan(h_ell).any():
-        # At the next sample: within 0.2 km, where a geoid rises by a centimetre.
-        known = np.flatnonzero(np.isfinite(height["lat_rad"]) & np.isfinite(height["lon_rad"]))
-        undulation = np.full(h_msl.shape, np.nan)
-        if known.size:
-            row = known[np.searchsorted(height.time_ns[known[:-1]], time_ns)]
-            undulation = heights.undulation(height["lat_rad"][row], height["lon_rad"][row])
-        h_msl = np.where(np.isfinite(h_msl), h_msl, h_ell - undulation)
-        h_ell = np.where(np.isfinite(h_ell), h_ell, h_msl + undulation)
-    return h_msl, h_ell
+        h_ellipsoid = np.full(h_msl.shape, np.nan)
+    if np.isnan(h_msl).any() or np.isnan(h_ellipsoid).any():
+        undulation = _undulation_near(height, time_ns, heights)
+        h_msl = np.where(np.isfinite(h_msl), h_msl, h_ellipsoid - undulation)
+        h_ellipsoid = np.where(np.isfinite(h_ellipsoid), h_ellipsoid, h_msl + undulation)
+    return h_msl, h_ellipsoid
+
+
+def _undulation_near(height: Channel, time_ns: Integers, heights: HeightSystem) -> Array:
+    """(n,) undulation [m] at the next sample of a channel; NaN where that has no place.
+
+    The next sample is within 0.2 km, where a geoid rises by a centimetre.
+    """
+    placed = np.flatnonzero(np.isfinite(height["lat_rad"]) & np.isfinite(height["lon_rad"]))
+    if placed.size == 0:
+        return np.full(time_ns.shape, np.nan)
+    row = placed[np.searchsorted(height.time_ns[placed[:-1]], time_ns)]
+    return heights.undulation(height["lat_rad"][row], height["lon_rad"][row])
 
 
 def ground_offsets(reference: str, stations: Stations, heights: HeightSystem) -> Array:
@@ -190,8 +266,8 @@ def ground_offsets(reference: str, stations: Stations, heights: HeightSystem) ->
         return np.zeros(n)
     if reference == "ellipsoid":
         undulation = stations.h_ellipsoid_m - stations.h_msl_m
-        if not bool(np.isfinite(undulation[stations.ok]).any()) and bool(stations.ok.any()):
-            raise MissionError.of("HEIGHT-REFERENCE", "ground.reference")
+        if stations.ok.any() and not np.isfinite(undulation[stations.ok]).any():
+            raise messages.undulation_unknown()
         return -undulation
     return np.full(n, known_home_m(heights))
 
@@ -200,7 +276,7 @@ def known_home_m(heights: HeightSystem) -> float:
     """The height of the take-off point; refuses (MissionError) heights relative to an unknown."""
     if heights.home_h_msl_m is not None:
         return heights.home_h_msl_m
-    raise MissionError.of("HEIGHT-REFERENCE/known-home-m", "ground.reference")
+    raise messages.home_unknown()
 
 
 @dataclass(frozen=True)
@@ -219,18 +295,23 @@ def to_geodetic(channel: Channel, origin: GeodeticOrigin) -> Channel:
     """
     if "east_m" not in channel.columns or "lat_rad" in channel.columns:
         return channel
+    n = len(channel)
     enu = np.stack([channel["east_m"], channel["north_m"], channel["up_m"]], axis=1)
-    place = (origin.lat_rad, origin.lon_rad, origin.h_ellipsoid_m)
-    lat, lon, height = (np.full(len(channel), value) for value in place)
-    lat, lon, height = offset_geodetic(lat, lon, height, enu)
+    lat_rad, lon_rad, h_ellipsoid_m = offset_geodetic(
+        np.full(n, origin.lat_rad),
+        np.full(n, origin.lon_rad),
+        np.full(n, origin.h_ellipsoid_m),
+        enu,
+    )
+    places = {"lat_rad": lat_rad, "lon_rad": lon_rad, "h_ellipsoid_m": h_ellipsoid_m}
     return replace(
         channel,
-        columns=dict(channel.columns) | {"lat_rad": lat, "lon_rad": lon, "h_ellipsoid_m": height},
+        columns=dict(channel.columns) | places,
         roles=(*channel.roles, "height", "position"),
     )
 
 
-_LONGEST_GAP_S = 5.0
+_LONGEST_TERRAIN_GAP_S = 5.0  # between two heights of the autopilot's terrain
 _HEALTHY = 2.0  # status of TERR
 
 
@@ -241,13 +322,15 @@ def logged_terrain(channels: Iterable[Channel], time_ns: Integers) -> Array:
     Rows count where the autopilot had its grid: TERR of status 2, TERRAIN_REPORT with a spacing and
     place.
     """
-    height = np.full(time_ns.size, np.nan)
-    for channel in (c for c in channels if "h_terrain_m" in c.columns):
-        placed = channel.get("lat_rad") != 0.0
-        healthy = (channel.get("terrain_spacing_m") > 0.0) & placed
-        healthy |= channel.get("terrain_status") == _HEALTHY
-        of_grid = np.where(healthy, channel["h_terrain_m"], np.nan)
-        channel = replace(channel, columns=dict(channel.columns) | {"h_terrain_m": of_grid})
-        known = interpolate(channel, "h_terrain_m", time_ns, _LONGEST_GAP_S)
-        height = np.where(np.isnan(height), known, height)
-    return height
+    terrain_m = np.full(time_ns.size, np.nan)
+    for channel in channels:
+        if "h_terrain_m" not in channel.columns:
+            continue
+        is_placed = channel.get("lat_rad") != 0.0
+        of_report = (channel.get("terrain_spacing_m") > 0.0) & is_placed
+        of_log = channel.get("terrain_status") == _HEALTHY
+        of_grid = np.where(of_report | of_log, channel["h_terrain_m"], np.nan)
+        of_channel = replace(channel, columns={"h_terrain_m": of_grid}, labels={})
+        logged_m = interpolate(of_channel, "h_terrain_m", time_ns, _LONGEST_TERRAIN_GAP_S)
+        terrain_m = np.where(np.isnan(terrain_m), logged_m, terrain_m)
+    return terrain_m

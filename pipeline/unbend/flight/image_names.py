@@ -2,15 +2,15 @@
 
 import re
 from collections import Counter, defaultdict
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Literal
 
 import numpy as np
 
-from unbend.errors import MissionError
-from unbend.messages import Notes, note
+from unbend.flight import messages
+from unbend.messages import Notes
 from unbend.units import Names
 
 Difference = Literal["case", "extension", "folder", "digits"]
@@ -44,43 +44,59 @@ def other_names(
     >>> other_names(["A_01.tif", "b.tif"], ["a_1.tif", "b.tif"], ["case", "digits"])
     {'a_1.tif': 'A_01.tif'}
     """
-    images, known = set(images), set(known)
+    images = set(images)
+    known = set(known)
     exact = images & known
-    left: list[dict[str, str]] = []
-    for names in (images - exact, known - exact):
-        plain = {name: without_differences(name, differences) for name in sorted(names)}
-        count = Counter(plain.values())
-        left.append({text: name for name, text in plain.items() if count[text] == 1})
-    return {name: left[0][text] for text, name in left[1].items() if text in left[0]}
+    image_by_rest = _by_rest(images - exact, differences)
+    known_by_rest = _by_rest(known - exact, differences)
+    matches: dict[str, str] = {}
+    for rest, name in known_by_rest.items():
+        if rest in image_by_rest:
+            matches[name] = image_by_rest[rest]
+    return matches
+
+
+def _by_rest(names: Collection[str], differences: Collection[str]) -> dict[str, str]:
+    """Names by what is left of them `without_differences`; not those that become one."""
+    rest_of = {name: without_differences(name, differences) for name in sorted(names)}
+    count = Counter(rest_of.values())
+    return {rest: name for name, rest in rest_of.items() if count[rest] == 1}
 
 
 def renamed(
     names: Names, images: Iterable[str], differences: Collection[str], where: str
 ) -> tuple[Names, Notes]:
     """Names as the observations have them, by the differences that the mission file allows."""
-    other = other_names(images, filter(None, names.tolist()), differences) if differences else {}
-    if not other:
+    if not differences:
         return names, ()
-    name, image = next(iter(other.items()))
-    what = f"{len(other)} names are those of images of the observations but for "
-    what += f"{' and '.join(differences)}: {name!r} is {image!r}"
-    entry = note("IMAGES-RENAMED", what, where=where, count=len(other))
-    return np.array([other.get(name, name) for name in names.tolist()], object), (entry,)
+    given = [name for name in names.tolist() if name]
+    matches = other_names(images, given, differences)
+    if not matches:
+        return names, ()
+    name, image = next(iter(matches.items()))
+    message = messages.images_renamed(
+        where=where, count=len(matches), differences=list(differences), name=name, image=image
+    )
+    new_names = [matches.get(name, name) for name in names.tolist()]
+    return np.array(new_names, dtype=object), (message,)
 
 
 def proposal(images: Collection[str], known: Collection[str]) -> str:
     """How many images the fewest differences would match, for a message; empty where none."""
-    tried = [
-        (other_names(images, known, differences), differences)
-        for size in range(1, len(DIFFERENCES) + 1)
-        for differences in combinations(DIFFERENCES, size)
-    ]
-    found, differences = max(tried, key=lambda pair: len(pair[0]))  # the first, fewest, of equals
-    if not found:
+    best: dict[str, str] = {}
+    best_differences: tuple[Difference, ...] = ()
+    for size in range(1, len(DIFFERENCES) + 1):
+        for differences in combinations(DIFFERENCES, size):
+            matches = other_names(images, known, differences)
+            if len(matches) > len(best):
+                best = matches
+                best_differences = differences
+    if not best:
         return ""
-    name, image = next(iter(found.items()))
-    key = f"observations.match_names: [{', '.join(differences)}]"
-    return f"{len(found)} of them would have one with {key}, as {image!r} that of {name!r}"
+    name, image = next(iter(best.items()))
+    return messages.difference_in_names(
+        matched=len(best), differences=best_differences, name=name, image=image
+    )
 
 
 def refuse_other_names(exposures: Mapping[str, Collection[str]], images: Iterable[str]) -> None:
@@ -91,19 +107,27 @@ def refuse_other_names(exposures: Mapping[str, Collection[str]], images: Iterabl
     """
     observed = set(images)
     unknown = sorted(observed.difference(*exposures.values()))
+    if not unknown:
+        return
     for camera, names in exposures.items():
-        if not unknown or 2 * len(unknown) < len(names) or observed & set(names):
+        may_be_unmeasured = 2 * len(unknown) < len(names)
+        if may_be_unmeasured or not observed.isdisjoint(names):
             continue
-        near = proposal(unknown, names)
-        called = f", which are called like {next(iter(names))!r}" if names else ""
-        more = called + (f"; {near}" if near else "")
-        raise MissionError.of(
-            "IMAGES-OTHER/camera", f"observations, {camera}", unknown=len(unknown),
-            image=unknown[0], exposures=len(names), camera=camera, more=more,
-        )  # fmt: skip
+        raise messages.no_image_of_camera(
+            camera=camera,
+            unknown=len(unknown),
+            image=unknown[0],
+            exposures=len(names),
+            example=next(iter(names), None),
+            proposal=proposal(unknown, names),
+        )
 
 
-_MOST_SERIES = 12
+_MOST_SERIES = 12  # into which digits that differ between groups part the names
+_LISTED = 3
+_STRAYS_IN = 10  # numbers of which one may be far from those of a log
+
+# What cameras call all their images: no name of one camera.
 _OF_ANY_CAMERA = {"dsc", "dscf", "img", "image", "dji", "photo", "p", "pic", "frame", "cap", ""}
 
 
@@ -127,9 +151,11 @@ class NameSeries:
         >>> NameSeries("DSC_", 4, ".tif", (7, 8)).pattern("index")
         'DSC_{index:04d}.tif'
         """
-        before, after = (t.replace("{", "{{").replace("}", "}}") for t in (self.before, self.after))
-        digits = f":0{self.width}d" if self.width else ""
-        return f"{before}{'*' if field == '*' else f'{{{field}{digits}}}'}{after}"
+        number = "*"
+        if field != "*":
+            digits = f":0{self.width}d" if self.width else ""
+            number = f"{{{field}{digits}}}"
+        return _with_doubled_braces(self.before) + number + _with_doubled_braces(self.after)
 
     @property
     def camera(self) -> str:
@@ -143,27 +169,40 @@ class NameSeries:
 
     def counts_as(self, index: Collection[int]) -> bool:
         """Whether the numbers may be those of a log: none is missing at either end, none is new."""
-        of_log, mine = set(index), set(self.numbers)
-        once = len(mine) == len(self.numbers) and len(of_log) == len(index)
-        if not (self.has_number and once and mine and mine <= of_log):
+        log_numbers = set(index)
+        own_numbers = set(self.numbers)
+        if not self.has_number or not own_numbers:
             return False
-        return min(mine) == min(of_log) and max(mine) == max(of_log)
+        repeated = len(own_numbers) < len(self.numbers) or len(log_numbers) < len(index)
+        if repeated or not own_numbers <= log_numbers:
+            return False
+        return min(own_numbers) == min(log_numbers) and max(own_numbers) == max(log_numbers)
 
     def listed(self, numbers: tuple[int, ...]) -> str:
         """The names of images, the first three of them; ``*`` where other digits differ."""
-        names = [self.pattern("index").format(index=number) for number in numbers[:3]]
-        return ", ".join(names) + " ..." * (len(numbers) > 3)
+        pattern = self.pattern("index")
+        names = [pattern.format(index=number) for number in numbers]
+        return messages.first_names(names, _LISTED)
 
     def strays(self, index: Collection[int]) -> tuple[int, ...]:
         """Few numbers far from a log's, beside which all others may be the log's; else none.
 
         Numbers that go on where the log's end (1 to 29 for 28 events) rather show a lost event.
         """
-        first, last = min(index, default=0), max(index, default=0)
+        first = min(index, default=0)
+        last = max(index, default=0)
         reach = last - first + 1
-        far = tuple(n for n in self.numbers if not first - reach <= n <= last + reach)
-        rest = replace(self, numbers=tuple(n for n in self.numbers if n not in far))
-        return far if 10 * len(far) <= len(self.numbers) and rest.counts_as(index) else ()
+        near: list[int] = []
+        far: list[int] = []
+        for number in self.numbers:
+            if first - reach <= number <= last + reach:
+                near.append(number)
+            else:
+                far.append(number)
+        if _STRAYS_IN * len(far) > len(self.numbers):
+            return ()
+        rest = replace(self, numbers=tuple(near))
+        return tuple(far) if rest.counts_as(index) else ()
 
 
 def name_series(names: Iterable[str]) -> list[NameSeries]:
@@ -175,31 +214,74 @@ def name_series(names: Iterable[str]) -> list[NameSeries]:
     >>> [s.pattern("n") for s in name_series(["cam1/a_01.jpg", "cam1/a_02.jpg", "cam2/a_01.jpg"])]
     ['cam1/a_{n:02d}.jpg', 'cam2/a_{n:02d}.jpg']
     """
-    shapes: defaultdict[tuple[str, ...], list[list[str]]] = defaultdict(list)
+    digits_by_texts: defaultdict[tuple[str, ...], list[list[str]]] = defaultdict(list)
     for name in sorted(set(names)):
-        parts = re.split(r"(\d+)", name)
-        shapes[tuple(parts[::2])].append(parts[1::2])
-    found = [series for texts, rows in shapes.items() for series in _series(texts, rows)]
-    return sorted(found, key=lambda series: (-len(series.numbers), series.before))
+        parts = re.split(r"(\d+)", name)  # text, digits, text, ... , text
+        digits_by_texts[tuple(parts[::2])].append(parts[1::2])
+    all_series: list[NameSeries] = []
+    for texts, digits in digits_by_texts.items():
+        all_series += _series(texts, digits)
+    return sorted(all_series, key=lambda series: (-len(series.numbers), series.before))
 
 
 def _series(texts: tuple[str, ...], rows: list[list[str]]) -> list[NameSeries]:
     """The series of names of the same texts, whose digits are ``rows`` (one a name)."""
     if not rows[0]:
-        stem, dot, ending = texts[0].rpartition(".")
-        return [NameSeries(stem if dot else ending, 0, dot + ending if dot else "", (0,), False)]
-    values = [set(column) for column in zip(*rows, strict=True)]
+        return [_name_without_number(texts[0])]
+    columns = list(zip(*rows, strict=True))
+    varieties = [len(set(column)) for column in columns]
     # Of digits that differ alike the last count the images.
-    count = max(range(len(values)), key=lambda k: (len(values[k]), k))
-    others = [k for k in range(len(values)) if k != count and len(values[k]) > 1]
+    count_column = max(range(len(columns)), key=lambda column: (varieties[column], column))
+    other_columns = [
+        column for column, variety in enumerate(varieties) if column != count_column and variety > 1
+    ]
     groups: defaultdict[tuple[str, ...], list[list[str]]] = defaultdict(list)
     for row in rows:
-        groups[tuple(row[k] for k in others)].append(row)
-    if others and len(groups) <= _MOST_SERIES and 2 * len(groups) <= len(rows) + 1:
-        return [series for group in groups.values() for series in _series(texts, group)]
-    written = ["*" if k in others else rows[0][k] for k in range(len(values))]
-    digits = [row[count] for row in rows]
-    pieces = [text for pair in zip(texts, [*written, ""], strict=True) for text in pair]
-    before, after = "".join(pieces[: 2 * count + 1]), "".join(pieces[2 * count + 2 :])
-    width = len(digits[0]) if len({len(text) for text in digits}) == 1 else 0
-    return [NameSeries(before, width * (width > 1), after, tuple(sorted(map(int, digits))))]
+        groups[tuple(row[column] for column in other_columns)].append(row)
+    groups_have_several = 2 * len(groups) <= len(rows) + 1
+    if other_columns and len(groups) <= _MOST_SERIES and groups_have_several:
+        parted: list[NameSeries] = []
+        for group in groups.values():
+            parted += _series(texts, group)
+        return parted
+    return [_one_series(texts, rows, count_column, other_columns)]
+
+
+def _name_without_number(name: str) -> NameSeries:
+    """The series of a single name without digits, apart at its ending."""
+    stem, dot, ending = name.rpartition(".")
+    if not dot:
+        return NameSeries(before=name, width=0, after="", numbers=(0,), has_number=False)
+    return NameSeries(before=stem, width=0, after=dot + ending, numbers=(0,), has_number=False)
+
+
+def _one_series(
+    texts: tuple[str, ...], rows: list[list[str]], count_column: int, other_columns: list[int]
+) -> NameSeries:
+    """The series that one column of digits counts; other digits that differ become ``*``."""
+    written = list(rows[0])
+    for column in other_columns:
+        written[column] = "*"
+    before = "".join(_alternating(texts[: count_column + 1], written[:count_column]))
+    after = "".join(_alternating(texts[count_column + 1 :], written[count_column + 1 :]))
+    digits = [row[count_column] for row in rows]
+    widths = {len(number) for number in digits}
+    width = widths.pop() if len(widths) == 1 else 0
+    return NameSeries(
+        before=before,
+        width=width if width > 1 else 0,
+        after=after,
+        numbers=tuple(sorted(int(number) for number in digits)),
+    )
+
+
+def _alternating(texts: tuple[str, ...], digits: list[str]) -> Iterator[str]:
+    """Text, digits, text, ... , text."""
+    yield texts[0]
+    for text, number in zip(texts[1:], digits, strict=True):
+        yield number
+        yield text
+
+
+def _with_doubled_braces(text: str) -> str:
+    return text.replace("{", "{{").replace("}", "}}")

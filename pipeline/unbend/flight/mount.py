@@ -5,21 +5,29 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from unbend.flight import rotations
+from unbend.flight import messages
 from unbend.flight.channels import Channel
-from unbend.flight.rotations import CAMERA_AT_REST, down_in_body
+from unbend.flight.rotations import (
+    CAMERA_AT_REST,
+    down_in_body,
+    matrices_of,
+    ned_from_body,
+    quaternions_of,
+)
 from unbend.flight.trajectory import attitude_at
-from unbend.messages import Entry, Notes, note, warning
+from unbend.messages import Message, Notes
 from unbend.units import Array
 
-_Q = ("q_w", "q_x", "q_y", "q_z")
-_GIMBALS = ("MNT", "MOUNTSTATUS", "MOUNTORIENTATION", "GIMBALDEVICEATTITUDESTATUS")
+_QUATERNION = ("q_w", "q_x", "q_y", "q_z")
+_GIMBAL_MESSAGES = ("MNT", "MOUNTSTATUS", "MOUNTORIENTATION", "GIMBALDEVICEATTITUDESTATUS")
 
 # A camera on a gimbal looks along its forward axis; with the mount of an aircraft, in which it
 # looks down, it is 90 degrees away from there.
 _LARGEST_AXIS_ANGLE_DEG = 45.0
 
 _COUNTERED = -0.5  # slope of angles that counter a motion, half-way to none
+
+_LARGEST_ANGLE_RAD = 2.0 * np.pi  # old autopilots send a place where angles are due
 
 
 @dataclass(frozen=True)
@@ -63,34 +71,62 @@ def payload_attitude(
     pitch of the aircraft (a slope of -1) they are to it, v_ned = R(aircraft) Rz(yaw) Ry(pitch)
     Rx(roll) v_payload. Angles beyond a turn are none: old autopilots send a place there.
     """
-    known = np.stack([gimbal.get(name) for name in _Q], 1)
-    if f"gimbal_{_Q[0]}" in gimbal.columns:
-        to_nose = rotations.matrices_of(np.stack([gimbal[f"gimbal_{name}"] for name in _Q], axis=1))
-    elif "gimbal_yaw_rad" in gimbal.columns:
-        angles = np.stack([gimbal[f"gimbal_{name}_rad"] for name in ("roll", "pitch", "yaw")], 1)
-        angles[(np.abs(angles) > 2.0 * np.pi).any(axis=1)] = np.nan
-        to_nose = rotations.ned_from_body(angles)
-    else:
+    to_nose = _rotations_to_nose(gimbal)
+    if to_nose is None or aircraft is None:
         return gimbal, ()
-    missing = np.isnan(known).any(axis=1) & np.isfinite(to_nose).all(axis=(1, 2))
-    if aircraft is None or not bool(missing.any()):
+    quaternion = np.stack([gimbal.get(name) for name in _QUATERNION], axis=1)
+    is_unknown = np.isnan(quaternion).any(axis=1)
+    missing = is_unknown & np.isfinite(to_nose).all(axis=(1, 2))
+    if not bool(missing.any()):
         return gimbal, ()
+    to_nose = to_nose[missing]
     attitude = attitude_at(aircraft, gimbal.time_ns[missing], max_gap_s).quaternion
-    turned = rotations.matrices_of(attitude)
-    added = f"that of {aircraft.name} is added"
-    if is_of_gimbal(gimbal.source.message, "MOUNTSTATUS") and (
-        slope_of(roll_and_pitch(to_nose[missing]), roll_and_pitch(turned)) < _COUNTERED
-    ):
-        added = f"its angles counter the motion of {aircraft.name} and are added to its attitude"
+    ned_from_aircraft = matrices_of(attitude)
+    if _are_angles_of_servos(gimbal, to_nose, ned_from_aircraft):
+        ned_from_base = ned_from_aircraft
+        describe = messages.gimbal_counters_motion
     else:
-        level = np.zeros((turned.shape[0], 3))
-        level[:, 2] = np.arctan2(turned[:, 1, 0], turned[:, 0, 0])
-        turned = rotations.ned_from_body(level)
-    known[missing] = rotations.quaternions_of(turned @ to_nose[missing])
-    where, count, total = gimbal.name, int(missing.sum()), len(gimbal)
-    entry = note("GIMBAL-YAW", where=where, count=count, total=total, added=added)
-    columns = dict(gimbal.columns) | dict(zip(_Q, known.T, strict=True))
-    return replace(gimbal, columns=columns), (entry,)
+        ned_from_base = _yaw_alone(ned_from_aircraft)
+        describe = messages.gimbal_yaw_added
+    quaternion[missing] = quaternions_of(ned_from_base @ to_nose)
+    message = describe(
+        gimbal=gimbal.name,
+        rows=int(np.count_nonzero(missing)),
+        total=len(gimbal),
+        aircraft=aircraft.name,
+    )
+    columns = dict(gimbal.columns)
+    columns.update(zip(_QUATERNION, quaternion.T, strict=True))
+    return replace(gimbal, columns=columns), (message,)
+
+
+def _rotations_to_nose(gimbal: Channel) -> Array | None:
+    """(n, 3, 3) rotations of a payload whose yaw counts from the nose; None without any."""
+    if "gimbal_q_w" in gimbal.columns:
+        quaternion = np.stack([gimbal[f"gimbal_{name}"] for name in _QUATERNION], axis=1)
+        return matrices_of(quaternion)
+    if "gimbal_yaw_rad" not in gimbal.columns:
+        return None
+    columns = ("gimbal_roll_rad", "gimbal_pitch_rad", "gimbal_yaw_rad")
+    angles = np.stack([gimbal[name] for name in columns], axis=1)
+    impossible = (np.abs(angles) > _LARGEST_ANGLE_RAD).any(axis=1)
+    angles[impossible] = np.nan
+    return ned_from_body(angles)
+
+
+def _are_angles_of_servos(gimbal: Channel, to_nose: Array, ned_from_aircraft: Array) -> bool:
+    """Whether the angles of a MOUNT_STATUS counter the motion of the aircraft."""
+    if not is_of_gimbal(gimbal.source.message, "MOUNTSTATUS"):
+        return False
+    slope = slope_of(roll_and_pitch(to_nose), roll_and_pitch(ned_from_aircraft))
+    return slope < _COUNTERED
+
+
+def _yaw_alone(ned_from_aircraft: Array) -> Array:
+    """(n, 3, 3) rotations about the vertical by the yaw of an aircraft."""
+    angles = np.zeros((ned_from_aircraft.shape[0], 3))
+    angles[:, 2] = np.arctan2(ned_from_aircraft[:, 1, 0], ned_from_aircraft[:, 0, 0])
+    return ned_from_body(angles)
 
 
 def with_payload_attitude(
@@ -101,48 +137,71 @@ def with_payload_attitude(
     ``named`` : role -> channel. The aircraft is the channel named for that, or the best that may
     play the attitude.
     """
-    gimbals = [c for c in channels if c.name == named.get("attitude")]
-    if not gimbals or not is_of_gimbal(gimbals[0].source.message):
+    attitude_name = named.get("attitude")
+    gimbal = next((channel for channel in channels if channel.name == attitude_name), None)
+    if gimbal is None or not is_of_gimbal(gimbal.source.message):
         return channels, ()
-    own = named.get("aircraft_attitude")
-    able = [c for c in channels if c.name == own or "attitude" in c.roles]
-    able = [c for c in able if c.fits_role("attitude")]
-    aircraft = min(able, key=lambda c: (c.name != own, c.rank), default=None)
-    payload, notes = payload_attitude(gimbals[0], aircraft, max_gap_s)
-    return tuple(payload if c is gimbals[0] else c for c in channels), notes
+    aircraft = _aircraft_of_gimbal(channels, named.get("aircraft_attitude"))
+    payload, notes = payload_attitude(gimbal, aircraft, max_gap_s)
+    replaced = tuple(payload if channel is gimbal else channel for channel in channels)
+    return replaced, notes
+
+
+def _aircraft_of_gimbal(channels: tuple[Channel, ...], name: str | None) -> Channel | None:
+    """The channel with the attitude of the aircraft: of this name, or of the best rank."""
+    able = [
+        channel
+        for channel in channels
+        if (channel.name == name or "attitude" in channel.roles) and channel.fits_role("attitude")
+    ]
+    return min(able, key=lambda channel: (channel.name != name, channel.rank), default=None)
 
 
 def gimbal_notes(
-    messages: Mapping[str, int], roles: Mapping[str, Channel], mounts: Mapping[str, Mount]
-) -> Iterator[Entry]:
+    logged: Mapping[str, int], roles: Mapping[str, Channel], mounts: Mapping[str, Mount]
+) -> Iterator[Message]:
     """How each camera sits on the gimbal that plays the attitude, or that none is followed.
 
-    ``messages`` : count of every message type or topic of the log. ``mounts`` : by camera.
+    ``logged`` : count of every message type or topic of the log. ``mounts`` : by camera.
     """
     attitude = roles.get("attitude")
     if attitude is None or not is_of_gimbal(attitude.source.message):
-        listed = [f"{count} {name}" for name, count in messages.items()
-                  if count and is_of_gimbal(name)]  # fmt: skip
-        if listed:
-            yield warning("GIMBAL-IGNORED", listed=", ".join(listed))
+        of_gimbals = [
+            f"{count} {name}" for name, count in logged.items() if count and is_of_gimbal(name)
+        ]
+        if of_gimbals:
+            yield messages.gimbal_ignored(listed=", ".join(of_gimbals))
         return
+    down = down_in_body(attitude)
     for camera, mount in mounts.items():
         optical_axis = mount.camera_from_body[2]
-        cosine = optical_axis @ down_in_body(attitude)
+        cosine = optical_axis @ down
         cosine = cosine[np.isfinite(cosine)]
         if cosine.size == 0:
             continue
-        from_forward = float(np.degrees(np.arccos(np.clip(optical_axis[0], -1.0, 1.0))))
-        from_nadir = float(np.degrees(np.arccos(np.clip(np.median(cosine), -1.0, 1.0))))
-        entry = warning if from_forward > _LARGEST_AXIS_ANGLE_DEG else note
-        yield entry("GIMBAL-FRAME", where=f"mount.{camera}", camera=camera, attitude=attitude.name,
-                    forward=from_forward, nadir=from_nadir)  # fmt: skip
+        from_forward_deg = _angle_deg(optical_axis[0])
+        yield messages.gimbal_frame(
+            camera=camera,
+            attitude=attitude.name,
+            from_forward_deg=from_forward_deg,
+            from_nadir_deg=_angle_deg(np.median(cosine)),
+            far=from_forward_deg > _LARGEST_AXIS_ANGLE_DEG,
+        )
+
+
+def _angle_deg(cosine: float) -> float:
+    """The angle of a cosine that rounding may have carried beyond 1."""
+    return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
 
 
 def roll_and_pitch(ned_from_body: Array) -> Array:
     """(2, n) roll and pitch [rad] of (n, 3, 3) matrices."""
-    right, down = ned_from_body[:, 2, 1], ned_from_body[:, 2, 2]
-    return np.stack([np.arctan2(right, down), -np.arcsin(ned_from_body[:, 2, 0].clip(-1.0, 1.0))])
+    forward = ned_from_body[:, 2, 0]
+    right = ned_from_body[:, 2, 1]
+    down = ned_from_body[:, 2, 2]
+    roll = np.arctan2(right, down)
+    pitch = -np.arcsin(forward.clip(-1.0, 1.0))
+    return np.stack([roll, pitch])
 
 
 def slope_of(angles: Array, motion: Array) -> float:
@@ -151,13 +210,20 @@ def slope_of(angles: Array, motion: Array) -> float:
     >>> slope_of(np.array([[0.1, 0.0, -0.1]]), np.array([[-0.1, 0.0, 0.1]]))
     -1.0
     """
-    both = np.isfinite(angles).all(axis=0) & np.isfinite(motion).all(axis=0)
-    if not both.any():
+    known = np.isfinite(angles).all(axis=0) & np.isfinite(motion).all(axis=0)
+    if not known.any():
         return 0.0
-    own, moved = (x[:, both] - np.median(x[:, both], 1, keepdims=True) for x in (angles, motion))
-    return round(float(np.sum(own * moved) / max(np.sum(moved**2), 1e-9)), 3)
+    turned = _about_median(angles[:, known])
+    moved = _about_median(motion[:, known])
+    variation = max(np.sum(moved**2), 1e-9)
+    return round(float(np.sum(turned * moved) / variation), 3)
+
+
+def _about_median(angles: Array) -> Array:
+    return np.asarray(angles - np.median(angles, axis=1, keepdims=True))
 
 
 def is_of_gimbal(message: str, *names: str) -> bool:
     """Whether a message is a gimbal's, or of these names; PX4 writes it as topic and ROS type."""
-    return message.rpartition("/")[2].replace("_", "").upper() in (names or _GIMBALS)
+    plain = message.rpartition("/")[2].replace("_", "").upper()
+    return plain in (names or _GIMBAL_MESSAGES)

@@ -1,15 +1,18 @@
-"""What the flight measured of the air outside, against GNSS height, with its gates."""
+"""What the sensors outside measured, at GNSS heights, with the gates for them."""
 
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from unbend.atmosphere.air_samples import AirSamples, SensorSamples
+from unbend.atmosphere.rejection import Reason, reasons_where
+from unbend.flight import messages
 from unbend.flight.channels import Channel
 from unbend.flight.evidence.stretches import HEIGHT, Stretch, covered
 from unbend.flight.ground_times import times_on_the_ground
 from unbend.flight.heights import HeightSystem, heights_at
-from unbend.messages import Notes, note, warning
+from unbend.messages import Message, Notes
+from unbend.units import Integers, Mask
 
 SOAK_SECONDS = 120.0
 """A thermometer still carries the heat of the ground for so long after take-off [s]. Over a climb
@@ -17,6 +20,14 @@ of 1 km, with realistic sensors and no descent, R scatters by 2.0 %; with 60 s b
 
 LEVEL_M = 30.0  # above the lowest height of a flight, pressures give their level [m]
 AWAY_SECONDS = 60.0  # an aircraft that is away from the ground for less has not taken off [s]
+
+_SENSORS = (
+    ("temperature", "temperature_k"),
+    ("pressure", "pressure_pa"),
+    ("humidity", "relative_humidity"),
+    ("airspeed", "airspeed_m_s"),
+)
+_SOAKED_ROLES = ("temperature", "humidity")
 
 
 def outside_air_samples(
@@ -35,37 +46,67 @@ def outside_air_samples(
     height = roles.get("height")
     if height is None:
         return AirSamples(), ()
-    contradicted = [s for s in suspect if s.quantity == HEIGHT and not s.replaced_by]
+    contradicted = [
+        stretch for stretch in suspect if stretch.quantity == HEIGHT and not stretch.replaced_by
+    ]
     on_ground_ns = times_on_the_ground(height)
-    samples: dict[str, SensorSamples] = {}
-    notes = []
-    for role, column in (
-        ("temperature", "temperature_k"),
-        ("pressure", "pressure_pa"),
-        ("humidity", "relative_humidity"),
-        ("airspeed", "airspeed_m_s"),
-    ):
+    sensors: dict[str, SensorSamples] = {}
+    notes: list[Message] = []
+    for role, column in _SENSORS:
         channel = roles.get(role)
         if channel is None or len(channel) == 0:
             continue
-        h, _ = heights_at(height, channel.time_ns, heights, max_gap_s)
-        known = np.isfinite(h)
-        accepted = known & ~covered(contradicted, channel.time_ns)
-        if count := int(np.count_nonzero(known & ~accepted)):
-            notes.append(warning("AIR-SUSPECT-HEIGHT", where=channel.name, count=count))
-        if role == "pressure" and height.roles and "height" not in height.roles:
-            accepted &= h < np.min(h[accepted], initial=np.inf) + LEVEL_M
-            notes.append(warning("AIR-HEIGHT-FUSED", where=height.name, level=LEVEL_M))
-        if role in ("temperature", "humidity") and on_ground_ns.size:
-            last = np.searchsorted(on_ground_ns, channel.time_ns, side="right") - 1
-            since_s = (channel.time_ns - on_ground_ns[np.maximum(last, 0)]) * 1e-9
-            soaked = (last >= 0) & (since_s < SOAK_SECONDS) & accepted
-            if count := int(np.count_nonzero(soaked)):
-                where, seconds = channel.name, SOAK_SECONDS
-                notes.append(note("AIR-GROUND-SOAK", where=where, count=count, seconds=seconds))
-            accepted &= ~soaked
-        samples[role] = SensorSamples(channel.time_ns, h, channel[column], accepted, channel.name)
-    # When the aircraft last stood before it was away for a minute or more.
-    away = np.diff(on_ground_ns, append=np.iinfo(np.int64).max) > AWAY_SECONDS * 1e9
-    takeoffs_ns = on_ground_ns[away] if on_ground_ns.size else on_ground_ns
-    return AirSamples(**samples, takeoff_ns=takeoffs_ns), tuple(notes)
+        height_m, _ = heights_at(height, channel.time_ns, heights, max_gap_s)
+        sensor = SensorSamples(
+            channel.time_ns,
+            height_m,
+            channel[column],
+            rejected=reasons_where(np.isnan(height_m), Reason.NO_HEIGHT),
+            name=channel.name,
+            removed=channel.removed,
+        )
+        sensor = sensor.reject(covered(contradicted, channel.time_ns), Reason.SUSPECT_HEIGHT)
+        count = sensor.count(Reason.SUSPECT_HEIGHT)
+        if count:
+            notes.append(messages.readings_at_suspect_heights(channel=channel.name, count=count))
+        if role == "pressure" and _is_fused(height):
+            sensor = sensor.reject(_is_above_level(sensor), Reason.FUSED_HEIGHT)
+            notes.append(messages.height_is_fused(channel=height.name, level_m=LEVEL_M))
+        if role in _SOAKED_ROLES:
+            sensor = sensor.reject(_is_soaked(channel.time_ns, on_ground_ns), Reason.GROUND_SOAK)
+            count = sensor.count(Reason.GROUND_SOAK)
+            if count:
+                notes.append(
+                    messages.ground_soak(channel=channel.name, count=count, seconds=SOAK_SECONDS)
+                )
+        sensors[role] = sensor
+    samples = AirSamples(**sensors, takeoff_ns=_takeoffs(on_ground_ns))
+    return samples, tuple(notes)
+
+
+def _is_above_level(sensor: SensorSamples) -> Mask:
+    """Which readings are far above the lowest one, and say nothing on the level of pressures."""
+    lowest_m = np.min(sensor.h_m[sensor.accepted], initial=np.inf)
+    return np.asarray(~(sensor.h_m < lowest_m + LEVEL_M))
+
+
+def _is_fused(height: Channel) -> bool:
+    """Whether a log's height is that of a filter, for want of a receiver's."""
+    return bool(height.roles) and "height" not in height.roles
+
+
+def _is_soaked(time_ns: Integers, on_ground_ns: Integers) -> Mask:
+    """Which readings were made on the ground or shortly after it."""
+    if on_ground_ns.size == 0:
+        return np.zeros(time_ns.shape, np.bool_)
+    last = np.searchsorted(on_ground_ns, time_ns, side="right") - 1
+    since_s = (time_ns - on_ground_ns[np.maximum(last, 0)]) * 1e-9
+    return np.asarray((last >= 0) & (since_s < SOAK_SECONDS))
+
+
+def _takeoffs(on_ground_ns: Integers) -> Integers:
+    """When the aircraft last stood before it was away for a minute or more."""
+    if on_ground_ns.size == 0:
+        return on_ground_ns
+    away_ns = np.diff(on_ground_ns, append=np.iinfo(np.int64).max)
+    return on_ground_ns[away_ns > AWAY_SECONDS * 1e9]

@@ -5,16 +5,24 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 
 import numpy as np
 
-from unbend.errors import MissionError
+from unbend.flight import messages
 from unbend.flight.channels import ROLE_COLUMNS, Channel
 from unbend.flight.trajectory import interpolate
-from unbend.messages import Entry, Notes, loss, note, warning
+from unbend.messages import Message, Notes
 
 # Roles of which a second sensor is a spare: the first of several equals is taken.
 _SPARES = {"position", "height", "attitude"}
 
 # Roles without which nothing can be corrected, if the mission file names a channel for them.
 _REQUIRED = {"position", "attitude", "aircraft_attitude", "cabin_pressure", "cabin_temperature"}
+
+_NAMES_PROPOSED = 3  # for a name that the log does not have
+_LEAST_SIMILARITY = 0.4  # of a proposed name, as difflib counts it
+
+_LEAST_HEIGHT_SPAN_M = 300.0  # over less, a closed compartment cannot be told from free air [m]
+_FEWEST_PRESSURES = 10
+_LARGEST_UNEXPLAINED = 0.01  # part of the pressure's variation that a parabola may leave
+_HEIGHT_GAP_S = 5.0
 
 
 def assign_roles(
@@ -33,112 +41,168 @@ def assign_roles(
     mission where the role is needed, and are a loss where it is not. ``aircraft_attitude`` is only
     ever named; `choose_event_channel` chooses those of events, one for each camera.
     """
-    everything = tuple(channels)
-    by_name = {channel.name: channel for channel in everything}
+    all_channels = tuple(channels)
+    filled, notes = _named_roles(all_channels, named)
+    _refuse_one_sensor_twice(filled)
+    named_channels = {channel.name for channel in filled.values()}
+    free = [channel for channel in all_channels if channel.name not in named_channels]
+    for role in ("height", "position", "attitude", "airspeed"):
+        notes += _fill(filled, role, all_channels, named)
+    if "height" not in filled and "position" in filled:
+        filled["height"] = filled["position"]
+    notes += _fill_barometers(filled, free, named, needs_cabin=needs_cabin)
+    for role in ("temperature", "humidity"):
+        notes += _fill_outside_and_cabin(filled, role, all_channels, named, needs_cabin=needs_cabin)
+    for role in ("position", "attitude"):  # what the cabin lacks is reported camera by camera
+        if role not in filled and role not in named and role not in elsewhere:
+            names = list(dict.fromkeys(channel.name for channel in all_channels))
+            notes.append(messages.role_empty(role=role, channels=names))
+    return filled, tuple(notes)
+
+
+def _named_roles(
+    channels: tuple[Channel, ...], named: Mapping[str, str]
+) -> tuple[dict[str, Channel], list[Message]]:
+    """The roles for which the mission file names a channel that is there and fits."""
+    by_name = {channel.name: channel for channel in channels}
     filled: dict[str, Channel] = {}
-    notes: list[Entry] = []
+    notes: list[Message] = []
     for role, name in named.items():
         channel = by_name.get(name)
         if channel is not None and channel.fits_role(role):
             filled[role] = channel
         else:
-            notes.append(_named_but_absent(everything, role, name))
-    for role in ("pressure", "temperature", "humidity"):
-        outside, inside = filled.get(role), filled.get(f"cabin_{role}")
-        if outside is not None and inside is not None and outside.name == inside.name:
-            where = f"log.channels.{role}, log.channels.cabin_{role}"
-            raise MissionError.of("CHANNEL-TWICE", where, name=outside.name, role=role)
-    free = [c for c in everything if c.name not in {c.name for c in filled.values()}]
-    for role in ("height", "position", "attitude", "airspeed"):
-        notes += _fill(filled, role, everything, named)
-    if "height" not in filled and "position" in filled:
-        filled["height"] = filled["position"]
-    notes += _fill_barometers(filled, free, named, needs_cabin)
-    for role in ("temperature", "humidity"):
-        inside_role = f"cabin_{role}"
-        if needs_cabin and not {role, inside_role} & (filled.keys() | named.keys()):
-            # Where both are needed, a sensor that may be outside or in the cabin gets neither role.
-            either = [c.name for c in everything if {role, inside_role} <= set(c.roles)]
-            if either:
-                where, listed = f"log.channels.{role}", ", ".join(either)
-                notes.append(warning("ROLE-AMBIGUOUS/cabin", where=where, listed=listed, role=role))
-            continue
-        notes += _fill(filled, role, everything, named)
-        if needs_cabin:
-            notes += _fill(filled, inside_role, everything, named)
-    for role in ("position", "attitude"):  # what the cabin lacks is reported camera by camera
-        if role not in {*filled, *named, *elsewhere}:
-            there, where = ", ".join(by_name) or "no channel at all", f"log.channels.{role}"
-            notes.append(loss("CHANNEL-MISSING/role", where=where, role=role, there=there))
-    return filled, tuple(notes)
+            notes.append(_named_but_absent(channels, role, name))
+    return filled, notes
 
 
-def _named_but_absent(channels: tuple[Channel, ...], role: str, name: str) -> Entry:
+def _named_but_absent(channels: tuple[Channel, ...], role: str, name: str) -> Message:
     """A loss for a named channel that is absent or does not fit; MissionError if it is needed."""
-    channel = next((c for c in channels if c.name == name), None)
-    if channel is not None:
-        what = f"{name} has no {', '.join(ROLE_COLUMNS[role])}; it has {', '.join(channel.columns)}"
+    able = [channel.name for channel in channels if channel.fits_role(role)]
+    named_channel = next((channel for channel in channels if channel.name == name), None)
+    if named_channel is None:
+        columns = None
+        names = [channel.name for channel in channels]
+        near = difflib.get_close_matches(name, names, _NAMES_PROPOSED, _LEAST_SIMILARITY)
     else:
-        near = difflib.get_close_matches(name, [c.name for c in channels], 3, 0.4)
-        what = f"the log has no channel {name!r}" + (f" (near: {', '.join(near)})" if near else "")
-    able = [c.name for c in channels if c.fits_role(role)]
-    what += f"; could play this role: {', '.join(able)}" if able else "; nothing else could play it"
-    if role == "temperature" and channel is not None and "board_temperature_k" in channel.columns:
-        what += "; atmosphere.board_temperature: true takes its board's, less some 10 K"
+        columns = list(named_channel.columns)
+        near = []
+    why = messages.why_channel_is_missing(
+        name=name, needed=ROLE_COLUMNS[role], columns=columns, near=near
+    )
     if role in _REQUIRED:
-        remedy = "name a channel as `unbend inspect` prints it"
-        raise MissionError("CHANNEL-MISSING", what, where=f"log.channels.{role}", remedy=remedy)
-    return loss("CHANNEL-MISSING", what, where=f"log.channels.{role}")
+        raise messages.required_channel_missing(role=role, why=why, able=able)
+    has_board = columns is not None and "board_temperature_k" in columns
+    return messages.named_channel_missing(
+        role=role, why=why, able=able, board=has_board and role == "temperature"
+    )
+
+
+def _refuse_one_sensor_twice(filled: Mapping[str, Channel]) -> None:
+    """Refuse (MissionError CHANNEL-TWICE) a sensor named for outside and for the cabin."""
+    for role in ("pressure", "temperature", "humidity"):
+        outside = filled.get(role)
+        inside = filled.get(f"cabin_{role}")
+        if outside is not None and inside is not None and outside.name == inside.name:
+            raise messages.channel_twice(name=outside.name, role=role)
 
 
 def _fill(
     filled: dict[str, Channel], role: str, channels: tuple[Channel, ...], named: Mapping[str, str]
-) -> Iterator[Entry]:
+) -> Iterator[Message]:
     """Fill a role that was not named, from the candidates of the best rank."""
     if role in filled or role in named:
         return
-    # A channel may serve a role it was not named for, except that inside is never outside.
-    inside = role.startswith("cabin_")
-    used = {c.name for r, c in filled.items() if r.startswith("cabin_") != inside}
-    able = (c for c in channels if role in c.roles and c.fits_role(role))
-    candidates = [c for c in able if c.name not in used]
-    shown = role.replace("_", " ")
+    candidates = _candidates(filled, role, channels)
     while candidates:
-        best = min(c.rank for c in candidates)
-        equals = [c for c in candidates if c.rank == best]
+        best_rank = min(channel.rank for channel in candidates)
+        equals = [channel for channel in candidates if channel.rank == best_rank]
         if len(equals) == 1 or role in _SPARES:
             filled[role] = equals[0]
-            yield note("ROLE", f"{shown}: {equals[0].name}", where=role)
-            break
-        names = ", ".join(c.name for c in equals)
-        what = f"{names} could each be the {shown}; none of them is used"
-        yield warning("ROLE-AMBIGUOUS", what, where=f"log.channels.{role}")
-        candidates = [c for c in candidates if c.rank > best]
+            yield messages.role_filled(role=role, channel=equals[0].name)
+            return
+        yield messages.role_ambiguous(role=role, candidates=[channel.name for channel in equals])
+        candidates = [channel for channel in candidates if channel.rank > best_rank]
+
+
+def _candidates(
+    filled: Mapping[str, Channel], role: str, channels: tuple[Channel, ...]
+) -> list[Channel]:
+    """The channels that may take a role.
+
+    A channel may serve a role it was not named for, except that inside is never outside.
+    """
+    inside = role.startswith("cabin_")
+    on_other_side = {
+        channel.name
+        for other_role, channel in filled.items()
+        if other_role.startswith("cabin_") != inside
+    }
+    return [
+        channel
+        for channel in channels
+        if role in channel.roles and channel.fits_role(role) and channel.name not in on_other_side
+    ]
+
+
+def _fill_outside_and_cabin(
+    filled: dict[str, Channel],
+    role: str,
+    channels: tuple[Channel, ...],
+    named: Mapping[str, str],
+    *,
+    needs_cabin: bool,
+) -> Iterator[Message]:
+    """Fill the role of a sensor outside, and of that in the cabin where it is needed.
+
+    Where both are needed and neither is given, a sensor that may be either gets neither role.
+    """
+    cabin_role = f"cabin_{role}"
+    given = filled.keys() | named.keys()
+    if needs_cabin and role not in given and cabin_role not in given:
+        either = [
+            channel.name
+            for channel in channels
+            if role in channel.roles and cabin_role in channel.roles
+        ]
+        if either:
+            yield messages.outside_or_cabin(role=role, candidates=either)
+            return
+    yield from _fill(filled, role, channels, named)
+    if needs_cabin:
+        yield from _fill(filled, cabin_role, channels, named)
 
 
 def _fill_barometers(
-    filled: dict[str, Channel], free: list[Channel], named: Mapping[str, str], needs_cabin: bool
-) -> Iterator[Entry]:
+    filled: dict[str, Channel],
+    free: list[Channel],
+    named: Mapping[str, str],
+    *,
+    needs_cabin: bool,
+) -> Iterator[Message]:
     """Distinguish barometers outside and in the cabin by how their pressure follows height."""
-    barometers = sorted((c for c in free if "pressure" in c.roles), key=lambda c: (c.rank, c.name))
+    given = filled.keys() | named.keys()
+    seek_outside = "pressure" not in given
+    seek_cabin = needs_cabin and "cabin_pressure" not in given
     height = filled.get("height")
-    settled = filled.keys() | named.keys()
-    seek_cabin = needs_cabin and "cabin_pressure" not in settled
-    if height is None or ("pressure" in settled and not seek_cabin):
+    if height is None or not (seek_outside or seek_cabin):
         return
+    barometers = [channel for channel in free if "pressure" in channel.roles]
+    barometers.sort(key=lambda channel: (channel.rank, channel.name))
     indoors = [channel for channel in barometers if follows_height(channel, height) is False]
-    if "pressure" not in settled:
-        yield from (note("BARO-NOT-OUTSIDE", where=channel.name) for channel in indoors)
+    if seek_outside:
+        for channel in indoors:
+            yield messages.barometer_not_outside(channel=channel.name)
         outside = [channel for channel in barometers if channel not in indoors]
         if outside:
             filled["pressure"] = outside[0]
-            yield note("ROLE", f"pressure: {outside[0].name}", where="pressure")
+            yield messages.role_filled(role="pressure", channel=outside[0].name)
     if seek_cabin and len(indoors) == 1:
         filled["cabin_pressure"] = indoors[0]
-        yield note("ROLE", f"cabin pressure: {indoors[0].name}", where="cabin_pressure")
+        yield messages.role_filled(role="cabin_pressure", channel=indoors[0].name)
     elif seek_cabin and indoors:
-        what = f"{', '.join(c.name for c in indoors)} could each be the cabin pressure"
-        yield warning("ROLE-AMBIGUOUS", what, where="log.channels.cabin_pressure")
+        names = [channel.name for channel in indoors]
+        yield messages.role_ambiguous(role="cabin_pressure", candidates=names)
 
 
 def follows_height(barometer: Channel, height: Channel) -> bool | None:
@@ -151,12 +215,14 @@ def follows_height(barometer: Channel, height: Channel) -> bool | None:
     column = height.height_column
     if column is None:
         return None
-    h = interpolate(height, column, barometer.time_ns, max_gap_s=5.0)
-    p = barometer["pressure_pa"]
-    use = np.isfinite(h) & (p > 0.0)
-    if use.sum() < 10 or float(np.ptp(h[use])) < 300.0:
+    height_m = interpolate(height, column, barometer.time_ns, max_gap_s=_HEIGHT_GAP_S)
+    pressure_pa = barometer["pressure_pa"]
+    known = np.isfinite(height_m) & (pressure_pa > 0.0)
+    if np.count_nonzero(known) < _FEWEST_PRESSURES:
+        return None
+    if float(np.ptp(height_m[known])) < _LEAST_HEIGHT_SPAN_M:
         return None
     from unbend.atmosphere.hypsometry import fall_of_pressure  # with all of the atmosphere
 
-    fall = fall_of_pressure(h[use], np.log(p[use]))
-    return fall.is_of_air and fall.unexplained < 0.01
+    fall = fall_of_pressure(height_m[known], np.log(pressure_pa[known]))
+    return fall.is_of_air and fall.unexplained < _LARGEST_UNEXPLAINED

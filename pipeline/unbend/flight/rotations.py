@@ -27,20 +27,39 @@ NED_FROM_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 _FROM_PHOTOGRAMMETRIC = np.diag([1.0, -1.0, -1.0])
 
 _Axes = Literal["XYZ", "YXZ", "ZYX"]
+_ThreeAngles = tuple[Array, Array, Array]
 
 # Axes of the frame and of the camera once turned (intrinsic rotations), as scipy names them.
-_ORDERS: dict[str, _Axes] = {"omega_phi_kappa": "XYZ", "phi_omega_kappa": "YXZ"}
+_ORDERS: dict[str, _Axes] = {
+    "omega_phi_kappa": "XYZ",
+    "phi_omega_kappa": "YXZ",
+}
+
+_FULL_TURN = 2.0 * np.pi
+_SMALL_SINE = 1e-9  # of half an angle: below, angle over sine is 2 to the last digit
+_GRAD_IN_DEGREES = 0.9
 
 
-_TURN = 2.0 * np.pi
-UNIT_MISTAKES: dict[str, Callable[..., tuple[Array, Array, Array]]] = {
-    "taken for grads": lambda a, b, c: (a * 0.9, b * 0.9, c % _TURN * 0.9),
-    "taken for radians": lambda a, b, c: (a / DEGREE, b / DEGREE, c % _TURN / DEGREE),
-    "taken for degrees": lambda a, b, c: (a * DEGREE, b * DEGREE, c * DEGREE),
+def _grads_for_degrees(a: Array, b: Array, c: Array) -> _ThreeAngles:
+    return a * _GRAD_IN_DEGREES, b * _GRAD_IN_DEGREES, c % _FULL_TURN * _GRAD_IN_DEGREES
+
+
+def _radians_for_degrees(a: Array, b: Array, c: Array) -> _ThreeAngles:
+    return a / DEGREE, b / DEGREE, c % _FULL_TURN / DEGREE
+
+
+def _degrees_for_radians(a: Array, b: Array, c: Array) -> _ThreeAngles:
+    return a * DEGREE, b * DEGREE, c * DEGREE
+
+
+UNIT_MISTAKES: dict[str, Callable[..., _ThreeAngles]] = {
+    "taken for grads": _grads_for_degrees,
+    "taken for radians": _radians_for_degrees,
+    "taken for degrees": _degrees_for_radians,
 }
 """Angles that were taken for degrees (or radians) and are in another unit."""
 
-ANGLE_MISTAKES: dict[str, Callable[..., tuple[Array, Array, Array]]] = {
+ANGLE_MISTAKES: dict[str, Callable[..., _ThreeAngles]] = {
     "with the other sign of {2}": lambda a, b, c: (a, b, -c),
     "with the other sign of {1}": lambda a, b, c: (a, -b, c),
     "with the other sign of {0}": lambda a, b, c: (-a, b, c),
@@ -64,16 +83,18 @@ def matrices_of(quaternion: Array) -> Array:
     >>> matrices_of(np.array([[0.0, 1.0, 0.0, 0.0]]))[0].diagonal().tolist()
     [1.0, -1.0, -1.0]
     """
-    return _where_known(
-        lambda q: _rotation().from_quat(q, scalar_first=True).as_matrix(), quaternion, (3, 3)
-    )
+
+    def turned(known: Array) -> Array:
+        return _rotation().from_quat(known, scalar_first=True).as_matrix()
+
+    return _where_known(turned, quaternion, (3, 3))
 
 
 def quaternions_of(matrix: Array) -> Array:
     """(n, 4) quaternions w, x, y, z, w >= 0, of (n, 3, 3) rotation matrices."""
 
-    def turned(m: Array) -> Array:
-        return _rotation().from_matrix(m).as_quat(canonical=True, scalar_first=True)
+    def turned(known: Array) -> Array:
+        return _rotation().from_matrix(known).as_quat(canonical=True, scalar_first=True)
 
     return _where_known(turned, matrix, (4,))
 
@@ -91,8 +112,8 @@ def quaternion_of_opk(angles: Array, order: str = "omega_phi_kappa") -> Array:
     >>> quaternion_of_opk(np.zeros((1, 3))).tolist()
     [[0.0, 1.0, 0.0, 0.0]]
     """
-    matrix = _euler_matrices(_ORDERS[order], angles)
-    return quaternions_of(_FROM_PHOTOGRAMMETRIC @ matrix.transpose(0, 2, 1))
+    frame_from_photogrammetric = _euler_matrices(_ORDERS[order], angles)
+    return quaternions_of(_FROM_PHOTOGRAMMETRIC @ frame_from_photogrammetric.transpose(0, 2, 1))
 
 
 def opk_of_quaternion(quaternion: Array, order: str = "omega_phi_kappa") -> Array:
@@ -101,8 +122,8 @@ def opk_of_quaternion(quaternion: Array, order: str = "omega_phi_kappa") -> Arra
     The first and the last lie in [-pi, pi], the second in [-pi/2, pi/2]. At its ends, where the
     camera looks along the axis of the first, the last is zero and the first holds both.
     """
-    matrix = matrices_of(quaternion).transpose(0, 2, 1) @ _FROM_PHOTOGRAMMETRIC
-    return _euler_angles(_ORDERS[order], matrix)
+    frame_from_camera = matrices_of(quaternion).transpose(0, 2, 1)
+    return _euler_angles(_ORDERS[order], frame_from_camera @ _FROM_PHOTOGRAMMETRIC)
 
 
 def quaternion_of_rpy(angles: Array, camera_from_body: Array = CAMERA_AT_REST) -> Array:
@@ -126,8 +147,9 @@ def ned_from_body(angles: Array) -> Array:
 
 def rpy_of_quaternion(quaternion: Array, camera_from_body: Array = CAMERA_AT_REST) -> Array:
     """(n, 3) roll, pitch, yaw [rad]; inverse of `quaternion_of_rpy`, the pitch in [-pi/2, pi/2]."""
-    matrix = NED_FROM_ENU @ matrices_of(quaternion).transpose(0, 2, 1) @ camera_from_body
-    return np.asarray(_euler_angles("ZYX", matrix)[:, ::-1])
+    enu_from_camera = matrices_of(quaternion).transpose(0, 2, 1)
+    yaw_pitch_roll = _euler_angles("ZYX", NED_FROM_ENU @ enu_from_camera @ camera_from_body)
+    return np.asarray(yaw_pitch_roll[:, ::-1])
 
 
 def in_turned_frame(quaternion: Array, frame_from_other: Array) -> Array:
@@ -149,25 +171,31 @@ def enu_from_grid(convergence_rad: float | Array) -> Array:
     [0.0349, 0.9994, 0.0]
     """
     up = np.array([0.0, 0.0, 1.0])
-    return np.asarray(_rotation().from_rotvec(np.multiply.outer(-convergence_rad, up)).as_matrix())
+    rotation_vector = np.multiply.outer(-convergence_rad, up)
+    return np.asarray(_rotation().from_rotvec(rotation_vector).as_matrix())
 
 
 def quaternion_products(first: Array, second: Array) -> Array:
     """(m, 4) products of unit quaternions x, y, z, w, in a tenth of the time of scipy's."""
-    (a, b, c, d), (x, y, z, w) = first.T, second.T
-    parts = (
-        d * x + w * a + b * z - c * y,
-        d * y + w * b + c * x - a * z,
-        d * z + w * c + a * y - b * x,
-        d * w - a * x - b * y - c * z,
-    )
-    return np.stack(parts, axis=1)
+    a, b, c, d = first.T
+    x, y, z, w = second.T
+    product_x = d * x + w * a + b * z - c * y
+    product_y = d * y + w * b + c * x - a * z
+    product_z = d * z + w * c + a * y - b * x
+    product_w = d * w - a * x - b * y - c * z
+    return np.stack([product_x, product_y, product_z, product_w], axis=1)
 
 
 def down_in_body(channel: Channel) -> Array:
     """(3, n) direction of down about the body's axes, of the attitudes of a channel."""
-    w, x, y, z = (channel[f"q_{axis}"] for axis in "wxyz")
-    return np.stack([2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)])
+    w = channel["q_w"]
+    x = channel["q_x"]
+    y = channel["q_y"]
+    z = channel["q_z"]
+    forward = 2.0 * (x * z - w * y)
+    right = 2.0 * (y * z + w * x)
+    down = 1.0 - 2.0 * (x * x + y * y)
+    return np.stack([forward, right, down])
 
 
 def lengths(vectors: Array) -> Array:
@@ -177,26 +205,36 @@ def lengths(vectors: Array) -> Array:
 
 def rotation_vectors(quaternion: Array) -> Array:
     """(m, 3) rotation vectors [rad], at most half a turn, of unit quaternions x, y, z, w."""
-    vector = np.where(quaternion[:, 3:] < 0.0, -1.0, 1.0) * quaternion[:, :3]
+    scalar = quaternion[:, 3:]
+    shorter_way = np.where(scalar < 0.0, -1.0, 1.0)
+    vector = shorter_way * quaternion[:, :3]
     sine = lengths(vector)[:, None]
-    half = np.arctan2(sine, np.abs(quaternion[:, 3:]))
-    return vector * np.where(sine > 1e-9, 2.0 * half / np.maximum(sine, 1e-9), 2.0)
+    half_angle = np.arctan2(sine, np.abs(scalar))
+    angle_over_sine = 2.0 * half_angle / np.maximum(sine, _SMALL_SINE)
+    return vector * np.where(sine > _SMALL_SINE, angle_over_sine, 2.0)
 
 
 def _euler_matrices(axes: _Axes, angles: Array) -> Array:
-    return _where_known(lambda a: _rotation().from_euler(axes, a).as_matrix(), angles, (3, 3))
+    def turned(known: Array) -> Array:
+        return _rotation().from_euler(axes, known).as_matrix()
+
+    return _where_known(turned, angles, (3, 3))
 
 
 def _euler_angles(axes: _Axes, matrix: Array) -> Array:
-    return _where_known(
-        lambda m: _rotation().from_matrix(m).as_euler(axes, suppress_warnings=True), matrix, (3,)
-    )
+    def angles_of(known: Array) -> Array:
+        return _rotation().from_matrix(known).as_euler(axes, suppress_warnings=True)
+
+    return _where_known(angles_of, matrix, (3,))
 
 
-def _where_known(turned: Callable[[Array], Array], values: Array, shape: tuple[int, ...]) -> Array:
+def _where_known(
+    function: Callable[[Array], Array], values: Array, shape: tuple[int, ...]
+) -> Array:
     """(n, *shape) results of a function of the rows that are known; NaN for the others."""
     result = np.full((values.shape[0], *shape), np.nan)
-    known = np.isfinite(values).all(axis=tuple(range(1, values.ndim)))
+    columns = tuple(range(1, values.ndim))
+    known = np.isfinite(values).all(axis=columns)
     if bool(known.any()):
-        result[known] = turned(values[known])
+        result[known] = function(values[known])
     return result

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from unbend.atmosphere.profile import Profile
 from unbend.atmosphere.series.profile_series import ProfileSeries
+from unbend.flight import messages
 from unbend.flight.image_names import proposal
 from unbend.geodesy import offset_geodetic
-from unbend.messages import Entry, Notes, loss, note
+from unbend.messages import Message, Notes
 from unbend.units import DEGREE, HECTOPASCAL, Array, Integers, Mask, Names
 
 STATION_OK = "ok"
@@ -72,7 +73,8 @@ class Stations:
         n = self.image.shape[0]
         for field in fields(self):
             shape = getattr(self, field.name).shape
-            if shape != ((n, 4) if field.name in _QUATERNIONS else (n,)):
+            due = (n, 4) if field.name in _QUATERNIONS else (n,)
+            if shape != due:
                 raise ValueError(f"stations: {field.name} is {shape} for {n} stations")
 
     def __len__(self) -> int:
@@ -101,11 +103,14 @@ class Stations:
         A reason is added to those that a station has; ``off_m`` is how far off they may be [m], NaN
         where unknown; ``use`` leaves them usable (`ok`).
         """
-        where = where & self.ok if use else where & (self.ok | (self.status == SUSPECT))
-        reasons = [f"{known}; {reason}" if known else reason for known in self.suspect_reason]
+        able = self.ok if use else self.ok | (self.status == SUSPECT)
+        where = where & able
+        reasons = self.suspect_reason.copy()
+        for row in np.flatnonzero(where):
+            reasons[row] = f"{reasons[row]}; {reason}" if reasons[row] else reason
         return replace(
             self,
-            suspect_reason=np.where(where, np.array(reasons, dtype=object), self.suspect_reason),
+            suspect_reason=reasons,
             suspect_m=np.where(where, np.fmax(self.suspect_m, off_m), self.suspect_m),
             accepted=np.where(where, use, self.accepted),
             status=np.where(where, SUSPECT, self.status),
@@ -113,20 +118,27 @@ class Stations:
 
     def moved(self, enu_m: NDArray[np.float64]) -> Stations:
         """The same moved by (n, 3) east, north and up [m], where that is known."""
-        at = np.flatnonzero(np.isfinite(enu_m).all(axis=1) & np.isfinite(self.lat_rad))
+        rows = np.flatnonzero(np.isfinite(enu_m).all(axis=1) & np.isfinite(self.lat_rad))
         # Only the difference counts here, so any height will do where the ellipsoidal is unknown.
-        start = self.h_ellipsoid_m[at]
-        start = np.where(np.isfinite(start), start, np.nan_to_num(self.h_msl_m[at]))
-        place = (self.lat_rad, self.lon_rad, self.h_msl_m, self.h_ellipsoid_m)
-        lat, lon, h_msl, h_ellipsoid = (values.copy() for values in place)
-        lat[at], lon[at], end = offset_geodetic(lat[at], lon[at], start, enu_m[at])
-        h_msl[at] += end - start
-        h_ellipsoid[at] += end - start
-        return replace(self, lat_rad=lat, lon_rad=lon, h_msl_m=h_msl, h_ellipsoid_m=h_ellipsoid)
+        start_m = self.h_ellipsoid_m[rows]
+        start_m = np.where(np.isfinite(start_m), start_m, np.nan_to_num(self.h_msl_m[rows]))
+        lat_rad = self.lat_rad.copy()
+        lon_rad = self.lon_rad.copy()
+        h_msl_m = self.h_msl_m.copy()
+        h_ellipsoid_m = self.h_ellipsoid_m.copy()
+        lat_rad[rows], lon_rad[rows], end_m = offset_geodetic(
+            lat_rad[rows], lon_rad[rows], start_m, enu_m[rows]
+        )
+        h_msl_m[rows] += end_m - start_m
+        h_ellipsoid_m[rows] += end_m - start_m
+        return replace(
+            self, lat_rad=lat_rad, lon_rad=lon_rad, h_msl_m=h_msl_m, h_ellipsoid_m=h_ellipsoid_m
+        )
 
     def rows(self, which: Integers) -> Stations:
         """Some of the stations, in the order of ``which``."""
-        return Stations(*(getattr(self, field.name)[which] for field in fields(self)))
+        chosen = {field.name: getattr(self, field.name)[which] for field in fields(self)}
+        return Stations(**chosen)
 
     def to_pandas(self) -> Any:
         """The stations as a pandas DataFrame with the columns of ``stations.parquet``."""
@@ -138,69 +150,87 @@ class Stations:
 def empty_stations(image: Names, camera: Names, status: str) -> Stations:
     """Stations of which only the name is known."""
     n = image.shape[0]
-    blank: dict[str, Any] = {field.name: np.full(n, np.nan) for field in fields(Stations)}
-    blank |= {name: np.full((n, 4), np.nan) for name in _QUATERNIONS}
-    blank |= {
-        "image": image, "camera": camera, "status": np.full(n, status, dtype=object),
-        "time_ns": np.full(n, NO_TIME, np.int64), "accepted": np.zeros(n, dtype=np.bool_),
-        "suspect_reason": np.full(n, "", dtype=object),
-    }  # fmt: skip
-    return Stations(**blank)
+    columns: dict[str, Any] = {field.name: np.full(n, np.nan) for field in fields(Stations)}
+    for name in _QUATERNIONS:
+        columns[name] = np.full((n, 4), np.nan)
+    columns["image"] = image
+    columns["camera"] = camera
+    columns["time_ns"] = np.full(n, NO_TIME, np.int64)
+    columns["suspect_reason"] = np.full(n, "", dtype=object)
+    columns["accepted"] = np.zeros(n, dtype=np.bool_)
+    columns["status"] = np.full(n, status, dtype=object)
+    return Stations(**columns)
 
 
 def join_stations(parts: list[Stations]) -> Stations:
     """Stations of several cameras or sources, one after the other."""
-    joined = (np.concatenate([getattr(p, field.name) for p in parts]) for field in fields(Stations))
-    return Stations(*joined)
+    joined: dict[str, Any] = {}
+    for field in fields(Stations):
+        joined[field.name] = np.concatenate([getattr(part, field.name) for part in parts])
+    return Stations(**joined)
 
 
 def station_columns(stations: Stations) -> dict[str, Any]:
     """Columns of ``stations.parquet``: degrees, UTC, null (NaT, NaN) where unknown."""
-    time = stations.time_ns.astype("datetime64[ns]")
-    time[stations.time_ns == NO_TIME] = np.datetime64("NaT")
     columns: dict[str, Any] = {}
     for field in fields(stations):
-        name, values = field.name, getattr(stations, field.name)
-        if name in _QUATERNIONS:
+        name = field.name
+        values = getattr(stations, name)
+        if name == "accepted":
+            continue
+        if name == "time_ns":
+            columns["time_utc"] = _utc(values)
+        elif name in _QUATERNIONS:
             prefix = name.removesuffix("quaternion") + "q_"
-            columns |= {f"{prefix}{axis}": values[:, k] for k, axis in enumerate("wxyz")}
+            for component, axis in enumerate("wxyz"):
+                columns[f"{prefix}{axis}"] = values[:, component]
         elif name.endswith("_rad"):
             columns[name.removesuffix("rad") + "deg"] = np.degrees(values)
+        elif name == "suspect_reason":
+            columns[name] = [reason or None for reason in values]
         else:
             columns[name] = values
-    del columns["accepted"]
-    columns = {{"time_ns": "time_utc"}.get(name, name): v for name, v in columns.items()}
-    reasons = [reason or None for reason in stations.suspect_reason]
-    return columns | {"time_utc": time, "suspect_reason": reasons}
+    return columns
+
+
+def _utc(time_ns: Integers) -> NDArray[np.datetime64]:
+    """Times of stations as UTC; NaT where there is none."""
+    time = time_ns.astype("datetime64[ns]")
+    time[time_ns == NO_TIME] = np.datetime64("NaT")
+    return time
 
 
 def append_unmatched_images(stations: Stations, images: tuple[str, ...]) -> tuple[Stations, Notes]:
     """The stations, with a row for every image that was measured but never exposed in the log."""
-    notes = []
-    unknown = np.array(sorted(set(images) - set(stations.image.tolist())), dtype=object)
-    unused = stations.image[~np.isin(stations.image.astype(str), np.array(images, dtype=str))]
-    if unused.size:
-        names = _first_three(unused)
-        notes.append(note("STATIONS-UNUSED", count=unused.size, names=names))
-    if unknown.size == 0:
+    observed = np.array(images, dtype=str)
+    unused = stations.image[~np.isin(stations.image.astype(str), observed)].tolist()
+    notes: list[Message] = []
+    if unused:
+        notes.append(messages.exposures_unused(images=unused))
+    unknown = sorted(set(images).difference(stations.image.tolist()))
+    if not unknown:
         return stations, tuple(notes)
-    what = f"{unknown.size} images have observations but no exposure: {_first_three(unknown)}"
-    if unused.size:
-        what += f"; exposures without observations: {names}"
-    elif len(stations):
-        ordered = np.sort(stations.image.astype(str))  # its neighbour there begins as it does
-        like = str(ordered[max(int(np.searchsorted(ordered, unknown[0])) - 1, 0)])
-        what += f"; exposures are called like {like!r}"
-    if near := proposal(unknown.tolist(), stations.image.tolist()):
-        what += f"; {near}"
-    notes.append(loss("IMAGES-UNMATCHED", what, where="events", count=int(unknown.size)))
-    camera = np.full(unknown.shape, "", dtype=object)
-    unmatched = empty_stations(unknown, camera, UNMATCHED)
+    notes.append(
+        messages.images_unmatched(
+            images=unknown,
+            unused=unused,
+            like=_neighbour_by_name(stations, unknown[0]),
+            proposal=proposal(unknown, stations.image.tolist()),
+        )
+    )
+    image = np.array(unknown, dtype=object)
+    camera = np.full(image.shape, "", dtype=object)
+    unmatched = empty_stations(image, camera, UNMATCHED)
     return join_stations([stations, unmatched]), tuple(notes)
 
 
-def _first_three(images: Names) -> str:
-    return ", ".join(images[:3].tolist()) + (" ..." if images.size > 3 else "")
+def _neighbour_by_name(stations: Stations, image: str) -> str | None:
+    """The exposure before an image in the order of names, which begins as it does."""
+    if len(stations) == 0:
+        return None
+    ordered = np.sort(stations.image.astype(str))
+    before = int(np.searchsorted(ordered, image)) - 1
+    return str(ordered[max(before, 0)])
 
 
 # Barometer against profile at one exposure: 8 hPa are some 80 m of height.
@@ -216,50 +246,102 @@ def flag_height_misfits(
 
     Their height is wrong, or their barometer failed. They stay usable with ``use_suspect``.
     """
-    misfit = stations.pressure_pa - profile.pressure(stations.h_msl_m)
+    misfit_pa = np.abs(stations.pressure_pa - profile.pressure(stations.h_msl_m))
     with np.errstate(invalid="ignore"):
-        wrong = stations.ok & (np.abs(misfit) > LARGEST_PRESSURE_MISFIT_PA)
-    if not bool(wrong.any()):
+        wrong = stations.ok & (misfit_pa > LARGEST_PRESSURE_MISFIT_PA)
+    count = int(np.count_nonzero(wrong))
+    if count == 0:
         return stations, ()
-    worst, first = float(np.nanmax(np.abs(misfit[wrong]))), stations.image[np.argmax(wrong)]
-    entry = loss("STATIONS-HEIGHT", count=int(wrong.sum()), worst=worst / HECTOPASCAL, first=first)
-    off_m = np.abs(misfit) * _SCALE_M_PER_K * profile.temperature(stations.h_msl_m)
-    off_m = off_m / stations.pressure_pa
+    message = messages.station_heights_suspect(
+        count=count,
+        worst_hpa=float(np.nanmax(misfit_pa[wrong])) / HECTOPASCAL,
+        first=stations.image[np.argmax(wrong)],
+    )
+    scale_height_m = misfit_pa * _SCALE_M_PER_K * profile.temperature(stations.h_msl_m)
+    off_m = scale_height_m / stations.pressure_pa
     reason = "barometer and GNSS height contradict each other"
-    return stations.as_suspect(wrong, reason, off_m, use=use_suspect), (entry,)
+    return stations.as_suspect(wrong, reason, off_m, use=use_suspect), (message,)
 
 
-def unusable_station_notes(stations: Stations) -> Iterator[Entry]:
+def unusable_station_notes(stations: Stations) -> Iterator[Message]:
     """A loss for each reason why stations cannot be used."""
     for status in sorted(set(stations.status.tolist()) - {STATION_OK, UNMATCHED}):
         images = stations.image[stations.status == status]
-        what = f"{images.size} exposures are {status}: {_first_three(images)}"
-        yield loss("STATIONS-FLAGGED", what, count=int(images.size))
+        yield messages.stations_flagged(status=status, images=images.tolist())
 
 
-def sigma_notes(
-    stations: Stations,
-    max_horizontal_m: float | None,
-    max_height_m: float | None,
-    max_tilt_rad: float | None,
-) -> Iterator[Entry]:
+@dataclass(frozen=True)
+class SigmaLimits:
+    """The largest sigmas of stations that a mission allows; None for any."""
+
+    horizontal_m: float | None = None
+    height_m: float | None = None
+    tilt_rad: float | None = None
+
+
+def sigma_notes(stations: Stations, limits: SigmaLimits) -> Iterator[Message]:
     """How well stations are known; a loss for each limit that some, or unknown ones, exceed."""
-    medians = []
-    for what, sigma, limit, factor, unit in (
-        ("position (per axis)", stations.sigma_horizontal_m, max_horizontal_m, 1.0, "m"),
-        ("height", stations.sigma_height_m, max_height_m, 1.0, "m"),
-        ("attitude (about a level axis)", stations.sigma_tilt_rad, max_tilt_rad, 1 / DEGREE, "deg"),
-    ):
-        sigma = sigma[stations.ok] * factor
-        is_known = bool(np.isfinite(sigma).any())
-        medians.append(what + (f" {np.nanmedian(sigma):.2f} {unit}" if is_known else " unknown"))
-        large = np.zeros(sigma.size, bool) if limit is None else ~(sigma <= limit * factor)
-        if limit is not None and bool(large.any()):
-            worst = int(np.argmax(np.nan_to_num(sigma, nan=np.inf)))
-            size = f"{sigma[worst]:.2f} {unit}" if np.isfinite(sigma[worst]) else "an unknown sigma"
-            yield loss("STATIONS-SIGMA/worse", where="stations", count=int(large.sum()), size=size,
-                       total=sigma.size, quantity=what, limit=limit * factor, unit=unit,
-                       worst=stations.image[stations.ok][worst])  # fmt: skip
-    if bool(stations.ok.any()):
-        what = f"sigmas of the stations, in the median: {', '.join(medians)}"
-        yield note("STATIONS-SIGMA", what, where="stations", count=int(stations.ok.sum()))
+    ok = stations.ok
+    if not ok.any():
+        return
+    max_tilt_deg = None if limits.tilt_rad is None else limits.tilt_rad / DEGREE
+    horizontal = _StationSigma(
+        quantity="position (per axis)",
+        unit="m",
+        values=stations.sigma_horizontal_m[ok],
+        limit=limits.horizontal_m,
+    )
+    height = _StationSigma(
+        quantity="height",
+        unit="m",
+        values=stations.sigma_height_m[ok],
+        limit=limits.height_m,
+    )
+    tilt = _StationSigma(
+        quantity="attitude (about a level axis)",
+        unit="deg",
+        values=stations.sigma_tilt_rad[ok] / DEGREE,
+        limit=max_tilt_deg,
+    )
+    image = stations.image[ok]
+    for sigma in (horizontal, height, tilt):
+        yield from sigma.beyond_limit(image)
+    yield messages.station_sigmas(
+        stations=image.size, medians=[horizontal.median, height.median, tilt.median]
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _StationSigma:
+    """One sigma of usable stations, (m,) in ``unit``, and the largest that is allowed."""
+
+    quantity: str
+    unit: str
+    values: Array
+    limit: float | None
+
+    @property
+    def median(self) -> str:
+        """The median, as a note writes it."""
+        if not np.isfinite(self.values).any():
+            return f"{self.quantity} unknown"
+        return f"{self.quantity} {np.nanmedian(self.values):.2f} {self.unit}"
+
+    def beyond_limit(self, image: Names) -> Iterator[Message]:
+        """The loss of stations that are known worse, or not at all, if there is a limit."""
+        if self.limit is None:
+            return
+        count = int(np.count_nonzero(~(self.values <= self.limit)))
+        if count == 0:
+            return
+        worst = int(np.argmax(np.nan_to_num(self.values, nan=np.inf)))
+        sigma = float(self.values[worst])
+        yield messages.stations_worse_than_needed(
+            count=count,
+            total=self.values.size,
+            quantity=self.quantity,
+            limit=self.limit,
+            unit=self.unit,
+            worst=image[worst],
+            sigma=sigma if np.isfinite(sigma) else None,
+        )

@@ -9,17 +9,20 @@ import numpy as np
 
 from unbend.units import Array
 
-BLOCK = 65_536  # rows
+BLOCK = 65_536  # rows turned at once: their quaternions fit the cache
 
 # GIMBAL_DEVICE_FLAGS: in which frame the yaw of the quaternion is
-_YAW_LOCK, _YAW_IN_VEHICLE_FRAME, _YAW_IN_EARTH_FRAME = 16, 32, 64
+_YAW_LOCK = 16
+_YAW_IN_VEHICLE_FRAME = 32
+_YAW_IN_EARTH_FRAME = 64
 
 
 def unit_quaternions(q: Array) -> Array:
     """(n, 4) w, x, y, z -> the same rotations, q_w >= 0; NaN where the length is 0 or infinite."""
     with np.errstate(over="ignore", invalid="ignore"):
         length = np.linalg.norm(q, axis=1, keepdims=True)
-        unit = q / np.where((length > 0.0) & np.isfinite(length), length, np.nan)
+        usable = (length > 0.0) & np.isfinite(length)
+        unit = q / np.where(usable, length, np.nan)
     return np.where(unit[:, :1] < 0.0, -unit, unit)
 
 
@@ -27,7 +30,8 @@ def replace_in_blocks(rotation: Callable[[Array], Array], parts: Sequence[Array]
     """Replace four columns by the quaternions of their (n, 4) numbers, some rows at a time."""
     for begin in range(0, parts[0].shape[0], BLOCK):
         block = slice(begin, begin + BLOCK)
-        q = rotation(np.stack([part[block] for part in parts], axis=1))
+        numbers = np.stack([part[block] for part in parts], axis=1)
+        q = rotation(numbers)
         for part, component in zip(parts, q.T, strict=True):
             part[block] = component
 
@@ -38,11 +42,16 @@ def quaternion_of_euler(roll_rad: Array, pitch_rad: Array, yaw_rad: Array) -> Ar
     >>> quaternion_of_euler(np.zeros(1), np.zeros(1), np.array([np.pi / 2])).round(4)
     array([[0.7071, 0.    , 0.    , 0.7071]])
     """
-    cr, sr = np.cos(roll_rad / 2.0), np.sin(roll_rad / 2.0)
-    cp, sp = np.cos(pitch_rad / 2.0), np.sin(pitch_rad / 2.0)
-    cy, sy = np.cos(yaw_rad / 2.0), np.sin(yaw_rad / 2.0)
-    w, x = cr * cp * cy + sr * sp * sy, sr * cp * cy - cr * sp * sy
-    y, z = cr * sp * cy + sr * cp * sy, cr * cp * sy - sr * sp * cy
+    cos_roll = np.cos(roll_rad / 2.0)
+    sin_roll = np.sin(roll_rad / 2.0)
+    cos_pitch = np.cos(pitch_rad / 2.0)
+    sin_pitch = np.sin(pitch_rad / 2.0)
+    cos_yaw = np.cos(yaw_rad / 2.0)
+    sin_yaw = np.sin(yaw_rad / 2.0)
+    w = cos_roll * cos_pitch * cos_yaw + sin_roll * sin_pitch * sin_yaw
+    x = sin_roll * cos_pitch * cos_yaw - cos_roll * sin_pitch * sin_yaw
+    y = cos_roll * sin_pitch * cos_yaw + sin_roll * cos_pitch * sin_yaw
+    z = cos_roll * cos_pitch * sin_yaw - sin_roll * sin_pitch * cos_yaw
     return unit_quaternions(np.stack([w, x, y, z], axis=1))
 
 
@@ -56,7 +65,8 @@ def ned_frd_of_enu_flu(q: Array) -> Array:
     """
     w, x, y, z = q.T
     with np.errstate(over="ignore"):
-        return unit_quaternions(np.sqrt(0.5) * np.stack([w + z, x + y, x - y, w - z], axis=1))
+        turned = np.stack([w + z, x + y, x - y, w - z], axis=1)
+        return unit_quaternions(np.sqrt(0.5) * turned)
 
 
 def earth_frame_attitude(columns: Mapping[str, Array]) -> dict[str, Array]:
@@ -66,7 +76,11 @@ def earth_frame_attitude(columns: Mapping[str, Array]) -> dict[str, Array]:
     set, a locked yaw counts from north (the text of the message in MAVLink's common.xml).
     """
     flags = np.nan_to_num(columns["flags"]).astype(np.int64)
-    lock = (flags & _YAW_LOCK != 0) & (flags & _YAW_IN_VEHICLE_FRAME == 0)
-    north = (flags & _YAW_IN_EARTH_FRAME != 0) | lock
-    attitude = {f"q_{axis}": np.where(north, columns[f"q_{axis}"], np.nan) for axis in "wxyz"}
-    return dict(columns) | attitude
+    is_locked = flags & _YAW_LOCK != 0
+    in_vehicle_frame = flags & _YAW_IN_VEHICLE_FRAME != 0
+    in_earth_frame = flags & _YAW_IN_EARTH_FRAME != 0
+    from_north = in_earth_frame | (is_locked & ~in_vehicle_frame)
+    result = dict(columns)
+    for name in ("q_w", "q_x", "q_y", "q_z"):
+        result[name] = np.where(from_north, columns[name], np.nan)
+    return result

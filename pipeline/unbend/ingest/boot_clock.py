@@ -5,21 +5,31 @@ Places in a log rise: bytes, or numbers of messages. Few of its records carry UT
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from unbend.errors import Counted
 from unbend.flight import clock
 from unbend.flight.channels import TimeArray
+from unbend.ingest import messages
 from unbend.messages import Ledger
 from unbend.units import Integers, Mask, Rows
 
 LOWEST_FIX = 3  # 3D; both GPS_FIX_TYPE of MAVLink and GPS.Status of ArduPilot
-_BLOCK = 65_536  # rows
+_BLOCK = 65_536  # rows of the running median at once
+_FEWEST_RECORDS = 10  # without a second between them, of sensors; parameters come one by one
 
 # Places of records in the log, rising, and their times since boot [ns].
 Stamps = tuple[Integers, TimeArray]
+
+
+class Silences(NamedTuple):
+    """Times in which nothing was recorded: the stretch ``after`` each, and how long [ns]."""
+
+    after: Rows
+    length_ns: TimeArray
 
 
 @dataclass(frozen=True)
@@ -39,7 +49,10 @@ class Timeline:
 
     @property
     def boots(self) -> int:
-        return int(self.boot.max()) + 1 if self.boot.size else 1
+        """How many power-ups there are, at least 1."""
+        if not self.boot.size:
+            return 1
+        return int(self.boot.max()) + 1
 
     def boot_of(self, places: Integers) -> NDArray[np.int16]:
         """The power-up to which records belong, from 0."""
@@ -53,12 +66,12 @@ class Timeline:
             return np.ones(places.shape, np.bool_)
         return np.asarray(~self.stray[self._stretch(places)], np.bool_)
 
-    def silences(self) -> tuple[Rows, TimeArray]:
-        """The stretches before which nothing was recorded for a while, and for how long [ns]."""
+    def silences(self) -> Silences:
+        """The stretches before which nothing was recorded for a while, and for how long."""
         steady = np.flatnonzero(~self.stray)
-        silence = self.begin[steady][1:] - self.end[steady][:-1]
-        long = silence > clock.BOOT_STEP_NS
-        return steady[1:][long], silence[long]
+        silence_ns = self.begin[steady][1:] - self.end[steady][:-1]
+        is_long = silence_ns > clock.BOOT_STEP_NS
+        return Silences(steady[1:][is_long], silence_ns[is_long])
 
     def _stretch(self, places: Integers) -> Rows:
         return np.maximum(np.searchsorted(self.first, places, side="right") - 1, 0)
@@ -71,7 +84,8 @@ def microseconds(raw: NDArray[Any]) -> TimeArray:
     True
     """
     if raw.dtype.kind == "f":
-        return np.asarray(np.nan_to_num(raw, nan=clock.LAST_US).clip(0, clock.LAST_US), np.int64)
+        known = np.nan_to_num(raw, nan=clock.LAST_US)
+        return np.asarray(known.clip(0, clock.LAST_US), np.int64)
     # what is below 0 becomes huge
     unsigned = raw.astype(np.uint64, copy=False)
     return np.asarray(np.minimum(unsigned, np.uint64(clock.LAST_US)).view(np.int64), np.int64)
@@ -84,7 +98,22 @@ def nanoseconds(raw: NDArray[Any]) -> TimeArray:
     return time_ns
 
 
-_FEWEST_RECORDS = 10  # without a second between them, of sensors; parameters come one by one
+class _Stretch(NamedTuple):
+    """Records whose times since boot [ns] run on; ``first`` is the place of the first of them."""
+
+    first: int
+    begin: int
+    end: int
+    length: int
+
+
+def _stretches_of(places: Integers, time_ns: TimeArray) -> list[_Stretch]:
+    """The stretches of some records, at least one, that follow each other in a log."""
+    cuts = np.flatnonzero(np.abs(np.diff(time_ns)) > clock.BOOT_STEP_NS) + 1
+    starts = np.append(0, cuts)
+    stops = np.append(cuts, time_ns.shape[0])
+    columns = (places[starts], time_ns[starts], time_ns[stops - 1], stops - starts)
+    return [_Stretch(*row) for row in np.stack(columns, axis=1).tolist()]
 
 
 def timeline(blocks: Iterable[Stamps]) -> Timeline:
@@ -96,48 +125,57 @@ def timeline(blocks: Iterable[Stamps]) -> Timeline:
     >>> timeline([(np.arange(10), time_ns)]).boot_of(np.array([4, 5]))
     array([0, 1], dtype=int16)
     """
-    stretches: list[list[int]] = []  # the first place, the first and last time, how many records
+    stretches: list[_Stretch] = []
     for places, time_ns in blocks:
         if not places.shape[0]:
             continue
-        cuts = np.flatnonzero(np.abs(np.diff(time_ns)) > clock.BOOT_STEP_NS) + 1
-        starts, stops = np.append(0, cuts), np.append(cuts, time_ns.shape[0])
-        columns = (places[starts], time_ns[starts], time_ns[stops - 1], stops - starts)
-        rows = np.stack(columns, axis=1).tolist()
-        if stretches and abs(rows[0][1] - stretches[-1][2]) <= clock.BOOT_STEP_NS:  # goes on
-            _, _, last, more = rows.pop(0)
-            stretches[-1][2:] = [last, stretches[-1][3] + more]
-        stretches += rows
-    starts, begins, ends, counts = np.array(stretches, np.int64).reshape(-1, 4).T.copy()
-    stray = clock.stray_stretches(begins, ends, counts)
+        found = _stretches_of(places, time_ns)
+        if stretches and abs(found[0].begin - stretches[-1].end) <= clock.BOOT_STEP_NS:
+            goes_on = found.pop(0)
+            last = stretches[-1]
+            stretches[-1] = last._replace(end=goes_on.end, length=last.length + goes_on.length)
+        stretches += found
+    first, begin, end, length = np.array(stretches, np.int64).reshape(-1, 4).T.copy()
+    stray = clock.stray_stretches(begin, end, length)
+    return Timeline(first, begin, end, length, stray, _boots(begin, end, stray))
+
+
+def _boots(begin: TimeArray, end: TimeArray, stray: Mask) -> NDArray[np.int16]:
+    """The boot of each of (n,) stretches; a stray one has that of the stretch before it."""
+    if not begin.size:
+        return np.empty(0, np.int16)
     steady = ~stray
-    back = begins[steady][1:] - ends[steady][:-1] < -clock.BOOT_STEP_NS
-    number = np.append(0, np.cumsum(back)).astype(np.int16)
-    boot = number[np.maximum(np.cumsum(steady) - 1, 0)] if starts.size else np.empty(0, "i2")
-    return Timeline(starts, begins, ends, counts, stray, boot)
+    steps_back = begin[steady][1:] - end[steady][:-1] < -clock.BOOT_STEP_NS
+    boot_of_steady = np.append(0, np.cumsum(steps_back)).astype(np.int16)
+    last_steady = np.maximum(np.cumsum(steady) - 1, 0)
+    return np.asarray(boot_of_steady[last_steady], np.int16)
 
 
 def report_timeline(line: Timeline, ledger: Ledger) -> None:
     """Enter stray stamps, and silences between sensors, of a log whose places are bytes."""
     if line.stray.any():
+        first = int(line.first[line.stray][0])
         count = int(line.length[line.stray].sum())
-        what = f"{count} records carry a time that fits none of their neighbours"
-        where = f"first at byte {int(line.first[line.stray][0])}"
-        ledger.loss("TIME-STRAY", what, where=where, count=count)
-    after, silence = line.silences()
-    steady = np.flatnonzero(~line.stray & (line.length >= _FEWEST_RECORDS))
-    inside = (after > steady[0]) & (after <= steady[-1]) if steady.size else after < 0
-    after, silence = after[inside], silence[inside]
-    if after.size:
-        where, together = f"first before byte {int(line.first[after[0]])}", silence.sum() / 1e9
-        ledger.warning("LOG-GAP", where=where, count=int(after.size), seconds=together)
+        ledger.add(messages.stray_records(byte=first, count=count))
+    of_sensors = np.flatnonzero(~line.stray & (line.length >= _FEWEST_RECORDS))
+    if not of_sensors.size:
+        return
+    silences = line.silences()
+    between = (silences.after > of_sensors[0]) & (silences.after <= of_sensors[-1])
+    if not between.any():
+        return
+    first = int(line.first[silences.after[between][0]])
+    seconds = float(silences.length_ns[between].sum()) / 1e9
+    count = int(np.count_nonzero(between))
+    ledger.add(messages.nothing_logged(byte=first, count=count, seconds=seconds))
 
 
 @dataclass(frozen=True)
 class UtcReadings:
     """UTC beside the time since boot, by one source, (n,) in the order of the log.
 
-    ``usable`` False: no UTC, a stray stamp. ``fix`` of a receiver, empty for other sources.
+    ``source``: what the rows are, in the plural, ``one`` of them in the singular. ``usable`` False:
+    no UTC, a stray stamp. ``fix`` of a receiver, empty for other sources.
     """
 
     source: str
@@ -146,18 +184,50 @@ class UtcReadings:
     utc_ns: TimeArray
     usable: Mask
     fix: NDArray[Any] = field(default_factory=lambda: np.empty(0))
+    one: str = ""
+
+    def counted(self, rows: int) -> str:
+        """A number of its rows, in words."""
+        return str(Counted(rows, self.one or self.source, self.source))
 
     def sound(self, line: Timeline) -> "UtcReadings":
         """The rows without stray stamps, with a fix, and with another UTC than the row before."""
         good = self.usable & line.good(self.places)
         if self.fix.size:
             good &= self.fix >= LOWEST_FIX
-        good[good] = clock.new_readings(self.utc_ns if bool(good.all()) else self.utc_ns[good])
+        good_utc_ns = self.utc_ns if bool(good.all()) else self.utc_ns[good]
+        good[good] = clock.new_readings(good_utc_ns)
         if bool(good.all()):
             return self
-        columns = (self.places, self.boot_ns, self.utc_ns)
-        places, boot_ns, utc_ns = (column[good] for column in columns)
-        return UtcReadings(self.source, places, boot_ns, utc_ns, good[good])
+        return UtcReadings(
+            source=self.source,
+            places=self.places[good],
+            boot_ns=self.boot_ns[good],
+            utc_ns=self.utc_ns[good],
+            usable=good[good],
+            one=self.one,
+        )
+
+
+def rows_of(
+    name: str,
+    *,
+    places: Integers,
+    boot_ns: TimeArray,
+    utc_ns: TimeArray,
+    usable: Mask,
+    fix: NDArray[Any],
+) -> UtcReadings:
+    """The UTC of the rows of a channel or topic."""
+    return UtcReadings(
+        source=f"rows of {name}",
+        places=places,
+        boot_ns=boot_ns,
+        utc_ns=utc_ns,
+        usable=usable,
+        fix=fix,
+        one=f"row of {name}",
+    )
 
 
 @dataclass(frozen=True)
@@ -173,8 +243,8 @@ class BootClock:
 
     def utc(self, places: Integers, boot_ns: TimeArray) -> TimeArray:
         """UTC [ns] of times since boot at places of the log; these where UTC is unknown."""
-        offsets = np.array([fit.offset_ns if fit else 0 for fit in self.fits], np.int64)
-        utc_ns = offsets[self.line.boot_of(places)]
+        offsets_ns = np.array([fit.offset_ns if fit else 0 for fit in self.fits], np.int64)
+        utc_ns = offsets_ns[self.line.boot_of(places)]
         utc_ns += boot_ns  # memory has its peak here
         return utc_ns
 
@@ -203,51 +273,66 @@ def fit_clock(
     if not any(source.places.size for source in sources):
         sources = [camera.sound(line) for camera in cameras]
     sources = sorted(sources, key=lambda source: -source.places.size)
-    spare = [recorder.sound(line)] if recorder is not None else []
-    known = line.boots
-    at_silence = line.first[line.silences()[0]]
-    # silences about which better sources decide: those with rows on both sides, in one boot
-    decided = np.zeros(at_silence.shape, np.bool_)
+    if recorder is not None:
+        recorder = recorder.sound(line)
+    boots_by_steps = line.boots
+    line = _split_at_silences(line, sources if recorder is None else [*sources, recorder])
+    if line.boots > boots_by_steps:
+        ledger.add(messages.restarted(where=where, count=line.boots - boots_by_steps))
+    fits = []
+    utc_known = []
+    for number in range(line.boots):
+        place = f"{where}, boot {number}".removeprefix(", ")
+        fit = _best_fit(line, number, sources, place, ledger)
+        utc_known.append(fit is not None)
+        if fit is None and recorder is not None:
+            fit = _fit_boot(line, number, recorder)
+        if fit is None:
+            ledger.add(messages.no_utc(where=place, utc_of=utc_of))
+        fits.append(fit)
+    return BootClock(line, tuple(fits), tuple(utc_known))
+
+
+def _split_at_silences(line: Timeline, sources: Sequence[UtcReadings]) -> Timeline:
+    """Split boots at silences where the offset of a source steps; the best sources come first.
+
+    A source with rows on both sides of a silence, in one boot, decides about it.
+    """
     by_steps = line
-    for source in [*sources, *spare]:
+    at_silence = line.first[line.silences().after]
+    decided = np.zeros(at_silence.shape, np.bool_)
+    for source in sources:
         line = _split_boots(line, source, decided)
+        # the boots of its rows before and after each silence; none has the boots -1 and -2
         boots = np.concatenate([[-1], by_steps.boot_of(source.places), [-2]]).astype(np.int64)
         row = np.searchsorted(source.places, at_silence)
         decided |= boots[row] == boots[row + 1]
-    if line.boots > known:
-        ledger.warning("TIME-REBOOT", where=where, count=line.boots - known)
-    fits, known_utc = [], []
-    for number in range(line.boots):
-        place = f"{where}, boot {number}".removeprefix(", ")
-        by_source = [(source, _fit_boot(line, number, source)) for source in sources]
-        fit = _best_fit(by_source, place, ledger)
-        known_utc.append(fit is not None)
-        if fit is None and spare:
-            fit = _fit_boot(line, number, spare[0])
-        if fit is None:
-            ledger.fallback("TIME-NO-UTC", where=place, utc_of=utc_of)
-        fits.append(fit)
-    return BootClock(line, tuple(fits), tuple(known_utc))
+    return line
 
 
 def _split_boots(line: Timeline, source: UtcReadings, decided: Mask) -> Timeline:
     """Split boots where this source's offset steps at a silence that is not ``decided`` yet."""
-    after, silence = line.silences()
-    free = ~decided & (line.boot[after] == line.boot[after - 1])
-    after, silence = after[free], silence[free]
+    silences = line.silences()
+    within_boot = line.boot[silences.after] == line.boot[silences.after - 1]
+    free = ~decided & within_boot
+    after = silences.after[free]
+    silence_ns = silences.length_ns[free]
     if not after.size or not source.places.shape[0]:
         return line
-    at = line.first[after]
-    boots = line.boot_of(source.places)
+    silence_places = line.first[after]
+    boot_of_rows = line.boot_of(source.places)
     boot = line.boot.copy()
-    for number in np.unique(boots).tolist():
-        rows = np.flatnonzero(boots == number)
-        offset = without_glitches(source.utc_ns[rows] - source.boot_ns[rows])
-        for row in np.flatnonzero(np.abs(np.diff(offset)) > clock.BOOT_STEP_NS).tolist():
-            places = source.places[rows[row : row + 2]]
-            between = slice(*np.searchsorted(at, places, side="right"))
-            if silence[between].size:
-                boot[after[between][np.argmax(silence[between])] :] += 1
+    for number in np.unique(boot_of_rows).tolist():
+        rows = np.flatnonzero(boot_of_rows == number)
+        offset_ns = without_glitches(source.utc_ns[rows] - source.boot_ns[rows])
+        steps = np.flatnonzero(np.abs(np.diff(offset_ns)) > clock.BOOT_STEP_NS)
+        for row in steps.tolist():
+            # the longest silence between the two rows is where the vehicle was restarted
+            around = source.places[rows[row : row + 2]]
+            begin, end = np.searchsorted(silence_places, around, side="right")
+            if begin < end:
+                longest = begin + np.argmax(silence_ns[begin:end])
+                boot[after[longest] :] += 1
     return replace(line, boot=boot)
 
 
@@ -266,23 +351,35 @@ def without_glitches(offset_ns: TimeArray) -> TimeArray:
 
 
 def _fit_boot(line: Timeline, number: int, source: UtcReadings) -> clock.ClockOffset | None:
+    """The offset of one boot by one source, None where that has no rows in it."""
     rows = line.boot_of(source.places) == number
     return clock.fit_offset(source.utc_ns[rows], source.boot_ns[rows])
 
 
 def _best_fit(
-    by_source: Sequence[tuple[UtcReadings, clock.ClockOffset | None]], place: str, ledger: Ledger
+    line: Timeline, number: int, sources: Sequence[UtcReadings], place: str, ledger: Ledger
 ) -> clock.ClockOffset | None:
     """The offset of a boot by the source with the most rows; sources that differ are losses."""
-    fits = [(source, fit) for source, fit in by_source if fit is not None]
+    fits = []
+    for source in sources:
+        fit = _fit_boot(line, number, source)
+        if fit is not None:
+            fits.append((source, fit))
     if not fits:
         return None
     chosen, best = max(fits, key=lambda pair: pair[1].rows)
-    ledger.add(clock.clock_fit_note(f"{best.rows} {chosen.source}", best, place))
+    used = chosen.counted(best.rows)
+    ledger.add(clock.clock_fit_note(used, best, place))
     for source, fit in fits:
-        apart = fit.offset_ns - best.offset_ns
-        if abs(apart) > clock.BOOT_STEP_NS:
-            what = f"{fit.rows} {source.source} give a UTC {apart / 1e9:+.3f} s from that of"
-            what += f" {best.rows} {chosen.source}, which are used"
-            ledger.loss("TIME-SOURCES", what, where=place, count=fit.rows)
+        apart_ns = fit.offset_ns - best.offset_ns
+        if abs(apart_ns) > clock.BOOT_STEP_NS:
+            ledger.add(
+                messages.sources_disagree(
+                    where=place,
+                    rows=fit.rows,
+                    source=source.counted(fit.rows),
+                    apart_s=apart_ns / 1e9,
+                    used=used,
+                )
+            )
     return best

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from unbend.errors import LogError
+from unbend.ingest import messages
 from unbend.units import Integers, Rows
 
 SPAN = 4 << 20  # [bytes] read at once; 1 to 16 MiB are equally fast
@@ -52,17 +52,23 @@ class FileView:
         """The bytes from ``begin`` to ``end`` or the end of the file; not to be written to."""
         end = min(end, self.size)
         if begin < self._begin or end > self._begin + self._bytes.shape[0]:
-            first = max(begin - BEHIND, 0)
-            length = min(max(end - first, SPAN + 2 * BEHIND), self.size - first)
-            fetched = np.empty(length, np.uint8)
-            self._stream.seek(first)
-            count = 0
-            while count < length and (more := self._stream.readinto(fetched[count:].data)):
-                count += more
-            if count < length:
-                raise LogError.of("LOG-CHANGED", self.name, size=self.size, end=first + count)
-            self._begin, self._bytes = first, fetched
+            span_begin = max(begin - BEHIND, 0)
+            self._bytes = self._read(span_begin, end)
+            self._begin = span_begin
         return self._bytes[begin - self._begin : end - self._begin]
+
+    def _read(self, begin: int, end: int) -> Bytes:
+        """A span of the file from ``begin`` on, at least to ``end``; LogError where it is cut."""
+        length = min(max(end - begin, SPAN + 2 * BEHIND), self.size - begin)
+        span = np.empty(length, np.uint8)
+        self._stream.seek(begin)
+        count = 0
+        while count < length:
+            more = self._stream.readinto(span[count:].data)
+            if not more:
+                raise messages.log_changed(path=self.name, size=self.size, end=begin + count)
+            count += more
+        return span
 
     def __getitem__(self, places: slice) -> bytes:
         """A short stretch as bytes."""
@@ -102,7 +108,9 @@ def gather(data: NDArray[np.uint8], places: NDArray[Any], size: int) -> NDArray[
     >>> gather(np.frombuffer(b"abcdef", np.uint8), np.array([3, 0]), 2).view("S2")
     array([b'de', b'ab'], dtype='|S2')
     """
-    every: NDArray[Any] = np.ndarray((max(data.shape[0] - size + 1, 0),), f"V{size}", data, 0, (1,))
+    count = max(data.shape[0] - size + 1, 0)
+    # an item at every byte, overlapping: those at the places are then one copy
+    every: NDArray[Any] = np.ndarray((count,), f"V{size}", data, offset=0, strides=(1,))
     rows: NDArray[Any] = every[places]
     return rows
 
@@ -115,15 +123,18 @@ class Runs:
     """
 
     def __init__(self, at: Integers, end: Integers) -> None:
-        self.at, self.end = at, end
-        self._breaks = np.flatnonzero(np.append(at[1:], -1) != end)
+        self.at = at
+        self.end = end
+        next_at = np.append(at[1:], -1)
+        self._breaks = np.flatnonzero(next_at != end)  # the last of each run
 
     def starting_at(self, place: int) -> slice:
         """Those that follow each other from a place on; empty when none begins there."""
         first = int(np.searchsorted(self.at, place))
         if first == self.at.shape[0] or self.at[first] != place:
             return slice(first, first)
-        return slice(first, int(self._breaks[np.searchsorted(self._breaks, first)]) + 1)
+        last = int(self._breaks[np.searchsorted(self._breaks, first)])
+        return slice(first, last + 1)
 
 
 class _Arena:
@@ -146,30 +157,43 @@ class _Arena:
         """Memory of so many bytes, and the place in it where they begin."""
         with self.lock:
             if self.private + size > PRIVATE:
-                region = self.last()
-                if region is None or self.used + size > len(region):
-                    self.release_pages()
-                    region = _mapped_file(max(size, REGION))
-                    if region is not None:
-                        self.regions.add(region)
-                        self.last, self.used = weakref.ref(region), 0
+                region = self._region_with(size)
                 if region is not None:
                     begin = self.used
                     self.used += -(-size // _ALIGNED) * _ALIGNED
                     return region, begin
-            try:
-                # pages that a child process shares until either writes to them
-                access = mmap.ACCESS_COPY if hasattr(os, "fork") else mmap.ACCESS_WRITE
-                memory = mmap.mmap(-1, size, access=access)
-            except OSError as error:
-                raise MemoryError(f"no memory for {size} bytes: {error.strerror}") from error
-            self.private += size
-            weakref.finalize(memory, self._free, size, self.generation).atexit = False
-            return memory, 0
+            return self._take_private(size), 0
+
+    def _region_with(self, size: int) -> mmap.mmap | None:
+        """The last region where it has room, else a new one; None without space on the disk."""
+        region = self.last()
+        if region is not None and self.used + size <= len(region):
+            return region
+        self.release_pages()
+        region = _mapped_file(max(size, REGION))
+        if region is not None:
+            self.regions.add(region)
+            self.last = weakref.ref(region)
+            self.used = 0
+        return region
+
+    def _take_private(self, size: int) -> mmap.mmap:
+        """Memory of the process's own."""
+        # pages that a child process shares until either writes to them
+        access = mmap.ACCESS_COPY if hasattr(os, "fork") else mmap.ACCESS_WRITE
+        try:
+            memory = mmap.mmap(-1, size, access=access)
+        except OSError as error:
+            raise MemoryError(f"no memory for {size} bytes: {error.strerror}") from error
+        self.private += size
+        weakref.finalize(memory, self._free, size, self.generation).atexit = False
+        return memory
 
     def _free(self, size: int, generation: int) -> None:
+        """Count private memory that was freed; not that of the parent of a forked process."""
         with self.lock:
-            self.private -= size if generation == self.generation else 0
+            if generation == self.generation:
+                self.private -= size
 
     def release_pages(self) -> None:
         """Let the system write the pages of the files out; they return when they are touched."""
@@ -216,7 +240,7 @@ def allocate(count: int, dtype: DTypeLike) -> NDArray[Any]:
     if size < SMALL or kind.hasobject:
         return np.empty(count, kind)
     memory, begin = _ARENA.take(size)
-    return np.frombuffer(memory, kind, count, begin)
+    return np.frombuffer(memory, kind, count, offset=begin)
 
 
 def copy_rows(column: NDArray[Any], rows: Rows | None = None) -> NDArray[Any]:
@@ -255,9 +279,7 @@ class ColumnStore:
         done = 0
         while done < rows.shape[0]:
             if not self._room:
-                size = min(max(self._length * self.dtype.itemsize, _SMALLEST_BLOCK), BLOCK)
-                self._room = max(size // self.dtype.itemsize, 1)
-                self._blocks.append(allocate(self._room, self.dtype))
+                self._add_block()
             count = min(self._room, rows.shape[0] - done)
             first = self._blocks[-1].shape[0] - self._room
             self._blocks[-1][first : first + count] = rows[done : done + count]
@@ -265,18 +287,30 @@ class ColumnStore:
             done += count
             self._length += count
 
+    def _add_block(self) -> None:
+        """Append a block of as many bytes as there are so far, within limits."""
+        size = min(max(self._length * self.dtype.itemsize, _SMALLEST_BLOCK), BLOCK)
+        self._room = max(size // self.dtype.itemsize, 1)
+        self._blocks.append(allocate(self._room, self.dtype))
+
     def blocks(self) -> Iterator[NDArray[Any]]:
         """The rows, some at a time; they may be written to."""
-        for k, block in enumerate(self._blocks):
-            yield block if k + 1 < len(self._blocks) else block[: block.shape[0] - self._room]
+        yield from self._blocks[:-1]
+        for block in self._blocks[-1:]:
+            yield block[: block.shape[0] - self._room]
 
     def drained(self) -> Iterator[NDArray[Any]]:
         """The rows, some at a time; each block is freed when the next is asked for."""
-        last, room = len(self._blocks) - 1, self._room
-        blocks, self._blocks, self._room, self._length = self._blocks[::-1], [], 0, 0
-        for k in range(last + 1):
+        blocks = self._blocks[::-1]
+        free_rows = self._room
+        self._blocks = []
+        self._room = 0
+        self._length = 0
+        while blocks:
             block = blocks.pop()
-            yield block if k < last else block[: block.shape[0] - room]
+            if not blocks:
+                block = block[: block.shape[0] - free_rows]
+            yield block
 
     def whole(self) -> NDArray[Any]:
         """All rows as one array; the store is empty then.
@@ -286,7 +320,8 @@ class ColumnStore:
         >>> store.whole(), len(store)
         (array([0, 1, 2]), 0)
         """
-        result, done = allocate(self._length, self.dtype), 0
+        result = allocate(self._length, self.dtype)
+        done = 0
         for block in self.drained():
             result[done : done + block.shape[0]] = block
             done += block.shape[0]

@@ -9,13 +9,17 @@ from numpy.typing import NDArray
 
 from unbend.flight.channels import Channel, Source, TimeArray
 from unbend.flight.clock import new_readings, rows_in_time_order
+from unbend.ingest import messages
 from unbend.ingest.attitude import quaternion_of_euler, replace_in_blocks, unit_quaternions
 from unbend.ingest.boot_clock import LOWEST_FIX
 from unbend.ingest.buffers import ColumnStore, allocate, copy_rows
 from unbend.ingest.field_maps import MessageMap
 from unbend.ingest.flight_log import utc_text
-from unbend.messages import Entry, Kind, Ledger
+from unbend.messages import Ledger
 from unbend.units import Array, Mask, Rows
+
+_QUATERNION = ("q_w", "q_x", "q_y", "q_z")
+_EULER = ("roll_rad", "pitch_rad", "yaw_rad")
 
 
 @dataclass(frozen=True)
@@ -35,10 +39,17 @@ class DecodedRows:
     def take(self, rows: Mask | Rows) -> "DecodedRows":
         """The rows of a mask or an index."""
         kept = np.asarray(np.flatnonzero(rows) if rows.dtype == np.bool_ else rows, np.intp)
-        times = copy_rows(self.time_ns, kept), copy_rows(self.boot, kept)
-        columns = {name: copy_rows(column, kept) for name, column in self.columns.items()}
-        labels = {n: tuple(np.asarray(t, object)[rows].tolist()) for n, t in self.labels.items()}
-        return DecodedRows(self.name, self.source, *times, columns, labels)
+        labels = {}
+        for name, texts in self.labels.items():
+            labels[name] = tuple(np.asarray(texts, object)[kept].tolist())
+        return DecodedRows(
+            name=self.name,
+            source=self.source,
+            time_ns=copy_rows(self.time_ns, kept),
+            boot=copy_rows(self.boot, kept),
+            columns={name: copy_rows(column, kept) for name, column in self.columns.items()},
+            labels=labels,
+        )
 
 
 class ColumnStores:
@@ -68,78 +79,134 @@ def channel_of(rows: DecodedRows, spec: MessageMap, ledger: Ledger) -> Channel |
     """A channel from decoded rows, or None when nothing is left; drops are in the ledger."""
     if spec.text_field:
         return channel_of_texts(rows, spec)
-    needed = {"lat_rad", "lon_rad"} if spec.position else set()
-    if spec.attitude:
-        euler = "roll_rad" in rows.columns
-        needed |= {"pitch_rad", "yaw_rad"} if euler else {"q_w", "q_x", "q_y", "q_z"}
-    if absent := sorted(needed - set(rows.columns)):
-        what = f"{len(rows)} rows cannot be used: the log defines no field for {', '.join(absent)}"
-        ledger.loss("LOG-FIELDS", what, where=rows.name, count=len(rows))
+    absent = sorted(_needed_columns(rows, spec) - set(rows.columns))
+    if absent:
+        ledger.add(messages.rows_without_field(where=rows.name, count=len(rows), fields=absent))
         return None
     if not spec.event and not any(np.isfinite(column).any() for column in rows.columns.values()):
         return None  # no values: what is dropped of them is not worth an entry
     if spec.position:
-        lat, lon = rows.columns["lat_rad"], rows.columns["lon_rad"]
-        good = np.isfinite(lat) & np.isfinite(lon) & ~((lat == 0.0) & (lon == 0.0))
-        if "fix" in rows.columns:
-            good &= rows.columns["fix"] >= LOWEST_FIX
-        if dropped := int(np.count_nonzero(~good)):
-            what = f"{dropped} of {len(rows)} rows have no fix and are not used"
-            ledger.note("POSITION-NO-FIX", what, where=rows.name, count=dropped)
-            rows = rows.take(good)
+        rows = _with_fix(rows, ledger)
     rows = _without_repeats(rows, ledger, event=spec.event)
     if spec.event:
-        events = dict(rows.columns)
-        if "event_index" not in events:  # before rows are dropped, which must not shift the numbers
-            events["event_index"] = np.arange(len(rows), dtype=np.float64)
-        if {"lat_rad", "lon_rad"} <= events.keys():
-            nowhere = (events["lat_rad"] == 0.0) & (events["lon_rad"] == 0.0)
-            for name in {"lat_rad", "lon_rad", "h_msl_m"} & events.keys():
-                events[name] = np.where(nowhere, np.nan, events[name])
-        rows = replace(rows, columns=events)
+        rows = _numbered_exposures(rows)
     rows = _in_rising_time(rows, ledger)
     columns = dict(rows.columns)
-    if spec.attitude:  # unit quaternions, in the memory of what was logged
-        if "roll_rad" in columns:
-            parts = [columns.pop(f"{name}_rad") for name in ("roll", "pitch", "yaw")]
-            parts.append(allocate(parts[0].shape[0], np.float64))
-            replace_in_blocks(lambda angles: quaternion_of_euler(*angles.T[:3]), parts)
-        else:
-            parts = [columns.pop(f"q_{axis}") for axis in "wxyz"]
-            replace_in_blocks(unit_quaternions, parts)
-        columns |= dict(zip(("q_w", "q_x", "q_y", "q_z"), parts, strict=True))
+    if spec.attitude:
+        _make_unit_quaternions(columns)
     columns = {name: values for name, values in columns.items() if np.isfinite(values).any()}
     if len(rows) == 0 or not columns:
         return None
-    spare = spec.spare_rank
-    rank = spec.rank if spare is None or rows.source.instance in (None, "0") else spare
     channel = Channel(
-        rows.name, rows.time_ns, columns, rows.source, rows.boot, (), rank, rows.labels,
-        {column.name: column.unit for column in spec.columns if column.unit},
-    )  # fmt: skip
-    roles = tuple(role for role in spec.roles if channel.fits_role(role))
-    return replace(channel, roles=roles)
+        name=rows.name,
+        time_ns=rows.time_ns,
+        columns=columns,
+        source=rows.source,
+        boot=rows.boot,
+        rank=_rank(rows.source, spec),
+        labels=rows.labels,
+        logged_units={column.name: column.unit for column in spec.columns if column.unit},
+    )
+    return replace(channel, roles=tuple(role for role in spec.roles if channel.fits_role(role)))
+
+
+def _needed_columns(rows: DecodedRows, spec: MessageMap) -> set[str]:
+    """The columns without which the rows of a message are of no use."""
+    needed = set()
+    if spec.position:
+        needed |= {"lat_rad", "lon_rad"}
+    if spec.attitude and "roll_rad" in rows.columns:
+        needed |= {"pitch_rad", "yaw_rad"}
+    elif spec.attitude:
+        needed |= set(_QUATERNION)
+    return needed
+
+
+def _rank(source: Source, spec: MessageMap) -> int:
+    """How soon a channel is chosen: of spare instances another than of the first."""
+    is_first = source.instance in (None, "0")
+    if spec.spare_rank is None or is_first:
+        return spec.rank
+    return spec.spare_rank
+
+
+def _with_fix(rows: DecodedRows, ledger: Ledger) -> DecodedRows:
+    """The rows of a position that have a fix; 0, 0 is none."""
+    lat_rad = rows.columns["lat_rad"]
+    lon_rad = rows.columns["lon_rad"]
+    good = np.isfinite(lat_rad) & np.isfinite(lon_rad)
+    good &= (lat_rad != 0.0) | (lon_rad != 0.0)
+    if "fix" in rows.columns:
+        good &= rows.columns["fix"] >= LOWEST_FIX
+    dropped = int(np.count_nonzero(~good))
+    if not dropped:
+        return rows
+    ledger.add(messages.rows_without_fix(channel=rows.name, count=dropped, total=len(rows)))
+    return rows.take(good)
+
+
+def _numbered_exposures(rows: DecodedRows) -> DecodedRows:
+    """Exposures with a number, and a place only where they have one; before rows are dropped."""
+    columns = dict(rows.columns)
+    if "event_index" not in columns:
+        columns["event_index"] = np.arange(len(rows), dtype=np.float64)
+    if "lat_rad" in columns and "lon_rad" in columns:
+        nowhere = (columns["lat_rad"] == 0.0) & (columns["lon_rad"] == 0.0)
+        for name in ("lat_rad", "lon_rad", "h_msl_m"):
+            if name in columns:
+                columns[name] = np.where(nowhere, np.nan, columns[name])
+    return replace(rows, columns=columns)
+
+
+def _make_unit_quaternions(columns: dict[str, Array]) -> None:
+    """Replace Euler angles or quaternions by unit quaternions, in the memory of what was logged."""
+    if "roll_rad" in columns:
+        parts = [columns.pop(name) for name in _EULER]
+        parts.append(allocate(parts[0].shape[0], np.float64))
+        replace_in_blocks(_quaternion_of_angles, parts)
+    else:
+        parts = [columns.pop(name) for name in _QUATERNION]
+        replace_in_blocks(unit_quaternions, parts)
+    columns.update(zip(_QUATERNION, parts, strict=True))
+
+
+def _quaternion_of_angles(numbers: Array) -> Array:
+    """(n, 4) roll, pitch, yaw [rad] and a free column -> (n, 4) w, x, y, z."""
+    return quaternion_of_euler(numbers[:, 0], numbers[:, 1], numbers[:, 2])
 
 
 def channel_of_texts(rows: DecodedRows, spec: MessageMap) -> Channel | None:
     """What an autopilot says, in the order of time; texts of one time are lines of one row."""
     order = np.argsort(rows.time_ns, kind="stable")
     time_ns, first = np.unique(rows.time_ns[order], return_index=True)
-    words = [rows.labels["text"][row].strip() for row in order.tolist()]
-    bounds = [*first.tolist(), len(words)]
-    texts = tuple("\n".join(words[a:b]) for a, b in pairwise(bounds))
     if not time_ns.size:
         return None
-    boot = rows.boot[order][first]
-    return Channel(rows.name, time_ns, {}, rows.source, boot, (), spec.rank, {"text": texts})
+    words = [rows.labels["text"][row].strip() for row in order.tolist()]
+    bounds = [*first.tolist(), len(words)]
+    texts = tuple("\n".join(words[begin:end]) for begin, end in pairwise(bounds))
+    return Channel(
+        name=rows.name,
+        time_ns=time_ns,
+        columns={},
+        source=rows.source,
+        boot=rows.boot[order][first],
+        rank=spec.rank,
+        labels={"text": texts},
+    )
 
 
 def without_stray(rows: DecodedRows, stray: Mask, ledger: Ledger) -> DecodedRows:
     """The rows without those whose time since boot fits none of their neighbours."""
     if not stray.any():
         return rows
-    count, where = int(np.count_nonzero(stray)), f"{rows.name}, first at row {np.argmax(stray)}"
-    ledger.loss("TIME-STRAY/rows", where=where, count=count, total=len(rows))
+    ledger.add(
+        messages.stray_rows(
+            channel=rows.name,
+            first=int(np.argmax(stray)),
+            count=int(np.count_nonzero(stray)),
+            total=len(rows),
+        )
+    )
     return rows.take(~stray)
 
 
@@ -152,17 +219,17 @@ def captured_rows(rows: DecodedRows, ledger: Ledger) -> DecodedRows:
     An index that is 0 in all of several rows is dropped: mavros never fills it in.
     """
     columns: dict[str, Array] = dict(rows.columns)
-    failed = columns.pop("result", np.ones(len(rows))) == _FAILED
     index = columns.get("event_index", np.empty(0))
     if index.shape[0] > 1 and not index.any():
         del columns["event_index"]
-        what = f"all {len(rows)} rows have the index 0: they are numbered from 0 in order"
-        ledger.note("EVENT-NO-INDEX", what, where=rows.name, count=len(rows))
+        ledger.add(messages.exposures_without_index(channel=rows.name, count=len(rows)))
+    result = columns.pop("result", np.ones(len(rows)))
     rows = replace(rows, columns=columns)
+    failed = result == _FAILED
     if not failed.any():
         return rows
-    what = f"{int(failed.sum())} of {len(rows)} rows report that the camera took no image"
-    ledger.warning("EVENT-FAILED", what, where=rows.name, count=int(failed.sum()))
+    count = int(np.count_nonzero(failed))
+    ledger.add(messages.failed_exposures(channel=rows.name, count=count, total=len(rows)))
     return rows.take(~failed)
 
 
@@ -170,20 +237,26 @@ def _without_repeats(rows: DecodedRows, ledger: Ledger, *, event: bool) -> Decod
     """The rows without those of the time of the row before, or equal to any earlier row."""
     if bool(np.all(rows.time_ns[1:] > rows.time_ns[:-1])):
         return rows
-    _, first, group = np.unique(rows.time_ns, return_index=True, return_inverse=True)
-    original = first[group]
-    equal = (original != np.arange(len(rows))) & bool(rows.columns)
-    for column in rows.columns.values():
-        same = column == column[original]
-        equal &= same | (np.isnan(column) & np.isnan(column[original]))
-    repeats = equal | ~new_readings(rows.time_ns)
-    if not repeats.any():
-        return rows
+    repeats = _equal_to_earlier(rows) | ~new_readings(rows.time_ns)
     count = int(np.count_nonzero(repeats))
-    what = f"{count} of {len(rows)} rows repeat the time of a row before and are not used"
-    kind = Kind.LOSS if event else Kind.NOTE
-    ledger.add(Entry(kind, "TIME-REPEAT", what, rows.name, count))
+    if not count:
+        return rows
+    report = messages.repeated_exposures if event else messages.repeated_rows
+    ledger.add(report(channel=rows.name, count=count, total=len(rows)))
     return rows.take(~repeats)
+
+
+def _equal_to_earlier(rows: DecodedRows) -> Mask:
+    """Which rows have the time and all values of an earlier row."""
+    if not rows.columns:
+        return np.zeros(len(rows), np.bool_)
+    _, first, group = np.unique(rows.time_ns, return_index=True, return_inverse=True)
+    original = first[group]  # the first row of the same time
+    equal = original != np.arange(len(rows))
+    for column in rows.columns.values():
+        both_unknown = np.isnan(column) & np.isnan(column[original])
+        equal &= (column == column[original]) | both_unknown
+    return np.asarray(equal, np.bool_)
 
 
 def _in_rising_time(rows: DecodedRows, ledger: Ledger) -> DecodedRows:
@@ -192,23 +265,31 @@ def _in_rising_time(rows: DecodedRows, ledger: Ledger) -> DecodedRows:
         return rows
     kept, stretch = rows_in_time_order(rows.time_ns)
     lost = np.setdiff1d(np.arange(len(rows)), kept)
-    if lost.shape[0]:
-        first = utc_text(int(rows.time_ns[lost[0]]))
-        what = f"{lost.shape[0]} of {len(rows)} rows are out of order in time and are not used"
-        where = f"{rows.name}, first at row {lost[0]}, stamped {first}"
-        ledger.loss("TIME-BACKWARD", what, where=where, count=int(lost.shape[0]))
+    if lost.size:
+        first = int(lost[0])
+        ledger.add(
+            messages.rows_out_of_order(
+                channel=rows.name,
+                first=first,
+                stamp=utc_text(int(rows.time_ns[first])),
+                count=int(lost.size),
+                total=len(rows),
+            )
+        )
     result = rows.take(kept)
     if not stretch.any():
         return result
-    ledger.warning("TIME-SET-BACK", where=rows.name, count=int(stretch.max()))
+    ledger.add(messages.clock_set_back(channel=rows.name, count=int(stretch.max())))
+    # each boot of the vehicle and each stretch in it becomes a boot of its own
     numbers = np.stack([result.boot, stretch])
-    boot = np.unique(numbers, axis=1, return_inverse=True)[1].reshape(-1)
-    return replace(result, boot=boot.astype(np.int16))
+    _, boot = np.unique(numbers, axis=1, return_inverse=True)
+    return replace(result, boot=boot.reshape(-1).astype(np.int16))
 
 
 # AP_GPS.h, DriverOptions::HeightEllipsoid: the receiver's height goes through the filter as it is.
 HEIGHT_OPTION = "GPS_DRV_OPTIONS"
 _HEIGHT_ELLIPSOID = 1 << 4
+_MAX_OPTION = 1 << 15  # a parameter is a float; a damaged one may be anything
 
 
 def with_both_heights(
@@ -218,19 +299,31 @@ def with_both_heights(
 
     ``where``: of the settings, which may say that heights above sea level are above the ellipsoid.
     """
-    value = parameters.get(HEIGHT_OPTION, 0.0)  # a float; of damaged ones anything
-    ellipsoidal = 0.0 <= value < 2**15 and bool(int(value) & _HEIGHT_ELLIPSOID)
+    option = parameters.get(HEIGHT_OPTION, 0.0)
+    ellipsoidal = 0.0 <= option < _MAX_OPTION and bool(int(option) & _HEIGHT_ELLIPSOID)
     if ellipsoidal:
-        ledger.note("HEIGHT-ELLIPSOID", where=where, height_option=HEIGHT_OPTION)
+        ledger.add(messages.heights_above_ellipsoid(where=where, parameter=HEIGHT_OPTION))
     result = []
     for channel in channels:
-        columns = dict(channel.columns)
-        undulation, logged = columns.pop("undulation_m", None), columns.get("h_msl_m")
-        if logged is not None and undulation is not None:
-            if ellipsoidal:
-                columns |= {"h_ellipsoid_m": logged, "h_msl_m": logged - undulation}
-            columns.setdefault("h_ellipsoid_m", logged + undulation)
-        elif logged is not None and ellipsoidal:
-            columns = {"h_ellipsoid_m": columns.pop("h_msl_m")} | columns
+        columns = _with_both_heights(channel.columns, ellipsoidal=ellipsoidal)
         result.append(replace(channel, columns=columns))
+    return result
+
+
+def _with_both_heights(columns: Mapping[str, Array], *, ellipsoidal: bool) -> dict[str, Array]:
+    """The columns of a channel with both heights; ``ellipsoidal``: of its height as logged."""
+    result = dict(columns)
+    undulation_m = result.pop("undulation_m", None)
+    logged_m = result.get("h_msl_m")
+    if logged_m is None:
+        return result
+    if undulation_m is None:
+        if ellipsoidal:
+            del result["h_msl_m"]
+            result.setdefault("h_ellipsoid_m", logged_m)
+        return result
+    if ellipsoidal:
+        result["h_ellipsoid_m"] = logged_m
+        result["h_msl_m"] = logged_m - undulation_m
+    result.setdefault("h_ellipsoid_m", logged_m + undulation_m)
     return result

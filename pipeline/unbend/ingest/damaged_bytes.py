@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from unbend.ingest import messages
 from unbend.messages import Ledger
 
 
@@ -16,13 +17,14 @@ class DamagedBytes:
     def drop(self, begin: int, end: int) -> None:
         """Count bytes of the file that belong to no message."""
         self.bad_bytes += end - begin
-        self.first_bad = begin if self.first_bad < 0 else self.first_bad
+        if self.first_bad < 0:
+            self.first_bad = begin
 
     def report_bytes(self, ledger: Ledger, name: str, unit: str) -> None:
         """Enter them; ``name`` of the file, ``unit`` the format's word for a message."""
         if self.bad_bytes:
-            what = f"{self.bad_bytes} bytes belong to no {unit}"
-            where = f"{name}, first at byte {self.first_bad}"
-            ledger.loss("LOG-BAD-BYTES", what, where=where, count=self.bad_bytes)
+            ledger.add(
+                messages.bad_bytes(file=name, first=self.first_bad, count=self.bad_bytes, unit=unit)
+            )
         if self.cut_bytes:
-            ledger.loss("LOG-TRUNCATED", where=name, count=self.cut_bytes, unit=unit)
+            ledger.add(messages.cut_off(file=name, count=self.cut_bytes, unit=unit))

@@ -11,29 +11,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from unbend.errors import MissionError
 from unbend.flight.channels import ROLE_COLUMNS, Channel
+from unbend.ingest import messages
 from unbend.units import Array
 
 MAPS = tomllib.loads(files("unbend.ingest").joinpath("data/field_maps.toml").read_text("utf-8"))
-
-
 UNITS: Mapping[str, tuple[float, float, float]] = MAPS["units"]
-
-
 FLAGS: Mapping[str, list[tuple[int, int]]] = MAPS["flags"]
-
-
 STATED_UNITS: Mapping[str, tuple[str, float, float]] = MAPS["stated_units"]
 
-
+# "q_w q_x = q.0 q.1|old [unit] unless MISSING from FLOOR"
 _COLUMN = re.compile(
-    r"([\w ]+) = ([^\[ ]+(?: [^\[ ]+)*?)(?: \[(.+)\])?(?: unless (\S+))?(?: from (\S+))?"
+    r"(?P<names>[\w ]+) = (?P<fields>[^\[ ]+(?: [^\[ ]+)*?)(?: \[(?P<unit>.+)\])?"
+    r"(?: unless (?P<missing>\S+))?(?: from (?P<floor>\S+))?"
 )
-
 
 # The scaled integers of a log are numbers of these units: 8050 c% is 80.5 percent.
 _NUMBERS_OF = {"cdegC": "degC", "%": "percent", "c%": "percent"}
+
+_SAME_FLAGS = 0x3FF  # the lowest ten bits mean the same in all logs
 
 
 @dataclass(frozen=True)
@@ -72,7 +68,13 @@ class MessageMap:
 
     @property
     def event(self) -> bool:
+        """Whether each row is an exposure."""
         return "events" in self.roles
+
+    @property
+    def fields(self) -> set[str]:
+        """The names of all fields that its columns are made of, in all versions."""
+        return {field for column in self.columns for field in column.fields}
 
 
 def parse_columns(lines: Iterable[str], groups: Mapping[str, list[str]]) -> Iterator[FieldColumn]:
@@ -85,27 +87,40 @@ FieldColumn(name='t_k', fields=('t',), unit='degC', missing=0.0, floor=None)]
     for line in lines:
         if line.startswith("@"):
             yield from parse_columns(groups[line[1:]], groups)
-        elif found := _COLUMN.fullmatch(line):
-            names, fields, unit, missing, floor = found.groups()
-            limits = [None if number is None else float(number) for number in (missing, floor)]
-            for name, field in zip(names.split(), fields.split(), strict=True):
-                yield FieldColumn(name, tuple(field.split("|")), unit or "", *limits)
-        else:
+            continue
+        found = _COLUMN.fullmatch(line)
+        if found is None:
             raise ValueError(line)
+        names = found["names"].split()
+        fields = found["fields"].split()
+        for name, field in zip(names, fields, strict=True):
+            yield FieldColumn(
+                name=name,
+                fields=tuple(field.split("|")),
+                unit=found["unit"] or "",
+                missing=_number_or_none(found["missing"]),
+                floor=_number_or_none(found["floor"]),
+            )
+
+
+def _number_or_none(text: str | None) -> float | None:
+    return None if text is None else float(text)
 
 
 @cache
 def message_maps(section: str) -> dict[str, MessageMap]:
     """The messages of a format that are wanted: a section of ``data/field_maps.toml``."""
-    given, maps = MAPS, dict[str, MessageMap]()
-    for name, stated in given[section].items():
-        same = maps.get(stated.get("like", ""), MessageMap(()))
-        own = {key: value for key, value in stated.items() if key != "like"}
-        if "columns" in own:
-            own["columns"] = tuple(parse_columns(own["columns"], given["groups"]))
-        if "roles" in own:
-            own["roles"] = tuple(own["roles"])
-        maps[name] = replace(same, **({"rank": MessageMap.rank, "spare_rank": None} | own))
+    maps: dict[str, MessageMap] = {}
+    for name, stated in MAPS[section].items():
+        options = dict(stated)
+        # a message that is like an earlier one has its own rank all the same
+        template = maps.get(options.pop("like", ""), MessageMap(()))
+        template = replace(template, rank=MessageMap.rank, spare_rank=None)
+        if "columns" in options:
+            options["columns"] = tuple(parse_columns(options["columns"], MAPS["groups"]))
+        if "roles" in options:
+            options["roles"] = tuple(options["roles"])
+        maps[name] = replace(template, **options)
     return maps
 
 
@@ -124,9 +139,7 @@ def to_si(raw: NDArray[Any], spec: FieldColumn) -> Array:
         unknown |= value < spec.floor
     if spec.unit in FLAGS:
         bits = np.where(unknown, 0.0, value).astype(np.int64)
-        flags = bits & 0x3FF
-        for logged, meant in FLAGS[spec.unit]:
-            flags |= (bits >> logged & 1) << meant
+        flags = _translated_flags(bits, FLAGS[spec.unit])
         return np.where(unknown, np.nan, flags.astype(np.float64))
     divisor, factor, offset = UNITS[spec.unit]
     value[unknown] = np.nan  # before the arithmetic, which warns of signalling NaNs
@@ -134,6 +147,14 @@ def to_si(raw: NDArray[Any], spec: FieldColumn) -> Array:
     value *= factor
     value += offset
     return value
+
+
+def _translated_flags(bits: NDArray[np.int64], pairs: list[tuple[int, int]]) -> NDArray[np.int64]:
+    """Flags of a log in the package's order; ``pairs``: number of a bit in the log, and here."""
+    flags = bits & _SAME_FLAGS
+    for logged_bit, own_bit in pairs:
+        flags |= (bits >> logged_bit & 1) << own_bit
+    return flags
 
 
 def in_stated_unit(channel: Channel, role: str, unit: str) -> Channel:
@@ -145,15 +166,12 @@ def in_stated_unit(channel: Channel, role: str, unit: str) -> Channel:
     """
     column, factor, offset = STATED_UNITS[unit]
     if column not in ROLE_COLUMNS[role]:
-        what = f"{unit} is no unit of {role.replace('_', ' ')}"
-        remedy = f"its column is {', '.join(ROLE_COLUMNS[role])}"
-        raise MissionError("CHANNEL-UNIT", what, where=f"log.channels.{role}", remedy=remedy)
+        raise messages.not_a_unit_of_role(role=role, unit=unit, columns=ROLE_COLUMNS[role])
     raw = channel.columns.get("value")
     if raw is None and column in channel.columns:
         logged = channel.logged_units.get(column, "")
-        _, logged_factor, logged_offset = STATED_UNITS.get(
-            _NUMBERS_OF.get(logged, logged), (column, 1.0, 0.0)
-        )
+        logged = _NUMBERS_OF.get(logged, logged)
+        _, logged_factor, logged_offset = STATED_UNITS.get(logged, (column, 1.0, 0.0))
         raw = (channel[column] - logged_offset) / logged_factor
     if raw is None:
         return channel
@@ -178,35 +196,60 @@ def extract(
     Fields that are read are removed from ``used_up``: memory has its peak here.
     """
     result: dict[str, Array] = {}
-    last = {field: spec.name for spec in columns for field in spec.fields}
+    last_use = {field: spec.name for spec in columns for field in spec.fields}
     for spec in columns:
-        field = next((n for n in spec.fields if n in table and is_number(table[n])), None)
-        if field is not None:
-            result[spec.name] = kept(to_si(table[field], spec))
-            if used_up is not None and last[field] == spec.name:
-                del used_up[field]
-    if {"speed_m_s", "course_rad"} <= result.keys():
-        speed, course = result.pop("speed_m_s"), result.pop("course_rad")
+        field = _field_of(spec, table)
+        if field is None:
+            continue
+        result[spec.name] = kept(to_si(table[field], spec))
+        if used_up is not None and last_use[field] == spec.name:
+            del used_up[field]
+    if "speed_m_s" in result and "course_rad" in result:
+        speed = result.pop("speed_m_s")
+        course = result.pop("course_rad")
         result["v_north_m_s"] = kept(speed * np.cos(course))
         result["v_east_m_s"] = kept(speed * np.sin(course))
-    has_vertical = result.pop("has_vertical_speed", None)  # the speed is 0 where it has none
-    if has_vertical is not None and "v_down_m_s" in result:
-        result["v_down_m_s"][has_vertical == 0.0] = np.nan
-    for name, joined in (("vibration_m_s2", np.fmax.reduce), ("clipping", np.add.reduce)):
-        if parts := [result.pop(part) for part in sorted(result) if part.startswith(f"{name}_")]:
-            result[name] = kept(joined(parts))
+    has_vertical_speed = result.pop("has_vertical_speed", None)  # the speed is 0 where it has none
+    if has_vertical_speed is not None and "v_down_m_s" in result:
+        result["v_down_m_s"][has_vertical_speed == 0.0] = np.nan
+    vibrations = _taken(result, "vibration_m_s2_")
+    if vibrations:
+        result["vibration_m_s2"] = kept(np.fmax.reduce(vibrations))
+    clippings = _taken(result, "clipping_")
+    if clippings:
+        result["clipping"] = kept(np.add.reduce(clippings))
     return result
+
+
+def _field_of(spec: FieldColumn, table: Mapping[str, NDArray[Any]]) -> str | None:
+    """The field of a table that a column is made of, or None."""
+    for field in spec.fields:
+        if field in table and is_number(table[field]):
+            return field
+    return None
+
+
+def _taken(columns: dict[str, Array], prefix: str) -> list[Array]:
+    """The columns whose names begin so, taken out."""
+    names = sorted(name for name in columns if name.startswith(prefix))
+    return [columns.pop(name) for name in names]
 
 
 PX4_MESSAGES: Mapping[str, MessageMap] = message_maps("px4")
 """By name in px4_msgs; PX4 logs the same to .ulg and, over ROS 2, to MCAP."""
 
 
-PX4_TOPICS: Mapping[str, MessageMap] = {  # vehicle_gps_position of VehicleGpsPosition
-    re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower(): spec for name, spec in PX4_MESSAGES.items()
-}
+def topic_of(name: str) -> str:
+    """The topic of PX4 on which messages of a name are published.
+
+    >>> topic_of("VehicleGpsPosition")
+    'vehicle_gps_position'
+    """
+    return re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower()
 
 
-# Unix time [us] of receivers, beside their time since boot; of an exposure, by the autopilot's own
-# clock, which it sets now and then.
-UTC_FIELD, CAPTURE_UTC_FIELD = "time_utc_usec", "timestamp_utc"
+PX4_TOPICS: Mapping[str, MessageMap] = {topic_of(name): spec for name, spec in PX4_MESSAGES.items()}
+
+UTC_FIELD = "time_utc_usec"  # Unix time [us] of receivers, beside their time since boot
+# Unix time [us] of an exposure, by the autopilot's own clock, which it sets now and then.
+CAPTURE_UTC_FIELD = "timestamp_utc"

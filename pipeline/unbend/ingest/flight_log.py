@@ -9,10 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from unbend.errors import LogError
 from unbend.flight.channels import Channel
+from unbend.ingest import messages
 from unbend.ingest.message_tables import Table
 from unbend.messages import Ledger
+
+SIMILAR_NAMES = 3  # that a refusal lists first, of an unknown name
+LEAST_SIMILARITY = 0.5  # of these, as difflib counts it: half of the letters
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +71,7 @@ class Log(Contents):
 
     @property
     def duration_s(self) -> float:
+        """From the first sample to the last [s]."""
         return (self.end_ns - self.start_ns) / 1e9
 
     def channel(self, name: str) -> Channel:
@@ -75,8 +79,8 @@ class Log(Contents):
         for channel in self.channels:
             if channel.name == name:
                 return channel
-        remedy = _available(name, [channel.name for channel in self.channels])
-        raise LogError("LOG-NO-CHANNEL", f"no channel {name}", where=str(self.path), remedy=remedy)
+        available = _available(name, [channel.name for channel in self.channels])
+        raise messages.no_channel(path=str(self.path), name=name, available=available)
 
     def to_pandas(self, name: str) -> Any:
         """One channel as a pandas DataFrame indexed by UTC time."""
@@ -93,48 +97,70 @@ class Log(Contents):
         ``instance``: only those, where the type has instances. In the order of the file, damaged
         rows included. Raises LogError (LOG-NO-TYPE, LOG-NO-TABLE).
         """
-        if name not in self.messages:
-            types = {kind.lower(): (kind, None) for kind in self.messages}
-            own = {c.name.lower(): (c.source.message, c.source.instance) for c in self.channels}
-            kind, of_channel = (own | types).get(name.lower(), (name, None))
-            name, instance = kind, instance or of_channel
-        if name not in self.messages:
-            what = f"no message of type {name}"
-            remedy = _available(name, sorted(self.messages))
-            raise LogError("LOG-NO-TYPE", what, where=str(self.path), remedy=remedy)
-        columns = self.table(name, instance) if self.table else {}
+        kind, instance_of_channel = self._type_of(name)
+        if instance is None:
+            instance = instance_of_channel
+        if kind not in self.messages:
+            available = _available(kind, sorted(self.messages))
+            raise messages.no_message_type(path=str(self.path), name=kind, available=available)
+        columns = self.table(kind, instance) if self.table else {}
         if not columns:
-            which = "" if instance is None else f", instance {instance},"
-            raise LogError.of("LOG-NO-TABLE", str(self.path), name=name, which=which)
+            raise messages.no_table(path=str(self.path), name=kind, instance=instance)
         return columns
+
+    def _type_of(self, name: str) -> tuple[str, str | None]:
+        """The message type, and the instance where ``name`` is that of a channel."""
+        if name in self.messages:
+            return name, None
+        for kind in self.messages:
+            if kind.lower() == name.lower():
+                return kind, None
+        for channel in self.channels:
+            if channel.name.lower() == name.lower():
+                return channel.source.message, channel.source.instance
+        return name, None
 
     def message_to_pandas(self, name: str, instance: str | None = None) -> Any:
         """All messages of one type as a pandas DataFrame."""
         import pandas as pd
 
-        columns = self.message(name, instance)
-        # a field that is an array itself is one object a row
-        return pd.DataFrame({n: c if c.ndim == 1 else list(c) for n, c in columns.items()})
+        columns: dict[str, Any] = {}
+        for column_name, column in self.message(name, instance).items():
+            # a field that is an array itself is one object a row
+            columns[column_name] = column if column.ndim == 1 else list(column)
+        return pd.DataFrame(columns)
 
     def to_json_dict(self) -> dict[str, Any]:
         """A summary of the log for ``unbend inspect --json``."""
         from unbend.ingest.overview import roles_of
 
         flight, roles = roles_of(self.channels)
-        own = ("format", "sha256", "size_bytes", "messages", "bad_bytes", "lost_messages", "boots")
-        return {name: getattr(self, name) for name in own} | {
+        return {
+            "format": self.format,
+            "sha256": self.sha256,
+            "size_bytes": self.size_bytes,
+            "messages": self.messages,
+            "bad_bytes": self.bad_bytes,
+            "lost_messages": self.lost_messages,
+            "boots": self.boots,
             "channels": [describe(channel) for channel in self.channels],
-            "start_utc": utc_text(self.start_ns), "end_utc": utc_text(self.end_ns),
-            "duration_s": self.duration_s, "flight": flight, "roles": roles,
-            "time_base": self.time_base, "ledger": self.ledger.rows(),
-        }  # fmt: skip
+            "start_utc": utc_text(self.start_ns),
+            "end_utc": utc_text(self.end_ns),
+            "duration_s": self.duration_s,
+            "flight": flight,
+            "roles": roles,
+            "time_base": self.time_base,
+            "ledger": self.ledger.rows(),
+        }
 
 
 def _available(name: str, names: list[str]) -> str:
     """The names of a log, first those that are similar to one that it does not have."""
-    near = difflib.get_close_matches(name, names, n=3, cutoff=0.5)
-    meant = f"perhaps {', '.join(near)}? " if near else ""
-    return f"{meant}this log has {', '.join(names)}"
+    similar = difflib.get_close_matches(name, names, n=SIMILAR_NAMES, cutoff=LEAST_SIMILARITY)
+    listed = f"this log has {', '.join(names)}"
+    if not similar:
+        return listed
+    return f"perhaps {', '.join(similar)}? {listed}"
 
 
 def utc_text(time_ns: int) -> str:
@@ -152,16 +178,20 @@ def describe(channel: Channel) -> dict[str, Any]:
     gaps = np.flatnonzero(steps > channel.gap_limit_s()).tolist()
     if "events" in channel.roles or not channel.columns or len(channel) < 3:
         gaps = []  # events and texts come when they come
+    listed_gaps = []
+    for row in gaps:
+        start = utc_text(int(channel.time_ns[row]))
+        listed_gaps.append({"start_utc": start, "seconds": float(steps[row])})
     return {
-        "name": channel.name, "roles": list(channel.roles), "columns": sorted(channel.columns),
-        "samples": len(channel), "rate_hz": channel.rate_hz,
+        "name": channel.name,
+        "roles": list(channel.roles),
+        "columns": sorted(channel.columns),
+        "samples": len(channel),
+        "rate_hz": channel.rate_hz,
         "start_utc": utc_text(int(channel.time_ns[0])),
         "end_utc": utc_text(int(channel.time_ns[-1])),
-        "gaps": [
-            {"start_utc": utc_text(int(channel.time_ns[row])), "seconds": float(steps[row])}
-            for row in gaps
-        ],
-    }  # fmt: skip
+        "gaps": listed_gaps,
+    }
 
 
 def hash_file(path: Path) -> str:

@@ -13,14 +13,9 @@ Where a format knows them it adds, first and in lower case: ``time_ns`` (int64, 
 if in 1970, where UTC is unknown), ``boot``, ``system``, ``component``.
 """
 
-
 PLACE = "\0place"  # the column of the places of messages in the log, beside their fields
-
-
 EXACT = 1 << 53  # every integer up to here is a float64
-
-
-_WORD = 1 << 64
+_WORD = 1 << 64  # the first integer that needs more than 64 bits
 
 
 def column_of(values: list[Any]) -> NDArray[Any]:
@@ -32,42 +27,67 @@ def column_of(values: list[Any]) -> NDArray[Any]:
     >>> column_of([2**60 + 1, -5]).tolist(), column_of([1, None]), column_of([1, "n/a"])
     ([1152921504606846977, -5], array([ 1., nan]), array([1, 'n/a'], dtype=object))
     """
-    kinds = {type(value) for value in values}
-    whole, there = type(None) not in kinds, kinds - {type(None)}
-    if there == {str}:
+    all_kinds = {type(value) for value in values}
+    kinds = all_kinds - {type(None)}
+    is_complete = kinds == all_kinds
+    if kinds == {str}:
         return np.array(["" if value is None else value for value in values], np.str_)
-    if there == {bool} and whole:
+    if kinds == {bool} and is_complete:
         return np.array(values, np.bool_)
-    if there and there <= {bool, int} and whole:
-        low, high = min(values), max(values)
-        if low >= -_WORD // 2 and high < _WORD // 2:
-            return np.array(values, np.int64)
-        if low >= 0 and high < _WORD:
-            return np.array(values, np.uint64)
-    if there <= {bool, int, float} and all(
-        not isinstance(value, int)
-        or abs(value) <= EXACT
-        or (abs(value) < _WORD and int(float(value)) == value)
-        for value in values
-    ):
+    if kinds and kinds <= {bool, int} and is_complete:
+        integers = _integers(values)
+        if integers is not None:
+            return integers
+    if kinds <= {bool, int, float} and all(_is_exact_as_float(value) for value in values):
         return np.array([np.nan if value is None else value for value in values], np.float64)
-    result = np.empty(len(values), object)
-    for k, value in enumerate(values):  # at once, lists of one length would be an array
-        result[k] = value
-    return result
+    return _objects(values)
+
+
+def _integers(values: list[int]) -> NDArray[Any] | None:
+    """Integers as int64 or uint64; None where neither holds all of them."""
+    low = min(values)
+    high = max(values)
+    if low >= -_WORD // 2 and high < _WORD // 2:
+        return np.array(values, np.int64)
+    if low >= 0 and high < _WORD:
+        return np.array(values, np.uint64)
+    return None
+
+
+def _is_exact_as_float(value: Any) -> bool:
+    """Whether a float64 holds a number as it is; of None: NaN does."""
+    if not isinstance(value, int) or abs(value) <= EXACT:
+        return True
+    return abs(value) < _WORD and int(float(value)) == value
+
+
+def _objects(values: list[Any]) -> NDArray[Any]:
+    """Values of any kind as a column of objects."""
+    column = np.empty(len(values), object)
+    for row, value in enumerate(values):  # at once, lists of one length would be an array
+        column[row] = value
+    return column
 
 
 def in_order(tables: Sequence[Table]) -> Table:
     """Tables with `PLACE` as one in the order of the log, columns as `join_pieces`; used up."""
-    whole = tables[0]
-    if len(tables) > 1:
-        names = dict.fromkeys(name for table in tables for name in table)
-        pairs = [(table, table[PLACE].shape[0]) for table in tables]
-        whole = {name: join_pieces([t.pop(name, count) for t, count in pairs]) for name in names}
-    if bool(np.all(whole[PLACE][1:] > whole[PLACE][:-1])):
+    whole = tables[0] if len(tables) == 1 else _joined(tables)
+    places = whole[PLACE]
+    if bool(np.all(places[1:] > places[:-1])):
         return whole
-    order = np.argsort(whole[PLACE], kind="stable")
+    order = np.argsort(places, kind="stable")
     return {name: column[order] for name, column in whole.items()}
+
+
+def _joined(tables: Sequence[Table]) -> Table:
+    """Tables end to end; each column is taken out of them, so that its memory is freed."""
+    names = dict.fromkeys(name for table in tables for name in table)
+    counts = [table[PLACE].shape[0] for table in tables]
+    whole: Table = {}
+    for name in names:
+        pieces = [table.pop(name, count) for table, count in zip(tables, counts, strict=True)]
+        whole[name] = join_pieces(pieces)
+    return whole
 
 
 def join_pieces(pieces: Sequence[NDArray[Any] | int]) -> NDArray[Any]:
@@ -79,22 +99,48 @@ def join_pieces(pieces: Sequence[NDArray[Any] | int]) -> NDArray[Any]:
     (array([1.5, nan]), array(['a', 7], dtype=object))
     """
     arrays = [piece for piece in pieces if isinstance(piece, np.ndarray)]
-    kinds, shapes = {a.dtype.kind for a in arrays}, {a.shape[1:] for a in arrays}
+    kinds = {array.dtype.kind for array in arrays}
+    shapes = {array.shape[1:] for array in arrays}
     if len(shapes) == 1 and (kinds == {"U"} or kinds <= set("biuf")):
-        is_float = "f" in kinds or len(arrays) < len(pieces)
-        kind = next((a.dtype for a in arrays if a.dtype.kind in "fU"), np.dtype(np.float64))
-        missing = "" if kinds == {"U"} else np.nan
-        filled = [
-            np.full((p, *arrays[0].shape[1:]), missing, kind) if isinstance(p, int) else p
-            for p in pieces
-        ]
-        joined = np.concatenate(filled)
-        large = (a for a in arrays if a.dtype.kind in "iu" and a.dtype.itemsize == 8 and a.size)
-        if joined.dtype.kind != "f" or (
-            is_float and all(a.min() >= -EXACT and a.max() <= EXACT for a in large)
-        ):
+        joined = np.concatenate(_filled(pieces, arrays))
+        is_lossless = joined.dtype.kind != "f" or (
+            _has_floats(pieces, arrays) and all(_fits_float(array) for array in arrays)
+        )
+        if is_lossless:
             return joined
     values: list[Any] = []
     for piece in pieces:
         values += [None] * piece if isinstance(piece, int) else piece.tolist()
     return column_of(values)
+
+
+def _has_floats(pieces: Sequence[NDArray[Any] | int], arrays: Sequence[NDArray[Any]]) -> bool:
+    """Whether a column is of floats: a piece is, or one is missing, which becomes NaN."""
+    return len(arrays) < len(pieces) or any(array.dtype.kind == "f" for array in arrays)
+
+
+def _filled(
+    pieces: Sequence[NDArray[Any] | int], arrays: Sequence[NDArray[Any]]
+) -> list[NDArray[Any]]:
+    """The pieces, missing ones as NaN or empty texts of the shape and the type of the others."""
+    kind = np.dtype(np.float64)
+    for array in arrays:
+        if array.dtype.kind in "fU":
+            kind = array.dtype
+            break
+    missing = "" if kind.kind == "U" else np.nan
+    row_shape = arrays[0].shape[1:]
+    filled = []
+    for piece in pieces:
+        if isinstance(piece, int):
+            filled.append(np.full((piece, *row_shape), missing, kind))
+        else:
+            filled.append(piece)
+    return filled
+
+
+def _fits_float(array: NDArray[Any]) -> bool:
+    """Whether a float64 holds all values of an array, by their range."""
+    if array.dtype.kind not in "iu" or array.dtype.itemsize < 8 or not array.size:
+        return True
+    return bool(array.min() >= -EXACT and array.max() <= EXACT)

@@ -5,14 +5,20 @@ from typing import Any
 
 import numpy as np
 
+from unbend.atmosphere.rejection import Reason, count_by_reason, described_counts
 from unbend.errors import MissionError
 from unbend.flight.channels import Channel
 from unbend.flight.evidence.quality import plausible_samples
 from unbend.flight.roles import assign_roles, follows_height
 from unbend.flight.trajectory import interpolate, takeoff_of
+from unbend.messages import Notes
 
 _ROLES = ("position", "height", "attitude", "pressure", "temperature", "humidity", "airspeed")
 _CABIN = ("cabin_pressure", "cabin_temperature", "cabin_humidity")
+
+MAX_HEIGHT_GAP_S = 5.0  # that heights are interpolated across, at the times of positions
+HEIGHT_PERCENTILES = (0.1, 99.9)  # the lowest and the highest without single wrong samples
+_HEIGHT_REFERENCES = {"h_msl_m": "sea level", "h_ellipsoid_m": "ellipsoid"}
 
 
 def flight_of(position: Channel, height: Channel) -> dict[str, Any]:
@@ -22,27 +28,34 @@ def flight_of(position: Channel, height: Channel) -> dict[str, Any]:
     ``height_reference``, 0.1 to 99.9 percentile; ``take_off_m`` where the log begins standing
     still.
     """
-    known = np.isfinite(position["lat_rad"] + position["lon_rad"])
+    lat_rad = position["lat_rad"]
+    lon_rad = position["lon_rad"]
+    known = np.isfinite(lat_rad + lon_rad)
     if not bool(known.any()):
         return {}
     column = height.height_column
-    h = np.full(len(position), np.nan)
+    heights_m = np.full(len(position), np.nan)
     if column is not None:
-        h = interpolate(height, column, position.time_ns, max_gap_s=5.0)
-    lat, lon = position["lat_rad"], position["lon_rad"]
-    start = takeoff_of((position.time_ns, lat, lon, h), None)
+        heights_m = interpolate(height, column, position.time_ns, max_gap_s=MAX_HEIGHT_GAP_S)
+    known_heights_m = heights_m[np.isfinite(heights_m)]
+    lowest_m = None
+    highest_m = None
+    if known_heights_m.size:
+        limits_m = np.percentile(known_heights_m, HEIGHT_PERCENTILES).round(1)
+        lowest_m, highest_m = limits_m.tolist()
+    take_off = takeoff_of((position.time_ns, lat_rad, lon_rad, heights_m), None)
     first = int(np.argmax(known))
-    some = h[np.isfinite(h)]
-    low, high = np.percentile(some, (0.1, 99.9)).round(1).tolist() if some.size else (None, None)
+    start = np.datetime64(int(position.time_ns[first]), "ns")
+    duration_s = float(position.time_ns[-1] - position.time_ns[0]) / 1e9
     return {
-        "lat_deg": round(float(np.degrees(lat[first])), 3),
-        "lon_deg": round(float(np.degrees(lon[first])), 3),
-        "date_utc": str(np.datetime64(int(position.time_ns[first]), "ns").astype("datetime64[D]")),
-        "duration_s": round(float(position.time_ns[-1] - position.time_ns[0]) / 1e9, 3),
-        "height_reference": {"h_msl_m": "sea level", "h_ellipsoid_m": "ellipsoid"}.get(str(column)),
-        "lowest_m": low,
-        "highest_m": high,
-        "take_off_m": None if start is None else round(start.h_msl_m, 1),
+        "lat_deg": round(float(np.degrees(lat_rad[first])), 3),
+        "lon_deg": round(float(np.degrees(lon_rad[first])), 3),
+        "date_utc": str(start.astype("datetime64[D]")),
+        "duration_s": round(duration_s, 3),
+        "height_reference": _HEIGHT_REFERENCES.get(str(column)),
+        "lowest_m": lowest_m,
+        "highest_m": highest_m,
+        "take_off_m": None if take_off is None else round(take_off.h_msl_m, 1),
     }
 
 
@@ -55,30 +68,62 @@ def roles_of(channels: Sequence[Channel]) -> tuple[dict[str, Any], list[dict[str
     height = chosen.get("height")
     rows = []
     for role in (*_ROLES, *_CABIN, "events"):
-        able = [c.name for c in channels if role in c.roles and c.fits_role(role)]
+        able = [channel.name for channel in channels if _can_play(channel, role)]
         channel = chosen.get(role)
-        named = channel.name if channel is not None else None
         row: dict[str, Any] = {
-            "role": role, "channel": named, "rate_hz": None, "samples": None,
-            "others": [name for name in able if name != named],
-        }  # fmt: skip
-        if channel is not None:
-            row |= {"rate_hz": channel.rate_hz, "samples": len(channel)}
-            row["remark"] = remark_on(channel, role, height)
-        elif not able:
-            row["remark"] = "none in the log"
-        elif role == "events":
-            row["remark"] = "named for each camera: events.log"
-        elif role in _CABIN:
-            row["remark"] = "only where a camera has a window"
+            "role": role,
+            "channel": None,
+            "rate_hz": None,
+            "samples": None,
+            "others": able,
+        }
+        if channel is None:
+            row["remark"] = _why_none(role, able, notes)
         else:
-            ambiguous = any(e.where == f"log.channels.{role}" for e in notes)
-            why = "several are equal: name one" if ambiguous else "none follows the height"
-            row["remark"] = f"{why} (log.channels.{role})"
+            row["channel"] = channel.name
+            row["rate_hz"] = channel.rate_hz
+            row["samples"] = len(channel)
+            rejected = rejected_samples(channel, role)
+            row["rejected"] = {reason.text: count for reason, count in rejected.items()}
+            row["others"] = [name for name in able if name != channel.name]
+            row["remark"] = remark_on(channel, role, height)
         rows.append(row)
-    found = chosen.get("position")
-    flight = {} if found is None or height is None else flight_of(found, height)
+    position = chosen.get("position")
+    flight = {}
+    if position is not None and height is not None:
+        flight = flight_of(position, height)
     return flight, rows
+
+
+def rejected_samples(channel: Channel, role: str) -> dict[Reason, int]:
+    """How many samples of a channel its role does not use, and why; none where its unit is wrong.
+
+    What only a mission decides (heights, take-off) is not counted.
+    """
+    try:
+        kept, _ = plausible_samples(channel, role)
+    except MissionError:
+        return {}
+    return count_by_reason([kept.removed.reason])
+
+
+def _can_play(channel: Channel, role: str) -> bool:
+    """Whether a channel takes a role by itself, and has what that needs."""
+    return role in channel.roles and channel.fits_role(role)
+
+
+def _why_none(role: str, able: Sequence[str], notes: Notes) -> str:
+    """Why no channel plays a role, in a few words."""
+    if not able:
+        return "none in the log"
+    if role == "events":
+        return "named for each camera: events.log"
+    if role in _CABIN:
+        return "only where a camera has a window"
+    key = f"log.channels.{role}"
+    if any(note.where == key for note in notes):
+        return f"several are equal: name one ({key})"
+    return f"none follows the height ({key})"
 
 
 def remark_on(channel: Channel, role: str, height: Channel | None) -> str:
@@ -87,10 +132,12 @@ def remark_on(channel: Channel, role: str, height: Channel | None) -> str:
         kept, _ = plausible_samples(channel, role)
     except MissionError as error:  # another unit
         return error.what
-    wrong = len(channel) - len(kept)
-    if wrong:
-        return f"{100.0 * wrong / len(channel):.2g} % of the samples cannot be true"
+    rejected = count_by_reason([kept.removed.reason])
+    if rejected:
+        total = len(kept) + len(kept.removed)
+        return f"not used of {total} samples: {described_counts(rejected)}"
     if role == "pressure" and height is not None:
-        follows = follows_height(channel, height)
-        return "follows the height" if follows else "too little height to tell if it is outside"
+        if follows_height(channel, height):
+            return "follows the height"
+        return "too little height to tell if it is outside"
     return "plausible"

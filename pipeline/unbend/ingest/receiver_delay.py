@@ -5,7 +5,7 @@ positions of the autopilot's filter already allow for it, and move along the axi
 """
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,6 +13,7 @@ import numpy as np
 from unbend.flight.channels import Channel, TimeArray
 from unbend.flight.trajectory import interpolate
 from unbend.geodesy import principal_radii, wrapped
+from unbend.ingest import messages
 from unbend.ingest.flight_log import Contents
 from unbend.ingest.message_tables import Table
 from unbend.messages import Ledger
@@ -21,14 +22,14 @@ from unbend.units import Array
 _RECEIVERS = ("GPS", "GPS2", "GPS_RAW_INT", "GPS2_RAW", "sensor_gps", "vehicle_gps_position")
 _FUSED = ("POS", "GLOBAL_POSITION_INT", "vehicle_global_position")
 
-# The settings of the first and of a second receiver [ms]: ArduPilot's since 4.6 and before, PX4's.
-_SETTINGS = (
-    ("GPS1_DELAY_MS", "GPS_DELAY_MS", "EKF2_GPS_DELAY"),
-    ("GPS2_DELAY_MS", "GPS_DELAY_MS2", "EKF2_GPS_DELAY"),
-)
-# AP_GPS_UBLOX::get_lag: 0.12 s for u-blox 7 and later by their hardware, 0.22 s for all others.
+# The settings of the delay [ms]: ArduPilot's since 4.6 and before, PX4's.
+_SETTINGS_OF_FIRST = ("GPS1_DELAY_MS", "GPS_DELAY_MS", "EKF2_GPS_DELAY")
+_SETTINGS_OF_SECOND = ("GPS2_DELAY_MS", "GPS_DELAY_MS2", "EKF2_GPS_DELAY")
+
+# AP_GPS_UBLOX::get_lag: u-blox 7 and later by their hardware, and all others.
 _LATER_UBLOX = re.compile(r"u-blox \d+ HW: 0*(7|8|A|19)0000\b")
-_DELAY_OF_LATER_S, _DELAY_OF_OTHERS_S = 0.12, 0.22
+_DELAY_OF_LATER_S = 0.12
+_DELAY_OF_OTHERS_S = 0.22
 
 STATED_SIGMA_S = 0.04  # of the delay by its setting, or by what the driver takes for granted
 UNKNOWN_SIGMA_S = 0.15  # without a setting and an estimate nothing is applied; 0.22 s are reached
@@ -37,8 +38,17 @@ UNKNOWN_SIGMA_S = 0.15  # without a setting and an estimate nothing is applied; 
 _FILTER_SIGMA_S = 0.015
 _LARGEST_DELAY_S = 0.5
 _LEAST_DELAY_S = 0.005  # receivers need more; positions that are closer are stamped at their epoch
-_LEAST_ROWS, _LEAST_SPEED_M_S = 100, 2.0
+_LEAST_ROWS = 100  # of a fast flight; the median of fewer is not sure enough
+_LEAST_SPEED_M_S = 2.0  # below, the noise of the fixes is more than a delay makes
+_FAST_SHARE = 0.5  # of the 90th percentile of the speed: faster rows are used
 MOST_ROWS = 10_000  # more are thinned evenly
+
+_FIRST_GUESS_S = 0.1  # u-blox receivers are near it
+_REFINEMENTS = 4  # the step is below 0.1 ms then
+_HALF_BASE_NS = 250_000_000  # the speed is that over twice this time [ns]
+_CORRELATION_S = 5.0  # what is left between filter and receiver lasts so long
+_SIGMA_OF_MAD = 1.4826  # of a normal distribution, over its median absolute deviation
+_SIGMA_OF_MEDIAN = 1.2533  # over that of the mean: sqrt(pi / 2)
 
 
 @dataclass(frozen=True)
@@ -55,57 +65,134 @@ def with_receiver_delay(contents: Contents, ledger: Ledger) -> Contents:
 
     Logs without a receiver of an autopilot, or stamped in UTC, are returned as they are.
     """
-    fixes = [c for c in contents.channels if c.source.message in _RECEIVERS and len(c)]
-    if not fixes:
+    receivers = [c for c in contents.channels if c.source.message in _RECEIVERS and len(c)]
+    if not receivers:
         return contents
-    fused = [c for c in contents.channels if c.source.message in _FUSED]
-    texts = [text for c in contents.channels for text in c.labels.get("text", ())]
-    delays = {}
-    for channel in fixes:
-        same_system = [c for c in fused if c.source.system == channel.source.system]
-        estimates = (estimated_delay(channel, c) for c in same_system)
-        known = next((estimate for estimate in estimates if estimate is not None), None)
-        delays[channel.name] = known or stated_delay(channel, contents.parameters, texts)
-    first = max(fixes, key=len)  # UTC is from the receiver with the most rows
-    utc = delays[first.name]
-    what = f"UTC is accurate to {utc.sigma_s * 1e3:.0f} ms (1 sigma): fixes are stamped"
-    what += f" {utc.delay_s * 1e3:.0f} ms after their epoch, {utc.origin}"
-    ledger.note("TIME-FIT", what, where=first.name, count=len(first))
-    later_ns = round(utc.delay_s * 1e9)
-
-    def moved(channel: Channel) -> Channel:
-        shift_ns = later_ns if channel.source.system == first.source.system else 0
+    delays = {channel.name: _delay_of(channel, contents) for channel in receivers}
+    main = max(receivers, key=len)  # UTC is from the receiver with the most rows
+    delay = delays[main.name]
+    ledger.add(
+        messages.utc_accuracy(
+            receiver=main.name,
+            fixes=len(main),
+            sigma_s=delay.sigma_s,
+            delay_s=delay.delay_s,
+            origin=delay.origin,
+        )
+    )
+    later_ns = round(delay.delay_s * 1e9)
+    channels = []
+    for channel in contents.channels:
+        shift_ns = 0
+        if channel.source.system == main.source.system:
+            shift_ns += later_ns
         if channel.name in delays:
             shift_ns -= round(delays[channel.name].delay_s * 1e9)
-        return replace(channel, time_ns=channel.time_ns + shift_ns) if shift_ns else channel
+        if shift_ns:
+            channel = replace(channel, time_ns=channel.time_ns + shift_ns)
+        channels.append(channel)
+    return replace(
+        contents,
+        channels=tuple(channels),
+        table=_later_table(contents.table, later_ns),
+        utc_sigma_s=delay.sigma_s,
+    )
 
-    inner = contents.table
 
-    def table(name: str, instance: str | None) -> Table:
-        columns = inner(name, instance) if inner else {}
+def _shifted(channel: Channel, shift_ns: int) -> Channel:
+    """The channel with later times; the same where they stay."""
+    if not shift_ns:
+        return channel
+    return replace(channel, time_ns=channel.time_ns + shift_ns)
+
+
+def _later_table(
+    table: Callable[[str, str | None], Table] | None, later_ns: int
+) -> Callable[[str, str | None], Table] | None:
+    """The function that decodes tables, with their times later."""
+    if table is None:
+        return None
+
+    def later(name: str, instance: str | None) -> Table:
+        columns = table(name, instance)
         if "time_ns" in columns:
             columns["time_ns"] = columns["time_ns"] + later_ns
         return columns
 
-    channels = tuple(moved(channel) for channel in contents.channels)
-    return replace(contents, channels=channels, table=inner and table, utc_sigma_s=utc.sigma_s)
+    return later
+
+
+def _delay_of(receiver: Channel, contents: Contents) -> ReceiverDelay:
+    """The delay of a receiver by the positions of its system's filter, or as it is stated."""
+    for channel in contents.channels:
+        is_fused = channel.source.message in _FUSED
+        if is_fused and channel.source.system == receiver.source.system:
+            estimate = estimated_delay(receiver, channel)
+            if estimate is not None:
+                return estimate
+    texts = [text for channel in contents.channels for text in channel.labels.get("text", ())]
+    return stated_delay(receiver, contents.parameters, texts)
 
 
 def stated_delay(
     receiver: Channel, parameters: Mapping[str, float], texts: Iterable[str]
 ) -> ReceiverDelay:
     """The delay by the autopilot's setting; 0 stands for what the driver of the receiver takes."""
-    second = "2" in receiver.source.message or receiver.source.instance not in (None, "0")
-    for name in _SETTINGS[second]:
-        value = parameters.get(name, float("nan"))
-        if 0.0 < value < _LARGEST_DELAY_S * 1e3:
-            return ReceiverDelay(value / 1e3, STATED_SIGMA_S, f"by {name}")
-        if value == 0.0:
-            later = any(_LATER_UBLOX.search(text) for text in texts)
-            delay = _DELAY_OF_LATER_S if later else _DELAY_OF_OTHERS_S
-            return ReceiverDelay(delay, STATED_SIGMA_S, f"by the receiver's driver ({name} is 0)")
+    for name in _settings_of(receiver):
+        value_ms = parameters.get(name, float("nan"))
+        if 0.0 < value_ms < _LARGEST_DELAY_S * 1e3:
+            return ReceiverDelay(value_ms / 1e3, STATED_SIGMA_S, f"by {name}")
+        if value_ms == 0.0:
+            is_later = any(_LATER_UBLOX.search(text) for text in texts)
+            delay_s = _DELAY_OF_LATER_S if is_later else _DELAY_OF_OTHERS_S
+            origin = f"by the receiver's driver ({name} is 0)"
+            return ReceiverDelay(delay_s, STATED_SIGMA_S, origin)
     origin = "for want of a setting or of positions of a filter to compare them with"
     return ReceiverDelay(0.0, UNKNOWN_SIGMA_S, origin)
+
+
+def _settings_of(receiver: Channel) -> Sequence[str]:
+    """The names of the settings of a first or of a second receiver."""
+    is_second = "2" in receiver.source.message or receiver.source.instance not in (None, "0")
+    return _SETTINGS_OF_SECOND if is_second else _SETTINGS_OF_FIRST
+
+
+@dataclass(frozen=True)
+class _Motion:
+    """Fixes beside the positions of a filter, both as stamped; arrays are (2, n): north, east.
+
+    ``time_ns`` (n,) and ``fixes_rad`` of the receiver; ``m_per_rad`` (2, 1) along the axes.
+    """
+
+    fused: Channel
+    time_ns: TimeArray
+    fixes_rad: Array
+    m_per_rad: Array
+
+    def places_rad(self, time_ns: TimeArray) -> Array:
+        """Latitude and longitude of the filter at other times."""
+        limit_s = self.fused.gap_limit_s()
+        latitude = interpolate(self.fused, "lat_rad", time_ns, limit_s)
+        longitude = interpolate(self.fused, "lon_rad", time_ns, limit_s)
+        return np.stack([latitude, longitude])
+
+    def delays_beyond(self, delay_s: float) -> Array:
+        """By how much longer than ``delay_s`` each fix of a fast flight is late; empty for few."""
+        epoch_ns = self.time_ns - round(delay_s * 1e9)
+        apart_m = wrapped(self.fixes_rad - self.places_rad(epoch_ns)) * self.m_per_rad
+        after = self.places_rad(epoch_ns + _HALF_BASE_NS)
+        before = self.places_rad(epoch_ns - _HALF_BASE_NS)
+        speed_m_s = wrapped(after - before) * self.m_per_rad / (2e-9 * _HALF_BASE_NS)
+        speed_squared = (speed_m_s**2).sum(axis=0)
+        used = np.isfinite(speed_squared) & np.isfinite(apart_m).all(axis=0)
+        if np.count_nonzero(used) < _LEAST_ROWS:
+            return np.empty(0)
+        high_speed_m_s = float(np.sqrt(np.percentile(speed_squared[used], 90.0)))
+        least_m_s = max(_LEAST_SPEED_M_S, _FAST_SHARE * high_speed_m_s)
+        used &= speed_squared > least_m_s**2
+        if np.count_nonzero(used) < _LEAST_ROWS:
+            return np.empty(0)
+        return np.asarray(-(apart_m * speed_m_s).sum(axis=0)[used] / speed_squared[used])
 
 
 def estimated_delay(receiver: Channel, fused: Channel) -> ReceiverDelay | None:
@@ -115,40 +202,34 @@ def estimated_delay(receiver: Channel, fused: Channel) -> ReceiverDelay | None:
     they are few or do not agree. Accuracy against the truth of two simulator flights: 1 ms for the
     positions of the filter, which themselves lead by 11 and 21 ms.
     """
-    limit = fused.gap_limit_s()
-
-    def places(time_ns: TimeArray) -> Array:
-        names = ("lat_rad", "lon_rad")
-        return np.stack([interpolate(fused, name, time_ns, limit) for name in names])
-
-    every = slice(None, None, max(len(receiver) // MOST_ROWS, 1))  # memory has its peak here
-    time_ns = receiver.time_ns[every]
-    fixes = np.stack([receiver["lat_rad"][every], receiver["lon_rad"][every]])
-    latitude = float(np.nanmedian(fixes[0]))
-    meridian, prime_vertical = principal_radii(latitude)
-    scale = np.array([[float(meridian)], [float(prime_vertical) * np.cos(latitude)]])
-    delay_s, half_ns = 0.1, round(2.5e8)
-    for _ in range(4):
-        at = time_ns - round(delay_s * 1e9)
-        apart = wrapped(fixes - places(at)) * scale
-        speed = wrapped(places(at + half_ns) - places(at - half_ns)) * scale / (2e-9 * half_ns)
-        square = (speed**2).sum(axis=0)
-        known = np.isfinite(square) & np.isfinite(apart).all(axis=0)
-        if np.count_nonzero(known) < _LEAST_ROWS:
+    step = max(len(receiver) // MOST_ROWS, 1)  # memory has its peak here
+    fixes_rad = np.stack([receiver["lat_rad"][::step], receiver["lon_rad"][::step]])
+    latitude_rad = float(np.nanmedian(fixes_rad[0]))
+    meridian_m, prime_vertical_m = principal_radii(latitude_rad)
+    east_m_per_rad = float(prime_vertical_m) * np.cos(latitude_rad)
+    motion = _Motion(
+        fused=fused,
+        time_ns=receiver.time_ns[::step],
+        fixes_rad=fixes_rad,
+        m_per_rad=np.array([[float(meridian_m)], [east_m_per_rad]]),
+    )
+    delay_s = _FIRST_GUESS_S
+    behind_s = np.empty(0)
+    for _ in range(_REFINEMENTS):
+        behind_s = motion.delays_beyond(delay_s)
+        if not behind_s.size:
             return None
-        fast = max(_LEAST_SPEED_M_S, 0.5 * float(np.sqrt(np.percentile(square[known], 90.0))))
-        known &= square > fast**2
-        if np.count_nonzero(known) < _LEAST_ROWS:
-            return None
-        behind = -(apart * speed).sum(axis=0)[known] / square[known]
-        delay_s += float(np.median(behind))
-    scatter = 1.4826 * float(np.median(np.abs(behind - np.median(behind))))
-    # What is left between filter and receiver lasts some 5 s.
-    rate_hz = receiver.rate_hz / every.step
-    independent = behind.size * min(1.0, 1.0 / max(5.0 * rate_hz, 1.0))
-    sigma_s = 1.2533 * scatter / np.sqrt(independent)
+        delay_s += float(np.median(behind_s))
+    scatter_s = _SIGMA_OF_MAD * float(np.median(np.abs(behind_s - np.median(behind_s))))
+    rate_hz = receiver.rate_hz / step
+    rows_of_one_error = max(_CORRELATION_S * rate_hz, 1.0)
+    independent = behind_s.size * min(1.0, 1.0 / rows_of_one_error)
+    sigma_s = _SIGMA_OF_MEDIAN * scatter_s / np.sqrt(independent)
     if sigma_s > _FILTER_SIGMA_S or not -_LEAST_DELAY_S < delay_s < _LARGEST_DELAY_S:
         return None
-    what = f"estimated from {behind.size} of them against {fused.name}"
     applied_s = delay_s if delay_s > _LEAST_DELAY_S else 0.0
-    return ReceiverDelay(applied_s, float(np.hypot(sigma_s, _FILTER_SIGMA_S)), what)
+    return ReceiverDelay(
+        delay_s=applied_s,
+        sigma_s=float(np.hypot(sigma_s, _FILTER_SIGMA_S)),
+        origin=f"estimated from {behind_s.size} of them against {fused.name}",
+    )

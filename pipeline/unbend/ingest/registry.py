@@ -2,9 +2,10 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
-from unbend.errors import LogError
 from unbend.flight.evidence.quality import mask_impossible_values
+from unbend.ingest import messages
 from unbend.ingest.buffers import release_pages
 from unbend.ingest.dataflash.binary_log import DATAFLASH
 from unbend.ingest.dataflash.text_log import DATAFLASH_TEXT
@@ -18,16 +19,29 @@ from unbend.messages import Ledger
 # the surest mark first
 FORMATS: tuple[LogFormat, ...] = (MCAP, ULOG, DATAFLASH, DATAFLASH_TEXT, TLOG)
 
-HEAD_BYTES = 1 << 16
+HEAD_BYTES = 1 << 16  # read to recognize the format
 SUFFIXES = tuple(suffix for form in FORMATS for suffix in form.extensions)  # lower case, with dot
 KNOWN = ", ".join(f"{form.title} ({' '.join(form.extensions)})" for form in FORMATS)
 
-# Related files that cannot be read, by their first bytes, and how to convert them.
-_UNREADABLE = (
-    (b"#ROSBAG", "a ROS 1 bag", "convert it to MCAP with ROS 2 messages"),
-    (b"SQLite format 3", "a ROS 2 bag in SQLite", "run: ros2 bag convert, with storage_id mcap"),
-    (b"\x1f\x8b", "compressed with gzip", "unpack it first"),
-    (b"PK\x03\x04", "a ZIP archive", "unpack it first"),
+LISTED_DAMAGE = 2  # entries of the ledger in the refusal of a file without a message
+LISTED_TYPES = 12  # message types in the refusal of a log without a wanted message
+
+
+class RelatedFormat(NamedTuple):
+    """Files that are not read: their first bytes, what they are, and how to convert them."""
+
+    mark: bytes
+    kind: str
+    remedy: str
+
+
+_RELATED_FORMATS = (
+    RelatedFormat(b"#ROSBAG", "a ROS 1 bag", "convert it to MCAP with ROS 2 messages"),
+    RelatedFormat(
+        b"SQLite format 3", "a ROS 2 bag in SQLite", "run: ros2 bag convert, with storage_id mcap"
+    ),
+    RelatedFormat(b"\x1f\x8b", "compressed with gzip", "unpack it first"),
+    RelatedFormat(b"PK\x03\x04", "a ZIP archive", "unpack it first"),
 )
 
 
@@ -40,25 +54,25 @@ def open_log(path: Path | str, sha256: str | None = None, *, needs_channels: boo
     LOG-CHANGED; of PX4 logs LOG-ULOG) when nothing can be used.
     """
     path = Path(path)
+    ledger = Ledger()
     try:
-        if not path.is_file():
-            kind = "it is a folder" if path.is_dir() else "it is a pipe or a device, not a file"
-            what = kind if path.exists() else "there is no such file"
-            raise LogError("LOG-MISSING", what, where=str(path), remedy="check the path of the log")
+        _check_file(path)
         size = path.stat().st_size
         if size == 0:
-            remedy = "copy it again from the vehicle or the ground station"
-            raise LogError("LOG-EMPTY", "the file has 0 bytes", where=str(path), remedy=remedy)
+            raise messages.log_empty(path=str(path))
         with path.open("rb") as stream:
             head = stream.read(HEAD_BYTES)
         form = _format_of(path, head)
-        if form.matches(head):  # otherwise only reading it shows whether it is a log at all
-            sha256 = sha256 or hash_file(path)
-        ledger = Ledger()
-        contents = _read(form, path, ledger, needs_channels)
-        sha256 = sha256 or hash_file(path)
+        # before the work, so that a change meanwhile shows; where the head is of no format, only
+        # reading shows whether it is a log at all
+        if form.matches(head) and not sha256:
+            sha256 = hash_file(path)
+        contents = _read(form, path, ledger, needs_channels=needs_channels)
+        if not sha256:
+            sha256 = hash_file(path)
     except OSError as error:
-        raise LogError.of("LOG-UNREADABLE", path, error=error.strerror or error) from error
+        reason = error.strerror or str(error)
+        raise messages.log_unreadable(path=str(path), reason=reason) from error
     channels = contents.channels
     return Log(
         **vars(contents),
@@ -72,39 +86,66 @@ def open_log(path: Path | str, sha256: str | None = None, *, needs_channels: boo
     )
 
 
+def _check_file(path: Path) -> None:
+    """Refuse a path that is not that of a file."""
+    if path.is_file():
+        return
+    if not path.exists():
+        what = "there is no such file"
+    elif path.is_dir():
+        what = "it is a folder"
+    else:
+        what = "it is a pipe or a device, not a file"
+    raise messages.log_missing(path=str(path), what=what)
+
+
 def _format_of(path: Path, head: bytes) -> LogFormat:
+    """The format of a file by its first bytes, where these show none by its extension."""
     extension = path.suffix.lower()
-    named = next((form for form in FORMATS if extension in form.extensions), None)
-    actual = next((form for form in FORMATS if form.matches(head)), None)
-    if actual is not None and actual is not named:
-        what = f"its content is {actual.title}, its extension is {extension or 'missing'}"
-        remedy = f"rename it to end in {actual.extensions[0]} if this is the intended log"
-        raise LogError("LOG-FORMAT", what, where=str(path), remedy=remedy)
-    for mark, what, remedy in _UNREADABLE:
-        if actual is None and head.startswith(mark):
-            raise LogError("LOG-FORMAT", f"the file is {what}", where=str(path), remedy=remedy)
-    if named is None:
-        what = f"neither content nor extension ({extension or 'none'}) is one of a known format"
-        raise LogError("LOG-FORMAT", what, where=str(path), remedy=f"give one of {KNOWN}")
-    return named  # a log with a damaged beginning: its reader decides
+    by_extension = next((form for form in FORMATS if extension in form.extensions), None)
+    by_content = next((form for form in FORMATS if form.matches(head)), None)
+    if by_content is not None and by_content is not by_extension:
+        raise messages.wrong_extension(
+            path=str(path),
+            title=by_content.title,
+            extension=extension,
+            usual=by_content.extensions[0],
+        )
+    if by_content is None:
+        for related in _RELATED_FORMATS:
+            if head.startswith(related.mark):
+                raise messages.needs_conversion(
+                    path=str(path), kind=related.kind, remedy=related.remedy
+                )
+    if by_extension is None:
+        raise messages.unknown_format(path=str(path), extension=extension, known=KNOWN)
+    return by_extension  # a log with a damaged beginning: its reader decides
 
 
-def _read(form: LogFormat, path: Path, ledger: Ledger, needs_channels: bool) -> Contents:
+def _read(form: LogFormat, path: Path, ledger: Ledger, *, needs_channels: bool) -> Contents:
     """The contents of a log with its channels checked and sorted; LogError if nothing is usable."""
     contents = form.read(path, ledger)
     channels = []
     for channel in contents.channels:
-        channels.append(ledger.take(mask_impossible_values(channel)))
+        checked = ledger.take(mask_impossible_values(channel))
+        if len(checked):
+            channels.append(checked)
         release_pages()
-    channels = sorted((c for c in channels if len(c)), key=lambda channel: channel.name)
+    channels.sort(key=lambda channel: channel.name)
     if not contents.messages:
-        damage = "".join(f"; {entry.what} ({entry.where})" for entry in list(ledger)[:2])
-        what = f"no whole message of {form.title} in {path.stat().st_size} bytes{damage}"
-        remedy = f"check that it is the whole log; known are {KNOWN}"
-        raise LogError("LOG-FORMAT", what, where=str(path), remedy=remedy)
+        raise messages.no_whole_message(
+            path=str(path),
+            title=form.title,
+            size=path.stat().st_size,
+            damage=list(ledger)[:LISTED_DAMAGE],
+            known=KNOWN,
+        )
     if needs_channels and all(channel.is_evidence for channel in channels):
-        kinds, total = ", ".join(sorted(contents.messages)[:12]), sum(contents.messages.values())
-        raise LogError.of("LOG-NO-MESSAGES", path, total=total, kinds=kinds)
-    messages = dict(sorted(contents.messages.items()))
-    contents = replace(contents, messages=messages, channels=tuple(channels))
+        raise messages.no_wanted_messages(
+            path=str(path),
+            total=sum(contents.messages.values()),
+            kinds=sorted(contents.messages)[:LISTED_TYPES],
+        )
+    counts = dict(sorted(contents.messages.items()))
+    contents = replace(contents, messages=counts, channels=tuple(channels))
     return with_receiver_delay(contents, ledger)

@@ -1,12 +1,10 @@
-"""Campaigns: what runs and what does not, the index that knows it, the page and the table."""
+"""Campaigns: what runs and what does not, and how that is known; the page and the table."""
 
 from __future__ import annotations
 
 import json
 import os
 import shutil
-import subprocess
-import sys
 import time
 from dataclasses import dataclass
 from html.parser import HTMLParser
@@ -18,8 +16,9 @@ import yaml
 
 from tests.conftest import run_command, without_plots
 from tests.stages.test_adjusted_profile import sounding_text
-from unbend.batch import changes, file_hashes
+from unbend.batch import input_files, unchanged
 from unbend.batch.campaigns import select_missions
+from unbend.config.campaign import MissionRef
 
 OWN = ("mission", "log", "observations", "events")
 
@@ -41,15 +40,16 @@ class Season:
         return self.folder / "results" / f"flight-{number}" / "manifest.json"
 
     def older(self) -> None:
-        """Files that were written some seconds ago; the index trusts no newer ones."""
-        time.sleep(max(0.0, file_hashes.SETTLED_NS * 1e-9 + 0.05 - (time.time() - self._latest())))
+        """Files that were written some seconds ago; newer ones are not trusted."""
+        settled_s = input_files.SETTLED_NS * 1e-9 + 0.05
+        time.sleep(max(0.0, settled_s - (time.time() - self._latest())))
 
     def _latest(self) -> float:
         files = [file for file in self.folder.rglob("*") if not file.is_symlink()]
         return max(file.stat().st_ctime for file in files)
 
     def unchanged(self) -> list[int]:
-        """Numbers of the missions that the index knows to be unchanged."""
+        """Numbers of the missions that are known to be unchanged without checking their files."""
         chosen = select_missions([self.file])
         return [n for n, ref in enumerate(chosen.missions) if chosen.is_unchanged(ref)]
 
@@ -77,7 +77,7 @@ def make_season(mission, folder: Path, missions: int) -> Season:
 def own_cache(tmp_path, monkeypatch):
     """A user's cache of the test's own, empty; a file settles in 0.2 s."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.setattr(file_hashes, "SETTLED_NS", 200_000_000)
+    monkeypatch.setattr(input_files, "SETTLED_NS", 200_000_000)
 
 
 @pytest.fixture
@@ -98,7 +98,7 @@ def finished(mission_factory, tmp_path_factory, computed_once) -> Season:
 
 @pytest.fixture
 def done(finished, tmp_path, own_cache, plain_report, unbend) -> Season:
-    """A copy of a campaign that ran, which the index knows."""
+    """A copy of a campaign that ran, whose manifests know its files."""
     season = Season(tmp_path / "season")
     shutil.copytree(finished.folder, season.folder)
     season.older()
@@ -128,32 +128,10 @@ def test_one_changed_sounding_runs_one_mission(done, unbend):
     assert table[0]["shift_maximum_px"] != table[1]["shift_maximum_px"]  # another air
 
 
-OPENED = """
-import sys, os
-opened = []
-sys.addaudithook(lambda event, args: opened.append(args[0]) if event == "open" else None)
-from unbend.cli import main
-sys.argv = ["unbend", "run", sys.argv[1]]
-try:
-    main()
-except SystemExit as end:
-    code = end.code
-sys.stdout.flush()
-names = {os.fsdecode(a) for a in opened if isinstance(a, (str, bytes))}
-print(code, *sorted(os.path.abspath(n) for n in names), sep="\\n", file=sys.stderr)
-"""
-
-
-def test_an_unchanged_campaign_opens_no_input_and_no_result(done):
-    ran = subprocess.run(
-        [sys.executable, "-c", OPENED, str(done.file)], capture_output=True, text=True, check=True
-    )
-    code, *opened = ran.stderr.splitlines()
-    assert code == "0", ran.stderr
-    inside = {name for name in opened if name.startswith(str(done.folder))}
-    assert str(done.file) in inside, "the hook sees what is opened"
-    assert inside <= {str(done.file), str(done.folder / "results" / "campaign.html")}
-    assert "nothing to do" in ran.stdout
+def test_of_an_unchanged_campaign_no_file_is_checked_and_no_input_opened(done, monkeypatch):
+    monkeypatch.setattr(MissionRef, "load", lambda ref: pytest.fail(f"{ref.path} was checked"))
+    monkeypatch.setattr(input_files, "hash_file", lambda path: pytest.fail(f"{path} was read"))
+    assert done.unchanged() == [0, 1]
 
 
 def append(file: Path, more: bytes) -> None:
@@ -162,7 +140,7 @@ def append(file: Path, more: bytes) -> None:
 
 CHANGES = {
     "log": lambda s: append(s.flight(0) / "flight.bin", b"\0"),
-    "log, its times set back": lambda s: flip(s.flight(0) / "flight.bin"),
+    "log, its content": lambda s: flip(s.flight(0) / "flight.bin"),
     "table gone": lambda s: (s.flight(0) / "observations.parquet").unlink(),
     "mission file": lambda s: append(s.flight(0) / "mission.yaml", b"\n# a word\n"),
     "report gone": lambda s: (s.manifest(0).parent / "report.html").unlink(),
@@ -176,63 +154,50 @@ CHANGES = {
 
 
 def flip(file: Path) -> None:
-    """Change one byte, and set the time of content back to what it was."""
-    stat, content = file.stat(), bytearray(file.read_bytes())
+    """Change one byte."""
+    content = bytearray(file.read_bytes())
     content[len(content) // 2] ^= 1
     file.write_bytes(content)
-    os.utime(file, ns=(stat.st_atime_ns, stat.st_mtime_ns))
 
 
-def test_the_index_is_never_stale(done, monkeypatch, tmp_path):
-    kept = tmp_path / "kept"
-    shutil.copytree(done.folder, kept)
-    for what, change in CHANGES.items():
-        change(done)
-        assert done.unchanged() == [1], what
-        # Back as it was, with times of its own: the entry does not hold, for good.
-        shutil.rmtree(done.manifest(0).parent, ignore_errors=True)
-        shutil.copytree(kept / "results" / "flight-0", done.manifest(0).parent)
-        shutil.copytree(kept / "flights" / "f0", done.flight(0), dirs_exist_ok=True)
-        again = select_missions([done.file])
-        changes.remember(again.missions, lambda manifest: {"fingerprint": manifest["fingerprint"]})
-        assert done.unchanged() == [1], f"{what}: files of just now are not trusted"
-        done.older()
-        changes.remember(again.missions, lambda manifest: {"fingerprint": manifest["fingerprint"]})
-        assert done.unchanged() == [0, 1], what
+@pytest.mark.parametrize("what", CHANGES)
+def test_no_change_goes_unseen(done, unbend, what):
+    CHANGES[what](done)
+    assert done.unchanged() == [1], what
 
 
-def test_a_new_file_beside_a_raster_is_a_change(done, monkeypatch):
-    file = done.flight(0) / "mission.yaml"
-    content = yaml.safe_load(file.read_text(encoding="utf-8"))
-    content["mission"]["geoid"] = "geoid.tif"
-    file.write_text(yaml.safe_dump(content), encoding="utf-8")
-    (done.flight(0) / "geoid.tif").write_bytes(b"raster")
-    done.older()
-    monkeypatch.setattr(changes, "reasons_to_run", lambda *_: [])  # as if it had run with it
-    changes.remember(select_missions([done.file]).missions, lambda manifest: {})
-    assert done.unchanged() == [0, 1]
-    (done.flight(0) / "geoid.tif.aux.xml").write_text("<PAMDataset/>")
+def test_what_is_as_it_was_again_is_known_after_a_comparison(done, unbend):
+    """Copied back, with times of its own; files of just now are not trusted."""
+    log = done.flight(0) / "flight.bin"
+    log.write_bytes(log.read_bytes())
     assert done.unchanged() == [1]
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [("code_hash", lambda: "other"), ("installed", lambda: "other")],
-)
-def test_another_program_knows_nothing(done, monkeypatch, name, value):
-    monkeypatch.setattr(changes, name, value)
-    assert done.unchanged() == []
-
-
-def test_grids_count_where_they_are_used(done, monkeypatch):
-    """PROJ is not even imported for missions that transform nothing."""
-    original = changes.read_entry
-    monkeypatch.setattr(changes, "grids_of_proj", lambda: pytest.fail("it was asked"))
+    assert unbend("run", done.file).code == 0
+    done.older()
+    assert unbend("run", done.file).code == 0  # the first time its time may have been too young
     assert done.unchanged() == [0, 1]
-    monkeypatch.setattr(changes, "grids_of_proj", lambda: "these")
-    for grids, known in (("these", [0, 1]), ("others", [])):
-        monkeypatch.setattr(changes, "read_entry", lambda *a, g=grids: original(*a) | {"grids": g})
-        assert done.unchanged() == known
+
+
+def test_a_new_file_beside_a_raster_is_a_change(tmp_path):
+    raster = tmp_path / "geoid.tif"
+    raster.write_bytes(b"raster")
+    past = time.time() - 60
+    os.utime(raster, (past, past))
+    named = input_files.NamedInput("geoid", "mission.geoid", "geoid.tif", input_files.GDAL)
+
+    def record_now():
+        files = input_files.files_of(raster, input_files.GDAL)
+        states = tuple(input_files.state_of(file)._replace(ctime_ns=0) for file in files)
+        return input_files.record_of(named, files, states)
+
+    before = record_now()
+    assert before.mtime_ns is not None
+    (tmp_path / "geoid.tif.aux.xml").write_text("<PAMDataset/>")
+    assert not record_now().is_like(before)
+
+
+def test_another_program_knows_nothing(done, monkeypatch):
+    monkeypatch.setattr(unchanged, "versions_of", lambda roles, standard: {"unbend": "other"})
+    assert done.unchanged() == []
 
 
 def test_other_defaults_are_other_missions(done):
@@ -248,8 +213,8 @@ def test_asked_to_look_again_it_looks(done, unbend, monkeypatch, option):
     seen = []
     from unbend.batch import runs
 
+    real = runs.make_plan
     monkeypatch.setattr(runs, "make_plan", lambda *a, **k: seen.append(k) or real(*a, **k))
-    real = changes.make_plan
     assert unbend("run", done.file, option, "--mission", "flight-0").code == 0
     assert len(seen) == 1
 

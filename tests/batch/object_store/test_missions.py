@@ -10,12 +10,12 @@ import sys
 import pyarrow.parquet as pq
 import pytest
 
+from unbend.batch import results as results_module
 from unbend.batch import runs
 from unbend.batch.object_store import Place
 from unbend.batch.plan import fetch_inputs, make_plan
-from unbend.batch.publication import Publication
+from unbend.batch.remote import Publication, find_damage, read_manifest, would_replace
 from unbend.batch.runs import run_mission
-from unbend.batch.store import find_damage, read_manifest, would_replace
 from unbend.config import load_mission
 from unbend.errors import ConfigError
 
@@ -144,13 +144,16 @@ def test_results_that_are_replaced_while_they_are_exported(
     ended = stored.run()
     assert ended.code == 0, ended.text
     newer = read_manifest(results)
+    original = results_module.read_manifest
     older = results / f"attempts/{'0' * 32}"
     for number, left in enumerate(([], ["stations.parquet"])):  # removed, and half of it
         for name in left:
             assert (older / name).put(b"x", None)
         answers = [newer | {"attempt": "0" * 32}]
         monkeypatch.setattr(
-            runs.store, "read_manifest", lambda at, a=answers: a.pop() if a else read_manifest(at)
+            results_module,
+            "read_manifest",
+            lambda at, a=answers, **_: a.pop() if a else original(at),
         )
         out = tmp_path / f"{number}.geojson"
         ended = unbend("export", results, "--format", "geojson", "--out", out)
@@ -235,7 +238,7 @@ def test_an_input_among_the_results_is_refused(stored, s3_place):
 
 
 def test_a_url_costs_no_import_where_none_is_used():
-    code = "import unbend.batch.publication, unbend.batch.plan, sys; "
+    code = "import unbend.batch.remote, unbend.batch.plan, sys; "
     code += "print('obstore' in sys.modules)"
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert said.stdout == "False\n"

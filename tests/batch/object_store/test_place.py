@@ -12,18 +12,10 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import pytest
 
-from unbend.batch import object_store, publication
-from unbend.batch.object_store import (
-    Place,
-    copy_of,
-    fetched,
-    is_url,
-    open_store,
-    version_of,
-)
+from unbend.batch import remote
+from unbend.batch.object_store import Place, is_url, open_store
 from unbend.batch.plan import located
-from unbend.batch.publication import rehearse_place
-from unbend.batch.store import read_manifest
+from unbend.batch.remote import RemoteInput, fetch, look_up, read_manifest
 from unbend.errors import ConfigError, InputError, UnbendError
 
 from .conftest import READER, S3, free_port
@@ -72,7 +64,7 @@ def test_keys_are_taken_as_they_are(s3_place):
         assert str(place) == f"{s3_place}/{name}"
         assert place.put(name.encode(), None)
         assert place.read()[0] == name.encode()
-        assert fetched(place, version_of(place)).read_bytes() == name.encode()
+        assert fetch(look_up(place)).read_bytes() == name.encode()
         assert set(s3_place.objects()) == {name}
         s3_place.remove([name])
 
@@ -81,43 +73,44 @@ def test_the_folder_of_an_input(place):
     folder = Place.of(f"{place}/sparse/")
     assert folder.is_folder
     with pytest.raises(FileNotFoundError):
-        version_of(folder)
+        look_up(folder)
     for name, content in (("cameras.txt", b"1"), ("0/images.txt", b"2"), ("empty", b"")):
         assert (folder / name).put(content, None)
-    version = version_of(folder)
-    copy = fetched(folder, version)
+    found = look_up(folder)
+    copy = fetch(found)
     assert copy.name == "sparse"
     assert {str(p.relative_to(copy)): p.read_bytes() for p in copy.rglob("*") if p.is_file()} == {
         "cameras.txt": b"1", "0/images.txt": b"2", "empty": b""
     }  # fmt: skip
     assert (folder / "cameras.txt").put(b"3", "overwrite")
     with pytest.raises(InputError) as refused:
-        fetched(folder, version, anew=True)
+        fetch(found, anew=True)
     assert refused.value.code == "INPUT-CHANGED"
-    assert version_of(folder) != version
+    assert look_up(folder).version != found.version
 
 
 def test_copies_beyond_the_bound_go_the_oldest_first(s3_place, monkeypatch):
-    monkeypatch.setattr(object_store, "_MOST_BYTES", 250)
+    monkeypatch.setattr(remote, "_MOST_BYTES", 250)
     paths = []
     for number in range(4):
         place = s3_place / str(number)
         assert place.put(b"x" * 100, None)
-        paths.append(fetched(place, version_of(place)))
+        paths.append(fetch(look_up(place)))
         os.utime(paths[-1].parent, (number, number))
     assert [path.exists() for path in paths] == [False, False, True, True]
     last = s3_place / "4"
     assert last.put(b"x" * 100, None)
-    kept = fetched(last, version_of(last))
+    kept = fetch(look_up(last))
     assert [path.exists() for path in paths] == [False, False, False, True]
     assert kept.exists()
 
 
 def test_an_object_that_goes_while_it_is_copied(s3_place, monkeypatch):
     assert s3_place.put(b"x", None)
-    version, blocks = version_of(s3_place), Place.blocks
+    found = look_up(s3_place)
+    blocks = Place.blocks
     monkeypatch.setattr(Place, "blocks", lambda at: (at.remove([""]), blocks(at))[1])
-    assert refusal(fetched, s3_place, version).code == "INPUT-CHANGED"
+    assert refusal(fetch, found).code == "INPUT-CHANGED"
 
 
 def refusal(call, *arguments, **options) -> UnbendError:
@@ -142,7 +135,7 @@ def test_credentials_that_may_not_write_are_refused_before_any_work(
 
     use(seaweed | READER)
     for writes in (False, True):
-        error = refusal(rehearse_place, s3_place, writes=writes)
+        error = refusal(remote.rehearse, s3_place, writes=writes)
         assert error.code == "CLOUD-DENIED"
         assert "write" in error.what
     mission.config["output"]["path"] = str(s3_place / "results")
@@ -176,13 +169,13 @@ def test_a_store_that_is_not_there(s3_place, use, seaweed):
 
 
 def test_a_clock_that_is_off(s3_place, monkeypatch):
-    class Later(publication.datetime):
+    class Later(remote.datetime):
         @classmethod
         def now(cls, zone=None):
             return super().now(zone) - timedelta(minutes=20)
 
-    monkeypatch.setattr(publication, "datetime", Later)
-    assert refusal(rehearse_place, s3_place, writes=True).code == "CLOUD-CLOCK"
+    monkeypatch.setattr(remote, "datetime", Later)
+    assert refusal(remote.rehearse, s3_place, writes=True).code == "CLOUD-CLOCK"
     assert s3_place.objects() == {}
 
 
@@ -260,7 +253,7 @@ def test_answers_of_a_store(use, scheme, status, body, code):
 def test_a_store_that_overwrites_in_spite_of_a_condition(use):
     with answering(200, b"", {"ETag": '"1"'}) as url:
         use(S3 | {"AWS_ENDPOINT_URL": url})
-        assert refusal(rehearse_place, Place.of("s3://season/a")).code == "CLOUD-UNCONDITIONAL"
+        assert refusal(remote.rehearse, Place.of("s3://season/a")).code == "CLOUD-UNCONDITIONAL"
 
 
 def test_a_download_that_is_cut_off(use, tmp_path):
@@ -269,7 +262,8 @@ def test_a_download_that_is_cut_off(use, tmp_path):
     with answering(206, b"x" * 400, headers) as url:
         use(S3 | {"AWS_ENDPOINT_URL": url})
         place = Place.of("s3://season/a")
-        assert refusal(fetched, place, "1").code == "CLOUD-FAILED"
+        found = RemoteInput(place, version="1", size_bytes=1000, mtime_ns=0)
+        assert refusal(fetch, found).code == "CLOUD-FAILED"
         assert refusal(read_manifest, place).code == "CLOUD-FAILED"
-        assert not copy_of(place, "1").exists()
+        assert not found.copy.exists()
         assert list((tmp_path / "cache/unbend/copies").iterdir()) == []

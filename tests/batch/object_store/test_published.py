@@ -15,11 +15,10 @@ import pytest
 
 from tests.draws import SEED
 from unbend.batch import object_store as place_module
-from unbend.batch import publication
-from unbend.batch.finished_run import verify_run
+from unbend.batch import remote
 from unbend.batch.object_store import Place
-from unbend.batch.publication import Publication, rehearse_place, remove_orphans
-from unbend.batch.store import find_damage, read_manifest
+from unbend.batch.remote import Publication, find_damage, read_manifest, rehearse, remove_leftovers
+from unbend.batch.results import verify_run
 from unbend.errors import OutputInUseError, StorageError
 
 RACES = int(os.environ.get("UNBEND_RACES", "4"))
@@ -83,7 +82,7 @@ def test_races_of_two_writers(place, tmp_path, record_property):
         assert ends.count(None) == (0 if same else 1), "one winner; of the same run both return it"
         assert read_manifest(at) == winner
         assert verify_run(at) == winner
-        assert remove_orphans(at, recent=True) == ([], 0)
+        assert remove_leftovers(at, recent=True) == ([], 0)
         assert set(at.objects()) == expected_at(winner), "something is left of the loser"
         won["both the same run" if same else "two runs"] += 1
     print(won)
@@ -94,7 +93,7 @@ class Killed(BaseException):
 
 
 def test_writers_killed_at_each_request(s3_place, tmp_path, monkeypatch):
-    ask = place_module.ask
+    answered = place_module.answered
     number = 0
     while True:
         number += 1
@@ -106,18 +105,18 @@ def test_writers_killed_at_each_request(s3_place, tmp_path, monkeypatch):
             left -= 1
             if left <= 0:
                 raise Killed
-            return ask(*arguments, **options)
+            return answered(*arguments, **options)
 
         with monkeypatch.context() as patch:
-            patch.setattr(place_module, "ask", counted)
+            patch.setattr(place_module, "answered", counted)
             with suppress(Killed):
                 publish(at, tmp_path, 1)
         seen = verify_run(at)
         assert seen == old or seen["fingerprint"] == made(tmp_path, 1)["fingerprint"]
-        monkeypatch.setattr(publication, "_WAIT_S", 0.0)
+        monkeypatch.setattr(remote, "_WAIT_S", 0.0)
         now = publish(at, tmp_path, 1)
         assert verify_run(at) == now
-        remove_orphans(at, recent=True)
+        remove_leftovers(at, recent=True)
         assert set(at.objects()) == expected_at(now)
         if left > 0:
             break
@@ -126,16 +125,16 @@ def test_writers_killed_at_each_request(s3_place, tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("written", ["runs/", "manifest.json"])
 def test_an_answer_that_is_lost(s3_place, tmp_path, monkeypatch, written):
-    ask = place_module.ask
+    request = place_module.request
 
-    def deaf(verb, place, call, *arguments, **options):
-        answer = ask(verb, place, call, *arguments, **options)
-        if call == "put" and written in place.key:
-            answer = ask(verb, place, call, *arguments, **options)  # as the library tries again
+    def deaf(verb, place, function, *arguments, **options):
+        answer = request(verb, place, function, *arguments, **options)
+        if function == "put" and written in place.key:  # as the library tries again
+            answer = request(verb, place, function, *arguments, **options)
         return answer
 
-    monkeypatch.setattr(publication, "_WAIT_S", 0.0)
-    monkeypatch.setattr(place_module, "ask", deaf)
+    monkeypatch.setattr(remote, "_WAIT_S", 0.0)
+    monkeypatch.setattr(place_module, "request", deaf)
     done = publish(s3_place, tmp_path, 1)
     assert done is not None
     assert verify_run(s3_place) == done
@@ -149,25 +148,28 @@ def test_orphans_of_the_last_hour_stay(s3_place, tmp_path, monkeypatch, unbend):
     for name in (orphan, *others):
         assert (s3_place / name).put(b"x", None)
     everything = set(s3_place.objects())
-    ended = unbend("clean", s3_place)
+    ended = unbend("verify", s3_place, "--remove-leftovers")
     assert ended.code == 0, ended.text
     assert ended.out == "1 upload of the last hour kept: --recent removes them too\n"
     assert set(s3_place.objects()) == everything
 
-    class Later(publication.datetime):
+    class Later(remote.datetime):
         @classmethod
         def now(cls, zone=None):
             return super().now(zone) + timedelta(hours=2)
 
     with monkeypatch.context() as patch:
-        patch.setattr(publication, "datetime", Later)
-        ended = unbend("clean", s3_place, "--json")
+        patch.setattr(remote, "datetime", Later)
+        ended = unbend("verify", s3_place, "--remove-leftovers", "--json")
     assert json.loads(ended.out) == {
         "removed": [f"{s3_place}/one/attempts/{'0' * 32}/"], "kept": 0
     }  # fmt: skip
     assert set(s3_place.objects()) == everything - {orphan}
     assert verify_run(s3_place / "one") == done
-    assert unbend("clean", s3_place).out == "nothing is left of interrupted runs\n"
+    assert (
+        unbend("verify", s3_place, "--remove-leftovers").out
+        == "nothing is left of interrupted runs\n"
+    )
 
 
 def test_objects_of_other_programs_stay(s3_place, tmp_path, unbend):
@@ -182,8 +184,8 @@ def test_objects_of_other_programs_stay(s3_place, tmp_path, unbend):
     for name in removed | others:
         assert (s3_place / name).put(b'{"fingerprint": "own"}', None)
     assert (s3_place / run).put(json.dumps(ours, indent=2).encode(), "overwrite")
-    assert "2 uploads of the last hour kept" in unbend("clean", s3_place).out
-    ended = unbend("clean", s3_place, "--recent", "--json")
+    assert "2 uploads of the last hour kept" in unbend("verify", s3_place, "--remove-leftovers").out
+    ended = unbend("verify", s3_place, "--remove-leftovers", "--recent", "--json")
     assert json.loads(ended.out)["kept"] == 0
     assert set(s3_place.objects()) == others
 
@@ -197,13 +199,13 @@ def test_a_manifest_that_leads_elsewhere_is_not_followed(s3_place, tmp_path):
             read_manifest(s3_place)
         assert refused.value.code == "MANIFEST-UNREADABLE"
         with pytest.raises(StorageError):
-            remove_orphans(s3_place, recent=True)
+            remove_leftovers(s3_place, recent=True)
     assert set(s3_place.objects()) == expected_at(done)
 
 
 def test_a_store_is_rehearsed(place):
-    rehearse_place(place)
-    rehearse_place(place, writes=True)
+    rehearse(place)
+    rehearse(place, writes=True)
     assert place.objects() == {}
 
 

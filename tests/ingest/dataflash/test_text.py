@@ -142,6 +142,17 @@ def test_a_line_without_end(tmp_path: Path) -> None:
     assert log.bad_bytes == 100_001
 
 
+def test_a_time_longer_than_any_number_costs_its_line(tmp_path: Path) -> None:
+    """A damaged TimeMS may have more digits than 64 bits hold, once it is in microseconds."""
+    body = "FMT, 24, 15, OLD, Ih, TimeMS,Value\n"
+    rows = [f"OLD, {k}00, {k}" for k in range(20)]
+    rows[9] = f"OLD, {2**63}, 9"
+    baro = "BARO, 2000000, 0, 95000, 20\n"
+    log = opened(tmp_path, body + "\n".join(rows) + "\n" + baro)
+    assert log.message_types()["OLD"] == 20
+    assert any(entry.code == "TIME-STRAY" for entry in log.ledger)
+
+
 def test_only_definitions(tmp_path: Path) -> None:
     with pytest.raises(LogError) as caught:
         opened(tmp_path, "")

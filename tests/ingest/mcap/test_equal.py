@@ -254,6 +254,8 @@ def test_without_the_protobuf_library_its_topics_are_a_stated_loss(
     monkeypatch.setitem(__import__("sys").modules, "mcap_protobuf.decoder", None)
     with pytest.raises(Exception, match="LOG-NO-MESSAGES"):
         open_log(path)
+    log = open_log(path, needs_channels=False)
+    assert [(entry.code, entry.where) for entry in log.ledger] == [("LOG-NO-PROTOBUF", "/fix")]
 
 
 def json_log(path: Path, rows: list[tuple[str, str, dict | bytes]]) -> Log:

@@ -273,7 +273,7 @@ def test_bytes_behind_an_lz4_frame_cost_nothing(behind: bytes) -> None:
 
     packed = lz4.frame.compress(bytes(1000)) + behind
     chunk = Chunk(0, 0, 1000, 0, "lz4", 0, len(packed), 0)
-    assert inflate(packed, chunk) == bytes(1000)
+    assert inflate(packed, chunk, where="a.mcap, byte 0", count=1000) == bytes(1000)
 
 
 def bomb(compression: str, promised: int, size: int) -> bytes:
@@ -372,6 +372,7 @@ def test_messages_that_a_recorder_missed_show_by_their_numbers(
     log = opened(tmp_path, file.getvalue())
     assert log.lost_messages == 10
     assert [(e.kind, e.count) for e in entries(log, "LOG-LINK-LOSS")] == [("loss", 10)]
+    assert bool(entries(log, "LOG-NO-STATISTICS")) is not statistics
 
 
 def test_log_time_0_takes_nothing_from_messages_with_a_stamp(tmp_path: Path) -> None:
@@ -590,6 +591,21 @@ def test_a_message_that_does_not_fit_its_schema_is_a_loss(tmp_path: Path) -> Non
     log = opened(tmp_path, damaged)
     assert entries(log, "LOG-DECODE")[0].count == 1
     assert len(log.channel("/outside/air")) == 60
+
+
+def test_a_schema_that_cannot_be_parsed_costs_its_topic(tmp_path: Path) -> None:
+    bag = Bag()
+    schema = bag.writer.register_msgdef("sensor_msgs/msg/FluidPressure", "wstring name")
+    number = bag.writer._writer.register_channel("/odd", "cdr", schema.id)
+    bag.writer._writer.add_message(number, START, b"\x00\x01\x00\x00abc", START, 0)
+    bag.write("/air", "Temperature", START, temperature=20.0, variance=0.0)
+    log = opened(tmp_path, bag.data)
+    (entry,) = entries(log, "LOG-SCHEMA")
+    assert (entry.kind, entry.where) == ("loss", "/odd")
+    assert "name is a wstring" in entry.what
+    with pytest.raises(LogError, match="the schema of sensor_msgs/FluidPressure") as caught:
+        log.message("/odd")
+    assert caught.value.code == "LOG-NO-TABLE"
 
 
 def test_ros_1_is_counted_and_not_read(tmp_path: Path) -> None:

@@ -1,27 +1,66 @@
 """Suspect stretches of a flight by all evidence of its log, and of what other programs imported."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from unbend.flight.channels import Channel
-from unbend.flight.evidence import filter_health as health
-from unbend.flight.evidence import sources as src
-from unbend.flight.evidence import stretches as spans
-from unbend.flight.evidence.quality import subset
-from unbend.flight.evidence.sources import SourcePath, Sources, is_receiver, velocity_at
-from unbend.flight.evidence.stretches import ATTITUDE, HEIGHT, POSITION, SECOND, Stretch, merged
+from unbend.atmosphere.rejection import Reason, reasons_where
+from unbend.flight.channels import Channel, TimeArray
+from unbend.flight.evidence.filter_health import (
+    attitude_evidence,
+    filter_evidence,
+    message_evidence,
+)
+from unbend.flight.evidence.messages import barometer_drifts
+from unbend.flight.evidence.sources import (
+    BESIDE_S,
+    LONGEST_COAST_S,
+    LONGEST_REPLACED_S,
+    WORST_ACCURACY_M,
+    Difference,
+    SourcePath,
+    Sources,
+    difference,
+    drifted,
+    height_of_pressure,
+    is_receiver,
+    places_of,
+    replacement_for,
+    sigma_column,
+    source_path,
+    velocity_at,
+    with_places,
+    with_replaced,
+)
+from unbend.flight.evidence.stretches import (
+    ATTITUDE,
+    HEIGHT,
+    POSITION,
+    SECOND,
+    Run,
+    Stretch,
+    covered,
+    merged,
+    runs,
+    stretch_of_run,
+)
 from unbend.flight.mount import is_of_gimbal
 from unbend.flight.roles import follows_height
-from unbend.messages import Entry, Notes, warning
+from unbend.messages import Message, Notes
+from unbend.units import Array
 
 _FEWEST = 10  # samples of which a channel must have more to be compared
 
 # A difference from the log that is an autopilot's own, beyond a constant one [m].
 LEAST_M = {POSITION: 5.0, HEIGHT: 10.0}
 
-_SLOWEST_HZ, _SIGMAS = 1.0, 3.0
+_SLOWEST_HZ = 1.0  # of a channel in which steps are looked for
+_EXPLAINED_SIGMAS = 3.0  # of an imported channel, which explain a difference
+_BETTER_AFTER = 0.5  # of the accuracy before a step: what is so much better was wrong before
+_PRESENT = 0.8  # of the usual samples of a channel that goes on
+_SILENT_INTERVALS = 5.0  # usual ones of a receiver, after which it has no fix
+_LARGE_PART = 0.5  # of the greatest difference, by which a receiver would contradict itself
 
 
 def examine(
@@ -32,175 +71,319 @@ def examine(
     Returns the roles with the samples of better sources; the suspect stretches, which name them;
     and notes on other sensors that are wrong.
     """
-    evidence = list[Stretch]()
-    if any(map(is_receiver, channels)):
-        evidence = health.filter_evidence(channels) + health.message_evidence(channels)
-    attitude, result, notes = roles.get(ATTITUDE), dict(roles), list[Entry]()
-    found, turned = list[Stretch](), list[Stretch]()
-    of_vehicle = attitude is not None and not is_of_gimbal(attitude.source.message)
-    if attitude is not None and of_vehicle:
-        turned = [s for s in evidence if s.quantity == ATTITUDE]
-        turned += health.attitude_evidence(attitude, channels)
+    examination = _Examination(channels, roles, dict(roles))
+    if any(is_receiver(channel) for channel in channels):
+        examination.said = filter_evidence(channels) + message_evidence(channels)
+    examination.examine_attitude()
     for quantity in (POSITION, HEIGHT):
-        mine = roles.get(quantity)
-        if mine is None or len(src.with_places(mine, quantity)) <= _FEWEST:
-            continue
-        sources = sources_of(quantity, mine, channels, roles)
-        steady = (roles.get(name) for name in (ATTITUDE, POSITION))
-        while_on = next((c for c in steady if c is not None and c.name != mine.name), mine)
-        suspect, drifts = contradictions_of(sources, while_on)
-        of_filter = quantity == POSITION and not is_receiver(mine)
-        if of_filter:
-            suspect += [s for s in evidence if s.quantity == POSITION]
-            # A filter whose vertical was wrong settles with its position.
-            ends = [[s.end_ns, *(d.end_ns for d in merged(suspect) if s.meets(d))] for s in turned]
-            turned = [replace(s, end_ns=max(end)) for s, end in zip(turned, ends, strict=True)]
-        elif quantity == HEIGHT and is_receiver(mine):
+        own = roles.get(quantity)
+        if own is not None and len(with_places(own, quantity)) > _FEWEST:
+            examination.examine_places(quantity, own)
+    suspect = [*examination.suspect, *merged(examination.suspect_attitude)]
+    return examination.result, tuple(sorted(suspect)), tuple(examination.notes)
+
+
+@dataclass
+class _Examination:
+    """What is known so far against the roles of a log.
+
+    ``result`` : the roles, with the samples of better sources. ``said`` : what filter and autopilot
+    say of themselves.
+    """
+
+    channels: Sequence[Channel]
+    roles: Mapping[str, Channel]
+    result: dict[str, Channel]
+    said: list[Stretch] = field(default_factory=list)
+    suspect: list[Stretch] = field(default_factory=list)
+    suspect_attitude: list[Stretch] = field(default_factory=list)
+    notes: list[Message] = field(default_factory=list)
+
+    @property
+    def attitude_of_vehicle(self) -> Channel | None:
+        """The attitude, unless it is a gimbal's."""
+        attitude = self.roles.get(ATTITUDE)
+        if attitude is None or is_of_gimbal(attitude.source.message):
+            return None
+        return attitude
+
+    def examine_attitude(self) -> None:
+        """What filter, autopilot and other attitudes say against the vehicle's."""
+        attitude = self.attitude_of_vehicle
+        if attitude is not None:
+            self.suspect_attitude = [s for s in self.said if s.quantity == ATTITUDE]
+            self.suspect_attitude += attitude_evidence(attitude, self.channels)
+
+    def examine_places(self, quantity: str, own: Channel) -> None:
+        """What other sources say against a position or height, and which replaces it."""
+        sources = sources_of(quantity, own, self.channels, self.roles)
+        suspect, drifts = contradictions_of(sources, self._goes_on_beside(own))
+        if quantity == POSITION and not is_receiver(own):
+            suspect += [s for s in self.said if s.quantity == POSITION]
+            self._prolong_attitude(merged(suspect))
+        elif quantity == HEIGHT and is_receiver(own):
             # A fix that has stepped away in position is wrong in height too.
-            path = src.source_path(mine, POSITION, [mine, *sorted(channels, key=is_receiver)])
-            away = [s for s in own_contradictions(path, POSITION) if np.isfinite(s.off_m)]
+            away = self._steps_in_position(own)
             suspect += [replace(s, quantity=HEIGHT, off_m=np.nan) for s in away]
-            good = sources.own.good & ~spans.covered(away, sources.own.channel.time_ns)
+            good = sources.own.good & ~covered(away, sources.own.channel.time_ns)
             sources = replace(sources, own=replace(sources.own, good=good))
         for drift in merged(drifts):
-            pressure = result["pressure"]
-            result["pressure"] = subset(pressure, ~drift.covers(pressure.time_ns))
-            what = f"{drift.reason}: its pressure is not used from {drift.when}"
-            notes.append(warning("BARO-DRIFT", what, where=pressure.name))
+            self._leave_pressure_out(drift)
         for stretch in merged(suspect):
-            replacement = src.replacement_for(sources, stretch)
-            if replacement is not None:
-                better, offsets = replacement
-                if of_filter and of_vehicle:
-                    turned += src.drifted(sources.own, better, stretch)
-                stretch = replace(stretch, replaced_by=better.other.channel.name)
-                result[quantity] = src.with_replaced(result[quantity], better, stretch, offsets)
-            found.append(stretch)
-    return result, tuple(sorted([*found, *merged(turned)])), tuple(notes)
+            self.suspect.append(self._replaced_if_plain(sources, stretch))
+
+    def _goes_on_beside(self, own: Channel) -> Channel:
+        """A channel that shows whether the log goes on where a receiver is silent."""
+        for role in (ATTITUDE, POSITION):
+            channel = self.roles.get(role)
+            if channel is not None and channel.name != own.name:
+                return channel
+        return own
+
+    def _prolong_attitude(self, suspect_positions: list[Stretch]) -> None:
+        """A filter whose vertical was wrong settles with its position."""
+        prolonged: list[Stretch] = []
+        for stretch in self.suspect_attitude:
+            end_ns = stretch.end_ns
+            for position in suspect_positions:
+                if stretch.meets(position):
+                    end_ns = max(end_ns, position.end_ns)
+            prolonged.append(replace(stretch, end_ns=end_ns))
+        self.suspect_attitude = prolonged
+
+    def _steps_in_position(self, receiver: Channel) -> list[Stretch]:
+        """Where a receiver has stepped away in position, by a known distance."""
+        moving = [receiver, *sorted(self.channels, key=is_receiver)]
+        path = source_path(receiver, POSITION, moving)
+        return [s for s in own_contradictions(path, POSITION) if np.isfinite(s.off_m)]
+
+    def _leave_pressure_out(self, drift: Stretch) -> None:
+        """The pressure without a stretch in which the barometer drifts."""
+        pressure = self.result["pressure"]
+        reasons = reasons_where(drift.covers(pressure.time_ns), Reason.BAROMETER_DRIFT)
+        self.result["pressure"] = pressure.without(reasons)
+        message = barometer_drifts(barometer=pressure.name, reason=drift.reason, when=drift.when)
+        self.notes.append(message)
+
+    def _replaced_if_plain(self, sources: Sources, stretch: Stretch) -> Stretch:
+        """A suspect stretch, with the source that replaces it where it is plain who is wrong."""
+        replacement = replacement_for(sources, stretch)
+        if replacement is None:
+            return stretch
+        is_filter = sources.quantity == POSITION and not is_receiver(sources.own.channel)
+        if is_filter and self.attitude_of_vehicle is not None:
+            self.suspect_attitude += drifted(sources.own, replacement, stretch)
+        stretch = replace(stretch, replaced_by=replacement.channel.name)
+        channel = self.result[sources.quantity]
+        self.result[sources.quantity] = with_replaced(channel, replacement, stretch)
+        return stretch
 
 
 def sources_of(
-    quantity: str, mine: Channel, channels: Sequence[Channel], roles: Mapping[str, Channel]
+    quantity: str, own: Channel, channels: Sequence[Channel], roles: Mapping[str, Channel]
 ) -> Sources:
     """Compare the source of a quantity with all others, receivers first, and barometers."""
     moving = sorted(channels, key=is_receiver)  # a filter's velocity is smoother than a receiver's
-    others = [c for c in channels if c.name != mine.name and POSITION in c.roles]
-    others = [c for c in others if len(src.with_places(c, quantity)) > _FEWEST]
-    others.sort(key=lambda c: (not is_receiver(c), c.rank))
-    pressure, barometers = roles.get("pressure"), list[Channel]()
+    others = [
+        channel
+        for channel in channels
+        if channel.name != own.name
+        and POSITION in channel.roles
+        and len(with_places(channel, quantity)) > _FEWEST
+    ]
+    others.sort(key=lambda channel: (not is_receiver(channel), channel.rank))
+    barometers: list[Channel] = []
+    pressure = roles.get("pressure")
     if pressure is not None and quantity == HEIGHT:
-        more = (c for c in channels if "pressure" in c.roles and c.name != pressure.name)
-        barometers = [pressure, *(c for c in more if follows_height(c, mine))]
-        heights = (src.height_of_pressure(c, mine) for c in barometers)
-        others += [h for h in heights if h is not None]
-    own, steady_until_ns = src.source_path(mine, quantity, [mine, *moving]), None
-    if own.lasting_ns.size:  # what is better after a step than before it was wrong before
-        name = "sigma_v_m" if quantity == HEIGHT else "sigma_h_m"
-        sigma, later = mine.columns.get(name, np.ones(len(mine))), mine.time_ns > own.lasting_ns[0]
-        if not np.median(sigma[later]) < 0.5 * np.median(sigma[~later]):
-            steady_until_ns = int(own.lasting_ns[0])
-    differences = []
+        barometers = _barometers_outside(pressure, own, channels)
+        for barometer in barometers:
+            heights = height_of_pressure(barometer, own)
+            if heights is not None:
+                others.append(heights)
+    own_path = source_path(own, quantity, [own, *moving])
+    differences: list[Difference] = []
     for other in others:
-        path = src.source_path(other, quantity, [other, *moving])
-        speed = velocity_at([mine, *moving], quantity, path.channel.time_ns)
-        apart = src.difference(mine, path, quantity, speed, steady_until_ns=steady_until_ns)
+        path = source_path(other, quantity, [other, *moving])
+        apart = difference(
+            own,
+            path,
+            quantity,
+            velocity_at([own, *moving], quantity, path.channel.time_ns),
+            steady_until_ns=_steady_until(own, own_path, quantity),
+        )
         differences.append(apart)
-    return Sources(quantity, own, tuple(differences), tuple(c.name for c in barometers))
+    names = tuple(barometer.name for barometer in barometers)
+    return Sources(quantity, own_path, tuple(differences), names)
+
+
+def _barometers_outside(
+    pressure: Channel, height: Channel, channels: Sequence[Channel]
+) -> list[Channel]:
+    """The barometer of the pressure, and others that follow a height as free air does."""
+    others = [
+        channel
+        for channel in channels
+        if "pressure" in channel.roles and channel.name != pressure.name
+    ]
+    return [pressure, *(channel for channel in others if follows_height(channel, height))]
+
+
+def _steady_until(own: Channel, path: SourcePath, quantity: str) -> int | None:
+    """When a source first stepped and did not return [ns]; None where it is better since.
+
+    What is better after a step than before it was wrong before.
+    """
+    if path.lasting_ns.size == 0:
+        return None
+    step_ns = int(path.lasting_ns[0])
+    sigma = own.columns.get(sigma_column(quantity), np.ones(len(own)))
+    is_later = own.time_ns > step_ns
+    if np.median(sigma[is_later]) < _BETTER_AFTER * np.median(sigma[~is_later]):
+        return None
+    return step_ns
 
 
 def contradictions_of(sources: Sources, while_on: Channel) -> tuple[list[Stretch], list[Stretch]]:
     """Where a source contradicts itself or the others, and where only the barometer is wrong."""
-    own, name, quantity = sources.own, sources.own.channel.name, sources.quantity
-    found, drifts = own_contradictions(own, quantity), list[Stretch]()
-    receivers = [d.other for d in sources.differences if is_receiver(d.other.channel)]
+    own = sources.own
+    suspect = _of_source_itself(sources, while_on)
+    drifts: list[Stretch] = []
+    for each in sources.differences:
+        other = each.other
+        height_of_receiver = (
+            sources.quantity == HEIGHT
+            and is_receiver(own.channel)
+            and not is_receiver(other.channel)
+        )
+        for run in each.apart:
+            off_m = float(np.nanmax(each.off_m[run.rows]))
+            reason = f"{own.channel.name} and {other.channel.name} are {off_m:.0f} m apart"
+            if other.stepped_m[run.rows].any():
+                steps = f"{other.channel.name} steps at {other.fastest_m_s:.0f} m/s"
+                reason = f"{steps}; {reason}"
+            stretch = stretch_of_run(other.channel.time_ns, run, sources.quantity, reason, off_m)
+            if not (height_of_receiver and receiver_is_right(sources, each, run)):
+                suspect.append(stretch)
+            elif other.channel.name in sources.barometers[:1]:
+                drifts.append(stretch)
+            # Else it is a filter's height, which follows the barometer and says nothing of its own.
+    return suspect, drifts
+
+
+def _of_source_itself(sources: Sources, while_on: Channel) -> list[Stretch]:
+    """Where a source steps or is silent; of a filter, where its receivers do.
+
+    A filter that was led away leaves the receiver's path less its steps. One that steps back to it
+    was wrong before the step, which its own path does not show.
+    """
+    own = sources.own
+    quantity = sources.quantity
     if is_receiver(own.channel):
-        found += silences(own.channel, while_on, quantity)
-    elif receivers:
-        # A filter that was led away leaves the receiver's path less its steps. One that steps back
-        # to it was wrong before the step, which its own path does not show.
-        found = own_contradictions(receivers[0], quantity) if len(receivers) == 1 else []
-        found = [s for s in found if not np.isfinite(s.off_m)]
-        quiet = [silences(r.channel, own.channel, quantity) for r in receivers]
-        found += [s for s in quiet[0] if all(any(map(s.meets, more)) for more in quiet[1:])]
-    for d in sources.differences:
-        other, time_ns = d.other, d.other.channel.time_ns
-        for a, b in d.apart:
-            off_m = float(np.nanmax(d.off_m[a : b + 1]))
-            reason = f"{name} and {other.channel.name} are {off_m:.0f} m apart"
-            if other.stepped_m[a : b + 1].any():
-                reason = f"{other.channel.name} steps at {other.fastest_m_s:.0f} m/s; {reason}"
-            stretch = Stretch(*spans.beside(time_ns, a, b), quantity, reason, off_m)
-            of_receiver = is_receiver(own.channel) and not is_receiver(other.channel)
-            if quantity == HEIGHT and of_receiver and receiver_is_right(sources, d, a, b):
-                # A filter's height follows the barometer: it says nothing of its own.
-                if other.channel.name in sources.barometers[:1]:
-                    drifts.append(stretch)
-            else:
-                found.append(stretch)
-    return found, drifts
+        return own_contradictions(own, quantity) + silences(own.channel, while_on, quantity)
+    receivers = [each.other for each in sources.differences if is_receiver(each.other.channel)]
+    if not receivers:
+        return own_contradictions(own, quantity)
+    suspect: list[Stretch] = []
+    if len(receivers) == 1:
+        of_receiver = own_contradictions(receivers[0], quantity)
+        suspect = [stretch for stretch in of_receiver if not np.isfinite(stretch.off_m)]
+    first, *others = [silences(path.channel, own.channel, quantity) for path in receivers]
+    for silence in first:
+        if all(any(silence.meets(other) for other in of_other) for of_other in others):
+            suspect.append(silence)
+    return suspect
 
 
-def own_contradictions(track: SourcePath, quantity: str) -> list[Stretch]:
+def own_contradictions(path: SourcePath, quantity: str) -> list[Stretch]:
     """Where a source has stepped away from itself, or reports a poor accuracy."""
-    time_ns, name, found = track.channel.time_ns, track.channel.name, []
-    away = np.linalg.norm(track.stepped_m, axis=1)
-    for a, b in spans.runs(time_ns, away > 0.0, away > 0.0):
-        off_m = float(away[a : b + 1].max())
-        reason = f"{name} steps by {off_m:.0f} m at {track.fastest_m_s:.0f} m/s"
-        found.append(Stretch(*spans.beside(time_ns, a, b), quantity, reason, off_m))
-    for time in track.lasting_ns.tolist():
-        reason = f"{name} steps at {track.fastest_m_s:.0f} m/s and does not return"
-        wide = src.LONGEST_REPLACED_S // 2 * SECOND
-        found.append(Stretch(int(time - wide), int(time + wide), quantity, reason))
-    poor = ~track.good & (away == 0.0)
-    for a, b in spans.runs(time_ns, poor, poor):
-        reason = f"{name} reports an accuracy worse than {src.WORST_ACCURACY_M:g} m"
-        found.append(Stretch(*spans.beside(time_ns, a, b), quantity, reason))
-    return found
+    time_ns = path.channel.time_ns
+    name = path.channel.name
+    suspect: list[Stretch] = []
+    away_m = np.linalg.norm(path.stepped_m, axis=1)
+    is_away = away_m > 0.0
+    for run in runs(time_ns, is_away, is_away):
+        off_m = float(away_m[run.rows].max())
+        reason = f"{name} steps by {off_m:.0f} m at {path.fastest_m_s:.0f} m/s"
+        suspect.append(stretch_of_run(time_ns, run, quantity, reason, off_m))
+    around_ns = LONGEST_REPLACED_S // 2 * SECOND
+    for step_ns in path.lasting_ns.tolist():
+        reason = f"{name} steps at {path.fastest_m_s:.0f} m/s and does not return"
+        suspect.append(Stretch(step_ns - around_ns, step_ns + around_ns, quantity, reason))
+    is_poor = ~path.good & ~is_away
+    for run in runs(time_ns, is_poor, is_poor):
+        reason = f"{name} reports an accuracy worse than {WORST_ACCURACY_M:g} m"
+        suspect.append(stretch_of_run(time_ns, run, quantity, reason))
+    return suspect
 
 
 def silences(channel: Channel, while_on: Channel, quantity: str) -> list[Stretch]:
     """When a receiver gives nothing though another channel goes on: it has no fix."""
-    limit_ns = max(src.LONGEST_COAST_S, 5.0 / max(channel.rate_hz, 1e-3)) * SECOND
+    usual_s = _SILENT_INTERVALS / max(channel.rate_hz, 1e-3)
+    limit_ns = max(LONGEST_COAST_S, usual_s) * SECOND
     edges = np.concatenate([while_on.time_ns[:1], channel.time_ns, while_on.time_ns[-1:]])
-    found = []
-    for k in np.flatnonzero(np.diff(edges) > limit_ns):
-        begin, end = int(edges[k]), int(edges[k + 1])
-        rows = int(np.diff(np.searchsorted(while_on.time_ns, [begin, end]))[0])
-        if rows > 0.8 * while_on.rate_hz * (end - begin) / SECOND:
-            reason = f"{channel.name} has no fix for {(end - begin) / SECOND:.0f} s"
-            found.append(Stretch(begin + SECOND // 2, end, quantity, reason))
-    return found
+    suspect: list[Stretch] = []
+    for before in np.flatnonzero(np.diff(edges) > limit_ns):
+        begin_ns = int(edges[before])
+        end_ns = int(edges[before + 1])
+        lasts_s = (end_ns - begin_ns) / SECOND
+        first, last = np.searchsorted(while_on.time_ns, [begin_ns, end_ns]).tolist()
+        if last - first > _PRESENT * while_on.rate_hz * (end_ns - begin_ns) / SECOND:
+            reason = f"{channel.name} has no fix for {lasts_s:.0f} s"
+            suspect.append(Stretch(begin_ns + SECOND // 2, end_ns, quantity, reason))
+    return suspect
 
 
-def receiver_is_right(sources: Sources, d: src.Difference, a: int, b: int) -> bool:
+def receiver_is_right(sources: Sources, departs: Difference, run: Run) -> bool:
     """Whether a receiver's height is confirmed where a barometer, or a filter by it, departs.
 
     By its own vertical velocity from 10 s before to the greatest difference and about the end, or
-    by a source that does not depend on that barometer and agrees all the time (rows a to b).
+    by a source that does not depend on that barometer and agrees all the time.
     """
-    mine, time_ns = sources.own.channel, d.other.channel.time_ns
-    beside_ns = int(src.BESIDE_S * SECOND)
-    begin_ns, end_ns = time_ns[a] - beside_ns, time_ns[b] + beside_ns
-    rows = (mine.time_ns >= begin_ns) & (mine.time_ns <= end_ns)
-    if np.count_nonzero(rows) < 2 or sources.own.stepped_m[rows].any():
+    own = sources.own.channel
+    time_ns = departs.other.channel.time_ns
+    beside_ns = int(BESIDE_S * SECOND)
+    begin_ns = int(time_ns[run.first])
+    end_ns = int(time_ns[run.last])
+    around = (own.time_ns >= begin_ns - beside_ns) & (own.time_ns <= end_ns + beside_ns)
+    if np.count_nonzero(around) < 2 or sources.own.stepped_m[around].any():
         return False
-    worst = a + int(np.nanargmax(d.off_m[a : b + 1]))
-    times = mine.time_ns[rows]
-    climb = velocity_at([mine], HEIGHT, times)[:, 0]
-    if np.isfinite(climb).all():
-        climbed = np.cumsum(np.diff(times * 1e-9) * (climb[1:] + climb[:-1]) / 2.0)
-        left = np.append(0.0, climbed) - src.places_of(mine, HEIGHT)[0][rows, 0]
-        at = np.searchsorted(times, [begin_ns, time_ns[worst], time_ns[b] - beside_ns, end_ns])
-        left = left[np.minimum(at, times.size - 1)]
-        return bool((np.abs(left[1::2] - left[::2]) < 0.5 * float(d.off_m[worst])).all())
-    for free in sources.differences:
-        stamps = free.other.channel.time_ns
-        inside = (stamps >= time_ns[a]) & (stamps <= time_ns[b])
-        name = free.other.channel.name
-        independent = is_receiver(free.other.channel) or name in sources.barometers[1:]
-        agrees = inside.any() and bool((free.off_m[inside] < free.limit_m).all())
-        if independent and name != d.other.channel.name and agrees:
+    own_ns = own.time_ns[around]
+    climb_m_s = velocity_at([own], HEIGHT, own_ns)[:, 0]
+    if not np.isfinite(climb_m_s).all():
+        return _agrees_with_another(sources, departs, begin_ns, end_ns)
+    height_m = places_of(own, HEIGHT)[around, 0]
+    unexplained_m = _climbed(own_ns, climb_m_s) - height_m
+    worst = run.first + int(np.nanargmax(departs.off_m[run.rows]))
+    worst_ns = int(time_ns[worst])
+    allowed_m = _LARGE_PART * float(departs.off_m[worst])
+
+    def changes_by(from_ns: int, to_ns: int) -> float:
+        first, last = np.searchsorted(own_ns, [from_ns, to_ns])
+        newest = own_ns.size - 1
+        change = unexplained_m[min(last, newest)] - unexplained_m[min(first, newest)]
+        return abs(float(change))
+
+    until_worst_m = changes_by(begin_ns - beside_ns, worst_ns)
+    about_end_m = changes_by(end_ns - beside_ns, end_ns + beside_ns)
+    return until_worst_m < allowed_m and about_end_m < allowed_m
+
+
+def _climbed(time_ns: TimeArray, climb_m_s: Array) -> Array:
+    """(n,) metres climbed since the first of some times."""
+    mean_m_s = (climb_m_s[1:] + climb_m_s[:-1]) / 2.0
+    return np.append(0.0, np.cumsum(np.diff(time_ns * 1e-9) * mean_m_s))
+
+
+def _agrees_with_another(sources: Sources, departs: Difference, begin_ns: int, end_ns: int) -> bool:
+    """Whether a source that does not depend on the one that departs agrees all the time."""
+    for each in sources.differences:
+        channel = each.other.channel
+        if channel.name == departs.other.channel.name:
+            continue
+        if not is_receiver(channel) and channel.name not in sources.barometers[1:]:
+            continue
+        inside = (channel.time_ns >= begin_ns) & (channel.time_ns <= end_ns)
+        if inside.any() and bool((each.off_m[inside] < each.limit_m).all()):
             return True
     return False
 
@@ -216,34 +399,66 @@ def contradictions_of_import(
     ``own`` are the roles as the log fills them, but for ``own_suspect`` stretches. Steps are looked
     for at 1 Hz and faster. What three of the channel's own sigmas explain is no contradiction.
     """
-    found = []
-    for quantity in (q for q in (POSITION, HEIGHT) if q in quantities):
-        mine = src.with_places(imported, quantity)
-        if len(mine) <= _FEWEST:
+    suspect: list[Stretch] = []
+    for quantity in (POSITION, HEIGHT):
+        if quantity not in quantities:
             continue
-        sigma = mine.columns.get("sigma_v_m" if quantity == HEIGHT else "sigma_h_m")
-        stated = np.zeros(len(mine)) if sigma is None else np.nan_to_num(sigma)
-        bare = {name: v for name, v in mine.columns.items() if not name.startswith("sigma_")}
-        moving = [mine, *(own[name] for name in (POSITION, HEIGHT) if name in own)]
-        path = src.source_path(replace(mine, columns=bare), quantity, moving)
-        stretches = own_contradictions(path, quantity) if mine.rate_hz >= _SLOWEST_HZ else []
-        log = src.with_places(own[quantity], quantity) if quantity in own else None
-        if log is not None and len(log) > _FEWEST:
-            still, one = np.zeros_like(path.stepped_m), mine.boot.astype(np.intp)
-            whole = replace(path, stepped_m=still, good=np.ones(len(mine), np.bool_), part=one)
-            # Heights above two surfaces are apart where nothing lags.
-            speed = still if quantity == HEIGHT else velocity_at(moving, quantity, mine.time_ns)
-            apart = src.difference(log, whole, quantity, speed)
-            silent = spans.covered([s for s in own_suspect if s.quantity == quantity], mine.time_ns)
-            off = np.where(silent, 0.0, np.nan_to_num(apart.off_m))
-            limit = max(apart.limit_m, LEAST_M[quantity])
-            for a, b in spans.runs(mine.time_ns, off > 0.5 * limit, off > limit):
-                off_m = float(off[a : b + 1].max())
-                reason = f"{mine.name} and {log.name} are {off_m:.0f} m apart"
-                ends = spans.beside(mine.time_ns, a, b)
-                stretches.append(Stretch(*ends, quantity, reason, off_m))
+        placed = with_places(imported, quantity)
+        if len(placed) <= _FEWEST:
+            continue
+        moving = [placed, *(own[role] for role in (POSITION, HEIGHT) if role in own)]
+        path = source_path(_without_sigmas(placed), quantity, moving)
+        stretches: list[Stretch] = []
+        if placed.rate_hz >= _SLOWEST_HZ:
+            stretches += own_contradictions(path, quantity)
+        if quantity in own:
+            log = with_places(own[quantity], quantity)
+            silent = [stretch for stretch in own_suspect if stretch.quantity == quantity]
+            if len(log) > _FEWEST:
+                stretches += _departures_from_log(path, log, quantity, moving, silent)
+        sigma = np.nan_to_num(placed.get(sigma_column(quantity)))
         for stretch in merged(stretches):
-            reported = float(stated[stretch.covers(mine.time_ns)].max(initial=0.0))
-            if not stretch.off_m < _SIGMAS * reported:
-                found.append(stretch)
-    return tuple(found)
+            reported_m = float(sigma[stretch.covers(placed.time_ns)].max(initial=0.0))
+            is_explained = stretch.off_m < _EXPLAINED_SIGMAS * reported_m
+            if not is_explained:
+                suspect.append(stretch)
+    return tuple(suspect)
+
+
+def _without_sigmas(channel: Channel) -> Channel:
+    """A channel that says nothing of its accuracy."""
+    columns = {name: v for name, v in channel.columns.items() if not name.startswith("sigma_")}
+    return replace(channel, columns=columns)
+
+
+def _departures_from_log(
+    imported: SourcePath,
+    log: Channel,
+    quantity: str,
+    moving: Sequence[Channel],
+    silent: Sequence[Stretch],
+) -> list[Stretch]:
+    """Where an imported path leaves the log's by more than an autopilot's own error.
+
+    ``silent`` : stretches in which the log itself is suspect, and says nothing.
+    """
+    channel = imported.channel
+    never_away = np.zeros_like(imported.stepped_m)
+    whole = replace(
+        imported,
+        stepped_m=never_away,
+        good=np.ones(len(channel), np.bool_),
+        part=channel.boot.astype(np.intp),
+    )
+    velocity = never_away  # heights above two surfaces are apart where nothing lags
+    if quantity == POSITION:
+        velocity = velocity_at(moving, quantity, channel.time_ns)
+    apart = difference(log, whole, quantity, velocity)
+    off_m = np.where(covered(silent, channel.time_ns), 0.0, np.nan_to_num(apart.off_m))
+    limit_m = max(apart.limit_m, LEAST_M[quantity])
+    stretches: list[Stretch] = []
+    for run in runs(channel.time_ns, off_m > 0.5 * limit_m, off_m > limit_m):
+        farthest_m = float(off_m[run.rows].max())
+        reason = f"{channel.name} and {log.name} are {farthest_m:.0f} m apart"
+        stretches.append(stretch_of_run(channel.time_ns, run, quantity, reason, farthest_m))
+    return stretches

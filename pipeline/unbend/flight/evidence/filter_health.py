@@ -7,15 +7,44 @@ from dataclasses import replace
 import numpy as np
 
 from unbend.flight.channels import Channel, TimeArray
-from unbend.flight.evidence.stretches import ATTITUDE, POSITION, SECOND, Stretch, beside, runs
+from unbend.flight.evidence.stretches import (
+    ATTITUDE,
+    POSITION,
+    SECOND,
+    Stretch,
+    runs,
+    stretch_of_run,
+)
 from unbend.flight.rotations import down_in_body
 from unbend.flight.trajectory import interpolate
 from unbend.units import Array
 
 # A difference of the verticals of two attitudes that is noise, whatever is usual [deg].
 NOISE_TILT_DEG = 1.5
+_SEVERAL_USUAL_TILTS = 3.0  # a tilt of so many times the 95th percentile is no noise
+_TURN_NS = SECOND // 10  # times of telemetry are no better, before and after an instant
+
 # A filter has recovered when its innovation ratios have been below this for so long.
-SETTLED_RATIO, SETTLED_S = 0.7, 3.0
+SETTLED_RATIO = 0.7
+SETTLED_S = 3.0
+REJECTED_RATIO = 1.0  # of an innovation to its gate: above, the filter rejects the measurement
+
+# A ratio below this is passed over where it lasts for less than this [s].
+_LARGE_RATIO = 2.0
+_SHORT_S = 0.5
+_SHORT_COMPASS_S = 5.0
+
+# An accelerometer that clips as often [1/s], for longer than this.
+_CLIPS_PER_SECOND = 100.0
+_STILL_CLIPS_PER_SECOND = 50.0
+_LONGEST_CLIPPING_NS = 2 * SECOND
+
+_LANE_GAP_S = 2.0  # between samples of another lane of the filter
+_ATTITUDE_GAP_S = 1.0
+
+_MESSAGE_DELAY_NS = SECOND // 2  # an autopilot takes as long to say what is wrong
+_MOMENT_NS = 5 * SECOND  # what a switch from one filter to another counts for
+_NEVER_OVER_NS = 3600 * SECOND  # after the last of a boot, where nothing says that it is over
 
 # What bits of filter_flags say.
 _FLAGS = {"the filter sees a GPS glitch": 1 << 15, "the filter is dead reckoning": 1 << 18}
@@ -37,48 +66,78 @@ _MOMENTARY = re.compile(r"lane switch|primary|forced reset|emergency yaw", re.IG
 _OF_ATTITUDE = re.compile(r"DCM|lane|EKF.primary|forced|yaw", re.IGNORECASE)
 
 
+# By column of a filter's health: the quantity it speaks of, and what it says.
+_INNOVATIONS = {
+    "innovation_position": (POSITION, "the filter rejected the receiver's position"),
+    "innovation_velocity": (ATTITUDE, "the filter rejected the receiver's velocity"),
+    "innovation_compass": (ATTITUDE, "the filter rejected the compass"),
+}
+
+
 def filter_evidence(channels: Sequence[Channel]) -> list[Stretch]:
     """What the filter says of itself: innovations, health, clipping accelerometers.
 
     Innovation ratios above 1 are rejected measurements. Of several lanes the best counts, which is
     the one an autopilot flies by.
     """
-    found = []
-    kinds = {
-        "innovation_position": (POSITION, "the filter rejected the receiver's position"),
-        "innovation_velocity": (ATTITUDE, "the filter rejected the receiver's velocity"),
-        "innovation_compass": (ATTITUDE, "the filter rejected the compass"),
-    }
-    for column, (quantity, reason) in kinds.items():
-        lanes = [c for c in channels if column in c.columns]
-        if not lanes:
-            continue
-        time_ns, ratio = lanes[0].time_ns, lanes[0][column]
-        for lane in lanes[1:]:
-            ratio = np.fmin(ratio, interpolate(lane, column, time_ns, lane.gap_limit_s(2.0)))
-        for a, b in runs(time_ns, ratio > SETTLED_RATIO, ratio > 1.0, SETTLED_S):
-            lasts_s = (time_ns[b] - time_ns[a]) * 1e-9
-            worst = float(np.nanmax(ratio[a : b + 1]))
-            if worst < 2.0 and lasts_s < (5.0 if column == "innovation_compass" else 0.5):
-                continue
-            why = f"{reason} (innovation ratio {worst:.3g})"
-            found.append(Stretch(*beside(time_ns, a, b), quantity, why))
-            if column == "innovation_velocity":
-                found.append(replace(found[-1], quantity=POSITION))
+    suspect: list[Stretch] = []
+    for column in _INNOVATIONS:
+        lanes = [channel for channel in channels if column in channel.columns]
+        if lanes:
+            suspect += _rejected_measurements(column, lanes)
     for channel in channels:
-        time_ns = channel.time_ns
         if "filter_flags" in channel.columns:
-            flags = np.nan_to_num(channel["filter_flags"]).astype(np.int64)
-            for why, bit in _FLAGS.items():
-                pairs = runs(time_ns, flags & bit > 0, flags & bit > 0, SETTLED_S)
-                found += [Stretch(*beside(time_ns, a, b), POSITION, why) for a, b in pairs]
+            suspect += _flagged(channel)
         if "clipping" in channel.columns and len(channel) > 1:
-            rate = np.append(0.0, np.diff(channel["clipping"]) / np.diff(time_ns) * SECOND)
-            for a, b in runs(time_ns, rate > 50.0, rate > 100.0):
-                if time_ns[b] - time_ns[a] > 2 * SECOND:
-                    why = f"the accelerometers clip {rate[a : b + 1].max():.0f} times a second"
-                    found.append(Stretch(*beside(time_ns, a, b), ATTITUDE, why))
-    return found
+            suspect += _clipping(channel)
+    return suspect
+
+
+def _rejected_measurements(column: str, lanes: list[Channel]) -> list[Stretch]:
+    """Where all lanes of a filter reject a measurement; a velocity speaks of the position too."""
+    quantity, reason = _INNOVATIONS[column]
+    shortest_s = _SHORT_COMPASS_S if column == "innovation_compass" else _SHORT_S
+    time_ns = lanes[0].time_ns
+    ratio = lanes[0][column]
+    for lane in lanes[1:]:
+        of_lane = interpolate(lane, column, time_ns, lane.gap_limit_s(_LANE_GAP_S))
+        ratio = np.fmin(ratio, of_lane)
+    suspect: list[Stretch] = []
+    for run in runs(time_ns, ratio > SETTLED_RATIO, ratio > REJECTED_RATIO, SETTLED_S):
+        lasts_s = (time_ns[run.last] - time_ns[run.first]) * 1e-9
+        worst = float(np.nanmax(ratio[run.rows]))
+        if worst < _LARGE_RATIO and lasts_s < shortest_s:
+            continue
+        why = f"{reason} (innovation ratio {worst:.3g})"
+        stretch = stretch_of_run(time_ns, run, quantity, why)
+        suspect.append(stretch)
+        if column == "innovation_velocity":
+            suspect.append(replace(stretch, quantity=POSITION))
+    return suspect
+
+
+def _flagged(channel: Channel) -> list[Stretch]:
+    """Where bits of a filter's flags say that its position is wrong."""
+    flags = np.nan_to_num(channel["filter_flags"]).astype(np.int64)
+    suspect: list[Stretch] = []
+    for reason, bit in _FLAGS.items():
+        is_set = flags & bit > 0
+        for run in runs(channel.time_ns, is_set, is_set, SETTLED_S):
+            suspect.append(stretch_of_run(channel.time_ns, run, POSITION, reason))
+    return suspect
+
+
+def _clipping(channel: Channel) -> list[Stretch]:
+    """Where accelerometers clip: the attitude has lost its vertical."""
+    time_ns = channel.time_ns
+    clips_per_second = np.diff(channel["clipping"]) / np.diff(time_ns) * SECOND
+    rate = np.append(0.0, clips_per_second)
+    suspect: list[Stretch] = []
+    for run in runs(time_ns, rate > _STILL_CLIPS_PER_SECOND, rate > _CLIPS_PER_SECOND):
+        if time_ns[run.last] - time_ns[run.first] > _LONGEST_CLIPPING_NS:
+            reason = f"the accelerometers clip {rate[run.rows].max():.0f} times a second"
+            suspect.append(stretch_of_run(time_ns, run, ATTITUDE, reason))
+    return suspect
 
 
 def message_evidence(channels: Sequence[Channel]) -> list[Stretch]:
@@ -86,23 +145,36 @@ def message_evidence(channels: Sequence[Channel]) -> list[Stretch]:
 
     A switch from one filter to another counts for 5 s. It takes half a second to say so.
     """
-    found = []
+    suspect: list[Stretch] = []
     for channel in channels:
-        texts = channel.labels.get("text", ())
-        for row, text in enumerate(texts):
-            for line in filter(_TROUBLE.search, text.splitlines()):
-                begin = int(channel.time_ns[row]) - SECOND // 2
-                end = begin + 5 * SECOND
-                if not _MOMENTARY.search(line):
-                    later = range(row + 1, len(texts))
-                    over = [k for k in later if _OVER.search(texts[k])]
-                    boot = int(channel.time_ns[channel.boot == channel.boot[row]][-1])
-                    end = max(end, int(channel.time_ns[over[0]]) if over else boot + 3600 * SECOND)
-                stretch = Stretch(begin, end, POSITION, f'the autopilot says "{line.strip()}"')
-                found.append(stretch)
-                if _OF_ATTITUDE.search(line):
-                    found.append(replace(stretch, quantity=ATTITUDE))
-    return found
+        for row, text in enumerate(channel.labels.get("text", ())):
+            for line in text.splitlines():
+                if _TROUBLE.search(line):
+                    suspect += _trouble(channel, row, line)
+    return suspect
+
+
+def _trouble(channel: Channel, row: int, line: str) -> list[Stretch]:
+    """What a line of an autopilot's text says is suspect, from its row on."""
+    begin_ns = int(channel.time_ns[row]) - _MESSAGE_DELAY_NS
+    end_ns = begin_ns + _MOMENT_NS
+    if not _MOMENTARY.search(line):
+        end_ns = max(end_ns, _over_ns(channel, row))
+    reason = f'the autopilot says "{line.strip()}"'
+    suspect = [Stretch(begin_ns, end_ns, POSITION, reason)]
+    if _OF_ATTITUDE.search(line):
+        suspect.append(Stretch(begin_ns, end_ns, ATTITUDE, reason))
+    return suspect
+
+
+def _over_ns(channel: Channel, row: int) -> int:
+    """When a later text says that a trouble is over; else an hour after the last of its boot."""
+    texts = channel.labels["text"]
+    for later in range(row + 1, len(texts)):
+        if _OVER.search(texts[later]):
+            return int(channel.time_ns[later])
+    of_boot = channel.time_ns[channel.boot == channel.boot[row]]
+    return int(of_boot[-1]) + _NEVER_OVER_NS
 
 
 def attitude_evidence(attitude: Channel, channels: Sequence[Channel]) -> list[Stretch]:
@@ -110,30 +182,42 @@ def attitude_evidence(attitude: Channel, channels: Sequence[Channel]) -> list[St
 
     What the aircraft turns in 0.2 s does not count: times of telemetry are no better.
     """
-
-    def vertical(c: Channel) -> Channel:
-        return replace(c, columns=dict(zip("xyz", down_in_body(c), strict=True)), labels={})
-
-    def down_at(c: Channel, time_ns: TimeArray) -> Array:
-        return np.stack([interpolate(c, axis, time_ns, c.gap_limit_s(1.0)) for axis in "xyz"])
-
-    def angle(a: Array, b: Array) -> Array:
-        half = np.clip(0.5 * np.linalg.norm(a - b, axis=0), 0.0, 1.0)
-        return np.asarray(np.degrees(2.0 * np.arcsin(half)))
-
-    found, mine = [], vertical(attitude)
+    suspect: list[Stretch] = []
+    vertical = _vertical(attitude)
     for other in channels:
         if other.name == attitude.name or ATTITUDE not in other.roles or len(other) < 2:
             continue
-        time_ns, theirs = other.time_ns, down_at(vertical(other), other.time_ns)
-        own, late, early = (down_at(mine, time_ns + k * SECOND // 10) for k in (0, 1, -1))
-        tilt = angle(own, theirs) - np.nan_to_num(angle(late, early))
-        if not np.isfinite(tilt).any():
+        time_ns = other.time_ns
+        other_down = _down_at(_vertical(other), time_ns)
+        apart_deg = _angle_deg(_down_at(vertical, time_ns), other_down)
+        later = _down_at(vertical, time_ns + _TURN_NS)
+        earlier = _down_at(vertical, time_ns - _TURN_NS)
+        tilt_deg = apart_deg - np.nan_to_num(_angle_deg(later, earlier))
+        if not np.isfinite(tilt_deg).any():
             continue
-        limit = max(NOISE_TILT_DEG, 3.0 * float(np.nanpercentile(tilt, 95.0)))
-        for a, b in runs(time_ns, tilt > 0.5 * limit, tilt > limit):
-            if np.count_nonzero(tilt[a : b + 1] > limit) > 1:
-                worst = float(np.nanmax(angle(own, theirs)[a : b + 1]))
-                why = f"{attitude.name} and {other.name} are {worst:.1f} deg apart"
-                found.append(Stretch(*beside(time_ns, a, b), ATTITUDE, why))
-    return found
+        usual_deg = float(np.nanpercentile(tilt_deg, 95.0))
+        limit_deg = max(NOISE_TILT_DEG, _SEVERAL_USUAL_TILTS * usual_deg)
+        for run in runs(time_ns, tilt_deg > 0.5 * limit_deg, tilt_deg > limit_deg):
+            if np.count_nonzero(tilt_deg[run.rows] > limit_deg) > 1:
+                worst_deg = float(np.nanmax(apart_deg[run.rows]))
+                reason = f"{attitude.name} and {other.name} are {worst_deg:.1f} deg apart"
+                suspect.append(stretch_of_run(time_ns, run, ATTITUDE, reason))
+    return suspect
+
+
+def _vertical(attitude: Channel) -> Channel:
+    """A channel with the direction of down about the body's axes as columns x, y, z."""
+    columns = dict(zip("xyz", down_in_body(attitude), strict=True))
+    return replace(attitude, columns=columns, labels={})
+
+
+def _down_at(vertical: Channel, time_ns: TimeArray) -> Array:
+    """(3, n) direction of down at instants, of a channel of `_vertical`."""
+    gap_s = vertical.gap_limit_s(_ATTITUDE_GAP_S)
+    return np.stack([interpolate(vertical, axis, time_ns, gap_s) for axis in "xyz"])
+
+
+def _angle_deg(first: Array, second: Array) -> Array:
+    """(n,) angles [deg] between (3, n) unit vectors."""
+    half_chord = 0.5 * np.linalg.norm(first - second, axis=0)
+    return np.asarray(np.degrees(2.0 * np.arcsin(np.clip(half_chord, 0.0, 1.0))))

@@ -1,35 +1,49 @@
 """Readings that cannot be true, and units that are probably wrong."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
-from itertools import compress
 from typing import NamedTuple
 
 import numpy as np
 
-from unbend.errors import MissionError
+from unbend.atmosphere.rejection import Reason, Reasons, with_reason
 from unbend.flight.channels import ROLE_COLUMNS, Channel
 from unbend.flight.clock import STRAY_ROWS
+from unbend.flight.evidence import messages
 from unbend.geodesy import wrapped
-from unbend.messages import Entry, Notes, loss, note, warning
-from unbend.units import Array, Mask, Rows
+from unbend.messages import Message, Notes
+from unbend.units import Array, Integers, Mask, Rows
 
-RANGES: Mapping[str, tuple[float, float]] = {
-    "lat_rad": (-np.pi / 2.0, np.pi / 2.0),
-    "lon_rad": (-2.0 * np.pi, 2.0 * np.pi),
-    "h_msl_m": (-600.0, 60_000.0),
-    "h_ellipsoid_m": (-700.0, 60_000.0),
-    "pressure_pa": (20.0, 120_000.0),
-    "temperature_k": (170.0, 340.0),
-    "relative_humidity": (-0.05, 1.15),
-    "airspeed_m_s": (-5.0, 700.0),
+
+class Range(NamedTuple):
+    """From the lowest value to the highest."""
+
+    low: float
+    high: float
+
+    def has(self, value: float) -> bool:
+        """Whether a value lies in it; NaN does not."""
+        return self.low <= value <= self.high
+
+    def __str__(self) -> str:
+        return f"{self.low:g} to {self.high:g}"
+
+
+RANGES: Mapping[str, Range] = {
+    "lat_rad": Range(-np.pi / 2.0, np.pi / 2.0),
+    "lon_rad": Range(-2.0 * np.pi, 2.0 * np.pi),
+    "h_msl_m": Range(-600.0, 60_000.0),
+    "h_ellipsoid_m": Range(-700.0, 60_000.0),
+    "pressure_pa": Range(20.0, 120_000.0),
+    "temperature_k": Range(170.0, 340.0),
+    "relative_humidity": Range(-0.05, 1.15),
+    "airspeed_m_s": Range(-5.0, 700.0),
 }
 """What can be true of the air and the aircraft, in SI."""
 
 FASTEST_CLIMB_M_S = 200.0  # no survey aircraft climbs or sinks faster [m/s]
 FASTEST_M_S = 700.0  # no aircraft that takes pictures flies faster over the ground [m/s]
 # No aircraft turns faster [rad/s] and, within few samples, back; a flip goes on.
-FASTEST_TURN_RAD_S = np.radians(500.0)
+FASTEST_TURN_RAD_S = float(np.radians(500.0))
 
 _HEIGHTS = ("h_msl_m", "h_ellipsoid_m")
 _METRES_PER_RAD = 6_371_000.0  # only to notice jumps of 100 m: any radius will do
@@ -37,12 +51,23 @@ _TURN_NOISE_RAD = float(np.radians(20.0))
 
 _BLOCK = 1 << 16  # steps that are compared together: a long channel is not copied
 _MOST_STRETCHES = 20_000  # a series that jumps more often than this has no glitches, it is noise
+_FEWEST_SAMPLES = 3  # of fewer no one stands between two others
 
-# Medians that show a wrong unit: column -> (low, high, the unit it looks like).
-_WRONG_UNITS: Mapping[str, tuple[tuple[float, float, str], ...]] = {
-    "pressure_pa": ((100.0, 1_200.0, "hPa"), (1.2e6, 1.2e7, "Pa")),
-    "temperature_k": ((-90.0, 60.0, "degC"),),
-    "relative_humidity": ((1.2, 100.0, "percent"),),
+
+class _WrongUnit(NamedTuple):
+    """Medians that show a wrong unit, and which it looks like."""
+
+    medians: Range
+    unit: str
+
+
+_WRONG_UNITS: Mapping[str, tuple[_WrongUnit, ...]] = {
+    "pressure_pa": (
+        _WrongUnit(Range(100.0, 1_200.0), "hPa"),
+        _WrongUnit(Range(1.2e6, 1.2e7), "Pa"),
+    ),
+    "temperature_k": (_WrongUnit(Range(-90.0, 60.0), "degC"),),
+    "relative_humidity": (_WrongUnit(Range(1.2, 100.0), "percent"),),
 }
 
 # Roles for which jumps are searched before a role is given to a channel.
@@ -64,31 +89,48 @@ def plausible_samples(channel: Channel, role: str) -> tuple[Channel, Notes]:
     can change; the notes count those that `mask_impossible_values` has not. Refuses a channel whose
     median shows a wrong unit (hPa where Pa is due).
     """
-    notes: list[Entry] = []
+    notes: list[Message] = []
     if role in ("position", "height"):
-        channel, wild = _mask_heights(channel)
-        notes += wild
-    keep = np.ones(len(channel), dtype=bool)
+        channel, of_heights = _mask_heights(channel)
+        notes += of_heights
+    reasons = np.zeros(len(channel), np.uint8)
     for column in ROLE_COLUMNS[role]:
         values = channel[column]
-        finite = np.isfinite(values)
-        median = float(np.median(values[finite])) if finite.any() else np.nan
-        for low, high, unit in _WRONG_UNITS.get(column, ()):
-            if low <= median <= high:
-                raise MissionError.of(
-                    "CHANNEL-UNIT", f"channel {channel.name}, role {role}", median=median,
-                    unit=unit, role=role, column=column, name=channel.name,
-                )  # fmt: skip
-        missing = int(np.count_nonzero(~finite)) - channel.masked.get(column, 0)
-        if missing > 0:
-            notes.append(_range_loss(channel, column, missing, "not a number"))
+        _refuse_wrong_unit(channel, role, column)
+        unknown = ~np.isfinite(values)
+        impossible = np.zeros(len(channel), np.uint8)
+        if column in channel.rejected:
+            impossible = np.where(unknown, channel.rejected[column], impossible)
+        missing = int(np.count_nonzero(unknown & (impossible == Reason.USED)))
+        if missing:
+            notes.append(
+                messages.samples_not_a_number(
+                    channel=channel.name, column=column, count=missing, total=len(channel)
+                )
+            )
         outside = _outside(values, column)
-        if count := int(np.count_nonzero(outside)):
-            notes.append(_range_loss(channel, column, count, _limits(column)))
-        keep &= finite & ~outside
-    jumps, reported = _jumps(channel, keep, role)
-    keep[jumps] = False
-    return channel if bool(keep.all()) else subset(channel, keep), (*notes, *reported)
+        if outside.any():
+            notes.append(_out_of_range(channel, column, outside))
+        reasons = np.where(reasons == Reason.USED, impossible, reasons)
+        reasons = with_reason(reasons, unknown, Reason.NO_VALUE)
+        reasons = with_reason(reasons, outside, Reason.OUT_OF_RANGE)
+    jumps, of_jumps = _jumps(channel, reasons == Reason.USED, role)
+    reasons[jumps] = Reason.JUMP
+    return channel.without(reasons), (*notes, *of_jumps)
+
+
+def _refuse_wrong_unit(channel: Channel, role: str, column: str) -> None:
+    """Refuse (MissionError CHANNEL-UNIT) a column whose median shows another unit."""
+    values = channel[column]
+    known = np.isfinite(values)
+    if not known.any():
+        return
+    median = float(np.median(values[known]))
+    for wrong in _WRONG_UNITS.get(column, ()):
+        if wrong.medians.has(median):
+            raise messages.unit_looks_wrong(
+                channel=channel.name, role=role, column=column, median=median, unit=wrong.unit
+            )
 
 
 def mask_impossible_values(channel: Channel) -> tuple[Channel, Notes]:
@@ -98,48 +140,74 @@ def mask_impossible_values(channel: Channel) -> tuple[Channel, Notes]:
     its row goes where nothing is left that a role could use. A column whose median is impossible is
     kept, with a warning: it has another unit, or is not of air. Of events only ranges are checked.
     """
-    before = channel
-    channel, wild = _mask_heights(channel)
-    notes = list(wild)
-    columns, wrong = dict(channel.columns), np.zeros(len(channel), np.bool_)
-    odd = set()
-    for column in [name for name in RANGES if name in columns and name not in _HEIGHTS]:
-        outside = _outside(columns[column], column)
+    channel, of_heights = _mask_heights(channel)
+    channel, odd_columns, of_ranges = _mask_ranges(channel)
+    notes = [*of_heights, *of_ranges]
+    if "events" in channel.roles:
+        return channel, tuple(notes)
+    roles = [role for role in _ROLES_WITH_JUMPS if channel.fits_role(role)]
+    for role in roles:
+        if odd_columns.isdisjoint(ROLE_COLUMNS[role]):
+            channel, of_jumps = _mask_jumps(channel, role)
+            notes += of_jumps
+    return channel.without(_reasons_of_useless_rows(channel, roles)), tuple(notes)
+
+
+def _reasons_of_useless_rows(channel: Channel, roles: list[str]) -> Reasons:
+    """(n,) why nothing is left in a row that a role could use; 0 where something is.
+
+    The row of an impossible height keeps its latitude and longitude.
+    """
+    reasons = np.zeros(len(channel), np.uint8)
+    for column, of_column in channel.rejected.items():
+        if column not in _HEIGHTS:
+            reasons = np.where(reasons == Reason.USED, of_column, reasons)
+    useful = np.full(len(channel), not roles)
+    for role in roles:
+        useful |= _known(channel, role)
+    return np.where(useful, Reason.USED, reasons).astype(np.uint8)
+
+
+def _mask_ranges(channel: Channel) -> tuple[Channel, set[str], Notes]:
+    """The channel with values out of range unknown, but for columns whose median is odd.
+
+    Returns these columns as well. Heights are masked by `_mask_heights`.
+    """
+    odd_columns: set[str] = set()
+    notes: list[Message] = []
+    for column in RANGES:
+        if column not in channel.columns or column in _HEIGHTS:
+            continue
+        outside = _outside(channel[column], column)
         if not outside.any():
             continue
-        low, high = RANGES[column]
         median = float(np.nanmedian(channel[column]))
-        if not low <= median <= high:
-            odd.add(column)
-            notes.append(
-                warning("SENSOR-ODD", where=channel.name, count=len(channel), column=column,
-                        median=median, limits=_limits(column))
-            )  # fmt: skip
+        if RANGES[column].has(median):
+            notes.append(_out_of_range(channel, column, outside))
+            channel = channel.with_impossible(column, outside, Reason.OUT_OF_RANGE)
             continue
-        count = int(np.count_nonzero(outside))
-        notes.append(_range_loss(channel, column, count, _limits(column)))
-        columns[column] = np.where(outside, np.nan, columns[column])
-        wrong |= outside
-    channel = replace(channel, columns=columns)
-    roles = [role for role in _ROLES_WITH_JUMPS if channel.fits_role(role)]
-    roles = [] if "events" in channel.roles else roles
-    for role in [role for role in roles if not odd & {*ROLE_COLUMNS[role]}]:
-        jumps, reported = _jumps(channel, _known(channel, role), role)
-        notes += reported
-        for column in ROLE_COLUMNS[role] if jumps.size else ():
-            columns[column] = columns[column].copy()
-            columns[column][jumps] = np.nan
-        wrong[jumps] = True
-    for role in roles:
-        wrong &= ~_known(channel, role)
-    useless = wrong if roles else np.zeros(len(channel), np.bool_)
-    masked = {
-        name: int(np.count_nonzero(np.isnan(values) & ~np.isnan(before[name]) & ~useless))
-        for name, values in columns.items()
-        if values is not before[name]
-    }
-    channel = subset(channel, ~useless) if useless.any() else channel
-    return replace(channel, masked=masked), tuple(notes)
+        odd_columns.add(column)
+        notes.append(
+            messages.median_is_odd(
+                channel=channel.name,
+                column=column,
+                samples=len(channel),
+                median=median,
+                limits=f"outside {RANGES[column]}",
+            )
+        )
+    return channel, odd_columns, tuple(notes)
+
+
+def _mask_jumps(channel: Channel, role: str) -> tuple[Channel, Notes]:
+    """The channel with the columns of a role unknown where they jump there and back."""
+    jumps, notes = _jumps(channel, _known(channel, role), role)
+    if jumps.size:
+        is_jump = np.zeros(len(channel), np.bool_)
+        is_jump[jumps] = True
+        for column in ROLE_COLUMNS[role]:
+            channel = channel.with_impossible(column, is_jump, Reason.JUMP)
+    return channel, notes
 
 
 def _known(channel: Channel, role: str) -> Mask:
@@ -152,21 +220,25 @@ def _known(channel: Channel, role: str) -> Mask:
 
 def _outside(values: Array, column: str) -> Mask:
     """Where values are out of their range."""
-    low, high = RANGES.get(column, (-np.inf, np.inf))
+    nowhere = np.zeros(values.shape, np.bool_)
+    if column not in RANGES or values.size == 0:
+        return nowhere
+    low, high = RANGES[column]
     with np.errstate(invalid="ignore"):
-        if values.size and np.fmin.reduce(values) >= low and np.fmax.reduce(values) <= high:
-            return np.zeros(values.shape, np.bool_)
+        if np.fmin.reduce(values) >= low and np.fmax.reduce(values) <= high:
+            return nowhere
         return np.asarray((values < low) | (values > high), np.bool_)
 
 
-def _limits(column: str) -> str:
-    low, high = RANGES[column]
-    return f"outside {low:g} to {high:g}"
-
-
-def _range_loss(channel: Channel, column: str, count: int, what: str) -> Entry:
-    text = f"{count} of {len(channel)} samples of {column} are {what} and are not used"
-    return loss("SENSOR-RANGE", text, where=channel.name, count=count)
+def _out_of_range(channel: Channel, column: str, outside: Mask) -> Message:
+    """The loss of values out of range."""
+    return messages.samples_out_of_range(
+        channel=channel.name,
+        column=column,
+        count=int(np.count_nonzero(outside)),
+        total=len(channel),
+        limits=f"outside {RANGES[column]}",
+    )
 
 
 def _mask_heights(channel: Channel) -> tuple[Channel, Notes]:
@@ -174,65 +246,96 @@ def _mask_heights(channel: Channel) -> tuple[Channel, Notes]:
 
     The row keeps its latitude and longitude.
     """
-    columns = dict(channel.columns)
-    notes: list[Entry] = []
-    for column in [name for name in _HEIGHTS if name in columns]:
-        height = columns[column]
-        wild = _outside(height, column)
-        if "lat_rad" in columns:
-            known = np.isfinite(height) & ~wild
-            jumps, reported = _stray_rows(channel, known, _STEPS[column], channel.name)
-            wild[jumps] = True
-            notes += reported
-        if bool(wild.any()):
-            row = int(np.argmax(wild))
+    notes: list[Message] = []
+    for column in _HEIGHTS:
+        if column not in channel.columns:
+            continue
+        height = channel[column]
+        outside = _outside(height, column)
+        is_jump = np.zeros(len(channel), np.bool_)
+        if "lat_rad" in channel.columns:
+            known = np.isfinite(height) & ~outside
+            stray, of_noise = _stray_rows(channel, known, _STEPS[column], channel.name)
+            is_jump[stray] = True
+            notes += of_noise
+        impossible = outside | is_jump
+        if impossible.any():
+            first_row = int(np.argmax(impossible))
             notes.append(
-                loss("SENSOR-RANGE/heights", where=channel.name, count=int(wild.sum()),
-                     total=len(channel), column=column, height=height[row], row=row)
-            )  # fmt: skip
-            columns[column] = np.where(wild, np.nan, height)
-    return replace(channel, columns=columns), tuple(notes)
+                messages.heights_impossible(
+                    channel=channel.name,
+                    column=column,
+                    count=int(np.count_nonzero(impossible)),
+                    total=len(channel),
+                    first_m=float(height[first_row]),
+                    first_row=first_row,
+                )
+            )
+            channel = channel.with_impossible(column, outside, Reason.OUT_OF_RANGE)
+            channel = channel.with_impossible(column, is_jump, Reason.JUMP)
+    return channel, tuple(notes)
 
 
 def _jumps(channel: Channel, known: Mask, role: str) -> tuple[Rows, Notes]:
     """Few samples in a row that a role's columns cannot reach from those around them."""
     where = f"{channel.name}, as {role}"
-    notes: list[Entry] = []
-    stray = np.zeros(len(channel), np.bool_)
-    for name in (name for name in (role, *ROLE_COLUMNS[role]) if name in _STEPS):
-        rows, reported = _stray_rows(channel, known, _STEPS[name], where)
-        stray[rows] = True
-        notes += reported
-    jumps = np.flatnonzero(stray)
+    notes: list[Message] = []
+    is_stray = np.zeros(len(channel), np.bool_)
+    for name in (role, *ROLE_COLUMNS[role]):
+        if name in _STEPS:
+            rows, of_noise = _stray_rows(channel, known, _STEPS[name], where)
+            is_stray[rows] = True
+            notes += of_noise
+    jumps = np.flatnonzero(is_stray)
     lost = jumps
-    if jumps.size and role.endswith("attitude"):
-        kept = np.flatnonzero(known & ~stray)
-        after = np.searchsorted(kept, jumps)
-        inner = (after > 0) & (after < kept.size)
-        i, j = kept[after[inner] - 1], kept[after[inner]]
-        limit = _STEPS["attitude"].rate * 1e-9 * (channel.time_ns[j] - channel.time_ns[i])
-        stays = after == 0  # what comes behind is another attitude than what was before
-        stays[inner] = _angle(channel, i, j) > np.maximum(limit, _TURN_NOISE_RAD)
-        lost = jumps[~stays]
-        if count := int(np.count_nonzero(stays)):
-            notes.append(note("ATTITUDE-ALIGNED", where=where, count=count))
+    if role.endswith("attitude"):
+        aligned = _leads_to_another_attitude(channel, known & ~is_stray, jumps)
+        lost = jumps[~aligned]
+        count = int(np.count_nonzero(aligned))
+        if count:
+            notes.append(messages.attitude_aligned(where=where, count=count))
     if lost.size:
-        time_s, total = (channel.time_ns[lost[0]] - channel.time_ns[0]) * 1e-9, len(channel)
-        count = int(lost.size)
-        notes.append(loss("SENSOR-JUMP", where=where, count=count, total=total, time_s=time_s))
+        first_s = (channel.time_ns[lost[0]] - channel.time_ns[0]) * 1e-9
+        notes.append(
+            messages.samples_jump(
+                where=where, count=lost.size, total=len(channel), first_s=float(first_s)
+            )
+        )
     return jumps, tuple(notes)
 
 
-def _metres(channel: Channel, i: Rows, j: Rows) -> Array:
+def _leads_to_another_attitude(channel: Channel, kept: Mask, jumps: Rows) -> Mask:
+    """Which jumps lie between attitudes too far apart for the time between: the filter was aligned.
+
+    So do those before the first attitude that is kept.
+    """
+    kept_rows = np.flatnonzero(kept)
+    place = np.searchsorted(kept_rows, jumps)
+    aligned = place == 0
+    between = (place > 0) & (place < kept_rows.size)
+    before = kept_rows[place[between] - 1]
+    after = kept_rows[place[between]]
+    lasts_ns = channel.time_ns[after] - channel.time_ns[before]
+    largest_turn = np.maximum(FASTEST_TURN_RAD_S * 1e-9 * lasts_ns, _TURN_NOISE_RAD)
+    aligned[between] = _angle(channel, before, after) > largest_turn
+    return np.asarray(aligned)
+
+
+def _metres(channel: Channel, first: Rows, second: Rows) -> Array:
     """Horizontal distance [m], good enough to notice a jump."""
-    lat, lon = channel["lat_rad"], channel["lon_rad"]
-    east = wrapped(lon[j] - lon[i])
-    return np.asarray(_METRES_PER_RAD * np.hypot(lat[j] - lat[i], east * np.cos(lat[i])))
+    lat = channel["lat_rad"]
+    lon = channel["lon_rad"]
+    north = lat[second] - lat[first]
+    east = wrapped(lon[second] - lon[first]) * np.cos(lat[first])
+    return np.asarray(_METRES_PER_RAD * np.hypot(north, east))
 
 
-def _angle(channel: Channel, i: Rows, j: Rows) -> Array:
+def _angle(channel: Channel, first: Rows, second: Rows) -> Array:
     """The angle between attitudes [rad]; 0 where it is less than what is noise."""
-    cosine = np.abs(sum(channel[name][i] * channel[name][j] for name in ROLE_COLUMNS["attitude"]))
+    cosine = np.zeros(first.shape)
+    for name in ROLE_COLUMNS["attitude"]:
+        cosine += channel[name][first] * channel[name][second]
+    cosine = np.abs(cosine)
     angle = np.zeros(cosine.shape)
     wide = cosine < np.cos(_TURN_NOISE_RAD / 2.0)
     angle[wide] = 2.0 * np.arccos(cosine[wide])
@@ -241,14 +344,18 @@ def _angle(channel: Channel, i: Rows, j: Rows) -> Array:
 
 def _step_of(column: str, rate: float, noise: float) -> _Distance:
     """The difference of the values of a column."""
-    return _Distance(lambda c, i, j: np.abs(c[column][j] - c[column][i]), rate, noise)
+
+    def between(channel: Channel, first: Rows, second: Rows) -> Array:
+        return np.abs(channel[column][second] - channel[column][first])
+
+    return _Distance(between, rate, noise)
 
 
 # By role or by column. 2,500 Pa/s is a climb of 200 m/s at sea level.
 _STEPS: Mapping[str, _Distance] = {
     "position": _Distance(_metres, FASTEST_M_S, 100.0),
     "height": _Distance(_metres, FASTEST_M_S, 100.0),
-    "attitude": _Distance(_angle, float(FASTEST_TURN_RAD_S), _TURN_NOISE_RAD),
+    "attitude": _Distance(_angle, FASTEST_TURN_RAD_S, _TURN_NOISE_RAD),
     "pressure_pa": _step_of("pressure_pa", 2_500.0, 100.0),
     "temperature_k": _step_of("temperature_k", 20.0, 5.0),
     "h_msl_m": _step_of("h_msl_m", FASTEST_CLIMB_M_S, 20.0),
@@ -256,45 +363,55 @@ _STEPS: Mapping[str, _Distance] = {
 }
 
 
+def _is_far(channel: Channel, first: Rows, second: Rows, step: _Distance) -> Mask:
+    """Which of two samples are farther apart than a step allows in the time between."""
+    seconds = 1e-9 * (channel.time_ns[second] - channel.time_ns[first])
+    limit = np.maximum(step.rate * seconds, step.noise)
+    return np.asarray(step.between(channel, first, second) > limit, np.bool_)
+
+
 def _stray_rows(channel: Channel, known: Mask, step: _Distance, where: str) -> tuple[Rows, Notes]:
     """Rows that neither side reaches at the rate of a step, up to `STRAY_ROWS` in a row."""
     rows = np.flatnonzero(known)
-
-    def far(i: Rows, j: Rows) -> Mask:
-        seconds = 1e-9 * (channel.time_ns[j] - channel.time_ns[i])
-        limit = np.maximum(step.rate * seconds, step.noise)
-        return np.asarray(step.between(channel, i, j) > limit, np.bool_)
-
-    edges = [np.zeros(1, np.intp)]
-    for begin in range(0, rows.size - 1, _BLOCK):
-        part = rows[begin : begin + _BLOCK + 1]
-        edges.append(np.flatnonzero(far(part[:-1], part[1:])) + begin + 1)
-    first = np.concatenate(edges)
-    if rows.size < 3 or first.size == 1:
+    first = _begins_of_stretches(channel, rows, step)
+    if rows.size < _FEWEST_SAMPLES or first.size == 1:
         return rows[:0], ()
     if first.size > _MOST_STRETCHES:
-        count = int(first.size - 1)
-        return rows[:0], (warning("SENSOR-NOISE", where=where, count=count, total=rows.size),)
+        noise = messages.samples_are_noise(where=where, count=first.size - 1, total=rows.size)
+        return rows[:0], (noise,)
     length = np.diff(np.append(first, rows.size))
-    begin_row, end_row = rows[first], rows[first + length - 1]
+    begin_row = rows[first]
+    end_row = rows[first + length - 1]
+
+    def is_out_of_reach(earlier: int, later: int) -> bool:
+        """Whether a stretch cannot be reached from the end of another."""
+        end = end_row[earlier : earlier + 1]
+        begin = begin_row[later : later + 1]
+        return bool(_is_far(channel, end, begin, step)[0])
+
     # From the longest stretch on, both ways, a stretch is kept that is reached from the last one
     # kept. A long one is kept wherever it is: a sensor that is set anew, or the end of a gap.
-    stray = np.zeros(first.shape, np.bool_)
-    before = after = int(np.argmax(length))
-    for k in range(before + 1, first.size):
-        short = length[k] <= STRAY_ROWS
-        stray[k] = short and far(end_row[before : before + 1], begin_row[k : k + 1])[0]
-        before = before if stray[k] else k
-    for k in range(after - 1, -1, -1):
-        short = length[k] <= STRAY_ROWS
-        stray[k] = short and far(end_row[k : k + 1], begin_row[after : after + 1])[0]
-        after = after if stray[k] else k
-    return np.asarray(rows[np.repeat(stray, length)], np.intp), ()
+    is_short = length <= STRAY_ROWS
+    is_stray = np.zeros(first.shape, np.bool_)
+    longest = int(np.argmax(length))
+    kept = longest
+    for stretch in range(longest + 1, first.size):
+        is_stray[stretch] = is_short[stretch] and is_out_of_reach(kept, stretch)
+        if not is_stray[stretch]:
+            kept = stretch
+    kept = longest
+    for stretch in range(longest - 1, -1, -1):
+        is_stray[stretch] = is_short[stretch] and is_out_of_reach(stretch, kept)
+        if not is_stray[stretch]:
+            kept = stretch
+    return np.asarray(rows[np.repeat(is_stray, length)], np.intp), ()
 
 
-def subset(channel: Channel, keep: Mask) -> Channel:
-    """The samples of a channel that a mask keeps."""
-    columns = {name: values[keep] for name, values in channel.columns.items()}
-    labels = {name: tuple(compress(values, keep)) for name, values in channel.labels.items()}
-    time_ns, boot = channel.time_ns[keep], channel.boot[keep]
-    return replace(channel, time_ns=time_ns, boot=boot, columns=columns, labels=labels)
+def _begins_of_stretches(channel: Channel, rows: Rows, step: _Distance) -> Integers:
+    """Places in ``rows`` at which a stretch begins that is far from the sample before."""
+    begins = [np.zeros(1, np.intp)]
+    for begin in range(0, rows.size - 1, _BLOCK):
+        block = rows[begin : begin + _BLOCK + 1]
+        far = np.flatnonzero(_is_far(channel, block[:-1], block[1:], step))
+        begins.append(far + begin + 1)
+    return np.concatenate(begins)

@@ -3,13 +3,13 @@
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from unbend.flight.channels import Channel, TimeArray
-from unbend.flight.evidence.quality import subset
-from unbend.flight.evidence.stretches import ATTITUDE, HEIGHT, POSITION, SECOND, Stretch, runs
+from unbend.flight.evidence.stretches import ATTITUDE, HEIGHT, POSITION, SECOND, Run, Stretch, runs
 from unbend.flight.trajectory import interpolate
 from unbend.geodesy import wrapped
 from unbend.units import Array, Mask, Rows
@@ -19,14 +19,33 @@ NOISE_STEP_M = {POSITION: 3.0, HEIGHT: 5.0}
 # A difference of two sources that is noise, beyond lag and offset [m].
 NOISE_MISFIT_M = {POSITION: 2.0, HEIGHT: 4.0}
 WORST_ACCURACY_M = 5.0  # a receiver that reports worse is not used [m]
+SEVERAL_USUAL_ACCURACIES = 3.0  # a report of so many times the median is not used
 
 _SEVERAL = 6.0  # a difference of so many times the usual one is no noise
 _RADIUS_M = 6_371_000.0  # for differences of metres: any radius will do
-_LONGEST_STEP_S = 10.0
+_SIGMA_OF_MEDIAN = 1.48  # of absolute differences of normal errors
+_SOURCE_GAP_S = 2.0  # between samples of a source that is compared
+
+# Steps.
+_LONGEST_STEP_S = 10.0  # over a longer interval a vehicle may have gone anywhere
+_LIKELY_M_S2 = 4.0  # of a vehicle: what it moves otherwise within an interval is no step
+_RETURNS_WITHIN = 0.1  # of a step: a source that comes as near has returned
+_MOST_STEPS = 1_000
+_NEIGHBOURS = 3  # speeds on either side of which, with a sample's own, the median counts
+
+# Lag of a source behind another, by differences along the track.
+_SLOWEST_M_S = 2.0  # slower samples show no lag, nor those of less than a third of usual speeds
+_FAST_SHARE = 0.1  # of the square of the 95th percentile of speeds
+_FEWEST_FAST = 20
+_LAG_PARTS = 20  # of the flight, whose lags are tried where the median one does not fit
 _LONGEST_LAG_S = 0.3  # of receivers; a constant offset seems to be one along a line
 _PART_OF_FLIGHT = 0.1  # in which two sources agree: no chance, whatever the rest is like
-_MOST_STEPS = 1_000
+
+# Heights of a barometer.
 _SLOPE_M = -8434.5  # dh / d ln p at 288.15 K
+_FEWEST_PRESSURES = 30
+_SPAN_OF_PARABOLA_M = 300.0  # of a flight: over less, noise would bend it
+_LEAST_SCATTER_M = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,24 +70,33 @@ def is_receiver(channel: Channel) -> bool:
     return {POSITION, HEIGHT} <= set(channel.roles)
 
 
-def places_of(channel: Channel, quantity: str) -> tuple[Array, Array]:
-    """(n, k) places of a channel, and (n - 1, k) metres from each to the next.
+def sigma_column(quantity: str) -> str:
+    """The column in which a source reports the accuracy of a quantity."""
+    return "sigma_v_m" if quantity == HEIGHT else "sigma_h_m"
 
-    Latitude and longitude [rad], unwrapped, or a height [m] above any one surface.
-    """
+
+def places_of(channel: Channel, quantity: str) -> Array:
+    """(n, 2) latitude and longitude [rad], unwrapped, or (n, 1) height [m] above any surface."""
     if quantity == HEIGHT:
-        h = channel[channel.height_column or "h_msl_m"][:, None]
-        return h, np.diff(h, axis=0)
-    places = np.stack([channel["lat_rad"], np.unwrap(channel["lon_rad"])], axis=1)
-    return places, metres(np.diff(places, axis=0), places[1:, 0])
+        return channel[channel.height_column or "h_msl_m"][:, None]
+    return np.stack([channel["lat_rad"], np.unwrap(channel["lon_rad"])], axis=1)
+
+
+def moves_of(channel: Channel, quantity: str) -> Array:
+    """(n - 1, k) metres from each place of a channel to the next."""
+    places = places_of(channel, quantity)
+    changes = np.diff(places, axis=0)
+    if quantity == HEIGHT:
+        return changes
+    return metres(changes, places[1:, 0])
 
 
 def with_places(channel: Channel, quantity: str) -> Channel:
     """The samples of a channel whose place is known; none where it gives none."""
     if quantity == HEIGHT and channel.height_column is None:
-        return subset(channel, np.zeros(len(channel), np.bool_))
-    known = np.asarray(np.isfinite(places_of(channel, quantity)[0]).all(axis=1))
-    return channel if known.all() else subset(channel, known)
+        return channel.rows(np.zeros(len(channel), np.bool_))
+    known = np.asarray(np.isfinite(places_of(channel, quantity)).all(axis=1))
+    return channel if known.all() else channel.rows(known)
 
 
 def metres(change: Array, lat_rad: Array) -> Array:
@@ -80,11 +108,12 @@ def metres(change: Array, lat_rad: Array) -> Array:
 def velocity_at(channels: Iterable[Channel], quantity: str, time_ns: TimeArray) -> Array:
     """(n, 2) north and east or (n, 1) up [m/s] from the first channel that has it; NaN without."""
     names = ("v_down_m_s",) if quantity == HEIGHT else ("v_north_m_s", "v_east_m_s")
+    sign = -1.0 if quantity == HEIGHT else 1.0
     for channel in channels:
         if len(channel) > 1 and all(name in channel.columns for name in names):
-            gap_s = channel.gap_limit_s(2.0)
-            found = [interpolate(channel, name, time_ns, gap_s) for name in names]
-            return np.stack(found, axis=1) * (-1.0 if quantity == HEIGHT else 1.0)
+            gap_s = channel.gap_limit_s(_SOURCE_GAP_S)
+            components = [interpolate(channel, name, time_ns, gap_s) for name in names]
+            return np.stack(components, axis=1) * sign
     return np.full((time_ns.size, len(names)), np.nan)
 
 
@@ -97,49 +126,105 @@ def source_path(channel: Channel, quantity: str, channels: Iterable[Channel]) ->
     the channel.
     """
     channel = with_places(channel, quantity)
-    time_ns, n = channel.time_ns, len(channel)
-    _, moved = places_of(channel, quantity)
-    dt = np.diff(time_ns)[:, None] * 1e-9
-    around = sliding_window_view(np.pad(moved / dt, ((3, 3), (0, 0)), mode="edge"), 7, axis=0)
-    rest = moved / dt - np.partition(around, 3, axis=-1)[..., 3]  # about the median of seven
-    velocity = velocity_at(channels, quantity, time_ns)
-    by_velocity = moved / dt - 0.5 * (velocity[1:] + velocity[:-1])
-    smaller = np.linalg.norm(by_velocity, axis=1) < np.linalg.norm(rest, axis=1)
-    rest = dt * np.where(smaller[:, None], by_velocity, rest)
-    torn = (np.diff(channel.boot) != 0) | (dt[:, 0] > _LONGEST_STEP_S)
-    rest[torn] = 0.0
-    size = np.linalg.norm(rest, axis=1)
-    noise = max(NOISE_STEP_M[quantity], _SEVERAL * float(np.percentile(size, 95.0)))
-    step = np.flatnonzero(size > noise + 2.0 * dt[:, 0] ** 2)
-    step = step if step.size <= _MOST_STEPS else step[:0]  # a channel that always steps is noise
-    near = np.zeros(n - 1, np.bool_)  # a receiver smooths a step: what is left of it lies beside
-    for row in step:
-        near |= np.abs(time_ns[1:] - time_ns[row + 1]) <= SECOND
-    place = np.cumsum(np.where(near[:, None], rest, 0.0), axis=0)
-    place = np.concatenate([np.zeros((1, moved.shape[1])), place])
-    edges = [0, *(step + 1).tolist(), n]
-    levels = [np.median(place[a:b], axis=0) for a, b in pairwise(edges)]
-    stepped, part, lone = np.zeros_like(place), channel.boot.astype(np.intp), list[int]()
-    base, k = levels[0], 1
-    while k < len(levels):
-        leap = float(np.linalg.norm(levels[k] - base))
-        back = k
-        if leap > noise:
-            tolerance = noise + 0.1 * leap
-            later = range(k + 1, len(levels))
-            back = next((j for j in later if np.linalg.norm(levels[j] - base) < tolerance), 0)
-            if back:
-                stepped[edges[k] : edges[back]] = place[edges[k] : edges[back]] - base
-            else:
-                base, lone = levels[k], [*lone, edges[k]]
-                part[edges[k] :] += int(part.max()) + 1
-        k = max(back, k + 1)
-    good = np.asarray(~stepped.any(axis=1))
-    sigma = channel.columns.get("sigma_v_m" if quantity == HEIGHT else "sigma_h_m")
+    time_ns = channel.time_ns
+    seconds = np.diff(time_ns) * 1e-9
+    unexplained = _unexplained_moves(channel, quantity, channels)
+    size = np.linalg.norm(unexplained, axis=1)
+    noise_m = max(NOISE_STEP_M[quantity], _SEVERAL * float(np.percentile(size, 95.0)))
+    limit_m = noise_m + 0.5 * _LIKELY_M_S2 * seconds**2
+    before_step = np.flatnonzero(size > limit_m)
+    if before_step.size > _MOST_STEPS:  # a channel that always steps is noise
+        before_step = before_step[:0]
+    fastest_m_s = 0.0
+    if before_step.size:
+        fastest_m_s = float((size[before_step] / seconds[before_step]).max())
+    steps = _own_steps(channel, unexplained, before_step, noise_m)
+    good = np.asarray(~steps.stepped_m.any(axis=1))
+    sigma = channel.columns.get(sigma_column(quantity))
     if sigma is not None and np.isfinite(sigma).any():
-        good &= ~(sigma > max(WORST_ACCURACY_M, 3.0 * float(np.nanmedian(sigma))))
-    fastest = float((size[step] / dt[step, 0]).max()) if step.size else 0.0
-    return SourcePath(channel, stepped, good, part, time_ns[step + 1], time_ns[lone], fastest)
+        usual_m = float(np.nanmedian(sigma))
+        good &= ~(sigma > max(WORST_ACCURACY_M, SEVERAL_USUAL_ACCURACIES * usual_m))
+    return SourcePath(
+        channel,
+        steps.stepped_m,
+        good,
+        steps.part,
+        step_ns=time_ns[before_step + 1],
+        lasting_ns=time_ns[steps.lasting_rows],
+        fastest_m_s=fastest_m_s,
+    )
+
+
+def _unexplained_moves(channel: Channel, quantity: str, channels: Iterable[Channel]) -> Array:
+    """(n - 1, k) metres from sample to sample that neither velocity nor neighbours explain."""
+    seconds = np.diff(channel.time_ns)[:, None] * 1e-9
+    speed = moves_of(channel, quantity) / seconds
+    padding = ((_NEIGHBOURS, _NEIGHBOURS), (0, 0))
+    around = sliding_window_view(np.pad(speed, padding, mode="edge"), 2 * _NEIGHBOURS + 1, axis=0)
+    median = np.partition(around, _NEIGHBOURS, axis=-1)[..., _NEIGHBOURS]
+    beyond_neighbours = speed - median
+    velocity = velocity_at(channels, quantity, channel.time_ns)
+    beyond_velocity = speed - 0.5 * (velocity[1:] + velocity[:-1])
+    by_velocity = np.linalg.norm(beyond_velocity, axis=1) < np.linalg.norm(
+        beyond_neighbours, axis=1
+    )
+    unexplained = seconds * np.where(by_velocity[:, None], beyond_velocity, beyond_neighbours)
+    restarted = np.diff(channel.boot) != 0
+    unexplained[restarted | (seconds[:, 0] > _LONGEST_STEP_S)] = 0.0
+    return unexplained
+
+
+class _OwnSteps(NamedTuple):
+    """What the steps of a source do to it: how far it is away, its parts, steps without return."""
+
+    stepped_m: Array
+    part: Rows
+    lasting_rows: list[int]
+
+
+def _own_steps(
+    channel: Channel, unexplained: Array, before_step: Rows, noise_m: float
+) -> _OwnSteps:
+    """Pair the steps of a source that leave with those that return."""
+    time_ns = channel.time_ns
+    near_step = np.zeros(time_ns.size - 1, np.bool_)
+    for row in before_step:  # a receiver smooths a step: what is left of it lies beside
+        near_step |= np.abs(time_ns[1:] - time_ns[row + 1]) <= SECOND
+    carried = np.cumsum(np.where(near_step[:, None], unexplained, 0.0), axis=0)
+    carried = np.concatenate([np.zeros((1, carried.shape[1])), carried])
+    # Between two steps a source stands at one level.
+    edges = [0, *(before_step + 1).tolist(), time_ns.size]
+    levels = [np.median(carried[begin:end], axis=0) for begin, end in pairwise(edges)]
+    stepped_m = np.zeros_like(carried)
+    part = channel.boot.astype(np.intp)
+    lasting_rows: list[int] = []
+    base = levels[0]
+    level = 1
+    while level < len(levels):
+        step_m = float(np.linalg.norm(levels[level] - base))
+        if step_m <= noise_m:
+            level += 1
+            continue
+        begin = edges[level]
+        back = _return_of(levels, level, base, noise_m + _RETURNS_WITHIN * step_m)
+        if back is None:
+            base = levels[level]
+            lasting_rows.append(begin)
+            part[begin:] += int(part.max()) + 1
+            level += 1
+        else:
+            end = edges[back]
+            stepped_m[begin:end] = carried[begin:end] - base
+            level = back
+    return _OwnSteps(stepped_m, part, lasting_rows)
+
+
+def _return_of(levels: list[Array], away: int, base: Array, tolerance_m: float) -> int | None:
+    """The first level after one that is away, at which a source is back at its base."""
+    for later in range(away + 1, len(levels)):
+        if np.linalg.norm(levels[later] - base) < tolerance_m:
+            return later
+    return None
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,11 +242,12 @@ class Difference:
     scatter_m: float  # its standard deviation
 
     @property
-    def apart(self) -> list[tuple[int, int]]:
-        """Rows of the other between which the two differ by more than noise."""
+    def apart(self) -> list[Run]:
+        """Rows of the other in which the two differ by more than noise."""
         with np.errstate(invalid="ignore"):
-            bad, seed = self.off_m > 0.5 * self.limit_m, self.off_m > self.limit_m
-        return runs(self.other.channel.time_ns, bad, seed)
+            is_half_off = self.off_m > 0.5 * self.limit_m
+            is_off = self.off_m > self.limit_m
+        return runs(self.other.channel.time_ns, is_half_off, is_off)
 
 
 def difference(
@@ -179,60 +265,115 @@ def difference(
     ``mine`` stepped and did not return.
     """
     time_ns = other.channel.time_ns
-    theirs, _ = places_of(other.channel, quantity)
-    own, _ = places_of(mine, quantity)
-    gap_s = mine.gap_limit_s(2.0)
-    placed = replace(mine, columns=dict(zip("xy", own.T, strict=False)), labels={})
-    own = np.stack([interpolate(placed, n, time_ns, gap_s) for n in placed.columns], axis=1)
-    apart = own - theirs if quantity == HEIGHT else metres(own - theirs, theirs[:, 0])
-    apart += other.stepped_m
-    known = np.isfinite(apart).all(axis=1) & other.good
-    velocity, noise_m = np.nan_to_num(velocity), NOISE_MISFIT_M[quantity]
-    speed2 = np.sum(velocity**2, axis=1)
-    fast = known & (speed2 > max(4.0, 0.1 * float(np.percentile(speed2, 95.0))))
-    near_zero = quantity == POSITION or (is_receiver(mine) and is_receiver(other.channel))
+    noise_m = NOISE_MISFIT_M[quantity]
+    are_receivers = is_receiver(mine) and is_receiver(other.channel)
+    near_zero = quantity == POSITION or are_receivers
+    apart_m = _apart_without_lag(mine, other, quantity)
+    velocity = np.nan_to_num(velocity)
+    known = np.isfinite(apart_m).all(axis=1) & other.good
     lag_s = 0.0
-    if np.count_nonzero(fast) >= 20:
+    square_speed = np.sum(velocity**2, axis=1)
+    usual_square = float(np.percentile(square_speed, 95.0))
+    fast = known & (square_speed > max(_SLOWEST_M_S**2, _FAST_SHARE * usual_square))
+    if np.count_nonzero(fast) >= _FEWEST_FAST:
         known = fast
-        lags = np.sum(apart * velocity, axis=1)[fast] / speed2[fast]
+        lags = np.sum(apart_m * velocity, axis=1)[fast] / square_speed[fast]
         lag_s = float(np.median(lags))
-        if near_zero and np.median(np.abs(lags - lag_s)) * np.sqrt(np.median(speed2)) > noise_m:
-
-            def closest(lag_s: float) -> float:
-                left = np.linalg.norm(apart[fast] - lag_s * velocity[fast], axis=1)
-                return float(np.percentile(left, 100.0 * _PART_OF_FLIGHT))
-
-            parts = [float(np.median(part)) for part in np.array_split(lags, 20)]
-            lag_s = min([lag_s, *(lag for lag in parts if abs(lag) < _LONGEST_LAG_S)], key=closest)
-    apart -= lag_s * velocity
+        scatter_s = np.median(np.abs(lags - lag_s))
+        scatter_m = scatter_s * np.sqrt(np.median(square_speed))
+        if near_zero and scatter_m > noise_m:
+            lag_s = _lag_of_a_part(lags, apart_m[fast], velocity[fast])
+    apart_m -= lag_s * velocity
     reported = other.good | other.stepped_m.any(axis=1)
-    apart[~reported] = np.nan
-    off, settled = np.full(time_ns.size, np.nan), np.zeros(time_ns.size, np.bool_)
-    early = time_ns < (time_ns[0] if steady_until_ns is None else steady_until_ns)
-    agree = np.linalg.norm(apart, axis=1) < noise_m if near_zero else early
+    apart_m[~reported] = np.nan
+    if near_zero:
+        agree = np.linalg.norm(apart_m, axis=1) < noise_m
+    elif steady_until_ns is not None:
+        agree = time_ns < steady_until_ns
+    else:
+        agree = np.zeros(time_ns.size, np.bool_)
+    off_m = np.full(time_ns.size, np.nan)
+    settled = np.zeros(time_ns.size, np.bool_)
     for part in np.unique(other.part):  # heights above home have a new home in each
-        rows = other.part == part
-        usable = rows & known if (rows & known).any() else rows & np.isfinite(apart).all(axis=1)
+        in_part = other.part == part
+        usable = in_part & known
+        if not usable.any():
+            usable = in_part & np.isfinite(apart_m).all(axis=1)
         if not usable.any():
             continue
-        offset_m, least = np.median(apart[usable], axis=0), _PART_OF_FLIGHT * usable.sum()
-        if np.count_nonzero(usable & agree) > least:
-            usual_m = np.median(apart[usable & agree], axis=0)
-            if np.linalg.norm(usual_m - offset_m) > noise_m:
-                usable, offset_m = usable & agree, usual_m
-        off[rows] = np.linalg.norm(apart[rows] - offset_m, axis=1)
+        usable, offset_m = _usual_offset(apart_m, usable, agree, noise_m)
+        off_m[in_part] = np.linalg.norm(apart_m[in_part] - offset_m, axis=1)
         settled |= usable & known
-    scatter_m = 1.48 * float(np.median(off[settled])) if settled.any() else 0.0
-    return Difference(other, apart, off, lag_s, max(noise_m, _SEVERAL * scatter_m), scatter_m)
+    scatter_m = 0.0
+    if settled.any():
+        scatter_m = _SIGMA_OF_MEDIAN * float(np.median(off_m[settled]))
+    return Difference(
+        other,
+        apart_m,
+        off_m,
+        lag_s=lag_s,
+        limit_m=max(noise_m, _SEVERAL * scatter_m),
+        scatter_m=scatter_m,
+    )
+
+
+def _apart_without_lag(mine: Channel, other: SourcePath, quantity: str) -> Array:
+    """(n, k) metres from another source, less its own steps, to ``mine`` at its times."""
+    theirs = places_of(other.channel, quantity)
+    columns = dict(zip("xy", places_of(mine, quantity).T, strict=False))
+    placed = replace(mine, columns=columns, labels={})
+    gap_s = mine.gap_limit_s(_SOURCE_GAP_S)
+    time_ns = other.channel.time_ns
+    own = np.stack([interpolate(placed, name, time_ns, gap_s) for name in columns], axis=1)
+    apart_m = own - theirs
+    if quantity != HEIGHT:
+        apart_m = metres(own - theirs, theirs[:, 0])
+    return np.asarray(apart_m + other.stepped_m)
+
+
+def _lag_of_a_part(lags: Array, apart_m: Array, velocity: Array) -> float:
+    """The lag [s] with which the nearest tenth of (f, k) differences is nearest.
+
+    Tried are the median of all (f,) lags and that of each twentieth of the flight: two sources may
+    agree in a part of it only.
+    """
+
+    def distance_of_nearest(lag_s: float) -> float:
+        left_m = np.linalg.norm(apart_m - lag_s * velocity, axis=1)
+        return float(np.percentile(left_m, 100.0 * _PART_OF_FLIGHT))
+
+    tried = [float(np.median(lags))]
+    for part in np.array_split(lags, _LAG_PARTS):
+        lag_s = float(np.median(part))
+        if abs(lag_s) < _LONGEST_LAG_S:
+            tried.append(lag_s)
+    return min(tried, key=distance_of_nearest)
+
+
+def _usual_offset(apart_m: Array, usable: Mask, agree: Mask, noise_m: float) -> tuple[Mask, Array]:
+    """The median difference of usable rows, or of those that agree if they tell another; and which.
+
+    Those that agree count where they are a tenth or more.
+    """
+    offset_m = np.median(apart_m[usable], axis=0)
+    agreeing = usable & agree
+    if np.count_nonzero(agreeing) > _PART_OF_FLIGHT * np.count_nonzero(usable):
+        usual_m = np.median(apart_m[agreeing], axis=0)
+        if np.linalg.norm(usual_m - offset_m) > noise_m:
+            return agreeing, usual_m
+    return usable, offset_m
 
 
 def moved(channel: Channel, rows: Mask, by_m: Array, height_column: str | None) -> dict[str, Array]:
     """Columns of some rows of a channel, moved by (2,) metres north and east or (1,) up."""
     if by_m.size == 1:
-        h = channel[channel.height_column or "h_msl_m"][rows] + by_m[0]
-        others = ("h_msl_m", "h_ellipsoid_m", "h_home_m", "h_gnss_m")
-        return dict.fromkeys(others, np.full(h.shape, np.nan)) | {height_column or "h_msl_m": h}
-    lat, lon = channel["lat_rad"][rows], channel["lon_rad"][rows]
+        height = channel[channel.height_column or "h_msl_m"][rows] + by_m[0]
+        unknown = np.full(height.shape, np.nan)
+        columns = dict.fromkeys(("h_msl_m", "h_ellipsoid_m", "h_home_m", "h_gnss_m"), unknown)
+        columns[height_column or "h_msl_m"] = height
+        return columns
+    lat = channel["lat_rad"][rows]
+    lon = channel["lon_rad"][rows]
     north, east = by_m / _RADIUS_M
     return {"lat_rad": lat + north, "lon_rad": lon + east / np.cos(lat)}
 
@@ -246,29 +387,42 @@ def height_of_pressure(barometer: Channel, height: Channel) -> Channel | None:
     column = height.height_column
     if column is None or "pressure_pa" not in barometer.columns:
         return None
-    h = interpolate(height, column, barometer.time_ns, height.gap_limit_s(2.0))
+    gap_s = height.gap_limit_s(_SOURCE_GAP_S)
+    height_m = interpolate(height, column, barometer.time_ns, gap_s)
     with np.errstate(invalid="ignore", divide="ignore"):
         log_p = np.log(barometer["pressure_pa"])
-    use = np.isfinite(h) & np.isfinite(log_p)
-    if np.count_nonzero(use) < 30:
+    usable = np.isfinite(height_m) & np.isfinite(log_p)
+    if np.count_nonzero(usable) < _FEWEST_PRESSURES:
         return None
-    heights = np.full(h.shape, np.nan)
-    for _ in range(2):
-        if float(np.ptp(h[use])) > 300.0:
-            heights = np.polynomial.Polynomial.fit(log_p[use], h[use], 2)(log_p)
-        else:
-            heights = float(np.median(h[use] - _SLOPE_M * log_p[use])) + _SLOPE_M * log_p
-        off = np.abs(h - heights)
-        use &= off < max(3.0 * 1.48 * float(np.nanmedian(off)), 1.0)
-    return replace(barometer, columns={"h_msl_m": heights}, roles=(), labels={})
+    of_pressure = _height_by_log_p(log_p, height_m, usable)
+    usable &= _is_near(height_m, of_pressure)
+    of_pressure = _height_by_log_p(log_p, height_m, usable)
+    return replace(barometer, columns={"h_msl_m": of_pressure}, roles=(), labels={})
+
+
+def _height_by_log_p(log_p: Array, height_m: Array, usable: Mask) -> Array:
+    """(n,) heights of pressures by a parabola, or a line of standard air, through usable rows."""
+    if float(np.ptp(height_m[usable])) > _SPAN_OF_PARABOLA_M:
+        fit = np.polynomial.Polynomial.fit(log_p[usable], height_m[usable], 2)
+        return np.asarray(fit(log_p))
+    at_unit_pressure = float(np.median(height_m[usable] - _SLOPE_M * log_p[usable]))
+    return at_unit_pressure + _SLOPE_M * log_p
+
+
+def _is_near(height_m: Array, of_pressure: Array) -> Mask:
+    """Which heights are within three sigma of those of the pressure."""
+    off_m = np.abs(height_m - of_pressure)
+    three_sigma_m = 3.0 * _SIGMA_OF_MEDIAN * float(np.nanmedian(off_m))
+    return np.asarray(off_m < max(three_sigma_m, _LEAST_SCATTER_M))
 
 
 LONGEST_COAST_S = 2.0  # a filter without a receiver for longer is no longer known to be right [s]
 BESIDE_S = 10.0  # a source that replaces another agrees with it for so long before and after [s]
-# A filter without its receiver, or a barometer, replaces a receiver for no longer [s].
-LONGEST_REPLACED_S = 60
+LONGEST_REPLACED_S = 60  # that a filter without its receiver, or a barometer, replaces one [s]
 # Half the acceleration by which a filter drifts whose vertical is 0.25 degrees wrong [m/s2].
 LARGEST_DRIFT_M_S2 = 0.02
+_FEWEST_BESIDE = 5  # samples before and after that agree
+_MOST_AGREE = 90.0  # percentile of them that is within the noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -281,74 +435,117 @@ class Sources:
     barometers: tuple[str, ...] = ()  # those compared, first the one of the role of the pressure
 
 
-def replacement_for(sources: Sources, stretch: Stretch) -> tuple[Difference, list[Array]] | None:
-    """The source that replaces a suspect one where it is plain who is wrong, and two offsets.
+@dataclass(frozen=True, eq=False)
+class Replacement:
+    """A source that replaces a suspect one, and how far the two are apart before and after."""
+
+    difference: Difference
+    before_m: Array
+    after_m: Array
+
+    @property
+    def channel(self) -> Channel:
+        """That of the source which replaces."""
+        return self.difference.other.channel
+
+
+def replacement_for(sources: Sources, stretch: Stretch) -> Replacement | None:
+    """The source that replaces a suspect one where it is plain who is wrong.
 
     Who is wrong has steps of its own, a poor accuracy or no fix: the source itself, or, where that
     is a filter, one of several receivers. The replacement has none of these, and agrees for 10 s
     before and after. A filter or a barometer replaces a receiver for at most 60 s.
     """
-    own, long = sources.own, stretch.end_ns - stretch.begin_ns > LONGEST_REPLACED_S * SECOND
     wide = replace(stretch, begin_ns=stretch.begin_ns - SECOND, end_ns=stretch.end_ns + SECOND)
-    margin = int(BESIDE_S * SECOND)
-    before = replace(wide, begin_ns=wide.begin_ns - margin, end_ns=wide.begin_ns)
-    after = replace(wide, begin_ns=wide.end_ns, end_ns=wide.end_ns + margin)
-
-    def fails(track: SourcePath) -> bool:
-        rows = wide.covers(track.channel.time_ns)
-        silent = bool(np.diff(track.channel.time_ns[rows], prepend=wide.begin_ns,
-                              append=wide.end_ns).max() > LONGEST_COAST_S * SECOND)  # fmt: skip
-        return silent or not track.good[rows].all() or bool(wide.covers(track.step_ns).any())
-
-    paths = [own, *(d.other for d in sources.differences)]
-    if not any(fails(path) for path in paths if is_receiver(path.channel)):
+    paths = [sources.own, *(each.other for each in sources.differences)]
+    receivers = [path for path in paths if is_receiver(path.channel)]
+    if not any(_fails(path, wide) for path in receivers):
         return None
-    for d in sources.differences:
-        channel = d.other.channel
-        if fails(d.other) or (not is_receiver(channel) and (long or not is_receiver(own.channel))):
+    is_long = stretch.end_ns - stretch.begin_ns > LONGEST_REPLACED_S * SECOND
+    only_receivers = is_long or not is_receiver(sources.own.channel)
+    for each in sources.differences:
+        if only_receivers and not is_receiver(each.other.channel):
             continue
-        known = np.isfinite(d.off_m)
-        sides = [side.covers(channel.time_ns) & known for side in (before, after)]
-        if all(s.sum() > 4 and np.percentile(d.off_m[s], 90.0) < d.limit_m for s in sides):
-            return d, [np.median(d.apart_m[side], axis=0) for side in sides]
+        if _fails(each.other, wide):
+            continue
+        replacement = _if_agrees_beside(each, wide)
+        if replacement is not None:
+            return replacement
     return None
 
 
-def drifted(own: SourcePath, d: Difference, stretch: Stretch) -> list[Stretch]:
+def _fails(path: SourcePath, stretch: Stretch) -> bool:
+    """Whether a source is silent, steps or reports a poor accuracy in a stretch."""
+    rows = stretch.covers(path.channel.time_ns)
+    stamps = path.channel.time_ns[rows]
+    gaps_ns = np.diff(stamps, prepend=stretch.begin_ns, append=stretch.end_ns)
+    is_silent = bool(gaps_ns.max() > LONGEST_COAST_S * SECOND)
+    return is_silent or not path.good[rows].all() or bool(stretch.covers(path.step_ns).any())
+
+
+def _if_agrees_beside(difference: Difference, stretch: Stretch) -> Replacement | None:
+    """The replacement by a source that agrees for 10 s before and after a stretch."""
+    margin_ns = int(BESIDE_S * SECOND)
+    before = replace(stretch, begin_ns=stretch.begin_ns - margin_ns, end_ns=stretch.begin_ns)
+    after = replace(stretch, begin_ns=stretch.end_ns, end_ns=stretch.end_ns + margin_ns)
+    offsets = []
+    for side in (before, after):
+        rows = side.covers(difference.other.channel.time_ns) & np.isfinite(difference.off_m)
+        if np.count_nonzero(rows) < _FEWEST_BESIDE:
+            return None
+        if np.percentile(difference.off_m[rows], _MOST_AGREE) >= difference.limit_m:
+            return None
+        offsets.append(np.median(difference.apart_m[rows], axis=0))
+    return Replacement(difference, before_m=offsets[0], after_m=offsets[1])
+
+
+def drifted(own: SourcePath, replacement: Replacement, stretch: Stretch) -> list[Stretch]:
     """A filter that left its replacement without a step has a wrong vertical: a suspect attitude.
 
     A quarter of a degree of tilt carries a coasting filter 0.02 m/s² t² away.
     """
-    time_ns = d.other.channel.time_ns
+    difference = replacement.difference
+    time_ns = replacement.channel.time_ns
     stepped = np.interp(time_ns, own.channel.time_ns, own.stepped_m.any(axis=1))
-    off = np.where(stretch.covers(time_ns) & (stepped == 0.0), np.nan_to_num(d.off_m), 0.0)
-    worst = int(np.argmax(off))
-    t = (int(time_ns[worst]) - stretch.begin_ns) / SECOND
-    if off[worst] < max(d.limit_m, LARGEST_DRIFT_M_S2 * t**2):
+    drifts = stretch.covers(time_ns) & (stepped == 0.0)
+    off_m = np.where(drifts, np.nan_to_num(difference.off_m), 0.0)
+    worst = int(np.argmax(off_m))
+    after_s = (int(time_ns[worst]) - stretch.begin_ns) / SECOND
+    if off_m[worst] < max(difference.limit_m, LARGEST_DRIFT_M_S2 * after_s**2):
         return []
-    reason = f"{own.channel.name} drifts {off[worst]:.0f} m in {t:.0f} s, as with a wrong vertical"
+    reason = (
+        f"{own.channel.name} drifts {off_m[worst]:.0f} m in {after_s:.0f} s, as with a wrong "
+        "vertical"
+    )
     return [replace(stretch, quantity=ATTITUDE, reason=reason, off_m=np.nan)]
 
 
-def with_replaced(channel: Channel, d: Difference, stretch: Stretch, by_m: list[Array]) -> Channel:
+def with_replaced(channel: Channel, replacement: Replacement, stretch: Stretch) -> Channel:
     """The channel with the samples of another source in a stretch, its lag and offset taken out.
 
-    ``by_m`` are the offsets before and after, of which the mean counts; half their difference and
-    the usual difference of the two go into the standard deviation, with the source's own.
+    Of the offsets before and after the mean counts; half their difference and the usual difference
+    of the two go into the standard deviation, with the source's own.
     """
-    other, sigma = d.other.channel, "sigma_v_m" if stretch.quantity == HEIGHT else "sigma_h_m"
-    time_ns = other.time_ns - round(d.lag_s * 1e9)
-    inside, keep = stretch.covers(time_ns), ~stretch.covers(channel.time_ns)
-    spread = np.hypot(0.5 * float(np.linalg.norm(by_m[1] - by_m[0])), d.scatter_m)
-    fill = {name: values[inside] for name, values in other.columns.items()}
-    fill |= moved(other, inside, 0.5 * (by_m[0] + by_m[1]), channel.height_column)
+    other = replacement.channel
+    before_m = replacement.before_m
+    after_m = replacement.after_m
+    time_ns = other.time_ns - round(replacement.difference.lag_s * 1e9)
+    inside = stretch.covers(time_ns)
+    keep = ~stretch.covers(channel.time_ns)
     unknown = np.full(np.count_nonzero(inside), np.nan)
-    fill[sigma] = np.hypot(np.nan_to_num(fill.get(sigma, unknown)), spread)
-    both = np.concatenate([channel.time_ns[keep], time_ns[inside]])
-    joined, rows = np.unique(both, return_index=True)
+    fill = {name: values[inside] for name, values in other.columns.items()}
+    fill |= moved(other, inside, 0.5 * (before_m + after_m), channel.height_column)
+    sigma = sigma_column(stretch.quantity)
+    of_offsets = 0.5 * float(np.linalg.norm(after_m - before_m))
+    spread_m = np.hypot(of_offsets, replacement.difference.scatter_m)
+    fill[sigma] = np.hypot(np.nan_to_num(fill.get(sigma, unknown)), spread_m)
+
+    joined_ns, rows = np.unique(
+        np.concatenate([channel.time_ns[keep], time_ns[inside]]), return_index=True
+    )
+    columns: dict[str, Array] = {}
+    for name in (*channel.columns, sigma):
+        both = np.concatenate([channel.get(name)[keep], fill.get(name, unknown)])
+        columns[name] = both[rows]
     boot = np.concatenate([channel.boot[keep], other.boot[inside]])[rows]
-    columns = {
-        name: np.concatenate([channel.get(name)[keep], fill.get(name, unknown)])[rows]
-        for name in (*channel.columns, sigma)
-    }
-    return replace(channel, time_ns=joined, boot=boot, columns=columns, labels={})
+    return replace(channel, time_ns=joined_ns, boot=boot, columns=columns, labels={}, rejected={})

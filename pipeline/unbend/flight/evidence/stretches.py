@@ -4,16 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from unbend.flight.channels import TimeArray
+from unbend.flight.evidence.messages import another_source_stands_in, stations_suspect
 from unbend.flight.stations import Stations
-from unbend.messages import Notes, fallback, loss
-from unbend.units import Mask
+from unbend.messages import Message, Notes
+from unbend.units import NANOSECONDS_PER_SECOND, Mask
 
-POSITION, HEIGHT, ATTITUDE = "position", "height", "attitude"
-SECOND = 1_000_000_000
+POSITION = "position"
+HEIGHT = "height"
+ATTITUDE = "attitude"
+
+SECOND = NANOSECONDS_PER_SECOND
+
+_MOST_REASONS = 3  # of stretches that are joined
 
 
 @dataclass(frozen=True, order=True)
@@ -34,8 +41,8 @@ class Stretch:
     @property
     def when(self) -> str:
         """From when to when, UTC."""
-        begin, end = np.array([self.begin_ns, self.end_ns], "datetime64[ns]").astype("M8[s]")
-        return f"{begin} to {end} UTC"
+        ends = np.array([self.begin_ns, self.end_ns], "datetime64[ns]").astype("datetime64[s]")
+        return f"{ends[0]} to {ends[1]} UTC"
 
     def meets(self, other: Stretch) -> bool:
         """Whether the two have a time in common."""
@@ -54,51 +61,94 @@ def merged(stretches: Sequence[Stretch]) -> list[Stretch]:
     """Stretches of one quantity that touch, as one, with up to three of their reasons."""
     result: list[Stretch] = []
     for stretch in sorted(stretches):
-        last = result[-1] if result else None
-        if last is None or stretch.begin_ns > last.end_ns + SECOND:
+        if result and stretch.begin_ns <= result[-1].end_ns + SECOND:
+            result[-1] = _joined(result[-1], stretch)
+        else:
             result.append(stretch)
-            continue
-        reasons = last.reason.split("; ")
-        if stretch.reason not in reasons and len(reasons) < 3:
-            reasons.append(stretch.reason)
-        end, off_m = max(last.end_ns, stretch.end_ns), float(np.fmax(last.off_m, stretch.off_m))
-        result[-1] = replace(last, end_ns=end, reason="; ".join(reasons), off_m=off_m)
     return result
 
 
-def runs(time_ns: TimeArray, bad: Mask, seed: Mask, join_s: float = 1.0) -> list[tuple[int, int]]:
-    """First and last row of each run of bad rows with a seed; ``join_s`` [s] apart they are one."""
-    rows = np.flatnonzero(bad | seed)
+def _joined(first: Stretch, second: Stretch) -> Stretch:
+    """Two stretches of one quantity that touch, as one."""
+    reasons = first.reason.split("; ")
+    if second.reason not in reasons and len(reasons) < _MOST_REASONS:
+        reasons.append(second.reason)
+    return replace(
+        first,
+        end_ns=max(first.end_ns, second.end_ns),
+        reason="; ".join(reasons),
+        off_m=float(np.fmax(first.off_m, second.off_m)),
+    )
+
+
+class Run(NamedTuple):
+    """Rows of a channel from the first to the last."""
+
+    first: int
+    last: int
+
+    @property
+    def rows(self) -> slice:
+        """The rows, to index an array with."""
+        return slice(self.first, self.last + 1)
+
+
+def runs(time_ns: TimeArray, bad: Mask, seed: Mask, join_s: float = 1.0) -> list[Run]:
+    """The runs of bad rows with a seed; ``join_s`` [s] apart they are one."""
     if not seed.any():
         return []
-    cut = np.flatnonzero(np.diff(time_ns[rows]) > join_s * SECOND)
-    first, last = rows[np.append(0, cut + 1)], rows[np.append(cut, rows.size - 1)]
-    pairs = zip(first.tolist(), last.tolist(), strict=True)
-    return [(a, b) for a, b in pairs if seed[a : b + 1].any()]
+    rows = np.flatnonzero(bad | seed)
+    ends = np.flatnonzero(np.diff(time_ns[rows]) > join_s * SECOND)
+    first_rows = rows[np.append(0, ends + 1)]
+    last_rows = rows[np.append(ends, rows.size - 1)]
+    with_seed: list[Run] = []
+    for first, last in zip(first_rows.tolist(), last_rows.tolist(), strict=True):
+        run = Run(first, last)
+        if seed[run.rows].any():
+            with_seed.append(run)
+    return with_seed
 
 
-def beside(time_ns: TimeArray, a: int, b: int) -> tuple[int, int]:
-    """The times of the rows before and after those from a to b [ns]."""
-    return int(time_ns[max(a - 1, 0)]), int(time_ns[min(b + 1, time_ns.size - 1)])
+def stretch_of_run(
+    time_ns: TimeArray, run: Run, quantity: str, reason: str, off_m: float = np.nan
+) -> Stretch:
+    """The stretch from the row before a run to the row after it."""
+    before = max(run.first - 1, 0)
+    after = min(run.last + 1, time_ns.size - 1)
+    return Stretch(int(time_ns[before]), int(time_ns[after]), quantity, reason, off_m)
 
 
 def flag_suspect(
     stations: Stations, stretches: Sequence[Stretch], *, use_suspect: bool
 ) -> tuple[Stations, Notes]:
     """Mark stations in suspect stretches, usable with ``use_suspect``; note replaced samples."""
-    notes, usable = [], stations.ok
+    notes: list[Message] = []
+    usable = stations.ok
     for stretch in stretches:
         rows = stretch.covers(stations.time_ns) & usable
-        count, quantity = int(rows.sum()), stretch.quantity
+        count = int(np.count_nonzero(rows))
         if count == 0:
             continue
-        when = f"{count} exposures from {stretch.when}, the first {stations.image[np.argmax(rows)]}"
+        first = stations.image[np.argmax(rows)]
         if stretch.replaced_by:
-            what = f"{when}: {quantity} from {stretch.replaced_by}, because {stretch.reason}"
-            notes.append(fallback("STATIONS-STAND-IN", what, where=quantity, count=count))
+            stand_in = another_source_stands_in(
+                count=count,
+                when=stretch.when,
+                first=first,
+                quantity=stretch.quantity,
+                source=stretch.replaced_by,
+                reason=stretch.reason,
+            )
+            notes.append(stand_in)
             continue
-        far = f", up to {stretch.off_m:.0f} m off" if np.isfinite(stretch.off_m) else ""
-        what = f"{when}: {quantity} is suspect{far}: {stretch.reason}"
-        notes.append(loss("STATIONS-SUSPECT", what, where=quantity, count=count))
+        suspect = stations_suspect(
+            count=count,
+            when=stretch.when,
+            first=first,
+            quantity=stretch.quantity,
+            off_m=stretch.off_m if np.isfinite(stretch.off_m) else None,
+            reason=stretch.reason,
+        )
+        notes.append(suspect)
         stations = stations.as_suspect(rows, stretch.reason, stretch.off_m, use=use_suspect)
     return stations, tuple(notes)

@@ -4,8 +4,9 @@ from collections.abc import Collection
 from functools import partial
 from pathlib import Path
 
-from unbend.ingest import boot_clock
+from unbend.ingest.boot_clock import timeline
 from unbend.ingest.buffers import open_view
+from unbend.ingest.dataflash import messages
 from unbend.ingest.dataflash.dataflash_channels import stamps, wanted_fields
 from unbend.ingest.dataflash.dataflash_contents import contents_of
 from unbend.ingest.dataflash.dataflash_records import RecordWalker, find_records
@@ -21,22 +22,30 @@ def read_log(path: Path, ledger: Ledger) -> Contents:
     wanted = wanted_fields()
     with open_view(path) as data:
         walker = RecordWalker(data, wanted)
-        line = boot_clock.timeline(stamps(data, walker))
+        line = timeline(stamps(data, walker))
         tables = decode(walker, wanted)
     walker.report_bytes(ledger, path.name, "record")
-    for refused in walker.refused:
-        what = f"an FMT record is not valid: {refused}"
+    for definition in walker.refused:
         if walker.bad_bytes:
-            ledger.loss("LOG-BAD-FORMAT", what, where=path.name, count=1)
+            ledger.add(messages.bad_definition(file=path.name, definition=definition))
         else:  # all bytes are of records that are defined
-            ledger.note("LOG-BAD-FORMAT", f"{what}; there is no record of it", where=path.name)
-    reread = partial(read_tables, path)
-    return contents_of(walker, walker.message_counts(), line, tables, ledger, reread=reread)
+            ledger.add(messages.unused_bad_definition(file=path.name, definition=definition))
+    return contents_of(
+        walker,
+        walker.message_counts(),
+        line,
+        tables,
+        ledger,
+        reread=partial(read_tables, path),
+    )
 
 
-DATAFLASH = LogFormat(
-    "dataflash", "ArduPilot DataFlash", (".bin",), lambda h: h.startswith(START), read_log
-)
+def _is_binary(head: bytes) -> bool:
+    """Whether a file begins with the definition of a record."""
+    return head.startswith(START)
+
+
+DATAFLASH = LogFormat("dataflash", "ArduPilot DataFlash", (".bin",), _is_binary, read_log)
 
 
 def read_tables(path: Path, names: Collection[str] | None = None) -> dict[str, Table]:
@@ -44,4 +53,8 @@ def read_tables(path: Path, names: Collection[str] | None = None) -> dict[str, T
     with open_view(path) as data:
         found = find_records(data, names)
         chosen = found.message_counts() if names is None else names
-        return decode(found, dict.fromkeys(chosen, lambda _: True))
+        return decode(found, dict.fromkeys(chosen, _every_field))
+
+
+def _every_field(name: str) -> bool:
+    return True

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from unbend.flight.channels import ROLE_COLUMNS, Channel, Source
+from unbend.flight.channels import ROLE_COLUMNS, Channel, Source, TimeArray
 from unbend.flight.clock import SECONDS_PER_WEEK, STRAY_ROWS, full_weeks, utc_of_gps
 from unbend.ingest.boot_clock import (
     LOWEST_FIX,
@@ -19,33 +19,34 @@ from unbend.ingest.boot_clock import (
     microseconds,
     nanoseconds,
     report_timeline,
+    rows_of,
 )
 from unbend.ingest.buffers import FileView, copy_rows, gather
 from unbend.ingest.channel_builder import DecodedRows, channel_of, with_both_heights
-from unbend.ingest.dataflash.dataflash_records import RecordWalker
+from unbend.ingest.dataflash import messages
+from unbend.ingest.dataflash.dataflash_records import RecordBlock, RecordWalker
 from unbend.ingest.dataflash.record_definitions import HEADER
 from unbend.ingest.dataflash.record_tables import INSTANCE_FIELDS
 from unbend.ingest.field_maps import MAPS, MessageMap, extract, is_number, message_maps
 from unbend.ingest.message_tables import PLACE, Table
 from unbend.messages import Ledger
-from unbend.units import Integers
+from unbend.units import Integers, Mask
 
 RECEIVERS = ("GPS", "GPS2")
-
-
 FIRST_WEEK = 1_721  # 2012-12-30: no log that defines its own records is older
-
-
 _WEEKS = 1 << 13  # until 2137: the fit is by the median, which more than half of the rows decide
-
-
-_OF_TIME = ("GMS", "GWk", "Status", "Week", "T")
-
-
+_MS_PER_WEEK = SECONDS_PER_WEEK * 1000
+_UTC_FIELDS = {"GMS", "GWk", "Status"}  # of a receiver
+_FIELDS_OF_TIME = (*_UTC_FIELDS, "Week", "T")  # ... and what these were until 2015
+LISTED_INSTANCES = 8  # of the stray ones, in the ledger
 STRAY_SHARE = 100  # rows of an instance for each row of one that is damage
 
-
 MESSAGES: Mapping[str, MessageMap] = message_maps("dataflash")
+
+# Accuracy and the ellipsoidal height come in a message of their own, at the time of the GPS row.
+ACCURACY_MESSAGES = {"GPS": "GPA", "GPS2": "GPA2"}
+_ACCURACY_MAP = message_maps("dataflash_accuracy")["GPA"]
+ACCURACY_FIELDS = [field for column in _ACCURACY_MAP.columns for field in column.fields]
 
 
 def texts_of(message: str, field: str, table: Table) -> tuple[str, ...] | None:
@@ -54,22 +55,21 @@ def texts_of(message: str, field: str, table: Table) -> tuple[str, ...] | None:
     >>> texts_of("ERR", "Subsys", {"Subsys": np.array([16], "u1"), "ECode": np.array([2], "u1")})
     ('ERR EKFCHECK 2',)
     """
-    words = table.get(field)
-    if words is None or words.dtype.kind != ("U" if message == "MSG" else "u"):
+    values = table.get(field)
+    kind = "U" if message == "MSG" else "u"
+    if values is None or values.dtype.kind != kind:
         return None
     if message == "MSG":
-        return tuple(words.tolist())
+        return tuple(values.tolist())
     names = MAPS["dataflash_numbers"][message]
-    codes = table["ECode"].tolist() if "ECode" in table else [""] * words.shape[0]
-    said = [names.get(str(number), number) for number in words.tolist()]
-    return tuple(f"{message} {word} {code}".strip() for word, code in zip(said, codes, strict=True))
-
-
-# Accuracy and the ellipsoidal height come in a message of their own, at the time of the GPS row.
-ACCURACY_MESSAGES = {"GPS": "GPA", "GPS2": "GPA2"}
-
-
-ACCURACY = message_maps("dataflash_accuracy")["GPA"].columns
+    error_codes = [""] * values.shape[0]
+    if "ECode" in table:
+        error_codes = table["ECode"].tolist()
+    texts = []
+    for number, error_code in zip(values.tolist(), error_codes, strict=True):
+        name = names.get(str(number), number)
+        texts.append(f"{message} {name} {error_code}".strip())
+    return tuple(texts)
 
 
 def instance_of(table: Table) -> NDArray[Any]:
@@ -77,25 +77,45 @@ def instance_of(table: Table) -> NDArray[Any]:
     for field in INSTANCE_FIELDS:
         if field in table and table[field].dtype.kind in "iu":
             return table[field]
-    rows = len(next(iter(table.values()))) if table else 0
-    return np.full(rows, -1, np.int8)
+    return np.full(_length(table), -1, np.int8)
+
+
+def _length(table: Table) -> int:
+    """How many rows a table has."""
+    for column in table.values():
+        return len(column)
+    return 0
 
 
 def stamps(data: FileView, walker: RecordWalker) -> Iterator[Stamps]:
     """The times of all records that begin with one, during the walk."""
     for block in walker.blocks():
-        fields = [form.time_field for form in walker.definitions]
-        timed = np.array([bool(field) for field in fields])
-        old = np.array([field == "TimeMS" for field in fields])
-        rows = timed[block.numbers]
-        at = block.at[rows].astype(np.int64)
+        time_fields = [form.time_field for form in walker.definitions]
+        at, time_us = _times_of_block(data, block, time_fields)
         if at.size:
-            raw = data.array(block.base, block.end())
-            time_us = microseconds(gather(raw, at + HEADER, 8).view("<u8"))
-            if old.any():
-                in_ms = old[block.numbers[rows]]
-                time_us[in_ms] = gather(raw, at[in_ms] + HEADER, 4).view("<u4") * np.int64(1000)
-            yield at + block.base, time_us * 1000
+            yield at, time_us * 1000
+
+
+def _times_of_block(
+    data: FileView, block: RecordBlock, time_fields: list[str]
+) -> tuple[Integers, TimeArray]:
+    """Places and times since boot [us] of the records of a block that begin with a time.
+
+    ``time_fields``: by definition, "" where a record has none.
+    """
+    has_time = np.array([bool(field) for field in time_fields])
+    in_ms = np.array([field == "TimeMS" for field in time_fields])
+    rows = has_time[block.numbers]
+    at = block.at[rows].astype(np.int64)
+    if not at.size:
+        return at, at
+    raw = data.array(block.base, block.end())
+    time_us = microseconds(gather(raw, at + HEADER, 8).view("<u8"))
+    if in_ms.any():
+        rows_in_ms = in_ms[block.numbers[rows]]
+        time_ms = gather(raw, at[rows_in_ms] + HEADER, 4).view("<u4")
+        time_us[rows_in_ms] = time_ms * np.int64(1000)
+    return at + block.base, time_us
 
 
 def clock_of(line: Timeline, tables: Mapping[str, Table], ledger: Ledger) -> tuple[BootClock, str]:
@@ -106,7 +126,8 @@ def clock_of(line: Timeline, tables: Mapping[str, Table], ledger: Ledger) -> tup
         if name in tables:
             sources += _receiver_utc(line, tables[name], name, ledger)
     clock = fit_clock(line, sources, ledger, utc_of="GPS row with a fix and a week")
-    if unknown := clock.utc_known.count(False):
+    unknown = clock.utc_known.count(False)
+    if unknown:
         return clock, f"vehicle clock; UTC is unknown in {unknown} of {len(clock.fits)} boots"
     rows = sum(fit.rows for fit in clock.fits if fit is not None)
     return clock, f"vehicle clock, set to UTC by the median of {rows} GPS rows"
@@ -114,48 +135,67 @@ def clock_of(line: Timeline, tables: Mapping[str, Table], ledger: Ledger) -> tup
 
 def _receiver_utc(line: Timeline, table: Table, name: str, ledger: Ledger) -> Iterator[UtcReadings]:
     """The UTC of each receiver of a message."""
-    count = table[PLACE].size
-    if absent := sorted({"GMS", "GWk", "Status"} - set(table)):
-        what = f"{count} rows give no UTC: the log defines no field {', '.join(absent)}"
-        ledger.loss("LOG-FIELDS", what, where=name, count=count)
+    absent = sorted(_UTC_FIELDS - set(table))
+    if absent:
+        count = table[PLACE].size
+        ledger.add(messages.no_utc_fields(message=name, count=count, fields=absent))
         return
     usable = (table["GWk"] > 0) & (table["GWk"] < _WEEKS)
-    usable &= (table["GMS"] >= 0) & (table["GMS"] < SECONDS_PER_WEEK * 1000)
+    usable &= (table["GMS"] >= 0) & (table["GMS"] < _MS_PER_WEEK)
     instance = instance_of(table)
-    for which in np.unique(instance[usable]):
-        of_instance = usable & (instance == which)
-        rows = slice(None) if bool(of_instance.all()) else of_instance  # a long log is not copied
-        label = f"{name}[{which}]" if which >= 0 else name
-        places, fix, week = table[PLACE][rows], table["Status"][rows], table["GWk"][rows]
-        boot_ns = nanoseconds(table["TimeUS"][rows])
-        boot = line.boot_of(places)
-        for number in np.unique(boot):  # a receiver rolls over in all rows of a boot or in none
-            fixes = (boot == number) & (fix >= LOWEST_FIX)
-            full, repaired = full_weeks(week[fixes], FIRST_WEEK)
-            if repaired:
-                where, before, after = f"{label}, boot {number}", week[fixes][0], full[0]
-                ledger.warning(
-                    "TIME-WEEK-ROLLOVER", where=where, count=repaired, week=before, full=after
+    for number in np.unique(instance[usable]):
+        rows = usable & (instance == number)
+        receiver = table
+        if not bool(rows.all()):  # a long log is not copied
+            needed = (PLACE, "TimeUS", *_UTC_FIELDS)
+            receiver = {field: table[field][rows] for field in needed}
+        label = f"{name}[{number}]" if number >= 0 else name
+        places = receiver[PLACE]
+        week = _full_weeks_by_boot(receiver, line.boot_of(places), label, ledger)
+        yield rows_of(
+            label,
+            places=places,
+            boot_ns=nanoseconds(receiver["TimeUS"]),
+            utc_ns=utc_of_gps(week, receiver["GMS"] / 1000.0),
+            usable=np.ones(places.shape, np.bool_),
+            fix=receiver["Status"],
+        )
+
+
+def _full_weeks_by_boot(
+    receiver: Table, boot: NDArray[np.int16], label: str, ledger: Ledger
+) -> NDArray[Any]:
+    """The GPS weeks of a receiver; it rolls over in all rows of a boot or in none."""
+    week = receiver["GWk"]
+    has_fix = receiver["Status"] >= LOWEST_FIX
+    for number in np.unique(boot).tolist():
+        rows = has_fix & (boot == number)
+        full, repaired = full_weeks(week[rows], FIRST_WEEK)
+        if repaired:
+            ledger.add(
+                messages.week_rollover(
+                    receiver=label,
+                    boot=number,
+                    count=repaired,
+                    week=int(week[rows][0]),
+                    full=int(full[0]),
                 )
-                week = week.astype(np.int64)
-                week[fixes] = full
-        utc_ns = utc_of_gps(week, table["GMS"][rows] / 1000.0)
-        good = np.ones(places.shape, np.bool_)
-        yield UtcReadings(f"rows of {label}", places, boot_ns, utc_ns, good, fix)
+            )
+            week = week.astype(np.int64)
+            week[rows] = full
+    return week
 
 
 def wanted_fields() -> dict[str, Callable[[str], bool]]:
     """The messages that become channels or are needed for it, and which of their fields."""
     always = {"TimeUS", "TimeMS", *INSTANCE_FIELDS}
-    fields = {
-        name: always
-        | {field for column in spec.columns for field in column.fields}
-        | {spec.id_field, spec.text_field}
-        | set(_OF_TIME if name in RECEIVERS else ())
-        for name, spec in MESSAGES.items()
-    }
-    of_accuracy = always | {field for column in ACCURACY for field in column.fields}
-    fields |= dict.fromkeys(ACCURACY_MESSAGES.values(), of_accuracy)
+    fields: dict[str, set[str]] = {}
+    for name, spec in MESSAGES.items():
+        fields[name] = always | spec.fields | {spec.id_field, spec.text_field}
+    for name in RECEIVERS:
+        fields[name] |= set(_FIELDS_OF_TIME)
+    for name in ACCURACY_MESSAGES.values():
+        fields[name] = always | set(ACCURACY_FIELDS)
     fields["ERR"] |= {"ECode"}
     fields["PARM"] = {"TimeUS", "Name", "Value"}
     return {name: names.__contains__ for name, names in fields.items()}
@@ -181,108 +221,163 @@ def _instances(
     if message not in tables:
         return
     table = tables.pop(message)
-    time_ns = copy_rows(clock.utc(table[PLACE], nanoseconds(table["TimeUS"])))
-    boot = copy_rows(clock.line.boot_of(table[PLACE]))
-    good = clock.line.good(table[PLACE])
-    accuracy = tables.pop(ACCURACY_MESSAGES.get(message, ""), None)
-    if accuracy is not None:
-        table = _join_accuracy(table, accuracy)
-        spec = replace(spec, columns=spec.columns + ACCURACY)
+    places = table[PLACE]
+    time_ns = copy_rows(clock.utc(places, nanoseconds(table["TimeUS"])))
+    boot = copy_rows(clock.line.boot_of(places))
+    good = clock.line.good(places)
+    del places
     if spec.text_field:
         texts = texts_of(message, spec.text_field, table)
         if texts is None:
-            what = f"its rows hold no text: the log defines no field {spec.text_field} for it"
-            ledger.loss("LOG-FIELDS", what, where=message)
+            ledger.add(messages.no_text_field(message=message, field=spec.text_field))
             return
         rows = DecodedRows(message, Source(message), time_ns, boot, {}, {"text": texts})
-        yield rows if good.all() else rows.take(good)
+        yield _chosen(rows, good)
         return
-    named = table.get(spec.id_field)
-    is_named = named is not None
-    instance = instance_of(table) if named is None else named
+    accuracy = tables.pop(ACCURACY_MESSAGES.get(message, ""), None)
+    if accuracy is not None:
+        table = _join_accuracy(table, accuracy)
+        spec = replace(spec, columns=spec.columns + _ACCURACY_MAP.columns)
+        del accuracy
     _report_fields(message, spec, table, ledger)
+    is_named = spec.id_field in table
+    instance = table[spec.id_field] if is_named else instance_of(table)
     table = dict(table)
-    del accuracy, named, table[PLACE]
+    del table[PLACE]
     values = extract(table, spec.columns, copy_rows, used_up=table)
     del table
-    numbers, counts = np.unique(instance, return_counts=True)
+    numbers = np.unique(instance)
     if not is_named and not spec.event:
-        # a few rows beside a hundred times as many of another instance: a flipped bit
-        stray = (counts <= STRAY_ROWS) & (counts * STRAY_SHARE <= counts.max(initial=0))
-        if stray.any():
-            count = int(counts[stray].sum())
-            names = ", ".join(str(number) for number in numbers[stray].tolist()[:8])
-            most, main = counts.max(), numbers[np.argmax(counts)]
-            ledger.loss(
-                "LOG-INSTANCE", where=message, count=count, names=names, most=most, instance=main
-            )
-        numbers = numbers[~stray]
-    for which in numbers.tolist():
-        label = str(which) if is_named or which >= 0 else None
+        numbers = _without_stray_instances(message, instance, ledger)
+    for number in numbers.tolist():
+        label = str(number) if is_named or number >= 0 else None
         name = message if label is None else f"{message}[{label}]"
         rows = DecodedRows(name, Source(message, label), time_ns, boot, values)
-        chosen = (instance == which) & good
-        yield rows if chosen.all() else rows.take(chosen)
+        yield _chosen(rows, (instance == number) & good)
+
+
+def _chosen(rows: DecodedRows, chosen: Mask) -> DecodedRows:
+    """Some of the rows, not copied where these are all."""
+    return rows if chosen.all() else rows.take(chosen)
+
+
+def _without_stray_instances(message: str, instance: NDArray[Any], ledger: Ledger) -> NDArray[Any]:
+    """The instances of a message without those that a flipped bit made.
+
+    These have a few rows, beside a hundred times as many of another instance.
+    """
+    numbers, counts = np.unique(instance, return_counts=True)
+    most = int(counts.max(initial=0))
+    stray = (counts <= STRAY_ROWS) & (counts * STRAY_SHARE <= most)
+    if stray.any():
+        ledger.add(
+            messages.stray_instances(
+                message=message,
+                count=int(counts[stray].sum()),
+                numbers=numbers[stray].tolist()[:LISTED_INSTANCES],
+                most=most,
+                main=int(numbers[np.argmax(counts)]),
+            )
+        )
+    return np.asarray(numbers[~stray])
 
 
 def _report_fields(message: str, spec: MessageMap, table: Table, ledger: Ledger) -> None:
     """Enter fields that hold no numbers, and columns of roles that have no field."""
-    count = len(next(iter(table.values()))) if table else 0
-    odd = {
-        field: column.name
-        for column in spec.columns
-        for field in column.fields
-        if field in table and not is_number(table[field])
-    }
-    if odd:
-        what = f"{', '.join(sorted(odd))} of {count} rows hold no numbers, by their definition"
-        ledger.loss("LOG-FIELDS", what, where=message, count=count)
-    needed = {column for role in spec.roles for column in ROLE_COLUMNS[role]} - {"event_index"}
-    if spec.attitude or spec.position:  # `channel_of` reports that these are absent
+    odd_fields = set()
+    odd_columns = set()
+    known_columns = set()
+    for column in spec.columns:
+        for field in column.fields:
+            if field not in table:
+                continue
+            if is_number(table[field]):
+                known_columns.add(column.name)
+            else:
+                odd_fields.add(field)
+                odd_columns.add(column.name)
+    count = _length(table)
+    if odd_fields:
+        ledger.add(
+            messages.fields_not_numbers(message=message, count=count, fields=sorted(odd_fields))
+        )
+    absent = _reported_columns(spec) - known_columns - odd_columns
+    if absent:
+        ledger.add(
+            messages.columns_without_field(message=message, count=count, columns=sorted(absent))
+        )
+
+
+def _reported_columns(spec: MessageMap) -> set[str]:
+    """The columns of the roles of a message whose absence `channel_of` does not report."""
+    needed = {column for role in spec.roles for column in ROLE_COLUMNS[role]}
+    needed.discard("event_index")
+    if spec.attitude or spec.position:
         needed -= {"q_w", "q_x", "q_y", "q_z", "lat_rad", "lon_rad"}
-    needed |= {"h_msl_m"} if spec.position else set()
-    known = {
-        column.name for column in spec.columns
-        if any(field in table and is_number(table[field]) for field in column.fields)
-    }  # fmt: skip
-    if absent := needed - set(odd.values()) - known:
-        what = f"{count} rows have no {', '.join(sorted(absent))}: the log defines no field for it"
-        ledger.loss("LOG-FIELDS", what, where=message, count=count)
+    if spec.position:
+        needed.add("h_msl_m")
+    return needed
+
+
+_BEFORE = 1 << 40  # [bytes] more than any log has: pairs in the wrong order come last
+_TIME_BITS = 52  # 2^52 us are 142 years: the instance fits above the time
+_INSTANCE_MASK = 0x3FF
 
 
 def _join_accuracy(table: Table, other: Table) -> Table:
     """The table of fixes with the accuracy of equal instance and time, logged behind the fix."""
-    fields = [field for spec in ACCURACY for field in spec.fields if field in other]
+    fields = [field for field in ACCURACY_FIELDS if field in other]
     if not fields or "TimeUS" not in other or not other[PLACE].size:
         return table
-    key, other_key = _key(table), _key(other)
+    key = _key(table)
+    other_key = _key(other)
     if np.array_equal(key, other_key):  # one for one, as in all logs without damage
         return table | {field: other[field] for field in fields}
-    places, other_places, n = table[PLACE], other[PLACE], key.shape[0]
-    order = np.lexsort((np.concatenate([places, other_places]), np.concatenate([key, other_key])))
-    is_other = order >= n
-    at, count = np.flatnonzero(~is_other), np.cumsum(is_other)
-    others = order[is_other] - n
-    rows, pairs, apart = [], [], []
-    for shift in (0, -1):  # of equal key the next behind a row, or that before
-        nearest = count[at] + shift
+    rows, matches = _nearest_pairs(key, table[PLACE], other_key, other[PLACE])
+    joined = dict(table)
+    for field in fields:
+        joined[field] = np.full(key.shape, np.nan)
+        joined[field][rows] = other[field][matches]
+    return joined
+
+
+def _nearest_pairs(
+    key: Integers, places: Integers, other_key: Integers, other_places: Integers
+) -> tuple[Integers, Integers]:
+    """Rows of two tables with equal keys that are nearest in the log, each in one pair at most.
+
+    Those behind a row come before those in front of it.
+    """
+    n = key.shape[0]
+    by_key_and_place = np.lexsort(
+        (np.concatenate([places, other_places]), np.concatenate([key, other_key]))
+    )
+    is_other = by_key_and_place >= n
+    at = np.flatnonzero(~is_other)
+    others_before = np.cumsum(is_other)[at]
+    others = by_key_and_place[is_other] - n
+    rows = []
+    matches = []
+    distances = []
+    for shift, penalty in ((0, 0), (-1, _BEFORE)):  # the next behind a row, and that before it
+        nearest = others_before + shift
         inside = (nearest >= 0) & (nearest < others.shape[0])
-        row, match = order[at[inside]], others[nearest[inside]]
+        row = by_key_and_place[at[inside]]
+        match = others[nearest[inside]]
         same = key[row] == other_key[match]
         rows.append(row[same])
-        pairs.append(match[same])
-        apart.append(np.abs(places[row[same]] - other_places[match[same]]) - (shift << 40))
-    row, match = np.concatenate(rows), np.concatenate(pairs)
-    order = np.argsort(np.concatenate(apart), kind="stable")
-    for column in (row, match):  # each row in one pair
-        order = order[np.sort(np.unique(column[order], return_index=True)[1])]
-    added = {field: np.full(places.shape, np.nan) for field in fields}
-    for field, values in added.items():
-        values[row[order]] = other[field][match[order]]
-    return table | added
+        matches.append(match[same])
+        distances.append(np.abs(places[row[same]] - other_places[match[same]]) + penalty)
+    row = np.concatenate(rows)
+    match = np.concatenate(matches)
+    order = np.argsort(np.concatenate(distances), kind="stable")
+    for column in (row, match):  # of several pairs with one row, the nearest
+        _, first = np.unique(column[order], return_index=True)
+        order = order[np.sort(first)]
+    return row[order], match[order]
 
 
 def _key(table: Table) -> Integers:
-    # 2^52 us are 142 years: the instance fits above the time.
-    instance = (instance_of(table).astype(np.int64) + 1 & 0x3FF) << 52
-    return np.asarray(microseconds(table["TimeUS"]) + instance, np.int64)
+    """The instance and the time of each row as one number."""
+    instance = instance_of(table).astype(np.int64) + 1 & _INSTANCE_MASK
+    return np.asarray(microseconds(table["TimeUS"]) + (instance << _TIME_BITS), np.int64)

@@ -1,16 +1,17 @@
 """Tables of an ArduPilot log, binary or text -> its contents: a time for each row, channels."""
 
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from unbend.flight.clock import LAST_US, SECONDS_PER_WEEK
-from unbend.ingest import boot_clock
+from unbend.ingest.boot_clock import LOWEST_FIX, BootClock, Timeline, microseconds, nanoseconds
 from unbend.ingest.damaged_bytes import DamagedBytes
+from unbend.ingest.dataflash import messages
 from unbend.ingest.dataflash.dataflash_channels import (
-    ACCURACY,
+    ACCURACY_FIELDS,
     RECEIVERS,
     channels_of,
     clock_of,
@@ -24,10 +25,7 @@ from unbend.messages import Ledger
 from unbend.units import Integers
 
 # Fields that are used as they are logged, without a field map that checks that they are numbers.
-_NUMBERS = {*INSTANCE_FIELDS, "TimeUS", "GMS", "GWk", "Week", "Status", "Value"} | {
-    field for column in ACCURACY for field in column.fields
-}
-
+_NUMBERS = {"TimeUS", "GMS", "GWk", "Week", "Status", "Value", *INSTANCE_FIELDS, *ACCURACY_FIELDS}
 
 _TIMELESS = {"CAM", "MSG", "EV", "ERR", "PARM"}  # rows without a time until 2015
 
@@ -35,7 +33,7 @@ _TIMELESS = {"CAM", "MSG", "EV", "ERR", "PARM"}  # rows without a time until 201
 def contents_of(
     damage: DamagedBytes,
     counts: Mapping[str, int],
-    line: boot_clock.Timeline,
+    line: Timeline,
     tables: dict[str, Table],
     ledger: Ledger,
     *,
@@ -48,112 +46,171 @@ def contents_of(
     """
     timed = timed_tables(tables, ledger)
     clock, time_base = clock_of(line, timed, ledger)
+    parameters = _last_values(timed.get("PARM", {}))
 
     def table(name: str, instance: str | None) -> Table:
         decoded = reread({name})
-        return stamped(name, decoded[name], clock, instance) if name in decoded else {}
+        if name not in decoded:
+            return {}
+        return stamped(name, decoded[name], clock, instance)
 
-    lost = 0  # neither records nor lines carry a sequence number
-    named, parameters = timed.get("PARM", {}), {}
-    if {"Name", "Value"} <= named.keys():  # the last value of each
-        parameters = dict(zip(named["Name"].tolist(), named["Value"].tolist(), strict=True))
-    found = channels_of(timed, parameters, clock, ledger)
     return Contents(
-        counts, found, damage.bad_bytes, lost, clock.line.boots, time_base, table,
-        parameters,
-    )  # fmt: skip
+        messages=counts,
+        channels=channels_of(timed, parameters, clock, ledger),
+        bad_bytes=damage.bad_bytes,
+        lost_messages=0,  # neither records nor lines carry a sequence number
+        boots=clock.line.boots,
+        time_base=time_base,
+        table=table,
+        parameters=parameters,
+    )
+
+
+def _last_values(rows: Table) -> dict[str, float]:
+    """The parameters of an autopilot as last logged."""
+    if "Name" not in rows or "Value" not in rows:
+        return {}
+    return dict(zip(rows["Name"].tolist(), rows["Value"].tolist(), strict=True))
 
 
 def timed_tables(tables: dict[str, Table], ledger: Ledger) -> dict[str, Table]:
     """The tables with a time since boot, without rows that lack it or columns of a wrong kind."""
-    result, timeless = {}, {}
-    old = not any("TimeUS" in table for table in tables.values())
+    timed: dict[str, Table] = {}
+    timeless: dict[str, Table] = {}
+    is_old = not any("TimeUS" in table for table in tables.values())
     for name in list(tables):
         table = without_objects(tables.pop(name), name, ledger)
-        count = table[PLACE].size
-        odd = [
-            field
-            for field, column in table.items()
-            if (field in _NUMBERS and not is_number(column))
-            or (field == "Name" and column.ndim != 1)
-        ]
-        if odd:
-            what = f"{', '.join(odd)} of {count} rows hold no numbers, by their definition"
-            ledger.loss("LOG-FIELDS", what, where=name, count=count)
-            table = {field: column for field, column in table.items() if field not in odd}
-        table = with_time(name, table)
+        table = with_time(name, _without_odd_fields(name, table, ledger))
         time = table.get("TimeUS")
         if time is not None and is_number(time):
-            rows = np.isfinite(time) if time.dtype.kind == "f" else slice(None)
-            result[name] = {field: column[rows] for field, column in table.items()}
-        elif old and name in _TIMELESS:
+            timed[name] = _rows_with_time(table)
+        elif is_old and name in _TIMELESS:
             timeless[name] = table
         else:
-            what = f"{count} rows have no time: the log defines no field TimeUS"
-            ledger.loss("LOG-FIELDS", what, where=name, count=count)
-    if not timeless or not result:
-        return result
-    places = np.concatenate([table[PLACE] for table in result.values()])
+            ledger.add(messages.no_time_field(message=name, count=table[PLACE].size))
+    if timeless and timed:
+        _add_timeless(timed, timeless, ledger)
+    return timed
+
+
+def _without_odd_fields(name: str, table: Table, ledger: Ledger) -> Table:
+    """The table without fields that should be numbers or names and are not."""
+    odd = []
+    for field, column in table.items():
+        is_odd_number = field in _NUMBERS and not is_number(column)
+        if is_odd_number or (field == "Name" and column.ndim != 1):
+            odd.append(field)
+    if not odd:
+        return table
+    ledger.add(messages.fields_not_numbers(message=name, count=table[PLACE].size, fields=odd))
+    return {field: column for field, column in table.items() if field not in odd}
+
+
+def _rows_with_time(table: Table) -> Table:
+    """The rows of a table whose time is known; tables of several definitions may lack it."""
+    time = table["TimeUS"]
+    if time.dtype.kind != "f":
+        return table
+    known = np.isfinite(time)
+    return {field: column[known] for field, column in table.items()}
+
+
+def _add_timeless(timed: dict[str, Table], timeless: Mapping[str, Table], ledger: Ledger) -> None:
+    """Give rows without a time that of the record before them."""
+    places = np.concatenate([table[PLACE] for table in timed.values()])
+    times_us = np.concatenate([microseconds(table["TimeUS"]) for table in timed.values()])
     order = np.argsort(places, kind="stable")
-    times = np.concatenate([boot_clock.microseconds(table["TimeUS"]) for table in result.values()])
+    receiver = timed.get("GPS", {})
     for name, table in timeless.items():
-        row = np.searchsorted(places[order], table[PLACE]) - 1
-        result[name] = table | {"TimeUS": times[order][np.maximum(row, 0)]}
+        before = np.searchsorted(places[order], table[PLACE]) - 1
+        time_us = times_us[order][np.maximum(before, 0)]
+        timed[name] = table | {"TimeUS": time_us}
         if name == "CAM":
-            result[name] = exposures_by_last_fix(result[name], result.get("GPS", {}), ledger)
-    return result
+            timed[name] = exposures_by_last_fix(timed[name], receiver, ledger)
 
 
 def with_time(name: str, columns: Table) -> Table:
     """A table with TimeUS; until 2015 that was TimeMS, in rows of receivers T."""
-    time_ms = columns.get("T" if name in RECEIVERS else "TimeMS")
+    is_receiver = name in RECEIVERS
+    time_ms = columns.get("T" if is_receiver else "TimeMS")
     if "TimeUS" in columns or time_ms is None or not is_number(time_ms):
         return columns
-    time_us = np.minimum(boot_clock.microseconds(time_ms), LAST_US // 1000) * 1000
-    columns = columns | {"TimeUS": time_us}
-    if name in RECEIVERS:
-        renamed = {"GMS": "TimeMS", "GWk": "Week"}
-        columns |= {new: columns[old] for new, old in renamed.items() if old in columns}
+    columns = dict(columns)
+    columns["TimeUS"] = np.minimum(microseconds(time_ms), LAST_US // 1000) * 1000
+    if is_receiver and "TimeMS" in columns:
+        columns["GMS"] = columns["TimeMS"]
+    if is_receiver and "Week" in columns:
+        columns["GWk"] = columns["Week"]
     return columns
+
+
+class _Fixes(NamedTuple):
+    """The fixes of a receiver: their GPS times [ms], rising, and times since boot [us]."""
+
+    gps_ms: Integers
+    time_us: Integers
+
+    @property
+    def interval_s(self) -> float:
+        """The median time between two fixes [s]; NaN for fewer than two."""
+        if self.gps_ms.size < 2:
+            return float("nan")
+        return float(np.median(np.diff(self.gps_ms))) / 1000.0
+
+
+def _fixes_of(receiver: Table) -> _Fixes:
+    """The fixes of a table of GPS rows, none where it lacks the time or the status."""
+    if not {"GMS", "GWk", "Status"} <= receiver.keys():
+        return _Fixes(np.empty(0, np.int64), np.empty(0, np.int64))
+    fixes = receiver["Status"] >= LOWEST_FIX
+    gps_ms, first = np.unique(
+        _gps_ms(receiver["GWk"][fixes], receiver["GMS"][fixes]), return_index=True
+    )
+    return _Fixes(gps_ms, microseconds(receiver["TimeUS"][fixes])[first])
 
 
 def exposures_by_last_fix(exposures: Table, receiver: Table, ledger: Ledger) -> Table:
     """Exposures with only the GPS time of the last fix: half an interval behind it."""
     time_us = exposures["TimeUS"].copy()
-    fix_us, fix_ms = (np.empty(0, np.int64),) * 2
-    if {"GMS", "GWk", "Status"} <= receiver.keys():
-        fixes = receiver["Status"] >= boot_clock.LOWEST_FIX
-        own_ms = _gps_ms(receiver["GWk"][fixes], receiver["GMS"][fixes])
-        fix_ms, first = np.unique(own_ms, return_index=True)
-        fix_us = boot_clock.microseconds(receiver["TimeUS"][fixes])[first]
-    interval_s = float(np.median(np.diff(fix_ms))) / 1000.0 if fix_ms.size > 1 else np.nan
+    fixes = _fixes_of(receiver)
+    interval_s = fixes.interval_s
     known = np.zeros(time_us.shape, np.bool_)
     if {"GPSTime", "GPSWeek"} <= exposures.keys() and np.isfinite(interval_s):
         own_ms = _gps_ms(exposures["GPSWeek"], exposures["GPSTime"])
-        row = np.minimum(np.searchsorted(fix_ms, own_ms), fix_ms.size - 1)
-        known = fix_ms[row] == own_ms
-        time_us[known] = fix_us[row[known]] + round(interval_s * 5e5)
-    sigma_s = interval_s / np.sqrt(12.0)
-    ledger.fallback(
-        "EVENTS-FIX-TIME", where="CAM", count=time_us.size, known=int(known.sum()),
-        half_s=interval_s / 2.0, sigma_s=sigma_s, unknown=int((~known).sum()),
-    )  # fmt: skip
+        row = np.minimum(np.searchsorted(fixes.gps_ms, own_ms), fixes.gps_ms.size - 1)
+        known = fixes.gps_ms[row] == own_ms
+        half_interval_us = round(interval_s * 5e5)
+        time_us[known] = fixes.time_us[row[known]] + half_interval_us
+    sigma_s = interval_s / np.sqrt(12.0)  # of a uniform distribution over the interval
+    ledger.add(
+        messages.exposures_timed_by_fix(
+            count=time_us.size,
+            known=int(np.count_nonzero(known)),
+            unknown=int(np.count_nonzero(~known)),
+            half_interval_s=interval_s / 2.0,
+            sigma_s=float(sigma_s),
+        )
+    )
     return exposures | {"TimeUS": time_us, "sigma_time_s": np.full(time_us.shape, sigma_s)}
 
 
 def _gps_ms(week: NDArray[Any], time_ms: NDArray[Any]) -> Integers:
+    """GPS time [ms] of weeks and times in them."""
     week_ms = np.asarray(week, np.int64) * (SECONDS_PER_WEEK * 1000)
     return np.asarray(week_ms + np.asarray(time_ms, np.int64), np.int64)
 
 
-def stamped(name: str, table: Table, clock: boot_clock.BootClock, instance: str | None) -> Table:
+def stamped(name: str, table: Table, clock: BootClock, instance: str | None) -> Table:
     """A table with UTC and boot before its own columns; only an instance, where one is given."""
-    timed, places = with_time(name, table), table.pop(PLACE)
+    timed = with_time(name, table)
+    places = table.pop(PLACE)
     if "TimeUS" in timed and is_number(timed["TimeUS"]):
-        time_ns = clock.utc(places, boot_clock.nanoseconds(timed["TimeUS"]))
+        time_ns = clock.utc(places, nanoseconds(timed["TimeUS"]))
         added: Table = {"time_ns": time_ns, "boot": clock.line.boot_of(places)}
         table = added | table
     if instance is None:
         return table
     rows = instance_of(table).astype(np.str_) == instance
-    return {field: column[rows] for field, column in table.items()} if rows.any() else {}
+    if not rows.any():
+        return {}
+    return {field: column[rows] for field, column in table.items()}

@@ -1,4 +1,4 @@
-"""Records of an ArduPilot DataFlash log: definitions, places, recovery after damage, tables.
+"""Records of an ArduPilot DataFlash log: their places, and recovery after damage.
 
 A record is 0xA3 0x95, a type byte and a payload whose length the FMT record of that type gave. It
 is confirmed when the next one begins where it ends: there is no checksum. All places where one may
@@ -15,25 +15,20 @@ from numpy.typing import NDArray
 from unbend.ingest.buffers import SPAN, FileView, Runs
 from unbend.ingest.damaged_bytes import DamagedBytes
 from unbend.ingest.dataflash.record_definitions import (
-    _FMT_PAYLOAD,
     FMT_LENGTH,
     FMT_TYPE,
     HEADER,
     MAGIC,
     define,
+    definition_of_fmt,
 )
 from unbend.units import Integers
 
 LINKS = 3  # records in a row that confirm a place to continue after damage
-
-
 LONGEST = 255  # bytes of a record: its length is one byte
-
-
 REACH = 1 << 14  # [bytes] first searched after damage: the next record is seldom farther
-
-
 MOST_DEFINITIONS = 1 << 15  # real logs have 16 to 200; the number of a definition fits two bytes
+TYPES = 256  # a type is one byte
 
 
 @dataclass(frozen=True)
@@ -49,7 +44,9 @@ class RecordBlock:
 
     def end(self) -> int:
         """A place behind the last record."""
-        return self.base + int(self.at[-1]) + LONGEST if self.at.size else self.base
+        if not self.at.size:
+            return self.base
+        return self.base + int(self.at[-1]) + LONGEST
 
 
 class _Candidates(Runs):
@@ -58,6 +55,14 @@ class _Candidates(Runs):
     def __init__(self, places: Integers, types: NDArray[np.uint8], length_of: Integers) -> None:
         super().__init__(places, places + length_of[types])
         self.types = types
+
+
+@dataclass
+class _RecordRun:
+    """Records that follow each other: their places, and the numbers of their definitions."""
+
+    places: Integers
+    numbers: NDArray[np.uint16]
 
 
 class RecordWalker(DamagedBytes):
@@ -69,21 +74,18 @@ class RecordWalker(DamagedBytes):
 
     def __init__(self, data: FileView, names: Collection[str] | None = None) -> None:
         super().__init__()
-        fmt = define(_FMT_PAYLOAD)
-        if fmt is None:
-            raise LookupError("the definition of FMT is not valid")
         self.data = data
         self.names = names
         self.size = data.size
-        self.definitions = [fmt]
-        self.number_of = np.zeros(256, np.uint16)
-        self.length_of = np.zeros(256, np.int64)
+        self.definitions = [definition_of_fmt()]
+        self.number_of = np.zeros(TYPES, np.uint16)  # of the definition in force, by type
+        self.length_of = np.zeros(TYPES, np.int64)
         self.length_of[FMT_TYPE] = FMT_LENGTH
-        self.seen: dict[bytes, int] = {}
+        self.seen: dict[bytes, int] = {}  # numbers of definitions by their payload
         self.refused: list[str] = []
         self.wanted: list[RecordBlock] = []
+        self.runs: list[_RecordRun] = []  # of the block in work
         self._counts = np.zeros(1, np.int64)
-        self.runs: list[tuple[Integers, NDArray[np.uint16]]] = []
 
     def blocks(self) -> Iterator[RecordBlock]:
         """All records block by block, while their bytes are in memory; wanted ones are kept."""
@@ -99,7 +101,7 @@ class RecordWalker(DamagedBytes):
     def counts(self) -> Integers:
         """(n,) how many records there are so far, wanted or not, by definition."""
         missing = len(self.definitions) - self._counts.shape[0]
-        return np.append(self._counts, np.zeros(missing, np.int64)) if missing else self._counts
+        return np.append(self._counts, np.zeros(missing, np.int64))
 
     def message_counts(self) -> dict[str, int]:
         """How many messages of each name there are."""
@@ -110,21 +112,25 @@ class RecordWalker(DamagedBytes):
 
     def _walk_block(self, at: int) -> int:
         """Walk the records that begin in a block; its arrays are freed before the next is read."""
-        begin, end = at, min(at + SPAN, self.size - HEADER + 1)
+        begin = at
+        end = min(at + SPAN, self.size - HEADER + 1)
         raw = self.data.array(begin, end + HEADER - 1)
         rows = np.flatnonzero((raw[:-2] == MAGIC[0]) & (raw[1:-1] == MAGIC[1]))
         block = _Candidates(rows + begin, raw[rows + 2], self.length_of)
         while at < end:
             run = block.starting_at(at)
-            row, stop = run.start, run.stop
-            if stop > row and not block.at[stop - 1] < block.end[stop - 1] <= self.size:
-                stop -= 1  # its type is unknown, or the file ends in it
-            if stop == row:
+            first = run.start
+            stop = run.stop
+            if stop > first:
+                last = stop - 1
+                if not block.at[last] < block.end[last] <= self.size:
+                    stop = last  # its type is unknown, or the file ends in it
+            if stop == first:
                 at = self._resume(at)
                 continue
-            stop = self._keep(block, row, stop)
+            stop = self._keep(block, first, stop)
             at = int(block.end[stop - 1])
-            if block.types[stop - 1] == FMT_TYPE:
+            if block.types[stop - 1] == FMT_TYPE:  # the lengths may be others from here on
                 block = _Candidates(block.at, block.types, self.length_of)
         return at
 
@@ -132,97 +138,156 @@ class RecordWalker(DamagedBytes):
         """Keep a run of records; it ends early where an FMT record redefines the following ones."""
         definitions = row + np.flatnonzero(block.types[row:stop] == FMT_TYPE)
         for place in definitions.tolist():
-            at = int(block.at[place])
-            payload = self.data[at + HEADER : at + FMT_LENGTH]
-            number = self.seen.get(payload)
+            number = self._number_of_definition(int(block.at[place]))
             if number is None:
-                definition = define(payload)
-                if definition is None or len(self.definitions) == MOST_DEFINITIONS:
-                    self.refused.append(f"type {payload[0]} {payload[2:6]!r} at byte {at}")
-                    continue
-                number = self.seen[payload] = len(self.definitions)
-                self.definitions.append(definition)
+                continue
             form = self.definitions[number]
             if self.number_of[form.type_id] == number:
                 continue  # repeated
             self._enter(block, row, place + 1)  # by the definitions before this one
             row = place + 1
-            self.number_of[form.type_id], self.length_of[form.type_id] = number, form.length
-            if not (block.types[row:stop] == FMT_TYPE).all():  # whose length never changes
+            self.number_of[form.type_id] = number
+            self.length_of[form.type_id] = form.length
+            only_definitions_follow = bool((block.types[row:stop] == FMT_TYPE).all())
+            if not only_definitions_follow:  # the length of these never changes
                 return row
         self._enter(block, row, stop)
         return stop
 
+    def _number_of_definition(self, at: int) -> int | None:
+        """The number of the definition in an FMT record; None where that is not valid."""
+        payload = self.data[at + HEADER : at + FMT_LENGTH]
+        number = self.seen.get(payload)
+        if number is not None:
+            return number
+        definition = define(payload)
+        if definition is None or len(self.definitions) == MOST_DEFINITIONS:
+            self.refused.append(f"type {payload[0]} {payload[2:6]!r} at byte {at}")
+            return None
+        number = len(self.definitions)
+        self.seen[payload] = number
+        self.definitions.append(definition)
+        return number
+
     def _enter(self, block: _Candidates, row: int, stop: int) -> None:
+        """Keep the records of some rows of a block, by the definitions that are in force."""
         if row < stop:
             numbers = self.number_of[block.types[row:stop]]
-            self.runs.append((block.at[row:stop], numbers))
+            self.runs.append(_RecordRun(block.at[row:stop], numbers))
 
     def _flush(self, keep: int) -> Iterator[RecordBlock]:
         """Pack the runs into blocks; the last record may be kept back, as damage may include it."""
         if not self.runs:
             return
-        places = np.concatenate([run for run, _ in self.runs])
-        numbers = np.concatenate([numbers for _, numbers in self.runs])
-        self.runs = [(places[-keep:].copy(), numbers[-keep:].copy())] if keep else []
-        places, numbers = places[: places.shape[0] - keep], numbers[: numbers.shape[0] - keep]
+        places = np.concatenate([run.places for run in self.runs])
+        numbers = np.concatenate([run.numbers for run in self.runs])
+        self.runs = []
+        if keep:
+            self.runs.append(_RecordRun(places[-keep:].copy(), numbers[-keep:].copy()))
+            places = places[:-keep]
+            numbers = numbers[:-keep]
         holes = np.flatnonzero(np.diff(places) > SPAN) + 1  # a block is read in one piece
-        for at, which in zip(np.split(places, holes), np.split(numbers, holes), strict=True):
-            if not at.size:
+        parts = zip(np.split(places, holes), np.split(numbers, holes), strict=True)
+        for places_of_part, numbers_of_part in parts:
+            if not places_of_part.size:
                 continue
-            block = RecordBlock(int(at[0]), (at - at[0]).astype(np.uint32), which)
+            base = int(places_of_part[0])
+            block = RecordBlock(
+                base=base,
+                at=(places_of_part - base).astype(np.uint32),
+                numbers=numbers_of_part,
+            )
             yield block
-            self._counts = self.counts + np.bincount(which, minlength=len(self.definitions))
-            if self.names is not None:
-                wanted = [form.name in self.names for form in self.definitions]
-                rows = np.array(wanted, np.bool_)[which]
-                block = RecordBlock(block.base, block.at[rows], which[rows])
-            self.wanted.append(block)
+            counts = np.bincount(block.numbers, minlength=len(self.definitions))
+            self._counts = self.counts + counts
+            self.wanted.append(self._wanted_of(block))
+
+    def _wanted_of(self, block: RecordBlock) -> RecordBlock:
+        """The records of a block whose names are wanted."""
+        if self.names is None:
+            return block
+        is_wanted = np.array([form.name in self.names for form in self.definitions], np.bool_)
+        rows = is_wanted[block.numbers]
+        return RecordBlock(block.base, block.at[rows], block.numbers[rows])
 
     def _resume(self, at: int) -> int:
         """Skip the damage at a byte where no record begins; returns where records continue."""
         begin = at
-        before = int(self.runs[-1][0][-1]) if self.runs else -1
-        if self.runs and before + self._length(self.data[before + 2 : before + 3]) == at:
-            # A record whose type byte was flipped ends in the wrong place. It is damaged when
-            # the bytes at its end do not resemble a header, or when records follow from inside it.
-            mark = self.data[at : at + 2]
-            if mark and mark[:1] != MAGIC[:1] and mark[1:] != MAGIC[1:]:
-                begin = before
-            inside = self.data.find(MAGIC, before + HEADER, at)
-            while inside != -1 and begin == at:
-                begin = before if self._chain(inside) else at
-                inside = self.data.find(MAGIC, inside + 1, at)
-        resumed, place, reach = self.size, begin + 1, REACH
-        while resumed == self.size and place < self.size:
-            # The search widens: where all records of a type are damaged, it costs what lies between
-            # two of them and not a block for each.
-            end = min(place + reach, self.size)
-            raw = self.data.array(place, end + 1)
-            rows = np.flatnonzero((raw[:-1] == MAGIC[0]) & (raw[1:] == MAGIC[1]))
-            chains = (row for row in (rows + place).tolist() if self._chain(row))
-            resumed = next(chains, self.size)
-            place, reach = end, min(2 * reach, SPAN)
-        header = self.data[at : at + HEADER]
-        cut = len(header) < HEADER or self._length(header[2:]) > self.size - at
-        if resumed == self.size and cut and MAGIC.startswith(header[:2]):
-            self.cut_bytes = self.size - at  # the file ends in a record that begins here
+        if self._record_before_is_damaged(at):
+            begin = int(self.runs[-1].places[-1])
+        resumed = self._next_chain(begin + 1)
+        if resumed == self.size and self._is_cut_record(at):
+            self.cut_bytes = self.size - at
             return self.size
-        if begin < at:  # the record before is part of the damage
-            places, numbers = self.runs.pop()
-            if places.shape[0] > 1:
-                self.runs.append((places[:-1], numbers[:-1]))
+        if begin < at:
+            self._drop_last_record()
         self.drop(begin, resumed)
         return resumed
 
+    def _record_before_is_damaged(self, at: int) -> bool:
+        """Whether a record that ends here has another type than it should.
+
+        A record whose type byte was flipped ends in the wrong place. It is damaged when the bytes
+        at its end do not resemble a header, or when records follow from inside it.
+        """
+        if not self.runs:
+            return False
+        before = int(self.runs[-1].places[-1])
+        type_byte = self.data[before + 2 : before + HEADER]
+        if before + self._length(type_byte) != at:
+            return False
+        mark = self.data[at : at + len(MAGIC)]
+        if mark and mark[:1] != MAGIC[:1] and mark[1:] != MAGIC[1:]:
+            return True
+        inside = self.data.find(MAGIC, before + HEADER, at)
+        while inside != -1:
+            if self._chain(inside):
+                return True
+            inside = self.data.find(MAGIC, inside + 1, at)
+        return False
+
+    def _next_chain(self, place: int) -> int:
+        """The first place from here on where records follow each other, or the end of the file.
+
+        The search widens: where all records of a type are damaged, it costs what lies between two
+        of them and not a block for each.
+        """
+        reach = REACH
+        while place < self.size:
+            end = min(place + reach, self.size)
+            raw = self.data.array(place, end + 1)
+            rows = np.flatnonzero((raw[:-1] == MAGIC[0]) & (raw[1:] == MAGIC[1]))
+            for candidate in (rows + place).tolist():
+                if self._chain(candidate):
+                    return int(candidate)
+            place = end
+            reach = min(2 * reach, SPAN)
+        return self.size
+
+    def _is_cut_record(self, at: int) -> bool:
+        """Whether the file ends in a record that begins here."""
+        header = self.data[at : at + HEADER]
+        if not MAGIC.startswith(header[: len(MAGIC)]):
+            return False
+        return len(header) < HEADER or self._length(header[2:]) > self.size - at
+
+    def _drop_last_record(self) -> None:
+        """Take back the last record, which is part of the damage."""
+        last = self.runs.pop()
+        if last.places.shape[0] > 1:
+            self.runs.append(_RecordRun(last.places[:-1], last.numbers[:-1]))
+
     def _length(self, type_byte: bytes) -> int:
-        return int(self.length_of[type_byte[0]]) if type_byte else 0
+        """The length of the records of a type; 0 where it is not defined, or not there."""
+        if not type_byte:
+            return 0
+        return int(self.length_of[type_byte[0]])
 
     def _chain(self, at: int) -> bool:
         """Whether `LINKS` records follow each other from a byte, or as many as the file has."""
         for link in range(LINKS):
             header = self.data[at : at + HEADER]
-            if not MAGIC.startswith(header[:2]):
+            if not MAGIC.startswith(header[: len(MAGIC)]):
                 return False
             if len(header) < HEADER:
                 return True

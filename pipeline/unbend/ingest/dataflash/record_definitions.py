@@ -7,26 +7,14 @@ from typing import Any
 
 import numpy as np
 
-MAGIC = b"\xa3\x95"
-
-
-HEADER = 3
-
-
-FMT_TYPE = 128
-
-
-FMT_LENGTH = 89
-
-
-START = MAGIC + bytes([FMT_TYPE])
-
-
-_FMT_FIELDS = (FMT_TYPE, FMT_LENGTH, b"FMT", b"BBnNZ", b"Type,Length,Name,Format,Columns")
-
-
-_FMT_PAYLOAD = struct.pack("<BB4s16s64s", *_FMT_FIELDS)
-
+MAGIC = b"\xa3\x95"  # with which each record begins
+HEADER = 3  # [bytes] of a record before its fields: the magic and its type
+FMT_TYPE = 128  # the type of records that define types
+FMT_LENGTH = 89  # [bytes] of such a record
+START = MAGIC + bytes([FMT_TYPE])  # of a log
+_FMT_PAYLOAD = struct.pack(
+    "<BB4s16s64s", FMT_TYPE, FMT_LENGTH, b"FMT", b"BBnNZ", b"Type,Length,Name,Format,Columns"
+)
 
 FORMAT_LETTERS: Mapping[str, Any] = {
     "a": ("<i2", (32,)), "b": "i1", "B": "u1", "h": "<i2", "H": "<u2", "i": "<i4", "I": "<u4",
@@ -35,9 +23,11 @@ FORMAT_LETTERS: Mapping[str, Any] = {
 }  # fmt: skip
 """Types of fields by the letters of FMT records, as in pymavlink, which takes long to import."""
 
-
 DIVISORS = {"c": 100.0, "C": 100.0, "e": 100.0, "E": 100.0, "L": 1e7}
 """What integers of some letters are divided by."""
+
+_BYTES_OF_FILE = ("u1", (64,))  # the field Z of FILE holds no text
+_OFFSET = 1  # in what numpy says of a field: its type and its offset
 
 
 @dataclass(frozen=True)
@@ -52,6 +42,7 @@ class RecordDefinition:
 
     @property
     def fields(self) -> tuple[str, ...]:
+        """The names of the fields."""
         return self.dtype.names or ()
 
     @property
@@ -59,35 +50,58 @@ class RecordDefinition:
         """The time since boot with which the records begin: TimeUS, until 2015 TimeMS; or ""."""
         fields: Mapping[str, Any] = self.dtype.fields or {}
         for name, kind in (("TimeUS", "<u8"), ("TimeMS", "<u4")):
-            if name in fields and fields[name][:2] == (np.dtype(kind), HEADER):
+            if name not in fields:
+                continue
+            is_first = fields[name][_OFFSET] == HEADER
+            if is_first and fields[name][0] == np.dtype(kind):
                 return name
         return ""
 
 
 def define(payload: bytes) -> RecordDefinition | None:
     """The definition in the payload of an FMT record (86 bytes); None when it is not valid."""
-    type_id, length = payload[0], payload[1]
+    type_id = payload[0]
+    length = payload[1]
     try:
-        parts = payload[2:6], payload[6:22], payload[22:86]
-        name, codes, columns = (part.split(b"\0", 1)[0].decode("ascii") for part in parts)
+        name = _text(payload[2:6])
+        letters = _text(payload[6:22])
+        columns = _text(payload[22:86])
     except UnicodeDecodeError:
         return None
-    if not name.isidentifier() or not set(codes) <= set(FORMAT_LETTERS):
+    fields = columns.split(",") if columns else []
+    if not name.isidentifier() or not set(letters) <= set(FORMAT_LETTERS):
         return None
-    fields = tuple(columns.split(",")) if columns else ()
-    kinds = [  # bytes of files stay bytes
-        np.dtype(("u1", (64,)) if code == "Z" and name == "FILE" else FORMAT_LETTERS[code])
-        for code in codes
-    ]
-    sizes = [kind.itemsize for kind in kinds]
-    distinct = len(set(fields)) == len(fields) == len(kinds) and all(fields)
-    if not distinct or HEADER + sum(sizes) != length:
+    if len(fields) != len(letters) or len(set(fields)) != len(fields) or "" in fields:
         return None
     if type_id == FMT_TYPE and length != FMT_LENGTH:
         return None
-    offsets = [HEADER + sum(sizes[:k]) for k in range(len(sizes))]
-    dtype = np.dtype(
-        {"names": list(fields), "formats": kinds, "offsets": offsets, "itemsize": length}
-    )
-    divisors = {n: DIVISORS[c] for n, c in zip(fields, codes, strict=True) if c in DIVISORS}
-    return RecordDefinition(type_id, name, length, dtype, divisors)
+    kinds = []
+    offsets = []
+    end = HEADER
+    for letter in letters:
+        is_file = letter == "Z" and name == "FILE"
+        kind = np.dtype(_BYTES_OF_FILE if is_file else FORMAT_LETTERS[letter])
+        kinds.append(kind)
+        offsets.append(end)
+        end += kind.itemsize
+    if end != length:
+        return None
+    layout = {"names": fields, "formats": kinds, "offsets": offsets, "itemsize": length}
+    divisors = {}
+    for field, letter in zip(fields, letters, strict=True):
+        if letter in DIVISORS:
+            divisors[field] = DIVISORS[letter]
+    return RecordDefinition(type_id, name, length, np.dtype(layout), divisors)  # type: ignore[call-overload]
+
+
+def _text(raw: bytes) -> str:
+    """ASCII text up to the first NUL."""
+    return raw.split(b"\0", 1)[0].decode("ascii")
+
+
+def definition_of_fmt() -> RecordDefinition:
+    """The definition of the records that define all others."""
+    definition = define(_FMT_PAYLOAD)
+    if definition is None:
+        raise LookupError("the definition of FMT is not valid")
+    return definition

@@ -1,23 +1,32 @@
 """Records of a DataFlash log -> tables of columns."""
 
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from unbend.ingest.buffers import allocate, gather
+from unbend.ingest.dataflash import messages
 from unbend.ingest.dataflash.dataflash_records import RecordWalker
+from unbend.ingest.dataflash.record_definitions import RecordDefinition
 from unbend.ingest.message_tables import PLACE, Table, in_order
 from unbend.messages import Ledger
 from unbend.units import Integers, Mask
 
+INSTANCE_FIELDS = ("I", "Instance", "Id", "C")
 
-def read_records(found: RecordWalker, wanted: Mask) -> Iterator[tuple[int, NDArray[Any], Integers]]:
-    """The records of wanted definitions, a block of the file at a time.
 
-    Yields the number of a definition, its records as a structured array, and their places.
-    """
+class RecordRows(NamedTuple):
+    """Some records of one definition, as a structured array, and their places in the file."""
+
+    number: int
+    rows: NDArray[Any]
+    places: Integers
+
+
+def read_records(found: RecordWalker, wanted: Mask) -> Iterator[RecordRows]:
+    """The records of the wanted definitions, a block of the file at a time."""
     for block in found.wanted:
         rows = np.flatnonzero(wanted[block.numbers])
         if rows.size == 0:
@@ -28,15 +37,12 @@ def read_records(found: RecordWalker, wanted: Mask) -> Iterator[tuple[int, NDArr
         raw = found.data.array(block.base, block.end())
         begin = 0
         for number in np.flatnonzero(counts).tolist():
-            at = block.at[order[begin : begin + counts[number]]]
-            begin += int(counts[number])
+            end = begin + int(counts[number])
+            at = block.at[order[begin:end]]
+            begin = end
             form = found.definitions[number]
-            # Every place of the block seen as a record: the wanted ones are then one copy each.
-            rows_of_type = gather(raw, at, form.length).view(form.dtype)
-            yield number, rows_of_type, at.astype(np.int64) + block.base
-
-
-INSTANCE_FIELDS = ("I", "Instance", "Id", "C")
+            records = gather(raw, at, form.length).view(form.dtype)
+            yield RecordRows(number, records, at.astype(np.int64) + block.base)
 
 
 def decode(found: RecordWalker, wanted: Mapping[str, Callable[[str], bool]]) -> dict[str, Table]:
@@ -50,27 +56,46 @@ def decode(found: RecordWalker, wanted: Mapping[str, Callable[[str], bool]]) -> 
     for number, count in enumerate(found.counts.tolist()):
         form = found.definitions[number]
         if form.name in wanted and count:
-            table = tables[number] = {PLACE: allocate(count, np.int64)}
-            for name in filter(wanted[form.name], form.fields):
-                kind = np.dtype(np.float64) if name in form.divisors else form.dtype[name]
-                table[name] = allocate(count, (kind.base, kind.shape))
-    filled = dict.fromkeys(tables, 0)
-    mask = np.array([number in tables for number in range(len(found.definitions))], np.bool_)
-    for number, rows, places in read_records(found, mask):
-        part = slice(filled[number], filled[number] + places.shape[0])
-        filled[number] = part.stop
-        for name, column in tables[number].items():
-            divisor = found.definitions[number].divisors.get(name)
-            if divisor is None:
-                column[part] = places if name == PLACE else rows[name]
-            else:
-                np.divide(rows[name], divisor, out=column[part])
+            tables[number] = _empty_table(form, wanted[form.name], count)
+    _fill(tables, found)
     by_name: dict[str, list[Table]] = {}
     for number in sorted(tables):
-        columns = tables.pop(number).items()
-        table = {name: texts(part) if part.dtype.kind == "S" else part for name, part in columns}
+        table = tables.pop(number)
+        for name in list(table):
+            if table[name].dtype.kind == "S":
+                table[name] = texts(table[name])
         by_name.setdefault(found.definitions[number].name, []).append(table)
     return {name: merge_tables(several) for name, several in by_name.items()}
+
+
+def _empty_table(form: RecordDefinition, is_wanted: Callable[[str], bool], count: int) -> Table:
+    """Memory for the wanted fields of so many records."""
+    table = {PLACE: allocate(count, np.int64)}
+    for name in form.fields:
+        if not is_wanted(name):
+            continue
+        kind = np.dtype(np.float64) if name in form.divisors else form.dtype[name]
+        table[name] = allocate(count, (kind.base, kind.shape))
+    return table
+
+
+def _fill(tables: Mapping[int, Table], found: RecordWalker) -> None:
+    """Write the records into the tables of their definitions, in the order of the file."""
+    is_wanted = np.zeros(len(found.definitions), np.bool_)
+    is_wanted[list(tables)] = True
+    filled = dict.fromkeys(tables, 0)
+    for number, rows, places in read_records(found, is_wanted):
+        begin = filled[number]
+        end = begin + places.shape[0]
+        filled[number] = end
+        divisors = found.definitions[number].divisors
+        for name, column in tables[number].items():
+            if name == PLACE:
+                column[begin:end] = places
+            elif name in divisors:
+                np.divide(rows[name], divisors[name], out=column[begin:end])
+            else:
+                column[begin:end] = rows[name]
 
 
 def texts(raw: NDArray[np.bytes_]) -> NDArray[np.str_]:
@@ -79,15 +104,20 @@ def texts(raw: NDArray[np.bytes_]) -> NDArray[np.str_]:
     >>> texts(np.array([b"GPS", b"30\\xb0", b"a\\0b"]))
     array(['GPS', '30°', 'a'], dtype='<U3')
     """
+    if not raw.size:
+        return np.empty(0, "U1")
     different, places = np.unique(raw, return_inverse=True)
-    words = []
-    for value in different.tolist():
-        try:
-            word = value.decode("utf-8")
-        except UnicodeDecodeError:
-            word = value.decode("latin-1")
-        words.append(word.split("\0", 1)[0])
-    return np.array(words, np.str_)[places] if words else np.empty(0, "U1")
+    words = [_text(value) for value in different.tolist()]
+    return np.array(words, np.str_)[places]
+
+
+def _text(value: bytes) -> str:
+    """One character field as text."""
+    try:
+        word = value.decode("utf-8")
+    except UnicodeDecodeError:
+        word = value.decode("latin-1")
+    return word.split("\0", 1)[0]
 
 
 def merge_tables(several: list[Table]) -> Table:
@@ -105,15 +135,31 @@ def merge_tables(several: list[Table]) -> Table:
 def without_objects(table: Table, name: str, ledger: Ledger) -> Table:
     """A table without objects: the last value of a column decides between text and numbers."""
     columns = dict(table)
-    for label, column in table.items():
+    for field, column in table.items():
         if column.dtype.kind != "O":
             continue
         known = [value for value in column.tolist() if value is not None]
-        kind = str if isinstance(known[-1], str) else (int, float)
-        lost = sum(not isinstance(value, kind) for value in known)
-        missing, dtype = ("", np.str_) if kind is str else (np.nan, np.float64)
-        values = [value if isinstance(value, kind) else missing for value in column.tolist()]
-        columns[label] = np.array(values, dtype)
-        if lost:
-            ledger.loss("LOG-REDEFINED", where=name, count=lost, total=len(known), field=label)
+        if isinstance(known[-1], str):
+            columns[field] = _texts_only(column)
+            count = sum(not isinstance(value, str) for value in known)
+        else:
+            columns[field] = _numbers_only(column)
+            count = sum(not isinstance(value, int | float) for value in known)
+        if count:
+            ledger.add(
+                messages.field_redefined(message=name, field=field, count=count, total=len(known))
+            )
     return columns
+
+
+def _texts_only(column: NDArray[Any]) -> NDArray[np.str_]:
+    """The texts of a column of objects, "" elsewhere."""
+    return np.array([value if isinstance(value, str) else "" for value in column.tolist()], np.str_)
+
+
+def _numbers_only(column: NDArray[Any]) -> NDArray[np.float64]:
+    """The numbers of a column of objects, NaN elsewhere."""
+    is_number = [isinstance(value, int | float) for value in column.tolist()]
+    numbers = np.full(column.shape, np.nan)
+    numbers[is_number] = column[is_number].astype(np.float64)
+    return numbers

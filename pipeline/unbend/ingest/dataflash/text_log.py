@@ -8,9 +8,11 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
+from unbend.flight.clock import LAST_US
 from unbend.ingest.boot_clock import Stamps, nanoseconds, timeline
 from unbend.ingest.damaged_bytes import DamagedBytes
 from unbend.ingest.dataflash.dataflash_channels import wanted_fields
@@ -21,18 +23,11 @@ from unbend.ingest.message_tables import PLACE, Table
 from unbend.messages import Ledger
 
 LONGEST = 4096  # bytes of a line; real ones have up to 250
-
-
 ROWS = 4096  # of one type that are made columns at once: as text they need 20 times the memory
-
-
 _FIRST = re.compile(rb"FMT, ?\d+, ?\d+, ?\w+")
-
-
 _DECIMAL = "cCeELfdg"  # scaled and floating-point letters
-
-
 _TEXT = "nNZaM"  # arrays and flight modes are words in these logs
+_TIME_UNITS_US = {("TimeUS", "Q"): 1, ("TimeMS", "I"): 1000}  # by name and letter of a first field
 
 
 def read_log(path: Path, ledger: Ledger) -> Contents:
@@ -58,12 +53,24 @@ DATAFLASH_TEXT = LogFormat(
 )
 
 
+class _Line(NamedTuple):
+    """The first byte of a line in the file, and its values as text."""
+
+    place: int
+    values: list[str]
+
+
 @dataclass(frozen=True)
 class _LineFormat:
     """The definition of a message by an FMT line: the letters and the names of its fields."""
 
     letters: str
     fields: tuple[str, ...]
+
+    @property
+    def time_unit_us(self) -> int:
+        """The unit [us] of the time with which lines of this format begin; 0 without one."""
+        return _TIME_UNITS_US.get((self.fields[0], self.letters[0]), 0)
 
     def accepts(self, values: list[str]) -> bool:
         """Whether there is a value for each field, and a number for each letter of numbers."""
@@ -79,22 +86,49 @@ class _LineFormat:
             return False
         return True
 
-    def table(self, rows: list[tuple[int, list[str]]]) -> Table:
+    def table(self, lines: list[_Line]) -> Table:
         """Places and values of lines as columns."""
-        columns: Table = {PLACE: np.array([place for place, _ in rows], np.int64)}
-        by_field = zip(*(values for _, values in rows), strict=True)
+        columns: Table = {PLACE: np.array([line.place for line in lines], np.int64)}
+        by_field = zip(*(line.values for line in lines), strict=True)
         for name, letter, values in zip(self.fields, self.letters, by_field, strict=True):
             if letter in _TEXT:
                 columns[name] = np.array(values, np.str_)
             elif letter in _DECIMAL:
                 columns[name] = np.array([float(value) for value in values])
             else:
-                whole = [int(value) for value in values]
-                columns[name] = np.array(whole, np.uint64 if min(whole) >= 0 else np.int64)
+                integers = [int(value) for value in values]
+                kind = np.uint64 if min(integers) >= 0 else np.int64
+                columns[name] = np.array(integers, kind)
         return columns
 
 
 _FMT = _LineFormat("BBnNZ", ("Type", "Length", "Name", "Format", "Columns"))
+
+
+class _TableBuilder:
+    """Lines of the wanted messages, which become columns some thousand at a time."""
+
+    def __init__(self) -> None:
+        self._pending: dict[tuple[str, _LineFormat], list[_Line]] = {}
+        self._tables: dict[str, list[Table]] = {}
+
+    def add(self, name: str, form: _LineFormat, line: _Line) -> None:
+        """Append a line of a message."""
+        pending = self._pending.setdefault((name, form), [])
+        pending.append(line)
+        if len(pending) == ROWS:
+            self._make_table(name, form, pending)
+
+    def _make_table(self, name: str, form: _LineFormat, pending: list[_Line]) -> None:
+        self._tables.setdefault(name, []).append(form.table(pending))
+        pending.clear()
+
+    def tables(self) -> dict[str, Table]:
+        """All lines as one table a message."""
+        for (name, form), pending in self._pending.items():
+            if pending:
+                self._make_table(name, form, pending)
+        return {name: merge_tables(several) for name, several in self._tables.items()}
 
 
 @dataclass
@@ -103,40 +137,36 @@ class _LineReader(DamagedBytes):
 
     formats: dict[str, _LineFormat] = field(default_factory=lambda: {"FMT": _FMT})
     counts: Counter[str] = field(default_factory=Counter)
-    times: list[tuple[int, int]] = field(default_factory=list)
+    times: list[tuple[int, int]] = field(default_factory=list)  # places, times since boot [us]
 
     def read(self, path: Path, wanted: set[str]) -> dict[str, Table]:
         """The wanted messages as tables; everything is counted."""
-        rows: dict[tuple[str, _LineFormat], list[tuple[int, list[str]]]] = {}
-        tables: dict[str, list[Table]] = {}
-        begin = 0
+        builder = _TableBuilder()
+        end = 0
         with path.open("rb") as stream:
             while raw := stream.readline(LONGEST):  # a longer line comes in pieces
-                place, begin = begin, begin + len(raw)
+                begin = end
+                end = begin + len(raw)
                 if not raw.endswith(b"\n") and len(raw) < LONGEST:  # the last, maybe in a number
                     self.cut_bytes = len(raw)
                     break
                 name, values = self._parse(raw)
-                if not name:
-                    if raw.strip():
-                        self.drop(place, begin)
-                    continue
-                form = self.formats[name]
-                self.counts[name] += 1
-                first = form.fields[0], form.letters[0]
-                unit = {("TimeUS", "Q"): 1, ("TimeMS", "I"): 1000}.get(first)
-                if unit:
-                    self.times.append((place, int(values[0]) * unit))
-                if name in wanted:
-                    pending = rows.setdefault((name, form), [])
-                    pending.append((place, values))
-                    if len(pending) == ROWS:
-                        tables.setdefault(name, []).append(form.table(pending))
-                        pending.clear()
-        for (name, form), pending in rows.items():
-            if pending:
-                tables.setdefault(name, []).append(form.table(pending))
-        return {name: merge_tables(several) for name, several in tables.items()}
+                if name:
+                    form = self.formats[name]
+                    line = _Line(begin, values)
+                    self._count(name, form, line)
+                    if name in wanted:
+                        builder.add(name, form, line)
+                elif raw.strip():
+                    self.drop(begin, end)
+        return builder.tables()
+
+    def _count(self, name: str, form: _LineFormat, line: _Line) -> None:
+        """Count a line, and keep its time where it begins with one."""
+        self.counts[name] += 1
+        unit_us = form.time_unit_us
+        if unit_us:
+            self.times.append((line.place, int(line.values[0]) * unit_us))
 
     def _parse(self, raw: bytes) -> tuple[str, list[str]]:
         """The message of a line and its values; no name when the line is not valid."""
@@ -148,22 +178,31 @@ class _LineReader(DamagedBytes):
         values = [value.strip() for value in rest.split(",", len(form.fields) - 1)]
         if not form.accepts(values):
             return "", []
-        if name == "FMT":
-            _, _, defined, letters, columns = values
-            fields = tuple(part.strip() for part in columns.split(","))
-            if columns == "Type,Length,Name,Format":  # old logs forget the last one
-                fields += ("Columns",)
-            distinct = len(set(fields)) == len(fields) == len(letters) and all(fields)
-            if not defined.isidentifier() or not distinct:
-                return "", []
-            if defined == "FMT" and len(fields) != 5:
-                return "", []
-            self.formats[defined] = _LineFormat(letters, fields)
+        if name == "FMT" and not self._define(values):
+            return "", []
         return name, values
+
+    def _define(self, values: list[str]) -> bool:
+        """Take the definition of an FMT line; False where it is not valid."""
+        _, _, name, letters, columns = values
+        fields = tuple(part.strip() for part in columns.split(","))
+        if columns == "Type,Length,Name,Format":  # old logs forget the last one
+            fields += ("Columns",)
+        is_distinct = len(set(fields)) == len(fields)
+        if not name.isidentifier() or not is_distinct or "" in fields:
+            return False
+        if len(fields) != len(letters):
+            return False
+        if name == "FMT" and len(fields) != len(_FMT.fields):
+            return False
+        self.formats[name] = _LineFormat(letters, fields)
+        return True
 
     def stamps(self) -> Iterator[Stamps]:
         """The times of all lines that begin with one, as a single block."""
-        if self.times:
-            places, times = zip(*self.times, strict=True)
-            raw = np.array([max(time, 0) for time in times], np.uint64)
-            yield np.array(places, np.int64), nanoseconds(raw)
+        if not self.times:
+            return
+        places, times_us = zip(*self.times, strict=True)
+        # Python's integers are of any size; damage makes some that no array holds
+        raw = np.array([min(max(time_us, 0), LAST_US) for time_us in times_us], np.int64)
+        yield np.array(places, np.int64), nanoseconds(raw)

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from itertools import groupby
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,16 +25,13 @@ from unbend.ingest.mcap.ros2_definitions import (
 )
 from unbend.units import Integers, Mask, Rows
 
-PlanStep = tuple[NumberField, ...] | TextField | SequenceField  # numbers in runs
-
-
 HEAD = 4  # bytes of encapsulation; alignment counts from behind them
-
-
 CDR_LE = 1  # plain CDR, little-endian; 0 is big-endian, larger are other encodings
+ALIGN = 8  # [bytes] of the largest number
+COUNT = 4  # [bytes] of a length
 
-
-ALIGN = 8
+NumberRun = tuple[NumberField, ...]
+PlanStep = NumberRun | TextField | SequenceField
 
 
 @dataclass(frozen=True)
@@ -59,28 +56,50 @@ def decode_plan(steps: Sequence[MessageField], wanted: frozenset[str] | None = N
     """
     parts: list[MessageField] = []
     for step in steps:
-        begin, after = f"{step.path}.", 0
-        others = frozenset[str]() if wanted is None or step.path in wanted else wanted
-        if isinstance(step, NumberField) and step.array:
-            # an array of which only elements are wanted becomes its elements
-            ends = (path[len(begin) :] for path in others if path.startswith(begin))
-            for k in sorted(int(end) for end in ends if end.isdigit() and int(end) < step.count):
-                if k > after:
-                    parts.append(NumberField(f"{begin}{after}:{k}", step.kind, k - after, True))
-                parts.append(NumberField(f"{begin}{k}", step.kind))
-                after = k + 1
-            if 0 < after < step.count:
-                parts.append(NumberField(f"{begin}{after}:", step.kind, step.count - after, True))
-        if not after:
-            parts.append(step)
-    singles = [step for step in parts if not isinstance(step, SequenceField)]
-    paths = frozenset(step.path for step in singles)
+        parts += _split_array(step, wanted)
+    paths = frozenset(step.path for step in parts if not isinstance(step, SequenceField))
     chosen = paths if wanted is None else paths & wanted
-    last = max((k for k, step in enumerate(parts) if step.path in chosen), default=-1)
+    end = 0  # behind the last step that is chosen
+    for k, step in enumerate(parts):
+        if step.path in chosen:
+            end = k + 1
+    plan_steps = tuple(_runs(parts[:end]))
     if wanted is not None:
-        return DecodePlan(tuple(_runs(parts[: last + 1])), chosen)
-    rest = tuple(step for step in parts[last + 1 :] if isinstance(step, SequenceField))
-    return DecodePlan(tuple(_runs(parts[: last + 1])), chosen, True, rest)
+        return DecodePlan(plan_steps, chosen)
+    rest = tuple(step for step in parts[end:] if isinstance(step, SequenceField))
+    return DecodePlan(plan_steps, chosen, counted=True, rest=rest)
+
+
+def _split_array(step: MessageField, wanted: frozenset[str] | None) -> list[MessageField]:
+    """An array of which only elements are wanted as these, and what lies between them."""
+    if wanted is None or step.path in wanted:
+        return [step]
+    if not isinstance(step, NumberField) or not step.array:
+        return [step]
+    elements = _wanted_elements(step, wanted)
+    if not elements:
+        return [step]
+    parts: list[MessageField] = []
+    end = 0
+    for k in elements:
+        if k > end:
+            parts.append(NumberField(f"{step.path}.{end}:{k}", step.kind, k - end, array=True))
+        parts.append(NumberField(f"{step.path}.{k}", step.kind))
+        end = k + 1
+    if end < step.count:
+        parts.append(NumberField(f"{step.path}.{end}:", step.kind, step.count - end, array=True))
+    return parts
+
+
+def _wanted_elements(step: NumberField, wanted: frozenset[str]) -> list[int]:
+    """The wanted elements of an array, rising."""
+    prefix = f"{step.path}."
+    elements = []
+    for path in wanted:
+        index = path.removeprefix(prefix)
+        if index != path and index.isdigit() and int(index) < step.count:
+            elements.append(int(index))
+    return sorted(elements)
 
 
 def _runs(steps: Sequence[MessageField]) -> list[PlanStep]:
@@ -88,14 +107,25 @@ def _runs(steps: Sequence[MessageField]) -> list[PlanStep]:
     result: list[PlanStep] = []
     for _, group in groupby(steps, lambda step: isinstance(step, NumberField)):
         part = list(group)
-        run = tuple(step for step in part if isinstance(step, NumberField))
-        result += [run] if run else [s for s in part if not isinstance(s, NumberField)]
+        numbers = tuple(step for step in part if isinstance(step, NumberField))
+        if numbers:
+            result.append(numbers)
+        else:
+            result += [step for step in part if not isinstance(step, NumberField)]
     return result
+
+
+def _aligned(at: Integers, size: int) -> Integers:
+    """The next multiples of ``size``."""
+    return np.asarray(-(-at // size) * size, np.int64)
 
 
 @dataclass
 class _Cursors:
-    """Messages still read, without the encapsulation, and the place ``at`` of the next field."""
+    """Messages still read, without the encapsulation, and the place ``at`` of the next field.
+
+    ``big``: whether they are big-endian; ``row``: which of the messages at the beginning they are.
+    """
 
     data: Bytes
     row: Rows
@@ -109,22 +139,35 @@ class _Cursors:
         """Keep these messages only, and what was read of them."""
         if bool(good.all()):
             return
-        for name in ("row", "begin", "length", "big", "at"):
-            setattr(self, name, getattr(self, name)[good])
+        self.row = self.row[good]
+        self.begin = self.begin[good]
+        self.length = self.length[good]
+        self.big = self.big[good]
+        self.at = self.at[good]
         self.columns = {name: column[good] for name, column in self.columns.items()}
+
+    def restarted(self) -> _Cursors:
+        """The same messages at the same places, numbered anew, without what was read."""
+        rows = np.arange(self.row.shape[0])
+        return _Cursors(self.data, rows, self.begin, self.length, self.big, self.at)
 
     def count(self) -> Integers:
         """The 32-bit length that stands here; the cursors move behind it."""
-        self.at = -(-self.at // 4) * 4
-        self.only(self.at + 4 <= self.length)
-        raw = gather(self.data, self.begin + self.at, 4).view("<u4")
-        self.at = self.at + 4
+        self.at = _aligned(self.at, COUNT)
+        self.only(self.at + COUNT <= self.length)
+        raw = gather(self.data, self.begin + self.at, COUNT).view("<u4")
+        self.at = self.at + COUNT
         return np.where(self.big, raw.byteswap(), raw).astype(np.int64)
 
 
-def decode(
-    data: Bytes, begin: Integers, length: Integers, plan: DecodePlan
-) -> tuple[Rows, dict[str, NDArray[Any]]]:
+class DecodedMessages(NamedTuple):
+    """The rows of messages that could be read, and their columns."""
+
+    rows: Rows
+    columns: dict[str, NDArray[Any]]
+
+
+def decode(data: Bytes, begin: Integers, length: Integers, plan: DecodePlan) -> DecodedMessages:
     """Decode messages of one definition.
 
     ``begin``, ``length``: (n,) of each in ``data``, with the encapsulation. Returns the rows that
@@ -134,40 +177,58 @@ def decode(
 
     >>> data = np.frombuffer(b"\\0\\1\\0\\0" + b"\\2\\0\\0\\0a\\0\\7\\0", np.uint8)
     >>> plan = decode_plan([TextField("s"), NumberField("x", "u2")])
-    >>> decode(data, np.array([0]), np.array([12]), plan)[1]
+    >>> decode(data, np.array([0]), np.array([12]), plan).columns
     {'s': array(['a'], dtype='<U1'), 'x': array([7], dtype=uint16)}
     """
     rows = np.flatnonzero(length >= HEAD)
-    rows = rows[(data[begin[rows]] == 0) & (data[begin[rows] + 1] <= CDR_LE)]
-    begin, length = begin[rows], length[rows]
-    big = data[begin + 1] & 1 == 0
-    at = np.zeros(rows.shape, np.int64)
-    cursors = _Cursors(data, rows, begin + HEAD, length - HEAD, big, at)
+    is_plain = (data[begin[rows]] == 0) & (data[begin[rows] + 1] <= CDR_LE)
+    rows = rows[is_plain]
+    cursors = _Cursors(
+        data=data,
+        row=rows,
+        begin=begin[rows] + HEAD,
+        length=length[rows] - HEAD,
+        big=data[begin[rows] + 1] != CDR_LE,
+        at=np.zeros(rows.shape, np.int64),
+    )
     for step in plan.steps:
         if isinstance(step, tuple):
             _read_numbers(cursors, step, plan.wanted)
         elif isinstance(step, TextField):
-            _read_text(cursors, step, step.path in plan.wanted)
+            _read_text(cursors, step, wanted=step.path in plan.wanted)
         else:
-            _skip(cursors, step, plan.counted)
-    # The last sequences are only counted: of a large message the beginning alone is there.
-    rows = np.arange(cursors.row.shape[0])
-    rest = _Cursors(data, rows, cursors.begin, cursors.length, cursors.big, cursors.at)
-    for step in plan.rest:
+            _skip(cursors, step, counted=plan.counted)
+    _count_rest(cursors, plan.rest)
+    return DecodedMessages(cursors.row, cursors.columns)
+
+
+def _count_rest(cursors: _Cursors, sequences: Sequence[SequenceField]) -> None:
+    """How many elements the last sequences have; -1 where the message ends before that.
+
+    Of a large message the beginning alone is there.
+    """
+    rest = cursors.restarted()
+    for step in sequences:
         count = rest.count()
-        column = np.full(rows.shape, -1, np.int64)
+        column = np.full(cursors.row.shape, -1, np.int64)
         column[rest.row] = count
         cursors.columns[f"{step.path}[]"] = column
         _skip_elements(rest, step, count)
-    return cursors.row, cursors.columns
+
+
+class _Layout(NamedTuple):
+    """The numpy type of the wanted numbers of a run, None without any, and the run's length."""
+
+    dtype: np.dtype[Any] | None
+    size: int
 
 
 @lru_cache(maxsize=1024)
-def _layout(
-    run: tuple[NumberField, ...], wanted: frozenset[str], phase: int, big: bool
-) -> tuple[np.dtype[Any] | None, int]:
-    """The numpy type of the wanted numbers of a run that begins there, and its length."""
-    names, kinds, offsets = [], [], []
+def _layout(run: NumberRun, wanted: frozenset[str], phase: int, *, big: bool) -> _Layout:
+    """The layout of a run that begins ``phase`` bytes behind a multiple of `ALIGN`."""
+    names = []
+    kinds = []
+    offsets = []
     at = phase
     for numbers in run:
         size = np.dtype(numbers.kind).itemsize
@@ -178,57 +239,80 @@ def _layout(
             kinds.append((kind, (numbers.count,)) if numbers.array else kind)
             offsets.append(at - phase)
         at += size * numbers.count
-    if not names or at - phase >= MAX_COUNT:  # no message is that long
-        return None, at - phase
-    used = {"names": names, "formats": kinds, "offsets": offsets, "itemsize": at - phase}
-    return np.dtype(used), at - phase  # type: ignore[call-overload]
+    length = at - phase
+    if not names or length >= MAX_COUNT:  # no message is that long
+        return _Layout(None, length)
+    used = {"names": names, "formats": kinds, "offsets": offsets, "itemsize": length}
+    return _Layout(np.dtype(used), length)  # type: ignore[call-overload]
 
 
-def _read_numbers(cursors: _Cursors, run: tuple[NumberField, ...], wanted: frozenset[str]) -> None:
+class _Arrangement(NamedTuple):
+    """How the next run lies in some messages: where it begins modulo `ALIGN`, and byte order."""
+
+    phase: int
+    big: bool
+
+    @classmethod
+    def of_key(cls, key: int) -> _Arrangement:
+        """The arrangement of a number that holds both."""
+        return cls(key % ALIGN, key >= ALIGN)
+
+
+def _read_numbers(cursors: _Cursors, run: NumberRun, wanted: frozenset[str]) -> None:
+    """Read the wanted numbers of a run; messages of one arrangement have one layout."""
     key = (cursors.at % ALIGN + ALIGN * cursors.big).astype(np.int8)
+    layouts = {}
     sizes = np.zeros(2 * ALIGN, np.int64)
-    present = np.flatnonzero(np.bincount(key, minlength=2 * ALIGN)).tolist()
-    for which in present:
-        sizes[which] = _layout(run, wanted, which % ALIGN, which >= ALIGN)[1]
+    for number in np.flatnonzero(np.bincount(key, minlength=2 * ALIGN)).tolist():
+        arrangement = _Arrangement.of_key(number)
+        layouts[number] = _layout(run, wanted, arrangement.phase, big=arrangement.big)
+        sizes[number] = layouts[number].size
     good = cursors.at + sizes[key] <= cursors.length
     cursors.only(good)
     key = key[good]
-    n = cursors.row.shape[0]
+    count = cursors.row.shape[0]
     for numbers in run:
         if numbers.path in wanted:
-            shape = (n, numbers.count) if numbers.array else (n,)
+            shape = (count, numbers.count) if numbers.array else (count,)
             cursors.columns[numbers.path] = np.empty(shape, numbers.kind)
-    for which in present:
-        dtype, size = _layout(run, wanted, which % ALIGN, which >= ALIGN)
-        if dtype is None:
+    for number, layout in layouts.items():
+        if layout.dtype is None:
             continue
-        rows = slice(None) if len(present) == 1 else key == which
-        records = gather(cursors.data, (cursors.begin + cursors.at)[rows], size).view(dtype)
-        for name in dtype.names or ():
+        rows = slice(None) if len(layouts) == 1 else key == number
+        places = (cursors.begin + cursors.at)[rows]
+        records = gather(cursors.data, places, layout.size).view(layout.dtype)
+        for name in layout.dtype.names or ():
             cursors.columns[name][rows] = records[name]
     cursors.at = cursors.at + sizes[key]
 
 
-def _read_text(cursors: _Cursors, step: TextField, wanted: bool) -> None:
+def _read_text(cursors: _Cursors, step: TextField, *, wanted: bool) -> None:
+    """Read a text, or move behind it."""
     length = cursors.count()
     good = cursors.at + length <= cursors.length
     cursors.only(good)
     length = length[good]
-    if wanted:  # without the NUL at the end
-        texts = np.full(length.shape, "", object)
+    if wanted:
         begin = cursors.begin + cursors.at
-        for size in np.unique(length[length > 1]).tolist():
-            rows = np.flatnonzero(length == size)
-            raw = gather(cursors.data, begin[rows], size - 1).view(f"S{size - 1}")
-            different, places = np.unique(raw, return_inverse=True)
-            known = [value.decode("utf-8", "backslashreplace") for value in different.tolist()]
-            texts[rows] = np.array(known, object)[places]
-        column = texts.astype(np.str_) if texts.size else np.empty(0, "U1")
-        cursors.columns[step.path] = column
+        cursors.columns[step.path] = _texts(cursors.data, begin, length)
     cursors.at = cursors.at + length
 
 
-def _skip(cursors: _Cursors, step: SequenceField, counted: bool = False) -> None:
+def _texts(data: Bytes, begin: Integers, length: Integers) -> NDArray[np.str_]:
+    """Texts at (n,) places, of so many bytes with the NUL at the end."""
+    if not length.size:
+        return np.empty(0, "U1")
+    texts = np.full(length.shape, "", object)
+    for size in np.unique(length[length > 1]).tolist():
+        rows = np.flatnonzero(length == size)
+        raw = gather(data, begin[rows], size - 1).view(f"S{size - 1}")
+        different, places = np.unique(raw, return_inverse=True)
+        known = [value.decode("utf-8", "backslashreplace") for value in different.tolist()]
+        texts[rows] = np.array(known, object)[places]
+    return texts.astype(np.str_)
+
+
+def _skip(cursors: _Cursors, step: SequenceField, *, counted: bool = False) -> None:
     """Move behind a sequence; of its elements nothing is kept."""
     count = cursors.count()
     if counted:
@@ -241,32 +325,41 @@ def _skip_elements(cursors: _Cursors, step: SequenceField, count: Integers) -> N
     good = count <= cursors.length  # an element has a byte at least
     cursors.only(good)
     count = count[good]
-    only = step.steps[0] if len(step.steps) == 1 else None
-    if isinstance(only, NumberField):
-        size = np.dtype(only.kind).itemsize
-        aligned = -(-cursors.at // size) * size
-        cursors.at = np.where(count > 0, aligned + count * only.count * size, cursors.at)
-        cursors.only(cursors.at <= cursors.length)
+    first = step.steps[0] if step.steps else None
+    if isinstance(first, NumberField) and len(step.steps) == 1:
+        _skip_numbers(cursors, first, count)
         return
-    steps = _runs(step.steps)
     ends = np.full(cursors.row.shape, -1, np.int64)
-    place = np.arange(cursors.row.shape[0])
-    inner = _Cursors(cursors.data, place, cursors.begin, cursors.length, cursors.big, cursors.at)
+    inner = cursors.restarted()
     inner.columns["count"] = count
+    steps = _runs(step.steps)
     done = 0
     while True:
-        rest = inner.columns["count"] > done
-        ends[inner.row[~rest]] = inner.at[~rest]
-        inner.only(rest)
+        goes_on = inner.columns["count"] > done
+        ends[inner.row[~goes_on]] = inner.at[~goes_on]
+        inner.only(goes_on)
         if not inner.row.shape[0]:
             break
-        for part in steps:
-            if isinstance(part, tuple):
-                _read_numbers(inner, part, frozenset())
-            elif isinstance(part, TextField):
-                _read_text(inner, part, False)
-            else:
-                _skip(inner, part)
+        _skip_steps(inner, steps)
         done += 1
     cursors.at = np.maximum(ends, 0)
     cursors.only(ends >= 0)
+
+
+def _skip_numbers(cursors: _Cursors, numbers: NumberField, count: Integers) -> None:
+    """Move behind so many elements that are numbers."""
+    size = np.dtype(numbers.kind).itemsize
+    end = _aligned(cursors.at, size) + count * numbers.count * size
+    cursors.at = np.where(count > 0, end, cursors.at)
+    cursors.only(cursors.at <= cursors.length)
+
+
+def _skip_steps(cursors: _Cursors, steps: Sequence[PlanStep]) -> None:
+    """Move behind one element of these steps."""
+    for step in steps:
+        if isinstance(step, tuple):
+            _read_numbers(cursors, step, frozenset())
+        elif isinstance(step, TextField):
+            _read_text(cursors, step, wanted=False)
+        else:
+            _skip(cursors, step)

@@ -12,27 +12,32 @@ from dataclasses import dataclass
 from typing import IO, Any
 
 from unbend.ingest.buffers import FileView
+from unbend.ingest.mcap import messages
+from unbend.messages import Message
 
 CHUNK_HEAD = struct.Struct("<QQQII")  # first and last time, size, checksum, letters that follow
+PACKED_SIZE = 8  # [bytes] of the number behind the name of the compression
+LONGEST_NAME = 16  # letters of the name of a compression
 COMPRESSIONS = ("", "lz4", "zstd")
 
 # Up to WHOLE bytes a chunk is inflated at once; recorders write 1 to 4 MiB. Beyond, it is inflated
 # block by block and twice, so its size costs time and no memory. Images fill chunks of hundreds of
 # MiB and shrink to a half at best; bombs shrink to a 250th (lz4) or a 30,000th (zstd).
-WHOLE = 16 << 20
+WHOLE = 16 << 20  # [bytes] inflated
 FREE_CHUNK = 64 << 20  # [bytes] inflated; taken however far it was compressed
 MAX_CHUNK = 2 << 30  # [bytes] inflated
 MAX_RATIO = 200  # of a chunk larger than FREE_CHUNK, and of a file whose chunks exceed FREE_FILE
 FREE_FILE = 256 << 20  # [bytes] inflated, all chunks of a file: 0.1 to 0.3 s
 MAX_WINDOW = 64 << 20  # [bytes] that a decompressor may look back
-BLOCK = 1 << 18
-
-Fault = tuple[str, str]  # code and words
+BLOCK = 1 << 18  # [bytes] of a large chunk at once
 
 
 @dataclass(frozen=True)
 class Chunk:
-    """The head of a chunk, its records' ``size`` when inflated and where they lie in the file."""
+    """The head of a chunk, its records' ``size`` when inflated and where they lie in the file.
+
+    ``length`` of the packed records that begin at ``begin``; ``rest``: bytes behind them.
+    """
 
     first_time: int
     last_time: int
@@ -46,75 +51,115 @@ class Chunk:
     @property
     def plausible(self) -> bool:
         """Whether the head alone proves that a chunk begins here: its sizes fit each other."""
-        known = self.compression in COMPRESSIONS and self.rest == 0
-        fits = self.size == self.length if self.compression == "" else self.size <= MAX_CHUNK
-        return known and fits and self.first_time <= self.last_time
+        if self.compression not in COMPRESSIONS or self.rest != 0:
+            return False
+        if self.first_time > self.last_time:
+            return False
+        if self.compression == "":
+            return self.size == self.length
+        return self.size <= MAX_CHUNK
 
     @property
     def small(self) -> bool:
         """Whether it may be inflated at once; packing adds some bytes a block at the worst."""
-        return self.size <= WHOLE and self.length <= self.size + self.size // 64 + 4096
+        longest_packed = self.size + self.size // 64 + 4096
+        return self.size <= WHOLE and self.length <= longest_packed
 
 
 class InflationBudget:
     """How much the chunks of a file may inflate to together; it grows with the file's size.
 
-    >>> bool(InflationBudget(0).too_large(Chunk(0, 0, 60 << 20, 0, "zstd", 0, 9, 0)))
-    False
+    >>> chunk = Chunk(0, 0, 60 << 20, 0, "zstd", 0, 9, 0)
+    >>> InflationBudget(0).too_large(chunk, where="a.mcap, byte 0", count=9) is None
+    True
     """
 
     def __init__(self, file_bytes: int) -> None:
         self.limit = FREE_FILE + MAX_RATIO * file_bytes
         self.left = self.limit
 
-    def too_large(self, chunk: Chunk) -> str:
-        """Why the chunk is not inflated; empty where it is, and its bytes are subtracted."""
-        what = f"a chunk of {chunk.length} bytes would inflate to {chunk.size}"
+    def too_large(self, chunk: Chunk, *, where: str, count: int) -> Message | None:
+        """Why the chunk is not inflated; None where it is, and its bytes are subtracted.
+
+        ``where``, ``count``: its place, and its bytes in the file, for the message.
+        """
         if chunk.size > min(MAX_CHUNK, max(FREE_CHUNK, MAX_RATIO * chunk.length)):
-            limits = f"the limit is {MAX_CHUNK}, and {MAX_RATIO} times its own size"
-            return f"{what}; {limits} beyond {FREE_CHUNK}: it is skipped"
+            return messages.chunk_too_large(
+                where=where,
+                count=count,
+                packed=chunk.length,
+                size=chunk.size,
+                largest=MAX_CHUNK,
+                ratio=MAX_RATIO,
+                free=FREE_CHUNK,
+            )
         cost = chunk.size if chunk.small else 2 * chunk.size
         if cost > self.left:
-            left = f"the chunks before it left {self.left} of the {self.limit} bytes"
-            return f"{what}, and {left} that all chunks of a file of this size may: it is skipped"
+            return messages.chunks_too_large(
+                where=where,
+                count=count,
+                packed=chunk.length,
+                size=chunk.size,
+                left=self.left,
+                limit=self.limit,
+            )
         self.left -= cost
-        return ""
+        return None
 
 
 def chunk_head(data: FileView, at: int, length: int) -> Chunk | None:
     """The head of a chunk record whose content is here; None where the lengths contradict."""
-    head = data[at : at + min(length, CHUNK_HEAD.size + 16 + 8)]
-    if len(head) < CHUNK_HEAD.size + 8:
+    head = data[at : at + min(length, CHUNK_HEAD.size + LONGEST_NAME + PACKED_SIZE)]
+    if len(head) < CHUNK_HEAD.size + PACKED_SIZE:
         return None
-    first, last, size, crc, letters = CHUNK_HEAD.unpack_from(head)
-    if letters > 16 or len(head) < CHUNK_HEAD.size + letters + 8:
+    first_time, last_time, size, crc, letters = CHUNK_HEAD.unpack_from(head)
+    name_end = CHUNK_HEAD.size + letters
+    head_end = name_end + PACKED_SIZE
+    if letters > LONGEST_NAME or len(head) < head_end:
         return None
-    before = CHUNK_HEAD.size + letters + 8
-    name = head[CHUNK_HEAD.size : CHUNK_HEAD.size + letters].decode("ascii", "backslashreplace")
-    packed = int.from_bytes(head[CHUNK_HEAD.size + letters : before], "little")
-    if packed > length - before:
+    packed = int.from_bytes(head[name_end:head_end], "little")
+    if packed > length - head_end:
         return None
-    return Chunk(first, last, size, crc, name, at + before, packed, length - before - packed)
+    return Chunk(
+        first_time=first_time,
+        last_time=last_time,
+        size=size,
+        crc=crc,
+        compression=head[CHUNK_HEAD.size : name_end].decode("ascii", "backslashreplace"),
+        begin=at + head_end,
+        length=packed,
+        rest=length - head_end - packed,
+    )
 
 
-def inflate(data: FileView, chunk: Chunk) -> bytes | Fault:
-    """The records of a chunk, or why they cannot be used; of a large one nothing is kept."""
+def inflate(data: FileView, chunk: Chunk, *, where: str, count: int) -> bytes | Message:
+    """The records of a chunk, or why they cannot be used; of a large one nothing is kept.
+
+    ``where``, ``count``: its place, and its bytes in the file, for the message.
+    """
     import zstandard
 
-    blocks, size, crc = list[bytes](), 0, 0
+    blocks: list[bytes] = []
+    size = 0
+    crc = 0
     step = chunk.size + 1 if chunk.small else BLOCK
     try:
         with chunk_stream(data, chunk) as stream:
             while size <= chunk.size and (block := stream.read(step)):
                 size += len(block)
-                crc = zlib.crc32(block, crc) if chunk.crc else 0
-                blocks += [block] if chunk.small else []
+                if chunk.crc:
+                    crc = zlib.crc32(block, crc)
+                if chunk.small:
+                    blocks.append(block)
     except (zstandard.ZstdError, RuntimeError, EOFError) as error:  # of damaged bytes
-        return "LOG-BAD-BYTES", f"a chunk does not inflate ({error})"
+        return messages.chunk_not_inflated(where=where, count=count, reason=str(error))
     if size != chunk.size:
-        inflated = f"{size} bytes" if size < chunk.size else "more"
-        return "LOG-BAD-BYTES", f"a chunk inflates to {inflated}, its head states {chunk.size}"
-    return ("LOG-CRC", "a chunk fails its checksum") if crc != chunk.crc else b"".join(blocks)
+        return messages.chunk_of_another_size(
+            where=where, count=count, size=size, stated=chunk.size
+        )
+    if crc != chunk.crc:
+        return messages.chunk_checksum_fails(where=where, count=count)
+    return b"".join(blocks)
 
 
 @contextmanager

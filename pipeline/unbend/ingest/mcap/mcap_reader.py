@@ -4,54 +4,70 @@ import struct
 from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from unbend.flight.clock import UNIX_NS_FROM
 from unbend.ingest.boot_clock import Stamps, UtcReadings
 from unbend.ingest.buffers import open_view
-from unbend.ingest.mcap import topics
-from unbend.ingest.mcap.mcap_records import Damage, Definition, Opcode, RecordWalk
+from unbend.ingest.field_maps import MessageMap
+from unbend.ingest.mcap import messages, topics
+from unbend.ingest.mcap.damage import Damage
+from unbend.ingest.mcap.mcap_records import Definition, Messages, Opcode, RecordWalk
 from unbend.ingest.mcap.message_counts import MessageCounts
 from unbend.ingest.mcap.ros2_definitions import SchemaError
-from unbend.ingest.mcap.topic_samples import PLAIN_JSON, SCHEMAS, known_name
-from unbend.messages import Ledger
+from unbend.ingest.mcap.topic_samples import PLAIN_JSON, SCHEMAS, TopicSamples, known_name
+from unbend.messages import Ledger, Message
 from unbend.units import Integers, Rows
 
 # What the library's parsers of records raise on damaged lengths and text, beside McapError.
 _PARSE_ERRORS = (struct.error, ValueError, OverflowError)
-
-
 # What a definition that is damaged makes the libraries raise.
 _SCHEMA_ERRORS = (SchemaError, UnicodeDecodeError, TypeError, ValueError, KeyError, RuntimeError)
 
-
 RECORDED = 512  # messages of each block (4 MiB) whose log_time is kept beside their time since boot
-
-
 MAX_CONTRADICTIONS = 1000  # definitions that differ from an earlier one; no log has any
+LISTED_CONTRADICTIONS = 8  # in the ledger
+
+
+class TopicKey(NamedTuple):
+    """A topic, and the name of its messages; some topics have several."""
+
+    topic: str
+    schema: str
+
+
+class _Subscription(NamedTuple):
+    """The topic to which the messages of a channel belong, and what decodes them."""
+
+    topic: topics.Topic
+    decoder: topics.Decoder
 
 
 class McapReader:
-    """Definitions, counts and topics of one file; with ``only`` all fields of that topic."""
+    """Definitions, counts and topics of one file; with ``only`` all fields of that topic.
 
-    def __init__(self, ledger: Ledger, where: str, only: str | None = None) -> None:
+    ``unread``: why topics that are wanted are not read; it is in the ledger too.
+    """
+
+    def __init__(self, ledger: Ledger, file: str, only: str | None = None) -> None:
         self.ledger = ledger
-        self.where = where
+        self.file = file
         self.only = only
-        self.damage = Damage()
+        self.damage = Damage(file)
         self.counts = MessageCounts()
-        self.schemas: dict[int, Any] = {}
-        self.channels: dict[int, Any] = {}
-        self.names: dict[int, str] = {}
-        self.contradictions: set[str] = set()
-        self.raw: dict[tuple[int, bytes], bytes] = {}
-        self.topic_of: dict[int, tuple[topics.Topic, topics.Decoder]] = {}
-        self.decoders: dict[tuple[int, str], topics.Decoder | Exception] = {}
-        self.topics: dict[tuple[str, str], topics.Topic] = {}
-        self.seen = 0  # messages, of any channel
-        self.recorded: list[Integers] = []
+        self.names: dict[int, str] = {}  # topics, by the number of their channel
+        self.topics: dict[TopicKey, topics.Topic] = {}
+        self.unread: list[Message] = []
+        self._schemas: dict[int, Any] = {}
+        self._channels: dict[int, Any] = {}
+        self._contents: dict[tuple[int, bytes], bytes] = {}  # of definitions: opcode and number
+        self._contradictions: set[str] = set()
+        self._decoders: dict[tuple[int, str], topics.Decoder | Exception] = {}
+        self._subscriptions: dict[int, _Subscription] = {}
+        self._seen = 0  # messages, of any channel
+        self._recorded: list[Integers] = []  # (3, n) places, times since boot, log_time
 
     def through(self, path: Path) -> Iterator[Stamps]:
         """Read the file; yields places and times since boot of the messages that count it."""
@@ -60,114 +76,178 @@ class McapReader:
                 if isinstance(part, Definition):
                     self._define(part)
                     continue
-                shares: dict[tuple[str, str], list[tuple[topics.Decoder, Rows]]] = {}
-                for number in self.counts.take(part, self.names):
-                    if number in self.topic_of:
-                        topic, decoder = self.topic_of[number]
-                        rows = np.flatnonzero(part.channel == number)
-                        shares.setdefault((topic.name, topic.schema), []).append((decoder, rows))
-                before, self.seen = self.seen, self.seen + len(part)
-                taken = (self.topics[key].take(part, of, before) for key, of in shares.items())
-                if stamps := [stamp for stamps_of_topic in taken for stamp in stamps_of_topic]:
-                    places, boot_ns, log_ns = map(np.concatenate, zip(*stamps, strict=True))
-                    order = np.argsort(places)
-                    sample = order[:: -(-order.shape[0] // RECORDED)]
-                    self.recorded.append(np.stack([places, boot_ns, log_ns])[:, sample])
-                    yield places[order], boot_ns[order]
+                stamps = self._take(part)
+                if stamps:
+                    yield self._in_order(stamps)
+
+    def _take(self, batch: Messages) -> list[topics.BootStamps]:
+        """Hand messages to their topics; returns the stamps of those that count from a boot."""
+        shares: dict[TopicKey, list[tuple[topics.Decoder, Rows]]] = {}
+        for number in self.counts.take(batch, self.names):
+            if number in self._subscriptions:
+                topic, decoder = self._subscriptions[number]
+                rows = np.flatnonzero(batch.channel == number)
+                shares.setdefault(TopicKey(topic.name, topic.schema), []).append((decoder, rows))
+        before = self._seen
+        self._seen += len(batch)
+        stamps: list[topics.BootStamps] = []
+        for key, shares_of_topic in shares.items():
+            stamps += self.topics[key].take(batch, shares_of_topic, before)
+        return stamps
+
+    def _in_order(self, stamps: list[topics.BootStamps]) -> Stamps:
+        """Stamps of several topics in the order of the log; a sample is kept with log_time."""
+        places = np.concatenate([part.places for part in stamps])
+        boot_ns = np.concatenate([part.boot_ns for part in stamps])
+        log_ns = np.concatenate([part.log_ns for part in stamps])
+        order = np.argsort(places)
+        step = -(-order.shape[0] // RECORDED)
+        sample = order[::step]
+        self._recorded.append(np.stack([places[sample], boot_ns[sample], log_ns[sample]]))
+        return places[order], boot_ns[order]
 
     def recorder(self) -> UtcReadings | None:
         """log_time beside time since boot, of some messages of each block; None without any."""
-        if not self.recorded:
+        if not self._recorded:
             return None
-        places, boot_ns, log_ns = np.concatenate(self.recorded, axis=1)
+        places, boot_ns, log_ns = np.concatenate(self._recorded, axis=1)
         return UtcReadings("log_time", places, boot_ns, log_ns, log_ns > UNIX_NS_FROM)
 
+    def release_topics(self) -> None:
+        """Free the memory of what was read of the topics; others may hold parts of it."""
+        self.topics.clear()
+        self._subscriptions.clear()
+
     def _define(self, definition: Definition) -> None:
+        """Take a definition; those that are repeated, as in every chunk, are passed over."""
         from mcap import records as library
         from mcap.data_stream import ReadDataStream
         from mcap.exceptions import McapError
 
-        key = (definition.opcode, definition.content[:2])
-        if self.raw.setdefault(key, definition.content) is not definition.content and (
-            self.raw[key] == definition.content or len(self.contradictions) > MAX_CONTRADICTIONS
-        ):
-            return  # repeated in every chunk and in the summary
+        if self._is_known(definition):
+            return
         kinds = {Opcode.SCHEMA: library.Schema, Opcode.CHANNEL: library.Channel}
         kind = kinds.get(definition.opcode, library.Statistics)
         try:
             record = kind.read(ReadDataStream(BytesIO(definition.content)))
         except (McapError, *_PARSE_ERRORS) as error:
-            what = f"a definition (opcode {definition.opcode}) cannot be read: {error}"
-            self.damage.add("LOG-BAD-BYTES", what, definition.at, len(definition.content))
+            self.damage.add(
+                messages.definition_unreadable(
+                    where=self.damage.at(definition.at),
+                    count=len(definition.content),
+                    opcode=definition.opcode,
+                    reason=str(error),
+                )
+            )
             return
         if kind is library.Statistics:
             self.counts.stated = dict(record.channel_message_counts)
             self.counts.stated_total = int(record.message_count)
             return
-        known = self.schemas if kind is library.Schema else self.channels
-        if record.id not in known:
-            known[record.id] = record
-            if kind is library.Channel:
-                self.names[record.id] = record.topic
-                self._subscribe(record)
-        elif known[record.id] != record:
-            self.contradictions.add(f"{kind.__name__.lower()} {record.id}")
+        known = self._schemas if kind is library.Schema else self._channels
+        if record.id in known:
+            if known[record.id] != record:
+                self._contradictions.add(f"{kind.__name__.lower()} {record.id}")
+            return
+        known[record.id] = record
+        if kind is library.Channel:
+            self.names[record.id] = record.topic
+            self._subscribe(record)
+
+    def _is_known(self, definition: Definition) -> bool:
+        """Whether a definition need not be looked at: it is a copy, or too many contradict."""
+        number = definition.content[:2]
+        first = self._contents.setdefault((definition.opcode, number), definition.content)
+        if first is definition.content:
+            return False
+        return first == definition.content or len(self._contradictions) > MAX_CONTRADICTIONS
 
     def _subscribe(self, channel: Any) -> None:
-        schema: Any = self.schemas.get(channel.schema_id)
+        """Begin to read the topic of a channel, if it is wanted and can be decoded."""
+        schema = self._schemas.get(channel.schema_id)
         name = known_name(schema.name) if schema is not None else ""
-        plain = channel.message_encoding == "json" and name not in SCHEMAS
-        if self.only is None and name not in SCHEMAS and not plain:
-            return
-        if self.only is not None and channel.topic != self.only:
+        if self.only is None:
+            is_wanted = name in SCHEMAS or channel.message_encoding == "json"
+        else:
+            is_wanted = channel.topic == self.only
+        if not is_wanted:
             return
         spec = SCHEMAS.get(name, PLAIN_JSON)
+        decoder = self._decoder(channel, schema, name, spec)
+        if isinstance(decoder, Exception):
+            self._leave_unread(
+                messages.schema_not_parsed(topic=channel.topic, schema=name, reason=str(decoder))
+            )
+        elif decoder is not None:
+            key = TopicKey(channel.topic, name)
+            if key not in self.topics:
+                series: dict[topics.SeriesKey, TopicSamples] | None = None if self.only else {}
+                self.topics[key] = topics.Topic(channel.topic, name, spec, series)
+            self._subscriptions[channel.id] = _Subscription(self.topics[key], decoder)
+
+    def _decoder(
+        self, channel: Any, schema: Any, name: str, spec: MessageMap
+    ) -> topics.Decoder | Exception | None:
+        """What decodes the messages of a channel; an error of its schema; None where it is left.
+
+        Thousands of channels may share a schema: it is parsed once.
+        """
         key = (channel.schema_id, channel.message_encoding)
-        decoder = self.decoders.get(key)  # thousands of channels may share a schema
+        decoder = self._decoders.get(key)
         if decoder is None:
-            encoding = channel.message_encoding
-            wanted = None if self.only else topics.paths_of(spec)
-            kind = (encoding, schema.encoding if schema is not None else "")
             try:
-                if encoding == "json":
-                    decoder = topics.json_decoder(spec, wanted)
-                elif kind == ("cdr", "ros2msg"):
-                    decoder = topics.cdr_decoder(schema.name, schema.data.decode(), wanted)
-                elif kind == ("protobuf", "protobuf"):
-                    decoder = topics.protobuf_decoder(schema, spec, wanted)
-                elif schema is not None:
-                    where, of = channel.topic, schema.encoding
-                    self.ledger.note(
-                        "LOG-NOT-ROS2", where=where, name=name, encoding=encoding, schema=of
-                    )
+                decoder = self._new_decoder(channel, schema, name, spec)
             except ImportError:
-                self.ledger.loss("LOG-NO-PROTOBUF", where=channel.topic, name=name)
+                self._leave_unread(
+                    messages.protobuf_not_installed(topic=channel.topic, schema=name)
+                )
             except _SCHEMA_ERRORS as error:
                 decoder = error
             if decoder is not None:
-                self.decoders[key] = decoder
-        if isinstance(decoder, Exception):
-            what = f"the schema of {name} cannot be parsed ({decoder}): the topic is not read"
-            self.ledger.loss("LOG-SCHEMA", what, where=channel.topic)
-        elif decoder is not None:
-            topic = topics.Topic(channel.topic, name, spec, None if self.only else {})
-            topic = self.topics.setdefault((channel.topic, name), topic)
-            self.topic_of[channel.id] = (topic, decoder)
+                self._decoders[key] = decoder
+        return decoder
+
+    def _new_decoder(
+        self, channel: Any, schema: Any, name: str, spec: MessageMap
+    ) -> topics.Decoder | None:
+        """What decodes the messages of a channel; None where their encoding is not read."""
+        wanted = None if self.only else topics.paths_of(spec)
+        encoding = channel.message_encoding
+        if encoding == "json":
+            return topics.json_decoder(spec, wanted)
+        if schema is None:
+            return None
+        if encoding == "cdr" and schema.encoding == "ros2msg":
+            return topics.cdr_decoder(schema.name, schema.data.decode(), wanted)
+        if encoding == "protobuf" and schema.encoding == "protobuf":
+            return topics.protobuf_decoder(schema, spec, wanted)
+        self._leave_unread(
+            messages.encoding_not_read(
+                topic=channel.topic,
+                schema=name,
+                encoding=encoding,
+                schema_encoding=schema.encoding,
+            )
+        )
+        return None
+
+    def _leave_unread(self, reason: Message) -> None:
+        """Enter why a topic is not read."""
+        self.unread.append(reason)
+        self.ledger.add(reason)
 
     def report(self) -> int:
         """Enter the damage; returns how many messages are missing."""
-        for code, what, at, count in self.damage.entries():
-            self.ledger.loss(code, what, where=f"{self.where}, byte {at}", count=count)
-        if self.contradictions:
-            count, examples = len(self.contradictions), ", ".join(sorted(self.contradictions)[:8])
-            self.ledger.loss("LOG-INCONSISTENT", where=self.where, count=count, examples=examples)
+        self.ledger.extend(self.damage.messages())
+        if self._contradictions:
+            self.ledger.add(
+                messages.definitions_differ(
+                    file=self.file,
+                    count=len(self._contradictions),
+                    examples=sorted(self._contradictions)[:LISTED_CONTRADICTIONS],
+                )
+            )
         for topic in self.topics.values():
-            if topic.failed:
-                self.ledger.loss("LOG-DECODE", topic.misfit, where=topic.name, count=topic.failed)
-            if topic.lost_values:
-                self.ledger.loss("LOG-DECODE", where=topic.name, count=topic.lost_values)
-            if topic.nameless:
-                most, count = topics.MAX_NAMES, topic.nameless
-                self.ledger.loss("LOG-TOO-LARGE", where=topic.name, count=count, max_names=most)
+            self.ledger.extend(topic.losses())
         damaged = bool(self.damage.losses)
-        return self.counts.report(self.names, self.ledger, self.where, damaged=damaged)
+        return self.counts.report(self.names, self.ledger, self.file, damaged=damaged)

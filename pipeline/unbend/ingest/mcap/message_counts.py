@@ -5,10 +5,12 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from unbend.ingest.mcap import messages
 from unbend.ingest.mcap.mcap_records import Messages
 from unbend.messages import Ledger
 
 CHANNEL_NUMBERS = 1 << 16  # they are 16 bits wide
+LISTED_TOPICS = 8  # whose counts differ from the statistics, in the ledger
 
 
 class MessageCounts:
@@ -16,41 +18,50 @@ class MessageCounts:
 
     def __init__(self) -> None:
         self.counts = np.zeros(CHANNEL_NUMBERS, np.int64)
-        self.orphans = 0
+        self.orphans = 0  # messages of no channel
         self.stated: dict[int, int] = {}
         self.stated_total: int | None = None
-        self._last = np.full(CHANNEL_NUMBERS, -1, np.int64)
-        self._last_ns = np.zeros(CHANNEL_NUMBERS, np.int64)
-        self._ones = np.zeros(CHANNEL_NUMBERS, np.int64)
-        self._gaps = np.zeros(CHANNEL_NUMBERS, np.int64)
+        self._last = np.full(CHANNEL_NUMBERS, -1, np.int64)  # number
+        self._last_ns = np.zeros(CHANNEL_NUMBERS, np.int64)  # log_time
+        self._single_steps = np.zeros(CHANNEL_NUMBERS, np.int64)
+        self._missing = np.zeros(CHANNEL_NUMBERS, np.int64)  # numbers
 
-    def take(self, messages: Messages, names: Mapping[int, str]) -> list[int]:
+    def take(self, batch: Messages, names: Mapping[int, str]) -> list[int]:
         """Count some messages; returns the known channels that they are of."""
-        counts = np.bincount(messages.channel, minlength=CHANNEL_NUMBERS)
-        present = np.flatnonzero(counts).tolist()
-        known = [number for number in present if number in names]
-        unknown = [number for number in present if number not in names]
-        self.orphans += messages.short + int(counts[unknown].sum())
+        counts = np.bincount(batch.channel, minlength=CHANNEL_NUMBERS)
+        known = []
+        self.orphans += batch.short
+        for number in np.flatnonzero(counts).tolist():
+            if number in names:
+                known.append(number)
+            else:
+                self.orphans += int(counts[number])
         self.counts[known] += counts[known]
-        if not len(messages):
-            return known
-        order = np.argsort(messages.channel, kind="stable")
-        channel = messages.channel[order].astype(np.int64)
-        sequence = messages.sequence[order].astype(np.int64)
-        log_ns = messages.log_time[order]
-        before, before_ns = (np.concatenate([[-1], each[:-1]]) for each in (sequence, log_ns))
-        first = np.flatnonzero(np.diff(channel, prepend=-1))
-        before[first], before_ns[first] = self._last[channel[first]], self._last_ns[channel[first]]
-        step = np.where(before < 0, 0, sequence - before)
+        if len(batch):
+            self._take_sequences(batch)
+        return known
+
+    def _take_sequences(self, batch: Messages) -> None:
+        """Count the steps of the numbers of each channel."""
+        order = np.argsort(batch.channel, kind="stable")
+        channel = batch.channel[order].astype(np.int64)
+        sequence = batch.sequence[order].astype(np.int64)
+        log_ns = batch.log_time[order]
+        before = np.concatenate([[-1], sequence[:-1]])
+        before_ns = np.concatenate([[-1], log_ns[:-1]])
+        first = np.flatnonzero(np.diff(channel, prepend=-1))  # of each channel
+        before[first] = self._last[channel[first]]
+        before_ns[first] = self._last_ns[channel[first]]
         last = np.append(first[1:], channel.shape[0]) - 1
-        self._last[channel[last]], self._last_ns[channel[last]] = sequence[last], log_ns[last]
-        np.add.at(self._ones, channel[step == 1], 1)
+        self._last[channel[last]] = sequence[last]
+        self._last_ns[channel[last]] = log_ns[last]
+        step = np.where(before < 0, 0, sequence - before)
+        np.add.at(self._single_steps, channel[step == 1], 1)
         ahead = step > 1
-        np.add.at(self._gaps, channel[ahead], step[ahead] - 1)
         # chunks in another order fill gaps that stood open; a recorder that begins anew does not
         back = (step < 0) & (log_ns < before_ns)
-        np.add.at(self._gaps, channel[back], step[back] - 1)
-        return known
+        moved = ahead | back
+        np.add.at(self._missing, channel[moved], step[moved] - 1)
 
     def by_name(self, names: Mapping[int, str]) -> dict[str, int]:
         """How many messages each topic has; topics without any are left out."""
@@ -62,30 +73,41 @@ class MessageCounts:
     def report(self, names: Mapping[int, str], ledger: Ledger, where: str, *, damaged: bool) -> int:
         """Enter what is missing; returns how many messages that is."""
         if self.orphans:
-            what = f"{self.orphans} messages belong to no channel"
-            ledger.loss("LOG-BAD-BYTES", what, where=where, count=self.orphans)
-        skipped = 0
-        for number in np.flatnonzero(self._gaps > 0).tolist():
-            if 2 * self._ones[number] < self.counts[number] or number not in names:
-                continue  # its numbers do not count its messages
-            count = int(self._gaps[number])
-            skipped += count
-            ledger.loss("LOG-LINK-LOSS", where=names[number], count=count)
+            ledger.add(messages.no_channel_of_messages(file=where, count=self.orphans))
+        skipped = self._report_skipped(names, ledger)
         if self.stated_total is None:
             if not damaged:
-                what = "the log has no statistics: whether it is whole cannot be checked"
-                ledger.note("LOG-NO-STATISTICS", what, where=where)
+                ledger.add(messages.no_statistics(file=where))
             return skipped
-        total = int(self.counts.sum())
-        wrong = [
-            number
-            for number in sorted({*self.stated, *np.flatnonzero(self.counts).tolist()})
-            if self.stated and self.stated.get(number, 0) != self.counts[number]
-        ]
-        if total != self.stated_total or wrong:
-            apart = ", ".join(names.get(number, f"channel {number}") for number in wrong[:8])
-            what = f"{total} messages were read, the log's statistics state {self.stated_total}"
-            what += f"; they differ for {apart}" if apart else ""
-            count = max(abs(self.stated_total - total), 1)
-            ledger.loss("LOG-INCONSISTENT", what, where=where, count=count)
-        return max(self.stated_total - total, skipped, 0)
+        read = int(self.counts.sum())
+        differ = self._differing_channels()
+        if read != self.stated_total or differ:
+            topics = [names.get(number, f"channel {number}") for number in differ[:LISTED_TOPICS]]
+            ledger.add(
+                messages.statistics_differ(
+                    file=where, read=read, stated=self.stated_total, topics=topics
+                )
+            )
+        return max(self.stated_total - read, skipped, 0)
+
+    def _report_skipped(self, names: Mapping[int, str], ledger: Ledger) -> int:
+        """Enter the messages that are missing by their numbers; returns how many."""
+        skipped = 0
+        for number in np.flatnonzero(self._missing > 0).tolist():
+            counts_its_messages = 2 * self._single_steps[number] >= self.counts[number]
+            if counts_its_messages and number in names:
+                count = int(self._missing[number])
+                skipped += count
+                ledger.add(messages.lost_by_recorder(topic=names[number], count=count))
+        return skipped
+
+    def _differing_channels(self) -> list[int]:
+        """The channels that have another count than the log's statistics state."""
+        if not self.stated:
+            return []
+        present = np.flatnonzero(self.counts).tolist()
+        differ = []
+        for number in sorted({*self.stated, *present}):
+            if self.stated.get(number, 0) != self.counts[number]:
+                differ.append(number)
+        return differ

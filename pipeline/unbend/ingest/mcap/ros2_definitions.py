@@ -5,35 +5,36 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 # The kinds that mcap-ros2-support reads: byte unsigned, char signed, bool one byte.
 KINDS: Mapping[str, str] = {
-    "bool": "?", "byte": "u1", "char": "i1",
-    "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2",
-    "int32": "i4", "uint32": "u4", "int64": "i8", "uint64": "u8",
-    "float32": "f4", "float64": "f8",
-}  # fmt: skip
-
+    "bool": "?",
+    "byte": "u1",
+    "char": "i1",
+    "int8": "i1",
+    "uint8": "u1",
+    "int16": "i2",
+    "uint16": "u2",
+    "int32": "i4",
+    "uint32": "u4",
+    "int64": "i8",
+    "uint64": "u8",
+    "float32": "f4",
+    "float64": "f8",
+}
 
 MAX_DEPTH = 16  # the deepest message of ROS 2's own packages has 6
-
-
 MAX_STEPS = 4096  # of a flattened message, with the insides of sequences; Imu has 37 numbers
-
-
 MAX_COUNT = 1 << 31  # elements of an array: numpy has no larger items
-
+_SHOWN = 60  # letters of a damaged definition, in the ledger
 
 _TIME = "int32 sec\nuint32 nanosec"
-
-
 _BUILT_IN = {"builtin_interfaces/Time": _TIME, "builtin_interfaces/Duration": _TIME}
-
-
-_FIELD = re.compile(r"^([\w/]+)(<=\d+)?(\[(?:<=)?\d*\])?\s+(\w+)(?:\s|$)")
-
-
+_FIELD = re.compile(r"^(?P<kind>[\w/]+)(<=\d+)?(?P<array>\[(?:<=)?\d*\])?\s+(?P<name>\w+)(?:\s|$)")
 _CONSTANT = re.compile(r"^\S+\s+\w+\s*=")
+_SEPARATOR = re.compile(r"^={3,}\s*$", flags=re.MULTILINE)
+_TITLE = re.compile(r"^MSG:\s+(\S+)\s*$", flags=re.MULTILINE)
 
 
 class SchemaError(ValueError):
@@ -79,12 +80,13 @@ def steps_of(name: str, text: str) -> tuple[MessageField, ...]:
     """
     definitions = dict(_BUILT_IN)
     current = short(name)
-    for part in re.split(r"^={3,}\s*$", text, flags=re.MULTILINE):
-        title = re.search(r"^MSG:\s+(\S+)\s*$", part, flags=re.MULTILINE)
+    for part in _SEPARATOR.split(text):
+        title = _TITLE.search(part)
+        definition = part
         if title:
             current = short(title.group(1))
-            part = part.replace(title.group(0), "", 1)
-        definitions[current] = part
+            definition = part.replace(title.group(0), "", 1)
+        definitions[current] = definition
     return tuple(_Flattener(definitions).message(short(name), "", 0))
 
 
@@ -97,24 +99,49 @@ def short(name: str) -> str:
     return name.replace("/msg/", "/")
 
 
+class _Declared(NamedTuple):
+    """A field as a definition declares it: its kind, array and name."""
+
+    kind: str
+    array: str
+    name: str
+
+    @property
+    def fixed_size(self) -> int:
+        """How many elements it has in every message; 0 for no array or a sequence."""
+        size = self.array[1:-1]
+        return int(size) if size.isdigit() else 0
+
+    @property
+    def is_sequence(self) -> bool:
+        """Whether each message says how many elements it has."""
+        return bool(self.array) and not self.fixed_size
+
+
+# IDL knows no empty message: ROS 2 puts a byte there
+_OF_EMPTY_MESSAGE = _Declared("uint8", "", "structure_needs_at_least_one_member")
+
+
 @dataclass
 class _Flattener:
     """Flattening; steps are counted before they are kept: some lines can nest millions of them."""
 
     definitions: Mapping[str, str]
-    parsed: dict[str, list[tuple[str, str, str]]] = field(default_factory=dict)
+    parsed: dict[str, list[_Declared]] = field(default_factory=dict)
     count: int = 0
 
     def message(self, name: str, prefix: str, depth: int) -> Iterator[MessageField]:
+        """The steps of a message whose paths begin so."""
         if depth > MAX_DEPTH:
             raise SchemaError(f"{prefix.rstrip('.')} lies {depth} messages deep")
         if name not in self.parsed:
             self.parsed[name] = self.parse(name)
-        for kind, array, member in self.parsed[name]:
-            yield from self.field(kind, array, prefix + member, owner=name, depth=depth)
+        package = name.split("/")[0]
+        for declared in self.parsed[name]:
+            yield from self.field(declared, prefix + declared.name, package, depth)
 
-    def parse(self, name: str) -> list[tuple[str, str, str]]:
-        """Kind, array and name of each field of a definition."""
+    def parse(self, name: str) -> list[_Declared]:
+        """The fields of a definition."""
         if name not in self.definitions:
             raise SchemaError(f"the definition of {name} is missing")
         fields = []
@@ -122,44 +149,57 @@ class _Flattener:
             text = line.split("#", 1)[0].strip()
             if not text or _CONSTANT.match(text):
                 continue
-            match = _FIELD.match(text)
-            if not match:
-                raise SchemaError(f"{text[:60]!r} of {name} is no field")
-            kind, _, array, member = match.groups()
-            fields.append((kind, array or "", member))
-        # IDL knows no empty message: ROS 2 puts a byte there
-        return fields or [("uint8", "", "structure_needs_at_least_one_member")]
+            found = _FIELD.match(text)
+            if not found:
+                raise SchemaError(f"{text[:_SHOWN]!r} of {name} is no field")
+            fields.append(_Declared(found["kind"], found["array"] or "", found["name"]))
+        return fields or [_OF_EMPTY_MESSAGE]
 
     def counted(self, step: MessageField) -> MessageField:
+        """The step, if there are not too many."""
         self.count += 1
         if self.count > MAX_STEPS:
-            raise SchemaError(f"more than {MAX_STEPS} fields, at {step.path[:60]}")
+            raise SchemaError(f"more than {MAX_STEPS} fields, at {step.path[:_SHOWN]}")
         return step
 
     def field(
-        self, kind: str, array: str, path: str, *, owner: str, depth: int
+        self, declared: _Declared, path: str, package: str, depth: int
     ) -> Iterator[MessageField]:
+        """The steps of one field; messages without a package are of the same as the owner."""
+        kind = declared.kind
+        size = declared.fixed_size
         if kind == "wstring":
             raise SchemaError(f"{path} is a wstring, which is not read")
-        fixed = int(array[1:-1]) if array[1:-1].isdigit() else 0
-        if fixed >= MAX_COUNT or (fixed > MAX_STEPS and kind not in KINDS):
-            raise SchemaError(f"{path[:60]} has {fixed} elements")
+        if size >= MAX_COUNT or (size > MAX_STEPS and kind not in KINDS):
+            raise SchemaError(f"{path[:_SHOWN]} has {size} elements")
         if kind in KINDS:
-            numbers = NumberField(path, KINDS[kind], fixed or 1, bool(fixed))
-            yield self.counted(SequenceField(path, (numbers,)) if array and not fixed else numbers)
-            return
-        if kind == "string":
-            if array and not fixed:
-                yield self.counted(SequenceField(path, (TextField(path),)))
-            elif fixed:
-                yield from (self.counted(TextField(f"{path}.{k}")) for k in range(fixed))
-            else:
-                yield self.counted(TextField(path))
-            return
-        inner = short(kind) if "/" in kind else f"{owner.split('/')[0]}/{kind}"
-        if array and not fixed:
-            yield SequenceField(path, tuple(self.message(inner, f"{path}.", depth + 1)))
-            return
-        for k in range(fixed or 1):
-            prefix = f"{path}.{k}." if fixed else f"{path}."
-            yield from self.message(inner, prefix, depth + 1)
+            numbers = NumberField(path, KINDS[kind], size or 1, array=bool(size))
+            is_sequence = declared.is_sequence
+            yield self.counted(SequenceField(path, (numbers,)) if is_sequence else numbers)
+        elif kind == "string":
+            yield from self.texts(declared, path)
+        else:
+            inner = short(kind) if "/" in kind else f"{package}/{kind}"
+            yield from self.messages(inner, declared, path, depth + 1)
+
+    def texts(self, declared: _Declared, path: str) -> Iterator[MessageField]:
+        """The steps of a text, or of several."""
+        if declared.is_sequence:
+            yield self.counted(SequenceField(path, (TextField(path),)))
+        elif declared.fixed_size:
+            for k in range(declared.fixed_size):
+                yield self.counted(TextField(f"{path}.{k}"))
+        else:
+            yield self.counted(TextField(path))
+
+    def messages(
+        self, name: str, declared: _Declared, path: str, depth: int
+    ) -> Iterator[MessageField]:
+        """The steps of a message inside a message, or of several."""
+        if declared.is_sequence:
+            yield SequenceField(path, tuple(self.message(name, f"{path}.", depth)))
+        elif declared.fixed_size:
+            for k in range(declared.fixed_size):
+                yield from self.message(name, f"{path}.{k}.", depth)
+        else:
+            yield from self.message(name, f"{path}.", depth)

@@ -3,38 +3,36 @@
 import re
 from collections.abc import Mapping
 from datetime import UTC, datetime, timedelta
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from unbend.flight.channels import TimeArray
 from unbend.flight.clock import BOOT_STEP_NS, UNIX_NS_FROM
-from unbend.ingest.boot_clock import (
-    BootClock,
-    nanoseconds,
-)
+from unbend.ingest.boot_clock import BootClock, nanoseconds
+from unbend.ingest.mcap import messages
 from unbend.messages import Ledger
-from unbend.units import NANOSECONDS_PER_SECOND, Mask, Rows
+from unbend.units import NANOSECONDS_PER_SECOND, Integers, Mask, Rows
 
 Columns = Mapping[str, NDArray[Any]]
 
-
-STAMP, LOG_TIME, SEQUENCE = "\0stamp_ns", "\0log_ns", "\0sequence"
-"""Columns beside the fields: a message's own time and log_time [ns], and its number."""
-
+# Columns beside the fields of messages.
+STAMP = "\0stamp_ns"  # a message's own time
+LOG_TIME = "\0log_ns"  # that of the recorder
+SEQUENCE = "\0sequence"  # its number
 
 _LAST_NS = 2**63 - 1
-
-
-_ISO = re.compile(r"(\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d)(?:\.(\d+))?(Z|[+-]\d\d:\d\d)?")
-
-
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+_ISO = re.compile(
+    r"(?P<seconds>\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d)(?:\.(?P<fraction>\d+))?"
+    r"(?P<zone>Z|[+-]\d\d:\d\d)?"
+)
+_DIGITS_OF_NS = 9
 
-
-# A bare number is Unix time in the unit in which it lies between 1973 and 2286.
-_UNITS = ((10**17, 1), (10**14, 10**3), (10**11, 10**6), (0, 10**9))
+# A bare number is Unix time in the unit [ns] in which it lies between 1973 and 2286.
+_UNITS_NS = ((10**17, 1), (10**14, 10**3), (10**11, 10**6), (0, 10**9))
+_LARGEST_NUMBER = 1e19  # more is no time in any of them
 
 
 def stamp_of(value: Any) -> int:
@@ -45,29 +43,45 @@ def stamp_of(value: Any) -> int:
     >>> stamp_of("2026-05-01T10:00:00.5Z"), stamp_of(1.5e9), stamp_of({"sec": 1, "nsec": 2})
     (1777629600500000000, 1500000000000000000, 1000000002)
     """
-    if isinstance(value, bool) or value is None:
+    if value is None or isinstance(value, bool):
         return 0
     if isinstance(value, str):
-        match = _ISO.fullmatch(value.strip())
-        if not match:
-            return 0
-        seconds, fraction, zone = match.groups()
-        moment = datetime.fromisoformat(seconds + ("+00:00" if zone in (None, "Z") else zone))
-        time_ns = (moment - _EPOCH) // timedelta(seconds=1) * NANOSECONDS_PER_SECOND
-        time_ns += int((fraction or "0")[:9].ljust(9, "0"))
+        time_ns = _ns_of_text(value)
     elif isinstance(value, int | float):
-        if not abs(value) < 1e19:  # also not a number
-            return 0
-        factor = next(factor for least, factor in _UNITS if abs(value) >= least)
-        time_ns = int(value) * factor + round((value - int(value)) * factor)
+        time_ns = _ns_of_number(value)
     else:
-        whole = _first(value, ("sec", "secs", "seconds"))
-        part = _first(value, ("nsec", "nsecs", "nanosec", "nanos"))
-        time_ns = int(whole) * NANOSECONDS_PER_SECOND + int(part)
+        seconds = _first(value, ("sec", "secs", "seconds"))
+        part_ns = _first(value, ("nsec", "nsecs", "nanosec", "nanos"))
+        time_ns = int(seconds) * NANOSECONDS_PER_SECOND + int(part_ns)
     return min(max(time_ns, 0), _LAST_NS)
 
 
+def _ns_of_text(text: str) -> int:
+    """Unix time [ns] of RFC 3339; 0 of another text."""
+    found = _ISO.fullmatch(text.strip())
+    if not found:
+        return 0
+    zone = found["zone"]
+    if zone is None or zone == "Z":
+        zone = "+00:00"
+    moment = datetime.fromisoformat(found["seconds"] + zone)
+    seconds = (moment - _EPOCH) // timedelta(seconds=1)
+    fraction = found["fraction"] or "0"
+    part_ns = int(fraction[:_DIGITS_OF_NS].ljust(_DIGITS_OF_NS, "0"))
+    return seconds * NANOSECONDS_PER_SECOND + part_ns
+
+
+def _ns_of_number(value: float) -> int:
+    """Unix time [ns] of a number in any unit; 0 of what is no time."""
+    if not abs(value) < _LARGEST_NUMBER:  # also not a number
+        return 0
+    unit_ns = next(unit for least, unit in _UNITS_NS if abs(value) >= least)
+    whole = int(value)
+    return whole * unit_ns + round((value - whole) * unit_ns)
+
+
 def _first(value: Any, names: tuple[str, ...]) -> Any:
+    """The first of these members that an object has, or 0."""
     for name in names:
         member = value.get(name) if isinstance(value, dict) else getattr(value, name, None)
         if member is not None:
@@ -86,27 +100,37 @@ def in_sequence(sequence: NDArray[np.uint32], time_ns: TimeArray) -> Rows | None
     if bool(np.all(time_ns[1:] >= time_ns[:-1])):
         return None
     order = np.argsort(sequence, kind="stable")
-    numbers, times = sequence[order], time_ns[order]
-    rise = np.all(numbers[1:] > numbers[:-1]) and np.all(times[1:] >= times[:-1])
-    return order if bool(rise) else None
+    numbers = sequence[order]
+    times_ns = time_ns[order]
+    numbers_rise = bool(np.all(numbers[1:] > numbers[:-1]))
+    times_rise = bool(np.all(times_ns[1:] >= times_ns[:-1]))
+    return order if numbers_rise and times_rise else None
 
 
-def own_times(columns: Columns, time_field: str, count: int) -> tuple[TimeArray, bool]:
-    """The messages' own times [ns], 0 without, and whether they are counted in microseconds.
+class OwnTimes(NamedTuple):
+    """Own times of messages [ns], 0 without; ``counted``: in microseconds, maybe from a boot."""
+
+    time_ns: TimeArray
+    counted: bool
+
+
+def own_times(columns: Columns, time_field: str, count: int) -> OwnTimes:
+    """The messages' own times.
 
     ``time_field`` names a Time of the (count,) columns, or microseconds from a boot or 1970.
     """
     if STAMP in columns:
-        return columns[STAMP], False
+        return OwnTimes(columns[STAMP], counted=False)
     if f"{time_field}.sec" in columns:
-        seconds = columns[f"{time_field}.sec"].astype(np.int64)
-        names = [f"{time_field}.{name}" for name in ("nanosec", "nsec")]
-        part = next((columns[name] for name in names if name in columns), np.int64(0))
-        time_ns = seconds * NANOSECONDS_PER_SECOND + np.asarray(part).astype(np.int64)
-        return np.asarray(time_ns, np.int64), False
+        time_ns = columns[f"{time_field}.sec"].astype(np.int64) * NANOSECONDS_PER_SECOND
+        for name in (f"{time_field}.nanosec", f"{time_field}.nsec"):
+            if name in columns:
+                time_ns = time_ns + columns[name].astype(np.int64)
+                break
+        return OwnTimes(time_ns, counted=False)
     if time_field in columns and columns[time_field].dtype.kind in "iu":
-        return nanoseconds(columns[time_field]), True
-    return np.zeros(count, np.int64), False
+        return OwnTimes(nanoseconds(columns[time_field]), counted=True)
+    return OwnTimes(np.zeros(count, np.int64), counted=False)
 
 
 def since_boot(stamp_ns: TimeArray) -> Mask:
@@ -114,51 +138,70 @@ def since_boot(stamp_ns: TimeArray) -> Mask:
     return np.asarray((stamp_ns > 0) & (stamp_ns < UNIX_NS_FROM), np.bool_)
 
 
-def good_rows(places: TimeArray, stamp_ns: TimeArray, clock: BootClock) -> Mask:
+def good_rows(places: Integers, stamp_ns: TimeArray, clock: BootClock) -> Mask:
     """Which messages of a topic, at (n,) places and stamps [ns], have a time that fits the log.
 
     One that fits none of its neighbours there may have come late: it is used where it lies between
     its neighbours of the same topic, and within the times of the log.
     """
-    line, counted = clock.line, since_boot(stamp_ns)
+    line = clock.line
+    counted = since_boot(stamp_ns)
     good = np.asarray(line.good(places) | ~counted, np.bool_)
     misfits = np.flatnonzero(~good)
     if not misfits.size:
         return good
-    boots, first, last = line.boot_of(places), line.begin[~line.stray], line.end[~line.stray]
-    for number in np.unique(boots[misfits]).tolist():
-        of_boot = line.boot[~line.stray] == number
-        known = np.flatnonzero(good & counted & (boots == number))
-        low, high = first[of_boot].min() - BOOT_STEP_NS, last[of_boot].max() + BOOT_STEP_NS
-        bounds = np.concatenate([[low], stamp_ns[known], [high]])
-        rows = misfits[boots[misfits] == number]
-        after = np.searchsorted(known, rows)
-        good[rows] = (bounds[after] < stamp_ns[rows]) & (stamp_ns[rows] < bounds[after + 1])
+    boot = line.boot_of(places)
+    steady = ~line.stray
+    for number in np.unique(boot[misfits]).tolist():
+        of_boot = steady & (line.boot == number)
+        earliest_ns = line.begin[of_boot].min() - BOOT_STEP_NS
+        latest_ns = line.end[of_boot].max() + BOOT_STEP_NS
+        neighbours = np.flatnonzero(good & counted & (boot == number))
+        bounds_ns = np.concatenate([[earliest_ns], stamp_ns[neighbours], [latest_ns]])
+        rows = misfits[boot[misfits] == number]
+        before = np.searchsorted(neighbours, rows)  # in the bounds
+        after_lower = bounds_ns[before] < stamp_ns[rows]
+        before_upper = stamp_ns[rows] < bounds_ns[before + 1]
+        good[rows] = after_lower & before_upper
     return good
 
 
+class MessageTimes(NamedTuple):
+    """UTC [ns] and boot of messages, and how many have no time of their own: the recorder's."""
+
+    time_ns: TimeArray
+    boot: NDArray[np.int16]
+    unstamped: int
+
+
 def times_of(
-    stamp_ns: TimeArray, log_ns: TimeArray, places: TimeArray | None, clock: BootClock,
-    *, ledger: Ledger, where: str,
-) -> tuple[TimeArray, NDArray[np.int16], int]:  # fmt: skip
-    """UTC [ns], boot, and how many messages have no time of their own: it is the recorder's.
+    stamp_ns: TimeArray,
+    log_ns: TimeArray,
+    places: Integers | None,
+    clock: BootClock,
+    *,
+    ledger: Ledger,
+    topic: str,
+) -> MessageTimes:
+    """The times of the messages of a topic.
 
     ``places`` of messages whose stamps are counted in microseconds, None of others.
     """
-    none = stamp_ns == 0
-    boot = np.zeros(stamp_ns.shape, np.int16)
-    early = stamp_ns < UNIX_NS_FROM
-    if places is not None:
+    is_unstamped = stamp_ns == 0
+    is_early = stamp_ns < UNIX_NS_FROM
+    if places is None:
+        time_ns = stamp_ns
+        boot = np.zeros(stamp_ns.shape, np.int16)
+    else:
         counted = since_boot(stamp_ns)
+        time_ns = np.where(counted, clock.utc(places, stamp_ns), stamp_ns)
         boot = clock.line.boot_of(places)
-        stamp_ns = np.where(counted, clock.utc(places, stamp_ns), stamp_ns)
-        early &= ~counted
-    count = int(np.count_nonzero(none))
-    if count:
-        what = f"{count} messages have no header.stamp: the recorder's time is used"
-        ledger.fallback("TIME-LOG-TIME", what, where=where, count=count)
-        stamp_ns[none] = log_ns[none]
-        early[none] = log_ns[none] < UNIX_NS_FROM
-    if bool(early.any()):
-        ledger.fallback("TIME-NO-UTC/times-of", where=where)
-    return stamp_ns, boot, count
+        is_early &= ~counted
+    unstamped = int(np.count_nonzero(is_unstamped))
+    if unstamped:
+        ledger.add(messages.messages_without_stamp(topic=topic, count=unstamped))
+        time_ns = np.where(is_unstamped, log_ns, time_ns)
+        is_early[is_unstamped] = log_ns[is_unstamped] < UNIX_NS_FROM
+    if bool(is_early.any()):
+        ledger.add(messages.stamps_before_2001(topic=topic))
+    return MessageTimes(time_ns, boot, unstamped)

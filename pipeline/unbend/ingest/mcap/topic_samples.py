@@ -1,4 +1,4 @@
-"""Which messages of MCAP logs are wanted, their times in any form, and their columns in SI."""
+"""Which messages of MCAP logs are wanted, and what was read of them: columns in SI, times."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -16,6 +16,7 @@ from unbend.ingest.boot_clock import (
     Timeline,
     UtcReadings,
     microseconds,
+    rows_of,
 )
 from unbend.ingest.buffers import ColumnStore
 from unbend.ingest.channel_builder import ColumnStores, DecodedRows, captured_rows, without_stray
@@ -28,6 +29,7 @@ from unbend.ingest.field_maps import (
     extract,
     message_maps,
 )
+from unbend.ingest.mcap import messages
 from unbend.ingest.mcap.ros2_definitions import short
 from unbend.ingest.mcap.stamps import (
     LOG_TIME,
@@ -41,32 +43,36 @@ from unbend.ingest.mcap.stamps import (
 )
 from unbend.ingest.message_tables import PLACE
 from unbend.messages import Ledger
-from unbend.units import Array
+from unbend.units import Array, Integers
 
 _NAMED_VALUE_INT = 4.0  # DebugValue.TYPE_NAMED_VALUE_INT: the value is in another field
+_NO_ORIENTATION = -1.0  # of the first covariance of an Imu (sensor_msgs/Imu)
+_ROS_FIX = 0.0  # NavSatStatus: STATUS_FIX and better; -1 is none
+
+_STAMP_FIELDS = {"mavros_msgs/CamIMUStamp": "frame_stamp"}
 
 
-_PX4 = {f"px4_msgs/{name}": spec for name, spec in PX4_MESSAGES.items()}
+def _schemas() -> dict[str, MessageMap]:
+    """The wanted messages by name; those of ROS 2 have their time in the header."""
+    schemas = {}
+    for name, spec in message_maps("ros").items():
+        time_field = _STAMP_FIELDS.get(name, "header.stamp")
+        schemas[name] = replace(spec, time_field=time_field)
+    for name, spec in PX4_MESSAGES.items():
+        schemas[f"px4_msgs/{name}"] = spec
+    schemas.update(message_maps("foxglove"))
+    return schemas
 
 
-_STAMPS = {"mavros_msgs/CamIMUStamp": "frame_stamp"}
-
-
-_WITH_HEADER = {
-    name: replace(spec, time_field=_STAMPS.get(name, "header.stamp"))
-    for name, spec in message_maps("ros").items()
-}
-
-
-SCHEMAS: Mapping[str, MessageMap] = _WITH_HEADER | _PX4 | message_maps("foxglove")
-
+SCHEMAS: Mapping[str, MessageMap] = _schemas()
 
 # JSON of a schema of the user's own: a time and a value, of a role only when it is named.
 PLAIN_JSON = MessageMap((FieldColumn("value", ("value",)),))
-
-
 # Texts that belong to each event, and where they may be.
-LABELS: Mapping[str, str] = {"file_url": "file_url", "frame_id": "header.frame_id frame_id"}
+LABELS: Mapping[str, tuple[str, ...]] = {
+    "file_url": ("file_url",),
+    "frame_id": ("header.frame_id", "frame_id"),
+}
 
 
 def known_name(schema: str) -> str:
@@ -88,25 +94,49 @@ def finished(schema: str, columns: Mapping[str, Array]) -> dict[str, Array]:
     if schema.endswith("/GimbalDeviceAttitudeStatus") and "flags" in result:
         result = earth_frame_attitude(result)
     if schema.endswith("/DebugValue"):
-        kind, whole = result.pop("kind", None), result.pop("integer", None)
-        if kind is not None and whole is not None:
-            result["value"] = np.where(kind == _NAMED_VALUE_INT, whole, result["value"])
+        kind = result.pop("kind", None)
+        integer = result.pop("integer", None)
+        if kind is not None and integer is not None:
+            result["value"] = np.where(kind == _NAMED_VALUE_INT, integer, result["value"])
     if "ros_w" in result:
-        q = [result.pop(f"ros_{axis}") for axis in "wxyz"]
-        replace_in_blocks(ned_frd_of_enu_flu, q)
-        if "covariance_0" in result:
-            unknown = result.pop("covariance_0") == -1.0
-            for part in q:
-                part[unknown] = np.nan
-        result |= {f"q_{axis}": part for axis, part in zip("wxyz", q, strict=True)}
+        _turn_ros_attitude(result)
     if "status" in result:
-        result["fix"] = np.where(result.pop("status") >= 0.0, float(LOWEST_FIX), 0.0)
+        has_fix = result.pop("status") >= _ROS_FIX
+        result["fix"] = np.where(has_fix, float(LOWEST_FIX), 0.0)
     if "covariance_type" in result:
-        known = result.pop("covariance_type") > 0.0
-        variances = [result.pop(f"variance_{k}", np.full(known.shape, np.nan)) for k in range(3)]
-        east, north, up = (np.where(known, np.maximum(part, 0.0), np.nan) for part in variances)
-        result |= {"sigma_h_m": np.sqrt(east / 2.0 + north / 2.0), "sigma_v_m": np.sqrt(up)}
+        _add_sigmas(result)
     return result
+
+
+def _turn_ros_attitude(columns: dict[str, Array]) -> None:
+    """Replace the attitude of ROS by that of the package, in the same memory."""
+    q = [columns.pop(f"ros_{axis}") for axis in "wxyz"]
+    replace_in_blocks(ned_frd_of_enu_flu, q)
+    if "covariance_0" in columns:
+        unknown = columns.pop("covariance_0") == _NO_ORIENTATION
+        for part in q:
+            part[unknown] = np.nan
+    columns.update(zip(("q_w", "q_x", "q_y", "q_z"), q, strict=True))
+
+
+def _add_sigmas(columns: dict[str, Array]) -> None:
+    """Replace the variances of a NavSatFix by sigmas."""
+    known = columns.pop("covariance_type") > 0.0
+    variances = []
+    for name in ("variance_0", "variance_1", "variance_2"):  # east, north, up
+        variance = columns.pop(name, np.full(known.shape, np.nan))
+        variances.append(np.where(known, np.maximum(variance, 0.0), np.nan))
+    east, north, up = variances
+    columns["sigma_h_m"] = np.sqrt(east / 2.0 + north / 2.0)
+    columns["sigma_v_m"] = np.sqrt(up)
+
+
+def _int64_store() -> ColumnStore:
+    return ColumnStore("i8")
+
+
+def _uint32_store() -> ColumnStore:
+    return ColumnStore("u4")
 
 
 @dataclass
@@ -122,11 +152,11 @@ class TopicSamples:
     source: Source
     spec: MessageMap
     counted: bool = False
-    stamp_ns: ColumnStore = field(default_factory=lambda: ColumnStore("i8"))
-    places: ColumnStore = field(default_factory=lambda: ColumnStore("i8"))
-    sequence: ColumnStore = field(default_factory=lambda: ColumnStore("u4"))
+    stamp_ns: ColumnStore = field(default_factory=_int64_store)
+    places: ColumnStore = field(default_factory=_int64_store)
+    sequence: ColumnStore = field(default_factory=_uint32_store)
     log_ns: list[tuple[int, TimeArray]] = field(default_factory=list)
-    utc_us: ColumnStore = field(default_factory=lambda: ColumnStore("i8"))
+    utc_us: ColumnStore = field(default_factory=_int64_store)
     labels: dict[str, list[str]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -134,7 +164,8 @@ class TopicSamples:
 
     def add(self, columns: Columns) -> None:
         """The next messages, as decoded."""
-        before, count = len(self.stamp_ns), columns[STAMP].shape[0]
+        before = len(self.stamp_ns)
+        count = columns[STAMP].shape[0]
         self.stamp_ns.add(columns[STAMP])
         if self.counted:
             self.places.add(columns[PLACE])
@@ -145,20 +176,29 @@ class TopicSamples:
         utc = columns.get(UTC_FIELD if self.spec.position else CAPTURE_UTC_FIELD)
         if utc is not None and utc.dtype.kind in "iu":
             self.utc_us.add(microseconds(utc))
-        numbers = {name: part for name, part in columns.items() if part.dtype.kind in "biuf"}
-        values = finished(self.source.message, extract(numbers, self.spec.columns))
-        self.columns.add(values, count)
+        numbers = {name: column for name, column in columns.items() if column.dtype.kind in "biuf"}
+        values = extract(numbers, self.spec.columns)
+        self.columns.add(finished(self.source.message, values), count)
         if self.spec.event:
-            for name, paths in LABELS.items():
-                path = next((path for path in paths.split() if path in columns), None)
-                values_of = [None] * count if path is None else columns[path].tolist()
-                texts = ["" if value is None else str(value) for value in values_of]
-                if path is not None or name in self.labels:
-                    self.labels.setdefault(name, [""] * before).extend(texts)
+            self._add_labels(columns, before, count)
 
-    def stamps(self, line: Timeline) -> tuple[TimeArray, TimeArray]:
+    def _add_labels(self, columns: Columns, before: int, count: int) -> None:
+        """The texts of the next ``count`` exposures, "" where they have none."""
+        for name, paths in LABELS.items():
+            path = next((path for path in paths if path in columns), None)
+            if path is not None:
+                values = columns[path].tolist()
+                texts = ["" if value is None else str(value) for value in values]
+            elif name in self.labels:
+                texts = [""] * count
+            else:
+                continue
+            self.labels.setdefault(name, [""] * before).extend(texts)
+
+    def stamps(self, line: Timeline) -> tuple[Integers, TimeArray]:
         """Places and times since boot [ns] of the messages that count it."""
-        places, stamp_ns = _copied(self.places), _copied(self.stamp_ns)
+        places = _copied(self.places)
+        stamp_ns = _copied(self.stamp_ns)
         good = since_boot(stamp_ns) & line.good(places)
         return places[good], stamp_ns[good]
 
@@ -166,11 +206,16 @@ class TopicSamples:
         """UTC beside the time since boot in these messages; None where they have none."""
         if not self.counted or not len(self.utc_us):
             return None
-        utc_us, stamp_ns, places = map(_copied, (self.utc_us, self.stamp_ns, self.places))
-        usable = (utc_us > UNIX_US_FROM) & since_boot(stamp_ns)
-        fix = self.columns.stores.get("fix", ColumnStore("f8"))
-        words = f"rows of {self.name}"
-        return UtcReadings(words, places, stamp_ns, utc_us * 1000, usable, _copied(fix))
+        utc_us = _copied(self.utc_us)
+        stamp_ns = _copied(self.stamp_ns)
+        return rows_of(
+            self.name,
+            places=_copied(self.places),
+            boot_ns=stamp_ns,
+            utc_ns=utc_us * 1000,
+            usable=(utc_us > UNIX_US_FROM) & since_boot(stamp_ns),
+            fix=_copied(self.columns.stores.get("fix", ColumnStore("f8"))),
+        )
 
     def rows(self, clock: BootClock, ledger: Ledger) -> tuple[DecodedRows, int]:
         """All of it, handed over, and how many messages had no time of their own.
@@ -184,21 +229,40 @@ class TopicSamples:
         self.log_ns.clear()
         places = self.places.whole() if self.counted else None
         good = None if places is None else good_rows(places, stamp_ns, clock)
-        time_ns, boot, count = times_of(
-            stamp_ns, log_ns, places, clock, ledger=ledger, where=self.name
+        times = times_of(stamp_ns, log_ns, places, clock, ledger=ledger, topic=self.name)
+        rows = DecodedRows(
+            name=self.name,
+            source=self.source,
+            time_ns=times.time_ns,
+            boot=times.boot,
+            columns=self.columns.whole(),
+            labels={name: tuple(texts) for name, texts in self.labels.items()},
         )
-        labels = {name: tuple(texts) for name, texts in self.labels.items()}
-        rows = DecodedRows(self.name, self.source, time_ns, boot, self.columns.whole(), labels)
-        order = None if self.counted else in_sequence(self.sequence.whole(), time_ns)
-        if order is not None:
-            moved = int(np.count_nonzero(order != np.arange(len(rows))))
-            where = f"{self.name}, first at row {np.flatnonzero(np.diff(order) != 1)[0] + 1}"
-            ledger.note("LOG-REORDERED", where=where, count=moved, total=len(rows))
-            rows = rows.take(order)
+        if not self.counted:
+            rows = _in_sequence(rows, self.sequence.whole(), ledger)
         if good is not None:
             rows = without_stray(rows, ~good, ledger)
-        return captured_rows(rows, ledger) if self.spec.event else rows, count
+        if self.spec.event:
+            rows = captured_rows(rows, ledger)
+        return rows, times.unstamped
+
+
+def _in_sequence(rows: DecodedRows, sequence: NDArray[np.uint32], ledger: Ledger) -> DecodedRows:
+    """The rows in the order of their numbers, where that puts their times right."""
+    order = in_sequence(sequence, rows.time_ns)
+    if order is None:
+        return rows
+    ledger.add(
+        messages.messages_reordered(
+            topic=rows.name,
+            first=int(np.flatnonzero(np.diff(order) != 1)[0]) + 1,
+            count=int(np.count_nonzero(order != np.arange(len(rows)))),
+            total=len(rows),
+        )
+    )
+    return rows.take(order)
 
 
 def _copied(store: ColumnStore) -> NDArray[Any]:
+    """All rows of a store, which stays as it is."""
     return np.concatenate([np.empty(0, store.dtype), *store.blocks()])

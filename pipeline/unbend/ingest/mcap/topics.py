@@ -1,33 +1,64 @@
 """Topics of an MCAP log: their messages decoded into columns, each encoding in its own way."""
 
 import json
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from unbend.flight.channels import Source, TimeArray
 from unbend.ingest.field_maps import CAPTURE_UTC_FIELD, UTC_FIELD, MessageMap
+from unbend.ingest.mcap import messages
 from unbend.ingest.mcap.cdr import decode, decode_plan
 from unbend.ingest.mcap.mcap_records import Messages
 from unbend.ingest.mcap.ros2_definitions import SchemaError, steps_of
 from unbend.ingest.mcap.stamps import LOG_TIME, SEQUENCE, STAMP, own_times, since_boot, stamp_of
 from unbend.ingest.mcap.topic_samples import LABELS, PLAIN_JSON, TopicSamples
 from unbend.ingest.message_tables import PLACE, column_of, in_order
-from unbend.units import Mask, Rows
+from unbend.messages import Message
+from unbend.units import Integers, Mask, Rows
 
 Columns = dict[str, NDArray[Any]]
 MAX_ARRAY = 64  # elements of an array that a table spreads over columns
 MAX_NAMES = 1000  # that the messages of a topic may give; a log of values has tens
 
 
-Decoder = Callable[[Messages, Rows], tuple[Any, Columns, int]]
-"""Rows of messages of one definition -> those that could be decoded, counted among these, their
-columns, and how many values were left out."""
+class Decoded(NamedTuple):
+    """Messages of one definition that could be decoded, by their rows among those handed over.
+
+    ``odd``: how many values were left out, as they are no numbers.
+    """
+
+    rows: Rows
+    columns: Columns
+    odd: int = 0
+
+
+Decoder = Callable[[Messages, Rows], Decoded]
+"""Decodes some rows of messages of one definition."""
+
+
+class BootStamps(NamedTuple):
+    """Places, times since boot and log_time [ns] of messages that count from a boot."""
+
+    places: Integers
+    boot_ns: TimeArray
+    log_ns: TimeArray
+
+
+class SeriesKey(NamedTuple):
+    """Samples of a topic: of a name in its messages, or of all, by one way of counting time."""
+
+    name: str | None
+    counted: bool
+
+
+def _no_blocks() -> dict[bool, list[Columns]]:
+    return {False: [], True: []}
 
 
 @dataclass
@@ -41,68 +72,82 @@ class Topic:
     name: str
     schema: str
     spec: MessageMap
-    series: dict[tuple[str | None, bool], TopicSamples] | None
-    blocks: dict[bool, list[Columns]] = field(default_factory=lambda: {False: [], True: []})
+    series: dict[SeriesKey, TopicSamples] | None
+    blocks: dict[bool, list[Columns]] = field(default_factory=_no_blocks)
     failed: int = 0
     nameless: int = 0
     odd: int = 0
 
     def take(
-        self, messages: Messages, shares: Iterable[tuple[Decoder, Rows]], before: int
-    ) -> list[tuple[TimeArray, TimeArray, TimeArray]]:
+        self, batch: Messages, shares: Iterable[tuple[Decoder, Rows]], before: int
+    ) -> list[BootStamps]:
         """Decode some of these messages, which ``before`` others precede in the log.
 
         ``shares``: rows, and what decodes them: a topic may have several definitions. Returns
-        places, times since boot and log_time [ns] of those that count from a boot.
+        the stamps of those that count from a boot.
         """
-        blocks: dict[bool, list[Columns]] = {False: [], True: []}
+        blocks = self.blocks if self.series is None else _no_blocks()
         for decoder, rows in shares:
-            done, columns, odd = decoder(messages, rows)
-            self.failed += rows.shape[0] - len(done)
-            self.odd += odd
-            if len(done):
-                stamp, counted = own_times(columns, self.spec.time_field, len(done))
-                rows = rows[done]
-                columns |= {STAMP: stamp, LOG_TIME: messages.log_time[rows]}
-                columns |= {PLACE: rows + before, SEQUENCE: messages.sequence[rows]}
-                (blocks if self.series is not None else self.blocks)[counted].append(columns)
-        stamps: list[tuple[TimeArray, TimeArray, TimeArray]] = []
-        if self.series is None:
-            return stamps
-        for counted, parts in blocks.items():
-            if not parts:
+            decoded = decoder(batch, rows)
+            self.failed += rows.shape[0] - len(decoded.rows)
+            self.odd += decoded.odd
+            if not len(decoded.rows):
                 continue
-            block = in_order(parts)
-            for name, rows_of_name in rows_by_name(block, self.spec.id_field):
-                named = {path: column[rows_of_name] for path, column in block.items()}
-                key = (name, counted)
-                if key not in self.series and len(self.series) >= MAX_NAMES:
-                    self.nameless += int(named[PLACE].shape[0])
-                    continue
-                if key not in self.series:
-                    label = self.name if name is None else f"{self.name}[{name}]"
-                    source = Source(self.schema, name)
-                    self.series[key] = TopicSamples(label, source, self.spec, counted)
-                self.series[key].add(named)
-            booted = since_boot(block[STAMP])
-            if counted and bool(booted.any()):
-                names = (PLACE, STAMP, LOG_TIME)
-                places, boot_ns, log_ns = (block[name][booted] for name in names)
-                stamps.append((places, boot_ns, log_ns))
+            columns = decoded.columns
+            rows_done = rows[decoded.rows]
+            times = own_times(columns, self.spec.time_field, len(decoded.rows))
+            columns[STAMP] = times.time_ns
+            columns[LOG_TIME] = batch.log_time[rows_done]
+            columns[PLACE] = rows_done + before
+            columns[SEQUENCE] = batch.sequence[rows_done]
+            blocks[times.counted].append(columns)
+        stamps = []
+        if self.series is not None:
+            for counted, parts in blocks.items():
+                if parts:
+                    stamps += self._add_samples(in_order(parts), self.series, counted=counted)
         return stamps
 
-    @property
-    def misfit(self) -> str:
-        if not self.schema:
-            return f"{self.failed} messages are no JSON objects that can be read"
-        return f"{self.failed} messages do not fit their schema {self.schema}"
+    def _add_samples(
+        self, block: Columns, series: dict[SeriesKey, TopicSamples], *, counted: bool
+    ) -> list[BootStamps]:
+        """Add messages to the series of their names; returns the stamps that count from a boot."""
+        for name, rows in rows_by_name(block, self.spec.id_field):
+            part = {path: column[rows] for path, column in block.items()}
+            key = SeriesKey(name, counted)
+            if key not in series:
+                if len(series) >= MAX_NAMES:
+                    self.nameless += int(part[PLACE].shape[0])
+                    continue
+                label = self.name if name is None else f"{self.name}[{name}]"
+                series[key] = TopicSamples(label, Source(self.schema, name), self.spec, counted)
+            series[key].add(part)
+        from_boot = since_boot(block[STAMP])
+        if not counted or not bool(from_boot.any()):
+            return []
+        return [
+            BootStamps(block[PLACE][from_boot], block[STAMP][from_boot], block[LOG_TIME][from_boot])
+        ]
 
     @property
-    def lost_values(self) -> int:
-        """Values that are no numbers; of a schema of the user's own, only beside numbers."""
-        series = (self.series or {}).values()
-        wanted = self.spec is not PLAIN_JSON or any(one.columns.stores for one in series)
-        return self.odd if wanted else 0
+    def misfit(self) -> Message:
+        """The messages that could not be decoded."""
+        return messages.messages_not_decoded(topic=self.name, schema=self.schema, count=self.failed)
+
+    def losses(self) -> Iterator[Message]:
+        """What is missing of the messages of this topic."""
+        if self.failed:
+            yield self.misfit
+        if self.odd and self._wants_numbers():
+            yield messages.values_not_numbers(topic=self.name, count=self.odd)
+        if self.nameless:
+            yield messages.too_many_names(topic=self.name, count=self.nameless, most=MAX_NAMES)
+
+    def _wants_numbers(self) -> bool:
+        """Whether its values should be numbers; in a schema of the user's own, beside numbers."""
+        if self.spec is not PLAIN_JSON:
+            return True
+        return any(samples.columns.stores for samples in (self.series or {}).values())
 
 
 def rows_by_name(columns: Columns, field: str) -> Iterable[tuple[str | None, slice | Mask]]:
@@ -119,66 +164,83 @@ def rows_by_name(columns: Columns, field: str) -> Iterable[tuple[str | None, sli
 
 def paths_of(spec: MessageMap) -> frozenset[str]:
     """The fields that a channel is made of, its time and texts included."""
-    fields = {name for column in spec.columns for name in column.fields}
-    at = spec.time_field
-    fields |= {at, f"{at}.sec", f"{at}.nanosec", f"{at}.nsec", UTC_FIELD, CAPTURE_UTC_FIELD}
+    time = spec.time_field
+    paths = {time, f"{time}.sec", f"{time}.nanosec", f"{time}.nsec"}
+    paths |= {UTC_FIELD, CAPTURE_UTC_FIELD, *spec.fields}
     if spec.id_field:
-        fields |= {spec.id_field, "index"}
+        paths |= {spec.id_field, "index"}
     if spec.event:
-        fields |= {path for paths in LABELS.values() for path in paths.split()}
-    return frozenset(fields)
+        for alternatives in LABELS.values():
+            paths |= set(alternatives)
+    return frozenset(paths)
 
 
 def cdr_decoder(schema: str, text: str, wanted: frozenset[str] | None) -> Decoder:
     """ROS 2 messages, by their definition in the log; raises SchemaError."""
     plan = decode_plan(steps_of(schema, text), wanted)
 
-    def decoder(messages: Messages, rows: Rows) -> tuple[Any, Columns, int]:
-        begin, length = messages.begin[rows], messages.length[rows]
-        return (*decode(messages.data, begin, length, plan), 0)
+    def decoder(batch: Messages, rows: Rows) -> Decoded:
+        decoded = decode(batch.data, batch.begin[rows], batch.length[rows], plan)
+        return Decoded(decoded.rows, decoded.columns)
 
     return decoder
 
 
-def object_decoder(
-    parse: Callable[[bytes], Any],
-    errors: tuple[type[Exception], ...],
-    spec: MessageMap,
-    wanted: frozenset[str] | None,
-) -> Decoder:
-    """Messages that a library decodes one by one; ``wanted`` fields become columns, None: all."""
+@dataclass(frozen=True)
+class ObjectDecoder:
+    """Messages that a library parses one by one; ``wanted`` fields become columns, None: all.
 
-    def values_of(raw: bytes) -> dict[str, Any]:
-        message = parse(raw)
-        values = dict(flat(message, "", wanted))
-        stamp = message
-        for part in spec.time_field.split("."):
-            getter = stamp.get if isinstance(stamp, dict) else partial(getattr, stamp)
-            stamp = getter(part, None)
-        return values | {STAMP: stamp_of(stamp)}
+    ``errors`` are what ``parse`` and the reading of members raise on messages that do not fit.
+    """
 
-    def decoder(messages: Messages, rows: Rows) -> tuple[Any, Columns, int]:
-        raw = memoryview(messages.data)  # type: ignore[arg-type]
-        places = zip(messages.begin[rows].tolist(), messages.length[rows].tolist(), strict=True)
-        decoded: dict[int, dict[str, Any]] = {}
-        for row, (begin, length) in enumerate(places):
-            with suppress(*errors):
-                decoded[row] = values_of(bytes(raw[begin : begin + length]))
+    parse: Callable[[bytes], Any]
+    errors: tuple[type[Exception], ...]
+    spec: MessageMap
+    wanted: frozenset[str] | None
+
+    def __call__(self, batch: Messages, rows: Rows) -> Decoded:
+        """Decode some rows of messages."""
+        raw = memoryview(batch.data)  # type: ignore[arg-type]
+        begins = batch.begin[rows].tolist()
+        lengths = batch.length[rows].tolist()
+        done = []
+        decoded = []
+        for row, (begin, length) in enumerate(zip(begins, lengths, strict=True)):
+            with suppress(*self.errors):
+                decoded.append(self._values_of(bytes(raw[begin : begin + length])))
+                done.append(row)
         odd = 0
-        numbers = {name for column in spec.columns for name in column.fields}
-        for values in decoded.values() if wanted is not None else ():
-            for name in numbers & values.keys():
-                value = number(values[name])
-                odd += value is None
-                values[name] = np.nan if value is None else value
-        found = [*decoded.values()]
-        names = dict.fromkeys(name for values in found for name in values)
-        columns = {name: column_of([values.get(name) for values in found]) for name in names}
+        if self.wanted is not None:
+            for values in decoded:
+                odd += _make_numbers(values, self.spec.fields)
+        names = dict.fromkeys(name for values in decoded for name in values)
+        columns = {name: column_of([values.get(name) for values in decoded]) for name in names}
         if STAMP in columns:
             columns[STAMP] = columns[STAMP].astype(np.int64)
-        return list(decoded), columns, odd
+        return Decoded(np.array(done, np.intp), columns, odd)
 
-    return decoder
+    def _values_of(self, raw: bytes) -> dict[str, Any]:
+        """The values of one message by path, with its own time."""
+        message = self.parse(raw)
+        values = dict(flat(message, "", self.wanted))
+        stamp = message
+        for part in self.spec.time_field.split("."):
+            getter = stamp.get if isinstance(stamp, dict) else partial(getattr, stamp)
+            stamp = getter(part, None)
+        values[STAMP] = stamp_of(stamp)
+        return values
+
+
+def _make_numbers(values: dict[str, Any], fields: set[str]) -> int:
+    """Turn the values of some fields into numbers, NaN where they are none; returns how many."""
+    odd = 0
+    for name in fields & values.keys():
+        value = number(values[name])
+        if value is None:
+            odd += 1
+            value = np.nan
+        values[name] = value
+    return odd
 
 
 def flat(value: Any, path: str, wanted: frozenset[str] | None) -> Iterable[tuple[str, Any]]:
@@ -189,23 +251,34 @@ def flat(value: Any, path: str, wanted: frozenset[str] | None) -> Iterable[tuple
         if wanted is None:
             yield path, value
         return
-    if wanted is None and _long(value):
+    if wanted is None and _is_long(value):
         yield f"{path}[]", len(value)
         return
-    members: Iterable[tuple[str, Any]] = ()
-    if isinstance(value, dict):
-        members = ((str(name), member) for name, member in value.items())
-    elif hasattr(value, "DESCRIPTOR"):
-        members = ((part.name, getattr(value, part.name)) for part in value.DESCRIPTOR.fields)
-    elif value is not None and hasattr(value, "__len__") and not _long(value):
-        members = ((str(k), member) for k, member in enumerate(value))
-    for name, member in members:
+    for name, member in _members(value):
         inner = f"{path}.{name}" if path else name
-        if wanted is None or any(each == inner or each.startswith(f"{inner}.") for each in wanted):
+        if wanted is None or _is_wanted(inner, wanted):
             yield from flat(member, inner, wanted)
 
 
-def _long(value: Any) -> bool:
+def _is_wanted(path: str, wanted: frozenset[str]) -> bool:
+    """Whether a path is wanted, or lies on the way to one that is."""
+    return any(each == path or each.startswith(f"{path}.") for each in wanted)
+
+
+def _members(value: Any) -> Iterator[tuple[str, Any]]:
+    """The members of a JSON object, of a protobuf message or of a short array, by name."""
+    if isinstance(value, dict):
+        for name, member in value.items():
+            yield str(name), member
+    elif hasattr(value, "DESCRIPTOR"):
+        for part in value.DESCRIPTOR.fields:
+            yield part.name, getattr(value, part.name)
+    elif value is not None and hasattr(value, "__len__") and not _is_long(value):
+        for k, member in enumerate(value):
+            yield str(k), member
+
+
+def _is_long(value: Any) -> bool:
     """Whether this is bytes or a long array."""
     if isinstance(value, dict) or not hasattr(value, "__len__"):
         return False
@@ -214,15 +287,16 @@ def _long(value: Any) -> bool:
 
 def json_decoder(spec: MessageMap, wanted: frozenset[str] | None) -> Decoder:
     """JSON objects; whatever else the text is does not fit."""
-
-    def parse(data: bytes) -> dict[str, Any]:
-        value = json.loads(data)
-        if not isinstance(value, dict):
-            raise TypeError("not an object")
-        return value
-
     errors = (ValueError, TypeError, AttributeError, OverflowError, RecursionError)
-    return object_decoder(parse, errors, spec, wanted)
+    return ObjectDecoder(_json_object, errors, spec, wanted)
+
+
+def _json_object(data: bytes) -> dict[str, Any]:
+    """A JSON object; TypeError for anything else."""
+    value = json.loads(data)
+    if not isinstance(value, dict):
+        raise TypeError("not an object")
+    return value
 
 
 def protobuf_decoder(schema: Any, spec: MessageMap, wanted: frozenset[str] | None) -> Decoder:
@@ -238,7 +312,7 @@ def protobuf_decoder(schema: Any, spec: MessageMap, wanted: frozenset[str] | Non
     if parse is None:
         raise TypeError(f"a {schema.encoding} schema")
     errors = (DecodeError, ValueError, TypeError, OverflowError, RuntimeError)
-    return object_decoder(parse, errors, spec, wanted)
+    return ObjectDecoder(parse, errors, spec, wanted)
 
 
 def number(value: Any) -> float | None:
@@ -247,7 +321,9 @@ def number(value: Any) -> float | None:
     >>> number("21.5"), number("n/a"), number(10**400)
     (21.5, None, None)
     """
+    if not isinstance(value, bool | int | float | str):
+        return None
     try:
-        return float(value) if isinstance(value, bool | int | float | str) else None
+        return float(value)
     except (ValueError, OverflowError):
         return None

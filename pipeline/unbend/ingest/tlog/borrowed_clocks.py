@@ -1,7 +1,7 @@
 """Senders without a clock of their own: whether that of another component fits."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,19 +11,49 @@ from unbend.flight.channels import TimeArray
 from unbend.flight.clock import UNIX_US_FROM
 from unbend.ingest.boot_clock import microseconds
 from unbend.ingest.buffers import ColumnStore
-from unbend.ingest.tlog.clock_samples import MICROSECOND, READING, Key, Readings, by_source
+from unbend.ingest.tlog import messages
+from unbend.ingest.tlog.clock_samples import MICROSECOND, READING, Readings
 from unbend.ingest.tlog.sender_clocks import (
     CLOCK_FIELDS,
     EARLIEST_NS,
     LATEST_NS,
     Clocks,
-    _fit_sender,
+    SenderClock,
     clock_field,
+    fit_sender,
 )
+from unbend.ingest.tlog.senders import Sender, by_sender
 from unbend.messages import Ledger
 from unbend.units import Integers
 
-OWN_UTC = "time_utc"
+OWN_UTC = "time_utc"  # the field of images with the UTC of the camera
+
+
+@dataclass(frozen=True)
+class _SentTimes:
+    """The times that some messages of a sender carry; those since boot wrap after ``turn_ns``."""
+
+    readings: Readings
+    turn_ns: int
+
+    def late_by_utc(self, clock: SenderClock) -> TimeArray:
+        """How long after their own UTC the messages with one were received [ns]."""
+        has_utc = self.readings["utc_ns"] > 0
+        received_ns = self._received_ns(clock)
+        return np.asarray((received_ns - self.readings["utc_ns"])[has_utc], np.int64)
+
+    def late_by_boot(self, clock: SenderClock) -> TimeArray:
+        """How long after their time since boot by this clock the others were received [ns]."""
+        rows = (self.readings["utc_ns"] <= 0) & (self.readings["boot_ns"] > 0)
+        of_boot = self.readings[rows]
+        stamped_ns = clock.utc_of_boot(
+            of_boot["at"], of_boot["host_us"] * MICROSECOND, of_boot["boot_ns"], self.turn_ns
+        )
+        return np.asarray(self._received_ns(clock)[rows] - stamped_ns, np.int64)
+
+    def _received_ns(self, clock: SenderClock) -> TimeArray:
+        """UTC at which the messages were received."""
+        return clock.utc_of_host(self.readings["at"], self.readings["host_us"] * MICROSECOND)
 
 
 def with_borrowed_clocks(clocks: Clocks, sent: Sequence[ColumnStore], ledger: Ledger) -> Clocks:
@@ -31,25 +61,31 @@ def with_borrowed_clocks(clocks: Clocks, sent: Sequence[ColumnStore], ledger: Le
 
     The UTC that images carry is not used where it does not fit the time of their reception.
     """
-    late: dict[Key, list[tuple[Readings, int]]] = {}
+    times_of: dict[Sender, list[_SentTimes]] = {}
     for store in sent:
         names = store.dtype["records"].names or ()
         field = clock_field(names)
-        for block in store.blocks() if field else ():
-            for source, of_source in by_source(block):
-                if source in clocks.senders and OWN_UTC not in names:
-                    continue
-                rows, (unit, turn) = block[of_source], CLOCK_FIELDS[field]
-                raw = microseconds(rows["records"][field])
-                part = np.empty(rows.shape, READING)
-                for name in ("at", "source", "host_us"):
-                    part[name] = rows[name]
-                part["boot_ns"] = np.where(raw < UNIX_US_FROM, raw * unit, 0)
-                part["utc_ns"] = unix_us(rows["records"]) * MICROSECOND
-                late.setdefault(source, []).append((part, turn))
-    for source, parts in sorted(late.items()):
-        clocks = _with_checked_clock(clocks, source, parts, ledger)
+        if not field:
+            continue
+        for block in store.blocks():
+            for sender, rows in by_sender(block):
+                if sender not in clocks.senders or OWN_UTC in names:
+                    times_of.setdefault(sender, []).append(_sent_times(block[rows], field))
+    for sender, times in sorted(times_of.items()):
+        clocks = _with_checked_clock(clocks, sender, times, ledger)
     return clocks
+
+
+def _sent_times(rows: NDArray[Any], field: str) -> _SentTimes:
+    """The times of messages; ``field`` is that of the time since boot."""
+    unit_ns, turn_ns = CLOCK_FIELDS[field]
+    raw = microseconds(rows["records"][field])
+    readings = np.empty(rows.shape, READING)
+    for name in ("at", "source", "host_us"):
+        readings[name] = rows[name]
+    readings["boot_ns"] = np.where(raw < UNIX_US_FROM, raw * unit_ns, 0)
+    readings["utc_ns"] = unix_us(rows["records"]) * MICROSECOND
+    return _SentTimes(readings, turn_ns)
 
 
 def unix_us(records: NDArray[Any]) -> Integers:
@@ -61,43 +97,50 @@ def unix_us(records: NDArray[Any]) -> Integers:
 
 
 def _with_checked_clock(
-    clocks: Clocks, source: Key, parts: Sequence[tuple[Readings, int]], ledger: Ledger
+    clocks: Clocks, sender: Sender, times: Sequence[_SentTimes], ledger: Ledger
 ) -> Clocks:
     """The clocks after the delay of one sender's messages is checked, by their UTC and by boot."""
-    where = f"system {source[0]}, component {source[1]}"
-    delay, by_utc, clock = [], [], clocks.of(source)
-    for part, turn in parts:
-        at, host_ns, boot_ns = part["at"], part["host_us"] * MICROSECOND, part["boot_ns"]
-        received = clock.utc_of_host(at, host_ns)
-        has_utc = part["utc_ns"] > 0
-        by_utc.append((received - part["utc_ns"])[has_utc])
-        rest = ~has_utc & (boot_ns > 0)
-        stamped = clock.utc_of_boot(at[rest], host_ns[rest], boot_ns[rest], turn)
-        delay.append(received[rest] - stamped)
-    late = np.concatenate(by_utc)
-    if late.size and not EARLIEST_NS <= np.median(late) <= LATEST_NS:
-        ledger.loss("TIME-OWN-UTC", where=where, count=late.size, late=_seconds(late))
-        clocks = replace(clocks, wrong_utc=clocks.wrong_utc | {source})
-        for part, _ in parts:
-            part["utc_ns"] = 0
-        return _with_checked_clock(clocks, source, parts, ledger)
-    late = np.concatenate(delay)
-    if source in clocks.senders or not late.size:
+    clock = clocks.of(sender)
+    late_ns = np.concatenate([part.late_by_utc(clock) for part in times])
+    if late_ns.size and not _is_plausible(late_ns):
+        ledger.add(
+            messages.camera_utc_wrong(
+                sender=str(sender), count=late_ns.size, late_s=_median_s(late_ns)
+            )
+        )
+        clocks = replace(clocks, wrong_utc=clocks.wrong_utc | {sender})
+        for part in times:
+            part.readings["utc_ns"] = 0
+    late_ns = np.concatenate([part.late_by_boot(clock) for part in times])
+    if sender in clocks.senders or not late_ns.size:
         return clocks
-    count, lender = int(late.size), clocks.lender(source)
+    lender = clocks.lender(sender)
     if lender is None:
-        ledger.fallback("TIME-HOST-CLOCK", where=where, count=count)
+        ledger.add(messages.no_clock_of_system(sender=str(sender), count=late_ns.size))
         return clocks
-    late_by = _seconds(late)
-    if EARLIEST_NS <= np.median(late) <= LATEST_NS:
-        ledger.note("TIME-BORROWED", where=where, count=count, lender=lender[1], late=late_by)
+    fits = _is_plausible(late_ns)
+    report = messages.clock_borrowed if fits else messages.clock_not_borrowed
+    ledger.add(
+        report(
+            sender=str(sender),
+            count=late_ns.size,
+            lender=lender.component,
+            late_s=_median_s(late_ns),
+        )
+    )
+    if fits:
         return clocks
-    ledger.loss("TIME-BORROWED/not", where=where, count=count, lender=lender[1], late=late_by)
-    joined = np.concatenate([part[part["boot_ns"] > 0] for part, _ in parts])
-    joined = joined[np.argsort(joined["at"], kind="stable")]
-    sender = _fit_sender(joined, clocks.of(source), source, ledger)
-    return replace(clocks, senders={**clocks.senders, source: sender})
+    readings = np.concatenate([part.readings for part in times])
+    readings = readings[readings["boot_ns"] > 0]
+    readings = readings[np.argsort(readings["at"], kind="stable")]
+    own_clock = fit_sender(readings, clock, sender, ledger)
+    return replace(clocks, senders={**clocks.senders, sender: own_clock})
 
 
-def _seconds(late: TimeArray) -> str:
-    return f"{float(np.median(late)) / 1e9:.1f} s"
+def _is_plausible(late_ns: TimeArray) -> bool:
+    """Whether messages were received so late after their time as links delay them."""
+    return bool(EARLIEST_NS <= np.median(late_ns) <= LATEST_NS)
+
+
+def _median_s(late_ns: TimeArray) -> float:
+    return float(np.median(late_ns)) / 1e9

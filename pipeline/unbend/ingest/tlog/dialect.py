@@ -13,17 +13,15 @@ from unbend.ingest.tlog.sender_clocks import CLOCK_FIELDS
 
 # A key with a dot is a second channel out of the same message.
 MESSAGES: Mapping[str, MessageMap] = message_maps("tlog")
-
-
 # Messages with a text that belongs to each row.
 LABELS: Mapping[str, str] = {"CAMERA_IMAGE_CAPTURED": "file_url", "STATUSTEXT": "text"}
 
-
-SYSTEM_TIME, PARAM_VALUE = "SYSTEM_TIME", "PARAM_VALUE"
+SYSTEM_TIME = "SYSTEM_TIME"
+PARAM_VALUE = "PARAM_VALUE"
 
 
 @dataclass(frozen=True)
-class Message:
+class MessageDefinition:
     """One message: ``dtype`` as on the wire, ``fields`` as defined, those of ``texts`` are char."""
 
     number: int
@@ -36,22 +34,28 @@ class Message:
 
 
 @cache
-def dialect() -> Mapping[int, Message]:
+def dialect() -> Mapping[int, MessageDefinition]:
     """The library's union of all dialects, by number."""
     from pymavlink.dialects.v20 import all as library
 
-    messages = {}
-    for number, definition in library.mavlink_map.items():
-        kinds = zip(definition.fieldnames, definition.fieldtypes, strict=True)
-        name, names = str(definition.msgname), tuple(definition.fieldnames)
-        layout = layout_of(definition.unpacker.format, definition.ordered_fieldnames)
-        texts = frozenset(field for field, kind in kinds if kind == "char")
-        own = MESSAGES[name].id_field if name in MESSAGES else ""
-        instance = own or definition.instance_field or ""
-        messages[int(number)] = Message(
-            int(number), name, int(definition.crc_extra), layout, names, texts, instance
-        )
-    return messages
+    return {int(number): _definition(own) for number, own in library.mavlink_map.items()}
+
+
+def _definition(library_class: Any) -> MessageDefinition:
+    """The definition of a message by the class that the library has for it."""
+    name = str(library_class.msgname)
+    fields = tuple(library_class.fieldnames)
+    kinds = zip(fields, library_class.fieldtypes, strict=True)
+    own_instance_field = MESSAGES[name].id_field if name in MESSAGES else ""
+    return MessageDefinition(
+        number=int(library_class.id),
+        name=name,
+        crc_extra=int(library_class.crc_extra),
+        dtype=layout_of(library_class.unpacker.format, library_class.ordered_fieldnames),
+        fields=fields,
+        texts=frozenset(field for field, kind in kinds if kind == "char"),
+        instance_field=own_instance_field or library_class.instance_field or "",
+    )
 
 
 def crc_extras() -> dict[int, int]:
@@ -60,7 +64,7 @@ def crc_extras() -> dict[int, int]:
 
 
 @cache
-def message_of_name() -> Mapping[str, Message]:
+def message_of_name() -> Mapping[str, MessageDefinition]:
     """The same by name."""
     return {message.name: message for message in dialect().values()}
 
@@ -69,6 +73,11 @@ def name_of(number: int) -> str:
     """The name of a message, made up where the dialect does not know it."""
     known = dialect().get(number)
     return f"UNKNOWN_{number}" if known is None else known.name
+
+
+def message_of_key(key: str) -> str:
+    """The message of a key of `MESSAGES`."""
+    return key.partition(".")[0]
 
 
 def wanted_layouts() -> dict[int, np.dtype[Any]]:
@@ -80,13 +89,17 @@ def wanted_layouts() -> dict[int, np.dtype[Any]]:
         "STATUSTEXT": {"id", "chunk_seq"},
     }
     for key, spec in MESSAGES.items():
-        fields = {name.partition(".")[0] for column in spec.columns for name in column.fields}
-        wanted.setdefault(key.partition(".")[0], set()).update(fields, {LABELS.get(key, "")})
+        fields = {name.partition(".")[0] for name in spec.fields}  # of "q.0" the array q
+        if key in LABELS:
+            fields.add(LABELS[key])
+        wanted.setdefault(message_of_key(key), set()).update(fields)
     result = {}
-    for message in (m for m in dialect().values() if m.name in wanted):
-        kept = wanted[message.name] | {message.instance_field, *CLOCK_FIELDS}
-        names = message.dtype.names or ()
-        result[message.number] = message.dtype[[name for name in names if name in kept]]
+    for message in dialect().values():
+        if message.name not in wanted:
+            continue
+        kept = {*wanted[message.name], message.instance_field, *CLOCK_FIELDS}
+        names = [name for name in message.dtype.names or () if name in kept]
+        result[message.number] = message.dtype[names]
     return result
 
 
@@ -96,6 +109,7 @@ def layout_of(layout: str, fields: list[str]) -> np.dtype[Any]:
     >>> layout_of("<If10s", ["time_boot_ms", "value", "name"]).itemsize
     18
     """
-    items = re.findall(r"(\d*)([a-zA-Z])", layout)
-    kinds = [f"S{count or 1}" if kind == "s" else f"{count}<{kind}" for count, kind in items]
+    kinds = []
+    for count, letter in re.findall(r"(\d*)([a-zA-Z])", layout):
+        kinds.append(f"S{count or 1}" if letter == "s" else f"{count}<{letter}")
     return np.dtype(list(zip(fields, kinds, strict=True)))

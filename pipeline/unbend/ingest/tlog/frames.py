@@ -1,45 +1,36 @@
-"""Frames of a telemetry log: their headers, checksums and payloads, many at once."""
+"""Frames of a telemetry log: their headers, checksums and payloads, many at once.
+
+A frame is the ground station's big-endian clock in microseconds (8 bytes) and a MAVLink 1 (0xFE) or
+MAVLink 2 (0xFD) packet.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from itertools import pairwise
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from unbend.ingest.buffers import Bytes, gather
+from unbend.ingest.tlog.senders import sender_numbers
 from unbend.units import Integers, Mask, Rows
 
-STAMP = 8
-
-
-V1, V2 = 0xFE, 0xFD
-
-
-V1_BEFORE_PAYLOAD, V2_BEFORE_PAYLOAD = 6, 10  # from the magic byte on
-
-
-CHECKSUM = 2
-
-
-SIGNATURE = 13
-
-
+STAMP = 8  # [bytes]
+V1 = 0xFE  # the magic byte of MAVLink 1
+V2 = 0xFD  # that of MAVLink 2
+V1_BEFORE_PAYLOAD = 6  # [bytes] from the magic byte on
+V2_BEFORE_PAYLOAD = 10
+CHECKSUM = 2  # [bytes]
+SIGNATURE = 13  # [bytes]
+SIGNED = 1  # the flag of MAVLink 2 for a signature
 HEAD = STAMP + V2_BEFORE_PAYLOAD
-
-
 SHORTEST = STAMP + V1_BEFORE_PAYLOAD + CHECKSUM
-
-
 LONGEST = HEAD + 255 + CHECKSUM + SIGNATURE
-
-
 BLOCK = 8192  # rows of one pass of the checksum: they fit the cache
-
 
 # First two bytes of a stamp between 2001 (1e15 us, 0x00038D...) and 2103.
 STAMP_HIGH = range(0x03, 0x0F)
-
 
 _HEAD = np.dtype(
     {
@@ -74,6 +65,7 @@ class Frames:
 
     @property
     def end(self) -> Integers:
+        """The byte behind each frame."""
         return np.asarray(self.at + self.total, np.int64)
 
     @property
@@ -81,6 +73,11 @@ class Frames:
         """The byte offset of the payload."""
         before = np.where(self.version == 2, HEAD, STAMP + V1_BEFORE_PAYLOAD)
         return np.asarray(self.at + before, np.int64)
+
+    @property
+    def sender(self) -> NDArray[np.uint16]:
+        """The numbers of the senders."""
+        return sender_numbers(self.system, self.component)
 
     def take(self, rows: Mask | Rows | slice) -> "Frames":
         """The frames of a mask, an index or a slice."""
@@ -95,8 +92,10 @@ class Frames:
 
 def joined(parts: list[Frames]) -> Frames:
     """Several tables of frames as one, in the order of the file."""
-    names = Frames.__dataclass_fields__
-    whole = Frames(**{name: np.concatenate([vars(part)[name] for part in parts]) for name in names})
+    columns = {}
+    for name in Frames.__dataclass_fields__:
+        columns[name] = np.concatenate([vars(part)[name] for part in parts])
+    whole = Frames(**columns)
     return whole.take(np.argsort(whole.at, kind="stable"))
 
 
@@ -108,12 +107,14 @@ def frame_length(data: bytes, at: int) -> int:
     """
     if at + SHORTEST > len(data) or data[at] != 0 or data[at + 1] not in STAMP_HIGH:
         return 0
-    magic = data[at + STAMP]
+    packet = at + STAMP
+    magic = data[packet]
+    payload_length = data[packet + 1]
     if magic == V2:
-        signed = SIGNATURE if data[at + STAMP + 2] & 1 else 0
-        return HEAD + data[at + STAMP + 1] + CHECKSUM + signed
+        is_signed = data[packet + 2] & SIGNED
+        return HEAD + payload_length + CHECKSUM + (SIGNATURE if is_signed else 0)
     if magic == V1:
-        return STAMP + V1_BEFORE_PAYLOAD + data[at + STAMP + 1] + CHECKSUM
+        return STAMP + V1_BEFORE_PAYLOAD + payload_length + CHECKSUM
     return 0
 
 
@@ -122,51 +123,77 @@ def candidates(window: Bytes, stop: int) -> Integers:
     count = min(stop, window.shape[0] - STAMP)
     if count <= 0:
         return np.empty(0, np.int64)
+    magic = window[STAMP : STAMP + count]
+    stamp_high = window[1 : 1 + count]
     # uint8 wraps: a difference below the length of a range means inside of it
-    may = (window[STAMP : STAMP + count] - np.uint8(V2)) <= V1 - V2
-    may &= window[:count] == 0
-    may &= (window[1 : 1 + count] - np.uint8(STAMP_HIGH.start)) < len(STAMP_HIGH)
-    return np.flatnonzero(may).astype(np.int64)
+    possible = (magic - np.uint8(V2)) <= V1 - V2
+    possible &= window[:count] == 0
+    possible &= (stamp_high - np.uint8(STAMP_HIGH.start)) < len(STAMP_HIGH)
+    return np.flatnonzero(possible).astype(np.int64)
 
 
 def headers(window: Bytes, places: Integers, room: int) -> Frames:
     """The frames at these places that end in ``room`` bytes; `HEAD` bytes follow the last place."""
     head = gather(window, places, HEAD).view(_HEAD)
-    two = head["magic"] == V2
-    signed = two & (head["flags"] & 1 == 1)
-    total = head["length"].astype(np.int64) + np.where(two, HEAD, STAMP + V1_BEFORE_PAYLOAD)
-    total += CHECKSUM + SIGNATURE * signed
+    is_v2 = head["magic"] == V2
+    is_signed = is_v2 & (head["flags"] & SIGNED == 1)
+    total = head["length"].astype(np.int64)
+    total += np.where(is_v2, HEAD, STAMP + V1_BEFORE_PAYLOAD)
+    total += CHECKSUM + SIGNATURE * is_signed
+    id_of_v2 = head["low"] | head["high"].astype(np.int32) << 8
     frames = Frames(
         at=places,
         total=total,
         host_us=head["host"].astype(np.int64),
-        version=np.where(two, np.uint8(2), np.uint8(1)),
+        version=np.where(is_v2, np.uint8(2), np.uint8(1)),
         length=head["length"],
-        sequence=np.where(two, head["seq2"], head["seq1"]),
-        system=np.where(two, head["sys2"], head["sys1"]),
-        component=np.where(two, head["comp2"], head["comp1"]),
-        message_id=np.where(two, head["low"] | head["high"].astype(np.int32) << 8, head["id1"]),
+        sequence=np.where(is_v2, head["seq2"], head["seq1"]),
+        system=np.where(is_v2, head["sys2"], head["sys1"]),
+        component=np.where(is_v2, head["comp2"], head["comp1"]),
+        message_id=np.where(is_v2, id_of_v2, head["id1"]),
     )
     return frames.take(frames.end <= room)
 
 
-# CRC-16/MCRF4XX (X.25 of the MAVLink library), one entry a byte.
+# CRC-16/MCRF4XX (X.25 of the MAVLink library): what each byte adds, bit by bit.
+_POLYNOMIAL = np.uint16(0x8408)
 _TABLE = np.arange(256, dtype=np.uint16)
-
-
 for _ in range(8):
-    _TABLE = np.where(_TABLE & 1, (_TABLE >> 1) ^ np.uint16(0x8408), _TABLE >> 1).astype(np.uint16)
+    _odd = _TABLE & 1 != 0
+    _TABLE = np.where(_odd, (_TABLE >> 1) ^ _POLYNOMIAL, _TABLE >> 1).astype(np.uint16)
 
 
 def _step(crc: NDArray[np.uint16], byte: NDArray[np.integer[Any]]) -> NDArray[np.uint16]:
+    """The checksums after one more byte each."""
     return np.asarray((crc >> 8) ^ _TABLE[(crc ^ byte) & 0xFF], np.uint16)
 
 
 # Two bytes a step: the register is 16 bits wide, so one table of 65,536 entries is the whole step.
 _ZERO = np.zeros(1, np.uint16)
-
-
 _WORDS = _step(_step(np.arange(1 << 16, dtype=np.uint16), _ZERO), _ZERO)
+
+
+class _Packets(NamedTuple):
+    """Rows of frames of one version and one length, and how many bytes their checksum covers."""
+
+    rows: Rows
+    covered: int
+
+
+def _packets_of_one_length(frames: Frames, known: Mask) -> list[_Packets]:
+    """The known frames by version and length, a block of them at a time."""
+    group = frames.length.astype(np.uint16) * 2 + (frames.version == 2)
+    rows = np.flatnonzero(known)
+    rows = rows[np.argsort(group[rows], kind="stable")]
+    starts = np.flatnonzero(np.diff(group[rows].astype(np.int32), prepend=-1)).tolist()
+    packets = []
+    for begin, end in pairwise([*starts, rows.shape[0]]):
+        key = int(group[rows[begin]])
+        before_payload = V2_BEFORE_PAYLOAD if key & 1 else V1_BEFORE_PAYLOAD
+        covered = before_payload - 1 + (key >> 1)  # all but the magic byte
+        for first in range(begin, end, BLOCK):
+            packets.append(_Packets(rows[first : min(first + BLOCK, end)], covered))
+    return packets
 
 
 def checksums_hold(window: Bytes, frames: Frames, extras: Mapping[int, int]) -> Mask:
@@ -175,23 +202,14 @@ def checksums_hold(window: Bytes, frames: Frames, extras: Mapping[int, int]) -> 
     if not len(frames):
         return holds
     ids = np.array(sorted(extras), np.int32)
+    extra_of_id = np.array([extras[number] for number in ids.tolist()], np.uint16)
     place = np.minimum(np.searchsorted(ids, frames.message_id), ids.shape[0] - 1)
     known = ids[place] == frames.message_id
-    extra = np.array([extras[int(key)] for key in ids], np.uint16)[place]
-    group = frames.length.astype(np.uint16) * 2 + (frames.version == 2)
-    group[~known] = 0xFFFF
-    order = np.argsort(group, kind="stable")
-    edges = np.flatnonzero(np.diff(group[order], prepend=0xFFFE)).tolist()
-    for begin, end in zip(edges, [*edges[1:], order.shape[0]], strict=True):
-        key = int(group[order[begin]])
-        if key == 0xFFFF:
-            break
-        covered = (V2_BEFORE_PAYLOAD if key & 1 else V1_BEFORE_PAYLOAD) - 1 + (key >> 1)
-        for block in range(begin, end, BLOCK):
-            rows = order[block : min(block + BLOCK, end)]
-            first = frames.at[rows] + STAMP + 1  # all but the magic byte
-            computed, stored = checksums(window, first, covered, extra[rows])
-            holds[rows] = computed == stored
+    extra = extra_of_id[place]
+    for rows, covered in _packets_of_one_length(frames, known):
+        first = frames.at[rows] + STAMP + 1
+        computed, stored = checksums(window, first, covered, extra[rows])
+        holds[rows] = computed == stored
     return holds
 
 
@@ -223,5 +241,6 @@ def payloads(window: Bytes, frames: Frames, dtype: np.dtype[Any]) -> NDArray[Any
         used = min(length, dtype.itemsize)
         if used:
             rows = np.flatnonzero(frames.length == length)
-            filled[rows, :used] = gather(window, begin[rows], used).view(np.uint8).reshape(-1, used)
+            sent = gather(window, begin[rows], used).view(np.uint8)
+            filled[rows, :used] = sent.reshape(-1, used)
     return filled.view(dtype).reshape(len(frames))

@@ -1,14 +1,14 @@
 """Scanning a telemetry log in stretches: frames checked, wanted payloads kept, the rest counted.
 
-A frame is the ground station's big-endian clock in microseconds (8 bytes) and a MAVLink 1 (0xFE) or
-MAVLink 2 (0xFD) packet. It is accepted when its checksum holds. Between accepted frames lie those
-that cannot be checked (an id outside the dialect), those whose checksum fails, and bytes of no
-message. Everything is done for all frames of a stretch of the file at once.
+A frame is accepted when its checksum holds. Between accepted frames lie those that cannot be
+checked (an id outside the dialect), those whose checksum fails, and bytes of no message. Everything
+is done for all frames of a stretch of the file at once.
 """
 
 from collections import Counter
 from collections.abc import Mapping, Set
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from unbend.flight.clock import STRAY_ROWS
 from unbend.ingest.buffers import Bytes, ColumnStore, FileView
 from unbend.ingest.damaged_bytes import DamagedBytes
-from unbend.ingest.tlog.clock_samples import Key, Sampler
+from unbend.ingest.tlog.clock_samples import Sampler
 from unbend.ingest.tlog.frames import (
     HEAD,
     LONGEST,
@@ -30,14 +30,14 @@ from unbend.ingest.tlog.frames import (
     joined,
     payloads,
 )
+from unbend.ingest.tlog.senders import Sender
+from unbend.units import Integers
 
 STRETCH = 2 << 20  # [bytes] scanned at once: the tables of its frames fit the cache
-
-
-STEADY_US = 1_000_000
-
-
+STEADY_US = 1_000_000  # a step back of more shows a stray stamp
 SILENT_US = 3_000_000  # every component sends a HEARTBEAT each second: three in a row are missing
+SEQUENCE = 256  # numbers, then they begin again
+_MOST_IDS = 1 << 16  # MAVLink 2 has 24 bits, and no dialect more than this
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Silence:
     ``backward``: messages missing by a step of the sequence otherwise taken as backward, or 0.
     """
 
-    source: Key
+    source: Sender
     at: int
     seconds: float
     backward: int
@@ -61,6 +61,31 @@ class RejectedFrames:
     first: int = -1
     size: int = 0
 
+    def add(self, place: int, length: int) -> None:
+        """Count one more, which comes behind those before."""
+        if not self.count:
+            self.first = place
+        self.count += 1
+        self.size += length
+
+
+@dataclass
+class _SequenceState:
+    """Where the sequence of a sender stands: its last number and when it was heard [us].
+
+    ``ahead``: how far the highest number so far is ahead of the last: messages may come late.
+    """
+
+    last: int
+    heard_us: int
+    ahead: int = 0
+
+
+def _row_type(layout: np.dtype[Any]) -> np.dtype[Any]:
+    """Rows of a message: the byte and the clock of the ground station, the sender, the fields."""
+    packed = np.dtype([(name, layout[name]) for name in layout.names or ()])
+    return np.dtype([("at", "i8"), ("host_us", "i8"), ("source", "u2"), ("records", packed)])
+
 
 class Scan(DamagedBytes):
     """The messages of a telemetry log, and what is damaged or missing.
@@ -69,7 +94,7 @@ class Scan(DamagedBytes):
     id outside the dialect counts where frames fill all between accepted ones.
 
     ``sent``: the wanted ones, with ``at`` (byte), ``host_us`` (the ground station's clock),
-    ``source`` (system times 256 plus component) and ``records``; ``unknown`` ids (in ``counts``)
+    ``source`` (the number of the sender) and ``records``; ``unknown`` ids (in ``counts``)
     and ``failed`` checksums; ``lost`` by sequence numbers modulo 256; ``steady``: no stamp lies
     more than a second before the one before, as a stray one or the next would.
     """
@@ -87,158 +112,196 @@ class Scan(DamagedBytes):
         self.clock = Sampler()
         self.unknown: dict[int, RejectedFrames] = {}
         self.failed: dict[int, RejectedFrames] = {}
-        self.lost: Counter[Key] = Counter()
+        self.lost: Counter[Sender] = Counter()
         self.silences: list[Silence] = []
         self.steady = True
         self._data = data
         self._extras = extras
         self._wanted = wanted
-        self._row_types: dict[int, np.dtype[Any]] = {}
-        for number, layout in wanted.items():
-            packed = np.dtype([(name, layout[name]) for name in layout.names or ()])
-            columns = [("at", "i8"), ("host_us", "i8"), ("source", "u2"), ("records", packed)]
-            self._row_types[number] = np.dtype(columns)
+        self._row_types = {number: _row_type(layout) for number, layout in wanted.items()}
         self._late = late
-        self._end = 0
-        self._host_us = 0
-        self._sequences: dict[int, int] = {}
-        self._highest: dict[int, int] = {}  # how far the highest number is ahead of the last
-        self._heard_us: dict[int, int] = {}
+        self._end = 0  # of the last accepted frame
+        self._host_us = 0  # its stamp
+        self._sequences: dict[int, _SequenceState] = {}
         for begin in range(0, data.size, STRETCH):
-            self.scan_stretch(begin, min(begin + STRETCH, data.size))
+            self._scan_stretch(begin, min(begin + STRETCH, data.size))
         if self._end < data.size:
-            rest = self._fill(self._end, data.size)
+            rest = self._between(self._end, data.size)
             if len(rest):
                 self._count_lost(rest)
 
-    def scan_stretch(self, begin: int, stop: int) -> None:
+    def _scan_stretch(self, begin: int, stop: int) -> None:
         """Scan the frames that begin in a stretch."""
         window = self._data.array(begin, stop + LONGEST)
         room = window.shape[0]
         if stop == self._data.size:
             window = _padded(window)
         places = candidates(window, stop - begin)
-        frames = headers(window, places[places >= self._end - begin], room)
+        places = places[places >= self._end - begin]
+        frames = headers(window, places, room)
         frames = frames.take(checksums_hold(window, frames, self._extras))
-        if not bool(np.all(frames.at[1:] >= frames.end[:-1])):
-            # some begin inside the one before, as where a payload holds a log
-            apart, end = [], 0
-            for row, pair in enumerate(zip(frames.at.tolist(), frames.end.tolist(), strict=True)):
-                if pair[0] >= end:
-                    apart.append(row)
-                    end = pair[1]
-            frames = frames.take(np.array(apart, np.intp))
-        timed = []
-        for number, dtype in self._wanted.items():
-            chosen = np.flatnonzero(frames.message_id == number)
-            if chosen.shape[0]:
-                of_type = frames.take(chosen)
-                payload = payloads(window, of_type, dtype)
-                rows = np.empty(chosen.shape, self._row_types[number])
-                rows["at"], rows["host_us"] = of_type.at + begin, of_type.host_us
-                rows["source"] = _source_of(of_type)
-                for name in dtype.names or ():
-                    rows["records"][name] = payload[name]
-                self.sent.setdefault(number, ColumnStore(rows.dtype)).add(rows)
-                if number not in self._late and "time_boot_ms" in (dtype.names or ()):
-                    timed.append(rows)
-        self.clock.take(timed)
-        frames = frames.moved(begin)
+        frames = _apart(frames)
+        self._keep(window, frames, begin)
         if len(frames):
-            step = np.diff(frames.host_us, prepend=self._host_us or int(frames.host_us[0]))
-            self.steady &= bool(np.all(step >= -STEADY_US))
-            self._host_us = int(frames.host_us[-1])
-            ends = np.concatenate([[self._end], frames.end[:-1]])
-            gaps = np.flatnonzero(ends != frames.at)
-            filled = [self._fill(int(ends[k]), int(frames.at[k])) for k in gaps]
-            between = [part for part in filled if len(part)]
-            self._count_lost(joined([frames, *between]) if between else frames)
-            self._end = int(frames.end[-1])
-        small = frames.message_id[frames.message_id < 1 << 16]
-        for number, count in enumerate(np.bincount(small).tolist()):
-            if count:
-                self.counts[number] += count
+            self._accept(frames.moved(begin))
 
-    def _fill(self, begin: int, stop: int) -> Frames:
+    def _keep(self, window: Bytes, frames: Frames, begin: int) -> None:
+        """Keep the wanted messages of a stretch, and sample the clocks of their senders."""
+        timed = []
+        for number, layout in self._wanted.items():
+            chosen = np.flatnonzero(frames.message_id == number)
+            if not chosen.shape[0]:
+                continue
+            of_type = frames.take(chosen)
+            names = layout.names or ()
+            payload = payloads(window, of_type, layout)
+            rows = np.empty(chosen.shape, self._row_types[number])
+            rows["at"] = of_type.at + begin
+            rows["host_us"] = of_type.host_us
+            rows["source"] = of_type.sender
+            for name in names:
+                rows["records"][name] = payload[name]
+            self.sent.setdefault(number, ColumnStore(rows.dtype)).add(rows)
+            if number not in self._late and "time_boot_ms" in names:
+                timed.append(rows)
+        self.clock.take(timed)
+
+    def _accept(self, frames: Frames) -> None:
+        """Count the accepted frames of a stretch, and what lies between them."""
+        last_us = self._host_us or int(frames.host_us[0])
+        step_us = np.diff(frames.host_us, prepend=last_us)
+        self.steady &= bool(np.all(step_us >= -STEADY_US))
+        self._host_us = int(frames.host_us[-1])
+        end_before = np.concatenate([[self._end], frames.end[:-1]])
+        between = []
+        for row in np.flatnonzero(end_before != frames.at).tolist():
+            found = self._between(int(end_before[row]), int(frames.at[row]))
+            if len(found):
+                between.append(found)
+        self._count_lost(joined([frames, *between]) if between else frames)
+        self._end = int(frames.end[-1])
+        counts = np.bincount(frames.message_id[frames.message_id < _MOST_IDS])
+        for number in np.flatnonzero(counts).tolist():
+            self.counts[number] += int(counts[number])
+
+    def _between(self, begin: int, stop: int) -> Frames:
         """Count the bytes between two accepted frames; returns the frames among them."""
-        places: list[int] = []  # of frames that follow each other without a gap
-        at = first = begin
+        places, end = self._frames_in_a_row(begin, stop)
+        cut = 0
+        if end < stop:
+            if self._ends_in_frame(end, stop, places):
+                cut = stop - end
+            elif places:
+                end = places.pop()  # its length may be damaged
+        self.cut_bytes += cut
+        if end + cut < stop:
+            self.drop(end, stop)
+        window = _padded(self._data.array(begin, end))
+        frames = headers(window, np.array(places, np.int64) - begin, end - begin).moved(begin)
+        self._count_rejected(frames)
+        return frames
+
+    def _frames_in_a_row(self, begin: int, stop: int) -> tuple[list[int], int]:
+        """The places of frames that follow each other from a byte, and where the last ends."""
+        places: list[int] = []
+        at = begin
         view = b""
+        view_begin = begin
         while at < stop:
-            if at + LONGEST > first + len(view) < stop:
-                first, view = at, self._data[at : min(at + STRETCH, stop)]
-            length = frame_length(view, at - first)
+            view_end = view_begin + len(view)
+            if at + LONGEST > view_end and view_end < stop:
+                view_begin = at
+                view = self._data[at : min(at + STRETCH, stop)]
+            length = frame_length(view, at - view_begin)
             if not length or at + length > stop:
                 break
             places.append(at)
             at += length
-        cut = 0
-        if at < stop:
-            rest = self._data[at : at + LONGEST]
-            is_cut = stop == self._data.size and (
-                stop - at < SHORTEST or frame_length(rest, 0) > len(rest)
-            )
-            if is_cut and places:  # not behind a frame whose checksum fails
-                head = _padded(self._data.array(places[-1], places[-1] + HEAD))
-                last = headers(head, np.zeros(1, np.int64), LONGEST)
-                is_cut = int(last.message_id[0]) not in self._extras
-            if is_cut:
-                cut = stop - at
-            elif places:
-                at = places.pop()  # its length may be damaged
-        self.cut_bytes += cut
-        if at + cut < stop:
-            self.drop(at, stop)
-        window = _padded(self._data.array(begin, at))
-        frames = headers(window, np.array(places, np.int64) - begin, at - begin).moved(begin)
-        columns = (frames.message_id, frames.at, frames.total)
-        for number, place, total in zip(*(column.tolist() for column in columns), strict=True):
-            known = number in self._extras
-            by_id = self.failed if known else self.unknown
-            rejected = by_id.setdefault(number, RejectedFrames())
-            rejected.count += 1
-            rejected.size += total
-            rejected.first = place if rejected.first < 0 else rejected.first
-            self.counts[number] += 0 if known else 1
-        return frames
+        return places, at
+
+    def _ends_in_frame(self, at: int, stop: int, places: list[int]) -> bool:
+        """Whether the file ends in a frame that begins here, behind frames at ``places``."""
+        if stop != self._data.size:
+            return False
+        rest = self._data[at : at + LONGEST]
+        if stop - at >= SHORTEST and frame_length(rest, 0) <= len(rest):
+            return False
+        if not places:
+            return True
+        # not behind a frame whose checksum fails
+        head = _padded(self._data.array(places[-1], places[-1] + HEAD))
+        last = headers(head, np.zeros(1, np.int64), LONGEST)
+        return int(last.message_id[0]) not in self._extras
+
+    def _count_rejected(self, frames: Frames) -> None:
+        """Count frames of unknown ids, and those whose checksum fails."""
+        columns = (frames.message_id.tolist(), frames.at.tolist(), frames.total.tolist())
+        for number, place, length in zip(*columns, strict=True):
+            if number in self._extras:
+                rejected = self.failed.setdefault(number, RejectedFrames())
+            else:
+                rejected = self.unknown.setdefault(number, RejectedFrames())
+                self.counts[number] += 1
+            rejected.add(place, length)
 
     def _count_lost(self, frames: Frames) -> None:
-        """Messages missing by the numbers of each sender; the upper half of steps is backward.
+        """Messages missing by the numbers of each sender; the upper half of steps is backward."""
+        numbers = frames.sender
+        order = np.argsort(numbers, kind="stable")
+        starts = np.flatnonzero(np.diff(numbers[order].astype(np.int32), prepend=-1)).tolist()
+        for begin, end in pairwise([*starts, order.shape[0]]):
+            rows = order[begin:end]
+            self._count_lost_of_sender(
+                int(numbers[rows[0]]), frames.sequence[rows], frames.host_us[rows], frames.at[rows]
+            )
 
-        What comes late fills its gap. A silence counts unless few stamps beside it are stray.
+    def _count_lost_of_sender(
+        self, number: int, sequence: NDArray[np.uint8], host_us: Integers, at: Integers
+    ) -> None:
+        """Count what is missing between the next messages of a sender; what is late fills its gap.
+
+        A silence counts unless few stamps beside it are stray.
         """
-        source = _source_of(frames)
-        order = np.argsort(source, kind="stable")
-        sequence, host_us = frames.sequence[order], frames.host_us[order]
-        begin = np.flatnonzero(np.diff(source[order].astype(np.int32), prepend=-1)).tolist()
-        for first, stop in zip(begin, [*begin[1:], order.shape[0]], strict=True):
-            key = int(source[order[first]])
-            numbers = sequence[first:stop]
-            before = np.uint8(self._sequences.get(key, (int(numbers[0]) - 1) % 256))
-            step = np.diff(numbers, prepend=before) - np.uint8(1)
-            self._sequences[key] = int(numbers[-1])
-            host = host_us[first:stop]
-            heard_us = self._heard_us.get(key, int(host[0]))
-            forward = step.view(np.int8).astype(np.int64) + 1
-            forward[(forward < 0) & (np.diff(host, prepend=heard_us) > SILENT_US)] = 1
-            place, highest = np.cumsum(forward), self._highest.get(key, 0)
-            new = np.unique(place[place > highest])
-            lost = int(new[-1]) - highest - new.shape[0] if new.size else 0
-            self._highest[key] = max(highest, int(place.max())) - int(place[-1])
-            self.lost[divmod(key, 256)] += lost
-            for row in np.flatnonzero(np.diff(host, prepend=heard_us) > SILENT_US).tolist():
-                last = int(host[max(row - STRAY_ROWS - 1, 0) : row].max(initial=heard_us))
-                silent_us = int(host[row : row + STRAY_ROWS + 1].min()) - last
-                if silent_us > SILENT_US:
-                    at = int(frames.at[order[first + row]])
-                    backward = int(step[row]) if step[row] >= 128 else 0
-                    silence = Silence(divmod(key, 256), at, silent_us / 1e6, backward)
-                    self.silences.append(silence)
-            self._heard_us[key] = int(host[-1])
+        sender = Sender.of_number(number)
+        state = self._sequences.get(number)
+        if state is None:
+            state = _SequenceState(last=(int(sequence[0]) - 1) % SEQUENCE, heard_us=int(host_us[0]))
+        skipped = np.diff(sequence, prepend=np.uint8(state.last)) - np.uint8(1)  # modulo 256
+        silent = np.diff(host_us, prepend=state.heard_us) > SILENT_US
+        step = skipped.view(np.int8).astype(np.int64) + 1
+        step[(step < 0) & silent] = 1  # after seconds of silence no message overtakes another
+        place = np.cumsum(step)
+        new = np.unique(place[place > state.ahead])
+        lost = 0
+        if new.size:
+            lost = int(new[-1]) - state.ahead - new.shape[0]
+        self.lost[sender] += lost
+        for row in np.flatnonzero(silent).tolist():
+            before = host_us[max(row - STRAY_ROWS - 1, 0) : row]
+            last_us = int(before.max(initial=state.heard_us))
+            silent_us = int(host_us[row : row + STRAY_ROWS + 1].min()) - last_us
+            if silent_us > SILENT_US:
+                is_backward = skipped[row] >= SEQUENCE // 2
+                backward = int(skipped[row]) if is_backward else 0
+                self.silences.append(Silence(sender, int(at[row]), silent_us / 1e6, backward))
+        self._sequences[number] = _SequenceState(
+            last=int(sequence[-1]),
+            heard_us=int(host_us[-1]),
+            ahead=max(state.ahead, int(place.max())) - int(place[-1]),
+        )
 
 
-def _source_of(frames: Frames) -> NDArray[np.uint16]:
-    return np.asarray(frames.system.astype(np.uint16) * 256 + frames.component, np.uint16)
+def _apart(frames: Frames) -> Frames:
+    """The frames without those that begin inside the one before, as where a payload holds a log."""
+    if bool(np.all(frames.at[1:] >= frames.end[:-1])):
+        return frames
+    rows = []
+    end_before = 0
+    for row, (at, end) in enumerate(zip(frames.at.tolist(), frames.end.tolist(), strict=True)):
+        if at >= end_before:
+            rows.append(row)
+            end_before = end
+    return frames.take(np.array(rows, np.intp))
 
 
 def _padded(window: Bytes) -> Bytes:

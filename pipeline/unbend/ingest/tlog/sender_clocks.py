@@ -8,6 +8,7 @@ or their own, the reception of their messages shows.
 
 from collections.abc import Callable, Container, Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,28 +16,35 @@ from numpy.typing import NDArray
 from unbend.flight.channels import TimeArray
 from unbend.flight.clock import BOOT_STEP_NS, clock_map, stray_times
 from unbend.ingest.boot_clock import BootClock, UtcReadings, fit_clock, timeline
-from unbend.ingest.tlog.clock_samples import MICROSECOND, MILLISECOND, Key, Readings
+from unbend.ingest.tlog import messages
+from unbend.ingest.tlog.clock_samples import MICROSECOND, MILLISECOND, Readings
+from unbend.ingest.tlog.senders import Sender
 from unbend.messages import Ledger
 from unbend.units import NANOSECONDS_PER_SECOND, Integers, Mask, Rows
 
-ROUND_MS = (1 << 32) * MILLISECOND  # 49.7 days: a 32-bit count of milliseconds runs over
+ROUND_MS = (1 << 32) * MILLISECOND  # [ns] 49.7 days: a 32-bit count of milliseconds runs over
+ROUND_US = (1 << 32) * MICROSECOND  # [ns] 71.6 minutes: one of microseconds
 
 
-ROUND_US = (1 << 32) * MICROSECOND  # 71.6 minutes: one of microseconds
+class ClockField(NamedTuple):
+    """A field with a time since boot: its unit [ns], and the time [ns] after which it wraps."""
+
+    unit_ns: int
+    turn_ns: int
 
 
-# Fields with a time since boot: their unit [ns], and the time [ns] after which they wrap.
-CLOCK_FIELDS = {"time_boot_ms": (MILLISECOND, ROUND_MS), "time_usec": (MICROSECOND, ROUND_US)}
-
+CLOCK_FIELDS: Mapping[str, ClockField] = {
+    "time_boot_ms": ClockField(MILLISECOND, ROUND_MS),
+    "time_usec": ClockField(MICROSECOND, ROUND_US),
+}
 
 # Largest difference of a stamp that wrapped from the sender's clock: exposures are reported up to
 # some seconds late, and a minute is a seventieth of the shorter period.
 NEAR_NS = 60 * NANOSECONDS_PER_SECOND
-
-
 # Delay of a message that is stamped on arrival: links and cameras delay by up to some seconds, the
 # link's jitter is 2 s at most in real logs.
-EARLIEST_NS, LATEST_NS = -2 * NANOSECONDS_PER_SECOND, 10 * NANOSECONDS_PER_SECOND
+EARLIEST_NS = -2 * NANOSECONDS_PER_SECOND
+LATEST_NS = 10 * NANOSECONDS_PER_SECOND
 
 
 @dataclass(frozen=True)
@@ -65,68 +73,80 @@ class SenderClock:
         """Places of that boot: messages may come before the first reading of its clock."""
         if self.clock.line.boots == 1:
             return at
-        row = self._row(at)
-        after = np.minimum(row + 1, self.at.shape[0] - 1)
-        closer = np.abs(boot_ns - self.boot_ns[after]) < np.abs(boot_ns - self.boot_ns[row])
-        closer &= self.boot(self.at[after]) != self.boot(at)
-        return np.asarray(np.where(closer, self.at[after], at), np.int64)
+        before = self._row(at)
+        after = np.minimum(before + 1, self.at.shape[0] - 1)
+        from_before_ns = np.abs(boot_ns - self.boot_ns[before])
+        from_after_ns = np.abs(boot_ns - self.boot_ns[after])
+        is_of_next = from_after_ns < from_before_ns
+        is_of_next &= self.boot(self.at[after]) != self.boot(at)
+        return np.asarray(np.where(is_of_next, self.at[after], at), np.int64)
 
     def utc_of_host(self, at: Integers, host_ns: TimeArray) -> TimeArray:
         """UTC [ns] of messages without a time of their own."""
         if not self.at.size:
             return host_ns
-        boot, result = self.boot(at), host_ns.copy()
-        for number in np.unique(boot):
-            asked = boot == number
-            result[asked] = self.maps[int(number)](host_ns[asked])
-        return result
+        boot = self.boot(at)
+        utc_ns = host_ns.copy()
+        for number in np.unique(boot).tolist():
+            rows = boot == number
+            utc_ns[rows] = self.maps[number](host_ns[rows])
+        return utc_ns
 
     def utc_of_boot(
-        self, at: Integers, host_ns: TimeArray, boot_ns: TimeArray, turn: int
+        self, at: Integers, host_ns: TimeArray, boot_ns: TimeArray, turn_ns: int
     ) -> TimeArray:
-        """UTC [ns] of times since boot that wrap after ``turn`` [ns]; the log's without a clock."""
+        """UTC [ns] of times since boot that wrap after ``turn_ns``; the log's without a clock."""
         if not self.at.size:
             return host_ns
-        near = np.asarray(self.boot_ns[self._row(at)], np.int64)
-        return self.clock.utc(at, unrolled(boot_ns, near, turn))
+        near_ns = np.asarray(self.boot_ns[self._row(at)], np.int64)
+        return self.clock.utc(at, unrolled(boot_ns, near_ns, turn_ns))
+
+
+def _unchanged(host_ns: TimeArray) -> TimeArray:
+    return host_ns
 
 
 _HOST_CLOCK = SenderClock(
-    np.empty(0, np.int64), np.empty(0, np.int64), BootClock(timeline([]), (None,), (False,)), (0,),
-    (lambda host_ns: host_ns,),
-)  # fmt: skip
+    at=np.empty(0, np.int64),
+    boot_ns=np.empty(0, np.int64),
+    clock=BootClock(timeline([]), (None,), (False,)),
+    counts=(0,),
+    maps=(_unchanged,),
+)
 
 
 @dataclass(frozen=True)
 class Clocks:
     """All senders of a log, the vehicle's ``boots``; ``wrong_utc``: of images of these senders."""
 
-    senders: Mapping[Key, SenderClock]
+    senders: Mapping[Sender, SenderClock]
     boots: int
     description: str
-    wrong_utc: frozenset[Key] = frozenset()
+    wrong_utc: frozenset[Sender] = frozenset()
 
-    def lender(self, source: Key) -> Key | None:
+    def lender(self, sender: Sender) -> Sender | None:
         """The sender whose clock is used: this one, else another component of its system."""
-        if source in self.senders:
-            return source
-        same = [key for key in self.senders if key[0] == source[0]]
-        return max(same, key=lambda key: sum(self.senders[key].counts), default=None)
+        if sender in self.senders:
+            return sender
+        same_system = [key for key in self.senders if key.system == sender.system]
+        return max(same_system, key=lambda key: sum(self.senders[key].counts), default=None)
 
-    def of(self, source: Key) -> SenderClock:
+    def of(self, sender: Sender) -> SenderClock:
         """The clock of a sender; where none is known, that of the ground station."""
-        lender = self.lender(source)
-        return _HOST_CLOCK if lender is None else self.senders[lender]
+        lender = self.lender(sender)
+        if lender is None:
+            return _HOST_CLOCK
+        return self.senders[lender]
 
-    def advanced(self, source: Key, at: int, least_ns: int) -> bool:
+    def advanced(self, sender: Sender, at: int, least_ns: int) -> bool:
         """Whether a sender's clock, if known, advances by so much at a place, within a boot."""
-        sender = self.senders.get(source, _HOST_CLOCK)
-        row = int(np.searchsorted(sender.at, at))
-        if not 0 < row < sender.at.shape[0]:
+        clock = self.senders.get(sender, _HOST_CLOCK)
+        row = int(np.searchsorted(clock.at, at))
+        if not 0 < row < clock.at.shape[0]:
             return True
-        boots = sender.boot(sender.at[row - 1 : row + 1])
-        step = int(sender.boot_ns[row] - sender.boot_ns[row - 1])
-        return bool(boots[0] == boots[1]) and step >= least_ns
+        boot_before, boot_after = clock.boot(clock.at[row - 1 : row + 1]).tolist()
+        step_ns = int(clock.boot_ns[row] - clock.boot_ns[row - 1])
+        return bool(boot_before == boot_after and step_ns >= least_ns)
 
 
 def clock_field(names: Container[str]) -> str:
@@ -134,42 +154,50 @@ def clock_field(names: Container[str]) -> str:
     return next((name for name in CLOCK_FIELDS if name in names), "")
 
 
-def unrolled(stamp_ns: TimeArray, near_ns: TimeArray, turn: int) -> TimeArray:
-    """(n,) stamps [ns] of a counter that wraps after ``turn``, completed where near the clock.
+def unrolled(stamp_ns: TimeArray, near_ns: TimeArray, turn_ns: int) -> TimeArray:
+    """(n,) stamps [ns] of a counter that wraps after ``turn_ns``, completed where near the clock.
 
     >>> unrolled(np.array([5 * 10**9]), np.array([ROUND_US + 4 * 10**9]), ROUND_US) - ROUND_US
     array([5000000000])
     """
-    behind = near_ns - stamp_ns
-    if not behind.shape[0] or int(behind.max()) <= turn // 2:
+    behind_ns = near_ns - stamp_ns
+    if not behind_ns.shape[0] or int(behind_ns.max()) <= turn_ns // 2:
         return stamp_ns
-    turns = np.rint(behind / turn).astype(np.int64)
-    whole = stamp_ns + turns * turn
-    fits = (turns > 0) & (np.abs(whole - near_ns) < NEAR_NS)
-    return np.asarray(np.where(fits, whole, stamp_ns), np.int64)
+    turns = np.rint(behind_ns / turn_ns).astype(np.int64)
+    whole_ns = stamp_ns + turns * turn_ns
+    fits = (turns > 0) & (np.abs(whole_ns - near_ns) < NEAR_NS)
+    return np.asarray(np.where(fits, whole_ns, stamp_ns), np.int64)
 
 
 def clocks_of(readings: Readings, ledger: Ledger) -> Clocks:
     """Fit the clocks of all senders; residuals and fallbacks are entered in the ledger."""
     if not readings.size:
-        ledger.fallback("TIME-HOST-CLOCK/clocks-of")
+        ledger.add(messages.no_vehicle_time())
         return Clocks({}, 1, "ground station clock")
-    unique, counts = np.unique(readings["source"], return_counts=True)
-    busiest = [divmod(key, 256) for key in unique[np.argsort(-counts, kind="stable")].tolist()]
-    vehicle = busiest[0]
-    senders: dict[Key, SenderClock] = {}
-    for source in busiest:
-        of_source = _some(readings, readings["source"] == source[0] * 256 + source[1])
-        leader = senders.get(vehicle, _HOST_CLOCK) if vehicle[0] == source[0] else _HOST_CLOCK
-        senders[source] = _fit_sender(of_source, leader, source, ledger)
-    clock = senders[vehicle].clock
-    known, boots = clock.utc_known.count(True), len(clock.utc_known)
-    description = f"vehicle clock, set to UTC by SYSTEM_TIME in {known} of {boots} boots"
+    numbers, counts = np.unique(readings["source"], return_counts=True)
+    busiest_first = numbers[np.argsort(-counts, kind="stable")].tolist()
+    vehicle = Sender.of_number(busiest_first[0])
+    clocks: dict[Sender, SenderClock] = {}
+    for number in busiest_first:
+        sender = Sender.of_number(number)
+        lead = _HOST_CLOCK
+        if sender.system == vehicle.system:
+            lead = clocks.get(vehicle, _HOST_CLOCK)
+        of_sender = _some(readings, readings["source"] == number)
+        clocks[sender] = fit_sender(of_sender, lead, sender, ledger)
+    clock = clocks[vehicle].clock
+    return Clocks(clocks, clock.line.boots, _description(clock))
+
+
+def _description(clock: BootClock) -> str:
+    """Where the UTC of the vehicle's clock comes from."""
+    known = clock.utc_known.count(True)
+    boots = len(clock.utc_known)
     if known == boots:
-        description = "vehicle clock, set to UTC by the median of SYSTEM_TIME"
-    elif known == 0:
-        description = "vehicle clock, set by the ground station's clock"
-    return Clocks(senders, clock.line.boots, description)
+        return "vehicle clock, set to UTC by the median of SYSTEM_TIME"
+    if known == 0:
+        return "vehicle clock, set by the ground station's clock"
+    return f"vehicle clock, set to UTC by SYSTEM_TIME in {known} of {boots} boots"
 
 
 def _some(readings: Readings, rows: Mask) -> Readings:
@@ -182,44 +210,82 @@ def overtaken(readings: Readings) -> Mask:
 
     They are up to `LATEST_NS` older than one before them, received when the sender was on as long.
     """
-    boot_ns, host_ns = readings["boot_ns"], readings["host_us"] * MICROSECOND
-    newest = np.maximum.accumulate(boot_ns)
-    row = np.maximum.accumulate(np.where(newest == boot_ns, np.arange(newest.size), 0))
-    late = newest - boot_ns
-    on_before = host_ns - boot_ns < host_ns[row] - LATEST_NS
-    return np.asarray((late > BOOT_STEP_NS) & (late < LATEST_NS) & on_before, np.bool_)
+    boot_ns = readings["boot_ns"]
+    host_ns = readings["host_us"] * MICROSECOND
+    newest_ns = np.maximum.accumulate(boot_ns)
+    is_newest = newest_ns == boot_ns
+    row_of_newest = np.maximum.accumulate(np.where(is_newest, np.arange(boot_ns.size), 0))
+    late_ns = newest_ns - boot_ns
+    boot_by_host_ns = host_ns - boot_ns
+    was_on = boot_by_host_ns < host_ns[row_of_newest] - LATEST_NS
+    return np.asarray((late_ns > BOOT_STEP_NS) & (late_ns < LATEST_NS) & was_on, np.bool_)
 
 
-def _fit_sender(readings: Readings, lead: SenderClock, source: Key, ledger: Ledger) -> SenderClock:
+def fit_sender(
+    readings: Readings, lead: SenderClock, sender: Sender, ledger: Ledger
+) -> SenderClock:
     """A sender's clock; without UTC of its own it is set by when its messages were received."""
-    where = f"system {source[0]}, component {source[1]}"
     readings = _some(readings, ~stray_times(readings["boot_ns"]))  # a glitch of it is no boot
     if bool(np.any(np.diff(readings["boot_ns"]) < -BOOT_STEP_NS)):
         readings = _some(readings, ~overtaken(readings))
-    at, boot_ns, sent_utc = readings["at"], readings["boot_ns"], readings["utc_ns"]
+    at = readings["at"]
+    sent_utc_ns = readings["utc_ns"]
     stamped_ns = readings["host_us"] * MICROSECOND
-    step = np.diff(boot_ns)
-    # A new boot starts near zero too, but not exactly when the count was full by the host's clock.
-    # A message that was overtaken has the time before the wrap: a step by a turn the other way.
-    turn = np.rint(-step / ROUND_MS).astype(np.int64)
-    turn[np.abs(step + turn * ROUND_MS - np.diff(stamped_ns)) > NEAR_NS] = 0
-    if turn.any():
-        turns = np.concatenate([[0], np.cumsum(turn)])
-        boot_ns = np.asarray(boot_ns + turns * ROUND_MS, np.int64)
-        ledger.note("TIME-WRAP", where=where, count=int(turns.max()))
-    host_ns = lead.utc_of_host(at, stamped_ns)
-    system_time = UtcReadings("SYSTEM_TIME messages", at, boot_ns, sent_utc, sent_utc > 0)
-    received = UtcReadings("stamps", at, boot_ns, host_ns, np.ones(at.shape, np.bool_))
-    clock = fit_clock(timeline([(at, boot_ns)]), [system_time], ledger, received, where)
+    boot_ns = _continued(readings["boot_ns"], stamped_ns, sender, ledger)
+    system_time = UtcReadings(
+        source="SYSTEM_TIME messages",
+        one="SYSTEM_TIME message",
+        places=at,
+        boot_ns=boot_ns,
+        utc_ns=sent_utc_ns,
+        usable=sent_utc_ns > 0,
+    )
+    received = UtcReadings(
+        source="stamps",
+        one="stamp",
+        places=at,
+        boot_ns=boot_ns,
+        utc_ns=lead.utc_of_host(at, stamped_ns),
+        usable=np.ones(at.shape, np.bool_),
+    )
+    line = timeline([(at, boot_ns)])
+    clock = fit_clock(line, [system_time], ledger, received, str(sender))
     boot = clock.line.boot_of(at)
     counts = np.bincount(boot, minlength=clock.line.boots).tolist()
     maps = []
-    for number, (count, fit) in enumerate(zip(counts, clock.fits, strict=True)):
-        rows = slice(sum(counts[:number]), sum(counts[:number]) + count)
+    begin = 0
+    for number, count in enumerate(counts):
+        rows = slice(begin, begin + count)
+        begin += count
         maps.append(clock_map(stamped_ns[rows], clock.utc(at[rows], boot_ns[rows])))
+        fit = clock.fits[number]
         if fit is not None and not clock.utc_known[number]:
-            place, spread_ms = f"{where}, boot {number}", fit.spread_ns / 1e6
-            ledger.fallback("TIME-HOST-CLOCK/stamps", where=place, count=count, spread_ms=spread_ms)
-    mark = np.ones(boot.shape, np.bool_)
-    mark[1:] = (np.diff(boot_ns // NANOSECONDS_PER_SECOND) != 0) | (np.diff(boot) != 0)
-    return SenderClock(at[mark], boot_ns[mark], clock, tuple(counts), tuple(maps))
+            ledger.add(
+                messages.set_by_host_clock(
+                    sender=str(sender), boot=number, count=count, spread_ms=fit.spread_ns / 1e6
+                )
+            )
+    kept = np.ones(boot.shape, np.bool_)
+    new_second = np.diff(boot_ns // NANOSECONDS_PER_SECOND) != 0
+    new_boot = np.diff(boot) != 0
+    kept[1:] = new_second | new_boot
+    return SenderClock(at[kept], boot_ns[kept], clock, tuple(counts), tuple(maps))
+
+
+def _continued(
+    boot_ns: TimeArray, stamped_ns: TimeArray, sender: Sender, ledger: Ledger
+) -> TimeArray:
+    """Times since boot that go on where the 32-bit count of milliseconds wrapped.
+
+    A new boot starts near zero too, but not exactly when the count was full by the host's clock. A
+    message that was overtaken has the time before the wrap: a step by a turn the other way.
+    """
+    step_ns = np.diff(boot_ns)
+    turn = np.rint(-step_ns / ROUND_MS).astype(np.int64)
+    unexplained_ns = step_ns + turn * ROUND_MS - np.diff(stamped_ns)
+    turn[np.abs(unexplained_ns) > NEAR_NS] = 0
+    if not turn.any():
+        return boot_ns
+    turns = np.concatenate([[0], np.cumsum(turn)])
+    ledger.add(messages.count_wrapped(sender=str(sender), count=int(turns.max())))
+    return np.asarray(boot_ns + turns * ROUND_MS, np.int64)

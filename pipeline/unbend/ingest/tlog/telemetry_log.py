@@ -3,19 +3,24 @@
 from collections import Counter
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from unbend.flight.channels import Channel
 from unbend.flight.clock import stray_times
-from unbend.ingest.buffers import open_view
+from unbend.ingest.buffers import ColumnStore, open_view
 from unbend.ingest.flight_log import Contents, LogFormat
 from unbend.ingest.message_tables import Table
+from unbend.ingest.tlog import messages
 from unbend.ingest.tlog.borrowed_clocks import with_borrowed_clocks
-from unbend.ingest.tlog.clock_samples import MICROSECOND, Key, by_source
+from unbend.ingest.tlog.clock_samples import MICROSECOND
 from unbend.ingest.tlog.dialect import (
     MESSAGES,
+    MessageDefinition,
     crc_extras,
+    message_of_key,
     message_of_name,
     name_of,
     wanted_layouts,
@@ -23,15 +28,13 @@ from unbend.ingest.tlog.dialect import (
 from unbend.ingest.tlog.frames import frame_length
 from unbend.ingest.tlog.scan import SILENT_US, Scan, Silence
 from unbend.ingest.tlog.sender_clocks import Clocks, clock_field, clocks_of
+from unbend.ingest.tlog.senders import Sender, by_sender, components_of, systems_of
 from unbend.ingest.tlog.tlog_channels import channels_of, label_of, times_of
 from unbend.messages import Ledger
 
 SILENT_NS = SILENT_US * MICROSECOND
-
-
-_CARRIED = {key.partition(".")[0] for key in MESSAGES}
-
-
+LISTED_IDS = 8  # of the unknown ones, in the ledger
+_CARRIED = {message_of_key(key) for key in MESSAGES}
 # Messages whose time is that of the exposure, not of sending.
 _LATE = {key for key, spec in MESSAGES.items() if spec.event}
 
@@ -39,39 +42,38 @@ _LATE = {key for key, spec in MESSAGES.items() if spec.event}
 def read_log(path: Path, ledger: Ledger) -> Contents:
     """The contents of a telemetry log."""
     wanted = wanted_layouts()
+    late = {number for number in wanted if name_of(number) in _LATE}
     with open_view(path) as data:
-        late = {number for number in wanted if name_of(number) in _LATE}
-        result = Scan(data, crc_extras(), wanted, late)
-    result.report_bytes(ledger, path.name, "message")
-    if result.unknown:
-        count = sum(rejected.count for rejected in result.unknown.values())
-        first = min(rejected.first for rejected in result.unknown.values())
-        where, ids = f"{path.name}, first at byte {first}", sorted(result.unknown)[:8]
-        ledger.warning("LOG-UNKNOWN-ID", where=where, count=count, ids=", ".join(map(str, ids)))
-    damaged = 0
-    for number, rejected in sorted(result.failed.items()):
-        where = f"{path.name}, first at byte {rejected.first}"
-        name = f"{name_of(number)} (id {number})"
-        if result.counts[number] or number in wanted:
-            damaged += rejected.size
-            what = f"{rejected.count} messages {name} fail their checksum"
-            ledger.loss("LOG-CRC", what, where=where, count=rejected.count)
-        else:
-            ledger.warning("LOG-DIALECT", where=where, count=rejected.count, name=name)
-    if not result.steady:
-        _replace_stray_stamps(result, ledger, path.name)
-    sent = {name_of(number): result.sent.pop(number) for number in [*result.sent]}
-    parts = [part for name, part in sent.items() if name in _CARRIED]
-    sources = {int(n) for p in parts for b in p.blocks() for n in np.unique(b["source"])}
-    clocks = clocks_of(result.clock.readings({source >> 8 for source in sources}), ledger)
-    clocks = with_borrowed_clocks(clocks, parts, ledger)
-    found, parameters = channels_of(sent, clocks, ledger)
-    lost = _report_link(result, clocks, found, path, ledger)
-    counts = {name_of(key): count for key, count in result.counts.items() if count}
+        scan = Scan(data, crc_extras(), wanted, late)
+    scan.report_bytes(ledger, path.name, "message")
+    damaged_bytes = _report_rejected(scan, set(wanted), path.name, ledger)
+    if not scan.steady:
+        _replace_stray_stamps(scan, ledger, path.name)
+    sent = {name_of(number): scan.sent.pop(number) for number in list(scan.sent)}
+    carried = [store for name, store in sent.items() if name in _CARRIED]
+    readings = scan.clock.readings(_systems(carried))
+    clocks = with_borrowed_clocks(clocks_of(readings, ledger), carried, ledger)
+    channels, parameters = channels_of(sent, clocks, ledger)
+    lost = _report_link(scan, clocks, channels, path.name, ledger)
     return Contents(
-        counts, tuple(found), result.bad_bytes + damaged, lost, clocks.boots,
-        clocks.description, partial(_table, path, clocks), parameters,
-    )  # fmt: skip
+        messages={name_of(number): count for number, count in scan.counts.items() if count},
+        channels=tuple(channels),
+        bad_bytes=scan.bad_bytes + damaged_bytes,
+        lost_messages=lost,
+        boots=clocks.boots,
+        time_base=clocks.description,
+        table=partial(_table, path, clocks),
+        parameters=parameters,
+    )
+
+
+def _systems(stores: list[ColumnStore]) -> set[int]:
+    """The systems that sent messages."""
+    systems: set[int] = set()
+    for store in stores:
+        for block in store.blocks():
+            systems |= set(np.unique(systems_of(block["source"])).tolist())
+    return systems
 
 
 def is_tlog(head: bytes) -> bool:
@@ -83,53 +85,87 @@ def is_tlog(head: bytes) -> bool:
 TLOG = LogFormat("tlog", "MAVLink telemetry", (".tlog", ".rlog"), is_tlog, read_log)
 
 
+def _report_rejected(scan: Scan, wanted: set[int], file: str, ledger: Ledger) -> int:
+    """Enter frames that are not accepted; returns the bytes of those that are damage."""
+    if scan.unknown:
+        ledger.add(
+            messages.unknown_ids(
+                file=file,
+                first=min(rejected.first for rejected in scan.unknown.values()),
+                count=sum(rejected.count for rejected in scan.unknown.values()),
+                ids=sorted(scan.unknown)[:LISTED_IDS],
+            )
+        )
+    damaged_bytes = 0
+    for number, rejected in sorted(scan.failed.items()):
+        is_damage = scan.counts[number] > 0 or number in wanted
+        report = messages.checksums_fail if is_damage else messages.another_dialect
+        name = f"{name_of(number)} (id {number})"
+        ledger.add(report(file=file, first=rejected.first, count=rejected.count, name=name))
+        if is_damage:
+            damaged_bytes += rejected.size
+    return damaged_bytes
+
+
 def _report_link(
-    result: Scan, clocks: Clocks, found: list[Channel], path: Path, ledger: Ledger
+    scan: Scan, clocks: Clocks, channels: list[Channel], file: str, ledger: Ledger
 ) -> int:
     """Enter the messages of the senders of channels that the link lost; returns the least count."""
-    carriers = {(channel.source.system, channel.source.component) for channel in found}
-    lost = Counter({key: count for key, count in result.lost.items() if key in carriers})
-    silent: dict[Key, list[Silence]] = {}
-    for silence in result.silences:
-        if silence.source in carriers and clocks.advanced(silence.source, silence.at, SILENT_NS):
-            silent.setdefault(silence.source, []).append(silence)
+    carriers = {(channel.source.system, channel.source.component) for channel in channels}
+    lost = Counter({sender: count for sender, count in scan.lost.items() if sender in carriers})
+    silences_of: dict[Sender, list[Silence]] = {}
+    for silence in scan.silences:
+        sender = silence.source
+        if sender in carriers and clocks.advanced(sender, silence.at, SILENT_NS):
+            silences_of.setdefault(sender, []).append(silence)
             # after seconds of silence no message overtakes another: the step is a loss
-            lost[silence.source] += silence.backward
-    for (system, component), count in sorted((+lost).items()):
-        ledger.loss(
-            "LOG-LINK-LOSS/radio", where=path.name, count=count, system=system, component=component
+            lost[sender] += silence.backward
+    for sender, count in sorted((+lost).items()):
+        ledger.add(
+            messages.lost_by_radio(
+                file=file, count=count, system=sender.system, component=sender.component
+            )
         )
-    for (system, component), silences in sorted(silent.items()):
-        where, seconds = f"{path.name}, first before byte {silences[0].at}", SILENT_US / 1e6
-        ledger.loss(
-            "LOG-GAP/sender", where=where, count=len(silences), system=system, component=component,
-            least=seconds, seconds=sum(silence.seconds for silence in silences),
-        )  # fmt: skip
+    for sender, silences in sorted(silences_of.items()):
+        ledger.add(
+            messages.sender_silent(
+                file=file,
+                byte=silences[0].at,
+                count=len(silences),
+                system=sender.system,
+                component=sender.component,
+                least_s=SILENT_US / 1e6,
+                seconds=sum(silence.seconds for silence in silences),
+            )
+        )
     return lost.total()
 
 
-def _replace_stray_stamps(result: Scan, ledger: Ledger, where: str) -> None:
+def _replace_stray_stamps(scan: Scan, ledger: Ledger, file: str) -> None:
     """Replace stamps of the ground station, which no checksum covers, that jump and return."""
-    stores = [*result.sent.values(), result.clock.rows]
-    blocks = [block for store in stores[:-1] for block in store.blocks()]
+    blocks = [block for store in scan.sent.values() for block in store.blocks()]
     if not blocks:
         return
     at = np.concatenate([block["at"] for block in blocks])
+    host_us = np.concatenate([block["host_us"] for block in blocks])
     order = np.argsort(at, kind="stable")
     at = at[order]
-    host_us = np.concatenate([block["host_us"] for block in blocks])[order]
+    host_us = host_us[order]
     stray = stray_times(host_us * MICROSECOND)
     count = int(np.count_nonzero(stray))
     if count == 0 or bool(stray.all()):
         return
-    ledger.loss("TIME-STRAY", where=f"{where}, first at byte {int(at[stray][0])}", count=count)
-    good = host_us[~stray]
-    before = np.maximum(np.searchsorted(np.flatnonzero(~stray), np.flatnonzero(stray)) - 1, 0)
-    for store in stores:
+    stray_at = at[stray]
+    ledger.add(messages.stray_stamps(file=file, first=int(stray_at[0]), count=count))
+    # each gets the stamp of the message before it
+    good_us = host_us[~stray]
+    rows_before = np.searchsorted(np.flatnonzero(~stray), np.flatnonzero(stray)) - 1
+    replacement_us = good_us[np.maximum(rows_before, 0)]
+    for store in (*scan.sent.values(), scan.clock.rows):
         for block in store.blocks():
-            place = np.minimum(np.searchsorted(at[stray], block["at"]), count - 1)
-            replaced = at[stray][place] == block["at"]
-            block["host_us"][replaced] = good[before[place[replaced]]]
+            place = np.minimum(np.searchsorted(stray_at, block["at"]), count - 1)
+            is_stray = stray_at[place] == block["at"]
+            block["host_us"][is_stray] = replacement_us[place[is_stray]]
 
 
 def _table(path: Path, clocks: Clocks, name: str, instance: str | None) -> Table:
@@ -144,24 +180,40 @@ def _table(path: Path, clocks: Clocks, name: str, instance: str | None) -> Table
         return {}
     rows = store.whole()
     if instance is not None:
-        if not message.instance_field:
-            return {}
-        ids = rows["records"][message.instance_field]
-        asked = [value for value in np.unique(ids) if label_of(value) == instance]
-        rows = rows[np.isin(ids, asked)]
+        rows = _rows_of_instance(rows, message, instance)
     if not len(rows):
         return {}
-    time_ns, boot = np.empty(len(rows), np.int64), np.empty(len(rows), np.int16)
+    time_ns = np.empty(len(rows), np.int64)
+    boot = np.empty(len(rows), np.int16)
     field = clock_field(message.fields)
-    for source, of_source in by_source(rows):
-        part = times_of(rows[of_source], field, clocks, source)
-        time_ns[of_source], boot[of_source] = part
-    table: Table = {"time_ns": time_ns, "boot": boot, "system": rows["source"] >> 8}
-    table["component"] = rows["source"] & 0xFF
-    for name in message.fields:
-        raw = table[name] = np.ascontiguousarray(rows["records"][name])
-        if name in message.texts:  # bytes beyond ASCII become U+FFFD, as in the library
-            values, places = np.unique(raw, return_inverse=True)
-            texts = [v.split(b"\0", 1)[0].decode("ascii", "replace") for v in values.tolist()]
-            table[name] = np.array(texts, np.str_)[places]
+    for sender, part in by_sender(rows):
+        time_ns[part], boot[part] = times_of(rows[part], field, clocks, sender)
+    table: Table = {
+        "time_ns": time_ns,
+        "boot": boot,
+        "system": systems_of(rows["source"]),
+        "component": components_of(rows["source"]),
+    }
+    for name_of_field in message.fields:
+        column = np.ascontiguousarray(rows["records"][name_of_field])
+        is_text = name_of_field in message.texts
+        table[name_of_field] = _texts(column) if is_text else column
     return table
+
+
+def _rows_of_instance(
+    rows: NDArray[Any], message: MessageDefinition, instance: str
+) -> NDArray[Any]:
+    """The messages of one instance, none where the message has no instances."""
+    if not message.instance_field:
+        return rows[:0]
+    sent = rows["records"][message.instance_field]
+    asked = [value for value in np.unique(sent) if label_of(value) == instance]
+    return rows[np.isin(sent, asked)]
+
+
+def _texts(raw: NDArray[Any]) -> NDArray[np.str_]:
+    """char[] fields as texts: bytes beyond ASCII become U+FFFD, as in the library."""
+    values, places = np.unique(raw, return_inverse=True)
+    texts = [value.split(b"\0", 1)[0].decode("ascii", "replace") for value in values.tolist()]
+    return np.array(texts, np.str_)[places]

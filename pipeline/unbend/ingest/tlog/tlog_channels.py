@@ -1,5 +1,6 @@
 """Messages of a telemetry log as they were sent -> channels."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -13,139 +14,196 @@ from unbend.ingest.boot_clock import microseconds
 from unbend.ingest.buffers import ColumnStore
 from unbend.ingest.channel_builder import ColumnStores, DecodedRows, channel_of, with_both_heights
 from unbend.ingest.field_maps import extract
+from unbend.ingest.messages import failed_exposures
+from unbend.ingest.tlog import messages
 from unbend.ingest.tlog.borrowed_clocks import unix_us
-from unbend.ingest.tlog.clock_samples import MICROSECOND, Key, by_source
-from unbend.ingest.tlog.dialect import LABELS, MESSAGES, PARAM_VALUE, message_of_name
+from unbend.ingest.tlog.clock_samples import MICROSECOND
+from unbend.ingest.tlog.dialect import (
+    LABELS,
+    MESSAGES,
+    PARAM_VALUE,
+    message_of_key,
+    message_of_name,
+)
 from unbend.ingest.tlog.sender_clocks import CLOCK_FIELDS, LATEST_NS, Clocks, clock_field
+from unbend.ingest.tlog.senders import Sender, by_sender, systems_of
 from unbend.messages import Ledger
 from unbend.units import Mask, Rows
+
+MISSING_CHUNK = "..."  # in a text some of whose parts were lost
 
 
 def channels_of(
     sent: dict[str, ColumnStore], clocks: Clocks, ledger: Ledger
 ) -> tuple[list[Channel], dict[str, float]]:
     """The channels of the wanted messages, whose memory is freed on the way, and the parameters."""
-    channels = []
     keys_of: dict[str, list[str]] = {}
     for key in MESSAGES:
-        keys_of.setdefault(key.partition(".")[0], []).append(key)
+        keys_of.setdefault(message_of_key(key), []).append(key)
+    channels = []
     for message, keys in keys_of.items():
-        for series in _series(keys, sent.pop(message), clocks) if message in sent else ():
-            spec, rows = series.spec, series.rows()
-            if series.key == "CAMERA_FEEDBACK":
-                rows = rows.take(distinct_exposures(series.records(), rows.name, ledger))
-            if series.key == "STATUSTEXT":
-                rows = whole_texts(rows, series.records())
-            if series.key == "CAMERA_IMAGE_CAPTURED":
-                rows = rows.take(captured_images(series.records(), rows.name, ledger))
-            late = spec.event  # the link delivers exposures late, and others overtake each other
-            if not bool(np.all(rows.time_ns[1:] >= rows.time_ns[:-1])):
-                newest = np.maximum.accumulate(rows.time_ns)
-                late |= int(np.max(newest - rows.time_ns)) < LATEST_NS
-            rows = rows.take(np.argsort(rows.time_ns, kind="stable")) if late else rows
-            channel = channel_of(rows, spec, ledger)
+        if message not in sent:
+            continue
+        for series in _series(keys, sent.pop(message), clocks):
+            rows = _in_time_order(_own_rows(series, ledger), is_event=series.spec.event)
+            channel = channel_of(rows, series.spec, ledger)
             if channel is not None:
                 channels.append(channel)
-    parameters: dict[str, float] = {}
+    parameters = {}
     if PARAM_VALUE in sent:
-        rows_sent = sent[PARAM_VALUE].whole()
         systems = [c.source.system or 0 for c in channels if "h_msl_m" in c.columns]
-        records = rows_sent["records"][np.isin(rows_sent["source"] >> 8, systems)]
-        names = map(text_of, records["param_id"].tolist())
-        parameters = dict(zip(names, records["param_value"].tolist(), strict=True))
+        parameters = _last_values(sent[PARAM_VALUE].whole(), systems)
     return with_both_heights(channels, parameters, ledger, PARAM_VALUE), parameters
+
+
+def _own_rows(series: "_Series", ledger: Ledger) -> DecodedRows:
+    """The rows of a series, after what is particular to its message."""
+    rows = series.rows()
+    if series.key == "CAMERA_FEEDBACK":
+        return rows.take(distinct_exposures(series.records(), rows.name, ledger))
+    if series.key == "CAMERA_IMAGE_CAPTURED":
+        return rows.take(captured_images(series.records(), rows.name, ledger))
+    if series.key == "STATUSTEXT":
+        return whole_texts(rows, series.records())
+    return rows
+
+
+def _in_time_order(rows: DecodedRows, *, is_event: bool) -> DecodedRows:
+    """Rows put in order where messages came late; a clock that was set back is left as it is.
+
+    The link delivers exposures late, and others overtake each other by up to some seconds.
+    """
+    comes_late = is_event
+    if not bool(np.all(rows.time_ns[1:] >= rows.time_ns[:-1])):
+        newest_ns = np.maximum.accumulate(rows.time_ns)
+        comes_late |= int(np.max(newest_ns - rows.time_ns)) < LATEST_NS
+    if not comes_late:
+        return rows
+    return rows.take(np.argsort(rows.time_ns, kind="stable"))
+
+
+def _last_values(rows: NDArray[Any], systems: Sequence[int]) -> dict[str, float]:
+    """The last value of each parameter that these systems sent."""
+    records = rows["records"][np.isin(systems_of(rows["source"]), systems)]
+    names = [text_of(name) for name in records["param_id"].tolist()]
+    return dict(zip(names, records["param_value"].tolist(), strict=True))
 
 
 class _Series:
     """A channel during reading: the messages of one sender and instance."""
 
-    def __init__(self, key: str, sender: Key, label: str | None) -> None:
-        self.key, self.spec = key, MESSAGES[key]
-        self.source = Source(key.partition(".")[0], label, *sender)
+    def __init__(self, key: str, sender: Sender, label: str | None) -> None:
+        self.key = key
+        self.spec = MESSAGES[key]
+        self.sender = sender
+        self.source = Source(message_of_key(key), label, sender.system, sender.component)
         self.name = key if label is None else f"{key}[{label}]"
-        self.time_ns, self.boot = ColumnStore("i8"), ColumnStore("i2")
+        self.time_ns = ColumnStore("i8")
+        self.boot = ColumnStore("i2")
         self.columns = ColumnStores(self.spec)
-        self.sent: list[NDArray[Any]] = []
+        self._records: list[NDArray[Any]] = []
 
     def add(self, rows: NDArray[Any], clocks: Clocks) -> None:
         """Add the next messages."""
-        records, fields = rows["records"], {}
-        names = records.dtype.names or ()
-        sender = (self.source.system or 0, self.source.component or 0)
-        time_ns, boot = times_of(rows, clock_field(names), clocks, sender)
+        records = rows["records"]
+        time_ns, boot = times_of(rows, clock_field(records.dtype.names or ()), clocks, self.sender)
         self.time_ns.add(time_ns)
         self.boot.add(boot)
-        for name in names:
-            fields[name] = records[name]
-            if records[name].ndim == 2:  # the elements of an array also one by one, as "q.0"
-                elements = range(records[name].shape[1])
-                fields |= {f"{name}.{k}": records[name][:, k] for k in elements}
-        values = extract(fields, self.spec.columns)
+        values = extract(_fields_of(records), self.spec.columns)
         if self.key == "GIMBAL_DEVICE_ATTITUDE_STATUS":
             values = earth_frame_attitude(values)
         self.columns.add(values, rows.shape[0])
         if self.spec.event or self.spec.text_field:
-            self.sent.append(records)
+            self._records.append(records)
 
     def records(self) -> NDArray[Any]:
-        """The messages of a camera as they were sent."""
-        return np.concatenate(self.sent)
+        """The messages as they were sent, of exposures and texts."""
+        return np.concatenate(self._records)
 
     def rows(self) -> DecodedRows:
         """All rows, with the texts that belong to them."""
-        label = LABELS.get(self.key)
-        texts = {label: tuple(map(text_of, self.records()[label].tolist()))} if label else {}
-        times = self.time_ns.whole(), self.boot.whole()
-        return DecodedRows(self.name, self.source, *times, self.columns.whole(), texts)
+        labels = {}
+        if self.key in LABELS:
+            label = LABELS[self.key]
+            labels[label] = tuple(text_of(text) for text in self.records()[label].tolist())
+        return DecodedRows(
+            name=self.name,
+            source=self.source,
+            time_ns=self.time_ns.whole(),
+            boot=self.boot.whole(),
+            columns=self.columns.whole(),
+            labels=labels,
+        )
+
+
+def _fields_of(records: NDArray[Any]) -> dict[str, NDArray[Any]]:
+    """The fields of messages; the elements of an array also one by one, as "q.0"."""
+    fields = {}
+    for name in records.dtype.names or ():
+        column = records[name]
+        fields[name] = column
+        if column.ndim == 2:
+            for k in range(column.shape[1]):
+                fields[f"{name}.{k}"] = column[:, k]
+    return fields
 
 
 def _series(keys: list[str], store: ColumnStore, clocks: Clocks) -> list[_Series]:
     """The series of one message, for each key, sender and instance."""
-    by_group: dict[tuple[int, Any], list[_Series]] = {}  # by sender, and instance as sent or None
-    field = message_of_name()[keys[0]].instance_field
+    by_group: dict[tuple[Sender, Any], list[_Series]] = {}  # the instance as sent, or None
+    field = message_of_name()[message_of_key(keys[0])].instance_field
     for block in store.drained():
-        for sender, of_sender in by_source(block):
-            rows = block[of_sender]
-            for value in np.unique(rows["records"][field]) if field else (None,):
-                group = (sender[0] * 256 + sender[1], None if value is None else value.item())
+        for sender, rows in by_sender(block):
+            for value, part in _by_instance(block[rows], field):
+                group = (sender, value)
                 if group not in by_group:
-                    label = None if value is None else label_of(value.item())
+                    label = None if value is None else label_of(value)
                     by_group[group] = [_Series(key, sender, label) for key in keys]
-                part = rows if value is None else rows[rows["records"][field] == value]
                 for series in by_group[group]:
                     series.add(part, clocks)
     result = [series for group in sorted(by_group) for series in by_group[group]]
-    if len({source for source, _ in by_group}) > 1:
+    if len({sender for sender, _ in by_group}) > 1:
         for series in result:
-            series.name += f"@{series.source.system}/{series.source.component}"
+            series.name += f"@{series.sender.system}/{series.sender.component}"
     return result
 
 
+def _by_instance(rows: NDArray[Any], field: str) -> list[tuple[Any, NDArray[Any]]]:
+    """The instances in messages, as sent, and the messages of each; None without a field."""
+    if not field:
+        return [(None, rows)]
+    sent = rows["records"][field]
+    return [(value.item(), rows[sent == value]) for value in np.unique(sent)]
+
+
 def times_of(
-    rows: NDArray[Any], field: str, clocks: Clocks, source: Key
+    rows: NDArray[Any], field: str, clocks: Clocks, sender: Sender
 ) -> tuple[TimeArray, NDArray[np.int16]]:
     """UTC [ns] and boot of (n,) messages of a sender, by their own time or that of reception."""
-    at, host_ns, own = rows["at"], rows["host_us"] * MICROSECOND, clocks.of(source)
+    at = rows["at"]
+    host_ns = rows["host_us"] * MICROSECOND
+    clock = clocks.of(sender)
     if not field:
-        return own.utc_of_host(at, host_ns), own.boot(at)
-    unit, turn = CLOCK_FIELDS[field]
-    stamp = microseconds(rows["records"][field])
-    since_boot = stamp * unit
-    placed = own.boot_places(at, since_boot)
-    time_ns = own.utc_of_boot(placed, host_ns, since_boot, turn)
-    boot = own.boot(placed)
+        return clock.utc_of_host(at, host_ns), clock.boot(at)
+    unit_ns, turn_ns = CLOCK_FIELDS[field]
+    stamp = microseconds(rows["records"][field])  # cut at what no log can last
+    stamp_ns = stamp * unit_ns
+    placed = clock.boot_places(at, stamp_ns)
+    time_ns = clock.utc_of_boot(placed, host_ns, stamp_ns, turn_ns)
+    boot = clock.boot(placed)
     if field == "time_boot_ms":
         own_us = unix_us(rows["records"])
-        if source in clocks.wrong_utc or not own_us.any():
-            return time_ns, boot
-        return np.where(own_us > 0, own_us * MICROSECOND, time_ns), boot
+        if sender not in clocks.wrong_utc and own_us.any():
+            time_ns = np.where(own_us > 0, own_us * MICROSECOND, time_ns)
+        return time_ns, boot
     # time_usec: Unix time from some senders, time since boot from others, 0 when not known
-    time_ns = np.where(stamp > UNIX_US_FROM, since_boot, time_ns)
-    other = (stamp == 0) | (stamp > UNIX_US_FROM)
-    if other.any():
-        boot[other] = own.boot(at[other])
-        unknown = stamp == 0
-        time_ns[unknown] = own.utc_of_host(at[unknown], host_ns[unknown])
+    is_unix = stamp > UNIX_US_FROM
+    is_unknown = stamp == 0
+    time_ns = np.where(is_unix, stamp_ns, time_ns)
+    not_since_boot = is_unix | is_unknown
+    if not_since_boot.any():
+        boot[not_since_boot] = clock.boot(at[not_since_boot])
+        time_ns[is_unknown] = clock.utc_of_host(at[is_unknown], host_ns[is_unknown])
     return time_ns, boot
 
 
@@ -162,19 +220,25 @@ def text_of(value: bytes) -> str:
 def whole_texts(rows: DecodedRows, records: NDArray[Any]) -> DecodedRows:
     """An autopilot's texts; chunks of one id, not 0, are joined, "..." stands for missing ones."""
     texts: list[str] = []
-    firsts: list[int] = []
-    open_texts: dict[int, tuple[int, int]] = {}  # by id, the text and the number of the next chunk
-    chunks = zip(rows.labels["text"], records["id"].tolist(), records["chunk_seq"], strict=True)
-    for row, (text, number, chunk) in enumerate(chunks):
-        begun, due = open_texts.get(number, (-1, 0))
-        if number and chunk and begun >= 0 and chunk >= due:
-            texts[begun] += ("..." if chunk > due else "") + text
+    first_rows: list[int] = []
+    begun: dict[int, int] = {}  # by id, which text it is
+    next_chunk: dict[int, int] = {}  # by id, the number of the chunk that is due
+    numbers = records["id"].tolist()
+    chunks = records["chunk_seq"].tolist()
+    for row, text in enumerate(rows.labels["text"]):
+        number = numbers[row]
+        chunk = chunks[row]
+        is_part = number != 0 and chunk != 0
+        due = next_chunk.get(number, 0)
+        if is_part and number in begun and chunk >= due:
+            missing = MISSING_CHUNK if chunk > due else ""
+            texts[begun[number]] += missing + text
         else:
-            begun = len(texts)
-            texts.append(("..." if number and chunk else "") + text)
-            firsts.append(row)
-        open_texts[number] = begun, int(chunk) + 1
-    return replace(rows.take(np.array(firsts, np.intp)), labels={"text": tuple(texts)})
+            begun[number] = len(texts)
+            texts.append(MISSING_CHUNK + text if is_part else text)
+            first_rows.append(row)
+        next_chunk[number] = chunk + 1
+    return replace(rows.take(np.array(first_rows, np.intp)), labels={"text": tuple(texts)})
 
 
 def distinct_exposures(table: NDArray[Any], name: str, ledger: Ledger) -> Rows:
@@ -182,39 +246,43 @@ def distinct_exposures(table: NDArray[Any], name: str, ledger: Ledger) -> Rows:
 
     ArduPilot repeats a row while it waits for the next pulse, maybe already with the next index.
     """
-    empty = (table["time_usec"] == 0) & (table["lat"] == 0) & (table["lng"] == 0)
-    if empties := int(empty.sum()):
-        what = f"{empties} of {table.shape[0]} rows have neither time nor place: no exposure"
-        ledger.note("EVENT-EMPTY", what, where=name, count=empties)
-    times, indices = table["time_usec"], table["img_idx"].astype(np.uint64)
-    keys = np.where(times == 0, indices, times)
+    times_us = table["time_usec"]
+    indices = table["img_idx"].astype(np.uint64)
+    empty = (times_us == 0) & (table["lat"] == 0) & (table["lng"] == 0)
+    empties = int(np.count_nonzero(empty))
+    if empties:
+        ledger.add(messages.empty_feedback(channel=name, count=empties, total=table.shape[0]))
+    keys = np.where(times_us == 0, indices, times_us)
     first = _first_of_each(keys, ~empty, "the time of an exposure", name, ledger)
-    by_unix = int(np.count_nonzero(times[first] > UNIX_US_FROM))
-    if by_unix:
-        ledger.note("EVENTS-TRIGGER-TIME/distinct-exposures", where=name, count=by_unix)
+    with_unix_time = int(np.count_nonzero(times_us[first] > UNIX_US_FROM))
+    if with_unix_time:
+        ledger.add(messages.times_of_triggers(channel=name, count=with_unix_time))
     unseen = np.setdiff1d(indices[~empty], indices[first])
-    if unseen.shape[0]:
-        number = int(unseen[0])
-        ledger.warning("EVENT-NO-PULSE/feedback", where=name, count=unseen.size, first=number)
+    if unseen.size:
+        ledger.add(
+            messages.numbers_without_feedback(channel=name, count=unseen.size, first=int(unseen[0]))
+        )
     return first
 
 
 def captured_images(table: NDArray[Any], name: str, ledger: Ledger) -> Rows:
     """The rows of CAMERA_IMAGE_CAPTURED that are images, each once: cameras repeat some."""
     failed = table["capture_result"] == 0
-    if failures := int(failed.sum()):
-        what = f"{failures} of {table.shape[0]} rows report that the camera took no image"
-        ledger.warning("EVENT-FAILED", what, where=name, count=failures)
+    failures = int(np.count_nonzero(failed))
+    if failures:
+        ledger.add(failed_exposures(channel=name, count=failures, total=table.shape[0]))
     keys = table["time_boot_ms"].astype(np.int64) << 32
     keys |= table["image_index"].astype(np.int64) & 0xFFFFFFFF
     return _first_of_each(keys, ~failed, "an image", name, ledger)
 
 
-def _first_of_each(keys: NDArray[Any], good: Mask, of: str, name: str, ledger: Ledger) -> Rows:
-    """The first of the good rows of each key."""
+def _first_of_each(keys: NDArray[Any], good: Mask, what: str, name: str, ledger: Ledger) -> Rows:
+    """The first of the good rows of each key; repeated is ``what`` the key stands for."""
     rows = np.flatnonzero(good)
-    first = np.sort(np.unique(keys[rows], return_index=True)[1])
-    if repeats := int(rows.size - first.size):
-        what = f"{repeats} of {keys.size} rows repeat {of}"
-        ledger.note("EVENT-REPEAT", what, where=name, count=repeats)
-    return rows[first]
+    _, first = np.unique(keys[rows], return_index=True)
+    repeats = int(rows.size - first.size)
+    if repeats:
+        ledger.add(
+            messages.repeated_events(channel=name, count=repeats, total=keys.size, what=what)
+        )
+    return rows[np.sort(first)]

@@ -1,4 +1,4 @@
-"""The messages of a ULog file: definitions, the walk over the file, rows decoded into columns.
+"""The messages of a ULog file: the walk over the file, rows decoded into columns.
 
 Source: PX4 User Guide, "ULog File Format"; rows are those of pyulog, bit for bit. A message counts
 when its kind is known, it ends inside the file, and, as data, it has the size of its format; after
@@ -9,330 +9,373 @@ import re
 import struct
 from collections import Counter, defaultdict
 from collections.abc import Collection
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from unbend.ingest.buffers import ColumnStore, FileView, gather
 from unbend.ingest.damaged_bytes import DamagedBytes
+from unbend.ingest.messages import rows_without_field
+from unbend.ingest.ulog import messages
+from unbend.ingest.ulog.ulog_definitions import Definitions, dtype_of_value
 from unbend.messages import Ledger
 
 MAGIC = b"ULog\x01\x12\x35"
-
-
-FILE_HEADER = 16  # bytes
-
-
+FILE_HEADER = 16  # [bytes]
 HEAD = struct.Struct("<HB")  # size of what follows, kind
-
-
 DATA = struct.Struct("<HBH")  # ... and the number of the topic
-
-
 FLAGS = struct.Struct("<8s8s3Q")  # compatible, incompatible, places where data was appended
-
-
 APPENDED = 1  # the first bit of the incompatible flags, the only one that is defined
-
-
-SPAN, NEAR = 4 << 20, 4096  # [bytes] walked at once, and searched first after damage
-
-
+SPAN = 4 << 20  # [bytes] walked at once
+NEAR = 4096  # [bytes] searched first after damage
 LONGEST = HEAD.size + 0xFFFF
-
-
 LINKS = 3  # messages in a row that prove a place after damage
+_NUMBER = 2  # [bytes] of the number of a topic, at the beginning of data
+_TIME = 8  # [bytes] of a time since boot
+_LEAST_UNKNOWN = _NUMBER + _TIME  # [bytes] of data whose definition was lost: it begins so
 
 
-DEEPEST = 8  # formats inside each other
+class Kind:
+    """The kinds of messages."""
 
-
-_TYPES = {
-    "int8_t": "i1", "uint8_t": "u1", "bool": "i1", "char": "i1", "int16_t": "<i2",
-    "uint16_t": "<u2", "int32_t": "<i4", "uint32_t": "<u4", "float": "<f4", "int64_t": "<i8",
-    "uint64_t": "<u8", "double": "<f8",
-}  # fmt: skip
-
-
-_FIELD = re.compile(r"(\w+)(?:\[(\d{1,5})\])? (\w+)")
-
-
-_DATUM = ord("D")
+    FLAGS = ord("B")
+    FORMAT = ord("F")
+    INFORMATION = ord("I")
+    INFORMATION_PARTS = ord("M")
+    PARAMETER = ord("P")
+    DEFAULT_PARAMETER = ord("Q")
+    SUBSCRIPTION = ord("A")
+    DATA = ord("D")
+    TEXT = ord("L")
+    TAGGED_TEXT = ord("C")
+    SYNC = ord("S")
+    DROPOUT = ord("O")
+    REMOVED = ord("R")
 
 
 _KINDS = np.frombuffer(b"BFIMPQLCADSOR", np.uint8)
-
-
-_FIXED = {ord("S"): 8, ord("O"): 2, ord("R"): 2}
-
-
-_KEYED = {ord("I"): 0, ord("P"): 0, ord("M"): 1, ord("Q"): 1}  # bytes before the key's length
-
-
-_KEY = re.compile(rb"([\w\[\]]+) [\w.:-]+")
-
-
+_FIXED_SIZES = {Kind.SYNC: 8, Kind.DROPOUT: 2, Kind.REMOVED: 2}
+# Bytes before the length of the key.
+_BEFORE_KEY = {
+    Kind.INFORMATION: 0,
+    Kind.PARAMETER: 0,
+    Kind.INFORMATION_PARTS: 1,
+    Kind.DEFAULT_PARAMETER: 1,
+}
+_BEFORE_TEXT = {Kind.TEXT: 1, Kind.TAGGED_TEXT: 3}  # [bytes]: the level, and a tag
 _LEVELS = tuple(bytes([level]) for level in b"01234567")
+_LONGEST_KEYED = 2 + 255  # [bytes] that show whether a message is one: its key, at most
+_KEY = re.compile(rb"(?P<type>[\w\[\]]+) (?P<name>[\w.:-]+)")
 
 
-Fields = list[tuple[str, int, str]]
-"""Type, number of elements (0 for no array) and name of each field of a format."""
-
-
-def flags_of(data: FileView) -> tuple[bytes, list[int]]:
+class FileFlags(NamedTuple):
     """The incompatible flags of a file, and the places where data was appended after a crash."""
+
+    incompatible: bytes
+    appended: list[int]
+
+
+def flags_of(data: FileView) -> FileFlags:
+    """The flags of a file; none where it has no message of them."""
     raw = data[FILE_HEADER : FILE_HEADER + HEAD.size + FLAGS.size]
-    if len(raw) < HEAD.size + FLAGS.size or raw[2] != ord("B"):
-        return bytes(8), []
+    if len(raw) < HEAD.size + FLAGS.size or raw[HEAD.size - 1] != Kind.FLAGS:
+        return FileFlags(bytes(8), [])
     _, incompatible, *places = FLAGS.unpack_from(raw, HEAD.size)
-    inside = [place for place in places if FILE_HEADER < place < data.size]
-    return incompatible, inside if incompatible[0] & APPENDED else []
+    appended = []
+    if incompatible[0] & APPENDED:
+        appended = [place for place in places if FILE_HEADER < place < data.size]
+    return FileFlags(incompatible, appended)
 
 
-def flat_fields(
-    name: str, formats: dict[str, Fields], depth: int = 0
-) -> list[tuple[str, str]] | None:
-    """Names and types of the elements of a format, with nested formats and padding.
+class Topic(NamedTuple):
+    """A topic and which of its instances."""
 
-    None where a part of it is not defined, or it is longer than a message can be.
+    name: str
+    instance: int
 
-    >>> flat_fields("a", {"a": [("b", 2, "x")], "b": [("float", 0, "y")]})
-    [('x[0].y', '<f4'), ('x[1].y', '<f4')]
-    """
-    if name not in formats or depth > DEEPEST:
-        return None
-    result: list[tuple[str, str]] = []
-    size = 0
-    for kind, count, field_name in formats[name]:
-        inner = [("", _TYPES[kind])] if kind in _TYPES else flat_fields(kind, formats, depth + 1)
-        if not inner:
-            return None
-        size += max(count, 1) * sum(int(dtype[-1]) for _, dtype in inner)
-        if size > 0xFFFF:
-            return None
-        elements = [f"{field_name}[{k}]" for k in range(count)] if count else [field_name]
-        for element in elements:
-            result += [(f"{element}.{path}" if path else element, dtype) for path, dtype in inner]
-    return result
+
+class Text(NamedTuple):
+    """What the vehicle says, and when [us since boot]."""
+
+    time_us: int
+    words: str
+
+
+class _View(NamedTuple):
+    """Bytes of the file, and where in it they begin."""
+
+    raw: bytes
+    base: int
+
+
+class _KeyedValue(NamedTuple):
+    """A value of a parameter or an information message, with its type and name."""
+
+    key: re.Match[bytes] | None
+    raw: bytes
+
+
+def _keyed_value(content: bytes, kind: int) -> _KeyedValue:
+    """The key and the value in the content of a keyed message."""
+    length_at = _BEFORE_KEY[kind]
+    begin = length_at + 1
+    end = begin + content[length_at]
+    return _KeyedValue(_KEY.fullmatch(content[begin:end]), content[end:])
 
 
 class ULogMessages(DamagedBytes):
     """The messages of a file with a whole header, those of the ``wanted`` topics as rows.
 
-    ``counts`` by topic; ``rows`` by name and instance; ``timeless`` topics have no timestamp and no
-    rows; ``damaged_values``: parameters and information of a wrong length; ``dropouts_ms`` of the
-    logger; ``texts`` with their time since boot [us]; ``parameters``: the last value of each.
-    Formats by name; by number the ``topics`` (name, instance), ``sizes`` without, with padding;
-    ``columns`` are what rows of a topic hold; a format without a timestamp has none.
+    ``counts`` by topic; ``rows`` by topic and instance; ``timeless`` topics have no timestamp and
+    no rows; ``damaged_values``: parameters and information of a wrong length; ``dropouts_ms`` of
+    the logger; ``texts`` of the vehicle; ``parameters``: the last value of each.
     """
 
     def __init__(self, data: FileView, wanted: Collection[str]) -> None:
         super().__init__()
         self.counts: Counter[str] = Counter()
-        self.rows: dict[tuple[str, int], NDArray[Any]] = {}
+        self.rows: dict[Topic, NDArray[Any]] = {}
         self.timeless: set[str] = set()
         self.damaged_values = 0
         self.dropouts_ms: list[int] = []
-        self.texts: list[tuple[int, str]] = []
+        self.texts: list[Text] = []
         self.parameters: dict[str, float] = {}
+        self.definitions = Definitions()
+        self.topics: dict[int, Topic] = {}  # by number
+        self.sizes: dict[int, tuple[int, int]] = {}  # of data: without and with padding
         self._data = data
         self._wanted = wanted
-        self.formats: dict[str, Fields] = {}
-        self.columns: dict[str, np.dtype[Any]] = {}
-        self.topics: dict[int, tuple[str, int]] = {}
-        self.sizes: dict[int, tuple[int, int]] = {}
         self._defining = True  # until the first subscription or text
-        self._appended = flags_of(data)[1]
+        self._appended = flags_of(data).appended
         self._places: defaultdict[int, list[int]] = defaultdict(list)  # of data, in one block
-        self._stores: dict[tuple[str, int], ColumnStore] = {}
-        self.walk()
-
-    def define(self, content: bytes) -> bool:
-        """Take a format; False where it is damaged."""
-        name, colon, text = content.decode("ascii", "replace").partition(":")
-        parts = [_FIELD.fullmatch(part) for part in text.split(";") if part]
-        fields = [part.groups() for part in parts if part]
-        empty = any(count is not None and not int(count) for _, count, _ in fields)
-        if not colon or not fields or len(fields) < len(parts) or empty:
-            return False
-        self.formats[name] = [(kind, int(count or 0), label) for kind, count, label in fields]
-        return True
-
-    def subscribe(self, content: bytes) -> bool:
-        """Take a subscription; False where its format is not defined or its number is taken."""
-        name = content[3:].decode("ascii", "replace")
-        fields = flat_fields(name, self.formats) or []
-        size = sum(int(dtype[-1]) for _, dtype in fields)
-        while fields and fields[-1][0].startswith("_padding"):  # at the end it is not always logged
-            fields.pop()
-        if not fields or len({label for label, _ in fields}) < len(fields):
-            return False
-        topic, number = (name, content[0]), int.from_bytes(content[1:3], "little")
-        if self.topics.setdefault(number, topic) != topic:
-            return False
-        columns = np.dtype(fields)
-        self.sizes[number] = columns.itemsize, size
-        if ("uint64_t", 0, "timestamp") in self.formats[name]:
-            self.columns[name] = columns
-        return True
+        self._stores: dict[Topic, ColumnStore] = {}
+        self._walk()
 
     def report_damage(self, ledger: Ledger, file_name: str) -> None:
         """Enter what is damaged. The format does not number messages: lost ones are not counted."""
         self.report_bytes(ledger, file_name, "message")
         for topic in sorted(self.timeless):
-            count = self.counts[topic]
-            what = f"{count} rows cannot be used: the log defines no field for timestamp"
-            ledger.loss("LOG-FIELDS", what, where=topic, count=count)
+            ledger.add(
+                rows_without_field(where=topic, count=self.counts[topic], fields=["timestamp"])
+            )
         if self.damaged_values:
-            ledger.loss("LOG-ULOG-DAMAGE", where=file_name, count=self.damaged_values)
+            ledger.add(messages.damaged_values(file=file_name, count=self.damaged_values))
         if self.dropouts_ms:
-            count, lost_s = len(self.dropouts_ms), sum(self.dropouts_ms) / 1000.0
-            what = f"the logger could not keep up {count} times, {lost_s:.3f} s together"
-            ledger.loss("LOG-DROPOUT", what, where=file_name, count=count)
+            seconds = sum(self.dropouts_ms) / 1000.0
+            count = len(self.dropouts_ms)
+            ledger.add(messages.logger_dropouts(file=file_name, count=count, seconds=seconds))
 
-    def walk(self) -> None:
-        """Walk over the file."""
-        at, end = FILE_HEADER, self._data.size
-        sizes, unpack, places_of = self.sizes, DATA.unpack_from, self._places
+    def _walk(self) -> None:
+        """Walk over the file, a span at a time."""
         if self._data[0 : len(MAGIC)] != MAGIC:
             self.drop(0, FILE_HEADER)
-        while at < end:
-            raw = self._data[at : at + SPAN + LONGEST]
-            last = len(raw) if at + len(raw) >= end else SPAN
-            data_last = min(last, len(raw) - HEAD.size - 2)
-            stop = len(raw) if not self._appended else 0  # such files are read message by message
-            place = 0
-            while place < last:
-                while place < data_last:  # data wall to wall, which most of a file is
-                    size, kind, number = unpack(raw, place)
-                    following = place + HEAD.size + size
-                    if kind != _DATUM or following > stop or number not in sizes:
-                        break
-                    least, most = sizes[number]
-                    if not least <= size - 2 <= most:
-                        break
-                    places_of[number].append(place)
-                    place = following
-                length = self._length(raw, place, at) if place < last else 0
-                if length and not self._take(raw, place, length):
-                    self.drop(at + place, at + place + length)
-                elif place < last and not length:
-                    length = self._resume(raw, place, at) - at - place
-                place += length
-            view = np.frombuffer(raw, np.uint8)
-            for number, places in self._places.items():
-                name, instance = self.topics[number]
-                self.counts[name] += len(places)
-                columns = self.columns.get(name)
-                if columns is None:
-                    self.timeless.add(name)
-                elif name in self._wanted:
-                    store = self._stores.setdefault((name, instance), ColumnStore(columns))
-                    starts = np.array(places, np.int64) + DATA.size
-                    store.add(gather(view, starts, columns.itemsize).view(columns))
-            self._places.clear()
-            at += place
-        self.rows = {
-            key: store.whole() for key, store in sorted(self._stores.items()) if len(store)
-        }
+        at = FILE_HEADER
+        while at < self._data.size:
+            view = _View(self._data[at : at + SPAN + LONGEST], at)
+            at += self._walk_span(view)
+            self._store_data(np.frombuffer(view.raw, np.uint8))
+        for topic, store in sorted(self._stores.items()):
+            if len(store):
+                self.rows[topic] = store.whole()
 
-    def _length(self, raw: bytes, place: int, base: int, *, loose: bool = False) -> int:
+    def _walk_span(self, view: _View) -> int:
+        """Take the messages that begin in a span; returns where the next begins in the view."""
+        is_last = view.base + len(view.raw) >= self._data.size
+        end = len(view.raw) if is_last else SPAN
+        place = 0
+        while place < end:
+            place = self._pass_data(view.raw, place, end)
+            if place >= end:
+                break
+            length = self._length(view, place)
+            if not length:
+                place = self._resume(view, place) - view.base
+                continue
+            if not self._take(view.raw, place, length):
+                self.drop(view.base + place, view.base + place + length)
+            place += length
+        return place
+
+    def _pass_data(self, raw: bytes, place: int, end: int) -> int:
+        """Take data wall to wall, which most of a file is; returns where something else begins."""
+        if self._appended:  # such files are read message by message
+            return place
+        unpack = DATA.unpack_from
+        sizes = self.sizes
+        places_of = self._places
+        whole = len(raw)
+        last = min(end, whole - DATA.size)
+        while place < last:
+            size, kind, number = unpack(raw, place)
+            following = place + HEAD.size + size
+            if kind != Kind.DATA or following > whole or number not in sizes:
+                break
+            least, most = sizes[number]
+            if not least <= size - _NUMBER <= most:
+                break
+            places_of[number].append(place)
+            place = following
+        return place
+
+    def _store_data(self, view: NDArray[np.uint8]) -> None:
+        """Count the data of a span, and decode that of the wanted topics."""
+        for number, places in self._places.items():
+            topic = self.topics[number]
+            self.counts[topic.name] += len(places)
+            layout = self.definitions.layouts.get(topic.name)
+            if layout is None:
+                self.timeless.add(topic.name)
+            elif topic.name in self._wanted:
+                store = self._stores.setdefault(topic, ColumnStore(layout))
+                starts = np.array(places, np.int64) + DATA.size
+                store.add(gather(view, starts, layout.itemsize).view(layout))
+        self._places.clear()
+
+    def _length(self, view: _View, place: int, *, loose: bool = False) -> int:
         """The length of a message that begins here, or 0; ``loose``: also of unknown topics."""
-        if place + HEAD.size > len(raw):
+        if place + HEAD.size > len(view.raw):
             return 0
-        size, kind = HEAD.unpack_from(raw, place)
-        end = place + HEAD.size + size
-        if end > len(raw) or any(base + place < cut < base + end for cut in self._appended):
+        size, kind = HEAD.unpack_from(view.raw, place)
+        length = int(HEAD.size + size)
+        begin = view.base + place
+        if place + length > len(view.raw):
             return 0
-        fits = self._fits(raw, place, base)
-        return HEAD.size + size if fits or (loose and kind == _DATUM and size >= 10) else 0
+        if any(begin < cut < begin + length for cut in self._appended):
+            return 0
+        if self._fits(view, place):
+            return length
+        return length if loose and kind == Kind.DATA and size >= _LEAST_UNKNOWN else 0
 
-    def _fits(self, raw: bytes, place: int, base: int) -> bool:
-        """Whether the content, as far as it is there, is that of a message of its kind."""
-        size, kind = HEAD.unpack_from(raw, place)
-        content = place + HEAD.size
-        if kind in _FIXED:
-            return bool(size == _FIXED[kind])
-        if kind in b"LC":  # what the vehicle says has no other mark than its level
-            return size > 9 and raw[content : content + 1] in _LEVELS
-        if kind in _KEYED:
-            begin, end = content + _KEYED[kind], content + size
-            key = raw[begin + 1 : begin + 1 + raw[begin]] if begin < end else b""
-            return begin + 1 + len(key) <= end and _KEY.fullmatch(key) is not None
-        if kind == _DATUM:
-            number = int.from_bytes(raw[content : content + 2], "little")
+    def _fits(self, view: _View, place: int) -> bool:
+        """Whether the beginning of a message, as far as it is there, is that of its kind."""
+        size, kind = HEAD.unpack_from(view.raw, place)
+        begin = place + HEAD.size
+        content = view.raw[begin : begin + _LONGEST_KEYED]
+        if kind in _FIXED_SIZES:
+            return bool(size == _FIXED_SIZES[kind])
+        if kind in _BEFORE_TEXT:  # what the vehicle says has no other mark than its level
+            return size > 1 + _TIME and content[:1] in _LEVELS
+        if kind in _BEFORE_KEY:
+            return _has_key(content, kind, size)
+        if kind == Kind.DATA:
+            number = int.from_bytes(content[:_NUMBER], "little")
             least, most = self.sizes.get(number, (1, 0))
-            return bool(least + 2 <= size <= most + 2)
-        if kind == ord("B"):
-            return bool(base + place == FILE_HEADER and size >= FLAGS.size)
-        return kind in b"FA"
+            return bool(least <= size - _NUMBER <= most)
+        if kind == Kind.FLAGS:
+            return bool(view.base + place == FILE_HEADER and size >= FLAGS.size)
+        return kind in (Kind.FORMAT, Kind.SUBSCRIPTION)
 
     def _take(self, raw: bytes, place: int, length: int) -> bool:
         """Take a message; False where it cannot be used."""
-        kind, begin, end = raw[place + 2], place + HEAD.size, place + length
-        if kind == _DATUM:
-            self._places[raw[begin] | raw[begin + 1] << 8].append(place)
-        elif kind == ord("F"):  # among the data it is none
-            return self._defining and self.define(raw[begin:end])
-        elif kind in b"ALC":
+        kind = raw[place + HEAD.size - 1]
+        content = raw[place + HEAD.size : place + length]
+        if kind == Kind.DATA:
+            self._places[int.from_bytes(content[:_NUMBER], "little")].append(place)
+        elif kind == Kind.FORMAT:  # among the data it is none
+            return self._defining and self.definitions.add_format(content)
+        elif kind == Kind.SUBSCRIPTION:
             self._defining = False
-            if kind != ord("A") and (begin := begin + (3 if kind == ord("C") else 1)) + 8 <= end:
-                text = raw[begin + 8 : end].decode("utf-8", "replace")
-                self.texts.append((int.from_bytes(raw[begin : begin + 8], "little"), text))
-            return kind != ord("A") or self.subscribe(raw[begin:end])
-        elif kind in _KEYED:
-            begin += _KEYED[kind]
-            value = begin + 1 + raw[begin]
-            key = _KEY.fullmatch(raw[begin + 1 : value])
-            dtype = _TYPES.get(key[1].decode()) if key else None
-            fits = dtype is None or end - value == int(dtype[-1])
-            self.damaged_values += not fits
-            if kind == ord("P") and key and dtype and fits:
-                name = key[0].decode().partition(" ")[2]
-                self.parameters[name] = float(np.frombuffer(raw[value:end], dtype)[0])
-        elif kind == ord("O") and not self._defining:
-            self.dropouts_ms.append(int.from_bytes(raw[begin:end], "little"))
+            return self._subscribe(content)
+        elif kind in _BEFORE_TEXT:
+            self._defining = False
+            self._take_text(content[_BEFORE_TEXT[kind] :])
+        elif kind in _BEFORE_KEY:
+            self._take_value(kind, content)
+        elif kind == Kind.DROPOUT and not self._defining:
+            self.dropouts_ms.append(int.from_bytes(content, "little"))
         return True
 
-    def _resume(self, raw: bytes, place: int, base: int) -> int:
+    def _subscribe(self, content: bytes) -> bool:
+        """Take a subscription; False where its format is not defined or its number is taken."""
+        name = content[3:].decode("ascii", "replace")
+        number = int.from_bytes(content[1:3], "little")
+        topic = Topic(name, content[0])
+        sizes = self.definitions.sizes_of(name)
+        if sizes is None or self.topics.setdefault(number, topic) != topic:
+            return False
+        self.sizes[number] = sizes
+        return True
+
+    def _take_text(self, content: bytes) -> None:
+        """Keep what the vehicle says: the time and the words."""
+        if len(content) >= _TIME:
+            time_us = int.from_bytes(content[:_TIME], "little")
+            self.texts.append(Text(time_us, content[_TIME:].decode("utf-8", "replace")))
+
+    def _take_value(self, kind: int, content: bytes) -> None:
+        """Check the value of a parameter or of information, and keep that of a parameter."""
+        value = _keyed_value(content, kind)
+        dtype = dtype_of_value(value.key)
+        if value.key is None or dtype is None:
+            return
+        if len(value.raw) != dtype.itemsize:
+            self.damaged_values += 1
+        elif kind == Kind.PARAMETER:
+            name = value.key["name"].decode()
+            self.parameters[name] = float(np.frombuffer(value.raw, dtype)[0])
+
+    def _resume(self, view: _View, place: int) -> int:
         """Where in the file messages go on after a place that begins none."""
-        at = base + place
-        skipped = self._length(raw, place, base, loose=True)  # data whose definition was lost
-        number = int.from_bytes(raw[place + 3 : place + 5], "little")
-        unknown = number not in self.sizes
-        if skipped and unknown and self._linked(raw, place + skipped, base):
+        at = view.base + place
+        skipped = self._length(view, place, loose=True)  # data whose definition was lost
+        number = int.from_bytes(view.raw[place + HEAD.size : place + DATA.size], "little")
+        if skipped and number not in self.sizes and self._linked(view, place + skipped):
             self.drop(at, at + skipped)
             return at + skipped
-        begin, reach = at + 1, NEAR
-        while begin < self._data.size:
-            view = self._data.array(begin, begin + reach + LONGEST * LINKS)
-            block = view.tobytes()
-            starts = np.flatnonzero(np.isin(view[2 : reach + 2], _KINDS)).tolist()
-            cuts = [cut - begin for cut in self._appended if begin <= cut < begin + reach]
-            for start in sorted({*starts, *cuts}):
-                if self._linked(block, start, begin):
-                    self.drop(at, begin + start)
-                    return begin + start
-            begin, reach = begin + reach, SPAN
-        rest = self._data[at : at + LONGEST]
-        cut = len(rest) < HEAD.size + 2 or HEAD.unpack_from(rest)[0] + HEAD.size > len(rest)
-        if cut and (len(rest) < HEAD.size + 2 or self._fits(rest, 0, at)):
+        found = self._next_linked(at + 1)
+        if found < self._data.size:
+            self.drop(at, found)
+        elif self._is_cut_message(at):
             self.cut_bytes = self._data.size - at
         else:
             self.drop(at, self._data.size)
+        return found
+
+    def _next_linked(self, begin: int) -> int:
+        """The first place from here on where messages follow each other, or the file's end."""
+        reach = NEAR
+        while begin < self._data.size:
+            data = self._data.array(begin, begin + reach + LONGEST * LINKS)
+            view = _View(data.tobytes(), begin)
+            kinds = data[HEAD.size - 1 : HEAD.size - 1 + reach]
+            starts = np.flatnonzero(np.isin(kinds, _KINDS)).tolist()
+            cuts = [cut - begin for cut in self._appended if begin <= cut < begin + reach]
+            for start in sorted({*starts, *cuts}):
+                if self._linked(view, start):
+                    return int(begin + start)
+            begin += reach
+            reach = SPAN
         return self._data.size
 
-    def _linked(self, raw: bytes, place: int, base: int) -> bool:
-        """Whether three messages follow each other from here, or fewer up to the file's end."""
-        if base + place in self._appended:
+    def _is_cut_message(self, at: int) -> bool:
+        """Whether the file ends in a message that begins here."""
+        rest = self._data[at : at + LONGEST]
+        if len(rest) < DATA.size:
             return True
-        whole = base + len(raw) >= self._data.size
+        size, _ = HEAD.unpack_from(rest)
+        return HEAD.size + size > len(rest) and self._fits(_View(rest, at), 0)
+
+    def _linked(self, view: _View, place: int) -> bool:
+        """Whether three messages follow each other from here, or fewer up to the file's end."""
+        if view.base + place in self._appended:
+            return True
+        reaches_end = view.base + len(view.raw) >= self._data.size
         for link in range(LINKS):
-            length = self._length(raw, place, base, loose=link > 0)
+            length = self._length(view, place, loose=link > 0)
             if not length:
                 return False
             place += length
-            if whole and place == len(raw):
+            if reaches_end and place == len(view.raw):
                 return True
         return True
+
+
+def _has_key(content: bytes, kind: int, size: int) -> bool:
+    """Whether a keyed message of so many bytes begins with a whole key."""
+    length_at = _BEFORE_KEY[kind]
+    if length_at >= min(size, len(content)):
+        return False
+    begin = length_at + 1
+    key = content[begin : begin + content[length_at]]
+    return begin + len(key) <= size and _KEY.fullmatch(key) is not None

@@ -1,0 +1,71 @@
+"""Why a mission would run: what differs from the run whose results are there."""
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from unbend.batch.fingerprint import NOT_IN_FINGERPRINT
+from unbend.batch.input_files import InputRecord
+from unbend.batch.plan import Plan
+from unbend.batch.results import find_damage
+
+
+def reasons_to_run(plan: Plan, manifest: dict[str, Any]) -> list[str]:
+    """Why the results of a manifest are not a plan's, whole and unchanged, one reason each."""
+    if manifest["fingerprint"] == plan.fingerprint:
+        return find_damage(plan.output, manifest, read=False)
+    reasons = [
+        *changed_inputs(plan, manifest.get("inputs", ())),
+        *changed_keys(plan.config, manifest.get("config", {})),
+        *changed_versions(plan.versions, manifest.get("versions", {})),
+    ]
+    return reasons or ["the mission file is read in another way"]
+
+
+def changed_inputs(plan: Plan, rows: list[Mapping[str, Any]]) -> Iterator[str]:
+    """The inputs that differ from those of a run."""
+    records = map(InputRecord.of_row, rows)
+    before = {record.role: record.sha256 for record in records}
+    now = {item.role: item for item in plan.inputs}
+    for role in before.keys() - now.keys():
+        yield f"{role} is no longer read"
+    for role, item in now.items():
+        if role not in before:
+            yield f"{role} is new ({item.name})"
+        elif before[role] != item.sha256:
+            yield f"{role} changed ({item.name})"
+
+
+def changed_keys(config: Mapping[str, Any], of_run: Mapping[str, Any]) -> Iterator[str]:
+    """The keys of the mission file that differ from those of a run, with both values."""
+    before = dict(values_by_key(of_run))
+    now = dict(values_by_key(config))
+    for key in sorted(before.keys() | now.keys()):
+        if key not in NOT_IN_FINGERPRINT and before.get(key) != now.get(key):
+            yield f"{key}: {_shown(before.get(key))} -> {_shown(now.get(key))}"
+
+
+def changed_versions(versions: Mapping[str, str], of_run: Mapping[str, str]) -> Iterator[str]:
+    """The versions that differ from those of a run: of the program first."""
+    own = ("unbend", "code_sha256")
+    if any(versions[name] != of_run.get(name) for name in own):
+        yield f"another version of unbend ({of_run.get('unbend')} -> {versions['unbend']})"
+    for name in sorted(versions.keys() | of_run.keys()):
+        if name not in own and versions.get(name) != of_run.get(name):
+            yield f"{name} {_shown(of_run.get(name))} -> {_shown(versions.get(name))}"
+
+
+def values_by_key(values: Any, key: str = "") -> Iterator[tuple[str, Any]]:
+    """The values of nested mappings and lists by their keys, as ``sections.0.key``."""
+    if isinstance(values, Mapping):
+        items = list(values.items())
+    elif isinstance(values, list):
+        items = list(enumerate(values))
+    else:
+        yield key, values
+        return
+    for name, value in items:
+        yield from values_by_key(value, f"{key}.{name}" if key else str(name))
+
+
+def _shown(value: Any) -> str:
+    return "nothing" if value is None else str(value)

@@ -1,0 +1,651 @@
+"""Refusals of runs, campaigns, processes, folders and object storage: codes and their words."""
+
+from collections.abc import Sequence
+
+from unbend.config.messages import URL_INVALID
+from unbend.errors import (
+    Code,
+    ConfigError,
+    InputError,
+    MissionError,
+    OutputInUseError,
+    StorageError,
+)
+
+# Inputs
+
+INPUT_MISSING = Code(
+    "INPUT-MISSING",
+    means="A file that the mission file names is not there.",
+    effect="The mission is refused.",
+    remedy="Check the path; paths are relative to the mission file.",
+)
+INPUT_UNREADABLE = Code(
+    "INPUT-UNREADABLE",
+    means="A file cannot be read.",
+    effect="The mission is refused.",
+    remedy="Correct its permissions.",
+)
+INPUT_CHANGED = Code(
+    "INPUT-CHANGED",
+    means="An input file was written to or replaced during the run.",
+    effect="The results are not kept.",
+    remedy="Run again when nothing writes to it.",
+)
+
+
+def input_missing(*, role: str, path: str, key: str) -> InputError:
+    """A file or folder of a mission is not there; ``key`` of the mission file names it."""
+    return InputError(
+        INPUT_MISSING,
+        "the {role} file is not there",
+        where=path,
+        remedy="check {key} in the mission file; paths are relative to it",
+        role=role,
+        key=key,
+    )
+
+
+def input_unreadable(*, path: str, error: str) -> InputError:
+    """The operating system does not let an input be read."""
+    return InputError(
+        INPUT_UNREADABLE, "{error}", where=path, remedy="correct its permissions", error=error
+    )
+
+
+def input_changed(*, role: str, path: str) -> InputError:
+    """An input is not what it was when the run began."""
+    return InputError(
+        INPUT_CHANGED,
+        "the {role} file was written to or replaced during the run",
+        where=path,
+        remedy="run again when nothing writes to it",
+        role=role,
+    )
+
+
+# Output folders and what is in them
+
+OUTPUT_IN_USE = Code(
+    "OUTPUT-IN-USE",
+    means="Another process is writing to the output folder, or has published another run in "
+    "object storage meanwhile.",
+    effect="The mission is not run (exit code 4).",
+    remedy="Wait for it, or choose another output.path.",
+)
+OUTPUT_OTHER = Code(
+    "OUTPUT-OTHER",
+    means="The output folder holds the results of another mission.",
+    effect="The mission is refused.",
+    remedy="Give each mission an output.path of its own.",
+)
+OUTPUT_OVER_INPUT = Code(
+    "OUTPUT-OVER-INPUT",
+    means="An input is among the results that a run replaces.",
+    effect="The mission is refused.",
+    remedy="Move it elsewhere, or choose another output.path.",
+)
+OUTPUT_SHARED = Code(
+    "OUTPUT-SHARED",
+    means="Two missions write to one folder.",
+    effect="The second is refused.",
+    remedy="Give each mission a folder of its own.",
+)
+STORAGE_LOCK = Code(
+    "STORAGE-LOCK",
+    means="The output folder cannot be locked.",
+    effect="The mission is not run (exit code 5).",
+    remedy="Choose an output.path on a disk that can lock files.",
+)
+STORAGE_NOT_OURS = Code(
+    "STORAGE-NOT-OURS",
+    means="Files in the output folder would be replaced, and no manifest shows that unbend wrote "
+    "them.",
+    effect="The mission is not run (exit code 5).",
+    remedy="Choose an output.path of its own, or remove these files.",
+)
+STORAGE_SYMLINK = Code(
+    "STORAGE-SYMLINK",
+    means="A result in the output folder is a symbolic link.",
+    effect="The mission is not run (exit code 5).",
+    remedy="Remove the link.",
+)
+MANIFEST_UNREADABLE = Code(
+    "MANIFEST-UNREADABLE",
+    means="The manifest of the results cannot be read, or is not one that unbend wrote.",
+    effect="The command is refused.",
+    remedy="Run the mission again with --force, or choose another folder.",
+)
+VERIFY_NO_MANIFEST = Code(
+    "VERIFY-NO-MANIFEST",
+    means="There is no manifest: no run ever finished in this folder.",
+    effect="`verify` ends with 5.",
+    remedy="Run the mission.",
+)
+VERIFY_DAMAGED = Code(
+    "VERIFY-DAMAGED",
+    means="Results are not whole, or were changed.",
+    effect="`verify` ends with 5.",
+    remedy="Run the mission again.",
+)
+
+
+def output_in_use(*, path: str) -> OutputInUseError:
+    """Another process holds the lock of a folder of results."""
+    return OutputInUseError(
+        OUTPUT_IN_USE,
+        "another process is writing to this folder",
+        where=path,
+        remedy="wait for it, or choose another output.path",
+    )
+
+
+def published_meanwhile(*, url: str) -> OutputInUseError:
+    """Another run was published at a URL after this one began."""
+    return OutputInUseError(
+        OUTPUT_IN_USE,
+        "another run was published there meanwhile; this one was not",
+        where=url,
+        remedy="see which of the two is wanted, and run that again",
+    )
+
+
+def output_of_other_mission(*, path: str, other: str, name: str) -> ConfigError:
+    """The manifest in the output folder is that of a mission of another name."""
+    return ConfigError(
+        OUTPUT_OTHER,
+        "the folder holds the results of mission {other}, and {name} would replace them",
+        where=path,
+        remedy="give each mission an output.path of its own, or remove the other results",
+        other=other,
+        name=name,
+    )
+
+
+def output_over_input(*, role: str, path: str, output: str) -> ConfigError:
+    """An input, or the mission file, lies where results will be."""
+    return ConfigError(
+        OUTPUT_OVER_INPUT,
+        "the {role} file is among the results that a run replaces in {output}",
+        where=path,
+        remedy="move it elsewhere, or choose another output.path",
+        role=role,
+        output=output,
+    )
+
+
+def output_shared(*, first: str) -> ConfigError:
+    """An earlier mission of the command writes to the same folder."""
+    return ConfigError(
+        OUTPUT_SHARED,
+        "writes to the same folder as {first}",
+        where="output.path",
+        remedy="give each mission a folder of its own",
+        first=first,
+    )
+
+
+def folder_not_lockable(*, path: str, error: str) -> StorageError:
+    """The file system of a folder has no locks."""
+    return StorageError(
+        STORAGE_LOCK,
+        "the folder cannot be locked: {error}",
+        where=path,
+        remedy="choose an output.path on a disk that can lock files",
+        error=error,
+    )
+
+
+def files_not_ours(*, path: str, results: Sequence[str]) -> StorageError:
+    """Files are named like results, and nothing says that unbend wrote them."""
+    return StorageError(
+        STORAGE_NOT_OURS,
+        "{results} would be replaced, but there is no manifest.json that says that unbend wrote "
+        "them",
+        where=path,
+        remedy="choose an output.path of its own for the results, or remove these",
+        results=", ".join(results),
+    )
+
+
+def result_is_link(*, path: str, name: str) -> StorageError:
+    """A symbolic link stands where a result will be written."""
+    return StorageError(
+        STORAGE_SYMLINK,
+        "{name} is a symbolic link",
+        where=path,
+        remedy="remove it: results are never written through a link",
+        name=name,
+    )
+
+
+def manifest_unreadable(*, path: str, error: str) -> StorageError:
+    """The manifest cannot be read, or is no JSON."""
+    return StorageError(
+        MANIFEST_UNREADABLE,
+        "the manifest cannot be read: {error}",
+        where=path,
+        remedy="run the mission again with --force",
+        error=error,
+    )
+
+
+def manifest_not_ours(*, path: str) -> StorageError:
+    """The manifest is JSON, but lacks what every manifest of unbend has."""
+    return StorageError(
+        MANIFEST_UNREADABLE,
+        "manifest.json is not one that unbend wrote",
+        where=path,
+        remedy="choose another folder, or remove that file and the results beside it",
+    )
+
+
+def no_manifest(*, path: str) -> StorageError:
+    """A finished run is wanted, and the folder has no manifest."""
+    return StorageError(
+        VERIFY_NO_MANIFEST,
+        "there is no manifest: the run never finished here",
+        where=path,
+        remedy="run the mission",
+    )
+
+
+def results_damaged(*, path: str, damage: Sequence[str]) -> StorageError:
+    """Results are missing or changed; ``damage`` has a line for each."""
+    return StorageError(
+        VERIFY_DAMAGED,
+        "results are damaged: {count}\n    {lines}",
+        where=path,
+        count=len(damage),
+        remedy="run the mission again; finished results are made anew",
+        lines="\n    ".join(damage),
+    )
+
+
+# Missions of a command
+
+CAMPAIGN_MISSION = Code(
+    "CAMPAIGN-MISSION",
+    means="The option --mission names a mission that the campaign does not have.",
+    effect="The command is refused; nothing was run.",
+    remedy="Give the name that stands in mission.name.",
+)
+RUN_SHARD = Code(
+    "RUN-SHARD",
+    means="The part of the missions asked for does not exist.",
+    effect="Nothing is run.",
+    remedy="Count from 0: --shard 0/8 to --shard 7/8.",
+)
+WORKER_LOST = Code(
+    "WORKER-LOST",
+    means="The process that ran the mission died twice.",
+    effect="The mission is refused, with the command that repeats it; the others are done.",
+    remedy="Repeat it alone. The machine may be short of memory: lower output.batch_rows.",
+)
+RESULTS_ELSEWHERE = Code(
+    "RESULTS-ELSEWHERE",
+    means="A mission was run on another machine, and its results are not in the folder here.",
+    effect="The mission is refused here; the results are where that machine put them.",
+    remedy="Give all machines the same folders under the same paths.",
+)
+
+
+def no_such_mission(*, name: str, known: Sequence[str]) -> ConfigError:
+    """No mission of the command has the name that --mission gives."""
+    return ConfigError(
+        CAMPAIGN_MISSION,
+        "no mission is called {name!r}; there is {known}",
+        where="--mission",
+        remedy="give --mission a name as mission.name has it",
+        name=name,
+        known=", ".join(known),
+    )
+
+
+def no_such_shard(*, shard: str) -> ConfigError:
+    """--shard is not K/N with K below N."""
+    return ConfigError(
+        RUN_SHARD,
+        "{shard} is no part of the missions",
+        where="--shard",
+        remedy="give --shard 0/8 to --shard 7/8 for eight parts, counted from 0",
+        shard=shard,
+    )
+
+
+def worker_lost(*, path: str, first: str, second: str, replay: str) -> MissionError:
+    """A mission ended its process twice, the second time alone; ``replay`` is its command."""
+    return MissionError(
+        WORKER_LOST,
+        "the process that ran this mission died ({first}), and so did a second one ({second})",
+        where=path,
+        remedy="repeat it alone: {replay}; where memory is short, lower output.batch_rows or take "
+        "a larger machine",
+        first=first,
+        second=second,
+        replay=replay,
+    )
+
+
+def results_elsewhere(*, path: str, name: str) -> MissionError:
+    """A worker says that a mission is done, and its results are not in this folder here."""
+    return MissionError(
+        RESULTS_ELSEWHERE,
+        "{name} was run on another machine, and the results are not in this folder here",
+        where=path,
+        remedy="give all machines the same folders under the same paths (a shared file system), "
+        "or run it here",
+        name=name,
+    )
+
+
+# Dask
+
+SCHEDULER_EXTRA = Code(
+    "SCHEDULER-EXTRA",
+    means="The library of the scheduler is not installed.",
+    effect="Nothing is run.",
+    remedy="pip install 'unbend[dask]'.",
+)
+SCHEDULER_FILE = Code(
+    "SCHEDULER-FILE",
+    means="The file of the scheduler is not there, or is no such file.",
+    effect="Nothing is run.",
+    remedy="Give the file that dask scheduler --scheduler-file wrote, or an address.",
+)
+SCHEDULER_LOST = Code(
+    "SCHEDULER-LOST",
+    means="The connection to the scheduler ended while missions were run.",
+    effect="Missions that had not ended are refused; the others are done.",
+    remedy="Start the scheduler, and run again.",
+)
+SCHEDULER_NONE = Code(
+    "SCHEDULER-NONE",
+    means="No Dask scheduler answers at the address.",
+    effect="Nothing is run.",
+    remedy="Start one, and give its address or its file.",
+)
+SCHEDULER_WORKERS = Code(
+    "SCHEDULER-WORKERS",
+    means="The scheduler has no workers.",
+    effect="Nothing is run.",
+    remedy="Start some: dask worker ADDRESS.",
+)
+WORKER_FILES = Code(
+    "WORKER-FILES",
+    means="A worker does not see mission files.",
+    effect="Nothing is run.",
+    remedy="Give all machines the same folders under the same paths.",
+)
+WORKER_VERSION = Code(
+    "WORKER-VERSION",
+    means="A worker has other versions of the program, Python or a library.",
+    effect="Nothing is run; a worker that comes later refuses its missions.",
+    remedy="Give all machines one environment, or one image.",
+)
+
+
+def dask_missing(*, error: str) -> ConfigError:
+    """--scheduler is given, and distributed cannot be imported."""
+    return ConfigError(
+        SCHEDULER_EXTRA,
+        "the library of the scheduler is not installed: {error}",
+        where="--scheduler",
+        remedy="pip install 'unbend[dask]'",
+        error=error,
+    )
+
+
+def scheduler_file_invalid(*, path: str, error: str) -> ConfigError:
+    """--scheduler is neither an address nor the file of a scheduler."""
+    return ConfigError(
+        SCHEDULER_FILE,
+        "this is neither an address of a scheduler nor the file of one: {error}",
+        where=path,
+        remedy="give tcp://host:port, or the file that dask scheduler --scheduler-file wrote",
+        error=error,
+    )
+
+
+def scheduler_lost(*, address: str, error: str) -> MissionError:
+    """The scheduler went away while missions ran."""
+    return MissionError(
+        SCHEDULER_LOST,
+        "the connection to the scheduler ended: {error}",
+        where=address,
+        remedy="start it, then run again: finished missions are kept",
+        error=error,
+    )
+
+
+def no_scheduler(*, address: str, error: str) -> ConfigError:
+    """Nobody answers at the address of a scheduler."""
+    return ConfigError(
+        SCHEDULER_NONE,
+        "no Dask scheduler answers there: {error}",
+        where=address,
+        remedy="start one (dask scheduler), and give its address, as tcp://host:8786, or its file",
+        error=error,
+    )
+
+
+def no_workers(*, address: str) -> ConfigError:
+    """The scheduler is there, and no worker is."""
+    return ConfigError(
+        SCHEDULER_WORKERS,
+        "the scheduler has no workers",
+        where=address,
+        remedy="start some: dask worker ADDRESS --nthreads 1",
+    )
+
+
+def files_not_seen(*, worker: str, first: str, count: int) -> ConfigError:
+    """A worker looks for mission files that are not in its folders."""
+    return ConfigError(
+        WORKER_FILES,
+        "{count} files of missions are not where this worker looks; the first is {first}",
+        one="1 file of missions is not where this worker looks: {first}",
+        where=worker,
+        count=count,
+        remedy="give all machines the same folders under the same paths (a shared file system)",
+        first=first,
+    )
+
+
+def other_versions(*, worker: str, other: Sequence[str]) -> ConfigError:
+    """A worker would compute with other versions."""
+    return ConfigError(
+        WORKER_VERSION,
+        "a worker has other versions, and would give other numbers: {other}",
+        where=worker,
+        remedy="give all machines one environment, or one image",
+        other=", ".join(other),
+    )
+
+
+def worker_unable(*, worker: str, error: str) -> ConfigError:
+    """A worker cannot even import the program."""
+    return ConfigError(
+        WORKER_VERSION,
+        "a worker cannot run missions: {error}",
+        where=worker,
+        remedy="install the same version of unbend there: one environment, or one image",
+        error=error,
+    )
+
+
+# Object storage
+
+CLOUD_BUCKET = Code(
+    "CLOUD-BUCKET",
+    means="The bucket or container of a URL is not there, or lies in another region.",
+    effect="Nothing is read or written.",
+    remedy="Make it, or correct the URL, AWS_REGION or AZURE_STORAGE_ACCOUNT_NAME.",
+)
+CLOUD_CLOCK = Code(
+    "CLOUD-CLOCK",
+    means="The clock of this machine and that of the store differ by more than 15 minutes: the "
+    "store takes no signature.",
+    effect="Nothing is computed.",
+    remedy="Set the clock.",
+)
+CLOUD_CREDENTIALS = Code(
+    "CLOUD-CREDENTIALS",
+    means="There are no credentials for a URL, or the store does not know them. They are those of "
+    "the environment: AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or AZURE_STORAGE_ACCOUNT_NAME "
+    "and AZURE_STORAGE_ACCOUNT_KEY (or AZURE_STORAGE_SAS_KEY), or the role of the machine.",
+    effect="Nothing is computed.",
+    remedy="Set them; never write them into a mission file.",
+)
+CLOUD_DENIED = Code(
+    "CLOUD-DENIED",
+    means="The credentials are known and may not do this: read, list, write or delete.",
+    effect="Nothing is computed.",
+    remedy="Ask for the right; results need all four, inputs reading and listing.",
+)
+CLOUD_EXTRA = Code(
+    "CLOUD-EXTRA",
+    means="A URL is named, and obstore, which reads and writes object storage, is not installed.",
+    effect="The mission is refused.",
+    remedy='pip install "unbend[cloud]", or name files here.',
+)
+CLOUD_FAILED = Code(
+    "CLOUD-FAILED",
+    means="A request to object storage failed after some tries: no network, a wrong endpoint, or "
+    "an answer that is not known.",
+    effect="What was published before stays; results that were made are kept in the user's cache.",
+    remedy="Look at the network, then run again: only what is missing is done.",
+)
+CLOUD_UNCONDITIONAL = Code(
+    "CLOUD-UNCONDITIONAL",
+    means="The store has no conditional writes: of two runs that publish at once both would seem "
+    "to win.",
+    effect="Nothing is computed.",
+    remedy="Take another store, or an output folder.",
+)
+
+
+def url_invalid(*, url: str, why: str) -> ConfigError:
+    """A URL names no object; ``url`` is what of it may be repeated."""
+    return ConfigError(
+        URL_INVALID,
+        "this is no URL of object storage: {why}",
+        where=url,
+        remedy="write s3://bucket/key or az://container/key, with the credentials in the "
+        "environment",
+        why=why,
+    )
+
+
+def url_for_command(*, url: str, command: str) -> ConfigError:
+    """A URL is given to a command that takes paths."""
+    return ConfigError(
+        URL_INVALID,
+        "{command} takes no URLs: it reads and writes files of this machine",
+        where=url,
+        remedy="copy the object to a file and name that; in a mission file, inputs and "
+        "output.path may be URLs",
+        command=command,
+    )
+
+
+def url_for_export(*, url: str) -> ConfigError:
+    """The file of an export is a URL."""
+    return ConfigError(
+        URL_INVALID,
+        "only the results of a run go to object storage",
+        where=url,
+        remedy="export to a file here, and copy that",
+    )
+
+
+def obstore_missing(*, url: str) -> ConfigError:
+    """A URL is named, and obstore is not installed."""
+    return ConfigError(
+        CLOUD_EXTRA,
+        "object storage is read and written by obstore, which is not installed",
+        where=url,
+        remedy="pip install 'unbend[cloud]', or name files here",
+    )
+
+
+def no_bucket(*, url: str, answer: str) -> StorageError:
+    """The bucket of a URL is not there."""
+    return StorageError(
+        CLOUD_BUCKET,
+        "the bucket or container is not there, or in another region ({answer})",
+        where=url,
+        remedy="make it first, or correct the URL; the region is that of AWS_REGION, the account "
+        "that of AZURE_STORAGE_ACCOUNT_NAME",
+        answer=answer,
+    )
+
+
+def wrong_clock(*, url: str, answer: str) -> StorageError:
+    """The store takes no signature of a clock that is off."""
+    return StorageError(
+        CLOUD_CLOCK,
+        "the clock here is wrong for this store ({answer})",
+        where=url,
+        remedy="set the clock of this machine; stores refuse more than 15 minutes",
+        answer=answer,
+    )
+
+
+def wrong_credentials(*, url: str, answer: str) -> StorageError:
+    """The store does not know the credentials of the environment."""
+    return StorageError(
+        CLOUD_CREDENTIALS,
+        "the store does not know these credentials ({answer})",
+        where=url,
+        remedy="look at the variables of the environment that begin with AWS_ or AZURE_; `unbend "
+        "help CLOUD-CREDENTIALS` names them",
+        answer=answer,
+    )
+
+
+def no_credentials(*, url: str, scheme: str) -> StorageError:
+    """The environment has no credentials."""
+    return StorageError(
+        CLOUD_CREDENTIALS,
+        "there are no credentials for {scheme}://",
+        where=url,
+        remedy="set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or AZURE_STORAGE_ACCOUNT_NAME "
+        "and AZURE_STORAGE_ACCOUNT_KEY, or run where the machine has a role",
+        scheme=scheme,
+    )
+
+
+def not_allowed(*, url: str, verb: str, answer: str) -> StorageError:
+    """The credentials may not read, list, write or delete there."""
+    return StorageError(
+        CLOUD_DENIED,
+        "these credentials may not {verb} there ({answer})",
+        where=url,
+        remedy="inputs need reading and listing; results need writing and deleting too",
+        verb=verb,
+        answer=answer,
+    )
+
+
+def request_failed(*, url: str, verb: str, answer: str) -> StorageError:
+    """The store could not do what it was asked."""
+    return StorageError(
+        CLOUD_FAILED,
+        "the store could not {verb} it; its answer: {answer}",
+        where=url,
+        remedy="look at the network and at AWS_ENDPOINT_URL if that is set, then run again",
+        verb=verb,
+        answer=answer,
+    )
+
+
+def writes_unconditional(*, url: str) -> StorageError:
+    """The store does not look at the condition of a write."""
+    return StorageError(
+        CLOUD_UNCONDITIONAL,
+        "the store overwrites what it was asked to write only if nothing is there",
+        where=url,
+        remedy="results need a store with conditional writes (If-None-Match and If-Match); take "
+        "another, or a folder",
+    )

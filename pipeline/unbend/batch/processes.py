@@ -1,0 +1,209 @@
+"""Missions side by side in processes of this machine.
+
+Each process is a pool of its own: when a mission kills its process, no other one is lost with it,
+and it is known which mission it was.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from multiprocessing.process import BaseProcess
+from queue import SimpleQueue
+from types import FrameType
+from typing import TYPE_CHECKING
+
+from unbend.batch.executors import Bug, Ends, Lost, Outcome, Task, TaskEnd, end_of
+from unbend.exit_codes import EXIT_INTERRUPTED
+from unbend.interrupts import held_back
+from unbend.refraction.kernels.threads import usable_cpus
+
+if TYPE_CHECKING:
+    from unbend.config.campaign import MissionRef
+
+GRACE_S = 3.0
+"""How long a process that was asked to stop may clean up before it is killed: 5 s are promised."""
+
+
+class MissionProcess:
+    """A process that runs one mission at a time; it is replaced when one has killed it."""
+
+    def __init__(self, threads: int) -> None:
+        self._threads = threads
+        self._pool: ProcessPoolExecutor | None = None
+        self._process: BaseProcess | None = None
+
+    def submit(self, task: Callable[[], TaskEnd]) -> Future[TaskEnd]:
+        """Begin a task; `end` says how it ended."""
+        try:
+            return self._submit(task)
+        except BrokenProcessPool:  # the process was killed while it had nothing to do
+            self._close()
+            return self._submit(task)
+
+    def _submit(self, task: Callable[[], TaskEnd]) -> Future[TaskEnd]:
+        if self._pool is None:
+            self._pool = ProcessPoolExecutor(
+                max_workers=1,
+                # A fork would copy the locks of threads that it does not copy.
+                mp_context=multiprocessing.get_context("spawn"),
+                initializer=prepare_process,
+                initargs=(self._threads,),
+            )
+        with _STARTING, ctrl_c_kept_back():
+            before = set(multiprocessing.active_children())
+            future = self._pool.submit(run_task, task)
+            started = set(multiprocessing.active_children()) - before
+        if started:
+            self._process = started.pop()
+        return future
+
+    def end(self, future: Future[TaskEnd]) -> TaskEnd:
+        """How a task ended that is done; Lost where its process died."""
+        try:
+            return future.result()
+        except BrokenProcessPool:
+            self._close(wait=True)
+            code = None if self._process is None else self._process.exitcode
+            return Lost(way_of_death(code))
+        except Exception as error:  # what it returned, or is asked to do, cannot be sent
+            return Bug(f"{type(error).__name__}: {error}")
+
+    def ask_to_stop(self) -> None:
+        """Let the mission under way end as after SIGTERM."""
+        if self._process is not None and self._process.is_alive():
+            self._process.terminate()
+
+    def stop(self, deadline: float) -> None:
+        """Wait for the end of the process until a time of `time.monotonic`, then kill it."""
+        self._close()
+        if self._process is None:
+            return
+        self._process.join(max(0.0, deadline - time.monotonic()))
+        if self._process.is_alive():
+            self._process.kill()
+            self._process.join()
+
+    def _close(self, *, wait: bool = False) -> None:
+        if self._pool is not None:
+            self._pool.shutdown(wait=wait, cancel_futures=True)
+            self._pool = None
+
+
+_STARTING = threading.Lock()
+"""Held while a process starts, so that it is known whose it is."""
+
+
+@contextmanager
+def ctrl_c_kept_back() -> Iterator[None]:
+    """Start processes that do not hear Ctrl-C until `prepare_process` says what they do then."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def stop_all(processes: Iterable[MissionProcess]) -> None:
+    """Stop some processes, whatever they do; after three seconds they are killed."""
+    stopping = list(processes)
+    for process in stopping:
+        process.ask_to_stop()
+    deadline = time.monotonic() + GRACE_S
+    for process in stopping:
+        process.stop(deadline)
+
+
+def prepare_process(threads: int) -> None:
+    """In a new process: its share of the CPUs, its answer to signals, and no life of its own."""
+    os.environ["UNBEND_THREADS"] = str(threads)
+    os.environ["OPENBLAS_NUM_THREADS"] = "1"  # as the command line does
+    # What a library prints must not get among what the command prints.
+    os.dup2(2, 1)
+    # Ctrl-C goes to all processes of a terminal; the command tells this one to stop.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, stop_at_signal)
+    threading.Thread(target=end_with_parent, daemon=True).start()
+
+
+def stop_at_signal(_: int, __: FrameType | None) -> None:
+    """End the mission under way; a second signal must not stop the cleaning up."""
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    raise SystemExit(EXIT_INTERRUPTED)
+
+
+def end_with_parent() -> None:
+    """End this process when the one that started it has died: whoever runs the mission next needs
+    the lock of its folder."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+    os._exit(EXIT_INTERRUPTED)
+
+
+def run_task(task: Callable[[], TaskEnd]) -> TaskEnd:
+    """In a process: run a mission; only a receipt of its outcome is sent back."""
+    end = end_of(task)
+    return end.receipt() if isinstance(end, Outcome) else end
+
+
+def way_of_death(code: int | None) -> str:
+    """What an exit code of a process says, in words.
+
+    >>> way_of_death(-9), way_of_death(3), way_of_death(0xC0000005)
+    ('killed by SIGKILL', 'exit code 3', 'exit code 0xC0000005')
+    """
+    if code is None:
+        return "it ended, and left no exit code"
+    if code < 0:
+        return f"killed by {signal.Signals(-code).name}"
+    if code < 256:
+        return f"exit code {code}"
+    return f"exit code 0x{code:08X}"
+
+
+class Processes:
+    """Side by side in processes of this machine, which are kept from mission to mission."""
+
+    def __init__(self, jobs: int) -> None:
+        self._jobs = jobs
+
+    def run(self, tasks: Mapping[MissionRef, Task], *, alone: bool = False) -> Ends:
+        """How each ended, as soon as it did. A mission is assigned when a process is free."""
+        jobs = 1 if alone else min(self._jobs, len(tasks))
+        threads = max(1, usable_cpus() // jobs)
+        processes = [MissionProcess(threads) for _ in range(jobs)]
+        waiting = iter(tasks.items())
+        # The main thread waits for nothing else: a signal interrupts that without a lock held.
+        done: SimpleQueue[tuple[MissionProcess, MissionRef, Future[TaskEnd]]] = SimpleQueue()
+
+        def begin_next(process: MissionProcess) -> None:
+            mission, task = next(waiting, (None, None))
+            if mission is None or task is None:
+                return
+            future = process.submit(task)
+            future.add_done_callback(lambda ended: done.put((process, mission, ended)))
+
+        try:
+            with held_back():
+                for process in processes:
+                    begin_next(process)
+            for _ in tasks:
+                process, mission, future = done.get()
+                with held_back():
+                    end = process.end(future)
+                    begin_next(process)
+                yield mission, end
+        finally:
+            with held_back():
+                stop_all(processes)

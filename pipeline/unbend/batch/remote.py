@@ -1,0 +1,363 @@
+"""The door to object storage: inputs are fetched before a run, results are published after it.
+
+Below a place of results lie ``attempts/<uuid>/`` with the files of a run,
+``runs/<fingerprint>.json``, which the first writer of that run creates, and ``manifest.json``,
+which names the attempt to read. A writer replaces the manifest only where it is still the one that
+was there before its run; it publishes no attempt but its own, and so may remove that at any time
+before.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import shutil
+import time
+import uuid
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from errno import ENOENT
+from pathlib import Path
+from typing import Any
+
+from unbend.batch import messages
+from unbend.batch.manifest import MANIFEST, damage_of, manifest_text, parse_manifest
+from unbend.batch.object_store import Place, is_url
+from unbend.caches import forget_oldest, user_cache
+from unbend.errors import UnbendError, storage_errors
+
+__all__ = ["Place", "is_url"]
+
+# Inputs
+
+_MOST_BYTES = 50_000_000_000
+"""Copies kept beyond a day after their last use; what is used longest ago goes first."""
+
+_STORE_VARIABLES = ("AWS_ENDPOINT_URL", "AWS_ENDPOINT_URL_S3", "AZURE_STORAGE_ACCOUNT_NAME")
+"""Variables of the environment that say which store a URL leads to."""
+
+
+@dataclass(frozen=True)
+class RemoteInput:
+    """An input in object storage, in one version.
+
+    ``version`` changes where its content does, or where its URL leads to another store.
+    """
+
+    place: Place
+    version: str
+    size_bytes: int
+    mtime_ns: int
+
+    @property
+    def copy(self) -> Path:
+        """Where its copy is, or will be: a path of the same name."""
+        key = hashlib.sha256(f"{self.place}\0{self.version}".encode()).hexdigest()[:32]
+        return Path(user_cache()) / "copies" / key / self.place.name
+
+
+def objects_of(place: Place) -> dict[str, dict[str, Any]]:
+    """The objects of an input by their names: one, or all below a folder; FileNotFoundError."""
+    if not place.is_folder:
+        return {"": place.head()}
+    found = {name: meta for name, meta in place.objects().items() if name}
+    if not found:
+        raise FileNotFoundError(ENOENT, os.strerror(ENOENT), str(place))
+    for name in found:
+        Place.of(f"{place}/{name}")  # refuses names that would lead out of the folder
+    return found
+
+
+def look_up(place: Place) -> RemoteInput:
+    """An input as it is in storage now; FileNotFoundError where there is none."""
+    objects = objects_of(place)
+    parts = [os.environ.get(name) for name in _STORE_VARIABLES]
+    for name, meta in sorted(objects.items()):
+        changed = meta["e_tag"] or meta["last_modified"]
+        parts += [name, str(changed), str(meta["version"]), str(meta["size"])]
+    newest = max(meta["last_modified"] for meta in objects.values())
+    return RemoteInput(
+        place=place,
+        version=hashlib.sha256(repr(parts).encode()).hexdigest(),
+        size_bytes=sum(meta["size"] for meta in objects.values()),
+        mtime_ns=int(newest.timestamp()) * 1_000_000_000,
+    )
+
+
+def fetch(remote: RemoteInput, *, anew: bool = False) -> Path:
+    """The copy of an input, made where it is not there yet, or ``anew``.
+
+    Refuses (INPUT-CHANGED) an object that changes or goes while it is read.
+    """
+    place = remote.place
+    copy = remote.copy
+    kept = copy.parent
+    draft = kept.with_suffix(f".{os.getpid()}.draft")
+    if anew:
+        shutil.rmtree(kept, ignore_errors=True)
+    with storage_errors(copy):
+        if not copy.exists():
+            try:
+                for name in objects_of(place):
+                    target = draft / place.name / name
+                    target.parent.mkdir(parents=True, exist_ok=True)
+                    with target.open("wb") as file:
+                        file.writelines((place / name).blocks())
+                refuse_changed(remote, role=place.name)
+                with suppress(OSError):  # another process was faster
+                    draft.replace(kept)
+            except FileNotFoundError:  # one was removed since
+                raise messages.input_changed(role=place.name, path=str(place)) from None
+            finally:
+                shutil.rmtree(draft, ignore_errors=True)
+            forget_oldest(str(kept.parent), _MOST_BYTES)
+        os.utime(kept)
+    return copy
+
+
+def refuse_changed(remote: RemoteInput, *, role: str) -> None:
+    """Refuse (INPUT-CHANGED) an input that has another version now, or is gone."""
+    with suppress(FileNotFoundError):
+        if look_up(remote.place).version == remote.version:
+            return
+    raise messages.input_changed(role=role, path=str(remote.place))
+
+
+# Results
+
+_WAIT_S = 10.0
+"""How long a writer waits for a faster writer of the same run to publish it."""
+
+_CLOCK_TOLERANCE = timedelta(minutes=15)  # beyond it stores take no signature
+
+_NEVER = {"e_tag": '"00000000000000000000000000000000"', "version": "1"}
+"""A version that no object has."""
+
+
+def read_manifest(place: Place, *, damaged: bool = False) -> dict[str, Any] | None:
+    """The manifest published at a place; None where there is none, or ``damaged`` a damaged one."""
+    file = place / MANIFEST
+    content = file.read()[0]
+    if content is None:
+        return None
+    try:
+        return parse_manifest(content, str(file), of_attempt=True)
+    except UnbendError:
+        if damaged:
+            return None
+        raise
+
+
+def attempt_of(place: Place, manifest: dict[str, Any]) -> Place:
+    """Where the files of a published run lie."""
+    return place / f"attempts/{manifest['attempt']}"
+
+
+def copy_of_attempt(place: Place, manifest: dict[str, Any]) -> Path:
+    """A copy of the files of a published run; FileNotFoundError where they are gone."""
+    attempt = Place.of(f"{attempt_of(place, manifest)}/")
+    return fetch(look_up(attempt))
+
+
+def find_damage(place: Place, manifest: dict[str, Any], *, read: bool = True) -> list[str]:
+    """What is missing or changed of a published run; without ``read`` no content is looked at.
+
+    No file of an attempt is written twice.
+    """
+    attempt = attempt_of(place, manifest)
+    sizes = {name: int(meta["size"]) for name, meta in attempt.objects().items()}
+
+    def hash_of(name: str) -> str | None:
+        return (attempt / name).sha256() if read else None
+
+    return damage_of(manifest, sizes, hash_of)
+
+
+def rehearse(place: Place, *, writes: bool = False) -> None:
+    """Refuse credentials that may not write, a clock that is off, a store that does not compare.
+
+    Tried by a write that must fail; ``writes`` also writes an object and removes it.
+    """
+    name = f"attempts/{uuid.uuid4().hex}/probe"
+    probe = place / name
+    content = b"written to see whether it can be; nothing reads it"
+    try:
+        conditional = not probe.put(content, _NEVER)
+        if conditional and writes:
+            conditional = probe.put(content, None) and not probe.put(content, None)
+            late = abs(datetime.now(UTC) - probe.head()["last_modified"])
+            if late > _CLOCK_TOLERANCE:
+                raise messages.wrong_clock(url=str(place), answer=f"off by {late}")
+            place.remove([name])
+        if not conditional:
+            raise messages.writes_unconditional(url=str(place))
+    except UnbendError:
+        with suppress(UnbendError):
+            place.remove([name])
+        raise
+
+
+class Publication:
+    """What is published at a place before a run, to be replaced by that run alone."""
+
+    def __init__(self, place: Place, fingerprint: str) -> None:
+        self._place = place
+        self._fingerprint = fingerprint
+        self._run = place / run_name(fingerprint)
+        self._version = (place / MANIFEST).read()[1]
+        self._run_version = self._run.read()[1]
+        self._before = read_manifest(place, damaged=True)
+
+    def publish(
+        self, folder: Path, manifest: dict[str, Any], advance: Callable[[int], None]
+    ) -> dict[str, Any]:
+        """Upload the results of a folder and publish them; the manifest that is then there.
+
+        Of several writers of the same run the first wins, and the others return its manifest.
+        Refuses (OutputInUseError) where another run was published since. ``advance`` is called
+        with the bytes of each file.
+        """
+        attempt = uuid.uuid4().hex
+        own = manifest | {"attempt": attempt}
+        content = manifest_text(own).encode()
+        try:
+            self._upload(folder, own, advance)
+            is_first = self._run.put(content, self._run_version)
+            published = None if is_first else self._of_another_writer()
+        except BaseException:
+            with suppress(UnbendError):
+                self._remove(attempt)
+            raise
+        if published is None:
+            # An answer may be lost: what is there then says which was published.
+            swapped = (self._place / MANIFEST).put(content, self._version)
+            published = own if swapped else read_manifest(self._place) or {"attempt": ""}
+        if published["attempt"] != attempt:
+            self._remove(attempt)
+            if published.get("fingerprint") != self._fingerprint:
+                self._place.remove([run_name(self._fingerprint)])
+                raise messages.published_meanwhile(url=str(self._place))
+        self._remove_former(published)
+        return published
+
+    def _upload(
+        self, folder: Path, manifest: dict[str, Any], advance: Callable[[int], None]
+    ) -> None:
+        attempt = attempt_of(self._place, manifest)
+        for item in manifest["outputs"]:
+            (attempt / item["name"]).put(folder / item["name"], "overwrite")
+            advance(item["bytes"])
+        damage = find_damage(self._place, manifest, read=False)
+        if damage:
+            raise messages.request_failed(
+                url=str(self._place), verb="write", answer=", ".join(damage)
+            )
+
+    def _of_another_writer(self) -> dict[str, Any] | None:
+        """The manifest of the same run by a faster writer; None where that did not publish it."""
+        deadline = time.monotonic() + _WAIT_S
+        while time.monotonic() < deadline:
+            now = read_manifest(self._place, damaged=True)
+            if now is not None and now != self._before and now["fingerprint"] == self._fingerprint:
+                return now
+            time.sleep(0.2)
+        return None
+
+    def _remove_former(self, published: dict[str, Any]) -> None:
+        """Remove what was published before, where something else is now."""
+        before = self._before
+        if before is None or before["attempt"] == published["attempt"]:
+            return
+        self._remove(before["attempt"])
+        if before["fingerprint"] != self._fingerprint:
+            self._place.remove([run_name(before["fingerprint"])])
+
+    def _remove(self, attempt: str) -> None:
+        of_attempt = self._place / f"attempts/{attempt}"
+        of_attempt.remove(of_attempt.objects())
+
+
+def run_name(fingerprint: str) -> str:
+    """The object that the first writer of a run creates."""
+    return f"runs/{fingerprint}.json"
+
+
+def would_replace(output: Place, place: Place) -> bool:
+    """Whether a run that publishes at a place removes or replaces an input, or one in a folder."""
+    if place.is_folder and output.is_below(place):
+        return True
+    return any(place.is_below(output / name) for name in ("attempts", "runs", MANIFEST))
+
+
+_OURS = re.compile(
+    r"(?P<start>(?:.+/)?)"
+    r"(?:attempts/(?P<attempt>[0-9a-f]{32})/(?P<file>.+)|runs/(?P<run>[0-9a-f]{64})\.json)"
+)
+"""Objects that are named as those of a run."""
+
+_FILE = re.compile(r"(observations/part-\d{5,}|stations|profile)\.parquet|report\.html|probe")
+"""Names of files of an attempt."""
+
+_YOUNG = timedelta(hours=1)  # an upload of this age may still go on
+
+
+class _Leftovers:
+    """Attempts and runs below a place that no published manifest names, with their objects."""
+
+    def __init__(self, place: Place) -> None:
+        self.objects = place.objects()
+        self.groups: dict[str, list[str]] = {}
+        self._place = place
+        self._published: dict[str, tuple[str, ...]] = {}
+        foreign: set[str] = set()
+        for name in self.objects:
+            found = _OURS.fullmatch(name)
+            if found is None or (found["attempt"] or found["run"]) in self._kept(found["start"]):
+                continue
+            group = name
+            if found["attempt"]:
+                group = f"{found['start']}attempts/{found['attempt']}/"
+            self.groups.setdefault(group, []).append(name)
+            if not self._is_ours(name, found):
+                foreign.add(group)
+        for group in foreign:
+            del self.groups[group]
+
+    def _kept(self, start: str) -> tuple[str, ...]:
+        """Attempt and fingerprint of what is published; read after the listing."""
+        if start not in self._published:
+            now = read_manifest(self._place / start)
+            known = () if now is None else (now["attempt"], now["fingerprint"])
+            self._published[start] = known
+        return self._published[start]
+
+    def _is_ours(self, name: str, found: re.Match[str]) -> bool:
+        if found["attempt"]:
+            return _FILE.fullmatch(found["file"]) is not None
+        content = (self._place / name).read()[0] or b""
+        return f'"fingerprint": "{found["run"]}"'.encode() in content
+
+    def is_young(self, group: str) -> bool:
+        """Whether an object of it was written within the last hour."""
+        newest: datetime = max(self.objects[name]["last_modified"] for name in self.groups[group])
+        return newest >= datetime.now(UTC) - _YOUNG
+
+
+def remove_leftovers(place: Place, *, recent: bool = False) -> tuple[list[str], int]:
+    """Remove what killed runs left at a place and below it; what, and how many of them stay.
+
+    What is of the last hour stays, except with ``recent``, and so do other programs' objects.
+    """
+    leftovers = _Leftovers(place)
+    removed = []
+    kept = 0
+    for group, names in leftovers.groups.items():
+        if not recent and leftovers.is_young(group):
+            kept += 1
+        else:
+            place.remove(names)
+            removed.append(f"{place}/{group}")
+    return removed, kept

@@ -1,0 +1,43 @@
+"""Results where they are: in a folder, or published in object storage."""
+
+from pathlib import Path
+from typing import Any
+
+from unbend.batch import messages, remote, store
+from unbend.batch.remote import Place
+
+
+def read_manifest(output: Path | Place, *, damaged: bool = False) -> dict[str, Any] | None:
+    """The manifest of a run's results; None where there is none, or ``damaged`` a damaged one."""
+    if isinstance(output, Place):
+        return remote.read_manifest(output, damaged=damaged)
+    return store.read_manifest(output, damaged=damaged)
+
+
+def find_damage(output: Path | Place, manifest: dict[str, Any], *, read: bool = True) -> list[str]:
+    """What is missing or changed of a run's results, one line each; empty when nothing is.
+
+    Without ``read`` only files are read that changed after the manifest was written.
+    """
+    if isinstance(output, Place):
+        return remote.find_damage(output, manifest, read=read)
+    return store.find_damage(output, manifest, read=read)
+
+
+def manifest_of_run(output: Path | Place) -> dict[str, Any]:
+    """The manifest of a finished run; refuses (VERIFY-NO-MANIFEST) a place without."""
+    manifest = read_manifest(output)
+    if manifest is None:
+        raise messages.no_manifest(path=str(output))
+    return manifest
+
+
+def verify_run(output: Path | Place) -> dict[str, Any]:
+    """The manifest of a run whose results are whole and unchanged; refuses any other."""
+    manifest = manifest_of_run(output)
+    damage = find_damage(output, manifest)
+    if not damage:
+        return manifest
+    if isinstance(output, Place) and read_manifest(output) != manifest:
+        return verify_run(output)  # another run was published while this one was read
+    raise messages.results_damaged(path=str(output), damage=damage)

@@ -1,0 +1,133 @@
+"""Missions that are as they were, known without checking their files: a fifth of the time.
+
+The manifest holds a hash of the mission file as it was understood then. Where that is the same,
+and so are the versions, the sizes and times of the inputs, and the results, nothing would run.
+"""
+
+import hashlib
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from unbend.batch.fingerprint import versions_of
+from unbend.batch.input_files import (
+    GDAL,
+    InputRecord,
+    NamedInput,
+    files_of,
+    is_raster,
+    record_of,
+    state_of,
+)
+from unbend.batch.remote import is_url
+from unbend.batch.store import STAGING, find_damage, read_manifest
+from unbend.config import Mission
+from unbend.config.campaign import MissionRef
+from unbend.config.defaults import merged
+
+
+@dataclass(frozen=True)
+class Unchanged:
+    """A mission that would not run: its name, and the manifest of the run that is there."""
+
+    name: str
+    output: Path
+    manifest: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class LoadedMission:
+    """A mission as understood; ``text_sha256`` of what it was read from, "" where that changed."""
+
+    mission: Mission
+    text_sha256: str
+
+
+def load(ref: MissionRef) -> LoadedMission:
+    """Read and check a mission file."""
+    before = text_hash(ref)
+    mission = ref.load()
+    unchanged = text_hash(ref) == before
+    return LoadedMission(mission, before if unchanged else "")
+
+
+def text_hash(ref: MissionRef) -> str:
+    """SHA-256 of all that a mission is read from; "" where its file cannot be read."""
+    try:
+        return hash_of_text(ref, text_of(ref))
+    except OSError:
+        return ""
+
+
+def text_of(ref: MissionRef) -> bytes:
+    """The text of a mission, which may stand in a campaign file."""
+    return ref.own.encode() if ref.own else ref.path.read_bytes()
+
+
+def hash_of_text(ref: MissionRef, text: bytes) -> str:
+    """SHA-256 of the text of a mission with the defaults of its campaign."""
+    return hashlib.sha256(ref.defaults.encode() + b"\0" + text).hexdigest()
+
+
+def find_unchanged(ref: MissionRef) -> Unchanged | None:
+    """The mission, if it is unchanged; None where that takes a full comparison to know."""
+    try:
+        text = text_of(ref)
+        name, path = name_and_output(ref, text)
+    except (OSError, AttributeError, KeyError, TypeError, ValueError, yaml.YAMLError):
+        return None
+    if is_url(path):
+        return None
+    output = Path(os.path.normpath(ref.folder / path))
+    # A run that is under way, or was interrupted, has a staging folder.
+    if os.path.lexists(output / STAGING):
+        return None
+    manifest = read_manifest(output, damaged=True)
+    if manifest is None or manifest["mission"] != name:
+        return None
+    if manifest.get("mission_file_sha256") != hash_of_text(ref, text):
+        return None
+    records = [InputRecord.of_row(row) for row in manifest["inputs"]]
+    roles = [record.role for record in records]
+    standard = manifest["config"]["atmosphere"]["standard"]
+    if versions_of(roles, standard) != manifest["versions"]:
+        return None
+    if not all(is_as_recorded(record, ref.folder) for record in records):
+        return None
+    if find_damage(output, manifest, read=False):
+        return None
+    return Unchanged(name, output, manifest)
+
+
+def name_and_output(ref: MissionRef, text: bytes) -> tuple[str, str]:
+    """Name and output path of a mission, from its text alone; KeyError where it has none.
+
+    All scalars are taken for words: a text that was ever understood has words there.
+    """
+    own = yaml.load(text, yaml.CBaseLoader)
+    defaults = json.loads(ref.defaults) if ref.defaults else {}
+    values = merged(_about_results(defaults), _about_results(own))
+    return str(values["mission"]["name"]), str(values["output"]["path"])
+
+
+def _about_results(sections: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: sections[name] for name in ("mission", "output") if name in sections}
+
+
+def is_as_recorded(record: InputRecord, folder: Path) -> bool:
+    """Whether an input in a file, or a raster, has the size and time that a manifest says."""
+    raster = is_raster(record.role)
+    if is_url(record.name) or (record.version and not raster):
+        return False  # of blocks and folders of images: which files count, only formats know
+    named = NamedInput(record.role, key="", name=record.name, program=GDAL if raster else None)
+    path = folder / record.name
+    if not path.is_file():
+        return False
+    files = files_of(path, named.program)
+    now = record_of(named, files, tuple(state_of(file) for file in files))
+    return now.is_like(record)

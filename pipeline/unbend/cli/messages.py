@@ -1,0 +1,110 @@
+"""Refusals of command lines: codes and their words."""
+
+from unbend.errors import Code, ConfigError, StorageError
+
+RUN_ARGUMENTS = Code(
+    "RUN-ARGUMENTS",
+    means="Options of `run` that do not go together.",
+    effect="Nothing is run.",
+    remedy="Leave one of them out.",
+)
+INSPECT_ARGUMENTS = Code(
+    "INSPECT-ARGUMENTS",
+    means="The options of `unbend inspect` do not go together.",
+    effect="The command is refused.",
+    remedy="For example: unbend inspect flight.bin --type BARO --csv.",
+)
+ANGLE_ARGUMENTS = Code(
+    "ANGLE-ARGUMENTS",
+    means="One angle is asked for with options of the table of angles, or the other way round.",
+    effect="The command is refused.",
+    remedy="Give --nadir-angle for one angle; leave it out for a table.",
+)
+PROFILE_ARGUMENTS = Code(
+    "PROFILE-ARGUMENTS",
+    means="Either a mission file or --atmosphere is needed, not both.",
+    effect="The command is refused.",
+    remedy="For example: --atmosphere us1976.",
+)
+PAGE_FORMAT = Code(
+    "PAGE-FORMAT",
+    means="The page is Markdown, and the file does not end in .md.",
+    effect="The command is refused.",
+    remedy="Choose a name that ends in .md.",
+)
+INIT_EXISTS = Code(
+    "INIT-EXISTS",
+    means="`unbend init` would write over a file that is there already.",
+    effect="Nothing was written.",
+    remedy="Choose another name with --out, or replace the file with --force.",
+)
+
+
+def jobs_and_scheduler() -> ConfigError:
+    """`run` is given processes of this machine, and a scheduler of others."""
+    return ConfigError(
+        RUN_ARGUMENTS,
+        "--jobs and --scheduler do not go together",
+        remedy="the workers of the scheduler say how many missions run at the same time",
+    )
+
+
+def inspect_options() -> ConfigError:
+    """`inspect` is given options of one type of messages without a type, or CSV as JSON."""
+    return ConfigError(
+        INSPECT_ARGUMENTS,
+        "--csv and --instance go with --type, and --csv not with --json",
+        remedy="for example: unbend inspect flight.bin --type BARO --csv",
+    )
+
+
+def angle_options(*, options: str, other: str) -> ConfigError:
+    """`angle` is given options that go with ``other`` alone."""
+    return ConfigError(
+        ANGLE_ARGUMENTS,
+        "{options}: only for {other}",
+        remedy="give --nadir-angle and one --camera-height for one angle; leave --nadir-angle out "
+        "for a table",
+        options=options,
+        other=other,
+    )
+
+
+def one_atmosphere_wanted() -> ConfigError:
+    """A mission file and the name of an atmosphere are given, or neither."""
+    return ConfigError(
+        PROFILE_ARGUMENTS,
+        "give either a mission file or --atmosphere",
+        remedy="for example: --atmosphere us1976",
+    )
+
+
+def page_not_markdown(*, path: str, suffix: str) -> ConfigError:
+    """The page of the comparison of methods is not called .md."""
+    return ConfigError(
+        PAGE_FORMAT,
+        "the page is Markdown and ends in .md, not in {suffix}",
+        where=path,
+        remedy="its picture gets the same name with .png",
+        suffix=suffix or "nothing",
+    )
+
+
+def file_exists(*, path: str) -> ConfigError:
+    """The mission file that `init` would write is there."""
+    return ConfigError(
+        INIT_EXISTS,
+        "the file is there already",
+        where=path,
+        remedy="choose another name with --out, or replace it: --force",
+    )
+
+
+def no_place_for_compiled_code(*, path: str) -> StorageError:
+    """Nothing can be compiled ahead, because no folder keeps it."""
+    return StorageError(
+        "STORAGE-WRITE",
+        "compiled code cannot be kept there",
+        where=path,
+        remedy="correct its permissions, or name another folder in NUMBA_CACHE_DIR",
+    )

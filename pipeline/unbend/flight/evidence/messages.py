@@ -1,0 +1,242 @@
+"""What the evidence of a log says: its codes, and one function for each message and refusal."""
+
+from unbend.errors import Code, Counted, MissionError
+from unbend.messages import Message, fallback, loss, note, warning
+
+SENSOR_RANGE = Code(
+    "SENSOR-RANGE",
+    means="Samples are outside what is physically possible.",
+    effect="They are not used.",
+    remedy="Check the sensor, if there are many.",
+)
+
+
+def samples_out_of_range(
+    *, channel: str, column: str, count: int, total: int, limits: str
+) -> Message:
+    """Samples that cannot be true."""
+    return loss(
+        SENSOR_RANGE,
+        "{count} of {total_samples} of {column} are {limits} and are not used",
+        one="1 of {total_samples} of {column} is {limits} and is not used",
+        where=channel,
+        count=count,
+        total_samples=Counted(total, "sample"),
+        column=column,
+        limits=limits,
+    )
+
+
+def samples_not_a_number(*, channel: str, column: str, count: int, total: int) -> Message:
+    """Samples without a value."""
+    return samples_out_of_range(
+        channel=channel, column=column, count=count, total=total, limits="not a number"
+    )
+
+
+def heights_impossible(
+    *, channel: str, column: str, count: int, total: int, first_m: float, first_row: int
+) -> Message:
+    """Heights out of range, or that jump there and back."""
+    return loss(
+        SENSOR_RANGE,
+        "{count} of {total_values} of {column} are impossible or jump there and back, the first "
+        "{first_m:.0f} m in row {first_row}; not used",
+        one="1 of {total_values} of {column} is impossible or jumps there and back, {first_m:.0f} "
+        "m in row {first_row}; not used",
+        where=channel,
+        count=count,
+        total_values=Counted(total, "value"),
+        column=column,
+        first_m=first_m,
+        first_row=first_row,
+    )
+
+
+SENSOR_JUMP = Code(
+    "SENSOR-JUMP",
+    means="Samples jump faster than a vehicle or the air can change.",
+    effect="They are not used.",
+    remedy="Check the sensor, if there are many.",
+)
+
+
+def samples_jump(*, where: str, count: int, total: int, first_s: float) -> Message:
+    """Samples that neither side can reach."""
+    return loss(
+        SENSOR_JUMP,
+        "{count} of {total_samples} jump faster than a vehicle or the air can change, the first "
+        "{first_s:.3f} s after the first sample; not used",
+        one="1 of {total_samples} jumps faster than a vehicle or the air can change, "
+        "{first_s:.3f} s after the first sample; not used",
+        where=where,
+        count=count,
+        total_samples=Counted(total, "sample"),
+        first_s=first_s,
+    )
+
+
+SENSOR_NOISE = Code(
+    "SENSOR-NOISE",
+    means="Samples jump so often that which of them are wrong cannot be decided.",
+    effect="All are used.",
+    remedy="Check the sensor, or name another channel.",
+)
+
+
+def samples_are_noise(*, where: str, count: int, total: int) -> Message:
+    """A series that jumps too often for single samples to be wrong."""
+    return warning(
+        SENSOR_NOISE,
+        "{count} of {total_samples} are farther from the one before than a vehicle or the air can "
+        "change: which of them are wrong cannot be decided",
+        where=where,
+        count=count,
+        total_samples=Counted(total, "sample"),
+    )
+
+
+SENSOR_ODD = Code(
+    "SENSOR-ODD",
+    means=(
+        "The median of a column is outside the range of its quantity: another unit, or not of "
+        "air or aircraft."
+    ),
+    effect="It is not checked further.",
+    remedy="State its unit under log.channels, if it is used.",
+)
+
+
+def median_is_odd(
+    *, channel: str, column: str, samples: int, median: float, limits: str
+) -> Message:
+    """The median of a column is outside what can be true."""
+    return warning(
+        SENSOR_ODD,
+        "the median of {column} is {median:.4g}, {limits}: it has another unit, or does not "
+        "measure air or aircraft; its samples are not checked",
+        where=channel,
+        count=samples,
+        column=column,
+        median=median,
+        limits=limits,
+    )
+
+
+ATTITUDE_ALIGNED = Code(
+    "ATTITUDE-ALIGNED",
+    means="The attitude jumped and stayed, as when the filter is aligned or reset.",
+    effect="The samples of the jump are not used.",
+    remedy="Nothing, unless images were taken there.",
+)
+
+
+def attitude_aligned(*, where: str, count: int) -> Message:
+    """An attitude that jumps and stays: the filter was aligned or reset."""
+    return note(
+        ATTITUDE_ALIGNED,
+        "not used: {count} samples in which the filter was aligned or reset",
+        one="not used: 1 sample in which the filter was aligned or reset",
+        where=where,
+        count=count,
+    )
+
+
+CHANNEL_UNIT = Code(
+    "CHANNEL-UNIT",
+    means=(
+        "The values of a channel look like another unit, or the stated unit is none of its "
+        "quantity."
+    ),
+    effect="The mission is refused.",
+    remedy="State the unit: log.channels.<role>: {name: NAME, unit: hPa}.",
+)
+
+
+def unit_looks_wrong(
+    *, channel: str, role: str, column: str, median: float, unit: str
+) -> MissionError:
+    """The median of a column has the size of another unit."""
+    return MissionError(
+        CHANNEL_UNIT,
+        "the median of {column} is {median:.4g}: that looks like {unit}",
+        where=f"channel {channel}, role {role}",
+        remedy="say so in the mission file: log.channels.{role}: {{name: {channel}, unit: {unit}}}",
+        channel=channel,
+        role=role,
+        column=column,
+        median=median,
+        unit=unit,
+    )
+
+
+BARO_DRIFT = Code(
+    "BARO-DRIFT",
+    means=(
+        "The pressure of the barometer drifts away from the GNSS height in a stretch of the flight."
+    ),
+    effect="Its pressure is not used there.",
+    remedy="Check the barometer: a blocked port or icing drifts like this.",
+)
+
+
+def barometer_drifts(*, barometer: str, reason: str, when: str) -> Message:
+    """A barometer leaves the height of a receiver that is right."""
+    return warning(
+        BARO_DRIFT,
+        "{reason}: its pressure is not used from {when}",
+        where=barometer,
+        reason=reason,
+        when=when,
+    )
+
+
+STATIONS_STAND_IN = Code(
+    "STATIONS-STAND-IN",
+    means="In a part of the flight another source replaces one that is wrong.",
+    effect="Its values are used there.",
+    remedy="Nothing; see the reason.",
+)
+
+
+def another_source_stands_in(
+    *, count: int, when: str, first: str, quantity: str, source: str, reason: str
+) -> Message:
+    """Exposures whose position or height another source gives."""
+    return fallback(
+        STATIONS_STAND_IN,
+        "{exposures} from {when}, the first {first}: {where} from {source}, because {reason}",
+        where=quantity,
+        count=count,
+        exposures=Counted(count, "exposure"),
+        when=when,
+        first=first,
+        source=source,
+        reason=reason,
+    )
+
+
+STATIONS_SUSPECT = Code(
+    "STATIONS-SUSPECT",
+    means="In a stretch of the flight the log contradicts itself, and nothing can stand in.",
+    effect="These stations are suspect: no corrected values unless stations.use_suspect.",
+    remedy="See the reason; give a trajectory computed afterwards.",
+)
+
+
+def stations_suspect(
+    *, count: int, when: str, first: str, quantity: str, off_m: float | None, reason: str
+) -> Message:
+    """Exposures in a stretch where evidence contradicts a quantity."""
+    far = "" if off_m is None else f", up to {off_m:.0f} m off"
+    return loss(
+        STATIONS_SUSPECT,
+        "{exposures} from {when}, the first {first}: {where} is suspect{far}: {reason}",
+        where=quantity,
+        count=count,
+        exposures=Counted(count, "exposure"),
+        when=when,
+        first=first,
+        far=far,
+        reason=reason,
+    )

@@ -1,0 +1,1070 @@
+"""What the flight room says: its codes, and one function for each message and refusal."""
+
+from collections.abc import Sequence
+
+from unbend.errors import Code, Counted, MissionError
+from unbend.messages import Message, finding, loss, note, warning
+
+# The clock.
+
+TIME_FIT = Code(
+    "TIME-FIT",
+    means="How UTC follows from the log's clock, with the residuals.",
+    effect="A note; a loss where one of the two clocks stepped.",
+    remedy="Check exposures near the step, if it is a loss.",
+)
+
+
+def time_fit(*, where: str, rows: int, source: str, spread_ms: float, largest_ms: float) -> Message:
+    """How well the stamps agree that tie a vehicle's clock to UTC."""
+    return note(
+        TIME_FIT,
+        "UTC from {source}, which agree within {spread_ms:.0f} ms (p5 to p95), the farthest is "
+        "{largest_ms:.0f} ms off",
+        where=where,
+        count=rows,
+        source=source,
+        spread_ms=spread_ms,
+        largest_ms=largest_ms,
+    )
+
+
+def clock_stepped(
+    *,
+    where: str,
+    far: int,
+    source: str,
+    spread_ms: float,
+    largest_ms: float,
+    limit_ms: float,
+) -> Message:
+    """The vehicle's clock or the receiver's stepped."""
+    return loss(
+        TIME_FIT,
+        "UTC from {source}, which agree within {spread_ms:.0f} ms (p5 to p95), the farthest is "
+        "{largest_ms:.0f} ms off, {count} are off by more than {limit_ms:.0f} ms: one of the two "
+        "clocks stepped, and exposures by UTC may be that far off",
+        one="UTC from {source}, which agree within {spread_ms:.0f} ms (p5 to p95), the farthest is "
+        "{largest_ms:.0f} ms off, 1 is off by more than {limit_ms:.0f} ms: one of the two "
+        "clocks stepped, and exposures by UTC may be that far off",
+        where=where,
+        count=far,
+        source=source,
+        spread_ms=spread_ms,
+        largest_ms=largest_ms,
+        limit_ms=limit_ms,
+    )
+
+
+# Channels and their roles.
+
+ROLE = Code(
+    "ROLE",
+    means="Which channel of the log plays which role.",
+    effect="As stated.",
+    remedy="Name another under log.channels, if it is the wrong one.",
+)
+
+
+def role_filled(*, role: str, channel: str) -> Message:
+    """A channel plays a role for which the mission file names none."""
+    return note(ROLE, "{shown}: {channel}", where=role, shown=_shown(role), channel=channel)
+
+
+ROLE_AMBIGUOUS = Code(
+    "ROLE-AMBIGUOUS",
+    means="Several channels could play a role, and none of them is used.",
+    effect="The role stays empty, or another kind of sensor plays it.",
+    remedy="Name one under log.channels.<role>.",
+)
+
+
+def role_ambiguous(*, role: str, candidates: Sequence[str]) -> Message:
+    """Several channels of one rank could play a role."""
+    return warning(
+        ROLE_AMBIGUOUS,
+        "{listed} could each be the {shown}; none of them is used",
+        where=f"log.channels.{role}",
+        shown=_shown(role),
+        listed=", ".join(candidates),
+    )
+
+
+def outside_or_cabin(*, role: str, candidates: Sequence[str]) -> Message:
+    """Sensors that may be outside or in the cabin, where both are needed."""
+    return warning(
+        ROLE_AMBIGUOUS,
+        "{listed}: is it the {role} outside or in the cabin? none of them is used; name "
+        "log.channels.{role} and log.channels.cabin_{role}",
+        where=f"log.channels.{role}",
+        role=role,
+        listed=", ".join(candidates),
+    )
+
+
+CHANNEL_MISSING = Code(
+    "CHANNEL-MISSING",
+    means=(
+        "A channel that is named is not in the log or lacks the columns of its role; or a role "
+        "that is needed has no channel at all."
+    ),
+    effect="A refusal where the role is needed, else a loss: the role stays empty.",
+    remedy="Name a channel as `unbend inspect` prints it.",
+)
+
+
+def role_empty(*, role: str, channels: Sequence[str]) -> Message:
+    """No channel of the log can play a role that every mission needs."""
+    return loss(
+        CHANNEL_MISSING,
+        "no channel of the log can be taken for the {role}; it has {there}",
+        where=f"log.channels.{role}",
+        role=role,
+        there=", ".join(channels) or "no channel at all",
+    )
+
+
+def why_channel_is_missing(
+    *, name: str, needed: Sequence[str], columns: Sequence[str] | None, near: Sequence[str]
+) -> str:
+    """What is wrong with a named channel: its ``columns``, or None where the log lacks it."""
+    if columns is not None:
+        return f"{name} has no {', '.join(needed)}; it has {', '.join(columns)}"
+    if near:
+        return f"the log has no channel {name!r} (near: {', '.join(near)})"
+    return f"the log has no channel {name!r}"
+
+
+def _could_play(able: Sequence[str], *, board: bool) -> str:
+    """Which other channels could play a role, and whether a board's temperature could."""
+    others = "nothing else could play it"
+    if able:
+        others = f"could play this role: {', '.join(able)}"
+    if board:
+        others += "; atmosphere.board_temperature: true takes its board's, less some 10 K"
+    return others
+
+
+def named_channel_missing(*, role: str, why: str, able: Sequence[str], board: bool) -> Message:
+    """A channel named for a role that can stay empty."""
+    return loss(
+        CHANNEL_MISSING,
+        "{why}; {others}",
+        where=f"log.channels.{role}",
+        why=why,
+        others=_could_play(able, board=board),
+    )
+
+
+def required_channel_missing(*, role: str, why: str, able: Sequence[str]) -> MissionError:
+    """A channel named for a role without which nothing can be corrected."""
+    return MissionError(
+        CHANNEL_MISSING,
+        "{why}; {others}",
+        where=f"log.channels.{role}",
+        remedy="name a channel as `unbend inspect` prints it",
+        why=why,
+        others=_could_play(able, board=False),
+    )
+
+
+CHANNEL_TWICE = Code(
+    "CHANNEL-TWICE",
+    means="One sensor is named for the air outside and for the cabin.",
+    effect="The mission is refused.",
+    remedy="Name two sensors, or leave the window away where there is no cabin.",
+)
+
+
+def channel_twice(*, name: str, role: str) -> MissionError:
+    """One channel is named for the air outside and for that of the cabin."""
+    return MissionError(
+        CHANNEL_TWICE,
+        "{name} is named for the {role} outside and in the cabin",
+        where=f"log.channels.{role}, log.channels.cabin_{role}",
+        remedy="name two sensors, or leave the window away where there is no cabin",
+        name=name,
+        role=role,
+    )
+
+
+BARO_NOT_OUTSIDE = Code(
+    "BARO-NOT-OUTSIDE",
+    means=(
+        "A barometer does not follow GNSS height as outside air does: it is in a closed "
+        "compartment."
+    ),
+    effect="It is not taken for the pressure outside; it may be the cabin's.",
+    remedy="Nothing; name it as log.channels.cabin_pressure if the camera is in that compartment.",
+)
+
+
+def barometer_not_outside(*, channel: str) -> Message:
+    """A barometer whose pressure does not follow height as that of free air."""
+    return note(
+        BARO_NOT_OUTSIDE,
+        "{where} does not follow the GNSS height as outside air does: it is taken for a barometer "
+        "in a closed compartment",
+        where=channel,
+    )
+
+
+# Gimbals.
+
+GIMBAL_FRAME = Code(
+    "GIMBAL-FRAME",
+    means=(
+        "The attitude is that of a gimbal: the mount counts in the frame of its payload. The "
+        "entry says where each camera looks."
+    ),
+    effect="A note; a warning where the camera looks far away from the payload's forward axis.",
+    remedy="A camera that looks along the payload's forward axis has pitch_deg: 90.",
+)
+
+
+def gimbal_frame(
+    *, camera: str, attitude: str, from_forward_deg: float, from_nadir_deg: float, far: bool
+) -> Message:
+    """Where a camera on a gimbal looks; ``far`` from the forward axis of its payload."""
+    send = warning if far else note
+    return send(
+        GIMBAL_FRAME,
+        "{attitude} is the attitude: that of a gimbal's payload (forward, right, down), along "
+        "whose forward axis a camera with pitch_deg: 90 looks. By its mount {camera} looks "
+        "{from_forward_deg:.0f} deg away from that axis, and in the median {from_nadir_deg:.0f} "
+        "deg from straight down",
+        where=f"mount.{camera}",
+        camera=camera,
+        attitude=attitude,
+        from_forward_deg=from_forward_deg,
+        from_nadir_deg=from_nadir_deg,
+    )
+
+
+GIMBAL_IGNORED = Code(
+    "GIMBAL-IGNORED",
+    means="The log has a gimbal's messages, and no camera follows it.",
+    effect="Cameras are taken as fixed to the aircraft.",
+    remedy="Name the gimbal's channel under log.channels.attitude or mount.<camera>.attitude.",
+)
+
+
+def gimbal_ignored(*, listed: str) -> Message:
+    """The log has messages of a gimbal, and no camera follows it."""
+    return warning(
+        GIMBAL_IGNORED,
+        "the log has {listed} of a gimbal: no camera follows it unless its channel is named as "
+        "attitude; each is taken as fixed to the aircraft by its mount",
+        listed=listed,
+    )
+
+
+GIMBAL_YAW = Code(
+    "GIMBAL-YAW",
+    means="The yaw of the gimbal counts from the nose in some rows.",
+    effect="The yaw of the aircraft is added there.",
+    remedy="Nothing.",
+)
+
+
+def gimbal_yaw_added(*, gimbal: str, rows: int, total: int, aircraft: str) -> Message:
+    """The yaw of the aircraft is added to the angles of a gimbal."""
+    return note(
+        GIMBAL_YAW,
+        "the yaw of {where} counts from the nose in {count} of {total_rows}: that of {aircraft} "
+        "is added",
+        where=gimbal,
+        count=rows,
+        total_rows=Counted(total, "row"),
+        aircraft=aircraft,
+    )
+
+
+def gimbal_counters_motion(*, gimbal: str, rows: int, total: int, aircraft: str) -> Message:
+    """The angles of a gimbal are those of its servos, which counter the aircraft's motion."""
+    return note(
+        GIMBAL_YAW,
+        "the yaw of {where} counts from the nose in {count} of {total_rows}: its angles counter "
+        "the motion of {aircraft} and are added to its attitude",
+        where=gimbal,
+        count=rows,
+        total_rows=Counted(total, "row"),
+        aircraft=aircraft,
+    )
+
+
+# Heights.
+
+HEIGHT_GEOID = Code(
+    "HEIGHT-GEOID",
+    means="The undulation that is used is 3 m or more from EGM96; above 10 m it is a finding.",
+    effect="Heights above sea level are off by as much, if it is wrong.",
+    remedy="Check mission.undulation_m: its sign is ellipsoid minus sea level.",
+)
+
+
+def stated_undulation_off(
+    *, channel: str, rows: int, stated_m: float, own_m: float, grave: bool
+) -> Message:
+    """The undulation of the mission file is not that of the log's two heights."""
+    send = finding if grave else warning
+    return send(
+        HEIGHT_GEOID,
+        "mission.undulation_m is {stated_m:.1f} m, the two heights of {where} are {own_m:.1f} m "
+        "apart: those of the log are used where it has both",
+        where=channel,
+        count=rows,
+        stated_m=stated_m,
+        own_m=own_m,
+    )
+
+
+def undulation_off(
+    *,
+    where: str,
+    stations: int,
+    used: str,
+    off_m: float,
+    egm96_m: float,
+    other_sign_off_m: float | None,
+    grave: bool,
+) -> Message:
+    """The undulation that is used is far from EGM96; the other sign would be nearer."""
+    other_sign = ""
+    if other_sign_off_m is not None:
+        other_sign = (
+            f"; with the other sign it is {other_sign_off_m:+.1f} m from it: the undulation is the "
+            "ellipsoidal height minus the height above sea level"
+        )
+    send = finding if grave else warning
+    return send(
+        HEIGHT_GEOID,
+        "{used}, is {off_m:+.1f} m from EGM96, which has {egm96_m:.1f} m here{other_sign}",
+        where=where,
+        count=stations,
+        used=used,
+        off_m=off_m,
+        egm96_m=egm96_m,
+        other_sign=other_sign,
+    )
+
+
+HEIGHT_UNDULATION = Code(
+    "HEIGHT-UNDULATION",
+    means="The undulation at the stations, and where it comes from.",
+    effect="It relates heights above sea level and ellipsoid.",
+    remedy="Nothing.",
+)
+
+
+def undulation_used(*, where: str, stations: int, used: str) -> Message:
+    """Which undulation is used at the stations, and where it comes from."""
+    return note(HEIGHT_UNDULATION, "{used}", where=where, count=stations, used=used)
+
+
+GEOID_OUTSIDE = Code(
+    "GEOID-OUTSIDE",
+    means="Stations lie outside the geoid's grid, or in its holes.",
+    effect="Their other height is unknown.",
+    remedy="Give mission.undulation_m, or a grid that reaches as far.",
+)
+
+
+def stations_outside_geoid(*, where: str, count: int, total: int, grid: str) -> Message:
+    """Stations without an undulation."""
+    return loss(
+        GEOID_OUTSIDE,
+        "{count} of {total_stations} lie outside {grid}, or in its holes",
+        one="1 of {total_stations} lies outside {grid}, or in its holes",
+        where=where,
+        count=count,
+        total_stations=Counted(total, "station"),
+        grid=grid,
+    )
+
+
+HEIGHT_HOME = Code(
+    "HEIGHT-HOME",
+    means="The height of the take-off point, by the log.",
+    effect="Ground heights relative to it use it, where it is steady.",
+    remedy="Where it changes, state ground.home_h_msl_m.",
+)
+
+
+def home_height(*, channel: str, height_m: float) -> Message:
+    """The take-off height of a log is steady."""
+    return note(
+        HEIGHT_HOME,
+        "take-off height {height_m:.2f} m above mean sea level",
+        where=channel,
+        height_m=height_m,
+    )
+
+
+def home_height_changes(*, channel: str, low_m: float, high_m: float) -> Message:
+    """The take-off height of a log changes."""
+    return note(
+        HEIGHT_HOME,
+        "the take-off height of {where} changes between {low_m:.1f} and {high_m:.1f} m: it is not "
+        "used",
+        where=channel,
+        low_m=low_m,
+        high_m=high_m,
+    )
+
+
+HEIGHT_REFERENCE = Code(
+    "HEIGHT-REFERENCE",
+    means=(
+        "Ground heights count from a surface whose height is not known: the take-off point or "
+        "the ellipsoid."
+    ),
+    effect="The mission is refused.",
+    remedy="Give ground.home_h_msl_m, mission.undulation_m or a mission.geoid.",
+)
+
+
+def undulation_unknown() -> MissionError:
+    """Ground heights above the ellipsoid, and no station has an undulation."""
+    return MissionError(
+        HEIGHT_REFERENCE,
+        "ground heights are above the ellipsoid, and no undulation is known at any station",
+        where="ground.reference",
+        remedy="give mission.undulation_m (ellipsoidal minus mean sea level), or a mission.geoid "
+        "that reaches as far",
+    )
+
+
+def home_unknown() -> MissionError:
+    """Ground heights relative to the take-off point, whose height is not known."""
+    return MissionError(
+        HEIGHT_REFERENCE,
+        "ground heights are relative to the take-off point, of which the log gives no height, or "
+        "more than one",
+        where="ground.reference",
+        remedy="give ground.home_h_msl_m",
+    )
+
+
+HEIGHT_SAME = Code(
+    "HEIGHT-SAME",
+    means="Both heights of the log are one number: one is a copy of the other.",
+    effect="They are taken as above the sea; if they are not, stations are off by the undulation.",
+    remedy="Name another log.channels.height, or state the undulation.",
+)
+
+
+def heights_are_one(*, channel: str, rows: int, source: str, undulation_m: float | None) -> Message:
+    """Both heights of a channel are the same numbers."""
+    size = "" if undulation_m is None else f" of {undulation_m:.1f} m"
+    return warning(
+        HEIGHT_SAME,
+        "both heights of {where} are equal to the last digit in {in_rows}: one is a copy of "
+        "the other, and which of them is meant is unknown; they are taken as above mean sea "
+        "level, and the others follow by {source}: if they are above the ellipsoid, the stations "
+        "are off by the undulation{size}, and log.channels.height must name another channel",
+        where=channel,
+        count=rows,
+        in_rows=Counted(rows, "row"),
+        source=source,
+        size=size,
+    )
+
+
+# Exposures.
+
+EVENTS_CHANNEL = Code(
+    "EVENTS-CHANNEL",
+    means="The log has no event channel of this name, or several of which none is named.",
+    effect="The mission is refused.",
+    remedy="Name one under events.log.<camera>.channel, or give the times in events.csv.",
+)
+
+
+def event_channel_unknown(*, name: str | None, channels: Sequence[str]) -> MissionError:
+    """No event channel has the name, or several could be a camera's."""
+    question = "which events are this camera's?"
+    if name:
+        question = f"the log has no event channel {name!r}"
+    return MissionError(
+        EVENTS_CHANNEL,
+        "{question}; the log has {there}",
+        where="events.log",
+        remedy="name one of them as channel, or give the times of the images in events.csv",
+        question=question,
+        there=", ".join(channels) or "no camera events at all",
+    )
+
+
+EVENTS_FEEDBACK = Code(
+    "EVENTS-FEEDBACK",
+    means=(
+        "Fewer than ten triggers have a logged shutter pulse: the lag cannot be taken from the "
+        "feedback."
+    ),
+    effect="The mission is refused.",
+    remedy="Give delay_s in seconds, or name the channel of the triggers (TRIG).",
+)
+
+
+def too_few_feedback_pairs(*, camera: str, channel: str, pairs: int, needed: int) -> MissionError:
+    """Too few triggers have a logged pulse of their shutter."""
+    return MissionError(
+        EVENTS_FEEDBACK,
+        "{channel} has {triggers} whose shutter pulse was logged too; {needed} are needed "
+        "to measure the lag",
+        where=f"events.log.{camera}.delay_s",
+        remedy="give the lag in seconds; or name the channel of the triggers (TRIG) of a camera "
+        "with a feedback pin",
+        channel=channel,
+        triggers=Counted(pairs, "trigger"),
+        needed=needed,
+    )
+
+
+EVENTS_SHUTTER_LAG = Code(
+    "EVENTS-SHUTTER-LAG",
+    means="The lag of the shutter behind its trigger, by triggers whose pulse was logged too.",
+    effect="It is added to the times of all exposures of the camera.",
+    remedy="Nothing.",
+)
+
+
+def shutter_lag(
+    *, camera: str, channel: str, pairs: int, lag_ms: float, scatter_ms: float
+) -> Message:
+    """The lag of a shutter as its feedback shows it."""
+    return note(
+        EVENTS_SHUTTER_LAG,
+        "the shutter of {camera} opens {lag_ms:.0f} ms after its trigger, with a scatter of "
+        "{scatter_ms:.0f} ms, by {count} triggers whose shutter pulse was logged too",
+        where=channel,
+        count=pairs,
+        camera=camera,
+        lag_ms=lag_ms,
+        scatter_ms=scatter_ms,
+    )
+
+
+EVENTS_LOST = Code(
+    "EVENTS-LOST",
+    means="Numbers of exposures have no event, or triggers have no shutter pulse.",
+    effect="Their images have no station.",
+    remedy="Take their times from elsewhere (events.csv), or leave them out.",
+)
+
+
+def numbers_without_event(
+    *, where: str, missing: int, listed: str, first: int, last: int
+) -> Message:
+    """Numbers that a log skips between others."""
+    return loss(
+        EVENTS_LOST,
+        "{count} numbers between {first} and {last} have no event: {listed}",
+        one="1 number between {first} and {last} has no event: {listed}",
+        where=where,
+        count=missing,
+        first=first,
+        last=last,
+        listed=listed,
+    )
+
+
+def triggers_without_pulse(*, shutters: str, trigger: str, sent: int, events: int) -> Message:
+    """A camera was triggered more often than its shutter opened."""
+    return loss(
+        EVENTS_LOST,
+        "{sent} of {trigger}, {events} of {where}: {count} pulses were lost, their images have "
+        "no station",
+        one="{sent} of {trigger}, {events} of {where}: 1 pulse was lost, its image has no station",
+        where=shutters,
+        count=sent - events,
+        sent=Counted(sent, "trigger"),
+        events=Counted(events, "shutter event"),
+        trigger=trigger,
+    )
+
+
+EVENTS_ON_GROUND = Code(
+    "EVENTS-ON-GROUND",
+    means="Exposures were made while the aircraft stood on the ground: test shots.",
+    effect=(
+        "A note; a warning where they are in the observations, a loss where they are more than "
+        "half of all."
+    ),
+    remedy="Check the times of the events if it is a loss.",
+)
+
+
+def exposures_on_ground(*, names: Sequence[str], measured: int, most: bool) -> Message:
+    """Exposures of an aircraft on the ground; ``most`` of all, or some ``measured`` ones."""
+    send = note
+    if most:
+        send = loss
+    elif measured:
+        send = warning
+    in_observations = ""
+    if measured == 1:
+        in_observations = "; 1 of them is in the observations"
+    elif measured:
+        in_observations = f"; {measured} of them are in the observations"
+    return send(
+        EVENTS_ON_GROUND,
+        "{count} exposures were made while the aircraft stood on the ground: "
+        "{listed}{in_observations}",
+        one="1 exposure was made while the aircraft stood on the ground: {listed}{in_observations}",
+        where="events",
+        count=len(names),
+        listed=first_names(names, 5),
+        in_observations=in_observations,
+    )
+
+
+EVENTS_REPEATED = Code(
+    "EVENTS-REPEATED",
+    means="Several exposures would have the same image name.",
+    effect="The mission is refused.",
+    remedy="Give each camera a pattern of its own, or one row an image in events.csv.",
+)
+
+
+def image_names_repeated(*, total: int, example: str) -> MissionError:
+    """Several exposures have one name."""
+    return MissionError(
+        EVENTS_REPEATED,
+        "{total} image names stand for more than one exposure, for example '{example}'",
+        one="1 image name stands for more than one exposure, for example '{example}'",
+        where="events",
+        count=total,
+        remedy="give each exposure a name of its own: a pattern for each camera, or one row an "
+        "image in events.csv",
+        total=total,
+        example=example,
+    )
+
+
+EVENTS_SPAN = Code(
+    "EVENTS-SPAN",
+    means=(
+        "Events lie beyond the time of the flight; the entry gives the shift by which they "
+        "would fit."
+    ),
+    effect="A warning; refused where more than half lie beyond it.",
+    remedy=(
+        "Check the time system: GPS time is 18 s ahead of UTC, local time by its zone; or name "
+        "the log of this flight."
+    ),
+)
+
+
+_BEYOND_FLIGHT = (
+    "{count} of {total_events} lie beyond the flight: events {of_events}, "
+    "{channel} {of_flight}; {fitting} into it"
+)
+_ONE_BEYOND_FLIGHT = (
+    "1 of {total_events} lies beyond the flight: events {of_events}, "
+    "{channel} {of_flight}; {fitting} into it"
+)
+
+
+def events_beyond_flight(
+    *,
+    key: str,
+    beyond: int,
+    total: int,
+    of_events: str,
+    channel: str,
+    of_flight: str,
+    fitting: str,
+) -> Message:
+    """Few events beyond the time of the flight, and the shift by which they would fit."""
+    return warning(
+        EVENTS_SPAN,
+        _BEYOND_FLIGHT,
+        one=_ONE_BEYOND_FLIGHT,
+        where=key,
+        count=beyond,
+        total_events=Counted(total, "event"),
+        of_events=of_events,
+        channel=channel,
+        of_flight=of_flight,
+        fitting=fitting,
+    )
+
+
+def most_events_beyond_flight(
+    *,
+    key: str,
+    beyond: int,
+    total: int,
+    of_events: str,
+    channel: str,
+    of_flight: str,
+    fitting: str,
+) -> MissionError:
+    """More than half of the events are not of this flight."""
+    return MissionError(
+        EVENTS_SPAN,
+        _BEYOND_FLIGHT,
+        one=_ONE_BEYOND_FLIGHT,
+        where=key,
+        count=beyond,
+        remedy="check {where} (GPS time is 18 s ahead of UTC, local time by its zone), or add the "
+        "offset to delay_s; or name the events and the log of one flight",
+        total_events=Counted(total, "event"),
+        of_events=of_events,
+        channel=channel,
+        of_flight=of_flight,
+        fitting=fitting,
+    )
+
+
+EVENTS_TRIGGER_TIME = Code(
+    "EVENTS-TRIGGER-TIME",
+    means=(
+        "The log has the times of the trigger commands, not of the shutter, for want of a "
+        "feedback pin."
+    ),
+    effect="Exposures are 70 to 160 ms early unless delay_s says so: metres along the track.",
+    remedy="Measure the delay and state events.log.<camera>.delay_s.",
+)
+
+
+def trigger_times(*, channel: str, events: int) -> Message:
+    """The events of a camera are the commands of its trigger."""
+    return note(
+        EVENTS_TRIGGER_TIME,
+        "{where} has the times of the trigger commands, for want of a feedback pin: the shutter "
+        "opens later (70 to 160 ms were measured), which events.log.<camera>.delay_s takes into "
+        "account",
+        where=channel,
+        count=events,
+    )
+
+
+# Names of images.
+
+IMAGES_OTHER = Code(
+    "IMAGES-OTHER",
+    means=(
+        "None of the images of the observations is one of the exposures or files: their names "
+        "differ."
+    ),
+    effect="The mission is refused.",
+    remedy="State observations.match_names, or mend the pattern under events.log.<camera>.image.",
+)
+
+
+def no_image_of_camera(
+    *,
+    camera: str,
+    unknown: int,
+    image: str,
+    exposures: int,
+    example: str | None,
+    proposal: str,
+) -> MissionError:
+    """None of the exposures of a camera is an image of the observations."""
+    called = "" if example is None else f", which are called like {example!r}"
+    more = f"; {proposal}" if proposal else ""
+    return MissionError(
+        IMAGES_OTHER,
+        "none of {unknown_images} of the observations, like {image!r}, is one of the "
+        "{of_camera} of {camera}{called}{more}",
+        where=f"observations, {camera}",
+        remedy="state observations.match_names, or correct the pattern or the names of the images",
+        unknown_images=Counted(unknown, "image"),
+        image=image,
+        of_camera=Counted(exposures, "exposure"),
+        camera=camera,
+        called=called,
+        more=more,
+    )
+
+
+def difference_in_names(*, matched: int, differences: Sequence[str], name: str, image: str) -> str:
+    """How many images would have an exposure if names might differ so, for other messages."""
+    key = f"observations.match_names: [{', '.join(differences)}]"
+    return f"{matched} of them would have one with {key}, as {image!r} that of {name!r}"
+
+
+IMAGES_RENAMED = Code(
+    "IMAGES-RENAMED",
+    means="Exposures are called as the observations call them, by observations.match_names.",
+    effect="As stated.",
+    remedy="Check the example in the entry.",
+)
+
+
+def images_renamed(
+    *, where: str, count: int, differences: Sequence[str], name: str, image: str
+) -> Message:
+    """Exposures take the names that the observations have."""
+    return note(
+        IMAGES_RENAMED,
+        "{count} names are those of images of the observations but for {differences}: {name!r} is "
+        "{image!r}",
+        one="1 name is that of an image of the observations but for {differences}: {name!r} is "
+        "{image!r}",
+        where=where,
+        count=count,
+        differences=" and ".join(differences),
+        name=name,
+        image=image,
+    )
+
+
+IMAGES_UNMATCHED = Code(
+    "IMAGES-UNMATCHED",
+    means="Images of the observations have no exposure.",
+    effect="Their rows have the status no_station, without corrected values.",
+    remedy="Check the pattern or the names; lost pulses cannot be repaired.",
+)
+
+
+def images_unmatched(
+    *, images: Sequence[str], unused: Sequence[str], like: str | None, proposal: str
+) -> Message:
+    """Images of the observations without exposure, beside ``unused`` exposures or one ``like``."""
+    hint = ""
+    if unused:
+        hint = f"; exposures without observations: {first_names(unused, 3)}"
+    elif like is not None:
+        hint = f"; exposures are called like {like!r}"
+    if proposal:
+        hint += f"; {proposal}"
+    return loss(
+        IMAGES_UNMATCHED,
+        "{count} images have observations but no exposure: {listed}{hint}",
+        one="1 image has observations but no exposure: {listed}{hint}",
+        where="events",
+        count=len(images),
+        listed=first_names(images, 3),
+        hint=hint,
+    )
+
+
+# Stations.
+
+STATIONS_UNUSED = Code(
+    "STATIONS-UNUSED",
+    means="Exposures have no observations.",
+    effect="None.",
+    remedy=(
+        "None, unless IMAGES-UNMATCHED names images: their names may be mistyped, and these be "
+        "their exposures."
+    ),
+)
+
+
+def exposures_unused(*, images: Sequence[str]) -> Message:
+    """Exposures whose images have no observations."""
+    return note(
+        STATIONS_UNUSED,
+        "{count} exposures have no observations: {listed}",
+        one="1 exposure has no observations: {listed}",
+        count=len(images),
+        listed=first_names(images, 3),
+    )
+
+
+STATIONS_FLAGGED = Code(
+    "STATIONS-FLAGGED",
+    means=(
+        "Exposures have no usable station; the entry gives the status: outside_log, in_gap, "
+        "no_position, no_attitude or another."
+    ),
+    effect="Their observations have no corrected values; the run ends with 3.",
+    remedy="Check times and gaps of the log, or give a trajectory.",
+)
+
+
+def stations_flagged(*, status: str, images: Sequence[str]) -> Message:
+    """Exposures of one status that is not ok."""
+    return loss(
+        STATIONS_FLAGGED,
+        "{count} exposures are {status}: {listed}",
+        one="1 exposure is {status}: {listed}",
+        count=len(images),
+        status=status,
+        listed=first_names(images, 3),
+    )
+
+
+STATIONS_HEIGHT = Code(
+    "STATIONS-HEIGHT",
+    means="Barometer and GNSS height contradict each other at stations.",
+    effect="They are suspect, without corrected values unless stations.use_suspect.",
+    remedy="Check the log there; a trajectory may replace the heights.",
+)
+
+
+def station_heights_suspect(*, count: int, worst_hpa: float, first: str) -> Message:
+    """Stations at which barometer and GNSS height disagree."""
+    return loss(
+        STATIONS_HEIGHT,
+        "{count} stations are suspect: barometer and GNSS height are up to {worst_hpa:.0f} hPa "
+        "apart there, the first {first}",
+        one="1 station is suspect: barometer and GNSS height are {worst_hpa:.0f} hPa apart there, "
+        "{first}",
+        count=count,
+        worst_hpa=worst_hpa,
+        first=first,
+    )
+
+
+STATIONS_SIGMA = Code(
+    "STATIONS-SIGMA",
+    means=(
+        "The sigmas of the stations, in the median; as a loss, stations that are known worse "
+        "than the mission needs."
+    ),
+    effect="The run ends with 3 where it is a loss.",
+    remedy="Give a better trajectory, or relax stations.max_sigma_*.",
+)
+
+
+def stations_worse_than_needed(
+    *,
+    count: int,
+    total: int,
+    quantity: str,
+    limit: float,
+    unit: str,
+    worst: str,
+    sigma: float | None,
+) -> Message:
+    """Stations whose sigma exceeds a limit of the mission, or is not known."""
+    size = "an unknown sigma" if sigma is None else f"{sigma:.2f} {unit}"
+    return loss(
+        STATIONS_SIGMA,
+        "{count} of {total_stations} are known worse than the mission needs: {quantity} {limit:g} "
+        "{unit}, the worst is {worst} with {size}",
+        one="1 of {total_stations} is known worse than the mission needs: {quantity} {limit:g} "
+        "{unit}, it is {worst} with {size}",
+        where="stations",
+        count=count,
+        total_stations=Counted(total, "station"),
+        quantity=quantity,
+        limit=limit,
+        unit=unit,
+        worst=worst,
+        size=size,
+    )
+
+
+def station_sigmas(*, stations: int, medians: Sequence[str]) -> Message:
+    """How well the stations are known, in the median."""
+    return note(
+        STATIONS_SIGMA,
+        "sigmas of the stations, in the median: {medians}",
+        where="stations",
+        count=stations,
+        medians=", ".join(medians),
+    )
+
+
+AIRCRAFT_ATTITUDE_MISSING = Code(
+    "AIRCRAFT-ATTITUDE-MISSING",
+    means=(
+        "A window is fixed to the aircraft (frame: body), and for some exposures the attitude "
+        "of the aircraft itself is not known."
+    ),
+    effect="These stations are suspect: their observations have no corrected values.",
+    remedy="Name log.channels.aircraft_attitude.",
+)
+
+
+def aircraft_attitude_missing(*, camera: str, count: int, reason: str) -> Message:
+    """Exposures through a window that is fixed to an aircraft of unknown attitude."""
+    return loss(
+        AIRCRAFT_ATTITUDE_MISSING,
+        "{count} exposures have {reason}",
+        one="1 exposure has {reason}",
+        where=f"camera {camera}",
+        count=count,
+        reason=reason,
+    )
+
+
+# The air outside.
+
+AIR_GROUND_SOAK = Code(
+    "AIR-GROUND-SOAK",
+    means=(
+        "Readings of thermometer and hygrometer on the ground and shortly after take-off show "
+        "the airfield, not the air."
+    ),
+    effect="These readings are not used.",
+    remedy="Nothing.",
+)
+
+
+def ground_soak(*, channel: str, count: int, seconds: float) -> Message:
+    """Readings that show the airfield."""
+    return note(
+        AIR_GROUND_SOAK,
+        "{count} readings on the ground or within {seconds:.0f} s of take-off are not used",
+        one="1 reading on the ground or within {seconds:.0f} s of take-off is not used",
+        where=channel,
+        count=count,
+        seconds=seconds,
+    )
+
+
+AIR_HEIGHT_FUSED = Code(
+    "AIR-HEIGHT-FUSED",
+    means="The only height in the log is one that the autopilot fused with its barometer.",
+    effect=(
+        "The barometer gives the level of pressure, and nothing on temperatures: its height is "
+        "not a second measure."
+    ),
+    remedy="Log the receiver (GPS), or give stations.trajectory.",
+)
+
+
+def height_is_fused(*, channel: str, level_m: float) -> Message:
+    """The only height of a log follows its barometer."""
+    return warning(
+        AIR_HEIGHT_FUSED,
+        "{where} is a position that the autopilot fused with its barometer, and no receiver gives "
+        "a height: pressures say nothing on temperatures, only those of the lowest {level_m:.0f} m "
+        "are used, for the level",
+        where=channel,
+        level_m=level_m,
+    )
+
+
+AIR_SUSPECT_HEIGHT = Code(
+    "AIR-SUSPECT-HEIGHT",
+    means="Readings were taken where other evidence contradicts the heights of the log.",
+    effect="They are not used.",
+    remedy="See the entries SENSOR- and STATIONS-SUSPECT on these heights.",
+)
+
+
+def readings_at_suspect_heights(*, channel: str, count: int) -> Message:
+    """Readings at heights that other evidence contradicts."""
+    return warning(
+        AIR_SUSPECT_HEIGHT,
+        "{count} readings are not used, at heights that other evidence contradicts",
+        one="1 reading is not used, at a height that other evidence contradicts",
+        where=channel,
+        count=count,
+    )
+
+
+def first_names(names: Sequence[str], most: int) -> str:
+    """The first of several names, with dots where there are more.
+
+    >>> first_names(["a", "b", "c"], 2)
+    'a, b ...'
+    """
+    listed = ", ".join(names[:most])
+    if len(names) > most:
+        return f"{listed} ..."
+    return listed
+
+
+def _shown(role: str) -> str:
+    return role.replace("_", " ")

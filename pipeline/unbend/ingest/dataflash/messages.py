@@ -1,0 +1,194 @@
+"""What the reader of ArduPilot logs says: codes, and one function for each message."""
+
+from collections.abc import Sequence
+
+from unbend.errors import Code, Counted
+from unbend.ingest.messages import LOG_FIELDS
+from unbend.messages import Message, fallback, loss, note, warning
+
+LOG_BAD_FORMAT = Code(
+    "LOG-BAD-FORMAT",
+    means="A record that defines a message type is not valid.",
+    effect="Messages of that type are not read; a note where there are none.",
+    remedy="Copy the log again.",
+)
+
+
+def bad_definition(*, file: str, definition: str) -> Message:
+    """A definition is damaged, and bytes of the log belong to no record."""
+    return loss(
+        LOG_BAD_FORMAT,
+        "an FMT record is not valid: {definition}",
+        where=file,
+        count=1,
+        definition=definition,
+    )
+
+
+def unused_bad_definition(*, file: str, definition: str) -> Message:
+    """A definition is damaged, and all bytes are of records that are defined."""
+    return note(
+        LOG_BAD_FORMAT,
+        "an FMT record is not valid: {definition}; there is no record of it",
+        where=file,
+        definition=definition,
+    )
+
+
+LOG_REDEFINED = Code(
+    "LOG-REDEFINED",
+    means="A field changes between text and numbers within the log.",
+    effect="Its values of the other kind are in no channel.",
+    remedy="Nothing, unless the channel is needed.",
+)
+
+
+def field_redefined(*, message: str, field: str, count: int, total: int) -> Message:
+    """Two definitions of a message give one field as text and as number."""
+    return loss(
+        LOG_REDEFINED,
+        "{count} of {total} values of {field} are of another kind, text or numbers, than in the "
+        "last definition of the log: they are in its table, in no channel",
+        one="1 of {total} values of {field} is of another kind, text or number, than in the "
+        "last definition of the log: it is in its table, in no channel",
+        where=message,
+        count=count,
+        total=total,
+        field=field,
+    )
+
+
+def no_utc_fields(*, message: str, count: int, fields: Sequence[str]) -> Message:
+    """The rows of a receiver lack what UTC is made of."""
+    return loss(
+        LOG_FIELDS,
+        "{count} rows give no UTC: the log defines no field {fields}",
+        one="1 row gives no UTC: the log defines no field {fields}",
+        where=message,
+        count=count,
+        fields=", ".join(fields),
+    )
+
+
+def no_time_field(*, message: str, count: int) -> Message:
+    """The rows of a message carry no time."""
+    return loss(
+        LOG_FIELDS,
+        "{count} rows have no time: the log defines no field TimeUS",
+        one="1 row has no time: the log defines no field TimeUS",
+        where=message,
+        count=count,
+    )
+
+
+def no_text_field(*, message: str, field: str) -> Message:
+    """What the autopilot says is not defined as text."""
+    return loss(
+        LOG_FIELDS,
+        "its rows hold no text: the log defines no field {field} for it",
+        where=message,
+        field=field,
+    )
+
+
+def fields_not_numbers(*, message: str, count: int, fields: Sequence[str]) -> Message:
+    """Fields that should be numbers are defined as texts or arrays."""
+    return loss(
+        LOG_FIELDS,
+        "{fields} of {rows} hold no numbers, by their definition",
+        where=message,
+        count=count,
+        fields=", ".join(fields),
+        rows=Counted(count, "row"),
+    )
+
+
+def columns_without_field(*, message: str, count: int, columns: Sequence[str]) -> Message:
+    """No field of a message gives a column that its roles need."""
+    return loss(
+        LOG_FIELDS,
+        "{count} rows have no {columns}: the log defines no field for it",
+        one="1 row has no {columns}: the log defines no field for it",
+        where=message,
+        count=count,
+        columns=", ".join(columns),
+    )
+
+
+LOG_INSTANCE = Code(
+    "LOG-INSTANCE",
+    means="Single rows have a sensor number that no other row has: damage.",
+    effect="They are not used.",
+    remedy="Copy the log again.",
+)
+
+
+def stray_instances(
+    *, message: str, count: int, numbers: Sequence[int], most: int, main: int
+) -> Message:
+    """A few rows are of instances beside one with a hundred times as many."""
+    return loss(
+        LOG_INSTANCE,
+        "{count} rows are of instances ({numbers}) that no other row has, beside {most} of "
+        "instance {main}: damage, they are not used",
+        one="1 row is of an instance ({numbers}) that no other row has, beside {most} of instance "
+        "{main}: damage, it is not used",
+        where=message,
+        count=count,
+        numbers=", ".join(map(str, numbers)),
+        most=most,
+        main=main,
+    )
+
+
+TIME_WEEK_ROLLOVER = Code(
+    "TIME-WEEK-ROLLOVER",
+    means="A receiver counts GPS weeks modulo 1024.",
+    effect="The full week is taken.",
+    remedy="Nothing.",
+)
+
+
+def week_rollover(*, receiver: str, boot: int, count: int, week: int, full: int) -> Message:
+    """The week of a receiver lies before logs of this kind existed."""
+    return warning(
+        TIME_WEEK_ROLLOVER,
+        "{count} GPS rows have week {week}, before logs of this kind existed: the receiver counts "
+        "modulo 1024, taken as {full}",
+        one="1 GPS row has week {week}, before logs of this kind existed: the receiver counts "
+        "modulo 1024, taken as {full}",
+        where=f"{receiver}, boot {boot}",
+        count=count,
+        week=week,
+        full=full,
+    )
+
+
+EVENTS_FIX_TIME = Code(
+    "EVENTS-FIX-TIME",
+    means="Exposures of an old log have no time of their own; it follows from the GNSS fix that "
+    "they name.",
+    effect="Allowed substitute; the time's sigma goes into the stations.",
+    remedy="Nothing; a newer firmware logs the time.",
+)
+
+
+def exposures_timed_by_fix(
+    *, count: int, known: int, unknown: int, half_interval_s: float, sigma_s: float
+) -> Message:
+    """Rows of CAM name the last fix instead of their own time."""
+    return fallback(
+        EVENTS_FIX_TIME,
+        "{count} exposures have no time since boot: {known} get that of the fix that they name "
+        "and half an interval of the receiver ({half_interval_s:.3f} s), with a sigma of "
+        "{sigma_s:.3f} s; {unknown} get the time of the record before them",
+        one="1 exposure has no time since boot: {known} get that of the fix that they name "
+        "and half an interval of the receiver ({half_interval_s:.3f} s), with a sigma of "
+        "{sigma_s:.3f} s; {unknown} get the time of the record before them",
+        where="CAM",
+        count=count,
+        known=known,
+        unknown=unknown,
+        half_interval_s=half_interval_s,
+        sigma_s=sigma_s,
+    )

@@ -1,0 +1,516 @@
+"""What the reader of MCAP logs says: codes, and one function for each message and refusal."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from unbend.errors import Code, Counted, LogError
+from unbend.ingest.messages import (
+    LOG_BAD_BYTES,
+    LOG_CRC,
+    LOG_LINK_LOSS,
+    LOG_NO_TABLE,
+    LOG_TRUNCATED,
+    TIME_NO_UTC,
+)
+from unbend.messages import Message, fallback, loss, note
+
+# Damage of the file; the count is in bytes.
+
+
+def file_beginning_damaged(*, where: str, count: int) -> Message:
+    """The first bytes are not those of an MCAP."""
+    return loss(
+        LOG_BAD_BYTES,
+        "the file begins as no MCAP does: its first bytes are damaged or lost",
+        where=where,
+        count=count,
+    )
+
+
+def file_end_damaged(*, where: str, count: int) -> Message:
+    """Behind the footer stands something else than the mark."""
+    return loss(
+        LOG_BAD_BYTES,
+        "{extra} follow the end of the log, or its mark is damaged",
+        one="{extra} follows the end of the log, or its mark is damaged",
+        where=where,
+        count=count,
+        extra=Counted(count, "byte"),
+    )
+
+
+def not_a_record(*, where: str, count: int) -> Message:
+    """Bytes between two records that are proved."""
+    return loss(
+        LOG_BAD_BYTES,
+        "{count} bytes are no record, or part of one whose length is damaged",
+        one="1 byte is no record, or part of one whose length is damaged",
+        where=where,
+        count=count,
+    )
+
+
+def definition_unreadable(*, where: str, count: int, opcode: int, reason: str) -> Message:
+    """The library cannot parse a schema, channel or statistics record."""
+    return loss(
+        LOG_BAD_BYTES,
+        "a definition (opcode {opcode}) cannot be read: {reason}",
+        where=where,
+        count=count,
+        opcode=opcode,
+        reason=reason,
+    )
+
+
+def chunk_head_invalid(*, where: str, count: int) -> Message:
+    """The lengths in the head of a chunk contradict each other."""
+    return loss(LOG_BAD_BYTES, "a chunk has no valid head", where=where, count=count)
+
+
+def compression_unknown(*, where: str, count: int, compression: str) -> Message:
+    """A chunk is compressed in a way that MCAP does not define."""
+    return loss(
+        LOG_BAD_BYTES,
+        "a chunk is compressed with {compression!r}, which is not known",
+        where=where,
+        count=count,
+        compression=compression,
+    )
+
+
+def chunk_not_inflated(*, where: str, count: int, reason: str) -> Message:
+    """The library cannot inflate a chunk."""
+    return loss(
+        LOG_BAD_BYTES,
+        "a chunk does not inflate ({reason})",
+        where=where,
+        count=count,
+        reason=reason,
+    )
+
+
+def chunk_of_another_size(*, where: str, count: int, size: int, stated: int) -> Message:
+    """A chunk inflates to another size than its head states; of a larger one less was read."""
+    inflated = str(Counted(size, "byte")) if size < stated else "more"
+    return loss(
+        LOG_BAD_BYTES,
+        "a chunk inflates to {inflated}, its head states {stated}",
+        where=where,
+        count=count,
+        inflated=inflated,
+        stated=stated,
+    )
+
+
+def chunk_not_records(*, where: str, count: int, size: int) -> Message:
+    """Bytes inside an inflated chunk are no record."""
+    return loss(
+        LOG_BAD_BYTES,
+        "{count} of {size} bytes of a chunk are no record",
+        one="1 of {size} bytes of a chunk is no record",
+        where=where,
+        count=count,
+        size=size,
+    )
+
+
+def chunk_end_not_records(*, where: str, count: int, size: int) -> Message:
+    """The end of a large chunk holds no record."""
+    return loss(
+        LOG_BAD_BYTES,
+        "the last {count} of {size} bytes of a chunk are no record",
+        where=where,
+        count=count,
+        size=size,
+    )
+
+
+def chunk_checksum_fails(*, where: str, count: int) -> Message:
+    """The checksum of a chunk is not that of what it inflates to."""
+    return loss(LOG_CRC, "a chunk fails its checksum", where=where, count=count)
+
+
+def summary_checksum_fails(*, where: str) -> Message:
+    """The checksum in the footer is not that of the summary."""
+    return loss(
+        LOG_CRC,
+        "the summary is not where the footer says, or fails its checksum",
+        where=where,
+    )
+
+
+def data_checksum_fails(*, where: str) -> Message:
+    """The checksum at the end of the data is not theirs."""
+    return loss(LOG_CRC, "the data section fails its checksum", where=where)
+
+
+_NO_FOOTER = (
+    "without the footer that a closed MCAP has: the recorder died or the copy is incomplete, and "
+    "whatever came after is lost"
+)
+
+
+def no_footer(*, where: str, count: int) -> Message:
+    """The file ends between two records."""
+    return loss(LOG_TRUNCATED, f"the file ends {_NO_FOOTER}", where=where, count=count)
+
+
+def record_cut_off(*, where: str, count: int, length: int, opcode: int) -> Message:
+    """The file ends in a record."""
+    return loss(
+        LOG_TRUNCATED,
+        "a record of {length} (opcode {opcode}) where {left} are left: it ends " + _NO_FOOTER,
+        one="a record of {length} (opcode {opcode}) where {left} is left: it ends " + _NO_FOOTER,
+        where=where,
+        count=count,
+        length=Counted(length, "byte"),
+        opcode=opcode,
+        left=Counted(count, "byte"),
+    )
+
+
+def more_places(*, like: Message, places: int, count: int) -> Message:
+    """Further damage of a kind whose first places are named one by one."""
+    values = {"places": Counted(places, "more place")}
+    return replace(like, text="{places} like that", count=count, values=values)
+
+
+# What is larger than reason allows.
+
+LOG_TOO_LARGE = Code(
+    "LOG-TOO-LARGE",
+    means="A chunk or a number of names is beyond all reason: damage, or a bomb.",
+    effect="It is not read.",
+    remedy="Copy the log again.",
+)
+
+
+def chunk_too_large(
+    *, where: str, count: int, packed: int, size: int, largest: int, ratio: int, free: int
+) -> Message:
+    """A chunk inflates to more than any recorder writes; limits in bytes and as a ratio."""
+    return loss(
+        LOG_TOO_LARGE,
+        "a chunk of {packed} would inflate to {size}; the limit is {largest}, and {ratio} times "
+        "its own size beyond {free}: it is skipped",
+        where=where,
+        count=count,
+        packed=Counted(packed, "byte"),
+        size=size,
+        largest=largest,
+        ratio=ratio,
+        free=free,
+    )
+
+
+def chunks_too_large(
+    *, where: str, count: int, packed: int, size: int, left: int, limit: int
+) -> Message:
+    """All chunks together inflate to more than a file of this size may hold."""
+    return loss(
+        LOG_TOO_LARGE,
+        "a chunk of {packed} would inflate to {size}, and the chunks before it left {left} of the "
+        "{limit} bytes that all chunks of a file of this size may: it is skipped",
+        where=where,
+        count=count,
+        packed=Counted(packed, "byte"),
+        size=size,
+        left=left,
+        limit=limit,
+    )
+
+
+def definition_too_large(*, where: str, count: int, opcode: int) -> Message:
+    """A schema, channel or statistics record of many MiB."""
+    return loss(
+        LOG_TOO_LARGE,
+        "a definition of {length} (opcode {opcode}) is skipped",
+        where=where,
+        count=count,
+        length=Counted(count, "byte"),
+        opcode=opcode,
+    )
+
+
+def too_many_names(*, topic: str, count: int, most: int) -> Message:
+    """The messages of a topic have more names than a log of values has."""
+    return loss(
+        LOG_TOO_LARGE,
+        "{count} messages come after {most} different names: their values are not read",
+        one="1 message comes after {most} different names: its values are not read",
+        where=topic,
+        count=count,
+        most=most,
+    )
+
+
+# Contradictions, and messages that are missing.
+
+LOG_INCONSISTENT = Code(
+    "LOG-INCONSISTENT",
+    means="The log's own counts or definitions contradict what it holds.",
+    effect="What was read is used, of definitions the first.",
+    remedy="Copy the log again, or recover it with the mcap tool.",
+)
+
+
+def summary_elsewhere(*, where: str, stated: int, found: int) -> Message:
+    """The summary does not begin where the data end."""
+    return loss(
+        LOG_INCONSISTENT,
+        "the footer says that the summary begins at byte {stated}, the data end at {found}: a part "
+        "of the file is missing",
+        where=where,
+        stated=stated,
+        found=found,
+    )
+
+
+def data_end_twice(*, where: str) -> Message:
+    """A second record says that the data end."""
+    return loss(
+        LOG_INCONSISTENT,
+        "the data end a second time: their checksum here is not checked",
+        where=where,
+    )
+
+
+def definitions_differ(*, file: str, count: int, examples: Sequence[str]) -> Message:
+    """One number is defined twice, in different ways."""
+    return loss(
+        LOG_INCONSISTENT,
+        "{count} definitions come twice and differ ({examples}): the first is used",
+        one="1 definition comes twice and differs ({examples}): the first is used",
+        where=file,
+        count=count,
+        examples=", ".join(examples),
+    )
+
+
+def statistics_differ(*, file: str, read: int, stated: int, topics: Sequence[str]) -> Message:
+    """The log's statistics state other counts than were read; ``topics``: where they differ."""
+    differ = f"; they differ for {', '.join(topics)}" if topics else ""
+    return loss(
+        LOG_INCONSISTENT,
+        "{messages} read, the log's statistics state {stated}{differ}",
+        where=file,
+        count=max(abs(stated - read), 1),
+        messages=f"{Counted(read, 'message')} {'was' if read == 1 else 'were'}",
+        stated=stated,
+        differ=differ,
+    )
+
+
+LOG_NO_STATISTICS = Code(
+    "LOG-NO-STATISTICS",
+    means="The log has no statistics: whether it is whole cannot be checked.",
+    effect="None.",
+    remedy="Nothing.",
+)
+
+
+def no_statistics(*, file: str) -> Message:
+    """An undamaged log does not state how many messages it has."""
+    return note(
+        LOG_NO_STATISTICS,
+        "the log has no statistics: whether it is whole cannot be checked",
+        where=file,
+    )
+
+
+def no_channel_of_messages(*, file: str, count: int) -> Message:
+    """The definition of a channel is missing; the count is in messages."""
+    return loss(
+        LOG_BAD_BYTES,
+        "{count} messages belong to no channel",
+        one="1 message belongs to no channel",
+        where=file,
+        count=count,
+    )
+
+
+def lost_by_recorder(*, topic: str, count: int) -> Message:
+    """The sequence numbers of a topic have gaps."""
+    return loss(
+        LOG_LINK_LOSS,
+        "{count} messages are missing by their sequence numbers: the recorder did not get them, or "
+        "they are damaged",
+        one="1 message is missing by its sequence number: the recorder did not get it, or "
+        "it is damaged",
+        where=topic,
+        count=count,
+    )
+
+
+LOG_REORDERED = Code(
+    "LOG-REORDERED",
+    means="Messages are elsewhere in the file than their numbers and times say.",
+    effect="They are put in order.",
+    remedy="Nothing.",
+)
+
+
+def messages_reordered(*, topic: str, first: int, count: int, total: int) -> Message:
+    """The numbers of a topic's messages put its times right."""
+    return note(
+        LOG_REORDERED,
+        "{count} of {total} messages are elsewhere in the file than their numbers and times say: "
+        "they are put in order",
+        where=f"{topic}, first at row {first}",
+        count=count,
+        total=total,
+    )
+
+
+# Topics that are not read.
+
+LOG_NOT_ROS2 = Code(
+    "LOG-NOT-ROS2",
+    means="A topic is encoded neither as ROS 2 CDR nor as protobuf or JSON.",
+    effect="It is counted, not read.",
+    remedy="Record it in one of these encodings, if it is needed.",
+)
+
+
+def encoding_not_read(*, topic: str, schema: str, encoding: str, schema_encoding: str) -> Message:
+    """A wanted message is in an encoding that is not read."""
+    return note(
+        LOG_NOT_ROS2,
+        "{schema} is encoded as {encoding} with a {schema_encoding} schema, not as ROS 2 CDR, "
+        "protobuf or JSON: counted, not read",
+        where=topic,
+        schema=schema,
+        encoding=encoding,
+        schema_encoding=schema_encoding,
+    )
+
+
+LOG_NO_PROTOBUF = Code(
+    "LOG-NO-PROTOBUF",
+    means="A topic is protobuf, and the package mcap-protobuf-support is not installed.",
+    effect="The topic is not read.",
+    remedy="pip install mcap-protobuf-support.",
+)
+
+
+def protobuf_not_installed(*, topic: str, schema: str) -> Message:
+    """A wanted message is protobuf, without the package that decodes it."""
+    return loss(
+        LOG_NO_PROTOBUF,
+        "{schema} is protobuf, which needs the package mcap-protobuf-support: counted, not read",
+        where=topic,
+        schema=schema,
+    )
+
+
+LOG_SCHEMA = Code(
+    "LOG-SCHEMA",
+    means="The schema of a topic cannot be parsed.",
+    effect="The topic is not read.",
+    remedy="Record it with a valid schema.",
+)
+
+
+def schema_not_parsed(*, topic: str, schema: str, reason: str) -> Message:
+    """The definition of a wanted message is damaged, or uses what is not read."""
+    return loss(
+        LOG_SCHEMA,
+        "the schema of {schema} cannot be parsed ({reason}): the topic is not read",
+        where=topic,
+        schema=schema,
+        reason=reason,
+    )
+
+
+LOG_DECODE = Code(
+    "LOG-DECODE",
+    means="Messages of a topic cannot be decoded, or hold no numbers where numbers are wanted.",
+    effect="They are missing.",
+    remedy="Check the recorder and the schema of the topic.",
+)
+
+
+def messages_not_decoded(*, topic: str, schema: str, count: int) -> Message:
+    """Messages do not fit their schema; JSON of the user's own has none."""
+    if not schema:
+        return loss(
+            LOG_DECODE,
+            "{count} messages cannot be read as JSON objects",
+            one="1 message cannot be read as a JSON object",
+            where=topic,
+            count=count,
+        )
+    return loss(
+        LOG_DECODE,
+        "{count} messages do not fit their schema {schema}",
+        one="1 message does not fit its schema {schema}",
+        where=topic,
+        count=count,
+        schema=schema,
+    )
+
+
+def values_not_numbers(*, topic: str, count: int) -> Message:
+    """Values of wanted fields are texts or objects."""
+    return loss(
+        LOG_DECODE,
+        "{count} values are no numbers where numbers are wanted: they are missing",
+        one="1 value is no number where a number is wanted: it is missing",
+        where=topic,
+        count=count,
+    )
+
+
+def topic_without_table(*, file: str, name: str, reason: str) -> LogError:
+    """A topic gives no table, because it cannot be decoded."""
+    return LogError(
+        LOG_NO_TABLE,
+        "{name} has no rows that can be laid out in columns: {reason}",
+        where=file,
+        remedy="choose another topic of `unbend inspect`",
+        name=name,
+        reason=reason,
+    )
+
+
+# Time.
+
+TIME_LOG_TIME = Code(
+    "TIME-LOG-TIME",
+    means="Messages have no time stamp of their own, or nothing ties it to UTC: the recorder's "
+    "time is used.",
+    effect="Exposures may be late by the delay of the transport.",
+    remedy="Record header.stamp, or GNSS messages.",
+)
+
+
+def set_by_log_time(*, boot: int, count: int) -> Message:
+    """No GNSS message of a boot ties the time since boot to UTC."""
+    return fallback(
+        TIME_LOG_TIME,
+        "time counts from boot, and no GNSS message with a fix ties that to UTC: the clock is set "
+        "by the recorder's time",
+        where=f"boot {boot}",
+        count=count,
+    )
+
+
+def messages_without_stamp(*, topic: str, count: int) -> Message:
+    """Messages have no time of their own."""
+    return fallback(
+        TIME_LOG_TIME,
+        "{count} messages have no header.stamp: the recorder's time is used",
+        one="1 message has no header.stamp: the recorder's time is used",
+        where=topic,
+        count=count,
+    )
+
+
+def stamps_before_2001(*, topic: str) -> Message:
+    """Time stamps are neither UTC nor a time since boot."""
+    return fallback(
+        TIME_NO_UTC,
+        "time stamps before 2001 are no UTC (simulated time?): events in this log can be used, "
+        "matching by UTC is impossible",
+        where=topic,
+    )

@@ -1,0 +1,593 @@
+"""What the log formats say in common: codes, and one function for each message and refusal.
+
+What only one format says stands in ``messages.py`` of its folder.
+"""
+
+from collections.abc import Sequence
+
+from unbend.errors import Code, Counted, LogError, MissionError
+from unbend.flight.evidence.messages import CHANNEL_UNIT
+from unbend.flight.messages import TIME_FIT
+from unbend.messages import Message, fallback, loss, note, warning
+
+# Opening a log.
+
+LOG_MISSING = Code(
+    "LOG-MISSING",
+    means="There is no such file, or it is a folder.",
+    effect="The log is refused.",
+    remedy="Check the path of the log.",
+)
+
+
+def log_missing(*, path: str, what: str) -> LogError:
+    """The path of a log is that of no file."""
+    return LogError(
+        LOG_MISSING, "{what}", where=path, remedy="check the path of the log", what=what
+    )
+
+
+LOG_EMPTY = Code(
+    "LOG-EMPTY",
+    means="The log has 0 bytes.",
+    effect="The log is refused.",
+    remedy="Copy it again from the vehicle or the ground station.",
+)
+
+
+def log_empty(*, path: str) -> LogError:
+    """A log has no bytes."""
+    return LogError(
+        LOG_EMPTY,
+        "the file has 0 bytes",
+        where=path,
+        remedy="copy it again from the vehicle or the ground station",
+    )
+
+
+LOG_UNREADABLE = Code(
+    "LOG-UNREADABLE",
+    means="The system cannot read the log.",
+    effect="The log is refused.",
+    remedy="Check permissions and the disk.",
+)
+
+
+def log_unreadable(*, path: str, reason: str) -> LogError:
+    """The operating system refuses to read a log."""
+    return LogError(
+        LOG_UNREADABLE,
+        "the system cannot read it: {reason}",
+        where=path,
+        remedy="check its permissions and the disk, or copy it again",
+        reason=reason,
+    )
+
+
+LOG_CHANGED = Code(
+    "LOG-CHANGED",
+    means="The log grew or shrank while it was read.",
+    effect="The log is refused.",
+    remedy="Wait until it is complete.",
+)
+
+
+def log_changed(*, path: str, size: int, end: int) -> LogError:
+    """A log is shorter than it was when its reading began."""
+    return LogError(
+        LOG_CHANGED,
+        "it had {size} and now ends at byte {end}",
+        where=path,
+        remedy="wait until the log is complete, and read it again",
+        size=Counted(size, "byte"),
+        end=end,
+    )
+
+
+LOG_FORMAT = Code(
+    "LOG-FORMAT",
+    means="The file is no log of a known format, or of another one than its ending says.",
+    effect="The log is refused.",
+    remedy="Give a .bin, .log, .tlog, .mcap or .ulg; rename or convert as the refusal says.",
+)
+
+
+def wrong_extension(*, path: str, title: str, extension: str, usual: str) -> LogError:
+    """The content of a log is of another format than its extension."""
+    return LogError(
+        LOG_FORMAT,
+        "its content is {title}, its extension is {extension}",
+        where=path,
+        remedy="rename it to end in {usual} if this is the intended log",
+        title=title,
+        extension=extension or "missing",
+        usual=usual,
+    )
+
+
+def needs_conversion(*, path: str, kind: str, remedy: str) -> LogError:
+    """A file of a related format, which is not read."""
+    return LogError(LOG_FORMAT, "the file is {kind}", where=path, remedy=remedy, kind=kind)
+
+
+def unknown_format(*, path: str, extension: str, known: str) -> LogError:
+    """Neither content nor extension is one of a known format."""
+    return LogError(
+        LOG_FORMAT,
+        "neither content nor extension ({extension}) is one of a known format",
+        where=path,
+        remedy="give one of {known}",
+        extension=extension or "none",
+        known=known,
+    )
+
+
+def no_whole_message(
+    *, path: str, title: str, size: int, damage: Sequence[Message], known: str
+) -> LogError:
+    """A file of the right extension holds no message of its format."""
+    listed = "".join(f"; {message.what} ({message.where})" for message in damage)
+    return LogError(
+        LOG_FORMAT,
+        "no whole message of {title} in {size}{damage}",
+        where=path,
+        remedy="check that it is the whole log; known are {known}",
+        title=title,
+        size=Counted(size, "byte"),
+        damage=listed,
+        known=known,
+    )
+
+
+LOG_NO_MESSAGES = Code(
+    "LOG-NO-MESSAGES",
+    means="The log has messages, but none with positions, attitudes, air data or camera events.",
+    effect="The log is refused.",
+    remedy="Check what the vehicle logs.",
+)
+
+
+def no_wanted_messages(*, path: str, total: int, kinds: Sequence[str]) -> LogError:
+    """No message of a log becomes a channel."""
+    return LogError(
+        LOG_NO_MESSAGES,
+        "{total}, but none with a position, an attitude, air data or camera events",
+        where=path,
+        remedy="check what the vehicle logs; this log has {kinds}, which `unbend inspect --type` "
+        "shows",
+        total=Counted(total, "message"),
+        kinds=", ".join(kinds),
+    )
+
+
+# What is asked of a log that was read.
+
+LOG_NO_CHANNEL = Code(
+    "LOG-NO-CHANNEL",
+    means="The log has no channel of this name.",
+    effect="The call is refused.",
+    remedy="Take one of the names that the refusal lists.",
+)
+
+
+def no_channel(*, path: str, name: str, available: str) -> LogError:
+    """A log has no channel of a name; ``available`` lists what it has."""
+    return LogError(
+        LOG_NO_CHANNEL,
+        "no channel {name}",
+        where=path,
+        remedy="{available}",
+        name=name,
+        available=available,
+    )
+
+
+LOG_NO_TYPE = Code(
+    "LOG-NO-TYPE",
+    means="The log has no message of this type.",
+    effect="The command is refused.",
+    remedy="Choose one that `unbend inspect` lists.",
+)
+
+
+def no_message_type(*, path: str, name: str, available: str) -> LogError:
+    """A log has no message of a type; ``available`` lists what it has."""
+    return LogError(
+        LOG_NO_TYPE,
+        "no message of type {name}",
+        where=path,
+        remedy="{available}",
+        name=name,
+        available=available,
+    )
+
+
+LOG_NO_TABLE = Code(
+    "LOG-NO-TABLE",
+    means="A message type has no rows that can be laid out in columns.",
+    effect="The command is refused.",
+    remedy="Choose another type of `unbend inspect`.",
+)
+
+
+def no_table(*, path: str, name: str, instance: str | None) -> LogError:
+    """A message type, or one of its instances, gives no table."""
+    selected = name if instance is None else f"{name}, instance {instance},"
+    return LogError(
+        LOG_NO_TABLE,
+        "{selected} has no rows that can be laid out in columns",
+        where=path,
+        remedy="choose another type or instance of `unbend inspect`",
+        selected=selected,
+    )
+
+
+def not_a_unit_of_role(*, role: str, unit: str, columns: Sequence[str]) -> MissionError:
+    """The mission file states a unit of another quantity."""
+    return MissionError(
+        CHANNEL_UNIT,
+        "{unit} is no unit of {quantity}",
+        where=f"log.channels.{role}",
+        remedy="its column is {columns}",
+        unit=unit,
+        quantity=role.replace("_", " "),
+        columns=", ".join(columns),
+    )
+
+
+# Damage.
+
+LOG_BAD_BYTES = Code(
+    "LOG-BAD-BYTES",
+    means="Bytes of the log belong to no message: damage.",
+    effect="The messages there are lost; the rest is read.",
+    remedy="Copy the log again from its source.",
+)
+
+
+def bad_bytes(*, file: str, first: int, count: int, unit: str) -> Message:
+    """Bytes between messages; ``unit`` is the format's word for a message."""
+    return loss(
+        LOG_BAD_BYTES,
+        "{count} bytes belong to no {unit}",
+        one="1 byte belongs to no {unit}",
+        where=f"{file}, first at byte {first}",
+        count=count,
+        unit=unit,
+    )
+
+
+LOG_TRUNCATED = Code(
+    "LOG-TRUNCATED",
+    means="The last message or record is cut off, as when the power is lost.",
+    effect="Every whole one before it was read.",
+    remedy="Nothing, if the flight was over.",
+)
+
+
+def cut_off(*, file: str, count: int, unit: str) -> Message:
+    """The end of a file lies in a message; ``unit`` is the format's word for one."""
+    return loss(
+        LOG_TRUNCATED,
+        "the last {unit} is cut off after {count} bytes, as when the power is lost: this format "
+        "has no end mark; every whole one before it was read",
+        one="the last {unit} is cut off after 1 byte, as when the power is lost: this format "
+        "has no end mark; every whole one before it was read",
+        where=file,
+        count=count,
+        unit=unit,
+    )
+
+
+LOG_CRC = Code(
+    "LOG-CRC",
+    means="Messages, a chunk or the summary fail their checksum.",
+    effect="They are not used.",
+    remedy="Copy the log again from its source.",
+)
+
+LOG_LINK_LOSS = Code(
+    "LOG-LINK-LOSS",
+    means="Messages are missing by their sequence numbers: the radio link or the recorder lost "
+    "them.",
+    effect="Stations and air are interpolated between the rest.",
+    remedy="Use the log from the vehicle's card instead.",
+)
+
+LOG_FIELDS = Code(
+    "LOG-FIELDS",
+    means="The log defines no field for what a message needs, such as the time or a position.",
+    effect="Its rows are not used.",
+    remedy="Update the firmware, or use another message.",
+)
+
+
+def rows_without_field(*, where: str, count: int, fields: Sequence[str]) -> Message:
+    """A message lacks the fields without which its rows cannot be used."""
+    return loss(
+        LOG_FIELDS,
+        "{count} rows cannot be used: the log defines no field for {fields}",
+        one="1 row cannot be used: the log defines no field for {fields}",
+        where=where,
+        count=count,
+        fields=", ".join(fields),
+    )
+
+
+LOG_GAP = Code(
+    "LOG-GAP",
+    means="Nothing was logged for more than a second (of a radio link three).",
+    effect="Exposures there may have no station (in_gap). A loss where the vehicle's clock "
+    "advanced meanwhile.",
+    remedy="Check the card or the link.",
+)
+
+
+def nothing_logged(*, byte: int, count: int, seconds: float) -> Message:
+    """The time since boot advances by more than 1 s between two records."""
+    return warning(
+        LOG_GAP,
+        "{times} nothing was logged for more than 1 s, {seconds:.1f} s together: the logger "
+        "stopped, or bytes are missing",
+        where=f"first before byte {byte}",
+        count=count,
+        times=Counted(count, "time"),
+        seconds=seconds,
+    )
+
+
+# Time.
+
+TIME_STRAY = Code(
+    "TIME-STRAY",
+    means="Rows carry a time that fits none of their neighbours: damage.",
+    effect="They are not used.",
+    remedy="Copy the log again.",
+)
+
+
+def stray_records(*, byte: int, count: int) -> Message:
+    """The times of records jump and return."""
+    return loss(
+        TIME_STRAY,
+        "{count} records carry a time that fits none of their neighbours",
+        one="1 record carries a time that fits none of its neighbours",
+        where=f"first at byte {byte}",
+        count=count,
+    )
+
+
+def stray_rows(*, channel: str, first: int, count: int, total: int) -> Message:
+    """The times of rows of a channel jump and return."""
+    return loss(
+        TIME_STRAY,
+        "{count} of {total} rows carry a time that fits none of their neighbours: they are not "
+        "used",
+        one="1 of {total} rows carries a time that fits none of its neighbours: it is not used",
+        where=f"{channel}, first at row {first}",
+        count=count,
+        total=total,
+    )
+
+
+TIME_REPEAT = Code(
+    "TIME-REPEAT",
+    means="Rows repeat the time of a row before.",
+    effect="They are not used; a loss where they are exposures.",
+    remedy="Nothing, unless exposures are lost.",
+)
+
+_REPEATED_ROWS = "{count} of {total} rows repeat the time of a row before and are not used"
+_REPEATED_ROW = "1 of {total} rows repeats the time of a row before and is not used"
+
+
+def repeated_rows(*, channel: str, count: int, total: int) -> Message:
+    """Rows have the time of the row before, or equal an earlier row."""
+    return note(
+        TIME_REPEAT, _REPEATED_ROWS, one=_REPEATED_ROW, where=channel, count=count, total=total
+    )
+
+
+def repeated_exposures(*, channel: str, count: int, total: int) -> Message:
+    """As `repeated_rows`, where each row is an exposure."""
+    return loss(
+        TIME_REPEAT, _REPEATED_ROWS, one=_REPEATED_ROW, where=channel, count=count, total=total
+    )
+
+
+TIME_BACKWARD = Code(
+    "TIME-BACKWARD",
+    means="Rows are out of order in time.",
+    effect="They are not used.",
+    remedy="Nothing, if they are few.",
+)
+
+
+def rows_out_of_order(*, channel: str, first: int, stamp: str, count: int, total: int) -> Message:
+    """Rows are earlier than rows before them."""
+    return loss(
+        TIME_BACKWARD,
+        "{count} of {total} rows are out of order in time and are not used",
+        one="1 of {total} rows is out of order in time and is not used",
+        where=f"{channel}, first at row {first}, stamped {stamp}",
+        count=count,
+        total=total,
+    )
+
+
+TIME_SET_BACK = Code(
+    "TIME-SET-BACK",
+    means="The clock of some messages was set back.",
+    effect="Values are not interpolated across these steps.",
+    remedy="Nothing.",
+)
+
+
+def clock_set_back(*, channel: str, count: int) -> Message:
+    """The times of a channel step back and go on from there."""
+    return warning(
+        TIME_SET_BACK,
+        "the clock of these messages was set back, {times}: values are not interpolated across "
+        "these steps",
+        one="the clock of these messages was set back, 1 time: values are not interpolated across "
+        "this step",
+        where=channel,
+        count=count,
+        times=Counted(count, "time"),
+    )
+
+
+TIME_REBOOT = Code(
+    "TIME-REBOOT",
+    means="The vehicle was restarted during the log.",
+    effect="Each part has a clock of its own; nothing is interpolated across.",
+    remedy="Nothing.",
+)
+
+
+def restarted(*, where: str, count: int) -> Message:
+    """The difference of UTC and time since boot steps at a silence."""
+    return warning(
+        TIME_REBOOT,
+        "{times} UTC and the time since boot disagree before and after a silence: the vehicle was "
+        "restarted, though its time is later",
+        where=where,
+        count=count,
+        times=Counted(count, "time"),
+    )
+
+
+TIME_NO_UTC = Code(
+    "TIME-NO-UTC",
+    means="The log has no UTC; time counts from boot or from zero.",
+    effect="Events in this log can be used; matching by UTC is impossible.",
+    remedy="Take the exposures from the log itself.",
+)
+
+
+def no_utc(*, where: str, utc_of: str) -> Message:
+    """Nothing ties the time since boot to UTC; ``utc_of``: what does in this format."""
+    return fallback(
+        TIME_NO_UTC,
+        "no {utc_of}: time counts from boot, as if in 1970; events in this log can be used, "
+        "matching by UTC is impossible",
+        where=where,
+        utc_of=utc_of,
+    )
+
+
+TIME_SOURCES = Code(
+    "TIME-SOURCES",
+    means="Two sources of UTC in the log contradict each other.",
+    effect="The better one is used.",
+    remedy="Check the receivers.",
+)
+
+
+def sources_disagree(*, where: str, rows: int, source: str, apart_s: float, used: str) -> Message:
+    """A source of UTC differs from the one in use by more than 1 s."""
+    return loss(
+        TIME_SOURCES,
+        "{source} give a UTC {apart_s:+.3f} s from that of {used}, which are used",
+        one="{source} gives a UTC {apart_s:+.3f} s from that of {used}, which are used",
+        where=where,
+        count=rows,
+        source=source,
+        apart_s=apart_s,
+        used=used,
+    )
+
+
+def utc_accuracy(
+    *, receiver: str, fixes: int, sigma_s: float, delay_s: float, origin: str
+) -> Message:
+    """How accurate UTC is, by the delay of the receiver's fixes."""
+    return note(
+        TIME_FIT,
+        "UTC is accurate to {sigma_ms:.0f} ms (1 sigma): fixes are stamped {delay_ms:.0f} ms "
+        "after their epoch, {origin}",
+        where=receiver,
+        count=fixes,
+        sigma_ms=sigma_s * 1e3,
+        delay_ms=delay_s * 1e3,
+        origin=origin,
+    )
+
+
+# Positions and exposures.
+
+POSITION_NO_FIX = Code(
+    "POSITION-NO-FIX",
+    means="Rows of a receiver have no fix.",
+    effect="They are not used.",
+    remedy="Nothing.",
+)
+
+
+def rows_without_fix(*, channel: str, count: int, total: int) -> Message:
+    """Rows of a position have no fix, or the place 0, 0."""
+    return note(
+        POSITION_NO_FIX,
+        "{count} of {total} rows have no fix and are not used",
+        one="1 of {total} rows has no fix and is not used",
+        where=channel,
+        count=count,
+        total=total,
+    )
+
+
+HEIGHT_ELLIPSOID = Code(
+    "HEIGHT-ELLIPSOID",
+    means="A parameter of the autopilot selects GNSS heights above the ellipsoid.",
+    effect="All heights of the log are taken so, and reduced by the undulation.",
+    remedy="Nothing.",
+)
+
+
+def heights_above_ellipsoid(*, where: str, parameter: str) -> Message:
+    """The autopilot was set to use the receiver's height above the ellipsoid."""
+    return note(
+        HEIGHT_ELLIPSOID,
+        "the parameter {parameter} selects GNSS heights above the ellipsoid: all heights of this "
+        "log are, except those that are computed with the undulation",
+        where=where,
+        parameter=parameter,
+    )
+
+
+EVENT_FAILED = Code(
+    "EVENT-FAILED",
+    means="Rows report that the camera took no image.",
+    effect="They are not used as exposures.",
+    remedy="Check the camera's storage and trigger, if there are many.",
+)
+
+
+def failed_exposures(*, channel: str, count: int, total: int) -> Message:
+    """Rows of a camera report a failure."""
+    return warning(
+        EVENT_FAILED,
+        "{count} of {total} rows report that the camera took no image",
+        one="1 of {total} rows reports that the camera took no image",
+        where=channel,
+        count=count,
+        total=total,
+    )
+
+
+EVENT_NO_INDEX = Code(
+    "EVENT-NO-INDEX",
+    means="All exposures of the log have the image index 0.",
+    effect="They are numbered from 0 in their order.",
+    remedy="Check the pattern under events.log.<camera>.image.",
+)
+
+
+def exposures_without_index(*, channel: str, count: int) -> Message:
+    """The image index of a camera is never filled in."""
+    return note(
+        EVENT_NO_INDEX,
+        "all {count} rows have the index 0: they are numbered from 0 in order",
+        where=channel,
+        count=count,
+    )

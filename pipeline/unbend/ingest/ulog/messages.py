@@ -1,0 +1,92 @@
+"""What the reader of PX4 logs says: codes, and one function for each message and refusal."""
+
+from unbend.errors import Code, Counted, LogError
+from unbend.ingest.messages import LOG_GAP
+from unbend.messages import Message, loss
+
+LOG_ULOG = Code(
+    "LOG-ULOG",
+    means="The file is no ULog, or one that needs a newer reader.",
+    effect="The log is refused.",
+    remedy="Check that it is the whole log.",
+)
+
+
+def header_cut_off(*, path: str, size: int, header_size: int) -> LogError:
+    """The file is shorter than its header."""
+    return LogError(
+        LOG_ULOG,
+        "it ends after {size} of {header_size} bytes of its header",
+        where=path,
+        remedy="copy it again from the vehicle",
+        size=size,
+        header_size=header_size,
+    )
+
+
+def unknown_flags(*, path: str, flags: bytes) -> LogError:
+    """The file says that an older reader must not read it."""
+    return LogError(
+        LOG_ULOG,
+        "it sets incompatible flags ({flags}) that this version does not know",
+        where=path,
+        remedy="copy it again from the vehicle, or convert it with a newer tool of PX4",
+        flags=flags.hex(),
+    )
+
+
+LOG_ULOG_DAMAGE = Code(
+    "LOG-ULOG-DAMAGE",
+    means="Values of parameters or information do not have the length of their type.",
+    effect="They are not used; how much is lost is unknown.",
+    remedy="Copy the log again.",
+)
+
+
+def damaged_values(*, file: str, count: int) -> Message:
+    """Parameters or information of a wrong length."""
+    return loss(
+        LOG_ULOG_DAMAGE,
+        "{count} values of parameters or of information do not have the length of their type; how "
+        "many messages are lost is unknown",
+        one="1 value of a parameter or of information does not have the length of its type; how "
+        "many messages are lost is unknown",
+        where=file,
+        count=count,
+    )
+
+
+LOG_DROPOUT = Code(
+    "LOG-DROPOUT",
+    means="The logger could not keep up.",
+    effect="Messages of that time are missing.",
+    remedy="Log less, or to a faster card.",
+)
+
+
+def logger_dropouts(*, file: str, count: int, seconds: float) -> Message:
+    """The logger reports that it lost data."""
+    return loss(
+        LOG_DROPOUT,
+        "the logger could not keep up {times}, {seconds:.3f} s together",
+        where=file,
+        count=count,
+        times=Counted(count, "time"),
+        seconds=seconds,
+    )
+
+
+def messages_cut_out(
+    *, file: str, after_boot_s: float, count: int, seconds: float, missing: int
+) -> Message:
+    """No topic has a message for a while."""
+    return loss(
+        LOG_GAP,
+        "{times} nothing was logged, {seconds:.3f} s together, about {missing}: they were cut out, "
+        "or the logger stopped",
+        where=f"{file}, first {after_boot_s:.3f} s after boot",
+        count=count,
+        times=Counted(count, "time"),
+        seconds=seconds,
+        missing=Counted(missing, "message"),
+    )

@@ -1,0 +1,128 @@
+"""Formats of a ULog file: which fields the messages of a topic have, nested ones flattened."""
+
+import re
+from typing import Any, NamedTuple
+
+import numpy as np
+
+TYPES = {
+    "int8_t": "i1", "uint8_t": "u1", "bool": "i1", "char": "i1", "int16_t": "<i2",
+    "uint16_t": "<u2", "int32_t": "<i4", "uint32_t": "<u4", "float": "<f4", "int64_t": "<i8",
+    "uint64_t": "<u8", "double": "<f8",
+}  # fmt: skip
+DEEPEST = 8  # formats inside each other
+LONGEST_DATA = 0xFFFF  # [bytes]: the size of a message has two bytes
+_FIELD = re.compile(r"(?P<kind>\w+)(?:\[(?P<count>\d{1,5})\])? (?P<name>\w+)")
+_PADDING = "_padding"
+
+
+class Field(NamedTuple):
+    """A field of a format: its type, number of elements (0 for no array) and name."""
+
+    kind: str
+    elements: int
+    name: str
+
+
+class FlatField(NamedTuple):
+    """One number of a message: its path, and its numpy type."""
+
+    path: str
+    dtype: str
+
+
+_TIMESTAMP = Field("uint64_t", 0, "timestamp")
+
+
+def _size(fields: list[FlatField]) -> int:
+    """The bytes of fields."""
+    return sum(np.dtype(field.dtype).itemsize for field in fields)
+
+
+def flat_fields(
+    name: str, formats: dict[str, list[Field]], depth: int = 0
+) -> list[FlatField] | None:
+    """Names and types of the elements of a format, with nested formats and padding.
+
+    None where a part of it is not defined, or it is longer than a message can be.
+
+    >>> flat_fields("a", {"a": [Field("b", 2, "x")], "b": [Field("float", 0, "y")]})
+    [FlatField(path='x[0].y', dtype='<f4'), FlatField(path='x[1].y', dtype='<f4')]
+    """
+    if name not in formats or depth > DEEPEST:
+        return None
+    result: list[FlatField] = []
+    size = 0
+    for field in formats[name]:
+        inner: list[FlatField] | None
+        if field.kind in TYPES:
+            inner = [FlatField("", TYPES[field.kind])]
+        else:
+            inner = flat_fields(field.kind, formats, depth + 1)
+        if not inner:
+            return None
+        size += max(field.elements, 1) * _size(inner)
+        if size > LONGEST_DATA:  # before its elements are made, which may be many
+            return None
+        for element in _elements(field):
+            for path, dtype in inner:
+                result.append(FlatField(f"{element}.{path}" if path else element, dtype))
+    return result
+
+
+def _elements(field: Field) -> list[str]:
+    """The names of the elements of a field."""
+    if not field.elements:
+        return [field.name]
+    return [f"{field.name}[{k}]" for k in range(field.elements)]
+
+
+class Definitions:
+    """The formats of a file, and the ``layouts`` of the topics with a timestamp."""
+
+    def __init__(self) -> None:
+        self.formats: dict[str, list[Field]] = {}
+        self.layouts: dict[str, np.dtype[Any]] = {}
+
+    def add_format(self, content: bytes) -> bool:
+        """Take a format; False where it is damaged."""
+        name, colon, text = content.decode("ascii", "replace").partition(":")
+        fields = []
+        for part in text.split(";"):
+            if not part:
+                continue
+            found = _FIELD.fullmatch(part)
+            if found is None:
+                return False
+            count = int(found["count"] or 0)
+            if found["count"] is not None and count == 0:
+                return False
+            fields.append(Field(found["kind"], count, found["name"]))
+        if not colon or not fields:
+            return False
+        self.formats[name] = fields
+        return True
+
+    def sizes_of(self, name: str) -> tuple[int, int] | None:
+        """The bytes of a topic's data without and with padding; None where it is not defined.
+
+        Padding at the end of a message is not always logged.
+        """
+        fields = flat_fields(name, self.formats) or []
+        with_padding = _size(fields)
+        while fields and fields[-1].path.startswith(_PADDING):
+            fields.pop()
+        if not fields or len({field.path for field in fields}) < len(fields):
+            return None
+        layout = np.dtype([(field.path, field.dtype) for field in fields])
+        if _TIMESTAMP in self.formats[name]:
+            self.layouts[name] = layout
+        return layout.itemsize, with_padding
+
+
+def dtype_of_value(key: re.Match[bytes] | None) -> np.dtype[Any] | None:
+    """The numpy type of a keyed value; None where that is a text, an array or not known."""
+    if key is None:
+        return None
+    kind = TYPES.get(key["type"].decode())
+    return None if kind is None else np.dtype(kind)

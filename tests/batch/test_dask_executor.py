@@ -1,0 +1,226 @@
+"""Missions on a Dask cluster of this machine, whose workers and scheduler are killed."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("distributed")
+
+from tests.draws import SEED
+from unbend.batch import dask_executor
+from unbend.batch.dask_executor import DaskExecutor
+from unbend.errors import UnbendError
+
+MISSIONS = Path(__file__).with_name("missions.py")
+sys.path.append(str(MISSIONS.parent))
+import missions as missions_module  # noqa: E402
+
+LIMIT_S = 200.0
+RUNS = int(os.environ.get("UNBEND_CLUSTER_KILLS", "1"))
+
+
+def wait_until(happened: Callable[[], object], seconds: float = LIMIT_S) -> None:
+    limit = time.monotonic() + seconds
+    while not happened():
+        assert time.monotonic() < limit
+        time.sleep(0.02)
+
+
+class Machines:
+    """A scheduler and its workers, which hear on this machine only and have no dashboard."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.file = folder / "scheduler.json"
+        self.workers: list[subprocess.Popen[bytes]] = []
+        self.start_scheduler()
+
+    def start(self, program: str, *words: str) -> subprocess.Popen[bytes]:
+        path = os.pathsep.join([str(MISSIONS.parent), *sys.path])
+        settings = {"PYTHONPATH": path, "DASK_DISTRIBUTED__WORKER__HTTP__ROUTES": "[]"}
+        with (self.folder / "output.txt").open("ab") as said:
+            return subprocess.Popen(
+                [sys.executable, "-m", "dask", program, *words,
+                 "--scheduler-file", str(self.file), "--host", "127.0.0.1", "--no-dashboard"],
+                stdout=said, stderr=said, env=os.environ | settings, cwd=self.folder,
+            )  # fmt: skip
+
+    def start_scheduler(self) -> None:
+        self.file.unlink(missing_ok=True)
+        self.scheduler = self.start("scheduler", "--port", "0")
+        wait_until(lambda: self.file.exists() and self.file.read_text())
+
+    def need_workers(self, count: int) -> None:
+        while sum(worker.poll() is None for worker in self.workers) < count:
+            self.start_worker()
+
+    def start_worker(self) -> None:
+        before = self.registered()
+        self.workers.append(self.start("worker", "--nthreads", "1", "--no-nanny"))
+        wait_until(lambda: self.registered() > before)  # which takes long on a busy machine
+
+    def registered(self) -> int:
+        """How many workers have said that the scheduler knows them."""
+        return (self.folder / "output.txt").read_text().count("Registered to:")
+
+    def stop(self) -> None:
+        for process in (*self.workers, self.scheduler):
+            process.kill()
+            process.wait()
+        self.workers.clear()
+
+
+@pytest.fixture(scope="module")
+def machines(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Machines]:
+    of_tests = Machines(tmp_path_factory.mktemp("machines"))
+    yield of_tests
+    of_tests.stop()
+
+
+def started(machines: Machines, folder: Path, *names: str, pace: float = 0.0) -> subprocess.Popen:
+    folder.mkdir(exist_ok=True)
+    (folder / "pace").write_text(str(pace))
+    for name in names:
+        (folder / f"{name}.yaml").touch()
+    return subprocess.Popen(
+        [sys.executable, "-W", "error", str(MISSIONS), str(machines.file), str(folder), *names],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+
+
+def ends_of(process: subprocess.Popen) -> dict[str, str]:
+    """How each mission ended; nothing else may have been said."""
+    out, err = process.communicate(timeout=LIMIT_S)
+    assert (process.returncode, err) == (0, "")
+    return {name: word for name, word, _ in map(json.loads, out.splitlines())}
+
+
+def begun(folder: Path) -> list[str]:
+    file = folder / "begun"
+    return (
+        [line.rsplit(" ", 1)[0] for line in file.read_text().splitlines()] if file.exists() else []
+    )
+
+
+def refusal(scheduler: str, mission: Path = MISSIONS) -> str:
+    """What is said before any work."""
+    missions = {missions_module.Unread(mission): missions_module.one}
+    with pytest.raises(UnbendError) as refused:
+        list(DaskExecutor(scheduler).run(missions))
+    return str(refused.value)
+
+
+def test_what_is_no_scheduler_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(dask_executor, "_CONNECT_S", 0.3)
+    assert refusal("tcp://127.0.0.1:9").startswith("SCHEDULER-NONE: ")
+    assert refusal("nothing://127.0.0.1").startswith("SCHEDULER-NONE: ")
+    with pytest.raises(UnbendError, match=r"^SCHEDULER-NONE: "):
+        dask_executor.refuse_missing("tcp://127.0.0.1:9")
+    for content in (None, "{", "[]", '{"other": 1}'):
+        file = tmp_path / "scheduler.json"
+        if content is not None:
+            file.write_text(content)
+        assert refusal(str(file)).startswith("SCHEDULER-FILE: ")
+        assert str(file) in refusal(str(file))
+
+
+def test_without_the_library_it_is_asked_for(monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    said = refusal("tcp://127.0.0.1:9")
+    assert said.startswith("SCHEDULER-EXTRA: ")
+    assert "pip install 'unbend[dask]'" in said
+
+
+def test_workers_that_differ_are_refused_before_any_work(machines, tmp_path, monkeypatch):
+    file = str(machines.file)
+    assert not machines.workers, "this test comes before those with workers"
+    with monkeypatch.context() as patch:
+        patch.setattr(dask_executor, "_CONNECT_S", 0.3)
+        assert refusal(file).startswith("SCHEDULER-WORKERS: ")
+    machines.need_workers(1)
+    said = refusal(file, tmp_path / "nowhere.yaml")
+    assert said.startswith("WORKER-FILES: 1 file of missions is not")
+    assert "nowhere.yaml" in said
+    own = dask_executor.versions_here()
+    monkeypatch.setattr(dask_executor, "versions_here", lambda: own | {"numpy": "1.0", "more": "2"})
+    said = refusal(file)
+    assert said.startswith("WORKER-VERSION: ")
+    assert f"more missing (here 2), numpy {own['numpy']} (here 1.0)" in said
+    assert "tcp://127.0.0.1" in said
+
+
+@pytest.mark.parametrize("run", range(RUNS))
+def test_workers_that_are_killed_cost_no_mission(machines, tmp_path, run):
+    """Workers, and some with a mission, are killed at random times; others take their places."""
+    draw = random.Random(SEED + run)
+    machines.need_workers(2)
+    names = ["deadly", "unlucky", "refused", *(f"m{i}" for i in range(12))]
+    process = started(machines, tmp_path / "killed", *names, pace=0.2)
+    for _ in range(6 if RUNS > 1 else 2):
+        count = len(begun(tmp_path / "killed"))
+        wait_until(
+            lambda n=count: len(begun(tmp_path / "killed")) > n or process.poll() is not None
+        )
+        time.sleep(draw.uniform(0.0, 0.3))
+        alive = [worker for worker in machines.workers if worker.poll() is None]
+        machines.start_worker()
+        draw.choice(alive).kill()
+    ends = ends_of(process)
+    wanted = {"deadly": "WORKER-LOST", "refused": "OBS-EMPTY", "unlucky": "done"}
+    assert {name: "done" if word == "repeated" else word for name, word in ends.items()} == {
+        name: wanted.get(name, "done") for name in names
+    }
+    for name in names:
+        if wanted.get(name, "done") == "done":
+            folder = tmp_path / "killed" / f"results of {name}"
+            assert {p.name for p in folder.iterdir()} == {
+                ".lock",
+                "stations.parquet",
+                "manifest.json",
+            }
+            assert (folder / "stations.parquet").read_bytes() == name.encode() * 1000
+
+
+def test_a_scheduler_that_is_killed_costs_no_finished_mission(machines, tmp_path):
+    names = [f"m{i}" for i in range(6)]
+    machines.need_workers(1)
+    process = started(machines, tmp_path / "lost", *names, pace=0.3)
+    wait_until(lambda: len(begun(tmp_path / "lost")) >= 4)
+    machines.stop()
+    out, err = process.communicate(timeout=LIMIT_S)
+    assert "SCHEDULER-LOST" in err
+    finished = [json.loads(line)[0] for line in out.splitlines()]
+    assert finished
+    before = begun(tmp_path / "lost")
+    machines.start_scheduler()
+    machines.need_workers(1)
+    ends = ends_of(started(machines, tmp_path / "lost", *names))
+    assert {name for name, word in ends.items() if word == "repeated"} >= set(finished)
+    again = begun(tmp_path / "lost")[len(before) :]
+    assert not set(again) & set(finished)
+
+
+def test_a_signal_stops_what_the_workers_do(machines, tmp_path):
+    machines.need_workers(1)
+    process = started(machines, tmp_path / "stopped", "a", "b", pace=600.0)
+    wait_until(lambda: begun(tmp_path / "stopped"))
+    began = time.monotonic()
+    process.send_signal(signal.SIGTERM)
+    process.communicate(timeout=LIMIT_S)
+    assert process.returncode == 143
+    assert time.monotonic() - began < 5.0
+    workers = [
+        int(line.split()[1]) for line in (tmp_path / "stopped" / "begun").read_text().splitlines()
+    ]
+    wait_until(lambda: all(map(missions_module.gone, workers)), 5.0)
+    assert begun(tmp_path / "stopped") == ["a"]

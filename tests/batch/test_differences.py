@@ -1,0 +1,86 @@
+"""`status`: what would run, and why."""
+
+from __future__ import annotations
+
+import json
+import os
+
+import pytest
+
+from unbend.batch import fingerprint, input_files
+from unbend.batch.runs import mission_status, run_mission
+
+
+@pytest.fixture
+def done(mission, monkeypatch, tmp_path):
+    """A mission that was run."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    run_mission(mission.save())
+    return mission
+
+
+def reasons(mission) -> list[str]:
+    return mission_status(mission.save())[1]
+
+
+def test_unchanged(done):
+    assert reasons(done) == []
+
+
+def test_a_mission_that_never_ran(mission):
+    assert reasons(mission) == [f"{mission.output} has no results of it"]
+
+
+def test_each_change_is_named(done, monkeypatch):
+    done.config["ground"]["sigma_m"] = 1.5
+    assert reasons(done) == ["ground.sigma_m: nothing -> 1.5"]
+    with done.log.open("ab") as log:
+        log.write(b"\0")
+    changed = f"log changed ({done.config['log']['path']})"
+    assert reasons(done) == [changed, "ground.sigma_m: nothing -> 1.5"]
+    del done.config["ground"]["sigma_m"]
+    original = fingerprint.version
+    monkeypatch.setattr(fingerprint, "version", lambda n: "0.1" if n == "numpy" else original(n))
+    assert reasons(done) == [changed, f"numpy {original('numpy')} -> 0.1"]
+
+
+def test_another_version_of_unbend(done, monkeypatch):
+    monkeypatch.setattr(fingerprint, "code_hash", lambda: "other")
+    assert reasons(done) == ["another version of unbend (0.2.0 -> 0.2.0)"]
+
+
+def test_the_size_of_batches_changes_no_number(done):
+    done.config["output"]["batch_rows"] = 10_000
+    assert reasons(done) == []
+    assert run_mission(done.save()).repeated
+
+
+def test_results_that_are_gone(done):
+    (done.output / "report.html").unlink()
+    assert reasons(done) == ["report.html: is missing"]
+
+
+def test_nothing_is_read_where_nothing_changed(done, unbend, monkeypatch):
+    past = 1_700_000_000
+    for path in (done.log, done.folder / done.config["observations"]["path"]):
+        os.utime(path, (past, past))
+    now = input_files.time.time_ns
+    monkeypatch.setattr(input_files.time, "time_ns", lambda: now() + 60_000_000_000)
+    assert reasons(done) == []
+    monkeypatch.setattr(input_files, "hash_file", lambda path: pytest.fail(f"read {path}"))
+    assert reasons(done) == []
+    answer = json.loads(unbend("status", str(done.file), "--json").out)
+    assert [entry["would_run"] for entry in answer] == [False]
+    assert answer[0]["reasons"] == []
+
+
+def test_a_manifest_without_its_inputs_is_no_bug(done):
+    """That of another version may lack what says why; the mission would run."""
+    kept = ("fingerprint", "mission", "outputs", "exit_code")
+    file = done.output / "manifest.json"
+    manifest = json.loads(file.read_text())
+    file.write_text(json.dumps({key: manifest[key] for key in kept} | {"fingerprint": "0"}))
+    found = reasons(done)
+    assert f"log is new ({done.config['log']['path']})" in found
+    assert not run_mission(done.save()).repeated
+    assert reasons(done) == []

@@ -1,0 +1,112 @@
+"""The fingerprint of a mission: nothing that a number depends on is missing."""
+
+from __future__ import annotations
+
+import ast
+import sys
+from collections.abc import Iterator
+from importlib import metadata
+from pathlib import Path
+
+import pytest
+
+import unbend
+from unbend.batch import fingerprint
+from unbend.batch.plan import make_plan
+from unbend.config import load_mission
+
+PACKAGE = Path(unbend.__file__).parent
+
+# Distributions that no number depends on: they read the mission file, lock folders, talk, or
+# copy and distribute what is compared by its hash. Drawings of methods compared, which no run
+# makes, are matplotlib's; models of other programs are read back by pycolmap.
+NO_NUMBERS = {
+    "pydantic",
+    "pyyaml",
+    "rich",
+    "filelock",
+    "typer",
+    "matplotlib",
+    "obstore",
+    "dask",
+    "distributed",
+    "pycolmap",
+}
+
+
+def imported(path: Path) -> Iterator[str]:
+    """The names of the top-level packages that a module imports, anywhere in it."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            for alias in node.names:
+                yield alias.name.partition(".")[0]
+        elif isinstance(node, ast.ImportFrom) and node.level == 0:
+            yield str(node.module).partition(".")[0]
+
+
+def test_every_library_is_known():
+    """What the package imports of others is in the fingerprint, or no number depends on it."""
+    known = set(fingerprint.LIBRARIES) | NO_NUMBERS
+    known = known.union(*fingerprint.LIBRARIES_OF_INPUTS.values())
+    known = known.union(*fingerprint.LIBRARIES_OF_ATMOSPHERES.values())
+    distributions = metadata.packages_distributions()
+    for path in PACKAGE.rglob("*.py"):
+        for name in set(imported(path)) - {*sys.stdlib_module_names, "unbend"}:
+            of_name = {found.lower() for found in distributions.get(name, [name])}
+            assert of_name & known, f"{path} imports {name}"
+
+
+def fingerprint_now(mission) -> str:
+    return make_plan(load_mission(mission.save()), mission.folder).fingerprint
+
+
+def test_each_section_and_input_counts(mission):
+    seen = [fingerprint_now(mission)]
+    mission.config["output"]["batch_rows"] = 1000
+    assert fingerprint_now(mission) == seen[0], "no number depends on it"
+    mission.config["output"]["path"] = "elsewhere"
+    seen.append(fingerprint_now(mission))
+    mission.config["accept"] = [{"code": "GROUND-FLAT", "reason": "a test"}]
+    seen.append(fingerprint_now(mission))
+    mission.config["ground"]["sigma_m"] = 1.5
+    seen.append(fingerprint_now(mission))
+    with mission.log.open("ab") as log:
+        log.write(b"\0")
+    seen.append(fingerprint_now(mission))
+    assert len(set(seen)) == 5
+
+
+@pytest.mark.parametrize("library", ["numpy", "numba", "pymavlink", "metar", "exifread", "jinja2"])
+def test_a_library_of_another_version_counts(mission, monkeypatch, library):
+    before = fingerprint_now(mission)
+    original = fingerprint.version
+    monkeypatch.setattr(fingerprint, "version", lambda n: "0" if n == library else original(n))
+    assert fingerprint_now(mission) != before
+
+
+def test_another_python_counts(mission, monkeypatch):
+    before = fingerprint_now(mission)
+    monkeypatch.setattr(fingerprint.platform, "python_version", lambda: "3.99.0")
+    assert fingerprint_now(mission) != before
+
+
+def test_libraries_that_read_some_inputs_only():
+    plain = fingerprint.versions_of(["log", "observations", "sounding 1"], "us1976")
+    assert plain.keys() == {"unbend", "code_sha256", "python", *fingerprint.LIBRARIES}
+    model = fingerprint.versions_of(["weather model"], "us1976")
+    assert {"xarray", "cfgrib", "eccodes"} <= model.keys()
+    raised = fingerprint.versions_of(["elevation model 2"], "us1976")
+    assert {"rasterio", "grids of pyproj"} <= raised.keys()
+    for role in ("orientation", "events of nadir", "object points", "trajectory"):
+        assert fingerprint.GRIDS in fingerprint.versions_of(["log", role], "us1976"), role
+    assert "pymsis" in fingerprint.versions_of(["log"], "nrlmsis2.1")
+    assert fingerprint.version("no such library") is None
+
+
+def test_a_grid_that_is_installed_later_counts(monkeypatch, tmp_path):
+    import pyproj
+
+    monkeypatch.setattr(pyproj.datadir, "get_user_data_dir", lambda: str(tmp_path))
+    before = fingerprint.grids_of_proj.__wrapped__()
+    (tmp_path / "us_noaa_g2018u0.tif").write_bytes(b"grid")
+    assert fingerprint.grids_of_proj.__wrapped__() != before
