@@ -10,7 +10,7 @@ from unbend.messages import Message, loss, note
 
 
 def csv_unreadable(*, code: Code, where: Path | str, error: str) -> InputError:
-    """A file is no CSV: another encoding, rows of different lengths, a column twice."""
+    """A file cannot be read as CSV: another encoding, rows of different lengths, a column twice."""
     return InputError(
         code,
         "cannot be read as CSV: {error}",
@@ -463,7 +463,7 @@ def displaced_by_column(*, where: Path | str, column: str) -> InputError:
 
 OBS_CODES = Code(
     "OBS-CODES",
-    means="A column is written as text, because some of its digits are no plain number.",
+    means="A column is written as text, because some of its digits are not a plain number.",
     effect="None on the correction.",
     remedy="Nothing.",
 )
@@ -473,7 +473,7 @@ def column_as_text(*, column: str) -> Message:
     """A column of a CSV keeps its digits as text."""
     return note(
         OBS_CODES,
-        "column {column} is written as text: some of its digits are no plain number",
+        "column {column} is written as text: some of its digits are not a plain number",
         column=column,
     )
 
@@ -506,7 +506,7 @@ OBS_CSV = Code(
 
 
 def observations_csv_unreadable(*, where: Path | str, error: str) -> InputError:
-    """The table of observations is no CSV."""
+    """The table of observations cannot be read as CSV."""
     return InputError(
         OBS_CSV,
         "cannot be read as CSV: {error}",
@@ -798,7 +798,7 @@ def names_of_other_type(*, where: Path | str, column: str, kind: str) -> InputEr
 
 SOUNDING_NETCDF = Code(
     "SOUNDING-NETCDF",
-    means="The file is no sounding in ARM's classic netCDF.",
+    means="The file is not a sounding in ARM's classic netCDF.",
     effect="The mission is refused.",
     remedy="Export the levels as CSV.",
 )
@@ -852,7 +852,7 @@ def sounding_size(*, where: Path | str, size: int, largest_bytes: int) -> InputE
 
 SOUNDING_UNREADABLE = Code(
     "SOUNDING-UNREADABLE",
-    means="The sounding cannot be read, or is no UTF-8 text.",
+    means="The sounding cannot be read, or is not UTF-8 text.",
     effect="The mission is refused.",
     remedy="Check path and permissions, or save it as UTF-8.",
 )

@@ -36,7 +36,7 @@ def package_geoid() -> GeoidGrid:
     packed = files("unbend.tables").joinpath("data/egm96_15.gtx.zst").read_bytes()
     content = pa.decompress(packed, _GTX.size + 4 * 721 * 1440, "zstd", asbytes=True)
     planes = np.frombuffer(content, np.uint8, offset=_GTX.size).reshape(4, -1)
-    return _grid_of_gtx(content[: _GTX.size] + planes.T.tobytes(), "EGM96, 15 minutes")
+    return _grid_of_gtx(content[: _GTX.size] + planes.T.tobytes(), Path("EGM96, 15 minutes"))
 
 
 def read_geoid(path: Path) -> GeoidGrid:
@@ -47,11 +47,11 @@ def read_geoid(path: Path) -> GeoidGrid:
     """
     try:
         if path.suffix.lower() == ".gtx":
-            grid = _grid_of_gtx(path.read_bytes(), path.name)
+            grid = _grid_of_gtx(path.read_bytes(), path)
         else:
             grid = _grid_of_raster(path)
-    except (OSError, ValueError, struct.error) as error:
-        raise messages.geoid_grid(where=path, why=str(error)) from None
+    except (OSError, ValueError) as error:
+        raise messages.geoid_unreadable(where=path, error=str(error)) from None
     known = grid.values_m[np.isfinite(grid.values_m)]
     if known.size == 0:
         raise messages.geoid_without_values(where=path)
@@ -61,34 +61,36 @@ def read_geoid(path: Path) -> GeoidGrid:
     return grid
 
 
-def _grid_of_gtx(content: bytes, name: str) -> GeoidGrid:
+def _grid_of_gtx(content: bytes, path: Path) -> GeoidGrid:
+    if len(content) < _GTX.size:
+        raise messages.geoid_header(where=path)
     south, west, d_lat, d_lon, rows, columns = _GTX.unpack_from(content)
     if not (0 < rows <= 100_000 and 0 < columns <= 100_000 and d_lat > 0.0 and d_lon > 0.0):
-        raise ValueError("the header is no GTX header")
+        raise messages.geoid_header(where=path)
     if len(content) != _GTX.size + 4 * rows * columns:
-        raise ValueError(f"{len(content)} bytes are not {rows} times {columns} values")
+        raise messages.geoid_size(where=path, size=len(content), rows=rows, columns=columns)
     stored = np.frombuffer(content, ">f4", offset=_GTX.size).reshape(rows, columns)
     values = np.where(stored == _GTX_MISSING, np.nan, stored).astype(np.float32)
-    return GeoidGrid(name, values, south, west, d_lat, d_lon)
+    return GeoidGrid(path.name, values, south, west, d_lat, d_lon)
 
 
 def _grid_of_raster(path: Path) -> GeoidGrid:
     try:
         import rasterio
     except ImportError:
-        raise ValueError("a GeoTIFF needs rasterio: pip install 'unbend[rasters]'") from None
+        raise messages.geoid_needs_rasterio(where=path) from None
     try:
         with rasterio.Env(**GDAL_OPTIONS), rasterio.open(path) as raster:
             plain = raster.count == 1 and raster.driver not in NAME_OTHERS
             if not (plain and raster.crs and raster.crs.is_geographic):
-                raise ValueError("one band in geographic coordinates is needed, in the file itself")
+                raise messages.geoid_bands(where=path)
             a = raster.transform
             if a.b or a.d or a.a <= 0.0 or a.e >= 0.0:
-                raise ValueError("its rows do not run along parallels, from north to south")
+                raise messages.geoid_turned(where=path)
             values = raster.read(1, masked=True).astype(np.float32).filled(np.nan)[::-1]
             values = values * np.float32(raster.scales[0]) + np.float32(raster.offsets[0])
     except rasterio.errors.RasterioError as error:
-        raise ValueError(str(error)) from None
+        raise messages.geoid_unreadable(where=path, error=str(error)) from None
     # Values belong to the centres of the cells.
     south = a.f + a.e * (values.shape[0] - 0.5)
     return GeoidGrid(path.name, np.ascontiguousarray(values), south, a.c + 0.5 * a.a, -a.e, a.a)

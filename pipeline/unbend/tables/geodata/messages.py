@@ -1,6 +1,7 @@
 """Messages of coordinate systems, elevation models, geoids and points."""
 
 from pathlib import Path
+from typing import Any
 
 from unbend.errors import Code, Counted, InputError
 from unbend.messages import Message, loss, note, warning
@@ -113,7 +114,7 @@ def crs_ballpark(*, where: Path | str, name: str, named: str) -> InputError:
 CRS_DATUM = Code(
     "CRS-DATUM",
     means="Positions were brought to WGS 84 by the transformation that is named.",
-    effect="A note; a warning where it is no better than 1 m.",
+    effect="A note; a warning where it is not better than 1 m.",
     remedy="If metres matter, install the grid that the entry names.",
 )
 
@@ -137,7 +138,7 @@ def positions_on_wgs84(
 
 CRS_UNKNOWN = Code(
     "CRS-UNKNOWN",
-    means="The text is no coordinate system that PROJ knows for positions.",
+    means="PROJ knows no coordinate system for positions of this name.",
     effect="The mission is refused.",
     remedy="State it as EPSG:25832, EPSG:4326 or EPSG:25832+5773.",
 )
@@ -312,7 +313,7 @@ def rasters_of_several_systems(*, where: Path | str) -> InputError:
 
 DEM_RASTER = Code(
     "DEM-RASTER",
-    means="The elevation model is no single band of heights, north up.",
+    means="The elevation model is not a single band of heights, north up.",
     effect="The mission is refused.",
     remedy="Write one band, north up (gdalwarp); name the tiles of a VRT instead of it.",
 )
@@ -457,7 +458,7 @@ def dem_unit(*, where: Path | str, unit: str) -> InputError:
     """The unit of the heights is not known."""
     return InputError(
         DEM_UNIT,
-        "its heights are in {unit!r}, which is no known unit of length",
+        "its heights are in {unit!r}, which is not a known unit of length",
         where=where,
         unit=unit,
         remedy="state the unit of the band as m or ft",
@@ -485,7 +486,7 @@ def dem_unreadable(*, where: Path | str, error: str) -> InputError:
 
 GEOID_GRID = Code(
     "GEOID-GRID",
-    means="The file is no grid of undulations.",
+    means="The file is not a grid of undulations.",
     effect="The mission is refused.",
     remedy=(
         "Give a .gtx or GeoTIFF, geographic, of ellipsoidal minus orthometric heights in metres."
@@ -493,49 +494,59 @@ GEOID_GRID = Code(
 )
 
 
-def geoid_grid(*, where: Path | str, why: str) -> InputError:
-    """The file cannot be read as a grid of undulations; ``why`` says the reader."""
+def _no_geoid(where: Path | str, why: str, **values: Any) -> InputError:
     return InputError(
         GEOID_GRID,
-        "it is not a grid of undulations: {why}",
+        f"it is not a grid of undulations: {why}",
         where=where,
-        why=why,
         remedy=(
             "give a .gtx or a GeoTIFF in geographic coordinates of the ellipsoidal height"
             " minus the height above the geoid, in metres"
         ),
+        **values,
     )
+
+
+def geoid_unreadable(*, where: Path | str, error: str) -> InputError:
+    """The operating system, or GDAL, cannot read the file."""
+    return _no_geoid(where, "{error}", error=error)
+
+
+def geoid_header(*, where: Path | str) -> InputError:
+    """The first bytes of a .gtx are not its header."""
+    return _no_geoid(where, "the header is not that of a GTX")
+
+
+def geoid_size(*, where: Path | str, size: int, rows: int, columns: int) -> InputError:
+    """A .gtx is longer or shorter than its header says."""
+    why = "{size} are not {rows} times {columns} values"
+    return _no_geoid(where, why, size=Counted(size, "byte"), rows=rows, columns=columns)
+
+
+def geoid_needs_rasterio(*, where: Path | str) -> InputError:
+    """A GeoTIFF, and rasterio is not installed."""
+    return _no_geoid(where, "a GeoTIFF needs rasterio: pip install 'unbend[rasters]'")
+
+
+def geoid_bands(*, where: Path | str) -> InputError:
+    """A raster of several bands, of a projection, or one that names other rasters."""
+    return _no_geoid(where, "one band in geographic coordinates is needed, in the file itself")
+
+
+def geoid_turned(*, where: Path | str) -> InputError:
+    """A raster whose rows are not parallels, or that begins in the south."""
+    return _no_geoid(where, "its rows do not run along parallels, from north to south")
 
 
 def geoid_values(*, where: Path | str, lowest: float, highest: float) -> InputError:
     """The values of the grid are too small or too large for undulations."""
-    return InputError(
-        GEOID_GRID,
-        (
-            "it is not a grid of undulations: it holds {lowest:.0f} to {highest:.0f} m; "
-            "undulations are -107 to 86 m"
-        ),
-        where=where,
-        remedy=(
-            "give a .gtx or a GeoTIFF in geographic coordinates of the ellipsoidal height"
-            " minus the height above the geoid, in metres"
-        ),
-        lowest=lowest,
-        highest=highest,
-    )
+    why = "it holds {lowest:.0f} to {highest:.0f} m; undulations are -107 to 86 m"
+    return _no_geoid(where, why, lowest=lowest, highest=highest)
 
 
 def geoid_without_values(*, where: Path | str) -> InputError:
     """The grid has no value at all."""
-    return InputError(
-        GEOID_GRID,
-        "it is not a grid of undulations: it holds no value at all",
-        where=where,
-        remedy=(
-            "give a .gtx or a GeoTIFF in geographic coordinates of the ellipsoidal height"
-            " minus the height above the geoid, in metres"
-        ),
-    )
+    return _no_geoid(where, "it holds no value at all")
 
 
 POINTS_COLUMN = Code(
