@@ -122,9 +122,9 @@ class ImageTimes:
                 if all(a == b for a, b in zip(parts[row][::-1], wanted, strict=False))
             ]
             if len(same) > 1:
-                one, other = self.file[same[:2]]
+                first, second = self.file[same[:2]]
                 raise messages.images_duplicate(
-                    where="events.images", image=image, one=one, other=other
+                    where="events.images", image=image, first=str(first), second=str(second)
                 )
             if same:
                 found[image] = same[0]

@@ -165,17 +165,17 @@ IMAGES_DUPLICATE = Code(
 )
 
 
-def images_duplicate(*, where: Path | str, image: str, one: str, other: str) -> InputError:
+def images_duplicate(*, where: Path | str, image: str, first: str, second: str) -> InputError:
     """Two files have the name of an image of the observations."""
     return InputError(
         IMAGES_DUPLICATE,
-        "{image} may be {one} or {other}",
+        "{image} may be {first} or {second}",
         where=where,
         image=image,
-        one=one,
-        other=other,
+        first=first,
+        second=second,
         remedy=(
-            "write the folder into the names of the observations' images, as in {one}, or"
+            "write the folder into the names of the observations' images, as in {first}, or"
             " give the folder of one flight"
         ),
     )
