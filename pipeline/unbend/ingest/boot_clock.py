@@ -315,25 +315,31 @@ def _split_boots(line: Timeline, source: UtcReadings, decided: Mask) -> Timeline
     silences = line.silences()
     within_boot = line.boot[silences.after] == line.boot[silences.after - 1]
     free = ~decided & within_boot
-    after = silences.after[free]
-    silence_ns = silences.length_ns[free]
-    if not after.size or not source.places.shape[0]:
+    silences = Silences(silences.after[free], silences.length_ns[free])
+    if not silences.after.size or not source.places.shape[0]:
         return line
-    silence_places = line.first[after]
-    boot_of_rows = line.boot_of(source.places)
+    silence_places = line.first[silences.after]
     boot = line.boot.copy()
-    for number in np.unique(boot_of_rows).tolist():
-        rows = np.flatnonzero(boot_of_rows == number)
-        offset_ns = without_glitches(source.utc_ns[rows] - source.boot_ns[rows])
-        steps = np.flatnonzero(np.abs(np.diff(offset_ns)) > clock.BOOT_STEP_NS)
-        for row in steps.tolist():
-            # the longest silence between the two rows is where the vehicle was restarted
-            around = source.places[rows[row : row + 2]]
-            begin, end = np.searchsorted(silence_places, around, side="right")
-            if begin < end:
-                longest = begin + np.argmax(silence_ns[begin:end])
-                boot[after[longest] :] += 1
+    for before, after in _offset_steps(line, source):
+        # the longest silence between the two rows is where the vehicle was restarted
+        begin, end = np.searchsorted(silence_places, [before, after], side="right")
+        if begin < end:
+            longest = begin + np.argmax(silences.length_ns[begin:end])
+            boot[silences.after[longest] :] += 1
     return replace(line, boot=boot)
+
+
+def _offset_steps(line: Timeline, source: UtcReadings) -> list[tuple[int, int]]:
+    """The places of the rows before and after each step of a source's offset within a boot."""
+    boot = line.boot_of(source.places)
+    steps: list[tuple[int, int]] = []
+    for number in np.unique(boot).tolist():
+        rows = np.flatnonzero(boot == number)
+        places = source.places[rows]
+        offset_ns = without_glitches(source.utc_ns[rows] - source.boot_ns[rows])
+        stepped = np.flatnonzero(np.abs(np.diff(offset_ns)) > clock.BOOT_STEP_NS)
+        steps += zip(places[stepped].tolist(), places[stepped + 1].tolist(), strict=True)
+    return steps
 
 
 def without_glitches(offset_ns: TimeArray) -> TimeArray:

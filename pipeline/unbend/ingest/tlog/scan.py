@@ -268,6 +268,13 @@ class Scan(DamagedBytes):
             state = _SequenceState(last=(int(sequence[0]) - 1) % SEQUENCE, heard_us=int(host_us[0]))
         skipped = np.diff(sequence, prepend=np.uint8(state.last)) - np.uint8(1)  # modulo 256
         silent = np.diff(host_us, prepend=state.heard_us) > SILENT_US
+        for row in np.flatnonzero(silent).tolist():
+            silent_us = _silent_us(host_us, row, state.heard_us)
+            if silent_us > SILENT_US:
+                is_backward = skipped[row] >= SEQUENCE // 2
+                backward = int(skipped[row]) if is_backward else 0
+                self.silences.append(Silence(sender, int(at[row]), silent_us / 1e6, backward))
+        # how far each message is from the last of those before
         step = skipped.view(np.int8).astype(np.int64) + 1
         step[(step < 0) & silent] = 1  # after seconds of silence no message overtakes another
         place = np.cumsum(step)
@@ -276,19 +283,21 @@ class Scan(DamagedBytes):
         if new.size:
             lost = int(new[-1]) - state.ahead - new.shape[0]
         self.lost[sender] += lost
-        for row in np.flatnonzero(silent).tolist():
-            before = host_us[max(row - STRAY_ROWS - 1, 0) : row]
-            last_us = int(before.max(initial=state.heard_us))
-            silent_us = int(host_us[row : row + STRAY_ROWS + 1].min()) - last_us
-            if silent_us > SILENT_US:
-                is_backward = skipped[row] >= SEQUENCE // 2
-                backward = int(skipped[row]) if is_backward else 0
-                self.silences.append(Silence(sender, int(at[row]), silent_us / 1e6, backward))
         self._sequences[number] = _SequenceState(
             last=int(sequence[-1]),
             heard_us=int(host_us[-1]),
             ahead=max(state.ahead, int(place.max())) - int(place[-1]),
         )
+
+
+def _silent_us(host_us: Integers, row: int, heard_us: int) -> int:
+    """The time before a message without another of its sender, by the stamps on both sides.
+
+    Of those the nearest count, as single ones may be stray; ``heard_us``: the last one before all.
+    """
+    before_us = host_us[max(row - STRAY_ROWS - 1, 0) : row].max(initial=heard_us)
+    after_us = host_us[row : row + STRAY_ROWS + 1].min()
+    return int(after_us) - int(before_us)
 
 
 def _apart(frames: Frames) -> Frames:

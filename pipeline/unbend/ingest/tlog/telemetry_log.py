@@ -173,13 +173,8 @@ def _table(path: Path, clocks: Clocks, name: str, instance: str | None) -> Table
     message = message_of_name().get(name)
     if message is None:
         return {}
-    with open_view(path) as data:
-        scan = Scan(data, crc_extras(), {message.number: message.dtype})
-    store = scan.sent.get(message.number)
-    if store is None:
-        return {}
-    rows = store.whole()
-    if instance is not None:
+    rows = _messages_of_type(path, message)
+    if instance is not None and len(rows):
         rows = _rows_of_instance(rows, message, instance)
     if not len(rows):
         return {}
@@ -199,6 +194,15 @@ def _table(path: Path, clocks: Clocks, name: str, instance: str | None) -> Table
         is_text = name_of_field in message.texts
         table[name_of_field] = _texts(column) if is_text else column
     return table
+
+
+def _messages_of_type(path: Path, message: MessageDefinition) -> NDArray[Any]:
+    """All messages of one type as they were sent."""
+    with open_view(path) as data:
+        scan = Scan(data, crc_extras(), {message.number: message.dtype})
+    if message.number not in scan.sent:
+        return np.empty(0)
+    return scan.sent[message.number].whole()
 
 
 def _rows_of_instance(
