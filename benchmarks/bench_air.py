@@ -22,7 +22,7 @@ def flown(rows: int) -> AirSamples:
     return AirSamples(
         *(
             SensorSamples(
-                stamps, h, value + sigma * rng.normal(size=rows), np.ones(rows, bool), name
+                stamps, h, value + sigma * rng.normal(size=rows), np.zeros(rows, np.uint8), name
             )
             for (value, sigma), name in zip(readings, ("t", "p", "rh"), strict=True)
         )

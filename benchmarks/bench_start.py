@@ -87,18 +87,18 @@ def cold_in_compilations(code: str, tmp_path: Path) -> float:
 
 def test_the_first_angle_with_a_cold_cache(ratios, tmp_path):
     ratio = cold_in_compilations(FIRST_ANGLE, tmp_path)
-    ratios.check("first angle, cold, times compiling a small kernel", ratio, at_most=1.0)
+    ratios.check("first angle, cold, times compiling a small kernel", ratio, at_most=2.5)
     ratio = statistics.median(
         taken(FIRST_ANGLE, tmp_path / "warm") / taken(REFERENCE, tmp_path / "reference")
         for _ in range(5)
     )
-    ratios.check("first angle, warm, times compiling a small kernel", ratio, at_most=1.0)
+    ratios.check("first angle, warm, times compiling a small kernel", ratio, at_most=1.2)
 
 
 def test_the_first_points_with_a_cold_cache(ratios, tmp_path):
-    """Interpreted, as the angle is: nothing is compiled for a thousand points."""
+    """Four kernels are compiled, once."""
     ratio = cold_in_compilations(FIRST_POINT, tmp_path)
-    ratios.check("first 1000 points, cold, times compiling a small kernel", ratio, at_most=1.5)
+    ratios.check("first 1000 points, cold, times compiling a small kernel", ratio, at_most=6.0)
 
 
 def cpu_seconds(*words: str, cache: Path) -> float:
@@ -125,7 +125,7 @@ def test_the_first_mission_on_a_machine(ratios, tmp_path):
     pairs = [(cpu_seconds(*words, cache=tmp_path / str(i)),
               cpu_seconds(*words, cache=tmp_path / "warm")) for i in range(3)]  # fmt: skip
     ratio = statistics.median(cold / warm for cold, warm in pairs)
-    ratios.check("first mission on a machine, times a further one", ratio, at_most=3.0)
+    ratios.check("first mission on a machine, times a further one", ratio, at_most=6.0)
 
 
 def test_the_first_answer_of_the_command_line(ratios):

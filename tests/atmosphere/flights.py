@@ -18,6 +18,7 @@ from scipy.integrate import cumulative_simpson, trapezoid
 from scipy.signal import lfilter
 
 from unbend.atmosphere.air_samples import AirSamples, SensorSamples
+from unbend.atmosphere.rejection import Reason, reasons_where
 from unbend.simulate.true_air import edlen_index, normal_gravity, saturation_pressure_pa
 
 SOUNDINGS = Path(__file__).resolve().parents[1] / "data" / "soundings"
@@ -266,11 +267,15 @@ def fly(
     rh = truth.at(truth.rh, above) + s.humidity_bias + rng.normal(0.0, 1.0, n) * s.humidity_noise
     time_ns = truth.start_ns + np.round(seconds * 1e9).astype(np.int64)
     flown = seconds - TAKEOFF_S >= gate_s
+
+    def gated(used):
+        return reasons_where(~used, Reason.GROUND_SOAK)
+
     moist = {"none": None, "surface": above < 200.0, "profile": flown}[humidity]
     return AirSamples(
-        SensorSamples(time_ns, h, t, flown, "thermometer") if thermometer else None,
-        SensorSamples(time_ns, h, p, np.ones(n, bool), "barometer") if barometer else None,
-        SensorSamples(time_ns, h, rh, moist, "hygrometer") if moist is not None else None,
+        SensorSamples(time_ns, h, t, gated(flown), "thermometer") if thermometer else None,
+        SensorSamples(time_ns, h, p, np.zeros(n, np.uint8), "barometer") if barometer else None,
+        SensorSamples(time_ns, h, rh, gated(moist), "hygrometer") if moist is not None else None,
     )
 
 

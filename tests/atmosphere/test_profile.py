@@ -188,7 +188,7 @@ def moist_profile(latitude: float) -> Profile:
     rh = np.where(h < 1300.0, 0.7, 0.25)
     fall = 0.0341632 * 5.0 / (0.5 * (t[1:] + t[:-1]))  # dp/p over 5 m
     p = 96_500.0 * np.exp(-np.concatenate([[0.0], np.cumsum(fall)]))
-    everything = np.ones(h.size, bool)
+    everything = np.zeros(h.size, np.uint8)
 
     def samples(value, name):
         return SensorSamples(time_ns, h, value, everything, name)

@@ -209,6 +209,10 @@ def test_missions_are_files_patterns_and_sections(season, mission, tmp_path):
         ({"missions": [7]}, ["missions[0]"]),
         ({"misions": ["a"]}, ["misions: unknown key; perhaps 'missions'?"]),
         ({"defaults": {"atmosfere": {}}}, ["defaults.atmosfere", "perhaps 'atmosphere'?"]),
+        (
+            {"defaults": {"cameras": {"nadir": {"window": {"normal": [1.0, 0.0, 0.0]}}}}},
+            ["defaults.cameras.nadir.window"],
+        ),
         ({"defaults": {"output": {"batch_rows": "many"}}}, ["defaults.output.batch_rows"]),
         ({"defaults": {"output": {"batch_rows": "TODO"}}}, ["CONFIG-TODO", "batch_rows"]),
         ({"missions": [{"mission": {"name": "x"}, "lag": 1}]}, ["missions[0].lag", "'log'"]),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
+import pickle
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -93,8 +94,8 @@ def test_a_normal_becomes_a_unit_vector(load):
         ),
         ({"cabin": SCHEDULE, "normal": [0.0, 0.0, 0.0]}, "normal of a window has the length 0"),
         ({"cabin": SCHEDULE, "normal": [0.0, 0.0, 0.0], "frame": "body"}, "has the length 0"),
-        ({"cabin": SCHEDULE, "normal": [0.0, math.nan, 1.0]}, "normal[1]: nan stands there"),
-        ({"cabin": SCHEDULE, "normal": [0.0, 1.0]}, "takes a list of 3"),
+        ({"cabin": SCHEDULE, "normal": [0.0, math.nan, 1.0]}, "normal[1]: nan is not allowed"),
+        ({"cabin": SCHEDULE, "normal": [0.0, 1.0]}, "use a list of 3"),
         ({"cabin": SCHEDULE, "normal": [0.0, 1.0, 0.0]}, "third component is positive"),
         ({"cabin": SCHEDULE, "normal": [0.0, 0.0, -1.0]}, "third component is positive"),
         ({"cabin": SCHEDULE, "normal": [0.0, 0.0, -1.0], "frame": "body"}, "looks away"),
@@ -154,3 +155,29 @@ def test_a_lens_is_described_whole(load, key):
     lens = copy.deepcopy(LENS)
     del lens[key]
     assert f"principal_distance.{key}: is missing" in refusal(load, config(principal_distance=lens))
+
+
+def test_windows_lenses_mounts_and_cameras_are_built_once(load):
+    mission = load(config({"cabin": SCHEDULE}, principal_distance=LENS))
+    camera = mission.cameras["nadir"]
+    assert mission.windows["nadir"] is camera.window.window
+    assert mission.lenses["nadir"] is camera.lens
+    assert mission.mounts["nadir"] is mission.mount["nadir"].mount
+    assert mission.interior_orientations["nadir"] is camera.interior_orientation
+    assert mission.windows is mission.windows
+
+
+def test_what_is_built_is_no_key_and_stays_with_the_mission(load):
+    mission = load(config({"cabin": SCHEDULE}, principal_distance=LENS))
+    assert mission.lenses.keys() == {"nadir"}
+    assert mission.model_dump(warnings="error").keys() == Mission.model_fields.keys()
+    again = pickle.loads(pickle.dumps(mission))
+    assert again == mission
+    assert again.lenses == mission.lenses
+
+
+def test_a_copy_with_other_keys_builds_anew(load):
+    mission = load(config({"cabin": SCHEDULE}))
+    bare = load(config()).cameras
+    assert mission.windows.keys() == {"nadir"}
+    assert mission.model_copy(update={"cameras": bare}).windows == {}

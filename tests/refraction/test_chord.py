@@ -175,8 +175,8 @@ def test_targets_of_an_image_and_of_its_ideal_pixels(rotation):
     )
     assert set(corrected.status.tolist()) <= {OK, FAR_BRANCH}
     straight = target_heights(
-        corrected.x_px,
-        corrected.y_px,
+        corrected.x_corrected_px,
+        corrected.y_corrected_px,
         distance,
         first,
         exposures,

@@ -144,7 +144,7 @@ def test_against_gyers_scalar_equations(tilt, azimuth, swing, cabin):
     # Reached: 2e-12 px, of up to 17.
     np.testing.assert_allclose(found.dx_px, expected[:, 0], rtol=0.0, atol=1e-10)
     np.testing.assert_allclose(found.dy_px, expected[:, 1], rtol=0.0, atol=1e-10)
-    np.testing.assert_array_equal(found.x_px, x + found.dx_px)
+    np.testing.assert_array_equal(found.x_corrected_px, x + found.dx_px)
 
 
 @pytest.mark.parametrize(
@@ -188,8 +188,8 @@ def test_against_a_brute_force_rotation(tilt):
         axis = np.cross(local, [0.0, 0.0, -1.0])
         turned = Rotation.from_rotvec(r_c * axis / np.linalg.norm(axis)).apply(local)
         u, v, w = rotation @ turned
-        assert found.x_px[i] == pytest.approx(11_000.0 * u / w + PINHOLE.cx_px, abs=1e-9)
-        assert found.y_px[i] == pytest.approx(11_000.0 * v / w + PINHOLE.cy_px, abs=1e-9)
+        assert found.x_corrected_px[i] == pytest.approx(11_000.0 * u / w + PINHOLE.cx_px, abs=1e-9)
+        assert found.y_corrected_px[i] == pytest.approx(11_000.0 * v / w + PINHOLE.cy_px, abs=1e-9)
         assert found.zeta_c_rad[i] == pytest.approx(zeta, abs=1e-15)
         assert found.r_c_rad[i] == pytest.approx(r_c, rel=1e-12)
 
@@ -202,10 +202,12 @@ def test_distorted_pixels_go_out_as_distorted_pixels():
     x, y = np.array(POINTS).T
     u, v, _ = camera.rays(x, y)
     ideal = correct(11_000.0 * u + 7012.4, 11_000.0 * v + 5291.7, rotation)
-    expected = camera.project((ideal.x_px - 7012.4) / 11_000.0, (ideal.y_px - 5291.7) / 11_000.0)
+    expected = camera.project(
+        (ideal.x_corrected_px - 7012.4) / 11_000.0, (ideal.y_corrected_px - 5291.7) / 11_000.0
+    )
     found = correct(x, y, rotation, camera=camera)
-    np.testing.assert_allclose(found.x_px, expected[0], rtol=0.0, atol=2e-9)
-    np.testing.assert_allclose(found.y_px, expected[1], rtol=0.0, atol=2e-9)
+    np.testing.assert_allclose(found.x_corrected_px, expected[0], rtol=0.0, atol=2e-9)
+    np.testing.assert_allclose(found.y_corrected_px, expected[1], rtol=0.0, atol=2e-9)
 
 
 def test_exactly_at_the_nadir_nothing_moves():
@@ -235,7 +237,9 @@ def test_the_axis_horizontal():
     np.testing.assert_allclose(np.degrees(found.zeta_c_rad), [87.0, 80.0, 70.0], rtol=1e-12)
     assert np.all(found.dy_px > 0.0)  # down the image, towards the nadir
     below = np.radians([3.0, 10.0, 20.0]) + found.r_c_rad
-    np.testing.assert_allclose(found.y_px, PINHOLE.cy_px + 11_000.0 * np.tan(below), atol=1e-9)
+    np.testing.assert_allclose(
+        found.y_corrected_px, PINHOLE.cy_px + 11_000.0 * np.tan(below), atol=1e-9
+    )
     assert np.abs(found.dx_px).max() < 1e-9
 
 
@@ -244,7 +248,7 @@ def test_above_the_horizon_there_is_no_ground_but_there_are_targets():
     x, y = [PINHOLE.cx_px] * 3, [PINHOLE.cy_px, PINHOLE.cy_px - 900.0, PINHOLE.cy_px - 4000.0]
     found = correct(x, y, rotation)
     assert found.status.tolist() == [MISSES_GROUND] * 3
-    assert np.isnan(found.x_px).all()
+    assert np.isnan(found.x_corrected_px).all()
     found = correct(x[1:], y[1:], rotation, h_g=H_C + 800.0)
     assert found.status.tolist() == [OK, OK]
     assert np.all(found.dy_px > 0.0)
@@ -256,7 +260,7 @@ def test_beyond_grazing_carries_values():
     y = PINHOLE.cy_px + 11_000.0 * np.tan(np.radians([1.7, 2.5]))
     found = correct([PINHOLE.cx_px] * 2, y, looking(90.0), h_g=1000.0)
     assert found.status.tolist() == [BEYOND_GRAZING, OK]
-    assert np.isfinite(found.x_px).all()
+    assert np.isfinite(found.x_corrected_px).all()
     assert np.all(found.dy_px > 5.0)
 
 
@@ -297,7 +301,7 @@ def test_each_reason_in_its_place():
         OK, BAD_MEASUREMENT, NO_STATION, NO_GROUND, OUTSIDE_CAMERA, OUTSIDE_PROFILE, NO_STATION,
         BAD_MEASUREMENT, NO_STATION,
     ]  # fmt: skip
-    np.testing.assert_array_equal(np.isfinite(found.x_px), found.status == OK)
+    np.testing.assert_array_equal(np.isfinite(found.x_corrected_px), found.status == OK)
 
 
 @pytest.mark.parametrize("change", [np.inf, -np.inf, np.nan, -11_000.0, -12_000.0])
@@ -308,7 +312,7 @@ def test_a_lens_that_cannot_be_has_a_status(change):
         camera=PINHOLE, table=TABLE,
     )  # fmt: skip
     assert found.status.tolist() == [OUTSIDE_CAMERA]
-    assert np.isnan([found.x_px[0], found.dx_px[0], found.r_c_rad[0]]).all()
+    assert np.isnan([found.x_corrected_px[0], found.dx_px[0], found.r_c_rad[0]]).all()
 
 
 def test_no_stations_at_all():
@@ -358,7 +362,7 @@ def test_a_tilted_window_bends_about_its_own_normal():
     found = correct(PINHOLE.cx_px, y, DOWN, cabin=CABIN, normal=normal)
     plain = correct(PINHOLE.cx_px, y, DOWN)
     assert found.r_cc_rad[0] == pytest.approx(0.0, abs=1e-16)
-    assert found.y_px[0] == pytest.approx(plain.y_px[0], abs=1e-9)
+    assert found.y_corrected_px[0] == pytest.approx(plain.y_corrected_px[0], abs=1e-9)
     assert correct(PINHOLE.cx_px, y, DOWN, cabin=CABIN).r_cc_rad[0] > 1e-5
 
 
@@ -424,7 +428,7 @@ def test_over_the_horizon_there_are_no_metres_and_a_good_status():
         np.zeros(3, np.int64), exposures(looking(90.0), h_c=10_000.0), camera=PINHOLE, table=TABLE,
     )  # fmt: skip
     assert found.status.tolist() == [OK] * 3
-    assert np.isfinite(found.y_px).all()
+    assert np.isfinite(found.y_corrected_px).all()
     assert np.isnan(found.shift_ground_m).tolist() == [False, True, True]
     for i in range(3):
         metres = ground_displacement(

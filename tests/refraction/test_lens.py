@@ -76,8 +76,8 @@ def test_a_longer_principal_distance_puts_the_same_ray_farther_out():
         )
 
     changed, unchanged = corrected(*flown, 12.0), corrected(*calibrated, 0.0)
-    assert changed.x_px[0] == pytest.approx(unchanged.x_px[0], abs=1e-9)
-    assert changed.y_px[0] == pytest.approx(unchanged.y_px[0], abs=1e-9)
+    assert changed.x_corrected_px[0] == pytest.approx(unchanged.x_corrected_px[0], abs=1e-9)
+    assert changed.y_corrected_px[0] == pytest.approx(unchanged.y_corrected_px[0], abs=1e-9)
     assert changed.dx_px[0] - unchanged.dx_px[0] == pytest.approx(-12.0 * u, abs=1e-9)
     assert changed.dy_px[0] - unchanged.dy_px[0] == pytest.approx(-12.0 * v, abs=1e-9)
     assert changed.r_c_rad[0] == pytest.approx(unchanged.r_c_rad[0], rel=1e-12)

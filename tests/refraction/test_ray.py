@@ -34,7 +34,7 @@ def wiggly():
     t = 289.0 - 6.5e-3 * h + 6.0 / (1.0 + np.exp(-(h - 1400.0) / 40.0)) + 0.6 * np.sin(h / 90.0)
     rh = 0.5 + 0.3 * np.sin(h / 150.0)
     p = 98_000.0 * np.exp(-(h - 300.0) / 8400.0)
-    used = np.ones(h.size, bool)
+    used = np.zeros(h.size, np.uint8)
     samples = (
         SensorSamples(time_ns, h, v, used, name) for v, name in ((t, "T"), (p, "p"), (rh, "rh"))
     )

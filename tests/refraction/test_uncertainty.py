@@ -347,7 +347,7 @@ def test_displacing_has_the_sigmas_of_where_it_ends(air):
     there = apply_refraction(
         x, y, h_g, np.zeros(x.size, np.int64), ex, camera=CAMERA, table=ray_table(profile), **how
     )
-    back = shifts(profile, ex, there.x_px, there.y_px, h_g, **how)
+    back = shifts(profile, ex, there.x_corrected_px, there.y_corrected_px, h_g, **how)
     for name, values in there.sigmas._asdict().items():
         sign = -1.0 if name in PARTIALS else 1.0  # displaced is where corrected comes from
         np.testing.assert_allclose(values, sign * getattr(back.sigmas, name), rtol=1e-6)

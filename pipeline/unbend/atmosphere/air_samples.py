@@ -1,10 +1,21 @@
 """What a flight measured of the air, against height, and its robust binning."""
 
-from dataclasses import dataclass, replace
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
 import numpy as np
 
+from unbend.atmosphere.rejection import (
+    Reason,
+    Reasons,
+    RemovedSamples,
+    count_by_reason,
+    described_counts,
+    with_reason,
+)
 from unbend.units import Array, Integers, Mask, Rows
 
 Record = TypeVar("Record", bound=Any)
@@ -18,19 +29,35 @@ _FEWEST_IN_BIN = 3
 class SensorSamples:
     """One sensor's readings against height above sea level; (n,) arrays.
 
-    ``value`` in SI (K, Pa, or relative humidity 0-1); ``accepted`` is False for readings that a
-    gate has rejected (they are shown, not used), and is made False where height or value is NaN.
+    ``value`` in SI (K, Pa, or relative humidity 0-1); ``rejected`` says why a reading is not used,
+    0 where it is: those that are not are shown. A reading without value or height is rejected here.
+    ``removed`` are samples of the sensor that were impossible, and have no row.
     """
 
     time_ns: Integers
     h_m: Array
     value: Array
-    accepted: Mask
+    rejected: Reasons
     name: str = ""
+    removed: RemovedSamples = field(default_factory=RemovedSamples)
 
     def __post_init__(self) -> None:
-        known = np.isfinite(self.h_m) & np.isfinite(self.value)
-        object.__setattr__(self, "accepted", self.accepted & known)
+        rejected = with_reason(self.rejected, ~np.isfinite(self.value), Reason.NO_VALUE)
+        rejected = with_reason(rejected, ~np.isfinite(self.h_m), Reason.NO_HEIGHT)
+        object.__setattr__(self, "rejected", rejected)
+
+    @property
+    def accepted(self) -> Mask:
+        """(n,) which readings are used."""
+        return np.asarray(self.rejected == Reason.USED)
+
+    def count(self, reason: Reason) -> int:
+        """How many readings have a reason."""
+        return int(np.count_nonzero(self.rejected == reason))
+
+    def reject(self, rows: Mask, reason: Reason) -> SensorSamples:
+        """The same without some readings, for a reason."""
+        return replace(self, rejected=with_reason(self.rejected, rows, reason))
 
     def used(self) -> tuple[Array, Array]:
         """Heights and values that were accepted."""
@@ -80,6 +107,53 @@ class AirSamples:
         every = {"temperature": self.temperature, "pressure": self.pressure}
         every["humidity"] = self.humidity
         return {name: sensor for name, sensor in every.items() if sensor is not None}
+
+
+@dataclass(frozen=True)
+class SensorUse:
+    """How many samples of a sensor are used, and of the others why they are not."""
+
+    quantity: str
+    sensor: str
+    samples: int
+    rejected: Mapping[Reason, int]
+
+    @property
+    def used(self) -> int:
+        """How many samples are used."""
+        return self.samples - sum(self.rejected.values())
+
+    def row(self) -> dict[str, object]:
+        """For the manifest: counts of those not used by the reason in words."""
+        return {
+            "sensor": self.sensor,
+            "quantity": self.quantity,
+            "samples": self.samples,
+            "used": self.used,
+            "rejected": {reason.text: count for reason, count in self.rejected.items()},
+        }
+
+    def sentence(self) -> str:
+        """For a person.
+
+        >>> SensorUse("temperature", "HYGR[0]", 900, {Reason.NO_VALUE: 2}).sentence()
+        'HYGR[0], temperature: 898 of 900 samples used; not used: 2 (no value)'
+        """
+        sentence = f"{self.sensor}, {self.quantity}: {self.used} of {self.samples} samples used"
+        if self.rejected:
+            sentence += f"; not used: {described_counts(self.rejected)}"
+        return sentence
+
+
+def sensor_uses(samples: AirSamples, rejected: Mapping[str, Reasons]) -> tuple[SensorUse, ...]:
+    """The use of each sensor outside; ``rejected`` by quantity, where an estimate says more."""
+    uses: list[SensorUse] = []
+    for quantity, sensor in samples.sensors.items():
+        reasons = rejected.get(quantity, sensor.rejected)
+        counts = count_by_reason([sensor.removed.reason, reasons])
+        total = reasons.size + len(sensor.removed)
+        uses.append(SensorUse(quantity, sensor.name, total, counts))
+    return tuple(uses)
 
 
 def part_of(record: Record, rows: Mask | Rows | slice) -> Record:

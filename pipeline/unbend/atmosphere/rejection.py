@@ -5,7 +5,7 @@ A reason is never replaced by a later one: the first rule that rejects a sample 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
 
@@ -34,6 +34,7 @@ class Reason(IntEnum):
     SENSOR_NOT_USED = 10
     OUTSIDE_CLIMATOLOGY = 11
     OUTLIER = 12
+    LEFT_OUT = 13
 
     @property
     def text(self) -> str:
@@ -55,6 +56,7 @@ _TEXTS = {
     Reason.SENSOR_NOT_USED: "the whole sensor is not used",
     Reason.OUTSIDE_CLIMATOLOGY: "above or below the heights of the climatology",
     Reason.OUTLIER: "far from the other readings of its height",
+    Reason.LEFT_OUT: "left out of a comparison",
 }
 
 
@@ -86,6 +88,15 @@ def count_by_reason(reasons: Iterable[Reasons]) -> dict[Reason, int]:
     for of_samples in reasons:
         total += np.bincount(of_samples, minlength=len(Reason))
     return {reason: int(total[reason]) for reason in list(Reason)[1:] if total[reason]}
+
+
+def described_counts(counts: Mapping[Reason, int]) -> str:
+    """Counts by reason, for a person.
+
+    >>> described_counts({Reason.JUMP: 2, Reason.NO_VALUE: 1})
+    '2 (jumps faster than the air or a vehicle can change), 1 (no value)'
+    """
+    return ", ".join(f"{count} ({reason.text})" for reason, count in counts.items())
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from unbend.config.messages import URL_INVALID
 from unbend.errors import (
     Code,
     ConfigError,
@@ -475,14 +476,6 @@ def worker_unable(*, worker: str, error: str) -> ConfigError:
 
 # Object storage
 
-URL_INVALID = Code(
-    "URL-INVALID",
-    means="A path looks like a URL, and names no object in a bucket or container, or stands where "
-    "only files of this machine are taken. URLs with a user, a password, a query or a fragment "
-    "are refused, since they may hold a secret.",
-    effect="The mission is refused.",
-    remedy="Write s3://bucket/key or az://container/key, and put credentials into the environment.",
-)
 CLOUD_BUCKET = Code(
     "CLOUD-BUCKET",
     means="The bucket or container of a URL is not there, or lies in another region.",

@@ -76,8 +76,6 @@ class DistortionSection(Section):
 
 
 _OTHER_WAYS = ["file", "model", "params", "metric"]
-OWN_ORIENTATION = {*_OTHER_WAYS, "f_px", "fx_px", "fy_px", "cx_px", "cy_px", "distortion"}
-"""Keys of which a camera has one, unless its orientation is that of the observations' block."""
 
 
 class CameraSection(Section):

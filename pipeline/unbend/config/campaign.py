@@ -20,10 +20,15 @@ from unbend.config.defaults import merged
 from unbend.config.mission import Mission
 from unbend.config.reading import mission_of, refusal_of
 from unbend.config.schema import PATH, alternatives, nodes_at
+from unbend.config.section import SectionError
 from unbend.config.yaml_text import Place, open_questions, read_yaml
 from unbend.errors import ConfigError
 
-_NO_LINES = yaml.MappingNode("", [], yaml.Mark("", 0, 0, 0, None, 0))
+_NO_LINES = yaml.MappingNode(
+    "",
+    [],
+    yaml.Mark(name="", index=0, line=0, column=0, buffer=None, pointer=0),
+)
 _IS_CAMPAIGN = re.compile(r"""^["']?(campaign|missions)["']?\s*:|^\s*\{""", re.MULTILINE)
 _URL = re.compile("[A-Za-z][A-Za-z0-9+.-]+:/")  # as `is_url` of the rooms above has it
 
@@ -123,82 +128,108 @@ def campaign_of(path: Path, values: dict[str, Any], node: yaml.Node) -> Campaign
     Its defaults and the missions that stand in it are checked too; of mission files only that
     patterns match some. Opens nothing.
     """
+    complete = _with_defaults(values)
+    items = _refused(CampaignFile, values)
+    items += _refused_defaults(values)
+    items += _refused_missions(complete)
+    if items or open_questions(values):
+        raise refusal_of(items, complete, node, str(path))
+    section = values["campaign"]
+    output = section["output"]
+    if _URL.match(output):
+        raise messages.campaign_output_is_url(path=path)
+    output_of_missions = {"output": {"path": os.path.join(output, "{mission}")}}
+    defaults = merged(output_of_missions, values.get("defaults", {}))
+    missions = []
+    for file, sections in mission_files(path, values["missions"]):
+        defaults_there = _seen_from(defaults, path.parent, file.parent)
+        missions.append(MissionRef(file, json.dumps(defaults_there), sections, str(path)))
+    return Campaign(path, section["name"], path.parent / output, tuple(missions))
+
+
+def _with_defaults(values: dict[str, Any]) -> dict[str, Any]:
+    """The values of a campaign file, with its defaults in the missions that stand in it."""
     defaults = values.get("defaults", {})
     stated = values.get("missions", [])
-    items = _refused(CampaignFile, values)
-    items += _refused_defaults(defaults)
-    whole = dict(values)
-    if isinstance(stated, list) and isinstance(defaults, dict):
-        missions = [merged(defaults, m) if isinstance(m, dict) else m for m in stated]
-        whole["missions"] = missions
-        has_output = isinstance(values.get("campaign"), dict)
-        for number, mission in enumerate(missions):
-            if isinstance(mission, dict):
-                output = {"path": "-"} if has_output else {}
-                complete = merged({"output": output}, mission)
-                items += _refused(Mission, complete, at=("missions", number))
-    if items or open_questions(values):
-        raise refusal_of(items, whole, node, str(path))
-    section = values["campaign"]
-    if _URL.match(section["output"]):
-        raise messages.campaign_output_is_url(path=path)
-    output_of_mission = os.path.join(section["output"], "{mission}")
-    shared = merged({"output": {"path": output_of_mission}}, defaults)
-    refs = []
-    for file, own in mission_files(path, stated):
-        of_mission = _seen_from(shared, path.parent, file.parent)
-        refs.append(MissionRef(file, json.dumps(of_mission), own, str(path)))
-    return Campaign(path, section["name"], path.parent / section["output"], tuple(refs))
+    if not isinstance(stated, list) or not isinstance(defaults, dict):
+        return values
+    missions = []
+    for section in stated:
+        complete = merged(defaults, section) if isinstance(section, dict) else section
+        missions.append(complete)
+    return values | {"missions": missions}
 
 
-def _refused(model: type[BaseModel], values: Any, *, at: Place = ()) -> list[Mapping[str, Any]]:
+def _refused(model: type[BaseModel], values: object, *, at: Place = ()) -> list[Mapping[str, Any]]:
     """What a model refuses of the values at a place of the file."""
     if not isinstance(values, dict):
         return []
     try:
         model.model_validate(values)
     except ValidationError as error:
-        return [{**item, "loc": (*at, *item["loc"])} for item in error.errors(include_url=False)]
+        items = error.errors(include_url=False)
+        return [{**item, "loc": (*at, *item["loc"])} for item in items]
     return []
 
 
-def _refused_defaults(defaults: Any) -> list[Mapping[str, Any]]:
+def _refused_defaults(values: dict[str, Any]) -> Iterator[Mapping[str, Any]]:
     """What is wrong with defaults whatever a mission adds: not what is missing or goes together."""
-    items = []
-    for item in _refused(Mission, defaults, at=("defaults",)):
+    for item in _refused(Mission, values.get("defaults", {}), at=("defaults",)):
+        error = item.get("ctx", {}).get("error")
+        of_one_key = isinstance(error, SectionError) and error.key
         of_section = item["type"] == "value_error" and isinstance(item["input"], dict)
-        if item["type"] != "missing" and not of_section:
-            items.append(item)
-    return items
+        if item["type"] == "missing" or (of_section and not of_one_key):
+            continue
+        yield item
+
+
+def _refused_missions(values: dict[str, Any]) -> Iterator[Mapping[str, Any]]:
+    """What is wrong with the missions that stand in a campaign file, with its defaults."""
+    missions = values.get("missions", [])
+    if not isinstance(missions, list) or not isinstance(values.get("defaults", {}), dict):
+        return
+    # Without an output of their own they have the campaign's, where that is stated.
+    output = {"path": "-"} if isinstance(values.get("campaign"), dict) else {}
+    for number, mission in enumerate(missions):
+        if isinstance(mission, dict):
+            complete = merged({"output": output}, mission)
+            yield from _refused(Mission, complete, at=("missions", number))
 
 
 def mission_files(path: Path, stated: Sequence[Any]) -> Iterator[tuple[Path, str]]:
     """File of each mission of a campaign, once, and its own sections where they stand in it."""
-    listed = {os.path.realpath(path.parent / entry) for entry in stated if isinstance(entry, str)}
+    listed: set[str] = set()
+    for entry in stated:
+        if isinstance(entry, str):
+            listed.add(os.path.realpath(path.parent / entry))
     for entry in stated:
         if not isinstance(entry, str):
             yield path, json.dumps(entry)
-        elif not glob.has_magic(entry) or (path.parent / entry).exists():
-            yield path.parent / entry, ""
-        else:
-            for file in _matching_files(path, entry):
-                real = os.path.realpath(file)
-                if real not in listed:
-                    listed.add(real)
-                    yield file, ""
+            continue
+        file = path.parent / entry
+        if file.exists() or not glob.has_magic(entry):
+            yield file, ""
+            continue
+        for matching in _matching_files(path, entry):
+            real = os.path.realpath(matching)
+            if real not in listed:
+                listed.add(real)
+                yield matching, ""
 
 
 def _matching_files(path: Path, pattern: str) -> list[Path]:
     """The files that a pattern of a campaign matches, without the campaign file itself."""
-    names = sorted(glob.glob(pattern, root_dir=path.parent, recursive=True))
-    matching = [path.parent / name for name in names]
-    files = [file for file in matching if file.is_file() and not file.samefile(path)]
+    files = []
+    for name in sorted(glob.glob(pattern, root_dir=path.parent, recursive=True)):
+        file = path.parent / name
+        if file.is_file() and not file.samefile(path):
+            files.append(file)
     if not files:
         raise messages.campaign_no_match(path=path, pattern=pattern)
     return files
 
 
-def _seen_from(values: Any, campaign: Path, mission: Path, place: Place = ()) -> Any:
+def _seen_from(values: object, campaign: Path, mission: Path, place: Place = ()) -> object:
     """Values of a campaign with relative paths in them as seen from the folder of a mission."""
     if isinstance(values, dict):
         return {
@@ -222,10 +253,13 @@ def _seen_from(values: Any, campaign: Path, mission: Path, place: Place = ()) ->
 
 def _is_path_at(place: Place, value: str) -> bool:
     """Whether a text at a place of a mission file is a path, not one of the words it takes."""
-    arms = [arm for node in nodes_at(place) for arm in alternatives(node)]
-    if any(value == arm.get("const") or value in arm.get("enum", ()) for arm in arms):
-        return False
-    return any(arm.get("pattern") == PATH for arm in arms)
+    is_path = False
+    for node in nodes_at(place):
+        for arm in alternatives(node):
+            if value == arm.get("const") or value in arm.get("enum", ()):
+                return False
+            is_path = is_path or arm.get("pattern") == PATH
+    return is_path
 
 
 def refuse_twins(campaign: Campaign, named: Iterable[tuple[MissionRef, str, object]]) -> None:

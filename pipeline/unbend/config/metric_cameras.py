@@ -23,6 +23,16 @@ from unbend.units import Array
 
 Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
 Sense = Literal["correction", "distortion"]
+Axes = Literal[
+    "right up",
+    "right down",
+    "left up",
+    "left down",
+    "up right",
+    "up left",
+    "down right",
+    "down left",
+]
 
 MILLIMETRES_PER_MICROMETRE = 1e-3
 LARGEST_FIELD_ANGLE_DEG = 80.0  # of a frame camera; beyond it tan grows out of any format
@@ -165,11 +175,10 @@ class MetricSection(Section):
         examples=["image_centre"],
         json_schema_extra={"unit": "px"},
     )
-    axes: Literal["right up", "right down", "left up", "left down", "up right", "up left",
-                  "down right", "down left"] = Field(
+    axes: Axes = Field(
         description="directions of the report's x and y axes in the image",
-        examples=['right up'],
-    )  # fmt: skip
+        examples=["right up"],
+    )
     ppa_mm: Pair = Field(
         description="principal point of autocollimation, origin of projection",
         examples=[[0.004, -0.012]],

@@ -12,7 +12,8 @@ from pydantic import (
 )
 
 from unbend.config.atmosphere import AtmosphereSection
-from unbend.config.cameras import OWN_ORIENTATION, CameraSection
+from unbend.config.blocks import with_block
+from unbend.config.cameras import CameraSection
 from unbend.config.event_sources import EventsSection, PositionEvents
 from unbend.config.ground import ControlSection, GroundSection
 from unbend.config.logs import USUAL_MAX_GAP_S, LogSection
@@ -200,7 +201,7 @@ class Mission(Section):
 
     @model_validator(mode="before")
     @classmethod
-    def _mounts_at_rest(cls, values: Any) -> Any:
+    def _mounts_at_rest(cls, values: object) -> object:
         """With stations from elsewhere, a camera without a mount is at rest in the aircraft."""
         if not isinstance(values, dict):
             return values
@@ -216,34 +217,16 @@ class Mission(Section):
 
     @model_validator(mode="before")
     @classmethod
-    def _from_block(cls, values: Any) -> Any:
+    def _from_block(cls, values: object) -> object:
         """Cameras and orientations that are not given are those of the block of observations.
 
         The last of these validators runs first.
         """
-        observations = values.get("observations") if isinstance(values, dict) else None
-        if not isinstance(observations, dict) or not is_block(observations.get("format")):
-            return values
-        path = observations.get("path")
-        program = observations["format"]
-        filled = dict(values)
-        cameras = values.get("cameras")
-        if isinstance(cameras, dict):
-            filled["cameras"] = _with_cameras_of_block(cameras, path, program)
-        stations = values.get("stations") or {}
-        if isinstance(stations, dict):
-            elsewhere = bool(
-                values.get("log") or values.get("events") or stations.get("trajectory")
-            )
-            orientation = stations.get("orientation", None if elsewhere else {})
-            if isinstance(orientation, dict) and "path" not in orientation:
-                of_block = {"path": path, "format": program}
-                filled["stations"] = stations | {"orientation": of_block | orientation}
-        return filled
+        return with_block(values) if isinstance(values, dict) else values
 
     @field_validator("control", mode="before")
     @classmethod
-    def _path_of_control(cls, value: Any) -> Any:
+    def _path_of_control(cls, value: object) -> object:
         return {"path": value} if isinstance(value, str) else value
 
     @model_validator(mode="after")
@@ -485,17 +468,3 @@ class Mission(Section):
                 raise SectionError("events.csv must state which camera: camera or columns.camera")
             named["events.csv.camera"] = set() if camera is None else {camera}
         return named
-
-
-def _with_cameras_of_block(cameras: dict[str, Any], path: Any, program: str) -> dict[str, Any]:
-    """The sections of the cameras; those without an orientation of their own have the block's."""
-    filled = {}
-    for name, section in cameras.items():
-        if not isinstance(section, dict) or section.keys() & OWN_ORIENTATION:
-            filled[name] = section
-            continue
-        of_block = {"file": path, "format": program}
-        if len(cameras) > 1:
-            of_block["camera"] = name
-        filled[name] = of_block | section
-    return filled

@@ -23,7 +23,7 @@ SHOWN_LAST = ("description", "unit", "examples", "patternErrorMessage")
 """What people read of a key stands behind what machines do."""
 
 
-def all_sections(annotation: Any = Mission | CampaignFile) -> dict[str, type[BaseModel]]:
+def all_sections(annotation: object = Mission | CampaignFile) -> dict[str, type[BaseModel]]:
     """The sections that an annotation names and all within them, by the names of their classes."""
     sections: dict[str, type[BaseModel]] = {}
     inner = list(typing.get_args(annotation))
@@ -101,7 +101,11 @@ def nodes_at(keys: tuple[str | int, ...]) -> list[Node]:
     of_campaign = bool(keys) and keys[0] in CampaignFile.model_fields
     nodes = [campaign_schema() if of_campaign else mission_schema()]
     for key in keys:
-        nodes = [inner for node in nodes for arm in alternatives(node) for inner in _at(arm, key)]
+        inner: list[Node] = []
+        for node in nodes:
+            for arm in alternatives(node):
+                inner += _at(arm, key)
+        nodes = inner
     return nodes
 
 

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from unbend.atmosphere.air_samples import AirSamples, SensorSamples
+from unbend.atmosphere.rejection import Reason, reasons_where
 from unbend.flight import messages
 from unbend.flight.channels import Channel
 from unbend.flight.evidence.stretches import HEIGHT, Stretch, covered
@@ -56,28 +57,37 @@ def outside_air_samples(
         if channel is None or len(channel) == 0:
             continue
         height_m, _ = heights_at(height, channel.time_ns, heights, max_gap_s)
-        known = np.isfinite(height_m)
-        accepted = known & ~covered(contradicted, channel.time_ns)
-        count = int(np.count_nonzero(known & ~accepted))
+        sensor = SensorSamples(
+            channel.time_ns,
+            height_m,
+            channel[column],
+            rejected=reasons_where(np.isnan(height_m), Reason.NO_HEIGHT),
+            name=channel.name,
+            removed=channel.removed,
+        )
+        sensor = sensor.reject(covered(contradicted, channel.time_ns), Reason.SUSPECT_HEIGHT)
+        count = sensor.count(Reason.SUSPECT_HEIGHT)
         if count:
             notes.append(messages.readings_at_suspect_heights(channel=channel.name, count=count))
         if role == "pressure" and _is_fused(height):
-            lowest_m = np.min(height_m[accepted], initial=np.inf)
-            accepted &= height_m < lowest_m + LEVEL_M
+            sensor = sensor.reject(_is_above_level(sensor), Reason.FUSED_HEIGHT)
             notes.append(messages.height_is_fused(channel=height.name, level_m=LEVEL_M))
         if role in _SOAKED_ROLES:
-            soaked = accepted & _is_soaked(channel.time_ns, on_ground_ns)
-            count = int(np.count_nonzero(soaked))
+            sensor = sensor.reject(_is_soaked(channel.time_ns, on_ground_ns), Reason.GROUND_SOAK)
+            count = sensor.count(Reason.GROUND_SOAK)
             if count:
                 notes.append(
                     messages.ground_soak(channel=channel.name, count=count, seconds=SOAK_SECONDS)
                 )
-            accepted &= ~soaked
-        sensors[role] = SensorSamples(
-            channel.time_ns, height_m, channel[column], accepted, channel.name
-        )
+        sensors[role] = sensor
     samples = AirSamples(**sensors, takeoff_ns=_takeoffs(on_ground_ns))
     return samples, tuple(notes)
+
+
+def _is_above_level(sensor: SensorSamples) -> Mask:
+    """Which readings are far above the lowest one, and say nothing on the level of pressures."""
+    lowest_m = np.min(sensor.h_m[sensor.accepted], initial=np.inf)
+    return np.asarray(~(sensor.h_m < lowest_m + LEVEL_M))
 
 
 def _is_fused(height: Channel) -> bool:

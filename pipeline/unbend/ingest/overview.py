@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from unbend.atmosphere.rejection import Reason, count_by_reason, described_counts
 from unbend.errors import MissionError
 from unbend.flight.channels import Channel
 from unbend.flight.evidence.quality import plausible_samples
@@ -82,6 +83,8 @@ def roles_of(channels: Sequence[Channel]) -> tuple[dict[str, Any], list[dict[str
             row["channel"] = channel.name
             row["rate_hz"] = channel.rate_hz
             row["samples"] = len(channel)
+            rejected = rejected_samples(channel, role)
+            row["rejected"] = {reason.text: count for reason, count in rejected.items()}
             row["others"] = [name for name in able if name != channel.name]
             row["remark"] = remark_on(channel, role, height)
         rows.append(row)
@@ -90,6 +93,18 @@ def roles_of(channels: Sequence[Channel]) -> tuple[dict[str, Any], list[dict[str
     if position is not None and height is not None:
         flight = flight_of(position, height)
     return flight, rows
+
+
+def rejected_samples(channel: Channel, role: str) -> dict[Reason, int]:
+    """How many samples of a channel its role does not use, and why; none where its unit is wrong.
+
+    What only a mission decides (heights, take-off) is not counted.
+    """
+    try:
+        kept, _ = plausible_samples(channel, role)
+    except MissionError:
+        return {}
+    return count_by_reason([kept.removed.reason])
 
 
 def _can_play(channel: Channel, role: str) -> bool:
@@ -117,9 +132,10 @@ def remark_on(channel: Channel, role: str, height: Channel | None) -> str:
         kept, _ = plausible_samples(channel, role)
     except MissionError as error:  # another unit
         return error.what
-    wrong = len(channel) - len(kept)
-    if wrong:
-        return f"{100.0 * wrong / len(channel):.2g} % of the samples cannot be true"
+    rejected = count_by_reason([kept.removed.reason])
+    if rejected:
+        total = len(kept) + len(kept.removed)
+        return f"not used of {total} samples: {described_counts(rejected)}"
     if role == "pressure" and height is not None:
         if follows_height(channel, height):
             return "follows the height"

@@ -92,6 +92,7 @@ def print_air(console: Console, air: FlightAir) -> None:
     lines = list(summary.effect_lines(rows, adjustment.standard.name))
     for use in adjustment.sources:
         lines.append(use.sentence())
+    lines += [use.sentence() for use in adjustment.sensor_uses]
     for fault in adjustment.faults:
         stated = fault.in_units()
         lines.append(f"{FAULT_TEXTS[stated.fault]}: {with_sigma(stated.value, stated.sigma)}")

@@ -9,6 +9,7 @@ import numpy as np
 
 from unbend.atmosphere.air_samples import AirSamples
 from unbend.atmosphere.refractive_index import vapour_pressure
+from unbend.atmosphere.rejection import Reason
 from unbend.flight.stations import NO_TIME, SUSPECT, UNMATCHED, Stations
 from unbend.geodesy import longitudes_near
 from unbend.refraction.camera.camera import Camera
@@ -214,8 +215,7 @@ def air_curves(air: FlightAir, samples: AirSamples, heights_m: Array) -> dict[st
         ]
     shown: list[dict[str, Any]] = []
     for column, quantity, sensor, values in measured:
-        rejected = adjustment.rejected.get(quantity, False)
-        used = sensor.accepted & ~np.asarray(rejected)
+        used = adjustment.rejected.get(quantity, sensor.rejected) == Reason.USED
         known = np.isfinite(values) & np.isfinite(sensor.h_m)
         groups: Sequence[Any] = [np.flatnonzero(known & which) for which in (used, ~used)]
         rows, not_used = (group[evenly_spaced(group.size, _MOST_SAMPLES)] for group in groups)

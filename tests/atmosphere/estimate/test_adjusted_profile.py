@@ -13,6 +13,7 @@ from unbend.atmosphere.air_samples import AirSamples, SensorSamples, bin_by_heig
 from unbend.atmosphere.estimate.adjusted_profile import build_adjusted_profile, unadjusted
 from unbend.atmosphere.estimate.sensors import SensorCalibration, SensorSettings
 from unbend.atmosphere.estimate.state import SensorFault
+from unbend.atmosphere.rejection import Reason, reasons_where
 from unbend.messages import Kind, Ledger
 from unbend.simulate.true_air import (
     TrueAir,
@@ -42,7 +43,8 @@ def flight(climb: float, rate: float = 5.0) -> tuple[np.ndarray, np.ndarray]:
 
 def samples(time_ns, h, value, name="sensor", accepted=None) -> SensorSamples:
     used = np.ones(h.size, bool) if accepted is None else accepted
-    return SensorSamples(time_ns, h, np.asarray(value, float), used, name)
+    rejected = reasons_where(~used, Reason.GROUND_SOAK)
+    return SensorSamples(time_ns, h, np.asarray(value, float), rejected, name)
 
 
 def measured(air: TrueAir, climb: float, *, t=True, p=True, rh=True, **change) -> AirSamples:

@@ -121,7 +121,7 @@ def test_coarse_steps_and_level_flight_are_no_standstill(flights, airs):
         ledger.take(usable_sensors(replace(given, pressure=None), US1976))
     level = np.full(2000, 1500.0) + np.linspace(0.0, 250.0, 2000)
     stamps = np.arange(2000, dtype=np.int64) * 10**9
-    same = SensorSamples(stamps, level, np.full(2000, 280.0), np.ones(2000, bool), "level")
+    same = SensorSamples(stamps, level, np.full(2000, 280.0), np.zeros(2000, np.uint8), "level")
     kept = ledger.take(usable_sensors(AirSamples(same), US1976))
     assert kept.temperature.accepted.all()
     assert list(ledger) == []

@@ -36,6 +36,7 @@ from unbend.atmosphere.estimate.state import (
 from unbend.atmosphere.hypsometry import column
 from unbend.atmosphere.layers import stack_layers
 from unbend.atmosphere.profile import Profile
+from unbend.atmosphere.rejection import Reason
 from unbend.atmosphere.soundings import Sounding
 from unbend.atmosphere.surface_report import SurfaceReport
 from unbend.messages import Kind, Ledger
@@ -108,7 +109,7 @@ def problem(flights, airs):
     rng = np.random.default_rng(8)
     samples = flights.fly(truth, 2500.0, flights.REALISTIC, rng, humidity="profile")
     t = samples.temperature
-    speed = SensorSamples(t.time_ns, t.h_m, 40.0 + 0.0 * t.value, t.accepted, "airspeed")
+    speed = SensorSamples(t.time_ns, t.h_m, 40.0 + 0.0 * t.value, t.rejected, "airspeed")
     found = collect_readings(
         replace(samples, airspeed=speed), background(truth), SensorSettings(),
         soundings=[balloon_of(truth)], surface=[SurfaceReport(100.0, 1.0e5, 299.0, 2400.0)],
@@ -323,7 +324,7 @@ def test_a_static_port_in_the_wind_is_found(flights, airs):
     p = samples.pressure
     speed = np.where(np.gradient(p.h_m) > 1.0, 40.0, 80.0)
     windy = replace(p, value=p.value + 0.05 * 0.5 * 1.225 * speed**2)
-    airspeed = SensorSamples(p.time_ns, p.h_m, speed, np.ones(speed.size, bool), "airspeed")
+    airspeed = SensorSamples(p.time_ns, p.h_m, speed, np.zeros(speed.size, np.uint8), "airspeed")
     found = fault_of(
         estimated(truth, replace(samples, pressure=windy, airspeed=airspeed)), "dynamic pressure"
     )
@@ -340,7 +341,7 @@ def test_the_heat_of_speed_is_found(flights, airs):
     speed = np.where(np.gradient(t.h_m) > 1.0, 45.0, 80.0)
     density = truth.at(truth.p / truth.t, t.h_m - truth.h[0]) / 287.05
     heated = t.value + 0.85 * speed**2 / (2.0 * 1005.0) * 1.225 / density
-    airspeed = SensorSamples(t.time_ns, t.h_m, speed, np.ones(speed.size, bool), "airspeed")
+    airspeed = SensorSamples(t.time_ns, t.h_m, speed, np.zeros(speed.size, np.uint8), "airspeed")
     with_speed = replace(samples, temperature=replace(t, value=heated), airspeed=airspeed)
     made = estimated(truth, with_speed)
     recovery = fault_of(made, "recovery")
@@ -360,7 +361,7 @@ def test_outliers_are_marked(flights, airs):
     bad = rng.random(t.value.size) < 0.03
     spoilt = replace(t, value=t.value + 15.0 * bad)
     adjusted, ledger = adjust(truth, replace(clean, temperature=spoilt))
-    rejected = adjusted.rejected["temperature"]
+    rejected = adjusted.rejected["temperature"] == Reason.OUTLIER
     # In the few bins where the air itself changes fast an outlier may stay, with little weight.
     assert rejected[bad & t.accepted].mean() > 0.9
     assert rejected[~bad].mean() < 0.002
@@ -447,7 +448,7 @@ def test_part_of_the_samples_is_enough(flights, airs):
     seconds = (samples.pressure.time_ns - truth.start_ns) * 1e-9
 
     def late(sensor):
-        return replace(sensor, accepted=sensor.accepted & (seconds > 800.0))
+        return sensor.reject(seconds <= 800.0, Reason.LEFT_OUT)
 
     part = AirSamples(late(samples.temperature), late(samples.pressure), None)
     found, _ = adjust(truth, part)
@@ -591,7 +592,7 @@ def test_four_hours_at_ten_hertz(airs):
     stamps = truth.start_ns + np.round(seconds * 1e9).astype(np.int64)
     sensors = [
         SensorSamples(stamps, truth.h[0] + above, truth.at(v, above) + s * rng.normal(size=n),
-                np.ones(n, bool), name)
+                np.zeros(n, np.uint8), name)
         for v, s, name in ((truth.t, 0.2, "t"), (truth.p, 5.0, "p"), (truth.rh, 0.02, "rh"))
     ]  # fmt: skip
     air = background(truth)

@@ -55,7 +55,7 @@ def test_pressure_changes_where_it_was_sampled_last():
 def test_ages_count_from_the_nearest_visit_and_nothing_for_half_an_hour():
     time_ns = np.array([0, 1, 2, 3, 4, 5], np.int64) * HOUR
     h = np.array([550.0, 1050.0, 1550.0, 1550.0, 1050.0, 550.0])
-    sensor = SensorSamples(time_ns, h, np.full(6, 280.0), np.ones(6, bool), "T")
+    sensor = SensorSamples(time_ns, h, np.full(6, 280.0), np.zeros(6, np.uint8), "T")
     (ages,) = sample_ages(AirSamples(temperature=sensor), [2 * HOUR], 500.0, 1600.0)
     np.testing.assert_allclose(ages.h_m, [550.0, 1050.0, 1550.0])
     # sqrt(t^2 - 0.25) of 2, 1 and 0 hours.

@@ -16,6 +16,7 @@ from unbend.atmosphere.estimate.adjusted_profile import build_adjusted_profile
 from unbend.atmosphere.estimate.sensors import SensorCalibration, SensorSettings
 from unbend.atmosphere.estimate.solver import estimate
 from unbend.atmosphere.estimate.state import SensorFault
+from unbend.atmosphere.rejection import Reason, reasons_where
 from unbend.atmosphere.series.profile_series import (
     TimedProfile,
     add_ageing,
@@ -97,7 +98,8 @@ def fly(flights, day: Day, sensors, rng, hz: float = 0.5) -> AirSamples:
     rh = day.at("rh", seconds, above) + s.humidity_bias
     rh += rng.normal(0.0, 1.0, n) * s.humidity_noise
     time_ns = day.start_ns + np.round(seconds * SECOND).astype(np.int64)
-    flown, every = seconds > 90.0, np.ones(n, bool)
+    flown = reasons_where(seconds <= 90.0, Reason.GROUND_SOAK)
+    every = np.zeros(n, np.uint8)
     return AirSamples(
         SensorSamples(time_ns, h, t, flown, "thermometer"),
         SensorSamples(time_ns, h, p, every, "barometer"),
@@ -267,8 +269,10 @@ class Level:
         h = self.ground + above
         t, p = t + rng.normal(0.0, 0.2, t.size), p + rng.normal(0.0, 5.0, p.size)
         return AirSamples(
-            SensorSamples(stamps, h, t, seconds > 150.0, "thermometer"),
-            SensorSamples(stamps, h, p, np.ones(p.size, bool), "barometer"),
+            SensorSamples(
+                stamps, h, t, reasons_where(seconds <= 150.0, Reason.GROUND_SOAK), "thermometer"
+            ),
+            SensorSamples(stamps, h, p, np.zeros(p.size, np.uint8), "barometer"),
         )
 
 
@@ -341,7 +345,7 @@ def test_fresh_air_stays_as_it_is(changing):
     assert ledger.take(add_ageing(unaged, times, whole.samples, top, day.ground + 300.0)) is unaged
     assert list(ledger) == []
     nothing = AirSamples(
-        SensorSamples(np.empty(0, np.int64), *[np.empty(0)] * 2, np.empty(0, bool))
+        SensorSamples(np.empty(0, np.int64), *[np.empty(0)] * 2, np.empty(0, np.uint8))
     )
     assert all(age.is_fresh for age in sample_ages(nothing, day.times, 0.0, 3000.0))
     assert add_ageing(constant_series(windows[0].air, 0), np.empty(0, np.int64), nothing, 1.0, 0.0)
@@ -353,8 +357,9 @@ def test_fresh_air_stays_as_it_is(changing):
 def sensor(hours, above, value=280.0, accepted=True):
     hours, above = np.asarray(hours, float), np.asarray(above, float)
     time_ns = (hours * 3600.0 * SECOND).astype(np.int64)
+    refused = np.full(hours.size, not accepted)
     return SensorSamples(
-        time_ns, above, np.full(hours.size, value), np.full(hours.size, accepted), "s"
+        time_ns, above, np.full(hours.size, value), reasons_where(refused, Reason.GROUND_SOAK), "s"
     )
 
 

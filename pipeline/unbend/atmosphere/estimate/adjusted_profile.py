@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from unbend.atmosphere.air_samples import AirSamples
+from unbend.atmosphere.air_samples import AirSamples, SensorUse, sensor_uses
 from unbend.atmosphere.climatology import Climatology, climatology, month_of
 from unbend.atmosphere.covariance import ProfileCovariance
 from unbend.atmosphere.estimate import (
@@ -29,6 +29,7 @@ from unbend.atmosphere.estimate.sensors import SensorSettings
 from unbend.atmosphere.estimate.solver import Estimate, FaultEstimate, estimate
 from unbend.atmosphere.layers import BAROMETRIC, MEASURED, RELAXED, STANDARD, stack_layers
 from unbend.atmosphere.profile import Profile
+from unbend.atmosphere.rejection import Reason, Reasons, with_reason
 from unbend.atmosphere.soundings import Sounding
 from unbend.atmosphere.surface_report import SurfaceReport
 from unbend.geodesy import normal_gravity
@@ -49,7 +50,9 @@ class Adjustment:
 
     ``basis`` is thermometer | both | barometer | sounding | surface | climatology | standard, and
     ``reason`` why; ``time_ns`` is the middle of the samples that were used. ``covariance`` is None
-    for a standard as it is; ``rejected`` are the outliers among each sensor's samples. ``samples``,
+    for a standard as it is; ``rejected`` says of each sensor why samples are not used, also of one
+    that is not used at all, and ``sensor_uses`` counts them; both are empty where nothing was
+    estimated. ``samples``,
     ``settings`` and ``moisture`` are what the estimate was made from, None where there is none.
     """
 
@@ -61,7 +64,8 @@ class Adjustment:
     covariance: ProfileCovariance | None = None
     faults: tuple[FaultEstimate, ...] = ()
     sources: tuple[SourceUse, ...] = ()
-    rejected: Mapping[str, Mask] = field(default_factory=dict)
+    rejected: Mapping[str, Reasons] = field(default_factory=dict)
+    sensor_uses: tuple[SensorUse, ...] = ()
     samples: AirSamples | None = None
     settings: SensorSettings | None = None
     moisture: Climatology | None = None
@@ -154,7 +158,11 @@ def build_adjusted_profile(
         ledger.extend(sensor_checks.unused_calibration(set(settings.calibration)))
         air = covariance_of_background(background)
         basis, uses = UNADJUSTED if is_standard else UNMEASURED, usage(flown, (), unused=unused)
-        return Adjustment(air.profile, standard, basis, reason, None, air, sources=uses)
+        rejected = _rejected_samples(samples, usable, {})
+        return Adjustment(
+            air.profile, standard, basis, reason, None, air, sources=uses,
+            rejected=rejected, sensor_uses=sensor_uses(samples, rejected),
+        )  # fmt: skip
     candidate, made = trials.passed
     misfits = dict.fromkeys(candidate.external.left_out, _NO_AIR_FITS)
     ledger.extend(_refused_sources(misfits))
@@ -169,12 +177,29 @@ def build_adjusted_profile(
         if isinstance(readings, sensors.Barometer):  # pressure changes since here, in parts too
             settings = replace(settings, highest=readings.highest)
     uses = usage(replace(flown, used=candidate.samples), made.fits, unused=unused)
+    rejected = _rejected_samples(samples, usable, made.readings.rejected)
     return Adjustment(
         profile, standard, candidate.basis, candidate.reason,
         None if candidate.main is None else candidate.main.middle_ns,
-        replace(made.covariance, profile=profile), made.faults, uses, made.readings.rejected,
+        replace(made.covariance, profile=profile), made.faults, uses,
+        rejected, sensor_uses(samples, rejected),
         samples=candidate.samples, settings=settings, moisture=moisture,
     )  # fmt: skip
+
+
+def _rejected_samples(
+    given: AirSamples, usable: AirSamples, of_estimate: Mapping[str, Reasons]
+) -> dict[str, Reasons]:
+    """Why samples of each sensor are not used; of one that the estimate lacks, none is."""
+    rejected: dict[str, Reasons] = {}
+    for quantity, sensor in given.sensors.items():
+        if quantity in of_estimate:
+            rejected[quantity] = of_estimate[quantity]
+            continue
+        checked = usable.sensors.get(quantity, sensor)
+        every = np.ones(checked.rejected.shape, np.bool_)
+        rejected[quantity] = with_reason(checked.rejected, every, Reason.SENSOR_NOT_USED)
+    return rejected
 
 
 @dataclass(frozen=True, eq=False)
@@ -324,7 +349,7 @@ def _notes(candidate: Candidate, made: Estimate) -> Iterator[Message]:
                 inflation=fit.sigma_inflation,
             )
     for name, rejected in made.readings.rejected.items():
-        if count := int(rejected.sum()):
+        if count := int(np.count_nonzero(rejected == Reason.OUTLIER)):
             sensor = getattr(candidate.samples, name)
             total = int(sensor.accepted.sum())
             yield messages.air_outliers(where=sensor.name, count=count, total=total)

@@ -16,6 +16,7 @@ from unbend.atmosphere.estimate import external_readings, sensors
 from unbend.atmosphere.estimate.sensors import Readings, SensorCalibration, SensorSettings
 from unbend.atmosphere.estimate.state import TOP_M, Drift, Fault, SensorFault
 from unbend.atmosphere.profile import Profile
+from unbend.atmosphere.rejection import Reason, Reasons, with_reason
 from unbend.atmosphere.soundings import Sounding
 from unbend.atmosphere.surface_report import SurfaceReport
 from unbend.units import Array, Integers, Mask, Rows
@@ -66,20 +67,20 @@ SUN_ON_PROBE = 0.2, 60.0
 where the mission file states the drift."""
 
 _GROUND_RISE_M = 20.0
-_OwnReadings = tuple[list[Readings], list[Fault], list[Drift], dict[str, Mask]]
+_OwnReadings = tuple[list[Readings], list[Fault], list[Drift], dict[str, Reasons]]
 
 
 @dataclass(frozen=True, eq=False)
 class FlightReadings:
     """Everything that was measured, from ``low`` to ``high`` [m'], and the faults it may have;
-    ``rejected`` are the outliers among the samples of each sensor."""
+    ``rejected`` says of each sensor why samples are not used, outliers too."""
 
     sets: tuple[Readings, ...]
     faults: tuple[Fault, ...]
     drifts: tuple[Drift, ...]
     low: float
     high: float
-    rejected: Mapping[str, Mask] = field(default_factory=dict)
+    rejected: Mapping[str, Reasons] = field(default_factory=dict)
 
 
 def collect_readings(
@@ -139,7 +140,7 @@ def _sensor_readings(
 ) -> _OwnReadings:
     """The readings of the flight's own sensors, with their faults and drifts."""
     sets, faults, drifts = list[Readings](), list[Fault](), list[Drift]()
-    rejected: dict[str, Mask] = {}
+    rejected: dict[str, Reasons] = {}
     end_ns = max(int(sensor.time_ns[-1]) for sensor in instruments.values())
     duration = max((end_ns - start_ns) * 1e-9, 1.0)
     alone, usual_only = "temperature" not in instruments, settings.usual_errors_only
@@ -150,7 +151,7 @@ def _sensor_readings(
         with np.errstate(invalid="ignore", divide="ignore"):
             departure = np.log(sensor.value) - np.log(profile.pressure(sensor.h_m))
         bins = binning.bins(sensor, departure, LEAST_SCATTER_LOG_P)
-        rejected["pressure"] = bins.rejected
+        rejected["pressure"] = binning.reasons(sensor, bins)
         value = bins.value + np.log(profile.pressure(profile.gravity.height(bins.height)))
         speed = binning.airspeed_at(bins.seconds, samples.airspeed)
         dynamic = None if speed is None else sensors.dynamic_of(speed)
@@ -183,16 +184,20 @@ def _sensor_readings(
         sets.append(
             sensors.Humidities(sensor.name, bins.height, bins.value, sigma, fault=fault.name)
         )
-        rejected["humidity"] = bins.rejected
+        rejected["humidity"] = high_bins.reasons(sensor, bins)
         faults.append(fault)
     return sets, faults, drifts, rejected
 
 
 def _usable(sensor: SensorSamples, profile: Profile) -> Mask:
     """Accepted readings at heights that both aircraft and background reach."""
+    return np.asarray(sensor.accepted & _is_within(profile, sensor.h_m))
+
+
+def _is_within(profile: Profile, height_m: Array) -> Mask:
+    """Which heights both aircraft and background reach; none that is not known."""
     with np.errstate(invalid="ignore"):
-        inside = (sensor.h_m > profile.bottom_m + 500.0) & (sensor.h_m < TOP_M - 2000.0)
-    return np.asarray(sensor.accepted & inside)
+        return np.asarray((height_m > profile.bottom_m + 500.0) & (height_m < TOP_M - 2000.0))
 
 
 def _seconds(sensor: SensorSamples, start_ns: int) -> Array:
@@ -231,6 +236,12 @@ class _Binning:
         rows = _seconds(sensor, self.start_ns), height, departure, _usable(sensor, self.profile)
         return bin_readings(*rows, width=self.width_m, slice_s=self.slice_s, floor=floor)
 
+    def reasons(self, sensor: SensorSamples, bins: Bins) -> Reasons:
+        """(n,) why samples of a sensor are not in its bins."""
+        outside = ~_is_within(self.profile, sensor.h_m)
+        reasons = with_reason(sensor.rejected, outside, Reason.OUTSIDE_CLIMATOLOGY)
+        return with_reason(reasons, bins.rejected, Reason.OUTLIER)
+
     def airspeed_at(self, seconds: Array, sensor: SensorSamples | None) -> Array | None:
         """Indicated airspeed [m/s] at times, or None."""
         if sensor is None or not bool(np.isfinite(sensor.value).any()):
@@ -242,8 +253,8 @@ class _Binning:
 
 def _thermometer(
     sensor: SensorSamples, samples: AirSamples, climbing: SensorSamples, binning: _Binning
-) -> tuple[Mask, sensors.Thermometer]:
-    """Outliers and readings of a thermometer.
+) -> tuple[Reasons, sensors.Thermometer]:
+    """Readings of a thermometer, and why samples are in none of them.
 
     Where the take-off is not known, it is when ``climbing`` first left the lowest 20 m.
     """
@@ -267,7 +278,8 @@ def _thermometer(
     since_s = np.maximum(bins.seconds - takeoffs[last], 0.0)
     heating = None if speed is None else sensors.heating_of(speed, profile.pressure(h), value)
     of_bins = bins.height, value, np.hypot(bins.sigma, AIR_NOISE_K), bins.seconds
-    return bins.rejected, sensors.Thermometer(sensor.name, *of_bins, since_s, heights, heating)
+    reasons = binning.reasons(sensor, bins)
+    return reasons, sensors.Thermometer(sensor.name, *of_bins, since_s, heights, heating)
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,6 +16,7 @@ from unbend.atmosphere.estimate.solver import Estimate, FaultEstimate
 from unbend.atmosphere.estimate.state import SensorFault
 from unbend.atmosphere.hypsometry import Fall, fall_of_pressure
 from unbend.atmosphere.profile import Profile
+from unbend.atmosphere.rejection import Reason
 from unbend.messages import Entry, Kind, Notes
 from unbend.units import HECTOPASCAL, Mask
 
@@ -150,7 +151,7 @@ def usable_sensors(samples: AirSamples, standard: Profile) -> tuple[AirSamples, 
             kept[name] = None
             notes.append(_indoors(sensor, f"stays at {value:.0f} Pa"))
             continue
-        rest = replace(sensor, accepted=sensor.accepted & ~stuck)
+        rest = sensor.reject(stuck, Reason.STUCK)
         kept[name] = rest if bool(rest.accepted.any()) else None
         notes.append(
             messages.air_stuck(
@@ -198,7 +199,7 @@ def is_maybe_indoors(
     climb = air_samples.climb_of((temperature.time_ns - temperature.time_ns[0]) * 1e-9, at)
     ways = []
     for way in (climb >= 0.0, climb < 0.0):
-        part = replace(temperature, accepted=temperature.accepted & way)
+        part = temperature.reject(~way, Reason.LEFT_OUT)
         h, t = bin_by_height(at, part, BIN_M)
         ways.append(dict(zip(np.floor(h / BIN_M), t, strict=True)))
     changes = [abs(t - ways[1][h]) for h, t in ways[0].items() if h in ways[1]]

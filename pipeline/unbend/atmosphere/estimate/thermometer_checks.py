@@ -15,6 +15,7 @@ from unbend.atmosphere.estimate.sensor_checks import LOST_SIGMAS
 from unbend.atmosphere.estimate.sensors import Barometer, SensorSettings, Thermometer
 from unbend.atmosphere.estimate.solver import Estimate, Solution, estimate, layout_of, solve
 from unbend.atmosphere.estimate.state import SensorFault, prior_of
+from unbend.atmosphere.rejection import Reason
 
 MISFIT_K = 1.5
 """Readings of a thermometer disagree with the others where their inflated sigma is larger than this
@@ -71,7 +72,7 @@ def thermometer_is_outside(
         # The flight until half an hour after its thermometer's first accepted reading.
         until = int(temperature.time_ns[temperature.accepted][0]) + round(TOGETHER_S * 1e9)
         early: dict[str, Any] = {
-            name: replace(sensor, accepted=sensor.accepted & (sensor.time_ns <= until))
+            name: sensor.reject(sensor.time_ns > until, Reason.LEFT_OUT)
             for name, sensor in samples.sensors.items()
         }
         inflated_k = _inflated_sigma_k(estimate_of(replace(samples, **early)))

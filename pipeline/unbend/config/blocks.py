@@ -1,0 +1,57 @@
+"""What the block of another program fills in: its cameras and orientations are in its files."""
+
+from typing import Any
+
+from unbend.config.section import is_block
+
+INTERIOR_ORIENTATION = {
+    "file",
+    "model",
+    "params",
+    "metric",
+    "f_px",
+    "fx_px",
+    "fy_px",
+    "cx_px",
+    "cy_px",
+    "distortion",
+}
+"""Keys of which a camera has one, unless its orientation is that of the observations' block."""
+
+
+def with_block(values: dict[str, Any]) -> dict[str, Any]:
+    """The values of a mission file, with the cameras and orientations of its block of observations.
+
+    ``values`` were not checked before: whatever is none of the sections that it looks at stays.
+    """
+    observations = values.get("observations")
+    if not isinstance(observations, dict) or not is_block(observations.get("format")):
+        return values
+    block = {"file": observations.get("path"), "format": observations["format"]}
+    filled = dict(values)
+    cameras = values.get("cameras")
+    if isinstance(cameras, dict):
+        filled["cameras"] = _with_cameras(cameras, block)
+    stations = values.get("stations") or {}
+    if not isinstance(stations, dict):
+        return filled
+    has_others = bool(values.get("log") or values.get("events") or stations.get("trajectory"))
+    orientation = stations.get("orientation", None if has_others else {})
+    if isinstance(orientation, dict) and "path" not in orientation:
+        of_block = {"path": block["file"], "format": block["format"]}
+        filled["stations"] = stations | {"orientation": of_block | orientation}
+    return filled
+
+
+def _with_cameras(cameras: dict[str, Any], block: dict[str, Any]) -> dict[str, Any]:
+    """The sections of the cameras; those without an orientation of their own have the block's."""
+    filled = {}
+    for name, section in cameras.items():
+        if not isinstance(section, dict) or section.keys() & INTERIOR_ORIENTATION:
+            filled[name] = section
+            continue
+        of_block = dict(block)
+        if len(cameras) > 1:
+            of_block["camera"] = name
+        filled[name] = of_block | section
+    return filled
