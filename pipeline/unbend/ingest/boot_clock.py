@@ -303,10 +303,12 @@ def _split_at_silences(line: Timeline, sources: Sequence[UtcReadings]) -> Timeli
     decided = np.zeros(at_silence.shape, np.bool_)
     for source in sources:
         line = _split_boots(line, source, decided)
-        # the boots of its rows before and after each silence; none has the boots -1 and -2
+        # -1 stands for no row before a silence, -2 for none behind it
         boots = np.concatenate([[-1], by_steps.boot_of(source.places), [-2]]).astype(np.int64)
-        row = np.searchsorted(source.places, at_silence)
-        decided |= boots[row] == boots[row + 1]
+        rows_before = np.searchsorted(source.places, at_silence)
+        boot_before = boots[rows_before]
+        boot_behind = boots[rows_before + 1]
+        decided |= boot_before == boot_behind
     return line
 
 
