@@ -129,12 +129,12 @@ def timeline(blocks: Iterable[Stamps]) -> Timeline:
     for places, time_ns in blocks:
         if not places.shape[0]:
             continue
-        found = _stretches_of(places, time_ns)
-        if stretches and abs(found[0].begin - stretches[-1].end) <= clock.BOOT_STEP_NS:
-            goes_on = found.pop(0)
+        next_stretches = _stretches_of(places, time_ns)
+        if stretches and abs(next_stretches[0].begin - stretches[-1].end) <= clock.BOOT_STEP_NS:
+            goes_on = next_stretches.pop(0)
             last = stretches[-1]
             stretches[-1] = last._replace(end=goes_on.end, length=last.length + goes_on.length)
-        stretches += found
+        stretches += next_stretches
     first, begin, end, length = np.array(stretches, np.int64).reshape(-1, 4).T.copy()
     stray = clock.stray_stretches(begin, end, length)
     return Timeline(first, begin, end, length, stray, _boots(begin, end, stray))

@@ -88,9 +88,7 @@ def with_receiver_delay(contents: Contents, ledger: Ledger) -> Contents:
             shift_ns += later_ns
         if channel.name in delays:
             shift_ns -= round(delays[channel.name].delay_s * 1e9)
-        if shift_ns:
-            channel = replace(channel, time_ns=channel.time_ns + shift_ns)
-        channels.append(channel)
+        channels.append(_shifted(channel, shift_ns))
     return replace(
         contents,
         channels=tuple(channels),

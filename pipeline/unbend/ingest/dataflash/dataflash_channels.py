@@ -91,9 +91,9 @@ def stamps(data: FileView, walker: RecordWalker) -> Iterator[Stamps]:
     """The times of all records that begin with one, during the walk."""
     for block in walker.blocks():
         time_fields = [form.time_field for form in walker.definitions]
-        at, time_us = _times_of_block(data, block, time_fields)
-        if at.size:
-            yield at, time_us * 1000
+        places, time_us = _times_of_block(data, block, time_fields)
+        if places.size:
+            yield places, time_us * 1000
 
 
 def _times_of_block(
@@ -106,16 +106,16 @@ def _times_of_block(
     has_time = np.array([bool(field) for field in time_fields])
     in_ms = np.array([field == "TimeMS" for field in time_fields])
     rows = has_time[block.numbers]
-    at = block.at[rows].astype(np.int64)
-    if not at.size:
-        return at, at
+    offsets = block.at[rows].astype(np.int64)
+    if not offsets.size:
+        return offsets, offsets
     raw = data.array(block.base, block.end())
-    time_us = microseconds(gather(raw, at + HEADER, 8).view("<u8"))
+    time_us = microseconds(gather(raw, offsets + HEADER, 8).view("<u8"))
     if in_ms.any():
         rows_in_ms = in_ms[block.numbers[rows]]
-        time_ms = gather(raw, at[rows_in_ms] + HEADER, 4).view("<u4")
+        time_ms = gather(raw, offsets[rows_in_ms] + HEADER, 4).view("<u4")
         time_us[rows_in_ms] = time_ms * np.int64(1000)
-    return at + block.base, time_us
+    return offsets + block.base, time_us
 
 
 def clock_of(line: Timeline, tables: Mapping[str, Table], ledger: Ledger) -> tuple[BootClock, str]:

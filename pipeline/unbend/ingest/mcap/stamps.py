@@ -58,15 +58,15 @@ def stamp_of(value: Any) -> int:
 
 def _ns_of_text(text: str) -> int:
     """Unix time [ns] of RFC 3339; 0 of another text."""
-    found = _ISO.fullmatch(text.strip())
-    if not found:
+    match = _ISO.fullmatch(text.strip())
+    if not match:
         return 0
-    zone = found["zone"]
+    zone = match["zone"]
     if zone is None or zone == "Z":
         zone = "+00:00"
-    moment = datetime.fromisoformat(found["seconds"] + zone)
+    moment = datetime.fromisoformat(match["seconds"] + zone)
     seconds = (moment - _EPOCH) // timedelta(seconds=1)
-    fraction = found["fraction"] or "0"
+    fraction = match["fraction"] or "0"
     part_ns = int(fraction[:_DIGITS_OF_NS].ljust(_DIGITS_OF_NS, "0"))
     return seconds * NANOSECONDS_PER_SECOND + part_ns
 

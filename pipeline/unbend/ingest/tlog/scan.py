@@ -175,9 +175,9 @@ class Scan(DamagedBytes):
         end_before = np.concatenate([[self._end], frames.end[:-1]])
         between = []
         for row in np.flatnonzero(end_before != frames.at).tolist():
-            found = self._between(int(end_before[row]), int(frames.at[row]))
-            if len(found):
-                between.append(found)
+            frames_between = self._between(int(end_before[row]), int(frames.at[row]))
+            if len(frames_between):
+                between.append(frames_between)
         self._count_lost(joined([frames, *between]) if between else frames)
         self._end = int(frames.end[-1])
         counts = np.bincount(frames.message_id[frames.message_id < _MOST_IDS])
@@ -204,20 +204,20 @@ class Scan(DamagedBytes):
     def _frames_in_a_row(self, begin: int, stop: int) -> tuple[list[int], int]:
         """The places of frames that follow each other from a byte, and where the last ends."""
         places: list[int] = []
-        at = begin
+        place = begin
         view = b""
         view_begin = begin
-        while at < stop:
+        while place < stop:
             view_end = view_begin + len(view)
-            if at + LONGEST > view_end and view_end < stop:
-                view_begin = at
-                view = self._data[at : min(at + STRETCH, stop)]
-            length = frame_length(view, at - view_begin)
-            if not length or at + length > stop:
+            if place + LONGEST > view_end and view_end < stop:
+                view_begin = place
+                view = self._data[place : min(place + STRETCH, stop)]
+            length = frame_length(view, place - view_begin)
+            if not length or place + length > stop:
                 break
-            places.append(at)
-            at += length
-        return places, at
+            places.append(place)
+            place += length
+        return places, place
 
     def _ends_in_frame(self, at: int, stop: int, places: list[int]) -> bool:
         """Whether the file ends in a frame that begins here, behind frames at ``places``."""
@@ -306,8 +306,8 @@ def _apart(frames: Frames) -> Frames:
         return frames
     rows = []
     end_before = 0
-    for row, (at, end) in enumerate(zip(frames.at.tolist(), frames.end.tolist(), strict=True)):
-        if at >= end_before:
+    for row, (begin, end) in enumerate(zip(frames.at.tolist(), frames.end.tolist(), strict=True)):
+        if begin >= end_before:
             rows.append(row)
             end_before = end
     return frames.take(np.array(rows, np.intp))

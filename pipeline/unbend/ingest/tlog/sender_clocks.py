@@ -228,13 +228,13 @@ def fit_sender(
     readings = _some(readings, ~stray_times(readings["boot_ns"]))  # a glitch of it is no boot
     if bool(np.any(np.diff(readings["boot_ns"]) < -BOOT_STEP_NS)):
         readings = _some(readings, ~overtaken(readings))
-    at = readings["at"]
+    places = readings["at"]
     stamped_ns = readings["host_us"] * MICROSECOND
     boot_ns = _continued(readings["boot_ns"], stamped_ns, sender, ledger)
     system_time = UtcReadings(
         source="SYSTEM_TIME messages",
         one="SYSTEM_TIME message",
-        places=at,
+        places=places,
         boot_ns=boot_ns,
         utc_ns=readings["utc_ns"],
         usable=readings["utc_ns"] > 0,
@@ -242,25 +242,25 @@ def fit_sender(
     received = UtcReadings(
         source="stamps",
         one="stamp",
-        places=at,
+        places=places,
         boot_ns=boot_ns,
-        utc_ns=lead.utc_of_host(at, stamped_ns),
-        usable=np.ones(at.shape, np.bool_),
+        utc_ns=lead.utc_of_host(places, stamped_ns),
+        usable=np.ones(places.shape, np.bool_),
     )
-    line = timeline([(at, boot_ns)])
+    line = timeline([(places, boot_ns)])
     clock = fit_clock(line, [system_time], ledger, received, str(sender))
-    boot = clock.line.boot_of(at)
+    boot = clock.line.boot_of(places)
     counts = np.bincount(boot, minlength=clock.line.boots).tolist()
     _report_host_clock(clock, counts, sender, ledger)
     kept = np.ones(boot.shape, np.bool_)
     new_second = np.diff(boot_ns // NANOSECONDS_PER_SECOND) != 0
     kept[1:] = new_second | (np.diff(boot) != 0)
     return SenderClock(
-        at=at[kept],
+        at=places[kept],
         boot_ns=boot_ns[kept],
         clock=clock,
         counts=tuple(counts),
-        maps=_maps_to_utc(stamped_ns, clock.utc(at, boot_ns), counts),
+        maps=_maps_to_utc(stamped_ns, clock.utc(places, boot_ns), counts),
     )
 
 

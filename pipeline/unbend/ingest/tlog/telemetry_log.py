@@ -146,16 +146,16 @@ def _replace_stray_stamps(scan: Scan, ledger: Ledger, file: str) -> None:
     blocks = [block for store in scan.sent.values() for block in store.blocks()]
     if not blocks:
         return
-    at = np.concatenate([block["at"] for block in blocks])
+    places = np.concatenate([block["at"] for block in blocks])
     host_us = np.concatenate([block["host_us"] for block in blocks])
-    order = np.argsort(at, kind="stable")
-    at = at[order]
+    order = np.argsort(places, kind="stable")
+    places = places[order]
     host_us = host_us[order]
     stray = stray_times(host_us * MICROSECOND)
     count = int(np.count_nonzero(stray))
     if count == 0 or bool(stray.all()):
         return
-    stray_at = at[stray]
+    stray_at = places[stray]
     ledger.add(messages.stray_stamps(file=file, first=int(stray_at[0]), count=count))
     # each gets the stamp of the message before it
     good_us = host_us[~stray]
