@@ -20,7 +20,7 @@ import yaml
 from unbend.atmosphere import Profile
 from unbend.atmosphere.estimate.adjusted_profile import unadjusted
 from unbend.atmosphere.series.profile_series import ProfileSeries, TimedProfile, constant_series
-from unbend.batch.finished_run import air_of, stations_of
+from unbend.batch.finished_run.read_back import air_of, stations_of
 from unbend.batch.opening import open_inputs, paths_beside_tables, stated_orientation
 from unbend.config import Mission
 from unbend.config.reading import mission_of
