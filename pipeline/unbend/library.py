@@ -20,7 +20,7 @@ import yaml
 from unbend.atmosphere import Profile
 from unbend.atmosphere.estimate.adjusted_profile import unadjusted
 from unbend.atmosphere.series.profile_series import ProfileSeries, TimedProfile, constant_series
-from unbend.batch.finished_run import air_of, stations_of
+from unbend.batch.finished_run.read_back import air_of, stations_of
 from unbend.batch.opening import open_inputs, paths_beside_tables, stated_orientation
 from unbend.config import Mission
 from unbend.config.reading import mission_of
@@ -244,9 +244,10 @@ def correct_one_image() -> None:
     rows = 100
     x = np.linspace(1.0, 999.0, rows)
     name = np.full(rows, "image")
-    point = [str(number) for number in range(rows)]
-    pixels = {"x_px": x, "y_px": x, "h_g_m": 0.0}
-    observations = pd.DataFrame({"image": name, "point": point} | pixels)
+    points = [f"point {number}" for number in range(rows)]
+    observations = pd.DataFrame(
+        {"image": name, "point": points, "x_px": x, "y_px": x, "h_g_m": 0.0}
+    )
     place = {"latitude": 47.0, "longitude": 8.0, "h_msl_m": 3000.0}
     attitude = {"omega": 0.0, "phi": 0.0, "kappa": 0.0}
     stations = pd.DataFrame([{"image": "image"} | place | attitude])
