@@ -257,7 +257,9 @@ def correct_one_image() -> None:
     rows = 100
     x = np.linspace(1.0, 999.0, rows)
     name = np.full(rows, "image")
-    observations = pd.DataFrame({"image": name, "point": name, "x_px": x, "y_px": x, "h_g_m": 0.0})
+    point = [str(number) for number in range(rows)]
+    pixels = {"x_px": x, "y_px": x, "h_g_m": 0.0}
+    observations = pd.DataFrame({"image": name, "point": point} | pixels)
     place = {"latitude": 47.0, "longitude": 8.0, "h_msl_m": 3000.0}
     attitude = {"omega": 0.0, "phi": 0.0, "kappa": 0.0}
     stations = pd.DataFrame([{"image": "image"} | place | attitude])

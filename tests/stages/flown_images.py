@@ -1,6 +1,6 @@
 """Tie points of a flight whose stations are known, seen by frame cameras without refraction.
 
-The autopilot simulator's truth, not this package, says where each image was taken.
+A simulator's truth, not this package, says where each image was taken.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ import pandas as pd
 import pyproj
 from scipy.spatial.transform import Rotation
 
-SHARED = Path(__file__).resolve().parents[3] / "shared"
 WIDTH, HEIGHT, FOCAL = 6000, 4000, 5000.0
 CAMERA = {
     "width_px": WIDTH,
@@ -28,9 +27,9 @@ ECEF = pyproj.Transformer.from_crs(4979, 4978, always_xy=True)
 GEODETIC = pyproj.Transformer.from_crs(4978, 4979, always_xy=True)
 
 
-def truth_of(name: str, instance: int) -> pd.DataFrame:
-    """The simulator's truth at each exposure of a camera; undulation is 0 there."""
-    truth = pd.read_csv(SHARED / "logs" / f"{name}_truth.csv")
+def truth_of(table: Path, instance: int) -> pd.DataFrame:
+    """The truth at each exposure of a camera; heights are above sea level, without undulation."""
+    truth = pd.read_csv(table)
     rows = truth[(truth["row"] == "CAM") & (truth["I"] == instance)]
     return rows.sort_values("TimeUS").reset_index(drop=True)
 

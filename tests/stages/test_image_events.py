@@ -1,7 +1,11 @@
-"""Images get the events they were exposed at, or a refusal: on logs of the autopilot simulator."""
+"""Images get the events they were exposed at, or a refusal.
+
+On logs that are written here, and on those of the autopilot's own simulator in ../shared/logs.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -17,9 +21,10 @@ from unbend.errors import InputError, MissionError
 from unbend.stages.multi_image.camera_images import images_of_camera
 from unbend.stages.story import PreparedMission
 
-from .flown_images import CAMERA, SHARED, tie_points, truth_of
+from .flown_images import CAMERA, tie_points, truth_of
+from .written_surveys import SHUTTER_LAG_US, write_surveys
 
-needs_shared = pytest.mark.shared("logs")
+SITL = Path(__file__).resolve().parents[3] / "shared" / "logs"
 CHANNEL = {"BIN": "CAM[{}]", "tlog": "CAMERA_FEEDBACK[{}]"}
 
 
@@ -51,24 +56,54 @@ def exif_table(path: Path, names: list[str], time_s: np.ndarray, *, decimals: in
     table.to_csv(path, index=False)
 
 
-def mission_of(
-    folder: Path, log: str, observations: pd.DataFrame, events: dict[str, Any], ground: float
-) -> Path:
-    observations.to_parquet(folder / "observations.parquet")
-    cameras = list(events["log"])
-    sections = {
-        "mission": {"name": "flight"},
-        "log": {"path": str(SHARED / "logs" / log)},
-        "observations": {"path": "observations.parquet"},
-        "cameras": {camera: dict(CAMERA) for camera in cameras},
-        "mount": {camera: {} for camera in cameras},
-        "events": events,
-        "ground": {"height": ground, "reference": "msl"},
-        "output": {"path": "results"},
-    }
-    path = folder / "mission.yaml"
-    path.write_text(yaml.safe_dump(sections, sort_keys=False), encoding="utf-8")
-    return path
+@dataclass(frozen=True)
+class Flown:
+    """A flight: logs and truth under one name, the height of its ground, trigger to shutter."""
+
+    path: Path
+    ground_m: float
+    shutter_lag_us: int
+
+    def log(self, extension: str) -> Path:
+        return self.path.with_suffix(f".{extension}")
+
+    @property
+    def table(self) -> Path:
+        return self.path.with_name(f"{self.path.name}_truth.csv")
+
+    def truth(self, instance: int) -> pd.DataFrame:
+        return truth_of(self.table, instance)
+
+    def times(self, truth: pd.DataFrame) -> np.ndarray:
+        """Unix times of exposures."""
+        return boot_time(self.log("BIN")) + truth["TimeUS"].to_numpy() / 1e6
+
+    def tie_points(self, truth: pd.DataFrame, names: list[str]) -> pd.DataFrame:
+        return tie_points(truth, names, self.ground_m)
+
+    def mission(
+        self,
+        folder: Path,
+        observations: pd.DataFrame,
+        events: dict[str, Any],
+        extension: str = "BIN",
+    ) -> Path:
+        """A mission file of the flight."""
+        observations.to_parquet(folder / "observations.parquet")
+        cameras = list(events["log"])
+        sections = {
+            "mission": {"name": "flight"},
+            "log": {"path": str(self.log(extension))},
+            "observations": {"path": "observations.parquet"},
+            "cameras": {camera: dict(CAMERA) for camera in cameras},
+            "mount": {camera: {} for camera in cameras},
+            "events": events,
+            "ground": {"height": self.ground_m, "reference": "msl"},
+            "output": {"path": "results"},
+        }
+        path = folder / "mission.yaml"
+        path.write_text(yaml.safe_dump(sections, sort_keys=False), encoding="utf-8")
+        return path
 
 
 def misplaced(prepared: PreparedMission, truth: pd.DataFrame, names: list[str]) -> int:
@@ -90,21 +125,46 @@ def entries(prepared: PreparedMission, code: str) -> list[Any]:
 
 
 @pytest.fixture(scope="module")
-def survey() -> tuple[pd.DataFrame, list[str]]:
+def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("surveys")
+    write_surveys(folder)
+    return folder
+
+
+FLIGHTS = ("written", "sitl") if SITL.is_dir() else ("written",)
+
+
+@pytest.fixture(scope="module", params=FLIGHTS)
+def flight(request: pytest.FixtureRequest, written: Path) -> Flown:
+    """256 exposures of one camera: from the climb, over five lines, to the descent."""
+    if request.param == "written":
+        return Flown(written / "survey", 450.0, SHUTTER_LAG_US)
+    return Flown(SITL / "sitl_survey", 590.0, 120_000)
+
+
+@pytest.fixture(scope="module", params=FLIGHTS)
+def pair(request: pytest.FixtureRequest, written: Path) -> Flown:
+    """142 exposures of a left camera, 15 without a pulse, and 128 of a right one."""
+    if request.param == "written":
+        return Flown(written / "two_cameras", 450.0, SHUTTER_LAG_US)
+    return Flown(SITL / "sitl_belowsea_2cam", -428.0, 120_000)
+
+
+@pytest.fixture(scope="module")
+def survey(flight: Flown) -> tuple[Flown, pd.DataFrame, list[str]]:
     """The images of a survey whose first five exposures gave none: 251, counted from 1."""
-    truth = truth_of("sitl_survey", 0).iloc[5:].reset_index(drop=True)
-    return truth, [f"IMG_{n:04d}.tif" for n in range(1, 252)]
+    truth = flight.truth(0).iloc[5:].reset_index(drop=True)
+    return flight, truth, [f"IMG_{n:04d}.tif" for n in range(1, 252)]
 
 
-@needs_shared
 @pytest.mark.parametrize(
     ("pattern", "extension"), [("IMG_{n:04d}.tif", "BIN"), ("*", "tlog")], ids=["BIN", "tlog"]
 )
 def test_tie_points_find_the_five_exposures_without_an_image(survey, extension, pattern, tmp_path):
-    truth, names = survey
+    flight, truth, names = survey
     events = {"log": {"cam": {"channel": CHANNEL[extension].format(0), "image": pattern}}}
-    observations = tie_points(truth, names, 590.0)
-    path = mission_of(tmp_path, f"sitl_survey.{extension}", observations, events, 590.0)
+    observations = flight.tie_points(truth, names)
+    path = flight.mission(tmp_path, observations, events, extension)
     prepared = read_mission(path)
     assert misplaced(prepared, truth, names) == 0
     assert prepared.stations.image.tolist() == names
@@ -116,64 +176,59 @@ def test_tie_points_find_the_five_exposures_without_an_image(survey, extension, 
     assert not prepared.ledger.has_losses
 
 
-@needs_shared
 @pytest.mark.parametrize("pattern", ["IMG_{n:04d}.tif", "*"])
 def test_counting_alone_never_decides_where_counts_differ(survey, pattern, tmp_path):
-    truth, names = survey
+    flight, truth, names = survey
     events: dict[str, Any] = {"log": {"cam": {"channel": "CAM[0]", "image": pattern}}}
-    path = mission_of(tmp_path, "sitl_survey.BIN", scattered(names), events, 590.0)
+    path = flight.mission(tmp_path, scattered(names), events)
     with pytest.raises(MissionError, match="EVENTS-AMBIGUOUS") as caught:
         read_mission(path)
     assert "251" in caught.value.what
     assert "events.first_image.cam" in caught.value.remedy
     events["first_image"] = {"cam": {"image": "IMG_0001.tif", "event": 6}}
-    path = mission_of(tmp_path, "sitl_survey.BIN", scattered(names), events, 590.0)
+    path = flight.mission(tmp_path, scattered(names), events)
     assert misplaced(read_mission(path), truth, names) == 0
     events["first_image"] = {"cam": {"image": "IMG_0252.tif", "event": 6}}
-    path = mission_of(tmp_path, "sitl_survey.BIN", scattered(names), events, 590.0)
+    path = flight.mission(tmp_path, scattered(names), events)
     with pytest.raises(MissionError, match="EVENTS-FIRST-IMAGE"):
         read_mission(path)
 
 
-@needs_shared
 @pytest.mark.parametrize("decimals", [0, 2])
 @pytest.mark.parametrize("off_s", [7237.4, -3 * 86_400.0])
 def test_times_of_a_clock_that_is_off_and_drifts(survey, decimals, off_s, tmp_path):
-    truth, names = survey
-    time_s = log_times("sitl_survey.BIN", truth)
+    flight, truth, names = survey
+    time_s = flight.times(truth)
     clock = time_s + off_s + 2e-5 * (time_s - time_s[0])
     exif_table(tmp_path / "exif.csv", names, clock, decimals=decimals)
     events = {
         "log": {"cam": {"channel": "CAM[0]", "image": "IMG_{n:04d}.tif"}},
         "images": {"path": "exif.csv"},
     }
-    prepared = read_mission(
-        mission_of(tmp_path, "sitl_survey.BIN", scattered(names), events, 590.0)
-    )
+    prepared = read_mission(flight.mission(tmp_path, scattered(names), events))
     assert misplaced(prepared, truth, names) == 0
     assert bool(entries(prepared, "EXIF-CLOCK")) == (abs(off_s) > 86_400.0)
     assert "times" in entries(prepared, "EVENTS-ASSIGNED")[0].what
 
 
-@needs_shared
 @pytest.mark.parametrize("extension", ["BIN", "tlog"])
 @pytest.mark.parametrize("by", ["number", "times"])
-def test_two_cameras_and_lost_pulses(extension, by, tmp_path):
+def test_two_cameras_and_lost_pulses(pair, extension, by, tmp_path):
     """Of 142 exposures of the left camera 15 have no pulse; the right one's 128 all have."""
     names, times, parts = {}, {}, []
-    whole = pd.read_csv(SHARED / "logs" / "sitl_belowsea_2cam_truth.csv")
+    whole = pd.read_csv(pair.table)
     for camera, instance in (("left", 0), ("right", 1)):
-        truth = truth_of("sitl_belowsea_2cam", instance)
+        truth = pair.truth(instance)
         fired = truth
         if camera == "left":  # the shutter follows the trigger by what it does elsewhere
             triggers = whole[(whole["row"] == "TRIG") & (whole["I"] == 0)]
             lost = triggers[~triggers["Img"].isin(truth["Img"])].assign(lost=True)
-            lost["TimeUS"] += 120_000
+            lost["TimeUS"] += pair.shutter_lag_us
             fired = pd.concat([truth, lost]).sort_values("TimeUS")
             assert len(fired) == 142
         numbers = fired["Img"] if by == "number" else range(501, 501 + len(fired))
         names[camera] = [f"{camera}/DSC_{i:04d}.JPG" for i in numbers]
-        times[camera] = log_times("sitl_belowsea_2cam.BIN", fired)
+        times[camera] = pair.times(fired)
         parts.append(scattered(names[camera]))
     events: dict[str, Any] = {
         "log": {
@@ -189,11 +244,11 @@ def test_two_cameras_and_lost_pulses(extension, by, tmp_path):
         exif_table(tmp_path / "exif.csv", names["left"] + names["right"], clock)
         events["images"] = {"path": "exif.csv"}
     observations = pd.concat(parts)
-    path = mission_of(tmp_path, f"sitl_belowsea_2cam.{extension}", observations, events, -428.0)
+    path = pair.mission(tmp_path, observations, events, extension)
     prepared = read_mission(path)
     stations = prepared.stations
     for camera, instance in (("left", 0), ("right", 1)):
-        truth = truth_of("sitl_belowsea_2cam", instance)
+        truth = pair.truth(instance)
         # What is not among the truth's numbers had no pulse.
         fired = np.arange(1, len(names[camera]) + 1)
         own = [names[camera][i] for i in np.flatnonzero(np.isin(fired, truth["Img"]))]
@@ -205,57 +260,53 @@ def test_two_cameras_and_lost_pulses(extension, by, tmp_path):
     assert entry.count == 15
 
 
-@needs_shared
 def test_the_logs_numbers_are_contradicted_by_tie_points(survey, tmp_path):
     """Files that count from the first image, taken for the log's numbers: five events off."""
-    truth, names = survey
+    flight, truth, names = survey
     events = {"log": {"cam": {"channel": "CAM[0]", "image": "IMG_{index:04d}.tif"}}}
-    observations = tie_points(truth, names, 590.0)
-    path = mission_of(tmp_path, "sitl_survey.BIN", observations, events, 590.0)
+    observations = flight.tie_points(truth, names)
+    path = flight.mission(tmp_path, observations, events)
     with pytest.raises(MissionError, match="EVENTS-CONTRADICTED"):
         read_mission(path)
     right = [f"IMG_{n:04d}.tif" for n in truth["Img"]]
-    observations = tie_points(truth, right, 590.0)
-    path = mission_of(tmp_path, "sitl_survey.BIN", observations, events, 590.0)
+    observations = flight.tie_points(truth, right)
+    path = flight.mission(tmp_path, observations, events)
     prepared = read_mission(path)
     assert misplaced(prepared, truth, right) == 0
     assert "tie points" in entries(prepared, "EVENTS-ASSIGNED")[0].what
 
 
-@needs_shared
-def test_counted_names_after_lost_pulses_are_not_believed(tmp_path):
+def test_counted_names_after_lost_pulses_are_not_believed(pair, tmp_path):
     """127 images of the left camera, 127 pulses: but the log's numbers say that 14 are missing."""
-    truth = truth_of("sitl_belowsea_2cam", 0)
+    truth = pair.truth(0)
     names = [f"left_{n:04d}" for n in range(1, 128)]
     events = {"log": {"left": {"channel": "CAM[0]", "image": "left_{n:04d}"}}}
-    path = mission_of(tmp_path, "sitl_belowsea_2cam.BIN", scattered(names), events, -428.0)
+    path = pair.mission(tmp_path, scattered(names), events)
     with pytest.raises(MissionError, match="EVENTS-AMBIGUOUS"):
         read_mission(path)
-    path = mission_of(
-        tmp_path, "sitl_belowsea_2cam.BIN", tie_points(truth, names, -428.0), events, -428.0
-    )
+    path = pair.mission(tmp_path, pair.tie_points(truth, names), events)
     assert misplaced(read_mission(path), truth, names) == 0
 
 
-@needs_shared
 @pytest.mark.parametrize(("first", "lost"), [(120, 5), (243, 5), (6, 4), (236, 12)])
-def test_a_hole_between_counted_images_is_refused_by_tie_points_alone(first, lost, tmp_path):
+def test_a_hole_between_counted_images_is_refused_by_tie_points_alone(
+    flight, first, lost, tmp_path
+):
     """Exposures without an image in the midst: the count goes on, and a part of it is shifted."""
-    truth = truth_of("sitl_survey", 0).drop(index=range(first, first + lost)).reset_index(drop=True)
+    truth = flight.truth(0).drop(index=range(first, first + lost)).reset_index(drop=True)
     names = [f"IMG_{n:04d}.tif" for n in range(1, len(truth) + 1)]
     events = {"log": {"cam": {"channel": "CAM[0]", "image": "IMG_{n:04d}.tif"}}}
-    observations = tie_points(truth, names, 590.0)
-    path = mission_of(tmp_path, "sitl_survey.BIN", observations, events, 590.0)
+    observations = flight.tie_points(truth, names)
+    path = flight.mission(tmp_path, observations, events)
     with pytest.raises(MissionError, match="EVENTS-AMBIGUOUS"):
         read_mission(path)
 
 
-@needs_shared
 @pytest.mark.parametrize("off_s", [0.0, 7237.4])
-def test_two_cameras_in_one_channel_are_never_exchanged_by_whole_seconds(off_s, tmp_path):
+def test_two_cameras_in_one_channel_are_never_exchanged_by_whole_seconds(flight, off_s, tmp_path):
     """Pulses that two cameras take in turn, and clocks of whole seconds."""
-    truth = truth_of("sitl_survey", 0)
-    time_s = np.floor(log_times("sitl_survey.BIN", truth) + off_s)
+    truth = flight.truth(0)
+    time_s = np.floor(flight.times(truth) + off_s)
     names = [f"{'LR'[k % 2]}/IMG_{k // 2 + 1:04d}.tif" for k in range(len(truth))]
     exif_table(tmp_path / "exif.csv", names, time_s, decimals=0)
     events = {
@@ -264,20 +315,19 @@ def test_two_cameras_in_one_channel_are_never_exchanged_by_whole_seconds(off_s, 
         },
         "images": {"path": "exif.csv"},
     }
-    path = mission_of(tmp_path, "sitl_survey.BIN", scattered(names), events, 590.0)
+    path = flight.mission(tmp_path, scattered(names), events)
     assert misplaced(read_mission(path), truth, names) == 0
 
 
-@needs_shared
 def test_images_and_files_that_do_not_go_together(survey, tmp_path):
-    truth, names = survey
-    time_s = log_times("sitl_survey.BIN", truth)
+    flight, truth, names = survey
+    time_s = flight.times(truth)
     events = {
         "log": {"cam": {"channel": "CAM[0]", "image": "*"}},
         "images": {"path": "exif.csv"},
     }
     exif_table(tmp_path / "exif.csv", [f"IMG_{n:04d}.NEF" for n in range(1, 200)], time_s[:199])
-    path = mission_of(tmp_path, "sitl_survey.BIN", scattered(names[100:]), events, 590.0)
+    path = flight.mission(tmp_path, scattered(names[100:]), events)
     prepared = read_mission(path)
     assert misplaced(prepared, truth.iloc[100:199].reset_index(), names[100:199]) == 0
     assert entries(prepared, "IMAGES-ABSENT")[0].count == 52
@@ -291,11 +341,10 @@ def test_images_and_files_that_do_not_go_together(survey, tmp_path):
         read_mission(path)
 
 
-@needs_shared
 def test_a_pattern_of_no_image_is_refused(survey, tmp_path):
-    _, names = survey
+    flight, _, names = survey
     events = {"log": {"cam": {"channel": "CAM[0]", "image": "DSC_*"}}}
-    path = mission_of(tmp_path, "sitl_survey.BIN", scattered(names), events, 590.0)
+    path = flight.mission(tmp_path, scattered(names), events)
     with pytest.raises(MissionError, match="IMAGES-OTHER"):
         read_mission(path)
 
@@ -316,9 +365,9 @@ def test_names_and_numbers_of_a_pattern():
 
 
 @lru_cache
-def boot_time(log: str) -> float:
+def boot_time(log: Path) -> float:
     """Unix time of the boot of a log by its first GPS week and milliseconds, to 0.3 s."""
-    file = DFReader_binary(str(SHARED / "logs" / log))
+    file = DFReader_binary(str(log))
     try:
         while (row := file.recv_match(type="GPS")) is not None:
             if row.GWk > 0 and row.Status >= 3:
@@ -327,7 +376,3 @@ def boot_time(log: str) -> float:
     finally:
         file.close()
     raise AssertionError("no GPS time")
-
-
-def log_times(log: str, truth: pd.DataFrame) -> np.ndarray:
-    return boot_time(log) + truth["TimeUS"].to_numpy() / 1e6
