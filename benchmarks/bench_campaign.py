@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import resource
 import shutil
@@ -14,8 +13,8 @@ from typing import Any
 
 import yaml
 
-from unbend.batch.plan import make_plan
-from unbend.batch.runs import mission_status, run_mission
+from unbend.batch.manifest import manifest_text
+from unbend.batch.runs import mission_status, plan_of, run_mission
 from unbend.config import load_mission
 from unbend.simulate import SimulationOptions, simulate
 
@@ -44,13 +43,10 @@ def campaign(folder: Path) -> Path:
         if number == 0:
             manifest = run_mission(place / "mission.yaml").manifest
             continue
-        plan = make_plan(load_mission(place / "mission.yaml"), place)
+        plan = plan_of(place / "mission.yaml")
         shutil.copytree(folder / "flights" / "0000" / "results", place / "results")
-        own: dict[str, Any] = {"mission": plan.mission.mission.name,
-                               "config": plan.mission.model_dump(mode="json"),
-                               "fingerprint": plan.fingerprint, "keys": plan.keys}  # fmt: skip
-        text = json.dumps(manifest | own, indent=2, sort_keys=True)
-        (place / "results" / "manifest.json").write_text(text + "\n", encoding="utf-8")
+        text = manifest_text(manifest | plan.identity())
+        (place / "results" / "manifest.json").write_text(text, encoding="utf-8")
         if number == MISSIONS - 1:
             assert mission_status(place / "mission.yaml")[1] == []
     content = {"campaign": {"name": "season", "output": "."}, "missions": ["flights/*/*.yaml"]}
@@ -79,7 +75,7 @@ def test_an_unchanged_campaign_beside_the_parsing_of_its_files(ratios, tmp_path,
         command = [sys.executable, "-m", "unbend", "run", str(file)]
         return subprocess.run(command, check=True, capture_output=True, text=True).stdout
 
-    assert f"{MISSIONS:,} of {MISSIONS:,} missions" in run()  # the index is made
+    assert f"{MISSIONS:,} of {MISSIONS:,} missions" in run()  # now the manifests know the files
     parsing = cpu_seconds(lambda: [load_mission(path) for path in files])
     ratios.check("an unchanged campaign of 1,000, times the parsing of its files",
                  min(cpu_seconds(run) for _ in range(3)) / parsing, at_most=1.0)  # fmt: skip

@@ -14,7 +14,7 @@ from unbend.config import load_mission
 from unbend.flight.exposures import Events
 from unbend.ingest import open_log
 from unbend.messages import Ledger
-from unbend.stages.inputs import flight_log
+from unbend.stages.flight_log import flight_log
 from unbend.stages.opened_inputs import OpenedInputs
 from unbend.stages.stations import StationBuilder
 from unbend.tables.observations import observations_of_table

@@ -31,7 +31,7 @@ from unbend.refraction.effect import FlightAir
 from unbend.stages.correction import correct_parts
 from unbend.stages.correction_setup import CorrectionSetup
 from unbend.stages.opened_inputs import OpenedInputs
-from unbend.stages.outputs import observation_metadata
+from unbend.stages.results import observation_metadata
 from unbend.stages.statistics import Statistics
 from unbend.stages.story import correct_mission, prepare_mission
 from unbend.tables.imports.user_tables import orientation_of_frame
@@ -120,7 +120,7 @@ def correct(
             parts.append(part.table)
         return total
 
-    manifest = correct_mission(prepared, correct_all).manifest
+    manifest = correct_mission(prepared, correct_all).results.row()
     facts = {name: manifest[name] for name in ("uncertainty", "cabin_air", "ledger")}
     for entry in facts["ledger"]:
         if entry["kind"] in (Kind.LOSS, Kind.FINDING):
@@ -244,7 +244,9 @@ def correct_one_image() -> None:
     rows = 100
     x = np.linspace(1.0, 999.0, rows)
     name = np.full(rows, "image")
-    observations = pd.DataFrame({"image": name, "point": name, "x_px": x, "y_px": x, "h_g_m": 0.0})
+    point = [str(number) for number in range(rows)]
+    pixels = {"x_px": x, "y_px": x, "h_g_m": 0.0}
+    observations = pd.DataFrame({"image": name, "point": point} | pixels)
     place = {"latitude": 47.0, "longitude": 8.0, "h_msl_m": 3000.0}
     attitude = {"omega": 0.0, "phi": 0.0, "kappa": 0.0}
     stations = pd.DataFrame([{"image": "image"} | place | attitude])

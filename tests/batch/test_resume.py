@@ -8,6 +8,7 @@ import hashlib
 import os
 import random
 import shutil
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -84,7 +85,7 @@ def run(stream, out: Path, key: str = "key", batch_rows: int = BATCH_ROWS, **opt
             PartsOfRun(folder, **options), observations, setup, batch_rows=batch_rows, metadata={}
         )
         facts = {"fingerprint": key, "mission": "m", "exit_code": 0, "outputs": folder.outputs()}
-        facts |= {"correction": counted.correction(), "sampled": counted.examples}
+        facts |= {"correction": asdict(counted.correction()), "sampled": counted.examples}
         folder.commit(facts | {"rows": counted.sampled_rows().x_px.tolist()})
 
 

@@ -13,6 +13,7 @@ import sys
 import pyarrow.parquet as pq
 import pytest
 
+from unbend import __version__
 from unbend.cli.app import GROUPS
 from unbend.ingest.flight_log import Log
 from unbend.refraction import angle
@@ -62,7 +63,7 @@ def test_an_example_on_two_lines_can_be_pasted(unbend):
 
 
 def test_version(unbend):
-    assert unbend("--version").out == f"unbend {unbend.__version__}\n"
+    assert unbend("--version").out == f"unbend {__version__}\n"
     assert unbend("--version").code == 0
 
 

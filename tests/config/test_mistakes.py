@@ -95,16 +95,16 @@ def test_the_phrases_are_what_pydantic_says():
     ("place", "value", "says"),
     [
         ("cameras.nadir.fx_px", "wide",
-         "line 20: cameras.nadir.fx_px: 'wide' stands there, and it takes a number from 10 to "
+         "line 20: cameras.nadir.fx_px: 'wide' is not allowed; use a number from 10 to "
          "1000000 [px], as 20000.0"),
         ("ground.reference", "sea",
-         "ground.reference: 'sea' stands there, and it takes msl | ellipsoid | relative"),
-        ("mission.name", "a b", "it takes letters, digits, dots, dashes and underscores"),
-        ("cameras.nadir.width_px", 3.5, "it takes a whole number above 0 to 1000000 [px]"),
-        ("log.channels.pressure", 5, "it takes text or a section {name, unit}, as BARO[0]"),
-        ("mount.nadir.lever_arm_m", [1.0], "a list of 1 stands there, and it takes a list of 3: "
+         "ground.reference: 'sea' is not allowed; use msl | ellipsoid | relative"),
+        ("mission.name", "a b", "use letters, digits, dots, dashes and underscores"),
+        ("cameras.nadir.width_px", 3.5, "use a whole number above 0 to 1000000 [px]"),
+        ("log.channels.pressure", 5, "use text or a section {name, unit}, as BARO[0]"),
+        ("mount.nadir.lever_arm_m", [1.0], "a list of 1 is not allowed; use a list of 3: "
          "each a number from -100 to 100 [m]"),
-        ("output", None, "output: nothing stands there, and it takes a section {path, batch_rows}"),
+        ("output", None, "output: is empty; use a section {path, batch_rows}"),
         ("ground.height", {"colum": "x"}, "ground.height.colum: unknown key; perhaps 'column'?"),
         ("cameras.nadir.window", {"cabin": {"presure": 3}}, "presure: unknown key"),
     ],
@@ -179,7 +179,7 @@ def test_a_list_of_formats_is_refused(section, tmp_path):
     values["format"] = ["colmap"]
     error = refusal(tree, tmp_path / "mission.yaml")
     assert error is not None
-    assert f"{section}.format: a list of 1 stands there" in error.what
+    assert f"{section}.format: a list of 1 is not allowed" in error.what
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from unbend.atmosphere.rejection import Reason
 from unbend.flight.channels import Channel, Source
 from unbend.flight.evidence.contradictions import examine
 from unbend.flight.evidence.filter_health import (
@@ -215,6 +216,9 @@ def test_a_barometer_that_winds_up_leaves_the_stations_and_its_pressure_is_not_u
     gone = np.setdiff1d(wound.time_ns, examined["pressure"].time_ns)
     assert ((gone - START) / SECOND > 80.0).all()
     assert gone.size > 400
+    removed = examined["pressure"].removed
+    assert removed.time_ns.tolist() == gone.tolist()
+    assert set(removed.reason.tolist()) == {Reason.BAROMETER_DRIFT}
 
 
 def test_a_height_that_contradicts_its_own_velocity_and_the_barometer_is_doubtful():

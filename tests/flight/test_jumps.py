@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from unbend.atmosphere.rejection import Reason
 from unbend.flight.channels import Channel, Source
 from unbend.flight.evidence.quality import RANGES, mask_impossible_values, plausible_samples
 from unbend.messages import Ledger
@@ -261,3 +262,27 @@ def test_a_glitch_beside_an_alignment_is_a_loss() -> None:
         ("note", "ATTITUDE-ALIGNED", 1), ("loss", "SENSOR-JUMP", 1),
     ]  # fmt: skip
     assert "4.000 s" in list(ledger)[1].what
+
+
+def test_each_value_and_sample_that_is_not_used_keeps_its_reason():
+    pressure = np.full(40, 9e4)
+    pressure[[5, 20]] = [1.0, 8e4]  # out of range; a jump there and back
+    temperature = np.full(40, 280.0)
+    temperature[20] = np.nan
+    temperature[30] = 900.0
+    time_ns = np.arange(40, dtype=np.int64) * 10**9
+    log = Channel(
+        "BARO", time_ns, {"pressure_pa": pressure, "temperature_k": temperature}, Source("BARO")
+    )
+    masked, _ = mask_impossible_values(log)
+    # Row 20 has nothing left; of rows 5 and 30 the other value is used.
+    assert masked.removed.time_ns.tolist() == [20 * 10**9]
+    assert masked.removed.reason.tolist() == [Reason.JUMP]
+    assert masked.rejected["pressure_pa"][5] == Reason.OUT_OF_RANGE
+    assert masked.rejected["temperature_k"][29] == Reason.OUT_OF_RANGE
+    for role, second in (("pressure", 5), ("temperature", 30)):
+        kept, notes = plausible_samples(masked, role)
+        assert notes == ()
+        assert kept.removed.time_ns.tolist() == sorted([second * 10**9, 20 * 10**9])
+        assert sorted(kept.removed.reason.tolist()) == [Reason.OUT_OF_RANGE, Reason.JUMP]
+        assert len(kept) == 38

@@ -5,9 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from unbend.atmosphere.rejection import Reason
 from unbend.errors import MissionError
 from unbend.flight.channels import Channel, Source
 from unbend.flight.evidence.quality import plausible_samples
+from unbend.flight.evidence.stretches import HEIGHT as HEIGHT_QUANTITY
+from unbend.flight.evidence.stretches import Stretch
 from unbend.flight.heights import HeightSystem
 from unbend.flight.outside_air import outside_air_samples
 from unbend.flight.roles import assign_roles, follows_height
@@ -171,7 +174,9 @@ def test_the_ground_and_the_first_two_minutes_are_not_the_air() -> None:
     assert used.min() == pytest.approx(60.0 + 120.0, abs=3.0)  # off the ground at 60 s
     assert used.max() == pytest.approx(860.0, abs=3.0)
     assert found.pressure.accepted.all()
-    assert "AIR-GROUND-SOAK" in {e.code for e in ledger}
+    (soak,) = (e for e in ledger if e.code == "AIR-GROUND-SOAK")
+    assert found.temperature.count(Reason.GROUND_SOAK) == soak.count
+    assert soak.count == np.count_nonzero(~found.temperature.accepted)
 
 
 def test_a_log_that_begins_in_the_air_has_no_take_off() -> None:
@@ -188,11 +193,27 @@ def test_a_height_that_is_fused_with_the_barometer_says_nothing_of_temperatures(
     assert samples.pressure is not None
     assert samples.pressure.accepted.any()
     assert samples.pressure.extent_m < 30.0
+    rejected = samples.pressure.rejected
+    assert set(rejected.tolist()) == {Reason.USED, Reason.FUSED_HEIGHT}
     assert [(e.code, e.where) for e in notes] == [("AIR-HEIGHT-FUSED", "POS")]
     samples, notes = outside_air_samples({"height": GPS, "pressure": BARO}, HeightSystem(), 5.0)
     assert samples.pressure is not None
     assert samples.pressure.accepted.all()
     assert notes == ()
+
+
+def test_readings_without_height_or_at_a_suspect_one_say_so() -> None:
+    short = GPS.rows(SECONDS < 700.0)
+    suspect = Stretch(int(TIME[300]), int(TIME[309]), HEIGHT_QUANTITY, "it steps")
+    replaced = Stretch(int(TIME[400]), int(TIME[409]), HEIGHT_QUANTITY, "it steps", 9.0, "GPS[1]")
+    samples, notes = outside_air_samples(
+        {"height": short, "pressure": BARO}, HeightSystem(), 5.0, [suspect, replaced]
+    )
+    assert samples.pressure is not None
+    rejected = samples.pressure.rejected
+    assert np.flatnonzero(rejected == Reason.SUSPECT_HEIGHT).tolist() == list(range(300, 310))
+    assert (rejected == Reason.NO_HEIGHT).tolist() == (SECONDS >= 700.0).tolist()
+    assert [(e.code, e.count) for e in notes] == [("AIR-SUSPECT-HEIGHT", 10)]
 
 
 def test_the_ground_between_two_flights_is_not_the_air() -> None:

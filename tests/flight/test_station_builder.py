@@ -242,8 +242,14 @@ def test_the_take_off_height_of_two_flights_is_not_guessed() -> None:
     home = np.where(seconds < 50, 500.0, 507.0)
     moved = channel("POS", seconds, h_msl_m=home + 10.0, h_home_m=10.0)
     unset = channel("POS", seconds, h_msl_m=510.0, h_home_m=np.where(seconds < 70, 510.0, 10.0))
-    assert height_system({"position": moved}, None)[0].home_h_msl_m is None
-    assert height_system({"position": unset}, None)[0].home_h_msl_m == 500.0
+    system, (changes,) = height_system({"position": moved}, None)
+    assert system.home_h_msl_m is None
+    assert (changes.code, changes.where) == ("HEIGHT-HOME", "POS")
+    assert "changes between" in changes.what
+    system, (steady,) = height_system({"position": unset}, None)
+    assert system.home_h_msl_m == 500.0
+    assert steady.code == "HEIGHT-HOME"
+    assert steady.what == "take-off height 500.00 m above mean sea level"
 
 
 def test_triggers_without_a_shutter_are_counted() -> None:

@@ -15,7 +15,8 @@ import pytest
 from matplotlib.collections import PolyCollection
 from rich.console import Console
 
-from unbend.atmosphere.air_samples import AirSamples, SensorSamples
+from unbend.atmosphere.air_samples import AirSamples, SensorSamples, SensorUse
+from unbend.atmosphere.rejection import Reason, reasons_where
 from unbend.refraction.angle import RadialTable
 from unbend.report.air_and_rays import (
     print_air,
@@ -110,6 +111,15 @@ MANIFEST: dict[str, Any] = {
             },
             {"source": "METAR", "used": False, "why_not": "61 km away"},
             {"source": "standard", "used": True},
+        ],
+        "samples": [
+            {
+                "sensor": "BARO[0]",
+                "quantity": "pressure",
+                "samples": 1234,
+                "used": 1203,
+                "rejected": {"no value": 27, "no height at its time": 4},
+            },
         ],
         "sensors": [
             {
@@ -220,7 +230,7 @@ def readings(name: str, value: list[float], h_m: list[float], accepted: list[boo
     samples = object.__new__(SensorSamples)
     for key, content in {
         "name": name, "value": np.array(value), "h_m": np.array(h_m),
-        "accepted": np.array(accepted),
+        "rejected": reasons_where(~np.array(accepted), Reason.GROUND_SOAK),
     }.items():  # fmt: skip
         object.__setattr__(samples, key, content)
     return samples
@@ -239,7 +249,8 @@ def air() -> Any:
     effects = [SimpleNamespace(row=lambda row=row: row) for row in MANIFEST["profile"]["effect"]]
     adjustment = SimpleNamespace(
         profile=FLOWN, standard=STANDARD_AIR, covariance=COVARIANCE, sources=(), faults=(),
-        rejected={"temperature": np.array([False, True, False])}, basis="thermometer",
+        rejected={"temperature": np.array([0, Reason.OUTLIER, Reason.GROUND_SOAK])},
+        basis="thermometer",
     )  # fmt: skip
     windows = (
         SimpleNamespace(air=SimpleNamespace(profile=EVENING), why_not=""),
@@ -437,12 +448,15 @@ def test_every_line_of_the_air(air):
         **vars(air.adjustment)
         | {
             "sources": [SimpleNamespace(sentence=lambda: "BARO[0]: used")],
+            "sensor_uses": [SensorUse("pressure", "BARO[0]", 1234, {Reason.NO_VALUE: 31})],
             "faults": [FaultEstimate(fault, -1.2345, 0.678, 1.0)],
         }
     )
     lines = printed(print_air, SimpleNamespace(**vars(air) | {"adjustment": adjustment}))
     assert " ".join(" ".join(lines).split()) == (
-        f"{EFFECTS[0]} {EFFECTS[1]} BARO[0]: used {text}: -1.23 ± 0.68 4 profiles follow the air"
+        f"{EFFECTS[0]} {EFFECTS[1]} BARO[0]: used "
+        f"BARO[0], pressure: 1203 of 1234 samples used; not used: 31 (no value) "
+        f"{text}: -1.23 ± 0.68 4 profiles follow the air"
     )
 
 

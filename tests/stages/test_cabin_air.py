@@ -11,6 +11,7 @@ import pytest
 
 from tests.physics.ray_on_sphere import ray_angle_sphere
 from unbend.atmosphere import standard_atmosphere
+from unbend.batch import opening
 from unbend.config.windows import CabinAir
 from unbend.flight.channels import Channel, Source
 from unbend.flight.stations import Stations, empty_stations
@@ -22,7 +23,6 @@ from unbend.refraction.uncertainty.sigmas import SEALED
 from unbend.refraction.window import Cabin, Window
 from unbend.simulate.optics import cameras, through_window
 from unbend.simulate.true_air import edlen_index
-from unbend.stages import inputs
 from unbend.stages.cabin_air import cabin_changes, cabin_from_log, with_cabin_air
 from unbend.stages.exposure_setup import exposures_of
 from unbend.units import ZERO_CELSIUS_K
@@ -294,7 +294,7 @@ def test_a_log_without_a_cabin_thermometer(mission, unbend, monkeypatch):
         log = open_log(*given)
         return replace(log, channels=tuple(c for c in log.channels if c.name != "HYGR[1]"))
 
-    monkeypatch.setattr(inputs, "open_log", without_box)
+    monkeypatch.setattr(opening, "open_log", without_box)
     checked = unbend("check", mission.save())
     assert checked.code == 0, checked.text
     assert "CABIN-TEMPERATURE" in checked.text

@@ -11,10 +11,9 @@ import pytest
 import rasterio
 from rasterio import Affine
 
+from tests.batch.test_rehearsal import rows
 from unbend.batch.runs import check_mission
 from unbend.simulate.flight import FIELD_LAT_RAD, FIELD_LON_RAD, geographic, terrain_m
-
-from .test_rehearsal import rows
 
 pytestmark = pytest.mark.usefixtures("plain_report")
 

@@ -18,7 +18,7 @@ from pymavlink.DFReader import DFReader_binary
 
 from unbend.batch.runs import read_mission
 from unbend.errors import InputError, MissionError
-from unbend.stages.multi_image.image_events import images_of_camera
+from unbend.stages.multi_image.camera_images import images_of_camera
 from unbend.stages.story import PreparedMission
 
 from .flown_images import CAMERA, tie_points, truth_of

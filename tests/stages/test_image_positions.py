@@ -9,7 +9,8 @@ import pytest
 
 from unbend.block.alignment import LOG_RATIO_NEEDED
 from unbend.flight.stations import STATION_OK, empty_stations
-from unbend.stages.multi_image.image_events import CameraImages, position_likelihood
+from unbend.stages.multi_image.assignment_likelihoods import position_likelihood
+from unbend.stages.multi_image.camera_images import CameraImages
 from unbend.tables.imports.exif import NO_TIME, ImageTimes
 
 A, SPEED, INTERVAL = 6.37e6, 20.0, 1.5

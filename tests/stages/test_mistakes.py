@@ -19,9 +19,9 @@ import pytest
 import yaml
 
 from tests.draws import SEED
+from unbend.batch import opening
 from unbend.batch.runs import check_mission
 from unbend.errors import UnbendError
-from unbend.stages import inputs
 
 from .mistaken import MISTAKES, write_mistake
 
@@ -42,7 +42,7 @@ MISSED = {
 def parsed_once(computed_once: None) -> Iterator[None]:
     """Logs are parsed once, and what is the same in many missions is computed once."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(inputs, "open_log", lru_cache(None)(inputs.open_log))
+        patch.setattr(opening, "open_log", lru_cache(None)(opening.open_log))
         yield
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
+from tests.batch.test_rehearsal import config, rows
 from unbend.batch.rehearsal import camera_text
 from unbend.batch.runs import check_mission
 from unbend.refraction import Camera
@@ -17,9 +18,8 @@ from unbend.refraction.camera.general_frame import GeneralFrame
 from unbend.refraction.camera.opencv_fisheye import OpenCVFisheye
 from unbend.simulate.flight import FIELD_LAT_RAD, FIELD_LON_RAD, geographic, terrain_m
 from unbend.simulate.write_dataflash import FORMATS
-from unbend.stages.plausibility import RULES, Facts, distortion, field_of_view
-
-from .test_rehearsal import config, rows
+from unbend.stages.plausibility.facts import Facts
+from unbend.stages.plausibility.rules import RULES, distortion, field_of_view
 
 pytestmark = pytest.mark.usefixtures("plain_report")
 

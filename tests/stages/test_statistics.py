@@ -7,6 +7,7 @@ import pytest
 
 from unbend.refraction.image import COLUMNS, Corrections
 from unbend.stages.statistics import Distribution, ShiftStatistics
+from unbend.tables.manifest import ShiftField
 
 
 def test_no_quantile_is_larger_than_the_largest():
@@ -28,10 +29,10 @@ def test_each_number_under_its_own_key():
     distribution = Distribution()
     distribution.add(np.append(np.arange(1.0, 1000.0), np.nan))
     summary = distribution.summary()
-    assert summary["count"] == 999
-    assert summary["median"] == pytest.approx(500.0, rel=0.01)
-    assert summary["p95"] == pytest.approx(950.0, rel=0.01)
-    assert summary["maximum"] == 999.0
+    assert summary.count == 999
+    assert summary.median == pytest.approx(500.0, rel=0.01)
+    assert summary.p95 == pytest.approx(950.0, rel=0.01)
+    assert summary.maximum == 999.0
 
 
 def corrections_of(**columns: np.ndarray) -> Corrections:
@@ -47,10 +48,14 @@ def test_shifts_are_averaged_where_they_are():
     dx, dy = np.array([1.0, 3.0, 7.0]), np.array([-1.0, -2.0, 5.0])
     statistics = ShiftStatistics(1400, 1000)
     statistics.add(x, y, corrections_of(dx_px=dx, dy_px=dy))
-    assert (statistics + statistics).summary()["field"] == {
-        "format_px": [1400, 1000], "columns": 14, "x_px": [1350.0, 50.0], "y_px": [50.0, 950.0],
-        "dx_px": [2.0, 7.0], "dy_px": [-1.5, 5.0],
-    }  # fmt: skip
+    assert (statistics + statistics).summary().field == ShiftField(
+        format_px=[1400, 1000],
+        columns=14,
+        x_px=[1350.0, 50.0],
+        y_px=[50.0, 950.0],
+        dx_px=[2.0, 7.0],
+        dy_px=[-1.5, 5.0],
+    )
     assert (statistics + statistics).distributions["shift_px"].total == 6
 
 
@@ -63,7 +68,7 @@ def test_every_quantity_is_counted_in_its_own_unit():
         r_cc_rad=np.full(n, -12.0 * arcsec),
     ))  # fmt: skip
     of = {name: distribution.summary() for name, distribution in statistics.distributions.items()}
-    assert {name: row["maximum"] for name, row in of.items()} == {
+    assert {name: row.maximum for name, row in of.items()} == {
         "shift_px": 5.0, "shift_ground_m": 0.25, "refraction_arcsec": 20.0, "window_arcsec": 12.0,
     }  # fmt: skip
-    assert all(row["count"] == 2 for row in of.values())
+    assert all(row.count == 2 for row in of.values())

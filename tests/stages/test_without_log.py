@@ -13,7 +13,6 @@ import pyproj
 import pytest
 from scipy.spatial.transform import Rotation
 
-import unbend.stages.inputs as inputs
 from tests.stages.test_imports import (
     GPS_EPOCH,
     NEAR_M,
@@ -25,6 +24,7 @@ from tests.stages.test_imports import (
     files,
     truth,
 )
+from unbend.batch import opening
 from unbend.batch.runs import read_mission
 from unbend.errors import ConfigError, InputError, MissionError
 from unbend.flight.channels import Channel, Source
@@ -237,9 +237,9 @@ def test_each_camera_follows_the_gimbal_of_its_own(mission, files, truth, monkey
         mission.config["mount"][camera] |= {
             "attitude": f"MNT[{k}]", "pitch_deg": 90.0, "roll_deg": 0.0
         }  # fmt: skip
-    whole = inputs.open_log
+    whole = opening.open_log
     monkeypatch.setattr(
-        inputs, "open_log",
+        opening, "open_log",
         lambda *file: replace(log := whole(*file), channels=(*log.channels, *heads)),
     )  # fmt: skip
     prepared = read_mission(mission.save())

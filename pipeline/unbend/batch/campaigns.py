@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -12,6 +14,7 @@ from typing import Any, NamedTuple
 from unbend.batch import messages
 from unbend.batch.execute import MissionEnd, shared_outputs
 from unbend.batch.executors import Outcome
+from unbend.batch.fingerprint import code_hash
 from unbend.batch.plan import output_of
 from unbend.batch.remote import Place
 from unbend.batch.results import read_manifest
@@ -20,16 +23,14 @@ from unbend.batch.unchanged import find_unchanged
 from unbend.config.campaign import Campaign, MissionRef, open_configs, refuse_twins
 from unbend.errors import UnbendError, storage_errors
 from unbend.exit_codes import EXIT_BUG
+from unbend.report.campaign import Row, campaign_page, campaign_table, row_of, row_without
 
 PAGE = "campaign.html"
 TABLE = "campaign.parquet"
 MARK = '<meta name="generator" content="unbend campaign">'
 
-_HEAD_CHARACTERS = 2000  # of a page, which hold its mark
+_HEAD_CHARACTERS = 2000  # of a page, which hold its mark and its digest
 _MOST_LISTED = 20  # names that a refusal lists
-
-Row = Mapping[str, Any]
-"""What a campaign's page shows of a mission."""
 
 
 class NamedMission(NamedTuple):
@@ -137,11 +138,7 @@ def known_missions(
         unchanged = find_unchanged(ref)
         if unchanged is None:
             continue
-        row = None
-        if with_rows:
-            from unbend.report.html import row_of
-
-            row = row_of(unchanged.manifest)
+        row = row_of(unchanged.manifest) if with_rows else None
         exit_code = int(unchanged.manifest["exit_code"])
         known[ref] = KnownMission(unchanged.name, unchanged.output, exit_code, row)
     return known
@@ -184,42 +181,40 @@ def refuse_foreign_page(output: Path) -> None:
 
 def is_page_ours(output: Path, present: Sequence[str]) -> bool:
     """Whether a campaign wrote the page, or the table where that is alone."""
-    try:
-        if PAGE in present:
-            return MARK in (output / PAGE).read_text(encoding="utf-8")[:_HEAD_CHARACTERS]
-        # The page was removed, or a run ended between the two.
-        from pyarrow.parquet import read_schema
+    if PAGE in present:
+        return MARK in head_of(output / PAGE)
+    # The page was removed, or a run ended between the two.
+    from pyarrow.parquet import read_schema
 
+    try:
         return b"unbend.campaign" in (read_schema(output / TABLE).metadata or {})
-    except (OSError, ValueError):  # ValueError: no UTF-8, or no Parquet
+    except (OSError, ValueError):  # ValueError: no Parquet
         return False
 
 
 def write_pages(chosen: Selection, ended: Mapping[MissionRef, MissionEnd]) -> Iterator[Path]:
     """Write page and table of each campaign, where they say something new; yields the pages."""
-    from unbend.report.html import campaign_page
-
     for campaign in chosen.campaigns:
         rows = [page_row(chosen, ref, ended.get(ref), campaign.output) for ref in campaign.missions]
+        content = json.dumps([code_hash(), campaign.name, rows])
+        digest = hashlib.sha256(content.encode()).hexdigest()
         page = campaign.output / PAGE
-        table = campaign.output / TABLE
-        text = campaign_page(campaign.name, rows)
-        if not table.exists() or not holds(page, text):
-            write_page(campaign, text, rows)
+        if not (campaign.output / TABLE).exists() or f'"{digest}"' not in head_of(page):
+            write_page(campaign, rows, digest)
         yield page
 
 
-def holds(page: Path, text: str) -> bool:
-    """Whether a page is there with this text."""
+def head_of(page: Path) -> str:
+    """The beginning of a page, which says who wrote it and of what; "" where there is none."""
     try:
-        return page.read_text(encoding="utf-8") == text
-    except (OSError, ValueError):
-        return False
+        with page.open(encoding="utf-8") as file:
+            return file.read(_HEAD_CHARACTERS)
+    except (OSError, ValueError):  # ValueError: no UTF-8
+        return ""
 
 
-def write_page(campaign: Campaign, text: str, rows: Sequence[Row]) -> None:
+def write_page(campaign: Campaign, rows: Sequence[Row], digest: str) -> None:
     """Write the table of a campaign, and last its page."""
-    from unbend.report.html import campaign_table
     from unbend.tables.writing import write_parquet
 
     with storage_errors(campaign.output):
@@ -227,7 +222,7 @@ def write_page(campaign: Campaign, text: str, rows: Sequence[Row]) -> None:
     with atomic_write(campaign.output / TABLE) as draft:
         write_parquet(campaign_table(campaign.name, rows), draft)
     with atomic_write(campaign.output / PAGE) as draft:
-        draft.write_text(text, encoding="utf-8")
+        draft.write_text(campaign_page(campaign.name, rows, digest), encoding="utf-8")
 
 
 def page_row(chosen: Selection, ref: MissionRef, end: MissionEnd | None, page: Path) -> Row:
@@ -251,8 +246,6 @@ def row_of_end(
     output: Path | Place | None,
 ) -> Row:
     """What is known of a mission that ended now, or before, or never ran."""
-    from unbend.report.html import row_of, row_without
-
     is_repeated = end is None or (isinstance(end, Outcome) and end.repeated)
     if is_repeated and ref in chosen.known:
         known = chosen.known[ref].row

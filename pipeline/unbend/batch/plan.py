@@ -30,8 +30,7 @@ from unbend.batch.store import would_replace
 from unbend.caches import user_cache
 from unbend.config import Mission
 from unbend.errors import UnbendError
-
-MANIFEST_VERSION = 1
+from unbend.tables.manifest import MANIFEST_VERSION
 
 
 @dataclass(frozen=True)

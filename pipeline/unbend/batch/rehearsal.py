@@ -18,8 +18,8 @@ from unbend.refraction.ray import rays_by
 from unbend.report.summary import control_sentence, effect_lines
 from unbend.stages.correction import correct_batch
 from unbend.stages.correction_setup import GroundHeights
-from unbend.stages.outputs import utc_second
-from unbend.stages.plausibility import Facts
+from unbend.stages.plausibility.facts import Facts
+from unbend.stages.results import utc_second
 from unbend.stages.story import CorrectedMission
 from unbend.tables.geodata.geoid import package_geoid
 from unbend.tables.observations import Batch

@@ -28,7 +28,7 @@ from unbend.report.html import write_report
 from unbend.report.progress import Progress
 from unbend.stages.correction import correct_counted
 from unbend.stages.correction_setup import CorrectionSetup
-from unbend.stages.outputs import observation_metadata
+from unbend.stages.results import observation_metadata
 from unbend.stages.statistics import SAMPLED_ROWS, Statistics
 from unbend.stages.story import CorrectedMission, PreparedMission, correct_mission, prepare_mission
 
@@ -143,7 +143,7 @@ def manifest_of(plan: Plan, corrected: CorrectedMission) -> dict[str, Any]:
 
     Holds no host name and no absolute path, and no clock but the times of the inputs.
     """
-    manifest = dict(corrected.manifest)
+    manifest = corrected.results.row()
     for entry in manifest["ledger"]:  # a file is named as in the mission file, without its folder
         for item in plan.inputs:
             entry["where"] = str(entry["where"]).replace(str(item.path), item.name)

@@ -38,7 +38,7 @@ class SoundingSection(Section):
         json_schema_extra={"unit": "m"},
     )
     across_coast_or_ridge: bool = Field(
-        False,
+        default=False,
         description=(
             "whether a coast or a ridge lies between the sounding and the flight: its distance "
             "then counts twice"
@@ -113,7 +113,7 @@ class SurfaceSection(Section):
         json_schema_extra={"unit": "km"},
     )
     across_coast_or_ridge: bool = Field(
-        False,
+        default=False,
         description=(
             "whether a coast or a ridge lies between the station and the flight: its distance then "
             "counts twice"
@@ -397,7 +397,7 @@ class AtmosphereSection(Section):
         examples=["us1976"],
     )
     adjust: bool = Field(
-        True,
+        default=True,
         description="false keeps the standard atmosphere as it is",
         examples=[True],
     )
@@ -426,7 +426,7 @@ class AtmosphereSection(Section):
         ),
     )
     board_temperature: bool = Field(
-        False,
+        default=False,
         description=(
             "true takes the temperature of a circuit board, named under log.channels.temperature, "
             "as the air plus an unknown 10 K that wanders"

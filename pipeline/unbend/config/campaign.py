@@ -24,7 +24,11 @@ from unbend.config.section import SectionError
 from unbend.config.yaml_text import Place, open_questions, read_yaml
 from unbend.errors import ConfigError
 
-_NO_LINES = yaml.MappingNode("", [], yaml.Mark("", 0, 0, 0, None, 0))
+_NO_LINES = yaml.MappingNode(
+    "",
+    [],
+    yaml.Mark(name="", index=0, line=0, column=0, buffer=None, pointer=0),
+)
 _IS_CAMPAIGN = re.compile(r"""^["']?(campaign|missions)["']?\s*:|^\s*\{""", re.MULTILINE)
 _URL = re.compile("[A-Za-z][A-Za-z0-9+.-]+:/")  # as `is_url` of the rooms above has it
 
@@ -137,9 +141,9 @@ def campaign_of(path: Path, values: dict[str, Any], node: yaml.Node) -> Campaign
     output_of_missions = {"output": {"path": os.path.join(output, "{mission}")}}
     defaults = merged(output_of_missions, values.get("defaults", {}))
     missions = []
-    for file, own in mission_files(path, values["missions"]):
+    for file, sections in mission_files(path, values["missions"]):
         defaults_there = _seen_from(defaults, path.parent, file.parent)
-        missions.append(MissionRef(file, json.dumps(defaults_there), own, str(path)))
+        missions.append(MissionRef(file, json.dumps(defaults_there), sections, str(path)))
     return Campaign(path, section["name"], path.parent / output, tuple(missions))
 
 
@@ -149,11 +153,14 @@ def _with_defaults(values: dict[str, Any]) -> dict[str, Any]:
     stated = values.get("missions", [])
     if not isinstance(stated, list) or not isinstance(defaults, dict):
         return values
-    missions = [merged(defaults, own) if isinstance(own, dict) else own for own in stated]
+    missions = []
+    for section in stated:
+        complete = merged(defaults, section) if isinstance(section, dict) else section
+        missions.append(complete)
     return values | {"missions": missions}
 
 
-def _refused(model: type[BaseModel], values: Any, *, at: Place = ()) -> list[Mapping[str, Any]]:
+def _refused(model: type[BaseModel], values: object, *, at: Place = ()) -> list[Mapping[str, Any]]:
     """What a model refuses of the values at a place of the file."""
     if not isinstance(values, dict):
         return []
@@ -222,7 +229,7 @@ def _matching_files(path: Path, pattern: str) -> list[Path]:
     return files
 
 
-def _seen_from(values: Any, campaign: Path, mission: Path, place: Place = ()) -> Any:
+def _seen_from(values: object, campaign: Path, mission: Path, place: Place = ()) -> object:
     """Values of a campaign with relative paths in them as seen from the folder of a mission."""
     if isinstance(values, dict):
         return {

@@ -20,15 +20,12 @@ def image_pattern(value: str) -> str:
         pieces = list(string.Formatter().parse(value))
     except ValueError as error:
         raise SectionError(f"is not a pattern with {{index}} or {{n}} ({error})") from None
-    has_fields = False
-    for _, name, code, conversion in pieces:
-        if name is None:
-            continue
-        has_fields = True
+    fields = [piece[1:] for piece in pieces if piece[1] is not None]
+    for name, code, conversion in fields:
         is_number = _NUMBER_FORMAT.match(code or "")
         if name not in ("index", "n") or conversion or not is_number:
             raise SectionError("is not a pattern with {index} or {n}, as in IMG_{index:05d}.tif")
-    if not has_fields and "*" not in value:
+    if not fields and "*" not in value:
         raise SectionError("gives every exposure the same name; put {index}, {n} or * into it")
     return value
 
@@ -134,7 +131,7 @@ class PositionEvents(Section):
         json_schema_extra={"unit": "s"},
     )
     times_only: bool = Field(
-        False,
+        default=False,
         description="true: positions (and attitudes) come from the log or a trajectory",
         examples=[False],
     )

@@ -1,6 +1,6 @@
 """The sections of a mission file on the heights of the observed points, and on control points."""
 
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import (
     Discriminator,
@@ -144,7 +144,7 @@ class GroundModel(Section):
         return (self.dem,) if isinstance(self.dem, str) else tuple(self.dem)
 
 
-def _kind_of_height(value: Any) -> str:
+def _kind_of_height(value: object) -> str:
     """Which of the sources of heights a value is meant for, so that one has its messages alone."""
     match value:
         case str():
@@ -248,7 +248,7 @@ class GroundSection(Section):
 
     @model_validator(mode="before")
     @classmethod
-    def _default_reference(cls, values: Any) -> Any:
+    def _default_reference(cls, values: object) -> object:
         """Heights that follow from the camera's own are above mean sea level."""
         if not isinstance(values, dict):
             return values

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 from unbend.config.schema import Node, alternatives, campaign_schema, mission_schema
 
@@ -66,7 +65,7 @@ def _range_in_words(arm: Node) -> str:
     return words
 
 
-def as_written(value: Any) -> str:
+def as_written(value: object) -> str:
     """A value as it is written in a mission file."""
     match value:
         case None:

@@ -201,7 +201,7 @@ class Mission(Section):
 
     @model_validator(mode="before")
     @classmethod
-    def _mounts_at_rest(cls, values: Any) -> Any:
+    def _mounts_at_rest(cls, values: object) -> object:
         """With stations from elsewhere, a camera without a mount is at rest in the aircraft."""
         if not isinstance(values, dict):
             return values
@@ -217,7 +217,7 @@ class Mission(Section):
 
     @model_validator(mode="before")
     @classmethod
-    def _from_block(cls, values: Any) -> Any:
+    def _from_block(cls, values: object) -> object:
         """Cameras and orientations that are not given are those of the block of observations.
 
         The last of these validators runs first.
@@ -226,7 +226,7 @@ class Mission(Section):
 
     @field_validator("control", mode="before")
     @classmethod
-    def _path_of_control(cls, value: Any) -> Any:
+    def _path_of_control(cls, value: object) -> object:
         return {"path": value} if isinstance(value, str) else value
 
     @model_validator(mode="after")

@@ -13,7 +13,7 @@ from unbend.config.section import SectionError
 from unbend.config.yaml_text import Place, has_place, line_of, open_questions
 
 LEAST_SIMILARITY = 0.5  # of the similarity of difflib: a letter wrong, or a word of several
-LONGEST_ALLOWED = 160  # characters of what a key takes, beside its text
+LONGEST_ALLOWED = 150  # characters of what a key takes, beside its text
 LONGEST_VALUE = 40  # characters of a value that is shown whole
 
 
@@ -62,7 +62,7 @@ def mistakes_of(items: Iterable[Mapping[str, Any]], values: dict[str, Any]) -> I
     """The open questions of a file, and what the models refuse of it for other reasons."""
     questions = open_questions(values)
     for place in questions:
-        yield Mistake(place, f"still TODO: {allowed_at(place)}")
+        yield Mistake(place, f"still TODO: it takes {allowed_at(place)}")
     all_refused = [_refused(values, item) for item in items]
     for refused in all_refused:
         follows = any(_overlap(refused.place, question) for question in questions)
@@ -71,7 +71,7 @@ def mistakes_of(items: Iterable[Mapping[str, Any]], values: dict[str, Any]) -> I
         yield Mistake(refused.place, _what(refused, values))
 
 
-def _refused(values: Any, item: Mapping[str, Any]) -> Refused:
+def _refused(values: object, item: Mapping[str, Any]) -> Refused:
     """An error of pydantic, without the arms of unions in its place."""
     error = item.get("ctx", {}).get("error")
     place, value = _found_at(values, item["loc"])
@@ -110,7 +110,10 @@ def _what(refused: Refused, values: dict[str, Any]) -> str:
             return _unknown_key(refused.place, is_campaign="campaign" in values)
         case "missing":
             return _missing_key(refused.place)
-    return f"{_shown(refused.value)} stands there, and {allowed_at(refused.place)}"
+    allowed = allowed_at(refused.place)
+    if refused.value is None:
+        return f"is empty; use {allowed}"
+    return f"{_shown(refused.value)} is not allowed; use {allowed}"
 
 
 def _unknown_key(place: Place, *, is_campaign: bool) -> str:
@@ -124,7 +127,7 @@ def _unknown_key(place: Place, *, is_campaign: bool) -> str:
     near = difflib.get_close_matches(str(place[-1]), sorted(known), n=1, cutoff=LEAST_SIMILARITY)
     if near:
         return f"unknown key; perhaps {near[0]!r}?"
-    return f"unknown key; there is {', '.join(sorted(known))}"
+    return f"unknown key; allowed: {', '.join(sorted(known))}"
 
 
 def _missing_key(place: Place) -> str:
@@ -132,26 +135,27 @@ def _missing_key(place: Place) -> str:
     texts = [node["description"] for node in nodes_at(place) if "description" in node][:1]
     allowed = allowed_at(place)
     if not texts or len(allowed) < LONGEST_ALLOWED:
-        texts.append(allowed)
+        texts.append(f"it takes {allowed}")
     return f"is missing: {'; '.join(texts)}"
 
 
-def _found_at(values: Any, loc: Sequence[int | str]) -> tuple[Place, Any]:
+def _found_at(values: object, loc: Sequence[int | str]) -> tuple[Place, object]:
     """Place and value of an error of the models, without the arms of unions; None if missing."""
     place: list[str | int] = []
+    value: Any = values
     for i, part in enumerate(loc):
-        if has_place(values, (part,)):
-            values = values[part]
+        if has_place(value, (part,)):
+            value = value[part]
             place.append(part)
             continue
         is_last = i == len(loc) - 1
-        if is_last and isinstance(values, dict) and nodes_at((*place, part)):
-            values = None
+        if is_last and isinstance(value, dict) and nodes_at((*place, part)):
+            value = None
             place.append(part)  # a key that is missing
-    return tuple(place), values
+    return tuple(place), value
 
 
-def _nearest_place(values: Any, place: Place) -> Place:
+def _nearest_place(values: object, place: Place) -> Place:
     """The place itself, or the section around it that is in the file."""
     while not has_place(values, place):
         place = place[:-1]
@@ -164,11 +168,9 @@ def _written(place: Place) -> str:
     return "".join(parts).removeprefix(".")
 
 
-def _shown(value: Any) -> str:
+def _shown(value: object) -> str:
     """A value in a message: short, and on one line."""
     match value:
-        case None:
-            return "nothing"
         case dict():
             return "a section"
         case list():
@@ -181,10 +183,10 @@ def _shown(value: Any) -> str:
 
 
 def allowed_at(place: Place) -> str:
-    """What may stand at a place, with an example."""
+    """What a place takes, with an example."""
     nodes: list[Node] = nodes_at(place)
     words = " or ".join(dict.fromkeys(in_words(node) for node in nodes))
     examples = [as_written(node["examples"][0]) for node in nodes if "examples" in node]
     if examples and " | " not in words:
-        return f"it takes {words}, as {examples[0]}"
-    return f"it takes {words or 'something else'}"
+        return f"{words}, as {examples[0]}"
+    return words or "something else"

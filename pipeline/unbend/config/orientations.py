@@ -1,7 +1,7 @@
 """The sections of a mission file on the position and attitude of every image."""
 
 from datetime import UTC, date, datetime
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import (
     Field,
@@ -252,7 +252,7 @@ class OrientationSection(Section):
 
     @model_validator(mode="before")
     @classmethod
-    def _angles_of_block(cls, values: Any) -> Any:
+    def _angles_of_block(cls, values: object) -> object:
         if isinstance(values, dict) and is_block(values.get("format")):
             return {"angles": "quaternion"} | values
         return values

@@ -23,7 +23,7 @@ SHOWN_LAST = ("description", "unit", "examples", "patternErrorMessage")
 """What people read of a key stands behind what machines do."""
 
 
-def all_sections(annotation: Any = Mission | CampaignFile) -> dict[str, type[BaseModel]]:
+def all_sections(annotation: object = Mission | CampaignFile) -> dict[str, type[BaseModel]]:
     """The sections that an annotation names and all within them, by the names of their classes."""
     sections: dict[str, type[BaseModel]] = {}
     inner = list(typing.get_args(annotation))

@@ -26,7 +26,7 @@ def one_of(names: Callable[[], Collection[str]]) -> AfterValidator:
 
     def check(value: str) -> str:
         if value not in names():
-            raise SectionError(f"is none of {', '.join(names())}")
+            raise SectionError(f"{value!r} is not valid; choose {', '.join(names())}")
         return value
 
     return AfterValidator(check)

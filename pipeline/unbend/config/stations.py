@@ -25,7 +25,7 @@ class StationsSection(Section):
         ),
     )
     use_suspect: bool = Field(
-        False,
+        default=False,
         description=(
             "true corrects the observations of stations that contradict other evidence of the log "
             "(status suspect) too; the run ends with code 3 all the same"

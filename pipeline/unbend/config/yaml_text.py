@@ -1,6 +1,7 @@
 """The text of a mission file: YAML of plain values, and the lines of its keys."""
 
 import re
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -99,16 +100,16 @@ def read_yaml(path: Path) -> tuple[dict[str, Any], yaml.Node]:
 
 def problem_of(error: Exception) -> str:
     """What the parser found, in plain words."""
-    said = str(getattr(error, "problem", None) or error)
-    if said.startswith(("the key ", "a key ")):
-        return said  # by `MissionLoader`
+    problem = str(getattr(error, "problem", None) or error)
+    if problem.startswith(("the key ", "a key ")):
+        return problem  # in the words of `MissionLoader`
     for beginning, words in PROBLEMS.items():
-        if said.startswith(beginning):
+        if problem.startswith(beginning):
             return words
     return "here the text is no YAML"
 
 
-def open_questions(values: Any) -> list[Place]:
+def open_questions(values: object) -> list[Place]:
     """The places of a mission file where `TODO` stands; what aliases repeat counts once."""
     questions: list[Place] = []
     walked: set[int] = set()
@@ -151,13 +152,17 @@ def _pair_of(node: yaml.Node, key: str | int) -> tuple[yaml.Node, yaml.Node] | N
     return None
 
 
-def has_place(values: Any, place: Place) -> bool:
+def has_place(values: object, place: Place) -> bool:
     """Whether a place is in the values of a file."""
+    value: Any = values
     for key in place:
-        if isinstance(values, dict):
-            if key not in values:
-                return False
-        elif not isinstance(values, list) or key not in range(len(values)):
+        if isinstance(value, dict):
+            keys: Collection[object] = value
+        elif isinstance(value, list):
+            keys = range(len(value))
+        else:
             return False
-        values = values[key]
+        if key not in keys:
+            return False
+        value = value[key]
     return True

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from unbend.atmosphere import standard_atmosphere
 from unbend.atmosphere.profile import Profile
-from unbend.errors import PhysicsError
-from unbend.refraction import ray
+from unbend.refraction import messages, ray
 from unbend.refraction.image import ground_displacement
 from unbend.refraction.published.bertram import manual
 from unbend.refraction.status_codes import FAR_BRANCH, STATUS_NAMES
@@ -40,7 +39,7 @@ def one_angle(
     61.778543
     """
     if distance is not None and not 0.0 < distance < math.inf:
-        raise PhysicsError.of("ANGLE-DISTANCE", distance=distance)
+        raise messages.angle_distance(distance=distance)
     air = standard_atmosphere(atmosphere, index=index)
     zeta = nadir_angle * DEGREE
     r_c, status = ray.angle_and_status(
@@ -127,14 +126,11 @@ def radial_table(
     """
     zeta = np.asarray(nadir_angle, dtype=np.float64)
     if not bool(np.all((zeta >= 0.0) & (zeta < 90.0 * DEGREE))):
-        raise PhysicsError.of(
-            "RADIAL-ANGLE", least_deg=zeta.min() / DEGREE, largest_deg=zeta.max() / DEGREE
-        )
+        raise messages.radial_angle(least_deg=zeta.min() / DEGREE, largest_deg=zeta.max() / DEGREE)
     if not h_c > h_g:
-        raise PhysicsError.of("RADIAL-HEIGHTS", h_c=h_c, h_g=h_g)
+        raise messages.radial_heights(h_c=h_c, h_g=h_g)
     if focal_px is not None and not 0.0 < focal_px < math.inf:
-        what = f"a principal distance of {focal_px:g} px is none"
-        raise PhysicsError("RADIAL-FOCAL", what, remedy="give it in pixels")
+        raise messages.radial_focal(focal_px=focal_px)
     k = ray.refraction_angle(profile, h_c, h_g, 45.0 * DEGREE, radius, method=method)
     air = ray.rays_by(profile, method)
     r_c, status = ray.bend(air, h_c, h_g, np.sin(zeta), np.cos(zeta), radius=radius)
@@ -163,7 +159,7 @@ def angles_to(largest_deg: float, step_deg: float = 5.0) -> Array:
     [0.0, 5.0, 10.0, 12.0]
     """
     if not (0.0 < largest_deg < 90.0 and step_deg > 0.0):
-        raise PhysicsError.of("RADIAL-ANGLE/angles-to", largest_deg=largest_deg, step_deg=step_deg)
+        raise messages.radial_angle_angles_to(largest_deg=largest_deg, step_deg=step_deg)
     steps = np.arange(0.0, largest_deg - 1e-9 * step_deg, step_deg)
     return np.append(steps, largest_deg) * DEGREE
 

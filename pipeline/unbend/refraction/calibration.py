@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from unbend.errors import PhysicsError
+from unbend.refraction import messages
 from unbend.refraction.camera import model_of
 from unbend.refraction.camera.brown_conrady import BrownConrady
 from unbend.refraction.camera.camera import Camera
@@ -51,14 +51,12 @@ def camera_of_model(
     BrownConrady(k1=-0.05, k2=0.0, k3=0.0, p1=0.0, p2=0.0)
     """
     if model not in MODELS:
-        raise PhysicsError.of("CAMERA-MODEL", model=model, models=", ".join(MODELS))
+        raise messages.camera_model(model=model, models=", ".join(MODELS))
     distortion, names = MODELS[model]
     if len(parameters) != len(names) or not all(map(math.isfinite, parameters)):
-        raise PhysicsError(
-            "CAMERA-MODEL",
-            f"{model} has {len(names)} parameters, {', '.join(names)}; given are "
-            f"{', '.join(f'{value:g}' for value in parameters) or 'none'}",
-            remedy="give them in the order in which COLMAP writes them into cameras.txt",
+        given = ", ".join(f"{value:g}" for value in parameters) or "none"
+        raise messages.camera_parameters(
+            model=model, count=len(names), names=", ".join(names), given=given
         )
     of = dict(zip(names, map(float, parameters), strict=True))
     fx, fy = of.pop("fx", of.get("f", 0.0)), of.pop("fy", of.pop("f", 0.0))
@@ -107,7 +105,9 @@ def refuse_impossible(camera: Camera) -> None:
     """
     seen = np.degrees(max(field_of_view(camera)))
     if seen > (360.0 if is_fisheye(camera) else 150.0):
-        raise PhysicsError.of("CAMERA-FIELD", camera=camera, seen=seen)
+        raise messages.camera_field(
+            fx_px=camera.fx_px, width_px=camera.width_px, height_px=camera.height_px, seen_deg=seen
+        )
     end = min(float(getattr(camera.distortion, "limit", np.inf)), float(np.tan(LARGEST_ANGLE_RAD)))
     theta = np.linspace(0.0, np.arctan(min(end, camera.largest_radius)), 200)[:, None]
     right = (np.array([0, camera.width_px]) - camera.cx_px) / camera.fx_px
@@ -124,7 +124,7 @@ def refuse_impossible(camera: Camera) -> None:
     if folded.any():
         i, k = np.argwhere(folded)[0]
         off_axis_deg = np.degrees(theta[i, 0])
-        raise PhysicsError.of("CAMERA-TURNS", off_axis_deg=off_axis_deg, x=x[i, k], y=y[i, k])
+        raise messages.camera_turns(off_axis_deg=off_axis_deg, x=x[i, k], y=y[i, k])
 
 
 DIRECTIONS = {"right": (1.0, 0.0), "left": (-1.0, 0.0), "down": (0.0, 1.0), "up": (0.0, -1.0)}
@@ -175,17 +175,19 @@ def camera_of_report(report: MetricReport, size_px: tuple[int, int]) -> Camera:
     ppa_mm, table, radius_mm = report.ppa_mm, report.table, report.radius_mm
     part = size * pixel / report.format_mm
     if not (part.min() > 0.95 and part.max() < 1.15):
-        raise PhysicsError(
-            "CAMERA-FORMAT",
-            f"{size[0]} x {size[1]} pixels of {pixel[0] * 1e3:g} x {pixel[1] * 1e3:g} um fill "
-            f"{part[0]:.3f} of the width and {part[1]:.3f} of the height of the format",
-            remedy="check pixel_um, format_mm, and that width and height are not exchanged",
+        raise messages.camera_format(
+            width_px=int(size[0]),
+            height_px=int(size[1]),
+            pixel_x_um=pixel[0] * 1e3,
+            pixel_y_um=pixel[1] * 1e3,
+            part_of_width=part[0],
+            part_of_height=part[1],
         )
     to_image = np.array([DIRECTIONS[axis] for axis in report.axes.split()]).T
     point = np.asarray(report.origin_px) + to_image @ ppa_mm / pixel
     off = np.abs(point / size - 0.5).max()
     if off > LARGEST_OFFSET:
-        raise PhysicsError.of("CAMERA-PRINCIPAL-POINT", percent=100.0 * off)
+        raise messages.camera_principal_point(percent=100.0 * off)
     sign, given = SENSES[report.sense], report.coefficients.get
     known = np.array([given(f"k{i}", 0.0) for i in range(5)])
     if table is not None:
@@ -220,8 +222,7 @@ def _agreed(known: Array, r: Array, wanted: Array) -> Array:
         known = known / scale
     apart = np.abs(powers @ known - wanted)
     if not apart.max() <= LARGEST_DISAGREEMENT_MM:
-        raise PhysicsError.of(
-            "CAMERA-REPORT",
+        raise messages.camera_report(
             fit="a polynomial" if fitted else "the coefficients",
             apart_um=apart.max() * 1000.0,
             radius_mm=r[apart.argmax()],

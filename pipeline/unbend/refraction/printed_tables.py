@@ -19,7 +19,7 @@ from unbend.atmosphere import standard_atmosphere
 from unbend.atmosphere.layers import stack_layers
 from unbend.atmosphere.profile import Profile
 from unbend.atmosphere.refractive_index import IndexModel, refractivity_gyer
-from unbend.errors import PhysicsError
+from unbend.refraction import messages
 from unbend.refraction.published import saastamoinen
 from unbend.refraction.published.gyer import STEP_M, gyer1996, plane_first_term, subtended_angle
 from unbend.refraction.ray import bend, refraction_angle
@@ -253,7 +253,7 @@ def paper_tables(paper: str) -> PaperTable:
     (-3.0, -3.0)
     """
     if paper not in _PAPERS:
-        raise PhysicsError.of("PAPER-NAME", paper=paper, papers=", ".join(_PAPERS))
+        raise messages.paper_name(paper=paper, papers=", ".join(_PAPERS))
     blocks = [np.broadcast_arrays(*map(np.atleast_1d, figures)) for figures in _PAPERS[paper]()]
     columns = dict(zip(_COLUMNS, map(np.concatenate, zip(*blocks, strict=True)), strict=True))
     columns["difference"] = columns["printed"] - columns["exact"]

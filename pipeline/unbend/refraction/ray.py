@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from unbend.atmosphere.profile import Profile
-from unbend.errors import PhysicsError
+from unbend.refraction import messages
 from unbend.refraction.kernels.columns import LEFT, WORTH_A_TABLE, RayColumns
 from unbend.refraction.kernels.threads import in_blocks
 from unbend.refraction.published import PUBLISHED
@@ -29,7 +29,6 @@ from unbend.refraction.status_codes import (
     MISSES_GROUND,
     OK,
     OUTSIDE_PROFILE,
-    STATUS_NAMES,
 )
 from unbend.units import Array
 
@@ -78,7 +77,7 @@ def rays_by(profile: Profile, method: str) -> RayTable | PublishedRays:
     if method == "spherical":
         return ray_table(profile)
     if method not in PUBLISHED:
-        raise PhysicsError.of("METHOD-NAME", method=method, known=", ".join(METHODS))
+        raise messages.method_name(method=method, known=", ".join(METHODS))
     return PublishedRays(profile, PUBLISHED[method])
 
 
@@ -221,18 +220,12 @@ def angle_and_status(
     status = int(found) if found.ndim == 0 else OK
     if status in (OK, BEYOND_GRAZING, FAR_BRANCH):
         return r_c, found
-    covered = f"the profile ({profile.bottom_m:.0f} to {profile.top_m:.0f} m)"
-    reasons = {
-        BAD_MEASUREMENT: "heights and angle (0 to 180 degrees) must be numbers, the radius above 0",
-        OUTSIDE_PROFILE: f"{covered} or the method ({method}) does not cover the heights",
-        MISSES_GROUND: "the ray never reaches the target's height",
-    }
-    name = STATUS_NAMES[status].upper().replace("_", "-")
     where = f"h_c = {h_c!r} m, h_g = {h_g!r} m, zeta_c = {np.degrees(zeta_c):.6f} deg, "
     where += f"radius = {radius!r} m"
-    raise PhysicsError(
-        f"RAY-{name}",
-        reasons[status],
-        where=where,
-        remedy="check heights, angle and radius (inside the package angles are radians)",
-    )
+    if status == OUTSIDE_PROFILE:
+        raise messages.ray_outside_profile(
+            where=where, bottom_m=profile.bottom_m, top_m=profile.top_m, method=method
+        )
+    if status == MISSES_GROUND:
+        raise messages.ray_misses_ground(where=where)
+    raise messages.ray_bad_measurement(where=where)

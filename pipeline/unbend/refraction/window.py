@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from unbend.errors import PhysicsError
+from unbend.refraction import messages
 from unbend.units import HECTOPASCAL, Array
 
 OPTICAL_AXIS = np.array([0.0, 0.0, 1.0])
@@ -75,12 +75,11 @@ class Window:
     def __post_init__(self) -> None:
         length = float(np.linalg.norm(self.normal))
         if not abs(length - 1.0) < 1e-9:
-            raise PhysicsError.of("WINDOW-NORMAL", length=length)
+            raise messages.window_normal(length=length)
         if self.frame == "camera" and not self.normal[2] > 0.0:
-            raise PhysicsError.of("WINDOW-NORMAL/post-init")
+            raise messages.window_normal_inwards()
         if self.cabin is None and self.shape == "plane":
-            what = "the air behind the window is missing: a plane window bends by it"
-            raise PhysicsError("WINDOW-AIR", what, remedy="give the cabin's air")
+            raise messages.window_without_air()
 
 
 def scheduled_pressure(ambient_pa: ArrayLike) -> Array:

@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from unbend.config.keys import campaign_keys, mission_keys
-from unbend.errors import Code, ConfigError
+from unbend.errors import Code
+from unbend.report import messages
 
 _MOST_LISTED = 8
 _NUMBERS_AND_STATUSES = {"exit": "exit code {}", "observations": "{} (status of observations)",
@@ -86,10 +87,7 @@ def explain(word: str) -> list[str]:
         near = difflib.get_close_matches(code, known, 3, 0.7)
         last |= {status: status for of in _NUMBERS_AND_STATUSES for status in meanings()[of]}
         near += difflib.get_close_matches(parts[-1], last, 3, 0.6)
-        what = f"{word!r} is no key of a mission file, no code, no exit code and no status"
-        rest = "`unbend schema` has all keys; codes are what the ledger and refusals begin with"
-        remedy = f"perhaps {', '.join(near)}?" if near else rest
-        raise ConfigError("HELP-WORD", what, remedy=remedy)
+        raise messages.help_word(word=word, near=", ".join(near))
     lines = []
     for key in found[:_MOST_LISTED]:
         lines += [key.path, f"  {key.text}", f"  takes: {key.allowed}", f"  default: {key.default}"]

@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unbend.atmosphere.air_samples import AirSamples
-from unbend.errors import ConfigError, storage_errors
+from unbend.errors import storage_errors
 from unbend.flight.stations import NO_TIME, SUSPECT, Stations
 from unbend.geodesy import longitudes_near
 from unbend.refraction.effect import FlightAir
+from unbend.report import messages
 from unbend.report.flown import QUANTITIES, air_curves
 from unbend.report.summary import effect_lines
 from unbend.units import Array
@@ -64,7 +65,7 @@ def save_figure(figure: Figure, path: Path) -> None:
     """Write a figure as .png or .svg, by the name of the file; the same gives the same bytes."""
     ending = path.suffix.lower()
     if ending not in _OPTIONS:
-        raise ConfigError.of("PLOT-FORMAT", path)
+        raise messages.plot_format(where=path)
     content = io.BytesIO()
     figure.savefig(content, format=ending[1:], **_OPTIONS[ending])
     with storage_errors(path):

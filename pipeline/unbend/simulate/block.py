@@ -8,9 +8,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from unbend.errors import MissionError
 from unbend.simulate import flight as plan
-from unbend.simulate import optics
+from unbend.simulate import messages, optics
 from unbend.simulate.flight import UNDULATION_M, AirState, Flight
 from unbend.simulate.sensors import unix_ns
 from unbend.simulate.true_air import TrueAir, relative_humidity, temperature_k, vapour_pressure_pa
@@ -158,7 +157,7 @@ def choose_points(
             kept.append(candidate)
             room[images] -= 1
     if not pairs:
-        raise MissionError.of("SIM-POINTS", fewest=FEWEST_IMAGES, number=count)
+        raise messages.sim_points(fewest=FEWEST_IMAGES, number=count)
     pairs.sort()
     station, point = np.array(pairs, np.int64).T
     names = tuple(f"p{i:05d}" for i in range(1, len(kept) + 1))

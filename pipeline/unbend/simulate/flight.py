@@ -12,7 +12,7 @@ import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
 from scipy.ndimage import gaussian_filter1d
 
-from unbend.errors import PhysicsError
+from unbend.simulate import messages
 from unbend.simulate.true_air import FIELD_HEIGHT_M, TrueAir, edlen_index, saturation_pressure_pa
 from unbend.units import STANDARD_GRAVITY, WGS84_A, WGS84_F, Array
 
@@ -160,7 +160,7 @@ def _legs(
     centre = np.array([x + side * radius * np.cos(psi), y - side * radius * np.sin(psi)])
     distance = float(np.hypot(*centre))
     if distance <= radius:
-        raise PhysicsError("SIM-PATH", f"the lines end {distance:.0f} m from the field: too near")
+        raise messages.path_too_near(distance_m=distance)
     straight = np.sqrt(distance**2 - radius**2)
     heading = np.arctan2(-centre[0], -centre[1]) + side * np.arctan2(radius, straight)
     angle = float((side * (heading - psi)) % (2.0 * np.pi))

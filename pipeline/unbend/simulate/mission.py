@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 from jinja2 import Template
 
-from unbend.errors import ConfigError, storage_errors
-from unbend.simulate import sensors
+from unbend.errors import storage_errors
+from unbend.simulate import messages, sensors
 from unbend.simulate.block import CONVENTIONS, choose_points, observe, stations, write_tables
 from unbend.simulate.flight import FIELD_LAT_RAD, UNDULATION_M, fly
 from unbend.simulate.optics import SimulatedCamera, cameras
@@ -50,7 +50,7 @@ class SimulationOptions:
         for name, (low, high) in _LIMITS.items():
             value = getattr(self, name)
             if not low <= value <= high:
-                raise ConfigError.of("SIM-OPTION", name, name=name, value=value, low=low, high=high)
+                raise messages.sim_option(where=name, name=name, value=value, low=low, high=high)
 
 
 @dataclass(frozen=True)

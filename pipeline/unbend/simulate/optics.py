@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from unbend.errors import PhysicsError
+from unbend.simulate import messages
 from unbend.units import WGS84_A, WGS84_F, Array, Mask
 
 _E2 = WGS84_F * (2.0 - WGS84_F)
@@ -97,7 +97,7 @@ def ray_ends(
     floor = np.repeat([1e-9, 1e-15], 3 * count)
     solution = solve_ivp(slope, (0.0, 1.0), first, "DOP853", [1.0], rtol=1e-12, atol=floor)
     if not solution.success:
-        raise PhysicsError("SIM-ODE", f"the rays did not integrate: {solution.message}")
+        raise messages.not_integrated(what="rays", answer=solution.message)
     return np.asarray(solution.y[: 3 * count, -1].reshape(count, 3))
 
 

@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import BSpline, make_interp_spline
 
 import unbend.units as units
-from unbend.errors import PhysicsError
+from unbend.simulate import messages
 from unbend.units import Array
 
 WAVELENGTH_UM = 0.55
@@ -159,7 +159,7 @@ def true_air(lat_rad: float) -> TrueAir:
             slope, span, first, "DOP853", heights, rtol=1e-12, atol=1e-14, max_step=100.0
         )
         if not solution.success:
-            raise PhysicsError("SIM-ODE", f"the air did not integrate: {solution.message}")
+            raise messages.not_integrated(what="air", answer=solution.message)
         log_p[side] = solution.y[0] if end > FIELD_HEIGHT_M else solution.y[0][::-1]
     n = edlen_index(np.exp(log_p), temperature_k(knots), vapour_pressure_pa(knots))
     # The 1 is left out while fitting: n - 1 keeps twelve digits where n would keep eight of slope.

@@ -3,8 +3,10 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from unbend.atmosphere import standard_atmosphere, surface_report
 from unbend.atmosphere.air_samples import AirSamples
@@ -25,20 +27,31 @@ from unbend.atmosphere.soundings.model_field import ModelField, model_column
 from unbend.atmosphere.surface_report import SurfaceReport
 from unbend.config import Mission
 from unbend.config.atmosphere import AtmosphereSection, SurfaceSection
-from unbend.errors import InputError
 from unbend.flight.stations import NO_TIME, Stations
 from unbend.geodesy import longitudes_near
 from unbend.messages import Ledger
 from unbend.refraction.effect import FlightAir, effects_on_r
-from unbend.stages.inputs import FlightLog, Track
+from unbend.stages import messages
+from unbend.stages.flight_log import FlightLog, Track
 from unbend.stages.opened_inputs import OpenedInputs
 from unbend.tables.weather_files import FlightArea
-from unbend.units import DEGREE, HECTOPASCAL, ZERO_CELSIUS_K
+from unbend.units import DEGREE, HECTOPASCAL, ZERO_CELSIUS_K, Mask
 
-Levels = tuple[list[float], float]
-"""Low, middle and high camera height, and height of the ground [m above sea level]."""
+BIN_M = 100.0  # of heights: a climb counts more than a long level run
+LIKELY_SIGMAS = 2.0  # that a value in another unit, or reduced, may be off
+FAHRENHEIT_SIGMAS = 2.5  # too warm by so much, in Fahrenheit right: it is Fahrenheit
+IMPOSSIBLE_SIGMAS = 4.0  # of a temperature: real soundings stay in 2.9
+QNH_SIGMAS = 3.0  # too high by so much, as QNH right: it is reduced to sea level
+IMPOSSIBLE_PRESSURE_SIGMAS = 5.0  # weather stays in 5
+ALWAYS_NS = 2**62  # before and after all times
 
-_BIN_M = 100.0
+
+@dataclass(frozen=True)
+class Levels:
+    """Low, middle and high camera height, and height of the ground [m above sea level]."""
+
+    cameras_m: list[float]
+    ground_m: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,45 +71,69 @@ class ModelAir:
 
 
 def read_model_air(
-    mission: Mission, inputs: OpenedInputs, flight: FlightLog, stations: Stations,
-    samples: AirSamples, middle: TimeAndPlace, *, ledger: Ledger,
-) -> ModelAir | None:  # fmt: skip
+    mission: Mission,
+    inputs: OpenedInputs,
+    flight: FlightLog,
+    stations: Stations,
+    samples: AirSamples,
+    middle: TimeAndPlace,
+    *,
+    ledger: Ledger,
+) -> ModelAir | None:
     """The weather model of a mission, None where it names none; ``middle`` is that of the flight.
 
     Refuses (`InputError`) a flight without a time or place, and stations outside its area.
     """
-    model, track = inputs.weather_model, flight.track
+    model = inputs.weather_model
     if model is None:
         return None
     if middle.time_ns is None or not math.isfinite(middle.latitude_rad + middle.longitude_rad):
-        raise InputError.of("MODEL-TIME/flight", model.name)
+        raise messages.flight_without_time(where=model.name)
     of_middle = middle.latitude_rad, middle.longitude_rad, middle.time_ns
-    place = sampled_place(samples, track) or of_middle
-    levels = (_constant_ground_m(mission), flight.heights.home_h_msl_m)
-    ground_h_m = next((h for h in levels if h is not None), math.nan)
-    rows = stations.ok & np.isfinite(stations.lat_rad + stations.lon_rad)
-    times = np.where(stations.time_ns[rows] == NO_TIME, place[2], stations.time_ns[rows])
-    area = FlightArea(
-        np.append(stations.lat_rad[rows], place[0]),
-        longitudes_near(np.append(stations.lon_rad[rows], place[1]), place[1]),
-        np.append(times, place[2]),
-    )
+    place = sampled_place(samples, flight.track) or of_middle
+    placed = stations.ok & np.isfinite(stations.lat_rad + stations.lon_rad)
+    area = area_of_flight(stations, placed, place)
     field = model.read(area, ledger)
     field.refuse_outside(area.latitude_rad, area.longitude_rad)
-    highest = float(stations.h_msl_m[rows].max(initial=0.0))
-    column = ledger.take(model_column(field, place, ground_h_m=ground_h_m, highest_h_m=highest))
-    hours = TimeAndPlace(place[2]).hours_from(column.time_ns)
-    ledger.note(
-        "MODEL-COLUMN", where=model.name, count=column.h_m.size, low=column.h_m[0], hours=hours,
-        high=column.h_m[-1], north=place[0] / DEGREE, east=place[1] / DEGREE,
-    )  # fmt: skip
+
+    levels = (_constant_ground_m(mission), flight.heights.home_h_msl_m)
+    ground_m = next((height for height in levels if height is not None), math.nan)
+    highest_m = float(stations.h_msl_m[placed].max(initial=0.0))
+    column = ledger.take(model_column(field, place, ground_h_m=ground_m, highest_h_m=highest_m))
+    latitude, longitude, time_ns = place
+    ledger.add(
+        messages.model_column(
+            where=model.name,
+            count=column.h_m.size,
+            low=float(column.h_m[0]),
+            high=float(column.h_m[-1]),
+            north=latitude / DEGREE,
+            east=longitude / DEGREE,
+            hours=TimeAndPlace(time_ns).hours_from(column.time_ns),
+        )
+    )
     # It is the air where the flight met it: no distance adds to its errors.
     column = replace(column, latitude_rad=middle.latitude_rad, longitude_rad=middle.longitude_rad)
-    return ModelAir(field, column, place, track)
+    return ModelAir(field, column, place, flight.track)
+
+
+def area_of_flight(stations: Stations, placed: Mask, place: Place) -> FlightArea:
+    """Where and when stations, and the air that the flight met, are."""
+    latitude, longitude, time_ns = place
+    times = stations.time_ns[placed]
+    times = np.where(times == NO_TIME, time_ns, times)
+    return FlightArea(
+        np.append(stations.lat_rad[placed], latitude),
+        longitudes_near(np.append(stations.lon_rad[placed], longitude), longitude),
+        np.append(times, time_ns),
+    )
 
 
 def sampled_place(
-    samples: AirSamples, track: Track | None, start_ns: int = -(2**62), end_ns: int = 2**62
+    samples: AirSamples,
+    track: Track | None,
+    start_ns: int = -ALWAYS_NS,
+    end_ns: int = ALWAYS_NS,
 ) -> Place | None:
     """Latitude, longitude and time where a flight met the air that it measured between two times.
 
@@ -106,28 +143,32 @@ def sampled_place(
         return None
     time_ns, latitude, longitude = track
     known = np.isfinite(latitude + longitude)
+    if not bool(known.any()):
+        return None
     for sensor in (samples.temperature, samples.pressure):
-        if sensor is None or not bool(known.any()):
+        if sensor is None:
             continue
         inside = (sensor.time_ns >= start_ns) & (sensor.time_ns < end_ns)
         rows = sensor.accepted & np.isfinite(sensor.h_m) & inside
-        if not bool(rows.any()):
-            continue
-        first = int(time_ns[0])
-        _, number = np.unique(np.floor(sensor.h_m[rows] / _BIN_M), return_inverse=True)
-        seconds = (sensor.time_ns[rows] - first) * 1e-9
-        at = (time_ns[known] - first) * 1e-9
-        east = longitudes_near(longitude[known], float(longitude[known][0]))
-        values = [np.interp(seconds, at, v) for v in (latitude[known], east)]
-        count = np.bincount(number)
-        means = [float(np.mean(np.bincount(number, v) / count)) for v in (*values, seconds)]
-        return means[0], means[1], first + round(means[2] * 1e9)
-    return None
+        if bool(rows.any()):
+            break
+    else:
+        return None
+    first_ns = int(time_ns[0])
+    seconds = (sensor.time_ns[rows] - first_ns) * 1e-9
+    at = (time_ns[known] - first_ns) * 1e-9
+    east = longitudes_near(longitude[known], float(longitude[known][0]))
+    _, number = np.unique(np.floor(sensor.h_m[rows] / BIN_M), return_inverse=True)
+    count = np.bincount(number)
 
+    def mean_of_bins(values: NDArray[np.floating[Any]]) -> float:
+        return float(np.mean(np.bincount(number, values) / count))
 
-_LIKELY = 2.0  # sigma that a value in another unit, or reduced, may be off
-_LIKE_FAHRENHEIT, _IMPOSSIBLE_SIGMAS = 2.5, 4.0  # too warm, or off: real soundings stay in 2.9
-_LIKE_QNH, _IMPOSSIBLE_LEVEL = 3.0, 5.0  # sigma of pressures; weather stays in 5
+    return (
+        mean_of_bins(np.interp(seconds, at, latitude[known])),
+        mean_of_bins(np.interp(seconds, at, east)),
+        first_ns + round(mean_of_bins(seconds) * 1e9),
+    )
 
 
 def read_report(
@@ -148,44 +189,66 @@ def read_report(
         )
     else:
         report = surface_report.surface_report(
-            section.h_msl_m, temperature_k=section.temperature_k, pressure_pa=section.pressure_pa,
-            relative_humidity=section.humidity, time_ns=section.time_ns, where=where,
-        )  # fmt: skip
-    refuse_impossible(report, background, where, of_metar=section.metar is not None)
-    metres, across = 1e3 * section.distance_km, section.across_coast_or_ridge
-    return replace(report, distance_m=metres, across=across)
+            section.h_msl_m,
+            temperature_k=section.temperature_k,
+            pressure_pa=section.pressure_pa,
+            relative_humidity=section.humidity,
+            time_ns=section.time_ns,
+            where=where,
+        )
+    of_metar = section.metar is not None
+    refuse_impossible_temperature(report, background, where, of_metar=of_metar)
+    refuse_impossible_pressure(report, background, where, of_metar=of_metar)
+    distance_m = 1e3 * section.distance_km
+    return replace(report, distance_m=distance_m, across=section.across_coast_or_ridge)
 
 
-def refuse_impossible(
+def refuse_impossible_temperature(
     report: SurfaceReport, background: Climatology, where: str, *, of_metar: bool
 ) -> None:
-    """Refuse what no season has, or is usual in Fahrenheit or reduced to sea level (no METAR)."""
-    celsius, h_m = report.temperature_k - ZERO_CELSIUS_K, report.h_m
-    expected = float(background.profile.temperature(h_m))
-    sigma = float(background.spread.sigma_temperature(h_m))
-    departure = (report.temperature_k - expected) / sigma
-    as_fahrenheit = ((celsius - 32.0) / 1.8 + ZERO_CELSIUS_K - expected) / sigma
-    mistaken = departure > _LIKE_FAHRENHEIT and abs(as_fahrenheit) < _LIKELY and not of_metar
-    if mistaken or abs(departure) > _IMPOSSIBLE_SIGMAS:
-        rather = f"; {celsius:.1f} F would be {(celsius - 32.0) / 1.8:.1f} C" if mistaken else ""
-        raise InputError.of(
-            "SURFACE-CLIMATE", where, celsius=celsius, height_m=h_m, sigmas=abs(departure),
-            expected_c=expected - ZERO_CELSIUS_K, rather=rather,
-        )  # fmt: skip
+    """Refuse a temperature that no season has, or that is usual in Fahrenheit (no METAR)."""
+    celsius = report.temperature_k - ZERO_CELSIUS_K
+    from_fahrenheit = (celsius - 32.0) / 1.8
+    expected_k = float(background.profile.temperature(report.h_m))
+    sigma_k = float(background.spread.sigma_temperature(report.h_m))
+    departure = (report.temperature_k - expected_k) / sigma_k
+    as_fahrenheit = (from_fahrenheit + ZERO_CELSIUS_K - expected_k) / sigma_k
+    is_fahrenheit = departure > FAHRENHEIT_SIGMAS and abs(as_fahrenheit) < LIKELY_SIGMAS
+    mistaken = is_fahrenheit and not of_metar
+    if mistaken or abs(departure) > IMPOSSIBLE_SIGMAS:
+        rather = f"; {celsius:.1f} F would be {from_fahrenheit:.1f} C" if mistaken else ""
+        raise messages.surface_temperature_unlikely(
+            where=where,
+            celsius=celsius,
+            height_m=report.h_m,
+            sigmas=abs(departure),
+            expected_c=expected_k - ZERO_CELSIUS_K,
+            rather=rather,
+        )
+
+
+def refuse_impossible_pressure(
+    report: SurfaceReport, background: Climatology, where: str, *, of_metar: bool
+) -> None:
+    """Refuse a pressure that no weather has, or that is usual reduced to sea level (no METAR)."""
     if not math.isfinite(report.pressure_pa):
         return
-    expected = float(background.profile.pressure(h_m))
-    sigma = background.sigma_log_pressure(h_m)
-    departure = math.log(report.pressure_pa / expected) / sigma
-    reduced = surface_report.station_pressure(report.pressure_pa, h_m)
-    as_qnh = math.log(reduced / expected) / sigma
-    mistaken = departure > _LIKE_QNH and abs(as_qnh) < _LIKELY and not of_metar
-    if mistaken or abs(departure) > _IMPOSSIBLE_LEVEL:
-        rather = f"; as QNH it would be {reduced / HECTOPASCAL:.1f} hPa there" if mistaken else ""
-        raise InputError.of(
-            "SURFACE-LEVEL", where, hpa=report.pressure_pa / HECTOPASCAL, height_m=h_m,
-            sigmas=abs(departure), expected_hpa=expected / HECTOPASCAL, rather=rather,
-        )  # fmt: skip
+    expected_pa = float(background.profile.pressure(report.h_m))
+    sigma = background.sigma_log_pressure(report.h_m)
+    departure = math.log(report.pressure_pa / expected_pa) / sigma
+    reduced_pa = surface_report.station_pressure(report.pressure_pa, report.h_m)
+    as_qnh = math.log(reduced_pa / expected_pa) / sigma
+    mistaken = departure > QNH_SIGMAS and abs(as_qnh) < LIKELY_SIGMAS and not of_metar
+    if mistaken or abs(departure) > IMPOSSIBLE_PRESSURE_SIGMAS:
+        rather = f"; as QNH it would be {reduced_pa / HECTOPASCAL:.1f} hPa there"
+        raise messages.surface_pressure_unlikely(
+            where=where,
+            hpa=report.pressure_pa / HECTOPASCAL,
+            height_m=report.h_m,
+            sigmas=abs(departure),
+            expected_hpa=expected_pa / HECTOPASCAL,
+            rather=rather if mistaken else "",
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,27 +270,33 @@ class AirSources:
 
     def lines(self) -> list[tuple[str, str]]:
         """A label and a description of each source, for `unbend check`."""
-        lines = []
-        for sounding in self.soundings:
-            time = ""
-            if sounding.time_ns is not None:
-                time = f" of {np.datetime64(sounding.time_ns, 'ns').astype('datetime64[m]')} UTC"
-            h_m = sounding.h_m
-            levels = f"{h_m.size} levels from {h_m[0]:.0f} to {h_m[-1]:.0f} m"
-            lines.append((sounding.kind, f"{sounding.station}{time}: {levels}, {sounding.origin}"))
-        for report in self.surface:
-            values = {
-                "{:.1f} C": report.temperature_k - ZERO_CELSIUS_K,
-                "{:.1f} hPa": report.pressure_pa / HECTOPASCAL,
-                "vapour {:.1f} hPa": report.vapour_pressure_pa / HECTOPASCAL,
-            }
-            known = ", ".join(text.format(v) for text, v in values.items() if np.isfinite(v))
-            lines.append(("surface", f"{report.origin} at {report.h_m:.0f} m: {known}"))
+        lines = [*map(line_of_sounding, self.soundings), *map(line_of_report, self.surface)]
         background = self.background
         lines.append(("climatology", f"{background.profile.name}, {background.origin}"))
         if self.calibration:
             lines.append(("sensors", describe_calibration(self.calibration)))
         return lines
+
+
+def line_of_sounding(sounding: Sounding) -> tuple[str, str]:
+    """The label of a sounding, and its station, time and levels."""
+    time = ""
+    if sounding.time_ns is not None:
+        time = f" of {np.datetime64(sounding.time_ns, 'ns').astype('datetime64[m]')} UTC"
+    h_m = sounding.h_m
+    levels = f"{h_m.size} levels from {h_m[0]:.0f} to {h_m[-1]:.0f} m"
+    return sounding.kind, f"{sounding.station}{time}: {levels}, {sounding.origin}"
+
+
+def line_of_report(report: SurfaceReport) -> tuple[str, str]:
+    """The label of a surface report, and its values."""
+    values = {
+        "{:.1f} C": report.temperature_k - ZERO_CELSIUS_K,
+        "{:.1f} hPa": report.pressure_pa / HECTOPASCAL,
+        "vapour {:.1f} hPa": report.vapour_pressure_pa / HECTOPASCAL,
+    }
+    known = [text.format(value) for text, value in values.items() if np.isfinite(value)]
+    return "surface", f"{report.origin} at {report.h_m:.0f} m: {', '.join(known)}"
 
 
 def describe_calibration(calibration: Mapping[SensorFault, SensorCalibration]) -> str:
@@ -250,11 +319,10 @@ def read_air_sources(
     flight: FlightLog,
     stations: Stations,
     samples: AirSamples,
-    *,
     ledger: Ledger,
 ) -> AirSources:
     """Read soundings, surface reports and weather model of a mission; choose its climatology."""
-    section, home_h_msl_m = mission.atmosphere, flight.heights.home_h_msl_m
+    section = mission.atmosphere
     flight_ns = _middle_exposure_ns(stations)
     orientation = mission.stations.orientation
     if flight_ns is None and orientation is not None:
@@ -262,42 +330,66 @@ def read_air_sources(
     latitude = stations.mean_latitude_rad
     known = stations.lon_rad[np.isfinite(stations.lon_rad)]
     longitude = float(np.median(known)) if known.size else math.nan
-    sensors = [s for s in (samples.pressure, samples.temperature, samples.humidity) if s]
-    heights = [s.h_m[np.isfinite(s.h_m)] for s in sensors]
-    lowest = min((float(h.min()) for h in heights if h.size), default=home_h_msl_m or 0.0)
+    lowest_h_m = lowest_sample_m(samples, flight.heights.home_h_msl_m)
     background = climatology(
         section.climatology,
         latitude_rad=latitude,
         month=month_of(flight_ns),
         index=_index_of(section),
-        ground_h_m=lowest,
+        ground_h_m=lowest_h_m,
         longitude_rad=longitude if known.size else 0.0,
     )
-    soundings: tuple[Sounding, ...] = ()
-    for read, s in zip(inputs.soundings, section.soundings, strict=True):
+    soundings = []
+    for read, of_file in zip(inputs.soundings, section.soundings, strict=True):
+        stated_m = of_file.station_h_msl_m
         sounding = read(
-            ledger, time_ns=flight_ns, latitude_rad=latitude,
-            station_h_m=np.nan if s.station_h_msl_m is None else s.station_h_msl_m,
-        )  # fmt: skip
-        soundings += (replace(sounding, across=s.across_coast_or_ridge),)
-    surface = tuple(
-        read_report(s, f"atmosphere.surface[{i}]", flight_ns, background, ledger)
-        for i, s in enumerate(section.surface)
-    )
+            ledger,
+            time_ns=flight_ns,
+            latitude_rad=latitude,
+            station_h_m=math.nan if stated_m is None else stated_m,
+        )
+        soundings.append(replace(sounding, across=of_file.across_coast_or_ridge))
+    surface = []
+    for number, of_station in enumerate(section.surface):
+        where = f"atmosphere.surface[{number}]"
+        surface.append(read_report(of_station, where, flight_ns, background, ledger))
     middle = TimeAndPlace(flight_ns, latitude, longitude)
     model = read_model_air(mission, inputs, flight, stations, samples, middle, ledger=ledger)
-    soundings += () if model is None else (model.column,)
-    ledger.extend(distance_notes(soundings, surface, middle))
+    if model is not None:
+        soundings.append(model.column)
+    ledger.extend(distance_notes(tuple(soundings), tuple(surface), middle))
     calibration = section.sensors.calibration
     if not section.adjust and (soundings or surface or calibration):
-        ledger.warning(
-            "AIR-SOURCES-UNUSED", where="atmosphere", soundings=len(soundings),
-            surface=len(surface), calibrations=len(calibration),
-            count=len(soundings) + len(surface) + len(calibration),
-        )  # fmt: skip
+        ledger.add(
+            messages.air_sources_unused(
+                where="atmosphere",
+                soundings=len(soundings),
+                surface=len(surface),
+                calibrations=len(calibration),
+            )
+        )
     return AirSources(
-        background, soundings, surface, flight_ns, longitude, lowest, model, calibration
+        background=background,
+        soundings=tuple(soundings),
+        surface=tuple(surface),
+        time_ns=flight_ns,
+        longitude_rad=longitude,
+        lowest_h_m=lowest_h_m,
+        model=model,
+        calibration=calibration,
     )
+
+
+def lowest_sample_m(samples: AirSamples, home_h_msl_m: float | None) -> float:
+    """The lowest height at which the air was sampled [m above sea level], else the take-off's."""
+    lowest = []
+    for sensor in (samples.pressure, samples.temperature, samples.humidity):
+        if sensor is None:
+            continue
+        heights = sensor.h_m[np.isfinite(sensor.h_m)]
+        if heights.size:
+            lowest.append(float(heights.min()))
+    return min(lowest, default=home_h_msl_m or 0.0)
 
 
 def _middle_exposure_ns(stations: Stations) -> int | None:
@@ -328,7 +420,7 @@ def adjusted_profiles(
     standard = replace(standard_atmosphere(section.standard), index=_index_of(section))
     if not section.adjust:
         why = "atmosphere.adjust is false: the standard is kept"
-        ledger.note("AIR-NOT-ADJUSTED", why)
+        ledger.add(messages.air_not_adjusted())
         external = ExternalSources(sources.soundings, sources.surface)
         unused = no_source_used(samples, external, standard.name, why)
         kept = estimate.unadjusted(estimate.under_gravity(standard, latitude), why)
@@ -349,36 +441,46 @@ def adjusted_profiles(
     level = _constant_ground_m(mission)
     h_g = sources.lowest_h_m if level is None else level
     heights = stations.h_msl_m[stations.ok]
-    h_c = [float(h) for h in np.percentile(heights, [0, 50, 100])] if heights.size else [h_g]
+    h_c = [h_g]
+    if heights.size:
+        h_c = [float(height) for height in np.percentile(heights, [0, 50, 100])]
     model = sources.model
-    if not any(model and use.source == model.column.name and use.fit for use in adjustment.sources):
+    if model is not None and not is_used(model, adjustment):
         model = None
-    return _profiles_in_time(adjustment, stations, (h_c, h_g), model, ledger)
+    return profiles_in_time(adjustment, stations, Levels(h_c, h_g), model, ledger)
 
 
-def _profiles_in_time(
-    adjustment: Adjustment, stations: Stations, heights: Levels, model: ModelAir | None,
+def is_used(model: ModelAir, adjustment: Adjustment) -> bool:
+    """Whether the column of a weather model is among what an estimate was made from."""
+    return any(use.source == model.column.name and use.fit for use in adjustment.sources)
+
+
+def profiles_in_time(
+    adjustment: Adjustment,
+    stations: Stations,
+    levels: Levels,
+    model: ModelAir | None,
     ledger: Ledger,
-) -> FlightAir:  # fmt: skip
+) -> FlightAir:
     """Profiles of the exposures, each of its time, and of its place where a ``model`` knows it."""
-    h_c, h_g = heights
-    whole = TimedProfile(
-        adjustment.time_ns, adjustment.profile, adjustment.covariance,
-        sampled_at=None if model is None else model.place,
-    )  # fmt: skip
+    h_c = levels.cameras_m
+    h_g = levels.ground_m
     windows: tuple[TimeWindow, ...] = ()
     if max(h_c) > h_g + 1.0:
         windows = ledger.take(estimate_windows(adjustment, h_c, h_g))
     if model is not None:
-        windows = tuple(
-            replace(w, air=replace(w.air, sampled_at=model.place_of(adjustment.samples, w)))
-            for w in windows
-        )
+        windows = tuple(window_of_model(window, model, adjustment) for window in windows)
+    whole = TimedProfile(
+        adjustment.time_ns,
+        adjustment.profile,
+        adjustment.covariance,
+        sampled_at=None if model is None else model.place,
+    )
     series = profile_series.constant_series(whole, len(stations))
-    middle = _middle_exposure_ns(stations)
-    if middle is not None:
+    middle_ns = _middle_exposure_ns(stations)
+    if middle_ns is not None:
         timed = stations.ok & (stations.time_ns != NO_TIME)
-        times = np.where(timed, stations.time_ns, middle)
+        times = np.where(timed, stations.time_ns, middle_ns)
         if windows:
             airs = [window.air for window in windows]
             series = profile_series.interpolate_series(airs, times, h_c, h_g)
@@ -389,13 +491,20 @@ def _profiles_in_time(
         if model is not None:
             north = np.where(stations.ok, stations.lat_rad, np.nan)
             east = longitudes_near(stations.lon_rad, model.place[1])
-            series = ledger.take(add_model_changes(
-                series, model.field, times, north, east,
-                h_c=h_c, h_g=h_g, measured=adjustment.time_ns is not None,
-            ))  # fmt: skip
+            changed = add_model_changes(
+                series,
+                model.field,
+                times,
+                north,
+                east,
+                h_c=h_c,
+                h_g=h_g,
+                measured=adjustment.time_ns is not None,
+            )
+            series = ledger.take(changed)
         if not windows and len(stations):
             # The covariance reported for the flight is that at its middle exposure.
-            number = series.profile_number[int(np.argmin(np.abs(times - middle)))]
+            number = series.profile_number[int(np.argmin(np.abs(times - middle_ns)))]
             covariance = series.timed_profiles[number].covariance
             if covariance is not None:
                 covariance = replace(covariance, profile=adjustment.profile)
@@ -404,3 +513,9 @@ def _profiles_in_time(
         adjustment.profile, adjustment.standard, adjustment.covariance, float(np.median(h_c)), h_g
     )
     return FlightAir(adjustment, series, windows, effects)
+
+
+def window_of_model(window: TimeWindow, model: ModelAir, adjustment: Adjustment) -> TimeWindow:
+    """A part of a flight whose air is that of a model where it was met."""
+    place = model.place_of(adjustment.samples, window)
+    return replace(window, air=replace(window.air, sampled_at=place))

@@ -3,8 +3,9 @@
 Only its pressure has to be known: without a thermometer a pressurised cabin is near 21 degC.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Container, Iterable, Mapping
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,10 +14,9 @@ from unbend.atmosphere import Profile
 from unbend.atmosphere.refractive_index import IndexModel, vapour_pressure
 from unbend.atmosphere.series.profile_series import ProfileSeries
 from unbend.flight.channels import Channel
-from unbend.flight.station_builder import mark_suspect
 from unbend.flight.stations import Stations
 from unbend.flight.trajectory import interpolate
-from unbend.messages import Ledger, Notes, fallback, finding, loss, warning
+from unbend.messages import Ledger, Message, Notes
 from unbend.refraction.camera.camera import LensInAir
 from unbend.refraction.window import (
     SCHEDULE_CEILING_M,
@@ -27,164 +27,251 @@ from unbend.refraction.window import (
     Window,
     scheduled_pressure,
 )
+from unbend.stages import messages
 from unbend.units import HECTOPASCAL, ZERO_CELSIUS_K, Array, Mask
 
-USUAL_TEMPERATURE_K = 294.15
-SIGMA_PRESSURISED_K, SIGMA_AMBIENT_K = 5.0, 10.0
-"""21 degC, and the standard deviation about it of cabins with and without pressurisation."""
-PRESSURISED_PA = 20.0 * HECTOPASCAL
-"""A cabin with so much more pressure than the air outside is pressurised."""
-BOARD_WARMER_K, SIGMA_BOARD_K = 10.0, 6.0
+USUAL_TEMPERATURE_K = 294.15  # 21 degC
+SIGMA_PRESSURISED_K = 5.0  # about it, of cabins with pressurisation
+SIGMA_AMBIENT_K = 10.0  # and of those without
+PRESSURISED_PA = 20.0 * HECTOPASCAL  # more than the air outside: a cabin is pressurised
+THIN_PA = 0.5 * PRESSURISED_PA  # less than the air outside: no cabin has that
+ODD_SIGMAS = 4.0  # of the usual temperature, beyond which it is that of no cabin
+MAX_GAP_S = 10.0  # between samples of a barometer that is compared with the air outside
+
+BOARD_WARMER_K = 10.0
+SIGMA_BOARD_K = 6.0
 """A barometer's board against the air about it: 0 to 20 K warmer in autopilots and their simulator,
 evenly spread (standard deviation 5.8 K); the same 10 K as `atmosphere.estimate.readings` has."""
-_COLUMNS = (
-    "cabin_pressure_pa", "cabin_temperature_k", "cabin_vapour_pressure_pa",
-    "sigma_cabin_pressure_pa", "sigma_cabin_temperature_k",
-)  # fmt: skip
+
+_STEP_PA = 100.0  # of the derivatives, good to 1e-4 of them
+_STEP_K = 1.0
+
+
+class CabinAir(NamedTuple):
+    """The air in a cabin, (m,): pressure [Pa], temperature [K], vapour pressure [Pa], sigmas."""
+
+    pressure_pa: Array
+    temperature_k: Array
+    vapour_pressure_pa: Array
+    sigma_pressure_pa: Array
+    sigma_temperature_k: Array
+
+
+class OutsideAir(NamedTuple):
+    """The air outside, (m,): pressure [Pa], vapour pressure [Pa]."""
+
+    pressure_pa: Array
+    vapour_pressure_pa: Array
 
 
 def cabin_from_log(
-    stations: Stations, camera: str, cabin: Cabin, channels: Iterable[Channel] = (),
+    stations: Stations,
+    camera: str,
+    cabin: Cabin,
+    channels: Iterable[Channel] = (),
     roles: Mapping[str, Channel] | None = None,
-) -> tuple[Stations, Notes]:  # fmt: skip
+) -> tuple[Stations, Notes]:
     """Stations of a camera with what the log has of its cabin, and what it lacks.
 
     Exposures without the pressure that is to come from the log become suspect (CABIN-MISSING). A
     temperature that is missing is assumed later; a barometer's board is `BOARD_WARMER_K` warmer.
     """
     roles = roles or {}
-    notes: Notes = ()
-
-    def could_play(quantity: str) -> str:
-        outside = roles.get(quantity)
-        names = []
-        for channel in channels:
-            if outside is None or channel.name != outside.name:
-                if channel.fits_role(f"cabin_{quantity}"):
-                    names.append(channel.name)
-                elif quantity == "temperature" and "board_temperature_k" in channel.columns:
-                    names.append(f"{channel.name} (its board, warmer than the air)")
-        if not names:
-            return f"no channel of the log could play cabin_{quantity}"
-        return f"log.channels.cabin_{quantity} could be {', '.join(names)}"
-
-    where = f"camera {camera}"
+    channels = tuple(channels)
+    notes: list[Message] = []
     if cabin.source == "log":
-        missing = np.isnan(stations.cabin_pressure_pa)
-        what = "no cabin pressure, without which the window cannot be corrected: "
-        what += could_play("pressure")
-        stations, count = mark_suspect(stations, camera, missing, what)
-        if count:
-            lacking = f"{count} exposures have {what}"
-            notes = (loss("CABIN-MISSING", lacking, where=where, count=count),)
+        able = could_play("pressure", channels, roles)
+        stations, missing = without_pressure(stations, camera, able)
+        notes += missing
     of_camera = (stations.camera == camera) & stations.ok
     if cabin.source == "ambient":
-        notes += _pressurised_after_all(stations, of_camera, camera, channels, roles)
+        notes += pressurised_after_all(stations, of_camera, camera, channels, roles)
+
     stated = cabin.source == "standard_schedule" or np.isfinite(cabin.temperature_k)
+    if stated:
+        return stations, tuple(notes)
     count = int((of_camera & np.isnan(stations.cabin_temperature_k)).sum())
-    if count and not stated:
-        entry = loss if cabin.temperature_logged else fallback
-        able = could_play("temperature")
-        notes += (entry("CABIN-TEMPERATURE", where=where, count=count, able=able),)
+    if count:
+        send = messages.cabin_temperature_assumed
+        if cabin.temperature_logged:
+            send = messages.cabin_temperature_missing
+        able = could_play("temperature", channels, roles)
+        notes.append(send(where=f"camera {camera}", count=count, able=able))
     thermometer = roles.get("cabin_temperature")
-    if stated or thermometer is None or "board_temperature_k" not in thermometer.columns:
-        return stations, notes
-    mine = (stations.camera == camera) & np.isfinite(stations.cabin_temperature_k)
-    notes += (fallback(
-        "CABIN-BOARD", where=where, count=int(mine.sum()), name=thermometer.name,
-        warmer=BOARD_WARMER_K, sigma=SIGMA_BOARD_K,
-    ),)  # fmt: skip
-    return replace(
+    if thermometer is None or "board_temperature_k" not in thermometer.columns:
+        return stations, tuple(notes)
+    rows = (stations.camera == camera) & np.isfinite(stations.cabin_temperature_k)
+    notes.append(
+        messages.cabin_board(
+            where=f"camera {camera}",
+            count=int(rows.sum()),
+            name=thermometer.name,
+            warmer=BOARD_WARMER_K,
+            sigma=SIGMA_BOARD_K,
+        )
+    )
+    stations = replace(
         stations,
-        cabin_temperature_k=stations.cabin_temperature_k - BOARD_WARMER_K * mine,
-        sigma_cabin_temperature_k=np.where(mine, SIGMA_BOARD_K, stations.sigma_cabin_temperature_k),
-    ), notes
+        cabin_temperature_k=stations.cabin_temperature_k - BOARD_WARMER_K * rows,
+        sigma_cabin_temperature_k=np.where(rows, SIGMA_BOARD_K, stations.sigma_cabin_temperature_k),
+    )
+    return stations, tuple(notes)
 
 
-def _pressurised_after_all(
-    stations: Stations, of_camera: Mask, camera: str, channels: Iterable[Channel],
-    roles: Mapping[str, Channel],
-) -> Notes:  # fmt: skip
-    """A warning where a barometer of the log has much more pressure than the air outside."""
-    outside = roles.get("pressure")
+def without_pressure(stations: Stations, camera: str, able: str) -> tuple[Stations, list[Message]]:
+    """Stations of a camera, suspect without the cabin's pressure, and the loss that counts them."""
+    missing = np.isnan(stations.cabin_pressure_pa) & (stations.camera == camera) & stations.ok
+    count = int(missing.sum())
+    if count == 0:
+        return stations, []
+    reason = f"no cabin pressure, without which the window cannot be corrected: {able}"
+    lost = messages.cabin_pressure_missing(where=f"camera {camera}", count=count, reason=reason)
+    return stations.as_suspect(missing, reason, np.nan, use=False), [lost]
+
+
+def could_play(quantity: str, channels: Iterable[Channel], roles: Mapping[str, Channel]) -> str:
+    """Which channels of the log could be those of a cabin, in words."""
+    outside = roles.get(quantity)
+    names = []
     for channel in channels:
-        if outside is None or channel.name == outside.name or not channel.fits_role("pressure"):
+        if outside is not None and channel.name == outside.name:
             continue
-        inside = interpolate(channel, "pressure_pa", stations.time_ns[of_camera], 10.0)
-        excess = inside - stations.pressure_pa[of_camera]
-        excess = excess[np.isfinite(excess)]
-        if excess.size and float(np.median(excess)) > PRESSURISED_PA:
-            return (finding(
-                "CABIN-IMPLAUSIBLE/pressure", where=f"cameras.{camera}.window.cabin.pressure",
-                count=excess.size, camera=camera, name=channel.name,
-                hpa=np.median(excess) / HECTOPASCAL,
-            ),)  # fmt: skip
-    return ()
+        if channel.fits_role(f"cabin_{quantity}"):
+            names.append(channel.name)
+        elif quantity == "temperature" and "board_temperature_k" in channel.columns:
+            names.append(f"{channel.name} (its board, warmer than the air)")
+    if not names:
+        return f"no channel of the log could play cabin_{quantity}"
+    return f"log.channels.cabin_{quantity} could be {', '.join(names)}"
+
+
+def pressurised_after_all(
+    stations: Stations,
+    of_camera: Mask,
+    camera: str,
+    channels: Iterable[Channel],
+    roles: Mapping[str, Channel],
+) -> list[Message]:
+    """A finding where a barometer of the log has much more pressure than the air outside."""
+    outside = roles.get("pressure")
+    if outside is None:
+        return []
+    for channel in channels:
+        if channel.name == outside.name or not channel.fits_role("pressure"):
+            continue
+        time_ns = stations.time_ns[of_camera]
+        inside_pa = interpolate(channel, "pressure_pa", time_ns, MAX_GAP_S)
+        excess_pa = inside_pa - stations.pressure_pa[of_camera]
+        excess_pa = excess_pa[np.isfinite(excess_pa)]
+        if excess_pa.size and float(np.median(excess_pa)) > PRESSURISED_PA:
+            finding = messages.cabin_pressurised(
+                where=f"cameras.{camera}.window.cabin.pressure",
+                count=int(excess_pa.size),
+                camera=camera,
+                name=channel.name,
+                hpa=float(np.median(excess_pa)) / HECTOPASCAL,
+            )
+            return [finding]
+    return []
 
 
 def with_cabin_air(
-    stations: Stations, windows: Mapping[str, Window], lenses: Iterable[str],
-    profile: Profile | ProfileSeries, ledger: Ledger,
-) -> Stations:  # fmt: skip
+    stations: Stations,
+    windows: Mapping[str, Window],
+    lenses: Container[str],
+    profile: Profile | ProfileSeries,
+    ledger: Ledger,
+) -> Stations:
     """Stations with the air in the cabins, and its sigmas (NaN for numbers that have none).
 
     It matters behind a plane window and, behind any, to cameras among ``lenses``.
     """
-    columns = {name: getattr(stations, name).copy() for name in _COLUMNS}
+    columns = CabinAir(
+        pressure_pa=stations.cabin_pressure_pa.copy(),
+        temperature_k=stations.cabin_temperature_k.copy(),
+        vapour_pressure_pa=stations.cabin_vapour_pressure_pa.copy(),
+        sigma_pressure_pa=stations.sigma_cabin_pressure_pa.copy(),
+        sigma_temperature_k=stations.sigma_cabin_temperature_k.copy(),
+    )
     h = stations.h_msl_m
-    outside = profile.pressure(h), profile.vapour_pressure(h)
+    outside = OutsideAir(profile.pressure(h), profile.vapour_pressure(h))
     for name, window in windows.items():
-        rows, cabin = stations.camera == name, window.cabin
+        cabin = window.cabin
         if cabin is None or not (window.shape == "plane" or name in lenses):
             continue
-        logged = tuple(column[rows] for column in columns.values())
-        ambient = outside[0][rows], outside[1][rows]
-        values = air_in(cabin, logged, ambient)
-        for column, value in zip(columns.values(), values, strict=True):
-            column[rows] = value
-        ok = stations.ok[rows]
-        dry = int((~np.isfinite(logged[2]) & ok).sum())
-        if cabin.source == "log" and not np.isfinite(cabin.relative_humidity) and dry:
-            what = f"no humidity in the cabin for {dry} exposures: its air is taken as dry"
-            ledger.fallback("CABIN-DRY", what, where=f"camera {name}", count=dry)
-        with np.errstate(invalid="ignore"):
-            above = int((ok & (h[rows] > SCHEDULE_CEILING_M)).sum())
-        if cabin.source == "standard_schedule":
-            where = f"cameras.{name}.window.cabin"
-            ledger.note("CABIN-SCHEDULE", where=where)
-            if above:
-                ledger.warning("CABIN-SCHEDULE-HIGH", where=where, count=above)
-        ledger.extend(_implausible_air(name, ok, values, ambient[0]))
-    return replace(stations, **columns)
+        rows = stations.camera == name
+        logged = CabinAir(*(column[rows] for column in columns))
+        ambient = OutsideAir(*(values[rows] for values in outside))
+        air = air_in(cabin, logged, ambient)
+        for column, values in zip(columns, air, strict=True):
+            column[rows] = values
+        report_humidity(name, cabin, logged, stations.ok[rows], ledger)
+        report_schedule(name, cabin, h[rows], stations.ok[rows], ledger)
+        report_implausible(name, air, ambient, stations.ok[rows], ledger)
+    return replace(
+        stations,
+        cabin_pressure_pa=columns.pressure_pa,
+        cabin_temperature_k=columns.temperature_k,
+        cabin_vapour_pressure_pa=columns.vapour_pressure_pa,
+        sigma_cabin_pressure_pa=columns.sigma_pressure_pa,
+        sigma_cabin_temperature_k=columns.sigma_temperature_k,
+    )
 
 
-def _implausible_air(name: str, ok: Mask, values: tuple[Array, ...], p_outside: Array) -> Notes:
-    """Warnings where pressure or temperature are those of no cabin."""
-    p, t = values[:2]
-    notes = []
+def report_humidity(name: str, cabin: Cabin, logged: CabinAir, ok: Mask, ledger: Ledger) -> None:
+    """A fallback where the humidity of a logged cabin is not known."""
+    count = int((~np.isfinite(logged.vapour_pressure_pa) & ok).sum())
+    if cabin.source == "log" and not np.isfinite(cabin.relative_humidity) and count:
+        ledger.add(messages.cabin_dry(where=f"camera {name}", count=count))
+
+
+def report_schedule(name: str, cabin: Cabin, h_m: Array, ok: Mask, ledger: Ledger) -> None:
+    """Notes where the air of a cabin is that of a schedule, and where that ends."""
+    if cabin.source != "standard_schedule":
+        return
+    where = f"cameras.{name}.window.cabin"
+    ledger.add(messages.cabin_schedule(where=where))
     with np.errstate(invalid="ignore"):
-        thin = ok & (p_outside - p > 0.5 * PRESSURISED_PA)
-        odd = ok & (np.abs(t - USUAL_TEMPERATURE_K) > 4.0 * _usual_sigma(p, p_outside))
-    for wrong, what in (
-        (thin, "less pressure than the air outside"),
-        (odd, "a temperature far from 21 degC"),
-    ):
-        if wrong.any():
-            first = int(np.argmax(wrong))
-            notes.append(warning(
-                "CABIN-IMPLAUSIBLE", where=f"cameras.{name}.window.cabin", count=int(wrong.sum()),
-                name=name, what_is_odd=what, hpa=p[first] / HECTOPASCAL,
-                celsius=t[first] - ZERO_CELSIUS_K,
-            ))  # fmt: skip
-    return tuple(notes)
+        count = int((ok & (h_m > SCHEDULE_CEILING_M)).sum())
+    if count:
+        ledger.add(messages.cabin_schedule_high(where=where, count=count))
 
 
-def _usual_sigma(p: Array, p_outside: Array) -> Array:
+def report_implausible(
+    name: str, air: CabinAir, outside: OutsideAir, ok: Mask, ledger: Ledger
+) -> None:
+    """Warnings where pressure or temperature are those of no cabin."""
+    sigma_k = usual_sigma(air.pressure_pa, outside.pressure_pa)
+    with np.errstate(invalid="ignore"):
+        thin = ok & (outside.pressure_pa - air.pressure_pa > THIN_PA)
+        odd = ok & (np.abs(air.temperature_k - USUAL_TEMPERATURE_K) > ODD_SIGMAS * sigma_k)
+    oddities = {
+        "less pressure than the air outside": thin,
+        "a temperature far from 21 degC": odd,
+    }
+    for oddity, rows in oddities.items():
+        if not rows.any():
+            continue
+        first = int(np.argmax(rows))
+        ledger.add(
+            messages.cabin_implausible(
+                where=f"cameras.{name}.window.cabin",
+                count=int(rows.sum()),
+                name=name,
+                oddity=oddity,
+                hpa=float(air.pressure_pa[first]) / HECTOPASCAL,
+                celsius=float(air.temperature_k[first]) - ZERO_CELSIUS_K,
+            )
+        )
+
+
+def usual_sigma(pressure_pa: Array, outside_pa: Array) -> Array:
     """(m,) standard deviation of a cabin's temperature about 21 degC [K], by its pressure [Pa]."""
-    return np.where(p - p_outside > PRESSURISED_PA, SIGMA_PRESSURISED_K, SIGMA_AMBIENT_K)
+    pressurised = pressure_pa - outside_pa > PRESSURISED_PA
+    return np.where(pressurised, SIGMA_PRESSURISED_K, SIGMA_AMBIENT_K)
 
 
-def _first_known(*values: ArrayLike) -> Array:
+def first_known(*values: ArrayLike) -> Array:
     """Of several numbers or arrays the first that is known, element by element."""
     found, *others = (np.asarray(value, np.float64) for value in values)
     for other in others:
@@ -192,33 +279,42 @@ def _first_known(*values: ArrayLike) -> Array:
     return found
 
 
-def air_in(
-    cabin: Cabin, logged: tuple[Array, ...], outside: tuple[Array, Array]
-) -> tuple[Array, ...]:
-    """(m,) pressure [Pa], temperature [K], vapour pressure [Pa], sigmas of the first two."""
-    p_logged, t_logged, e_logged, _, sigma_board = logged
-    p_outside, e_outside = outside
-    blank = np.full(p_logged.shape, np.nan)
-    if cabin.source == "standard_schedule":  # whatever is logged, for instance of another cabin
-        t_logged, e_logged = np.full(blank.shape, SCHEDULE_TEMPERATURE_K), np.zeros(blank.shape)
-    p = {
-        "log": p_logged,
-        "constant": _first_known(blank, cabin.pressure_pa),
-        "ambient": p_outside,
-        "standard_schedule": scheduled_pressure(p_outside),
+def air_in(cabin: Cabin, logged: CabinAir, outside: OutsideAir) -> CabinAir:
+    """The air in a cabin by what is stated, logged and outside, in this order."""
+    blank = np.full(logged.pressure_pa.shape, np.nan)
+    temperature_logged = logged.temperature_k
+    vapour_logged = logged.vapour_pressure_pa
+    scheduled = cabin.source == "standard_schedule"
+    if scheduled:  # whatever is logged, for instance of another cabin
+        temperature_logged = np.full(blank.shape, SCHEDULE_TEMPERATURE_K)
+        vapour_logged = np.zeros(blank.shape)
+
+    pressure = {
+        "log": logged.pressure_pa,
+        "constant": first_known(blank, cabin.pressure_pa),
+        "ambient": outside.pressure_pa,
+        "standard_schedule": scheduled_pressure(outside.pressure_pa),
     }[cabin.source]
-    t = _first_known(blank, cabin.temperature_k, t_logged, USUAL_TEMPERATURE_K)
-    measured = np.isfinite(t_logged) & (cabin.source != "standard_schedule")
-    sigma_t = np.where(
-        measured, _first_known(sigma_board, SIGMA_THERMOMETER_K), _usual_sigma(p, p_outside)
-    )
+    sigma_p = SIGMA_BAROMETER_PA if cabin.source in ("log", "ambient") else np.nan
+
+    temperature = first_known(blank, cabin.temperature_k, temperature_logged, USUAL_TEMPERATURE_K)
     if np.isfinite(cabin.temperature_k):
         sigma_t = blank
-    sigma_p = SIGMA_BAROMETER_PA if cabin.source in ("log", "ambient") else np.nan
-    stated = vapour_pressure(cabin.relative_humidity, t, p)
-    e = _first_known(stated, e_logged, e_outside if cabin.source == "ambient" else 0.0)
-    sigmas = (cabin.sigma_pressure_pa, sigma_p), (cabin.sigma_temperature_k, sigma_t)
-    return p, t, e, *(_first_known(blank, *sigma) for sigma in sigmas)
+    else:
+        measured = np.isfinite(temperature_logged) & (not scheduled)
+        of_thermometer = first_known(logged.sigma_temperature_k, SIGMA_THERMOMETER_K)
+        assumed = usual_sigma(pressure, outside.pressure_pa)
+        sigma_t = np.where(measured, of_thermometer, assumed)
+
+    vapour_outside = outside.vapour_pressure_pa if cabin.source == "ambient" else 0.0
+    stated = vapour_pressure(cabin.relative_humidity, temperature, pressure)
+    return CabinAir(
+        pressure_pa=pressure,
+        temperature_k=temperature,
+        vapour_pressure_pa=first_known(stated, vapour_logged, vapour_outside),
+        sigma_pressure_pa=first_known(blank, cabin.sigma_pressure_pa, sigma_p),
+        sigma_temperature_k=first_known(blank, cabin.sigma_temperature_k, sigma_t),
+    )
 
 
 def cabin_changes(stations: Stations, lenses: Mapping[str, LensInAir], index: IndexModel) -> Array:
@@ -228,14 +324,15 @@ def cabin_changes(stations: Stations, lenses: Mapping[str, LensInAir], index: In
     the ``lenses`` [px]. NaN where neither has a sigma; one without does not count beside one that
     has. Derivatives by central differences over 2 hPa and 2 K, good to 1e-4 of them.
     """
-    p, t, e = (
-        stations.cabin_pressure_pa, stations.cabin_temperature_k, stations.cabin_vapour_pressure_pa
-    )  # fmt: skip
+    p = stations.cabin_pressure_pa
+    t = stations.cabin_temperature_k
+    e = stations.cabin_vapour_pressure_pa
     sigmas = np.stack([stations.sigma_cabin_pressure_pa, stations.sigma_cabin_temperature_k], 1)
     slopes = np.zeros((len(stations), 4))
-    slopes[:, 0] = index.refractivity(t, p + 100.0, e) - index.refractivity(t, p - 100.0, e)
-    slopes[:, 0] /= 200.0
-    slopes[:, 1] = 0.5 * (index.refractivity(t + 1.0, p, e) - index.refractivity(t - 1.0, p, e))
+    by_pressure = index.refractivity(t, p + _STEP_PA, e) - index.refractivity(t, p - _STEP_PA, e)
+    by_temperature = index.refractivity(t + _STEP_K, p, e) - index.refractivity(t - _STEP_K, p, e)
+    slopes[:, 0] = by_pressure / (2.0 * _STEP_PA)
+    slopes[:, 1] = 0.5 * by_temperature
     for name, lens in lenses.items():
         slopes[stations.camera == name, 2:] = lens.px_per_pa, lens.px_per_k
     changes = slopes * np.tile(np.nan_to_num(sigmas), 2)

@@ -10,6 +10,7 @@ from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from typing import Any, TypeVar
 
@@ -17,6 +18,7 @@ import numpy as np
 import pyarrow as pa
 
 from unbend.interrupts import held_back
+from unbend.refraction.camera.camera import Camera
 from unbend.refraction.forward import apply_refraction
 from unbend.refraction.image import COLUMNS, Corrections, correct_observations
 from unbend.refraction.kernels.threads import usable_cpus
@@ -165,34 +167,47 @@ def correct_batch(
 
     ``station`` (n,) as `matching_rows` returns it, ``ground`` the heights of the batch.
     """
-    method = correct_observations if setup.direction == "remove" else apply_refraction
     parts: list[tuple[Integers, Corrections]] = []
-    distance = ground.distance_m if batch.distance_m is None else batch.distance_m
-    for group, camera, profile in setup.groups(station):
-        whole = group.size == len(batch)
-        rows = slice(None) if whole else group
-        uncertainty = setup.uncertainties[profile]
-        corrections = method(
-            batch.x_px[rows],
-            batch.y_px[rows],
-            ground.h_m[rows],
-            station[rows],
-            setup.exposures,
-            camera=camera,
-            table=setup.rays[profile],
-            distance_m=None if distance is None else distance[rows],
-            uncertainty=uncertainty,
-            sigma_h_g=None if uncertainty is None else ground.sigma_m[rows],
-        )
-        if whole:
-            return corrections
-        parts.append((group, corrections))
+    for rows, camera, profile in setup.groups(station):
+        correct = partial(correct_rows, batch, camera=camera, profile=profile)
+        if rows.size == len(batch):
+            return correct(slice(None), station, ground, setup)
+        corrections = correct(rows, station, ground, setup)
+        parts.append((rows, corrections))
     columns: dict[str, Any] = {name: np.full(len(batch), np.nan) for name in COLUMNS}
     columns["status"] = np.full(len(batch), NO_STATION, np.uint8)
     sigmas = Sigmas.unknown(len(batch)) if setup.computes_sigmas else None
-    for group, part in parts:
+    for rows, part in parts:
         for name, column in columns.items():
-            column[group] = getattr(part, name)
+            column[rows] = getattr(part, name)
         if sigmas is not None and part.sigmas is not None:
-            sigmas.put(group, part.sigmas)
+            sigmas.put(rows, part.sigmas)
     return Corrections(**columns, sigmas=sigmas)
+
+
+def correct_rows(
+    batch: Batch,
+    rows: Integers | slice,
+    station: Integers,
+    ground: GroundHeights,
+    setup: CorrectionSetup,
+    *,
+    camera: Camera,
+    profile: int,
+) -> Corrections:
+    """The corrections of some rows of a batch, which one camera saw in one profile."""
+    method = correct_observations if setup.direction == "remove" else apply_refraction
+    uncertainty = setup.uncertainties[profile]
+    distance_m = ground.distance_m if batch.distance_m is None else batch.distance_m
+    return method(
+        batch.x_px[rows],
+        batch.y_px[rows],
+        ground.h_m[rows],
+        station[rows],
+        setup.exposures,
+        camera=camera,
+        table=setup.rays[profile],
+        distance_m=None if distance_m is None else distance_m[rows],
+        uncertainty=uncertainty,
+        sigma_h_g=None if uncertainty is None else ground.sigma_m[rows],
+    )

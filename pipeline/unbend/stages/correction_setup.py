@@ -77,6 +77,7 @@ class CorrectionSetup:
 
     @property
     def computes_sigmas(self) -> bool:
+        """Whether corrections get standard deviations."""
         return any(uncertainty is not None for uncertainty in self.uncertainties)
 
     @cached_property
@@ -87,7 +88,8 @@ class CorrectionSetup:
         observations without a station, whose station is -1.
         """
         number_of = {name: number for number, name in enumerate(self.cameras)}
-        return np.array([number_of.get(n, -1) for n in self.camera_names] + [-1], np.int64)
+        numbers = [number_of.get(name, -1) for name in self.camera_names]
+        return np.array([*numbers, -1], np.int64)
 
     def groups(self, station: Integers) -> Iterator[tuple[Integers, Camera, int]]:
         """The observations (n,) of each camera in each profile: rows, camera, profile number."""
@@ -99,14 +101,15 @@ class CorrectionSetup:
                     yield rows, camera, 0
                 continue
             profile = self.profile_number[station[rows]]
-            for i in np.unique(profile).tolist():
-                yield rows[profile == i], camera, i
+            for profile_number in np.unique(profile).tolist():
+                yield rows[profile == profile_number], camera, profile_number
 
     def directions(self, x_px: Array, y_px: Array, station: Integers) -> tuple[Array, Array]:
         """(n, 3) unit vectors of pixels in their cameras, and (n,) the size of a pixel [rad]."""
-        direction, sigma = np.full((station.size, 3), np.nan), np.ones(station.size)
+        direction = np.full((station.size, 3), np.nan)
+        sigma_rad = np.ones(station.size)
         for rows, camera, _ in self.groups(station):
             u, v, _ = camera.rays(x_px[rows], y_px[rows])
             direction[rows] = np.stack([u, v, np.ones(u.size)], axis=1)
-            sigma[rows] = 1.0 / camera.fx_px
-        return direction / np.linalg.norm(direction, axis=1)[:, None], sigma
+            sigma_rad[rows] = 1.0 / camera.fx_px
+        return direction / np.linalg.norm(direction, axis=1)[:, None], sigma_rad

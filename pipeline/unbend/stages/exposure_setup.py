@@ -1,6 +1,7 @@
 """What bends the rays at each exposure: attitude, window, lens, and the air on both sides."""
 
 from collections.abc import Iterable, Mapping
+from typing import NamedTuple
 
 import numpy as np
 
@@ -9,7 +10,6 @@ from unbend.atmosphere.series.profile_series import ProfileSeries
 from unbend.block.image_rays import UNKNOWN_SIGMAS, Orientations, orientations_of
 from unbend.block.oriented_images import SIGMAS_OF_BLOCK
 from unbend.config import Mission
-from unbend.errors import MissionError
 from unbend.flight.heights import HeightSystem, ground_offsets
 from unbend.flight.rotations import matrices_of
 from unbend.flight.stations import Stations
@@ -18,20 +18,22 @@ from unbend.refraction.camera.camera import LensInAir, is_absurd, principal_chan
 from unbend.refraction.image import Exposures
 from unbend.refraction.ray import rays_by
 from unbend.refraction.window import OPTICAL_AXIS, Window
+from unbend.stages import messages
 from unbend.stages.correction_setup import CorrectionSetup, Ground
 from unbend.stages.ground_heights import GivenGround, SlantRangeGround
-from unbend.units import HECTOPASCAL, Array, Mask, Names
+from unbend.units import HECTOPASCAL, Array, Mask
 
 
-def camera_of_rows(
-    mission: Mission, given: Names | None, only: str | None, count: int, path: str
-) -> Names:
-    """(n,) the camera of each row of a table, by its column or the only one (EVENTS-CAMERA)."""
-    named = np.full(count, only or next(iter(mission.cameras)), dtype=object)
-    named = named if given is None else given
-    for name in sorted(set(named.tolist()) - set(mission.cameras)):
-        raise MissionError.of("EVENTS-CAMERA", path, name=name, cameras=", ".join(mission.cameras))
-    return named
+class Air(NamedTuple):
+    """Air at each exposure, (s,): pressure [Pa], temperature [K], vapour pressure [Pa]."""
+
+    pressure_pa: Array
+    temperature_k: Array
+    vapour_pressure_pa: Array
+
+    def of_rows(self, rows: Mask) -> "Air":
+        """That of some exposures."""
+        return Air(*(values[rows] for values in self))
 
 
 def orientations_of_mission(mission: Mission, stations: Stations) -> Orientations:
@@ -46,7 +48,8 @@ def exposures_of_mission(
     """The exposures of a mission; the ledger names the effects that are not removed."""
     for name, camera in mission.cameras.items():
         if camera.calibration == "in_flight_uncorrected":
-            ledger.warning("CALIBRATION-IN-FLIGHT", where=f"cameras.{name}.calibration", name=name)
+            where = f"cameras.{name}.calibration"
+            ledger.add(messages.calibration_in_flight(where=where, name=name))
     report_windows(mission.windows, ledger)
     report_lenses(mission.cameras, mission.lenses, ledger)
     return exposures_of(
@@ -75,48 +78,54 @@ def exposures_of(
     cabin's air, else in the air outside. Refuses (MissionError LENS-CHANGE) a change of the
     principal distance of more than 1 %.
     """
-    rotation, h = matrices_of(stations.quaternion), stations.h_msl_m
-    air_outside = profile.pressure(h), profile.temperature(h), profile.vapour_pressure(h)
-    outside = profile.refractivity(h)
-    inside, change = outside.copy(), np.zeros(len(stations))
+    rotation = matrices_of(stations.quaternion)
+    h = stations.h_msl_m
+    air_outside = Air(profile.pressure(h), profile.temperature(h), profile.vapour_pressure(h))
+    air_in_cabin = Air(
+        stations.cabin_pressure_pa,
+        stations.cabin_temperature_k,
+        stations.cabin_vapour_pressure_pa,
+    )
+    n_outside = profile.refractivity(h)
+    n_in_cabin = n_outside.copy()
     normal = np.tile(OPTICAL_AXIS, (len(stations), 1))
+    change = np.zeros(len(stations))
     for name in dict.fromkeys((*windows, *lenses)):
         rows = stations.camera == name
         if not bool(rows.any()):
             continue
-        window, lens = windows.get(name), lenses.get(name)
+        window = windows.get(name)
+        lens = lenses.get(name)
         plane = window is not None and window.shape == "plane"
-        air = air_outside
-        if window is not None and window.cabin is not None and (plane or lens is not None):
-            air = (
-                stations.cabin_pressure_pa, stations.cabin_temperature_k,
-                stations.cabin_vapour_pressure_pa,
-            )  # fmt: skip
-        pressure, temperature, vapour = (values[rows] for values in air)
+        needs_cabin = window is not None and window.cabin is not None and (plane or lens)
+        air = (air_in_cabin if needs_cabin else air_outside).of_rows(rows)
         if window is not None and plane:
-            inside[rows] = profile.index.refractivity(temperature, pressure, vapour)
+            n_in_cabin[rows] = profile.index.refractivity(
+                air.temperature_k, air.pressure_pa, air.vapour_pressure_pa
+            )
             aircraft = stations.aircraft_quaternion[rows]
-            normal[rows] = _window_normals(window, rotation[rows], aircraft)
+            normal[rows] = window_normals(window, rotation[rows], aircraft)
         if lens is not None:
-            change[rows] = principal_change(lens, pressure, temperature)
-            _check_change(lens, change[rows], pressure, stations.ok[rows], name=name, ledger=ledger)
+            change[rows] = principal_change(lens, air.pressure_pa, air.temperature_k)
+            report_change(name, lens, change[rows], air.pressure_pa, stations.ok[rows], ledger)
+
     # Above the top of the profile the air is unknown too; those rows get outside_profile later.
-    air_unknown = np.isfinite(outside) & (np.isnan(inside) | np.isnan(change))
+    air_unknown = np.isfinite(n_outside) & (np.isnan(n_in_cabin) | np.isnan(change))
     attitude_known = np.isfinite(rotation).all(axis=(1, 2)) & np.isfinite(normal).all(axis=1)
     return Exposures(
         usable=stations.ok & attitude_known & ~air_unknown,
         rotation=rotation,
         latitude_rad=stations.lat_rad,
         height_m=h,
-        refractivity_outside=outside,
-        refractivity_cabin=inside,
+        refractivity_outside=n_outside,
+        refractivity_cabin=n_in_cabin,
         window_normal=normal,
         principal_change_px=np.nan_to_num(change),
         radius_m=radius_m,
     )
 
 
-def _window_normals(window: Window, rotation: Array, aircraft_quaternion: Array) -> Array:
+def window_normals(window: Window, rotation: Array, aircraft_quaternion: Array) -> Array:
     """(m, 3) normals of a window in the frame of its camera at each exposure; NaN stays."""
     normal = np.array(window.normal)
     if window.frame == "camera":
@@ -125,24 +134,33 @@ def _window_normals(window: Window, rotation: Array, aircraft_quaternion: Array)
     return np.asarray(np.einsum("nij,nj->ni", rotation, in_enu))
 
 
-def _check_change(
-    lens: LensInAir, change: Array, pressure_pa: Array, ok: Mask, *, name: str, ledger: Ledger
+def report_change(
+    name: str, lens: LensInAir, change_px: Array, pressure_pa: Array, ok: Mask, ledger: Ledger
 ) -> None:
-    """Say how much the air in a lens changes its principal distance [px]; refuse an absurd one."""
+    """Say how much the air in a lens changes its principal distance; refuse an absurd change."""
     where = f"cameras.{name}.principal_distance"
-    absurd = is_absurd(lens, change) & ok
+    absurd = is_absurd(lens, change_px) & ok
     if bool(absurd.any()):
-        worst = int(np.argmax(np.where(absurd, np.abs(change), 0.0)))
-        raise MissionError.of(
-            "LENS-CHANGE", where, name=name, change=change[worst], lens=lens,
-            hpa=pressure_pa[worst] / HECTOPASCAL,
-        )  # fmt: skip
-    used = change[ok & np.isfinite(change)]
+        worst = int(np.argmax(np.where(absurd, np.abs(change_px), 0.0)))
+        raise messages.lens_change_absurd(
+            where=where,
+            name=name,
+            change=float(change_px[worst]),
+            principal_distance_px=lens.principal_distance_px,
+            hpa=float(pressure_pa[worst]) / HECTOPASCAL,
+        )
+    used = change_px[ok & np.isfinite(change_px)]
     if used.size:
-        ledger.note(
-            "LENS-IN-AIR", where=where, count=int(used.size), name=name, low=used.min(),
-            high=used.max(), lens=lens,
-        )  # fmt: skip
+        ledger.add(
+            messages.lens_in_air(
+                where=where,
+                count=int(used.size),
+                name=name,
+                low=float(used.min()),
+                high=float(used.max()),
+                principal_distance_px=lens.principal_distance_px,
+            )
+        )
 
 
 def report_windows(windows: Mapping[str, Window], ledger: Ledger) -> None:
@@ -150,38 +168,44 @@ def report_windows(windows: Mapping[str, Window], ledger: Ledger) -> None:
     for name, window in windows.items():
         where = f"cameras.{name}.window"
         if window.shape == "spherical":
-            ledger.note("WINDOW-SPHERICAL", where=where, name=name)
+            ledger.add(messages.window_spherical(where=where, name=name))
         elif window.in_calibration == "glass":
-            ledger.note("WINDOW-GLASS", where=where, name=name)
+            ledger.add(messages.window_glass_calibrated(where=where, name=name))
         else:
-            ledger.note("WINDOW-GLASS/report-windows", where=where, name=name)
+            ledger.add(messages.window_glass_not_removed(where=where, name=name))
 
 
 def report_lenses(cameras: Iterable[str], lenses: Mapping[str, LensInAir], ledger: Ledger) -> None:
     """Note the cameras whose principal distance is not corrected for the air in the lens."""
     uncorrected = [name for name in cameras if name not in lenses]
     if uncorrected:
-        where, names = "cameras.<name>.principal_distance", ", ".join(uncorrected)
-        ledger.note("LENS-NOT-REMOVED", where=where, count=len(uncorrected), names=names)
+        ledger.add(
+            messages.lens_not_removed(
+                where="cameras.<name>.principal_distance",
+                count=len(uncorrected),
+                names=", ".join(uncorrected),
+            )
+        )
 
 
 def correction_setup(
     mission: Mission, stations: Stations, air: ProfileSeries, heights: HeightSystem, ledger: Ledger
 ) -> CorrectionSetup:
     """Exposures, cameras, rays and given ground of a mission; ``heights`` are those of its log."""
-    section, exposures = mission.ground, exposures_of_mission(mission, stations, air, ledger)
+    section = mission.ground
     ground: Ground = SlantRangeGround(section.sigma_m)
     if not section.from_distance:
         offsets = ground_offsets(section.reference_of_values, stations, heights)
         ground = GivenGround(section.constant_m, offsets, section.sigma_m)
+    method = mission.refraction.method
     return CorrectionSetup(
-        stations.image,
-        stations.camera,
-        exposures,
-        ground,
-        mission.interior_orientations,
-        tuple(rays_by(profile, mission.refraction.method) for profile in air.profiles),
-        air.profile_number,
-        mission.refraction.direction,
-        (None,) * len(air.profiles),
+        images=stations.image,
+        camera_names=stations.camera,
+        exposures=exposures_of_mission(mission, stations, air, ledger),
+        ground=ground,
+        cameras=mission.interior_orientations,
+        rays=tuple(rays_by(profile, method) for profile in air.profiles),
+        profile_number=air.profile_number,
+        direction=mission.refraction.direction,
+        uncertainties=(None,) * len(air.profiles),
     )

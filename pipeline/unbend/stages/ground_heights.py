@@ -1,15 +1,16 @@
 """Heights of the observed points, batch by batch, from any source of a mission file."""
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
-from unbend.errors import MissionError
 from unbend.flight.heights import HIGHEST_GROUND_M, LOWEST_GROUND_M, HeightSystem
 from unbend.flight.stations import Stations
 from unbend.messages import Ledger
 from unbend.refraction.status_codes import OK
 from unbend.refraction.target_heights import target_heights, terrain_heights
+from unbend.stages import messages
 from unbend.stages.correction_setup import CorrectionSetup, GroundHeights
 from unbend.stages.opened_inputs import OpenedInputs
 from unbend.tables.geodata.elevation import ElevationModel
@@ -66,10 +67,15 @@ class SlantRangeGround:
         if batch.distance_m is not None:
             for rows, camera, profile in setup.groups(station):
                 h_g[rows] = target_heights(
-                    batch.x_px[rows], batch.y_px[rows], batch.distance_m[rows], station[rows],
-                    setup.exposures, camera=camera, table=setup.rays[profile],
+                    batch.x_px[rows],
+                    batch.y_px[rows],
+                    batch.distance_m[rows],
+                    station[rows],
+                    setup.exposures,
+                    camera=camera,
+                    table=setup.rays[profile],
                     ideal=setup.direction == "apply",
-                )  # fmt: skip
+                )
         return GroundHeights(plausible_heights(h_g), sigmas_given(batch, self.sigma_m))
 
 
@@ -99,7 +105,18 @@ def plausible_heights(height_m: Array) -> Array:
     return np.where(plausible, height_m, np.nan)
 
 
-_LARGEST_FACTOR = 20.0  # of an error of the model's height, where a ray grazes a slope
+LARGEST_SLOPE_FACTOR = 20.0  # of an error of the model's height, where a ray grazes a slope
+
+
+class Landings(NamedTuple):
+    """Where rays meet an elevation model, (n,): height [m], its error over the model's, slant range
+    [m] and status.
+    """
+
+    h_m: Array
+    error_factor: Array
+    distance_m: Array
+    status: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,22 +134,33 @@ class TerrainGround:
 
     def heights(self, batch: Batch, station: Integers, setup: CorrectionSetup) -> GroundHeights:
         """(n,) heights above sea level [m], with the reason where there is none."""
-        h_m, factor, distance, status = self.landings(batch.x_px, batch.y_px, station, setup)
-        sigma = sigmas_given(batch, self.sigma_m) * np.minimum(factor, _LARGEST_FACTOR)
-        return GroundHeights(h_m, sigma, status.astype(np.uint8), distance_m=distance)
+        landings = self.landings(batch.x_px, batch.y_px, station, setup)
+        sigma = sigmas_given(batch, self.sigma_m) * np.minimum(
+            landings.error_factor, LARGEST_SLOPE_FACTOR
+        )
+        return GroundHeights(
+            landings.h_m, sigma, landings.status.astype(np.uint8), distance_m=landings.distance_m
+        )
 
     def landings(
         self, x_px: Array, y_px: Array, station: Integers, setup: CorrectionSetup
-    ) -> Array:
-        """(4, n) height [m], its error over the model's, slant range [m] and status of pixels."""
+    ) -> Landings:
+        """Where the rays of pixels meet the model."""
         found = np.full((4, station.size), np.nan)
         found[3] = OK
         for rows, camera, profile in setup.groups(station):
             found[:, rows] = terrain_heights(
-                x_px[rows], y_px[rows], station[rows], setup.exposures, self.places, camera=camera,
-                table=setup.rays[profile], terrain=self.model, ideal=setup.direction == "apply",
-            )  # fmt: skip
-        return found
+                x_px[rows],
+                y_px[rows],
+                station[rows],
+                setup.exposures,
+                self.places,
+                camera=camera,
+                table=setup.rays[profile],
+                terrain=self.model,
+                ideal=setup.direction == "apply",
+            )
+        return Landings(*found)
 
 
 def elevation_of_mission(
@@ -157,16 +185,25 @@ def with_terrain(
     """
     if model is None:
         return setup
-    lat, lon = stations.lat_rad, stations.lon_rad
-    outside = ~model.covers(lat[stations.ok], lon[stations.ok])
-    count, placed = int(outside.sum()), int(stations.ok.sum())
-    if count and count == placed:
-        first = np.flatnonzero(stations.ok)[0]
-        row, column = (float(a[0]) for a in model.nodes(lat[[first]], lon[[first]]))
-        raise MissionError.of(
-            "DEM-OUTSIDE", model.name, count=count, rows=model.size[0], columns=model.size[1],
-            north=np.degrees(lat[first]), east=np.degrees(lon[first]), row=row, column=column,
-        )  # fmt: skip
+    latitude = stations.lat_rad
+    longitude = stations.lon_rad
+    ok = stations.ok
+    outside = ~model.covers(latitude[ok], longitude[ok])
+    count = int(outside.sum())
+    total = int(ok.sum())
+    if count and count == total:
+        first = np.flatnonzero(ok)[:1]
+        row, column = model.nodes(latitude[first], longitude[first])
+        raise messages.no_station_on_model(
+            where=model.name,
+            count=count,
+            rows=model.size[0],
+            columns=model.size[1],
+            north=float(np.degrees(latitude[first[0]])),
+            east=float(np.degrees(longitude[first[0]])),
+            row=float(row[0]),
+            column=float(column[0]),
+        )
     if count:
-        ledger.loss("DEM-OUTSIDE/some", where=model.name, count=count, total=placed)
-    return replace(setup, ground=TerrainGround(model, (lat, lon), sigma_m))
+        ledger.add(messages.stations_off_model(where=model.name, count=count, total=total))
+    return replace(setup, ground=TerrainGround(model, (latitude, longitude), sigma_m))

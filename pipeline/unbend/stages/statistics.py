@@ -12,10 +12,22 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from unbend.flight.heights import HIGHEST_GROUND_M, LOWEST_GROUND_M
-from unbend.messages import Ledger
+from unbend.messages import Ledger, Message
 from unbend.refraction.camera.camera import Camera
 from unbend.refraction.image import Corrections
 from unbend.refraction.status_codes import OK, STATUS_NAMES
+from unbend.stages import messages
+from unbend.tables.manifest import (
+    CameraShifts,
+    CorrectionRecord,
+    DistributionRecord,
+    GroundHeightsRecord,
+    GroundHistogram,
+    HistogramRecord,
+    Quantiles,
+    ShiftField,
+    SigmaRecord,
+)
 from unbend.tables.observations import Batch
 from unbend.units import ARCSEC, Array, Integers, evenly_spaced, round_step
 
@@ -24,6 +36,23 @@ SAMPLED_ROWS = 20_000
 
 SIGMA_PARTS = ("air", "station", "ground", "cabin")
 """What makes corrections uncertain, each with columns of its own in the results."""
+
+MOST_EXAMPLES = 3
+"""Rows of a status that messages name."""
+
+ADDED = (
+    "rows",
+    "no_distance",
+    "no_sigma",
+    "no_point",
+    "implausible_heights",
+    "parts",
+    "air_variance",
+    "by_mode",
+    "sampled",
+    "cabin_share",
+)
+"""Counts of `Statistics` that are added when parts are merged."""
 
 _LOWEST_EXPONENT = -12
 _HIGHEST_EXPONENT = 8
@@ -80,41 +109,43 @@ class Distribution:
             self.counts + other.counts, max(self.maximum, other.maximum), self.total + other.total
         )
 
-    def histogram(self, bins: int = 24) -> dict[str, Any]:
+    def histogram(self, bins: int = 24) -> HistogramRecord:
         """Counts in at most ``bins`` bins from zero, steps of 1, 2 or 5; values 0.25 % off at most.
 
         >>> distribution = Distribution()
         >>> distribution.add(np.array([0.1, 2.5, 2.6, 9.9]))
         >>> distribution.histogram(10)
-        {'step': 1.0, 'counts': [1, 0, 2, 0, 0, 0, 0, 0, 0, 1]}
+        HistogramRecord(step=1.0, counts=[1, 0, 2, 0, 0, 0, 0, 0, 0, 1])
         """
         if self.maximum <= 0.0:
-            return {"step": 1.0, "counts": [self.total] if self.total else []}
+            return HistogramRecord(1.0, [self.total] if self.total else [])
         step = round_step(self.maximum / bins)
         filled = np.flatnonzero(self.counts)
         middle = 10.0 ** ((filled + 0.5) / _BINS_PER_DECADE + _LOWEST_EXPONENT)
         number = (np.minimum(middle, self.maximum * (1.0 - 1e-12)) / step).astype(np.int64)
         counts = np.bincount(number, self.counts[filled]).astype(np.int64)
-        return {"step": step, "counts": counts.tolist()}
+        return HistogramRecord(step, counts.tolist())
 
-    def summary(self) -> dict[str, float | int | None]:
+    def summary(self) -> DistributionRecord:
         """For the manifest: six digits are more than the bins hold."""
+        return DistributionRecord(
+            count=self.total,
+            median=to_three_digits(self.quantile(0.5)),
+            p95=to_three_digits(self.quantile(0.95)),
+            maximum=float(f"{self.maximum:.6g}") if self.total else None,
+        )
 
-        def short(value: float | None) -> float | None:
-            return None if value is None else float(f"{value:.3g}")
 
-        return {
-            "count": self.total,
-            "median": short(self.quantile(0.5)),
-            "p95": short(self.quantile(0.95)),
-            "maximum": float(f"{self.maximum:.6g}") if self.total else None,
-        }
+def to_three_digits(value: float | None) -> float | None:
+    """A number rounded to three digits."""
+    return None if value is None else float(f"{value:.3g}")
 
 
 QUANTITIES = ("shift_px", "shift_ground_m", "refraction_arcsec", "window_arcsec")
 """What `ShiftStatistics` keeps distributions of."""
 
-_COLUMNS, _ROWS = 14, 10
+_COLUMNS = 14
+_ROWS = 10
 """Cells of the mean shift over an image."""
 
 
@@ -132,45 +163,53 @@ class ShiftStatistics:
     def add(self, x_px: Array, y_px: Array, corrections: Corrections) -> None:
         """Add the corrections of points measured at (x, y); those without one do not count."""
         good: Any = np.isfinite(corrections.dx_px)
-        good = slice(None) if good.all() else good
-        dx, dy = corrections.dx_px[good], corrections.dy_px[good]
+        if good.all():
+            good = slice(None)
+        dx = corrections.dx_px[good]
+        dy = corrections.dy_px[good]
         column = np.clip(x_px[good] / self.width_px * _COLUMNS, 0, _COLUMNS - 1).astype(np.intp)
         row = np.clip(y_px[good] / self.height_px * _ROWS, 0, _ROWS - 1).astype(np.intp)
         cell = row * _COLUMNS + column
         for i, weight in enumerate((dx, dy, np.ones(dx.shape))):
             self.sums[i] += np.bincount(cell, weight, _ROWS * _COLUMNS).reshape(_ROWS, _COLUMNS)
-        for name, values in (
-            ("shift_px", np.sqrt(dx * dx + dy * dy)),
-            ("shift_ground_m", corrections.shift_ground_m[good]),
-            ("refraction_arcsec", corrections.r_c_rad[good] / ARCSEC),
-            ("window_arcsec", np.abs(corrections.r_cc_rad[good]) / ARCSEC),
-        ):
+        magnitudes = {
+            "shift_px": np.sqrt(dx * dx + dy * dy),
+            "shift_ground_m": corrections.shift_ground_m[good],
+            "refraction_arcsec": corrections.r_c_rad[good] / ARCSEC,
+            "window_arcsec": np.abs(corrections.r_cc_rad[good]) / ARCSEC,
+        }
+        for name, values in magnitudes.items():
             self.distributions[name].add(values)
 
     def __add__(self, other: ShiftStatistics) -> ShiftStatistics:
         both = {name: of + other.distributions[name] for name, of in self.distributions.items()}
         return ShiftStatistics(self.width_px, self.height_px, self.sums + other.sums, both)
 
-    def summary(self) -> dict[str, Any]:
-        """Counts, medians and maxima, histograms of the shift, and its field, for the manifest.
-
-        The field is the format of the image [px], and centre x, y and mean shift dx, dy [px] of
-        each cell with observations.
-        """
+    def summary(self) -> CameraShifts:
+        """Counts, medians and maxima, histograms of the shift, and its field, for the manifest."""
         filled = self.sums[2] > 0
         row, column = np.nonzero(filled)
-        means = {
-            "x_px": (column + 0.5) * self.width_px / _COLUMNS,
-            "y_px": (row + 0.5) * self.height_px / _ROWS,
-            "dx_px": self.sums[0][filled] / self.sums[2][filled],
-            "dy_px": self.sums[1][filled] / self.sums[2][filled],
-        }
-        return {name: of.summary() for name, of in self.distributions.items()} | {
-            "histogram_px": self.distributions["shift_px"].histogram(),
-            "histogram_m": self.distributions["shift_ground_m"].histogram(),
-            "field": {"format_px": [self.width_px, self.height_px], "columns": _COLUMNS}
-            | {name: [float(f"{v:.5g}") for v in values] for name, values in means.items()},
-        }
+        count = self.sums[2][filled]
+        field_of_shifts = ShiftField(
+            format_px=[self.width_px, self.height_px],
+            columns=_COLUMNS,
+            x_px=to_five_digits((column + 0.5) * self.width_px / _COLUMNS),
+            y_px=to_five_digits((row + 0.5) * self.height_px / _ROWS),
+            dx_px=to_five_digits(self.sums[0][filled] / count),
+            dy_px=to_five_digits(self.sums[1][filled] / count),
+        )
+        summaries = {name: values.summary() for name, values in self.distributions.items()}
+        return CameraShifts(
+            **summaries,
+            histogram_px=self.distributions["shift_px"].histogram(),
+            histogram_m=self.distributions["shift_ground_m"].histogram(),
+            field=field_of_shifts,
+        )
+
+
+def to_five_digits(values: Array) -> list[float]:
+    """Numbers rounded to five digits."""
+    return [float(f"{value:.5g}") for value in values]
 
 
 class SampledRows(NamedTuple):
@@ -205,15 +244,23 @@ class SampledRows(NamedTuple):
         """Rows of a batch, evenly spaced."""
         rows = evenly_spaced(len(batch), most)
         weight = np.ones(rows.size) if batch.weight is None else batch.weight[rows]
-        nothing = np.full(rows.size, np.nan)
+        distance_m = np.full(rows.size, np.nan)
+        if batch.distance_m is not None:
+            distance_m = batch.distance_m[rows]
         return cls(
-            station[rows], batch.x_px[rows], batch.y_px[rows], h_g[rows],
-            nothing if batch.distance_m is None else batch.distance_m[rows],
-            corrections.zeta_c_rad[rows], corrections.r_c_rad[rows],
-            np.hypot(corrections.dx_px[rows], corrections.dy_px[rows]),
-            corrections.shift_ground_m[rows], corrections.status[rows],
-            weight * len(batch) / rows.size, sigma_parts(corrections, rows),
-        )  # fmt: skip
+            station=station[rows],
+            x_px=batch.x_px[rows],
+            y_px=batch.y_px[rows],
+            h_g_m=h_g[rows],
+            distance_m=distance_m,
+            zeta_c_rad=corrections.zeta_c_rad[rows],
+            r_c_rad=corrections.r_c_rad[rows],
+            shift_px=np.hypot(corrections.dx_px[rows], corrections.dy_px[rows]),
+            shift_ground_m=corrections.shift_ground_m[rows],
+            status=corrections.status[rows],
+            weight=weight * len(batch) / rows.size,
+            sigma_px=sigma_parts(corrections, rows),
+        )
 
 
 @dataclass
@@ -251,80 +298,94 @@ class Statistics:
     def add(self, batch: Batch, corrections: Corrections, camera: NDArray[np.int64]) -> None:
         """Count a batch; ``camera`` (n,) numbers the cameras, -1 without one."""
         rows = len(batch) if batch.weight is None else round(batch.weight.sum())
+        self.parts += 1
         self.rows += rows
         self.no_distance += round(batch.no_distance * rows / len(batch))
         self.no_sigma += round(batch.no_sigma * rows / len(batch))
         self.no_point += round(batch.no_point * rows / len(batch))
-        self.parts += 1
-        if corrections.sigmas is not None:
+        sigmas = corrections.sigmas
+        if sigmas is not None:
             with np.errstate(divide="ignore", invalid="ignore"):
-                self.cabin_share.add(corrections.sigmas.r_cc_rad / np.abs(corrections.r_c_rad))
-            sigmas = corrections.sigmas
+                self.cabin_share.add(sigmas.r_cc_rad / np.abs(corrections.r_c_rad))
             self.air_variance += _squares(sigmas.air_dx_px, sigmas.air_dy_px)
             self.by_mode += _squares(sigmas.dx_ds_px, sigmas.dy_ds_px)
+        self._add_statuses(batch, corrections)
+        for number, shift_statistics in enumerate(self.shifts.values()):
+            of_camera = camera == number
+            if bool(of_camera.all()):
+                shift_statistics.add(batch.x_px, batch.y_px, corrections)
+            elif bool(of_camera.any()):
+                x_px = batch.x_px[of_camera]
+                y_px = batch.y_px[of_camera]
+                shift_statistics.add(x_px, y_px, corrections.rows(of_camera))
+
+    def _add_statuses(self, batch: Batch, corrections: Corrections) -> None:
+        """Count the statuses of a batch, and keep the first rows of each that is not ok."""
         counts = np.bincount(corrections.status, batch.weight, minlength=len(STATUS_NAMES))
         for name, count in zip(STATUS_NAMES, counts.tolist(), strict=True):
             self.status[name] = self.status.get(name, 0) + round(count)
         for code in np.unique(corrections.status[corrections.status != OK]).tolist():
-            first = np.flatnonzero(corrections.status == code)[:3]
-            places = batch.first_row + first if batch.numbers is None else batch.numbers[first]
-            self.examples[STATUS_NAMES[code]] = [
-                f"{batch.image[k]} {batch.point[k].as_py() or f'(row {place})'}"
-                for k, place in zip(first.tolist(), places.tolist(), strict=True)
-            ]
-        for number, shift_statistics in enumerate(self.shifts.values()):
-            rows = camera == number
-            if bool(rows.all()):
-                shift_statistics.add(batch.x_px, batch.y_px, corrections)
-            elif bool(rows.any()):
-                shift_statistics.add(batch.x_px[rows], batch.y_px[rows], corrections.rows(rows))
+            first = np.flatnonzero(corrections.status == code)[:MOST_EXAMPLES]
+            examples = []
+            for row in first.tolist():
+                place = batch.first_row + row if batch.numbers is None else batch.numbers[row]
+                point = batch.point[row].as_py() or f"(row {place})"
+                examples.append(f"{batch.image[row]} {point}")
+            self.examples[STATUS_NAMES[code]] = examples
 
     def sampled_rows(self) -> SampledRows:
+        """The rows of all parts that stand for all others."""
         return SampledRows(*map(np.concatenate, zip(*self.sampled, strict=True)))
 
     def merge(self, other: Statistics) -> None:
-        for name in ("rows", "no_distance", "no_sigma", "no_point", "implausible_heights", "parts",
-                     "air_variance", "by_mode", "sampled", "cabin_share"):  # fmt: skip
+        """Add the counts of another part, which comes after."""
+        for name in ADDED:
             setattr(self, name, getattr(self, name) + getattr(other, name))
-        (low, high), (other_low, other_high) = self.ground_m, other.ground_m
+        low, high = self.ground_m
+        other_low, other_high = other.ground_m
         self.ground_m = min(low, other_low), max(high, other_high)
         for name, count in other.status.items():
             self.status[name] = self.status.get(name, 0) + count
         for name, texts in other.examples.items():
-            self.examples[name] = (self.examples.get(name, []) + texts)[:3]
+            self.examples[name] = (self.examples.get(name, []) + texts)[:MOST_EXAMPLES]
         self.shifts = {name: of + other.shifts[name] for name, of in self.shifts.items()}
 
-    def correction(self) -> dict[str, Any]:
+    def correction(self) -> CorrectionRecord:
         """How large the correction was, over all and camera by camera, for the manifest."""
-        of_cameras = {name: of.summary() for name, of in self.shifts.items()}
-        parts = [of.distributions for of in self.shifts.values()]
-        return {
-            name: sum((of[name] for of in parts), Distribution()).summary() for name in QUANTITIES
-        } | {"cameras": of_cameras}
+        parts = [of_camera.distributions for of_camera in self.shifts.values()]
+        over_all = {}
+        for name in QUANTITIES:
+            of_cameras = (distributions[name] for distributions in parts)
+            over_all[name] = sum(of_cameras, Distribution()).summary()
+        cameras = {name: of_camera.summary() for name, of_camera in self.shifts.items()}
+        return CorrectionRecord(**over_all, cameras=cameras)
 
-    def sigma_budget(self, camera: NDArray[np.int64]) -> dict[str, Any]:
+    def sigma_budget(self, camera: NDArray[np.int64]) -> dict[str, dict[str, SigmaRecord]]:
         """Median and 95 % of the parts of sigma [px, m on the ground] by camera, for the manifest.
 
         ``camera`` (s + 1,) numbers the camera of each station, as `CorrectionSetup.camera_number`.
         From the rows that stand for all, at the scale of each one's shift; ``all`` is the root of
         the sum of the squares of the parts that are known.
         """
-        rows, budget, quantiles = self.sampled_rows(), {}, {"median": 0.5, "p95": 0.95}
+        rows = self.sampled_rows()
         with np.errstate(divide="ignore", invalid="ignore"):
             metres_per_px = rows.shift_ground_m / rows.shift_px
         together = np.sqrt(np.nansum(rows.sigma_px**2, axis=1))
         together[np.isnan(rows.sigma_px).all(axis=1)] = np.nan
         parts = dict(zip((*SIGMA_PARTS, "all"), (*rows.sigma_px.T, together), strict=True))
+        budget = {}
         for number, name in enumerate(self.shifts):
-            of = camera[rows.station] == number
-            budget[name] = {
-                part: {
-                    unit: weighted_quantiles(values[of], rows.weight[of], quantiles)
-                    for unit, values in (("px", sigma), ("m", sigma * metres_per_px))
-                }
-                for part, sigma in parts.items()
-                if np.isfinite(sigma[of]).any()
-            }
+            of_camera = camera[rows.station] == number
+            weight = rows.weight[of_camera]
+            known = {}
+            for part, sigma_px in parts.items():
+                of_rows = sigma_px[of_camera]
+                if np.isfinite(of_rows).any():
+                    metres = of_rows * metres_per_px[of_camera]
+                    known[part] = SigmaRecord(
+                        px=median_and_p95(of_rows, weight), m=median_and_p95(metres, weight)
+                    )
+            budget[name] = known
         return budget
 
     def ground_of_stations(self, count: int) -> Array:
@@ -334,56 +395,66 @@ class Statistics:
         medians = pd.Series(rows.h_g_m[used]).groupby(rows.station[used]).median()
         return np.asarray(medians.reindex(range(count)), np.float64)
 
-    def ground_heights(self) -> dict[str, Any] | None:
+    def ground_heights(self) -> GroundHeightsRecord | None:
         """Limits of all ground heights [m above the sea], median and histogram of sampled ones."""
         low, high = self.ground_m
         if not low <= high:
             return None
         rows = self.sampled_rows()
         used = np.isfinite(rows.shift_px) & np.isfinite(rows.h_g_m)
+        h_g_m = rows.h_g_m[used]
+        weight = rows.weight[used]
         step = round_step(max((high - low) / 24, 0.1))
         first = math.floor(low / step)
-        number = np.floor(rows.h_g_m[used] / step).astype(np.int64) - first
-        counts = np.bincount(number, rows.weight[used])
-        median = weighted_quantiles(rows.h_g_m[used], rows.weight[used], {"median_m": 0.5})
-        return median | {
-            "lowest_m": round(low, 2),
-            "highest_m": round(high, 2),
-            "histogram": {"first_m": round(first * step, 6), "step": step,
-                          "counts": np.round(counts).astype(np.int64).tolist()},
-        }  # fmt: skip
+        number = np.floor(h_g_m / step).astype(np.int64) - first
+        counts = np.round(np.bincount(number, weight)).astype(np.int64)
+        return GroundHeightsRecord(
+            median_m=weighted_quantile(h_g_m, weight, 0.5),
+            lowest_m=round(low, 2),
+            highest_m=round(high, 2),
+            histogram=GroundHistogram(round(first * step, 6), step, counts.tolist()),
+        )
 
     def report_flagged(self, ledger: Ledger, causes: Mapping[str, str]) -> None:
         """A ledger entry for each reason why rows were not corrected; ``causes`` by status."""
         if self.no_distance:
             where = "observations.columns.distance_m"
-            ledger.warning("OBS-DISTANCE", where=where, count=self.no_distance)
+            ledger.add(messages.slant_ranges_invalid(where=where, count=self.no_distance))
         if self.no_sigma:
-            ledger.warning("OBS-SIGMA", where="ground.sigma_column", count=self.no_sigma)
+            where = "ground.sigma_column"
+            ledger.add(messages.ground_sigmas_invalid(where=where, count=self.no_sigma))
         if self.no_point:
-            ledger.loss(
-                "POINTS-MISSING", where="ground.height.points", count=self.no_point, rows=self.rows
-            )
+            where = "ground.height.points"
+            ledger.add(messages.points_missing(where=where, count=self.no_point, rows=self.rows))
         if self.implausible_heights:
-            ledger.loss("OBS-GROUND-RANGE", where="ground.height", count=self.implausible_heights,
-                        low=LOWEST_GROUND_M, high=HIGHEST_GROUND_M)  # fmt: skip
-        for name, count in self.status.items():
-            what = f"{count} of {self.rows} observations are {name}"
-            texts = self.examples.get(name, [])
-            if name == "ok" or count == 0:
-                continue
-            what += f": {causes[name]}" if causes.get(name) else ""
-            what += f"; first {', '.join(texts)}" if texts else ""
-            if name == "beyond_grazing":
-                ledger.loss("OBS-BEYOND-GRAZING", what + "; near branch used", count=count)
-            elif name == "several_crossings":
-                ledger.warning(
-                    "OBS-SEVERAL-CROSSINGS", where="ground.height", count=count, rows=what
+            ledger.add(
+                messages.ground_heights_invalid(
+                    where="ground.height",
+                    count=self.implausible_heights,
+                    low=LOWEST_GROUND_M,
+                    high=HIGHEST_GROUND_M,
                 )
-            elif name == "far_branch":
-                ledger.note("OBS-FAR-BRANCH", what + ", by their slant range", count=count)
-            else:
-                ledger.loss("OBS-FLAGGED", what, count=count)
+            )
+        for status, count in self.status.items():
+            if status != "ok" and count:
+                ledger.add(self.flagged(status, count, causes.get(status, "")))
+
+    def flagged(self, status: str, count: int, cause: str) -> Message:
+        """What is to be said of the rows of a status that is not ok."""
+        examples = ", ".join(self.examples.get(status, []))
+        words: dict[str, Any] = {
+            "total": self.rows,
+            "status": status,
+            "cause": f": {cause}" if cause else "",
+            "examples": f"; first {examples}" if examples else "",
+        }
+        if status == "several_crossings":
+            return messages.several_crossings(where="ground.height", count=count, **words)
+        if status == "beyond_grazing":
+            return messages.observations_beyond_grazing(count=count, **words)
+        if status == "far_branch":
+            return messages.observations_on_far_branch(count=count, **words)
+        return messages.observations_flagged(count=count, **words)
 
 
 def sigma_parts(corrections: Corrections, rows: NDArray[np.intp]) -> Array:
@@ -391,8 +462,9 @@ def sigma_parts(corrections: Corrections, rows: NDArray[np.intp]) -> Array:
     if corrections.sigmas is None:
         return np.full((rows.size, len(SIGMA_PARTS)), np.nan)
     columns = corrections.sigmas._asdict()
-    parts = [np.hypot(columns[f"{k}_dx_px"][rows], columns[f"{k}_dy_px"][rows])
-             for k in SIGMA_PARTS]  # fmt: skip
+    parts = []
+    for name in SIGMA_PARTS:
+        parts.append(np.hypot(columns[f"{name}_dx_px"][rows], columns[f"{name}_dy_px"][rows]))
     return np.stack(parts, axis=1).astype(np.float64)
 
 
@@ -401,20 +473,23 @@ def _squares(*columns: NDArray[np.float32]) -> float:
     return sum(float(np.nansum(np.square(column, dtype=np.float64))) for column in columns)
 
 
-def weighted_quantiles(
-    values: Array, weight: Array, shares: Mapping[str, float]
-) -> dict[str, float | None]:
-    """Quantiles of the finite values by name, to six digits; None without any.
+def median_and_p95(values: Array, weight: Array) -> Quantiles:
+    """The median of the finite values, and what 95 % of them do not exceed."""
+    return Quantiles(
+        weighted_quantile(values, weight, 0.5), weighted_quantile(values, weight, 0.95)
+    )
 
-    >>> weighted_quantiles(np.array([1.0, 5.0, 9.0]), np.array([1.0, 1.0, 3.0]), {"median": 0.5})
-    {'median': 9.0}
+
+def weighted_quantile(values: Array, weight: Array, share: float) -> float | None:
+    """The value that a share of the finite values does not exceed, to six digits; None without any.
+
+    >>> weighted_quantile(np.array([1.0, 5.0, 9.0]), np.array([1.0, 1.0, 3.0]), 0.5)
+    9.0
     """
     order = np.argsort(values)
     order = order[np.isfinite(values[order])]
     if not order.size:
-        return dict.fromkeys(shares)
+        return None
     until = np.cumsum(weight[order])
-    return {
-        name: float(f"{values[order[np.searchsorted(until, share * until[-1])]]:.6g}")
-        for name, share in shares.items()
-    }
+    row = order[np.searchsorted(until, share * until[-1])]
+    return float(f"{values[row]:.6g}")

@@ -1,5 +1,6 @@
 """How well air, stations and ground of a mission are known, and the sigmas of the corrections."""
 
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -7,10 +8,12 @@ import pyarrow as pa
 
 from unbend.atmosphere.series.profile_series import ProfileSeries
 from unbend.config import Mission
+from unbend.errors import Counted
 from unbend.flight.stations import Stations
 from unbend.messages import Ledger
 from unbend.refraction.uncertainty.budget import StationSigmas, uncertainty_of
 from unbend.refraction.uncertainty.sigmas import OPEN, SCHEDULED, Uncertainty, window_kind_of
+from unbend.stages import messages
 from unbend.stages.cabin_air import cabin_changes
 from unbend.stages.correction_setup import CorrectionSetup
 from unbend.tables.geodata.object_points import matching_rows
@@ -31,56 +34,84 @@ def with_uncertainties(
     to compute. Of several profiles each has its own leading mode and all have one parameter: their
     errors are taken as one, which moves R of all to the same side.
     """
-    station = matching_rows(batch.image, pa.array(setup.images, pa.string()))
-    heights = setup.ground.heights(batch, station, setup).h_m
-    heights = heights[np.isfinite(heights)]
-    typical_ground_m = float(np.median(heights)) if heights.size else None
-    ground, exposures = mission.ground, setup.exposures
-    views = views_of_mission(mission, stations, air)
-    cabin = cabin_changes(stations, mission.lenses, air.profiles[0].index)
-    attitude = station_sigmas(mission, stations)
-    any_sigma = (
-        bool(np.isfinite(attitude.tilt_rad[stations.ok]).any())
-        or ground.sigma_m is not None
-        or ground.sigma_column is not None
-        or bool(((views != OPEN) | np.isfinite(cabin).any(axis=1)).any())
+    sigmas = replace(
+        station_sigmas(mission, stations),
+        cabin=cabin_changes(stations, mission.lenses, air.profiles[0].index),
     )
-    sigmas = replace(attitude, cabin=cabin)
+    window_kinds = kinds_of_windows(mission, stations, air)
+    any_sigma = has_any_sigma(mission, stations, sigmas, window_kinds)
+    typical_ground_m = median_ground_m(setup, batch)
     masks = [(camera, stations.camera == name) for name, camera in setup.cameras.items()]
     uncertainties: list[Uncertainty | None] = []
     for number, timed in enumerate(air.timed_profiles):
-        covariance = timed.covariance
-        if covariance is None and not any_sigma:
+        if timed.covariance is None and not any_sigma:
             uncertainties.append(None)
             continue
-        in_profile = replace(exposures, usable=exposures.usable & (air.profile_number == number))
-        uncertainties.append(uncertainty_of(
-            timed.profile, covariance, in_profile, sigmas, masks, window_kinds=views,
-            ground_heights_m=setup.ground.limits, typical_ground_m=typical_ground_m,
-        ))  # fmt: skip
-    scales = [u.mode.sigma for u in uncertainties if u is not None and u.mode is not None]
-    common = float(f"{np.sqrt(np.mean(np.square(scales))):.6g}") if scales else np.nan
-    scaled = tuple(u and u.with_scale(common) for u in uncertainties)
-    return replace(setup, uncertainties=scaled)
+        usable = setup.exposures.usable & (air.profile_number == number)
+        uncertainty = uncertainty_of(
+            timed.profile,
+            timed.covariance,
+            replace(setup.exposures, usable=usable),
+            sigmas,
+            masks,
+            window_kinds=window_kinds,
+            ground_heights_m=setup.ground.limits,
+            typical_ground_m=typical_ground_m,
+        )
+        uncertainties.append(uncertainty)
+    return replace(setup, uncertainties=with_common_scale(uncertainties))
 
 
-def views_of_mission(mission: Mission, stations: Stations, air: ProfileSeries) -> Integers:
+def median_ground_m(setup: CorrectionSetup, batch: Batch) -> float | None:
+    """The median ground height of a batch above sea level [m]; None where none is known."""
+    station = matching_rows(batch.image, pa.array(setup.images, pa.string()))
+    heights = setup.ground.heights(batch, station, setup).h_m
+    heights = heights[np.isfinite(heights)]
+    return float(np.median(heights)) if heights.size else None
+
+
+def has_any_sigma(
+    mission: Mission, stations: Stations, sigmas: StationSigmas, window_kinds: Integers
+) -> bool:
+    """Whether mission file, stations or windows have a standard deviation to compute with."""
+    if bool(np.isfinite(sigmas.tilt_rad[stations.ok]).any()):
+        return True
+    if mission.ground.sigma_m is not None or mission.ground.sigma_column is not None:
+        return True
+    has_cabin = sigmas.cabin is not None and bool(np.isfinite(sigmas.cabin).any())
+    return has_cabin or bool((window_kinds != OPEN).any())
+
+
+def with_common_scale(
+    uncertainties: Iterable[Uncertainty | None],
+) -> tuple[Uncertainty | None, ...]:
+    """Uncertainties whose leading modes share one parameter: the root mean square of theirs."""
+    known = list(uncertainties)
+    scales = [u.mode.sigma for u in known if u is not None and u.mode is not None]
+    common = np.nan
+    if scales:
+        common = float(f"{np.sqrt(np.mean(np.square(scales))):.6g}")
+    return tuple(u and u.with_scale(common) for u in known)
+
+
+def kinds_of_windows(mission: Mission, stations: Stations, air: ProfileSeries) -> Integers:
     """(s,) the kind of window of each exposure: `OPEN`, `SEALED` or `SCHEDULED`."""
-    views = np.full(len(stations), OPEN, np.int64)
+    kinds = np.full(len(stations), OPEN, np.int64)
     pressure = air.pressure(stations.h_msl_m)
     for name, window in mission.windows.items():
         if window.shape == "plane" and window.cabin is not None:
             rows = stations.camera == name
             scheduled = window.cabin.source == "standard_schedule"
-            views[rows] = window_kind_of(pressure[rows], scheduled=scheduled)
+            kinds[rows] = window_kind_of(pressure[rows], scheduled=scheduled)
             if window.cabin.source == "ambient":
-                views[rows] = SCHEDULED
-    return views
+                kinds[rows] = SCHEDULED
+    return kinds
 
 
 def station_sigmas(mission: Mission, stations: Stations) -> StationSigmas:
     """Sigmas of the stations, of the attitude the mission file's where they have none; or NaN."""
-    tilt, yaw = stations.sigma_tilt_rad.copy(), stations.sigma_yaw_rad.copy()
+    tilt = stations.sigma_tilt_rad.copy()
+    yaw = stations.sigma_yaw_rad.copy()
     axis = np.tile([0.0, 0.0, 1.0], (len(stations), 1))
     for name, mount in mission.mounts.items():
         rows = stations.camera == name
@@ -94,26 +125,36 @@ def report_unknown_sigmas(
     mission: Mission, stations: Stations, air: ProfileSeries, ledger: Ledger
 ) -> None:
     """Note which standard deviations are missing from the sigma columns, in one entry."""
-    missing = []
+    missing = list(missing_sigmas(mission, stations, air))
+    if missing:
+        ledger.add(
+            messages.sigmas_unknown(
+                where="observations", count=len(missing), missing=", ".join(missing)
+            )
+        )
+
+
+def missing_sigmas(mission: Mission, stations: Stations, air: ProfileSeries) -> Iterator[str]:
+    """Standard deviations that nobody stated, with the keys that would."""
     if not all(timed.has_covariance for timed in air.timed_profiles):
-        missing.append("the air (its profile has no covariance)")
+        yield "the air (its profile has no covariance)"
     unknown = stations.ok & np.isnan(station_sigmas(mission, stations).tilt_rad)
-    cameras = sorted(set(stations.camera[unknown].tolist()))
-    missing += [f"the attitude (mount.{name}.sigma_tilt_deg)" for name in cameras]
+    for name in sorted(set(stations.camera[unknown].tolist())):
+        yield f"the attitude (mount.{name}.sigma_tilt_deg)"
     if mission.ground.sigma_m is None and mission.ground.sigma_column is None:
-        missing.append("the ground (ground.sigma_m or ground.sigma_column)")
+        yield "the ground (ground.sigma_m or ground.sigma_column)"
     heights = int((stations.ok & ~np.isfinite(stations.sigma_height_m)).sum())
     if heights:
-        missing.append(f"the height of {heights} stations (not in the log; it does not count)")
+        counted = Counted(heights, "station")
+        yield f"the height of {counted} (not in the log; it does not count)"
     of_cabins = {
         "sigma_pressure_hpa": stations.sigma_cabin_pressure_pa,
         "sigma_temperature_k": stations.sigma_cabin_temperature_k,
     }
     for name, window in mission.windows.items():
-        rows = (stations.camera == name) & stations.ok & (window.shape == "plane")
+        if window.shape != "plane":
+            continue
+        rows = (stations.camera == name) & stations.ok
         for key, sigma in of_cabins.items():
             if bool(np.isnan(sigma[rows]).any()):
-                missing.append(f"the cabin's air (cameras.{name}.window.cabin.{key})")
-    if missing:
-        listed = ", ".join(missing)
-        ledger.note("SIGMA-UNKNOWN", where="observations", count=len(missing), missing=listed)
+                yield f"the cabin's air (cameras.{name}.window.cabin.{key})"

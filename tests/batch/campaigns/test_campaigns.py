@@ -173,8 +173,7 @@ def test_what_is_as_it_was_again_is_known_after_a_comparison(done, unbend):
     assert done.unchanged() == [1]
     assert unbend("run", done.file).code == 0
     done.older()
-    assert done.unchanged() == [1], "it was compared when its time was too young"
-    assert unbend("run", done.file).code == 0
+    assert unbend("run", done.file).code == 0  # the first time its time may have been too young
     assert done.unchanged() == [0, 1]
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from unbend.atmosphere.profile import Profile
-from unbend.errors import PhysicsError
+from unbend.refraction import messages
 from unbend.refraction.published import column
 from unbend.refraction.published.column import at_45_degrees, downward, finite, times_tangent
 from unbend.units import HECTOPASCAL, Array, Rows
@@ -182,7 +182,7 @@ def _intervals(profile: Profile, h_c: Array, h_g: Array, step: float) -> tuple[A
     Zero and NaN where an end lies outside the profile.
     """
     if not step > 0.0:
-        raise PhysicsError.of("METHOD-STEP", step=step)
+        raise messages.method_step(step=step)
     # 3000 m reached with a rounding error are three intervals of 1000 m.
     rise = np.where((profile.layer_of(h_c) >= 0) & (profile.layer_of(h_g) >= 0), h_c - h_g, np.nan)
     count = np.maximum(np.ceil(rise / step - 1e-9), 1.0)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from unbend.atmosphere.profile import Profile
-from unbend.errors import PhysicsError
+from unbend.refraction import messages
 from unbend.refraction.published.column import at_45_degrees, density, mean
 from unbend.units import HECTOPASCAL, Array
 
@@ -97,7 +97,7 @@ def quadratic_coefficients(
     (12.94, -0.0199)
     """
     if not profile.bottom_m <= lowest < highest <= profile.top_m:
-        raise PhysicsError.of("METHOD-SPAN", profile.extent, lowest=lowest, highest=highest)
+        raise messages.method_span(where=profile.extent, lowest=lowest, highest=highest)
     x = np.linspace(-1.0, 1.0, 200)
     middle, half = 0.5 * (highest + lowest), 0.5 * (highest - lowest)
     a_2, a_1, _ = np.polyfit(x, profile.refractivity(middle + half * x), 2)

@@ -1,39 +1,40 @@
 """Before and after on the user's own control: points intersected with and without refraction."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass, fields, replace
+from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import ArrayLike
 
-from unbend.block.image_rays import ImageRays, sorted_rays
+from unbend.block.image_rays import ImageRays, Orientations, sorted_rays
 from unbend.block.intersection import point_heights
 from unbend.config import Mission
-from unbend.errors import InputError
 from unbend.flight.heights import HeightSystem
 from unbend.flight.stations import Stations
 from unbend.geodesy import ecef_of_geodetic, enu_from_ecef
-from unbend.messages import Ledger
+from unbend.messages import Ledger, Message
 from unbend.stages.correction import correct_batch
 from unbend.stages.correction_setup import CorrectionSetup
 from unbend.stages.exposure_setup import orientations_of_mission
+from unbend.stages.multi_image import messages
 from unbend.stages.multi_image.point_heights import points_above_sea
 from unbend.stages.opened_inputs import OpenedInputs
 from unbend.tables.geodata.object_points import ObjectPoints, matching_rows
-from unbend.tables.observations import Batch
+from unbend.tables.manifest import ControlPoint, ControlRecord
+from unbend.tables.observations import Batch, Observations
 from unbend.units import Array, Integers, Mask
 
-_BATCH_ROWS = 250_000
-_FEET = 0.3048
-_FAR_M, _FAR_SIGMAS, _FAR_EFFECTS = 1.0, 5.0, 3.0
-"""Control farther than each of these from where its rays meet is not what it is said to be."""
-
-_BETTER = 0.2  # of the distance, by another reading
-_FEWEST = 5  # points, among which one may be an outlier
-_WORSE = 0.25
-"""Part of the square of what refraction moves, by which the square of misses may grow."""
+BATCH_ROWS = 250_000
+METRES_OF_A_FOOT = 0.3048
+FAR_M = 1.0  # control farther than each of these three from where its rays meet is another
+FAR_SIGMAS = 5.0
+FAR_EFFECTS = 3.0  # times what refraction moves
+BETTER = 0.2  # of the distance, by another reading
+FEWEST = 5  # points, among which one may be an outlier
+WORSE = 0.25  # part of the square of what refraction moves, by which that of misses may grow
+NORMAL_OF_MEDIAN = 1.4826  # standard deviation over median absolute deviation
+MOST_LISTED = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,43 +68,78 @@ class ControlComparison:
         before, after = (float(np.sum(self.rms(v) ** 2)) for v in (self.before, self.after))
         return 1.0 - after / before
 
-    def manifest(self) -> dict[str, Any]:
-        """For the manifest: millimetres are enough, and null is what is not known."""
+    def record(self) -> ControlRecord:
+        """For the manifest: tenths of a millimetre are enough."""
+        sigma_m = self.sigma_m
+        if not self.sigma_stated:
+            sigma_m = np.full(sigma_m.size, np.nan)
+        points = []
+        for row, name in enumerate(self.name):
+            points.append(
+                ControlPoint(
+                    point=name,
+                    rays=int(self.rays[row]),
+                    before_m=rounded(self.before[row]),
+                    after_m=rounded(self.after[row]),
+                    sigma_u_m=rounded(sigma_m[row : row + 1])[0],
+                )
+            )
+        median_m = np.nanmedian(self.sigma_m[self.used]) if self.sigma_stated else np.nan
+        return ControlRecord(
+            points=points,
+            used=int(self.used.sum()),
+            unmeasured=self.unmeasured,
+            rms_before_m=rounded(self.rms(self.before)),
+            rms_after_m=rounded(self.rms(self.after)),
+            rms_refraction_m=rounded(self.rms(self.before - self.after)),
+            mean_before_m=rounded(self.before[self.used].mean(axis=0)),
+            mean_after_m=rounded(self.after[self.used].mean(axis=0)),
+            part_explained=round(self.part_explained(), 4),
+            sigma_u_m=rounded(np.atleast_1d(median_m))[0],
+        )
 
-        def metres(values: ArrayLike) -> Any:
-            found = [None if np.isnan(v) else round(v, 4) for v in np.atleast_1d(values).tolist()]
-            return found if np.ndim(values) else found[0]
 
-        sigma_m = self.sigma_m if self.sigma_stated else np.full(self.sigma_m.size, np.nan)
-        points = zip(self.name, self.rays.tolist(), self.before, self.after, sigma_m, strict=True)
-        return {
-            "points": [
-                {"point": name, "rays": rays, "before_m": metres(before), "after_m": metres(after),
-                 "sigma_u_m": metres(sigma)}
-                for name, rays, before, after, sigma in points
-            ],
-            "used": int(self.used.sum()),
-            "unmeasured": self.unmeasured,
-            "rms_before_m": metres(self.rms(self.before)),
-            "rms_after_m": metres(self.rms(self.after)),
-            "rms_refraction_m": metres(self.rms(self.before - self.after)),
-            "mean_before_m": metres(self.before[self.used].mean(axis=0)),
-            "mean_after_m": metres(self.after[self.used].mean(axis=0)),
-            "part_explained": round(self.part_explained(), 4),
-            "sigma_u_m": metres(np.nanmedian(self.sigma_m[self.used]))
-            if self.sigma_stated else None,
-        }  # fmt: skip
+def rounded(metres: Array) -> list[float | None]:
+    """Numbers to four digits behind the point, None where one is not known."""
+    return [None if np.isnan(value) else round(value, 4) for value in metres.tolist()]
+
+
+@dataclass(frozen=True, eq=False)
+class ControlRays:
+    """Rays of control points, (n,): rows of points and stations, sigma [rad]; (n, 3) directions."""
+
+    point: Integers
+    station: Integers
+    sigma_rad: Array
+    before: Array
+    after: Array
+
+    @classmethod
+    def joined(cls, parts: list["ControlRays"]) -> "ControlRays":
+        """All rays of some parts."""
+        columns = ([getattr(part, field.name) for part in parts] for field in fields(cls))
+        return cls(*map(np.concatenate, columns))
+
+    def known(self) -> "ControlRays":
+        """Those with a station and with directions."""
+        finite = np.isfinite(self.sigma_rad) & np.isfinite(self.before).all(axis=1)
+        rows = finite & np.isfinite(self.after).all(axis=1) & (self.station >= 0)
+        return ControlRays(*(getattr(self, field.name)[rows] for field in fields(self)))
 
 
 def compare_control(
-    mission: Mission, inputs: OpenedInputs, setup: CorrectionSetup, stations: Stations, heights:
-    HeightSystem, *, ledger: Ledger,
-) -> ControlComparison | None:  # fmt: skip
+    mission: Mission,
+    inputs: OpenedInputs,
+    setup: CorrectionSetup,
+    stations: Stations,
+    heights: HeightSystem,
+    ledger: Ledger,
+) -> ControlComparison | None:
     """Control points where their rays meet, before and after; None without control, or rays.
 
     Refuses (CONTROL-MISSING) a table of which no point is observed; CONTROL-RAYS is a loss.
     """
-    section, observations = mission.control, inputs.observations
+    section = mission.control
     if section is None or inputs.control is None:
         return None
     points = points_above_sea(
@@ -115,74 +151,112 @@ def compare_control(
         geoid=inputs.geoid,
         ledger=ledger,
     )
-    setup = replace(setup, uncertainties=(None,) * len(setup.rays))
-    images, parts = pa.array(setup.images, pa.string()), [np.empty((9, 0))]
-    for batch in observations.batches(_BATCH_ROWS):
-        rows = np.flatnonzero(matching_rows(batch.point, points.name) >= 0)
-        if rows.size:
-            parts.append(_rays_of(batch.taken(rows), points, images, setup))
-    measured = np.concatenate(parts, axis=1)
-    point = np.unique(measured[0].astype(np.int64))
-    if not point.size:
-        first = next(observations.batches(1)).point[0]
-        raise InputError.of(
-            "CONTROL-MISSING", "control", total=len(points.name), name=points.name[0], first=first
-        )
-    measured = measured[:, np.isfinite(measured).all(axis=0) & (measured[1] >= 0)]
-    at = np.searchsorted(point, measured[0].astype(np.int64))
-    orientations = orientations_of_mission(mission, stations)
-    station = measured[1].astype(np.int64)
-    of_stations = stations.sigma_height_m + stations.sigma_tilt_rad
-    places = np.full((2, point.size, 3), np.nan)
-    sigma = np.full(point.size, np.nan)
-    for place, direction in zip(places, (measured[3:6], measured[6:]), strict=True):
-        rays = ImageRays(station, at, direction.T, measured[2])
-        r, found = sorted_rays(orientations, rays), point_heights(orientations, rays)
-        meets, row = ~(found.few | found.narrow), np.unique(at)
-        place[row[meets]] = (r.positions(r.oriented) + r.origin)[meets]
-        sigma[row] = found.sigma_m
-    lat, lon, h = points.lat_rad[point], points.lon_rad[point], points.h_m[point]
-    undulation = heights.undulation(lat, lon)
+    rays = rays_of_control(inputs.observations, points, setup)
+    point = np.unique(rays.point)
+    rays = rays.known()
+    at = np.searchsorted(point, rays.point)
+    meeting = meeting_points(rays, at, point.size, orientations_of_mission(mission, stations))
+
+    latitude = points.lat_rad[point]
+    longitude = points.lon_rad[point]
+    h = points.h_m[point]
+    undulation = heights.undulation(latitude, longitude)
     # Stations of which only the height above sea level is known count from there.
     h = h + (undulation if bool(np.isfinite(stations.h_ellipsoid_m).any()) else 0.0)
-    axes, given = enu_from_ecef(lat, lon), ecef_of_geodetic(lat, lon, h)
+    axes = enu_from_ecef(latitude, longitude)
+    given = ecef_of_geodetic(latitude, longitude, h)
+    places = np.stack([meeting.before, meeting.after])
     before, after = np.einsum("pij,kpj->kpi", axes, places - given)
+    sigma_of_stations = (stations.sigma_height_m + stations.sigma_tilt_rad)[rays.station]
     comparison = ControlComparison(
-        tuple(points.name.take(pa.array(point)).to_pylist()),
-        np.bincount(at, minlength=point.size),
-        before, after, sigma, bool(np.isfinite(of_stations[station]).any()),
-        len(points.name) - point.size,
-    )  # fmt: skip
+        name=tuple(points.name.take(pa.array(point)).to_pylist()),
+        rays=np.bincount(at, minlength=point.size),
+        before=before,
+        after=after,
+        sigma_m=meeting.sigma_m,
+        sigma_stated=bool(np.isfinite(sigma_of_stations).any()),
+        unmeasured=len(points.name) - point.size,
+    )
     if not comparison.used.any():
-        ledger.loss("CONTROL-RAYS", where="control", count=point.size)
+        ledger.add(messages.control_without_rays(where="control", count=point.size))
         return None
-    stated = h if section.reference == "ellipsoid" else h - undulation
+    above = h if section.reference == "ellipsoid" else h - undulation
+    home_m = heights.home_h_msl_m or np.nan
     readings = {
-        "heights above the ellipsoid taken for those above sea level": (lat, lon, h - undulation),
-        "heights above sea level taken for those above the ellipsoid": (lat, lon, h + undulation),
-        "heights above the take-off taken for those above sea level": (
-            lat, lon, h + (heights.home_h_msl_m or np.nan)),
-        "heights in feet taken for metres": (lat, lon, h - (1.0 - _FEET) * stated),
-        "latitude and longitude exchanged": (lon, lat, h),
-    }  # fmt: skip
-    used, corrected = comparison.used, places[1]
-    off_m = {
-        what: float(np.median(np.linalg.norm(corrected - ecef_of_geodetic(*read), axis=1)[used]))
-        for what, read in readings.items()
+        "heights above the ellipsoid taken for those above sea level": h - undulation,
+        "heights above sea level taken for those above the ellipsoid": h + undulation,
+        "heights above the take-off taken for those above sea level": h + home_m,
+        "heights in feet taken for metres": h - (1.0 - METRES_OF_A_FOOT) * above,
     }
+    read = {
+        what: ecef_of_geodetic(latitude, longitude, height) for what, height in readings.items()
+    }
+    read["latitude and longitude exchanged"] = ecef_of_geodetic(longitude, latitude, h)
+    off_m = {}
+    for what, place in read.items():
+        distance = np.linalg.norm(meeting.after - place, axis=1)
+        off_m[what] = float(np.median(distance[comparison.used]))
     judge_control(comparison, off_m, ledger)
     return comparison
 
 
-def _rays_of(
+def rays_of_control(
+    observations: Observations, points: ObjectPoints, setup: CorrectionSetup
+) -> ControlRays:
+    """The rays of all observations of control points, measured and corrected."""
+    setup = replace(setup, uncertainties=(None,) * len(setup.rays))
+    images = pa.array(setup.images, pa.string())
+    parts = []
+    for batch in observations.batches(BATCH_ROWS):
+        rows = np.flatnonzero(matching_rows(batch.point, points.name) >= 0)
+        if rows.size:
+            parts.append(rays_of_batch(batch.taken(rows), points, images, setup))
+    if not parts:
+        first = next(observations.batches(1)).point[0]
+        raise messages.control_missing(
+            where="control", total=len(points.name), name=str(points.name[0]), first=str(first)
+        )
+    return ControlRays.joined(parts)
+
+
+def rays_of_batch(
     batch: Batch, points: ObjectPoints, images: pa.StringArray, setup: CorrectionSetup
-) -> Array:
-    """(9, n) control point, station, sigma [rad] and the directions measured and corrected."""
+) -> ControlRays:
+    """The rays of a batch of observations of control points."""
     station = matching_rows(batch.image, images)
     corrected = correct_batch(batch, station, setup.ground.heights(batch, station, setup), setup)
-    before, sigma = setup.directions(batch.x_px, batch.y_px, station)
+    before, sigma_rad = setup.directions(batch.x_px, batch.y_px, station)
     after, _ = setup.directions(corrected.x_corrected_px, corrected.y_corrected_px, station)
-    return np.vstack([matching_rows(batch.point, points.name), station, sigma, before.T, after.T])
+    point = matching_rows(batch.point, points.name)
+    return ControlRays(point, station, sigma_rad, before, after)
+
+
+class MeetingPoints(NamedTuple):
+    """Where the rays of control points meet, (p, 3) earth-centred [m]; (p,) sigma of the height."""
+
+    before: Array
+    after: Array
+    sigma_m: Array
+
+
+def meeting_points(
+    rays: ControlRays, at: Integers, count: int, orientations: Orientations
+) -> MeetingPoints:
+    """Where rays meet as measured and as corrected; ``at`` (n,) numbers the points of the rays."""
+    row = np.unique(at)
+    sigma_m = np.full(count, np.nan)
+    places = []
+    for direction in (rays.before, rays.after):
+        of_image = ImageRays(rays.station, at, direction, rays.sigma_rad)
+        by_point = sorted_rays(orientations, of_image)
+        found = point_heights(orientations, of_image)
+        meets = ~(found.few | found.narrow)
+        place = np.full((count, 3), np.nan)
+        place[row[meets]] = (by_point.positions(by_point.oriented) + by_point.origin)[meets]
+        places.append(place)
+        sigma_m[row] = found.sigma_m
+    before, after = places
+    return MeetingPoints(before, after, sigma_m)
 
 
 def judge_control(
@@ -192,38 +266,83 @@ def judge_control(
 
     ``off_m`` : median distance of the corrected points from the control in other readings [m].
     """
-    used, where = comparison.used, "control"
-    after, count = comparison.after[used], int(comparison.used.sum())
-    misses = np.linalg.norm(after, axis=1)
-    was, now, effect = (
-        float(np.linalg.norm(comparison.rms(moved)))
-        for moved in (comparison.before, comparison.after, comparison.before - comparison.after)
-    )
-    stated, known = float(np.median(misses)), comparison.sigma_m[used]
-    sigma = float(np.median(known[np.isfinite(known)])) if np.isfinite(known).any() else 0.0
-    if stated > max(_FAR_M, _FAR_SIGMAS * sigma, _FAR_EFFECTS * effect):
-        likely = min(off_m, key=lambda reading: np.nan_to_num(off_m[reading], nan=np.inf))
-        if off_m[likely] < _BETTER * stated:
-            ledger.finding(
-                "CONTROL-READING", where=where, count=count, stated=stated, likely=likely,
-                off=off_m[likely],
-            )  # fmt: skip
-        else:
-            ledger.finding("CONTROL-FAR", where=where, count=count, stated=stated, sigma=sigma)
+    used = comparison.used
+    after = comparison.after[used]
+    misses_m = float(np.median(np.linalg.norm(after, axis=1)))
+    effect_m = length(comparison.rms(comparison.before - comparison.after))
+    known = comparison.sigma_m[used]
+    known = known[np.isfinite(known)]
+    sigma_m = float(np.median(known)) if known.size else 0.0
+    if misses_m > max(FAR_M, FAR_SIGMAS * sigma_m, FAR_EFFECTS * effect_m):
+        ledger.add(far_control(int(used.sum()), misses_m, sigma_m, off_m))
         return
-    apart = np.linalg.norm(after - np.median(after, axis=0), axis=1)
-    usual = 1.4826 * float(np.median(apart))
-    limit = _FAR_SIGMAS * max(usual, sigma if comparison.sigma_stated else 0.0)
-    if count >= _FEWEST and bool((apart > limit).any()):
-        names = np.array(comparison.name)[used][apart > limit]
-        ledger.finding(
-            "CONTROL-OUTLIER", where=where, count=names.size, total=count, most=apart.max(),
-            median=np.median(apart), names=", ".join(names[:5]),
-        )  # fmt: skip
-    noise, of = usual, "the control points scatter"
+    apart_m = np.linalg.norm(after - np.median(after, axis=0), axis=1)
+    scatter_m = NORMAL_OF_MEDIAN * float(np.median(apart_m))
+    report_outliers(comparison, apart_m, scatter_m, sigma_m, ledger)
+    report_effect(comparison, scatter_m, sigma_m, effect_m, ledger)
+
+
+def length(vector: Array) -> float:
+    """The length of a vector."""
+    return float(np.linalg.norm(vector))
+
+
+def far_control(count: int, misses_m: float, sigma_m: float, off_m: Mapping[str, float]) -> Message:
+    """The finding of control that is far from where its rays meet: another reading, or unknown."""
+    likely = min(off_m, key=lambda reading: np.nan_to_num(off_m[reading], nan=np.inf))
+    if off_m[likely] < BETTER * misses_m:
+        return messages.control_reading(
+            where="control", count=count, stated=misses_m, off=off_m[likely], likely=likely
+        )
+    return messages.control_far(where="control", count=count, stated=misses_m, sigma=sigma_m)
+
+
+def report_outliers(
+    comparison: ControlComparison,
+    apart_m: Array,
+    scatter_m: float,
+    sigma_m: float,
+    ledger: Ledger,
+) -> None:
+    """A finding of single control points that are off where the others are not."""
+    expected_m = max(scatter_m, sigma_m if comparison.sigma_stated else 0.0)
+    outliers = apart_m > FAR_SIGMAS * expected_m
+    if apart_m.size < FEWEST or not bool(outliers.any()):
+        return
+    names = np.array(comparison.name)[comparison.used][outliers]
+    ledger.add(
+        messages.control_outlier(
+            where="control",
+            count=names.size,
+            total=apart_m.size,
+            most=float(apart_m.max()),
+            median=float(np.median(apart_m)),
+            names=", ".join(names[:MOST_LISTED]),
+        )
+    )
+
+
+def report_effect(
+    comparison: ControlComparison,
+    scatter_m: float,
+    sigma_m: float,
+    effect_m: float,
+    ledger: Ledger,
+) -> None:
+    """Whether control points can show what the correction does, and whether it is worse with it."""
+    count = int(comparison.used.sum())
+    was_m = length(comparison.rms(comparison.before))
+    now_m = length(comparison.rms(comparison.after))
+    noise_m = scatter_m
+    of = "the control points scatter"
     if comparison.sigma_stated:
-        noise, of = sigma, "sigmas of stations and pixels let control points miss"
-    if noise > effect:
-        ledger.warning("CONTROL-NOISE", where=where, count=count, of=of, noise=noise, effect=effect)
-    elif now**2 - was**2 > _WORSE * effect**2:
-        ledger.finding("CONTROL-WORSE", where=where, count=count, was=was, now=now)
+        noise_m = sigma_m
+        of = "sigmas of stations and pixels let control points miss"
+    if noise_m > effect_m:
+        ledger.add(
+            messages.control_noise(
+                where="control", count=count, of=of, noise=noise_m, effect=effect_m
+            )
+        )
+    elif now_m**2 - was_m**2 > WORSE * effect_m**2:
+        ledger.add(messages.control_worse(where="control", count=count, was=was_m, now=now_m))

@@ -1,9 +1,11 @@
 """Heights of points from a table of the user's, checked, or by intersection."""
 
 from collections import Counter
+from collections.abc import Iterable, Sequence
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from tempfile import TemporaryFile
+from typing import IO
 
 import numpy as np
 import pandas as pd
@@ -15,41 +17,57 @@ from unbend.block.intersection import PointHeights, point_heights
 from unbend.config import Mission
 from unbend.config.ground import ControlSection
 from unbend.config.ground import PointTable as PointTableSection
-from unbend.errors import InputError, MissionError
 from unbend.flight.heights import HeightSystem, known_home_m
 from unbend.flight.stations import Stations
 from unbend.geodesy import GeoidGrid, ecef_of_geodetic
-from unbend.messages import Entry, Kind, Ledger
+from unbend.messages import Ledger
 from unbend.refraction.image import correct_observations
 from unbend.stages.correction_setup import CorrectionSetup
 from unbend.stages.exposure_setup import orientations_of_mission
+from unbend.stages.flight_log import FlightLog
 from unbend.stages.ground_heights import ComputedGround
-from unbend.stages.inputs import FlightLog
-from unbend.stages.multi_image.oriented_stations import block_points
+from unbend.stages.multi_image import messages
+from unbend.stages.multi_image.block_frames import block_points
 from unbend.stages.opened_inputs import OpenedInputs, PointTable
 from unbend.tables.geodata.coordinate_systems import places_of
 from unbend.tables.geodata.object_points import ObjectPoints, matching_rows
-from unbend.tables.observations import Observations
+from unbend.tables.observations import Batch, Observations
 from unbend.tables.text_columns import hashes_of, rows_among
-from unbend.units import WGS84_A, Array
+from unbend.units import WGS84_A, Array, Integers
 
-_STEEPEST = 20.0
-"""Points farther away than this many flying heights are seen at more than 87 deg."""
+STEEPEST = 20.0  # flying heights: points farther away are seen at more than 87 deg
+LOWEST_FLIGHT_M = 50.0  # above the points, that counts for it
+CHECKED_ROWS = 100_000  # first rows whose points are compared with their stations
+LIKELY_EXCHANGED = 0.1  # of the distance: exchanged coordinates that lie so much nearer
+BATCH_ROWS = 250_000
+ROWS_OF_A_FILE = 300_000  # whose rays are intersected at a time: 12 MB
+MOST_FILES = 200
+SAMPLED_SHARES = 10_000  # sigmas of a file that stand for all in the median
+POOR_SIGMA = 0.05  # of the camera's height above a point: 5 % of it are 5 % of R
+
+RAY = np.dtype([("point", "u8"), ("row", "i8"), ("station", "i8"), ("x", "f8"), ("y", "f8")])
+"""A ray in a temporary file: hash of its point, row of the table, station, pixel."""
 
 
 def with_object_points(
     mission: Mission, inputs: OpenedInputs, flight: FlightLog, ledger: Ledger
 ) -> Observations:
     """The observations with the object points of a table, or of the block, if any."""
-    ground, observations = mission.ground, inputs.observations
+    ground = mission.ground
+    observations = inputs.observations
     if ground.height == "block":
         return replace(observations, points=block_points(mission, inputs, flight, ledger))
     if ground.points is None or inputs.object_points is None:
         return observations
     points = points_above_sea(
-        inputs.object_points, ground.points, ground.reference, key="ground.height",
-        heights=flight.heights, geoid=inputs.geoid, ledger=ledger,
-    )  # fmt: skip
+        inputs.object_points,
+        ground.points,
+        ground.reference,
+        key="ground.height",
+        heights=flight.heights,
+        geoid=inputs.geoid,
+        ledger=ledger,
+    )
     return replace(observations, points=points)
 
 
@@ -66,10 +84,15 @@ def points_above_sea(
     """The points of a user's table above sea level, as ``section`` and ``reference`` state it."""
     value = table.columns
     x, y = ("x", "y") if "x" in value else ("longitude", "latitude")
-    places = ledger.take(places_of(
-        section.crs, (value[x], value[y], value["height"]), heights=reference,
-        geoid=geoid, where=table.where, key=f"{key}.crs",
-    ))  # fmt: skip
+    placed = places_of(
+        section.crs,
+        (value[x], value[y], value["height"]),
+        heights=reference,
+        geoid=geoid,
+        where=table.where,
+        key=f"{key}.crs",
+    )
+    places = ledger.take(placed)
     h = places.h_m
     if places.heights == "ellipsoid":
         h = h - heights.undulation(places.lat_rad, places.lon_rad)
@@ -87,49 +110,71 @@ def check_object_points(observations: Observations, stations: Stations, ledger: 
     points = observations.points
     if points is None:
         return
-    batch = next(observations.batches(100_000))
-    _, row = points.heights(batch.point, batch.image)
-    station = matching_rows(batch.image, pa.array(stations.image, pa.string()))
     where = "ground.height.points"
+    batch = next(observations.batches(CHECKED_ROWS))
+    _, row = points.heights(batch.point, batch.image)
     if points.of_image is None and not bool((row >= 0).any()):
-        raise InputError.of(
-            "POINTS-MISSING/table", where, total=len(batch), point=batch.point[0],
-            first=points.name[0],
-        )  # fmt: skip
+        raise messages.no_point_in_table(
+            where=where, total=len(batch), point=str(batch.point[0]), first=str(points.name[0])
+        )
+    station = matching_rows(batch.image, pa.array(stations.image, pa.string()))
     both = (row >= 0) & (station >= 0)
-    row, station = row[both], station[both]
-    lat, lon, h = points.lat_rad[row], points.lon_rad[row], points.h_m[row]
-    seen = stations.lat_rad[station], stations.lon_rad[station], stations.h_msl_m[station]
-    apart = ecef_of_geodetic(lat, lon, h) - ecef_of_geodetic(*seen)
-    distance, above = np.linalg.norm(apart, axis=1), np.maximum(np.abs(seen[2] - h), 50.0)
-    known = np.isfinite(distance)
+    seen = seen_points(points, stations, row[both], station[both])
+    known = np.isfinite(seen.distance_m)
     if not bool(known.any()):
         return
-    usual = float(np.median(distance[known]))
-    horizon = float(np.median(np.sqrt(2.0 * WGS84_A * above[known])))
-    if usual < _STEEPEST * np.median(above[known]):
+    usual_m = float(np.median(seen.distance_m[known]))
+    if usual_m < STEEPEST * np.median(seen.above_m[known]):
         return
-    swapped = ecef_of_geodetic(lon, lat, h) - ecef_of_geodetic(*seen)
-    exchanged, other = float(np.nanmedian(np.linalg.norm(swapped, axis=1))), ""
-    if exchanged < 0.1 * usual:
-        other = f"; with latitude and longitude exchanged {exchanged / 1000.0:.0f} km"
-    if usual > horizon:
-        raise InputError.of("POINTS-FAR", where, km=usual / 1000.0, other=other)
+    other = ""
+    exchanged_m = float(np.nanmedian(seen.distance_exchanged_m))
+    if exchanged_m < LIKELY_EXCHANGED * usual_m:
+        other = f"; with latitude and longitude exchanged {exchanged_m / 1000.0:.0f} km"
+    horizon_m = float(np.median(np.sqrt(2.0 * WGS84_A * seen.above_m[known])))
+    if usual_m > horizon_m:
+        raise messages.points_beyond_horizon(where=where, km=usual_m / 1000.0, other=other)
     count = int(known.sum())
-    ledger.loss("POINTS-FAR/steep", where=where, count=count, km=usual / 1000.0, other=other)
+    ledger.add(messages.points_far(where=where, count=count, km=usual_m / 1000.0, other=other))
 
 
-_RAY = np.dtype([("point", "u8"), ("row", "i8"), ("station", "i8"), ("x", "f8"), ("y", "f8")])
-_ROWS_OF_A_FILE, _MOST_FILES, _BATCH_ROWS = 300_000, 200, 250_000
+@dataclass(frozen=True, eq=False)
+class SeenPoints:
+    """Object points beside the stations that see them, (n,) [m].
 
-_POOR = 0.05
-"""Sigma of a height, in heights of the camera above it, in the median: 5 % are 5 % of R."""
+    ``distance_exchanged_m`` with latitude and longitude of the points exchanged; ``above_m`` is the
+    height of a station above its point, at least 50 m.
+    """
+
+    distance_m: Array
+    distance_exchanged_m: Array
+    above_m: Array
+
+
+def seen_points(
+    points: ObjectPoints, stations: Stations, row: Integers, station: Integers
+) -> SeenPoints:
+    """Rows (n,) of object points beside those of stations."""
+    latitude = points.lat_rad[row]
+    longitude = points.lon_rad[row]
+    h = points.h_m[row]
+    station_h = stations.h_msl_m[station]
+    centre = ecef_of_geodetic(stations.lat_rad[station], stations.lon_rad[station], station_h)
+    apart = ecef_of_geodetic(latitude, longitude, h) - centre
+    exchanged = ecef_of_geodetic(longitude, latitude, h) - centre
+    return SeenPoints(
+        np.linalg.norm(apart, axis=1),
+        np.linalg.norm(exchanged, axis=1),
+        np.maximum(np.abs(station_h - h), LOWEST_FLIGHT_M),
+    )
 
 
 def with_intersected_heights(
-    mission: Mission, observations: Observations, setup: CorrectionSetup, stations: Stations,
+    mission: Mission,
+    observations: Observations,
+    setup: CorrectionSetup,
+    stations: Stations,
     ledger: Ledger,
-) -> CorrectionSetup:  # fmt: skip
+) -> CorrectionSetup:
     """The setup with intersected ground heights and their sigmas, where the mission file says so.
 
     The rays of a point may lie anywhere in a table of any length: its rows are divided by the hash
@@ -143,74 +188,121 @@ def with_intersected_heights(
     with TemporaryFile() as file:  # the map keeps it
         heights = np.memmap(file, np.float64, "w+", shape=(2, observations.rows))
     heights[:] = np.nan
-    count, parts = min(_MOST_FILES, 1 + observations.rows // _ROWS_OF_A_FILE), None
-    if observations.sample is not None:
-        wanted = np.unique(hashes_of(observations.sampled(points=True).point))
-        parts, count = [observations.of_points(lambda hashes: rows_among(hashes, wanted))], 1
-    images = pa.array(setup.images, pa.string())
     orientations = orientations_of_mission(mission, stations)
     counts: Counter[str] = Counter()
     shares = []
     with ExitStack() as stack:
-        files = [stack.enter_context(TemporaryFile()) for _ in range(count)]
-        for batch in parts or observations.batches(_BATCH_ROWS):
-            part = np.empty(len(batch), _RAY)
-            part["point"] = pd.util.hash_pandas_object(batch.point.to_pandas(), index=False)
-            rows = batch.rows
-            part["row"] = np.r_[rows] if isinstance(rows, slice) else rows
-            part["station"] = matching_rows(batch.image, images)
-            part["x"], part["y"] = batch.x_px, batch.y_px
-            named = batch.point.is_valid().to_numpy(zero_copy_only=False)
-            part = part[named & (part["station"] >= 0) & np.isfinite(part["x"] + part["y"])]
-            of_file = part["point"] % np.uint64(count)
-            for number in np.unique(of_file):
-                files[number].write(part[of_file == number].tobytes())
+        count = 1 if observations.sample else 1 + observations.rows // ROWS_OF_A_FILE
+        files = [stack.enter_context(TemporaryFile()) for _ in range(min(MOST_FILES, count))]
+        write_rays(batches_with_points(observations), setup, files)
         for file in files:
             file.seek(0)
-            rays = np.frombuffer(file.read(), _RAY)
+            rays = np.frombuffer(file.read(), RAY)
             if rays.size == 0:
                 continue
-            h_msl, found = _heights_of(rays, setup, stations, orientations)
-            heights[:, rays["row"]] = h_msl, found.sigma_m[found.index]
+            h_msl, found = heights_of_rays(rays, setup, stations, orientations)
+            sigma_m = found.sigma_m[found.index]
+            heights[:, rays["row"]] = h_msl, sigma_m
             counts["points"] += found.h_m.size
-            for why in ("few", "narrow", "apart"):
-                counts[why] += int(getattr(found, why).sum())
+            counts["few"] += int(found.few.sum())
+            counts["narrow"] += int(found.narrow.sum())
+            counts["apart"] += int(found.apart.sum())
             with np.errstate(invalid="ignore"):
-                above = stations.h_msl_m[rays["station"]] - h_msl
-                share = found.sigma_m[found.index] / np.abs(above)
-            shares.append(share[np.isfinite(share)][:: max(1, rays.size // 10_000)])
-    known = counts["points"] - counts["few"] - counts["narrow"] - counts["apart"]
-    share = float(np.median(np.concatenate(shares))) if known else np.nan
-    what = (
-        f"{known} of {counts['points']} points have a height by the intersection of their rays; "
-        f"{counts['few']} have fewer than two rays, {counts['narrow']} only rays within 3 deg of "
-        f"each other, and of {counts['apart']} the rays do not meet"
-    )
-    if known == 0:
-        raise MissionError.of("GROUND-INTERSECTED", "ground.height", what=what)
-    what += f"; sigma of a height is {100.0 * share:.2g} % of the height above it, in the median"
-    kind = Kind.LOSS if share > _POOR else Kind.NOTE
-    ledger.add(Entry(kind, "GROUND-INTERSECTED", what, "ground.height", known))
+                share = sigma_m / np.abs(stations.h_msl_m[rays["station"]] - h_msl)
+            step = max(1, rays.size // SAMPLED_SHARES)
+            shares.append(share[np.isfinite(share)][::step])
+    report_intersected(counts, shares, ledger)
     return replace(setup, ground=ComputedGround(heights))
 
 
-def _heights_of(
+def batches_with_points(observations: Observations) -> Iterable[Batch]:
+    """The observations in batches; of a sample all that show one of its points."""
+    if observations.sample is None:
+        return observations.batches(BATCH_ROWS)
+    wanted = np.unique(hashes_of(observations.sampled(points=True).point))
+    return [observations.of_points(lambda hashes: rows_among(hashes, wanted))]
+
+
+def write_rays(
+    batches: Iterable[Batch], setup: CorrectionSetup, files: Sequence[IO[bytes]]
+) -> None:
+    """Write the rays of observations with a station, all of a point into one of the files."""
+    images = pa.array(setup.images, pa.string())
+    for batch in batches:
+        rows = batch.rows
+        rays = np.empty(len(batch), RAY)
+        rays["point"] = pd.util.hash_pandas_object(batch.point.to_pandas(), index=False)
+        rays["row"] = np.r_[rows] if isinstance(rows, slice) else rows
+        rays["station"] = matching_rows(batch.image, images)
+        rays["x"] = batch.x_px
+        rays["y"] = batch.y_px
+        named = batch.point.is_valid().to_numpy(zero_copy_only=False)
+        measured = np.isfinite(rays["x"] + rays["y"])
+        rays = rays[named & (rays["station"] >= 0) & measured]
+        of_file = rays["point"] % np.uint64(len(files))
+        for number in np.unique(of_file):
+            files[number].write(rays[of_file == number].tobytes())
+
+
+def report_intersected(counts: Counter[str], shares: list[Array], ledger: Ledger) -> None:
+    """How many points have a height; refuses (GROUND-INTERSECTED) if none has.
+
+    ``shares`` : sigmas of heights, in heights of the camera above them.
+    """
+    known = counts["points"] - counts["few"] - counts["narrow"] - counts["apart"]
+    if known == 0:
+        raise messages.no_height_intersected(
+            where="ground.height",
+            known=known,
+            points=counts["points"],
+            few=counts["few"],
+            narrow=counts["narrow"],
+            apart=counts["apart"],
+        )
+    share = float(np.median(np.concatenate(shares)))
+    send = messages.heights_intersected
+    if share > POOR_SIGMA:
+        send = messages.heights_intersected_poorly
+    ledger.add(
+        send(
+            where="ground.height",
+            count=known,
+            points=counts["points"],
+            few=counts["few"],
+            narrow=counts["narrow"],
+            apart=counts["apart"],
+            percent=100.0 * share,
+        )
+    )
+
+
+def heights_of_rays(
     rays: NDArray[np.void], setup: CorrectionSetup, stations: Stations, orientations: Orientations
 ) -> tuple[Array, PointHeights]:
     """(n,) heights of points above sea level; a first intersection says how rays are bent."""
-    x, y, station = (rays[name] for name in ("x", "y", "station"))
+    x = rays["x"]
+    y = rays["y"]
+    station = rays["station"]
     undulation = np.nan_to_num(stations.h_ellipsoid_m - stations.h_msl_m)[station]
     h_msl = np.full(rays.size, np.nan)
     for bent in (False, setup.direction == "remove"):
-        seen_x, seen_y = x.copy(), y.copy()
+        seen_x = x.copy()
+        seen_y = y.copy()
         for rows, camera, profile in setup.groups(station) if bent else ():
             corrected = correct_observations(
-                x[rows], y[rows], h_msl[rows], station[rows], setup.exposures, camera=camera,
+                x[rows],
+                y[rows],
+                h_msl[rows],
+                station[rows],
+                setup.exposures,
+                camera=camera,
                 table=setup.rays[profile],
-            )  # fmt: skip
-            seen_x[rows], seen_y[rows] = corrected.x_corrected_px, corrected.y_corrected_px
+            )
+            seen_x[rows] = corrected.x_corrected_px
+            seen_y[rows] = corrected.y_corrected_px
         direction, sigma = setup.directions(seen_x, seen_y, station)
         found = point_heights(orientations, ImageRays(station, rays["point"], direction, sigma))
         number = np.maximum(np.bincount(found.index), 1)
-        h_msl = (found.h_m - np.bincount(found.index, undulation) / number)[found.index]
+        mean_undulation = np.bincount(found.index, undulation) / number
+        h_msl = (found.h_m - mean_undulation)[found.index]
     return h_msl, found

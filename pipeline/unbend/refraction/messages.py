@@ -1,0 +1,441 @@
+"""Messages of refraction: what each code means, and the words of what is sent."""
+
+from unbend.errors import Code, Counted, PhysicsError
+
+ANGLE_DISTANCE = Code(
+    "ANGLE-DISTANCE",
+    means="The slant range of `unbend angle` is no distance.",
+    effect="The command is refused.",
+    remedy="Give metres from camera to target, or leave --distance out.",
+)
+
+
+def angle_distance(*, distance: float) -> PhysicsError:
+    """The slant range of `unbend angle` is no distance."""
+    return PhysicsError(
+        ANGLE_DISTANCE,
+        "a slant range of {distance:g} m is none",
+        distance=distance,
+        remedy="give the straight distance from camera to target in metres, or leave it out",
+    )
+
+
+CAMERA_FIELD = Code(
+    "CAMERA-FIELD",
+    means="With this principal distance the camera would see more than 150 degrees.",
+    effect="The mission is refused.",
+    remedy=(
+        "Give the principal distance in pixels: millimetres divided by the size of a "
+        "pixel in millimetres."
+    ),
+)
+
+
+def camera_field(*, fx_px: float, width_px: int, height_px: int, seen_deg: float) -> PhysicsError:
+    """With this principal distance the camera would see more than 150 degrees."""
+    return PhysicsError(
+        CAMERA_FIELD,
+        (
+            "with a principal distance of {fx_px:g} px an image of {width_px} x"
+            " {height_px} px sees {seen_deg:.0f} degrees"
+        ),
+        fx_px=fx_px,
+        width_px=width_px,
+        height_px=height_px,
+        seen_deg=seen_deg,
+        remedy=(
+            "give the principal distance (f_px, or fx_px and fy_px) in pixels "
+            "(millimetres divided by the size of a pixel in millimetres), or the model of"
+            " a fisheye"
+        ),
+    )
+
+
+CAMERA_FORMAT = Code(
+    "CAMERA-FORMAT",
+    means="The pixels of a metric camera do not fill the format of its report.",
+    effect="The mission is refused.",
+    remedy="Check pixel_um and format_mm, and that width and height are not exchanged.",
+)
+
+
+def camera_format(
+    *,
+    width_px: int,
+    height_px: int,
+    pixel_x_um: float,
+    pixel_y_um: float,
+    part_of_width: float,
+    part_of_height: float,
+) -> PhysicsError:
+    """The pixels of a report do not fill its format."""
+    return PhysicsError(
+        CAMERA_FORMAT,
+        "{width_px} x {height_px} pixels of {pixel_x_um:g} x {pixel_y_um:g} um fill "
+        "{part_of_width:.3f} of the width and {part_of_height:.3f} of the height of the format",
+        remedy="check pixel_um, format_mm, and that width and height are not exchanged",
+        width_px=width_px,
+        height_px=height_px,
+        pixel_x_um=pixel_x_um,
+        pixel_y_um=pixel_y_um,
+        part_of_width=part_of_width,
+        part_of_height=part_of_height,
+    )
+
+
+CAMERA_MODEL = Code(
+    "CAMERA-MODEL",
+    means="The camera model is not known, or has another number of parameters.",
+    effect="The mission is refused.",
+    remedy="Take a model that the refusal lists, with its parameters in COLMAP's order.",
+)
+
+
+def camera_parameters(*, model: str, count: int, names: str, given: str) -> PhysicsError:
+    """A camera model is given too few, too many or infinite parameters."""
+    return PhysicsError(
+        CAMERA_MODEL,
+        "{model} has {parameters}, {names}; given are {given}",
+        remedy="give them in the order in which COLMAP writes them into cameras.txt",
+        model=model,
+        parameters=Counted(count, "parameter"),
+        names=names,
+        given=given,
+    )
+
+
+def camera_model(*, model: str, models: str) -> PhysicsError:
+    """The camera model is not known, or has another number of parameters."""
+    return PhysicsError(
+        CAMERA_MODEL,
+        "{model!r} is no camera model that can be corrected",
+        model=model,
+        models=models,
+        remedy="models are {models}; convert the calibration to one of them",
+    )
+
+
+CAMERA_PRINCIPAL_POINT = Code(
+    "CAMERA-PRINCIPAL-POINT",
+    means=(
+        "The principal point of a calibration report lies more than a quarter of the "
+        "format from the centre."
+    ),
+    effect="The mission is refused.",
+    remedy="ppa_mm counts from origin along axes, in millimetres; check the three.",
+)
+
+
+def camera_principal_point(*, percent: float) -> PhysicsError:
+    """The principal point of a calibration report lies more than a quarter of the format fr."""
+    return PhysicsError(
+        CAMERA_PRINCIPAL_POINT,
+        "the principal point lies {percent:.0f} % of the format from its centre",
+        percent=percent,
+        remedy=(
+            "ppa_mm counts from origin along axes, in millimetres; give the pixel of the "
+            "corner as origin where it counts from there"
+        ),
+    )
+
+
+CAMERA_REPORT = Code(
+    "CAMERA-REPORT",
+    means=(
+        "The table and the coefficients of a calibration report differ by more than 2 micrometres."
+    ),
+    effect="The mission is refused.",
+    remedy="Check sense of both, powers of ten and units.",
+)
+
+
+def camera_report(*, fit: str, apart_um: float, radius_mm: float) -> PhysicsError:
+    """The table and the coefficients of a calibration report differ by more than 2 micromet."""
+    return PhysicsError(
+        CAMERA_REPORT,
+        "the table and {fit} differ by {apart_um:.1f} um at a radius of {radius_mm:.1f} mm",
+        fit=fit,
+        apart_um=apart_um,
+        radius_mm=radius_mm,
+        remedy=(
+            "check distortion.sense and table.sense (reports of the USGS have "
+            "coefficients that correct and a table of the distortion), powers of ten, "
+            "units, and that both are for one principal distance"
+        ),
+    )
+
+
+CAMERA_TURNS = Code(
+    "CAMERA-TURNS",
+    means="The distortion turns back inside the image, or is a correction of more than 30 %.",
+    effect="The mission is refused.",
+    remedy="Check signs, order and units of the coefficients.",
+)
+
+
+def camera_turns(*, off_axis_deg: float, x: float, y: float) -> PhysicsError:
+    """The distortion turns back inside the image, or is a correction of more than 30 %."""
+    return PhysicsError(
+        CAMERA_TURNS,
+        (
+            "the distortion turns back inside the image (or is a correction of more than 30 "
+            "%), {off_axis_deg:.1f} degrees off the axis at ({x:.0f}, {y:.0f}) px"
+        ),
+        off_axis_deg=off_axis_deg,
+        x=x,
+        y=y,
+        remedy="check signs, order and units of the coefficients",
+    )
+
+
+METHOD_NAME = Code(
+    "METHOD-NAME",
+    means="No refraction method has this name.",
+    effect="The command is refused.",
+    remedy="Take one that `unbend angle --help` lists.",
+)
+
+
+def method_name(*, method: str, known: str) -> PhysicsError:
+    """No refraction method has this name."""
+    return PhysicsError(
+        METHOD_NAME,
+        "no refraction method is called {method!r}",
+        method=method,
+        known=known,
+        remedy="one of {known}",
+    )
+
+
+METHOD_SPAN = Code(
+    "METHOD-SPAN",
+    means="A parabola of the refractivity cannot be fitted over these heights.",
+    effect="The call is refused.",
+    remedy="Give heights inside the profile, the lower one first.",
+)
+
+
+def method_span(*, where: object, lowest: float, highest: float) -> PhysicsError:
+    """A parabola of the refractivity cannot be fitted over these heights."""
+    return PhysicsError(
+        METHOD_SPAN,
+        "a parabola cannot be fitted from {lowest:.0f} to {highest:.0f} m",
+        where=where,
+        lowest=lowest,
+        highest=highest,
+        remedy="give heights inside the profile, the lower one first",
+    )
+
+
+METHOD_STEP = Code(
+    "METHOD-STEP",
+    means="The step of the published quadrature is not positive.",
+    effect="The call is refused.",
+    remedy="Give one, as 1000 m.",
+)
+
+
+def method_step(*, step: float) -> PhysicsError:
+    """The step of the published quadrature is not positive."""
+    return PhysicsError(
+        METHOD_STEP,
+        "a step of {step:g} m is not positive",
+        step=step,
+        remedy="for example 1000 m",
+    )
+
+
+PAPER_NAME = Code(
+    "PAPER-NAME",
+    means="No paper has this name.",
+    effect="The command is refused.",
+    remedy="Take gyer1996, saastamoinen1974 or bertram1966.",
+)
+
+
+def paper_name(*, paper: str, papers: str) -> PhysicsError:
+    """No paper has this name."""
+    return PhysicsError(
+        PAPER_NAME,
+        "no paper is called {paper!r}",
+        paper=paper,
+        papers=papers,
+        remedy="one of {papers}",
+    )
+
+
+RADIAL_ANGLE = Code(
+    "RADIAL-ANGLE",
+    means="A radial table goes from the nadir to less than 90 degrees.",
+    effect="The command is refused.",
+    remedy="Choose --max-angle above 0 and below 90.",
+)
+
+
+def radial_angle(*, least_deg: float, largest_deg: float) -> PhysicsError:
+    """A radial table goes from the nadir to less than 90 degrees."""
+    return PhysicsError(
+        RADIAL_ANGLE,
+        (
+            "a radial table goes from the nadir to below the horizon, not from {least_deg:g} "
+            "to {largest_deg:g} degrees"
+        ),
+        least_deg=least_deg,
+        largest_deg=largest_deg,
+        remedy="choose a largest nadir angle of more than 0 and less than 90 degrees",
+    )
+
+
+def radial_angle_angles_to(*, largest_deg: float, step_deg: float) -> PhysicsError:
+    """A radial table goes from the nadir to less than 90 degrees."""
+    return PhysicsError(
+        RADIAL_ANGLE,
+        "nadir angles to {largest_deg:g} degrees in steps of {step_deg:g} make no table",
+        largest_deg=largest_deg,
+        step_deg=step_deg,
+        remedy="choose a largest nadir angle of more than 0 and less than 90 degrees",
+    )
+
+
+RADIAL_FOCAL = Code(
+    "RADIAL-FOCAL",
+    means="The principal distance is none.",
+    effect="The command is refused.",
+    remedy="Give it in pixels.",
+)
+
+
+def radial_focal(*, focal_px: float) -> PhysicsError:
+    """A principal distance that is none."""
+    return PhysicsError(
+        RADIAL_FOCAL,
+        "invalid principal distance: {focal_px:g} px",
+        remedy="give it in pixels, above 0",
+        focal_px=focal_px,
+    )
+
+
+RADIAL_HEIGHTS = Code(
+    "RADIAL-HEIGHTS",
+    means="The camera is not above the ground.",
+    effect="The command is refused.",
+    remedy="Give both in metres above sea level.",
+)
+
+
+def radial_heights(*, h_c: float, h_g: float) -> PhysicsError:
+    """The camera is not above the ground."""
+    return PhysicsError(
+        RADIAL_HEIGHTS,
+        "a camera at {h_c:g} m is not above a ground at {h_g:g} m",
+        h_c=h_c,
+        h_g=h_g,
+        remedy="give both in metres above sea level, the camera's the greater",
+    )
+
+
+WINDOW_AIR = Code(
+    "WINDOW-AIR",
+    means="A plane window needs the air behind it.",
+    effect="The mission is refused.",
+    remedy="Give cameras.<name>.window.cabin.",
+)
+
+
+def window_without_air() -> PhysicsError:
+    """A plane window is given without the air behind it."""
+    return PhysicsError(
+        WINDOW_AIR,
+        "the air behind the window is missing: a plane window bends by it",
+        remedy="give the cabin's air",
+    )
+
+
+WINDOW_NORMAL = Code(
+    "WINDOW-NORMAL",
+    means="The normal of a window is no unit vector, or points into the compartment.",
+    effect="The mission is refused.",
+    remedy=(
+        "Give the direction out of the window; in the camera frame its third number is positive."
+    ),
+)
+
+
+def window_normal(*, length: float) -> PhysicsError:
+    """The normal of a window is no unit vector, or points into the compartment."""
+    return PhysicsError(
+        WINDOW_NORMAL,
+        "the normal of a window has the length {length:.9g}",
+        length=length,
+        remedy="give a unit vector that points out of the compartment",
+    )
+
+
+def window_normal_inwards() -> PhysicsError:
+    """The normal of a window is no unit vector, or points into the compartment."""
+    return PhysicsError(
+        WINDOW_NORMAL,
+        "the normal of a window points into the compartment",
+        remedy="in the camera frame its third component is positive",
+    )
+
+
+RAY_BAD_MEASUREMENT = Code(
+    "RAY-BAD-MEASUREMENT",
+    means="Heights or the nadir angle of one ray are no numbers.",
+    effect="The call is refused.",
+    remedy="Give heights in metres and the angle in radians (0 to pi).",
+)
+
+
+CHECK_RAY = "check heights, angle and radius (inside the package angles are radians)"
+
+
+def ray_bad_measurement(*, where: str) -> PhysicsError:
+    """Heights or the angle of a ray are no numbers."""
+    return PhysicsError(
+        RAY_BAD_MEASUREMENT,
+        "heights and angle (0 to 180 degrees) must be numbers, the radius above 0",
+        where=where,
+        remedy=CHECK_RAY,
+    )
+
+
+RAY_MISSES_GROUND = Code(
+    "RAY-MISSES-GROUND",
+    means="The ray never reaches the height of the target.",
+    effect="The call is refused.",
+    remedy="Check heights and nadir angle.",
+)
+
+
+def ray_misses_ground(*, where: str) -> PhysicsError:
+    """A ray turns upwards above its target."""
+    return PhysicsError(
+        RAY_MISSES_GROUND,
+        "the ray never reaches the target's height",
+        where=where,
+        remedy=CHECK_RAY,
+    )
+
+
+RAY_OUTSIDE_PROFILE = Code(
+    "RAY-OUTSIDE-PROFILE",
+    means="The profile or the method does not cover the heights.",
+    effect="The call is refused.",
+    remedy="Give heights inside the profile.",
+)
+
+
+def ray_outside_profile(*, where: str, bottom_m: float, top_m: float, method: str) -> PhysicsError:
+    """The profile or the method ends before the ray does."""
+    return PhysicsError(
+        RAY_OUTSIDE_PROFILE,
+        "the profile ({bottom_m:.0f} to {top_m:.0f} m) or the method ({method}) does not cover "
+        "the heights",
+        where=where,
+        remedy=CHECK_RAY,
+        bottom_m=bottom_m,
+        top_m=top_m,
+        method=method,
+    )

@@ -1,0 +1,71 @@
+"""Messages of simulate: what each code means, and the words of what is sent."""
+
+from unbend.errors import Code, ConfigError, MissionError, PhysicsError
+
+SIM_ODE = Code(
+    "SIM-ODE",
+    means="The integration of a simulated ray did not succeed.",
+    effect="The simulation stops.",
+    remedy="Report it to the authors.",
+)
+
+
+def not_integrated(*, what: str, answer: str) -> PhysicsError:
+    """The integrator gave up."""
+    return PhysicsError(SIM_ODE, "the {what} did not integrate: {answer}", what=what, answer=answer)
+
+
+SIM_OPTION = Code(
+    "SIM-OPTION",
+    means="An option of the simulation is out of range.",
+    effect="The command is refused.",
+    remedy="Choose a value in the range that is named.",
+)
+
+
+def sim_option(*, where: object, name: str, value: str, low: float, high: float) -> ConfigError:
+    """An option of the simulation is out of range."""
+    return ConfigError(
+        SIM_OPTION,
+        "{name} is {value}, outside {low} to {high}",
+        where=where,
+        name=name,
+        value=value,
+        low=low,
+        high=high,
+        remedy="choose {name} between {low} and {high}",
+    )
+
+
+SIM_PATH = Code(
+    "SIM-PATH",
+    means="The simulated flight lines end too near to the airfield.",
+    effect="The simulation stops.",
+    remedy="Choose another height or seed.",
+)
+
+
+def path_too_near(*, distance_m: float) -> PhysicsError:
+    """The simulated lines end where no circle leads back to the field."""
+    return PhysicsError(
+        SIM_PATH, "the lines end {distance_m:.0f} m from the field: too near", distance_m=distance_m
+    )
+
+
+SIM_POINTS = Code(
+    "SIM-POINTS",
+    means="No simulated ground point is seen by enough images.",
+    effect="The simulation stops.",
+    remedy="Fly more exposures a line, or lower the focal length.",
+)
+
+
+def sim_points(*, fewest: int, number: int) -> MissionError:
+    """No simulated ground point is seen by enough images."""
+    return MissionError(
+        SIM_POINTS,
+        "no ground point is seen by {fewest} of the {number} images",
+        fewest=fewest,
+        number=number,
+        remedy="fly more exposures a line, or lower the focal length",
+    )

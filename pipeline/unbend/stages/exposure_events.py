@@ -1,0 +1,229 @@
+"""When each camera was exposed: from the log, a table, or files with positions."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from unbend.config import Mission
+from unbend.config.event_sources import EventsSection
+from unbend.flight import exposures
+from unbend.flight.channels import Channel
+from unbend.flight.exposures import (
+    Events,
+    ExposureDelay,
+    events_of_channel,
+    refuse_repeated_images,
+)
+from unbend.flight.image_names import renamed
+from unbend.flight.rotations import CAMERA_AT_REST, in_turned_frame
+from unbend.messages import Ledger
+from unbend.stages import messages
+from unbend.stages.flight_log import FlightLog, time_range
+from unbend.stages.opened_inputs import OpenedInputs
+from unbend.tables.imports.agreement import compare_with_log
+from unbend.tables.imports.stated import Stated
+from unbend.tables.imports.user_tables import EventTable
+from unbend.units import Names
+
+Positions = Mapping[str, Channel]
+"""Exposures that come from a file with their positions, by camera."""
+
+
+def read_positions(
+    mission: Mission, inputs: OpenedInputs, flight: FlightLog, ledger: Ledger
+) -> dict[str, Channel]:
+    """The exposures of each camera that come from a file with their positions.
+
+    Attitudes of cameras become those of the aircraft, by the mount. Refuses (STATIONS-ATTITUDE) a
+    file without, where there is no log and no trajectory.
+    """
+    positions = {}
+    for camera, source in mission.position_events.items():
+        stated = Stated(
+            time_system=source.time.system,
+            week=source.time.week,
+            around_ns=time_range(flight.channels),
+            heights=source.heights,
+            grid=source.grid,
+        )
+        channel = inputs.camera_events[camera](stated, ledger)
+        where = f"events.positions.{camera}"
+        replaced: tuple[str, ...] = ("position", "height")
+        if channel.fits_role("attitude") and not source.times_only:
+            channel = with_aircraft_attitude(mission, camera, channel)
+            replaced += ("attitude",)
+        elif "attitude" not in flight.roles and mission.log is None:
+            raise messages.stations_without_attitude(where=where)
+        places = "" if source.times_only else f", and where the {source.reference_point} was then"
+        ledger.add(
+            messages.events_positions(
+                where=where, count=len(channel), name=channel.name, camera=camera, places=places
+            )
+        )
+        compare_with_log(channel, flight.own, flight.heights, ledger, replaces=replaced)
+        positions[camera] = channel
+    return positions
+
+
+def with_aircraft_attitude(mission: Mission, camera: str, channel: Channel) -> Channel:
+    """A channel of a camera's attitudes with those of the aircraft, by the mount."""
+    at_rest = np.stack([channel[f"q_{axis}"] for axis in "wxyz"], axis=1)
+    mount = mission.mounts[camera]
+    of_body = in_turned_frame(at_rest, CAMERA_AT_REST.T @ mount.camera_from_body)
+    columns = dict(channel.columns)
+    for number, axis in enumerate("wxyz"):
+        columns[f"q_{axis}"] = of_body[:, number]
+    return replace(channel, columns=columns)
+
+
+def exposure_events(
+    mission: Mission,
+    inputs: OpenedInputs,
+    flight: FlightLog,
+    positions: Positions,
+    ledger: Ledger,
+) -> list[Events]:
+    """When each camera was exposed, by images as they are observed; compared with the log."""
+    section = mission.events
+    if section is None:
+        return []
+    observed = inputs.observations.images
+    events = []
+    for exposed in events_of_cameras(mission, section, inputs, flight, positions, ledger=ledger):
+        image = ledger.take(
+            renamed(
+                exposed.image,
+                observed,
+                mission.observations.match_names,
+                f"events, {exposed.camera}",
+            )
+        )
+        events.append(replace(exposed, image=image))
+    refuse_repeated_images(events)
+    if "position" in flight.roles:
+        key = section.time_key
+        if mission.stations.trajectory is not None:
+            key += ", stations.trajectory.time"
+        ledger.extend(exposures.span_notes(events, flight.roles["position"], key))
+    return events
+
+
+def events_of_cameras(
+    mission: Mission,
+    section: EventsSection,
+    inputs: OpenedInputs,
+    flight: FlightLog,
+    positions: Positions,
+    *,
+    ledger: Ledger,
+) -> list[Events]:
+    """When each camera was exposed, camera by camera, under the names of the source."""
+    if section.log is not None:
+        return events_of_log(section, flight.channels, ledger)
+    if section.positions is not None:
+        events = []
+        for camera, source in section.positions.items():
+            channel = positions[camera]
+            events.append(events_of_file(channel, camera, source.image, source.delay_s, ledger))
+        return events
+    if inputs.events is None:
+        raise messages.no_events(where="events", what="events")
+    return events_of_table(mission, section, inputs.events, flight)
+
+
+def events_of_log(
+    section: EventsSection, channels: tuple[Channel, ...], ledger: Ledger
+) -> list[Events]:
+    """The pulses that a log has of each camera, moved by their delay."""
+    events = []
+    for camera, source in (section.log or {}).items():
+        channel = exposures.choose_event_channel(channels, source.channel)
+        ledger.extend(exposures.trigger_notes(channels, channel))
+        if source.delay_s == "from_feedback":
+            delay = ledger.take(exposures.lag_from_feedback(channels, channel, camera))
+        else:
+            delay = ExposureDelay(source.delay_s)
+        exposed = events_of_channel(channel, camera, source.image, delay)
+        events.append(ledger.take(exposed))
+    return events
+
+
+def events_of_table(
+    mission: Mission, section: EventsSection, table: EventTable, flight: FlightLog
+) -> list[Events]:
+    """The exposures of a table, by camera; its times are placed by the log's UTC."""
+    csv = section.csv
+    if csv is None:
+        raise messages.no_events(where="events", what="events")
+    camera_of = camera_of_rows(
+        mission, table.camera, csv.camera, table.time_ns.size, where=str(csv.path)
+    )
+    log = flight.log
+    utc_sigma_s = 0.0 if log is None else float(np.nan_to_num(log.utc_sigma_s))
+    delay = ExposureDelay(csv.delay_s, sigma_s=utc_sigma_s)
+    return [
+        exposures.events_of_table(table.image, camera_of, table.time_ns, camera, delay)
+        for camera in mission.cameras
+    ]
+
+
+def camera_of_rows(
+    mission: Mission, given: Names | None, only: str | None, count: int, *, where: str
+) -> Names:
+    """(n,) the camera of each row of a table, by its column or the only one (EVENTS-CAMERA)."""
+    named = given
+    if named is None:
+        named = np.full(count, only or next(iter(mission.cameras)), dtype=object)
+    for name in sorted(set(named.tolist()) - set(mission.cameras)):
+        raise messages.events_of_unknown_camera(
+            where=where, name=str(name), cameras=", ".join(mission.cameras)
+        )
+    return named
+
+
+def events_of_file(
+    channel: Channel, camera: str, image: str, delay_s: float, ledger: Ledger
+) -> Events:
+    """Exposures of a file with positions, named by it or by a pattern."""
+    if image == "{name}":
+        return events_by_names(channel, camera, delay_s, ledger)
+    index = channel["event_index"].astype(np.int64)
+    falling = int(np.count_nonzero(np.diff(exposures.unwrapped_numbers(index)) < 0))
+    events = ledger.take(events_of_channel(channel, camera, image, ExposureDelay(delay_s)))
+    if falling and "{index" in image:
+        raise messages.numbers_fall(where=channel.name, count=falling)
+    warn_of_order(falling, channel, ledger)
+    if channel.source.message == "RTKLIB":
+        return replace(events, counts="always")
+    whole = np.array_equal(index, np.arange(1, index.size + 1))
+    return replace(events, counts="maybe" if whole else "no")
+
+
+def events_by_names(channel: Channel, camera: str, delay_s: float, ledger: Ledger) -> Events:
+    """Exposures of a file that names their images."""
+    names = channel.labels.get("name")
+    if names is None:
+        raise messages.events_without_names(where=channel.name)
+    numbers = np.array([last_number(name) for name in names], dtype=np.int64)
+    warn_of_order(int(np.count_nonzero(np.diff(numbers) < 0)), channel, ledger)
+    time_ns = channel.time_ns + round(delay_s * 1e9)
+    return Events(camera, np.array(names, dtype=object), time_ns)
+
+
+def last_number(name: str) -> int:
+    """The last group of digits in an image's name; 0 without one.
+
+    >>> last_number("DSC_0042.jpg")
+    42
+    """
+    groups = re.findall(r"\d{1,15}", name)
+    return int(groups[-1]) if groups else 0
+
+
+def warn_of_order(falling: int, channel: Channel, ledger: Ledger) -> None:
+    """A warning where most of a file's numbers fall as time goes on."""
+    total = len(channel)
+    if 2 * falling > total - 1:
+        ledger.add(messages.most_numbers_fall(where=channel.name, count=falling, total=total))

@@ -1,0 +1,969 @@
+"""Messages about several images: events, orientations, tie points, object and control points."""
+
+from unbend.errors import Code, Counted, InputError, MissionError
+from unbend.flight.messages import IMAGES_OTHER
+from unbend.messages import Message, finding, loss, note, warning
+from unbend.stages.messages import POINTS_MISSING
+
+
+def images_of_another_flight(*, where: str, absent: str, files: str) -> InputError:
+    """No image of the observations is among the files."""
+    return InputError(
+        IMAGES_OTHER,
+        "none of the images of the observations is there: {absent} is not, but {files} is",
+        where=where,
+        absent=absent,
+        files=files,
+        remedy="check events.images.path; names may differ in their ending only",
+    )
+
+
+IMAGES_ABSENT = Code(
+    "IMAGES-ABSENT",
+    means="Images of the observations are not among the files of events.images.",
+    effect="They have no time of their own.",
+    remedy="Check events.images.path.",
+)
+
+
+def images_absent(*, where: str, count: int, first: str) -> Message:
+    """Observed images that are not among the files."""
+    return loss(
+        IMAGES_ABSENT,
+        "{count} observed images are not there, the first is {first}",
+        one="1 observed image is not there: {first}",
+        where=where,
+        count=count,
+        first=first,
+    )
+
+
+EVENTS_CONTRADICTED = Code(
+    "EVENTS-CONTRADICTED",
+    means="Times or tie points contradict the log's numbers in the names of images.",
+    effect="The mission is refused.",
+    remedy=(
+        "Check which camera the channel belongs to; count the images by {n} or name them by *, so "
+        "that the evidence decides."
+    ),
+)
+
+
+def numbers_contradicted(*, where: str, found: str, of: str) -> MissionError:
+    """Evidence contradicts the log's numbers in the names of images."""
+    return MissionError(
+        EVENTS_CONTRADICTED,
+        "the log's numbers in the names of images are contradicted: {found}",
+        where=where,
+        found=found,
+        of=of,
+        remedy=(
+            "check {of}.channel (of which camera?), {of}.image (which numbers?) and "
+            "observations.path (of this flight?); count the images by {{n}} or name them by *, "
+            "and the evidence decides"
+        ),
+    )
+
+
+EVENTS_AMBIGUOUS = Code(
+    "EVENTS-AMBIGUOUS",
+    means=(
+        "Which image belongs to which event is not decided: another assignment is nearly as "
+        "likely, or there are more images than events, so that a part of the images may be "
+        "shifted. A mistyped image name in the table is enough for that."
+    ),
+    effect="The mission is refused.",
+    remedy=(
+        "Correct the names that the refusal names. If the numbers in the names are the log's, "
+        "write {index} in events.log.<camera>.image, as IMG_{index:04d}.JPG. Else state one pair "
+        "under events.first_image.<camera>, or give the images' times under events.images."
+    ),
+)
+
+
+def assignment_ambiguous(
+    *, where: str, strays: str, why: str, found: str, mend: str, camera: str, first: str
+) -> MissionError:
+    """It is not decided which image belongs to which event."""
+    return MissionError(
+        EVENTS_AMBIGUOUS,
+        "{strays}which image belongs to which event is not decided: {why}. {found}",
+        where=where,
+        strays=strays,
+        why=why,
+        found=found,
+        mend=mend,
+        camera=camera,
+        first=first,
+        remedy=(
+            "{mend}state one under events.first_image.{camera}, as {{image: {first}, event: 1}}; "
+            "or give the images' times under events.images"
+        ),
+    )
+
+
+EVENTS_ASSIGNED = Code(
+    "EVENTS-ASSIGNED",
+    means=(
+        "How images and events were assigned, by what evidence, with residuals, and how likely "
+        "the next best assignment is."
+    ),
+    effect="The stations follow from it.",
+    remedy="Look at the residuals and the runner-up if points miss.",
+)
+
+
+def events_assigned(*, where: str, count: int, description: str) -> Message:
+    """How images were assigned to events."""
+    return note(
+        EVENTS_ASSIGNED,
+        "{description}",
+        where=where,
+        count=count,
+        description=description,
+    )
+
+
+EXIF_CLOCK = Code(
+    "EXIF-CLOCK",
+    means="The clock of the camera is more than a day off the log's.",
+    effect="The images were assigned by rhythm and order all the same.",
+    remedy="Check that the images are of this day.",
+)
+
+
+def camera_clock_off(*, where: str, hours: float) -> Message:
+    """The camera's clock is days off."""
+    return warning(
+        EXIF_CLOCK,
+        "the camera's clock is {hours:+.1f} h off: images of this day?",
+        where=where,
+        hours=hours,
+    )
+
+
+EVENTS_UNDECIDED = Code(
+    "EVENTS-UNDECIDED",
+    means="Images belong to one event by some of the evidence and to another by the rest.",
+    effect="They have no station.",
+    remedy="Check the names and times of these images.",
+)
+
+
+def events_undecided(*, where: str, count: int, images: str) -> Message:
+    """Images of which the evidence disagrees."""
+    return loss(
+        EVENTS_UNDECIDED,
+        (
+            "{count} images are of one event by some of the evidence and of another by the rest, "
+            "and have none: {images}"
+        ),
+        one=(
+            "1 image is of one event by some of the evidence and of another by the rest, and has "
+            "none: {images}"
+        ),
+        where=where,
+        count=count,
+        images=images,
+    )
+
+
+EVENTS_UNUSED = Code(
+    "EVENTS-UNUSED",
+    means="Events have no image.",
+    effect="None.",
+    remedy="Nothing, if these images were not measured or kept.",
+)
+
+
+def events_unused(*, where: str, count: int, events: str) -> Message:
+    """Events to which no image belongs."""
+    return note(
+        EVENTS_UNUSED,
+        "{count} events have no image: {events}",
+        one="1 event has no image: {events}",
+        where=where,
+        count=count,
+        events=events,
+    )
+
+
+EVENTS_FIRST_IMAGE = Code(
+    "EVENTS-FIRST-IMAGE",
+    means="events.first_image names an image or an event that is not there.",
+    effect="The mission is refused.",
+    remedy="Name an image of this camera as the observations call it.",
+)
+
+
+def first_image_missing(
+    *, where: str, image: str, event: int, events: int, first: str
+) -> MissionError:
+    """The image or event of events.first_image is not there."""
+    return MissionError(
+        EVENTS_FIRST_IMAGE,
+        (
+            "there is no image {image!r}, or no event {event} of {events}; the first image is "
+            "{first!r}"
+        ),
+        where=where,
+        image=image,
+        event=event,
+        events=events,
+        first=first,
+        remedy="name an image of this camera as the observations or the files call it",
+    )
+
+
+ORIENTATION_READING = Code(
+    "ORIENTATION-READING",
+    means=(
+        "The rays of tie points meet far better if the angles are read in another way, which the "
+        "entry names."
+    ),
+    effect="The mission is refused.",
+    remedy="State under stations.orientation what the table holds.",
+)
+
+
+def orientation_reading(
+    *, where: str, points: int, likely: str, better: float, changed: str
+) -> InputError:
+    """Tie points meet far better in another reading of the orientations."""
+    return InputError(
+        ORIENTATION_READING,
+        (
+            "the rays of {points} tie points meet far better {likely}: the log likelihood is "
+            "{better:.0f} higher"
+        ),
+        where=where,
+        points=points,
+        likely=likely,
+        better=better,
+        changed=changed,
+        remedy="change stations.orientation.{changed}, or mend the table",
+    )
+
+
+BLOCK_CAMERA = Code(
+    "BLOCK-CAMERA",
+    means="Images of the block belong to a camera that the mission file does not define.",
+    effect="The mission is refused.",
+    remedy="Give cameras.<name>.camera, the name or number that it has in the block.",
+)
+
+
+def block_camera_unknown(*, where: str, total: int, image: str, name: str) -> MissionError:
+    """A camera of a block that the mission file does not define."""
+    return MissionError(
+        BLOCK_CAMERA,
+        (
+            "{total} images, the first {image}, are of camera {name!r}, which the mission file "
+            "does not define"
+        ),
+        where=where,
+        total=total,
+        image=image,
+        name=name,
+        remedy="give cameras.<name>.camera, the name or number that it has there",
+    )
+
+
+POINTS_EMPTY = Code(
+    "POINTS-EMPTY",
+    means="The table or block has no points.",
+    effect="The mission is refused.",
+    remedy="Give points, or ground.height in another way.",
+)
+
+
+def block_without_points(*, where: str) -> InputError:
+    """A block has no object points."""
+    return InputError(
+        POINTS_EMPTY,
+        "the block has no object points",
+        where=where,
+        remedy="give ground.height in another way",
+    )
+
+
+ORIENTATION_FRAME = Code(
+    "ORIENTATION-FRAME",
+    means=(
+        "Nothing says what x, y and z of the orientations are, or the stated frame puts the "
+        "points off the earth."
+    ),
+    effect="The mission is refused.",
+    remedy=("Give stations.orientation.frame: ecef, {enu: ...}, projected with crs, or unknown."),
+)
+
+
+def frame_impossible(*, where: str, height_m: float) -> InputError:
+    """In the stated frame a block lies at impossible heights."""
+    return InputError(
+        ORIENTATION_FRAME,
+        "in that frame the points of the block lie {height_m:.0f} m above sea level",
+        where=where,
+        height_m=height_m,
+        remedy=(
+            "give stations.orientation.frame as the program has it: a local frame is no ecef; "
+            "{{enu: ...}} needs its origin, a model of images alone is unknown"
+        ),
+    )
+
+
+def frame_unstated(*, where: str) -> MissionError:
+    """Nothing says what x, y and z of a block are."""
+    return MissionError(
+        ORIENTATION_FRAME,
+        "the file does not say what its x, y and z are",
+        where=where,
+        remedy=(
+            "give stations.orientation.frame: ecef; {{enu: {{lat_deg, lon_deg, h_ellipsoid_m}}}}; "
+            "projected, with crs; or unknown, with known_positions"
+        ),
+    )
+
+
+GROUND_BLOCK = Code(
+    "GROUND-BLOCK",
+    means=(
+        "Ground heights are those of the block's points; image points of none take the median of "
+        "their image."
+    ),
+    effect="As stated.",
+    remedy="Nothing, if the relief is small against the flying height.",
+)
+
+
+def ground_of_block(*, where: str, count: int, low: float, high: float, apart: float) -> Message:
+    """Ground heights are those of the points of a block."""
+    return note(
+        GROUND_BLOCK,
+        (
+            "{count} points of the block lie {low:.0f} to {high:.0f} m above sea level; image "
+            "points of none take the median of their image, from which its points are {apart:.0f} "
+            "m away in the median"
+        ),
+        one=(
+            "1 point of the block lies {low:.0f} m above sea level; image points of none take the "
+            "median of their image, from which its points are {apart:.0f} m away in the median"
+        ),
+        where=where,
+        count=count,
+        low=low,
+        high=high,
+        apart=apart,
+    )
+
+
+ORIENTATION_HEIGHT = Code(
+    "ORIENTATION-HEIGHT",
+    means="Stations lie below the ground, or far above all others.",
+    effect=(
+        "A note or a warning; refused where many lie below, a loss where single ones are far above."
+    ),
+    remedy=("Check the column of heights, its unit, heights (msl or ellipsoid), and the ground's."),
+)
+
+
+def stations_below_ground(
+    *, where: str, count: int, total: int, median: float, low: float, high: float
+) -> MissionError:
+    """Too many stations lie below the ground."""
+    return MissionError(
+        ORIENTATION_HEIGHT,
+        (
+            "{count} of {total} stations lie below the ground: the cameras are {median:.0f} m "
+            "above the ground in the median, {low:.0f} to {high:.0f} m"
+        ),
+        one=(
+            "1 of {total} stations lies below the ground: the cameras are {median:.0f} m above "
+            "the ground in the median, {low:.0f} to {high:.0f} m"
+        ),
+        where=where,
+        count=count,
+        total=total,
+        median=median,
+        low=low,
+        high=high,
+        remedy=(
+            "check the column of heights, their unit (metres), heights (msl or ellipsoid), and "
+            "the ground's"
+        ),
+    )
+
+
+def stations_too_high(
+    *, where: str, count: int, first: str, median: float, low: float, high: float
+) -> Message:
+    """Stations far above the others."""
+    return loss(
+        ORIENTATION_HEIGHT,
+        (
+            "{count} stations are suspect, the first {first}: the cameras are {median:.0f} m "
+            "above the ground in the median, {low:.0f} to {high:.0f} m"
+        ),
+        one=(
+            "1 station is suspect, {first}: the cameras are {median:.0f} m above the ground in "
+            "the median, {low:.0f} to {high:.0f} m"
+        ),
+        where=where,
+        count=count,
+        first=first,
+        median=median,
+        low=low,
+        high=high,
+    )
+
+
+def heights_above_ground(
+    *, where: str, count: int, median: float, low: float, high: float
+) -> Message:
+    """How high the stations are above the ground."""
+    return note(
+        ORIENTATION_HEIGHT,
+        "the cameras are {median:.0f} m above the ground in the median, {low:.0f} to {high:.0f} m",
+        where=where,
+        count=count,
+        median=median,
+        low=low,
+        high=high,
+    )
+
+
+def heights_above_ground_odd(
+    *, where: str, count: int, median: float, low: float, high: float
+) -> Message:
+    """Stations below the ground, or far too high above it."""
+    return warning(
+        ORIENTATION_HEIGHT,
+        "the cameras are {median:.0f} m above the ground in the median, {low:.0f} to {high:.0f} m",
+        where=where,
+        count=count,
+        median=median,
+        low=low,
+        high=high,
+    )
+
+
+IMPORT_CONTRADICTED = Code(
+    "IMPORT-CONTRADICTED",
+    means="The file's head says something else than the mission file.",
+    effect="What the mission file says holds.",
+    remedy="Check which of the two is right.",
+)
+
+
+def frame_contradicted(*, where: str, found: str, stated: str) -> Message:
+    """A file and the mission file name different frames."""
+    return warning(
+        IMPORT_CONTRADICTED,
+        "by the file its frame is {found}, by the mission file {stated}, which is used",
+        where=where,
+        found=found,
+        stated=stated,
+    )
+
+
+def no_point_in_table(*, where: str, total: int, point: str, first: str) -> InputError:
+    """No observed point is in the table of object points."""
+    return InputError(
+        POINTS_MISSING,
+        (
+            "none of the points of {total} observations is in the table: these are {point} ..., "
+            "the table has {first} ..."
+        ),
+        where=where,
+        total=total,
+        point=point,
+        first=first,
+        remedy=(
+            "write the names as in the observations, or name the column: "
+            "ground.height.columns.point"
+        ),
+    )
+
+
+POINTS_FAR = Code(
+    "POINTS-FAR",
+    means="The points lie far from the stations.",
+    effect="A loss; refused behind their horizon.",
+    remedy="Name columns and crs of the table; x is east, y north.",
+)
+
+
+def points_beyond_horizon(*, where: str, km: float, other: str) -> InputError:
+    """Object points lie behind the horizon of the stations that see them."""
+    return InputError(
+        POINTS_FAR,
+        (
+            "the object points lie {km:.0f} km from the stations that see them, in the "
+            "median{other}: behind their horizon"
+        ),
+        where=where,
+        km=km,
+        other=other,
+        remedy=(
+            "name the columns, and state the system they are in: ground.height.columns, "
+            "ground.height.crs"
+        ),
+    )
+
+
+def points_far(*, where: str, count: int, km: float, other: str) -> Message:
+    """Object points are very far from the stations that see them."""
+    return loss(
+        POINTS_FAR,
+        "the object points lie {km:.0f} km from the stations that see them, in the median{other}",
+        where=where,
+        count=count,
+        km=km,
+        other=other,
+    )
+
+
+GROUND_INTERSECTED = Code(
+    "GROUND-INTERSECTED",
+    means=(
+        "Ground heights are where the rays of points in several images meet. The entry gives how "
+        "many, and their sigma."
+    ),
+    effect="A note; a loss where the sigma is poor; refused where no rays meet.",
+    remedy="Give ground.height as a number, a column or a table where rays are too few.",
+)
+
+
+def no_height_intersected(
+    *, where: str, known: int, points: int, few: int, narrow: int, apart: int
+) -> MissionError:
+    """No point has a height by the intersection of its rays."""
+    return MissionError(
+        GROUND_INTERSECTED,
+        (
+            "{known} of {points} have a height by the intersection of their rays; {few} have "
+            "fewer than two rays, {narrow} only rays within 3 deg of each other, and of {apart} "
+            "the rays do not meet"
+        ),
+        where=where,
+        known=known,
+        points=Counted(points, "point"),
+        few=few,
+        narrow=narrow,
+        apart=apart,
+        remedy=(
+            "give ground.height as a number or a column; the same point must have the same name "
+            "in all images"
+        ),
+    )
+
+
+def heights_intersected(
+    *, where: str, count: int, points: int, few: int, narrow: int, apart: int, percent: float
+) -> Message:
+    """How many points have a height by the intersection of their rays."""
+    return note(
+        GROUND_INTERSECTED,
+        (
+            "{count} of {points} have a height by the intersection of their rays; {few} have "
+            "fewer than two rays, {narrow} only rays within 3 deg of each other, and of {apart} "
+            "the rays do not meet; sigma of a height is {percent:.2g} % of the height above it, "
+            "in the median"
+        ),
+        one=(
+            "1 of {points} has a height by the intersection of its rays; {few} have fewer than "
+            "two rays, {narrow} only rays within 3 deg of each other, and of {apart} the rays do "
+            "not meet; sigma of the height is {percent:.2g} % of the height above it"
+        ),
+        where=where,
+        count=count,
+        points=Counted(points, "point"),
+        few=few,
+        narrow=narrow,
+        apart=apart,
+        percent=percent,
+    )
+
+
+def heights_intersected_poorly(
+    *, where: str, count: int, points: int, few: int, narrow: int, apart: int, percent: float
+) -> Message:
+    """Heights by intersection that are too uncertain."""
+    return loss(
+        GROUND_INTERSECTED,
+        (
+            "{count} of {points} have a height by the intersection of their rays; {few} have "
+            "fewer than two rays, {narrow} only rays within 3 deg of each other, and of {apart} "
+            "the rays do not meet; sigma of a height is {percent:.2g} % of the height above it, "
+            "in the median"
+        ),
+        one=(
+            "1 of {points} has a height by the intersection of its rays; {few} have fewer than "
+            "two rays, {narrow} only rays within 3 deg of each other, and of {apart} the rays do "
+            "not meet; sigma of the height is {percent:.2g} % of the height above it"
+        ),
+        where=where,
+        count=count,
+        points=Counted(points, "point"),
+        few=few,
+        narrow=narrow,
+        apart=apart,
+        percent=percent,
+    )
+
+
+CONTROL_MISSING = Code(
+    "CONTROL-MISSING",
+    means="None of the control points is measured in an image.",
+    effect="The mission is refused.",
+    remedy=("Write the names as in the observations, or name their column under control.columns."),
+)
+
+
+def control_missing(*, where: str, total: int, name: str, first: str) -> InputError:
+    """None of the control points is observed."""
+    return InputError(
+        CONTROL_MISSING,
+        (
+            "none of {total} control points is measured in an image: these are {name} ..., the "
+            "points of the observations {first} ..."
+        ),
+        where=where,
+        total=total,
+        name=name,
+        first=first,
+        remedy="write the names as in the observations, or name the column: control.columns.point",
+    )
+
+
+CONTROL_RAYS = Code(
+    "CONTROL-RAYS",
+    means="No control point has rays that meet under 3 degrees or more.",
+    effect="There is no comparison before and after.",
+    remedy="Measure control points in two or more images.",
+)
+
+
+def control_without_rays(*, where: str, count: int) -> Message:
+    """No control point has rays that meet."""
+    return loss(
+        CONTROL_RAYS,
+        (
+            "of {count} control points none has a height and rays that meet at 3 deg or more: "
+            "there is nothing to compare"
+        ),
+        one=(
+            "the control point has no height, or no rays that meet at 3 deg or more: there is "
+            "nothing to compare"
+        ),
+        where=where,
+        count=count,
+    )
+
+
+CONTROL_READING = Code(
+    "CONTROL-READING",
+    means=(
+        "The control points fit far better in another reading: feet, another zero of heights, "
+        "exchanged coordinates."
+    ),
+    effect="No result changes; the run ends with 3.",
+    remedy="Change control.crs, control.reference or control.columns to what fits.",
+)
+
+
+def control_reading(*, where: str, count: int, stated: float, off: float, likely: str) -> Message:
+    """Control points fit far better in another reading."""
+    return finding(
+        CONTROL_READING,
+        (
+            "the rays of {count} control points meet {stated:.4g} m from them, in the median, "
+            "{off:.2g} m with {likely}: change control.crs, control.reference or control.columns"
+        ),
+        one=(
+            "the rays of 1 control point meet {stated:.4g} m from it, {off:.2g} m with {likely}: "
+            "change control.crs, control.reference or control.columns"
+        ),
+        where=where,
+        count=count,
+        stated=stated,
+        off=off,
+        likely=likely,
+    )
+
+
+CONTROL_FAR = Code(
+    "CONTROL-FAR",
+    means=(
+        "The rays of control points meet far from them, and no other reading of the coordinates "
+        "fits."
+    ),
+    effect="No result changes; the run ends with 3.",
+    remedy="Check names, control.crs and control.reference, and the stations.",
+)
+
+
+def control_far(*, where: str, count: int, stated: float, sigma: float) -> Message:
+    """Control points are far from where their rays meet."""
+    return finding(
+        CONTROL_FAR,
+        (
+            "the rays of {count} control points meet {stated:.4g} m from them, in the median "
+            "(sigmas of the stations explain {sigma:.2g} m): points of other names, another "
+            "system (control.crs, control.reference), or stations that are off"
+        ),
+        one=(
+            "the rays of 1 control point meet {stated:.4g} m from it (sigmas of the stations "
+            "explain {sigma:.2g} m): a point of another name, another system (control.crs, "
+            "control.reference), or stations that are off"
+        ),
+        where=where,
+        count=count,
+        stated=stated,
+        sigma=sigma,
+    )
+
+
+CONTROL_OUTLIER = Code(
+    "CONTROL-OUTLIER",
+    means="Single control points are missed far more than the others.",
+    effect="No result changes; the run ends with 3.",
+    remedy="Check these points: name, measurement, survey.",
+)
+
+
+def control_outlier(
+    *, where: str, count: int, total: int, most: float, median: float, names: str
+) -> Message:
+    """Single control points are off."""
+    return finding(
+        CONTROL_OUTLIER,
+        (
+            "{count} of {total} control points lie up to {most:.2g} m off where the others are "
+            "{median:.2g} m off: {names}; a point of another name, measured wrongly, or surveyed "
+            "wrongly"
+        ),
+        one=(
+            "1 of {total} control points lies {most:.2g} m off where the others are {median:.2g} "
+            "m off: {names}; a point of another name, measured wrongly, or surveyed wrongly"
+        ),
+        where=where,
+        count=count,
+        total=total,
+        most=most,
+        median=median,
+        names=names,
+    )
+
+
+CONTROL_NOISE = Code(
+    "CONTROL-NOISE",
+    means=(
+        "The control points scatter, or the stations are known, worse than refraction moves them."
+    ),
+    effect="None; the comparison before and after shows little.",
+    remedy="Use more control, or better stations, to see the effect.",
+)
+
+
+def control_noise(*, where: str, count: int, of: str, noise: float, effect: float) -> Message:
+    """Control points are too noisy to show the refraction."""
+    return warning(
+        CONTROL_NOISE,
+        (
+            "{of} by {noise:.3g} m, and refraction moves them by {effect:.3g} m: no single one "
+            "shows what the correction does"
+        ),
+        where=where,
+        count=count,
+        of=of,
+        noise=noise,
+        effect=effect,
+    )
+
+
+CONTROL_WORSE = Code(
+    "CONTROL-WORSE",
+    means="The correction moves the rays away from the control points.",
+    effect="The correction stands; the run ends with 3.",
+    remedy=(
+        "Check whether calibration, stations or control were adjusted to images with refraction "
+        "in, or whether it was removed before."
+    ),
+)
+
+
+def control_worse(*, where: str, count: int, was: float, now: float) -> Message:
+    """Control points fit worse after the correction."""
+    return finding(
+        CONTROL_WORSE,
+        (
+            "{count} control points are missed by {was:.3g} m before and {now:.3g} m after the "
+            "correction (RMS): their heights, the stations or the calibration were adjusted to "
+            "images with refraction in, or it was removed before (observations.refraction, "
+            "cameras.<name>.calibration)"
+        ),
+        one=(
+            "1 control point is missed by {was:.3g} m before and {now:.3g} m after the "
+            "correction: its height, the stations or the calibration were adjusted to images with "
+            "refraction in, or it was removed before (observations.refraction, "
+            "cameras.<name>.calibration)"
+        ),
+        where=where,
+        count=count,
+        was=was,
+        now=now,
+    )
+
+
+TIES_HEIGHT = Code(
+    "TIES-HEIGHT",
+    means="By tie points the stations, or the points, are at other heights than stated.",
+    effect="R changes with the height; the run ends with 3.",
+    remedy="Check ground.height, ground.reference and the heights of the stations.",
+)
+
+TIES_TIME = Code(
+    "TIES-TIME",
+    means="By tie points the exposures were earlier or later than stated.",
+    effect="Stations are off along the track; the run ends with 3.",
+    remedy=("Check delay_s, the time system (GPS time is 18 s ahead of UTC) and the time zone."),
+)
+
+TIES_FOCAL = Code(
+    "TIES-FOCAL",
+    means="By tie points a principal distance is another than stated.",
+    effect="The correction scales with it; the run ends with 3.",
+    remedy="Check cameras.<name>: f in pixels, of these images.",
+)
+
+TIES_CALIBRATION = Code(
+    "TIES-CALIBRATION",
+    means=(
+        "By tie points a principal point or distortion has another sign or other axes than "
+        "stated, or is that of another camera."
+    ),
+    effect="Rays leave the camera in wrong directions; the run ends with 3.",
+    remedy=(
+        "Check cameras.<name>: cx_px and cy_px from the upper left corner, x to the right, y "
+        "down; distortion, not corrections; the certificate of this camera."
+    ),
+)
+
+TIES_PIXELS = Code(
+    "TIES-PIXELS",
+    means="By tie points x and y are exchanged, or y counts upward.",
+    effect="The corrections point the wrong way; the run ends with 3.",
+    remedy="Check observations.columns.",
+)
+
+TIES_CAMERAS = Code(
+    "TIES-CAMERAS",
+    means="By tie points the images of two cameras are exchanged.",
+    effect="The corrections stand on the wrong cameras; the run ends with 3.",
+    remedy="Exchange them under cameras, mount or events.",
+)
+
+TIES_MOUNT = Code(
+    "TIES-MOUNT",
+    means=("By tie points the angles of a mount are others than stated; the entry gives them."),
+    effect="Nadir angles are wrong by as much; the run ends with 3.",
+    remedy="Check mount.<camera>: degrees, signs, order.",
+)
+
+TIES_RESIDUALS = Code(
+    "TIES-RESIDUALS",
+    means=(
+        "How far the rays of tie points miss each other before adjustment; the refraction of "
+        "us1976 is removed, that of windows is not. As a finding: they meet in part only, and no "
+        "single mistake explains it."
+    ),
+    effect=(
+        "None as a note. As a finding stations or cameras are likely wrong, and the run ends with "
+        "3."
+    ),
+    remedy=("Nothing for a note; for a finding look at the nearest explanations that it lists."),
+)
+
+ORIENTATION_TIES = Code(
+    "ORIENTATION-TIES",
+    means="The rays of tie points do not meet with these orientations, in any reading.",
+    effect="The corrections stand on wrong stations or cameras; the run ends with 3.",
+    remedy="Check that orientations, images and cameras are of one block.",
+)
+
+
+CONTRADICTIONS = {
+    code.name: code
+    for code in (
+        TIES_MOUNT,
+        TIES_HEIGHT,
+        TIES_TIME,
+        TIES_FOCAL,
+        TIES_CALIBRATION,
+        TIES_PIXELS,
+        TIES_CAMERAS,
+    )
+}
+"""Codes of what tie points contradict, by the names that `block.diagnosis` gives."""
+
+
+def ties_contradict(
+    *,
+    code: str,
+    where: str,
+    count: int,
+    mistake: str,
+    decades: float,
+    change: str,
+    residual: float | None,
+) -> Message:
+    """Tie points contradict a part of the mission file.
+
+    ``decades`` : how much likelier they are then, as a power of ten; infinite where no other order
+    is compared. ``residual`` : what rays still miss by, over what sigmas explain; None if little.
+    """
+    text = "{mistake}: by {points}"
+    if decades != float("inf"):
+        text += " this is 10^{decades:.0f} times as likely as what is stated"
+    text += "; change {change}"
+    if residual is not None:
+        text += (
+            "; rays still miss by {residual:.1f} times what the stations' sigmas explain: these "
+            "are too small, or there is another mistake, beside this or in its place"
+        )
+    return finding(
+        CONTRADICTIONS[code],
+        text,
+        where=where,
+        count=count,
+        mistake=mistake,
+        points=Counted(count, "tie point"),
+        decades=decades,
+        change=change,
+        residual=residual if residual is not None else 0.0,
+    )
+
+
+def ties_miss(*, oriented: bool, where: str, count: int, misses: str) -> Message:
+    """How far the rays of tie points miss each other."""
+    code = ORIENTATION_TIES if oriented else TIES_RESIDUALS
+    return note(code, "{misses}", where=where, count=count, misses=misses)
+
+
+def ties_do_not_meet(
+    *, oriented: bool, where: str, count: int, misses: str, nearest: str
+) -> Message:
+    """Rays of tie points do not meet, and no single mistake explains it.
+
+    ``nearest`` : explanations with which they miss each other less; empty where there is none.
+    """
+    text = (
+        "{misses}: the orientations are not what they should be (rows of other images or cameras, "
+        "another convention, log.path of another flight), or the name of a point is not that of "
+        "one point in all images"
+    )
+    if nearest:
+        text += "; nearest comes, though rays still miss then: {nearest}"
+    code = ORIENTATION_TIES if oriented else TIES_RESIDUALS
+    return finding(code, text, where=where, count=count, misses=misses, nearest=nearest)

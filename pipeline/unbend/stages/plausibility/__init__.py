@@ -1,0 +1,1 @@
+"""What looks like a mistake in a mission file: rules whose findings it can accept."""

@@ -1,0 +1,89 @@
+"""Likely causes of the statuses that flag observations, with the keys to look at."""
+
+from collections import Counter
+
+import numpy as np
+
+from unbend.refraction.status_codes import MISSES_GROUND, OUTSIDE_CAMERA
+from unbend.stages.plausibility.facts import Facts
+from unbend.units import Mask
+
+EARTH_RADIUS_M = 6.371e6
+
+KEYS_OF_STATIONS = {
+    "unmatched": "image under events, observations.columns.image",
+    "outside_log": "log.path; time_utc, gps_week or gps_seconds of events.csv.columns; delay_s",
+}
+"""Keys to look at by the status of stations; the log's for others."""
+
+
+def causes_of_statuses(facts: Facts) -> dict[str, str]:
+    """A likely cause of each status that flags rows, with the keys to look at."""
+    column = facts.mission.ground.column
+    columns = facts.mission.observations.columns
+    height = f"column {column} is empty or no height there" if column else "no height is known"
+    causes = {
+        "no_station": cause_of_missing_stations(facts),
+        "no_ground": f"{height} (ground.height)",
+        "bad_measurement": (
+            f"{columns.x_px} or {columns.y_px} is empty or no number (observations.columns)"
+        ),
+        "outside_profile": "their rays leave the profile of the air (ground.height)",
+        "beyond_grazing": "their rays graze the ground (angles of mount)",
+    }
+    if bool((facts.rows.status == MISSES_GROUND).any()):
+        causes["misses_ground"] = cause_of_misses(facts)
+    outside = facts.rows.status == OUTSIDE_CAMERA
+    if bool(outside.any()):
+        causes["outside_camera"] = cause_of_outside(facts, outside)
+    return causes
+
+
+def cause_of_missing_stations(facts: Facts) -> str:
+    """What became of the stations that are not ok, with the keys to look at."""
+    lost = Counter(facts.stations.status[~facts.stations.ok].tolist())
+    listed = []
+    for status, count in lost.items():
+        listed.append(f"{count} {status} ({KEYS_OF_STATIONS.get(status, 'log')})")
+    return f"their stations: {', '.join(listed)}"
+
+
+def cause_of_misses(facts: Facts) -> str:
+    """Why rays miss the ground: how far it lies above the camera, or beyond the horizon."""
+    rows = facts.rows.status == MISSES_GROUND
+    above_m = (facts.rows.h_g_m - facts.camera_height_m)[rows]
+    angle = facts.nadir_angle_rad[rows]
+    below = above_m < 0.0
+    causes = []
+    if bool((~below).any()):
+        heights = above_m[~below]
+        most = f"up to {np.max(heights):.0f} m" if heights.size > 1 else "so far"
+        causes.append(f"the ground lies {most} above the camera (ground.height, ground.reference)")
+    if bool(below.any()):
+        dip = np.arccos(EARTH_RADIUS_M / (EARTH_RADIUS_M - above_m[below]))
+        beyond_deg = np.degrees(angle[below] + dip) - 90.0
+        causes.append(
+            f"rays pass up to {np.nanmax(beyond_deg):.1f} deg beyond the horizon (angles of mount, "
+            "f_px of the camera)"
+        )
+    return "; ".join(causes)
+
+
+def cause_of_outside(facts: Facts, outside: Mask) -> str:
+    """Why pixels are outside a camera: beyond its image, or beyond what its distortion allows."""
+    causes = []
+    for name in np.unique(facts.camera[outside]).tolist():
+        camera = facts.cameras[name]
+        rows = outside & (facts.camera == name)
+        x = facts.rows.x_px[rows]
+        y = facts.rows.y_px[rows]
+        off = (x < 0) | (y < 0) | (x > camera.width_px) | (y > camera.height_px)
+        if off.any():
+            size = facts.key_of(name, "width_px", "format_mm")
+            causes.append(
+                f"outside {camera.width_px} x {camera.height_px} px ({size}; observations.columns)"
+            )
+        if not off.all():
+            key = facts.key_of(name, "distortion", "distortion")
+            causes.append(f"beyond where the distortion of {name} can be inverted ({key})")
+    return "; ".join(causes)

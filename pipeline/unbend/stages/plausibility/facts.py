@@ -1,0 +1,111 @@
+"""What the rules of plausibility look at."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from unbend.atmosphere.estimate.adjusted_profile import Adjustment
+from unbend.config import Mission
+from unbend.flight.stations import Stations
+from unbend.flight.trajectory import Takeoff
+from unbend.refraction.calibration import is_fisheye
+from unbend.refraction.camera.camera import Camera
+from unbend.refraction.effect import Effect, effects_on_r
+from unbend.refraction.image import Exposures
+from unbend.stages.statistics import SampledRows
+from unbend.tables.geodata.elevation import ElevationModel
+from unbend.units import Array, Names
+
+
+@dataclass(frozen=True, eq=False)
+class Facts:
+    """What the rules look at; ``logged_terrain_m`` (s,) is that below stations."""
+
+    mission: Mission
+    stations: Stations
+    exposures: Exposures
+    cameras: Mapping[str, Camera]
+    rows: SampledRows
+    adjustment: Adjustment
+    takeoff: Takeoff | None
+    logged_terrain_m: Array
+    terrain: ElevationModel | None
+
+    @cached_property
+    def model_at_takeoff_m(self) -> float:
+        """The height of the elevation model where the log begins; NaN where unknown."""
+        if self.takeoff is None or self.terrain is None:
+            return math.nan
+        latitude = np.array([self.takeoff.lat_rad])
+        longitude = np.array([self.takeoff.lon_rad])
+        row, column = self.terrain.nodes(latitude, longitude)
+        return float(self.terrain.heights(row, column)[0])
+
+    @cached_property
+    def effects(self) -> tuple[Effect, ...]:
+        """R between the median heights of camera and ground of the rows, beside the standard's."""
+        known = np.isfinite(self.camera_height_m - self.rows.h_g_m)
+        if not known.any():
+            return ()
+        air = self.adjustment
+        h_c = float(np.median(self.camera_height_m[known]))
+        h_g = float(np.median(self.rows.h_g_m[known]))
+        return effects_on_r(air.profile, air.standard, air.covariance, h_c, h_g)
+
+    @cached_property
+    def camera(self) -> Names:
+        """(n,) the camera of each row, empty without one."""
+        return np.append(self.stations.camera, "")[self.rows.station]
+
+    @cached_property
+    def camera_height_m(self) -> Array:
+        """(n,) above sea level."""
+        return np.append(self.exposures.height_m, np.nan)[self.rows.station]
+
+    @cached_property
+    def nadir_angle_rad(self) -> Array:
+        """(n,) of the measured ray in the camera, before the window; NaN outside the camera."""
+        angle = np.full(self.rows.station.size, np.nan)
+        for name, camera in self.cameras.items():
+            rows = np.flatnonzero((self.camera == name) & (self.rows.station >= 0))
+            u, v, _ = camera.rays(self.rows.x_px[rows], self.rows.y_px[rows])
+            up = self.exposures.rotation[self.rows.station[rows], :, 2]
+            length = np.sqrt(u * u + v * v + 1.0)
+            cosine = -(up[:, 0] * u + up[:, 1] * v + up[:, 2]) / length
+            angle[rows] = np.arccos(np.clip(cosine, -1.0, 1.0))
+        return angle
+
+    def axis_deg(self, name: str) -> float:
+        """The median nadir angle of a camera's axis [deg]; NaN without stations."""
+        rows = (self.stations.camera == name) & self.stations.ok
+        cosine = -self.exposures.rotation[rows, 2, 2]
+        cosine = np.clip(cosine[np.isfinite(cosine)], -1.0, 1.0)
+        if not cosine.size:
+            return math.nan
+        return float(np.degrees(np.median(np.arccos(cosine))))
+
+    def of_camera(self, name: str, values: Array) -> Array:
+        """The finite values of the rows of one camera."""
+        values = values[self.camera == name]
+        return np.asarray(values[np.isfinite(values)])
+
+    def key_of(self, name: str, number: str, report: str) -> str:
+        """The key of a part of a camera, by how the mission file gives its orientation."""
+        section = self.mission.cameras[name]
+        if section.model is not None:
+            size = "width_px, " if number == "width_px" else ""
+            return f"cameras.{name}, {size}params or file"
+        if section.metric is not None:
+            return f"cameras.{name}.metric.{report}"
+        return f"cameras.{name}.{number}"
+
+    def view_deg(self, name: str) -> float:
+        """The field of view over the diagonal [deg], as if without distortion."""
+        camera = self.cameras[name]
+        half = math.hypot(camera.width_px / camera.fx_px, camera.height_px / camera.fy_px) / 2.0
+        if is_fisheye(camera):  # equidistant: its corners often lie beyond its circle
+            return 2.0 * math.degrees(half)
+        return 2.0 * math.degrees(math.atan(half))

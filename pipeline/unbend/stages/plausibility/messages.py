@@ -1,0 +1,554 @@
+"""Messages about what looks like a mistake in a mission file."""
+
+from unbend.errors import Code, MissionError
+from unbend.messages import Message, finding, warning
+
+PLAUSIBLE_GROUND = Code(
+    "PLAUSIBLE-GROUND",
+    means="The ground lies far above or below the take-off.",
+    effect="The correction stands; the run ends with 3.",
+    remedy=(
+        "Check ground.height and ground.reference: feet, another zero; or accept it with the "
+        "reason."
+    ),
+)
+
+PLAUSIBLE_TERRAIN = Code(
+    "PLAUSIBLE-TERRAIN",
+    means=(
+        "The ground heights contradict the terrain that the autopilot logged, or the elevation "
+        "model at the take-off."
+    ),
+    effect="The correction stands; the run ends with 3.",
+    remedy="Check ground.height and ground.reference.",
+)
+
+PLAUSIBLE_VIEW = Code(
+    "PLAUSIBLE-VIEW",
+    means="The field of view or the pixels of a camera are implausible.",
+    effect="The correction stands; the run ends with 3.",
+    remedy="Give f in pixels, of the images that were measured.",
+)
+
+
+def field_of_view(
+    *,
+    where: str,
+    name: str,
+    view: float,
+    width_px: int,
+    height_px: int,
+    fx_px: float,
+    least: float,
+    most: float,
+) -> Message:
+    """A field of view that no such camera has."""
+    return finding(
+        PLAUSIBLE_VIEW,
+        (
+            "camera {name} sees {view:.3g} deg over the diagonal of {width_px} x {height_px} px "
+            "with f of {fx_px:g} px, expected {least:g} to {most:g} deg: likely f in millimetres, "
+            "or that of other pixels (f_px, fx_px, params, metric.pixel_um)"
+        ),
+        where=where,
+        name=name,
+        view=view,
+        width_px=width_px,
+        height_px=height_px,
+        fx_px=fx_px,
+        least=least,
+        most=most,
+    )
+
+
+def pixels_not_square(*, where: str, name: str, fx_px: float, fy_px: float) -> Message:
+    """Pixels that are not square."""
+    return finding(
+        PLAUSIBLE_VIEW,
+        (
+            "fx of camera {name} is {fx_px:g} px and fy {fy_px:g} px, expected within 2 %: likely "
+            "the value of another camera or unit"
+        ),
+        where=where,
+        name=name,
+        fx_px=fx_px,
+        fy_px=fy_px,
+    )
+
+
+PLAUSIBLE_PRINCIPAL_POINT = Code(
+    "PLAUSIBLE-PRINCIPAL-POINT",
+    means="The principal point is more than a tenth of the image from its centre.",
+    effect="The correction stands; the run ends with 3.",
+    remedy="Give pixels from the upper left corner, not an offset or millimetres.",
+)
+
+
+def principal_point_off(
+    *, where: str, name: str, cx_px: float, cy_px: float, percent: float
+) -> Message:
+    """A principal point far from the centre of the image."""
+    return finding(
+        PLAUSIBLE_PRINCIPAL_POINT,
+        (
+            "the principal point of {name} at {cx_px:g}, {cy_px:g} px is {percent:.0f} % of the "
+            "image from its centre, expected up to 10 %: likely an offset from the centre, "
+            "millimetres, or width_px and height_px exchanged"
+        ),
+        where=where,
+        name=name,
+        cx_px=cx_px,
+        cy_px=cy_px,
+        percent=percent,
+    )
+
+
+PLAUSIBLE_DISTORTION = Code(
+    "PLAUSIBLE-DISTORTION",
+    means=(
+        "The distortion moves the corners of the image impossibly far, or hardly at all; or its "
+        "coefficients stand in another order."
+    ),
+    effect="The correction stands; the run ends with 3.",
+    remedy="Check units (of tangents, not pixels) and the order k1, k2, p1, p2, k3.",
+)
+
+
+def distortion_size(*, where: str, name: str, share: float) -> Message:
+    """A distortion that is too small or too large."""
+    return finding(
+        PLAUSIBLE_DISTORTION,
+        (
+            "the distortion of {name} moves the corners of the image by {share:.2g} of their "
+            "radius, expected 1e-6 to 0.3: likely coefficients of pixels or millimetres, not of "
+            "tangents"
+        ),
+        where=where,
+        name=name,
+        share=share,
+    )
+
+
+def distortion_order(*, where: str, name: str, most: float) -> Message:
+    """Coefficients of a distortion in another order."""
+    return finding(
+        PLAUSIBLE_DISTORTION,
+        (
+            "p1 or p2 of {name} is {most:g}, expected below 0.001: likely coefficients in another "
+            "order (k1, k2, p1, p2, k3; params)"
+        ),
+        where=where,
+        name=name,
+        most=most,
+    )
+
+
+PLAUSIBLE_EXTENT = Code(
+    "PLAUSIBLE-EXTENT",
+    means=(
+        "The observations do not fill the image, or leave it: they are of images of another size."
+    ),
+    effect="The correction stands; the run ends with 3.",
+    remedy=("Check width_px and height_px, and whether points were measured in reduced images."),
+)
+
+
+def extent_of_observations(
+    *,
+    where: str,
+    name: str,
+    x: str,
+    y: str,
+    width_px: int,
+    height_px: int,
+    outside: float,
+    expected: str,
+    mistake: str,
+) -> Message:
+    """Observations that do not fill the image, or lie outside it."""
+    return finding(
+        PLAUSIBLE_EXTENT,
+        (
+            "observations of {name} span x {x} and y {y} in an image of {width_px} x {height_px} "
+            "px, {outside:.0f} % outside it, expected {expected}: likely {mistake} (width_px, "
+            "height_px; observations.columns.x_px, y_px)"
+        ),
+        where=where,
+        name=name,
+        x=x,
+        y=y,
+        width_px=width_px,
+        height_px=height_px,
+        outside=outside,
+        expected=expected,
+        mistake=mistake,
+    )
+
+
+PLAUSIBLE_DIRECTION = Code(
+    "PLAUSIBLE-DIRECTION",
+    means="A camera looks where its name or the horizon does not allow.",
+    effect="The correction stands; the run ends with 3.",
+    remedy="Check the mount: degrees, signs, exchanged cameras.",
+)
+
+
+def camera_direction(*, where: str, name: str, axis: float, expected: str) -> Message:
+    """A camera that does not look where it should."""
+    return finding(
+        PLAUSIBLE_DIRECTION,
+        (
+            "the axis of {name} is {axis:.1f} deg from the nadir in the median, expected "
+            "{expected} ({where})"
+        ),
+        where=where,
+        name=name,
+        axis=axis,
+        expected=expected,
+    )
+
+
+PLAUSIBLE_ANGLE = Code(
+    "PLAUSIBLE-ANGLE",
+    means="A mount angle is a multiple of 15 degrees if it is read in radians.",
+    effect="The correction stands; the run ends with 3.",
+    remedy="State mount angles in degrees.",
+)
+
+
+def angle_in_radians(*, where: str, angle: str, name: str, value: float, deg: float) -> Message:
+    """An angle that looks like radians."""
+    return finding(
+        PLAUSIBLE_ANGLE,
+        (
+            "{angle} of {name} is {value:g}, which is {deg:.0f} deg in radians: likely radians, "
+            "expected degrees"
+        ),
+        where=where,
+        angle=angle,
+        name=name,
+        value=value,
+        deg=deg,
+    )
+
+
+PLAUSIBLE_LEVER_ARM = Code(
+    "PLAUSIBLE-LEVER-ARM",
+    means=("A lever arm is longer than 10 m, or puts a camera that looks down above the antenna."),
+    effect="The correction stands; the run ends with 3.",
+    remedy="Give metres, forward, right, down (down is positive).",
+)
+
+
+def lever_arm_long(*, where: str, name: str, length: float) -> Message:
+    """A lever arm that is too long."""
+    return finding(
+        PLAUSIBLE_LEVER_ARM,
+        (
+            "the lever arm of {name} is {length:.0f} m long, expected less than 10 m: likely "
+            "centimetres or millimetres"
+        ),
+        where=where,
+        name=name,
+        length=length,
+    )
+
+
+def lever_arm_above(*, where: str, name: str, up: float, most: float) -> Message:
+    """A camera that looks down from above the antenna."""
+    return finding(
+        PLAUSIBLE_LEVER_ARM,
+        (
+            "{name} looks down and lies {up:.2g} m above the point whose position is known, "
+            "expected below it or up to {most:g} m above: likely a third number that counts "
+            "upward, here down is positive"
+        ),
+        where=where,
+        name=name,
+        up=up,
+        most=most,
+    )
+
+
+PLAUSIBLE_SIGMA = Code(
+    "PLAUSIBLE-SIGMA",
+    means="The sigma of the ground is more than 50 m.",
+    effect="The sigmas follow it; the run ends with 3.",
+    remedy="Give metres, and the sigma, not the height.",
+)
+
+
+def ground_sigma_large(*, where: str, sigma: float) -> Message:
+    """A standard deviation of the ground that is too large."""
+    return finding(
+        PLAUSIBLE_SIGMA,
+        (
+            "sigma_m of the ground is {sigma:g} m, expected below 50 m: likely millimetres or "
+            "centimetres, or the height itself"
+        ),
+        where=where,
+        sigma=sigma,
+    )
+
+
+PLAUSIBLE_DELAY = Code(
+    "PLAUSIBLE-DELAY",
+    means="delay_s is more than a second.",
+    effect="The correction stands; the run ends with 3.",
+    remedy="Give seconds, not milliseconds; the offset of a clock goes elsewhere.",
+)
+
+
+def delay_large(*, where: str, name: str, delay: float) -> Message:
+    """A delay of more than a second."""
+    return finding(
+        PLAUSIBLE_DELAY,
+        (
+            "delay_s of {name} is {delay:g} s, expected below 1 s: likely milliseconds, or the "
+            "offset of a clock"
+        ),
+        where=where,
+        name=name,
+        delay=delay,
+    )
+
+
+PLAUSIBLE_WINDOW = Code(
+    "PLAUSIBLE-WINDOW",
+    means=(
+        "A cabin is logged and no camera has a window, or a window leans more than 35 degrees "
+        "from the optical axis."
+    ),
+    effect="The correction stands; the run ends with 3.",
+    remedy="Check window.normal and window.frame, or leave the cabin's channels out.",
+)
+
+
+def window_missing(*, where: str) -> Message:
+    """The air of a cabin is logged, and no camera has a window."""
+    return finding(
+        PLAUSIBLE_WINDOW,
+        (
+            "log.channels.cabin_pressure is named, and no camera has a window: expected a window, "
+            "or no channel of a cabin"
+        ),
+        where=where,
+    )
+
+
+def window_leans(*, where: str, name: str, tilt: float) -> Message:
+    """A window that leans far from the optical axis."""
+    return finding(
+        PLAUSIBLE_WINDOW,
+        (
+            "the window of {name} leans {tilt:.0f} deg from the optical axis, expected less than "
+            "35 deg: likely a normal in the frame of the body (normal, frame)"
+        ),
+        where=where,
+        name=name,
+        tilt=tilt,
+    )
+
+
+PLAUSIBLE_DISTANCE = Code(
+    "PLAUSIBLE-DISTANCE",
+    means="Slant ranges do not fit the heights of camera and ground.",
+    effect="The correction stands; the run ends with 3.",
+    remedy="Check their unit (metres), and ground.height.",
+)
+
+
+def slant_ranges_off(*, where: str, ratio: float) -> Message:
+    """Slant ranges that do not fit the heights."""
+    return finding(
+        PLAUSIBLE_DISTANCE,
+        (
+            "slant ranges are {ratio:.3g} times what the heights of camera and ground give in the "
+            "median, expected 1: likely feet or km, or another ground.height"
+        ),
+        where=where,
+        ratio=ratio,
+    )
+
+
+PLAUSIBLE_FLAGGED = Code(
+    "PLAUSIBLE-FLAGGED",
+    means="More than a fifth of the rows are flagged for one cause.",
+    effect="These rows have no corrected values; the run ends with 3.",
+    remedy="Follow the cause that the entry names.",
+)
+
+
+def many_flagged(*, where: str, percent: float, name: str, most: float, cause: str) -> Message:
+    """Too many observations flagged for one cause."""
+    return finding(
+        PLAUSIBLE_FLAGGED,
+        "{percent:.0f} % of the observations are {name}, expected at most {most:.0f} %: {cause}",
+        where=where,
+        percent=percent,
+        name=name,
+        most=most,
+        cause=cause,
+    )
+
+
+PLAUSIBLE_AIR = Code(
+    "PLAUSIBLE-AIR",
+    means="R differs from that of US 1976 by more than a factor of 1.5: no air does that.",
+    effect="The correction stands; the run ends with 3.",
+    remedy="Check the channels of pressure and temperature: another sensor or unit.",
+)
+
+
+def air_implausible(
+    *, where: str, nadir_deg: float, h_c_m: float, h_g_m: float, factor: float
+) -> Message:
+    """A refraction far from that of the standard atmosphere."""
+    return finding(
+        PLAUSIBLE_AIR,
+        (
+            "R at {nadir_deg:.0f} deg from {h_c_m:.0f} to {h_g_m:.0f} m is {factor:.2f} times "
+            "that in the standard atmosphere, expected 0.67 to 1.5: likely a barometer or "
+            "thermometer of another place or unit (log.channels.pressure, "
+            "log.channels.temperature)"
+        ),
+        where=where,
+        nadir_deg=nadir_deg,
+        h_c_m=h_c_m,
+        h_g_m=h_g_m,
+        factor=factor,
+    )
+
+
+PLAUSIBLE_APPLY = Code(
+    "PLAUSIBLE-APPLY",
+    means=(
+        "direction is apply, and the stations are those of a log: measured observations would get "
+        "refraction twice."
+    ),
+    effect="The run ends with 3.",
+    remedy="Set refraction.direction: remove, or accept the finding for a plan.",
+)
+
+
+def refraction_applied_twice(*, where: str) -> Message:
+    """Refraction is applied to observations that were measured."""
+    return finding(
+        PLAUSIBLE_APPLY,
+        (
+            "direction is apply, and the stations are those of a log: refraction would be put "
+            "twice into observations that were measured; expected remove"
+        ),
+        where=where,
+    )
+
+
+DEM_UNVERIFIED = Code(
+    "DEM-UNVERIFIED",
+    means=(
+        "Neither tie points nor logged terrain nor the take-off can verify the elevation model."
+    ),
+    effect=(
+        "None; were the model of another place, zone or datum, or upside down, no check would say "
+        "so."
+    ),
+    remedy=(
+        "Compare the model with known heights; give points measured in two or more images, or the "
+        "log from before take-off."
+    ),
+)
+
+
+def model_unverified(*, where: str) -> Message:
+    """Nothing can contradict the elevation model."""
+    return warning(
+        DEM_UNVERIFIED,
+        (
+            "nothing in this mission can verify the elevation model: there are no 10 points in "
+            "two or more images, no terrain that the autopilot logged, and no log that begins on "
+            "the model, standing; heights of another datum, another place or another UTM zone, or "
+            "upside down, would look the same: compare it with known heights"
+        ),
+        where=where,
+    )
+
+
+ACCEPT_LOSS = Code(
+    "ACCEPT-LOSS",
+    means=(
+        "The mission file accepts the code of a loss. Losses are data that is missing or flagged, "
+        "whatever the reason."
+    ),
+    effect="The mission is refused.",
+    remedy=(
+        "Mend what leads to the loss, and leave its code out of accept; only findings can be "
+        "accepted."
+    ),
+)
+
+
+def loss_accepted(*, where: str, accepted_code: str) -> MissionError:
+    """The mission file accepts the code of a loss."""
+    return MissionError(
+        ACCEPT_LOSS,
+        "{accepted_code} is a loss: data is missing or flagged whatever the reason is",
+        where=where,
+        accepted_code=accepted_code,
+        remedy="mend what leads to it; findings can be accepted, losses cannot",
+    )
+
+
+ACCEPT_UNUSED = Code(
+    "ACCEPT-UNUSED",
+    means="The mission file accepts a finding that this run does not have.",
+    effect="None; the entry under accept does nothing.",
+    remedy="Remove it from accept, so that it does not hide the finding later.",
+)
+
+
+def accepted_code_unused(*, where: str, accepted_code: str) -> Message:
+    """The mission file accepts what is not found."""
+    return warning(
+        ACCEPT_UNUSED,
+        "nothing is found that {accepted_code} accepts",
+        where=where,
+        accepted_code=accepted_code,
+    )
+
+
+_OFF = (
+    "the ground lies {height_m:.0f} m above sea level in the median, {off_m:+.0f} m from "
+    "{reference}: expected within {allowed_m:.0f} m; likely {likely}"
+)
+
+
+def ground_off(
+    *, where: str, height_m: float, off_m: float, reference: str, allowed_m: float, likely: str
+) -> Message:
+    """The ground of the observations is not where the take-off says."""
+    return finding(
+        PLAUSIBLE_GROUND,
+        _OFF,
+        where=where,
+        height_m=height_m,
+        off_m=off_m,
+        reference=reference,
+        allowed_m=allowed_m,
+        likely=likely,
+    )
+
+
+def terrain_off(
+    *, where: str, height_m: float, off_m: float, reference: str, allowed_m: float, likely: str
+) -> Message:
+    """The ground is not where logged terrain, or the elevation model, has it."""
+    return finding(
+        PLAUSIBLE_TERRAIN,
+        _OFF,
+        where=where,
+        height_m=height_m,
+        off_m=off_m,
+        reference=reference,
+        allowed_m=allowed_m,
+        likely=likely,
+    )

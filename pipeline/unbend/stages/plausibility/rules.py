@@ -1,0 +1,380 @@
+"""The rules: each looks at one thing, and says what it found, expected, and the likely mistake."""
+
+import math
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from unbend.flight.trajectory import Takeoff
+from unbend.geodesy import wrapped
+from unbend.messages import Message
+from unbend.refraction.calibration import is_fisheye
+from unbend.refraction.status_codes import STATUS_NAMES
+from unbend.stages.plausibility import messages
+from unbend.stages.plausibility.causes import EARTH_RADIUS_M, causes_of_statuses
+from unbend.stages.plausibility.facts import Facts
+from unbend.units import Array
+
+Findings = Iterator[Message]
+"""Messages whose ``where`` is the key of the mission file to change."""
+
+TAKEOFF_NEAR_KM = 30.0  # farther away the take-off says nothing about the ground
+GROUND_ALLOWED_M = 300.0  # between the ground and the take-off, beside it
+GROUND_ALLOWED_M_PER_KM = 20.0  # and more with the distance
+TERRAIN_ALLOWED_M = 50.0  # between the ground and terrain at the same place
+SEES_STATION_RAD = 0.5  # rays within so much of the nadir see the ground near their station
+MOST_FLAGGED = 0.2  # share of the rows, for one cause
+LARGEST_EFFECT = 1.5  # R over that in the standard atmosphere, or below its inverse
+MANY_ROWS = 100  # that fill an image
+HIGHEST_CAMERA_M = 0.25  # above an antenna, which has the sky above it, or an inertial sensor
+LONGEST_LEVER_ARM_M = 10.0
+LARGEST_GROUND_SIGMA_M = 50.0
+LONGEST_DELAY_S = 1.0
+MOST_WINDOW_TILT_DEG = 35.0
+METRES_OF_A_FOOT = 0.3048
+
+
+def ground_beside_takeoff(facts: Facts) -> Findings:
+    """The ground within 300 m of the take-off, and 20 m for each km from it, to 30 km."""
+    takeoff = facts.takeoff
+    ground = facts.rows.h_g_m
+    if takeoff is None or not np.isfinite(ground).any() or not facts.stations.ok.any():
+        return
+    km = median_distance_km(facts, takeoff)
+    if km > TAKEOFF_NEAR_KM:
+        return
+    column = facts.mission.ground.column
+    key = "ground.height" + (f", column {column}" if column else "")
+    height_m = float(np.nanmedian(ground))
+    off_m = height_m - takeoff.h_msl_m
+    allowed_m = GROUND_ALLOWED_M + GROUND_ALLOWED_M_PER_KM * km
+    if abs(off_m) > allowed_m:
+        yield messages.ground_off(
+            where=key,
+            height_m=height_m,
+            off_m=off_m,
+            reference=f"the take-off, {km:.0f} km away",
+            allowed_m=allowed_m,
+            likely=likely_reading(off_m, height_m, takeoff.h_msl_m),
+        )
+
+
+def median_distance_km(facts: Facts, takeoff: Takeoff) -> float:
+    """How far the stations are from the take-off, in the median [km]."""
+    ok = facts.stations.ok
+    north = (facts.stations.lat_rad[ok] - takeoff.lat_rad) * EARTH_RADIUS_M
+    parallel_m = math.cos(takeoff.lat_rad) * EARTH_RADIUS_M
+    east = wrapped(facts.stations.lon_rad[ok] - takeoff.lon_rad) * parallel_m
+    return float(np.median(np.hypot(north, east))) / 1000.0
+
+
+def ground_beside_terrain(facts: Facts) -> Findings:
+    """The ground within 50 m, and its scatter, of the terrain that the autopilot logged.
+
+    Rows within 29 deg of the nadir count, which see the ground near their station.
+    """
+    terrain = np.append(facts.logged_terrain_m, np.nan)[facts.rows.station]
+    near = facts.nadir_angle_rad < SEES_STATION_RAD
+    apart_m = np.where(near, facts.rows.h_g_m, np.nan) - terrain
+    known = np.isfinite(apart_m)
+    if not known.any():
+        return
+    low, middle, high = np.percentile(apart_m[known], [16.0, 50.0, 84.0]).tolist()
+    allowed_m = TERRAIN_ALLOWED_M + (high - low) / 2.0
+    if abs(middle) > allowed_m:
+        height_m = float(np.median(terrain[known])) + middle
+        yield messages.terrain_off(
+            where=key_of_ground(facts),
+            height_m=height_m,
+            off_m=middle,
+            reference=f"the terrain that the autopilot logged, in {known.sum()} rows",
+            allowed_m=allowed_m,
+            likely=likely_reading(middle, height_m, takeoff_height_m(facts)),
+        )
+
+
+def model_beside_takeoff(facts: Facts) -> Findings:
+    """The elevation model within 50 m of the take-off, where the log begins, standing."""
+    takeoff = facts.takeoff
+    model_m = facts.model_at_takeoff_m
+    if takeoff is None or not takeoff.stands or not np.isfinite(model_m):
+        return
+    off_m = model_m - takeoff.h_msl_m
+    if abs(off_m) > TERRAIN_ALLOWED_M:
+        yield messages.terrain_off(
+            where=key_of_ground(facts),
+            height_m=model_m,
+            off_m=off_m,
+            reference="the take-off, by the elevation model where the log begins",
+            allowed_m=TERRAIN_ALLOWED_M,
+            likely=likely_reading(off_m, model_m, takeoff.h_msl_m),
+        )
+
+
+def key_of_ground(facts: Facts) -> str:
+    """The keys of ground heights and of what they count from."""
+    column = facts.mission.ground.column
+    named = f", column {column}" if column else ""
+    return f"ground.height{named}; ground.reference"
+
+
+def takeoff_height_m(facts: Facts) -> float:
+    """The height of the take-off above sea level, 0 where unknown."""
+    return 0.0 if facts.takeoff is None else facts.takeoff.h_msl_m
+
+
+def likely_reading(off_m: float, ground_m: float, takeoff_m: float) -> str:
+    """What ground heights [m] likely are, that lie ``off_m`` above where they are expected."""
+    above = {
+        "feet": ground_m - ground_m * METRES_OF_A_FOOT,
+        "km": ground_m - ground_m * 1000.0,
+        "heights above the take-off (ground.reference: relative)": -takeoff_m,
+        "heights above sea level, not relative ones (ground.reference)": takeoff_m,
+    }
+    best = min(above, key=lambda reading: abs(above[reading] - off_m))
+    if ground_m == 0.0 or abs(above[best] - off_m) > 0.5 * abs(off_m):
+        return "another height, datum or unit than that of ground.height"
+    return best
+
+
+def field_of_view(facts: Facts) -> Findings:
+    """A diagonal field of view between 3 and 130 deg (fisheyes 60 and 300), and square pixels."""
+    for name, camera in facts.cameras.items():
+        view = facts.view_deg(name)
+        key = facts.key_of(name, "fx_px", "focal_mm")
+        least, most = (60.0, 300.0) if is_fisheye(camera) else (3.0, 130.0)
+        if not least <= view <= most:
+            yield messages.field_of_view(
+                where=key,
+                name=name,
+                view=view,
+                width_px=camera.width_px,
+                height_px=camera.height_px,
+                fx_px=camera.fx_px,
+                least=least,
+                most=most,
+            )
+        if abs(camera.fx_px / camera.fy_px - 1.0) > 0.02:
+            yield messages.pixels_not_square(
+                where=key, name=name, fx_px=camera.fx_px, fy_px=camera.fy_px
+            )
+
+
+def principal_point(facts: Facts) -> Findings:
+    """The principal point within a tenth of the image from its centre."""
+    for name, camera in facts.cameras.items():
+        off_x = abs(camera.cx_px / camera.width_px - 0.5)
+        off_y = abs(camera.cy_px / camera.height_px - 0.5)
+        off = max(off_x, off_y)
+        if off > 0.1:
+            yield messages.principal_point_off(
+                where=facts.key_of(name, "cx_px", "origin"),
+                name=name,
+                cx_px=camera.cx_px,
+                cy_px=camera.cy_px,
+                percent=100.0 * off,
+            )
+
+
+def distortion(facts: Facts) -> Findings:
+    """At the corners between 1e-6 and a third of the radius, and tangential less than radial."""
+    for name, camera in facts.cameras.items():
+        values = {k: v for k, v in camera.distortion._asdict().items() if v}
+        view = facts.view_deg(name)
+        if not values or view > 130.0 or is_fisheye(camera):
+            continue
+        u = np.array([0.5, 0.5, -0.5, -0.5]) * camera.width_px / camera.fx_px
+        v = np.array([0.5, -0.5, 0.5, -0.5]) * camera.height_px / camera.fy_px
+        u_d, v_d = camera.distort(u, v)
+        share = float(np.max(np.hypot(u_d - u, v_d - v) / np.hypot(u, v)))
+        largest = 0.3 if view < 90.0 else 1.0
+        if share != 0.0 and not 1e-6 <= share <= largest:
+            key = facts.key_of(name, "distortion", "distortion")
+            yield messages.distortion_size(where=key, name=name, share=share)
+        tangential = max(abs(values.get("p1", 0.0)), abs(values.get("p2", 0.0)))
+        if tangential > 1e-3 and tangential > 3.0 * abs(values.get("k3", 0.0)):
+            key = facts.key_of(name, "distortion.k3", "distortion")
+            yield messages.distortion_order(where=key, name=name, most=tangential)
+
+
+def extent_of_observations(facts: Facts) -> Findings:
+    """Observations that fill the image, and hardly any outside it."""
+    for name, camera in facts.cameras.items():
+        rows = (facts.camera == name) & np.isfinite(facts.rows.x_px + facts.rows.y_px)
+        x = facts.rows.x_px[rows]
+        y = facts.rows.y_px[rows]
+        if x.size == 0:
+            continue
+        width = camera.width_px
+        height = camera.height_px
+        outside = float(np.mean((x < 0) | (x > width) | (y < 0) | (y > height)))
+        if outside > 0.01:
+            expected = "none outside"
+            mistake = likely_extent(x, y, width, height)
+        else:
+            filled = max(x.max() / width, y.max() / height)
+            if x.size < MANY_ROWS or filled >= 0.7:
+                continue
+            expected = "to fill it"
+            mistake = "measured in reduced images"
+        yield messages.extent_of_observations(
+            where=f"cameras.{name}.width_px",
+            name=name,
+            width_px=width,
+            height_px=height,
+            x=f"{x.min():.6g} to {x.max():.6g}",
+            y=f"{y.min():.6g} to {y.max():.6g}",
+            outside=100.0 * outside,
+            expected=expected,
+            mistake=mistake,
+        )
+
+
+def likely_extent(x: Array, y: Array, width: int, height: int) -> str:
+    """What pixels likely are that lie outside an image."""
+    if x.min() < -0.2 * width and y.min() < -0.2 * height:
+        return "counted from the centre of the image, not from its upper left corner"
+    if x.max() <= height and y.max() <= width:
+        return "width and height, or x and y, exchanged"
+    return "millimetres, or images of another size"
+
+
+def direction_of_cameras(facts: Facts) -> Findings:
+    """Cameras that look down, and those whose name says where they look."""
+    for name in facts.cameras:
+        axis = facts.axis_deg(name)
+        half_view = facts.view_deg(name) / 2.0
+        named_nadir = any(word in name.lower() for word in ("nadir", "down", "vertical"))
+        expected = ""
+        if axis > 90.0 - min(half_view, 10.0):
+            expected = "down: likely 0 for a camera that looks down, not -90"
+        elif axis > 30.0 and named_nadir:
+            expected = f"within 30 deg of the nadir by the name of {name}"
+        elif axis < 10.0 and "oblique" in name.lower():
+            expected = f"more than 10 deg off by the name of {name}: likely radians, or exchanged"
+        if expected:
+            key = facts.mission.attitude_key(name)
+            yield messages.camera_direction(where=key, name=name, axis=axis, expected=expected)
+
+
+def angles_of_mounts(facts: Facts) -> Findings:
+    """Angles in degrees: none that is a multiple of 15 deg in radians."""
+    for name, mount in facts.mission.mount.items():
+        for key in ("roll_deg", "pitch_deg", "yaw_deg"):
+            value = getattr(mount, key)
+            degrees = math.degrees(value)
+            steps = degrees / 15.0
+            if value and abs(value) <= math.tau and abs(steps - round(steps)) < 2e-3:
+                yield messages.angle_in_radians(
+                    where=f"mount.{name}.{key}", name=name, angle=key, value=value, deg=degrees
+                )
+
+
+def lever_arms(facts: Facts) -> Findings:
+    """Lever arms of less than 10 m, and no camera that looks down above the antenna."""
+    for name, mount in facts.mission.mount.items():
+        key = f"mount.{name}.lever_arm_m"
+        length = math.hypot(*mount.lever_arm_m)
+        if length > LONGEST_LEVER_ARM_M:
+            yield messages.lever_arm_long(where=key, name=name, length=length)
+        up = -mount.lever_arm_m[2]
+        looks_down = facts.mission.mounts[name].camera_from_body[2, 2] > 0.5
+        if up > HIGHEST_CAMERA_M and looks_down:
+            yield messages.lever_arm_above(where=key, name=name, up=up, most=HIGHEST_CAMERA_M)
+
+
+def sigmas_and_delays(facts: Facts) -> Findings:
+    """Sigmas of the ground below 50 m, and delays below a second."""
+    mission = facts.mission
+    sigma = mission.ground.sigma_m or 0.0
+    if sigma > LARGEST_GROUND_SIGMA_M:
+        yield messages.ground_sigma_large(where="ground.sigma_m", sigma=sigma)
+    if mission.events is None or mission.events.log is None:
+        return
+    for name, source in mission.events.log.items():
+        if isinstance(source.delay_s, float) and abs(source.delay_s) > LONGEST_DELAY_S:
+            key = f"events.log.{name}.delay_s"
+            yield messages.delay_large(where=key, name=name, delay=source.delay_s)
+
+
+def windows(facts: Facts) -> Findings:
+    """Windows where a cabin is logged, and square within 35 deg to the camera they belong to."""
+    mission = facts.mission
+    channel = None if mission.log is None else mission.log.channels.cabin_pressure
+    if channel is not None and not mission.windows:
+        first = next(iter(mission.cameras))
+        yield messages.window_missing(where=f"cameras.{first}.window")
+    for name, window in mission.windows.items():
+        if window.frame != "camera":
+            continue
+        tilt = math.degrees(math.acos(window.normal[2]))
+        if tilt > MOST_WINDOW_TILT_DEG:
+            yield messages.window_leans(where=f"cameras.{name}.window.frame", name=name, tilt=tilt)
+
+
+def slant_ranges(facts: Facts) -> Findings:
+    """Slant ranges that fit the heights of camera and ground."""
+    straight = (facts.camera_height_m - facts.rows.h_g_m) / np.cos(facts.nadir_angle_rad)
+    ratio = facts.rows.distance_m / straight
+    ratio = ratio[np.isfinite(ratio) & (facts.nadir_angle_rad < 1.4)]
+    if not ratio.size:
+        return
+    median = float(np.median(ratio))
+    if not 0.7 < median < 1.4:
+        yield messages.slant_ranges_off(where="observations.columns.distance_m", ratio=median)
+
+
+def flagged_rows(facts: Facts) -> Findings:
+    """No more than a fifth of the rows flagged for one cause."""
+    weight = facts.rows.weight
+    for name, cause in causes_of_statuses(facts).items():
+        flagged = facts.rows.status == STATUS_NAMES.index(name)
+        share = float(np.sum(weight[flagged]) / np.sum(weight))
+        if share > MOST_FLAGGED:
+            yield messages.many_flagged(
+                where="observations",
+                percent=100.0 * share,
+                name=name,
+                most=100.0 * MOST_FLAGGED,
+                cause=cause,
+            )
+
+
+def air_of_flight(facts: Facts) -> Findings:
+    """R within a factor of 1.5 of that in US 1976 between the same heights."""
+    for effect in facts.effects[:1]:
+        if not 1.0 / LARGEST_EFFECT < effect.factor < LARGEST_EFFECT:
+            yield messages.air_implausible(
+                where="atmosphere",
+                nadir_deg=effect.nadir_deg,
+                h_c_m=effect.h_c_m,
+                h_g_m=effect.h_g_m,
+                factor=effect.factor,
+            )
+
+
+def measured_observations(facts: Facts) -> Findings:
+    """Refraction is applied to observations for plans, not to those of a flight with a log."""
+    mission = facts.mission
+    if mission.refraction.direction == "apply" and mission.stations.orientation is None:
+        yield messages.refraction_applied_twice(where="refraction.direction")
+
+
+RULES: tuple[Callable[[Facts], Findings], ...] = (
+    ground_beside_takeoff,
+    ground_beside_terrain,
+    model_beside_takeoff,
+    field_of_view,
+    principal_point,
+    distortion,
+    extent_of_observations,
+    direction_of_cameras,
+    angles_of_mounts,
+    lever_arms,
+    sigmas_and_delays,
+    windows,
+    slant_ranges,
+    flagged_rows,
+    air_of_flight,
+    measured_observations,
+)

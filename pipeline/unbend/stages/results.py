@@ -1,0 +1,330 @@
+"""The record of a mission's results, for its manifest."""
+
+import math
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from unbend.atmosphere.estimate.sensors import FAULT_TEXTS
+from unbend.atmosphere.estimate.solver import FaultEstimate
+from unbend.atmosphere.series.time_windows import TimeWindow
+from unbend.config import Mission
+from unbend.exit_codes import exit_code_of
+from unbend.flight.heights import HeightSystem
+from unbend.flight.rotations import matrices_of
+from unbend.flight.stations import NO_TIME, Stations
+from unbend.ingest import Log
+from unbend.messages import Ledger
+from unbend.refraction.camera.camera import NO_DISTORTION, Camera
+from unbend.refraction.effect import FlightAir
+from unbend.refraction.kernels.columns import CABIN_SIGMAS, WINDOW_KIND
+from unbend.stages.correction_setup import CorrectionSetup
+from unbend.stages.flight_log import FlightLog, Roles
+from unbend.stages.statistics import Statistics
+from unbend.tables.manifest import (
+    AirParameter,
+    CabinParameter,
+    ControlRecord,
+    DeflectionRecord,
+    FlightRecord,
+    FlownCamera,
+    GroundReference,
+    HeightsRecord,
+    LogRecord,
+    ObservationsRecord,
+    ProfileRecord,
+    ResultsRecord,
+    SensorRecord,
+    TimeWindowRecord,
+    UndulationRecord,
+)
+from unbend.tables.refraction_mark import REFRACTION_APPLIED, REFRACTION_KEY, REFRACTION_REMOVED
+from unbend.units import ARCSEC, Array
+
+AIR_PARAMETER = (
+    "scale_sigma: standard deviation, for the prior, of the one parameter s of the leading mode of "
+    "the air's covariance; the coordinates in the air of s are the corrected ones plus s dx_ds_px, "
+    "s dy_ds_px, behind a plane window too. variance_share: of what the air does to these "
+    "coordinates (sigma_air) it holds so much. Where there are several profiles, s moves each "
+    "along its own leading mode"
+)
+
+IN_VIEW = 0.05  # least cosine of the nadir angle of an axis that may have the nadir in its image
+
+
+def observation_metadata(mission: Mission) -> dict[str, str]:
+    """What the Parquet metadata of the observations say, beside units and conventions."""
+    removed = mission.refraction.direction == "remove"
+    mark = REFRACTION_REMOVED if removed else REFRACTION_APPLIED
+    return {
+        REFRACTION_KEY.decode(): mark.decode(),
+        "unbend.mission": mission.mission.name,
+        "unbend.pixel_origin": mission.observations.pixel_origin,
+        "unbend.ground_reference": mission.ground.reference,
+    }
+
+
+def results_of_mission(
+    mission: Mission,
+    flight: FlightLog,
+    stations: Stations,
+    air: FlightAir,
+    *,
+    statistics: Statistics,
+    setup: CorrectionSetup,
+    causes: Mapping[str, str],
+    control: ControlRecord | None,
+    ledger: Ledger,
+) -> ResultsRecord:
+    """What the manifest says of the results; ``causes`` are those of statuses of rows.
+
+    Holds no clock, no host name and no path: the same inputs give the same bytes.
+    """
+    happened = {status: cause for status, cause in causes.items() if statistics.status.get(status)}
+    return ResultsRecord(
+        log=None if flight.log is None else record_of_log(flight.log),
+        channels={role: channel.name for role, channel in sorted(flight.roles.items())},
+        stations=dict(sorted(Counter(stations.status.tolist()).items())),
+        flight=record_of_flight(stations, setup, statistics),
+        heights=record_of_heights(mission, flight.heights, flight.roles, stations),
+        profile=record_of_profile(air, stations),
+        observations=ObservationsRecord(
+            rows=statistics.rows,
+            parts=statistics.parts,
+            status=statistics.status,
+            causes=happened,
+        ),
+        correction=statistics.correction(),
+        sigma_budget=statistics.sigma_budget(setup.camera_number),
+        ground_heights=statistics.ground_heights(),
+        uncertainty=air_parameter(setup, statistics),
+        cabin_air=cabin_parameters(setup),
+        cabin_sigma_share=statistics.cabin_share.summary(),
+        control=control,
+        ledger=ledger.rows(),
+        exit_code=exit_code_of(has_losses=ledger.has_losses),
+    )
+
+
+def record_of_log(log: Log) -> LogRecord:
+    """What was decoded of a log."""
+    return LogRecord(
+        format=log.format,
+        messages=dict(log.messages),
+        bad_bytes=log.bad_bytes,
+        lost_messages=log.lost_messages,
+        boots=log.boots,
+        duration_s=round(log.duration_s, 3),
+        time_base=log.time_base,
+    )
+
+
+def record_of_flight(
+    stations: Stations, setup: CorrectionSetup, statistics: Statistics
+) -> FlightRecord:
+    """When and where the exposures are."""
+    ok = stations.ok
+    time_ns = stations.time_ns[ok & (stations.time_ns != NO_TIME)]
+    rows = statistics.sampled_rows()
+    station_height_m = np.append(np.where(ok, stations.h_msl_m, np.nan), np.nan)
+    above_m = station_height_m[rows.station] - rows.h_g_m
+    camera_of_row = setup.camera_number[rows.station]
+    cameras = {}
+    for number, (name, camera) in enumerate(setup.cameras.items()):
+        of_camera = above_m[camera_of_row == number]
+        cameras[name] = record_of_camera(name, camera, stations, of_camera)
+    return FlightRecord(
+        begin_utc=utc_second(int(time_ns.min())) if time_ns.size else None,
+        end_utc=utc_second(int(time_ns.max())) if time_ns.size else None,
+        latitude_deg=spread(np.degrees(stations.lat_rad[ok]), 6),
+        longitude_deg=spread(np.degrees(stations.lon_rad[ok]), 6),
+        h_msl_m=spread(stations.h_msl_m[ok], 1),
+        cameras=cameras,
+    )
+
+
+def spread(values: Array, digits: int) -> list[float] | None:
+    """Lowest, median and highest of the known values, rounded; None without any."""
+    known = values[np.isfinite(values)]
+    if not known.size:
+        return None
+    return [round(float(part), digits) for part in (known.min(), np.median(known), known.max())]
+
+
+def record_of_camera(name: str, camera: Camera, stations: Stations, above_m: Array) -> FlownCamera:
+    """A camera at its exposures; ``above_m`` are heights above the points that it sees."""
+    of_camera = stations.camera == name
+    down = -matrices_of(stations.quaternion)[:, :, 2]
+    axis = down[stations.ok & of_camera]
+    axis = axis[np.isfinite(axis).all(axis=1)]
+    x, y, z = np.median(axis, axis=0) if len(axis) else np.zeros(3)
+    angle_deg = None
+    norm = math.hypot(x, y, z)
+    if norm > 0.0:
+        angle_deg = round(float(np.degrees(np.arccos(z / norm))), 2)
+    return FlownCamera(
+        exposures=int(of_camera.sum()),
+        format_px=[camera.width_px, camera.height_px],
+        principal_distance_px=float(f"{camera.fx_px:.10g}"),
+        height_above_ground_m=spread(above_m, 1),
+        axis_nadir_angle_deg=angle_deg,
+        nadir_px=nadir_pixel(camera, x, y, z),
+    )
+
+
+def nadir_pixel(camera: Camera, x: float, y: float, z: float) -> list[float] | None:
+    """The pixel of the nadir, which is at (x, y, z) in a camera; None where it is not in view."""
+    if z <= IN_VIEW:
+        return None
+    inside = np.hypot(x, y) < camera.largest_radius * z
+    flat = camera if inside else replace(camera, distortion=NO_DISTORTION)
+    pixel_x, pixel_y = flat.project(np.array([x / z]), np.array([y / z]))[:2]
+    return [round(float(pixel_x[0]), 1), round(float(pixel_y[0]), 1)]
+
+
+def record_of_heights(
+    mission: Mission, heights: HeightSystem, roles: Roles, stations: Stations
+) -> HeightsRecord:
+    """What all heights count from, what relates them, and how the vertical leans there."""
+    ground = mission.ground
+    points = ground.points
+    orientation = mission.stations.orientation
+    height = roles.get("height")
+    of_log = []
+    if height is not None:
+        for name, column in (("msl", "h_msl_m"), ("ellipsoid", "h_ellipsoid_m")):
+            if np.isfinite(height.columns.get(column, np.nan)).any():
+                of_log.append(name)
+    source = None if height is None else height.name
+    return HeightsRecord(
+        all="above mean sea level",
+        log=of_log,
+        stations=source if orientation is None else orientation.path,
+        ground=GroundReference(ground.reference, None if points is None else points.crs),
+        take_off_h_msl_m=heights.home_h_msl_m,
+        undulation=record_of_undulation(heights, stations),
+        deflection=record_of_deflection(heights, stations, applies=orientation is None),
+    )
+
+
+def record_of_undulation(heights: HeightSystem, stations: Stations) -> UndulationRecord:
+    """The limits of the undulation at the stations."""
+    undulation = (stations.h_ellipsoid_m - stations.h_msl_m)[stations.ok]
+    undulation = undulation[np.isfinite(undulation)]
+    return UndulationRecord(
+        source=heights.source,
+        min_m=round(float(undulation.min()), 3) if undulation.size else None,
+        max_m=round(float(undulation.max()), 3) if undulation.size else None,
+    )
+
+
+def record_of_deflection(
+    heights: HeightSystem, stations: Stations, *, applies: bool
+) -> DeflectionRecord:
+    """The deflection of the vertical at the stations, where a geoid gives it."""
+    geoid = heights.geoid
+    if geoid is None:
+        return DeflectionRecord(None, None, None, applies)
+    ok = stations.ok
+    lean = np.array(geoid.deflection(stations.lat_rad[ok], stations.lon_rad[ok])) / ARCSEC
+    lean = lean[:, np.isfinite(lean).all(axis=0)]
+    if not lean.size:
+        return DeflectionRecord(geoid.name, None, None, applies)
+    north, east = np.median(lean, axis=1).tolist()
+    return DeflectionRecord(geoid.name, round(north, 2), round(east, 2), applies)
+
+
+def air_parameter(setup: CorrectionSetup, statistics: Statistics) -> AirParameter | None:
+    """The parameter of the leading mode of the air; None where no air has a covariance."""
+    modes = [u.mode for u in setup.uncertainties if u is not None and u.mode is not None]
+    if not modes:
+        return None
+    first = modes[0]
+    variance = statistics.air_variance
+    share = first.variance_share
+    if variance > 0.0:
+        share = statistics.by_mode * first.sigma**2 / variance
+    return AirParameter(
+        scale_sigma=first.sigma,
+        variance_share=float(f"{share:.4g}"),
+        profiles=len(modes),
+        meaning=AIR_PARAMETER,
+    )
+
+
+def cabin_parameters(setup: CorrectionSetup) -> dict[str, CabinParameter]:
+    """Of each camera behind a plane window the refractivity there, and its standard deviation."""
+    uncertainty = next(filter(None, setup.uncertainties), None)
+    if uncertainty is None:
+        return {}
+    cameras = {}
+    table = uncertainty.stations
+    behind = table[:, WINDOW_KIND] >= 0.0
+    for name in setup.cameras:
+        rows = (setup.camera_names == name) & setup.exposures.usable & behind
+        if not bool(rows.any()):
+            continue
+        inside = setup.exposures.refractivity_cabin[rows]
+        squares = np.sum(table[rows, CABIN_SIGMAS : CABIN_SIGMAS + 2] ** 2, axis=1)
+        sigma = np.sqrt(np.mean(squares))
+        cameras[name] = CabinParameter(
+            n_cc=float(f"{inside.mean():.6g}"),
+            sigma_n_cc=float(f"{sigma:.4g}") if np.isfinite(sigma) else None,
+        )
+    return cameras
+
+
+def record_of_profile(air: FlightAir, stations: Stations) -> ProfileRecord:
+    """The estimate of the air, its sources, and its difference from the standard atmosphere."""
+    adjustment = air.adjustment
+    profile = adjustment.profile
+    standard = adjustment.standard
+    latitude = profile.gravity.latitude_rad
+    heights = stations.h_msl_m[stations.ok]
+    departure = None
+    if heights.size:
+        level = float(np.median(heights))
+        departure = round(float(profile.temperature(level) - standard.temperature(level)), 3)
+    return ProfileRecord(
+        basis=adjustment.basis,
+        reason=adjustment.reason,
+        standard=standard.name,
+        layers=dict(sorted(Counter(profile.layers.source).items())),
+        latitude_deg=None if latitude is None else round(float(np.degrees(latitude)), 6),
+        departure_at_cameras_k=departure,
+        effect=[effect.row() for effect in air.effects],
+        sources=[use.row() for use in adjustment.sources],
+        samples=[use.row() for use in adjustment.sensor_uses],
+        sensors=[record_of_sensor(estimate) for estimate in adjustment.faults],
+        profiles=len(air.series.timed_profiles),
+        windows=[record_of_window(window) for window in air.windows],
+    )
+
+
+def record_of_sensor(estimate: FaultEstimate) -> SensorRecord:
+    """An estimated error of a sensor."""
+    fault = estimate.in_units()
+    return SensorRecord(
+        what=FAULT_TEXTS[fault.fault],
+        value=round(fault.value, 4),
+        sigma=round(fault.sigma, 4),
+        expected_sigma=round(fault.prior_sigma, 4),
+    )
+
+
+def record_of_window(window: TimeWindow) -> TimeWindowRecord:
+    """A part of a flight that was estimated on its own."""
+    return TimeWindowRecord(
+        start_utc=utc_second(window.start_ns),
+        end_utc=utc_second(window.end_ns),
+        change=round(window.change, 5),
+        sigma=round(window.sigma, 5),
+        why_not=window.why_not,
+    )
+
+
+def utc_second(time_ns: int) -> str:
+    """A time [Unix ns] as ISO 8601, to the second below."""
+    return f"{np.datetime64(time_ns, 'ns').astype('datetime64[s]')}Z"

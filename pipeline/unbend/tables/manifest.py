@@ -1,0 +1,301 @@
+"""What the manifest of a run says of its results: records that the stages write and others read.
+
+Numbers are rounded to what they are worth; None is what is not known. ``row()`` is the record as
+plain values, under the names of its fields.
+"""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+MANIFEST_VERSION = 2
+"""Since 2 a message of the ledger has its ``values`` beside its text ``what``."""
+
+
+@dataclass(frozen=True)
+class LogRecord:
+    """The log that was decoded: messages by type, what was damaged, and what its time rests on."""
+
+    format: str
+    messages: Mapping[str, int]
+    bad_bytes: int
+    lost_messages: int
+    boots: int
+    duration_s: float
+    time_base: str
+
+
+@dataclass(frozen=True)
+class FlownCamera:
+    """A camera at its exposures; spreads are lowest, median and highest.
+
+    ``nadir_px`` is the pixel of the nadir for the median axis, None where it is not in view.
+    """
+
+    exposures: int
+    format_px: list[int]
+    principal_distance_px: float
+    height_above_ground_m: list[float] | None
+    axis_nadir_angle_deg: float | None
+    nadir_px: list[float] | None
+
+
+@dataclass(frozen=True)
+class FlightRecord:
+    """When and where the exposures are; spreads are lowest, median and highest."""
+
+    begin_utc: str | None
+    end_utc: str | None
+    latitude_deg: list[float] | None
+    longitude_deg: list[float] | None
+    h_msl_m: list[float] | None
+    cameras: Mapping[str, FlownCamera]
+
+
+@dataclass(frozen=True)
+class GroundReference:
+    """What ground heights count from, and the coordinate system of a table of points."""
+
+    reference: str
+    crs: str | None
+
+
+@dataclass(frozen=True)
+class UndulationRecord:
+    """Where undulations come from, and their limits at the stations [m]."""
+
+    source: str
+    min_m: float | None
+    max_m: float | None
+
+
+@dataclass(frozen=True)
+class DeflectionRecord:
+    """The deflection of the vertical by a geoid, in the median of the stations."""
+
+    geoid: str | None
+    north_arcsec: float | None
+    east_arcsec: float | None
+    applies: bool
+
+
+@dataclass(frozen=True)
+class HeightsRecord:
+    """What all heights count from, what relates them, and how the vertical leans there."""
+
+    all: str
+    log: list[str]
+    stations: str | None
+    ground: GroundReference
+    take_off_h_msl_m: float | None
+    undulation: UndulationRecord
+    deflection: DeflectionRecord
+
+
+@dataclass(frozen=True)
+class SensorRecord:
+    """An error of a sensor that was estimated, with its sigma and the one that is usual."""
+
+    what: str
+    value: float
+    sigma: float
+    expected_sigma: float
+
+
+@dataclass(frozen=True)
+class TimeWindowRecord:
+    """A part of a flight estimated on its own: change and sigma of R against that of the flight."""
+
+    start_utc: str
+    end_utc: str
+    change: float
+    sigma: float
+    why_not: str
+
+
+@dataclass(frozen=True)
+class ProfileRecord:
+    """The estimate of the air, its sources, and its difference from the standard atmosphere."""
+
+    basis: str
+    reason: str
+    standard: str
+    layers: Mapping[str, int]
+    latitude_deg: float | None
+    departure_at_cameras_k: float | None
+    effect: list[Mapping[str, Any]]
+    sources: list[Mapping[str, Any]]
+    samples: list[Mapping[str, Any]]
+    sensors: list[SensorRecord]
+    profiles: int
+    windows: list[TimeWindowRecord]
+
+
+@dataclass(frozen=True)
+class ObservationsRecord:
+    """Rows and parts of the observations, rows by status, and likely causes of statuses."""
+
+    rows: int
+    parts: int
+    status: Mapping[str, int]
+    causes: Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class DistributionRecord:
+    """A distribution of magnitudes."""
+
+    count: int
+    median: float | None
+    p95: float | None
+    maximum: float | None
+
+
+@dataclass(frozen=True)
+class HistogramRecord:
+    """Counts in bins from zero."""
+
+    step: float
+    counts: list[int]
+
+
+@dataclass(frozen=True)
+class ShiftField:
+    """The mean shift (dx, dy) in cells of an image by their centres (x, y) [px]."""
+
+    format_px: list[int]
+    columns: int
+    x_px: list[float]
+    y_px: list[float]
+    dx_px: list[float]
+    dy_px: list[float]
+
+
+@dataclass(frozen=True)
+class CameraShifts:
+    """How large the correction was in a camera's images."""
+
+    shift_px: DistributionRecord
+    shift_ground_m: DistributionRecord
+    refraction_arcsec: DistributionRecord
+    window_arcsec: DistributionRecord
+    histogram_px: HistogramRecord
+    histogram_m: HistogramRecord
+    field: ShiftField
+
+
+@dataclass(frozen=True)
+class CorrectionRecord:
+    """How large the correction was, over all and camera by camera."""
+
+    shift_px: DistributionRecord
+    shift_ground_m: DistributionRecord
+    refraction_arcsec: DistributionRecord
+    window_arcsec: DistributionRecord
+    cameras: Mapping[str, CameraShifts]
+
+
+@dataclass(frozen=True)
+class Quantiles:
+    """The median of sampled rows, and what 95 % of them do not exceed."""
+
+    median: float | None
+    p95: float | None
+
+
+@dataclass(frozen=True)
+class SigmaRecord:
+    """A part of the standard deviation of a correction, in the image and on the ground."""
+
+    px: Quantiles
+    m: Quantiles
+
+
+@dataclass(frozen=True)
+class GroundHistogram:
+    """Counts of ground heights in bins from the first one on."""
+
+    first_m: float
+    step: float
+    counts: list[int]
+
+
+@dataclass(frozen=True)
+class GroundHeightsRecord:
+    """Limits of all ground heights [m above sea level], median and histogram of sampled ones."""
+
+    median_m: float | None
+    lowest_m: float
+    highest_m: float
+    histogram: GroundHistogram
+
+
+@dataclass(frozen=True)
+class AirParameter:
+    """The one parameter of the leading mode of the air's covariance; ``meaning`` explains it."""
+
+    scale_sigma: float
+    variance_share: float
+    profiles: int
+    meaning: str
+
+
+@dataclass(frozen=True)
+class CabinParameter:
+    """The refractivity in a cabin, and its standard deviation."""
+
+    n_cc: float
+    sigma_n_cc: float | None
+
+
+@dataclass(frozen=True)
+class ControlPoint:
+    """A control point: intersected minus given place, east, north, up [m]."""
+
+    point: str
+    rays: int
+    before_m: list[float | None]
+    after_m: list[float | None]
+    sigma_u_m: float | None
+
+
+@dataclass(frozen=True)
+class ControlRecord:
+    """Control points before and after the correction [m]: each one, root mean squares, means."""
+
+    points: list[ControlPoint]
+    used: int
+    unmeasured: int
+    rms_before_m: list[float | None]
+    rms_after_m: list[float | None]
+    rms_refraction_m: list[float | None]
+    mean_before_m: list[float | None]
+    mean_after_m: list[float | None]
+    part_explained: float
+    sigma_u_m: float | None
+
+
+@dataclass(frozen=True)
+class ResultsRecord:
+    """All that the manifest says of the results of a mission."""
+
+    log: LogRecord | None
+    channels: Mapping[str, str]
+    stations: Mapping[str, int]
+    flight: FlightRecord
+    heights: HeightsRecord
+    profile: ProfileRecord
+    observations: ObservationsRecord
+    correction: CorrectionRecord
+    sigma_budget: Mapping[str, Mapping[str, SigmaRecord]]
+    ground_heights: GroundHeightsRecord | None
+    uncertainty: AirParameter | None
+    cabin_air: Mapping[str, CabinParameter]
+    cabin_sigma_share: DistributionRecord
+    control: ControlRecord | None
+    ledger: list[dict[str, Any]]
+    exit_code: int
+
+    def row(self) -> dict[str, Any]:
+        """The record as plain values."""
+        return asdict(self)
