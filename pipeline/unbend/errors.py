@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache, partial
 from importlib.resources import files
-from typing import Self
+from typing import Self, TypeVar
 
 from unbend.exit_codes import EXIT_CONFIG, EXIT_IN_USE, EXIT_REFUSED, EXIT_STORAGE
 
@@ -100,6 +100,9 @@ def rendered(text: str, values: Mapping[str, Value]) -> str:
     return text.format_map(values)
 
 
+Refusal = TypeVar("Refusal", bound="UnbendError")
+
+
 class UnbendError(Exception):
     """A refusal: its code, what is wrong with its numbers, where, and what to do.
 
@@ -148,6 +151,13 @@ class UnbendError(Exception):
         text, code = texts()[key], key.partition("/")[0]
         what, remedy = (text.get(part, "").format_map(values) for part in ("what", "remedy"))
         return cls(code, what, where=str(where), remedy=remedy)
+
+    def again(self, kind: "type[Refusal]", where: object) -> "Refusal":
+        """The same refusal of another kind, at another place."""
+        refusal = kind(self.code, self.what, where=where, count=self.count, remedy=self.remedy)
+        refusal.what = self.what
+        refusal.values = self.values
+        return refusal
 
     def __reduce__(self) -> tuple[object, ...]:
         again = partial(type(self), where=self.where, remedy=self.remedy)

@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from unbend.batch.finished_run import export_run
+from unbend.batch.finished_run.export import export_run
 from unbend.batch.plan import Outcome
 
 from .conftest import REPOSITORY, read_observations, run_sample

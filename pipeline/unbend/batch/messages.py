@@ -11,15 +11,10 @@ from unbend.errors import (
     OutputInUseError,
     StorageError,
 )
+from unbend.tables.imports.blocks.messages import INPUT_MISSING
 
 # Inputs
 
-INPUT_MISSING = Code(
-    "INPUT-MISSING",
-    means="A file that the mission file names is not there.",
-    effect="The mission is refused.",
-    remedy="Check the path; paths are relative to the mission file.",
-)
 INPUT_UNREADABLE = Code(
     "INPUT-UNREADABLE",
     means="A file cannot be read.",

@@ -197,6 +197,12 @@ def test_a_model_that_pycolmap_reads_loses_nothing(spaced, tmp_path):
     assert all(not text.isdigit() for text in names.values())
     assert [model.images[i + 1].name for i in range(len(block.image))] == block.image.tolist()
     assert [model.cameras[k].model.name for k in (1, 2)] == ["FULL_OPENCV", "PINHOLE"]
+    noted = {entry.code: entry for entry in ledger}
+    cameras = ", ".join(f"{k} {name}" for k, name in enumerate(dict.fromkeys(block.camera), 1))
+    assert noted["EXPORT-CAMERAS"].what == f"camera {cameras}"
+    images, points = len(block.image), len({row[1] for row in block.rows})
+    assert noted["EXPORT-POINTS"].count == len(block.rows)
+    assert f"of {points:,} points in {images:,} images" in noted["EXPORT-POINTS"].what
     largest, missed, tied = 0.0, 0.0, set()
     for image in model.images.values():
         rows = block.of_image[image.name]
