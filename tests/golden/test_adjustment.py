@@ -16,7 +16,7 @@ import pandas as pd
 import pytest
 
 from unbend.batch.finished_run.export import export_run
-from unbend.batch.plan import Outcome
+from unbend.batch.executors import Outcome
 
 from .conftest import REPOSITORY, read_observations, run_sample
 
