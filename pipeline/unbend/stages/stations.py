@@ -192,7 +192,7 @@ def stations_of_mission(
 
 
 def report_repeated_points(observations: Observations, ties: TiePoints, ledger: Ledger) -> None:
-    """A loss where points stand twice in an image; those of a block are told when it is opened."""
+    """A loss where points stand twice in an image; a block says so when it is opened."""
     if ties.repeated and not observations.is_block:
         ledger.add(
             points_repeated(
