@@ -215,7 +215,7 @@ def stations_left_out(*, where: str, count: int, lacking: str, first: str) -> Me
     return loss(
         EXPORT_LEFT_OUT,
         "left out: {count} stations without a {lacking}, the first {first}",
-        one="left out: 1 station without a {lacking}, {first}",
+        one="left out: 1 station without a {lacking}, the image {first}",
         where=where,
         count=count,
         lacking=lacking,
