@@ -15,7 +15,7 @@ import pandas as pd
 import yaml
 from timing import Ratios
 
-from unbend.batch.finished_run import export_run
+from unbend.batch.finished_run.export import export_run
 from unbend.batch.runs import run_mission
 
 IMAGES, ROWS, FEWER, FEW = 112, 448_000, 44_800, 1_008

@@ -12,7 +12,8 @@ import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
-NOISE_PX = 0.1
+NOISE_PX = 0.02
+"""The height of a point of two images, 280 m apart and 1780 m below: 1.1 cm."""
 FOCAL_MM = 123.9392
 PIXEL_MM = 0.006
 PRINCIPAL_MM = (26.577, 38.811)

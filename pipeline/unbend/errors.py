@@ -3,51 +3,13 @@
 Each has a stable code and an exit code. A refusal is for the user; all else that escapes is a bug.
 """
 
-import re
-import tomllib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cache, partial
-from importlib.resources import files
-from typing import Self
+from functools import partial
+from typing import Self, TypeVar
 
 from unbend.exit_codes import EXIT_CONFIG, EXIT_IN_USE, EXIT_REFUSED, EXIT_STORAGE
-
-
-@cache
-def texts() -> Mapping[str, Mapping[str, str]]:
-    """The texts of ``unbend/texts.toml`` by key: ``what``, and of a refusal its ``remedy``."""
-    return tomllib.loads(files("unbend").joinpath("texts.toml").read_text("utf-8"))
-
-
-_NOUNS = (
-    "angle|band|bin|boot|byte|camera|cell|character|chunk|column|definition|degree|element|event|"
-    "exposure|field|file|fix|frame|gap|hour|image|layer|level|line|message|minute|mission|node|pixel|"
-    "observation|pair|parameter|place|point|position|profile|pulse|quaternion|raster|ray|value|"
-    "reading|receiver|reconstruction|record|result|row|sample|second|sounding|station|time|trigger|"
-    "window|calibration|name|number|solution|deviation|measurement|key"
-)
-_BEFORE = "bad|control|different|image|known|more|object|observed|sensor|shutter|standard|tie"
-_VERBS = {"are": "is", "were": "was", "have": "has", "do": "does", "carry": "carries"}
-_ONE = re.compile(
-    rf"(?<![\w.,:/])(?<!\w-)1(?:( (?:(?:{_BEFORE}) )*(?:{_NOUNS}))s\b(?!\.\w)|(?<![\w)] 1))"
-    rf"( (?:{'|'.join(_VERBS)}|lie|follow|find|come)\b)?"
-)
-
-
-def in_agreement(text: str) -> str:
-    """A text with what follows a 1 in the singular: texts are written for several.
-
-    >>> print(in_agreement("1 exposures have no fix, 11 rows, 1 image points are 1 m from them"))
-    1 exposure has no fix, 11 rows, 1 image point is 1 m from them
-    """
-
-    def singular(found: re.Match[str]) -> str:
-        verb = (found[2] or "")[1:]
-        return f"1{found[1] or ''}" + (f" {_VERBS.get(verb, verb + 's')}" if verb else "")
-
-    return _ONE.sub(singular, text)
 
 
 class Counted(int):
@@ -74,8 +36,8 @@ class Counted(int):
         return f"{int(self):{spec}} {self.noun}"
 
 
-Value = object
-"""What a text of a message names: str, int or float, once all rooms have their messages."""
+Value = str | int | float
+"""What a text of a message names."""
 
 
 @dataclass(frozen=True)
@@ -98,6 +60,9 @@ def rendered(text: str, values: Mapping[str, Value]) -> str:
     "2 images of 'strip {1}'"
     """
     return text.format_map(values)
+
+
+Refusal = TypeVar("Refusal", bound="UnbendError")
 
 
 class UnbendError(Exception):
@@ -130,9 +95,9 @@ class UnbendError(Exception):
         self.where = str(where)
         self.count = count
         self.values = values
-        if isinstance(code, str):  # a text as it is, until all rooms have their messages
+        if isinstance(code, str):  # rendered before: it comes from another process
             self.code = code
-            self.what = in_agreement(text)
+            self.what = text
             self.remedy = remedy
         else:
             text = one if count == 1 and one else text
@@ -142,12 +107,12 @@ class UnbendError(Exception):
             self.remedy = rendered(remedy, names)
         super().__init__(self.code, self.what, self.where, self.remedy)
 
-    @classmethod
-    def of(cls, key: str, where: object = "", **values: object) -> Self:
-        """The refusal with the texts of a key (CODE or CODE/word), the values filled in."""
-        text, code = texts()[key], key.partition("/")[0]
-        what, remedy = (text.get(part, "").format_map(values) for part in ("what", "remedy"))
-        return cls(code, what, where=str(where), remedy=remedy)
+    def again(self, kind: "type[Refusal]", where: object) -> "Refusal":
+        """The same refusal of another kind, at another place."""
+        refusal = kind(self.code, self.what, where=where, count=self.count, remedy=self.remedy)
+        refusal.what = self.what
+        refusal.values = self.values
+        return refusal
 
     def __reduce__(self) -> tuple[object, ...]:
         again = partial(type(self), where=self.where, remedy=self.remedy)
@@ -198,6 +163,14 @@ class StorageError(UnbendError):
     exit_code = EXIT_STORAGE
 
 
+STORAGE_WRITE = Code(
+    "STORAGE-WRITE",
+    means="The system refused to write: no space, or no permission.",
+    effect="Finished missions are kept (exit code 5).",
+    remedy="Free space or correct the permissions, then run again.",
+)
+
+
 @contextmanager
 def storage_errors(path: object) -> Iterator[None]:
     """Raise an error of the operating system as StorageError (STORAGE-WRITE)."""
@@ -205,8 +178,9 @@ def storage_errors(path: object) -> Iterator[None]:
         yield
     except OSError as error:
         raise StorageError(
-            "STORAGE-WRITE",
-            f"{error.strerror or error}",
-            where=str(error.filename or path),
+            STORAGE_WRITE,
+            "{answer}",
+            where=error.filename or path,
             remedy="free space or mend permissions, then run again: finished missions are kept",
+            answer=error.strerror or str(error),
         ) from None

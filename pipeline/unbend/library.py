@@ -20,7 +20,7 @@ import yaml
 from unbend.atmosphere import Profile
 from unbend.atmosphere.estimate.adjusted_profile import unadjusted
 from unbend.atmosphere.series.profile_series import ProfileSeries, TimedProfile, constant_series
-from unbend.batch.finished_run import air_of, stations_of
+from unbend.batch.finished_run.read_back import air_of, stations_of
 from unbend.batch.opening import open_inputs, paths_beside_tables, stated_orientation
 from unbend.config import Mission
 from unbend.config.reading import mission_of
@@ -33,8 +33,9 @@ from unbend.stages.correction_setup import CorrectionSetup
 from unbend.stages.opened_inputs import OpenedInputs
 from unbend.stages.results import observation_metadata
 from unbend.stages.statistics import Statistics
-from unbend.stages.story import correct_mission, prepare_mission
+from unbend.stages.story import PreparedMission, correct_mission, prepare_mission
 from unbend.tables.imports.user_tables import orientation_of_frame
+from unbend.tables.manifest import ResultsRecord
 from unbend.tables.observations import observations_of_table
 
 Table = TypeVar("Table", pd.DataFrame, pa.Table)
@@ -90,12 +91,8 @@ def correct(
     measured = _arrow(observations, "observations")
     placed: pa.Table = _arrow(stations, "stations")
     own = stations_of(placed) if {"profile_id", "status", "q_w"} <= {*placed.column_names} else None
-    # The section does not count where the profile itself is given.
-    atmosphere: Mapping[str, Any] = {"adjust": False, "standard": profile}
-    if not isinstance(profile, str):
-        atmosphere = profile if isinstance(profile, Mapping) else {"adjust": False}
-    given = {"cameras": cameras, "atmosphere": atmosphere, **sections}
     frame = placed.to_pandas().rename(columns=_NAMES)
+    given = {"cameras": cameras, "atmosphere": _atmosphere(profile), **sections}
     mission = mission_of_tables(frame, orientation or {}, given)
     if own is not None:
         from_run = mission.stations.model_copy(update={"orientation": None})
@@ -105,33 +102,49 @@ def correct(
     prepared = prepare_mission(mission, inputs, ledger, stations=own)
     if not isinstance(profile, str | Mapping):
         prepared = replace(prepared, air=air_of_stations(profile, placed, prepared.stations))
-    parts: list[pa.Table] = []
-
-    def correct_all(setup: CorrectionSetup) -> Statistics:
-        total = Statistics.of(setup.cameras)
-        for part in correct_parts(
-            prepared.observations,
-            setup,
-            finish=lambda part: part,
-            batch_rows=mission.output.batch_rows,
-            metadata=observation_metadata(mission),
-        ):
-            total.merge(part.statistics)
-            parts.append(part.table)
-        return total
-
-    manifest = correct_mission(prepared, correct_all).results.row()
-    facts = {name: manifest[name] for name in ("uncertainty", "cabin_air", "ledger")}
-    for entry in facts["ledger"]:
+    table, results = corrected_table(prepared)
+    for entry in results.ledger:
         if entry["kind"] in (Kind.LOSS, Kind.FINDING):
             warnings.warn(f"{entry['code']}: {entry['what']}", UserWarning, stacklevel=2)
-    table = pa.concat_tables(parts)
+    manifest = results.row()
+    facts = {name: manifest[name] for name in ("uncertainty", "cabin_air", "ledger")}
     if isinstance(observations, pd.DataFrame):
         corrected: pd.DataFrame = table.to_pandas()
         corrected.attrs |= facts
         return corrected
     texts = {f"unbend.{name}": json.dumps(value) for name, value in facts.items()}
     return table.replace_schema_metadata(table.schema.metadata | texts)
+
+
+def corrected_table(prepared: PreparedMission) -> tuple[pa.Table, ResultsRecord]:
+    """The corrected observations of a mission, all in memory, and what is to be said of them."""
+    parts: list[pa.Table] = []
+
+    def correct_all(setup: CorrectionSetup) -> Statistics:
+        total = Statistics.of(setup.cameras)
+        made = correct_parts(
+            prepared.observations,
+            setup,
+            finish=lambda part: part,
+            batch_rows=prepared.mission.output.batch_rows,
+            metadata=observation_metadata(prepared.mission),
+        )
+        for part in made:
+            total.merge(part.statistics)
+            parts.append(part.table)
+        return total
+
+    results = correct_mission(prepared, correct_all).results
+    return pa.concat_tables(parts), results
+
+
+def _atmosphere(profile: Air) -> Mapping[str, Any]:
+    """The section of the atmosphere; it does not count where the profile itself is given."""
+    if isinstance(profile, str):
+        return {"adjust": False, "standard": profile}
+    if isinstance(profile, Mapping):
+        return profile
+    return {"adjust": False}
 
 
 def _arrow(table: pd.DataFrame | pa.Table, name: str) -> pa.Table:
@@ -244,9 +257,10 @@ def correct_one_image() -> None:
     rows = 100
     x = np.linspace(1.0, 999.0, rows)
     name = np.full(rows, "image")
-    point = [str(number) for number in range(rows)]
-    pixels = {"x_px": x, "y_px": x, "h_g_m": 0.0}
-    observations = pd.DataFrame({"image": name, "point": point} | pixels)
+    points = [f"point {number}" for number in range(rows)]
+    observations = pd.DataFrame(
+        {"image": name, "point": points, "x_px": x, "y_px": x, "h_g_m": 0.0}
+    )
     place = {"latitude": 47.0, "longitude": 8.0, "h_msl_m": 3000.0}
     attitude = {"omega": 0.0, "phi": 0.0, "kappa": 0.0}
     stations = pd.DataFrame([{"image": "image"} | place | attitude])

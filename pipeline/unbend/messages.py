@@ -8,11 +8,11 @@ report and the terminal render them. Nothing decides by the words.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import TypeVar
 
-from unbend.errors import Code, Value, in_agreement, rendered, texts
+from unbend.errors import Code, Value, rendered
 
 
 class Kind(StrEnum):
@@ -44,16 +44,13 @@ class Message:
     text: str
     where: str = ""
     count: int = 0
-    values: Mapping[str, Value] | None = None
+    values: Mapping[str, Value] = field(default_factory=dict)
     accepted: str = ""
 
     @property
     def what(self) -> str:
         """The text for people, with all values filled in."""
-        if self.values is None:
-            what = in_agreement(self.text)
-        else:
-            what = rendered(self.text, {"where": self.where, "count": self.count, **self.values})
+        what = rendered(self.text, {"where": self.where, "count": self.count, **self.values})
         if self.accepted:
             return f"{what} (accepted: {self.accepted})"
         return what
@@ -66,7 +63,7 @@ class Message:
             "what": self.what,
             "where": self.where,
             "count": self.count,
-            "values": dict(self.values or {}),
+            "values": dict(self.values),
         }
 
 
@@ -76,8 +73,8 @@ Notes = tuple[Message, ...]
 
 def message(
     kind: Kind,
-    code: Code | str,
-    text: str = "",
+    code: Code,
+    text: str,
     *,
     one: str = "",
     where: str = "",
@@ -94,16 +91,13 @@ def message(
     >>> said.what
     '1 fix of GPS[0] is lost'
     """
-    if isinstance(code, str):  # a text as it is, or of texts.toml: until all rooms have theirs
-        text = text or texts()[code]["what"].format(where=where, count=count, **values)
-        return Message(kind, code.partition("/")[0], text, where, count)
     if count == 1 and one:
         text = one
     return Message(kind, code.name, text, where, count, values)
 
 
 def note(
-    code: Code | str, text: str = "", *, one: str = "", where: str = "", count: int = 0,
+    code: Code, text: str = "", *, one: str = "", where: str = "", count: int = 0,
     **values: Value,
 ) -> Message:  # fmt: skip
     """A choice made. Arguments as in `message`."""
@@ -111,7 +105,7 @@ def note(
 
 
 def fallback(
-    code: Code | str, text: str = "", *, one: str = "", where: str = "", count: int = 0,
+    code: Code, text: str = "", *, one: str = "", where: str = "", count: int = 0,
     **values: Value,
 ) -> Message:  # fmt: skip
     """An allowed substitute. Arguments as in `message`."""
@@ -119,7 +113,7 @@ def fallback(
 
 
 def warning(
-    code: Code | str, text: str = "", *, one: str = "", where: str = "", count: int = 0,
+    code: Code, text: str = "", *, one: str = "", where: str = "", count: int = 0,
     **values: Value,
 ) -> Message:  # fmt: skip
     """The user should look, but the result stands. Arguments as in `message`."""
@@ -127,7 +121,7 @@ def warning(
 
 
 def finding(
-    code: Code | str, text: str = "", *, one: str = "", where: str = "", count: int = 0,
+    code: Code, text: str = "", *, one: str = "", where: str = "", count: int = 0,
     **values: Value,
 ) -> Message:  # fmt: skip
     """An input contradicts another, or what is plausible. Arguments as in `message`."""
@@ -135,7 +129,7 @@ def finding(
 
 
 def loss(
-    code: Code | str, text: str = "", *, one: str = "", where: str = "", count: int = 0,
+    code: Code, text: str = "", *, one: str = "", where: str = "", count: int = 0,
     **values: Value,
 ) -> Message:  # fmt: skip
     """Data was lost, damaged or flagged. Arguments as in `message`."""
@@ -210,21 +204,6 @@ class Ledger:
                 unused.discard(message.code)
         return tuple(sorted(unused))
 
-    def note(self, code: str, text: str = "", **parts: object) -> None:
-        self.add(note(code, text, **parts))  # type: ignore[arg-type]
-
-    def fallback(self, code: str, text: str = "", **parts: object) -> None:
-        self.add(fallback(code, text, **parts))  # type: ignore[arg-type]
-
-    def warning(self, code: str, text: str = "", **parts: object) -> None:
-        self.add(warning(code, text, **parts))  # type: ignore[arg-type]
-
-    def finding(self, code: str, text: str = "", **parts: object) -> None:
-        self.add(finding(code, text, **parts))  # type: ignore[arg-type]
-
-    def loss(self, code: str, text: str = "", **parts: object) -> None:
-        self.add(loss(code, text, **parts))  # type: ignore[arg-type]
-
     def sorted(self) -> list[Message]:
         """The messages by kind, code and text, as the manifest has them."""
 
@@ -236,7 +215,3 @@ class Ledger:
     def rows(self) -> list[dict[str, object]]:
         """The messages as plain values, sorted, for the manifest."""
         return [message.row() for message in self.sorted()]
-
-
-Entry = Message
-"""The name of `Message` until all rooms have their messages."""

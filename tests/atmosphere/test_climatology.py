@@ -25,12 +25,14 @@ from unbend.simulate.true_air import normal_gravity
 from unbend.tables.soundings import read_sounding
 
 SHARED = Path(__file__).resolve().parents[2].parent / "shared"
-tables = pytest.mark.shared("atmospheres", "soundings")
-TRANSCRIBED = {path.stem for path in (SHARED / "atmospheres").glob("*.csv")}
+PRINTED = Path(__file__).resolve().parents[1] / "data" / "atmospheres"
+"""The tables of the U.S. Standard Atmosphere Supplements, 1966, and of AFGL-TR-86-0110."""
+
+TRANSCRIBED = {path.stem for path in PRINTED.glob("*.csv")}
 
 
 def rows(name: str) -> list[dict[str, str]]:
-    with (SHARED / "atmospheres" / name).open(encoding="utf-8") as file:
+    with (PRINTED / name).open(encoding="utf-8") as file:
         return list(csv.DictReader(file))
 
 
@@ -41,7 +43,6 @@ def supplements() -> dict[str, list[dict[str, str]]]:
     return found
 
 
-@tables
 def test_the_nine_supplements():
     assert len(supplements()) == 9
     for title, levels in supplements().items():
@@ -59,7 +60,6 @@ def test_the_nine_supplements():
         )
 
 
-@tables
 @pytest.mark.parametrize("name", [name for name in climate_names() if name in TRANSCRIBED])
 def test_afgl(name):
     levels = [row for row in rows(f"{name}.csv") if float(row["z_km"]) < 80.0]
@@ -77,7 +77,6 @@ def test_afgl(name):
     assert profile.pressure(1e3 * h[high]) == pytest.approx(100.0 * p[high], rel=5e-3)
 
 
-@tables
 def test_the_refraction_of_dry_and_moist_air_of_july():
     """30N July, 75 degrees: humidity lowers R by 3.9 / 2.9 / 1.3 % (PHYSICS.md)."""
     profile = climate_profile("supplements1966_30n_july")
@@ -173,7 +172,7 @@ ASCENTS = [  # file, latitude, month, hour of the archive
 ]
 
 
-@tables
+@pytest.mark.shared("soundings")
 def test_the_spread_contains_real_ascents():
     """Eight ascents of five sites: neither surprised by them, nor ten times too careful."""
     warm, wet, level = [], [], []

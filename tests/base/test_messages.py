@@ -1,33 +1,85 @@
-"""The ledger and its entries."""
+"""Messages, and the ledger that holds them."""
 
 from __future__ import annotations
 
+import json
+
 import pytest
 
-from unbend.messages import Entry, Kind, Ledger, fallback, loss, note, warning
+from unbend.errors import Code, Counted
+from unbend.messages import Kind, Ledger, Message, fallback, finding, loss, note, warning
 
-MAKERS = {"note": note, "fallback": fallback, "warning": warning, "loss": loss}
+MAKERS = {
+    "note": note,
+    "fallback": fallback,
+    "warning": warning,
+    "finding": finding,
+    "loss": loss,
+}
+
+
+def code(name: str) -> Code:
+    return Code(name, means="It happened.", effect="None.", remedy="Nothing.")
 
 
 @pytest.mark.parametrize("kind", MAKERS)
-def test_an_entry_of_each_kind_by_function_and_by_method(kind):
-    entry = MAKERS[kind]("A-B", "what", where="there", count=3)
-    assert entry == Entry(Kind(kind), "A-B", "what", "there", 3)
+def test_a_message_of_each_kind(kind):
+    message = MAKERS[kind](
+        code("A-B"), "{count} of {where}: {x:.1f}", where="there", count=3, x=2.0
+    )
+    assert message == Message(
+        Kind(kind), "A-B", "{count} of {where}: {x:.1f}", "there", 3, {"x": 2.0}
+    )
     ledger = Ledger()
-    getattr(ledger, kind)("A-B", "what", where="there", count=3)
-    assert list(ledger) == [entry]
-    assert ledger.has_losses == (kind == "loss")
+    ledger.add(message)
+    assert list(ledger) == [message]
+    assert ledger.has_losses == (kind in ("finding", "loss"))
     assert ledger.rows() == [
-        {"kind": kind, "code": "A-B", "what": "what", "where": "there", "count": 3, "values": {}}
+        {
+            "kind": kind,
+            "code": "A-B",
+            "what": "3 of there: 2.0",
+            "where": "there",
+            "count": 3,
+            "values": {"x": 2.0},
+        }
     ]
 
 
-def test_an_entry_stands_once_in_the_order_of_its_coming_and_rows_are_sorted():
-    ledger = Ledger([warning("W-1", "b")])
-    result = ledger.take(("result", (note("N-1", "z"), warning("W-1", "b"), note("N-1", "a"))))
-    assert result == "result"
-    assert [entry.what for entry in ledger] == ["b", "z", "a"]
-    assert [(row["kind"], row["what"]) for row in ledger.rows()] == [
-        ("note", "a"), ("note", "z"), ("warning", "b")
-    ]  # fmt: skip
+def test_a_message_stands_once_in_the_order_of_its_coming_and_rows_are_sorted():
+    first = warning(code("W-1"), "b")
+    ledger = Ledger([first])
+    notes = (note(code("N-1"), "z"), first, note(code("N-1"), "a"))
+    assert ledger.take(("result", notes)) == "result"
+    assert [message.what for message in ledger] == ["b", "z", "a"]
+    rows = [(row["kind"], row["what"]) for row in ledger.rows()]
+    assert rows == [("note", "a"), ("note", "z"), ("warning", "b")]
     assert len(ledger) == 3
+
+
+@pytest.mark.parametrize(("count", "expected"), [(1, "1 row is lost"), (2, "2 rows are lost")])
+def test_one_has_its_own_text(count, expected):
+    lost = loss(code("A-B"), "{count} rows are lost", one="1 row is lost", count=count)
+    assert lost.what == expected
+
+
+@pytest.mark.parametrize("name", ["strip 1 frames", "line 1 images/log.bin", "{count}", "1 rows"])
+def test_names_of_users_stay_as_they_are(name):
+    assert note(code("A-B"), "{name!r} in {where}", where=name, name=name).what == (
+        f"{name!r} in {name}"
+    )
+
+
+def test_a_counted_value_is_a_number_in_files():
+    message = note(code("A-B"), "in {images}", images=Counted(1, "image"))
+    assert message.what == "in 1 image"
+    assert json.loads(json.dumps(message.row()))["values"] == {"images": 1}
+
+
+def test_an_accepted_finding_says_why():
+    ledger = Ledger([finding(code("A-B"), "odd"), finding(code("C-D"), "odder")])
+    assert ledger.accept({"A-B": "a gorge", "E-F": "nothing"}) == ("E-F",)
+    assert [(message.kind, message.what) for message in ledger] == [
+        (Kind.WARNING, "odd (accepted: a gorge)"),
+        (Kind.FINDING, "odder"),
+    ]

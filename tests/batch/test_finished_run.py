@@ -16,7 +16,7 @@ import pytest
 
 from unbend.atmosphere import standard_atmosphere
 from unbend.atmosphere.series.profile_series import TimedProfile, constant_series
-from unbend.batch.finished_run import profile_of, stations_of
+from unbend.batch.finished_run.read_back import profile_of, stations_of
 from unbend.batch.runs import read_mission
 from unbend.flight.stations import NO_TIME, Stations
 from unbend.tables.exports.format import write_csv_stream

@@ -297,9 +297,9 @@ def test_kill_and_rerun_give_what_an_untouched_run_gives(mission, baseline, unbe
 
 def test_a_bug_is_owned_up_to(mission):
     code = (
-        "import sys; from unbend.batch import finished_run\n"
+        "import sys; from unbend.batch.finished_run import export\n"
         "sys.argv = ['unbend', 'verify', 'x']\n"
-        "finished_run.verify_run = lambda path: 1 / 0\n"
+        "export.verify_run = lambda path: 1 / 0\n"
         "from unbend.cli import main; main()"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)

@@ -12,9 +12,9 @@ from unbend.config.event_sources import CsvEvents, LogEvents
 from unbend.config.ground import GroundSection
 from unbend.config.keys import mission_keys
 from unbend.config.logs import LogSection, NamedChannel
-from unbend.config.mission import OutputSection, RefractionSection
+from unbend.config.mission_file import OutputSection, RefractionSection
 from unbend.config.mounts import MountSection
-from unbend.config.observations import ObservationsSection
+from unbend.config.observation_table import ObservationsSection
 from unbend.config.windows import WindowSection
 from unbend.ingest.field_maps import STATED_UNITS
 from unbend.ingest.registry import SUFFIXES

@@ -1,11 +1,14 @@
-"""Every code of a refusal and of the ledger: named once here, raised by a test or explained."""
+"""Every code stands once, is explained and raised by a test; texts have the values they name."""
 
 from __future__ import annotations
 
 import ast
+import pickle
 import re
 import string
+from collections import Counter
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
@@ -18,10 +21,11 @@ PACKAGE = Path(unbend.__file__).parent
 TESTS = Path(__file__).resolve().parents[1]
 
 REFUSALS = {
-    name for name, kind in vars(errors).items()
+    name
+    for name, kind in vars(errors).items()
     if isinstance(kind, type) and issubclass(kind, errors.UnbendError)
-}  # fmt: skip
-LEDGER = {"note", "fallback", "warning", "loss", "finding"}
+}
+MAKERS = {"note", "fallback", "warning", "loss", "finding", "message"}
 
 # What no test raises, and why.
 EXPLAINED = {
@@ -34,40 +38,68 @@ EXPLAINED = {
 }
 
 
-def first_words(call: ast.Call) -> str | None:
-    first = call.args[0] if call.args else None
-    return first.value if isinstance(first, ast.Constant) and isinstance(first.value, str) else None
+@dataclass(frozen=True)
+class Sent:
+    """A message or refusal as it is made: its texts, and the names of what it is given."""
+
+    place: str
+    kind: str
+    code: str
+    texts: dict[str, str]
+    given: set[str]
+    is_open: bool  # whether values come by ** or the text is put together
 
 
-def refuses(call: ast.Call) -> bool:
-    """Whether it makes a refusal with a text of ``texts.toml``: ``InputError.of(...)``."""
-    return isinstance(call.func, ast.Attribute) and call.func.attr == "of"
-
-
-def name_of(call: ast.Call) -> str:
-    """The function that is called; of ``InputError.of`` the class."""
-    function = (
-        call.func.value if isinstance(call.func, ast.Attribute) and refuses(call) else call.func
-    )
-    return getattr(function, "attr", getattr(function, "id", ""))
-
-
-def codes(callers: set[str]) -> dict[str, str]:
-    """Code -> file of every call of these functions with a literal code, and of every `Code`."""
-    found = {}
+def calls() -> Iterator[tuple[str, ast.Call]]:
+    """All calls of the package, with their places."""
     for path in sorted(PACKAGE.rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if not isinstance(node, ast.Call):
-                continue
-            code = (first_words(node) or "").partition("/")[0]
-            if (
-                name_of(node) in {*callers, "Code"}
-                and code
-                and code == code.upper()
-                and " " not in code
-            ):
-                found[code] = f"{path.relative_to(PACKAGE)}:{node.lineno}"
-    return found
+            if isinstance(node, ast.Call):
+                yield f"{path.relative_to(PACKAGE)}:{node.lineno}", node
+
+
+def defined_codes() -> list[tuple[str, str]]:
+    """Name and place of every ``Code("NAME", ...)``."""
+    return [
+        (str(call.args[0].value), place)
+        for place, call in calls()
+        if isinstance(call.func, ast.Name)
+        and call.func.id == "Code"
+        and call.args
+        and isinstance(call.args[0], ast.Constant)
+    ]
+
+
+def text_of(node: ast.expr | None) -> str | None:
+    """A literal text, and None for what is put together."""
+    if isinstance(node, ast.Constant) and isinstance(node.value, str):
+        return node.value
+    return None
+
+
+def sent() -> Iterator[Sent]:
+    """Every message and refusal that is made of a code."""
+    for place, call in calls():
+        kind = call.func.id if isinstance(call.func, ast.Name) else ""
+        if kind not in MAKERS | REFUSALS:
+            continue
+        arguments = call.args[1:] if kind == "message" else call.args
+        if not arguments or not isinstance(arguments[0], ast.Name):
+            continue
+        if not arguments[0].id.isupper():
+            continue  # the makers themselves, which hand a code on
+        keywords = {word.arg: word.value for word in call.keywords if word.arg}
+        parts = {"text": arguments[1] if len(arguments) > 1 else keywords.get("text")}
+        parts |= {name: keywords[name] for name in ("one", "remedy") if name in keywords}
+        texts = {name: text for name, node in parts.items() if (text := text_of(node)) is not None}
+        yield Sent(
+            place=place,
+            kind=kind,
+            code=arguments[0].id,
+            texts=texts,
+            given=set(keywords),
+            is_open=len(keywords) < len(call.keywords) or len(texts) < len(parts),
+        )
 
 
 def strings(tree: ast.Module) -> Iterator[str]:
@@ -87,54 +119,43 @@ def said_in_tests() -> set[str]:
         for path in sorted(TESTS.rglob("*.py"))
         if path.resolve() != here
         for text in strings(ast.parse(path.read_text(encoding="utf-8")))
-        for code in re.findall(r"[A-Z0-9]+(?:-[A-Z0-9]+)+", text)
+        for code in re.findall(r"\b(?:[A-Z0-9]+(?:-[A-Z0-9]+)+|ROLE)\b", text)
     }
 
 
-def test_refusals_are_found():
-    found = codes(REFUSALS)
-    assert len(found) > 40
-    for code in found:
-        assert code.replace("-", "").isalnum(), code
-        assert "-" in code, code
+def test_every_code_stands_once():
+    names = Counter(name for name, _ in defined_codes())
+    assert len(names) > 400
+    assert {name: count for name, count in names.items() if count > 1} == {}
+    for name in names:
+        assert re.fullmatch(r"[A-Z0-9]+(?:-[A-Z0-9]+)+|ROLE", name), name
 
 
-def test_every_refusal_is_raised_by_a_test_or_explained(said_in_tests):
+def test_every_code_is_sent():
+    """By the constant that holds it, which is named after it."""
+    used = {message.code for message in sent()}
+    idle = {name for name, _ in defined_codes() if name.replace("-", "_") not in used}
+    assert idle == set()
+
+
+def test_every_code_is_raised_by_a_test_or_explained(said_in_tests):
     missing = {
-        code: where for code, where in codes(REFUSALS).items()
-        if code not in said_in_tests and code not in EXPLAINED
-    }  # fmt: skip
+        name: place
+        for name, place in defined_codes()
+        if name not in said_in_tests and name not in EXPLAINED
+    }
     assert not missing, missing
 
 
-def test_nothing_is_explained_that_does_not_exist():
-    known = codes(REFUSALS) | codes(LEDGER)
-    assert not set(EXPLAINED) - set(known), set(EXPLAINED) - set(known)
+def test_nothing_is_explained_that_does_not_exist_or_that_a_test_raises(said_in_tests):
+    assert set(EXPLAINED) <= {name for name, _ in defined_codes()}
+    assert not set(EXPLAINED) & said_in_tests
 
 
-def test_nothing_is_explained_that_a_test_raises(said_in_tests):
-    refusals_only = set(EXPLAINED) - set(codes(LEDGER))
-    assert not refusals_only & said_in_tests
-
-
-# Written like codes, and none: dates, hashes, encodings, numbers of tables; or made of parts.
-NO_CODES = {"2026-05-14", "3-4", "SHA-256", "UTF-8"}
-MADE = {"RAY-BAD-MEASUREMENT", "RAY-MISSES-GROUND", "RAY-OUTSIDE-PROFILE"}
-
-
-def test_every_code_is_explained_offline_and_nothing_else_is():
+def test_every_code_is_explained_offline():
     """`unbend help CODE`: what it means, what it does to the result, what to do."""
-    written = {
-        word
-        for path in sorted(PACKAGE.rglob("*.py"))
-        for word in strings(ast.parse(path.read_text(encoding="utf-8")))
-        if re.fullmatch(r"[A-Z0-9]+(?:-[A-Z0-9]+)+", word)
-    }
-    known = (written - NO_CODES) | MADE | codes(REFUSALS).keys() | codes(LEDGER).keys()
-    assert len(known) > 400
     explained = explanations.meanings()["codes"]
-    assert known - set(explained) == set()
-    assert set(explained) - known == set()
+    assert set(explained) == {name for name, _ in defined_codes()}
     meanings = [meaning.means for meaning in explained.values()]
     assert len(set(meanings)) == len(meanings)  # none is a copy of another
     for code, meaning in explained.items():
@@ -161,58 +182,55 @@ def test_only_strings_at_work_count():
 
 def test_every_refusal_says_what_to_do():
     """A refusal of the user's input carries a remedy."""
-    without = []
-    for path in sorted(PACKAGE.rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
-                code = first_words(node)
-                given = {keyword.arg for keyword in node.keywords}
-                if node.func.id in REFUSALS and code and "remedy" not in given:
-                    without.append((code, f"{path.relative_to(PACKAGE)}:{node.lineno}"))
-    allowed = {"EVENTS-NONE", "SIM-ODE", "SIM-PATH"}
-    assert {code for code, _ in without} <= allowed, without
+    allowed = {"EVENTS_NONE", "SIM_ODE", "SIM_PATH"}
+    without = [
+        f"{refusal.place}: {refusal.code}"
+        for refusal in sent()
+        if refusal.kind in REFUSALS
+        and "remedy" not in refusal.given
+        and not refusal.is_open
+        and refusal.code not in allowed
+    ]
+    assert not without, "\n".join(without)
+
+
+def test_every_text_gets_the_values_that_it_names():
+    """A name in braces that is not given would be a traceback at the moment of the refusal."""
+    wrong = []
+    count = 0
+    for message in sent():
+        for text in message.texts.values():
+            fields = {name for _, name, _, _ in string.Formatter().parse(text) if name is not None}
+            count += len(fields)
+            lacking = fields - message.given - {"where", "count"}
+            if lacking and not message.is_open:
+                wrong.append(f"{message.place}: {message.code} names {sorted(lacking)}")
+    assert count > 500
+    assert not wrong, "\n".join(wrong)
+
+
+# What may follow a count and is no noun in the plural, or stays the same for one.
+NO_NOUNS = re.compile(r"(?:across|is|has|minus|needs|less|times|was|does|this|its|as)")
+
+
+def test_every_count_has_a_text_for_one():
+    """Where a noun in the plural follows the count, ``one`` says how it reads for one."""
+    wrong = []
+    for message in sent():
+        nouns = re.findall(r"\{count\} (?:[a-z]+ )?([a-z]{3,}s)\b", message.texts.get("text", ""))
+        nouns = [noun for noun in nouns if not NO_NOUNS.fullmatch(noun)]
+        if nouns and "one" not in message.given:
+            wrong.append(f"{message.place}: {message.code}: {nouns}")
+    assert not wrong, "\n".join(wrong)
 
 
 def test_a_refusal_survives_the_way_between_processes():
-    import pickle
-
+    code = errors.Code("SOME-CODE", means="It happened.", effect="None.", remedy="Nothing.")
     for name in sorted(REFUSALS):
-        error = getattr(errors, name)("SOME-CODE", "what", where="where", remedy="remedy")
+        error = getattr(errors, name)(
+            code, "{count} of {n}", where="where", remedy="mend {n}", count=2, n=3
+        )
         back = pickle.loads(pickle.dumps(error))
         assert type(back) is type(error)
-        assert str(back) == str(error)
-        assert back.exit_code == error.exit_code
-
-
-def test_every_text_gets_the_values_that_it_asks_for():
-    """Of ``texts.toml``: a refusal has a remedy, no text is idle, and no call names another."""
-    texts, used, wrong = errors.texts(), set(), []
-    for path in sorted(PACKAGE.rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            key, name = (
-                (first_words(node), name_of(node)) if isinstance(node, ast.Call) else ("", "")
-            )
-            if (
-                name not in REFUSALS | LEDGER | {"entry", "failed"}
-                or not key
-                or len(node.args) > 1 + refuses(node)
-            ):
-                continue
-            place = f"{path.relative_to(PACKAGE)}:{node.lineno}: {key}"
-            given = {word.arg for word in node.keywords}
-            if name not in REFUSALS:
-                given |= {"where", "count"}
-            elif not refuses(node):
-                continue
-            if key not in texts:
-                wrong.append(f"{place} is no text")
-                continue
-            used.add(key)
-            parts = (string.Formatter().parse(part) for part in texts[key].values())
-            asked = {field.partition(".")[0] for part in parts for _, field, _, _ in part if field}
-            if asked ^ given > {"where", "count"} or (asked ^ given) - {"where", "count"}:
-                wrong.append(f"{place} asks for {sorted(asked)}, given are {sorted(given)}")
-            if refuses(node) != ("remedy" in texts[key]):
-                wrong.append(f"{place}: a remedy belongs to refusals")
-    assert not wrong, "\n".join(wrong)
-    assert set(texts) == used
+        assert str(back) == str(error) == "SOME-CODE: 2 of 3\n  where: where\n  to do: mend 3"
+        assert (back.exit_code, back.values, back.count) == (error.exit_code, {"n": 3}, 2)

@@ -9,7 +9,6 @@ from pathlib import Path
 from unbend.atmosphere.soundings.formats import PLAIN_COLUMNS
 from unbend.batch import plan
 from unbend.config import Mission
-from unbend.errors import texts
 
 PACKAGE = Path(__file__).resolve().parents[2] / "pipeline" / "unbend"
 WORD = re.compile(r"[a-z][a-z0-9]*(?:_[a-z0-9]+)+")
@@ -29,9 +28,6 @@ def words_of_remedies() -> dict[str, set[str]]:
                 if isinstance(part, ast.Constant) and isinstance(part.value, str):
                     for word in WORD.findall(part.value):
                         found.setdefault(word, set()).add(path.name)
-    for key, text in texts().items():
-        for word in WORD.findall(text.get("remedy", "")):
-            found.setdefault(word, set()).add(key)
     return found
 
 

@@ -56,7 +56,9 @@ def assign(*channels: Channel, cabin: bool = False, **wishes: str):
 
 
 def test_filter_for_position_receiver_for_height() -> None:
-    roles, _ = assign(POS, GPS, GPS2, ATT, BARO)
+    roles, ledger = assign(POS, GPS, GPS2, ATT, BARO)
+    chosen = {e.where: e.what for e in ledger if e.code == "ROLE"}
+    assert chosen["height"] == "height: GPS[0]"
     assert (roles["position"], roles["height"], roles["attitude"]) == ("POS", "GPS[0]", "ATT")
 
 

@@ -10,7 +10,7 @@ import yaml
 
 import unbend
 from tests.conftest import without_plots
-from unbend.batch.plan import Outcome
+from unbend.batch.executors import Outcome
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 SHARED = REPOSITORY.parent / "shared"

@@ -15,8 +15,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from unbend.batch.finished_run import export_run
-from unbend.batch.plan import Outcome
+from unbend.batch.executors import Outcome
+from unbend.batch.finished_run.export import export_run
 
 from .conftest import REPOSITORY, read_observations, run_sample
 

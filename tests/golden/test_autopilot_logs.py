@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
-from unbend.batch.plan import Outcome
+from unbend.batch.executors import Outcome
 
 from .conftest import SHARED, needs_shared, read_observations, run_mission, write_mission
 

@@ -30,7 +30,7 @@ from tests.golden.held_block import (
     intersected,
     write_mission,
 )
-from unbend.batch.finished_run import export_run
+from unbend.batch.finished_run.export import export_run
 from unbend.errors import MissionError
 
 from .conftest import run_mission

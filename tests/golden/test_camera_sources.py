@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from unbend.batch.finished_run import rebuild_run
+from unbend.batch.finished_run.export import rebuild_run
 from unbend.errors import ConfigError, InputError
 from unbend.messages import Ledger
 

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from unbend.batch.plan import Outcome
+from unbend.batch.executors import Outcome
 from unbend.errors import MissionError
 from unbend.ingest import open_log
 from unbend.report.summary import remarks, verdict

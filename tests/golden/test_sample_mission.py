@@ -22,7 +22,7 @@ from tests.physics.ray_on_sphere import ray_angle_sphere
 from unbend import correct
 from unbend.atmosphere import Profile, profile_from_table
 from unbend.atmosphere.refractive_index import IndexModel
-from unbend.batch.plan import Outcome
+from unbend.batch.executors import Outcome
 from unbend.batch.runs import read_mission
 from unbend.config import load_mission
 from unbend.geodesy import lambert_gravity

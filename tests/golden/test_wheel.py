@@ -11,7 +11,7 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 
-from unbend.batch.plan import Outcome
+from unbend.batch.executors import Outcome
 
 from .conftest import REPOSITORY
 

@@ -192,8 +192,14 @@ def test_every_cell_of_the_tables(page):
         ["tail", "100", "100", "-0.50000", "0.00000"],
         ["tail", "1500", "1900", "-0.25000", "0.00000"],
     ]
-    _, sources, sensors = page.tables["The air"]
+    _, sources, samples, sensors = page.tables["The air"]
     assert (sources, sensors) == (SOURCES, SENSORS)
+    assert samples == [
+        ["sensor", "sample", "count"],
+        ["BARO[0], pressure", "used", "1,203"],
+        ["", "no value", "27"],
+        ["", "no height at its time", "4"],
+    ]
     (budget,) = page.tables["Sigma budget"]
     assert budget == [
         ["", "median", "95 %", "median, ground", "95 %, ground"],

@@ -20,6 +20,8 @@ import pytest
 import yaml
 from scipy.spatial.transform import Rotation
 
+from tests.dbat_project import write_project
+
 sys.path.insert(0, str(Path(__file__).parent))
 from block_files import CABIN, in_enu, write_colmap
 
@@ -370,13 +372,19 @@ def test_a_point_twice_in_an_image_is_a_loss(block, by_log, points):
     assert f"first {first} in nadir_00001" in entries["OBS-REPEATED-POINT"]["what"]
 
 
-@pytest.mark.shared("ba")
-@pytest.mark.parametrize("program", ["dbat", "metashape"])
-def test_a_real_block_as_a_mission_without_a_log(tmp_path, program):
-    """Five images over Strasbourg: DBAT's script and the archive of PhotoScan."""
+REAL_BLOCKS = ["dbat", "metashape"] if SHARED.is_dir() else []
+
+
+@pytest.mark.parametrize("program", ["written", *REAL_BLOCKS])
+def test_a_block_as_a_mission_without_a_log(tmp_path, program):
+    """Five images over Strasbourg: DBAT's script, real and written, and PhotoScan's archive."""
     from unbend.batch.runs import run_mission
 
     folder = SHARED / "dbat_sxb"
+    count = {"dbat": 1196, "metashape": 4066}
+    if program == "written":
+        folder, program = tmp_path, "dbat"
+        count = {"dbat": len(write_project(tmp_path).marks)}
     mission = {
         "mission": {"name": "sxb"},
         "observations": {"path": str(folder / {"dbat": "sxb.xml", "metashape": "sxb.psz"}[program]),
@@ -392,7 +400,7 @@ def test_a_real_block_as_a_mission_without_a_log(tmp_path, program):
     assert outcome.exit_code == 0, outcome.manifest["ledger"]
     found = pd.read_parquet(outcome.output / "observations")
     assert (found["status"] == "ok").all()
-    assert len(found) == {"dbat": 1196, "metashape": 4066}[program]
+    assert len(found) == count[program]
     size = np.hypot(
         found["x_corrected_px"] - found["x_px"], found["y_corrected_px"] - found["y_px"]
     )

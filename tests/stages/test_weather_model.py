@@ -15,7 +15,7 @@ from tests.model_files import dataset, netcdf
 from unbend import correct
 from unbend.atmosphere.air_samples import AirSamples
 from unbend.atmosphere.series import profiles_by_place
-from unbend.batch.finished_run import verify_run
+from unbend.batch.results import verify_run
 from unbend.batch.runs import read_mission
 from unbend.messages import Ledger
 from unbend.simulate.flight import FIELD_LAT_RAD

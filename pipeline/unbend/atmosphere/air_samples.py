@@ -29,20 +29,23 @@ _FEWEST_IN_BIN = 3
 class SensorSamples:
     """One sensor's readings against height above sea level; (n,) arrays.
 
-    ``value`` in SI (K, Pa, or relative humidity 0-1); ``rejected`` says why a reading is not used,
-    0 where it is: those that are not are shown. A reading without value or height is rejected here.
-    ``removed`` are samples of the sensor that were impossible, and have no row.
+    ``value`` in SI (K, Pa, or relative humidity 0-1). ``rejected`` says why a reading is not used,
+    0 where it is, as all are by default; one without value or height is rejected here. Those that
+    are not used are shown. ``removed`` are impossible samples of the sensor, which have no row.
     """
 
     time_ns: Integers
     h_m: Array
     value: Array
-    rejected: Reasons
+    rejected: Reasons = field(default_factory=lambda: np.empty(0, np.uint8))
     name: str = ""
     removed: RemovedSamples = field(default_factory=RemovedSamples)
 
     def __post_init__(self) -> None:
-        rejected = with_reason(self.rejected, ~np.isfinite(self.value), Reason.NO_VALUE)
+        rejected = self.rejected
+        if rejected.size == 0:
+            rejected = np.zeros(self.time_ns.shape, np.uint8)
+        rejected = with_reason(rejected, ~np.isfinite(self.value), Reason.NO_VALUE)
         rejected = with_reason(rejected, ~np.isfinite(self.h_m), Reason.NO_HEIGHT)
         object.__setattr__(self, "rejected", rejected)
 

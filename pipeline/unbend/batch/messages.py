@@ -11,15 +11,11 @@ from unbend.errors import (
     OutputInUseError,
     StorageError,
 )
+from unbend.flight.messages import IMAGES_OTHER
+from unbend.tables.imports.blocks.messages import INPUT_MISSING
 
 # Inputs
 
-INPUT_MISSING = Code(
-    "INPUT-MISSING",
-    means="A file that the mission file names is not there.",
-    effect="The mission is refused.",
-    remedy="Check the path; paths are relative to the mission file.",
-)
 INPUT_UNREADABLE = Code(
     "INPUT-UNREADABLE",
     means="A file cannot be read.",
@@ -648,4 +644,30 @@ def writes_unconditional(*, url: str) -> StorageError:
         where=url,
         remedy="results need a store with conditional writes (If-None-Match and If-Match); take "
         "another, or a folder",
+    )
+
+
+def folder_is_no_block(*, where: object, files: str) -> InputError:
+    """`unbend init` is given a folder that no program wrote."""
+    return InputError(
+        INPUT_MISSING,
+        "the folder is no block: it has none of {files}",
+        where=where,
+        remedy=(
+            "name a log or a block: sparse/0 of COLMAP, the project of OpenSfM, a .psz or .xml of "
+            "Metashape, an .xml of DBAT; a folder of images goes with --images"
+        ),
+        files=files,
+    )
+
+
+def other_images(*, where: object, absent: str, present: str) -> InputError:
+    """`unbend init` is given the images of another flight."""
+    return InputError(
+        IMAGES_OTHER,
+        "none of the images of the observations is there: {absent} is not, but {present} is",
+        where=where,
+        remedy="give the images of this flight",
+        absent=absent,
+        present=present,
     )

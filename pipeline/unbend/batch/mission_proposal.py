@@ -16,8 +16,9 @@ import numpy as np
 import pyarrow.parquet as pq
 from jinja2 import Environment, StrictUndefined
 
+from unbend.batch import messages
 from unbend.config.yaml_text import TODO
-from unbend.errors import InputError, MissionError
+from unbend.errors import MissionError
 from unbend.flight.channels import ROLE_COLUMNS, Channel
 from unbend.flight.evidence.quality import plausible_samples
 from unbend.flight.exposures import trigger_notes
@@ -112,7 +113,7 @@ def block_format(path: Path) -> str:
         files = {"cameras.bin": "colmap", "cameras.txt": "colmap", _OPENSFM: "opensfm"}
         found = next((name for file, name in files.items() if (path / file).is_file()), "")
         if not found:
-            raise InputError.of("INPUT-MISSING/block-format", path, files=", ".join(files))
+            raise messages.folder_is_no_block(where=path, files=", ".join(files))
         return found
     if path.suffix.lower() == ".xml" and path.is_file():
         head = path.read_bytes()[:4000].lower()
@@ -347,8 +348,9 @@ def propose_mission(log: Path, observations: Path | None, images: Path | None, o
     table = FoundTable() if observations is None else found_in_table(observations)
     times = None if images is None else read_image_times(images, "", Ledger())
     if times is not None and table.images and not times.rows_of(table.images):
-        absent, there = table.images[0], times.file[0]
-        raise InputError.of("IMAGES-OTHER/proposal", str(images), absent=absent, files=there)
+        raise messages.other_images(
+            where=images, absent=str(table.images[0]), present=str(times.file[0])
+        )
     files = () if times is None else tuple(Path(str(name)).name for name in times.file)
     cameras = proposed_cameras(found, table.images or files, table.cameras)
     name = re.sub(r"[^A-Za-z0-9._-]+", "-", log.stem).strip("-._")[:100] or "mission"

@@ -14,88 +14,155 @@ from unbend.atmosphere.profile import Profile
 from unbend.batch.runs import CheckedMission
 from unbend.flight.stations import NO_TIME
 from unbend.refraction.calibration import field_of_view
+from unbend.refraction.image import Corrections
 from unbend.refraction.ray import rays_by
 from unbend.report.summary import control_sentence, effect_lines
 from unbend.stages.correction import correct_batch
-from unbend.stages.correction_setup import GroundHeights
+from unbend.stages.correction_setup import CorrectionSetup, GroundHeights
 from unbend.stages.plausibility.facts import Facts
 from unbend.stages.results import utc_second
 from unbend.stages.story import CorrectedMission
 from unbend.tables.geodata.geoid import package_geoid
 from unbend.tables.observations import Batch
-from unbend.units import ARCSEC, Array, evenly_spaced
+from unbend.units import ARCSEC, Array, Integers, evenly_spaced
 
-_ROWS = 1000
+_ROWS = 1000  # of the sample that are corrected again and again for `changes_text`
+
+_SAME_UNDULATION_M = 0.1
+"""Within it the log's own undulation is the one that is stated."""
+
+_WIDEST_DEG = 85.0  # off the axis: of a fisheye that sees the horizon, the ground up to there
+_SMALLEST_COSINE = 0.02  # of a camera's axis from straight down: farther ones see no ground
+
+_MORE_GROUND_M = 10.0
+_MORE_HEIGHT_M = 10.0
+_MORE_TILT_DEG = 0.5
+_WARMER_K = 5.0
+"""By how much `changes_text` changes what the correction is made of."""
+
+Line = tuple[str, str]
+"""A label and its text."""
 
 
-def input_lines(checked: CheckedMission) -> list[tuple[str, str]]:
+def input_lines(checked: CheckedMission) -> list[Line]:
     """The inputs of a mission, each with its label."""
     stations = checked.corrected.stations
     prepared = checked.corrected.prepared
-    flight, log = prepared.flight, "none: the stations come from elsewhere, and so does the air"
-    channels = ", ".join(
-        f"{role.replace('_', ' ')} {channel.name}" for role, channel in sorted(flight.roles.items())
-    )
-    cameras = Counter(stations.camera[stations.ok].tolist())
-    images = len(prepared.observations.images)
+    flight = prepared.flight
+    log = "none: the stations come from elsewhere, and so does the air"
     if flight.log is not None:
         log = f"{checked.plan.input('log').name}: {flight.log.format}"
+    channels = []
+    for role, channel in sorted(flight.roles.items()):
+        channels.append(f"{role.replace('_', ' ')} {channel.name}")
+    counts = Counter(stations.camera[stations.ok].tolist())
+    cameras = [f"{number} of {name}" for name, number in counts.items()]
+    images = len(prepared.observations.images)
     return [
         ("log", log),
-        ("channels", channels or "none"),
-        ("stations", ", ".join(f"{n} of {name}" for name, n in cameras.items()) or "none"),
+        ("channels", ", ".join(channels) or "none"),
+        ("stations", ", ".join(cameras) or "none"),
         ("observations", f"{prepared.observations.rows:,} in {images} images"),
         *prepared.sources.lines(),
         ("results", str(checked.plan.output)),
     ]
 
 
-def rehearsal_lines(checked: CheckedMission) -> list[tuple[str, str]]:
+def rehearsal_lines(checked: CheckedMission) -> list[Line]:
     """What a run would do, each line with its label."""
-    facts, prepared = checked.corrected.facts, checked.corrected.prepared
-    mission, heights = facts.mission, prepared.flight.heights
-    ok, home = facts.stations.ok, facts.takeoff
-    undulation = (facts.stations.h_ellipsoid_m - facts.stations.h_msl_m)[ok]
-    known = undulation[np.isfinite(undulation)]
-    height_role = prepared.flight.roles.get("height")
-    source = "orientation" if mission.stations.orientation is not None else "no channel"
-    source = source if height_role is None else height_role.name
-    stated, of_undulation = heights.undulation_m, heights.source
-    if stated is not None and known.size and abs(np.median(known) - stated) > 0.1:
-        of_undulation = f"the log's own, not the {stated:g} m of {heights.source}"
-
-    def spans(values: Array, digits: int) -> str:
-        return _by_camera({n: _span(facts.of_camera(n, values), digits) for n in facts.cameras})
-
-    rows = (f"{n:,} {k}" for k, n in checked.corrected.statistics.status.items() if n)
-    taken = "unknown" if home is None else f"{home.h_msl_m:.0f} m"
-    above, control = facts.camera_height_m - facts.rows.h_g_m, control_sentence(checked.manifest)
-    return [
-        ("datum", f"cameras by {source}, ground {mission.ground.reference}, all above mean sea "
-         f"level; undulation {_span(undulation, 4)} m ({of_undulation})"),
-        ("heights", f"ground {_span(facts.rows.h_g_m, 4)} m, take-off {taken}, cameras "
-         f"{_span(facts.stations.h_msl_m[ok], 5)} m; above ground {_span(above, 4)} m"),
+    corrected = checked.corrected
+    facts = corrected.facts
+    lines = [
+        ("datum", datum_text(corrected)),
+        ("heights", heights_text(facts)),
         ("cameras", "; ".join(camera_text(facts, name) for name in facts.cameras)),
-        ("nadir angles", f"{spans(np.degrees(facts.nadir_angle_rad), 2)} deg"),
-        ("time", times_text(checked.corrected)),
-        ("shift", f"{spans(facts.rows.shift_px, 3)} px; "
-         f"{spans(facts.rows.shift_ground_m, 3)} m on the ground"),
-        ("changes by", changes_text(checked.corrected)),
-        ("rows", f"{', '.join(rows)}, expected of {checked.corrected.statistics.rows:,}"),
+        ("nadir angles", f"{spans_by_camera(facts, np.degrees(facts.nadir_angle_rad), 2)} deg"),
+        ("time", times_text(corrected)),
+        ("shift", shift_text(facts)),
+        ("changes by", changes_text(corrected)),
+        ("rows", rows_text(corrected)),
         ("vertical", deflection_text(facts)),
-        ("air", "; ".join(effect_lines(
-            [effect.row() for effect in facts.effects[:1]], facts.adjustment.standard.name))
-         or "no ray looks down"),
-        *([("control", control)] if control else []),
-    ]  # fmt: skip
+        ("air", air_text(facts)),
+    ]
+    control = control_sentence(checked.manifest)
+    if control:
+        lines.append(("control", control))
+    return lines
+
+
+def datum_text(corrected: CorrectedMission) -> str:
+    """What heights count from, and the undulation that relates them."""
+    facts = corrected.facts
+    heights = corrected.prepared.flight.heights
+    height_role = corrected.prepared.flight.roles.get("height")
+    source = "no channel"
+    if height_role is not None:
+        source = height_role.name
+    elif facts.mission.stations.orientation is not None:
+        source = "orientation"
+    undulation = (facts.stations.h_ellipsoid_m - facts.stations.h_msl_m)[facts.stations.ok]
+    known = undulation[np.isfinite(undulation)]
+    stated = heights.undulation_m
+    of_undulation = heights.source
+    if stated is not None and known.size and abs(np.median(known) - stated) > _SAME_UNDULATION_M:
+        of_undulation = f"the log's own, not the {stated:g} m of {heights.source}"
+    return (
+        f"cameras by {source}, ground {facts.mission.ground.reference}, all above mean sea level; "
+        f"undulation {_span(undulation, 4)} m ({of_undulation})"
+    )
+
+
+def heights_text(facts: Facts) -> str:
+    """Heights of ground, take-off and cameras."""
+    take_off = "unknown" if facts.takeoff is None else f"{facts.takeoff.h_msl_m:.0f} m"
+    above = facts.camera_height_m - facts.rows.h_g_m
+    cameras = facts.stations.h_msl_m[facts.stations.ok]
+    return (
+        f"ground {_span(facts.rows.h_g_m, 4)} m, take-off {take_off}, cameras "
+        f"{_span(cameras, 5)} m; above ground {_span(above, 4)} m"
+    )
+
+
+def shift_text(facts: Facts) -> str:
+    """How far image points and points on the ground move."""
+    pixels = spans_by_camera(facts, facts.rows.shift_px, 3)
+    ground = spans_by_camera(facts, facts.rows.shift_ground_m, 3)
+    return f"{pixels} px; {ground} m on the ground"
+
+
+def rows_text(corrected: CorrectedMission) -> str:
+    """How many rows of each status are expected."""
+    statistics = corrected.statistics
+    counts = [f"{number:,} {status}" for status, number in statistics.status.items() if number]
+    return f"{', '.join(counts)}, expected of {statistics.rows:,}"
+
+
+def air_text(facts: Facts) -> str:
+    """What the air does to a ray, against the standard atmosphere."""
+    effects = [effect.row() for effect in facts.effects[:1]]
+    lines = effect_lines(effects, facts.adjustment.standard.name)
+    return "; ".join(lines) or "no ray looks down"
+
+
+def spans_by_camera(facts: Facts, values: Array, digits: int) -> str:
+    """Lowest to highest of values of the rows, of each camera."""
+    spans = {name: _span(facts.of_camera(name, values), digits) for name in facts.cameras}
+    return _by_camera(spans)
 
 
 def _span(values: Array, digits: int) -> str:
     """Lowest to highest of the finite values."""
     known = values[np.isfinite(values)]
-    ends = (known.min(), known.max()) if known.size else ()
-    texts = (f"{v:.{digits}g}" if abs(v) < 1e4 else f"{v:.0f}" for v in ends)
-    return " to ".join(dict.fromkeys(texts)) or "unknown"
+    if not known.size:
+        return "unknown"
+    lowest = _rounded(known.min(), digits)
+    highest = _rounded(known.max(), digits)
+    return lowest if lowest == highest else f"{lowest} to {highest}"
+
+
+def _rounded(value: float, digits: int) -> str:
+    """A number with some digits, never with an exponent."""
+    return f"{value:.{digits}g}" if abs(value) < 1e4 else f"{value:.0f}"
 
 
 def _by_camera(texts: Mapping[str, str]) -> str:
@@ -107,36 +174,45 @@ def camera_text(facts: Facts, name: str) -> str:
     camera = facts.cameras[name]
     above = facts.of_camera(name, facts.camera_height_m - facts.rows.h_g_m)
     height = float(np.median(above)) if above.size else math.nan
-    far = height / max(math.cos(math.radians(facts.axis_deg(name))), 0.02)
-    views = field_of_view(camera)
-    # Of a fisheye that sees the horizon, the ground up to 85 degrees off the axis.
-    wide, high = (2.0 * math.tan(min(view / 2.0, math.radians(85.0))) for view in views)
+    distance = height / max(math.cos(math.radians(facts.axis_deg(name))), _SMALLEST_COSINE)
+    angles = []
+    sizes = []
+    for view in field_of_view(camera):
+        half = min(view / 2.0, math.radians(_WIDEST_DEG))
+        angles.append(f"{math.degrees(view):.0f}")
+        sizes.append(f"{distance * 2.0 * math.tan(half):.0f}")
     return (
-        f"{name} {' x '.join(f'{math.degrees(view):.0f}' for view in views)} deg, "
-        f"{far / camera.fx_px:.2g} m a pixel, {far * wide:.0f} x {far * high:.0f} m across the axis"
+        f"{name} {' x '.join(angles)} deg, {distance / camera.fx_px:.2g} m a pixel, "
+        f"{' x '.join(sizes)} m across the axis"
     )
 
 
 def times_text(corrected: CorrectedMission) -> str:
     """When the log begins and ends, and when the events do."""
-    time, events = corrected.prepared.track()[0], corrected.stations.time_ns
-    events = events[events != NO_TIME]
+    exposures = corrected.stations.time_ns
+    times = {
+        "log": corrected.prepared.track()[0],
+        "events": exposures[exposures != NO_TIME],
+    }
     parts = []
-    for label, values in (("log", time), ("events", events)):
+    for label, values in times.items():
         if values.size:
-            first, last = (utc_second(int(t))[:-1] for t in (values.min(), values.max()))
-            parts.append(f"{label} {first.replace('T', ' ')} to {last[11:]} UTC")
+            first = utc_second(int(values.min())).removesuffix("Z").replace("T", " ")
+            _, last = utc_second(int(values.max())).removesuffix("Z").split("T")
+            parts.append(f"{label} {first} to {last} UTC")
     return "; ".join(parts) or "unknown"
 
 
 def deflection_text(facts: Facts) -> str:
     """What the deflection of the vertical does to directions that were levelled by gravity."""
     ok = facts.stations.ok
-    lat, lon = facts.stations.lat_rad[ok], facts.stations.lon_rad[ok]
+    lat_rad = facts.stations.lat_rad[ok]
+    lon_rad = facts.stations.lon_rad[ok]
     above = (facts.camera_height_m - facts.rows.h_g_m)[np.isfinite(facts.rows.h_g_m)]
-    if not lat.size or not above.size:
+    if not lat_rad.size or not above.size:
         return "unknown"
-    deflection = float(np.median(np.hypot(*package_geoid().deflection(lat, lon))))
+    north, east = package_geoid().deflection(lat_rad, lon_rad)
+    deflection = float(np.median(np.hypot(north, east)))
     metres = deflection * float(np.nanmedian(above))
     return (
         f"deflected by {deflection / ARCSEC:.1f} arcsec (EGM96), {metres:.2f} m on the ground: not "
@@ -146,36 +222,57 @@ def deflection_text(facts: Facts) -> str:
 
 def changes_text(corrected: CorrectedMission) -> str:
     """How far the correction moves, in the median of each camera [px], with what it is made of."""
-    facts, setup = corrected.facts, corrected.setup
+    facts = corrected.facts
     rows = np.flatnonzero(np.isfinite(facts.rows.shift_px))
     rows = rows[evenly_spaced(rows.size, _ROWS)]
     if not rows.size:
         return "unknown: no row is corrected"
-    station, h_g, distance, x, y = (
-        getattr(facts.rows, name)[rows]
-        for name in ("station", "h_g_m", "distance_m", "x_px", "y_px")
-    )
-    exposures, setup = setup.exposures, replace(setup, uncertainties=(None,) * len(setup.rays))
-    names, method = pa.nulls(rows.size, pa.string()), facts.mission.refraction.method
-    batch = Batch(names, names, x, y, x, y, None, {}, distance_m=distance)
-    warm = tuple(rays_by(warmer(profile, 5.0), method) for profile in corrected.air.series.profiles)
-    turn = Rotation.from_rotvec([math.radians(0.5), 0.0, 0.0]).as_matrix()
+    setup = replace(corrected.setup, uncertainties=(None,) * len(corrected.setup.rays))
+    exposures = setup.exposures
+    turn = Rotation.from_rotvec([math.radians(_MORE_TILT_DEG), 0.0, 0.0]).as_matrix()
     tilted = replace(exposures, rotation=turn @ exposures.rotation)
-    higher = replace(exposures, height_m=exposures.height_m + 10.0)
-    unknown = np.full(rows.size, np.nan)
-    before = correct_batch(batch, station, GroundHeights(h_g, unknown), setup)
-    camera, texts = facts.camera[rows], []
-    for label, changed, ground in (
-        ("10 m of ground", setup, h_g + 10.0),
-        ("10 m of height", replace(setup, exposures=higher), h_g),
-        ("0.5 deg of tilt", replace(setup, exposures=tilted), h_g),
-        ("5 K", replace(setup, rays=warm), h_g),
-    ):
-        after = correct_batch(batch, station, GroundHeights(ground, unknown), changed)
+    higher = replace(exposures, height_m=exposures.height_m + _MORE_HEIGHT_M)
+    warm_rays = []
+    for profile in corrected.air.series.profiles:
+        warm_rays.append(rays_by(warmer(profile, _WARMER_K), facts.mission.refraction.method))
+    h_g = facts.rows.h_g_m[rows]
+    changes = (
+        (f"{_MORE_GROUND_M:g} m of ground", setup, h_g + _MORE_GROUND_M),
+        (f"{_MORE_HEIGHT_M:g} m of height", replace(setup, exposures=higher), h_g),
+        (f"{_MORE_TILT_DEG:g} deg of tilt", replace(setup, exposures=tilted), h_g),
+        (f"{_WARMER_K:g} K", replace(setup, rays=tuple(warm_rays)), h_g),
+    )
+    before = corrections_of(facts, rows, h_g, setup)
+    camera = facts.camera[rows]
+    texts = []
+    for label, changed, ground in changes:
+        after = corrections_of(facts, rows, ground, changed)
         moved = np.hypot(after.dx_px - before.dx_px, after.dy_px - before.dy_px)
-        medians = {n: f"{np.nanmedian(moved[camera == n]):.2g}" for n in np.unique(camera)}
+        medians = {}
+        for name in np.unique(camera):
+            medians[name] = f"{np.nanmedian(moved[camera == name]):.2g}"
         texts.append(f"{label} {_by_camera(medians)} px")
     return "; ".join(texts)
+
+
+def corrections_of(facts: Facts, rows: Integers, h_g: Array, setup: CorrectionSetup) -> Corrections:
+    """The corrections of some rows of the sample, with other heights of the ground."""
+    x_px = facts.rows.x_px[rows]
+    y_px = facts.rows.y_px[rows]
+    names = pa.nulls(rows.size, pa.string())
+    batch = Batch(
+        image=names,
+        point=names,
+        x_px=x_px,
+        y_px=y_px,
+        x_given_px=x_px,
+        y_given_px=y_px,
+        ground=None,
+        users={},
+        distance_m=facts.rows.distance_m[rows],
+    )
+    ground = GroundHeights(h_g, np.full(rows.size, np.nan))
+    return correct_batch(batch, facts.rows.station[rows], ground, setup)
 
 
 def warmer(profile: Profile, by_k: float) -> Profile:
@@ -183,7 +280,11 @@ def warmer(profile: Profile, by_k: float) -> Profile:
     layers = profile.layers
     top = layers.vapour[-1] + layers.vapour_slope[-1] * (layers.edge[-1] - layers.edge[-2])
     warmed = stack_layers(
-        layers.edge, layers.edge_temperature + by_k, np.append(layers.vapour, top), layers.source,
-        anchor=(float(layers.edge[0]), float(layers.pressure[0])), constant=profile.constant,
-    )  # fmt: skip
+        layers.edge,
+        layers.edge_temperature + by_k,
+        np.append(layers.vapour, top),
+        layers.source,
+        anchor=(float(layers.edge[0]), float(layers.pressure[0])),
+        constant=profile.constant,
+    )
     return replace(profile, layers=warmed)

@@ -1,7 +1,7 @@
 """Messages of block: what each code means, and the words of what is sent."""
 
 from unbend.errors import Code, Counted, MissionError
-from unbend.messages import Message, loss
+from unbend.messages import Kind, Message, loss, message
 
 ORIENTATION_FAR = Code(
     "ORIENTATION-FAR",
@@ -36,6 +36,33 @@ ORIENTATION_FIT = Code(
     effect="A note or a warning; refused where it does not fit.",
     remedy="Check names and coordinates of the known positions; give more than three.",
 )
+
+
+def orientation_fitted(
+    *,
+    kind: Kind,
+    where: str,
+    count: int,
+    scale: float,
+    fit: str,
+    tilt_deg: float,
+    sigma_m: float,
+    contradictions: str,
+) -> Message:
+    """A model was fitted to known positions; a loss where they contradict it."""
+    return message(
+        kind,
+        ORIENTATION_FIT,
+        "the model was fitted to {count} known positions: scale {scale:.6g}, {fit}; its vertical "
+        "is good to {tilt_deg:.2g} deg, with {sigma_m:.2g} m of sigma{contradictions}",
+        where=where,
+        count=count,
+        scale=scale,
+        fit=fit,
+        tilt_deg=tilt_deg,
+        sigma_m=sigma_m,
+        contradictions=contradictions,
+    )
 
 
 def orientation_fit(*, where: object, size: int, fit: str) -> MissionError:

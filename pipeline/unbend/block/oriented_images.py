@@ -21,7 +21,7 @@ from unbend.flight.stations import (
     empty_stations,
 )
 from unbend.geodesy import ecef_of_geodetic, enu_from_ecef, geodetic_of_ecef, offset_geodetic
-from unbend.messages import Notes, loss, note, warning
+from unbend.messages import Kind, Notes
 from unbend.units import Array, Integers, Mask, Names
 
 # A vertical that known positions determine no better than this is none (1 deg is 5 % of R).
@@ -108,17 +108,23 @@ def fitted_frame(
         )
     contradictions = _contradictions_of_fit(names, model, earth, residual, sigma_m)
     frame = replace(frame, tilt_rad=tilt)
-    entry = loss if contradictions else note
+    kind = Kind.LOSS if contradictions else Kind.NOTE
     if names.size == 3:
-        entry = loss if contradictions else warning
+        kind = Kind.LOSS if contradictions else Kind.WARNING
         contradictions.append(
             "nothing checks three positions: an error of one height leaves no residual, and the "
             "vertical is only as good as they are; give more"
         )
-    made = entry(
-        "ORIENTATION-FIT/made", where=where, count=names.size, scale=frame.scale, fit=fit,
-        tilt=np.degrees(tilt), sigma=sigma, more="".join(f"; {text}" for text in contradictions),
-    )  # fmt: skip
+    made = messages.orientation_fitted(
+        kind=kind,
+        where=where,
+        count=names.size,
+        scale=frame.scale,
+        fit=fit,
+        tilt_deg=np.degrees(tilt),
+        sigma_m=sigma,
+        contradictions="".join(f"; {text}" for text in contradictions),
+    )
     return frame, (made,)
 
 

@@ -432,7 +432,7 @@ def export(
     options = {name: value for name, value in ctx.obj.items() if value is not None}
     name = options.pop("format_name")
     with answer.progress(f"exporting {run}"):
-        from unbend.batch.finished_run import export_run
+        from unbend.batch.finished_run.export import export_run
         from unbend.batch.plan import located
 
         written, ledger = export_run(

@@ -9,7 +9,7 @@ from pydantic import ValidationError
 
 from unbend.config import messages
 from unbend.config.defaults import merged
-from unbend.config.mission import Mission
+from unbend.config.mission_file import Mission
 from unbend.config.mistakes import sentences_of
 from unbend.config.yaml_text import open_questions, read_yaml
 from unbend.errors import Code, ConfigError

@@ -8,7 +8,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from unbend.config.campaign_file import CampaignFile
-from unbend.config.mission import Mission
+from unbend.config.mission_file import Mission
 
 Node = dict[str, Any]
 

@@ -8,7 +8,7 @@ from typing import Any
 import yaml
 
 from unbend.config import messages
-from unbend.config.mission import Mission
+from unbend.config.mission_file import Mission
 
 Place = tuple[str | int, ...]
 """The keys that lead to a value, and places in lists, from 0."""

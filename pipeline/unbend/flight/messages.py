@@ -920,7 +920,7 @@ STATIONS_SIGMA = Code(
         "than the mission needs."
     ),
     effect="The run ends with 3 where it is a loss.",
-    remedy="Give a better trajectory, or relax stations.max_sigma_*.",
+    remedy="Give a better trajectory, or relax the largest sigmas under stations.",
 )
 
 

@@ -108,6 +108,25 @@ class _Flown:
     attitudes: Attitudes
     bend: HeightBend
 
+    @property
+    def variance_of_track(self) -> Array:
+        """(n,) of the interpolation of places, per horizontal axis [m2]."""
+        return np.asarray(np.square(self.track.sigma_m).mean(axis=1))
+
+    @property
+    def square_speed(self) -> Array:
+        """(n,) per horizontal axis [m2/s2]."""
+        return np.asarray(np.square(self.track.velocity_m_s).mean(axis=1))
+
+    def variance_of_climb(self, late_s: Array | float) -> Array:
+        """(n,) of heights at times of a sigma [m2]."""
+        return np.asarray(np.square(late_s * self.bend.speed_down_m_s))
+
+    def variance_of_turn(self, late_s: Array | float) -> Array:
+        """(n, 3) of the interpolation of attitudes, and of times of a sigma [rad2]."""
+        turned = self.attitudes.rate_rad_s * np.reshape(late_s, (-1, 1))
+        return np.asarray(np.square(self.attitudes.sigma_rad) + np.square(turned))
+
 
 def _with_coverage(stations: Stations, coverage: NDArray[np.uint8]) -> Stations:
     """Stations with the status of those in a gap of a channel, or beyond its ends."""
@@ -132,28 +151,23 @@ def _with_sigmas(
 
     Time, and with it the sampled rates, acts along one direction: half of it on each axis.
     """
-    track = flown.track
-    attitudes = flown.attitudes
-    bend = flown.bend
-    time_ns = events.time_ns
-    late_s = events.sigma_time_s
-
-    horizontal, _ = accuracy.positions(roles["position"], time_ns)
-    variance_of_track = np.square(track.sigma_m).mean(axis=1)
-    variance_of_time = np.square(late_s) * np.square(track.velocity_m_s).mean(axis=1)
-    horizontal_m = np.sqrt(np.square(horizontal) + variance_of_track + variance_of_time)
-
-    _, vertical = accuracy.positions(roles["height"], time_ns)
-    variance_of_climb = np.square(late_s * bend.speed_down_m_s)
-    height_m = np.sqrt(np.square(vertical) + np.square(bend.sigma_m) + variance_of_climb)
-
-    tilt, yaw = _attitude_sigmas(roles["attitude"], time_ns, track.lat_rad, mount, accuracy)
-    turned = attitudes.rate_rad_s * np.reshape(late_s, (-1, 1))
-    variance_of_turn = np.square(attitudes.sigma_rad) + np.square(turned)
+    variance_of_time = np.square(events.sigma_time_s)
+    horizontal, _ = accuracy.positions(roles["position"], events.time_ns)
+    _, vertical = accuracy.positions(roles["height"], events.time_ns)
+    tilt, yaw = _attitude_sigmas(
+        roles["attitude"], events.time_ns, flown.track.lat_rad, mount, accuracy
+    )
+    variance_of_turn = flown.variance_of_turn(events.sigma_time_s)
     return replace(
         stations,
-        sigma_horizontal_m=horizontal_m,
-        sigma_height_m=height_m,
+        sigma_horizontal_m=np.sqrt(
+            np.square(horizontal) + flown.variance_of_track + variance_of_time * flown.square_speed
+        ),
+        sigma_height_m=np.sqrt(
+            np.square(vertical)
+            + np.square(flown.bend.sigma_m)
+            + flown.variance_of_climb(events.sigma_time_s)
+        ),
         sigma_tilt_rad=np.sqrt(np.square(tilt) + variance_of_turn[:, :2].mean(axis=1)),
         sigma_yaw_rad=np.sqrt(np.square(yaw) + variance_of_turn[:, 2]),
     )

@@ -164,20 +164,13 @@ def track_at(channel: Channel, time_ns: TimeArray, max_gap_s: float) -> Track:
     curve = _Curve(channel, VELOCITY[:2], metres, _LIMITS_M)
     _, bend = curve.between(place)
 
-    def mean(component: Callable[[Rows], Array]) -> Array:
-        before = component(place.before) * (1.0 - place.fraction)
-        return before + component(place.after) * place.fraction
-
-    x = mean(lambda rows: np.cos(lat[rows]) * np.cos(lon[rows]))
-    y = mean(lambda rows: np.cos(lat[rows]) * np.sin(lon[rows]))
-    z = mean(lambda rows: np.sin(lat[rows]))
+    straight_lat, straight_lon = _along_normal_vectors(lat, lon, place)
     meridian, prime_vertical = principal_radii(lat[place.before])
     parallel = prime_vertical * np.cos(lat[place.before])
     with np.errstate(invalid="ignore", divide="ignore"):
-        lat_bend = bend[:, 0] / meridian
+        latitude = straight_lat + bend[:, 0] / meridian
         lon_bend = np.where(parallel > _LEAST_PARALLEL_M, bend[:, 1] / parallel, 0.0)
-        latitude = np.arctan2(z, np.hypot(x, y)) + lat_bend
-        longitude = np.arctan2(y, x) + lon_bend
+        longitude = straight_lon + lon_bend
     inside = place.coverage == INSIDE
     return Track(
         lat_rad=np.where(inside, latitude, np.nan),
@@ -186,6 +179,19 @@ def track_at(channel: Channel, time_ns: TimeArray, max_gap_s: float) -> Track:
         sigma_m=curve.sigma(place),
         coverage=place.coverage,
     )
+
+
+def _along_normal_vectors(lat: Array, lon: Array, place: Bracket) -> tuple[Array, Array]:
+    """(m,) latitude and longitude [rad] of normal vectors interpolated between samples."""
+
+    def normals(rows: Rows) -> Array:
+        x = np.cos(lat[rows]) * np.cos(lon[rows])
+        y = np.cos(lat[rows]) * np.sin(lon[rows])
+        return np.stack([x, y, np.sin(lat[rows])])
+
+    before = normals(place.before) * (1.0 - place.fraction)
+    x, y, z = before + normals(place.after) * place.fraction
+    return np.arctan2(z, np.hypot(x, y)), np.arctan2(y, x)
 
 
 @dataclass(frozen=True, eq=False)

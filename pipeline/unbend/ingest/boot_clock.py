@@ -129,12 +129,12 @@ def timeline(blocks: Iterable[Stamps]) -> Timeline:
     for places, time_ns in blocks:
         if not places.shape[0]:
             continue
-        found = _stretches_of(places, time_ns)
-        if stretches and abs(found[0].begin - stretches[-1].end) <= clock.BOOT_STEP_NS:
-            goes_on = found.pop(0)
+        next_stretches = _stretches_of(places, time_ns)
+        if stretches and abs(next_stretches[0].begin - stretches[-1].end) <= clock.BOOT_STEP_NS:
+            goes_on = next_stretches.pop(0)
             last = stretches[-1]
             stretches[-1] = last._replace(end=goes_on.end, length=last.length + goes_on.length)
-        stretches += found
+        stretches += next_stretches
     first, begin, end, length = np.array(stretches, np.int64).reshape(-1, 4).T.copy()
     stray = clock.stray_stretches(begin, end, length)
     return Timeline(first, begin, end, length, stray, _boots(begin, end, stray))
@@ -303,10 +303,12 @@ def _split_at_silences(line: Timeline, sources: Sequence[UtcReadings]) -> Timeli
     decided = np.zeros(at_silence.shape, np.bool_)
     for source in sources:
         line = _split_boots(line, source, decided)
-        # the boots of its rows before and after each silence; none has the boots -1 and -2
+        # -1 stands for no row before a silence, -2 for none behind it
         boots = np.concatenate([[-1], by_steps.boot_of(source.places), [-2]]).astype(np.int64)
-        row = np.searchsorted(source.places, at_silence)
-        decided |= boots[row] == boots[row + 1]
+        rows_before = np.searchsorted(source.places, at_silence)
+        boot_before = boots[rows_before]
+        boot_behind = boots[rows_before + 1]
+        decided |= boot_before == boot_behind
     return line
 
 
@@ -315,25 +317,31 @@ def _split_boots(line: Timeline, source: UtcReadings, decided: Mask) -> Timeline
     silences = line.silences()
     within_boot = line.boot[silences.after] == line.boot[silences.after - 1]
     free = ~decided & within_boot
-    after = silences.after[free]
-    silence_ns = silences.length_ns[free]
-    if not after.size or not source.places.shape[0]:
+    silences = Silences(silences.after[free], silences.length_ns[free])
+    if not silences.after.size or not source.places.shape[0]:
         return line
-    silence_places = line.first[after]
-    boot_of_rows = line.boot_of(source.places)
+    silence_places = line.first[silences.after]
     boot = line.boot.copy()
-    for number in np.unique(boot_of_rows).tolist():
-        rows = np.flatnonzero(boot_of_rows == number)
-        offset_ns = without_glitches(source.utc_ns[rows] - source.boot_ns[rows])
-        steps = np.flatnonzero(np.abs(np.diff(offset_ns)) > clock.BOOT_STEP_NS)
-        for row in steps.tolist():
-            # the longest silence between the two rows is where the vehicle was restarted
-            around = source.places[rows[row : row + 2]]
-            begin, end = np.searchsorted(silence_places, around, side="right")
-            if begin < end:
-                longest = begin + np.argmax(silence_ns[begin:end])
-                boot[after[longest] :] += 1
+    for before, after in _offset_steps(line, source):
+        # the longest silence between the two rows is where the vehicle was restarted
+        begin, end = np.searchsorted(silence_places, [before, after], side="right")
+        if begin < end:
+            longest = begin + np.argmax(silences.length_ns[begin:end])
+            boot[silences.after[longest] :] += 1
     return replace(line, boot=boot)
+
+
+def _offset_steps(line: Timeline, source: UtcReadings) -> list[tuple[int, int]]:
+    """The places of the rows before and after each step of a source's offset within a boot."""
+    boot = line.boot_of(source.places)
+    steps: list[tuple[int, int]] = []
+    for number in np.unique(boot).tolist():
+        rows = np.flatnonzero(boot == number)
+        places = source.places[rows]
+        offset_ns = without_glitches(source.utc_ns[rows] - source.boot_ns[rows])
+        stepped = np.flatnonzero(np.abs(np.diff(offset_ns)) > clock.BOOT_STEP_NS)
+        steps += zip(places[stepped].tolist(), places[stepped + 1].tolist(), strict=True)
+    return steps
 
 
 def without_glitches(offset_ns: TimeArray) -> TimeArray:

@@ -97,6 +97,11 @@ def channel_of(rows: DecodedRows, spec: MessageMap, ledger: Ledger) -> Channel |
     columns = {name: values for name, values in columns.items() if np.isfinite(values).any()}
     if len(rows) == 0 or not columns:
         return None
+    return _channel(rows, columns, spec)
+
+
+def _channel(rows: DecodedRows, columns: Mapping[str, Array], spec: MessageMap) -> Channel:
+    """The channel of rows whose columns are ready, with the roles that it can play."""
     channel = Channel(
         name=rows.name,
         time_ns=rows.time_ns,

@@ -88,18 +88,18 @@ FieldColumn(name='t_k', fields=('t',), unit='degC', missing=0.0, floor=None)]
         if line.startswith("@"):
             yield from parse_columns(groups[line[1:]], groups)
             continue
-        found = _COLUMN.fullmatch(line)
-        if found is None:
+        match = _COLUMN.fullmatch(line)
+        if match is None:
             raise ValueError(line)
-        names = found["names"].split()
-        fields = found["fields"].split()
+        names = match["names"].split()
+        fields = match["fields"].split()
         for name, field in zip(names, fields, strict=True):
             yield FieldColumn(
                 name=name,
                 fields=tuple(field.split("|")),
-                unit=found["unit"] or "",
-                missing=_number_or_none(found["missing"]),
-                floor=_number_or_none(found["floor"]),
+                unit=match["unit"] or "",
+                missing=_number_or_none(match["missing"]),
+                floor=_number_or_none(match["floor"]),
             )
 
 

@@ -31,27 +31,32 @@ def column_of(values: list[Any]) -> NDArray[Any]:
     kinds = all_kinds - {type(None)}
     is_complete = kinds == all_kinds
     if kinds == {str}:
-        return np.array(["" if value is None else value for value in values], np.str_)
+        return np.array(_filled_values(values, ""), np.str_)
     if kinds == {bool} and is_complete:
         return np.array(values, np.bool_)
-    if kinds and kinds <= {bool, int} and is_complete:
-        integers = _integers(values)
-        if integers is not None:
-            return integers
+    if kinds and kinds <= {bool, int} and is_complete and _fit_64_bits(values):
+        return _integers(values)
     if kinds <= {bool, int, float} and all(_is_exact_as_float(value) for value in values):
-        return np.array([np.nan if value is None else value for value in values], np.float64)
+        return np.array(_filled_values(values, np.nan), np.float64)
     return _objects(values)
 
 
-def _integers(values: list[int]) -> NDArray[Any] | None:
-    """Integers as int64 or uint64; None where neither holds all of them."""
+def _filled_values(values: list[Any], missing: Any) -> list[Any]:
+    """Values with something for those that are missing."""
+    return [missing if value is None else value for value in values]
+
+
+def _fit_64_bits(values: list[int]) -> bool:
+    """Whether int64 or uint64 holds all of these integers."""
     low = min(values)
     high = max(values)
-    if low >= -_WORD // 2 and high < _WORD // 2:
-        return np.array(values, np.int64)
-    if low >= 0 and high < _WORD:
-        return np.array(values, np.uint64)
-    return None
+    return (low >= -_WORD // 2 and high < _WORD // 2) or (low >= 0 and high < _WORD)
+
+
+def _integers(values: list[int]) -> NDArray[Any]:
+    """Integers as int64, where that holds all of them, else as uint64."""
+    is_signed = min(values) < 0 or max(values) < _WORD // 2
+    return np.array(values, np.int64 if is_signed else np.uint64)
 
 
 def _is_exact_as_float(value: Any) -> bool:
@@ -98,20 +103,28 @@ def join_pieces(pieces: Sequence[NDArray[Any] | int]) -> NDArray[Any]:
     >>> join_pieces([np.array([1.5]), 1]), join_pieces([np.array(["a"]), np.array([7])])
     (array([1.5, nan]), array(['a', 7], dtype=object))
     """
-    arrays = [piece for piece in pieces if isinstance(piece, np.ndarray)]
-    kinds = {array.dtype.kind for array in arrays}
-    shapes = {array.shape[1:] for array in arrays}
-    if len(shapes) == 1 and (kinds == {"U"} or kinds <= set("biuf")):
-        joined = np.concatenate(_filled(pieces, arrays))
-        is_lossless = joined.dtype.kind != "f" or (
-            _has_floats(pieces, arrays) and all(_fits_float(array) for array in arrays)
-        )
-        if is_lossless:
-            return joined
+    joined = _joined_without_loss(pieces)
+    if joined is not None:
+        return joined
     values: list[Any] = []
     for piece in pieces:
         values += [None] * piece if isinstance(piece, int) else piece.tolist()
     return column_of(values)
+
+
+def _joined_without_loss(pieces: Sequence[NDArray[Any] | int]) -> NDArray[Any] | None:
+    """Pieces as one array of numbers or of texts; None where numpy would alter a value."""
+    arrays = [piece for piece in pieces if isinstance(piece, np.ndarray)]
+    kinds = {array.dtype.kind for array in arrays}
+    shapes = {array.shape[1:] for array in arrays}
+    if len(shapes) != 1 or not (kinds == {"U"} or kinds <= set("biuf")):
+        return None
+    joined = np.concatenate(_filled(pieces, arrays))
+    if joined.dtype.kind != "f":
+        return joined
+    if _has_floats(pieces, arrays) and all(_fits_float(array) for array in arrays):
+        return joined
+    return None
 
 
 def _has_floats(pieces: Sequence[NDArray[Any] | int], arrays: Sequence[NDArray[Any]]) -> bool:

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from unbend.atmosphere.rejection import Reason, count_by_reason, described_counts
+from unbend.atmosphere.rejection import count_by_reason, described_counts
 from unbend.errors import MissionError
 from unbend.flight.channels import Channel
 from unbend.flight.evidence.quality import plausible_samples
@@ -65,46 +65,35 @@ def roles_of(channels: Sequence[Channel]) -> tuple[dict[str, Any], list[dict[str
     ``rate_hz``, ``samples``, a ``remark`` (true samples, or what lacks), ``others`` to be named.
     """
     chosen, notes = assign_roles(channels, {}, needs_cabin=False)
+    position = chosen.get("position")
     height = chosen.get("height")
     rows = []
     for role in (*_ROLES, *_CABIN, "events"):
         able = [channel.name for channel in channels if _can_play(channel, role)]
         channel = chosen.get(role)
-        row: dict[str, Any] = {
-            "role": role,
-            "channel": None,
-            "rate_hz": None,
-            "samples": None,
-            "others": able,
-        }
         if channel is None:
-            row["remark"] = _why_none(role, able, notes)
+            rows.append(_row(role, able, _why_none(role, able, notes)))
         else:
-            row["channel"] = channel.name
-            row["rate_hz"] = channel.rate_hz
-            row["samples"] = len(channel)
-            rejected = rejected_samples(channel, role)
-            row["rejected"] = {reason.text: count for reason, count in rejected.items()}
-            row["others"] = [name for name in able if name != channel.name]
-            row["remark"] = remark_on(channel, role, height)
-        rows.append(row)
-    position = chosen.get("position")
+            rows.append(_row(role, able, remark_on(channel, role, height), channel))
     flight = {}
     if position is not None and height is not None:
         flight = flight_of(position, height)
     return flight, rows
 
 
-def rejected_samples(channel: Channel, role: str) -> dict[Reason, int]:
-    """How many samples of a channel its role does not use, and why; none where its unit is wrong.
-
-    What only a mission decides (heights, take-off) is not counted.
-    """
-    try:
-        kept, _ = plausible_samples(channel, role)
-    except MissionError:
-        return {}
-    return count_by_reason([kept.removed.reason])
+def _row(
+    role: str, able: Sequence[str], remark: str, channel: Channel | None = None
+) -> dict[str, Any]:
+    """What is said of a role, the channel that plays it, and those that are ``able`` to."""
+    name = None if channel is None else channel.name
+    return {
+        "role": role,
+        "channel": name,
+        "rate_hz": None if channel is None else channel.rate_hz,
+        "samples": None if channel is None else len(channel),
+        "others": [other for other in able if other != name],
+        "remark": remark,
+    }
 
 
 def _can_play(channel: Channel, role: str) -> bool:

@@ -88,9 +88,7 @@ def with_receiver_delay(contents: Contents, ledger: Ledger) -> Contents:
             shift_ns += later_ns
         if channel.name in delays:
             shift_ns -= round(delays[channel.name].delay_s * 1e9)
-        if shift_ns:
-            channel = replace(channel, time_ns=channel.time_ns + shift_ns)
-        channels.append(channel)
+        channels.append(_shifted(channel, shift_ns))
     return replace(
         contents,
         channels=tuple(channels),
@@ -220,11 +218,7 @@ def estimated_delay(receiver: Channel, fused: Channel) -> ReceiverDelay | None:
         if not behind_s.size:
             return None
         delay_s += float(np.median(behind_s))
-    scatter_s = _SIGMA_OF_MAD * float(np.median(np.abs(behind_s - np.median(behind_s))))
-    rate_hz = receiver.rate_hz / step
-    rows_of_one_error = max(_CORRELATION_S * rate_hz, 1.0)
-    independent = behind_s.size * min(1.0, 1.0 / rows_of_one_error)
-    sigma_s = _SIGMA_OF_MEDIAN * scatter_s / np.sqrt(independent)
+    sigma_s = _sigma_of_median(behind_s, receiver.rate_hz / step)
     if sigma_s > _FILTER_SIGMA_S or not -_LEAST_DELAY_S < delay_s < _LARGEST_DELAY_S:
         return None
     applied_s = delay_s if delay_s > _LEAST_DELAY_S else 0.0
@@ -233,3 +227,11 @@ def estimated_delay(receiver: Channel, fused: Channel) -> ReceiverDelay | None:
         sigma_s=float(np.hypot(sigma_s, _FILTER_SIGMA_S)),
         origin=f"estimated from {behind_s.size} of them against {fused.name}",
     )
+
+
+def _sigma_of_median(behind_s: Array, rate_hz: float) -> float:
+    """The sigma of the median delay [s] of rows whose errors last some seconds."""
+    scatter_s = _SIGMA_OF_MAD * float(np.median(np.abs(behind_s - np.median(behind_s))))
+    rows_of_one_error = max(_CORRELATION_S * rate_hz, 1.0)
+    independent = behind_s.size * min(1.0, 1.0 / rows_of_one_error)
+    return float(_SIGMA_OF_MEDIAN * scatter_s / np.sqrt(independent))

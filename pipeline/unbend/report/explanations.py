@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from unbend.config.keys import campaign_keys, mission_keys
-from unbend.errors import Code
+from unbend.errors import STORAGE_WRITE, Code
 from unbend.report import messages
 
 _MOST_LISTED = 8
@@ -34,18 +34,19 @@ class Meaning(NamedTuple):
 @cache
 def meanings() -> Mapping[str, Mapping[str, Meaning]]:
     """Of ``codes`` of refusals and of the ledger, ``exit`` codes, and statuses."""
-    text = resources.files(__package__).joinpath("codes.toml").read_text("utf-8")
+    text = resources.files(__package__).joinpath("exit_codes_and_statuses.toml").read_text("utf-8")
     found = {
         of: {word: Meaning(**entry) for word, entry in entries.items()}
         for of, entries in tomllib.loads(text).items()
     }
     for code in codes():
-        found["codes"][code.name] = Meaning(code.means, code.effect, code.remedy)
+        found.setdefault("codes", {})[code.name] = Meaning(code.means, code.effect, code.remedy)
     return found
 
 
 def codes() -> Iterator[Code]:
-    """The codes of all rooms, which stand in modules called messages."""
+    """The codes of all rooms, which stand in modules called messages, and that of every room."""
+    yield STORAGE_WRITE
     root = Path(str(resources.files("unbend")))
     for path in sorted(root.rglob("messages.py")):
         words = path.relative_to(root.parent).with_suffix("").parts

@@ -339,16 +339,7 @@ def read_air_sources(
         ground_h_m=lowest_h_m,
         longitude_rad=longitude if known.size else 0.0,
     )
-    soundings = []
-    for read, of_file in zip(inputs.soundings, section.soundings, strict=True):
-        stated_m = of_file.station_h_msl_m
-        sounding = read(
-            ledger,
-            time_ns=flight_ns,
-            latitude_rad=latitude,
-            station_h_m=math.nan if stated_m is None else stated_m,
-        )
-        soundings.append(replace(sounding, across=of_file.across_coast_or_ridge))
+    soundings = read_soundings(section, inputs, flight_ns, latitude, ledger)
     surface = []
     for number, of_station in enumerate(section.surface):
         where = f"atmosphere.surface[{number}]"
@@ -358,17 +349,7 @@ def read_air_sources(
     if model is not None:
         soundings.append(model.column)
     ledger.extend(distance_notes(tuple(soundings), tuple(surface), middle))
-    calibration = section.sensors.calibration
-    if not section.adjust and (soundings or surface or calibration):
-        ledger.add(
-            messages.air_sources_unused(
-                where="atmosphere",
-                soundings=len(soundings),
-                surface=len(surface),
-                calibrations=len(calibration),
-            )
-        )
-    return AirSources(
+    sources = AirSources(
         background=background,
         soundings=tuple(soundings),
         surface=tuple(surface),
@@ -376,8 +357,45 @@ def read_air_sources(
         longitude_rad=longitude,
         lowest_h_m=lowest_h_m,
         model=model,
-        calibration=calibration,
+        calibration=section.sensors.calibration,
     )
+    if not section.adjust:
+        report_unused(sources, ledger)
+    return sources
+
+
+def read_soundings(
+    section: AtmosphereSection,
+    inputs: OpenedInputs,
+    flight_ns: int | None,
+    latitude_rad: float,
+    ledger: Ledger,
+) -> list[Sounding]:
+    """The soundings of a mission, those of several launches nearest in time to the flight."""
+    soundings = []
+    for read, of_file in zip(inputs.soundings, section.soundings, strict=True):
+        stated_m = of_file.station_h_msl_m
+        sounding = read(
+            ledger,
+            time_ns=flight_ns,
+            latitude_rad=latitude_rad,
+            station_h_m=math.nan if stated_m is None else stated_m,
+        )
+        soundings.append(replace(sounding, across=of_file.across_coast_or_ridge))
+    return soundings
+
+
+def report_unused(sources: AirSources, ledger: Ledger) -> None:
+    """A warning of sources that are named, where the air is not adjusted."""
+    if sources.soundings or sources.surface or sources.calibration:
+        ledger.add(
+            messages.air_sources_unused(
+                where="atmosphere",
+                soundings=len(sources.soundings),
+                surface=len(sources.surface),
+                calibrations=len(sources.calibration),
+            )
+        )
 
 
 def lowest_sample_m(samples: AirSamples, home_h_msl_m: float | None) -> float:

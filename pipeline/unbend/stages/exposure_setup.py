@@ -31,10 +31,6 @@ class Air(NamedTuple):
     temperature_k: Array
     vapour_pressure_pa: Array
 
-    def of_rows(self, rows: Mask) -> "Air":
-        """That of some exposures."""
-        return Air(*(values[rows] for values in self))
-
 
 def orientations_of_mission(mission: Mission, stations: Stations) -> Orientations:
     """The stations held in an intersection, with usual sigmas where theirs are unknown."""
@@ -80,12 +76,6 @@ def exposures_of(
     """
     rotation = matrices_of(stations.quaternion)
     h = stations.h_msl_m
-    air_outside = Air(profile.pressure(h), profile.temperature(h), profile.vapour_pressure(h))
-    air_in_cabin = Air(
-        stations.cabin_pressure_pa,
-        stations.cabin_temperature_k,
-        stations.cabin_vapour_pressure_pa,
-    )
     n_outside = profile.refractivity(h)
     n_in_cabin = n_outside.copy()
     normal = np.tile(OPTICAL_AXIS, (len(stations), 1))
@@ -96,10 +86,8 @@ def exposures_of(
             continue
         window = windows.get(name)
         lens = lenses.get(name)
-        plane = window is not None and window.shape == "plane"
-        needs_cabin = window is not None and window.cabin is not None and (plane or lens)
-        air = (air_in_cabin if needs_cabin else air_outside).of_rows(rows)
-        if window is not None and plane:
+        air = air_at_camera(stations, profile, window, lens, rows)
+        if window is not None and window.shape == "plane":
             n_in_cabin[rows] = profile.index.refractivity(
                 air.temperature_k, air.pressure_pa, air.vapour_pressure_pa
             )
@@ -122,6 +110,27 @@ def exposures_of(
         window_normal=normal,
         principal_change_px=np.nan_to_num(change),
         radius_m=radius_m,
+    )
+
+
+def air_at_camera(
+    stations: Stations,
+    profile: Profile | ProfileSeries,
+    window: Window | None,
+    lens: LensInAir | None,
+    rows: Mask,
+) -> Air:
+    """The air about a camera at some exposures: that of its cabin, or of the profile."""
+    matters = lens is not None or (window is not None and window.shape == "plane")
+    if window is not None and window.cabin is not None and matters:
+        return Air(
+            stations.cabin_pressure_pa[rows],
+            stations.cabin_temperature_k[rows],
+            stations.cabin_vapour_pressure_pa[rows],
+        )
+    h = stations.h_msl_m
+    return Air(
+        profile.pressure(h)[rows], profile.temperature(h)[rows], profile.vapour_pressure(h)[rows]
     )
 
 

@@ -3,6 +3,7 @@
 from unbend.errors import Code, Counted, InputError, MissionError
 from unbend.flight.messages import CHANNEL_MISSING
 from unbend.messages import Message, fallback, finding, loss, note, warning
+from unbend.tables.messages import MODEL_TIME
 
 STATIONS_ATTITUDE = Code(
     "STATIONS-ATTITUDE",
@@ -212,32 +213,6 @@ def most_numbers_fall(*, where: str, count: int, total: int) -> Message:
     )
 
 
-OBS_REPEATED_POINT = Code(
-    "OBS-REPEATED-POINT",
-    means=(
-        "Points stand twice in an image. Of a table of more than 200,000 rows only some points "
-        "are looked at."
-    ),
-    effect="Both rows are corrected; at most one is the measurement.",
-    remedy="Mend the table or block, which may have been joined with itself.",
-)
-
-
-def point_repeated(*, where: str, count: int, first: str) -> Message:
-    """A point stands twice in an image."""
-    return loss(
-        OBS_REPEATED_POINT,
-        (
-            "a point twice in an image, {count} times, first {first}: at most one of both is its "
-            "measurement"
-        ),
-        one="a point twice in an image, once, {first}: at most one of both is its measurement",
-        where=where,
-        count=count,
-        first=first,
-    )
-
-
 AIR_NOT_ADJUSTED = Code(
     "AIR-NOT-ADJUSTED",
     means="atmosphere.adjust is false: the standard atmosphere was kept as it is.",
@@ -275,17 +250,6 @@ def air_sources_unused(*, where: str, soundings: int, surface: int, calibrations
         reports=Counted(surface, "surface report"),
         calibrated=Counted(calibrations, "sensor calibration"),
     )
-
-
-MODEL_TIME = Code(
-    "MODEL-TIME",
-    means=(
-        "The fields of a weather model are of another time than the flight, have no time that can "
-        "be read, or are those of several runs of a forecast."
-    ),
-    effect="The mission is refused, or the file is not read.",
-    remedy="Download the hours before, during and after the flight, of one run.",
-)
 
 
 def flight_without_time(*, where: str) -> InputError:

@@ -34,6 +34,7 @@ from unbend.stages.multi_image.oriented_stations import oriented_stations
 from unbend.stages.multi_image.tie_point_checks import TieEvidence, check_tie_points
 from unbend.stages.opened_inputs import OpenedInputs
 from unbend.tables.geodata.elevation import ElevationModel
+from unbend.tables.messages import points_repeated
 from unbend.tables.observations import Observations
 from unbend.tables.tie_points import MOST_TIE_POINTS, TiePoints, draw_tie_points
 from unbend.units import DEGREE
@@ -191,10 +192,10 @@ def stations_of_mission(
 
 
 def report_repeated_points(observations: Observations, ties: TiePoints, ledger: Ledger) -> None:
-    """A loss where points stand twice in an image; those of a block are told when it is opened."""
+    """A loss where points stand twice in an image; a block says so when it is opened."""
     if ties.repeated and not observations.is_block:
         ledger.add(
-            messages.point_repeated(
+            points_repeated(
                 where=observations.path.name, count=len(ties.repeated), first=ties.repeated[0]
             )
         )

@@ -12,7 +12,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.csv as pa_csv
 
-from unbend.errors import InputError
+from unbend.tables import messages
 
 _BLOCK_BYTES = 4 << 20
 
@@ -85,9 +85,9 @@ def csv_names(path: Path) -> list[str]:
         with open_csv(path, {}) as reader:
             names: list[str] = reader.schema.names
     except (pa.ArrowInvalid, OSError, UnicodeDecodeError) as error:
-        raise _refusal(path, error) from None
+        raise messages.observations_csv_unreadable(where=path, error=str(error)) from None
     if len(names) == 1 and any(mark in names[0] for mark in ";\t|"):
-        raise _refusal(path, "its fields are not separated by commas")
+        raise messages.observations_without_commas(where=path)
     return names
 
 
@@ -119,7 +119,7 @@ def scan_csv(
                     if values.null_count < len(values):
                         filled.add(name)
     except (pa.ArrowInvalid, OSError) as error:
-        raise _refusal(path, error) from None
+        raise messages.observations_csv_unreadable(where=path, error=str(error)) from None
     chosen = {name: next(iter(left), None) for name, left in kinds.items() if name in filled}
     types = {name: kind.type if (kind := chosen.get(name)) else pa.string() for name in names}
     codes = tuple(name for name, kind in chosen.items() if kind is _CODE)
@@ -138,8 +138,3 @@ def open_csv(
     nulls = {"null_values": [""], "strings_can_be_null": True, "quoted_strings_can_be_null": False}
     convert = pa_csv.ConvertOptions(column_types=types, include_columns=only, **nulls)
     return pa_csv.open_csv(path, read, parse, convert)
-
-
-def _refusal(path: Path, error: object) -> InputError:
-    remedy = "a table is UTF-8 and has a header line, commas, and as many fields in every row"
-    return InputError("OBS-CSV", f"is no readable CSV: {error}", where=str(path), remedy=remedy)

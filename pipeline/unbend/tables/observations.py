@@ -15,8 +15,8 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from unbend.errors import InputError
 from unbend.messages import Ledger
+from unbend.tables import messages
 from unbend.tables.delimited import csv_names, open_csv, scan_csv
 from unbend.tables.geodata.object_points import ObjectPoints
 from unbend.tables.imports.blocks import BLOCKS, block_rows
@@ -398,8 +398,7 @@ def _checked(
         schema = pa.schema(list(scan.types.items()))
         require_columns(path, schema, wanted)  # now with the types that the values have
         for name in scan.codes:
-            text = f"column {name} is written as text: some of its digits are no plain number"
-            ledger.note("OBS-CODES", text)
+            ledger.add(messages.column_as_text(column=name))
     else:
         rows, images, repeated = 0, set(), list[str]()
         for batch in records(1 << 20, [named["image"], named["point"]][: 1 + (kind in BLOCKS)], 0):
@@ -415,9 +414,9 @@ def _checked(
                 sample.add(names)
         if repeated:
             count, first = len(repeated), repeated[0]
-            ledger.loss("OBS-REPEATED-POINT", where=path.name, count=count, first=first)
+            ledger.add(messages.points_repeated(where=path.name, count=count, first=first))
     if rows == 0:
-        raise InputError.of("OBS-EMPTY/open-observations", path)
+        raise messages.observations_empty(where=path)
     replaced = set(named.values()) - {named.get("distance_m")}
     if ground_column == "h_g_m" and ground_is_msl:
         replaced.add("h_g_m")
@@ -447,8 +446,7 @@ def _written_names(users: list[str], ledger: Ledger) -> dict[str, str]:
         while name in _OURS or name in sources:
             name += "_input"
         if name != own:
-            what = f"column {own} is written as {name}: a column of the results has its name"
-            ledger.note("OBS-RENAMED", what)
+            ledger.add(messages.column_renamed(column=own, written=name))
         sources[name] = own
     return sources
 
@@ -456,7 +454,7 @@ def _written_names(users: list[str], ledger: Ledger) -> dict[str, str]:
 def _opened(path: Path, kind: str) -> tuple[pa.Schema, Records]:
     """The Arrow schema of a table, that of a CSV all text until it is scanned, and its rows."""
     if not path.exists() or (kind not in BLOCKS and not path.is_file()):
-        raise InputError.of("OBS-MISSING", path)
+        raise messages.observations_missing(where=path)
     if kind in BLOCKS:
         rows = partial(_block_records, path, kind)
         return next(rows(0, None, 0), rows_of_image("", [])).schema, rows
@@ -467,9 +465,9 @@ def _opened(path: Path, kind: str) -> tuple[pa.Schema, Records]:
         try:
             return pq.read_schema(path), partial(_parquet_records, path)
         except (pa.ArrowInvalid, OSError) as error:
-            raise InputError.of("OBS-PARQUET", path, error=error) from None
+            raise messages.parquet_unreadable(where=path, error=str(error)) from None
     ending = path.suffix.lower() or "a file without extension"
-    raise InputError.of("OBS-FORMAT", path, ending=ending, blocks=", ".join(BLOCKS))
+    raise messages.observations_format(where=path, ending=ending, blocks=", ".join(BLOCKS))
 
 
 def _block_records(
@@ -522,7 +520,7 @@ def damage_in_table(path: Path) -> Iterator[None]:
     try:
         yield
     except (pa.ArrowException, OSError) as error:
-        raise InputError.of("OBS-DAMAGED", path, error=error) from None
+        raise messages.observations_damaged(where=path, error=str(error)) from None
 
 
 def _slices(batches: Iterator[pa.RecordBatch], rows: int) -> Iterator[pa.Table]:

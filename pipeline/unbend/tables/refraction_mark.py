@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 import pyarrow as pa
 
-from unbend.errors import InputError
+from unbend.tables import messages
 
 Direction = Literal["remove", "apply"]
 
@@ -56,19 +56,17 @@ def refuse_marked(path: Path, direction: Direction = "remove") -> None:
             named += [(sidecar, str(item["name"]), str(item["sha256"])) for item in items]
         except (OSError, ValueError, KeyError, TypeError) as error:
             name = type(error).__name__
-            raise InputError.of("OBS-MARK-UNREADABLE", sidecar, name=name) from None
+            raise messages.sidecar_unreadable(where=sidecar, name=name) from None
     by_content = {sha256: sidecar for sidecar, _, sha256 in named}
     by_name = {name: sidecar for sidecar, name, _ in named}
     for file in files:
         digest = _sha256(file) if named else ""
         if digest in by_content:
-            why = f"{by_content[digest].name} names its content"
-            raise InputError.of("OBS-ALREADY-CORRECTED", file, why=why)
+            raise messages.corrected_by_sidecar(where=file, sidecar=by_content[digest].name)
         if _database_is_marked(file):
-            why = f"its table {MARK_TABLE} says so"
-            raise InputError.of("OBS-ALREADY-CORRECTED", file, why=why)
+            raise messages.corrected_by_database(where=file, table=MARK_TABLE)
         if file.name in by_name:
-            raise InputError.of("OBS-MARK-CHANGED", file, name=by_name[file.name].name)
+            raise messages.marked_file_changed(where=file, name=by_name[file.name].name)
 
 
 def refuse_done(
@@ -84,18 +82,14 @@ def refuse_done(
     mark = REFRACTION_REMOVED if removing else REFRACTION_APPLIED
     word = "corrected" if removing else "displaced"
     ours = [name for name in schema.names if name in (f"x_{word}_px", f"y_{word}_px")]
-    words = f'"refraction {mark.decode()}"'
     if (schema.metadata or {}).get(REFRACTION_KEY) == mark:
-        why = f"the table carries the mark {words}"
-    elif ours:
-        why = f"the table has a column {ours[0]}: {words}"
-    else:
-        if is_file:
-            refuse_marked(path, direction)
-        return
-    if removing:
-        raise InputError.of("OBS-ALREADY-CORRECTED", path, why=why)
-    raise InputError.of("OBS-ALREADY-DISPLACED", path, why=why)
+        by_mark = messages.corrected_by_mark if removing else messages.displaced_by_mark
+        raise by_mark(where=path, mark=mark.decode())
+    if ours:
+        by_column = messages.corrected_by_column if removing else messages.displaced_by_column
+        raise by_column(where=path, column=ours[0])
+    if is_file:
+        refuse_marked(path, direction)
 
 
 def _database_is_marked(path: Path) -> bool:

@@ -9,8 +9,8 @@ import numpy as np
 
 from unbend.atmosphere import soundings
 from unbend.atmosphere.soundings.levels import FILLS, LARGEST, radians, to_si
-from unbend.errors import InputError
 from unbend.messages import Ledger
+from unbend.tables import messages
 from unbend.units import NANOSECONDS_PER_SECOND, Array
 
 # Room for decades of one station; a larger file is of another kind, and would fill memory.
@@ -39,12 +39,11 @@ def read_sounding(
         size = path.stat().st_size
         data = path.read_bytes() if size <= LARGEST_BYTES else b""
     except OSError as error:
-        raise InputError.of("SOUNDING-UNREADABLE", path, strerror=error.strerror) from None
+        raise messages.sounding_unreadable(where=path, strerror=str(error.strerror)) from None
     if size > LARGEST_BYTES:
-        raise InputError.of("SOUNDING-SIZE", path, size=size, largest_bytes=LARGEST_BYTES)
+        raise messages.sounding_size(where=path, size=size, largest_bytes=LARGEST_BYTES)
     if data.startswith(_HDF5):
-        why = "it is netCDF-4 (HDF5); only the classic format is read"
-        raise InputError.of("SOUNDING-NETCDF", path, why=why)
+        raise messages.sounding_is_netcdf4(where=path)
     if data.startswith(_NETCDF3):
         raw = soundings.nearest_in_time([_netcdf(path)], time_ns, path.name)
         checked = soundings.check_levels(raw, latitude_rad=latitude_rad, station_h_m=station_h_m)
@@ -54,9 +53,7 @@ def read_sounding(
             text = data.decode("utf-8-sig")
         except UnicodeDecodeError as error:
             at = error.start
-            raise InputError.of(
-                "SOUNDING-UNREADABLE/utf-8", path, byte=data[at], offset=at
-            ) from None
+            raise messages.sounding_not_utf8(where=path, byte=data[at], offset=at) from None
         sounding = soundings.parse_sounding(
             text, ledger, where=path.name, format_name=format_name, time_ns=time_ns,
             latitude_rad=latitude_rad, station_h_m=station_h_m,
@@ -71,7 +68,7 @@ def _netcdf(path: Path) -> soundings.RawLevels:
     try:
         with netcdf_file(path, "r", mmap=False) as file:
             for missing in (name for name in _VARIABLES if name not in file.variables):
-                raise InputError.of("SOUNDING-NETCDF", path, why=f"it has no variable {missing}")
+                raise messages.sounding_variable_missing(where=path, variable=missing)
             columns = {name: to_si(_column(file, name), unit) for name, unit in _VARIABLES.items()}
             place = {
                 name: float(_column(file, name)[0]) if name in file.variables else math.nan
@@ -83,8 +80,7 @@ def _netcdf(path: Path) -> soundings.RawLevels:
                 "time_offset" in file.variables) else 0.0  # fmt: skip
     except (OSError, TypeError, ValueError, IndexError, AttributeError) as error:
         # What scipy raises on a damaged header, by what the damage hit.
-        why = f"it cannot be decoded: {error}"
-        raise InputError.of("SOUNDING-NETCDF", path, why=why) from None
+        raise messages.sounding_damaged(where=path, error=str(error)) from None
     release_ns = None  # a fill value is no time
     if start is not None and 0 < start < _LATEST_S:
         since = offset if math.isfinite(offset) else 0.0

@@ -11,22 +11,25 @@ import pandas as pd
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from unbend.errors import InputError
+from unbend.errors import Code
 from unbend.flight.channels import TimeArray
 from unbend.flight.clock import SECONDS_PER_WEEK, utc_of_gps
+from unbend.tables import messages
 from unbend.tables.refraction_mark import Direction
 from unbend.units import RADIANS, UNIX_NS_OF_GPS_EPOCH, AngleUnit, Array, Mask
 
 Hashes = NDArray[np.uint64]
 
+_LEAST_SIMILAR = 0.5  # of names, by difflib: x_pix is 0.89 to x_px
 _FNV_BASIS = np.uint64(0xCBF29CE484222325)  # of FNV-1a with 64 bits
 _FNV_PRIME = np.uint64(0x100000001B3)
 _MIXING_FACTOR = np.uint64(0xD6E8FEB86659FD93)  # FNV-1a hardly changes the highest bits
+LINE_OF_FIRST_ROW = 2  # of a table whose first line is its header
 _WEEK_NS = SECONDS_PER_WEEK * 10**9
 
 
 def text_table(
-    path: Path, wanted: Mapping[str, str], *, codes: tuple[str, str], key: str
+    path: Path, wanted: Mapping[str, str], *, codes: tuple[Code, Code], key: str
 ) -> pd.DataFrame:
     """All fields as text, under the names of the first line; a field that is not there is empty.
 
@@ -43,37 +46,30 @@ def text_table(
             encoding="utf-8-sig", sep=max(",;\t", key=head.count),
         ).fillna("")  # fmt: skip
         names = rows.iloc[0].tolist()
-        _refuse_twice(names)
+        if repeated := _repeated(names):
+            raise ValueError(f"the columns {repeated} stand there twice")
     except (OSError, ValueError) as error:
-        raise InputError(
-            codes[0], f"is no readable CSV: {str(error).strip()}", where=str(path),
-            remedy="a table has a header line, commas, and as many fields in every row",
-        ) from None  # fmt: skip
+        raise messages.csv_unreadable(code=codes[0], where=path, error=str(error).strip()) from None
     require_names(codes[1], path, names, ((q, n, f"{key}.{q}") for q, n in wanted.items()))
     return rows.iloc[1:].set_axis(names, axis="columns").reset_index(drop=True)
 
 
 def text_of_frame(
-    frame: pd.DataFrame, wanted: Mapping[str, str], name: str, *, codes: tuple[str, str], key: str
+    frame: pd.DataFrame, wanted: Mapping[str, str], name: str, *, codes: tuple[Code, Code], key: str
 ) -> pd.DataFrame:
     """The fields of a table in memory as `text_table` reads them; numbers keep all their digits."""
     names = [str(column) for column in frame.columns]
-    try:
-        _refuse_twice(names)
-    except ValueError as error:
-        remedy = "give each column a name of its own"
-        raise InputError(codes[0], str(error), where=name, remedy=remedy) from None
+    if repeated := _repeated(names):
+        raise messages.frame_columns_repeated(code=codes[0], where=name, columns=repeated)
     stated = ((quantity, column, f"{key}.{quantity}") for quantity, column in wanted.items())
     require_names(codes[1], Path(name), names, stated)
     text = frame.astype(object).where(frame.notna(), "").map(str)
     return text.set_axis(names, axis="columns").reset_index(drop=True)
 
 
-def _refuse_twice(names: Sequence[str]) -> None:
-    """Raise ValueError where a name stands there twice."""
-    twice = sorted({name for name in names if names.count(name) > 1})
-    if twice:
-        raise ValueError(f"the columns {', '.join(twice)} stand there twice")
+def _repeated(names: Sequence[str]) -> str:
+    """The names that stand there twice or more, sorted and with commas between them."""
+    return ", ".join(sorted({name for name in names if names.count(name) > 1}))
 
 
 def split_lines(lines: Sequence[str], names: Sequence[str], separator: str) -> pd.DataFrame:
@@ -95,19 +91,23 @@ def numbers(text: "pd.Series[str]") -> Array:
         return pd.to_numeric(text, errors="coerce").to_numpy(np.float64)
 
 
-def numbers_of(table: pd.DataFrame, name: str, path: Path, code: str) -> Array:
+def numbers_of(table: pd.DataFrame, name: str, path: Path, code: Code) -> Array:
     """(n,) a column as numbers, NaN where a field is empty; refuses (``code``) any other text."""
     values = numbers(table[name])
     wrong = np.flatnonzero(~np.isfinite(values) & (table[name].str.strip() != "").to_numpy())
     if wrong.size:
-        what = f"{wrong.size} fields of column {name} are no numbers, the first "
-        what += repr(table[name].iloc[wrong[0]])
-        remedy = "write decimal numbers with a point, and leave what is unknown empty"
-        raise InputError(code, what, where=f"{path}, line {wrong[0] + 2}", remedy=remedy)
+        raise messages.fields_without_number(
+            code=code,
+            path=path,
+            line=int(wrong[0]) + LINE_OF_FIRST_ROW,
+            column=name,
+            count=wrong.size,
+            first=table[name].iloc[wrong[0]],
+        )
     return values
 
 
-def angles_in_radians(given: Array, unit: AngleUnit, path: Path, code: str, key: str) -> Array:
+def angles_in_radians(given: Array, unit: AngleUnit, path: Path, code: Code, key: str) -> Array:
     """(n, 3) angles in radians; refuses (``code``) more than a full turn in the unit stated.
 
     ``key`` is the mission file's for the unit.
@@ -117,12 +117,17 @@ def angles_in_radians(given: Array, unit: AngleUnit, path: Path, code: str, key:
     if not bool(beyond.any()):
         return given * RADIANS[unit]
     worst = float(np.nanmax(np.abs(given)))
-    likely = next((other for other in turn if worst <= turn[other]), None)
-    what = f"{int(beyond.sum())} rows have an angle of more than a turn ({turn[unit]:g} {unit}), "
-    what += f"up to {worst:g}" + (f"; is the unit {likely}?" if likely else "")
-    where = f"{path}, line {int(np.argmax(beyond)) + 2}"
-    remedy = f"state {key} (deg, rad or grad), or name the columns of angles"
-    raise InputError(code, what, where=where, remedy=remedy)
+    raise messages.angles_beyond_turn(
+        code=code,
+        path=path,
+        line=int(np.argmax(beyond)) + LINE_OF_FIRST_ROW,
+        count=int(beyond.sum()),
+        turn=turn[unit],
+        unit=unit,
+        largest=worst,
+        likely=next((other for other in turn if worst <= turn[other]), ""),
+        key=key,
+    )
 
 
 def utc_of_dates(text: "pd.Series[str]", system: str = "utc") -> tuple[TimeArray, Mask]:
@@ -193,13 +198,14 @@ def rows_among(hashes: Hashes, wanted: Hashes) -> NDArray[np.int64]:
 
 
 def require_names(
-    code: str, path: Path, there: Sequence[str], wanted: Iterable[tuple[str, str, str]]
+    code: Code, path: Path, there: Sequence[str], wanted: Iterable[tuple[str, str, str]]
 ) -> None:
     """Refuse a table that lacks a column, with the name it may have been meant to be.
 
     ``wanted`` : quantity, the user's name of its column, and the key of the mission file for that.
 
-    >>> require_names("A-B", Path("o.csv"), ["image", "x_pix"], [("x", "x_px", "k")])
+    >>> lacks = Code("A-B", means="...", effect="...", remedy="...")
+    >>> require_names(lacks, Path("o.csv"), ["image", "x_pix"], [("x", "x_px", "k")])
     Traceback (most recent call last):
     unbend.errors.InputError: A-B: there is no column 'x_px' for the x; perhaps 'x_pix'?; there \
 is image, x_pix
@@ -208,11 +214,16 @@ is image, x_pix
     """
     for quantity, name, key in wanted:
         if name not in there:
-            near = difflib.get_close_matches(name, there, 1, 0.5)
-            hint = f"; perhaps {near[0]!r}?" if near else ""
-            what = f"there is no column {name!r} for the {quantity}{hint}; there is "
-            what += ", ".join(there)
-            raise InputError(code, what, where=str(path), remedy=f"say what it is called: {key}")
+            similar = difflib.get_close_matches(name, there, 1, _LEAST_SIMILAR)
+            raise messages.column_missing(
+                code=code,
+                where=path,
+                quantity=quantity,
+                column=name,
+                similar=similar[0] if similar else "",
+                present=", ".join(there),
+                key=key,
+            )
 
 
 def require_columns(path: Path, schema: pa.Schema, wanted: Sequence[tuple[str, str, str]]) -> None:
@@ -222,18 +233,17 @@ def require_columns(path: Path, schema: pa.Schema, wanted: Sequence[tuple[str, s
     and the keys of the mission file for these.
     """
     names = [name for _, name, _ in wanted]
-    if twice := sorted({name for name in schema.names if schema.names.count(name) > 1}):
-        raise InputError.of("OBS-REPEATED-COLUMN", path, twice=", ".join(twice))
+    if repeated := _repeated(schema.names):
+        raise messages.columns_repeated(where=path, twice=repeated)
     if shared := sorted({name for name in names if names.count(name) > 1}):
-        raise InputError.of("OBS-COLUMN", path, shared=shared[0])
-    require_names("OBS-COLUMN", path, schema.names, wanted)
+        raise messages.column_named_twice(where=path, shared=shared[0])
+    require_names(messages.OBS_COLUMN, path, schema.names, wanted)
     for quantity, name, _ in wanted:
         kind = schema.field(name).type
         if not (is_text(kind) or is_number(kind)):
-            named = quantity in ("image", "point")
-            what = f"the column {name} holds {kind}, not {'names' if named else 'numbers'}"
-            remedy = f"write it as {'text' if named else 'float64'}"
-            raise InputError("OBS-TYPE", what, where=str(path), remedy=remedy)
+            if quantity in ("image", "point"):
+                raise messages.names_of_other_type(where=path, column=name, kind=str(kind))
+            raise messages.column_of_other_type(where=path, column=name, kind=str(kind))
 
 
 def is_text(kind: Any) -> bool:
@@ -256,10 +266,12 @@ def refuse_other_pixels(
 
     ``columns`` : x_px, y_px -> the name of the column that is to be read.
     """
-    due, what = ("displaced", "ideal") if direction == "remove" else ("corrected", "as measured")
+    due, content = "displaced", "ideal"
+    if direction == "apply":
+        due, content = "corrected", "as measured"
     for role in ("x_px", "y_px"):
         right = f"{role[0]}_{due}_px"
         if right in schema.names and columns[role] == role:
-            raise InputError.of(
-                "OBS-OTHER-PIXELS", path, role=role, right=right, text=what, direction=direction
+            raise messages.other_pixels(
+                where=path, role=role, right=right, content=content, direction=direction
             )

@@ -19,6 +19,7 @@ from unbend.atmosphere.soundings.model_field import ModelField
 from unbend.errors import InputError
 from unbend.geodesy import longitudes_near
 from unbend.messages import Ledger
+from unbend.tables import messages
 from unbend.units import DEGREE, HECTOPASCAL, STANDARD_GRAVITY, Array, Integers
 
 FARTHEST_H = 6.0  # farther from every time of the file a flight is refused [h]
@@ -60,10 +61,10 @@ def open_datasets(path: Path) -> Iterator[tuple[list[Any], str]]:
         with path.open("rb") as file:
             head = file.read(4)
     except OSError as error:
-        raise InputError.of("MODEL-UNREADABLE", path, why=error.strerror) from None
+        raise messages.model_unreadable(where=path, why=str(error.strerror)) from None
     engine = _ENGINES.get(head)
     if engine is None:
-        raise InputError.of("MODEL-FORMAT", path, head=head)
+        raise messages.model_format(where=path, head=repr(head))
     try:
         import pyproj  # noqa: F401  (before ecCodes)
         import xarray
@@ -73,7 +74,7 @@ def open_datasets(path: Path) -> Iterator[tuple[list[Any], str]]:
         elif engine == "h5netcdf":
             import h5netcdf  # noqa: F401
     except (ImportError, RuntimeError) as error:  # ecCodes without its library raises the latter
-        raise InputError.of("MODEL-PACKAGE", path, error=error) from None
+        raise messages.model_package(where=path, error=str(error)) from None
     datasets: list[Any] = []
     try:
         with warnings.catch_warnings():
@@ -92,7 +93,7 @@ def open_datasets(path: Path) -> Iterator[tuple[list[Any], str]]:
         modules = {str(frame.f_globals.get("__name__")).partition(".")[0] for frame, _ in frames}
         if modules.isdisjoint(_READERS):
             raise
-        raise InputError.of("MODEL-UNREADABLE", path, why=str(error)[:200]) from None
+        raise messages.model_unreadable(where=path, why=str(error)[:200]) from None
     finally:
         for dataset in datasets:
             dataset.close()
@@ -118,16 +119,15 @@ def refuse_truncated(path: Path) -> None:
                 return
             file.seek(max(min(start + length, size) - 4, 0))
             if not _GRIB_HEAD <= length <= size - start or file.read(4) != b"7777":
-                raise InputError.of(
-                    "MODEL-TRUNCATED", path, number=number, start=start, length=length, size=size
+                raise messages.model_truncated(
+                    where=path, number=number, start=start, length=length, size=size
                 )
             at, digits = (start + _GRIB_HEAD, 4) if is_second else (start + 8, 3)
             while at != start + length - 4:  # ecCodes crashes where these are wrong
                 file.seek(at)
                 size_of = int.from_bytes(file.read(digits), "big")
                 if not 5 <= size_of <= start + length - at:
-                    why = f"message {number} has a section at byte {at} that does not fit into it"
-                    raise InputError.of("MODEL-UNREADABLE", path, why=why)
+                    raise messages.model_section_too_long(where=path, number=number, offset=at)
                 at += size_of
             start += length
 
@@ -194,12 +194,12 @@ def times_of(field: Any, where: str) -> tuple[str | None, Integers, Array]:
     dims = [d for d in dims if field.sizes[d] > 1]
     if len(dims) > 1:
         runs = " and ".join(f"{field.sizes[d]} of {d}" for d in dims)
-        raise InputError.of("MODEL-TIME/runs", where, runs=runs)
+        raise messages.model_several_runs(where=where, runs=runs)
     dim = dims[0] if dims else next((d for d in _TIMES if d in field.dims), None)
     name = next((n for n in ("valid_time", dim, "time") if n in field.coords), None)
     stamps = np.empty(0) if name is None else np.atleast_1d(field[name].values)
     if stamps.dtype.kind != "M" or stamps.size != (1 if dim is None else field.sizes[dim]):
-        raise InputError.of("MODEL-TIME/none", where)
+        raise messages.model_without_time(where=where)
     lead = np.zeros(stamps.size)
     if "step" in field.coords and field["step"].dtype.kind == "m":
         lead = lead + np.atleast_1d(field["step"].values) / np.timedelta64(1, "h")
@@ -286,7 +286,7 @@ def read_model_field(
     with open_datasets(path) as (datasets, _):
         t = _find(datasets, "temperature")
         if t is not None and (grid := grid_name(datasets, t)) != _READ_GRID:
-            raise InputError.of("MODEL-GRID", where, grid=grid)
+            raise messages.model_grid(where=where, grid=grid)
         levels = None if t is None else _levels(t)
         if levels is not None and levels.values.size < FEWEST_LEVELS and not levels.of_model:
             raise model_field.too_few_levels(levels.values, where, "in all")
@@ -303,13 +303,15 @@ def read_model_field(
         }.items() if field is None]  # fmt: skip
         if lacking or t is None or levels is None:
             held = ", ".join(sorted({str(v) for d in datasets for v in d.data_vars})) or "nothing"
-            raise InputError.of("MODEL-VARIABLE", where, lacking=", no ".join(lacking), held=held)
+            raise messages.model_variable_missing(
+                where=where, lacking=", no ".join(lacking), held=held
+            )
         part = _Part.of(t, area, where, member)
         level = np.sort(levels.values)
         whole = np.arange(level[0], model_field.MODEL_LEVELS + 1.0)
         if of_model and not np.array_equal(level, whole):
-            raise InputError.of(
-                "MODEL-LEVELS/hybrid", where, first=level[0], last=level[-1], total=level.size
+            raise messages.model_levels_incomplete(
+                where=where, first=level[0], last=level[-1], total=level.size
             )
         unit = "" if surface is None else str(surface.attrs.get("units", surface.name)).lower()
         metre = STANDARD_GRAVITY if unit == "z" or _PER_SECOND.search(unit) else 1.0
@@ -348,12 +350,12 @@ class _Part:
             if member not in members:
                 low, high = min(members), max(members)
                 if member is None:
-                    raise InputError.of("MODEL-MEMBER/which", where, low=low, high=high)
-                raise InputError.of("MODEL-MEMBER", where, low=low, high=high, member=member)
+                    raise messages.model_member_unnamed(where=where, low=low, high=high)
+                raise messages.model_member_unknown(where=where, low=low, high=high, member=member)
             if name in field.dims:
                 chosen[name] = members.index(member)
         elif member is not None:
-            raise InputError.of("MODEL-MEMBER/none", where, member=member)
+            raise messages.model_no_members(where=where, member=member)
         dim, time_ns, lead_h = times_of(field, where)
         order = np.argsort(time_ns)
         first, last = (int(t) for t in (area.time_ns.min(), area.time_ns.max()))
@@ -366,7 +368,7 @@ class _Part:
         hours = float(away.max()) / 3.6e12
         if hours > FARTHEST_H:
             begin, end = _minutes(time_ns[order[[0, -1]]])
-            raise InputError.of("MODEL-TIME", where, begin=begin, end=end, hours=hours)
+            raise messages.model_time(where=where, begin=begin, end=end, hours=hours)
         nodes = []
         middle = float(np.median(area.longitude_rad))
         places = (area.latitude_rad, longitudes_near(area.longitude_rad, middle))
@@ -386,7 +388,7 @@ class _Part:
             f"{d} ({size})" for d, size in field.sizes.items() if size > 1 and d not in known
         ]
         if unknown:
-            raise InputError.of("MODEL-VARIABLE/dimension", where, dimensions=", ".join(unknown))
+            raise messages.model_dimension_unknown(where=where, dimensions=", ".join(unknown))
         labels = {name: field[name].values for name in chosen}
         return cls(time_ns[times], lead_h[times], nodes[0], nodes[1], chosen, labels, where)
 
@@ -409,7 +411,7 @@ class _Part:
                 others.append("time")
         if others:
             apart = ", ".join(others)
-            raise InputError.of("MODEL-VARIABLE/other", self.where, name=field.name, apart=apart)
+            raise messages.model_variable_elsewhere(where=self.where, name=field.name, apart=apart)
         single = {d: 0 for d in taken.dims if d not in order}
         values = np.asarray(taken.isel(single, drop=True).transpose(*order).values, np.float64)
         if version is not None:  # ERA5 and its preliminary months: each where the other is not

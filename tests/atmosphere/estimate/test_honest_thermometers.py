@@ -12,6 +12,7 @@ import os
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from tests.draws import SEED
 from unbend.atmosphere import standard_atmosphere
@@ -65,7 +66,8 @@ def test_thermometers_that_work_are_not_refused(flights, airs):
         if lost:
             refused.append((i, truth.name, climb, round(error, 1), lost))
     print(f"seed {SEED}: {len(refused)} of {DRAWS} refused: {refused}")
-    assert len(refused) <= max(1.0, DRAWS / 500)  # of 24 there is one on some days
+    # Reached: none of 1,600. Of so few, two or more of 24 are refused on one day in ten thousand.
+    assert len(refused) <= max(1.0, DRAWS / 500)
     assert all(abs(error) < 1.0 for _, _, _, error, _ in refused)
 
 
@@ -100,8 +102,12 @@ def test_low_climbs_with_a_thermometer_are_honest(flights, airs, sunny):
     every_error = np.concatenate(list(found.values()))
     total = float(np.sqrt(np.mean(every_error**2)))
     print(f"seed {SEED}: {total:.2f} of {every_error.size} flights, {rms}")
-    # The RMS of 24 errors is good to 0.17: what is reached with all, and 3.5 of that.
-    low, high = (0.35, 1.8) if LOW == 1 else (0.7, 1.2)
+    low, high = 0.7, 1.2
+    if LOW == 1:
+        # Of a few errors: the RMS that all reach, within chi-square's share of all but 1e-4.
+        reached = 1.17 if sunny else 0.95
+        freedom = every_error.size
+        low, high = reached * np.sqrt(chi2.ppf([5e-5, 1.0 - 5e-5], freedom) / freedom)
     assert low <= total <= high
     if LOW > 1:
         assert all(0.65 <= value <= (1.4 if sunny else 1.3) for value in rms.values()), rms

@@ -197,6 +197,12 @@ def test_a_model_that_pycolmap_reads_loses_nothing(spaced, tmp_path):
     assert all(not text.isdigit() for text in names.values())
     assert [model.images[i + 1].name for i in range(len(block.image))] == block.image.tolist()
     assert [model.cameras[k].model.name for k in (1, 2)] == ["FULL_OPENCV", "PINHOLE"]
+    noted = {entry.code: entry for entry in ledger}
+    cameras = ", ".join(f"{k} {name}" for k, name in enumerate(dict.fromkeys(block.camera), 1))
+    assert noted["EXPORT-CAMERAS"].what == f"camera {cameras}"
+    images, points = len(block.image), len({row[1] for row in block.rows})
+    assert noted["EXPORT-POINTS"].count == len(block.rows)
+    assert f"of {points:,} points in {images:,} images" in noted["EXPORT-POINTS"].what
     largest, missed, tied = 0.0, 0.0, set()
     for image in model.images.values():
         rows = block.of_image[image.name]
@@ -509,13 +515,17 @@ def read_opensfm(tracks: Path, reconstruction: Path):
         yield name, rows, xy, opensfm_pixels(camera, shot, places) - xy, camera
 
 
-@pytest.mark.shared("ba")
-def test_a_real_reconstruction_of_opensfm_projects_as_assumed():
-    """The formulas above, signs and axes: half a pixel of 3264, the noise of the tie points."""
-    found = list(read_opensfm(
-        BERLIN / "tracks_example.csv", BERLIN / "reconstruction_example.json"))  # fmt: skip
-    residual = np.concatenate([residual for *_, residual, _ in found]) * 3264
-    assert len(residual) > 1000
+OPENSFM = [Path(__file__).resolve().parents[2] / "data" / "opensfm"]
+OPENSFM += [folder for folder in [BERLIN] if folder.is_dir()]
+
+
+@pytest.mark.parametrize("folder", OPENSFM, ids=lambda folder: folder.name)
+def test_a_reconstruction_of_opensfm_projects_as_assumed(folder):
+    """The formulas above, signs and axes: half a pixel, the noise of the tie points."""
+    (tracks,), (reconstruction,) = folder.glob("tracks*.csv"), folder.glob("reconstruction*.json")
+    found = list(read_opensfm(tracks, reconstruction))
+    residual = np.concatenate([residual * camera["width"] for *_, residual, camera in found])
+    assert len(residual) > (1000 if folder == BERLIN else 80)
     assert np.median(np.abs(residual)) < 0.5
 
 

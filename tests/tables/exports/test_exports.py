@@ -115,7 +115,7 @@ def test_each_image_has_the_lattice_of_its_own_air_and_camera(run, tmp_path):
         )
         assert {(n["h_g_m"], n["status"]) for n in nodes} == {(GROUND, "ok")}
     assert [(e.code, e.count, e.kind) for e in ledger] == [("EXPORT-LEFT-OUT", 1, "loss")]
-    assert "the first e" in next(iter(ledger)).what
+    assert "lattice: e" in next(iter(ledger)).what
 
 
 def test_the_default_lattice_and_its_metadata(run, tmp_path):

@@ -157,7 +157,7 @@ def test_a_geotiff_is_the_same_grid(tmp_path):
 @pytest.mark.parametrize(
     ("content", "why"),
     [
-        (b"", "buffer"),
+        (b"", "header"),
         (b"II*\0" + bytes(60), "header"),
         (gtx(np.full((3, 3), 45.0))[:-4], "values"),
         (gtx(np.full((3, 3), 45_000.0)), "undulations are"),

@@ -28,10 +28,10 @@ def channel(flight, name, *, late_s=0.0, north_m=0.0):
     return Channel(name, flight.utc_ns + round(late_s * 1e9), columns, Source("GPS"))
 
 
-def compared(imported, own):
+def compared(imported, own, replaces=ROLES):
     ledger = Ledger()
     heights = HeightSystem(47.6)
-    compare_with_log(imported, own, heights, ledger, replaces=ROLES)
+    compare_with_log(imported, own, heights, ledger, replaces=replaces)
     return {entry.code: entry for entry in ledger}
 
 
@@ -62,6 +62,32 @@ def test_without_positions_nothing_is_checked_and_that_is_told(exposures, own):
     lost = channel(exposures, "e.MRK")
     nowhere = replace(lost, columns=lost.columns | {"lat_rad": np.full(len(lost), np.nan)})
     assert compared(nowhere, own)["TRAJECTORY-ALONE"].kind == "warning"
+
+
+def test_a_log_without_heights_at_the_times_of_the_trajectory_is_noted(exposures, own):
+    unknown = np.full(len(own["height"]), np.nan)
+    columns = own["height"].columns | {"h_ellipsoid_m": unknown}
+    without = own | {"height": replace(own["height"], columns=columns)}
+    noted = compared(channel(exposures, "e.MRK"), without)
+    assert noted["TRAJECTORY-HEIGHT-ALONE"].kind == "note"
+    assert noted["TRAJECTORY-HEIGHT-ALONE"].where == "e.MRK"
+    assert "TRAJECTORY-HEIGHT-AGREES" not in noted
+
+
+def test_a_log_without_attitudes_at_the_times_of_the_trajectory_is_noted(exposures, own):
+    level = {"q_w": 1.0, "q_x": 0.0, "q_y": 0.0, "q_z": 0.0}
+    imported = channel(exposures, "t.pos")
+    turned = {name: np.full(len(imported), value) for name, value in level.items()}
+    gps = own["position"]
+    later_ns = gps.time_ns + 10 * 86_400 * 10**9
+    attitude = {name: np.full(len(gps), value) for name, value in level.items()}
+    noted = compared(
+        replace(imported, columns=imported.columns | turned),
+        own | {"attitude": Channel("ATT[0]", later_ns, attitude, Source("ATT"))},
+        replaces=("position", "attitude"),
+    )
+    assert noted["TRAJECTORY-ANGLES-ALONE"].kind == "note"
+    assert "TRAJECTORY-ANGLES-AGREE" not in noted
 
 
 def test_the_height_of_the_other_surface_is_named(exposures, own):

@@ -307,7 +307,7 @@ def test_sigmas_of_another_flight_and_no_sigmas_are_refused(flight):
     stated = Stated("gpst", WEEK, heights="ellipsoid", accuracy=other)
     assert "seconds of the week" in refused(read_sbet, path, stated).what
     stated = Stated("gpst", WEEK, heights="ellipsoid", accuracy=path)
-    assert "no smrmsg" in refused(read_sbet, path, stated).what
+    assert "not a smrmsg" in refused(read_sbet, path, stated).what
 
 
 def test_what_an_sbet_does_not_say_must_be_stated(flight):

@@ -17,7 +17,7 @@ from unbend.atmosphere.estimate.state import TOP_M, Drift
 from unbend.atmosphere.refractive_index import enhancement_factor, saturation_vapour_pressure
 from unbend.atmosphere.soundings import Sounding
 from unbend.atmosphere.surface_report import SurfaceReport
-from unbend.messages import Entry
+from unbend.messages import Message
 from unbend.units import Array, Mask
 
 SPREAD_K, SPREAD_RH = 5.0, 0.3  # of the climatology in the free troposphere
@@ -147,7 +147,7 @@ def reason_uninformative(source: Sounding | SurfaceReport, flight: TimeAndPlace)
 
 def distance_notes(
     soundings: Sequence[Sounding], surface: Sequence[SurfaceReport], flight: TimeAndPlace
-) -> Iterator[Entry]:
+) -> Iterator[Message]:
     """Sources without time or place, soundings from far away and reports hours away."""
     for sounding in soundings:
         name = sounding.name

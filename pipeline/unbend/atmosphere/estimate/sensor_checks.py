@@ -17,7 +17,7 @@ from unbend.atmosphere.estimate.state import SensorFault
 from unbend.atmosphere.hypsometry import Fall, fall_of_pressure
 from unbend.atmosphere.profile import Profile
 from unbend.atmosphere.rejection import Reason
-from unbend.messages import Entry, Kind, Notes
+from unbend.messages import Kind, Message, Notes
 from unbend.units import HECTOPASCAL, Mask
 
 CLIMB_TO_COMPARE_M = 200.0  # over less height the fall of pressure shows nothing [m]
@@ -141,7 +141,7 @@ def unused_calibration(faults: set[SensorFault]) -> Notes:
 def usable_sensors(samples: AirSamples, standard: Profile) -> tuple[AirSamples, Notes]:
     """The samples without sensors that contradict physics: readings must not stay the same during a
     climb, and pressure must fall with GNSS height as it does in air of 180 to 335 K."""
-    notes: list[Entry] = []
+    notes: list[Message] = []
     kept: dict[str, Any] = {}
     for name, sensor in samples.sensors.items():
         if not bool((stuck := _stuck(sensor, name)).any()):
@@ -180,7 +180,7 @@ def usable_sensors(samples: AirSamples, standard: Profile) -> tuple[AirSamples, 
     return samples, tuple(notes)
 
 
-def _indoors(pressure: SensorSamples, what: str) -> Entry:
+def _indoors(pressure: SensorSamples, what: str) -> Message:
     extent = pressure.extent_m
     return messages.air_not_outside(where=pressure.name, what_is_odd=what, extent=extent)
 
@@ -237,7 +237,7 @@ def _stuck(sensor: SensorSamples, name: str) -> Mask:
 
 def pressure_level(
     profile: Profile, background: Climatology, pressure: SensorSamples | None
-) -> Entry:
+) -> Message:
     """The residuals of the measured pressures, and whether their level is plausible: at sea level
     within 5 sigma of the climatology's (about 50 hPa; the deepest lows reach 6); 10 sigma, a tenth
     of the pressure, are no weather."""

@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 import numpy as np
 
 from unbend.atmosphere.soundings import messages
-from unbend.messages import Entry, Notes
+from unbend.messages import Message, Notes
 from unbend.units import HECTOPASCAL, NANOSECONDS_PER_SECOND, ZERO_CELSIUS_K, Array
 
 FILLS = (-9999.0, -9999.9, -8888.0, -99999.0, 99999.0, 999999.0, -999.0)
@@ -109,7 +109,7 @@ class RawLevels:
     column_of: Mapping[str, str] = field(default_factory=dict)
     notes: Notes = ()
 
-    def noting(self, *notes: Entry) -> "RawLevels":
+    def noting(self, *notes: Message) -> "RawLevels":
         """The same with more notes."""
         return replace(self, notes=(*self.notes, *notes))
 

@@ -25,7 +25,7 @@ from unbend.atmosphere.soundings.level_checks import FEWEST_LEVELS, THICKNESS_RA
 from unbend.atmosphere.soundings.levels import ColumnErrors, Sounding
 from unbend.errors import InputError
 from unbend.geodesy import longitudes_near, normal_gravity
-from unbend.messages import Entry, Notes
+from unbend.messages import Message, Notes
 from unbend.units import (
     DEGREE,
     HECTOPASCAL,
@@ -352,7 +352,7 @@ def model_column(
     growing sigma. Refuses (`InputError`) fewer than five levels. Its time is the file's nearest.
     """
     (latitude, longitude, time_ns), where = place, field.name
-    notes, gravity = list[Entry](), normal_gravity(latitude)
+    notes, gravity = list[Message](), normal_gravity(latitude)
     air = field.columns(np.array([latitude]), np.array([longitude]), np.array([time_ns]))
     height, t, vapour = (a[0, ::-1] for a in (air.height, air.temperature_k, air.vapour))
     log_p, surface = air.log_pressure[0, ::-1], float(air.surface[0])

@@ -264,46 +264,23 @@ def difference(
     positions, and heights of receivers, near 0; other heights before ``steady_until_ns``, when
     ``mine`` stepped and did not return.
     """
-    time_ns = other.channel.time_ns
     noise_m = NOISE_MISFIT_M[quantity]
     are_receivers = is_receiver(mine) and is_receiver(other.channel)
     near_zero = quantity == POSITION or are_receivers
-    apart_m = _apart_without_lag(mine, other, quantity)
     velocity = np.nan_to_num(velocity)
+    apart_m = _apart_without_lag(mine, other, quantity)
     known = np.isfinite(apart_m).all(axis=1) & other.good
-    lag_s = 0.0
-    square_speed = np.sum(velocity**2, axis=1)
-    usual_square = float(np.percentile(square_speed, 95.0))
-    fast = known & (square_speed > max(_SLOWEST_M_S**2, _FAST_SHARE * usual_square))
-    if np.count_nonzero(fast) >= _FEWEST_FAST:
-        known = fast
-        lags = np.sum(apart_m * velocity, axis=1)[fast] / square_speed[fast]
-        lag_s = float(np.median(lags))
-        scatter_s = np.median(np.abs(lags - lag_s))
-        scatter_m = scatter_s * np.sqrt(np.median(square_speed))
-        if near_zero and scatter_m > noise_m:
-            lag_s = _lag_of_a_part(lags, apart_m[fast], velocity[fast])
-    apart_m -= lag_s * velocity
-    reported = other.good | other.stepped_m.any(axis=1)
-    apart_m[~reported] = np.nan
+    lag = _constant_lag(apart_m, velocity, known, noise_m, may_part=near_zero)
+    apart_m -= lag.seconds * velocity
+    is_reported = other.good | other.stepped_m.any(axis=1)
+    apart_m[~is_reported] = np.nan
     if near_zero:
         agree = np.linalg.norm(apart_m, axis=1) < noise_m
     elif steady_until_ns is not None:
-        agree = time_ns < steady_until_ns
+        agree = other.channel.time_ns < steady_until_ns
     else:
-        agree = np.zeros(time_ns.size, np.bool_)
-    off_m = np.full(time_ns.size, np.nan)
-    settled = np.zeros(time_ns.size, np.bool_)
-    for part in np.unique(other.part):  # heights above home have a new home in each
-        in_part = other.part == part
-        usable = in_part & known
-        if not usable.any():
-            usable = in_part & np.isfinite(apart_m).all(axis=1)
-        if not usable.any():
-            continue
-        usable, offset_m = _usual_offset(apart_m, usable, agree, noise_m)
-        off_m[in_part] = np.linalg.norm(apart_m[in_part] - offset_m, axis=1)
-        settled |= usable & known
+        agree = np.zeros(known.shape, np.bool_)
+    off_m, settled = _off_usual(apart_m, other.part, lag.shown_by, agree, noise_m)
     scatter_m = 0.0
     if settled.any():
         scatter_m = _SIGMA_OF_MEDIAN * float(np.median(off_m[settled]))
@@ -311,7 +288,7 @@ def difference(
         other,
         apart_m,
         off_m,
-        lag_s=lag_s,
+        lag_s=lag.seconds,
         limit_m=max(noise_m, _SEVERAL * scatter_m),
         scatter_m=scatter_m,
     )
@@ -319,16 +296,43 @@ def difference(
 
 def _apart_without_lag(mine: Channel, other: SourcePath, quantity: str) -> Array:
     """(n, k) metres from another source, less its own steps, to ``mine`` at its times."""
-    theirs = places_of(other.channel, quantity)
+    other_places = places_of(other.channel, quantity)
     columns = dict(zip("xy", places_of(mine, quantity).T, strict=False))
     placed = replace(mine, columns=columns, labels={})
     gap_s = mine.gap_limit_s(_SOURCE_GAP_S)
     time_ns = other.channel.time_ns
     own = np.stack([interpolate(placed, name, time_ns, gap_s) for name in columns], axis=1)
-    apart_m = own - theirs
+    apart_m = own - other_places
     if quantity != HEIGHT:
-        apart_m = metres(own - theirs, theirs[:, 0])
+        apart_m = metres(own - other_places, other_places[:, 0])
     return np.asarray(apart_m + other.stepped_m)
+
+
+class _Lag(NamedTuple):
+    """By how many seconds a source is behind another, and the (n,) samples that show it."""
+
+    seconds: float
+    shown_by: Mask
+
+
+def _constant_lag(
+    apart_m: Array, velocity: Array, known: Mask, noise_m: float, *, may_part: bool
+) -> _Lag:
+    """The lag that differences along the track show, the median; 0 where too few are fast.
+
+    ``may_part`` where two sources may agree in a part of the flight only.
+    """
+    square_speed = np.sum(velocity**2, axis=1)
+    usual_square = float(np.percentile(square_speed, 95.0))
+    fast = known & (square_speed > max(_SLOWEST_M_S**2, _FAST_SHARE * usual_square))
+    if np.count_nonzero(fast) < _FEWEST_FAST:
+        return _Lag(0.0, known)
+    lags = np.sum(apart_m * velocity, axis=1)[fast] / square_speed[fast]
+    median_s = float(np.median(lags))
+    scatter_m = np.median(np.abs(lags - median_s)) * np.sqrt(np.median(square_speed))
+    if may_part and scatter_m > noise_m:
+        return _Lag(_lag_of_a_part(lags, apart_m[fast], velocity[fast]), fast)
+    return _Lag(median_s, fast)
 
 
 def _lag_of_a_part(lags: Array, apart_m: Array, velocity: Array) -> float:
@@ -348,6 +352,28 @@ def _lag_of_a_part(lags: Array, apart_m: Array, velocity: Array) -> float:
         if abs(lag_s) < _LONGEST_LAG_S:
             tried.append(lag_s)
     return min(tried, key=distance_of_nearest)
+
+
+def _off_usual(
+    apart_m: Array, part: Rows, known: Mask, agree: Mask, noise_m: float
+) -> tuple[Array, Mask]:
+    """(n,) metres beyond the usual offset, and which samples that offset rests on.
+
+    Each part has its own: heights above home have a new home after a restart.
+    """
+    off_m = np.full(part.size, np.nan)
+    settled = np.zeros(part.size, np.bool_)
+    for number in np.unique(part):
+        in_part = part == number
+        usable = in_part & known
+        if not usable.any():
+            usable = in_part & np.isfinite(apart_m).all(axis=1)
+        if not usable.any():
+            continue
+        usable, offset_m = _usual_offset(apart_m, usable, agree, noise_m)
+        off_m[in_part] = np.linalg.norm(apart_m[in_part] - offset_m, axis=1)
+        settled |= usable & known
+    return off_m, settled
 
 
 def _usual_offset(apart_m: Array, usable: Mask, agree: Mask, noise_m: float) -> tuple[Mask, Array]:
@@ -448,6 +474,17 @@ class Replacement:
         """That of the source which replaces."""
         return self.difference.other.channel
 
+    @property
+    def offset_m(self) -> Array:
+        """The mean of the offsets before and after."""
+        return 0.5 * (self.before_m + self.after_m)
+
+    @property
+    def spread_m(self) -> float:
+        """Half the difference of these, and the usual difference of the two sources."""
+        change_m = float(np.linalg.norm(self.after_m - self.before_m))
+        return float(np.hypot(0.5 * change_m, self.difference.scatter_m))
+
 
 def replacement_for(sources: Sources, stretch: Stretch) -> Replacement | None:
     """The source that replaces a suspect one where it is plain who is wrong.
@@ -527,18 +564,15 @@ def with_replaced(channel: Channel, replacement: Replacement, stretch: Stretch) 
     of the two go into the standard deviation, with the source's own.
     """
     other = replacement.channel
-    before_m = replacement.before_m
-    after_m = replacement.after_m
     time_ns = other.time_ns - round(replacement.difference.lag_s * 1e9)
     inside = stretch.covers(time_ns)
     keep = ~stretch.covers(channel.time_ns)
     unknown = np.full(np.count_nonzero(inside), np.nan)
     fill = {name: values[inside] for name, values in other.columns.items()}
-    fill |= moved(other, inside, 0.5 * (before_m + after_m), channel.height_column)
+    fill |= moved(other, inside, replacement.offset_m, channel.height_column)
     sigma = sigma_column(stretch.quantity)
-    of_offsets = 0.5 * float(np.linalg.norm(after_m - before_m))
-    spread_m = np.hypot(of_offsets, replacement.difference.scatter_m)
-    fill[sigma] = np.hypot(np.nan_to_num(fill.get(sigma, unknown)), spread_m)
+    own_sigma_m = np.nan_to_num(fill.get(sigma, unknown))
+    fill[sigma] = np.hypot(own_sigma_m, replacement.spread_m)
 
     joined_ns, rows = np.unique(
         np.concatenate([channel.time_ns[keep], time_ns[inside]]), return_index=True

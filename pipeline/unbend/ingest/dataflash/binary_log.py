@@ -51,9 +51,9 @@ DATAFLASH = LogFormat("dataflash", "ArduPilot DataFlash", (".bin",), _is_binary,
 def read_tables(path: Path, names: Collection[str] | None = None) -> dict[str, Table]:
     """All messages of some types, or of every type, with all their fields and `PLACE`."""
     with open_view(path) as data:
-        found = find_records(data, names)
-        chosen = found.message_counts() if names is None else names
-        return decode(found, dict.fromkeys(chosen, _every_field))
+        walker = find_records(data, names)
+        chosen = walker.message_counts() if names is None else names
+        return decode(walker, dict.fromkeys(chosen, _every_field))
 
 
 def _every_field(name: str) -> bool:

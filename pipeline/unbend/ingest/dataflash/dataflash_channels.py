@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,9 +91,9 @@ def stamps(data: FileView, walker: RecordWalker) -> Iterator[Stamps]:
     """The times of all records that begin with one, during the walk."""
     for block in walker.blocks():
         time_fields = [form.time_field for form in walker.definitions]
-        at, time_us = _times_of_block(data, block, time_fields)
-        if at.size:
-            yield at, time_us * 1000
+        places, time_us = _times_of_block(data, block, time_fields)
+        if places.size:
+            yield places, time_us * 1000
 
 
 def _times_of_block(
@@ -106,16 +106,16 @@ def _times_of_block(
     has_time = np.array([bool(field) for field in time_fields])
     in_ms = np.array([field == "TimeMS" for field in time_fields])
     rows = has_time[block.numbers]
-    at = block.at[rows].astype(np.int64)
-    if not at.size:
-        return at, at
+    offsets = block.at[rows].astype(np.int64)
+    if not offsets.size:
+        return offsets, offsets
     raw = data.array(block.base, block.end())
-    time_us = microseconds(gather(raw, at + HEADER, 8).view("<u8"))
+    time_us = microseconds(gather(raw, offsets + HEADER, 8).view("<u8"))
     if in_ms.any():
         rows_in_ms = in_ms[block.numbers[rows]]
-        time_ms = gather(raw, at[rows_in_ms] + HEADER, 4).view("<u4")
+        time_ms = gather(raw, offsets[rows_in_ms] + HEADER, 4).view("<u4")
         time_us[rows_in_ms] = time_ms * np.int64(1000)
-    return at + block.base, time_us
+    return offsets + block.base, time_us
 
 
 def clock_of(line: Timeline, tables: Mapping[str, Table], ledger: Ledger) -> tuple[BootClock, str]:
@@ -207,38 +207,44 @@ def channels_of(
     """The channels of the messages that the field map knows; their tables are used up."""
     channels = []
     for message, spec in MESSAGES.items():
-        for rows in _instances(message, spec, tables, clock, ledger):
+        for rows in _rows_of_message(message, spec, tables, clock, ledger):
             channel = channel_of(rows, spec, ledger)
             if channel is not None:
                 channels.append(channel)
     return tuple(with_both_heights(channels, parameters, ledger, "PARM"))
 
 
-def _instances(
+class _RowTimes(NamedTuple):
+    """UTC [ns] and boot of the rows of a message, and which have a time that fits the log."""
+
+    time_ns: TimeArray
+    boot: NDArray[np.int16]
+    good: Mask
+
+
+def _row_times(table: Table, clock: BootClock) -> _RowTimes:
+    """The times of the rows of a table."""
+    places = table[PLACE]
+    utc_ns = clock.utc(places, nanoseconds(table["TimeUS"]))
+    boot = clock.line.boot_of(places)
+    return _RowTimes(copy_rows(utc_ns), copy_rows(boot), clock.line.good(places))
+
+
+def _rows_of_message(
     message: str, spec: MessageMap, tables: dict[str, Table], clock: BootClock, ledger: Ledger
 ) -> Iterator[DecodedRows]:
     """The rows of each instance of a message, whose table is used up: memory has its peak here."""
     if message not in tables:
         return
     table = tables.pop(message)
-    places = table[PLACE]
-    time_ns = copy_rows(clock.utc(places, nanoseconds(table["TimeUS"])))
-    boot = copy_rows(clock.line.boot_of(places))
-    good = clock.line.good(places)
-    del places
+    times = _row_times(table, clock)
     if spec.text_field:
-        texts = texts_of(message, spec.text_field, table)
-        if texts is None:
-            ledger.add(messages.no_text_field(message=message, field=spec.text_field))
-            return
-        rows = DecodedRows(message, Source(message), time_ns, boot, {}, {"text": texts})
-        yield _chosen(rows, good)
+        yield from _text_rows(message, spec, table, times, ledger)
         return
-    accuracy = tables.pop(ACCURACY_MESSAGES.get(message, ""), None)
-    if accuracy is not None:
-        table = _join_accuracy(table, accuracy)
+    accuracy_message = ACCURACY_MESSAGES.get(message, "")
+    if accuracy_message in tables:
+        table = _join_accuracy(table, tables.pop(accuracy_message))
         spec = replace(spec, columns=spec.columns + _ACCURACY_MAP.columns)
-        del accuracy
     _report_fields(message, spec, table, ledger)
     is_named = spec.id_field in table
     instance = table[spec.id_field] if is_named else instance_of(table)
@@ -252,8 +258,21 @@ def _instances(
     for number in numbers.tolist():
         label = str(number) if is_named or number >= 0 else None
         name = message if label is None else f"{message}[{label}]"
-        rows = DecodedRows(name, Source(message, label), time_ns, boot, values)
-        yield _chosen(rows, (instance == number) & good)
+        rows = DecodedRows(name, Source(message, label), times.time_ns, times.boot, values)
+        yield _chosen(rows, (instance == number) & times.good)
+
+
+def _text_rows(
+    message: str, spec: MessageMap, table: Table, times: _RowTimes, ledger: Ledger
+) -> Iterator[DecodedRows]:
+    """The rows of a message that is what the autopilot says."""
+    texts = texts_of(message, spec.text_field, table)
+    if texts is None:
+        ledger.add(messages.no_text_field(message=message, field=spec.text_field))
+        return
+    labels = {"text": texts}
+    rows = DecodedRows(message, Source(message), times.time_ns, times.boot, {}, labels)
+    yield _chosen(rows, times.good)
 
 
 def _chosen(rows: DecodedRows, chosen: Mask) -> DecodedRows:
@@ -329,52 +348,69 @@ def _join_accuracy(table: Table, other: Table) -> Table:
     fields = [field for field in ACCURACY_FIELDS if field in other]
     if not fields or "TimeUS" not in other or not other[PLACE].size:
         return table
-    key = _key(table)
-    other_key = _key(other)
-    if np.array_equal(key, other_key):  # one for one, as in all logs without damage
+    fixes = _Keyed(_key(table), table[PLACE])
+    accuracies = _Keyed(_key(other), other[PLACE])
+    if np.array_equal(fixes.key, accuracies.key):  # one for one, as in all logs without damage
         return table | {field: other[field] for field in fields}
-    rows, matches = _nearest_pairs(key, table[PLACE], other_key, other[PLACE])
+    rows, matches = _nearest_pairs(fixes, accuracies)
     joined = dict(table)
     for field in fields:
-        joined[field] = np.full(key.shape, np.nan)
+        joined[field] = np.full(fixes.key.shape, np.nan)
         joined[field][rows] = other[field][matches]
     return joined
 
 
-def _nearest_pairs(
-    key: Integers, places: Integers, other_key: Integers, other_places: Integers
-) -> tuple[Integers, Integers]:
-    """Rows of two tables with equal keys that are nearest in the log, each in one pair at most.
+class _Keyed(NamedTuple):
+    """The rows of a table: their keys, of instance and time, and their places in the log."""
 
-    Those behind a row come before those in front of it.
+    key: Integers
+    places: Integers
+
+
+class _Pairs(NamedTuple):
+    """Rows of two tables with equal keys, and how far apart they are in the log [bytes]."""
+
+    rows: Integers
+    matches: Integers
+    distances: Integers
+
+
+def _nearest_pairs(fixes: _Keyed, accuracies: _Keyed) -> tuple[Integers, Integers]:
+    """Rows of fixes and of accuracies that belong together, each in one pair at most.
+
+    The nearest in the log are paired first, those behind a fix before those in front of it.
     """
-    n = key.shape[0]
-    by_key_and_place = np.lexsort(
-        (np.concatenate([places, other_places]), np.concatenate([key, other_key]))
-    )
-    is_other = by_key_and_place >= n
-    at = np.flatnonzero(~is_other)
-    others_before = np.cumsum(is_other)[at]
-    others = by_key_and_place[is_other] - n
-    rows = []
-    matches = []
-    distances = []
-    for shift, penalty in ((0, 0), (-1, _BEFORE)):  # the next behind a row, and that before it
-        nearest = others_before + shift
-        inside = (nearest >= 0) & (nearest < others.shape[0])
-        row = by_key_and_place[at[inside]]
-        match = others[nearest[inside]]
-        same = key[row] == other_key[match]
-        rows.append(row[same])
-        matches.append(match[same])
-        distances.append(np.abs(places[row[same]] - other_places[match[same]]) + penalty)
-    row = np.concatenate(rows)
-    match = np.concatenate(matches)
-    order = np.argsort(np.concatenate(distances), kind="stable")
-    for column in (row, match):  # of several pairs with one row, the nearest
+    keys = np.concatenate([fixes.key, accuracies.key])
+    places = np.concatenate([fixes.places, accuracies.places])
+    in_log_order = np.lexsort((places, keys))  # within each key
+    behind = _neighbours(fixes, accuracies, in_log_order, shift=0)
+    before = _neighbours(fixes, accuracies, in_log_order, shift=-1)
+    rows = np.concatenate([behind.rows, before.rows])
+    matches = np.concatenate([behind.matches, before.matches])
+    distances = np.concatenate([behind.distances, before.distances + _BEFORE])
+    order = np.argsort(distances, kind="stable")
+    for column in (rows, matches):  # of several pairs with one row, the nearest
         _, first = np.unique(column[order], return_index=True)
         order = order[np.sort(first)]
-    return row[order], match[order]
+    return rows[order], matches[order]
+
+
+def _neighbours(fixes: _Keyed, accuracies: _Keyed, in_log_order: Integers, *, shift: int) -> _Pairs:
+    """Each fix and the accuracy of its key that stands behind it (``shift`` 0) or before it (-1).
+
+    ``in_log_order``: rows of the fixes, and behind these of the accuracies, by key and place.
+    """
+    is_accuracy = in_log_order >= fixes.key.shape[0]
+    accuracy_rows = in_log_order[is_accuracy] - fixes.key.shape[0]
+    of_fixes = np.flatnonzero(~is_accuracy)
+    nearest = np.cumsum(is_accuracy)[of_fixes] + shift
+    inside = (nearest >= 0) & (nearest < accuracy_rows.shape[0])
+    rows = in_log_order[of_fixes[inside]]
+    matches = accuracy_rows[nearest[inside]]
+    same = fixes.key[rows] == accuracies.key[matches]
+    rows = rows[same]
+    matches = matches[same]
+    return _Pairs(rows, matches, np.abs(fixes.places[rows] - accuracies.places[matches]))
 
 
 def _key(table: Table) -> Integers:

@@ -89,12 +89,12 @@ class RecordWalker(DamagedBytes):
 
     def blocks(self) -> Iterator[RecordBlock]:
         """All records block by block, while their bytes are in memory; wanted ones are kept."""
-        at = 0
-        while at + HEADER <= self.size:
-            at = self._walk_block(at)
+        place = 0
+        while place + HEADER <= self.size:
+            place = self._walk_block(place)
             yield from self._flush(keep=1)  # damage where the next block begins may include it
-        if at < self.size:
-            self._resume(at)
+        if place < self.size:
+            self._resume(place)
         yield from self._flush(keep=0)
 
     @property
@@ -110,15 +110,15 @@ class RecordWalker(DamagedBytes):
             counts[form.name] += count
         return dict(+counts)
 
-    def _walk_block(self, at: int) -> int:
+    def _walk_block(self, place: int) -> int:
         """Walk the records that begin in a block; its arrays are freed before the next is read."""
-        begin = at
-        end = min(at + SPAN, self.size - HEADER + 1)
+        begin = place
+        end = min(place + SPAN, self.size - HEADER + 1)
         raw = self.data.array(begin, end + HEADER - 1)
         rows = np.flatnonzero((raw[:-2] == MAGIC[0]) & (raw[1:-1] == MAGIC[1]))
         block = _Candidates(rows + begin, raw[rows + 2], self.length_of)
-        while at < end:
-            run = block.starting_at(at)
+        while place < end:
+            run = block.starting_at(place)
             first = run.start
             stop = run.stop
             if stop > first:
@@ -126,13 +126,13 @@ class RecordWalker(DamagedBytes):
                 if not block.at[last] < block.end[last] <= self.size:
                     stop = last  # its type is unknown, or the file ends in it
             if stop == first:
-                at = self._resume(at)
+                place = self._resume(place)
                 continue
             stop = self._keep(block, first, stop)
-            at = int(block.end[stop - 1])
+            place = int(block.end[stop - 1])
             if block.types[stop - 1] == FMT_TYPE:  # the lengths may be others from here on
                 block = _Candidates(block.at, block.types, self.length_of)
-        return at
+        return place
 
     def _keep(self, block: _Candidates, row: int, stop: int) -> int:
         """Keep a run of records; it ends early where an FMT record redefines the following ones."""
@@ -283,10 +283,10 @@ class RecordWalker(DamagedBytes):
             return 0
         return int(self.length_of[type_byte[0]])
 
-    def _chain(self, at: int) -> bool:
+    def _chain(self, place: int) -> bool:
         """Whether `LINKS` records follow each other from a byte, or as many as the file has."""
         for link in range(LINKS):
-            header = self.data[at : at + HEADER]
+            header = self.data[place : place + HEADER]
             if not MAGIC.startswith(header[: len(MAGIC)]):
                 return False
             if len(header) < HEADER:
@@ -294,9 +294,9 @@ class RecordWalker(DamagedBytes):
             length = self._length(header[2:])
             if not length:
                 return False
-            at += length
-            if at >= self.size:
-                return at == self.size or link > 0  # the last record may be cut
+            place += length
+            if place >= self.size:
+                return place == self.size or link > 0  # the last record may be cut
         return True
 
 

@@ -75,6 +75,18 @@ def define(payload: bytes) -> RecordDefinition | None:
         return None
     if type_id == FMT_TYPE and length != FMT_LENGTH:
         return None
+    layout = _layout(name, letters, fields)
+    if layout.itemsize != length:
+        return None
+    divisors = {}
+    for field, letter in zip(fields, letters, strict=True):
+        if letter in DIVISORS:
+            divisors[field] = DIVISORS[letter]
+    return RecordDefinition(type_id, name, length, layout, divisors)
+
+
+def _layout(name: str, letters: str, fields: list[str]) -> np.dtype[Any]:
+    """The numpy type of the records of a name, with their header."""
     kinds = []
     offsets = []
     end = HEADER
@@ -84,14 +96,8 @@ def define(payload: bytes) -> RecordDefinition | None:
         kinds.append(kind)
         offsets.append(end)
         end += kind.itemsize
-    if end != length:
-        return None
-    layout = {"names": fields, "formats": kinds, "offsets": offsets, "itemsize": length}
-    divisors = {}
-    for field, letter in zip(fields, letters, strict=True):
-        if letter in DIVISORS:
-            divisors[field] = DIVISORS[letter]
-    return RecordDefinition(type_id, name, length, np.dtype(layout), divisors)  # type: ignore[call-overload]
+    layout = {"names": fields, "formats": kinds, "offsets": offsets, "itemsize": end}
+    return np.dtype(layout)  # type: ignore[call-overload, no-any-return]
 
 
 def _text(raw: bytes) -> str:

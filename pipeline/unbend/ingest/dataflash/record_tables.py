@@ -38,11 +38,11 @@ def read_records(found: RecordWalker, wanted: Mask) -> Iterator[RecordRows]:
         begin = 0
         for number in np.flatnonzero(counts).tolist():
             end = begin + int(counts[number])
-            at = block.at[order[begin:end]]
+            offsets = block.at[order[begin:end]]
             begin = end
             form = found.definitions[number]
-            records = gather(raw, at, form.length).view(form.dtype)
-            yield RecordRows(number, records, at.astype(np.int64) + block.base)
+            records = gather(raw, offsets, form.length).view(form.dtype)
+            yield RecordRows(number, records, offsets.astype(np.int64) + block.base)
 
 
 def decode(found: RecordWalker, wanted: Mapping[str, Callable[[str], bool]]) -> dict[str, Table]:
@@ -136,20 +136,26 @@ def without_objects(table: Table, name: str, ledger: Ledger) -> Table:
     """A table without objects: the last value of a column decides between text and numbers."""
     columns = dict(table)
     for field, column in table.items():
-        if column.dtype.kind != "O":
-            continue
-        known = [value for value in column.tolist() if value is not None]
-        if isinstance(known[-1], str):
-            columns[field] = _texts_only(column)
-            count = sum(not isinstance(value, str) for value in known)
-        else:
-            columns[field] = _numbers_only(column)
-            count = sum(not isinstance(value, int | float) for value in known)
-        if count:
-            ledger.add(
-                messages.field_redefined(message=name, field=field, count=count, total=len(known))
-            )
+        if column.dtype.kind == "O":
+            columns[field] = _of_one_kind(column, field, name, ledger)
     return columns
+
+
+def _of_one_kind(column: NDArray[Any], field: str, message: str, ledger: Ledger) -> NDArray[Any]:
+    """The texts or the numbers of a column of objects; values of the other kind are entered."""
+    known = [value for value in column.tolist() if value is not None]
+    if isinstance(known[-1], str):
+        kept = [isinstance(value, str) for value in known]
+        result: NDArray[Any] = _texts_only(column)
+    else:
+        kept = [isinstance(value, int | float) for value in known]
+        result = _numbers_only(column)
+    dropped = kept.count(False)
+    if dropped:
+        ledger.add(
+            messages.field_redefined(message=message, field=field, count=dropped, total=len(known))
+        )
+    return result
 
 
 def _texts_only(column: NDArray[Any]) -> NDArray[np.str_]:

@@ -5,12 +5,13 @@ Mission Planner and mavlogdump write a message a line, scaled. A place is the fi
 
 import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from unbend.flight.clock import LAST_US
 from unbend.ingest.boot_clock import Stamps, nanoseconds, timeline
@@ -91,15 +92,18 @@ class _LineFormat:
         columns: Table = {PLACE: np.array([line.place for line in lines], np.int64)}
         by_field = zip(*(line.values for line in lines), strict=True)
         for name, letter, values in zip(self.fields, self.letters, by_field, strict=True):
-            if letter in _TEXT:
-                columns[name] = np.array(values, np.str_)
-            elif letter in _DECIMAL:
-                columns[name] = np.array([float(value) for value in values])
-            else:
-                integers = [int(value) for value in values]
-                kind = np.uint64 if min(integers) >= 0 else np.int64
-                columns[name] = np.array(integers, kind)
+            columns[name] = _column(letter, values)
         return columns
+
+
+def _column(letter: str, values: Sequence[str]) -> NDArray[Any]:
+    """The values of a field, by its letter."""
+    if letter in _TEXT:
+        return np.array(values, np.str_)
+    if letter in _DECIMAL:
+        return np.array([float(value) for value in values])
+    integers = [int(value) for value in values]
+    return np.array(integers, np.uint64 if min(integers) >= 0 else np.int64)
 
 
 _FMT = _LineFormat("BBnNZ", ("Type", "Length", "Name", "Format", "Columns"))

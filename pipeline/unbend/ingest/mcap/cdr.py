@@ -229,17 +229,17 @@ def _layout(run: NumberRun, wanted: frozenset[str], phase: int, *, big: bool) ->
     names = []
     kinds = []
     offsets = []
-    at = phase
+    end = phase
     for numbers in run:
         size = np.dtype(numbers.kind).itemsize
-        at = -(-at // size) * size
+        end = -(-end // size) * size
         if numbers.path in wanted:
             kind = np.dtype(numbers.kind.replace("?", "u1")).newbyteorder(">" if big else "<")
             names.append(numbers.path)
             kinds.append((kind, (numbers.count,)) if numbers.array else kind)
-            offsets.append(at - phase)
-        at += size * numbers.count
-    length = at - phase
+            offsets.append(end - phase)
+        end += size * numbers.count
+    length = end - phase
     if not names or length >= MAX_COUNT:  # no message is that long
         return _Layout(None, length)
     used = {"names": names, "formats": kinds, "offsets": offsets, "itemsize": length}

@@ -143,11 +143,11 @@ def candidate_places(view: Bytes, opcodes: tuple[int, ...]) -> Rows:
 def next_message_place(view: Bytes, begin: int, channels: Set[int]) -> int:
     """The first place of a chunk behind ``begin`` where messages follow, or the chunk's end."""
     raw = raw_of(view)
-    for at in range(begin + 1, view.shape[0], NEAR):
-        near = view[at : at + NEAR + RECORD.size - 1]
+    for near_begin in range(begin + 1, view.shape[0], NEAR):
+        near = view[near_begin : near_begin + NEAR + RECORD.size - 1]
         for place in candidate_places(near, (Opcode.MESSAGE,)).tolist():
-            if messages_follow(raw, at + place, channels):
-                return int(at + place)
+            if messages_follow(raw, near_begin + place, channels):
+                return int(near_begin + place)
     return int(view.shape[0])
 
 
@@ -235,8 +235,8 @@ class RecordWalk:
     def _checksum(self, begin: int, end: int) -> int:
         """The checksum of a stretch of the file."""
         crc = 0
-        for at in range(begin, end, SPAN):
-            crc = zlib.crc32(self.data[at : min(at + SPAN, end)], crc)
+        for place in range(begin, end, SPAN):
+            crc = zlib.crc32(self.data[place : min(place + SPAN, end)], crc)
         return crc
 
     def _definition(self, opcode: int, content: bytes, at: int) -> Definition:
@@ -249,10 +249,10 @@ class RecordWalk:
 
     def _records(self) -> Iterator[Definition | Messages]:
         """The records from behind the mark, or from the header record on, to the footer."""
-        at = self._first_record()
-        self._before = at - 1
-        while at >= 0:
-            span = self._walk_span(at)
+        place = self._first_record()
+        self._before = place - 1
+        while place >= 0:
+            span = self._walk_span(place)
             for record in span.others:  # before the messages that they define
                 if record.opcode in DEFINITIONS:
                     yield from self._read_definition(record)
@@ -261,7 +261,7 @@ class RecordWalk:
             for record in span.others:
                 if record.opcode not in DEFINITIONS:
                     yield from self._read_other(record)
-            at = span.following
+            place = span.following
         yield from self._flush()
 
     def _first_record(self) -> int:
@@ -285,37 +285,44 @@ class RecordWalk:
         """The records that begin in a stretch of the file, and where to go on."""
         span = _Span(begin, self.data.array(begin, begin + SPAN), [], [])
         raw = raw_of(span.view)
-        size = self.data.size - begin
         unpack = RECORD.unpack_from
         place = 0
-        while True:
-            at = begin + place
-            if place > len(raw) or (place and place + RECORD.size > len(raw) and place < size):
-                span.following = at
-                return span
-            if place + RECORD.size > len(raw):
-                where = self.damage.at(at)
-                self.damage.add(messages.no_footer(where=where, count=size - place))
-                return span
+        while place + RECORD.size <= len(raw):
             opcode, length = unpack(raw, place)
             end = place + RECORD.size + length
-            if end > size or not (0 < opcode <= LAST or opcode >= PRIVATE):
-                span.following = self._resume(at, opcode, length)
-                self._drop_disproved(span, at)
-                return span
-            if opcode == Opcode.FOOTER:
-                span.following = self._end_at_footer(at, length)
-                return span
-            if opcode == Opcode.MESSAGE and length <= LARGE_MESSAGE:
-                if end > len(raw):
-                    span.following = at
-                    return span
+            if opcode == Opcode.MESSAGE and length <= LARGE_MESSAGE and end <= len(raw):
                 span.starts.append(place)
-            else:
-                self._list_record(span, Record(opcode, at, length))
-            is_proved = opcode == Opcode.CHUNK and self._proves(at)
-            self._before = begin + end - 1 if is_proved else at
+                self._before = begin + place
+            elif self._ends_span(span, Record(opcode, begin + place, length)):
+                return span
             place = end
+        following = begin + place
+        if place > len(raw) or (place and following < self.data.size):
+            span.following = following
+        else:
+            left = self.data.size - following
+            self.damage.add(messages.no_footer(where=self.damage.at(following), count=left))
+        return span
+
+    def _ends_span(self, span: _Span, record: Record) -> bool:
+        """Take a record that is no small message in the span; True where the span ends with it."""
+        opcode = record.opcode
+        end = record.content + record.length
+        is_possible = 0 < opcode <= LAST or opcode >= PRIVATE
+        if end > self.data.size or not is_possible:
+            span.following = self._resume(record.at, opcode, record.length)
+            self._drop_disproved(span, record.at)
+            return True
+        if opcode == Opcode.FOOTER:
+            span.following = self._end_at_footer(record.at, record.length)
+            return True
+        if opcode == Opcode.MESSAGE and record.length <= LARGE_MESSAGE:
+            span.following = record.at  # it ends behind the span
+            return True
+        self._list_record(span, record)
+        is_proved = opcode == Opcode.CHUNK and self._proves(record.at)
+        self._before = end - 1 if is_proved else record.at
+        return False
 
     def _list_record(self, span: _Span, record: Record) -> None:
         """List a record that is no small message, where it is one that is given out."""
@@ -576,8 +583,8 @@ def _message_runs(view: Bytes) -> Runs:
     places = np.flatnonzero(view[: max(size - RECORD.size + 1, 0)] == Opcode.MESSAGE)
     lengths = gather(view, places + 1, 8).view("<u8")
     fits = lengths <= (size - RECORD.size - places).astype(np.uint64)
-    at = places[fits].astype(np.int64)
-    return Runs(at, at + RECORD.size + lengths[fits].astype(np.int64))
+    begins = places[fits].astype(np.int64)
+    return Runs(begins, begins + RECORD.size + lengths[fits].astype(np.int64))
 
 
 def _definition_end(raw: memoryview, place: int) -> int:

@@ -149,10 +149,10 @@ class _Flattener:
             text = line.split("#", 1)[0].strip()
             if not text or _CONSTANT.match(text):
                 continue
-            found = _FIELD.match(text)
-            if not found:
+            match = _FIELD.match(text)
+            if not match:
                 raise SchemaError(f"{text[:_SHOWN]!r} of {name} is no field")
-            fields.append(_Declared(found["kind"], found["array"] or "", found["name"]))
+            fields.append(_Declared(match["kind"], match["array"] or "", match["name"]))
         return fields or [_OF_EMPTY_MESSAGE]
 
     def counted(self, step: MessageField) -> MessageField:

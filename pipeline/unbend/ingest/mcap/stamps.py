@@ -58,15 +58,15 @@ def stamp_of(value: Any) -> int:
 
 def _ns_of_text(text: str) -> int:
     """Unix time [ns] of RFC 3339; 0 of another text."""
-    found = _ISO.fullmatch(text.strip())
-    if not found:
+    match = _ISO.fullmatch(text.strip())
+    if not match:
         return 0
-    zone = found["zone"]
+    zone = match["zone"]
     if zone is None or zone == "Z":
         zone = "+00:00"
-    moment = datetime.fromisoformat(found["seconds"] + zone)
+    moment = datetime.fromisoformat(match["seconds"] + zone)
     seconds = (moment - _EPOCH) // timedelta(seconds=1)
-    fraction = found["fraction"] or "0"
+    fraction = match["fraction"] or "0"
     part_ns = int(fraction[:_DIGITS_OF_NS].ljust(_DIGITS_OF_NS, "0"))
     return seconds * NANOSECONDS_PER_SECOND + part_ns
 
@@ -151,19 +151,20 @@ def good_rows(places: Integers, stamp_ns: TimeArray, clock: BootClock) -> Mask:
     if not misfits.size:
         return good
     boot = line.boot_of(places)
-    steady = ~line.stray
     for number in np.unique(boot[misfits]).tolist():
-        of_boot = steady & (line.boot == number)
+        of_boot = ~line.stray & (line.boot == number)
         earliest_ns = line.begin[of_boot].min() - BOOT_STEP_NS
         latest_ns = line.end[of_boot].max() + BOOT_STEP_NS
         neighbours = np.flatnonzero(good & counted & (boot == number))
         bounds_ns = np.concatenate([[earliest_ns], stamp_ns[neighbours], [latest_ns]])
         rows = misfits[boot[misfits] == number]
-        before = np.searchsorted(neighbours, rows)  # in the bounds
-        after_lower = bounds_ns[before] < stamp_ns[rows]
-        before_upper = stamp_ns[rows] < bounds_ns[before + 1]
-        good[rows] = after_lower & before_upper
+        good[rows] = _lie_between(stamp_ns[rows], bounds_ns, np.searchsorted(neighbours, rows))
     return good
+
+
+def _lie_between(stamp_ns: TimeArray, bounds_ns: TimeArray, lower: Rows) -> Mask:
+    """Which (n,) stamps lie between the bound ``lower`` (n,) and the next."""
+    return (bounds_ns[lower] < stamp_ns) & (stamp_ns < bounds_ns[lower + 1])
 
 
 class MessageTimes(NamedTuple):

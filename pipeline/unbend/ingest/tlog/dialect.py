@@ -38,7 +38,8 @@ def dialect() -> Mapping[int, MessageDefinition]:
     """The library's union of all dialects, by number."""
     from pymavlink.dialects.v20 import all as library
 
-    return {int(number): _definition(own) for number, own in library.mavlink_map.items()}
+    definitions = [_definition(message_class) for message_class in library.mavlink_map.values()]
+    return {definition.number: definition for definition in definitions}
 
 
 def _definition(library_class: Any) -> MessageDefinition:

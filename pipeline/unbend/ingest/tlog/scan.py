@@ -175,9 +175,9 @@ class Scan(DamagedBytes):
         end_before = np.concatenate([[self._end], frames.end[:-1]])
         between = []
         for row in np.flatnonzero(end_before != frames.at).tolist():
-            found = self._between(int(end_before[row]), int(frames.at[row]))
-            if len(found):
-                between.append(found)
+            frames_between = self._between(int(end_before[row]), int(frames.at[row]))
+            if len(frames_between):
+                between.append(frames_between)
         self._count_lost(joined([frames, *between]) if between else frames)
         self._end = int(frames.end[-1])
         counts = np.bincount(frames.message_id[frames.message_id < _MOST_IDS])
@@ -204,20 +204,20 @@ class Scan(DamagedBytes):
     def _frames_in_a_row(self, begin: int, stop: int) -> tuple[list[int], int]:
         """The places of frames that follow each other from a byte, and where the last ends."""
         places: list[int] = []
-        at = begin
+        place = begin
         view = b""
         view_begin = begin
-        while at < stop:
+        while place < stop:
             view_end = view_begin + len(view)
-            if at + LONGEST > view_end and view_end < stop:
-                view_begin = at
-                view = self._data[at : min(at + STRETCH, stop)]
-            length = frame_length(view, at - view_begin)
-            if not length or at + length > stop:
+            if place + LONGEST > view_end and view_end < stop:
+                view_begin = place
+                view = self._data[place : min(place + STRETCH, stop)]
+            length = frame_length(view, place - view_begin)
+            if not length or place + length > stop:
                 break
-            places.append(at)
-            at += length
-        return places, at
+            places.append(place)
+            place += length
+        return places, place
 
     def _ends_in_frame(self, at: int, stop: int, places: list[int]) -> bool:
         """Whether the file ends in a frame that begins here, behind frames at ``places``."""
@@ -268,6 +268,13 @@ class Scan(DamagedBytes):
             state = _SequenceState(last=(int(sequence[0]) - 1) % SEQUENCE, heard_us=int(host_us[0]))
         skipped = np.diff(sequence, prepend=np.uint8(state.last)) - np.uint8(1)  # modulo 256
         silent = np.diff(host_us, prepend=state.heard_us) > SILENT_US
+        for row in np.flatnonzero(silent).tolist():
+            silent_us = _silent_us(host_us, row, state.heard_us)
+            if silent_us > SILENT_US:
+                is_backward = skipped[row] >= SEQUENCE // 2
+                backward = int(skipped[row]) if is_backward else 0
+                self.silences.append(Silence(sender, int(at[row]), silent_us / 1e6, backward))
+        # how far each message is from the last of those before
         step = skipped.view(np.int8).astype(np.int64) + 1
         step[(step < 0) & silent] = 1  # after seconds of silence no message overtakes another
         place = np.cumsum(step)
@@ -276,19 +283,21 @@ class Scan(DamagedBytes):
         if new.size:
             lost = int(new[-1]) - state.ahead - new.shape[0]
         self.lost[sender] += lost
-        for row in np.flatnonzero(silent).tolist():
-            before = host_us[max(row - STRAY_ROWS - 1, 0) : row]
-            last_us = int(before.max(initial=state.heard_us))
-            silent_us = int(host_us[row : row + STRAY_ROWS + 1].min()) - last_us
-            if silent_us > SILENT_US:
-                is_backward = skipped[row] >= SEQUENCE // 2
-                backward = int(skipped[row]) if is_backward else 0
-                self.silences.append(Silence(sender, int(at[row]), silent_us / 1e6, backward))
         self._sequences[number] = _SequenceState(
             last=int(sequence[-1]),
             heard_us=int(host_us[-1]),
             ahead=max(state.ahead, int(place.max())) - int(place[-1]),
         )
+
+
+def _silent_us(host_us: Integers, row: int, heard_us: int) -> int:
+    """The time before a message without another of its sender, by the stamps on both sides.
+
+    Of those the nearest count, as single ones may be stray; ``heard_us``: the last one before all.
+    """
+    before_us = host_us[max(row - STRAY_ROWS - 1, 0) : row].max(initial=heard_us)
+    after_us = host_us[row : row + STRAY_ROWS + 1].min()
+    return int(after_us) - int(before_us)
 
 
 def _apart(frames: Frames) -> Frames:
@@ -297,8 +306,8 @@ def _apart(frames: Frames) -> Frames:
         return frames
     rows = []
     end_before = 0
-    for row, (at, end) in enumerate(zip(frames.at.tolist(), frames.end.tolist(), strict=True)):
-        if at >= end_before:
+    for row, (begin, end) in enumerate(zip(frames.at.tolist(), frames.end.tolist(), strict=True)):
+        if begin >= end_before:
             rows.append(row)
             end_before = end
     return frames.take(np.array(rows, np.intp))

@@ -6,7 +6,7 @@ those with one. Cameras and gimbals have no SYSTEM_TIME: whether they count by t
 or their own, the reception of their messages shows.
 """
 
-from collections.abc import Callable, Container, Mapping
+from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -228,48 +228,69 @@ def fit_sender(
     readings = _some(readings, ~stray_times(readings["boot_ns"]))  # a glitch of it is no boot
     if bool(np.any(np.diff(readings["boot_ns"]) < -BOOT_STEP_NS)):
         readings = _some(readings, ~overtaken(readings))
-    at = readings["at"]
-    sent_utc_ns = readings["utc_ns"]
+    places = readings["at"]
     stamped_ns = readings["host_us"] * MICROSECOND
     boot_ns = _continued(readings["boot_ns"], stamped_ns, sender, ledger)
     system_time = UtcReadings(
         source="SYSTEM_TIME messages",
         one="SYSTEM_TIME message",
-        places=at,
+        places=places,
         boot_ns=boot_ns,
-        utc_ns=sent_utc_ns,
-        usable=sent_utc_ns > 0,
+        utc_ns=readings["utc_ns"],
+        usable=readings["utc_ns"] > 0,
     )
     received = UtcReadings(
         source="stamps",
         one="stamp",
-        places=at,
+        places=places,
         boot_ns=boot_ns,
-        utc_ns=lead.utc_of_host(at, stamped_ns),
-        usable=np.ones(at.shape, np.bool_),
+        utc_ns=lead.utc_of_host(places, stamped_ns),
+        usable=np.ones(places.shape, np.bool_),
     )
-    line = timeline([(at, boot_ns)])
+    line = timeline([(places, boot_ns)])
     clock = fit_clock(line, [system_time], ledger, received, str(sender))
-    boot = clock.line.boot_of(at)
+    boot = clock.line.boot_of(places)
     counts = np.bincount(boot, minlength=clock.line.boots).tolist()
-    maps = []
-    begin = 0
-    for number, count in enumerate(counts):
-        rows = slice(begin, begin + count)
-        begin += count
-        maps.append(clock_map(stamped_ns[rows], clock.utc(at[rows], boot_ns[rows])))
-        fit = clock.fits[number]
+    _report_host_clock(clock, counts, sender, ledger)
+    kept = np.ones(boot.shape, np.bool_)
+    new_second = np.diff(boot_ns // NANOSECONDS_PER_SECOND) != 0
+    kept[1:] = new_second | (np.diff(boot) != 0)
+    return SenderClock(
+        at=places[kept],
+        boot_ns=boot_ns[kept],
+        clock=clock,
+        counts=tuple(counts),
+        maps=_maps_to_utc(stamped_ns, clock.utc(places, boot_ns), counts),
+    )
+
+
+def _report_host_clock(
+    clock: BootClock, counts: Sequence[int], sender: Sender, ledger: Ledger
+) -> None:
+    """Enter the boots that only the reception of the messages ties to UTC."""
+    for number, fit in enumerate(clock.fits):
         if fit is not None and not clock.utc_known[number]:
             ledger.add(
                 messages.set_by_host_clock(
-                    sender=str(sender), boot=number, count=count, spread_ms=fit.spread_ns / 1e6
+                    sender=str(sender),
+                    boot=number,
+                    count=counts[number],
+                    spread_ms=fit.spread_ns / 1e6,
                 )
             )
-    kept = np.ones(boot.shape, np.bool_)
-    new_second = np.diff(boot_ns // NANOSECONDS_PER_SECOND) != 0
-    new_boot = np.diff(boot) != 0
-    kept[1:] = new_second | new_boot
-    return SenderClock(at[kept], boot_ns[kept], clock, tuple(counts), tuple(maps))
+
+
+def _maps_to_utc(
+    stamped_ns: TimeArray, utc_ns: TimeArray, counts: Sequence[int]
+) -> tuple[Callable[[TimeArray], TimeArray], ...]:
+    """For each boot, of so many readings, what maps the ground station's clock to UTC."""
+    maps = []
+    begin = 0
+    for count in counts:
+        rows = slice(begin, begin + count)
+        maps.append(clock_map(stamped_ns[rows], utc_ns[rows]))
+        begin += count
+    return tuple(maps)
 
 
 def _continued(

@@ -146,16 +146,16 @@ def _replace_stray_stamps(scan: Scan, ledger: Ledger, file: str) -> None:
     blocks = [block for store in scan.sent.values() for block in store.blocks()]
     if not blocks:
         return
-    at = np.concatenate([block["at"] for block in blocks])
+    places = np.concatenate([block["at"] for block in blocks])
     host_us = np.concatenate([block["host_us"] for block in blocks])
-    order = np.argsort(at, kind="stable")
-    at = at[order]
+    order = np.argsort(places, kind="stable")
+    places = places[order]
     host_us = host_us[order]
     stray = stray_times(host_us * MICROSECOND)
     count = int(np.count_nonzero(stray))
     if count == 0 or bool(stray.all()):
         return
-    stray_at = at[stray]
+    stray_at = places[stray]
     ledger.add(messages.stray_stamps(file=file, first=int(stray_at[0]), count=count))
     # each gets the stamp of the message before it
     good_us = host_us[~stray]
@@ -173,13 +173,8 @@ def _table(path: Path, clocks: Clocks, name: str, instance: str | None) -> Table
     message = message_of_name().get(name)
     if message is None:
         return {}
-    with open_view(path) as data:
-        scan = Scan(data, crc_extras(), {message.number: message.dtype})
-    store = scan.sent.get(message.number)
-    if store is None:
-        return {}
-    rows = store.whole()
-    if instance is not None:
+    rows = _messages_of_type(path, message)
+    if instance is not None and len(rows):
         rows = _rows_of_instance(rows, message, instance)
     if not len(rows):
         return {}
@@ -199,6 +194,15 @@ def _table(path: Path, clocks: Clocks, name: str, instance: str | None) -> Table
         is_text = name_of_field in message.texts
         table[name_of_field] = _texts(column) if is_text else column
     return table
+
+
+def _messages_of_type(path: Path, message: MessageDefinition) -> NDArray[Any]:
+    """All messages of one type as they were sent."""
+    with open_view(path) as data:
+        scan = Scan(data, crc_extras(), {message.number: message.dtype})
+    if message.number not in scan.sent:
+        return np.empty(0)
+    return scan.sent[message.number].whole()
 
 
 def _rows_of_instance(

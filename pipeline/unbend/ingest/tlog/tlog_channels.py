@@ -1,6 +1,6 @@
 """Messages of a telemetry log as they were sent -> channels."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -152,20 +152,32 @@ def _series(keys: list[str], store: ColumnStore, clocks: Clocks) -> list[_Series
     """The series of one message, for each key, sender and instance."""
     by_group: dict[tuple[Sender, Any], list[_Series]] = {}  # the instance as sent, or None
     field = message_of_name()[message_of_key(keys[0])].instance_field
+    for sender, value, rows in _groups(store, field):
+        group = (sender, value)
+        if group not in by_group:
+            label = None if value is None else label_of(value)
+            by_group[group] = [_Series(key, sender, label) for key in keys]
+        for series in by_group[group]:
+            series.add(rows, clocks)
+    all_series = [series for group in sorted(by_group) for series in by_group[group]]
+    senders = {series.sender for series in all_series}
+    if len(senders) > 1:
+        _add_senders_to_names(all_series)
+    return all_series
+
+
+def _add_senders_to_names(all_series: list[_Series]) -> None:
+    """Tell the channels of several senders apart, as in ATTITUDE@1/1."""
+    for series in all_series:
+        series.name += f"@{series.sender.system}/{series.sender.component}"
+
+
+def _groups(store: ColumnStore, field: str) -> Iterator[tuple[Sender, Any, NDArray[Any]]]:
+    """The messages of each sender and instance, in pieces; their store is used up."""
     for block in store.drained():
-        for sender, rows in by_sender(block):
-            for value, part in _by_instance(block[rows], field):
-                group = (sender, value)
-                if group not in by_group:
-                    label = None if value is None else label_of(value)
-                    by_group[group] = [_Series(key, sender, label) for key in keys]
-                for series in by_group[group]:
-                    series.add(part, clocks)
-    result = [series for group in sorted(by_group) for series in by_group[group]]
-    if len({sender for sender, _ in by_group}) > 1:
-        for series in result:
-            series.name += f"@{series.sender.system}/{series.sender.component}"
-    return result
+        for sender, of_sender in by_sender(block):
+            for value, rows in _by_instance(block[of_sender], field):
+                yield sender, value, rows
 
 
 def _by_instance(rows: NDArray[Any], field: str) -> list[tuple[Any, NDArray[Any]]]:
@@ -180,15 +192,15 @@ def times_of(
     rows: NDArray[Any], field: str, clocks: Clocks, sender: Sender
 ) -> tuple[TimeArray, NDArray[np.int16]]:
     """UTC [ns] and boot of (n,) messages of a sender, by their own time or that of reception."""
-    at = rows["at"]
+    places = rows["at"]
     host_ns = rows["host_us"] * MICROSECOND
     clock = clocks.of(sender)
     if not field:
-        return clock.utc_of_host(at, host_ns), clock.boot(at)
+        return clock.utc_of_host(places, host_ns), clock.boot(places)
     unit_ns, turn_ns = CLOCK_FIELDS[field]
     stamp = microseconds(rows["records"][field])  # cut at what no log can last
     stamp_ns = stamp * unit_ns
-    placed = clock.boot_places(at, stamp_ns)
+    placed = clock.boot_places(places, stamp_ns)
     time_ns = clock.utc_of_boot(placed, host_ns, stamp_ns, turn_ns)
     boot = clock.boot(placed)
     if field == "time_boot_ms":
@@ -202,8 +214,8 @@ def times_of(
     time_ns = np.where(is_unix, stamp_ns, time_ns)
     not_since_boot = is_unix | is_unknown
     if not_since_boot.any():
-        boot[not_since_boot] = clock.boot(at[not_since_boot])
-        time_ns[is_unknown] = clock.utc_of_host(at[is_unknown], host_ns[is_unknown])
+        boot[not_since_boot] = clock.boot(places[not_since_boot])
+        time_ns[is_unknown] = clock.utc_of_host(places[is_unknown], host_ns[is_unknown])
     return time_ns, boot
 
 

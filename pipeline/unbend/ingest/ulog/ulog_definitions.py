@@ -1,6 +1,7 @@
 """Formats of a ULog file: which fields the messages of a topic have, nested ones flattened."""
 
 import re
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -54,27 +55,26 @@ def flat_fields(
     result: list[FlatField] = []
     size = 0
     for field in formats[name]:
-        inner: list[FlatField] | None
-        if field.kind in TYPES:
-            inner = [FlatField("", TYPES[field.kind])]
-        else:
+        inner: list[FlatField] | None = [FlatField("", TYPES.get(field.kind, ""))]
+        if field.kind not in TYPES:
             inner = flat_fields(field.kind, formats, depth + 1)
         if not inner:
             return None
         size += max(field.elements, 1) * _size(inner)
         if size > LONGEST_DATA:  # before its elements are made, which may be many
             return None
-        for element in _elements(field):
-            for path, dtype in inner:
-                result.append(FlatField(f"{element}.{path}" if path else element, dtype))
+        result += _elements(field, inner)
     return result
 
 
-def _elements(field: Field) -> list[str]:
-    """The names of the elements of a field."""
-    if not field.elements:
-        return [field.name]
-    return [f"{field.name}[{k}]" for k in range(field.elements)]
+def _elements(field: Field, inner: list[FlatField]) -> Iterator[FlatField]:
+    """The numbers of all elements of a field; ``inner``: of one of them."""
+    names = [field.name]
+    if field.elements:
+        names = [f"{field.name}[{k}]" for k in range(field.elements)]
+    for name in names:
+        for path, dtype in inner:
+            yield FlatField(f"{name}.{path}" if path else name, dtype)
 
 
 class Definitions:
@@ -91,13 +91,13 @@ class Definitions:
         for part in text.split(";"):
             if not part:
                 continue
-            found = _FIELD.fullmatch(part)
-            if found is None:
+            match = _FIELD.fullmatch(part)
+            if match is None:
                 return False
-            count = int(found["count"] or 0)
-            if found["count"] is not None and count == 0:
+            count = int(match["count"] or 0)
+            if match["count"] is not None and count == 0:
                 return False
-            fields.append(Field(found["kind"], count, found["name"]))
+            fields.append(Field(match["kind"], count, match["name"]))
         if not colon or not fields:
             return False
         self.formats[name] = fields

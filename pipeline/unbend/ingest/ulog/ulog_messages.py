@@ -170,10 +170,10 @@ class ULogMessages(DamagedBytes):
         """Walk over the file, a span at a time."""
         if self._data[0 : len(MAGIC)] != MAGIC:
             self.drop(0, FILE_HEADER)
-        at = FILE_HEADER
-        while at < self._data.size:
-            view = _View(self._data[at : at + SPAN + LONGEST], at)
-            at += self._walk_span(view)
+        begin = FILE_HEADER
+        while begin < self._data.size:
+            view = _View(self._data[begin : begin + SPAN + LONGEST], begin)
+            begin += self._walk_span(view)
             self._store_data(np.frombuffer(view.raw, np.uint8))
         for topic, store in sorted(self._stores.items()):
             if len(store):
@@ -317,20 +317,20 @@ class ULogMessages(DamagedBytes):
 
     def _resume(self, view: _View, place: int) -> int:
         """Where in the file messages go on after a place that begins none."""
-        at = view.base + place
+        begin = view.base + place
         skipped = self._length(view, place, loose=True)  # data whose definition was lost
         number = int.from_bytes(view.raw[place + HEAD.size : place + DATA.size], "little")
         if skipped and number not in self.sizes and self._linked(view, place + skipped):
-            self.drop(at, at + skipped)
-            return at + skipped
-        found = self._next_linked(at + 1)
-        if found < self._data.size:
-            self.drop(at, found)
-        elif self._is_cut_message(at):
-            self.cut_bytes = self._data.size - at
+            self.drop(begin, begin + skipped)
+            return begin + skipped
+        resumed = self._next_linked(begin + 1)
+        if resumed < self._data.size:
+            self.drop(begin, resumed)
+        elif self._is_cut_message(begin):
+            self.cut_bytes = self._data.size - begin
         else:
-            self.drop(at, self._data.size)
-        return found
+            self.drop(begin, self._data.size)
+        return resumed
 
     def _next_linked(self, begin: int) -> int:
         """The first place from here on where messages follow each other, or the file's end."""

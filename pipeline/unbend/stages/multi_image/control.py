@@ -152,52 +152,84 @@ def compare_control(
         ledger=ledger,
     )
     rays = rays_of_control(inputs.observations, points, setup)
-    point = np.unique(rays.point)
+    control = MeasuredControl.of(points, np.unique(rays.point), stations, heights)
     rays = rays.known()
-    at = np.searchsorted(point, rays.point)
-    meeting = meeting_points(rays, at, point.size, orientations_of_mission(mission, stations))
+    at = np.searchsorted(control.row, rays.point)
+    orientations = orientations_of_mission(mission, stations)
+    meeting = meeting_points(rays, at, control.row.size, orientations)
 
-    latitude = points.lat_rad[point]
-    longitude = points.lon_rad[point]
-    h = points.h_m[point]
-    undulation = heights.undulation(latitude, longitude)
-    # Stations of which only the height above sea level is known count from there.
-    h = h + (undulation if bool(np.isfinite(stations.h_ellipsoid_m).any()) else 0.0)
-    axes = enu_from_ecef(latitude, longitude)
-    given = ecef_of_geodetic(latitude, longitude, h)
+    axes = enu_from_ecef(control.latitude_rad, control.longitude_rad)
     places = np.stack([meeting.before, meeting.after])
-    before, after = np.einsum("pij,kpj->kpi", axes, places - given)
+    before, after = np.einsum("pij,kpj->kpi", axes, places - control.place())
     sigma_of_stations = (stations.sigma_height_m + stations.sigma_tilt_rad)[rays.station]
     comparison = ControlComparison(
-        name=tuple(points.name.take(pa.array(point)).to_pylist()),
-        rays=np.bincount(at, minlength=point.size),
+        name=tuple(points.name.take(pa.array(control.row)).to_pylist()),
+        rays=np.bincount(at, minlength=control.row.size),
         before=before,
         after=after,
         sigma_m=meeting.sigma_m,
         sigma_stated=bool(np.isfinite(sigma_of_stations).any()),
-        unmeasured=len(points.name) - point.size,
+        unmeasured=len(points.name) - control.row.size,
     )
     if not comparison.used.any():
-        ledger.add(messages.control_without_rays(where="control", count=point.size))
+        ledger.add(messages.control_without_rays(where="control", count=control.row.size))
         return None
-    above = h if section.reference == "ellipsoid" else h - undulation
-    home_m = heights.home_h_msl_m or np.nan
-    readings = {
-        "heights above the ellipsoid taken for those above sea level": h - undulation,
-        "heights above sea level taken for those above the ellipsoid": h + undulation,
-        "heights above the take-off taken for those above sea level": h + home_m,
-        "heights in feet taken for metres": h - (1.0 - METRES_OF_A_FOOT) * above,
-    }
-    read = {
-        what: ecef_of_geodetic(latitude, longitude, height) for what, height in readings.items()
-    }
-    read["latitude and longitude exchanged"] = ecef_of_geodetic(longitude, latitude, h)
     off_m = {}
-    for what, place in read.items():
-        distance = np.linalg.norm(meeting.after - place, axis=1)
-        off_m[what] = float(np.median(distance[comparison.used]))
+    for what, place in control.other_readings(section.reference, heights.home_h_msl_m).items():
+        distance_m = np.linalg.norm(meeting.after - place, axis=1)
+        off_m[what] = float(np.median(distance_m[comparison.used]))
     judge_control(comparison, off_m, ledger)
     return comparison
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredControl:
+    """Control points that are observed, (p,): rows of their table, places, undulation [m].
+
+    ``h_m`` counts from where the heights of the stations do: from the ellipsoid where these are
+    known, else from sea level.
+    """
+
+    row: Integers
+    latitude_rad: Array
+    longitude_rad: Array
+    h_m: Array
+    undulation_m: Array
+
+    @classmethod
+    def of(
+        cls, points: ObjectPoints, row: Integers, stations: Stations, heights: HeightSystem
+    ) -> "MeasuredControl":
+        """Some rows of a table of points above sea level."""
+        latitude = points.lat_rad[row]
+        longitude = points.lon_rad[row]
+        undulation = heights.undulation(latitude, longitude)
+        above_ellipsoid = bool(np.isfinite(stations.h_ellipsoid_m).any())
+        h_m = points.h_m[row] + (undulation if above_ellipsoid else 0.0)
+        return cls(row, latitude, longitude, h_m, undulation)
+
+    def place(self, h_m: Array | None = None) -> Array:
+        """(p, 3) earth-centred [m], at other heights if these are given."""
+        height = self.h_m if h_m is None else h_m
+        return ecef_of_geodetic(self.latitude_rad, self.longitude_rad, height)
+
+    def other_readings(self, reference: str, home_h_msl_m: float | None) -> dict[str, Array]:
+        """(p, 3) where the points are if the mission file states them wrongly, by what it does."""
+        h_m = self.h_m
+        undulation_m = self.undulation_m
+        home_m = home_h_msl_m or np.nan
+        stated_m = h_m if reference == "ellipsoid" else h_m - undulation_m
+        in_feet_m = h_m - (1.0 - METRES_OF_A_FOOT) * stated_m
+        exchanged = ecef_of_geodetic(self.longitude_rad, self.latitude_rad, h_m)
+        below_m = h_m - undulation_m
+        above_m = h_m + undulation_m
+        return {
+            "heights above the ellipsoid taken for those above sea level": self.place(below_m),
+            "heights above sea level taken for those above the ellipsoid": self.place(above_m),
+            "heights above the take-off taken for those above sea level": self.place(h_m + home_m),
+            "heights in feet taken for metres": self.place(in_feet_m),
+            "latitude and longitude exchanged": exchanged,
+        }
 
 
 def rays_of_control(

@@ -4,6 +4,8 @@ from unbend.errors import Code, Counted, InputError, MissionError
 from unbend.flight.messages import IMAGES_OTHER
 from unbend.messages import Message, finding, loss, note, warning
 from unbend.stages.messages import POINTS_MISSING
+from unbend.tables.geodata.messages import POINTS_EMPTY
+from unbend.tables.imports.messages import IMPORT_CONTRADICTED
 
 
 def images_of_another_flight(*, where: str, absent: str, files: str) -> InputError:
@@ -269,14 +271,6 @@ def block_camera_unknown(*, where: str, total: int, image: str, name: str) -> Mi
     )
 
 
-POINTS_EMPTY = Code(
-    "POINTS-EMPTY",
-    means="The table or block has no points.",
-    effect="The mission is refused.",
-    remedy="Give points, or ground.height in another way.",
-)
-
-
 def block_without_points(*, where: str) -> InputError:
     """A block has no object points."""
     return InputError(
@@ -445,14 +439,6 @@ def heights_above_ground_odd(
         low=low,
         high=high,
     )
-
-
-IMPORT_CONTRADICTED = Code(
-    "IMPORT-CONTRADICTED",
-    means="The file's head says something else than the mission file.",
-    effect="What the mission file says holds.",
-    remedy="Check which of the two is right.",
-)
 
 
 def frame_contradicted(*, where: str, found: str, stated: str) -> Message:

@@ -8,13 +8,13 @@ import difflib
 from collections.abc import Mapping
 from pathlib import Path
 
-from unbend.errors import ConfigError
 from unbend.tables.exports import (
     bingo,
     bundler,
     calibrations,
     colmap_files,
     correction_tables,
+    messages,
     opensfm_project,
     station_files,
 )
@@ -39,16 +39,18 @@ def find_format(name: str, out: Path) -> ExportFormat:
     form = FORMATS.get(name)
     if form is None:
         near = difflib.get_close_matches(name, FORMATS, 2)
-        what = f"no format is called {name!r}"
-        remedy = f"perhaps {' or '.join(near)}?" if near else f"one of {', '.join(FORMATS)}"
-        raise ConfigError("EXPORT-FORMAT", what, where="--format", remedy=remedy)
+        raise messages.format_unknown(
+            where="--format", name=name, similar=" or ".join(near), known=", ".join(FORMATS)
+        )
     fitting = [other for other, f in FORMATS.items() if f.ending == out.suffix.lower()]
     if out.suffix.lower() != form.ending and (form.ending or fitting):
-        kind = f"a file that ends in {form.ending}" if form.ending else "a folder"
-        what = f"{name} is written to {kind}"
-        others = f", or choose from {', '.join(fitting)}" if fitting else ""
-        remedy = f"rename it to {out.with_suffix(form.ending).name or form.ending}{others}"
-        raise ConfigError("EXPORT-ENDING", what, where=str(out), remedy=remedy)
+        rename = out.with_suffix(form.ending).name or form.ending
+        others = ", ".join(fitting)
+        if form.ending:
+            raise messages.ending_of_file(
+                where=out, name=name, ending=form.ending, rename=rename, others=others
+            )
+        raise messages.ending_of_folder(where=out, name=name, rename=rename, others=others)
     return form
 
 

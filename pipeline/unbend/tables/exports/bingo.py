@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
-from unbend.errors import ConfigError, MissionError
 from unbend.messages import Ledger
+from unbend.tables.exports import messages
 from unbend.tables.exports.exported_block import block_of
 from unbend.tables.exports.format import (
     PIXEL_UM,
@@ -39,8 +39,14 @@ def short_names(names: Sequence[str], kind: str) -> list[str]:
     for name in names:
         short = re.sub(r"\s", "_", name)[-_LONGEST:] or "_"
         if short in first:
-            raise MissionError.of("EXPORT-NAMES/short", "observations", kind=kind, one=first[short],
-                                  other=name, short=short, longest=_LONGEST)  # fmt: skip
+            raise messages.names_too_long(
+                where="observations",
+                kind=kind,
+                one=first[short],
+                other=name,
+                short=short,
+                longest=_LONGEST,
+            )
         first[short] = name
     return [*first]
 
@@ -52,7 +58,7 @@ def write_bingo(run: FinishedRun, values: Values, folder: Path, ledger: Ledger) 
     short = {kind: short_names(names, kind) for kind, names in given.items()}
     sizes = [pixel_mm(run, name, values) for name in block.cameras]
     for name in [name for name, size in zip(block.cameras, sizes, strict=True) if np.isnan(size)]:
-        raise ConfigError.of("EXPORT-OPTION/pixel", "--pixel-um", name=name)
+        raise messages.pixel_size_unknown(where="--pixel-um", name=name)
     turn = np.linalg.matrix_power(np.array([[0, 1], [-1, 0]]), values["quarter_turns"])
     with (folder / "image.dat").open("w", encoding="utf-8") as file:
         for i, camera, here in block.images():

@@ -15,6 +15,7 @@ import numpy as np
 
 from unbend.messages import Ledger
 from unbend.refraction.camera import model_of
+from unbend.tables.exports import messages
 from unbend.tables.exports.exported_block import block_of, ideal_coordinates, refuse_names
 from unbend.tables.exports.format import ExportFormat, FinishedRun, Values
 
@@ -32,7 +33,7 @@ def write_bundler(run: FinishedRun, _: Values, folder: Path, ledger: Ledger) -> 
     count = np.bincount(block.point[seen], minlength=block.count.size)
     missing = int(np.sum(~seen | (count[block.point] < 2)))
     if missing:
-        ledger.loss("EXPORT-LEFT-OUT/bundler", where="observations", count=missing)
+        ledger.add(messages.points_left_out(where="observations", count=missing))
     to_bundler = np.diag([1.0, -1.0, -1.0])
     order, begin, images = block.of_points()
     tied = np.flatnonzero(count > 1)

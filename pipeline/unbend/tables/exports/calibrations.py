@@ -18,12 +18,12 @@ import pandas as pd
 import pyarrow.compute as pc
 
 from unbend.block import calibration_fit as fit
-from unbend.errors import MissionError
 from unbend.messages import Ledger
 from unbend.refraction.camera.brown_conrady import BrownConrady
 from unbend.refraction.camera.camera import Camera
 from unbend.refraction.camera.opencv_fisheye import OpenCVFisheye
 from unbend.refraction.image import lattice_nodes
+from unbend.tables.exports import messages
 from unbend.tables.exports.colmap_files import colmap_camera
 from unbend.tables.exports.correction_tables import flying_heights, lattice_parts
 from unbend.tables.exports.format import (
@@ -85,16 +85,29 @@ def write_calibrations(run: FinishedRun, values: Values, path: Path, ledger: Led
         for name, stations in flying_heights(run, values["same_height"] / 100.0, ledger)
     ]
     if not found:
-        raise MissionError.of("EXPORT-NO-GROUND/calibrations", "observations")
+        raise messages.no_calibration(where="observations")
     for fitted in found:
         where = f"cameras.{fitted.camera_name}"
-        left, effect = max(fitted.left_by_camera, fitted.left_by_change), fitted.effect
-        what = f"calibration {fitted.name} leaves {100.0 * fitted.part:.0f} % of the refraction, "
-        what += f"{left[0]:.3f} of {effect[0]:.3f} px, {left[1]:.3f} of {effect[1]:.3f} m"
+        left = max(fitted.left_by_camera, fitted.left_by_change)
+        percent = 100.0 * fitted.part
         if fitted.part > _REFUSED and left[0] > _NOTHING_PX:
-            raise MissionError.of("EXPORT-RESIDUAL/none", where, text=what)
+            raise messages.calibration_impossible(
+                where=where,
+                name=fitted.name,
+                percent=percent,
+                left=left,
+                effect=fitted.effect,
+            )
         if fitted.part > _FLAGGED:
-            ledger.loss("EXPORT-RESIDUAL", what, where=where, count=fitted.stations.size)
+            leaves = messages.calibration_leaves(
+                where=where,
+                count=fitted.stations.size,
+                name=fitted.name,
+                percent=percent,
+                left=left,
+                effect=fitted.effect,
+            )
+            ledger.add(leaves)
     (path / "calibration.txt").write_text(report_of(found), encoding="utf-8")
     for_images = [(run.stations.image[i], f.camera_name, f.name) for f in found for i in f.stations]
     images = pd.DataFrame(for_images, columns=["image", "camera", "calibration"])
@@ -168,7 +181,9 @@ def fit_calibration(
     """The calibration of some images of a camera, by as few parameters as do."""
     given = run.cameras[name]
     if given.has_refraction:
-        ledger.loss("EXPORT-CALIBRATION", where=f"cameras.{name}.calibration", name=name)
+        ledger.add(
+            messages.calibration_holds_refraction(where=f"cameras.{name}.calibration", name=name)
+        )
     rays, moved, metres, judged = seen_rays(run, name, stations, observed)
 
     def rms(left: Array) -> tuple[float, float]:
@@ -207,7 +222,7 @@ def as_written(camera: Camera, name: str, ledger: Ledger) -> Camera:
     written = fit.changed_camera(plain, pixels, fit.FULL)
     misfit = float(np.hypot(*pixels.left_px(written).T).max())
     if misfit > _LARGEST_MISFIT_PX:
-        ledger.loss("EXPORT-MODEL", where=f"cameras.{name}", name=name, misfit=misfit)
+        ledger.add(messages.lens_simplified(where=f"cameras.{name}", name=name, misfit=misfit))
     return written
 
 

@@ -28,16 +28,16 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from unbend.errors import MissionError
 from unbend.messages import Ledger
 from unbend.refraction.camera.camera import Camera
 from unbend.refraction.camera.general_frame import GeneralFrame
 from unbend.refraction.camera.opencv_fisheye import OpenCVFisheye
+from unbend.tables.exports import messages
 from unbend.tables.exports.exported_block import ExportedBlock, block_of
 from unbend.tables.exports.format import ExportFormat, FinishedRun, Values, write_csv_stream
 from unbend.tables.imports.blocks import damage_refused
 from unbend.tables.imports.blocks.colmap import POINT2D, opened
-from unbend.tables.imports.stated import not_of_format
+from unbend.tables.imports.blocks.messages import matches_cut
 from unbend.tables.refraction_mark import MARK_TABLE, REFRACTION_KEY, REFRACTION_REMOVED
 from unbend.units import Integers
 
@@ -75,9 +75,7 @@ def opencv_coefficients(
     beyond = [key for key in known if key not in holds]
     if beyond:
         where, beyond_it = f"cameras.{name}", ", ".join(beyond)
-        raise MissionError.of(
-            "EXPORT-DISTORTION", where, name=name, beyond=beyond_it, program=program
-        )
+        raise messages.distortion_unknown(where=where, name=name, beyond=beyond_it, program=program)
     return known
 
 
@@ -100,7 +98,7 @@ def colmap_camera(camera: Camera, name: str, *, simplest: bool = True) -> tuple[
 def note_cameras(block: ExportedBlock, ledger: Ledger) -> None:
     """Note which number each camera has."""
     numbers = ", ".join(f"{number} {name}" for number, name in enumerate(block.cameras, 1))
-    ledger.note("EXPORT-CAMERAS", f"camera {numbers}", where="cameras", count=len(block.cameras))
+    ledger.add(messages.camera_numbers(where="cameras", count=len(block.cameras), numbers=numbers))
 
 
 def point_ids(block: ExportedBlock, folder: Path) -> Integers:
@@ -122,7 +120,7 @@ def write_model(run: FinishedRun, _: Values, folder: Path, ledger: Ledger) -> in
     ids, tied, moved = point_ids(block, folder), len(block.point_m), block.moved_m
     ids[tied:] = -1
     if tied < ids.size:
-        ledger.note("EXPORT-SINGLE", where="observations", count=ids.size - tied)
+        ledger.add(messages.single_points(where="observations", count=ids.size - tied))
     with (folder / "cameras.bin").open("wb") as file:
         file.write(struct.pack("<Q", len(block.cameras)))
         for number, (name, camera) in enumerate(block.cameras.items(), 1):
@@ -157,10 +155,10 @@ def write_database(run: FinishedRun, _: Values, path: Path, ledger: Ledger) -> i
     tables = rows_of_tables(block)
     unknown = int(np.isnan(block.frame.covariance_m2).any(axis=(1, 2)).sum())
     if unknown:
-        ledger.fallback("EXPORT-NO-SIGMA", where="stations.parquet", count=unknown)
+        ledger.add(messages.sigmas_missing(where="stations.parquet", count=unknown))
     rounding = max(np.abs(c - c.astype("<f4")).max(initial=0.0) for c in (block.x_px, block.y_px))
     if rounding > _LARGEST_ROUNDING_PX:
-        ledger.warning("EXPORT-ROUNDED", where="keypoints", rounding=rounding)
+        ledger.add(messages.pixels_rounded(where="keypoints", rounding=rounding))
     schema = resources.files("unbend.tables.exports").joinpath("colmap_4_2.sql")
     with closing(sqlite3.connect(path)) as database:
         # A draft that is interrupted is thrown away: no journal.
@@ -182,7 +180,7 @@ def write_database(run: FinishedRun, _: Values, path: Path, ledger: Ledger) -> i
             tied += 1
         database.commit()
     if not tied:
-        ledger.loss("EXPORT-NO-TIES", where="observations")
+        ledger.add(messages.no_ties(where="observations"))
     return int(block.point.size)
 
 
@@ -236,8 +234,9 @@ def copied_rows(block: ExportedBlock, source: Path) -> Iterator[tuple[Any, ...]]
             for pair, rows, columns, blob, *config in database.execute(query):
                 names = [images.get(number) for number in divmod(pair, _MOST_IMAGES)]
                 if columns != 2 or len(blob or b"") != 8 * rows:
-                    what = f"the {table} of {names[0]!r} and {names[1]!r} are cut short"
-                    raise not_of_format(source, what, "match the images again")
+                    raise matches_cut(
+                        where=source, table=table, one=str(names[0]), other=str(names[1])
+                    )
                 if not places.keys() >= set(names):
                     continue
                 given = np.frombuffer(blob, "<u4").reshape(rows, 2)

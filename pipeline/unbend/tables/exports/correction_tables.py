@@ -10,6 +10,7 @@ from unbend.messages import Ledger
 from unbend.refraction.angle import RadialTable, angles_to, radial_table
 from unbend.refraction.image import Corrections, correct_observations, lattice_nodes
 from unbend.refraction.status_codes import STATUS_NAMES
+from unbend.tables.exports import messages
 from unbend.tables.exports.format import FinishedRun, Option, Tables, Values, parquet_and_csv
 from unbend.tables.schemas import columns_of, schema_of
 from unbend.tables.writing import table_of
@@ -25,10 +26,13 @@ def lattice_tables(run: FinishedRun, values: Values, ledger: Ledger) -> Tables:
     usable = run.exposures.usable
     left_out = run.stations.image[~usable]
     if left_out.size:
-        ledger.loss("EXPORT-LEFT-OUT/lattice", where="stations.parquet", count=left_out.size,
-                    first=left_out[0])  # fmt: skip
+        ledger.add(
+            messages.images_without_lattice(
+                where="stations.parquet", count=left_out.size, first=left_out[0]
+            )
+        )
     if groundless := int(np.sum(usable & ~np.isfinite(run.ground_m))):
-        ledger.loss("EXPORT-NO-GROUND/lattice", where="observations", count=groundless)
+        ledger.add(messages.lattice_without_ground(where="observations", count=groundless))
     columns, rows = values["columns"], values["rows"]
     layout = {"unbend.lattice": f"{columns} columns, {rows} rows, row by row"}
     schema = schema_of(columns_of("lattice"), dict(run.metadata) | layout)
@@ -103,10 +107,10 @@ def radial_columns(table: RadialTable) -> dict[str, object]:
 def radial_tables(run: FinishedRun, _: Values, ledger: Ledger) -> Tables:
     """A table for each camera and each height above ground that its images share, lowest first."""
     if len(run.rays) > 1:
-        ledger.warning("EXPORT-AIR-CHANGES", where="profile.parquet", count=len(run.rays))
+        ledger.add(messages.air_changes(where="profile.parquet", count=len(run.rays)))
     for name, camera in run.cameras.items():
         if camera.has_window:
-            ledger.warning("EXPORT-WINDOW", where=f"cameras.{name}.window", name=name)
+            ledger.add(messages.window_not_held(where=f"cameras.{name}.window", name=name))
     schema = schema_of(columns_of("radial"), run.metadata)
 
     def table_of_group(name: str, rows: Integers) -> pa.Table:
@@ -142,7 +146,7 @@ def flying_heights(run: FinishedRun, part: float, ledger: Ledger) -> list[tuple[
         above_ground = run.exposures.height_m[rows] - run.ground_m[rows]
         known = above_ground > 0.0
         if count := int(np.sum(~known)):
-            ledger.loss("EXPORT-LEFT-OUT/ground", where=f"camera {name}", count=count)
+            ledger.add(messages.images_without_ground(where=f"camera {name}", count=count))
         rows, above_ground = rows[known], above_ground[known]
         while rows.size:
             near = above_ground <= (1.0 + part) * above_ground.min()

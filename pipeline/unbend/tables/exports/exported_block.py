@@ -13,12 +13,12 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from unbend.block.image_rays import MINIMUM_ANGLE_RAD
-from unbend.errors import MissionError
 from unbend.flight.rotations import matrices_of
 from unbend.geodesy import enu_from_ecef
 from unbend.messages import Ledger
 from unbend.refraction.camera.camera import Camera
 from unbend.refraction.image import straight_reach
+from unbend.tables.exports import messages
 from unbend.tables.exports.footprints import OneFrame, placed_stations, stations_in_one_frame
 from unbend.tables.exports.format import FinishedRun
 from unbend.units import Array, Integers, Mask, Names
@@ -85,7 +85,7 @@ def ideal_coordinates(camera: Camera, x_px: Array, y_px: Array) -> tuple[Array, 
 def refuse_names(names: Iterable[str], pattern: str, program: str) -> None:
     """Refuse (MissionError EXPORT-NAMES) names in which a regular expression is found."""
     for name in filter(re.compile(pattern).search, names):
-        raise MissionError.of("EXPORT-NAMES", "observations", name=name, program=program)
+        raise messages.name_with_separator(where="observations", name=name, program=program)
 
 
 def block_of(run: FinishedRun, ledger: Ledger, *, intersect: bool = True) -> ExportedBlock:
@@ -102,9 +102,9 @@ def block_of(run: FinishedRun, ledger: Ledger, *, intersect: bool = True) -> Exp
     known = stations.ok & np.isfinite([*stations.quaternion.T, *place]).all(axis=0)
     rows = placed_stations(run, known, what, ledger)
     if rows.size == 0:
-        raise MissionError.of("EXPORT-NO-STATIONS", "stations.parquet", text=what)
+        raise messages.no_station_placed(where="stations.parquet", lacking=what)
     for camera in sorted(set(stations.camera[rows]) - run.cameras.keys()):
-        raise MissionError.of("EXPORT-CAMERA", "stations.parquet", camera=camera)
+        raise messages.camera_uncalibrated(where="stations.parquet", camera=camera)
     frame = stations_in_one_frame(run, rows)
     table, names = read_image_points(run, rows, ledger)
     image, point, x, y, h_g = (column.to_numpy() for column in table.columns)
@@ -130,11 +130,14 @@ def block_of(run: FinishedRun, ledger: Ledger, *, intersect: bool = True) -> Exp
         up = up @ frame.enu_from_ecef.T
         block.point_m[:], met = intersected(block, up, stations.h_msl_m[rows], h_g)
         if apart := int(np.sum(~met)):
-            ledger.fallback("EXPORT-POINT-HEIGHT", where="observations", count=apart)
+            ledger.add(messages.points_on_ground(where="observations", count=apart))
     lat, lon, h = frame.origin_deg.tolist()
-    ledger.note("EXPORT-FRAME", where="stations.parquet", lat=lat, lon=lon, h=h)
-    ledger.note("EXPORT-POINTS", where="observations", count=image.size, points=len(names),
-                images=rows.size)  # fmt: skip
+    ledger.add(messages.block_frame(where="stations.parquet", lat=lat, lon=lon, h=h))
+    ledger.add(
+        messages.points_written(
+            where="observations", count=image.size, points=len(names), images=rows.size
+        )
+    )
     return block
 
 
@@ -170,10 +173,15 @@ def read_image_points(
     _, kept = np.unique(image * np.int64(len(coded.dictionary)) + point, return_index=True)
     kept.sort(kind="stable")  # fast where images come one by one
     if kept.size < total:
-        ledger.loss(
-            "EXPORT-LEFT-OUT", where="observations", count=total - kept.size, total=total,
-            unusable=total - image.size, again=image.size - kept.size,
-        )  # fmt: skip
+        ledger.add(
+            messages.observations_left_out(
+                where="observations",
+                count=total - kept.size,
+                total=total,
+                unusable=total - image.size,
+                again=image.size - kept.size,
+            )
+        )
     return table.take(kept[np.argsort(image[kept], kind="stable")]), coded.dictionary
 
 

@@ -11,6 +11,7 @@ from unbend.flight.stations import Stations
 from unbend.messages import Ledger
 from unbend.refraction.camera.camera import Camera
 from unbend.refraction.image import straight_reach
+from unbend.tables.exports import messages
 from unbend.tables.exports.format import FinishedRun
 from unbend.units import Array, Integers, Mask
 
@@ -19,8 +20,10 @@ def placed_stations(run: FinishedRun, known: Mask, what: str, ledger: Ledger) ->
     """(n,) the stations that are ``known`` (s,); the others are a loss, ``what`` they lack."""
     missing = run.stations.image[~known]
     if missing.size:
-        text = f"left out: {missing.size} stations without a {what}, the first {missing[0]}"
-        ledger.loss("EXPORT-LEFT-OUT", text, where="stations.parquet", count=int(missing.size))
+        left_out = messages.stations_left_out(
+            where="stations.parquet", count=missing.size, lacking=what, first=missing[0]
+        )
+        ledger.add(left_out)
     return np.flatnonzero(known).astype(np.int64)
 
 
@@ -76,7 +79,7 @@ def footprints(run: FinishedRun, ledger: Ledger) -> Array:
     without = np.isnan(corners).any(axis=(1, 2))
     count = int((without & run.exposures.usable).sum())
     if count:
-        ledger.loss("EXPORT-NO-GROUND/footprints", where="observations", count=count)
+        ledger.add(messages.footprints_missing(where="observations", count=count))
     return corners
 
 

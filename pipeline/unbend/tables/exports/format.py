@@ -12,13 +12,13 @@ import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
 
 from unbend.atmosphere.series.profile_series import ProfileSeries
-from unbend.errors import ConfigError
 from unbend.flight.stations import Stations
 from unbend.messages import Ledger
 from unbend.refraction.camera.camera import Camera
 from unbend.refraction.image import Exposures
 from unbend.refraction.ray import PublishedRays
 from unbend.refraction.ray_table import RayTable
+from unbend.tables.exports import messages
 from unbend.tables.geodata.object_points import matching_rows
 from unbend.tables.pixels import PixelSystem
 from unbend.tables.writing import parquet_settings
@@ -148,16 +148,19 @@ class ExportFormat:
         for name, value in given.items():
             option = options.get(name)
             if option is None:
-                flag = "--" + name.replace("_", "-")
-                problem = f"{self.name} has no option {flag}"
-                remedy = f"its options are {', '.join(o.flag for o in self.options) or 'none'}"
-            elif not option.minimum <= value <= option.maximum:
-                flag = option.flag
-                problem = f"{value:g} is not from {option.minimum:g} to {option.maximum:g}"
-                remedy = f"{option.help}{f' [{option.unit}]' if option.unit else ''}"
-            else:
-                continue
-            raise ConfigError("EXPORT-OPTION", problem, where=flag, remedy=remedy)
+                raise messages.option_unknown(
+                    where="--" + name.replace("_", "-"),
+                    name=self.name,
+                    options=", ".join(o.flag for o in self.options) or "none",
+                )
+            if not option.minimum <= value <= option.maximum:
+                raise messages.option_out_of_range(
+                    where=option.flag,
+                    given=value,
+                    lowest=option.minimum,
+                    highest=option.maximum,
+                    meaning=f"{option.help} [{option.unit}]" if option.unit else option.help,
+                )
         return {option.name: option.default for option in self.options} | dict(given)
 
 

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from unbend.errors import InputError
 from unbend.flight.heights import LARGEST_GEOID_M, USUAL_GEOID_M
 from unbend.geodesy import GeoidGrid
-from unbend.messages import Entry, Notes, loss, note, warning
+from unbend.messages import Message, Notes
+from unbend.tables.geodata import messages
 from unbend.tables.geodata.geoid import package_geoid
 from unbend.units import WGS84_A, Array
 
@@ -67,14 +67,22 @@ def places_of(
     known = np.isfinite(lon_lat).all(axis=0)
     best, by, good = _to_wgs84(horizontal, lon_lat[:, known], where, key)
     count = int(known.sum())
-    what = f"{count} positions in {horizontal.name} ({crs}) brought to WGS 84 by {by}"
-    notes.append((note if good else warning)("CRS-DATUM", what, where=where, count=count))
+    notes.append(
+        messages.positions_on_wgs84(
+            where=where,
+            count=count,
+            system=horizontal.name,
+            crs=crs,
+            operation=by,
+            is_good=good,
+        )
+    )
     lon, lat = np.radians(np.array(best.transform(np.where(known, x, np.nan), y, errcheck=False)))
     known &= np.isfinite(lat)  # not beyond the grid of the transformation
     lat[~known] = lon[~known] = np.nan
     if known.sum() < count:
-        what = f"{count - known.sum()} positions lie outside the grid of {by}"
-        notes.append(loss("CRS-AREA", what, where=where, count=count - int(known.sum())))
+        beyond = count - int(known.sum())
+        notes.append(messages.positions_beyond_grid(where=where, count=beyond, operation=by))
     convergence = np.zeros(lat.size)
     if horizontal.is_projected:
         convergence[known] = grid_coordinates(horizontal.to_string(), *lon_lat[:, known])[2]
@@ -83,18 +91,29 @@ def places_of(
         h = h * axis.unit_conversion_factor * (-1.0 if axis.direction == "down" else 1.0)
         if vertical.name not in _SEA_LEVELS:
             if geoid is None:
-                raise InputError.of("CRS-VERTICAL/grid", where, named=key, vertical=vertical.name,
-                                    horizontal=horizontal.to_string())  # fmt: skip
+                raise messages.crs_vertical_grid(
+                    where=where,
+                    named=key,
+                    vertical=vertical.name,
+                    horizontal=horizontal.to_string(),
+                )
             undulation = geoid.undulation(lat, lon)
             off = undulation - package_geoid().undulation(lat, lon)
             off_m = float(np.median(off[np.isfinite(off)])) if np.isfinite(off).any() else 0.0
             if abs(off_m) > LARGEST_GEOID_M:
-                raise InputError.of("CRS-VERTICAL/other-grid", where, named=key, geoid=geoid.name,
-                                    off_m=off_m, vertical=vertical.name)  # fmt: skip
-            what = f"{vertical.name} taken as {geoid.name} relates it to the ellipsoid, "
-            what += f"{off_m:+.1f} m from EGM96 in the median"
-            entry = note if abs(off_m) <= USUAL_GEOID_M else warning
-            notes.append(entry("CRS-VERTICAL", what, where=where, count=count))
+                raise messages.crs_vertical_other_grid(
+                    where=where, named=key, geoid=geoid.name, off_m=off_m, vertical=vertical.name
+                )
+            notes.append(
+                messages.heights_by_grid(
+                    where=where,
+                    count=count,
+                    datum=vertical.name,
+                    grid=geoid.name,
+                    off_m=off_m,
+                    is_usual=abs(off_m) <= USUAL_GEOID_M,
+                )
+            )
             h, heights = h + undulation, "ellipsoid"
     return Places(lat, lon, h, heights, convergence), tuple(notes)
 
@@ -128,7 +147,7 @@ def _to_wgs84(horizontal: Any, lon_lat: Array, where: str, key: str) -> tuple[An
             area_of_interest=AreaOfInterest(*corners),
         )  # fmt: skip
     if not group.transformers:
-        raise InputError.of("CRS-BALLPARK", where, name=horizontal.name, named=key)
+        raise messages.crs_ballpark(where=where, name=horizontal.name, named=key)
     best = group.transformers[0]
     by = f"{best.description or 'an unnamed operation'}"
     by += f", to {best.accuracy:g} m" if best.accuracy >= 0.0 else ", of unknown accuracy"
@@ -194,9 +213,7 @@ def grid_system(
     other, of_other = _system(stated or own, heights, where, key)
     vertical = vertical or of_other
     if not horizontal.equals(other, ignore_axis_order=True):
-        raise InputError.of(
-            "DEM-CRS/stated", where, own=horizontal.name, other=other.name, named=key
-        )
+        raise messages.dem_crs_stated(where=where, own=horizontal.name, other=other.name, named=key)
     places = _own_places(horizontal, *corners)
     best, by, good = _to_wgs84(horizontal, places[:, np.isfinite(places).all(axis=0)], where, key)
     there = partial(best.transform, direction="INVERSE")
@@ -237,22 +254,24 @@ def _system(crs: str, heights: str, where: str, key: str) -> tuple[Any, Any]:
         if not (horizontal.is_projected or horizontal.is_geographic) or horizontal.is_geocentric:
             raise CRSError(f"{whole.name} is a {whole.type_name}")
     except CRSError as error:
-        raise InputError.of("CRS-UNKNOWN", where, crs=crs, error=error, named=key) from None
+        raise messages.crs_unknown(where=where, crs=crs, error=str(error), named=key) from None
     of_system, ellipsoid = "msl" if vertical else heights, horizontal.ellipsoid
     if not vertical and len(whole.axis_info) == 3:
         of_system = "ellipsoid"
     if of_system != heights:
-        raise InputError.of("CRS-VERTICAL/stated", where, named=key, name=whole.name,
-                            these=of_system, heights=heights)  # fmt: skip
+        raise messages.crs_vertical_stated(
+            where=where, named=key, name=whole.name, these=of_system, heights=heights
+        )
     if heights == "ellipsoid" and abs(ellipsoid.semi_major_metre - WGS84_A) > 1.0:
-        raise InputError.of("CRS-VERTICAL/ellipsoid", where, named=key, name=horizontal.name,
-                            ellipsoid=ellipsoid.name)  # fmt: skip
+        raise messages.crs_vertical_ellipsoid(
+            where=where, named=key, name=horizontal.name, ellipsoid=ellipsoid.name
+        )
     return horizontal.to_2d(), vertical[0] if vertical else None
 
 
 def _inside(
     lon_lat: Array, horizontal: Any, where: str, key: str, given: tuple[Array, Array]
-) -> tuple[Array, list[Entry]]:
+) -> tuple[Array, list[Message]]:
     """(2, n) places with NaN outside the system's area of use; refuses where most are outside."""
     area, known = horizontal.area_of_use, np.isfinite(given).all(axis=0)
     lon_lat = np.where(np.isfinite(lon_lat), lon_lat, np.nan)
@@ -266,12 +285,24 @@ def _inside(
     count = int((known & ~inside).sum())
     if count == 0 and known.any():
         return lon_lat, []
-    what = "there are no positions"
-    if known.any():
-        first = int(np.argmax(known & ~inside))
-        what = f"{count} of {int(known.sum())} positions lie outside the area of {horizontal.name} "
-        what += f"({area.name if area else 'the earth'}), the first {given[0][first]:g}, "
-        what += f"{given[1][first]:g}"
-    if 2 * count >= known.sum():
-        raise InputError.of("CRS-AREA", where, what=what, named=key)
-    return np.where(inside, lon_lat, np.nan), [loss("CRS-AREA", what, where=where, count=count)]
+    if not known.any():
+        raise messages.positions_none(where=where, key=key)
+    total = int(known.sum())
+    first = int(np.argmax(known & ~inside))
+    x, y = float(given[0][first]), float(given[1][first])
+    system, area_name = horizontal.name, area.name if area else "the earth"
+    if 2 * count >= total:
+        raise messages.positions_outside(
+            where=where,
+            key=key,
+            outside=count,
+            total=total,
+            system=system,
+            area=area_name,
+            x=x,
+            y=y,
+        )
+    some_outside = messages.some_positions_outside(
+        where=where, count=count, total=total, system=system, area=area_name, x=x, y=y
+    )
+    return np.where(inside, lon_lat, np.nan), [some_outside]

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from unbend.errors import InputError
-from unbend.messages import Notes, note, warning
+from unbend.messages import Notes
 from unbend.refraction.kernels.columns import BLOCK, TILE, TerrainGrid
+from unbend.tables.geodata import messages
 from unbend.tables.geodata.coordinate_systems import GridSystem, grid_system
 from unbend.tables.geodata.gdal import GDAL_OPTIONS, NAME_OTHERS
 from unbend.units import Array, Integers, Mask
@@ -55,7 +55,13 @@ class ElevationModel:
                 raster.rows * abs(raster.step_y / first.step_y - 1.0),
             )  # fmt: skip
             if off > _APART:
-                raise InputError.of("DEM-TILES", raster.path, off=off, raster=raster, first=first)
+                raise messages.dem_tiles(
+                    where=raster.path,
+                    off=off,
+                    first=first.path.name,
+                    step=(raster.step_x, raster.step_y),
+                    first_step=(first.step_x, first.step_y),
+                )
             self._places.append((round(row), round(column)))
         rows = max(p[0] + r.rows for p, r in zip(self._places, rasters, strict=True))
         columns = max(p[1] + r.columns for p, r in zip(self._places, rasters, strict=True))
@@ -173,12 +179,17 @@ class _Raster:
         affine, self.crs = source.transform, source.crs.to_wkt() if source.crs else ""
         upright = affine.b == affine.d == 0.0 and affine.a > 0.0 > affine.e
         if source.count != 1 or not upright or source.driver in NAME_OTHERS:
-            raise InputError.of("DEM-RASTER", path, source=source, cell=affine)
+            raise messages.dem_raster(
+                where=path,
+                driver=source.driver,
+                bands=source.count,
+                affine=(affine.a, affine.b, affine.d, affine.e),
+            )
         self.step_x, self.step_y, self.west, self.north = affine.a, -affine.e, affine.c, affine.f
         self.rows, self.columns = source.height, source.width
         unit = source.units[0]
         if unit and unit.strip().lower().replace(" ", "-") not in _METRES:
-            raise InputError.of("DEM-UNIT", path, unit=unit)
+            raise messages.dem_unit(where=path, unit=unit)
         self.unit_m = _METRES[unit.strip().lower().replace(" ", "-")] if unit else None
         self.scale, self.offset = source.scales[0], source.offsets[0]
         self.holed = MaskFlags.all_valid not in source.mask_flag_enums[0]
@@ -195,7 +206,7 @@ class _Raster:
                 source = self._open(self.path)
                 read = source.read(1, window=window, masked=self.holed, out_dtype=np.float32)
         except RasterioError as error:
-            raise InputError.of("DEM-UNREADABLE", self.path, error=error) from None
+            raise messages.dem_unreadable(where=self.path, error=str(error)) from None
         height = np.asarray(np.ma.filled(read, np.nan), np.float32)
         if (self.scale, self.offset) == (1.0, 0.0):
             return height
@@ -222,18 +233,19 @@ def open_elevation(
     try:
         import rasterio
     except ImportError:
-        raise InputError.of("DEM-RASTERIO", "ground.height.dem") from None
+        raise messages.dem_rasterio(where="ground.height.dem") from None
     where, key = str(paths[0]), "ground.height.crs"
     open_raster = lru_cache(maxsize=64)(rasterio.open)
     try:
         with rasterio.Env(**GDAL_OPTIONS):
             rasters = [_Raster(path, open_raster) for path in paths]
     except rasterio.errors.RasterioError as error:
-        raise InputError.of("DEM-UNREADABLE", where, error=error) from None
+        raise messages.dem_unreadable(where=where, error=str(error)) from None
     own = sorted({raster.crs for raster in rasters})
     if len(own) > 1 or not (own[0] or crs):
-        what = "have several coordinate systems" if own[-1] else "have no coordinate system"
-        raise InputError.of("DEM-CRS/rasters", where, what=what)
+        if own[-1]:
+            raise messages.rasters_of_several_systems(where=where)
+        raise messages.rasters_without_system(where=where)
     corners = [[r.west + i * r.columns * r.step_x, r.north - k * r.rows * r.step_y]
                for r in rasters for i in (0, 1) for k in (0, 1)]  # fmt: skip
     system = grid_system(
@@ -241,11 +253,19 @@ def open_elevation(
         key=key,
     )  # fmt: skip
     model = ElevationModel(rasters, system, undulation if reference == "ellipsoid" else None)
-    what = f"{len(rasters)} rasters, {model.size[1]} by {model.size[0]} cells of "
-    what += f"{rasters[0].step_x:g} by {rasters[0].step_y:g} in {system.name}; heights are "
-    what += f"{system.vertical or reference}, in units of {rasters[0].unit_m or system.unit_m:g} m"
-    what += f"; to WGS 84 by {system.by}"
-    if system.vertical and not system.is_sea_level:
-        what += f"; {system.vertical} is taken as mean sea level, from which it may be a metre away"
-    entry = note if system.is_good and (system.is_sea_level or not system.vertical) else warning
-    return model, (entry("DEM-READ", what, where=where, count=len(rasters)),)
+    rows, columns = model.size
+    read = messages.elevation_read(
+        where=where,
+        count=len(rasters),
+        columns=columns,
+        rows=rows,
+        step_x=rasters[0].step_x,
+        step_y=rasters[0].step_y,
+        system=system.name,
+        heights=system.vertical or reference,
+        unit_m=rasters[0].unit_m or system.unit_m,
+        operation=system.by,
+        is_good=system.is_good,
+        is_sea_level=system.is_sea_level or not system.vertical,
+    )
+    return model, (read,)

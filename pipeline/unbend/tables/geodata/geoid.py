@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
-from unbend.errors import InputError
 from unbend.geodesy import GeoidGrid
+from unbend.tables.geodata import messages
 from unbend.tables.geodata.gdal import GDAL_OPTIONS, NAME_OTHERS
 
 _GTX = struct.Struct(">4d2i")
@@ -17,6 +17,8 @@ _GTX = struct.Struct(">4d2i")
 float32 from the south-west corner, row by row to the north. -88.8888 has no value."""
 
 _GTX_MISSING = np.float32(-88.8888)
+_LOWEST_UNDULATION_M = -120.0  # EGM96 has -107 to 86 m
+_HIGHEST_UNDULATION_M = 100.0
 
 
 @lru_cache(maxsize=1)
@@ -34,7 +36,7 @@ def package_geoid() -> GeoidGrid:
     packed = files("unbend.tables").joinpath("data/egm96_15.gtx.zst").read_bytes()
     content = pa.decompress(packed, _GTX.size + 4 * 721 * 1440, "zstd", asbytes=True)
     planes = np.frombuffer(content, np.uint8, offset=_GTX.size).reshape(4, -1)
-    return _grid_of_gtx(content[: _GTX.size] + planes.T.tobytes(), "EGM96, 15 minutes")
+    return _grid_of_gtx(content[: _GTX.size] + planes.T.tobytes(), Path("EGM96, 15 minutes"))
 
 
 def read_geoid(path: Path) -> GeoidGrid:
@@ -45,46 +47,50 @@ def read_geoid(path: Path) -> GeoidGrid:
     """
     try:
         if path.suffix.lower() == ".gtx":
-            grid = _grid_of_gtx(path.read_bytes(), path.name)
+            grid = _grid_of_gtx(path.read_bytes(), path)
         else:
             grid = _grid_of_raster(path)
-    except (OSError, ValueError, struct.error) as error:
-        raise InputError.of("GEOID-GRID", path, why=str(error)) from None
+    except (OSError, ValueError) as error:
+        raise messages.geoid_unreadable(where=path, error=str(error)) from None
     known = grid.values_m[np.isfinite(grid.values_m)]
-    if known.size == 0 or known.min() < -120.0 or known.max() > 100.0:
-        span = f"{known.min():.0f} to {known.max():.0f} m" if known.size else "no value at all"
-        raise InputError.of("GEOID-GRID", path, why=f"holds {span}; undulations are -107 to 86 m")
+    if known.size == 0:
+        raise messages.geoid_without_values(where=path)
+    lowest, highest = float(known.min()), float(known.max())
+    if lowest < _LOWEST_UNDULATION_M or highest > _HIGHEST_UNDULATION_M:
+        raise messages.geoid_values(where=path, lowest=lowest, highest=highest)
     return grid
 
 
-def _grid_of_gtx(content: bytes, name: str) -> GeoidGrid:
+def _grid_of_gtx(content: bytes, path: Path) -> GeoidGrid:
+    if len(content) < _GTX.size:
+        raise messages.geoid_header(where=path)
     south, west, d_lat, d_lon, rows, columns = _GTX.unpack_from(content)
     if not (0 < rows <= 100_000 and 0 < columns <= 100_000 and d_lat > 0.0 and d_lon > 0.0):
-        raise ValueError("the header is no GTX header")
+        raise messages.geoid_header(where=path)
     if len(content) != _GTX.size + 4 * rows * columns:
-        raise ValueError(f"{len(content)} bytes are not {rows} times {columns} values")
+        raise messages.geoid_size(where=path, size=len(content), rows=rows, columns=columns)
     stored = np.frombuffer(content, ">f4", offset=_GTX.size).reshape(rows, columns)
     values = np.where(stored == _GTX_MISSING, np.nan, stored).astype(np.float32)
-    return GeoidGrid(name, values, south, west, d_lat, d_lon)
+    return GeoidGrid(path.name, values, south, west, d_lat, d_lon)
 
 
 def _grid_of_raster(path: Path) -> GeoidGrid:
     try:
         import rasterio
     except ImportError:
-        raise ValueError("a GeoTIFF needs rasterio: pip install 'unbend[rasters]'") from None
+        raise messages.geoid_needs_rasterio(where=path) from None
     try:
         with rasterio.Env(**GDAL_OPTIONS), rasterio.open(path) as raster:
             plain = raster.count == 1 and raster.driver not in NAME_OTHERS
             if not (plain and raster.crs and raster.crs.is_geographic):
-                raise ValueError("one band in geographic coordinates is needed, in the file itself")
+                raise messages.geoid_bands(where=path)
             a = raster.transform
             if a.b or a.d or a.a <= 0.0 or a.e >= 0.0:
-                raise ValueError("its rows do not run along parallels, from north to south")
+                raise messages.geoid_turned(where=path)
             values = raster.read(1, masked=True).astype(np.float32).filled(np.nan)[::-1]
             values = values * np.float32(raster.scales[0]) + np.float32(raster.offsets[0])
     except rasterio.errors.RasterioError as error:
-        raise ValueError(str(error)) from None
+        raise messages.geoid_unreadable(where=path, error=str(error)) from None
     # Values belong to the centres of the cells.
     south = a.f + a.e * (values.shape[0] - 0.5)
     return GeoidGrid(path.name, np.ascontiguousarray(values), south, a.c + 0.5 * a.a, -a.e, a.a)

@@ -9,11 +9,11 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from unbend.errors import InputError
+from unbend.tables.geodata import messages
 from unbend.tables.text_columns import numbers_of, require_names, text_table
 from unbend.units import Array, Integers
 
-_CODES = ("POINTS-TABLE", "POINTS-COLUMN")
+_CODES = (messages.POINTS_TABLE, messages.POINTS_COLUMN)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,17 +74,15 @@ def read_object_points(
                 for quantity, name in numbers.items()
             }
         except (pa.ArrowException, OSError) as error:
-            raise InputError.of("POINTS-TABLE", path, error=error) from None
+            raise messages.points_table(where=path, error=str(error)) from None
     else:
         text = text_table(path, columns, codes=_CODES, key=key)
         given = pa.array(text[columns["point"]].str.strip(), pa.string())
         values = {q: numbers_of(text, name, path, _CODES[0]) for q, name in numbers.items()}
     names = given.value_counts()
     twice = names.filter(pc.greater(names.field("counts"), 1)).field("values")
-    if len(names) == 0 or len(twice):
-        what = "the table has no rows"
-        if len(twice):
-            what = f"{len(twice)} points stand there more than once, first {twice[0].as_py()!r}"
-        raise InputError("POINTS-REPEATED" if len(twice) else "POINTS-EMPTY", what, where=str(path),
-                         remedy="write one row for each point")  # fmt: skip
+    if len(names) == 0:
+        raise messages.points_empty(where=path)
+    if len(twice):
+        raise messages.points_repeated(where=path, count=len(twice), first=repr(twice[0].as_py()))
     return given, values

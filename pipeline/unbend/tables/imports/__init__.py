@@ -10,7 +10,7 @@ from pathlib import Path
 from pkgutil import resolve_name
 from typing import Any
 
-from unbend.errors import InputError
+from unbend.tables.imports import messages
 
 Registry = Mapping[str, tuple[str, tuple[str, ...]]]
 """Where the reader of a format is, imported when a file is read; endings by which it is known."""
@@ -45,10 +45,10 @@ def format_of(readers: Registry, path: Path, name: str | None) -> str:
         if known == name or (name is None and path.suffix.lower() in endings):
             return known
     able = ", ".join(ending for _, endings in readers.values() for ending in endings)
-    what = f"its ending {path.suffix or 'is missing: it'} says nothing; known are {able}"
-    raise InputError(
-        "IMPORT-FORMAT", what, where=str(path), remedy=f"give format: {', '.join(readers)}"
-    )
+    formats = ", ".join(readers)
+    if not path.suffix:
+        raise messages.ending_missing(where=path, known=able, formats=formats)
+    raise messages.ending_unknown(where=path, ending=path.suffix, known=able, formats=formats)
 
 
 def reader_of(readers: Registry, path: Path, name: str | None) -> Any:

@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from unbend.errors import MissionError
 from unbend.flight.channels import Channel
 from unbend.flight.heights import HeightSystem, heights_at
 from unbend.flight.rotations import ANGLE_MISTAKES, UNIT_MISTAKES
 from unbend.flight.trajectory import attitude_at
 from unbend.geodesy import principal_radii, wrapped
-from unbend.messages import Entry, Kind, Ledger
+from unbend.messages import Kind, Ledger
+from unbend.tables.imports import messages
 from unbend.units import RADIANS, Array, Integers, Rows
 
 _MOST_SAMPLES = 3000
@@ -65,7 +65,7 @@ def compare_with_log(
     """
     position, known = own.get("position"), np.flatnonzero(np.isfinite(imported["lat_rad"]))
     if position is None or len(position) < 2 or known.size == 0:
-        ledger.warning("TRAJECTORY-ALONE", where=imported.name)
+        ledger.add(messages.trajectory_alone(where=imported.name))
         return
     rows = known[np.unique(np.linspace(0, known.size - 1, _MOST_SAMPLES).astype(int))]
     _compare_places(imported, rows, _Track(position), ledger)
@@ -126,26 +126,34 @@ def _compare_places(imported: Channel, rows: Rows, track: _Track, ledger: Ledger
     better = best < 0.5 * now and now - best > 2.0
     far = now > _LIMITS["place"][0] and abs(shift) > _LIMITS["time"][1]
     if better and far and best < _OTHER_FLIGHT_M:
-        leap = "; GPS time is 18 s ahead of UTC since 2017" if 14.5 < abs(shift) < 18.5 else ""
-        zone = "; a time zone" if abs(shift) > 1700.0 else ""
-        sense = "late" if shift < 0 else "early"
-        raise MissionError.of("TRAJECTORY-TIME", imported.name, shift=abs(shift), sense=sense,
-                              log=track.name, best=best, now=now, why=leap + zone)  # fmt: skip
+        raise messages.trajectory_time(
+            where=imported.name, shift_s=shift, log=track.name, best_m=best, now_m=now
+        )
     if distance.size == 0:
         spans = _span(imported.time_ns), _span(track.time_ns)
-        raise MissionError.of("TRAJECTORY-OVERLAP", imported.name, own=spans[0], log=spans[1])
+        raise messages.trajectory_overlap(where=imported.name, own=spans[0], log=spans[1])
     if now > _OTHER_FLIGHT_M:
-        what = f"it is {_metres(now)} from {track.name} of the log in the median"
+        hints = ""
         for mistake, undone in _OF_PLACE.items():
             other = track.metres(*undone(imported["lat_rad"], imported["lon_rad"]))
             if (away := float(np.nanmedian(np.abs(other)))) < 0.01 * now:
-                what += f"; {mistake} it is {_metres(away)} from the middle of the flight"
-        raise MissionError.of("TRAJECTORY-PLACE", imported.name, what=what)
+                hints += f"; {mistake} it is {_metres(away)} from the middle of the flight"
+        raise messages.trajectory_place(
+            where=imported.name, away=_metres(now), log=track.name, hints=hints
+        )
     most_m = float(np.percentile(distance, 95.0))
-    what = f"{now:.2f} m from {track.name} of the log in the median, 95 % within {most_m:.2f} m"
-    what += f"; a time offset of {shift:+.3f} s leaves {best:.2f} m"
     sizes = {"place": max(now, most_m), "time": abs(shift) if better else 0.0}
-    ledger.add(_graded("TRAJECTORY-AGREES", what, imported.name, distance.size, sizes))
+    agrees = messages.trajectory_agrees(
+        kind=_grade(sizes),
+        where=imported.name,
+        count=distance.size,
+        log=track.name,
+        median_m=now,
+        most_m=most_m,
+        shift_s=shift,
+        shifted_m=best,
+    )
+    ledger.add(agrees)
 
 
 def _compare_heights(
@@ -158,18 +166,29 @@ def _compare_heights(
     of_log = (msl, ellipsoid) if column == "h_msl_m" else (ellipsoid, msl)
     same, other = (imported[column][rows] - h for h in of_log)
     if not np.isfinite(same).any():
-        ledger.note("TRAJECTORY-HEIGHT-ALONE", where=imported.name)
+        ledger.add(messages.trajectory_height_alone(where=imported.name))
         return
     apart = float(np.nanmedian(same))
     by_other = float(np.nanmedian(other)) if np.isfinite(other).any() else np.inf
     if abs(apart) > _LIMITS["height"][0] and abs(by_other) < abs(apart) / 3.0:
-        raise MissionError.of("TRAJECTORY-HEIGHT", imported.name, apart=apart, own=own.name,
-                              same=names[0], by_other=by_other, other=names[1])  # fmt: skip
+        raise messages.trajectory_height(
+            where=imported.name,
+            apart=apart,
+            own=own.name,
+            same=names[0],
+            by_other=by_other,
+            other=names[1],
+        )
     spread = float(np.nanpercentile(np.abs(same - apart), 95.0))
-    what = f"{apart:+.2f} m from the height of {own.name} of the log in the median, within "
-    what += f"{spread:.2f} m of that in 95 %"
-    sizes = {"height": max(abs(apart), spread)}
-    ledger.add(_graded("TRAJECTORY-HEIGHT-AGREES", what, imported.name, rows.size, sizes))
+    agrees = messages.trajectory_height_agrees(
+        kind=_grade({"height": max(abs(apart), spread)}),
+        where=imported.name,
+        count=rows.size,
+        log=own.name,
+        apart_m=apart,
+        spread_m=spread,
+    )
+    ledger.add(agrees)
 
 
 def _compare_attitudes(
@@ -178,7 +197,7 @@ def _compare_attitudes(
     """Attitudes (n, 4) w, x, y, z against the log's, about the body's axes."""
     known = np.isfinite(mine).all(axis=1) & np.isfinite(theirs).all(axis=1)
     if not known.any():
-        ledger.note("TRAJECTORY-ANGLES-ALONE", where=name)
+        ledger.add(messages.trajectory_angles_alone(where=name))
         return
     own, imported = (Rotation.from_quat(q[known][:, [1, 2, 3, 0]]) for q in (theirs, mine))
     angles = imported.as_euler("ZYX")
@@ -188,12 +207,14 @@ def _compare_attitudes(
 
     # Few attitudes, as of some events, do not separate one mistake from another.
     size = apart(imported) if np.count_nonzero(known) >= _FEWEST else 0.0
-    for what, undone in (UNIT_MISTAKES | ANGLE_MISTAKES).items() if size > _LARGE_TURN_DEG else ():
+    for mistake, undone in (
+        (UNIT_MISTAKES | ANGLE_MISTAKES).items() if size > _LARGE_TURN_DEG else ()
+    ):
         left = apart(Rotation.from_euler("ZYX", np.stack(undone(*angles.T[::-1])[::-1], axis=1)))
         if left < min(_LARGE_TURN_DEG, size / 3.0):
-            what = what.format("roll", "pitch", "yaw")
-            raise MissionError.of(
-                "TRAJECTORY-ANGLES/columns", name, size=size, mistake=what, left=left
+            mistake = mistake.format("roll", "pitch", "yaw")
+            raise messages.trajectory_angles_columns(
+                where=name, size_deg=size, mistake=mistake, left_deg=left
             )
     # The angle about each axis, as the file has it, in another order of the rotations.
     seq: Any = angle_order
@@ -202,20 +223,24 @@ def _compare_attitudes(
         again = Rotation.from_euler(order, np.stack([about[axis] for axis in order], axis=1))
         left = apart(again)
         if order != angle_order and left < min(_LARGE_TURN_DEG, size / 3.0):
-            raise MissionError.of("TRAJECTORY-ANGLES", name, size=size, order=order, left=left)
+            raise messages.trajectory_angles(where=name, size_deg=size, order=order, left_deg=left)
     cosine = np.sum(own.as_matrix()[:, 2] * imported.as_matrix()[:, 2], axis=1)
     tilt = float(np.degrees(np.median(np.arccos(np.clip(cosine, -1.0, 1.0)))))
     yaw = float(np.degrees(np.median(wrapped(angles[:, 0] - own.as_euler("ZYX")[:, 0]))))
-    what = f"{tilt:.2f} deg from the attitude of the log in tilt and {yaw:+.2f} deg in yaw, in the "
-    what += "median: mount angles count from the body axes of this file"
-    sizes = {"tilt": tilt, "yaw": abs(yaw)}
-    ledger.add(_graded("TRAJECTORY-ANGLES-AGREE", what, name, int(known.sum()), sizes))
+    agrees = messages.trajectory_angles_agree(
+        kind=_grade({"tilt": tilt, "yaw": abs(yaw)}),
+        where=name,
+        count=int(known.sum()),
+        tilt_deg=tilt,
+        yaw_deg=yaw,
+    )
+    ledger.add(agrees)
 
 
-def _graded(code: str, what: str, where: str, count: int, sizes: Mapping[str, float]) -> Entry:
-    """An entry as serious as the worst of some differences, by their names in `_LIMITS`."""
+def _grade(sizes: Mapping[str, float]) -> Kind:
+    """How serious the worst of some differences is, by their names in `_LIMITS`."""
     level = max(sum(size > limit for limit in _LIMITS[name]) for name, size in sizes.items())
-    return Entry((Kind.NOTE, Kind.WARNING, Kind.LOSS)[level], code, what, where, count)
+    return (Kind.NOTE, Kind.WARNING, Kind.LOSS)[level]
 
 
 def _metres(distance: float) -> str:

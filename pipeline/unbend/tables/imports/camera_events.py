@@ -16,12 +16,12 @@ from pathlib import Path
 
 import numpy as np
 
-from unbend.errors import InputError
 from unbend.flight import rotations
 from unbend.flight.channels import Channel
 from unbend.messages import Ledger
 from unbend.tables.geodata.coordinate_systems import grid_coordinates
-from unbend.tables.imports.stated import Stated, channel_of_rows, not_of_format, read_text
+from unbend.tables.imports import messages
+from unbend.tables.imports.stated import Stated, channel_of_rows, read_text
 from unbend.tables.text_columns import numbers, split_lines, utc_of_weeks
 from unbend.units import RADIANS, Array
 
@@ -41,7 +41,7 @@ def read_mrk(path: Path, stated: Stated, ledger: Ledger) -> Channel:
     lines = read_text(path)
     of_mrk = np.array([re.search(_LINE, line) is not None for line in lines])
     if not of_mrk.any():
-        raise InputError.of("IMPORT-FORMAT/mrk", path)
+        raise messages.mrk_without_lines(where=path)
     table = split_lines(lines, _NAMES, r"\s*(?:\[|\]|,[A-Za-z]*|\s)\s*")
     value = {name: numbers(table[name]) for name in _NAMES}
     readable = of_mrk & np.isfinite(list(value.values())).all(axis=0)
@@ -49,11 +49,13 @@ def read_mrk(path: Path, stated: Stated, ledger: Ledger) -> Channel:
     lost = (value["Q"] == 0) | ((value["Lat"] == 0.0) & (value["Lon"] == 0.0))
     if count := int(lost.sum()):
         first = value["index"][np.argmax(lost)]
-        ledger.loss(
-            "IMPORT-NO-POSITION", where=path.name, count=count, total=lost.size, first=first
+        ledger.add(
+            messages.images_without_position(
+                where=path.name, count=count, total=lost.size, first=first
+            )
         )
     if single := int(np.sum(value["Q"] == 16)):
-        ledger.warning("TRAJECTORY-SINGLE", where=path.name, count=single, total=lost.size)
+        ledger.add(messages.single_point_images(where=path.name, count=single, total=lost.size))
     columns = {
         "event_index": value["index"],
         "offset_north_m": value["N"] * _MILLIMETRE,
@@ -87,13 +89,13 @@ def read_eo_text(path: Path, stated: Stated, ledger: Ledger) -> Channel:
     lines = read_text(path)
     at = next((k for k, line in enumerate(lines) if re.search(r"TIME\s*\(s\)", line)), None)
     if at is None:
-        raise not_of_format(path, "no line names the columns: '# EVENT  TIME (s)  EASTING ...'")
+        raise messages.eo_without_titles(where=path)
     titles = [name.upper() for name in _TITLES.findall(lines[at])]
     above = next((name for name in titles if name in ("ELLIPSOID", "ORTHOMETRIC")), "")
     if not above or "LAT" not in titles or "LONG" not in titles:
-        raise InputError.of("IMPORT-FORMAT/eo-columns", path, titles=", ".join(titles))
+        raise messages.eo_without_places(where=path, titles=", ".join(titles))
     if not re.search(r"lat\W+long\w* in deg", "\n".join(lines[:at]), re.IGNORECASE):
-        raise InputError.of("IMPORT-FORMAT/eo-degrees", path)
+        raise messages.eo_not_in_degrees(where=path)
     rows = [line for line in lines[at + 1 :] if re.match(r"\s*\S+\s+\S*[0-9]", line)]
     table = split_lines(rows, titles, r"\s+")
     value = {name: numbers(table[name]) for name in titles}
@@ -133,7 +135,7 @@ def attitudes_of_eo(
         grid = f"EPSG:{32600 + 100 * (zone[1].lower() == 'south') + int(zone[2])}"
     if unit is None or (grid is None and "OMEGA" in value):
         missing = "'orientation in Degrees'" if unit is None else "its UTM zone"
-        ledger.fallback("IMPORT-EO-ANGLES", where=path.name, missing=missing)
+        ledger.add(messages.eo_angles_unused(where=path.name, missing=missing))
         return {}
     scale = {"d": RADIANS["deg"], "r": RADIANS["rad"], "g": RADIANS["grad"]}[unit[1][0].lower()]
     angles = np.stack([value[name] for name in names], axis=1) * scale
@@ -141,20 +143,17 @@ def attitudes_of_eo(
         q = rotations.quaternions_of(rotations.ned_from_body(angles))
     else:
         place = np.nan_to_num([value["LONG"], value["LAT"]])
-        where, remedy = str(path), "state events.positions.<camera>.grid, as EPSG:32632"
         try:
             *of_place, convergence = grid_coordinates(str(grid), *place)
         except ValueError as error:
-            what = f"{grid} is no grid that PROJ knows: {error}"
-            raise InputError("IMPORT-EO-GRID", what, where=where, remedy=remedy) from None
+            raise messages.grid_unknown(where=path, grid=str(grid), error=str(error)) from None
         unknown = np.full(place[0].shape, np.nan)
         grid_m = np.stack([value.get(name, unknown) for name in ("EASTING", "NORTHING")])
         off_m = np.hypot(*(np.stack(of_place) - grid_m))
         off_m = off_m[np.isfinite(off_m)]
-        if off_m.size and not np.median(off_m) < FARTHEST_FROM_GRID_M:
-            what = f"its eastings and northings lie {np.median(off_m):.3g} m from its latitudes "
-            what += f"and longitudes in {grid}: its angles count in another grid"
-            raise InputError("IMPORT-EO-GRID", what, where=where, remedy=remedy)
+        away_m = float(np.median(off_m)) if off_m.size else 0.0
+        if not away_m < FARTHEST_FROM_GRID_M:
+            raise messages.grid_elsewhere(where=path, grid=str(grid), away_m=away_m)
         turn = rotations.enu_from_grid(convergence)
         camera = rotations.matrices_of(rotations.quaternion_of_opk(angles))
         axes = (camera @ turn.transpose(0, 2, 1)).transpose(0, 2, 1)

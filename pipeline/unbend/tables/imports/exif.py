@@ -17,17 +17,18 @@ from exifread.core.exceptions import ExifError
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from unbend.errors import InputError
 from unbend.flight import rotations
 from unbend.flight.clock import utc_of_gps
 from unbend.flight.stations import NO_TIME
 from unbend.messages import Ledger
+from unbend.tables.imports import messages
 from unbend.tables.imports.stated import Stated
 from unbend.tables.imports.user_tables import OrientationTable
 from unbend.units import Integers, Names
 
 ENDINGS = ".3fr .arw .cr2 .cr3 .dng .heic .iiq .jpeg .jpg .nef .orf .raf .rw2 .tif .tiff"
 
+_MOST_EXAMPLES = 3  # of images that a message names
 _STAMP = re.compile(
     r"(\d{4})[:/-](\d\d)[:/-](\d\d)[ T](\d\d):(\d\d):(\d\d)(?:[.,](\d+))?\s*(Z|[+-]\d\d:?\d\d)?"
 )
@@ -121,9 +122,9 @@ class ImageTimes:
                 if all(a == b for a, b in zip(parts[row][::-1], wanted, strict=False))
             ]
             if len(same) > 1:
-                one, other = self.file[same[:2]]
-                raise InputError.of(
-                    "IMAGES-DUPLICATE", "events.images", image=image, one=one, other=other
+                first, second = self.file[same[:2]]
+                raise messages.images_duplicate(
+                    where="events.images", image=image, first=str(first), second=str(second)
                 )
             if same:
                 found[image] = same[0]
@@ -155,8 +156,8 @@ def read_image_times(path: Path, zone: str, ledger: Ledger) -> ImageTimes:
         zone_s = int(np.round(np.median(ahead) / _QUARTER_S)) * _QUARTER_S
         proved = float(np.mean(np.abs(ahead - zone_s) < _ZONE_PROOF_S)) > 0.9
         if proved and abs(zone_s) <= _FARTHEST_ZONE_S:
-            what = f"the camera's clock is {zone_s / 3600:+g} h from UTC by its images' GPS stamps"
-            ledger.note("EXIF-ZONE", what, where=path.name, count=len(fixes))
+            hours = zone_s / 3600
+            ledger.add(messages.zone_of_camera(where=path.name, count=len(fixes), hours=hours))
             for file in local:
                 utc_ns = stamps[file].time_ns - zone_s * 10**9
                 stamps[file] = stamps[file]._replace(time_ns=utc_ns, is_utc=True)
@@ -166,9 +167,13 @@ def read_image_times(path: Path, zone: str, ledger: Ledger) -> ImageTimes:
     rows = [s if (s := stamps.get(f)) is not None and s.is_utc == is_utc else None for f in files]
     without = [file for file, stamp in zip(files, rows, strict=True) if stamp is None]
     if without:
-        what = f"{len(without)} of {len(tags)} images have no time of exposure on the same clock: "
-        what += ", ".join(without[:3]) + (" ..." if len(without) > 3 else "")
-        ledger.loss("EXIF-TIME", what, where=path.name, count=len(without))
+        examples = ", ".join(without[:_MOST_EXAMPLES])
+        if len(without) > _MOST_EXAMPLES:
+            examples += " ..."
+        lost = messages.images_without_time(
+            where=path.name, count=len(without), total=len(tags), examples=examples
+        )
+        ledger.add(lost)
     time_ns = np.array([NO_TIME if stamp is None else stamp.time_ns for stamp in rows], np.int64)
     step = np.array([np.nan if stamp is None else stamp.step_s for stamp in rows])
     known = time_ns != NO_TIME
@@ -176,8 +181,8 @@ def read_image_times(path: Path, zone: str, ledger: Ledger) -> ImageTimes:
     if np.count_nonzero(known) > 4 and np.ptp(time_ns[known] % 10**9) == 0:
         step = np.where(known, 1.0, step)
     if bool((step >= 1.0).any()):
-        what = "the camera's clock counts whole seconds: a standard deviation of 0.5 s is assumed"
-        ledger.note("EXIF-WHOLE-SECONDS", what, where=path.name, count=int((step >= 1.0).sum()))
+        count = int((step >= 1.0).sum())
+        ledger.add(messages.clock_of_whole_seconds(where=path.name, count=count))
     by_gps = all(stamp.by_gps for stamp in rows if stamp is not None)
     clock_sigma_s = _RECEIVER_SIGMA_S if by_gps else np.inf
     sigma_s = np.maximum(step / 2.0, 1e-3)
@@ -193,14 +198,14 @@ def read_tags(path: Path, ledger: Ledger) -> dict[str, dict[str, str]]:
         try:
             table = pd.read_csv(path, dtype=str, keep_default_na=False, encoding="utf-8-sig")
         except (OSError, ValueError) as error:
-            raise InputError.of("IMAGES-CSV", path, error=str(error).strip()) from None
+            raise messages.images_csv_unreadable(where=path, error=str(error).strip()) from None
         table.columns = pd.Index([_key(str(name)) for name in table.columns])
         table = table.loc[:, ~table.columns.duplicated()]
         column = next((c for c in ("sourcefile", "filename", "image") if c in table), None)
         rows = table.to_dict("records") if column is not None else []
         tags = {row[column]: {str(k): v for k, v in row.items()} for row in rows if row[column]}
     if not tags:
-        raise InputError.of("IMAGES-NONE", path, endings=ENDINGS)
+        raise messages.images_none(where=path, endings=ENDINGS)
     return tags
 
 
@@ -250,7 +255,7 @@ def read_gimbal_orientations(path: Path, stated: Stated, ledger: Ledger) -> Orie
     keys = [f"gimbal{name}degree" for name in ("roll", "pitch", "yaw")]
     given = np.radians([[_degrees(tags[file].get(key, "")) for key in keys] for file in files])
     if not np.isfinite(given).all(axis=1).any():
-        raise InputError.of("IMAGES-NO-GIMBAL", path, files=len(files))
+        raise messages.images_no_gimbal(where=path, files=len(files))
     quarter = Rotation.from_euler("y", 90.0, degrees=True).as_matrix()
     turned = rotations.ned_from_body(given) @ quarter
     body = rotations.quaternions_of(rotations.CAMERA_AT_REST @ turned.transpose(0, 2, 1))
@@ -294,8 +299,9 @@ def _tags_of_folder(folder: Path, ledger: Ledger) -> dict[str, dict[str, str]]:
             tags[name]["gpstimestamp"] = text.rstrip("0").rstrip(".") if second % 1 else text[:8]
         tags[name] |= {_key(key.decode()): text.decode("ascii", "replace") for key, text in xmp}
     if unreadable:
-        what = f"the EXIF of {len(unreadable)} files cannot be read: {', '.join(unreadable[:3])}"
-        ledger.loss("EXIF-UNREADABLE", what, where=folder.name, count=len(unreadable))
+        examples = ", ".join(unreadable[:_MOST_EXAMPLES])
+        lost = messages.exif_unreadable(where=folder.name, count=len(unreadable), examples=examples)
+        ledger.add(lost)
     return tags
 
 

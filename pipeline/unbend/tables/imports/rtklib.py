@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from unbend.errors import InputError
 from unbend.flight.channels import Channel
 from unbend.geodesy import enu_from_ecef, geodetic_of_ecef, offset_geodetic
 from unbend.messages import Ledger
-from unbend.tables.imports.stated import Stated, channel_of_rows, not_of_format, read_text
+from unbend.tables.imports import messages
+from unbend.tables.imports.stated import Stated, channel_of_rows, read_text
 from unbend.tables.text_columns import numbers, split_lines, utc_of_dates, utc_of_weeks
 from unbend.units import Array
 
@@ -23,6 +23,7 @@ SINGLE_SIGMA_H_M, SINGLE_SIGMA_V_M = 2.5, 5.0
 _SEPARATOR = r"[\s,;]+"
 _MINUTES = "latitude(d'\")"
 _JST_NS = 9 * 3600 * 1_000_000_000
+_SINGLE = 5  # its number among the qualities
 _QUALITY = {1: "fixed", 2: "float", 3: "SBAS", 4: "DGPS", 5: "single", 6: "PPP"}
 
 
@@ -39,9 +40,9 @@ def read_pos(path: Path, stated: Stated, ledger: Ledger) -> Channel:
     titles = [line for line in header if re.search(r"[\s,;]Q[\s,;]", line)]
     clock, *names = re.split(_SEPARATOR, titles[-1].strip("% \t")) if titles else [""]
     if clock not in ("GPST", "UTC", "JST"):
-        raise InputError.of("IMPORT-FORMAT/pos-titles", path)
+        raise messages.pos_without_titles(where=path)
     if not rows:
-        raise not_of_format(path, "it has a header and no solutions", "process the flight again")
+        raise messages.pos_without_solutions(where=path)
     if _MINUTES in names:
         names = [f"{axis}_{part}" for axis in ("lat", "lon") for part in "dms"] + names[2:]
     table = split_lines(rows, ["day", "time", *names], _SEPARATOR)
@@ -60,7 +61,7 @@ def read_pos(path: Path, stated: Stated, ledger: Ledger) -> Channel:
         if f"{written}(m/s)" in value and "x-ecef(m)" not in value:
             columns[f"v_{name}_m_s"] = sign * value[f"{written}(m/s)"]
     for name, least in (("sigma_h_m", SINGLE_SIGMA_H_M), ("sigma_v_m", SINGLE_SIGMA_V_M)):
-        columns[name] = np.where(quality == 5, np.fmax(columns[name], least), columns[name])
+        columns[name] = np.where(quality == _SINGLE, np.fmax(columns[name], least), columns[name])
     time_ns = time_ns - (_JST_NS if clock == "JST" and system == "utc" else 0)
     channel = channel_of_rows(path, "RTKLIB", time_ns, columns, ledger, readable=readable)
     found, counts = np.unique(channel["solution_quality"].astype(int), return_counts=True)
@@ -68,10 +69,18 @@ def read_pos(path: Path, stated: Stated, ledger: Ledger) -> Channel:
         f"{100.0 * count / len(channel):.1f} % {_QUALITY.get(int(q), f'Q {q}')}"
         for q, count in zip(found, counts, strict=True)
     )
-    ledger.note("TRAJECTORY-QUALITY", f"solutions: {shares}", where=path.name, count=len(channel))
-    if single := int(counts[found == 5].sum()):
-        ledger.warning("TRAJECTORY-SINGLE/pos", where=path.name, count=single, total=len(channel),
-                       sigma_h_m=SINGLE_SIGMA_H_M, sigma_v_m=SINGLE_SIGMA_V_M)  # fmt: skip
+    qualities = messages.solution_qualities(where=path.name, count=len(channel), shares=shares)
+    ledger.add(qualities)
+    if single := int(counts[found == _SINGLE].sum()):
+        ledger.add(
+            messages.single_point_solutions(
+                where=path.name,
+                count=single,
+                total=len(channel),
+                sigma_h_m=SINGLE_SIGMA_H_M,
+                sigma_v_m=SINGLE_SIGMA_V_M,
+            )
+        )
     return channel
 
 
@@ -95,7 +104,7 @@ def _positions(
         base = next((line for line in header if re.match(r"%\s*ref pos\s*:", line)), "")
         origin = [float(part) for part in re.findall(r"-?\d+\.\d+", base)]
         if len(origin) != 3 or abs(origin[0]) > 90.0:
-            raise InputError.of("IMPORT-FORMAT/pos-base", path)
+            raise messages.pos_without_base(where=path)
         enu = np.stack([value[f"{axis}-baseline(m)"] for axis in "enu"], axis=1)
         start = np.tile([*np.radians(origin[:2]), origin[2]], (len(enu), 1)).T
         lat, lon, height = offset_geodetic(start[0], start[1], start[2], enu)

@@ -16,12 +16,14 @@ from unbend.errors import InputError
 from unbend.flight.channels import Channel
 from unbend.geodesy import principal_radii, wrapped
 from unbend.messages import Ledger
-from unbend.tables.imports.stated import Stated, channel_of_rows, not_of_format
+from unbend.tables.imports import messages
+from unbend.tables.imports.stated import Stated, channel_of_rows
 from unbend.units import ARCSEC, Array
 
 FASTEST_M_S = 700.0  # no aircraft that takes pictures flies faster
 _ROW, _SIGMA_ROW = 17, 10
 _ARCMIN = 60.0 * ARCSEC
+_FEWEST_ROWS = 3
 _MOVING_M_S = 2.0
 _LEAST_WANDER_RAD = np.radians(0.05)  # less does not matter for any camera
 
@@ -72,42 +74,46 @@ def _sbet_rows(path: Path, ledger: Ledger) -> Array:
     """(n, 17) rows; refuses what is no SBET with what it is instead."""
     content = path.read_bytes()
     rows = _doubles(content, _ROW)
-    if why := _implausible(rows):
-        if not _implausible(_doubles(content, _ROW, ">f8")):
-            why = "its numbers are big-endian, those of an SBET are little-endian"
-        elif _are_sigmas(_doubles(content, _SIGMA_ROW)):
-            why = "it is a smrmsg file (10 doubles a row), to be named as accuracy beside the SBET"
-        raise not_of_format(path, f"it is no SBET: {why}")
+    refusal = _refusal_of(path, rows)
+    if refusal is not None:
+        if _refusal_of(path, _doubles(content, _ROW, ">f8")) is None:
+            raise messages.sbet_big_endian(where=path)
+        if _are_sigmas(_doubles(content, _SIGMA_ROW)):
+            raise messages.sbet_is_smrmsg(where=path)
+        raise refusal
     if left := len(content) % (8 * _ROW):
-        ledger.loss("IMPORT-CUT", where=path.name, count=left, row=8 * _ROW, rows=len(rows))
+        ledger.add(messages.file_cut(where=path.name, count=left, row=8 * _ROW, rows=len(rows)))
     return rows
 
 
-def _implausible(rows: Array) -> str:
-    """What in rows cannot be of an SBET; empty where nothing is."""
-    if len(rows) < 3:
-        return f"it has {len(rows)} rows"
+def _refusal_of(path: Path, rows: Array) -> InputError | None:
+    """The refusal of rows that cannot be of an SBET; None where they can."""
+    if len(rows) < _FEWEST_ROWS:
+        return messages.sbet_too_short(where=path, rows=len(rows))
     if not bool(np.isfinite(rows).all()):
-        return "not all of its values are numbers"
+        return messages.sbet_not_numbers(where=path)
     time, height, largest = rows[:, 0], rows[:, 3], np.abs(rows).max(axis=0)
     with np.errstate(over="ignore"):
         back = np.count_nonzero(np.diff(time) <= 0.0)
     if time.min() < 0.0 or time.max() > 3 * 604_800.0 or back > 0.01 * time.size:
-        return "its first column is no time that increases"
+        return messages.sbet_without_time(where=path)
     if largest[1] > np.pi / 2.0 or largest[2] > 2.0 * np.pi:
-        return (f"latitude and longitude reach {largest[1]:.4g} and {largest[2]:.4g}: degrees, or "
-                "exchanged, not radians, latitude first")  # fmt: skip
+        return messages.sbet_places(
+            where=path, latitude=float(largest[1]), longitude=float(largest[2])
+        )
     if height.min() < -1_000.0 or height.max() > 60_000.0:
-        return f"heights are between {height.min():.4g} and {height.max():.4g} m"
+        return messages.sbet_heights(
+            where=path, lowest=float(height.min()), highest=float(height.max())
+        )
     if bool((largest[7:11] > np.array([1.0, 0.51, 2.0, 2.0]) * np.pi).any()):
         reach = ", ".join(f"{angle:.4g}" for angle in largest[7:11])
-        return f"roll, pitch, heading and wander angle reach {reach} radians: degrees?"
-    return ""
+        return messages.sbet_angles(where=path, largest=reach)
+    return None
 
 
 def _are_sigmas(rows: Array) -> bool:
     """Whether rows of ten can be those of a smrmsg file: increasing seconds, small sigmas."""
-    if len(rows) < 3 or not bool(np.isfinite(rows).all()):
+    if len(rows) < _FEWEST_ROWS or not bool(np.isfinite(rows).all()):
         return False
     increase, sigmas = np.median(np.diff(rows[:, 0])), rows[:, 1:]
     in_week = rows[:, 0].min() >= 0.0 and rows[:, 0].max() < 3 * 604_800.0
@@ -126,13 +132,12 @@ def wander_sign(
     track, wander = ground_velocity(seconds, rows[:, 1], rows[:, 2]), rows[:, 10]
     moving = np.abs(track) > _MOVING_M_S
     if not bool(moving.any()):
-        ledger.note("IMPORT-WANDER", "nothing in the file moves: the true heading is taken as "
-                    "platform heading minus wander angle", where=path.name)  # fmt: skip
+        ledger.add(messages.wander_untested(where=path.name))
         return -1.0, None
     usual = float(np.median(np.abs(track[moving])))
     said = float(np.median(np.hypot(rows[moving, 4], rows[moving, 5])))
     if usual > FASTEST_M_S or (said > 0.0 and not 0.8 < usual / said < 1.25):
-        raise InputError.of("IMPORT-SPEED", path, usual=usual, said=said)
+        raise messages.sbet_speed(where=path, usual=usual, said=said)
 
     def misfits(velocity: NDArray[np.complex128]) -> list[float]:
         """Against the movement of the positions, with the wander angle subtracted and added."""
@@ -149,21 +154,22 @@ def wander_sign(
     decided = min(minus, plus) < 0.5 * usual and abs(plus - minus) > 0.25 * largest * usual
     sign = 1.0 if decided and plus < minus else -1.0
     if largest < 2.0 * _LEAST_WANDER_RAD:
-        ledger.note("IMPORT-WANDER", "the wander angle is zero throughout", where=path.name)
+        ledger.add(messages.wander_zero(where=path.name))
     else:
-        entry = ledger.note if decided and sign < 0.0 else ledger.warning
-        way = "minus" if sign < 0 else "plus"
-        most_deg = np.degrees(np.abs(wander[moving]).max())
-        what = f"true heading is platform heading {way} wander angle (up to {most_deg:.2f} deg; "
-        what += "POSPac: minus): "
-        what += f"{'velocities and positions' if consistent else 'heading and course'} "
-        what += f"{'differ' if decided else 'do not decide it, they differ'} by {minus:.2f} m/s "
-        what += f"with minus, {plus:.2f} m/s with plus"
-        entry("IMPORT-WANDER", what, where=path.name)
+        tested = messages.wander_sign(
+            where=path.name,
+            is_minus=sign < 0.0,
+            is_decided=decided,
+            by_velocities=consistent,
+            most_deg=float(np.degrees(np.abs(wander[moving]).max())),
+            minus_m_s=minus,
+            plus_m_s=plus,
+        )
+        ledger.add(tested)
     if consistent:
         return sign, velocity * np.exp(1j * sign * wander)
     if said > 0.0:
-        ledger.warning("IMPORT-VELOCITY", where=path.name, misfits=min(misfits(velocity)))
+        ledger.add(messages.sbet_velocity_unused(where=path.name, misfits=min(misfits(velocity))))
     return sign, None
 
 
@@ -186,14 +192,16 @@ def _smrmsg_sigmas(path: Path, seconds: Array) -> dict[str, Array]:
     """Sigmas of a smrmsg file at the times of the SBET; NaN where it has none."""
     content = path.read_bytes()
     rows = _doubles(content, _SIGMA_ROW)
-    why = ""
     if len(content) % (8 * _SIGMA_ROW) or not _are_sigmas(rows):
-        why = "it is no smrmsg file: rows of 10 doubles, time and sigmas"
-    elif rows[:, 0].max() < seconds[0] or rows[:, 0].min() > seconds[-1]:
-        why = (f"its seconds of the week, {rows[0, 0]:.0f} to {rows[-1, 0]:.0f}, are not those of "
-               f"the SBET, {seconds[0]:.0f} to {seconds[-1]:.0f}")  # fmt: skip
-    if why:
-        raise not_of_format(path, why, "give the smrmsg file that was written with the SBET")
+        raise messages.not_smrmsg(where=path)
+    if rows[:, 0].max() < seconds[0] or rows[:, 0].min() > seconds[-1]:
+        raise messages.smrmsg_of_other_times(
+            where=path,
+            begin=float(rows[0, 0]),
+            end=float(rows[-1, 0]),
+            sbet_begin=float(seconds[0]),
+            sbet_end=float(seconds[-1]),
+        )
     rows = rows[np.argsort(rows[:, 0], kind="stable")]
     north, east, down, roll, pitch, heading = (
         np.interp(seconds, rows[:, 0], rows[:, k], left=np.nan, right=np.nan)

@@ -11,11 +11,11 @@ from typing import Literal
 import numpy as np
 import pandas as pd
 
-from unbend.errors import InputError
 from unbend.flight.channels import Channel, Source, TimeArray
 from unbend.flight.clock import SECONDS_PER_WEEK
 from unbend.geodesy import GeoidGrid
 from unbend.messages import Ledger
+from unbend.tables.imports import messages
 from unbend.tables.text_columns import utc_of_weeks
 from unbend.units import NANOSECONDS_PER_SECOND, UNIX_NS_OF_GPS_EPOCH, AngleUnit, Array, Mask
 
@@ -72,7 +72,7 @@ class Stated:
         if self.week is not None:
             return utc_of_weeks(self.week, seconds, system)
         if self.around_ns is None:
-            raise InputError.of("IMPORT-WEEK", path)
+            raise messages.week_unknown(where=path)
         first, last = self.around_ns
         since = (first + last) // 2 - UNIX_NS_OF_GPS_EPOCH
         week = since // (SECONDS_PER_WEEK * NANOSECONDS_PER_SECOND)
@@ -83,11 +83,13 @@ class Stated:
 def _settled(path: Path, key: str, found: str | None, stated: str | None, ledger: Ledger) -> str:
     """What the mission file says of a file, or the file of itself; contradictions are reported."""
     if found is not None and stated not in (None, found):
-        what = f"by its header {key} is {found}, by the mission file {stated}, which holds"
-        ledger.warning("IMPORT-CONTRADICTED", what, where=path.name)
+        contradicted = messages.header_contradicted(
+            where=path.name, key=key, found=found, stated=str(stated)
+        )
+        ledger.add(contradicted)
     known = stated or found
     if known is None:
-        raise InputError.of("IMPORT-UNSTATED", path, name=key)
+        raise messages.unstated(where=path, name=key)
     return known
 
 
@@ -96,15 +98,8 @@ def read_text(path: Path) -> list[str]:
     try:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
-        raise not_of_format(path, f"it cannot be read as text: {error}") from None
+        raise messages.not_text(where=path, error=str(error)) from None
     return [line for line in lines if line.strip()]
-
-
-def not_of_format(
-    path: Path | str, why: str, remedy: str = "name the format of the file, or export it again"
-) -> InputError:
-    """The refusal of a file that is not what its format says."""
-    return InputError("IMPORT-FORMAT", why, where=str(path), remedy=remedy)
 
 
 def channel_of_rows(
@@ -125,18 +120,21 @@ def channel_of_rows(
     rows = np.argsort(time_ns, kind="stable")
     rows = rows[readable[rows]]
     again = np.diff(time_ns[rows], prepend=-1) == 0
-    for bad, what in ((np.flatnonzero(~readable), "cannot be read"),
-                      (np.sort(rows[again]), "repeat the time of another")):  # fmt: skip
+    unreadable = np.flatnonzero(~readable)
+    repeated = np.sort(rows[again])
+    for bad, lost in (
+        (unreadable, messages.rows_unreadable),
+        (repeated, messages.rows_repeat_time),
+    ):
         if bad.size:
-            what = f"{bad.size} of {time_ns.size} rows {what} and are not used"
-            what += f", the first is row {bad[0] + 1}"
-            ledger.loss("IMPORT-ROWS", what, where=path.name, count=int(bad.size))
+            first = int(bad[0]) + 1
+            ledger.add(lost(where=path.name, count=bad.size, total=time_ns.size, first=first))
     rows = rows[~again]
     if rows.size == 0:
-        raise not_of_format(path, "none of its rows can be read")
+        raise messages.no_row_readable(where=path)
     worst = float(np.fmax.reduce(np.abs(columns["lat_rad"][rows]), initial=0.0))
     if worst > np.pi / 2.0:
-        raise InputError.of("IMPORT-RANGE", path, worst_deg=np.degrees(worst))
+        raise messages.latitude_beyond_poles(where=path, worst_deg=float(np.degrees(worst)))
     values = {name: column[rows] for name, column in columns.items()}
     words = {n: tuple(np.array(v, dtype=object)[rows]) for n, v in (labels or {}).items()}
     return Channel(path.name, time_ns[rows], values, Source(kind), labels=words)

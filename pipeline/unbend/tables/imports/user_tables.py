@@ -9,7 +9,6 @@ import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
-from unbend.errors import InputError
 from unbend.flight.channels import Channel, TimeArray
 from unbend.flight.clock import SECONDS_PER_WEEK
 from unbend.flight.heights import GeodeticOrigin
@@ -17,8 +16,10 @@ from unbend.flight.stations import NO_TIME
 from unbend.geodesy import geodetic_of_ecef
 from unbend.messages import Ledger
 from unbend.tables.geodata.coordinate_systems import places_of
+from unbend.tables.imports import messages
 from unbend.tables.imports.stated import Stated, channel_of_rows
 from unbend.tables.text_columns import (
+    LINE_OF_FIRST_ROW,
     angles_in_radians,
     numbers,
     numbers_of,
@@ -46,8 +47,8 @@ def read_trajectory_csv(path: Path, stated: Stated, ledger: Ledger) -> Channel:
     roll, pitch and yaw: rotations about the body's x, y and z in the stated order.
     """
     if not stated.columns:
-        raise InputError.of("IMPORT-FORMAT/csv-columns", path)
-    table = text_table(path, stated.columns, codes=("IMPORT-FORMAT", "IMPORT-COLUMN"),
+        raise messages.columns_unstated(where=path)
+    table = text_table(path, stated.columns, codes=(messages.IMPORT_FORMAT, messages.IMPORT_COLUMN),
                        key="stations.trajectory.columns")  # fmt: skip
     value = {quantity: numbers(table[name]) for quantity, name in stated.columns.items()}
     columns = {name: value[name] for name in _AS_THEY_ARE if name in value}
@@ -70,7 +71,7 @@ def read_trajectory_csv(path: Path, stated: Stated, ledger: Ledger) -> Channel:
         surface = stated.height_column(path, ledger, "ellipsoid")
         radius = float(np.nanmedian(np.linalg.norm([value[axis] for axis in "xyz"], axis=0)))
         if not 6.3e6 < radius < 6.5e6:
-            raise InputError.of("IMPORT-RANGE/read-trajectory-csv", path, radius=radius)
+            raise messages.not_on_earth(where=path, radius=radius)
     else:
         unit = RADIANS[stated.position_unit]
         lat, lon, height = value["latitude"] * unit, value["longitude"] * unit, value["height"]
@@ -78,7 +79,7 @@ def read_trajectory_csv(path: Path, stated: Stated, ledger: Ledger) -> Channel:
     columns |= {"lat_rad": lat, "lon_rad": lon, surface: height}
     if "yaw" in value:
         angles = np.stack([value[name] for name in ("roll", "pitch", "yaw")], axis=1)
-        angles = angles_in_radians(angles, stated.angle_unit, path, "IMPORT-ANGLES",
+        angles = angles_in_radians(angles, stated.angle_unit, path, messages.IMPORT_ANGLES,
                                    "stations.trajectory.angle_unit")  # fmt: skip
         known = np.isfinite(angles).all(axis=1)
         in_order = angles[known][:, ["XYZ".index(axis) for axis in stated.angle_order]]
@@ -116,7 +117,7 @@ def _utc(
     readable = np.isfinite(seconds)
     if not bool(readable.any()):
         if system == "gpst" and bool(text.str.contains(r"(?:Z|[+-]\d\d:?\d\d)$").any()):
-            raise InputError.of("IMPORT-TIME-SYSTEM", path, text=text.iloc[0])
+            raise messages.gps_time_with_zone(where=path, time=text.iloc[0])
         return utc_of_dates(text, system)
     if "week" in value:
         readable = readable & np.isfinite(value["week"])
@@ -131,7 +132,7 @@ def _utc(
 _ANGLES = {
     "omega", "phi", "kappa", "roll", "pitch", "yaw", "q_w", "q_x", "q_y", "q_z",
 }  # fmt: skip
-_CODES_OF_ORIENTATION = ("ORIENTATION-CSV", "ORIENTATION-COLUMN")
+_CODES_OF_ORIENTATION = (messages.ORIENTATION_CSV, messages.ORIENTATION_COLUMN)
 _LIMITS_DEG = {"latitude": 90.0, "longitude": 360.0}
 _LONGEST_NORM_ERROR = 1e-3
 
@@ -195,13 +196,15 @@ def _orientation(
         length = np.linalg.norm(angles, axis=1)
         if (wrong := np.abs(length - 1.0) > _LONGEST_NORM_ERROR).any():
             worst = int(np.nanargmax(np.abs(length - 1.0)))
-            where, number = f"{path}, line {worst + 2}", int(wrong.sum())
-            raise InputError.of(
-                "ORIENTATION-QUATERNION", where, number=number, length=length[worst]
+            raise messages.orientation_quaternion(
+                path=path,
+                line=worst + LINE_OF_FIRST_ROW,
+                count=int(wrong.sum()),
+                length=float(length[worst]),
             )
         attitude = angles / length[:, None]
     else:
-        attitude = angles_in_radians(angles, unit, path, "ORIENTATION-UNIT",
+        attitude = angles_in_radians(angles, unit, path, messages.ORIENTATION_UNIT,
                                      "stations.orientation.unit")  # fmt: skip
     sigmas = {name: values for name, values in value.items() if name.startswith("sigma_")}
     for tilt in {"sigma_tilt", "sigma_yaw"} & sigmas.keys():
@@ -211,7 +214,8 @@ def _orientation(
         read_ns, good = utc_of_columns(table, names)
         time_ns[good] = read_ns[good]
         if bad := int((~good).sum()):
-            ledger.loss("ORIENTATION-TIME", where=path.name, count=bad, line=np.argmin(good) + 2)
+            line = int(np.argmin(good)) + LINE_OF_FIRST_ROW
+            ledger.add(messages.orientations_without_time(where=path.name, count=bad, line=line))
     camera = table[names["camera"]].to_numpy(object) if "camera" in names else None
     image = table[names["image"]].to_numpy(object)
     return OrientationTable(image, camera, time_ns, position, attitude, sigmas)
@@ -230,19 +234,21 @@ def _refuse_repeated(table: pd.DataFrame, column: str, path: Path) -> None:
     """Refuse a table without rows, and one that has an image twice."""
     images = table[column]
     if len(images) == 0:
-        raise InputError.of("ORIENTATION-EMPTY", path)
+        raise messages.orientations_empty(where=path)
     twice = images[images.duplicated(keep=False)]
     if len(twice):
-        lines = ", ".join(str(row + 2) for row in twice.index[twice == twice.iloc[0]])
-        raise InputError.of(
-            "ORIENTATION-REPEATED", path, repeated=twice.nunique(), image=twice.iloc[0], lines=lines
+        lines = ", ".join(
+            str(row + LINE_OF_FIRST_ROW) for row in twice.index[twice == twice.iloc[0]]
+        )
+        raise messages.orientation_repeated(
+            where=path, count=twice.nunique(), image=twice.iloc[0], lines=lines
         )
 
 
 def _numbers(table: pd.DataFrame, names: Mapping[str, str], path: Path) -> dict[str, Array]:
     """The columns that hold numbers, by quantity."""
     return {
-        quantity: numbers_of(table, column, path, "ORIENTATION-NUMBER")
+        quantity: numbers_of(table, column, path, messages.ORIENTATION_NUMBER)
         for quantity, column in names.items()
         if quantity not in ("image", "camera", "time_utc")
     }
@@ -256,11 +262,17 @@ def _positions(value: Mapping[str, Array], path: Path, key: str) -> Array:
         wrong = np.abs(value[quantity]) > limit
         if bool(wrong.any()):
             swapped = quantity == "latitude" and bool((np.abs(value[quantity]) <= 360.0).all())
-            row, hint = np.argmax(wrong), "; are latitude and longitude swapped?"
-            raise InputError.of(
-                "ORIENTATION-POSITION", f"{path}, line {row + 2}", count=wrong.sum(), limit=limit,
-                quantity=quantity, first=value[quantity][row], hint=hint * swapped, named=key,
-            )  # fmt: skip
+            row = int(np.argmax(wrong))
+            raise messages.orientation_position(
+                path=path,
+                line=row + LINE_OF_FIRST_ROW,
+                count=int(wrong.sum()),
+                limit=limit,
+                quantity=quantity,
+                first=float(value[quantity][row]),
+                swapped=swapped,
+                key=key,
+            )
     lat, lon = np.radians(value["latitude"]), np.radians(value["longitude"])
     return np.stack([lat, lon, value["height"]], axis=1)
 
@@ -281,15 +293,15 @@ def read_events(path: Path, columns: Mapping[str, str], ledger: Ledger) -> Event
     user's names. Times without a zone are UTC; GPS seconds are reduced by the leap seconds of
     their date.
     """
-    table = text_table(path, columns, codes=("EVENTS-CSV", "EVENTS-COLUMN"),
+    table = text_table(path, columns, codes=(messages.EVENTS_CSV, messages.EVENTS_COLUMN),
                        key="events.csv.columns")  # fmt: skip
     time_ns, good = utc_of_columns(table, columns)
     if not bool(good.all()):
         rows = np.flatnonzero(~good)
-        what = f"{rows.size} rows have no readable time, the first in line {rows[0] + 2}"
-        ledger.loss("EVENTS-TIME", what, where=path.name, count=int(rows.size))
+        line = int(rows[0]) + LINE_OF_FIRST_ROW
+        ledger.add(messages.events_without_time(where=path.name, count=rows.size, line=line))
     if not bool(good.any()):
-        raise InputError.of("EVENTS-EMPTY", path)
+        raise messages.events_empty(where=path)
     table, time_ns = table[good], time_ns[good]
     camera = table[columns["camera"]].to_numpy(object) if "camera" in columns else None
     return EventTable(table[columns["image"]].to_numpy(object), camera, time_ns)

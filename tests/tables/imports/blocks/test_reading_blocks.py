@@ -177,13 +177,13 @@ def test_other_versions_and_models(model):
     file.write_bytes(content)
     images = folder / "bin" / "images.bin"
     images.write_bytes(images.read_bytes() + b"\0" * 8)
-    assert "8 bytes stand behind its last record" in refusal(folder / "bin", "colmap")
+    assert "8 extra bytes at the end" in refusal(folder / "bin", "colmap")
     text = (folder / "txt" / "cameras.txt").read_text()
     (folder / "txt" / "cameras.txt").write_text(text.replace("OPENCV", "THIN_PRISM_FISHEYE"))
     refused = refusal(folder / "txt", "colmap")
     line = 1 + text.splitlines().index(next(t for t in text.splitlines() if "OPENCV" in t))
     assert "CAMERA-MODEL" in refused
-    assert f"line {line}: " in refused
+    assert f"line {line}" in refused
     assert "camera " in refused
 
 
@@ -207,7 +207,7 @@ def test_poses_that_are_no_rotations_and_images_that_stand_twice(model):
     fields = lines[row].split(" ")
     fields[1] = "3.5"
     file.write_text("\n".join([*lines[:row], " ".join(fields), *lines[row + 1 :]]) + "\n")
-    assert "'strip 2/of 1.jpg' is no rotation" in refusal(folder / "txt", "colmap")
+    assert "'strip 2/of 1.jpg' is not a rotation" in refusal(folder / "txt", "colmap")
     file.write_text(text.replace("strip 2/of 1.jpg", "strip 2/of 2.jpg"))
     assert "'strip 2/of 2.jpg' stands there twice" in refusal(folder / "txt", "colmap")
     fields[1] = "one"
@@ -265,7 +265,7 @@ def test_databases_without_keypoints_or_damaged(tmp_path):
         (tmp_path / "cut.db").write_bytes(content[:end])
         refusal(tmp_path / "cut.db", "colmap")
     (tmp_path / "other.db").write_bytes(b"SQLite format 3\0" + b"\7" * 5000)
-    assert "no such database, or a damaged one" in refusal(tmp_path / "other.db", "colmap")
+    assert "not such a database, or a damaged one" in refusal(tmp_path / "other.db", "colmap")
 
 
 # OpenSfM
@@ -288,12 +288,19 @@ def berlin(tmp_path):
     return tmp_path
 
 
-def test_points_of_opensfm_through_its_poses_land_on_its_tracks(berlin):
+RECONSTRUCTIONS = [("project", (12_000, 9000), 80)]
+if SHARED.is_dir():
+    RECONSTRUCTIONS.append(("berlin", (3264, 2448), 2500))
+
+
+@pytest.mark.parametrize(("fixture", "size_px", "least"), RECONSTRUCTIONS)
+def test_points_of_opensfm_through_its_poses_land_on_its_tracks(request, fixture, size_px, least):
     """The definition: pixels of COLMAP, half a pixel and the axes included."""
-    table, found = read_block_images(berlin, "opensfm"), rows(berlin, "opensfm")
-    names, places = block_reader("opensfm").read_points(berlin)
+    folder = request.getfixturevalue(fixture)
+    table, found = read_block_images(folder, "opensfm"), rows(folder, "opensfm")
+    names, places = block_reader("opensfm").read_points(folder)
     place = dict(zip(names.to_pylist(), places, strict=True))
-    camera = read_camera(berlin, "opensfm", None)
+    camera = read_camera(folder, "opensfm", None)
     off = []
     for image, centre, q in zip(table.image, table.position, table.angles, strict=True):
         turn = Rotation.from_quat(q[[1, 2, 3, 0]])
@@ -302,18 +309,19 @@ def test_points_of_opensfm_through_its_poses_land_on_its_tracks(berlin):
             x, y = camera.project(*(np.array([c]) for c in seen[:2] / seen[2]))
             off.append((x[0] - row.x_px, y[0] - row.y_px))
     off = np.array(off)
-    assert len(off) > 2500
+    assert len(off) > least
     assert np.median(np.hypot(*off.T)) < 1.5
     # Half a pixel would be seen: the residuals have no mean.
     assert np.abs(np.median(off, axis=0)).max() < 0.2
-    assert (np.degrees([table.frame.lat_rad, table.frame.lon_rad]).round(6)
-            == [52.518963, 13.400377]).all()  # fmt: skip
+    if fixture == "berlin":
+        place = np.degrees([table.frame.lat_rad, table.frame.lon_rad])
+        assert place.round(6).tolist() == [52.518963, 13.400377]
     assert {"scale", "red", "keypoint"} <= set(found)
-    first = (berlin / "tracks.csv").read_text().splitlines()[1].split("\t")
+    first = (folder / "tracks.csv").read_text().splitlines()[1].split("\t")
     row = found[(found["image"] == first[0]) & (found["keypoint"] == int(first[2]))].iloc[0]
     assert row["point"] == first[1]
     # Normalised by the longer side, from the middle; its own pixels count from a pixel's centre.
-    assert row["x_px"] == pytest.approx(float(first[3]) * 3264 + (3264 - 1) / 2 + 0.5)
+    assert row["x_px"] == pytest.approx(float(first[3]) * max(size_px) + (size_px[0] - 1) / 2 + 0.5)
     assert row["scale"] == float(first[5])
 
 
@@ -325,7 +333,7 @@ def test_points_of_opensfm_through_its_poses_land_on_its_tracks(berlin):
         ("tracks.csv", ("OPENSFM_TRACKS_VERSION_v2\n", ""), "its first line is"),
         ("reconstruction.json", ('"brown"', '"spherical"'), "CAMERA-MODEL"),
         ("reconstruction.json", ('"rotation"', '"turn"'), "'IMG_0001.JPG' has no rotation"),
-        ("reconstruction.json", ("[", "[[", 1), "is no JSON"),
+        ("reconstruction.json", ("[", "[[", 1), "is not valid JSON"),
         ("reconstruction.json", ('"cameras"', '"lenses"'), "it has no 'cameras'"),
     ],
 )
@@ -384,7 +392,7 @@ def test_markers_of_metashape(tmp_path):
     [
         (("1.5.0", "9.0"), "of version 9.0"),
         (('x="100.5"', ""), "it has no 'x'"),
-        (("</document>", ""), "is no XML"),
+        (("</document>", ""), "is not valid XML"),
         (("<chunk ", '<chunk label="old"/><chunk '), "it has 2 chunks ('old', "),
         (('class="adjusted"', 'class="initial"'), "no adjusted calibration"),
         (("1 0 0 10 0", "1 0 ten 10 0"), "not as that program writes it"),
@@ -481,9 +489,9 @@ def test_archive_and_tables_hold_the_same_marks(strasbourg):
         ("sxb.xml", ('dbat_script_version="1.0"', 'dbat_script_version="2.0"'), "version 2.0"),
         ("sxb.xml", ("<model>3</model>", "<model>-4</model>"), "model -4"),
         ("sxb.xml", ("<skew>0</skew>", "<skew>0.1</skew>"), "the skew of its camera"),
-        ("sxb.xml", ("</document>", ""), "is no XML"),
+        ("sxb.xml", ("</document>", ""), "is not valid XML"),
         ("sxb.xml", ("measurements/smartpts.txt", "measurements/lost.txt"), "lost.txt"),
-        ("sxb.xml", ("<report>", "<other>", 1), "is no XML"),
+        ("sxb.xml", ("<report>", "<other>", 1), "is not valid XML"),
         ("markpts.txt", (", 1, ", ", 9, ", 1), "markpts.txt, line 2"),
         ("markpts.txt", (".", ",", 1), "line 2 is not"),
         ("smartpts.txt", (".", ".x", 1), "line 2 is not"),

@@ -25,6 +25,7 @@ import numpy as np
 from unbend.errors import InputError, PhysicsError, UnbendError
 from unbend.refraction.camera.camera import Camera
 from unbend.tables.imports import Registry, format_of
+from unbend.tables.imports.blocks import messages
 from unbend.units import Array
 
 if TYPE_CHECKING:
@@ -68,6 +69,7 @@ def block_reader(program: str) -> BlockFormat:
     return module
 
 
+_LONGEST_NORM_ERROR = 1e-3  # of quaternions, which are written with a few digits
 _OF_LIBRARIES = (
     LookupError, ValueError, TypeError, AttributeError, EOFError, OSError, SyntaxError,
     sqlite3.Error, zipfile.BadZipFile, zlib.error,
@@ -80,24 +82,27 @@ def damage_refused(path: Path | str, program: str) -> Iterator[None]:
     try:
         yield
     except PhysicsError as error:
-        raise InputError(error.code, error.what, where=str(path), remedy=error.remedy) from None
+        where = f"{path}, {error.where}" if error.where else path
+        raise error.again(InputError, where) from None
     except UnbendError:
         raise
     except _OF_LIBRARIES as error:
-        what = "something in it is not as that program writes it"
-        if isinstance(error, KeyError):
-            what = f"it has no {error.args[0]!r}"
-        elif isinstance(error, json.JSONDecodeError):
-            what = f"line {error.lineno} is no JSON"
-        elif isinstance(error, ElementTree.ParseError):
-            what = f"line {error.position[0]} is no XML"
-        elif isinstance(error, sqlite3.Error):
-            what = f"it is no such database, or a damaged one ({error})"
-        elif isinstance(error, OSError) and error.strerror:
-            what = f"it cannot be read: {error.strerror}"
-        from unbend.tables.imports.stated import not_of_format
+        raise _refusal_of(error, path, program) from None
 
-        raise not_of_format(path, f"as a file of {program}: {what}") from None
+
+def _refusal_of(error: Exception, path: Path | str, program: str) -> InputError:
+    """What a library says of a damaged file, as a refusal."""
+    if isinstance(error, KeyError):
+        return messages.part_missing(where=path, program=program, part=repr(error.args[0]))
+    if isinstance(error, json.JSONDecodeError):
+        return messages.not_json(where=path, program=program, line=error.lineno)
+    if isinstance(error, ElementTree.ParseError):
+        return messages.not_xml(where=path, program=program, line=error.position[0])
+    if isinstance(error, sqlite3.Error):
+        return messages.not_database(where=path, program=program, error=str(error))
+    if isinstance(error, OSError) and error.strerror:
+        return messages.not_readable(where=path, program=program, error=error.strerror)
+    return messages.damaged(where=path, program=program)
 
 
 def read_camera(path: Path, file_format: str | None, name: str | None) -> Camera:
@@ -113,9 +118,10 @@ def read_camera(path: Path, file_format: str | None, name: str | None) -> Camera
         if chosen in cameras:
             with damage_refused(f"{path}, camera {chosen}", program):
                 return cameras[chosen]()
-    lacking = "and no camera is named" if name is None else f"and no {name!r}"
-    what = f"it holds {', '.join(map(repr, cameras)) or 'no camera'}, {lacking}"
-    raise InputError("CAMERA-NAME", what, where=str(path), remedy="name one of them under camera")
+    names = ", ".join(map(repr, cameras)) or "no camera"
+    if name is None:
+        raise messages.camera_unnamed(where=path, cameras=names)
+    raise messages.camera_not_there(where=path, cameras=names, name=name)
 
 
 def read_block_images(path: Path, program: str) -> OrientationTable:
@@ -126,18 +132,14 @@ def read_block_images(path: Path, program: str) -> OrientationTable:
     with damage_refused(path, program):
         table = block_reader(program).read_images(path)
     twice = [name for name, count in Counter(table.image.tolist()).items() if count > 1]
-    if twice or len(table.image) == 0:
-        what = f"{twice[0]!r} stands there twice" if twice else "no image is oriented"
-        raise InputError(
-            "ORIENTATION-REPEATED" if twice else "ORIENTATION-EMPTY", what, where=str(path),
-            remedy="write it again, one orientation an image",
-        )  # fmt: skip
+    if twice:
+        raise messages.image_repeated(where=path, image=twice[0])
+    if len(table.image) == 0:
+        raise messages.no_orientation(where=path)
     length = np.linalg.norm(table.angles, axis=1)
-    if (wrong := np.abs(length - 1.0) > 1e-3).any():
-        from unbend.tables.imports.stated import not_of_format
-
-        what = f"the orientation of {table.image[np.argmax(wrong)]!r} is no rotation"
-        raise not_of_format(path, what)
+    wrong = np.abs(length - 1.0) > _LONGEST_NORM_ERROR
+    if wrong.any():
+        raise messages.no_rotation(where=path, image=str(table.image[np.argmax(wrong)]))
     return replace(table, angles=table.angles / length[:, None])
 
 

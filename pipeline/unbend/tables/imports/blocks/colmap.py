@@ -18,10 +18,11 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from unbend.errors import InputError, PhysicsError
+from unbend.errors import PhysicsError
 from unbend.flight.rotations import matrices_of
 from unbend.refraction.calibration import camera_of_model
 from unbend.refraction.camera.camera import Camera
+from unbend.tables.imports.blocks import messages
 from unbend.tables.imports.blocks.image_points import (
     BinaryFile,
     CameraMakers,
@@ -29,7 +30,6 @@ from unbend.tables.imports.blocks.image_points import (
     oriented_images,
     rows_of_image,
 )
-from unbend.tables.imports.stated import not_of_format
 from unbend.tables.imports.user_tables import OrientationTable
 from unbend.units import Array, Integers
 
@@ -51,7 +51,7 @@ def block_files(path: Path) -> tuple[Path, ...]:
     files = tuple(path / f"{name}{ending}" for name in ("cameras", "images", "points3D"))
     for file in files:
         if not file.is_file():
-            raise InputError.of("INPUT-MISSING/colmap", file, name=file.name)
+            raise messages.file_of_model_missing(where=file, name=file.name)
     return files
 
 
@@ -64,8 +64,7 @@ def read_cameras(path: Path) -> CameraMakers:
         except PhysicsError as error:
             if line is None:
                 raise
-            what = f"line {line}: {error.what}"
-            raise PhysicsError(error.code, what, remedy=error.remedy) from None
+            raise error.again(PhysicsError, f"line {line}") from None
 
     rows = _cameras(block_files(path)[0])
     return {str(number): partial(camera, line, *row) for line, number, *row in rows}
@@ -91,13 +90,14 @@ def read_rows(path: Path) -> Iterator[pa.RecordBatch]:
         for name, rows, columns, blob in database.execute(f"{query} ORDER BY image_id"):
             count += rows
             if columns < 2 or len(blob or b"") != 4 * rows * columns:
-                raise not_of_format(path, f"the keypoints of {name!r} are {len(blob or b'')} bytes,"
-                                    f" and not {rows} rows of {columns} float32")  # fmt: skip
+                raise messages.keypoints_cut(
+                    where=path, image=name, size=len(blob or b""), rows=rows, columns=columns
+                )
             if rows:
                 yield rows_of_image(name, np.frombuffer(blob, "<f4").reshape(rows, -1)[:, :2])
         if count == 0:
             pairs = database.execute("SELECT COUNT(*) FROM matches").fetchone()[0]
-            raise InputError.of("OBS-EMPTY", path, pairs=pairs)
+            raise messages.keypoints_none(where=path, pairs=pairs)
 
 
 def read_points(path: Path) -> tuple[pa.StringArray, Array]:
@@ -154,8 +154,9 @@ def _images(path: Path) -> Iterator[tuple[str, str, Array, Array, Integers]]:
             if head and not head.startswith("#"):
                 _, *numbers, camera, name = head.split(maxsplit=9)
                 if camera not in cameras:
-                    raise not_of_format(file, f"in line {lines.number} {name!r} is of camera "
-                                        f"{camera}, which cameras.txt has not")  # fmt: skip
+                    raise messages.camera_of_image_unknown(
+                        where=file, line=lines.number, image=name, camera=camera
+                    )
                 pose, count = np.array(numbers, np.float64).reshape(7), count + 1
                 points = np.array(next(rows, "").split(), np.float64).reshape(-1, 3)
                 yield name, camera, pose, points[:, :2], points[:, 2].astype(np.int64)
@@ -181,19 +182,19 @@ def _refuse_fewer(file: Path, count: int) -> None:
         stream.seek(max(file.stat().st_size - 1, 0))
         if not stated or (int(stated[1]) == count and stream.read() == b"\n"):
             return
-    raise not_of_format(file, f"it is cut short, behind {count} of {int(stated[1])} records")
+    raise messages.records_missing(where=file, found=count, total=int(stated[1]))
 
 
 def _of_model(path: Path) -> tuple[Path, ...]:
     if not path.is_dir():
-        raise InputError.of("IMPORT-FORMAT/no-model", path)
+        raise messages.not_a_model(where=path)
     return block_files(path)
 
 
 def _model(code: int, path: Path) -> tuple[str, int]:
     """Name of a camera model, and how many parameters it has; refuses one of a later version."""
     if not 0 <= code < len(_MODELS):
-        raise InputError.of("IMPORT-FORMAT/colmap-model", path, code=code, last=len(_MODELS) - 1)
+        raise messages.colmap_model_unknown(where=path, number=code, last=len(_MODELS) - 1)
     return _MODELS[code]
 
 
@@ -201,5 +202,5 @@ def opened(path: Path) -> sqlite3.Connection:
     """A database for reading only; refuses one with rows that are still in the log beside it."""
     log = Path(f"{path}-wal")
     if log.is_file() and log.stat().st_size:
-        raise InputError.of("IMPORT-FORMAT/database-log", path, log=log)
+        raise messages.database_in_use(where=path, log=log.name)
     return sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro&immutable=1", uri=True)

@@ -17,12 +17,11 @@ from xml.etree import ElementTree
 import numpy as np
 import pyarrow as pa
 
-from unbend.errors import InputError
 from unbend.flight.rotations import quaternion_of_opk
 from unbend.refraction.calibration import MetricReport, camera_of_model, camera_of_report
 from unbend.refraction.camera.camera import Camera
-from unbend.tables.imports.blocks import image_points
-from unbend.tables.imports.stated import not_of_format, read_text
+from unbend.tables.imports.blocks import image_points, messages
+from unbend.tables.imports.stated import read_text
 from unbend.tables.imports.user_tables import OrientationTable
 from unbend.units import Array
 
@@ -51,14 +50,14 @@ def read_images(path: Path) -> OrientationTable:
     """The images with the orientations of the report."""
     named, cameras = _root(path).findtext("output/files/report/file"), read_cameras(path)
     if named is None or len(cameras) != 1:
-        raise InputError.of("IMPORT-FORMAT/dbat-cameras", path, cameras=len(cameras))
+        raise messages.dbat_cameras(where=path, cameras=len(cameras))
     report = _beside(path, named)
     text = "\n".join(read_text(report)).partition("\n   Quality")[0]
     parts, found = _PHOTO.split(text), {}
     for name, part in zip(parts[1::2], parts[2::2], strict=True):
         found[_name_of(name)] = [float(value) for value in _VALUE.findall(part)]
         if len(found[_name_of(name)]) != 6:
-            raise not_of_format(report, f"the orientation of {name} is not whole")
+            raise messages.orientation_cut(where=report, image=name)
     eo = np.array([*found.values()]).reshape(-1, 6)
     quaternion = quaternion_of_opk(np.radians(eo[:, :3]), "omega_phi_kappa")
     return image_points.oriented_images([*found], [*cameras] * len(found), eo[:, 3:], quaternion)
@@ -70,7 +69,7 @@ def read_rows(path: Path) -> Iterator[pa.RecordBatch]:
     points: dict[str, tuple[list[str], list[Array]]] = {}
     for row in _tables(path, "image_pts"):
         if row["im"] not in names:
-            raise not_of_format(path, f"{row['at']}: no image has the number {row['im']}")
+            raise messages.image_number_unknown(where=path, place=row["at"], number=row["im"])
         point, xy = points.setdefault(names[row["im"]], ([], []))
         point.append(row["id"])
         xy.append(np.array([row["x"], row["y"]], np.float64))
@@ -92,10 +91,10 @@ def _camera(given: ElementTree.Element, path: Path) -> Camera:
 
     for name, harmless in {"skew": 0.0, "aspect": 1.0}.items():
         if numbers(name, str(harmless))[0] != harmless:
-            raise not_of_format(path, f"the {name} of its camera is not {harmless:g}")
-    if (model := numbers("model", "3")[0]) not in (1, 2, 3):
-        what = f"the lens distortion model {model:g} of its camera is not known: 1, 2 and 3 are"
-        raise not_of_format(path, what)
+            raise messages.camera_not_plain(where=path, name=name, plain=harmless)
+    model = float(numbers("model", "3")[0])
+    if model not in (1, 2, 3):
+        raise messages.dbat_model_unknown(where=path, model=model)
     size, sensor = numbers("image", ""), numbers("sensor", "")
     c, pixel = float(numbers("cc", given.findtext("focal", ""))[0]), sensor / size
     pp = numbers("pp", "{},{}".format(*sensor / 2.0))
@@ -115,7 +114,7 @@ def _root(path: Path) -> ElementTree.Element:
     root = ElementTree.fromstring(path.read_bytes())
     version = root.get("dbat_script_version") or root.get("dbat_camera_version") or "unknown"
     if version != "1.0":
-        raise not_of_format(path, f"it is a script of DBAT's version {version}; 1.0 is read")
+        raise messages.dbat_version(where=path, version=version)
     return root
 
 
@@ -127,8 +126,7 @@ def _beside(path: Path, name: str) -> Path:
     for file in (path.parent / name.strip(), path.parent / _name_of(name)):
         if file.is_file():
             return file
-    raise InputError("INPUT-MISSING", f"the script names {name.strip()}", where=str(path),
-                     remedy="put the file where the script says, or beside it")  # fmt: skip
+    raise messages.file_of_script_missing(where=path, name=name.strip())
 
 
 def _tables(path: Path, kind: str) -> Iterator[dict[str, str]]:

@@ -17,11 +17,10 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import ArrayLike
 
-from unbend.errors import InputError
 from unbend.flight.heights import GeodeticOrigin
 from unbend.flight.stations import NO_TIME
 from unbend.refraction.camera.camera import Camera
-from unbend.tables.imports.stated import not_of_format
+from unbend.tables.imports.blocks import messages
 from unbend.tables.imports.user_tables import OrientationTable
 from unbend.units import Integers
 
@@ -91,8 +90,7 @@ class TextFile:
 
     def __exit__(self, kind: object, error: object, trace: object) -> None:
         if isinstance(error, ValueError):
-            what = f"line {self.number} is not as that program writes it"
-            raise not_of_format(self.path, what) from None
+            raise messages.line_unreadable(where=self.path, line=self.number) from None
 
 
 class BinaryFile:
@@ -110,13 +108,14 @@ class BinaryFile:
 
     def __exit__(self, kind: object, error: object, trace: object) -> None:
         if (rest := len(self.content) - self.at) and error is None:
-            raise InputError.of("IMPORT-FORMAT/bytes-behind", self.path, rest=rest)
+            raise messages.bytes_behind(where=self.path, count=rest)
 
     def skip(self, size: int) -> int:
         """Pass ``size`` bytes; returns where they begin."""
         if self.at + size > len(self.content):
-            raise not_of_format(self.path, f"it is cut short: it has {len(self.content)} bytes, "
-                                f"and the record from byte {self.at} on {size}")  # fmt: skip
+            raise messages.record_cut(
+                where=self.path, size=len(self.content), offset=self.at, needed=size
+            )
         self.at += size
         return self.at - size
 

@@ -19,13 +19,12 @@ import numpy as np
 import pyarrow as pa
 from scipy.spatial.transform import Rotation
 
-from unbend.errors import InputError
 from unbend.refraction.calibration import camera_of_model
 from unbend.refraction.camera.camera import Camera
 from unbend.refraction.camera.general_frame import GeneralFrame
 from unbend.tables.geodata.coordinate_systems import is_on_wgs84
+from unbend.tables.imports.blocks import messages
 from unbend.tables.imports.blocks.image_points import CameraMakers, oriented_images, rows_of_image
-from unbend.tables.imports.stated import not_of_format
 from unbend.tables.imports.user_tables import OrientationTable
 from unbend.units import Array
 
@@ -37,7 +36,7 @@ _TYPES = {"float": "<f4", "double": "<f8", "int": "<i4", "uint": "<u4", "uchar":
 def block_files(path: Path) -> tuple[Path, ...]:
     """The file itself."""
     if path.is_dir():
-        raise not_of_format(path, "it is a folder", "name a .psz, or a .xml that was exported")
+        raise messages.is_folder(where=path)
     return (path,)
 
 
@@ -73,7 +72,7 @@ def read_rows(path: Path) -> Iterator[pa.RecordBatch]:
     chunk = _chunk(path)
     frames = [*chunk.iterfind("frames/frame")] or [chunk]
     if len(frames) > 1:
-        raise not_of_format(path, f"the chunk has {len(frames)} frames, and one is read")
+        raise messages.several_frames(where=path, frames=len(frames))
     label = {m.get("id"): m.get("label", "") for m in chunk.iterfind("markers//marker")}
     marks: dict[str, list[tuple[str, float, float]]] = {}
     for marker in frames[0].iterfind("markers/marker"):
@@ -114,9 +113,7 @@ def _root(path: Path) -> ElementTree.Element:
         root = ElementTree.fromstring(path.read_bytes())
     version = root.get("version", "1" if root.tag == "calibration" else "")
     if version.partition(".")[0] not in ("1", "2"):
-        raise InputError.of(
-            "IMPORT-FORMAT/metashape-version", path, root=root, version=version or "unknown"
-        )
+        raise messages.metashape_version(where=path, tag=root.tag, version=version or "unknown")
     return root
 
 
@@ -124,7 +121,7 @@ def _chunk(path: Path) -> ElementTree.Element:
     chunks = [*_root(path).iter("chunk")]
     if len(chunks) != 1:
         names = ", ".join(repr(chunk.get("label", "")) for chunk in chunks)
-        raise InputError.of("IMPORT-FORMAT/chunks", path, chunks=len(chunks), names=names)
+        raise messages.several_chunks(where=path, chunks=len(chunks), names=names)
     return chunks[0]
 
 
@@ -146,7 +143,7 @@ def _ply(path: Path, name: str) -> Any:
     """The vertices of a binary PLY in an archive, a structured array."""
     with zipfile.ZipFile(path) as archive:
         if name not in archive.namelist():
-            raise not_of_format(path, f"it has no {name}, which its document names")
+            raise messages.archive_part_missing(where=path, part=name)
         head, _, content = archive.read(name).partition(b"end_header\n")
     count, kinds = 0, []
     for words in (line.split() for line in head.decode("ascii").splitlines()):
@@ -156,8 +153,9 @@ def _ply(path: Path, name: str) -> Any:
             kinds.append((words[2], _TYPES[words[1]]))
     kind = np.dtype(kinds)
     if b"binary_little_endian" not in head or len(content) != count * kind.itemsize:
-        raise not_of_format(path, f"{name} is cut short, or of another form: {len(content)} bytes "
-                            f"for {count} records of {kind.itemsize}")  # fmt: skip
+        raise messages.ply_cut(
+            where=path, part=name, size=len(content), records=count, each=kind.itemsize
+        )
     return np.frombuffer(content, kind)
 
 
@@ -179,7 +177,7 @@ def _sensors(root: ElementTree.Element) -> dict[str, tuple[str, ElementTree.Elem
 
 def _camera(calibration: ElementTree.Element | None, path: Path) -> Camera:
     if calibration is None:
-        raise not_of_format(path, "the camera has no adjusted calibration")
+        raise messages.calibration_missing(where=path)
     size = calibration.find("resolution")
     width, height = (
         int(calibration.findtext(side, "0") if size is None else size.get(side, "0"))
@@ -192,7 +190,7 @@ def _camera(calibration: ElementTree.Element | None, path: Path) -> Camera:
 
     unused = [name for name in _NOT_MODELLED.get(kind, ()) if number(name) != 0.0]
     if unused:
-        raise InputError.of("IMPORT-FORMAT/calibration", path, unused=", ".join(unused), kind=kind)
+        raise messages.calibration_unusable(where=path, coefficients=", ".join(unused), kind=kind)
     if calibration.find("fx") is not None:
         frame = [number("fx"), number("fy"), number("cx"), number("cy")]
     else:

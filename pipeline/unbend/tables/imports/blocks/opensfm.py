@@ -18,12 +18,12 @@ import pandas as pd
 import pyarrow as pa
 from scipy.spatial.transform import Rotation
 
-from unbend.errors import InputError
 from unbend.flight.heights import GeodeticOrigin
 from unbend.refraction.calibration import camera_of_model
 from unbend.refraction.camera.camera import Camera
+from unbend.tables.imports.blocks import messages
 from unbend.tables.imports.blocks.image_points import CameraMakers, oriented_images, rows_of_image
-from unbend.tables.imports.stated import not_of_format
+from unbend.tables.imports.messages import IMPORT_FORMAT
 from unbend.tables.imports.user_tables import OrientationTable
 from unbend.tables.text_columns import numbers_of
 from unbend.units import Array
@@ -48,7 +48,7 @@ def block_files(path: Path) -> tuple[Path, ...]:
     needed = (path / "reconstruction.json", path / "tracks.csv")
     for file in needed:
         if not file.is_file():
-            raise InputError.of("INPUT-MISSING", file, name=file.name)
+            raise messages.file_of_project_missing(where=file, name=file.name)
     reference = path / "reference_lla.json"
     return (*needed, reference) if reference.is_file() else needed
 
@@ -90,7 +90,7 @@ def read_rows(path: Path) -> Iterator[pa.RecordBatch]:
     with file.open(encoding="utf-8") as stream:
         version = stream.readline().strip()
     if version != _VERSION:
-        raise InputError.of("IMPORT-FORMAT/tracks", file, version=version[:40], expected=_VERSION)
+        raise messages.tracks_version(where=file, first_line=version[:40], expected=_VERSION)
     kinds = dict.fromkeys(_COLUMNS, "float64") | {"image": "str", "track": "int64",
                                                   "keypoint": "int64"}  # fmt: skip
     read: Callable[..., Any] = partial(
@@ -102,7 +102,7 @@ def read_rows(path: Path) -> Iterator[pa.RecordBatch]:
     except (ValueError, OverflowError):
         text = read(dtype="str")
         for column in _COLUMNS[1:]:
-            numbers_of(text.fillna(""), column, file, "IMPORT-FORMAT")
+            numbers_of(text.fillna(""), column, file, IMPORT_FORMAT)
         raise
     others = [name for name in _COLUMNS[5:] if table[name].notna().all()]
     for image, rows in table.groupby("image", sort=False):
@@ -124,7 +124,7 @@ def _reconstruction(path: Path) -> dict[str, Any]:
     file = block_files(path)[0]
     content = json.loads(file.read_text(encoding="utf-8"))
     if not isinstance(content, list) or len(content) != 1:
-        raise InputError.of("IMPORT-FORMAT/reconstructions", file, found=len(content))
+        raise messages.several_reconstructions(where=file, found=len(content))
     return dict(content[0])
 
 
@@ -132,7 +132,7 @@ def _vectors(items: Mapping[str, Any], key: str, path: Path) -> Array:
     """(n, 3) a vector of each item; refuses one that has none."""
     for name, item in items.items():
         if len(item.get(key, ())) != 3 or not all(isinstance(v, int | float) for v in item[key]):
-            raise not_of_format(path, f"{name!r} has no {key} of three numbers")
+            raise messages.vector_missing(where=path, item=name, key=key)
     return np.array([item[key] for item in items.values()], np.float64).reshape(-1, 3)
 
 

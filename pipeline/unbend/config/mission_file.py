@@ -18,7 +18,7 @@ from unbend.config.event_sources import EventsSection, PositionEvents
 from unbend.config.ground import ControlSection, GroundSection
 from unbend.config.logs import USUAL_MAX_GAP_S, LogSection
 from unbend.config.mounts import MountSection
-from unbend.config.observations import ObservationsSection
+from unbend.config.observation_table import ObservationsSection
 from unbend.config.section import (
     PathText,
     Section,
@@ -26,7 +26,7 @@ from unbend.config.section import (
     is_block,
     one_of,
 )
-from unbend.config.stations import StationsSection
+from unbend.config.station_sources import StationsSection
 from unbend.flight.mount import Mount
 from unbend.refraction import METHODS, Camera, LensInAir, Window
 from unbend.tables.imports.blocks import BLOCKS

@@ -1,0 +1,234 @@
+"""A finished run is rebuilt from its folder, computed again in part, and written in a format."""
+
+import os
+from collections.abc import Mapping
+from contextlib import suppress
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+from unbend.batch import remote, store
+from unbend.batch.finished_run import messages
+from unbend.batch.finished_run.read_back import air_of, mission_of, stations_of
+from unbend.batch.manifest import MANIFEST, manifest_text
+from unbend.batch.messages import input_changed, url_for_export
+from unbend.batch.remote import Place, is_url
+from unbend.batch.results import find_damage, manifest_of_run, verify_run
+from unbend.config import Mission
+from unbend.errors import InputError
+from unbend.flight.heights import HIGHEST_GROUND_M, LOWEST_GROUND_M
+from unbend.ingest.flight_log import hash_file
+from unbend.messages import Ledger
+from unbend.refraction.image import correct_observations
+from unbend.refraction.ray import rays_by
+from unbend.stages import exposure_setup
+from unbend.tables.exports import ExportCamera, FinishedRun, find_format
+from unbend.tables.refraction_mark import SIDECAR, sidecar_text
+from unbend.units import Array, Integers
+
+_MOST_CHECKED = 50_000  # observations of a run that are computed again, spread over all of them
+_LARGEST_DIFFERENCE_PX = 1e-6  # of reading back; the sample runs are reproduced to the last bit
+_LARGEST_CHECKED_RAD = np.radians(80.0)
+"""Beyond, an observation may be on the far branch by its distance, which no table keeps."""
+
+_CHECKED = ["x_px", "y_px", "x_corrected_px", "y_corrected_px", "zeta_c_rad", "h_g_m", "status"]
+"""Columns of the observations that are compared."""
+
+
+def export_run(
+    path: Path | Place,
+    name: str,
+    out: Path,
+    options: Mapping[str, Any],
+    *,
+    ground_height_m: float | None = None,
+    force: bool = False,
+) -> tuple[int, Ledger]:
+    """Write a finished run in a format, with its options; rows written, and what was left out."""
+    form = find_format(name, out)
+    values = form.values(options)
+    if isinstance(path, Place):
+        path = copy_of_run(path)
+    refuse_output(path, out, force=force and bool(form.ending))
+    ledger = Ledger()
+    run = rebuild_run(path, verify_run(path), ground_height_m, ledger)
+    with store.atomic_write(out) as draft:
+        if not form.ending:
+            draft.mkdir(parents=True)
+        rows = form.write(run, values, draft, ledger)
+        if form.use:
+            ledger.add(messages.use_of_export(use=form.use, name=name))
+        if form.marked:
+            about = {"mission": run.mission, "notes": [message.what for message in ledger]}
+            files = {file or out.name: draft / file for file in form.marked}
+            beside = out if form.ending else draft / form.marked[0]
+            with store.atomic_write(beside.with_name(beside.name + SIDECAR)) as sidecar:
+                sidecar.write_text(sidecar_text(files, about), encoding="utf-8")
+    return rows, ledger
+
+
+def refuse_output(run: Path, out: Path, *, force: bool) -> None:
+    """Refuse to write among the results of a run, over a file that is there already, to a URL."""
+    if is_url(str(out)):
+        raise url_for_export(url=str(out))
+    for resolve in (os.path.abspath, os.path.realpath):
+        if Path(resolve(out)).is_relative_to(resolve(run)):
+            raise messages.inside_run(path=str(out))
+    if out.is_dir():
+        raise messages.folder_exists(path=str(out))
+    if os.path.lexists(out) and not force:
+        raise messages.file_exists(path=str(out))
+
+
+def copy_of_run(place: Place) -> Path:
+    """A copy in the user's cache of what is published at a place, as a folder; anew if replaced."""
+    manifest = manifest_of_run(place)
+    with suppress(FileNotFoundError, InputError):
+        copy = remote.copy_of_attempt(place, manifest)
+        if not find_damage(place, manifest, read=False):  # all was there until now
+            with store.atomic_write(copy / MANIFEST) as draft:
+                draft.write_text(manifest_text(manifest), encoding="utf-8")
+            return copy
+    if verify_run(place) == manifest:
+        raise input_changed(role="results", path=str(place))
+    return copy_of_run(place)
+
+
+def rebuild_run(
+    path: Path, manifest: dict[str, Any], ground_height_m: float | None, ledger: Ledger
+) -> FinishedRun:
+    """A run from its folder alone; ``ground_height_m`` [m above sea level] replaces its heights."""
+    if ground_height_m is not None and not LOWEST_GROUND_M <= ground_height_m <= HIGHEST_GROUND_M:
+        raise messages.no_ground_height(
+            height=ground_height_m, lowest=LOWEST_GROUND_M, highest=HIGHEST_GROUND_M
+        )
+    mission = mission_of(manifest, path)
+    if mission.refraction.direction != "remove":
+        raise messages.no_corrections(path=str(path / MANIFEST))
+    table = pq.read_table(path / "stations.parquet")
+    stations = stations_of(table)
+    air = air_of(pq.read_table(path / "profile.parquet"), table["profile_id"])
+    method = mission.refraction.method
+    outputs = sorted(str(item["name"]) for item in manifest["outputs"])
+    run = FinishedRun(
+        mission=mission.mission.name,
+        stations=stations,
+        exposures=exposure_setup.exposures_of_mission(mission, stations, air, Ledger()),
+        air=air,
+        rays=tuple(rays_by(profile, method) for profile in air.profiles),
+        method=method,
+        cameras=cameras_of(mission),
+        find_ground=partial(ground_of, constant_m=ground_height_m, ledger=ledger),
+        pixels=mission.observations.pixels,
+        parts=tuple(path / name for name in outputs if name.startswith("observations/")),
+        metadata={
+            "unbend.mission": mission.mission.name,
+            "unbend.fingerprint": manifest["fingerprint"],
+            "unbend.pixel_origin": mission.observations.pixel_origin,
+        },
+        database=partial(database_of, mission, manifest, path),
+    )
+    check_reproduced(run, path)
+    return run
+
+
+def cameras_of(mission: Mission) -> dict[str, ExportCamera]:
+    """The cameras of a mission with what exports need to know of them."""
+    cameras = {}
+    for name, camera in mission.interior_orientations.items():
+        section = mission.cameras[name]
+        pixel_mm = np.nan
+        if section.metric is not None:
+            width_um, height_um = section.metric.pixel_um
+            if width_um == height_um:
+                pixel_mm = width_um * 1e-3
+        cameras[name] = ExportCamera(
+            camera=camera,
+            has_window=name in mission.windows and mission.windows[name].shape == "plane",
+            pixel_mm=pixel_mm,
+            has_refraction=section.calibration == "in_flight_uncorrected",
+        )
+    return cameras
+
+
+def ground_of(run: FinishedRun, constant_m: float | None, ledger: Ledger) -> Array:
+    """(s,) median ground height [m above sea level] of the observations of each image, or constant.
+
+    An image without observations gets the median of the others. Memory: 16 bytes an observation.
+    """
+    if constant_m is not None:
+        return np.full(len(run.stations), constant_m)
+    rows = []
+    heights = []
+    for station, table in run.observations(["h_g_m"]):
+        rows.append(station)
+        heights.append(table["h_g_m"].to_numpy())
+    known = pd.Series(np.concatenate(heights)).dropna()
+    by_station = known.groupby(np.concatenate(rows)[known.index]).median()
+    ground = np.array(by_station.reindex(range(len(run.stations))), dtype=np.float64)
+    has_ground = np.isfinite(ground)
+    empty = ~has_ground & run.stations.ok
+    if bool(empty.any()) and bool(has_ground.any()):
+        median = float(np.nanmedian(ground))
+        ground[empty] = median
+        ledger.add(messages.ground_of_others(count=int(empty.sum()), median=median))
+    return ground
+
+
+def database_of(mission: Mission, manifest: dict[str, Any], path: Path) -> Path | None:
+    """COLMAP's database that the run read, as seen from its folder; None if gone or changed."""
+    here = Path("/?/?/?/?/?")  # in the place of the mission's folder, whose name no table keeps
+    stated = mission.observations.path
+    if not os.path.isabs(stated):
+        stated = os.path.relpath(here / stated, here / mission.output.path)
+    file = path / stated
+    if file.suffix.lower() != ".db" or not file.is_file():
+        return None
+    read = {item["sha256"] for item in manifest["inputs"] if item["role"] == "observations"}
+    return file if hash_file(file) in read else None
+
+
+def check_reproduced(run: FinishedRun, path: Path) -> None:
+    """Refuse corrections that cannot be computed again to 1e-6 px (EXPORT-NOT-REPRODUCED)."""
+    largest = 0.0
+    for station, table in run.observations(_CHECKED, _MOST_CHECKED):
+        largest = max(largest, largest_difference_px(run, table, station))
+    if largest > _LARGEST_DIFFERENCE_PX:
+        raise messages.not_reproduced(path=str(path), largest_px=largest)
+
+
+def largest_difference_px(run: FinishedRun, table: pa.Table, station: Integers) -> float:
+    """The largest difference between corrections in a table and those computed now [px]."""
+    columns = {}
+    for name in _CHECKED[:-1]:
+        columns[name] = np.asarray(table[name].to_numpy(), dtype=np.float64)
+    for name in ("x_px", "y_px", "x_corrected_px", "y_corrected_px"):
+        columns[name] = run.pixels.to_colmap(columns[name])
+    ok = np.asarray(pc.equal(table["status"], "ok").to_numpy())
+    ok &= columns["zeta_c_rad"] < _LARGEST_CHECKED_RAD
+    largest = 0.0
+    for name, camera in run.cameras.items():
+        of_camera = ok & (run.stations.camera[station] == name)
+        for profile in np.unique(run.air.profile_number[station[of_camera]]):
+            rows = np.flatnonzero(of_camera & (run.air.profile_number[station] == profile))
+            now = correct_observations(
+                columns["x_px"][rows],
+                columns["y_px"][rows],
+                columns["h_g_m"][rows],
+                station[rows],
+                run.exposures,
+                camera=camera.camera,
+                table=run.rays[profile],
+            )
+            difference = np.hypot(
+                now.x_corrected_px - columns["x_corrected_px"][rows],
+                now.y_corrected_px - columns["y_corrected_px"][rows],
+            )
+            largest = max(largest, float(np.nan_to_num(difference, nan=np.inf).max()))
+    return largest

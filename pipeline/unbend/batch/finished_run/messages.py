@@ -1,0 +1,143 @@
+"""Refusals and notes of exports of a finished run."""
+
+from unbend.errors import Code, ConfigError, MissionError
+from unbend.messages import Message, fallback, note
+
+EXPORT_CONFIG = Code(
+    "EXPORT-CONFIG",
+    means="The manifest's mission file has entries that this version does not understand.",
+    effect="The export is refused.",
+    remedy="Run the mission again with this version.",
+)
+EXPORT_DIRECTION = Code(
+    "EXPORT-DIRECTION",
+    means="The run displaced ideal observations (direction: apply): it has no corrections.",
+    effect="The export is refused.",
+    remedy="Export from a run that removes refraction.",
+)
+EXPORT_EXISTS = Code(
+    "EXPORT-EXISTS",
+    means="The file or folder is there already.",
+    effect="The export is refused.",
+    remedy="Choose another name, replace a file with --force, or delete the folder.",
+)
+EXPORT_GROUND = Code(
+    "EXPORT-GROUND",
+    means="Images without observations have no ground height: the median of the others is taken; "
+    "or --ground-height is no ground height.",
+    effect="An allowed substitute; a refusal for the option.",
+    remedy="Give --ground-height in metres above sea level.",
+)
+EXPORT_INSIDE_RUN = Code(
+    "EXPORT-INSIDE-RUN",
+    means="The export would lie among the results of the run.",
+    effect="The export is refused.",
+    remedy="Write it to another folder, for example next to that of the run.",
+)
+EXPORT_NOT_REPRODUCED = Code(
+    "EXPORT-NOT-REPRODUCED",
+    means="The run's own corrections come out differently when they are computed again.",
+    effect="The export is refused.",
+    remedy="Run the mission again with this version, then export.",
+)
+EXPORT_USE = Code(
+    "EXPORT-USE",
+    means="How to use the export: what to switch off in the program that reads it.",
+    effect="None.",
+    remedy="Follow it, so that refraction is not removed twice.",
+)
+
+
+def config_not_understood(*, path: str, mistakes: int) -> MissionError:
+    """The mission in a manifest is of another version."""
+    return MissionError(
+        EXPORT_CONFIG,
+        "the mission file in the manifest has {count} keys that this version does not understand",
+        one="the mission file in the manifest has a key that this version does not understand",
+        where=path,
+        count=mistakes,
+        remedy="run the mission again with this version",
+    )
+
+
+def no_corrections(*, path: str) -> ConfigError:
+    """The run applied refraction."""
+    return ConfigError(
+        EXPORT_DIRECTION,
+        "the run displaced ideal observations; there is no correction to export",
+        where=f"{path}, refraction.direction",
+        remedy="export from a run that removes refraction",
+    )
+
+
+def file_exists(*, path: str) -> ConfigError:
+    """The file that an export would write is there."""
+    return ConfigError(
+        EXPORT_EXISTS,
+        "the file is there already",
+        where=path,
+        remedy="choose another name, or replace it: --force",
+    )
+
+
+def folder_exists(*, path: str) -> ConfigError:
+    """A folder has the name of the export."""
+    return ConfigError(
+        EXPORT_EXISTS,
+        "there is a folder of that name",
+        where=path,
+        remedy="choose another name, or delete it: --force replaces files only",
+    )
+
+
+def ground_of_others(*, count: int, median: float) -> Message:
+    """Images without observations get the median ground height of the others."""
+    return fallback(
+        EXPORT_GROUND,
+        "{count} images have no observations with a ground height: {median:.1f} m is taken, the "
+        "median of the other images",
+        one="1 image has no observations with a ground height: {median:.1f} m is taken, the "
+        "median of the other images",
+        where="observations",
+        count=count,
+        median=median,
+    )
+
+
+def no_ground_height(*, height: float, lowest: float, highest: float) -> ConfigError:
+    """--ground-height is below or above all ground."""
+    return ConfigError(
+        EXPORT_GROUND,
+        "{height:g} m is no ground height ({lowest:g} to {highest:g} m)",
+        where="--ground-height",
+        remedy="give it in metres above sea level",
+        height=height,
+        lowest=lowest,
+        highest=highest,
+    )
+
+
+def inside_run(*, path: str) -> ConfigError:
+    """The export would lie among the results."""
+    return ConfigError(
+        EXPORT_INSIDE_RUN,
+        "the file would lie among the results of the run",
+        where=path,
+        remedy="write it beside that folder",
+    )
+
+
+def not_reproduced(*, path: str, largest_px: float) -> MissionError:
+    """The corrections computed now are not those of the run."""
+    return MissionError(
+        EXPORT_NOT_REPRODUCED,
+        "the run's own corrections come out {largest_px:.2g} px different",
+        where=path,
+        remedy="it was made by another version: run the mission again, then export",
+        largest_px=largest_px,
+    )
+
+
+def use_of_export(*, use: str, name: str) -> Message:
+    """How the program that reads a format is to be used."""
+    return note(EXPORT_USE, "{use}", where=f"--format {name}", use=use)

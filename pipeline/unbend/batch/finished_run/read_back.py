@@ -1,0 +1,130 @@
+"""Mission, stations and profiles as values, from the files of a finished run."""
+
+import json
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+from pydantic import ValidationError
+
+from unbend.atmosphere.layers import Layers
+from unbend.atmosphere.profile import Profile
+from unbend.atmosphere.refractive_index import IndexModel
+from unbend.atmosphere.series.profile_series import ProfileSeries, TimedProfile
+from unbend.batch.finished_run import messages
+from unbend.batch.manifest import MANIFEST
+from unbend.config import Mission
+from unbend.flight.stations import NO_TIME, SUSPECT, Stations
+from unbend.geodesy import Gravity
+from unbend.units import Array, Names
+
+
+def mission_of(manifest: dict[str, Any], path: Path) -> Mission:
+    """The mission file as the run understood it, from its manifest."""
+    try:
+        # As text, because strict models take from JSON what they gave to it.
+        return Mission.model_validate_json(json.dumps(manifest.get("config")))
+    except ValidationError as error:
+        raise messages.config_not_understood(
+            path=str(path / MANIFEST), mistakes=error.error_count()
+        ) from None
+
+
+class _Columns:
+    """The columns of ``stations.parquet``, which an older version may have written."""
+
+    def __init__(self, table: pa.Table) -> None:
+        self._table = table
+
+    def number(self, name: str) -> Array:
+        """(s,) numbers; NaN where the table has no such column."""
+        if name not in self._table.schema.names:
+            return np.full(self._table.num_rows, np.nan)
+        return np.asarray(self._table[name].to_numpy(), dtype=np.float64)
+
+    def angle(self, name: str) -> Array:
+        """(s,) angles [rad] of a column in degrees."""
+        return np.radians(self.number(f"{name}_deg"))
+
+    def quaternion(self, prefix: str) -> Array:
+        """(s, 4) quaternions, w first."""
+        return np.stack([self.number(f"{prefix}_{axis}") for axis in "wxyz"], axis=1)
+
+    def text(self, name: str) -> Names:
+        """(s,) texts; empty where there is none."""
+        values: list[str | None] = [None] * self._table.num_rows
+        if name in self._table.schema.names:
+            values = self._table[name].to_pylist()
+        return np.array([value or "" for value in values], dtype=object)
+
+
+def stations_of(table: pa.Table) -> Stations:
+    """Stations from the table of ``stations.parquet``; the inverse of `table_of_stations`."""
+    columns = _Columns(table)
+    time = pc.fill_null(table["time_utc"].cast(pa.int64()), int(NO_TIME)).to_numpy()
+    status = columns.text("status")
+    derived: dict[str, Any] = {
+        "time_ns": time.astype(np.int64),
+        "quaternion": columns.quaternion("q"),
+        "aircraft_quaternion": columns.quaternion("aircraft_q"),
+        "status": status,
+        "accepted": (status == SUSPECT) & table["profile_id"].is_valid().to_numpy(),
+    }
+    for name in ("lat", "lon", "sigma_tilt", "sigma_yaw"):
+        derived[f"{name}_rad"] = columns.angle(name)
+    for name in ("image", "camera", "suspect_reason"):
+        derived[name] = columns.text(name)
+    for field in fields(Stations):
+        if field.name not in derived:
+            derived[field.name] = columns.number(field.name)
+    return Stations(**derived)
+
+
+def air_of(table: pa.Table, profile_id: pa.ChunkedArray) -> ProfileSeries:
+    """Profiles of ``profile.parquet``, and which is each station's: the first if it has none."""
+    names = pc.unique(table["profile_id"])
+    profiles = []
+    for name in names:
+        of_profile = table.filter(pc.equal(table["profile_id"], name))
+        profiles.append(TimedProfile(None, profile_of(of_profile)))
+    number = pc.fill_null(pc.index_in(profile_id, value_set=names), 0)
+    return ProfileSeries(tuple(profiles), np.asarray(number.to_numpy(), dtype=np.int64))
+
+
+def profile_of(table: pa.Table) -> Profile:
+    """The profile from a table of one as in ``profile.parquet``; the inverse of `table_of_profile`.
+
+    The refractivity is that of the run to 1e-15 of itself (6e-16 in the sample runs).
+    """
+    metadata = {key.decode(): value.decode() for key, value in table.schema.metadata.items()}
+
+    def column(name: str) -> Array:
+        return np.asarray(table[name].to_numpy(), dtype=np.float64)
+
+    vapour = column("vapour_pressure_pa") / column("pressure_pa")
+    edge = np.append(column("geopotential_base_m")[:-1], column("geopotential_m")[-1])
+    layers = Layers(
+        edge=edge,
+        temperature=column("t_base_k")[:-1],
+        lapse=column("lapse_k_per_m")[:-1],
+        pressure=column("p_base_pa")[:-1],
+        vapour=vapour[:-1],
+        vapour_slope=np.diff(vapour) / np.diff(edge),
+        source=tuple(table["source"].to_pylist()[:-1]),
+    )
+    latitude = None
+    if metadata["latitude"]:
+        latitude = float(np.radians(float(metadata["latitude"])))
+    index = IndexModel(
+        metadata["unbend.index"],
+        float(metadata["unbend.wavelength_m"]),
+        float(metadata["unbend.co2_ppm"]),
+    )
+    gravity = Gravity(float(metadata["g_phi"]), float(metadata["r_phi"]), latitude)
+    name = "adjusted"
+    if metadata["unbend.basis"] == "standard":
+        name = metadata["unbend.standard"]
+    return Profile(layers, gravity, index, name, float(metadata["unbend.constant_k_per_m"]))

@@ -1,0 +1,688 @@
+"""Messages of files for other programs: refused options, and what was left out or changed."""
+
+from pathlib import Path
+
+from unbend.errors import Code, ConfigError, Counted, MissionError
+from unbend.messages import Message, fallback, loss, note, warning
+
+EXPORT_AIR_CHANGES = Code(
+    "EXPORT-AIR-CHANGES",
+    means=(
+        "The air of the flight changes over several profiles; a radial table holds the middle one."
+    ),
+    effect="The table is not exact for all images.",
+    remedy="Export the lattice, which has the air of each image.",
+)
+
+
+def air_changes(*, where: str, count: int) -> Message:
+    """Radial tables of a flight whose air changes."""
+    return warning(
+        EXPORT_AIR_CHANGES,
+        (
+            "the air of the flight changes over {count} profiles: each radial table holds the"
+            " air of the middle one of its images; the lattice holds that of each"
+        ),
+        one=(
+            "the air of the flight changes over 1 profile: each radial table holds the "
+            "air of the middle one of its images; the lattice holds that of each"
+        ),
+        where=where,
+        count=count,
+    )
+
+
+EXPORT_CALIBRATION = Code(
+    "EXPORT-CALIBRATION",
+    means=(
+        "The camera was calibrated on images with refraction in: the change of the "
+        "calibration would count it twice."
+    ),
+    effect="The export is written; the run of the command ends with 3.",
+    remedy="Use a laboratory calibration.",
+)
+
+
+def calibration_holds_refraction(*, where: str, name: str) -> Message:
+    """A calibration that was estimated on images from which nobody removed refraction."""
+    return loss(
+        EXPORT_CALIBRATION,
+        (
+            "the calibration of camera {name} was estimated on images with refraction in, and"
+            " holds that of its height: with the change it counts twice"
+        ),
+        where=where,
+        name=name,
+    )
+
+
+EXPORT_CAMERA = Code(
+    "EXPORT-CAMERA",
+    means="A camera of the stations has no calibration in the run.",
+    effect="The export is refused.",
+    remedy="Define it under cameras and run again.",
+)
+
+
+def camera_uncalibrated(*, where: Path | str, camera: str) -> MissionError:
+    """A camera of the stations is not defined in the mission file of the run."""
+    return MissionError(
+        EXPORT_CAMERA,
+        "camera {camera!r} has no calibration",
+        where=where,
+        camera=camera,
+        remedy="give it under cameras.{camera} and run again",
+    )
+
+
+EXPORT_CAMERAS = Code(
+    "EXPORT-CAMERAS",
+    means="Which number each camera has in the files of COLMAP.",
+    effect="None.",
+    remedy="Nothing.",
+)
+
+
+def camera_numbers(*, where: str, count: int, numbers: str) -> Message:
+    """Which number each camera has."""
+    return note(EXPORT_CAMERAS, "camera {numbers}", where=where, count=count, numbers=numbers)
+
+
+EXPORT_DISTORTION = Code(
+    "EXPORT-DISTORTION",
+    means="The distortion of the camera cannot be written for that program.",
+    effect="The export is refused.",
+    remedy=(
+        "Export --format bundler, which is free of distortion, or use a model that the "
+        "program knows."
+    ),
+)
+
+
+def distortion_unknown(*, where: Path | str, name: str, beyond: str, program: str) -> MissionError:
+    """The program has no coefficients for the distortion; ``beyond`` names them."""
+    return MissionError(
+        EXPORT_DISTORTION,
+        "the distortion of camera {name} (with {beyond}) cannot be written for {program}",
+        where=where,
+        name=name,
+        beyond=beyond,
+        program=program,
+        remedy=(
+            "export --format bundler, which is free of distortion, or calibrate the "
+            "camera with OpenCV's coefficients"
+        ),
+    )
+
+
+EXPORT_ENDING = Code(
+    "EXPORT-ENDING",
+    means="The name of the file does not have the ending of the format.",
+    effect="The export is refused.",
+    remedy="Rename it as the refusal says.",
+)
+
+
+def ending_of_file(
+    *, where: Path | str, name: str, ending: str, rename: str, others: str
+) -> ConfigError:
+    """A format of one file, for a path without its ending; ``others`` would fit, or none."""
+    return ConfigError(
+        EXPORT_ENDING,
+        "{name} is written to a file that ends in {ending}",
+        where=where,
+        remedy="rename it to {rename}, or choose from {others}"
+        if others
+        else "rename it to {rename}",
+        name=name,
+        ending=ending,
+        rename=rename,
+        others=others,
+    )
+
+
+def ending_of_folder(*, where: Path | str, name: str, rename: str, others: str) -> ConfigError:
+    """A format of several files, for a path with the ending of ``others``."""
+    return ConfigError(
+        EXPORT_ENDING,
+        "{name} is written to a folder",
+        where=where,
+        remedy="rename it to {rename}, or choose from {others}",
+        name=name,
+        rename=rename,
+        others=others,
+    )
+
+
+EXPORT_FORMAT = Code(
+    "EXPORT-FORMAT",
+    means="No export has this name.",
+    effect="The export is refused.",
+    remedy="Take one that `unbend export --help` lists.",
+)
+
+
+def format_unknown(*, where: Path | str, name: str, similar: str, known: str) -> ConfigError:
+    """No export has this name; ``similar`` are the most alike, or none."""
+    return ConfigError(
+        EXPORT_FORMAT,
+        "no format is called {name!r}",
+        where=where,
+        remedy="perhaps {similar}?" if similar else "one of {known}",
+        name=name,
+        similar=similar,
+        known=known,
+    )
+
+
+EXPORT_FRAME = Code(
+    "EXPORT-FRAME",
+    means="The frame of the exported block: east, north, up at the place that is named.",
+    effect="Neither earth curvature nor a map projection is in it.",
+    remedy="Set the program that reads it to a local cartesian system.",
+)
+
+
+def block_frame(*, where: str, lat: float, lon: float, h: float) -> Message:
+    """Where the frame of a block has its origin, in degrees and metres."""
+    return note(
+        EXPORT_FRAME,
+        (
+            "x, y, z count to the east, north and up from {lat:.5f} N, {lon:.5f} E, {h:.0f} m"
+            " above the ellipsoid (WGS84), one frame for the block; neither earth curvature "
+            "nor a map projection is applied"
+        ),
+        where=where,
+        lat=lat,
+        lon=lon,
+        h=h,
+    )
+
+
+EXPORT_LEFT_OUT = Code(
+    "EXPORT-LEFT-OUT",
+    means=(
+        "Observations or images are left out of the export: not ok, without station, "
+        "repeated, or what the entry says."
+    ),
+    effect="The export lacks them; the command ends with 3.",
+    remedy="See their status in the run.",
+)
+
+
+def stations_left_out(*, where: str, count: int, lacking: str, first: str) -> Message:
+    """Stations that lack what the export needs."""
+    return loss(
+        EXPORT_LEFT_OUT,
+        "left out: {count} stations without a {lacking}, the first {first}",
+        one="left out: 1 station without a {lacking}, the image {first}",
+        where=where,
+        count=count,
+        lacking=lacking,
+        first=first,
+    )
+
+
+def points_left_out(*, where: str, count: int) -> Message:
+    """Image points that cannot be written for Bundler."""
+    return loss(
+        EXPORT_LEFT_OUT,
+        (
+            "{count} image points are left out: their points were measured in one image only,"
+            " or they lie beyond the radius to which the distortion of the camera is known"
+        ),
+        one=(
+            "1 image point is left out: its point was measured in one image only, or "
+            "it lies beyond the radius to which the distortion of the camera is known"
+        ),
+        where=where,
+        count=count,
+    )
+
+
+def images_without_lattice(*, where: str, count: int, first: str) -> Message:
+    """Images without a usable station, in a lattice."""
+    return loss(
+        EXPORT_LEFT_OUT,
+        "{count} images have no usable station and no lattice, the first {first}",
+        one="1 image has no usable station and no lattice: {first}",
+        where=where,
+        count=count,
+        first=first,
+    )
+
+
+def images_without_ground(*, where: str, count: int) -> Message:
+    """Images of a camera without known ground, in radial tables."""
+    return loss(
+        EXPORT_LEFT_OUT,
+        "left out: {count} images of {where} without known ground below them",
+        one="left out: 1 image of {where} without known ground below it",
+        where=where,
+        count=count,
+    )
+
+
+def observations_left_out(
+    *, where: str, count: int, total: int, unusable: int, again: int
+) -> Message:
+    """Observations that a block does not have; ``again`` are of a point a second time."""
+    return loss(
+        EXPORT_LEFT_OUT,
+        (
+            "{count} of {total} are left out: not ok, without a point or a usable station "
+            "({unusable}), or of a point that was measured before in the image ({again})"
+        ),
+        one=(
+            "1 of {total} is left out: not ok, without a point or a usable station "
+            "({unusable}), or of a point that was measured before in the image ({again})"
+        ),
+        where=where,
+        count=count,
+        total=Counted(total, "observation"),
+        unusable=unusable,
+        again=again,
+    )
+
+
+EXPORT_MODEL = Code(
+    "EXPORT-MODEL",
+    means=(
+        "The lens is written in a model that differs from its calibration by the pixels "
+        "that are named."
+    ),
+    effect="The program that reads it errs by as much; the change for measured points does not.",
+    remedy="Use the calibration of the run itself where that matters.",
+)
+
+
+def lens_simplified(*, where: str, name: str, misfit: float) -> Message:
+    """The lens of a camera is written in a simpler model."""
+    return loss(
+        EXPORT_MODEL,
+        (
+            "the lens of camera {name} is written with k1, k2, k3, p1, p2, which differ from "
+            "its calibration by up to {misfit:.3f} px; the change for measured points does "
+            "not"
+        ),
+        where=where,
+        name=name,
+        misfit=misfit,
+    )
+
+
+EXPORT_NAMES = Code(
+    "EXPORT-NAMES",
+    means=(
+        "Names cannot be written for that program: too long to differ, or with a "
+        "character that separates columns."
+    ),
+    effect="The export is refused.",
+    remedy="Rename them, or choose another format.",
+)
+
+
+def names_too_long(
+    *, where: Path | str, kind: str, one: str, other: str, short: str, longest: int
+) -> MissionError:
+    """Two images, cameras or points get the same name when theirs are shortened."""
+    return MissionError(
+        EXPORT_NAMES,
+        (
+            "{kind}s {first!r} and {other!r} would both be called {short!r}: names have at most "
+            "{longest} characters there"
+        ),
+        where=where,
+        remedy="rename them so that the last {longest} characters differ",
+        kind=kind,
+        first=one,
+        other=other,
+        short=short,
+        longest=longest,
+    )
+
+
+def name_with_separator(*, where: Path | str, name: str, program: str) -> MissionError:
+    """A name has a space, a comma or the like."""
+    return MissionError(
+        EXPORT_NAMES,
+        "{name!r} has a character that separates columns in files of {program}",
+        where=where,
+        name=name,
+        program=program,
+        remedy="rename it, or choose another format",
+    )
+
+
+EXPORT_NO_GROUND = Code(
+    "EXPORT-NO-GROUND",
+    means="Images have no known ground below them.",
+    effect="They have no footprint or calibration; refused where none has.",
+    remedy="Give --ground-height.",
+)
+
+
+def no_calibration(*, where: Path | str) -> MissionError:
+    """There is no image for which a calibration could be fitted."""
+    return MissionError(
+        EXPORT_NO_GROUND,
+        "no usable image has a known ground below it",
+        where=where,
+        remedy="give a height of the ground: --ground-height",
+    )
+
+
+def lattice_without_ground(*, where: str, count: int) -> Message:
+    """Images whose corrections are null in a lattice."""
+    return loss(
+        EXPORT_NO_GROUND,
+        (
+            "{count} images have a lattice without corrections: the run knows no ground "
+            "height; --ground-height gives one"
+        ),
+        one=(
+            "1 image has a lattice without corrections: the run knows no ground height; "
+            "--ground-height gives one"
+        ),
+        where=where,
+        count=count,
+    )
+
+
+def footprints_missing(*, where: str, count: int) -> Message:
+    """Images without a footprint."""
+    return loss(
+        EXPORT_NO_GROUND,
+        (
+            "{count} images have no footprint: no ground height is known (--ground-height "
+            "gives one), or a corner shows no ground"
+        ),
+        one=(
+            "1 image has no footprint: no ground height is known (--ground-height gives "
+            "one), or a corner shows no ground"
+        ),
+        where=where,
+        count=count,
+    )
+
+
+EXPORT_NO_SIGMA = Code(
+    "EXPORT-NO-SIGMA",
+    means="Stations have no sigma of their position.",
+    effect="Their pose priors have no covariance; COLMAP takes the one it is called with.",
+    remedy="State sigmas of the stations in the mission file.",
+)
+
+
+def sigmas_missing(*, where: str, count: int) -> Message:
+    """Stations whose position has no sigma, in a database."""
+    return fallback(
+        EXPORT_NO_SIGMA,
+        (
+            "{count} stations have no sigma of their position: their pose priors have no "
+            "covariance, and COLMAP takes the one it is called with"
+        ),
+        one=(
+            "1 station has no sigma of its position: its pose prior has no "
+            "covariance, and COLMAP takes the one it is called with"
+        ),
+        where=where,
+        count=count,
+    )
+
+
+EXPORT_NO_STATIONS = Code(
+    "EXPORT-NO-STATIONS",
+    means="No station has what the export needs.",
+    effect="The export is refused.",
+    remedy="Check the stations of the run: position and attitude.",
+)
+
+
+def no_station_placed(*, where: Path | str, lacking: str) -> MissionError:
+    """No station has what the export needs."""
+    return MissionError(
+        EXPORT_NO_STATIONS,
+        "no station has a {lacking}",
+        where=where,
+        remedy="give the stations of the mission: log, stations.orientation or stations.trajectory",
+        lacking=lacking,
+    )
+
+
+EXPORT_NO_TIES = Code(
+    "EXPORT-NO-TIES",
+    means="No point was measured in two images: nothing ties the images together.",
+    effect="The database is written without matches.",
+    remedy="Measure the points in more than one image.",
+)
+
+
+def no_ties(*, where: str) -> Message:
+    """The images of a database are not tied to each other."""
+    return loss(
+        EXPORT_NO_TIES,
+        (
+            "nothing ties the images of the database: no point was measured in two images, "
+            "and no database with matches was read that is still in its place, unchanged"
+        ),
+        where=where,
+    )
+
+
+EXPORT_OPTION = Code(
+    "EXPORT-OPTION",
+    means="An option of the export is out of range, or one that is needed is missing.",
+    effect="The export is refused.",
+    remedy="Give it as the refusal says.",
+)
+
+
+def option_unknown(*, where: str, name: str, options: str) -> ConfigError:
+    """A format does not have this option; ``where`` is its flag."""
+    return ConfigError(
+        EXPORT_OPTION,
+        "{name} has no option {where}",
+        where=where,
+        remedy="its options are {options}",
+        name=name,
+        options=options,
+    )
+
+
+def option_out_of_range(
+    *, where: str, given: float, lowest: float, highest: float, meaning: str
+) -> ConfigError:
+    """A value of an option lies beyond its limits."""
+    return ConfigError(
+        EXPORT_OPTION,
+        "{given:g} is not from {lowest:g} to {highest:g}",
+        where=where,
+        remedy="{meaning}",
+        given=given,
+        lowest=lowest,
+        highest=highest,
+        meaning=meaning,
+    )
+
+
+def pixel_size_unknown(*, where: Path | str, name: str) -> ConfigError:
+    """Files in millimetres need the size of the pixels."""
+    return ConfigError(
+        EXPORT_OPTION,
+        "the size of the pixels of camera {name} is unknown, or they are not square",
+        where=where,
+        name=name,
+        remedy="give their size in micrometres: --pixel-um 4",
+    )
+
+
+EXPORT_POINT_HEIGHT = Code(
+    "EXPORT-POINT-HEIGHT",
+    means="The rays of points do not meet under 3 degrees or more.",
+    effect="These points lie where their rays reach the ground height of the run.",
+    remedy="Nothing; the adjustment moves them.",
+)
+
+
+def points_on_ground(*, where: str, count: int) -> Message:
+    """Object points that do not follow from their rays."""
+    return fallback(
+        EXPORT_POINT_HEIGHT,
+        (
+            "the rays of {count} points do not meet at 3 degrees or more: these points are "
+            "where the rays reach the height of the ground that the run took for them"
+        ),
+        one=(
+            "the rays of 1 point do not meet at 3 degrees or more: it is where they reach the "
+            "height of the ground that the run took for it"
+        ),
+        where=where,
+        count=count,
+    )
+
+
+EXPORT_POINTS = Code(
+    "EXPORT-POINTS",
+    means=("What went out: corrected image coordinates, of how many points in how many images."),
+    effect="None.",
+    remedy="Nothing.",
+)
+
+
+def points_written(*, where: str, count: int, points: int, images: int) -> Message:
+    """How many observations, points and images a block has."""
+    return note(
+        EXPORT_POINTS,
+        ("x_corrected_px, y_corrected_px of {observations:,} of {points:,} in {images:,}"),
+        where=where,
+        count=count,
+        observations=Counted(count, "observation"),
+        points=Counted(points, "point"),
+        images=Counted(images, "image"),
+    )
+
+
+EXPORT_RESIDUAL = Code(
+    "EXPORT-RESIDUAL",
+    means="The fitted calibration leaves a part of the refraction that no calibration can hold.",
+    effect="Above 10 % a loss, above 50 % refused.",
+    remedy="Export the lattice or corrected points.",
+)
+
+
+_LEFT_BY_CALIBRATION = (
+    "calibration {name} leaves {percent:.0f} % of the refraction, {left_px:.3f} of "
+    "{effect_px:.3f} px, {left_m:.3f} of {effect_m:.3f} m"
+)
+
+
+def calibration_leaves(
+    *,
+    where: str,
+    count: int,
+    name: str,
+    percent: float,
+    left: tuple[float, float],
+    effect: tuple[float, float],
+) -> Message:
+    """A calibration that holds most of the refraction; left and effect in pixels and metres."""
+    return loss(
+        EXPORT_RESIDUAL,
+        _LEFT_BY_CALIBRATION,
+        where=where,
+        count=count,
+        name=name,
+        percent=percent,
+        left_px=left[0],
+        effect_px=effect[0],
+        left_m=left[1],
+        effect_m=effect[1],
+    )
+
+
+def calibration_impossible(
+    *,
+    where: str,
+    name: str,
+    percent: float,
+    left: tuple[float, float],
+    effect: tuple[float, float],
+) -> MissionError:
+    """No calibration holds the refraction; left and effect in pixels and metres."""
+    return MissionError(
+        EXPORT_RESIDUAL,
+        _LEFT_BY_CALIBRATION + ": none stands for these images",
+        where=where,
+        remedy=(
+            "export the lattice or corrected points; a camera that is tilted otherwise "
+            "from image to image has no calibration that does it"
+        ),
+        name=name,
+        percent=percent,
+        left_px=left[0],
+        effect_px=effect[0],
+        left_m=left[1],
+        effect_m=effect[1],
+    )
+
+
+EXPORT_ROUNDED = Code(
+    "EXPORT-ROUNDED",
+    means="A COLMAP database keeps 32-bit numbers: the pixels that are named are lost.",
+    effect="As stated.",
+    remedy="Export --format colmap, which loses nothing.",
+)
+
+
+def pixels_rounded(*, where: str, rounding: float) -> Message:
+    """A database keeps fewer digits than the run."""
+    return warning(
+        EXPORT_ROUNDED,
+        (
+            "keypoints of a database are 32-bit numbers: up to {rounding:.4f} px are lost; "
+            "the model (--format colmap) loses nothing"
+        ),
+        where=where,
+        rounding=rounding,
+    )
+
+
+EXPORT_SINGLE = Code(
+    "EXPORT-SINGLE",
+    means="Points were measured in one image only.",
+    effect="Their image points have no object point.",
+    remedy="Nothing.",
+)
+
+
+def single_points(*, where: str, count: int) -> Message:
+    """Points of one image, in a model."""
+    return note(
+        EXPORT_SINGLE,
+        "{count} points were measured in one image only: their image points have no object point",
+        one="1 point was measured in one image only: its image point has no object point",
+        where=where,
+        count=count,
+    )
+
+
+EXPORT_WINDOW = Code(
+    "EXPORT-WINDOW",
+    means="The camera looks through a window; a radial table holds the air outside alone.",
+    effect="The table lacks R_cc.",
+    remedy="Export the lattice, which holds both.",
+)
+
+
+def window_not_held(*, where: str, name: str) -> Message:
+    """Radial tables of a camera behind a window."""
+    return warning(
+        EXPORT_WINDOW,
+        (
+            "camera {name} looks through a window: the radial tables hold the refraction of "
+            "the air outside alone; the lattice holds both"
+        ),
+        where=where,
+        name=name,
+    )

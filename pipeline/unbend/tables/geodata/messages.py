@@ -1,0 +1,610 @@
+"""Messages of coordinate systems, elevation models, geoids and points."""
+
+from pathlib import Path
+from typing import Any
+
+from unbend.errors import Code, Counted, InputError
+from unbend.messages import Message, loss, note, warning
+
+CRS_AREA = Code(
+    "CRS-AREA",
+    means=(
+        "Positions lie outside the area of their coordinate system, or outside the grid "
+        "of its transformation."
+    ),
+    effect="They are unknown; where half of them or more are, the mission is refused.",
+    remedy="Check the system, and which column is x (east) and which y (north).",
+)
+
+
+def positions_none(*, where: Path | str, key: str) -> InputError:
+    """There are no positions to bring to WGS 84."""
+    return InputError(
+        CRS_AREA,
+        "there are no positions",
+        where=where,
+        remedy=(
+            "check {key}, and which column is which: x is east or longitude, y north or "
+            "latitude, whatever the order of the system's axes"
+        ),
+        key=key,
+    )
+
+
+def positions_outside(
+    *,
+    where: Path | str,
+    key: str,
+    outside: int,
+    total: int,
+    system: str,
+    area: str,
+    x: float,
+    y: float,
+) -> InputError:
+    """Half of the positions or more lie outside the area of use of their system."""
+    return InputError(
+        CRS_AREA,
+        ("{outside} of {total} lie outside the area of {system} ({area}), the first {x:g}, {y:g}"),
+        where=where,
+        remedy=(
+            "check {key}, and which column is which: x is east or longitude, y north or "
+            "latitude, whatever the order of the system's axes"
+        ),
+        key=key,
+        outside=outside,
+        total=Counted(total, "position"),
+        system=system,
+        area=area,
+        x=x,
+        y=y,
+    )
+
+
+def some_positions_outside(
+    *, where: str, count: int, total: int, system: str, area: str, x: float, y: float
+) -> Message:
+    """Some positions, fewer than half, lie outside the area of use of their system."""
+    return loss(
+        CRS_AREA,
+        ("{count} of {total} lie outside the area of {system} ({area}), the first {x:g}, {y:g}"),
+        one="1 of {total} lies outside the area of {system} ({area}): {x:g}, {y:g}",
+        where=where,
+        count=count,
+        total=Counted(total, "position"),
+        system=system,
+        area=area,
+        x=x,
+        y=y,
+    )
+
+
+def positions_beyond_grid(*, where: str, count: int, operation: str) -> Message:
+    """Positions inside the system's area where the transformation's grid has no value."""
+    return loss(
+        CRS_AREA,
+        "{count} positions lie outside the grid of {operation}",
+        one="1 position lies outside the grid of {operation}",
+        where=where,
+        count=count,
+        operation=operation,
+    )
+
+
+CRS_BALLPARK = Code(
+    "CRS-BALLPARK",
+    means="PROJ knows no transformation to WGS 84 of known accuracy for this system.",
+    effect="The mission is refused.",
+    remedy="Transform the coordinates to a system on WGS 84 or ETRS89, and state that.",
+)
+
+
+def crs_ballpark(*, where: Path | str, name: str, named: str) -> InputError:
+    """PROJ has only a transformation without known accuracy."""
+    return InputError(
+        CRS_BALLPARK,
+        "{name} has no transformation to WGS 84 with a known accuracy",
+        where=where,
+        name=name,
+        named=named,
+        remedy="transform it to a system on WGS 84 or ETRS89, and state that: {named}",
+    )
+
+
+CRS_DATUM = Code(
+    "CRS-DATUM",
+    means="Positions were brought to WGS 84 by the transformation that is named.",
+    effect="A note; a warning where it is not better than 1 m.",
+    remedy="If metres matter, install the grid that the entry names.",
+)
+
+
+def positions_on_wgs84(
+    *, where: str, count: int, system: str, crs: str, operation: str, is_good: bool
+) -> Message:
+    """Positions were brought to WGS 84; a warning where that is not good to 1 m."""
+    send = note if is_good else warning
+    return send(
+        CRS_DATUM,
+        "{count} positions in {system} ({crs}) brought to WGS 84 by {operation}",
+        one="1 position in {system} ({crs}) brought to WGS 84 by {operation}",
+        where=where,
+        count=count,
+        system=system,
+        crs=crs,
+        operation=operation,
+    )
+
+
+CRS_UNKNOWN = Code(
+    "CRS-UNKNOWN",
+    means="PROJ knows no coordinate system for positions of this name.",
+    effect="The mission is refused.",
+    remedy="State it as EPSG:25832, EPSG:4326 or EPSG:25832+5773.",
+)
+
+
+def crs_unknown(*, where: Path | str, crs: str, error: str, named: str) -> InputError:
+    """PROJ does not know the system, or it is not one of places on the ground."""
+    return InputError(
+        CRS_UNKNOWN,
+        "PROJ knows no coordinate system for positions called {crs!r}: {error}",
+        where=where,
+        crs=crs,
+        error=error,
+        named=named,
+        remedy="state {named} as EPSG:25832, EPSG:4326 or EPSG:25832+5773",
+    )
+
+
+CRS_VERTICAL = Code(
+    "CRS-VERTICAL",
+    means=(
+        "Heights count from a vertical datum that is not mean sea level or EGM96, or "
+        "above an ellipsoid other than WGS 84's."
+    ),
+    effect=(
+        "Refused without its grid; with the grid a note, or a warning where it is 3 m or "
+        "more from EGM96."
+    ),
+    remedy="Give the grid of the datum as mission.geoid, or heights above the sea.",
+)
+
+
+def crs_vertical_stated(
+    *, where: Path | str, named: str, name: str, these: str, heights: str
+) -> InputError:
+    """The mission file states another surface of heights than the system has."""
+    return InputError(
+        CRS_VERTICAL,
+        "the heights of {name} are {these}, stated are {heights}",
+        where=where,
+        named=named,
+        name=name,
+        these=these,
+        heights=heights,
+        remedy="{named}: state {these}, or a system without heights",
+    )
+
+
+def crs_vertical_ellipsoid(
+    *, where: Path | str, named: str, name: str, ellipsoid: str
+) -> InputError:
+    """Heights above the ellipsoid of a past survey."""
+    return InputError(
+        CRS_VERTICAL,
+        "the ellipsoid of {name} is {ellipsoid}, and receivers give no heights above that",
+        where=where,
+        named=named,
+        name=name,
+        ellipsoid=ellipsoid,
+        remedy=(
+            "{named}: give heights above mean sea level (msl), or positions in a system "
+            "of WGS 84 or ETRS89"
+        ),
+    )
+
+
+def crs_vertical_grid(
+    *, where: Path | str, named: str, vertical: str, horizontal: str
+) -> InputError:
+    """The vertical datum is not mean sea level, and its grid of undulations is not given."""
+    return InputError(
+        CRS_VERTICAL,
+        "its heights are {vertical}, and nothing relates them to others",
+        where=where,
+        named=named,
+        vertical=vertical,
+        horizontal=horizontal,
+        remedy=(
+            "{named}: give mission.geoid, the path of this datum's grid of undulations "
+            "(.gtx or GeoTIFF); or state {horizontal} alone, where some decimetres to a "
+            "metre of difference between sea levels do not matter"
+        ),
+    )
+
+
+def crs_vertical_other_grid(
+    *, where: Path | str, named: str, geoid: str, off_m: float, vertical: str
+) -> InputError:
+    """The grid of undulations is too far from EGM96 for any datum's."""
+    return InputError(
+        CRS_VERTICAL,
+        (
+            "{geoid} is {off_m:+.1f} m from EGM96 at the positions, as no sea level is: it is"
+            " not the grid of {vertical}, or of the other sign"
+        ),
+        where=where,
+        named=named,
+        geoid=geoid,
+        off_m=off_m,
+        vertical=vertical,
+        remedy=(
+            "{named}: give this datum's grid of undulations under mission.geoid: the "
+            "ellipsoidal height minus the height above the datum"
+        ),
+    )
+
+
+def heights_by_grid(
+    *, where: str, count: int, datum: str, grid: str, off_m: float, is_usual: bool
+) -> Message:
+    """Heights were brought to the ellipsoid; a warning where the datum is far from EGM96."""
+    send = note if is_usual else warning
+    return send(
+        CRS_VERTICAL,
+        (
+            "{datum} taken as {grid} relates it to the ellipsoid, {off_m:+.1f} m from EGM96 "
+            "in the median"
+        ),
+        where=where,
+        count=count,
+        datum=datum,
+        grid=grid,
+        off_m=off_m,
+    )
+
+
+DEM_CRS = Code(
+    "DEM-CRS",
+    means=(
+        "The rasters of the elevation model have no or several coordinate systems, or "
+        "another than the mission file states."
+    ),
+    effect="The mission is refused.",
+    remedy=(
+        "State ground.height.crs for rasters that have none; warp others to one system (gdalwarp)."
+    ),
+)
+
+
+def dem_crs_stated(*, where: Path | str, own: str, other: str, named: str) -> InputError:
+    """A raster has a system of its own, and the mission file states another."""
+    return InputError(
+        DEM_CRS,
+        "the file is in {own}, and {other} is stated",
+        where=where,
+        own=own,
+        other=other,
+        named=named,
+        remedy="leave {named} out, or give the file its right system",
+    )
+
+
+def rasters_without_system(*, where: Path | str) -> InputError:
+    """No raster has a coordinate system, and the mission file states none."""
+    return InputError(
+        DEM_CRS,
+        "the rasters have no coordinate system",
+        where=where,
+        remedy="state ground.height.crs, as EPSG:25832",
+    )
+
+
+def rasters_of_several_systems(*, where: Path | str) -> InputError:
+    """The rasters have different coordinate systems, or only some have one."""
+    return InputError(
+        DEM_CRS,
+        "the rasters have several coordinate systems",
+        where=where,
+        remedy="warp them to one system (gdalwarp), and write that into each",
+    )
+
+
+DEM_RASTER = Code(
+    "DEM-RASTER",
+    means="The elevation model is not a single band of heights, north up.",
+    effect="The mission is refused.",
+    remedy="Write one band, north up (gdalwarp); name the tiles of a VRT instead of it.",
+)
+
+
+def dem_raster(
+    *, where: Path | str, driver: str, bands: int, affine: tuple[float, float, float, float]
+) -> InputError:
+    """The raster is not one band with north up; ``affine`` are a, b, d, e of its cells."""
+    step_x, row_x, column_y, step_y = affine
+    return InputError(
+        DEM_RASTER,
+        (
+            "it is a {driver} of {bands}, its cells ({step_x:g}, {row_x:g}, {column_y:g}, "
+            "{step_y:g}); one band is needed, north up"
+        ),
+        where=where,
+        remedy=(
+            "write one band of heights, north up (gdalwarp); in the place of a VRT, an "
+            "index of tiles or a service name the rasters themselves in ground.height.dem"
+        ),
+        driver=driver,
+        bands=Counted(bands, "band"),
+        step_x=step_x,
+        row_x=row_x,
+        column_y=column_y,
+        step_y=step_y,
+    )
+
+
+DEM_RASTERIO = Code(
+    "DEM-RASTERIO",
+    means="Elevation models are read by rasterio, which is not installed.",
+    effect="The mission is refused.",
+    remedy='pip install "unbend[rasters]", or give ground.height another source.',
+)
+
+
+def dem_rasterio(*, where: Path | str) -> InputError:
+    """rasterio is not installed."""
+    return InputError(
+        DEM_RASTERIO,
+        "elevation models are read by rasterio, which is not installed",
+        where=where,
+        remedy="pip install 'unbend[rasters]', or give ground.height another source",
+    )
+
+
+DEM_READ = Code(
+    "DEM-READ",
+    means="The elevation model was read; the entry has its heights, system and datum.",
+    effect=("A note; a warning where its datum is taken as mean sea level though it is another."),
+    remedy="Check the datum if a metre of height matters.",
+)
+
+
+def elevation_read(
+    *,
+    where: str,
+    count: int,
+    columns: int,
+    rows: int,
+    step_x: float,
+    step_y: float,
+    system: str,
+    heights: str,
+    unit_m: float,
+    operation: str,
+    is_good: bool,
+    is_sea_level: bool,
+) -> Message:
+    """What elevation model was read; a warning where place or height may be a metre off."""
+    text = (
+        "{count} rasters, {columns} by {rows} cells of {step_x:g} by {step_y:g} in {system}; "
+        "heights are {heights}, in units of {unit_m:g} m; to WGS 84 by {operation}"
+    )
+    if not is_sea_level:
+        text += "; {heights} is taken as mean sea level, from which it may be a metre away"
+    send = note if is_good and is_sea_level else warning
+    return send(
+        DEM_READ,
+        text,
+        one=text.replace("{count} rasters", "1 raster"),
+        where=where,
+        count=count,
+        columns=columns,
+        rows=rows,
+        step_x=step_x,
+        step_y=step_y,
+        system=system,
+        heights=heights,
+        unit_m=unit_m,
+        operation=operation,
+    )
+
+
+DEM_TILES = Code(
+    "DEM-TILES",
+    means="The tiles of the elevation model do not lie on one grid.",
+    effect="The mission is refused.",
+    remedy="Warp them to one grid (gdalwarp).",
+)
+
+
+def dem_tiles(
+    *,
+    where: Path | str,
+    off: float,
+    first: str,
+    step: tuple[float, float],
+    first_step: tuple[float, float],
+) -> InputError:
+    """A raster does not lie on the grid of the first one; steps are those of x and y."""
+    return InputError(
+        DEM_TILES,
+        (
+            "its nodes lie {off:.2g} cells beside those of {first} (cells of {step_x:.9g} by "
+            "{step_y:.9g}, there {first_x:.9g} by {first_y:.9g})"
+        ),
+        where=where,
+        remedy=(
+            "resample the rasters to one grid (gdalwarp), or name one of them in ground.height.dem"
+        ),
+        off=off,
+        first=first,
+        step_x=step[0],
+        step_y=step[1],
+        first_x=first_step[0],
+        first_y=first_step[1],
+    )
+
+
+DEM_UNIT = Code(
+    "DEM-UNIT",
+    means="The heights of the elevation model are in an unknown unit.",
+    effect="The mission is refused.",
+    remedy="State the unit of the band as m or ft.",
+)
+
+
+def dem_unit(*, where: Path | str, unit: str) -> InputError:
+    """The unit of the heights is not known."""
+    return InputError(
+        DEM_UNIT,
+        "its heights are in {unit!r}, which is not a known unit of length",
+        where=where,
+        unit=unit,
+        remedy="state the unit of the band as m or ft",
+    )
+
+
+DEM_UNREADABLE = Code(
+    "DEM-UNREADABLE",
+    means="The elevation model cannot be read.",
+    effect="The mission is refused.",
+    remedy="Check ground.height.dem, and the file with gdalinfo.",
+)
+
+
+def dem_unreadable(*, where: Path | str, error: str) -> InputError:
+    """GDAL cannot read a raster, or a part of it."""
+    return InputError(
+        DEM_UNREADABLE,
+        "it cannot be read as a raster: {error}",
+        where=where,
+        error=error,
+        remedy="check ground.height.dem, and the file with gdalinfo",
+    )
+
+
+GEOID_GRID = Code(
+    "GEOID-GRID",
+    means="The file is not a grid of undulations.",
+    effect="The mission is refused.",
+    remedy=(
+        "Give a .gtx or GeoTIFF, geographic, of ellipsoidal minus orthometric heights in metres."
+    ),
+)
+
+
+def _no_geoid(where: Path | str, why: str, **values: Any) -> InputError:
+    return InputError(
+        GEOID_GRID,
+        f"it is not a grid of undulations: {why}",
+        where=where,
+        remedy=(
+            "give a .gtx or a GeoTIFF in geographic coordinates of the ellipsoidal height"
+            " minus the height above the geoid, in metres"
+        ),
+        **values,
+    )
+
+
+def geoid_unreadable(*, where: Path | str, error: str) -> InputError:
+    """The operating system, or GDAL, cannot read the file."""
+    return _no_geoid(where, "{error}", error=error)
+
+
+def geoid_header(*, where: Path | str) -> InputError:
+    """The first bytes of a .gtx are not its header."""
+    return _no_geoid(where, "the header is not that of a GTX")
+
+
+def geoid_size(*, where: Path | str, size: int, rows: int, columns: int) -> InputError:
+    """A .gtx is longer or shorter than its header says."""
+    why = "{size} are not {rows} times {columns} values"
+    return _no_geoid(where, why, size=Counted(size, "byte"), rows=rows, columns=columns)
+
+
+def geoid_needs_rasterio(*, where: Path | str) -> InputError:
+    """A GeoTIFF, and rasterio is not installed."""
+    return _no_geoid(where, "a GeoTIFF needs rasterio: pip install 'unbend[rasters]'")
+
+
+def geoid_bands(*, where: Path | str) -> InputError:
+    """A raster of several bands, of a projection, or one that names other rasters."""
+    return _no_geoid(where, "one band in geographic coordinates is needed, in the file itself")
+
+
+def geoid_turned(*, where: Path | str) -> InputError:
+    """A raster whose rows are not parallels, or that begins in the south."""
+    return _no_geoid(where, "its rows do not run along parallels, from north to south")
+
+
+def geoid_values(*, where: Path | str, lowest: float, highest: float) -> InputError:
+    """The values of the grid are too small or too large for undulations."""
+    why = "it holds {lowest:.0f} to {highest:.0f} m; undulations are -107 to 86 m"
+    return _no_geoid(where, why, lowest=lowest, highest=highest)
+
+
+def geoid_without_values(*, where: Path | str) -> InputError:
+    """The grid has no value at all."""
+    return _no_geoid(where, "it holds no value at all")
+
+
+POINTS_COLUMN = Code(
+    "POINTS-COLUMN",
+    means="The table of points lacks a column.",
+    effect="The mission is refused.",
+    remedy="Name its columns under ground.height.columns or control.columns.",
+)
+POINTS_EMPTY = Code(
+    "POINTS-EMPTY",
+    means="The table or block has no points.",
+    effect="The mission is refused.",
+    remedy="Give points, or ground.height in another way.",
+)
+
+
+def points_empty(*, where: Path | str) -> InputError:
+    """The table of points has no rows."""
+    return InputError(
+        POINTS_EMPTY, "the table has no rows", where=where, remedy="write one row for each point"
+    )
+
+
+POINTS_REPEATED = Code(
+    "POINTS-REPEATED",
+    means="Points stand in the table more than once.",
+    effect="The mission is refused.",
+    remedy="Write one row for each point.",
+)
+
+
+def points_repeated(*, where: Path | str, count: int, first: str) -> InputError:
+    """Points of a table stand there more than once."""
+    return InputError(
+        POINTS_REPEATED,
+        "{count} points stand there more than once, first {first}",
+        one="1 point stands there more than once: {first}",
+        where=where,
+        count=count,
+        remedy="write one row for each point",
+        first=first,
+    )
+
+
+POINTS_TABLE = Code(
+    "POINTS-TABLE",
+    means="The table of points cannot be read as CSV or Parquet.",
+    effect="The mission is refused.",
+    remedy="Write it again.",
+)
+
+
+def points_table(*, where: Path | str, error: str) -> InputError:
+    """Arrow cannot read the table of points, or a column is of another type."""
+    return InputError(
+        POINTS_TABLE,
+        "it cannot be read as a table of points: {error}",
+        where=where,
+        error=error,
+        remedy="write a Parquet file with names as text and numbers as float64",
+    )

@@ -1,0 +1,395 @@
+"""Messages of blocks of other programs: cameras, orientations, image points and object points."""
+
+from pathlib import Path
+from typing import Any
+
+from unbend.errors import Code, Counted, InputError
+from unbend.tables.imports.messages import (
+    IMPORT_FORMAT,
+    NAME_OR_EXPORT,
+    ORIENTATION_EMPTY,
+    ORIENTATION_REPEATED,
+)
+from unbend.tables.messages import OBS_EMPTY
+
+CAMERA_NAME = Code(
+    "CAMERA-NAME",
+    means="The calibration file holds several cameras and none is named, or not the named one.",
+    effect="The mission is refused.",
+    remedy="Name it under cameras.<name>.camera.",
+)
+
+
+def camera_unnamed(*, where: Path | str, cameras: str) -> InputError:
+    """A file of several cameras, and the mission file names none; ``cameras`` lists them."""
+    return InputError(
+        CAMERA_NAME,
+        "it holds {cameras}, and no camera is named",
+        where=where,
+        remedy="name one of them under camera",
+        cameras=cameras,
+    )
+
+
+def camera_not_there(*, where: Path | str, cameras: str, name: str) -> InputError:
+    """The camera that the mission file names is not in the file."""
+    return InputError(
+        CAMERA_NAME,
+        "it holds {cameras}, and no {name!r}",
+        where=where,
+        remedy="name one of them under camera",
+        cameras=cameras,
+        name=name,
+    )
+
+
+def _damaged(
+    where: Path | str, text: str, *, remedy: str = NAME_OR_EXPORT, **values: Any
+) -> InputError:
+    return InputError(IMPORT_FORMAT, text, where=where, remedy=remedy, **values)
+
+
+# What a library says of a damaged file; ``program`` is the one whose format was expected.
+
+
+def damaged(*, where: Path | str, program: str) -> InputError:
+    """A reader ended in a way that says nothing to a user."""
+    text = "as a file of {program}: something in it is not as that program writes it"
+    return _damaged(where, text, program=program)
+
+
+def part_missing(*, where: Path | str, program: str, part: str) -> InputError:
+    """An element or a name that the format has is not in the file."""
+    return _damaged(where, "as a file of {program}: it has no {part}", program=program, part=part)
+
+
+def not_json(*, where: Path | str, program: str, line: int) -> InputError:
+    """A line breaks the JSON of a file."""
+    text = "as a file of {program}: line {line} is not valid JSON"
+    return _damaged(where, text, program=program, line=line)
+
+
+def not_xml(*, where: Path | str, program: str, line: int) -> InputError:
+    """A line breaks the XML of a file."""
+    text = "as a file of {program}: line {line} is not valid XML"
+    return _damaged(where, text, program=program, line=line)
+
+
+def not_database(*, where: Path | str, program: str, error: str) -> InputError:
+    """SQLite cannot read a file, or it lacks the program's tables."""
+    text = "as a file of {program}: it is not such a database, or a damaged one ({error})"
+    return _damaged(where, text, program=program, error=error)
+
+
+def not_readable(*, where: Path | str, program: str, error: str) -> InputError:
+    """The operating system does not let a file be read."""
+    text = "as a file of {program}: it cannot be read: {error}"
+    return _damaged(where, text, program=program, error=error)
+
+
+# Any block
+
+
+def line_unreadable(*, where: Path | str, line: int) -> InputError:
+    """A line of a text has other fields, or no numbers where these belong."""
+    return _damaged(where, "line {line} is not as that program writes it", line=line)
+
+
+def bytes_behind(*, where: Path | str, count: int) -> InputError:
+    """A binary file goes on after its last record."""
+    return InputError(
+        IMPORT_FORMAT,
+        "{count} extra bytes at the end: it is damaged, or of another version",
+        one="1 extra byte at the end: it is damaged, or of another version",
+        where=where,
+        count=count,
+        remedy=NAME_OR_EXPORT,
+    )
+
+
+def record_cut(*, where: Path | str, size: int, offset: int, needed: int) -> InputError:
+    """A binary file ends before the record that begins at a byte."""
+    text = "it is cut short: it has {size}, and the record from byte {offset} on {needed}"
+    return _damaged(where, text, size=Counted(size, "byte"), offset=offset, needed=needed)
+
+
+def no_orientation(*, where: Path | str) -> InputError:
+    """No image of a block is oriented."""
+    return InputError(
+        ORIENTATION_EMPTY,
+        "no image is oriented",
+        where=where,
+        remedy="write it again, one orientation an image",
+    )
+
+
+def image_repeated(*, where: Path | str, image: str) -> InputError:
+    """An image stands twice in a block."""
+    return InputError(
+        ORIENTATION_REPEATED,
+        "{image!r} stands there twice",
+        where=where,
+        remedy="write it again, one orientation an image",
+        image=image,
+    )
+
+
+def no_rotation(*, where: Path | str, image: str) -> InputError:
+    """The quaternion of an image is not of length 1."""
+    return _damaged(where, "the orientation of {image!r} is not a rotation", image=image)
+
+
+# COLMAP
+
+
+def not_a_model(*, where: Path | str) -> InputError:
+    """Orientations or points are asked of a database or a single file."""
+    return _damaged(
+        where,
+        "it is not a model: a database or a file has neither orientations nor object points",
+        remedy=(
+            "name the folder of a model, as sparse/0; beside a database as "
+            "stations.orientation.path"
+        ),
+    )
+
+
+def colmap_model_unknown(*, where: Path | str, number: int, last: int) -> InputError:
+    """The number of a camera model is of a later version of COLMAP."""
+    text = "its camera model number {number} is not known: COLMAP 4.2 has 0 to {last}"
+    return _damaged(where, text, number=number, last=last)
+
+
+def database_in_use(*, where: Path | str, log: str) -> InputError:
+    """Rows of a database still stand in the write-ahead log beside it."""
+    return _damaged(
+        where,
+        "{log} beside it has rows that are not in it yet",
+        remedy="close the program that has it open, or open and close it",
+        log=log,
+    )
+
+
+def keypoints_cut(
+    *, where: Path | str, image: str, size: int, rows: int, columns: int
+) -> InputError:
+    """The keypoints of an image are not as many bytes as their rows and columns need."""
+    text = "the keypoints of {image!r} are {size}, and not {rows} of {columns} float32"
+    return _damaged(
+        where,
+        text,
+        image=image,
+        size=Counted(size, "byte"),
+        rows=Counted(rows, "row"),
+        columns=columns,
+    )
+
+
+def matches_cut(*, where: Path | str, table: str, one: str, other: str) -> InputError:
+    """The matches of two images are not as many bytes as their rows need."""
+    return _damaged(
+        where,
+        "the {table} of {one_image!r} and {other_image!r} are cut short",
+        remedy="match the images again",
+        table=table,
+        one_image=one,
+        other_image=other,
+    )
+
+
+def camera_of_image_unknown(*, where: Path | str, line: int, image: str, camera: str) -> InputError:
+    """An image of a model is of a camera that its file of cameras does not have."""
+    text = "in line {line} {image!r} is of camera {camera}, which cameras.txt has not"
+    return _damaged(where, text, line=line, image=image, camera=camera)
+
+
+def records_missing(*, where: Path | str, found: int, total: int) -> InputError:
+    """A text of COLMAP's has fewer or more records than its head says, or no end."""
+    text = "it is cut short, behind {found} of {total}"
+    return _damaged(where, text, found=found, total=Counted(total, "record"))
+
+
+def keypoints_none(*, where: Path | str, pairs: int) -> InputError:
+    """A database of COLMAP's without keypoints."""
+    return InputError(
+        OBS_EMPTY,
+        "the database has no keypoints, and matches of {pairs}",
+        where=where,
+        remedy="extract features first, or name another file",
+        pairs=Counted(pairs, "pair"),
+    )
+
+
+# Metashape
+
+
+def is_folder(*, where: Path | str) -> InputError:
+    """A folder stands where a file of Metashape's belongs."""
+    return _damaged(where, "it is a folder", remedy="name a .psz, or a .xml that was exported")
+
+
+def metashape_version(*, where: Path | str, tag: str, version: str) -> InputError:
+    """A document of a version of Metashape's that is not read."""
+    text = "it is a {tag} of version {version}; Metashape's of version 1 and 2 are read"
+    return _damaged(where, text, tag=tag, version=version)
+
+
+def several_chunks(*, where: Path | str, chunks: int, names: str) -> InputError:
+    """A document of no chunk, or of several."""
+    return _damaged(
+        where,
+        "it has {chunks} ({names}), and one is read",
+        remedy="keep the chunk that is meant, or export it alone",
+        chunks=Counted(chunks, "chunk"),
+        names=names,
+    )
+
+
+def several_frames(*, where: Path | str, frames: int) -> InputError:
+    """A chunk of several frames, which are moments."""
+    text = "the chunk has {frames} frames, and one is read"
+    return _damaged(where, text, frames=frames)
+
+
+def archive_part_missing(*, where: Path | str, part: str) -> InputError:
+    """The document of an archive names a file that the archive does not have."""
+    return _damaged(where, "it has no {part}, which its document names", part=part)
+
+
+def ply_cut(*, where: Path | str, part: str, size: int, records: int, each: int) -> InputError:
+    """The points of an archive are not as many bytes as their head says."""
+    text = "{part} is cut short, or of another form: {size} for {records} of {each}"
+    return _damaged(
+        where,
+        text,
+        part=part,
+        size=Counted(size, "byte"),
+        records=Counted(records, "record"),
+        each=each,
+    )
+
+
+def calibration_missing(*, where: Path | str) -> InputError:
+    """A camera of Metashape's that was not adjusted."""
+    return _damaged(where, "the camera has no adjusted calibration")
+
+
+def calibration_unusable(*, where: Path | str, coefficients: str, kind: str) -> InputError:
+    """A calibration has coefficients for which there is no camera here."""
+    return _damaged(
+        where,
+        "{coefficients} of a {kind} calibration cannot be used",
+        remedy="adjust the camera without, and export it again",
+        coefficients=coefficients,
+        kind=kind,
+    )
+
+
+# OpenSfM
+
+
+def tracks_version(*, where: Path | str, first_line: str, expected: str) -> InputError:
+    """The tracks of OpenSfM are of another version."""
+    return _damaged(
+        where,
+        "its first line is {first_line!r}, not {expected}",
+        remedy="write it again with OpenSfM 0.5 or newer",
+        first_line=first_line,
+        expected=expected,
+    )
+
+
+def several_reconstructions(*, where: Path | str, found: int) -> InputError:
+    """A file of no reconstruction, or of several."""
+    return _damaged(
+        where,
+        "{found}, each with cameras of its own",
+        remedy="keep one of them",
+        found=Counted(found, "reconstruction"),
+    )
+
+
+def vector_missing(*, where: Path | str, item: str, key: str) -> InputError:
+    """A shot or a point lacks a vector, or its vector has not three numbers."""
+    return _damaged(where, "{item!r} has no {key} of three numbers", item=item, key=key)
+
+
+# DBAT
+
+
+def dbat_version(*, where: Path | str, version: str) -> InputError:
+    """A script or a camera of another version of DBAT's."""
+    text = "it is a script of DBAT's version {version}; 1.0 is read"
+    return _damaged(where, text, version=version)
+
+
+def dbat_cameras(*, where: Path | str, cameras: int) -> InputError:
+    """A script of no or several cameras, or without the report of an adjustment."""
+    return _damaged(
+        where,
+        "it has {cameras}; one is read, and the report that it names",
+        remedy="run DBAT, or give stations.orientation",
+        cameras=Counted(cameras, "camera"),
+    )
+
+
+def orientation_cut(*, where: Path | str, image: str) -> InputError:
+    """The report lacks values of an image's orientation."""
+    return _damaged(where, "the orientation of {image} is not whole", image=image)
+
+
+def image_number_unknown(*, where: Path | str, place: str, number: str) -> InputError:
+    """A line of the image points names the number of an image that the script does not have."""
+    return _damaged(where, "{place}: no image has the number {number}", place=place, number=number)
+
+
+def camera_not_plain(*, where: Path | str, name: str, plain: float) -> InputError:
+    """The skew or the aspect of a camera is one that cannot be used."""
+    return _damaged(where, "the {name} of its camera is not {plain:g}", name=name, plain=plain)
+
+
+def dbat_model_unknown(*, where: Path | str, model: float) -> InputError:
+    """The number of a lens distortion model is not known."""
+    text = "the lens distortion model {model:g} of its camera is not known: 1, 2 and 3 are"
+    return _damaged(where, text, model=model)
+
+
+INPUT_MISSING = Code(
+    "INPUT-MISSING",
+    means="A file that the mission file names is not there.",
+    effect="The mission is refused.",
+    remedy="Check the path; paths are relative to the mission file.",
+)
+
+
+def file_of_model_missing(*, where: Path | str, name: str) -> InputError:
+    """The folder of a COLMAP model lacks one of its three files."""
+    return InputError(
+        INPUT_MISSING,
+        "a model of COLMAP has a {name}",
+        where=where,
+        remedy="name its folder, as sparse/0",
+        name=name,
+    )
+
+
+def file_of_project_missing(*, where: Path | str, name: str) -> InputError:
+    """The folder of an OpenSfM project lacks a file that is needed."""
+    return InputError(
+        INPUT_MISSING,
+        "a project of OpenSfM has a {name}",
+        where=where,
+        remedy="name the folder of the project; of ODM that is opensfm",
+        name=name,
+    )
+
+
+def file_of_script_missing(*, where: Path | str, name: str) -> InputError:
+    """A file that a script of DBAT's names is neither there nor beside the script."""
+    return InputError(
+        INPUT_MISSING,
+        "the script names {name}",
+        where=where,
+        remedy="put the file where the script says, or beside it",
+        name=name,
+    )

@@ -1,0 +1,1340 @@
+"""Messages of trajectories, camera events, orientations and images of other programs."""
+
+from pathlib import Path
+from typing import Any
+
+from unbend.errors import Code, Counted, InputError, MissionError
+from unbend.messages import Kind, Message, fallback, loss, message, note, warning
+
+EVENTS_COLUMN = Code(
+    "EVENTS-COLUMN",
+    means="The table of events lacks a column.",
+    effect="The mission is refused.",
+    remedy="Name its columns under events.csv.columns.",
+)
+
+
+EVENTS_CSV = Code(
+    "EVENTS-CSV",
+    means="The table of events cannot be read as CSV.",
+    effect="The mission is refused.",
+    remedy="Write it as UTF-8 with a header line and commas.",
+)
+
+
+EVENTS_EMPTY = Code(
+    "EVENTS-EMPTY",
+    means="No row of the table of events has a readable time.",
+    effect="The mission is refused.",
+    remedy="Write times as 2026-05-01T10:20:30.123Z.",
+)
+
+
+def events_empty(*, where: Path | str) -> InputError:
+    """No row of the table of events has a readable time."""
+    return InputError(
+        EVENTS_EMPTY,
+        "no row has a readable time",
+        where=where,
+        remedy="times look like 2026-05-01T10:20:30.123Z",
+    )
+
+
+EVENTS_TIME = Code(
+    "EVENTS-TIME",
+    means="Rows of the table of events have no readable time.",
+    effect="They are not used; their images have no station.",
+    remedy="Correct these rows.",
+)
+
+
+def events_without_time(*, where: str, count: int, line: int) -> Message:
+    """Rows of a table of exposures whose time cannot be read; ``line`` is that of the first."""
+    return loss(
+        EVENTS_TIME,
+        "{count} rows have no readable time, the first in line {line}",
+        one="1 row has no readable time: line {line}",
+        where=where,
+        count=count,
+        line=line,
+    )
+
+
+EXIF_TIME = Code(
+    "EXIF-TIME",
+    means="Images have no time of exposure, or none on the same clock as the others.",
+    effect="These times are not used.",
+    remedy="Check the images; other evidence still assigns them.",
+)
+
+
+def images_without_time(*, where: str, count: int, total: int, examples: str) -> Message:
+    """Images without a time of exposure, or with one of another clock than most."""
+    return loss(
+        EXIF_TIME,
+        "{count} of {total} have no time of exposure on the same clock: {examples}",
+        one="1 of {total} has no time of exposure on the same clock: {examples}",
+        where=where,
+        count=count,
+        total=Counted(total, "image"),
+        examples=examples,
+    )
+
+
+EXIF_UNREADABLE = Code(
+    "EXIF-UNREADABLE",
+    means="The EXIF of some files cannot be read.",
+    effect="They have no time.",
+    remedy="Check whether the files are damaged.",
+)
+
+
+def exif_unreadable(*, where: str, count: int, examples: str) -> Message:
+    """Files whose EXIF is damaged."""
+    return loss(
+        EXIF_UNREADABLE,
+        "the EXIF of {count} files cannot be read: {examples}",
+        one="the EXIF of 1 file cannot be read: {examples}",
+        where=where,
+        count=count,
+        examples=examples,
+    )
+
+
+EXIF_WHOLE_SECONDS = Code(
+    "EXIF-WHOLE-SECONDS",
+    means="The clock of the camera counts whole seconds.",
+    effect="A standard deviation of 0.5 s is assumed for its times.",
+    remedy="Nothing.",
+)
+
+
+def clock_of_whole_seconds(*, where: str, count: int) -> Message:
+    """The camera writes times without fractions of a second."""
+    return note(
+        EXIF_WHOLE_SECONDS,
+        "the camera's clock counts whole seconds: a standard deviation of 0.5 s is assumed",
+        where=where,
+        count=count,
+    )
+
+
+EXIF_ZONE = Code(
+    "EXIF-ZONE",
+    means="The time zone of the camera's clock follows from the GPS stamps of its images.",
+    effect="Local times become UTC by it.",
+    remedy="Nothing.",
+)
+
+
+def zone_of_camera(*, where: str, count: int, hours: float) -> Message:
+    """The time zone of the camera's clock follows from the GPS stamps of its images."""
+    return note(
+        EXIF_ZONE,
+        "the camera's clock is {hours:+g} h from UTC by its images' GPS stamps",
+        where=where,
+        count=count,
+        hours=hours,
+    )
+
+
+IMAGES_CSV = Code(
+    "IMAGES-CSV",
+    means="The table of images cannot be read as CSV.",
+    effect="The mission is refused.",
+    remedy="Write it with exiftool -csv -r FOLDER.",
+)
+
+
+def images_csv_unreadable(*, where: Path | str, error: str) -> InputError:
+    """The table of images cannot be read as CSV."""
+    return InputError(
+        IMAGES_CSV,
+        "cannot be read as CSV: {error}",
+        where=where,
+        error=error,
+        remedy="write it with exiftool -csv -r FOLDER",
+    )
+
+
+IMAGES_DUPLICATE = Code(
+    "IMAGES-DUPLICATE",
+    means="An image of the observations may be one of several files in different folders.",
+    effect="The mission is refused.",
+    remedy="Write the folder into the names of the observations, or give the folder of one flight.",
+)
+
+
+def images_duplicate(*, where: Path | str, image: str, first: str, second: str) -> InputError:
+    """Two files have the name of an image of the observations."""
+    return InputError(
+        IMAGES_DUPLICATE,
+        "{image} may be {first} or {second}",
+        where=where,
+        image=image,
+        first=first,
+        second=second,
+        remedy=(
+            "write the folder into the names of the observations' images, as in {first}, or"
+            " give the folder of one flight"
+        ),
+    )
+
+
+IMAGES_NO_GIMBAL = Code(
+    "IMAGES-NO-GIMBAL",
+    means="None of the images has the angles of a gimbal.",
+    effect="The mission is refused.",
+    remedy="Give a CSV under stations.orientation.path, without format: dji.",
+)
+
+
+def images_no_gimbal(*, where: Path | str, files: int) -> InputError:
+    """None of the images has the angles of a gimbal."""
+    return InputError(
+        IMAGES_NO_GIMBAL,
+        "none of {files} has GimbalRollDegree, GimbalPitchDegree, GimbalYawDegree",
+        where=where,
+        files=Counted(files, "image"),
+        remedy="give a CSV under stations.orientation.path, without format",
+    )
+
+
+IMAGES_NONE = Code(
+    "IMAGES-NONE",
+    means="There are no images in the folder or table.",
+    effect="The mission is refused.",
+    remedy="Give a folder of images, or what exiftool -csv wrote.",
+)
+
+
+def images_none(*, where: Path | str, endings: str) -> InputError:
+    """There are no images in the folder or table."""
+    return InputError(
+        IMAGES_NONE,
+        "there are no images",
+        where=where,
+        endings=endings,
+        remedy=(
+            "path is a folder of images ({endings}) or a table as exiftool -csv writes "
+            "it, with a column SourceFile or FileName"
+        ),
+    )
+
+
+IMPORT_ANGLES = Code(
+    "IMPORT-ANGLES",
+    means="The angles of the trajectory are more than a turn: another unit.",
+    effect="The mission is refused.",
+    remedy="State stations.trajectory.angle_unit.",
+)
+
+
+IMPORT_COLUMN = Code(
+    "IMPORT-COLUMN",
+    means="The trajectory lacks a column.",
+    effect="The mission is refused.",
+    remedy="Name its columns under stations.trajectory.columns.",
+)
+
+
+IMPORT_CONTRADICTED = Code(
+    "IMPORT-CONTRADICTED",
+    means="The file's head says something else than the mission file.",
+    effect="What the mission file says holds.",
+    remedy="Check which of the two is right.",
+)
+
+
+def header_contradicted(*, where: str, key: str, found: str, stated: str) -> Message:
+    """The mission file states something else of a file than its header."""
+    return warning(
+        IMPORT_CONTRADICTED,
+        "by its header {key} is {found}, by the mission file {stated}, which holds",
+        where=where,
+        key=key,
+        found=found,
+        stated=stated,
+    )
+
+
+IMPORT_CUT = Code(
+    "IMPORT-CUT",
+    means="The file was cut in the middle of a row.",
+    effect="The whole rows are used.",
+    remedy="Copy the file again.",
+)
+
+
+def file_cut(*, where: str, count: int, row: int, rows: int) -> Message:
+    """The size of the file is not a whole number of rows."""
+    return loss(
+        IMPORT_CUT,
+        "the last {count} bytes are less than a row of {row}: the file was cut after {rows}",
+        one="the last byte is less than a row of {row}: the file was cut after {rows}",
+        where=where,
+        count=count,
+        row=row,
+        rows=Counted(rows, "row"),
+    )
+
+
+IMPORT_EO_ANGLES = Code(
+    "IMPORT-EO-ANGLES",
+    means="The head of an EO text does not say the unit or the zone of its angles.",
+    effect="Attitudes are taken from elsewhere.",
+    remedy="State events.positions.<camera>.grid.",
+)
+
+
+def eo_angles_unused(*, where: str, missing: str) -> Message:
+    """The head lacks what its angles need: their unit, or the grid's zone."""
+    return fallback(
+        IMPORT_EO_ANGLES,
+        (
+            "its head does not say {missing}: attitudes are taken from elsewhere; "
+            "events.positions.<camera>.grid states the grid"
+        ),
+        where=where,
+        missing=missing,
+    )
+
+
+IMPORT_EO_GRID = Code(
+    "IMPORT-EO-GRID",
+    means="The grid of the EO text's angles is not that of its positions, or not stated.",
+    effect="The mission is refused.",
+    remedy="State events.positions.<camera>.grid, as EPSG:32632.",
+)
+
+
+def grid_unknown(*, where: Path | str, grid: str, error: str) -> InputError:
+    """PROJ does not know the grid in which omega, phi and kappa count."""
+    return InputError(
+        IMPORT_EO_GRID,
+        "PROJ knows no grid {grid}: {error}",
+        where=where,
+        remedy="state events.positions.<camera>.grid, as EPSG:32632",
+        grid=grid,
+        error=error,
+    )
+
+
+def grid_elsewhere(*, where: Path | str, grid: str, away_m: float) -> InputError:
+    """Eastings and northings are of another grid than omega, phi and kappa."""
+    return InputError(
+        IMPORT_EO_GRID,
+        (
+            "its eastings and northings lie {away_m:.3g} m from its latitudes and longitudes in "
+            "{grid}: its angles count in another grid"
+        ),
+        where=where,
+        remedy="state events.positions.<camera>.grid, as EPSG:32632",
+        grid=grid,
+        away_m=away_m,
+    )
+
+
+IMPORT_FORMAT = Code(
+    "IMPORT-FORMAT",
+    means="The file is not of the format that is named, or that its ending says; or it is damaged.",
+    effect="The mission is refused.",
+    remedy="Name the format, or write the file again.",
+)
+
+NAME_OR_EXPORT = "name the format of the file, or export it again"
+
+
+def ending_unknown(*, where: Path | str, ending: str, known: str, formats: str) -> InputError:
+    """The ending of a file does not say its format, and neither does the mission file."""
+    return InputError(
+        IMPORT_FORMAT,
+        "its ending {ending} says nothing; known are {known}",
+        where=where,
+        remedy="give format: {formats}",
+        ending=ending,
+        known=known,
+        formats=formats,
+    )
+
+
+def ending_missing(*, where: Path | str, known: str, formats: str) -> InputError:
+    """A file without an ending, and the mission file does not say its format."""
+    return InputError(
+        IMPORT_FORMAT,
+        "its ending is missing; known are {known}",
+        where=where,
+        remedy="give format: {formats}",
+        known=known,
+        formats=formats,
+    )
+
+
+def not_text(*, where: Path | str, error: str) -> InputError:
+    """A file that should be text is not, or cannot be read."""
+    return InputError(
+        IMPORT_FORMAT,
+        "it cannot be read as text: {error}",
+        where=where,
+        remedy=NAME_OR_EXPORT,
+        error=error,
+    )
+
+
+def no_row_readable(*, where: Path | str) -> InputError:
+    """All rows of a file were damaged."""
+    return InputError(
+        IMPORT_FORMAT, "none of its rows can be read", where=where, remedy=NAME_OR_EXPORT
+    )
+
+
+def columns_unstated(*, where: Path | str) -> InputError:
+    """A trajectory as CSV, whose columns the mission file does not name."""
+    return InputError(
+        IMPORT_FORMAT,
+        "nothing says what its columns are",
+        where=where,
+        remedy="name them under stations.trajectory.columns",
+    )
+
+
+def pos_without_titles(*, where: Path | str) -> InputError:
+    """A solution of RTKLIB without the line of the header that names its columns."""
+    return InputError(
+        IMPORT_FORMAT,
+        (
+            "no line like '%  GPST  latitude(deg) longitude(deg) height(m) Q ns ...' says what "
+            "its columns and its time system are"
+        ),
+        where=where,
+        remedy="keep the header when exporting, or read it as csv",
+    )
+
+
+def pos_without_solutions(*, where: Path | str) -> InputError:
+    """A solution of RTKLIB with a header alone."""
+    return InputError(
+        IMPORT_FORMAT,
+        "it has a header and no solutions",
+        where=where,
+        remedy="process the flight again",
+    )
+
+
+def pos_without_base(*, where: Path | str) -> InputError:
+    """Baselines of RTKLIB whose base has no geodetic place in the header."""
+    return InputError(
+        IMPORT_FORMAT,
+        (
+            "its baselines start at a base whose latitude, longitude and height the header does "
+            "not give ('% ref pos   :')"
+        ),
+        where=where,
+        remedy="export latitude, longitude and height",
+    )
+
+
+def mrk_without_lines(*, where: Path | str) -> InputError:
+    """No line of the file is one of DJI's Timestamp.MRK."""
+    return InputError(
+        IMPORT_FORMAT,
+        (
+            "no line is like '1  400373.488877  [2264]  -40,N  0,E  86,V  44.4,Lat  1.2,Lon  "
+            "359.5,Ellh  0.03, 0.03, 0.05  16,Q'"
+        ),
+        where=where,
+        remedy=NAME_OR_EXPORT,
+    )
+
+
+def eo_without_titles(*, where: Path | str) -> InputError:
+    """A text of exterior orientations without the line that names its columns."""
+    return InputError(
+        IMPORT_FORMAT,
+        "no line names the columns: '# EVENT  TIME (s)  EASTING ...'",
+        where=where,
+        remedy=NAME_OR_EXPORT,
+    )
+
+
+def eo_without_places(*, where: Path | str, titles: str) -> InputError:
+    """Exterior orientations without latitude, longitude and height."""
+    return InputError(
+        IMPORT_FORMAT,
+        "its columns are {titles}: positions in a grid alone are not read",
+        where=where,
+        remedy="export it with latitude, longitude (LAT, LONG) and height",
+        titles=titles,
+    )
+
+
+def eo_not_in_degrees(*, where: Path | str) -> InputError:
+    """Exterior orientations whose header does not state degrees for their places."""
+    return InputError(
+        IMPORT_FORMAT,
+        "its header does not say 'lat, long in Deg'",
+        where=where,
+        remedy="export latitude and longitude in degrees",
+    )
+
+
+def _no_sbet(where: Path | str, why: str, **values: Any) -> InputError:
+    return InputError(
+        IMPORT_FORMAT,
+        f"it is not an SBET: {why}",
+        where=where,
+        remedy=NAME_OR_EXPORT,
+        **values,
+    )
+
+
+def sbet_big_endian(*, where: Path | str) -> InputError:
+    """The numbers make an SBET when their bytes are read in the other order."""
+    return _no_sbet(where, "its numbers are big-endian, those of an SBET are little-endian")
+
+
+def sbet_is_smrmsg(*, where: Path | str) -> InputError:
+    """The file of standard deviations stands where the SBET belongs."""
+    why = "it is a smrmsg file (10 doubles a row), to be named as accuracy beside the SBET"
+    return _no_sbet(where, why)
+
+
+def sbet_too_short(*, where: Path | str, rows: int) -> InputError:
+    """An SBET of a few rows, too few to judge."""
+    return _no_sbet(where, "it has {rows}", rows=Counted(rows, "row"))
+
+
+def sbet_not_numbers(*, where: Path | str) -> InputError:
+    """Some doubles of the file are infinite or not numbers."""
+    return _no_sbet(where, "not all of its values are numbers")
+
+
+def sbet_without_time(*, where: Path | str) -> InputError:
+    """The first column does not hold seconds of the week that increase."""
+    return _no_sbet(where, "its first column is not a time that increases")
+
+
+def sbet_places(*, where: Path | str, latitude: float, longitude: float) -> InputError:
+    """Latitudes or longitudes are too large for radians."""
+    why = (
+        "latitude and longitude reach {latitude:.4g} and {longitude:.4g}: degrees, or exchanged, "
+        "not radians, latitude first"
+    )
+    return _no_sbet(where, why, latitude=latitude, longitude=longitude)
+
+
+def sbet_heights(*, where: Path | str, lowest: float, highest: float) -> InputError:
+    """Heights that no aircraft has."""
+    why = "heights are between {lowest:.4g} and {highest:.4g} m"
+    return _no_sbet(where, why, lowest=lowest, highest=highest)
+
+
+def sbet_angles(*, where: Path | str, largest: str) -> InputError:
+    """Angles are too large for radians; ``largest`` are those of roll to wander angle."""
+    why = "roll, pitch, heading and wander angle reach {largest} radians: degrees?"
+    return _no_sbet(where, why, largest=largest)
+
+
+def not_smrmsg(*, where: Path | str) -> InputError:
+    """The file that is named as accuracy of an SBET is not one of standard deviations."""
+    return InputError(
+        IMPORT_FORMAT,
+        "it is not a smrmsg file: rows of 10 doubles, time and sigmas",
+        where=where,
+        remedy="give the smrmsg file that was written with the SBET",
+    )
+
+
+def smrmsg_of_other_times(
+    *, where: Path | str, begin: float, end: float, sbet_begin: float, sbet_end: float
+) -> InputError:
+    """The standard deviations are of other seconds of the week than the SBET."""
+    return InputError(
+        IMPORT_FORMAT,
+        (
+            "its seconds of the week, {begin:.0f} to {end:.0f}, are not those of the SBET, "
+            "{sbet_begin:.0f} to {sbet_end:.0f}"
+        ),
+        where=where,
+        remedy="give the smrmsg file that was written with the SBET",
+        begin=begin,
+        end=end,
+        sbet_begin=sbet_begin,
+        sbet_end=sbet_end,
+    )
+
+
+IMPORT_NO_POSITION = Code(
+    "IMPORT-NO-POSITION",
+    means="Images of the .MRK have no position (quality 0).",
+    effect="These stations have no position.",
+    remedy="Process the file with corrections, or give another trajectory.",
+)
+
+
+def images_without_position(*, where: str, count: int, total: int, first: float) -> Message:
+    """DJI gives some images the quality 0, or the place 0, 0."""
+    return loss(
+        IMPORT_NO_POSITION,
+        "{count} of {total} have no position (quality 0), the first is number {first:.0f}",
+        one="1 of {total} has no position (quality 0): number {first:.0f}",
+        where=where,
+        count=count,
+        total=Counted(total, "image"),
+        first=first,
+    )
+
+
+IMPORT_RANGE = Code(
+    "IMPORT-RANGE",
+    means=(
+        "Coordinates are beyond what is possible: a latitude above 90, or a point not "
+        "near the earth."
+    ),
+    effect="The mission is refused.",
+    remedy="Check which column is which, and the unit.",
+)
+
+
+def latitude_beyond_poles(*, where: Path | str, worst_deg: float) -> InputError:
+    """A latitude beyond the poles."""
+    return InputError(
+        IMPORT_RANGE,
+        "a latitude of {worst_deg:.2f} degrees: it is a longitude, or in another unit",
+        where=where,
+        worst_deg=worst_deg,
+        remedy="exchange the columns of latitude and longitude, or state the unit that it has",
+    )
+
+
+def not_on_earth(*, where: Path | str, radius: float) -> InputError:
+    """Earth-centred coordinates that are not near the ground."""
+    return InputError(
+        IMPORT_RANGE,
+        "x, y and z are {radius:.4g} m from the centre of the earth",
+        where=where,
+        radius=radius,
+        remedy="name columns of earth-centred coordinates (WGS84, metres)",
+    )
+
+
+IMPORT_ROWS = Code(
+    "IMPORT-ROWS",
+    means="Rows cannot be read, or repeat the time of another.",
+    effect="They are not used.",
+    remedy="Correct the file if they matter.",
+)
+
+
+def rows_unreadable(*, where: str, count: int, total: int, first: int) -> Message:
+    """Rows of a file are damaged; ``first`` counts from 1."""
+    return loss(
+        IMPORT_ROWS,
+        "{count} of {total} cannot be read and are not used, the first is row {first}",
+        one="1 of {total} cannot be read and is not used: row {first}",
+        where=where,
+        count=count,
+        total=Counted(total, "row"),
+        first=first,
+    )
+
+
+def rows_repeat_time(*, where: str, count: int, total: int, first: int) -> Message:
+    """Rows of a file have the time of another row; ``first`` counts from 1."""
+    return loss(
+        IMPORT_ROWS,
+        (
+            "{count} of {total} repeat the time of another and are not used, the first is row "
+            "{first}"
+        ),
+        one="1 of {total} repeats the time of another and is not used: row {first}",
+        where=where,
+        count=count,
+        total=Counted(total, "row"),
+        first=first,
+    )
+
+
+IMPORT_SPEED = Code(
+    "IMPORT-SPEED",
+    means="The positions of an SBET move at another speed than its velocities say.",
+    effect="The mission is refused.",
+    remedy="Export an SBET in radians, latitude before longitude.",
+)
+
+
+def sbet_speed(*, where: Path | str, usual: float, said: float) -> InputError:
+    """The positions of an SBET move at another speed than its velocities say."""
+    return InputError(
+        IMPORT_SPEED,
+        (
+            "its positions move at {usual:.3g} m/s, its velocities say {said:.3g} m/s: "
+            "latitude and longitude are not in radians, are exchanged, or the columns are "
+            "others"
+        ),
+        where=where,
+        usual=usual,
+        said=said,
+        remedy="export an SBET in radians, latitude before longitude",
+    )
+
+
+IMPORT_TIME_SYSTEM = Code(
+    "IMPORT-TIME-SYSTEM",
+    means="The times have a time zone, which GPS time has not.",
+    effect="The mission is refused.",
+    remedy="Give time: {system: utc}.",
+)
+
+
+def gps_time_with_zone(*, where: Path | str, time: str) -> InputError:
+    """A time in GPS time has the zone of UTC or another."""
+    return InputError(
+        IMPORT_TIME_SYSTEM,
+        "{time} has a time zone, which GPS time has not",
+        where=where,
+        time=time,
+        remedy="give time: {{system: utc}}",
+    )
+
+
+IMPORT_UNSTATED = Code(
+    "IMPORT-UNSTATED",
+    means=(
+        "Neither the file nor the mission file says its time system, or what its heights "
+        "count from."
+    ),
+    effect="The mission is refused.",
+    remedy="Give time: {system: gpst} or {system: utc}, and heights: ellipsoid or msl.",
+)
+
+
+def unstated(*, where: Path | str, name: str) -> InputError:
+    """Neither the file nor the mission file says its time system or its heights."""
+    return InputError(
+        IMPORT_UNSTATED,
+        (
+            "it does not say its {name}: GPS time is 18 s ahead of UTC since 2017, heights "
+            "above ellipsoid and sea are up to 107 m apart"
+        ),
+        where=where,
+        name=name,
+        remedy="give time: {{system: gpst}} or {{system: utc}}, and heights: ellipsoid or msl",
+    )
+
+
+IMPORT_VELOCITY = Code(
+    "IMPORT-VELOCITY",
+    means="The velocities of the file are those of its positions in no frame.",
+    effect="They are not used.",
+    remedy="Check the export, if the velocities matter.",
+)
+
+
+def sbet_velocity_unused(*, where: str, misfits: float) -> Message:
+    """Turned by the wander angle or not, velocities are not those of the positions."""
+    return warning(
+        IMPORT_VELOCITY,
+        (
+            "its velocities are those of its positions in no frame ({misfits:.2f} m/s apart):"
+            " they are not used"
+        ),
+        where=where,
+        misfits=misfits,
+    )
+
+
+IMPORT_WANDER = Code(
+    "IMPORT-WANDER",
+    means="How the heading of the SBET relates to its wander angle, tested by its velocities.",
+    effect="A note; a warning where the test does not decide or the sign is the other one.",
+    remedy="Check the yaw of the stations, if it is a warning.",
+)
+
+
+def wander_untested(*, where: str) -> Message:
+    """Nothing in an SBET moves: its heading cannot be tested."""
+    return note(
+        IMPORT_WANDER,
+        (
+            "nothing in the file moves: the true heading is taken as platform heading minus "
+            "wander angle"
+        ),
+        where=where,
+    )
+
+
+def wander_zero(*, where: str) -> Message:
+    """The wander angle is zero: its sign does not matter."""
+    return note(IMPORT_WANDER, "the wander angle is zero throughout", where=where)
+
+
+def wander_sign(
+    *,
+    where: str,
+    is_minus: bool,
+    is_decided: bool,
+    by_velocities: bool,
+    most_deg: float,
+    minus_m_s: float,
+    plus_m_s: float,
+) -> Message:
+    """The sign of the wander angle in the true heading, by velocities or by the course.
+
+    A warning where the test does not decide, or the sign is not POSPac's.
+    """
+    sign = "minus" if is_minus else "plus"
+    evidence = "velocities and positions" if by_velocities else "heading and course"
+    outcome = "differ" if is_decided else "do not decide it, they differ"
+    send = note if is_decided and is_minus else warning
+    return send(
+        IMPORT_WANDER,
+        (
+            "true heading is platform heading {sign} wander angle (up to {most_deg:.2f} deg; "
+            "POSPac: minus): {evidence} {outcome} by {minus_m_s:.2f} m/s with minus, "
+            "{plus_m_s:.2f} m/s with plus"
+        ),
+        where=where,
+        sign=sign,
+        evidence=evidence,
+        outcome=outcome,
+        most_deg=most_deg,
+        minus_m_s=minus_m_s,
+        plus_m_s=plus_m_s,
+    )
+
+
+IMPORT_WEEK = Code(
+    "IMPORT-WEEK",
+    means="Times are seconds of the week, and nothing says of which week.",
+    effect="The mission is refused.",
+    remedy="Give time: {week: NUMBER}, counted from 1980-01-06.",
+)
+
+
+def week_unknown(*, where: Path | str) -> InputError:
+    """Times are seconds of the week, and nothing says of which week."""
+    return InputError(
+        IMPORT_WEEK,
+        "it has seconds of the week, and nothing says of which week",
+        where=where,
+        remedy="give time: {{week: NUMBER}}, counted from 1980-01-06",
+    )
+
+
+# Tables of orientations
+
+ORIENTATION_COLUMN = Code(
+    "ORIENTATION-COLUMN",
+    means="The table of orientations lacks a column.",
+    effect="The mission is refused.",
+    remedy="Name its columns under stations.orientation.columns.",
+)
+
+
+ORIENTATION_CSV = Code(
+    "ORIENTATION-CSV",
+    means="The table of orientations cannot be read as CSV.",
+    effect="The mission is refused.",
+    remedy="Write it as UTF-8 with a header line.",
+)
+
+
+ORIENTATION_NUMBER = Code(
+    "ORIENTATION-NUMBER",
+    means="A column of the orientations holds text where numbers belong.",
+    effect="The mission is refused.",
+    remedy="Correct the rows that are named.",
+)
+
+
+ORIENTATION_UNIT = Code(
+    "ORIENTATION-UNIT",
+    means="Angles are more than a turn: another unit.",
+    effect="The mission is refused.",
+    remedy="State stations.orientation.unit: deg, rad or grad.",
+)
+
+
+ORIENTATION_EMPTY = Code(
+    "ORIENTATION-EMPTY",
+    means="The table or block has no oriented image.",
+    effect="The mission is refused.",
+    remedy="Write it again.",
+)
+
+
+def orientations_empty(*, where: Path | str) -> InputError:
+    """A table of orientations has a header and nothing else."""
+    return InputError(
+        ORIENTATION_EMPTY,
+        "the table has no rows",
+        where=where,
+        remedy="write it again",
+    )
+
+
+ORIENTATION_POSITION = Code(
+    "ORIENTATION-POSITION",
+    means="Latitudes or longitudes are beyond their range.",
+    effect="The mission is refused.",
+    remedy="Check which column is which, and the unit (degrees).",
+)
+
+
+def orientation_position(
+    *,
+    path: Path | str,
+    line: int,
+    count: int,
+    limit: float,
+    quantity: str,
+    first: float,
+    swapped: bool,
+    key: str,
+) -> InputError:
+    """Latitudes or longitudes beyond their range; ``swapped`` where exchanging them helps."""
+    hint = "; are latitude and longitude swapped?" if swapped else ""
+    return InputError(
+        ORIENTATION_POSITION,
+        "{count} values of {quantity} lie beyond {limit:.0f} deg, the first {first:g}{hint}",
+        one="1 value of {quantity} lies beyond {limit:.0f} deg: {first:g}{hint}",
+        where=f"{path}, line {line}",
+        count=count,
+        remedy="name the columns under {key}; they hold degrees, not projected coordinates",
+        limit=limit,
+        quantity=quantity,
+        first=first,
+        hint=hint,
+        key=key,
+    )
+
+
+ORIENTATION_QUATERNION = Code(
+    "ORIENTATION-QUATERNION",
+    means="Quaternions do not have the length 1.",
+    effect="The mission is refused.",
+    remedy=(
+        "Name the columns q_w, q_x, q_y, q_z (w is the cosine of half the angle), with all digits."
+    ),
+)
+
+
+def orientation_quaternion(*, path: Path | str, line: int, count: int, length: float) -> InputError:
+    """Quaternions are not of length 1; the line and the length are of the farthest."""
+    return InputError(
+        ORIENTATION_QUATERNION,
+        "the length of {count} quaternions is not 1, the farthest {length:.6g}",
+        one="the length of 1 quaternion is not 1: {length:.6g}",
+        where=f"{path}, line {line}",
+        count=count,
+        remedy=(
+            "name the columns q_w, q_x, q_y and q_z (w is the cosine of half the angle), "
+            "and write them with all their digits"
+        ),
+        length=length,
+    )
+
+
+ORIENTATION_REPEATED = Code(
+    "ORIENTATION-REPEATED",
+    means="Images stand in the table of orientations more than once.",
+    effect="The mission is refused.",
+    remedy="Keep one row an image.",
+)
+
+
+def orientation_repeated(*, where: Path | str, count: int, image: str, lines: str) -> InputError:
+    """Images stand in a table more than once; one of them as an example, with its lines."""
+    return InputError(
+        ORIENTATION_REPEATED,
+        "{count} images stand there more than once, for example {image!r} in lines {lines}",
+        one="1 image stands there more than once: {image!r} in lines {lines}",
+        where=where,
+        count=count,
+        remedy="keep one row an image",
+        image=image,
+        lines=lines,
+    )
+
+
+ORIENTATION_TIME = Code(
+    "ORIENTATION-TIME",
+    means="Rows of the orientations have no readable time.",
+    effect="They get the air of the middle exposure.",
+    remedy="Correct these rows.",
+)
+
+
+def orientations_without_time(*, where: str, count: int, line: int) -> Message:
+    """Rows without a readable time, in a table that has a column of times."""
+    return loss(
+        ORIENTATION_TIME,
+        (
+            "{count} rows have no readable time, the first in line {line}: the air of the "
+            "middle exposure is taken for them"
+        ),
+        one=(
+            "1 row has no readable time, the first in line {line}: the air of the middle "
+            "exposure is taken for them"
+        ),
+        where=where,
+        count=count,
+        line=line,
+    )
+
+
+TRAJECTORY_AGREES = Code(
+    "TRAJECTORY-AGREES",
+    means="How far the imported positions are from the log's.",
+    effect=("A note; above 5 m a warning, above 20 m a loss (0.15 and 0.75 s for a time offset)."),
+    remedy="Check time, datum and the point of the trajectory.",
+)
+
+
+def trajectory_agrees(
+    *,
+    kind: Kind,
+    where: str,
+    count: int,
+    log: str,
+    median_m: float,
+    most_m: float,
+    shift_s: float,
+    shifted_m: float,
+) -> Message:
+    """How far imported positions are from the log's, and with a shift of their times."""
+    return message(
+        kind,
+        TRAJECTORY_AGREES,
+        (
+            "{median_m:.2f} m from {log} of the log in the median, 95 % within {most_m:.2f} m; a "
+            "time offset of {shift_s:+.3f} s leaves {shifted_m:.2f} m"
+        ),
+        where=where,
+        count=count,
+        log=log,
+        median_m=median_m,
+        most_m=most_m,
+        shift_s=shift_s,
+        shifted_m=shifted_m,
+    )
+
+
+TRAJECTORY_ANGLES_AGREE = Code(
+    "TRAJECTORY-ANGLES-AGREE",
+    means="How far the imported attitudes are from the log's.",
+    effect="A note; above 3 deg in tilt or 10 in yaw a warning, above 20 or 30 a loss.",
+    remedy="Mount angles count from the body axes of the imported file.",
+)
+
+
+def trajectory_angles_agree(
+    *, kind: Kind, where: str, count: int, tilt_deg: float, yaw_deg: float
+) -> Message:
+    """How far imported attitudes are from the log's."""
+    return message(
+        kind,
+        TRAJECTORY_ANGLES_AGREE,
+        (
+            "{tilt_deg:.2f} deg from the attitude of the log in tilt and {yaw_deg:+.2f} deg in "
+            "yaw, in the median: mount angles count from the body axes of this file"
+        ),
+        where=where,
+        count=count,
+        tilt_deg=tilt_deg,
+        yaw_deg=yaw_deg,
+    )
+
+
+TRAJECTORY_HEIGHT_AGREES = Code(
+    "TRAJECTORY-HEIGHT-AGREES",
+    means="How far the imported heights are from the log's.",
+    effect="A note; above 10 m a warning, above 30 m a loss.",
+    remedy="Check the datum of the heights.",
+)
+
+
+def trajectory_height_agrees(
+    *, kind: Kind, where: str, count: int, log: str, apart_m: float, spread_m: float
+) -> Message:
+    """How far imported heights are from the log's."""
+    return message(
+        kind,
+        TRAJECTORY_HEIGHT_AGREES,
+        (
+            "{apart_m:+.2f} m from the height of {log} of the log in the median, within "
+            "{spread_m:.2f} m of that in 95 %"
+        ),
+        where=where,
+        count=count,
+        log=log,
+        apart_m=apart_m,
+        spread_m=spread_m,
+    )
+
+
+TRAJECTORY_ALONE = Code(
+    "TRAJECTORY-ALONE",
+    means="The log has no positions to compare the trajectory with.",
+    effect="Its time, place and height stay unchecked.",
+    remedy="Check them by hand.",
+)
+
+
+def trajectory_alone(*, where: str) -> Message:
+    """The log has no positions to compare the trajectory with."""
+    return warning(
+        TRAJECTORY_ALONE,
+        (
+            "there are no positions of the log to compare it with: time, place and height "
+            "stay unchecked"
+        ),
+        where=where,
+    )
+
+
+TRAJECTORY_ANGLES = Code(
+    "TRAJECTORY-ANGLES",
+    means="The imported attitude fits the log only in another unit, sense or order.",
+    effect="The mission is refused.",
+    remedy="State angle_unit and angle_order, and which column is which.",
+)
+
+
+def trajectory_angles_columns(
+    *, where: str, size_deg: float, mistake: str, left_deg: float
+) -> MissionError:
+    """The imported attitude fits the log with one mistake about its columns undone."""
+    return MissionError(
+        TRAJECTORY_ANGLES,
+        (
+            "its attitude is up to {size_deg:.1f} deg from that of the log (90 %), {mistake} up "
+            "to {left_deg:.1f} deg"
+        ),
+        where=where,
+        remedy=(
+            "state angle_unit and angle_order, and which column is which; roll is right "
+            "wing down, pitch nose up, yaw clockwise from north"
+        ),
+        size_deg=size_deg,
+        mistake=mistake,
+        left_deg=left_deg,
+    )
+
+
+def trajectory_angles(*, where: str, size_deg: float, order: str, left_deg: float) -> MissionError:
+    """The imported attitude fits the log with its rotations in another order."""
+    return MissionError(
+        TRAJECTORY_ANGLES,
+        (
+            "its attitude is up to {size_deg:.1f} deg from that of the log (90 %), in the order "
+            "{order} up to {left_deg:.1f} deg"
+        ),
+        where=where,
+        remedy="state angle_order: {order}",
+        size_deg=size_deg,
+        order=order,
+        left_deg=left_deg,
+    )
+
+
+TRAJECTORY_ANGLES_ALONE = Code(
+    "TRAJECTORY-ANGLES-ALONE",
+    means="The log has no attitude to compare the imported one with.",
+    effect="It stays unchecked.",
+    remedy="Check it by hand.",
+)
+
+
+def trajectory_angles_alone(*, where: str) -> Message:
+    """The log has no attitude to compare the imported one with."""
+    return note(
+        TRAJECTORY_ANGLES_ALONE,
+        "the log has no attitude at its times to compare it with",
+        where=where,
+    )
+
+
+TRAJECTORY_HEIGHT = Code(
+    "TRAJECTORY-HEIGHT",
+    means="The imported heights fit the log only above the other surface.",
+    effect="The mission is refused.",
+    remedy="Give heights: msl or ellipsoid, as the refusal says, or correct mission.undulation_m.",
+)
+
+
+def trajectory_height(
+    *, where: Path | str, apart: float, own: str, same: str, by_other: float, other: str
+) -> MissionError:
+    """The imported heights fit the log above the other surface."""
+    return MissionError(
+        TRAJECTORY_HEIGHT,
+        (
+            "its heights are {apart:+.1f} m from those of {own} as heights above {same}, and "
+            "{by_other:+.1f} m as heights above {other}"
+        ),
+        where=where,
+        apart=apart,
+        own=own,
+        same=same,
+        by_other=by_other,
+        other=other,
+        remedy="give heights: {other}, or correct mission.undulation_m",
+    )
+
+
+TRAJECTORY_HEIGHT_ALONE = Code(
+    "TRAJECTORY-HEIGHT-ALONE",
+    means="The log has no height above the same surface to compare with.",
+    effect="The heights stay unchecked.",
+    remedy="Check them by hand.",
+)
+
+
+def trajectory_height_alone(*, where: str) -> Message:
+    """The log has no height above the same surface to compare with."""
+    return note(
+        TRAJECTORY_HEIGHT_ALONE,
+        "the log has no height above the same surface to compare it with",
+        where=where,
+    )
+
+
+TRAJECTORY_OVERLAP = Code(
+    "TRAJECTORY-OVERLAP",
+    means="The trajectory and the log do not overlap in time.",
+    effect="The mission is refused.",
+    remedy="Name the file of this flight, or state week and time system.",
+)
+
+
+def trajectory_overlap(*, where: Path | str, own: str, log: str) -> MissionError:
+    """The trajectory and the log have no time in common."""
+    return MissionError(
+        TRAJECTORY_OVERLAP,
+        "it covers {own}, the log {log}",
+        where=where,
+        own=own,
+        log=log,
+        remedy="name the file of this flight, or state the week or the system of its times",
+    )
+
+
+TRAJECTORY_PLACE = Code(
+    "TRAJECTORY-PLACE",
+    means="The trajectory is of another place than the log.",
+    effect="The mission is refused.",
+    remedy="Name the file of this flight; state position_unit, and which column is which.",
+)
+
+
+def trajectory_place(*, where: str, away: str, log: str, hints: str) -> MissionError:
+    """The trajectory is of another place; ``hints`` are mistakes that would explain it."""
+    return MissionError(
+        TRAJECTORY_PLACE,
+        "it is {away} from {log} of the log in the median{hints}",
+        where=where,
+        remedy="name the file of this flight; state position_unit, and which column is which",
+        away=away,
+        log=log,
+        hints=hints,
+    )
+
+
+TRAJECTORY_QUALITY = Code(
+    "TRAJECTORY-QUALITY",
+    means="The qualities of the solutions of the trajectory.",
+    effect="Their sigmas follow.",
+    remedy="Nothing.",
+)
+
+
+def solution_qualities(*, where: str, count: int, shares: str) -> Message:
+    """How many of the solutions of a file are fixed, float and so on."""
+    return note(TRAJECTORY_QUALITY, "solutions: {shares}", where=where, count=count, shares=shares)
+
+
+TRAJECTORY_SINGLE = Code(
+    "TRAJECTORY-SINGLE",
+    means="Solutions are single-point fixes: metres, not centimetres.",
+    effect="They keep their metres as sigma.",
+    remedy="Process the trajectory with corrections.",
+)
+
+
+def single_point_images(*, where: str, count: int, total: int) -> Message:
+    """Positions of images that DJI's receiver had without corrections."""
+    return warning(
+        TRAJECTORY_SINGLE,
+        ("{count} of {total} have a single-point position (quality 16): metres, not centimetres"),
+        one="1 of {total} has a single-point position (quality 16): metres, not centimetres",
+        where=where,
+        count=count,
+        total=Counted(total, "image"),
+    )
+
+
+def single_point_solutions(
+    *, where: str, count: int, total: int, sigma_h_m: float, sigma_v_m: float
+) -> Message:
+    """Solutions of RTKLIB without corrections."""
+    return warning(
+        TRAJECTORY_SINGLE,
+        (
+            "{count} of {total} are single-point fixes (Q 5): their sigma is at "
+            "least {sigma_h_m} m, {sigma_v_m} m in height"
+        ),
+        one=(
+            "1 of {total} is a single-point fix (Q 5): its sigma is at least {sigma_h_m} m, "
+            "{sigma_v_m} m in height"
+        ),
+        where=where,
+        count=count,
+        total=Counted(total, "solution"),
+        sigma_h_m=sigma_h_m,
+        sigma_v_m=sigma_v_m,
+    )
+
+
+_LEAST_LEAP_S = 14.5  # leap seconds were 15 in 2009 and are 18
+_MOST_LEAP_S = 18.5
+_LEAST_ZONE_S = 1700.0  # a zone is half an hour or more
+
+TRAJECTORY_TIME = Code(
+    "TRAJECTORY-TIME",
+    means=(
+        "The imported times fit the log only when shifted: GPS time taken for UTC, or a time zone."
+    ),
+    effect="The mission is refused.",
+    remedy="State time: {system: gpst} or {system: utc} as the file was written.",
+)
+
+
+def trajectory_time(
+    *, where: str, shift_s: float, log: str, best_m: float, now_m: float
+) -> MissionError:
+    """The imported times fit the log only when shifted, by ``shift_s`` to be added to them."""
+    hint = ""
+    if _LEAST_LEAP_S < abs(shift_s) < _MOST_LEAP_S:
+        hint = "; GPS time is 18 s ahead of UTC since 2017"
+    elif abs(shift_s) > _LEAST_ZONE_S:
+        hint = "; a time zone"
+    return MissionError(
+        TRAJECTORY_TIME,
+        (
+            "its times are {shift_s:.2f} s {sense}: by that much it fits {log} of the log "
+            "within {best_m:.1f} m, as it is within {now_m:.0f} m{hint}"
+        ),
+        where=where,
+        remedy=(
+            "state time: {{system: gpst}} or {{system: utc}} under stations.trajectory or "
+            "events.positions, as it was written; correct other offsets in the file"
+        ),
+        shift_s=abs(shift_s),
+        sense="late" if shift_s < 0 else "early",
+        log=log,
+        best_m=best_m,
+        now_m=now_m,
+        hint=hint,
+    )

@@ -1,0 +1,881 @@
+"""Messages of tables of observations, weather models, soundings; and those of any small table."""
+
+from pathlib import Path
+
+from unbend.atmosphere.soundings.messages import MODEL_LEVELS
+from unbend.errors import Code, InputError
+from unbend.messages import Message, loss, note
+
+# Any small table: the caller's code says which.
+
+
+def csv_unreadable(*, code: Code, where: Path | str, error: str) -> InputError:
+    """A file cannot be read as CSV: another encoding, rows of different lengths, a column twice."""
+    return InputError(
+        code,
+        "cannot be read as CSV: {error}",
+        where=where,
+        remedy="a table has a header line, commas, and as many fields in every row",
+        error=error,
+    )
+
+
+def frame_columns_repeated(*, code: Code, where: str, columns: str) -> InputError:
+    """Two columns of a table in memory have one name."""
+    return InputError(
+        code,
+        "the columns {columns} stand there twice",
+        where=where,
+        remedy="give each column a name of its own",
+        columns=columns,
+    )
+
+
+def column_missing(
+    *,
+    code: Code,
+    where: Path | str,
+    quantity: str,
+    column: str,
+    similar: str,
+    present: str,
+    key: str,
+) -> InputError:
+    """A table lacks a column; ``similar`` is the name it has that is most like it, or empty."""
+    text = "there is no column {column!r} for the {quantity}; there is {present}"
+    if similar:
+        text = (
+            "there is no column {column!r} for the {quantity}; perhaps {similar!r}?; "
+            "there is {present}"
+        )
+    return InputError(
+        code,
+        text,
+        where=where,
+        remedy="say what it is called: {key}",
+        quantity=quantity,
+        column=column,
+        similar=similar,
+        present=present,
+        key=key,
+    )
+
+
+def fields_without_number(
+    *, code: Code, path: Path | str, line: int, column: str, count: int, first: str
+) -> InputError:
+    """Fields of a column of numbers hold other text; the first stands in a line."""
+    return InputError(
+        code,
+        "{count} fields of column {column} are not numbers, the first {first!r}",
+        one="1 field of column {column} is not a number: {first!r}",
+        where=f"{path}, line {line}",
+        count=count,
+        remedy="write decimal numbers with a point, and leave what is unknown empty",
+        column=column,
+        first=first,
+    )
+
+
+def angles_beyond_turn(
+    *,
+    code: Code,
+    path: Path | str,
+    line: int,
+    count: int,
+    turn: float,
+    unit: str,
+    largest: float,
+    likely: str,
+    key: str,
+) -> InputError:
+    """Angles are more than a turn in their unit; ``likely`` is the one in which they are not."""
+    text = "{count} rows have an angle of more than a turn ({turn:g} {unit}), up to {largest:g}"
+    one = "1 row has an angle of more than a turn ({turn:g} {unit}): {largest:g}"
+    if likely:
+        text += "; is the unit {likely}?"
+        one += "; is the unit {likely}?"
+    return InputError(
+        code,
+        text,
+        one=one,
+        where=f"{path}, line {line}",
+        count=count,
+        remedy="state {key} (deg, rad or grad), or name the columns of angles",
+        turn=turn,
+        unit=unit,
+        largest=largest,
+        likely=likely,
+        key=key,
+    )
+
+
+# Weather models
+
+MODEL_FORMAT = Code(
+    "MODEL-FORMAT",
+    means="The file of a weather model is neither netCDF, classic or 4, nor GRIB.",
+    effect="It is not read.",
+    remedy="Download it as netCDF or GRIB, or convert it: nccopy -k nc4.",
+)
+
+
+def model_format(*, where: Path | str, head: str) -> InputError:
+    """The first bytes of a file are those of no format that is read."""
+    return InputError(
+        MODEL_FORMAT,
+        "begins with {head}: it is neither netCDF (classic or 4) nor GRIB",
+        where=where,
+        head=head,
+        remedy="download it as netCDF or GRIB; nccopy -k nc4 converts other kinds of netCDF",
+    )
+
+
+MODEL_GRID = Code(
+    "MODEL-GRID",
+    means="The fields of a weather model are on a projected or reduced grid, as those of HRRR.",
+    effect="The mission is refused.",
+    remedy="Take ERA5 or GFS on a latitude-longitude grid, or regrid the file: cdo remapbil.",
+)
+
+
+def model_grid(*, where: Path | str, grid: str) -> InputError:
+    """The fields are on a projected or reduced grid."""
+    return InputError(
+        MODEL_GRID,
+        "its grid is {grid}: only latitude-longitude grids are read",
+        where=where,
+        grid=grid,
+        remedy="take ERA5 or GFS, or regrid it: cdo remapbil,r1440x720 in.grb out.nc",
+    )
+
+
+def model_levels_incomplete(
+    *, where: Path | str, first: float, last: float, total: int
+) -> InputError:
+    """Model levels of ERA5 that do not go down to the lowest without a gap."""
+    return InputError(
+        MODEL_LEVELS,
+        (
+            "its model levels run from {first:g} to {last:g}, {total} in all: the lowest of ERA5"
+            " is 137, and none may be missing above it"
+        ),
+        where=where,
+        remedy="request all levels down to 137, as 60/to/137",
+        first=first,
+        last=last,
+        total=total,
+    )
+
+
+MODEL_MEMBER = Code(
+    "MODEL-MEMBER",
+    means="The file holds an ensemble, and none or no existing member is chosen.",
+    effect="The mission is refused.",
+    remedy="Name the member: atmosphere.model.member.",
+)
+
+
+def model_member_unknown(*, where: Path | str, low: int, high: int, member: int) -> InputError:
+    """The member of the ensemble that the mission names is not in the file."""
+    return InputError(
+        MODEL_MEMBER,
+        "it has members {low} to {high}, and member {member} is not among them",
+        where=where,
+        low=low,
+        high=high,
+        member=member,
+        remedy="name one that it has: atmosphere.model.member",
+    )
+
+
+def model_no_members(*, where: Path | str, member: int) -> InputError:
+    """The mission names a member, and the file is no ensemble."""
+    return InputError(
+        MODEL_MEMBER,
+        "it has no members, and member {member} is asked for",
+        where=where,
+        member=member,
+        remedy="leave atmosphere.model.member out",
+    )
+
+
+def model_member_unnamed(*, where: Path | str, low: int, high: int) -> InputError:
+    """The file is an ensemble, and the mission names no member."""
+    return InputError(
+        MODEL_MEMBER,
+        "it has members {low} to {high}, and none is chosen",
+        where=where,
+        low=low,
+        high=high,
+        remedy="name one, as atmosphere.model.member: {low}",
+    )
+
+
+MODEL_PACKAGE = Code(
+    "MODEL-PACKAGE",
+    means="The packages that read files of weather models are not installed.",
+    effect="The file is not read.",
+    remedy="Install them: pip install 'unbend[nwp]'.",
+)
+
+
+def model_package(*, where: Path | str, error: str) -> InputError:
+    """A package that reads this format is not installed, or lacks its library."""
+    return InputError(
+        MODEL_PACKAGE,
+        "weather models are read by packages that are not installed: {error}",
+        where=where,
+        error=error,
+        remedy="pip install 'unbend[nwp]'",
+    )
+
+
+MODEL_TIME = Code(
+    "MODEL-TIME",
+    means=(
+        "The fields of a weather model are of another time than the flight, have no time "
+        "that can be read, or are those of several runs of a forecast."
+    ),
+    effect="The mission is refused, or the file is not read.",
+    remedy="Download the hours before, during and after the flight, of one run.",
+)
+
+
+def model_several_runs(*, where: Path | str, runs: str) -> InputError:
+    """The file holds several runs of a forecast."""
+    return InputError(
+        MODEL_TIME,
+        "it has {runs}: several runs of a forecast",
+        where=where,
+        runs=runs,
+        remedy="keep one run in the file",
+    )
+
+
+def model_without_time(*, where: Path | str) -> InputError:
+    """The fields carry no time that can be decoded."""
+    return InputError(
+        MODEL_TIME,
+        "its fields have no time that can be read",
+        where=where,
+        remedy="download the file again",
+    )
+
+
+def model_time(*, where: Path | str, begin: str, end: str, hours: float) -> InputError:
+    """The fields are of other hours than the flight."""
+    return InputError(
+        MODEL_TIME,
+        "its times, {begin} to {end} UTC, are {hours:.1f} h away from the flight",
+        where=where,
+        begin=begin,
+        end=end,
+        hours=hours,
+        remedy="download the hours before, during and after the flight",
+    )
+
+
+MODEL_TRUNCATED = Code(
+    "MODEL-TRUNCATED",
+    means="A message of a GRIB file does not end where its header says.",
+    effect="The file is not read.",
+    remedy="The download was cut off: fetch the file again.",
+)
+
+
+def model_truncated(
+    *, where: Path | str, number: int, start: int, length: int, size: int
+) -> InputError:
+    """A message of a GRIB file is longer than what is left of the file."""
+    return InputError(
+        MODEL_TRUNCATED,
+        (
+            "message {number} at byte {start} has {length} bytes by its header, and no end "
+            "there; the file has {size} bytes"
+        ),
+        where=where,
+        number=number,
+        start=start,
+        length=length,
+        size=size,
+        remedy="the download was cut off: fetch the file again",
+    )
+
+
+MODEL_UNREADABLE = Code(
+    "MODEL-UNREADABLE",
+    means="The file of a weather model cannot be read, or is damaged.",
+    effect="It is not read.",
+    remedy="Check its path and permissions, or download it again.",
+)
+
+
+def model_unreadable(*, where: Path | str, why: str) -> InputError:
+    """The operating system, xarray or ecCodes cannot read the file, and say why."""
+    return InputError(
+        MODEL_UNREADABLE,
+        "the file cannot be read: {why}",
+        where=where,
+        remedy="download it again",
+        why=why,
+    )
+
+
+def model_section_too_long(*, where: Path | str, number: int, offset: int) -> InputError:
+    """A section of a GRIB message is longer than the message."""
+    return InputError(
+        MODEL_UNREADABLE,
+        (
+            "the file cannot be read: message {number} has a section at byte {offset} that "
+            "does not fit into it"
+        ),
+        where=where,
+        remedy="download it again",
+        number=number,
+        offset=offset,
+    )
+
+
+MODEL_VARIABLE = Code(
+    "MODEL-VARIABLE",
+    means=(
+        "The file has no temperature, humidity or geopotential on levels, or they are of "
+        "other areas and times."
+    ),
+    effect="The mission is refused; what is there is listed.",
+    remedy="Request all variables for the same levels, area and times.",
+)
+
+
+def model_variable_missing(*, where: Path | str, lacking: str, held: str) -> InputError:
+    """A quantity that is needed is not in the file."""
+    return InputError(
+        MODEL_VARIABLE,
+        "it has no {lacking}; it holds {held}",
+        where=where,
+        lacking=lacking,
+        held=held,
+        remedy="request temperature, specific humidity and geopotential on levels",
+    )
+
+
+def model_dimension_unknown(*, where: Path | str, dimensions: str) -> InputError:
+    """The temperature has a dimension that is neither time, level, place nor member."""
+    return InputError(
+        MODEL_VARIABLE,
+        "its temperature has a dimension that is not known: {dimensions}",
+        where=where,
+        dimensions=dimensions,
+        remedy=(
+            "choose one of it: cdo, or xarray's isel; times, levels, latitude, longitude "
+            "and members are known"
+        ),
+    )
+
+
+def model_variable_elsewhere(*, where: Path | str, name: str, apart: str) -> InputError:
+    """A field is of another area or other times than the temperature."""
+    return InputError(
+        MODEL_VARIABLE,
+        "{name} and the temperature differ in their {apart}",
+        where=where,
+        name=name,
+        apart=apart,
+        remedy="request all variables for the same area and times",
+    )
+
+
+# Observations
+
+OBS_ALREADY_CORRECTED = Code(
+    "OBS-ALREADY-CORRECTED",
+    means="Refraction was removed from these observations before.",
+    effect="The mission is refused: it would count twice.",
+    remedy="Give the measurements as they came from the images.",
+)
+
+
+def _already_corrected(*, where: Path | str, why: str, name: str = "") -> InputError:
+    return InputError(
+        OBS_ALREADY_CORRECTED,
+        f"refraction was removed already: {why}; correcting it again would count it twice",
+        where=where,
+        remedy="give the measurements as they came from the images",
+        name=name,
+    )
+
+
+def corrected_by_sidecar(*, where: Path | str, sidecar: str) -> InputError:
+    """A sidecar has the hash of the file: refraction was removed from it."""
+    return _already_corrected(where=where, why="{name} names its content", name=sidecar)
+
+
+def corrected_by_database(*, where: Path | str, table: str) -> InputError:
+    """A table of the database says that refraction was removed."""
+    return _already_corrected(where=where, why="its table {name} says so", name=table)
+
+
+def corrected_by_mark(*, where: Path | str, mark: str) -> InputError:
+    """The metadata of the table say that refraction was removed."""
+    why = 'the table carries the mark "refraction {name}"'
+    return _already_corrected(where=where, why=why, name=mark)
+
+
+def corrected_by_column(*, where: Path | str, column: str) -> InputError:
+    """The table has a column of corrected pixels."""
+    why = "the table has a column {name}, which is written when refraction is removed"
+    return _already_corrected(where=where, why=why, name=column)
+
+
+OBS_ALREADY_DISPLACED = Code(
+    "OBS-ALREADY-DISPLACED",
+    means="Refraction was applied to these observations before.",
+    effect="The mission is refused: it would count twice.",
+    remedy="Give ideal observations, free of refraction.",
+)
+
+
+def displaced_by_mark(*, where: Path | str, mark: str) -> InputError:
+    """The metadata of the table say that refraction was applied."""
+    return InputError(
+        OBS_ALREADY_DISPLACED,
+        'the table carries the mark "refraction {mark}"; displacing it again would count it twice',
+        where=where,
+        remedy="give ideal observations, free of refraction",
+        mark=mark,
+    )
+
+
+def displaced_by_column(*, where: Path | str, column: str) -> InputError:
+    """The table has a column of displaced pixels."""
+    return InputError(
+        OBS_ALREADY_DISPLACED,
+        (
+            "the table has a column {column}, which is written when refraction is applied; "
+            "displacing it again would count it twice"
+        ),
+        where=where,
+        remedy="give ideal observations, free of refraction",
+        column=column,
+    )
+
+
+OBS_CODES = Code(
+    "OBS-CODES",
+    means="A column is written as text, because some of its digits are not a plain number.",
+    effect="None on the correction.",
+    remedy="Nothing.",
+)
+
+
+def column_as_text(*, column: str) -> Message:
+    """A column of a CSV keeps its digits as text."""
+    return note(
+        OBS_CODES,
+        "column {column} is written as text: some of its digits are not a plain number",
+        column=column,
+    )
+
+
+OBS_COLUMN = Code(
+    "OBS-COLUMN",
+    means="The table of observations lacks a column, or one column is named for two quantities.",
+    effect="The mission is refused.",
+    remedy="Name its columns under observations.columns.",
+)
+
+
+def column_named_twice(*, where: Path | str, shared: str) -> InputError:
+    """One column of the table is named for two quantities."""
+    return InputError(
+        OBS_COLUMN,
+        "the column {shared!r} is named for two quantities",
+        where=where,
+        shared=shared,
+        remedy="correct observations.columns",
+    )
+
+
+OBS_CSV = Code(
+    "OBS-CSV",
+    means="The table of observations cannot be read as CSV.",
+    effect="The mission is refused.",
+    remedy="Write it as UTF-8 with a header line, commas, and as many fields in every row.",
+)
+
+
+def observations_csv_unreadable(*, where: Path | str, error: str) -> InputError:
+    """The table of observations cannot be read as CSV."""
+    return InputError(
+        OBS_CSV,
+        "cannot be read as CSV: {error}",
+        where=where,
+        remedy=("a table is UTF-8 and has a header line, commas, and as many fields in every row"),
+        error=error,
+    )
+
+
+def observations_without_commas(*, where: Path | str) -> InputError:
+    """The header of a CSV has semicolons, tabs or bars, and no comma."""
+    return InputError(
+        OBS_CSV,
+        "cannot be read as CSV: its fields are not separated by commas",
+        where=where,
+        remedy=("a table is UTF-8 and has a header line, commas, and as many fields in every row"),
+    )
+
+
+OBS_DAMAGED = Code(
+    "OBS-DAMAGED",
+    means="Reading the table of observations failed.",
+    effect="The mission is refused.",
+    remedy="Write the table again.",
+)
+
+
+def observations_damaged(*, where: Path | str, error: str) -> InputError:
+    """Arrow ends with an error amid the rows of a table."""
+    return InputError(
+        OBS_DAMAGED,
+        "reading failed: {error}",
+        where=where,
+        error=error,
+        remedy="write it again",
+    )
+
+
+OBS_EMPTY = Code(
+    "OBS-EMPTY",
+    means="The table of observations, or the database, has no rows.",
+    effect="The mission is refused.",
+    remedy="Write observations to it.",
+)
+
+
+def observations_empty(*, where: Path | str) -> InputError:
+    """The table of observations has a header and nothing else."""
+    return InputError(
+        OBS_EMPTY, "the table has no rows", where=where, remedy="write observations to it"
+    )
+
+
+OBS_FORMAT = Code(
+    "OBS-FORMAT",
+    means="The ending of the table of observations is neither .csv nor .parquet.",
+    effect="The mission is refused.",
+    remedy="Rename it, or give observations.format.",
+)
+
+
+def observations_format(*, where: Path | str, ending: str, blocks: str) -> InputError:
+    """Neither the ending nor the mission file says the format of the table."""
+    return InputError(
+        OBS_FORMAT,
+        "a table of observations is .csv or .parquet, not {ending}",
+        where=where,
+        ending=ending,
+        blocks=blocks,
+        remedy="convert or rename it, or give observations.format: {blocks}",
+    )
+
+
+OBS_MARK_CHANGED = Code(
+    "OBS-MARK-CHANGED",
+    means=(
+        "A sidecar says that refraction was removed from this file, and its content has "
+        "changed since."
+    ),
+    effect="The mission is refused.",
+    remedy=(
+        "A model that another program adjusted from an export is still corrected: do not "
+        "use it. If the file holds measurements as they came from the images, move the "
+        "sidecar away."
+    ),
+)
+
+
+def marked_file_changed(*, where: Path | str, name: str) -> InputError:
+    """A sidecar names the file, but with another content."""
+    return InputError(
+        OBS_MARK_CHANGED,
+        "refraction was removed from it, says {name}, but its content has changed since",
+        where=where,
+        name=name,
+        remedy=(
+            "a model that another program adjusted from an export is still corrected: do "
+            "not use it; if it holds measurements as they came from the images, move the "
+            "sidecar away"
+        ),
+    )
+
+
+OBS_MARK_UNREADABLE = Code(
+    "OBS-MARK-UNREADABLE",
+    means="The sidecar beside the observations cannot be read.",
+    effect="The mission is refused: refraction may have been removed.",
+    remedy="Restore it, or move it away if the files hold measurements.",
+)
+
+
+def sidecar_unreadable(*, where: Path | str, name: str) -> InputError:
+    """A sidecar beside the observations is damaged."""
+    return InputError(
+        OBS_MARK_UNREADABLE,
+        (
+            "the sidecar cannot be read ({name}): it may name a file from which refraction "
+            "was removed"
+        ),
+        where=where,
+        name=name,
+        remedy=(
+            "restore it, or move it away if the files beside it hold measurements as they"
+            " came from the images"
+        ),
+    )
+
+
+OBS_MISSING = Code(
+    "OBS-MISSING",
+    means="The table of observations is not there.",
+    effect="The mission is refused.",
+    remedy="Check observations.path.",
+)
+
+
+def observations_missing(*, where: Path | str) -> InputError:
+    """The table of observations is not there."""
+    return InputError(
+        OBS_MISSING,
+        "there is no such file",
+        where=where,
+        remedy="check observations.path",
+    )
+
+
+OBS_OTHER_PIXELS = Code(
+    "OBS-OTHER-PIXELS",
+    means="The table has measured and corrected pixels, and the wrong ones are named.",
+    effect="The mission is refused.",
+    remedy="Name the right ones under observations.columns.",
+)
+
+
+def other_pixels(
+    *, where: Path | str, role: str, right: str, content: str, direction: str
+) -> InputError:
+    """The table is one of our results, and the wrong pixels of it are named."""
+    return InputError(
+        OBS_OTHER_PIXELS,
+        (
+            "the column {role} beside {right} holds pixels {content}, which is not what "
+            "refraction.direction: {direction} starts from"
+        ),
+        where=where,
+        role=role,
+        right=right,
+        content=content,
+        direction=direction,
+        remedy="say observations.columns.{role}: {right}",
+    )
+
+
+OBS_PARQUET = Code(
+    "OBS-PARQUET",
+    means="The table of observations cannot be read as Parquet.",
+    effect="The mission is refused.",
+    remedy="Write it again.",
+)
+
+
+def parquet_unreadable(*, where: Path | str, error: str) -> InputError:
+    """The table of observations is not readable as Parquet."""
+    return InputError(
+        OBS_PARQUET,
+        "cannot be read as Parquet: {error}",
+        where=where,
+        error=error,
+        remedy="write it again",
+    )
+
+
+OBS_RENAMED = Code(
+    "OBS-RENAMED",
+    means="A column of the user's has the name of a result and is written with _input.",
+    effect="None.",
+    remedy="Nothing.",
+)
+
+
+def column_renamed(*, column: str, written: str) -> Message:
+    """A column of the user's leaves under another name."""
+    return note(
+        OBS_RENAMED,
+        "column {column} is written as {written}: a column of the results has its name",
+        column=column,
+        written=written,
+    )
+
+
+OBS_REPEATED_COLUMN = Code(
+    "OBS-REPEATED-COLUMN",
+    means="Two columns of the table have one name.",
+    effect="The mission is refused.",
+    remedy="Rename one of each.",
+)
+
+
+def columns_repeated(*, where: Path | str, twice: str) -> InputError:
+    """Two columns of the table have one name."""
+    return InputError(
+        OBS_REPEATED_COLUMN,
+        "the columns {twice} stand there twice",
+        where=where,
+        twice=twice,
+        remedy="rename one of each",
+    )
+
+
+OBS_REPEATED_POINT = Code(
+    "OBS-REPEATED-POINT",
+    means=(
+        "Points stand twice in an image. Of a table of more than 200,000 rows only some "
+        "points are looked at."
+    ),
+    effect="Both rows are corrected; at most one is the measurement.",
+    remedy="Correct the table or block, which may have been joined with itself.",
+)
+
+
+def points_repeated(*, where: str, count: int, first: str) -> Message:
+    """Points stand twice in one image."""
+    return loss(
+        OBS_REPEATED_POINT,
+        (
+            "{count} points stand twice in an image, first {first}: at most one of both is "
+            "the measurement"
+        ),
+        one=("1 point stands twice in an image, {first}: at most one of both is the measurement"),
+        where=where,
+        count=count,
+        first=first,
+    )
+
+
+OBS_TYPE = Code(
+    "OBS-TYPE",
+    means="A column holds neither text nor numbers, or not what it must.",
+    effect="The mission is refused.",
+    remedy="Write names as text and numbers as float64.",
+)
+
+
+def column_of_other_type(*, where: Path | str, column: str, kind: str) -> InputError:
+    """A column that must hold numbers holds neither these nor text, by its type in Arrow."""
+    return InputError(
+        OBS_TYPE,
+        "the column {column} holds {kind}, not numbers",
+        where=where,
+        remedy="write it as float64",
+        column=column,
+        kind=kind,
+    )
+
+
+def names_of_other_type(*, where: Path | str, column: str, kind: str) -> InputError:
+    """A column that must hold names holds neither text nor numbers, by its type in Arrow."""
+    return InputError(
+        OBS_TYPE,
+        "the column {column} holds {kind}, not names",
+        where=where,
+        remedy="write it as text",
+        column=column,
+        kind=kind,
+    )
+
+
+# Soundings
+
+SOUNDING_NETCDF = Code(
+    "SOUNDING-NETCDF",
+    means="The file is not a sounding in ARM's classic netCDF.",
+    effect="The mission is refused.",
+    remedy="Export the levels as CSV.",
+)
+
+
+def _not_of_arm(*, where: Path | str, why: str, name: str = "") -> InputError:
+    return InputError(
+        SOUNDING_NETCDF,
+        f"it is not a sounding in ARM's classic netCDF: {why}",
+        where=where,
+        remedy="export the levels as CSV: h_m, pressure_hpa, temperature_c, dew_point_c",
+        name=name,
+    )
+
+
+def sounding_is_netcdf4(*, where: Path | str) -> InputError:
+    """A sounding in netCDF-4, which is HDF5."""
+    why = "it is netCDF-4 (HDF5); only the classic format is read"
+    return _not_of_arm(where=where, why=why)
+
+
+def sounding_variable_missing(*, where: Path | str, variable: str) -> InputError:
+    """A netCDF file without a variable that each of ARM's radiosondes has."""
+    return _not_of_arm(where=where, why="it has no variable {name}", name=variable)
+
+
+def sounding_damaged(*, where: Path | str, error: str) -> InputError:
+    """A netCDF file that scipy cannot decode."""
+    return _not_of_arm(where=where, why="it cannot be decoded: {name}", name=error)
+
+
+SOUNDING_SIZE = Code(
+    "SOUNDING-SIZE",
+    means="The file is larger than the longest record of soundings.",
+    effect="The mission is refused.",
+    remedy="Cut it down to the days around the flight.",
+)
+
+
+def sounding_size(*, where: Path | str, size: int, largest_bytes: int) -> InputError:
+    """The file is too large for a sounding."""
+    return InputError(
+        SOUNDING_SIZE,
+        "the file has {size} bytes, more than the {largest_bytes} of the longest record",
+        where=where,
+        size=size,
+        largest_bytes=largest_bytes,
+        remedy="cut it down to the days around the flight",
+    )
+
+
+SOUNDING_UNREADABLE = Code(
+    "SOUNDING-UNREADABLE",
+    means="The sounding cannot be read, or is not UTF-8 text.",
+    effect="The mission is refused.",
+    remedy="Check path and permissions, or save it as UTF-8.",
+)
+
+
+def sounding_unreadable(*, where: Path | str, strerror: str) -> InputError:
+    """The operating system does not let the sounding be read."""
+    return InputError(
+        SOUNDING_UNREADABLE,
+        "the file cannot be read: {strerror}",
+        where=where,
+        strerror=strerror,
+        remedy="check the path and its permissions",
+    )
+
+
+def sounding_not_utf8(*, where: Path | str, byte: int, offset: int) -> InputError:
+    """The sounding is text in another encoding."""
+    return InputError(
+        SOUNDING_UNREADABLE,
+        "the byte {byte:#04x} at offset {offset} is not valid in UTF-8",
+        where=where,
+        byte=byte,
+        offset=offset,
+        remedy="save the file as UTF-8 text",
+    )

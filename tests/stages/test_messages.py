@@ -1,0 +1,56 @@
+"""Messages that no mission of the other tests has: when they are sent, and what they say."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+
+from unbend.block.assignment import Assignment
+from unbend.flight.exposures import Events
+from unbend.messages import Kind, Ledger
+from unbend.stages.multi_image.camera_images import CameraImages
+from unbend.stages.multi_image.image_events import notes_of_assignment
+from unbend.stages.statistics import Statistics
+
+
+def test_several_crossings_are_a_warning():
+    statistics = Statistics({}, rows=10, status={"ok": 9, "several_crossings": 1})
+    ledger = Ledger()
+    statistics.report_flagged(ledger, {})
+    (message,) = ledger
+    assert (message.code, message.kind) == ("OBS-SEVERAL-CROSSINGS", Kind.WARNING)
+    assert message.what.startswith("1 of 10 observations is several_crossings: behind a ridge it")
+
+
+def test_images_of_which_the_evidence_disagrees_are_a_loss():
+    number = np.arange(3, dtype=np.int64)
+    names = np.array(["a", "b", "c"], object)
+    assignment = Assignment(
+        event=number,
+        residual_s=np.full(3, np.nan),
+        ambiguous=np.zeros(3, np.bool_),
+        repeated=np.zeros(3, np.bool_),
+        runner_up=number[:0],
+        log_ratio=np.inf,
+        reason="",
+        evidence=("counts",),
+    )
+    exposed = Events("nadir", names, number * 1_000_000_000)
+    images = CameraImages(names, number, "sequence", np.full(3, -1))
+    undecided = np.array([False, True, False])
+    event = np.where(undecided, -1, number)
+    told = notes_of_assignment(assignment, event, undecided, images, exposed)
+    assert [message.code for message in told] == ["EVENTS-ASSIGNED", "EVENTS-UNDECIDED"]
+    assert told[1].kind is Kind.LOSS
+    assert told[1].values == {"images": "b"}
+    assert told[1].what.startswith("1 image is of one event by some of the evidence")
+
+
+def test_the_ledger_has_the_values_of_its_messages(baseline):
+    """How far rays of tie points miss each other; since version 2 of the manifest."""
+    manifest = json.loads((baseline.output / "manifest.json").read_text(encoding="utf-8"))
+    assert manifest["manifest_version"] == 2
+    (entry,) = [e for e in manifest["ledger"] if e["code"] == "TIES-RESIDUALS"]
+    assert entry["kind"] == "note"
+    assert entry["values"] == {"misses": entry["what"]}
