@@ -6,8 +6,7 @@ import ast
 import re
 from pathlib import Path
 
-from unbend.atmosphere.soundings.formats import PLAIN_COLUMNS
-from unbend.batch import plan
+from unbend.atmosphere.soundings.formats import PLACE_COLUMNS, PLAIN_COLUMNS
 from unbend.config import Mission
 
 PACKAGE = Path(__file__).resolve().parents[2] / "pipeline" / "unbend"
@@ -41,16 +40,10 @@ def keys_of_mission_files(schema: object) -> set[str]:
 
 
 def test_remedies_name_keys_that_exist():
-    known = keys_of_mission_files(Mission.model_json_schema()) | set(PLAIN_COLUMNS)
+    known = (
+        keys_of_mission_files(Mission.model_json_schema()) | set(PLAIN_COLUMNS) | set(PLACE_COLUMNS)
+    )
     words = words_of_remedies()
     assert len(words) >= 7
     assert "station_h_msl_m" in words
     assert {word: files for word, files in words.items() if word not in known} == {}
-
-
-def test_inputs_stand_under_keys_that_exist():
-    """Under a key that is misspelt no path is found, and that input would not be hashed."""
-    known = keys_of_mission_files(Mission.model_json_schema())
-    words = {word for key in plan.INPUTS.values() for word in key.split(".")}
-    assert words - {"<name>"} <= known
-    assert len(plan.INPUTS) >= 16

@@ -53,8 +53,9 @@ def orientation_fitted(
     return message(
         kind,
         ORIENTATION_FIT,
-        "the model was fitted to {count} known positions: scale {scale:.6g}, {fit}; its vertical "
-        "is good to {tilt_deg:.2g} deg, with {sigma_m:.2g} m of sigma{contradictions}",
+        "the model was fitted to {positions}: scale {scale:.6g}, {fit}; its vertical is good to "
+        "{tilt_deg:.2g} deg, with {sigma_m:.2g} m of sigma{contradictions}",
+        positions=Counted(count, "known position"),
         where=where,
         count=count,
         scale=scale,

@@ -538,6 +538,8 @@ def shutter_lag(
         EVENTS_SHUTTER_LAG,
         "the shutter of {camera} opens {lag_ms:.0f} ms after its trigger, with a scatter of "
         "{scatter_ms:.0f} ms, by {count} triggers whose shutter pulse was logged too",
+        one="the shutter of {camera} opens {lag_ms:.0f} ms after its trigger, by 1 trigger whose "
+        "shutter pulse was logged too",
         where=channel,
         count=pairs,
         camera=camera,

@@ -588,6 +588,7 @@ def exposures_without_index(*, channel: str, count: int) -> Message:
     return note(
         EVENT_NO_INDEX,
         "all {count} rows have the index 0: they are numbered from 0 in order",
+        one="the only row has the index 0: it is numbered from 0",
         where=channel,
         count=count,
     )

@@ -260,7 +260,7 @@ PLAIN_COLUMNS = {
     "relative_humidity": ("relative humidity", "1"),
     "relative_humidity_percent": ("relative humidity", "percent"),
 }
-_PLACE = ("time_utc", "latitude_deg", "longitude_deg", "station")
+PLACE_COLUMNS = ("time_utc", "latitude_deg", "longitude_deg", "station")
 
 
 def is_plain(text: str) -> bool:
@@ -291,7 +291,7 @@ def parse_plain(text: str, where: str) -> list[RawLevels]:
                 where=where, needed=needed, present=", ".join(columns), names=" or ".join(names)
             )
     notes: Notes = ()
-    unread = sorted(set(columns) - set(PLAIN_COLUMNS) - set(_PLACE))
+    unread = sorted(set(columns) - set(PLAIN_COLUMNS) - set(PLACE_COLUMNS))
     if unread:
         notes = (
             messages.sounding_columns_unused(
@@ -305,7 +305,7 @@ def parse_plain(text: str, where: str) -> list[RawLevels]:
     if time and time_ns is None:
         notes += (messages.sounding_time(where=where, count=1, time=time[:40]),)
     unknown = np.full(values["pressure"].shape, np.nan)
-    first = {name: next(iter(columns.get(name, [])), "") for name in _PLACE}
+    first = {name: next(iter(columns.get(name, [])), "") for name in PLACE_COLUMNS}
     return [
         RawLevels(
             h_m=values.get("geopotential" if geopotential else "height", unknown),
