@@ -10,8 +10,7 @@ from unbend.batch.input_files import named_inputs
 from unbend.batch.plan import located, with_camera_files
 from unbend.batch.remote import Place
 from unbend.config import Mission
-from unbend.config.orientations import KnownPositions as KnownPositionsSection
-from unbend.config.orientations import OrientationSection
+from unbend.config.orientations import KnownPositions, OrientationSection
 from unbend.flight.channels import Channel
 from unbend.ingest import Log, open_log
 from unbend.messages import Ledger
@@ -171,13 +170,13 @@ def stated_orientation(section: OrientationSection) -> Stated:
     return Stated(columns=section.column_names, angle_unit=section.unit)
 
 
-def _known_positions(mission: Mission, paths: Paths) -> opened_inputs.KnownPositions | None:
+def _known_positions(mission: Mission, paths: Paths) -> opened_inputs.KnownImagePositions | None:
     section = mission.stations.orientation
     known = None if section is None else section.known_positions
-    if not isinstance(known, KnownPositionsSection):
+    if not isinstance(known, KnownPositions):
         return None
     names = known.model_dump(exclude={"path", "sigma_m"})
-    return opened_inputs.KnownPositions(*read_known_positions(paths["known positions"], names))
+    return opened_inputs.KnownImagePositions(*read_known_positions(paths["known positions"], names))
 
 
 def _block_points(mission: Mission, paths: Paths) -> opened_inputs.BlockPoints | None:
@@ -191,23 +190,23 @@ def _block_points(mission: Mission, paths: Paths) -> opened_inputs.BlockPoints |
     return opened_inputs.BlockPoints(name, position, rows)
 
 
-def _object_points(mission: Mission, paths: Paths) -> opened_inputs.PointTable | None:
+def _object_points(mission: Mission, paths: Paths) -> opened_inputs.ObjectPointTable | None:
     section = mission.ground.points
     if section is None:
         return None
     return _points(paths["object points"], section.columns.named, "ground.height.columns")
 
 
-def _control(mission: Mission, paths: Paths) -> opened_inputs.PointTable | None:
+def _control(mission: Mission, paths: Paths) -> opened_inputs.ObjectPointTable | None:
     section = mission.control
     if section is None:
         return None
     return _points(paths["control"], section.columns.named, "control.columns")
 
 
-def _points(path: Path, names: Mapping[str, str], key: str) -> opened_inputs.PointTable:
+def _points(path: Path, names: Mapping[str, str], key: str) -> opened_inputs.ObjectPointTable:
     name, columns = read_object_points(path, names, key=key)
-    return opened_inputs.PointTable(name, columns, str(path))
+    return opened_inputs.ObjectPointTable(name, columns, str(path))
 
 
 def _elevation(mission: Mission, paths: Paths) -> opened_inputs.ElevationReader | None:

@@ -24,7 +24,7 @@ from unbend.refraction.window import UNKNOWN
 from unbend.units import HECTOPASCAL, ZERO_CELSIUS_K
 
 
-class CabinAir(Section):
+class CabinSection(Section):
     """The air in the compartment, quantity by quantity."""
 
     pressure: Literal["log", "ambient"] | Hectopascal | None = Field(
@@ -139,7 +139,7 @@ class WindowSection(Section):
         description="plane; or spherical: a dome about the projection centre, which bends nothing",
         examples=["plane"],
     )
-    cabin: Literal["log", "standard_schedule"] | CabinAir | None = Field(
+    cabin: Literal["log", "standard_schedule"] | CabinSection | None = Field(
         None,
         description=(
             "air behind the window. log: from the cabin channels of the log; standard_schedule: as "
@@ -178,7 +178,7 @@ class WindowSection(Section):
     def window(self) -> Window:
         """The window, with cabin air in SI."""
         cabin: Cabin | None = None
-        if isinstance(self.cabin, CabinAir):
+        if isinstance(self.cabin, CabinSection):
             cabin = self.cabin.build()
         elif self.cabin is not None:
             cabin = Cabin(self.cabin)

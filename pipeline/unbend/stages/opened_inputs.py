@@ -58,7 +58,7 @@ class WeatherModel:
 
 
 @dataclass(frozen=True, eq=False)
-class PointTable:
+class ObjectPointTable:
     """The user's table of points: names (p,), other columns by quantity; ``where`` it is from."""
 
     name: pa.StringArray
@@ -67,7 +67,7 @@ class PointTable:
 
 
 @dataclass(frozen=True, eq=False)
-class KnownPositions:
+class KnownImagePositions:
     """Images, and (m, 3) their latitude, longitude [rad] and height [m]."""
 
     image: Names
@@ -100,10 +100,10 @@ class OpenedInputs:
     image_times: ImageTimes | None = None
     orientation: OrientationTable | None = None
     camera_names: Mapping[str, str] = field(default_factory=dict)
-    known_positions: KnownPositions | None = None
+    known_positions: KnownImagePositions | None = None
     block_points: BlockPoints | None = None
-    object_points: PointTable | None = None
-    control: PointTable | None = None
+    object_points: ObjectPointTable | None = None
+    control: ObjectPointTable | None = None
     elevation: ElevationReader | None = None
     soundings: tuple[SoundingReader, ...] = ()
     weather_model: WeatherModel | None = None

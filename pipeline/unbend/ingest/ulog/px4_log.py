@@ -31,8 +31,8 @@ from unbend.ingest.ulog.ulog_messages import (
     FILE_HEADER,
     MAGIC,
     Text,
-    Topic,
     ULogMessages,
+    UlogTopic,
     flags_of,
 )
 from unbend.messages import Ledger
@@ -45,7 +45,7 @@ EARLY_ROWS = 2  # of a topic, that were sampled before the logger began
 _ONE_BOOT = timeline([(np.zeros(1, np.int64), np.zeros(1, np.int64))])  # a log a boot
 _ELEMENT = re.compile(r"\[(\d+)\]")
 
-TopicRows = Mapping[Topic, NDArray[Any]]
+TopicRows = Mapping[UlogTopic, NDArray[Any]]
 
 
 def read_log(path: Path, ledger: Ledger) -> Contents:
@@ -100,7 +100,7 @@ def _names(rows: NDArray[Any]) -> tuple[str, ...]:
     return rows.dtype.names or ()
 
 
-def _sources(rows_of_topic: TopicRows) -> dict[Topic, Source]:
+def _sources(rows_of_topic: TopicRows) -> dict[UlogTopic, Source]:
     """The sources of topics: instances have numbers where a topic has several."""
     numbered = {topic.name for topic in rows_of_topic if topic.instance}
     sources = {}
@@ -118,7 +118,7 @@ def _channel_name(source: Source) -> str:
 
 
 def _channel(
-    topic: Topic, rows: NDArray[Any], source: Source, offset_ns: int, ledger: Ledger
+    topic: UlogTopic, rows: NDArray[Any], source: Source, offset_ns: int, ledger: Ledger
 ) -> Channel | None:
     """The channel of a topic; ``offset_ns`` is UTC minus time since boot."""
     spec = PX4_TOPICS[topic.name]
@@ -198,7 +198,7 @@ def _median_interval_ns(time_ns: TimeArray) -> float:
 
 
 def _clock(
-    rows_of_topic: TopicRows, sources: Mapping[Topic, Source], ledger: Ledger
+    rows_of_topic: TopicRows, sources: Mapping[UlogTopic, Source], ledger: Ledger
 ) -> tuple[int, str]:
     """UTC minus time since boot [ns], and where it comes from."""
     clock = fit_clock(
@@ -215,7 +215,7 @@ def _clock(
 
 
 def _utc_readings(
-    rows_of_topic: TopicRows, sources: Mapping[Topic, Source], role: str, field: str
+    rows_of_topic: TopicRows, sources: Mapping[UlogTopic, Source], role: str, field: str
 ) -> list[UtcReadings]:
     """UTC beside the time since boot, in the topics of a role that have it in a field."""
     readings = []

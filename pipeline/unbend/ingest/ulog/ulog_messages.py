@@ -36,7 +36,7 @@ _TIME = 8  # [bytes] of a time since boot
 _LEAST_UNKNOWN = _NUMBER + _TIME  # [bytes] of data whose definition was lost: it begins so
 
 
-class Kind:
+class MessageKind:
     """The kinds of messages."""
 
     FLAGS = ord("B")
@@ -55,15 +55,15 @@ class Kind:
 
 
 _KINDS = np.frombuffer(b"BFIMPQLCADSOR", np.uint8)
-_FIXED_SIZES = {Kind.SYNC: 8, Kind.DROPOUT: 2, Kind.REMOVED: 2}
+_FIXED_SIZES = {MessageKind.SYNC: 8, MessageKind.DROPOUT: 2, MessageKind.REMOVED: 2}
 # Bytes before the length of the key.
 _BEFORE_KEY = {
-    Kind.INFORMATION: 0,
-    Kind.PARAMETER: 0,
-    Kind.INFORMATION_PARTS: 1,
-    Kind.DEFAULT_PARAMETER: 1,
+    MessageKind.INFORMATION: 0,
+    MessageKind.PARAMETER: 0,
+    MessageKind.INFORMATION_PARTS: 1,
+    MessageKind.DEFAULT_PARAMETER: 1,
 }
-_BEFORE_TEXT = {Kind.TEXT: 1, Kind.TAGGED_TEXT: 3}  # [bytes]: the level, and a tag
+_BEFORE_TEXT = {MessageKind.TEXT: 1, MessageKind.TAGGED_TEXT: 3}  # [bytes]: the level, and a tag
 _LEVELS = tuple(bytes([level]) for level in b"01234567")
 _LONGEST_KEYED = 2 + 255  # [bytes] that show whether a message is one: its key, at most
 _KEY = re.compile(rb"(?P<type>[\w\[\]]+) (?P<name>[\w.:-]+)")
@@ -79,7 +79,7 @@ class FileFlags(NamedTuple):
 def flags_of(data: FileView) -> FileFlags:
     """The flags of a file; none where it has no message of them."""
     raw = data[FILE_HEADER : FILE_HEADER + HEAD.size + FLAGS.size]
-    if len(raw) < HEAD.size + FLAGS.size or raw[HEAD.size - 1] != Kind.FLAGS:
+    if len(raw) < HEAD.size + FLAGS.size or raw[HEAD.size - 1] != MessageKind.FLAGS:
         return FileFlags(bytes(8), [])
     _, incompatible, *places = FLAGS.unpack_from(raw, HEAD.size)
     appended = []
@@ -88,7 +88,7 @@ def flags_of(data: FileView) -> FileFlags:
     return FileFlags(incompatible, appended)
 
 
-class Topic(NamedTuple):
+class UlogTopic(NamedTuple):
     """A topic and which of its instances."""
 
     name: str
@@ -135,21 +135,21 @@ class ULogMessages(DamagedBytes):
     def __init__(self, data: FileView, wanted: Collection[str]) -> None:
         super().__init__()
         self.counts: Counter[str] = Counter()
-        self.rows: dict[Topic, NDArray[Any]] = {}
+        self.rows: dict[UlogTopic, NDArray[Any]] = {}
         self.timeless: set[str] = set()
         self.damaged_values = 0
         self.dropouts_ms: list[int] = []
         self.texts: list[Text] = []
         self.parameters: dict[str, float] = {}
         self.definitions = Definitions()
-        self.topics: dict[int, Topic] = {}  # by number
+        self.topics: dict[int, UlogTopic] = {}  # by number
         self.sizes: dict[int, tuple[int, int]] = {}  # of data: without and with padding
         self._data = data
         self._wanted = wanted
         self._defining = True  # until the first subscription or text
         self._appended = flags_of(data).appended
         self._places: defaultdict[int, list[int]] = defaultdict(list)  # of data, in one block
-        self._stores: dict[Topic, ColumnStore] = {}
+        self._stores: dict[UlogTopic, ColumnStore] = {}
         self._walk()
 
     def report_damage(self, ledger: Ledger, file_name: str) -> None:
@@ -209,7 +209,7 @@ class ULogMessages(DamagedBytes):
         while place < last:
             size, kind, number = unpack(raw, place)
             following = place + HEAD.size + size
-            if kind != Kind.DATA or following > whole or number not in sizes:
+            if kind != MessageKind.DATA or following > whole or number not in sizes:
                 break
             least, most = sizes[number]
             if not least <= size - _NUMBER <= most:
@@ -245,7 +245,7 @@ class ULogMessages(DamagedBytes):
             return 0
         if self._fits(view, place):
             return length
-        return length if loose and kind == Kind.DATA and size >= _LEAST_UNKNOWN else 0
+        return length if loose and kind == MessageKind.DATA and size >= _LEAST_UNKNOWN else 0
 
     def _fits(self, view: _View, place: int) -> bool:
         """Whether the beginning of a message, as far as it is there, is that of its kind."""
@@ -258,23 +258,23 @@ class ULogMessages(DamagedBytes):
             return size > 1 + _TIME and content[:1] in _LEVELS
         if kind in _BEFORE_KEY:
             return _has_key(content, kind, size)
-        if kind == Kind.DATA:
+        if kind == MessageKind.DATA:
             number = int.from_bytes(content[:_NUMBER], "little")
             least, most = self.sizes.get(number, (1, 0))
             return bool(least <= size - _NUMBER <= most)
-        if kind == Kind.FLAGS:
+        if kind == MessageKind.FLAGS:
             return bool(view.base + place == FILE_HEADER and size >= FLAGS.size)
-        return kind in (Kind.FORMAT, Kind.SUBSCRIPTION)
+        return kind in (MessageKind.FORMAT, MessageKind.SUBSCRIPTION)
 
     def _take(self, raw: bytes, place: int, length: int) -> bool:
         """Take a message; False where it cannot be used."""
         kind = raw[place + HEAD.size - 1]
         content = raw[place + HEAD.size : place + length]
-        if kind == Kind.DATA:
+        if kind == MessageKind.DATA:
             self._places[int.from_bytes(content[:_NUMBER], "little")].append(place)
-        elif kind == Kind.FORMAT:  # among the data it is none
+        elif kind == MessageKind.FORMAT:  # among the data it is none
             return self._defining and self.definitions.add_format(content)
-        elif kind == Kind.SUBSCRIPTION:
+        elif kind == MessageKind.SUBSCRIPTION:
             self._defining = False
             return self._subscribe(content)
         elif kind in _BEFORE_TEXT:
@@ -282,7 +282,7 @@ class ULogMessages(DamagedBytes):
             self._take_text(content[_BEFORE_TEXT[kind] :])
         elif kind in _BEFORE_KEY:
             self._take_value(kind, content)
-        elif kind == Kind.DROPOUT and not self._defining:
+        elif kind == MessageKind.DROPOUT and not self._defining:
             self.dropouts_ms.append(int.from_bytes(content, "little"))
         return True
 
@@ -290,7 +290,7 @@ class ULogMessages(DamagedBytes):
         """Take a subscription; False where its format is not defined or its number is taken."""
         name = content[3:].decode("ascii", "replace")
         number = int.from_bytes(content[1:3], "little")
-        topic = Topic(name, content[0])
+        topic = UlogTopic(name, content[0])
         sizes = self.definitions.sizes_of(name)
         if sizes is None or self.topics.setdefault(number, topic) != topic:
             return False
@@ -311,7 +311,7 @@ class ULogMessages(DamagedBytes):
             return
         if len(value.raw) != dtype.itemsize:
             self.damaged_values += 1
-        elif kind == Kind.PARAMETER:
+        elif kind == MessageKind.PARAMETER:
             name = value.key["name"].decode()
             self.parameters[name] = float(np.frombuffer(value.raw, dtype)[0])
 

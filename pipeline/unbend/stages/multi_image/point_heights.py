@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from unbend.block.image_rays import ImageRays, Orientations
 from unbend.block.intersection import PointHeights, point_heights
 from unbend.config import Mission
-from unbend.config.ground import ControlSection
-from unbend.config.ground import PointTable as PointTableSection
+from unbend.config.ground import ControlSection, PointTable
 from unbend.flight.heights import HeightSystem, known_home_m
 from unbend.flight.stations import Stations
 from unbend.geodesy import GeoidGrid, ecef_of_geodetic
@@ -28,7 +27,7 @@ from unbend.stages.flight_log import FlightLog
 from unbend.stages.ground_heights import ComputedGround
 from unbend.stages.multi_image import messages
 from unbend.stages.multi_image.block_frames import block_points
-from unbend.stages.opened_inputs import OpenedInputs, PointTable
+from unbend.stages.opened_inputs import ObjectPointTable, OpenedInputs
 from unbend.tables.geodata.coordinate_systems import places_of
 from unbend.tables.geodata.object_points import ObjectPoints, matching_rows
 from unbend.tables.observations import Batch, Observations
@@ -72,8 +71,8 @@ def with_object_points(
 
 
 def points_above_sea(
-    table: PointTable,
-    section: PointTableSection | ControlSection,
+    table: ObjectPointTable,
+    section: PointTable | ControlSection,
     reference: str,
     *,
     key: str,
