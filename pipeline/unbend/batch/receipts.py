@@ -44,6 +44,9 @@ def unpacked(content: bytes) -> Any:
         return _PlainUnpickler(stream).load()
     except (
         pickle.UnpicklingError,
+        zstandard.ZstdError,
+        EOFError,
+        LookupError,
         AttributeError,
         ImportError,
         TypeError,

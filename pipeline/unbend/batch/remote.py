@@ -232,12 +232,13 @@ class Publication:
                 self._remove(attempt)
             raise
         if published is None:
-            # An answer may be lost: what is there then says which was published.
-            swapped = (self._place / MANIFEST).put(content, self._version)
-            published = own if swapped else read_manifest(self._place) or {"attempt": ""}
-        if published["attempt"] != attempt:
+            published = own
+            if not (self._place / MANIFEST).put(content, self._version):
+                # Refused, or done and the answer lost: what is there now says which.
+                published = read_manifest(self._place)
+        if published is None or published["attempt"] != attempt:
             self._remove(attempt)
-            if published.get("fingerprint") != self._fingerprint:
+            if published is None or published.get("fingerprint") != self._fingerprint:
                 self._place.remove([run_name(self._fingerprint)])
                 raise messages.published_meanwhile(url=str(self._place))
         self._remove_former(published)

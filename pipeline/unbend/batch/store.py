@@ -32,6 +32,7 @@ STAGING = ".staging"
 _LOCK = ".lock"
 _KEY = "key"  # in the staging folder: what the parts there depend on
 _RECEIPTS = "receipts"
+RECEIPT_VALUES = 2  # the seal of a part, and what is known of it
 _PARTS = "observations"
 _PART = re.compile(r"part-[0-9]{5,}\.parquet")
 _RESULTS = (_PARTS, "stations.parquet", "profile.parquet", "report.html")
@@ -117,20 +118,24 @@ class RunFolder:
                 sync_folder(folder)
 
     def read_receipt(self, name: str) -> Any:
-        """What is known of a part that is there, whole and sealed; None where it must be made."""
+        """What is known of a part that is there, whole and sealed; None where it must be made.
+
+        Its seal counts for the manifest again.
+        """
         part = self.staging / name
         receipt = self.staging / _RECEIPTS / part.name
         with storage_errors(receipt):
             if not receipt.is_file() or not part.is_file():
                 return None
-            found = unpacked(receipt.read_bytes())
-            if found is None:
+            kept = unpacked(receipt.read_bytes())
+            if not isinstance(kept, tuple) or len(kept) != RECEIPT_VALUES:
                 return None
-            seal = Seal(*found[0])
+            sealed, value = kept
+            seal = Seal(*sealed)
             if part.stat().st_size != seal.size_bytes or hash_file(part) != seal.sha256:
                 return None
         self._seals[name] = seal
-        return found[1]
+        return value
 
     def outputs(self) -> list[dict[str, str | int]]:
         """Name, hash and size of each sealed result, for the manifest."""

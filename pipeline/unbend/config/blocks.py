@@ -32,11 +32,15 @@ def with_block(values: dict[str, Any]) -> dict[str, Any]:
     cameras = values.get("cameras")
     if isinstance(cameras, dict):
         filled["cameras"] = _with_cameras(cameras, block)
-    stations = values.get("stations") or {}
+    stations = values.get("stations")
+    if stations is None:
+        stations = {}
     if not isinstance(stations, dict):
         return filled
-    has_others = bool(values.get("log") or values.get("events") or stations.get("trajectory"))
-    orientation = stations.get("orientation", None if has_others else {})
+    others_give_stations = values.get("log") or values.get("events") or stations.get("trajectory")
+    orientation = stations.get("orientation")
+    if "orientation" not in stations and not others_give_stations:
+        orientation = {}  # nothing else gives stations: all of it is the block's
     if isinstance(orientation, dict) and "path" not in orientation:
         of_block = {"path": block["file"], "format": block["format"]}
         filled["stations"] = stations | {"orientation": of_block | orientation}

@@ -75,7 +75,8 @@ class DistortionSection(Section):
     )
 
 
-_OTHER_WAYS = ["file", "model", "params", "metric"]
+OTHER_WAYS = ("file", "model", "params", "metric")
+"""Keys that give the interior orientation in the place of numbers."""
 
 
 class CameraSection(Section):
@@ -214,8 +215,8 @@ class CameraSection(Section):
     @field_validator("cx_px", "cy_px")
     @classmethod
     def _require_principal_point(cls, value: float | None, info: ValidationInfo) -> float | None:
-        if value is None and all(info.data.get(name) is None for name in _OTHER_WAYS):
-            raise SectionError(f"is missing, and there is no {' or '.join(_OTHER_WAYS)}")
+        if value is None and all(info.data.get(name) is None for name in OTHER_WAYS):
+            raise SectionError(f"is missing, and there is no {' or '.join(OTHER_WAYS)}")
         return value
 
     @property
@@ -229,16 +230,21 @@ class CameraSection(Section):
         """One way to give the interior orientation, completely."""
         if (self.model is None) != (self.params is None):
             raise SectionError("give model and params together, as they stand in cameras.txt")
-        ways = [name for name in _OTHER_WAYS if getattr(self, name) is not None]
+        ways = []
+        if self.file is not None:
+            ways.append("file")
+        if self.model is not None:
+            ways += ["model", "params"]
+        if self.metric is not None:
+            ways.append("metric")
         if self._states_numbers:
             ways.append("f_px, cx_px, distortion")
-        allowed = 1 if self.model is None else 2  # model and params are one way
-        if len(ways) > allowed:
+        if len(ways) > 1 and ways != ["model", "params"]:
             given = ", ".join(ways)
             raise SectionError(f"{given}: each gives the interior orientation; keep one")
-        without_file = self.file is None and self.format is not None
-        counted = self.file is not None and self.pixel_origin is not None
-        if without_file or counted:
+        format_without_file = self.file is None and self.format is not None
+        origin_with_file = self.file is not None and self.pixel_origin is not None
+        if format_without_file or origin_with_file:
             raise SectionError("format goes with file, and pixel_origin does not")
         if self.file is None and self._states_numbers:
             self._check_principal_distances()

@@ -270,11 +270,12 @@ class GroundSection(Section):
     @model_validator(mode="after")
     def _check_combinations(self) -> Self:
         states_home = self.home_h_msl_m is not None
-        states_sigma = self.sigma_m is not None or self.sigma_column is not None
         if self.sigma_m is not None and self.sigma_column is not None:
             raise SectionError("give either sigma_m or sigma_column")
-        of_camera = isinstance(self.height, str)
-        if of_camera and (self.reference != "msl" or states_home):
+        # A word (from_distance, intersected, block): heights follow from the cameras' own, which
+        # are above mean sea level.
+        follows_from_cameras = isinstance(self.height, str)
+        if follows_from_cameras and (self.reference != "msl" or states_home):
             raise SectionError(
                 f"height: {self.height} gives heights above mean sea level; leave reference and "
                 "home_h_msl_m out"
@@ -284,6 +285,7 @@ class GroundSection(Section):
                 "the heights of a dem are above mean sea level (reference: msl) or the ellipsoid; "
                 "leave home_h_msl_m out"
             )
+        states_sigma = self.sigma_m is not None or self.sigma_column is not None
         if self.height == "intersected" and states_sigma:
             raise SectionError(
                 "height: intersected has sigmas of its own; leave sigma_m and sigma_column out"

@@ -238,16 +238,18 @@ def record_of_deflection(
 
 def air_parameter(setup: CorrectionSetup, statistics: Statistics) -> AirParameter | None:
     """The parameter of the leading mode of the air; None where no air has a covariance."""
-    modes = [u.mode for u in setup.uncertainties if u is not None and u.mode is not None]
+    modes = []
+    for uncertainty in setup.uncertainties:
+        if uncertainty is not None and uncertainty.mode is not None:
+            modes.append(uncertainty.mode)
     if not modes:
         return None
-    first = modes[0]
-    variance = statistics.air_variance
-    share = first.variance_share
-    if variance > 0.0:
-        share = statistics.by_mode * first.sigma**2 / variance
+    mode = modes[0]  # all have one sigma, see `with_common_scale`
+    share = mode.variance_share  # that of the rays it was found by, where no row has a sigma
+    if statistics.air_variance > 0.0:
+        share = mode.sigma**2 * statistics.by_mode / statistics.air_variance
     return AirParameter(
-        scale_sigma=first.sigma,
+        scale_sigma=mode.sigma,
         variance_share=float(f"{share:.4g}"),
         profiles=len(modes),
         meaning=AIR_PARAMETER,

@@ -338,21 +338,27 @@ def is_shifted(
 
 
 def beside_the_log(images: CameraImages, exposed: Events) -> tuple[str, str]:
-    """Few names that do not fit, where the others may be the log's numbers, and what to do."""
-    series = name_series(images.name)[0]
+    """Two beginnings for a refusal: which few names do not fit, and what to do about them.
+
+    Both are empty unless all other names may be the log's numbers.
+    """
     index = exposed.index
-    far = () if index is None else series.strays(index.tolist())
-    if index is None or not far or len(series.numbers) != images.name.size:
+    if index is None:
         return "", ""
-    strays = (
+    series = name_series(images.name)[0]  # the largest
+    is_only_series = len(series.numbers) == images.name.size
+    far = series.strays(index.tolist())
+    if not far or not is_only_series:
+        return "", ""
+    what = (
         f"{images.name.size} images, {index.size} events: {series.listed(far)} does not fit, the "
         f"other names may be the log's numbers {index.min()} to {index.max()}; "
     )
-    mend = (
+    to_do = (
         f"write events.log.{exposed.camera}.image: {series.pattern('index')} if these are the "
         "log's numbers, or correct the name in the observations; or "
     )
-    return strays, mend
+    return what, to_do
 
 
 def anchor_rows(

@@ -77,13 +77,14 @@ def cause_of_outside(facts: Facts, outside: Mask) -> str:
         rows = outside & (facts.camera == name)
         x = facts.rows.x_px[rows]
         y = facts.rows.y_px[rows]
-        off = (x < 0) | (y < 0) | (x > camera.width_px) | (y > camera.height_px)
-        if off.any():
-            size = facts.key_of(name, "width_px", "format_mm")
+        # Pixels are COLMAP's: 0 is the outer corner.
+        beyond_format = (x < 0) | (y < 0) | (x > camera.width_px) | (y > camera.height_px)
+        if beyond_format.any():
+            size = facts.key_of(name, of_numbers="width_px", of_metric="format_mm")
             causes.append(
                 f"outside {camera.width_px} x {camera.height_px} px ({size}; observations.columns)"
             )
-        if not off.all():
-            key = facts.key_of(name, "distortion", "distortion")
+        if not beyond_format.all():
+            key = facts.key_of(name, of_numbers="distortion", of_metric="distortion")
             causes.append(f"beyond where the distortion of {name} can be inverted ({key})")
     return "; ".join(causes)

@@ -92,15 +92,15 @@ class Facts:
         values = values[self.camera == name]
         return np.asarray(values[np.isfinite(values)])
 
-    def key_of(self, name: str, number: str, report: str) -> str:
+    def key_of(self, name: str, *, of_numbers: str, of_metric: str) -> str:
         """The key of a part of a camera, by how the mission file gives its orientation."""
         section = self.mission.cameras[name]
         if section.model is not None:
-            size = "width_px, " if number == "width_px" else ""
+            size = "width_px, " if of_numbers == "width_px" else ""
             return f"cameras.{name}, {size}params or file"
         if section.metric is not None:
-            return f"cameras.{name}.metric.{report}"
-        return f"cameras.{name}.{number}"
+            return f"cameras.{name}.metric.{of_metric}"
+        return f"cameras.{name}.{of_numbers}"
 
     def view_deg(self, name: str) -> float:
         """The field of view over the diagonal [deg], as if without distortion."""

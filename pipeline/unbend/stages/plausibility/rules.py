@@ -141,7 +141,7 @@ def field_of_view(facts: Facts) -> Findings:
     """A diagonal field of view between 3 and 130 deg (fisheyes 60 and 300), and square pixels."""
     for name, camera in facts.cameras.items():
         view = facts.view_deg(name)
-        key = facts.key_of(name, "fx_px", "focal_mm")
+        key = facts.key_of(name, of_numbers="fx_px", of_metric="focal_mm")
         least, most = (60.0, 300.0) if is_fisheye(camera) else (3.0, 130.0)
         if not least <= view <= most:
             yield messages.field_of_view(
@@ -168,7 +168,7 @@ def principal_point(facts: Facts) -> Findings:
         off = max(off_x, off_y)
         if off > 0.1:
             yield messages.principal_point_off(
-                where=facts.key_of(name, "cx_px", "origin"),
+                where=facts.key_of(name, of_numbers="cx_px", of_metric="origin"),
                 name=name,
                 cx_px=camera.cx_px,
                 cy_px=camera.cy_px,
@@ -189,11 +189,11 @@ def distortion(facts: Facts) -> Findings:
         share = float(np.max(np.hypot(u_d - u, v_d - v) / np.hypot(u, v)))
         largest = 0.3 if view < 90.0 else 1.0
         if share != 0.0 and not 1e-6 <= share <= largest:
-            key = facts.key_of(name, "distortion", "distortion")
+            key = facts.key_of(name, of_numbers="distortion", of_metric="distortion")
             yield messages.distortion_size(where=key, name=name, share=share)
         tangential = max(abs(values.get("p1", 0.0)), abs(values.get("p2", 0.0)))
         if tangential > 1e-3 and tangential > 3.0 * abs(values.get("k3", 0.0)):
-            key = facts.key_of(name, "distortion.k3", "distortion")
+            key = facts.key_of(name, of_numbers="distortion.k3", of_metric="distortion")
             yield messages.distortion_order(where=key, name=name, most=tangential)
 
 
