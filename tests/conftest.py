@@ -180,11 +180,11 @@ def computed_once() -> Iterator[None]:
     that they are given.
     """
     from unbend.messages import Ledger
-    from unbend.stages import adjusted_profile
+    from unbend.stages import air_of_mission
     from unbend.stages.multi_image import tie_point_checks
 
     diagnose, said = tie_point_checks.diagnosis, {}
-    estimate, found = adjusted_profile.build_adjusted_profile, {}
+    estimate, found = air_of_mission.build_adjusted_profile, {}
 
     def diagnosis(stated: Any) -> Any:
         given = {name: value for name, value in vars(stated).items() if not callable(value)}
@@ -204,7 +204,7 @@ def computed_once() -> Iterator[None]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(tie_point_checks, "diagnosis", diagnosis)
-        patch.setattr(adjusted_profile, "build_adjusted_profile", build)
+        patch.setattr(air_of_mission, "build_adjusted_profile", build)
         yield
 
 

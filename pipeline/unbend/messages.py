@@ -7,6 +7,7 @@ report and the terminal render them. Nothing decides by the words.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
@@ -63,8 +64,15 @@ class Message:
             "what": self.what,
             "where": self.where,
             "count": self.count,
-            "values": dict(self.values),
+            "values": {name: _known(value) for name, value in self.values.items()},
         }
+
+
+def _known(value: Value) -> Value | None:
+    """A value for the manifest; None for an infinite or unknown number."""
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
 
 
 Notes = tuple[Message, ...]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import dataclasses
+import importlib
 import json
 from types import SimpleNamespace
 
@@ -47,7 +48,7 @@ def test_options_of_simulate(unbend, monkeypatch, tmp_path, options, expected):
             missions={"bin": out / "bin.yaml"},
         )  # fmt: skip
 
-    monkeypatch.setattr(unbend.simulate, "simulate", simulate)
+    monkeypatch.setattr(importlib.import_module("unbend.simulate"), "simulate", simulate)
     ended = unbend("simulate", tmp_path / "flown", *options)
     assert ended.code == 0
     assert taken == [(tmp_path / "flown", *expected)]

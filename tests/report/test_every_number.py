@@ -491,7 +491,7 @@ def test_every_cell_of_a_radial_table():
         object.__setattr__(table, name, value)
     patch = pytest.MonkeyPatch()
     with patch.context() as context:
-        context.setattr("unbend.report.air_and_rays.radial_columns", lambda _: columns)
+        context.setattr("unbend.tables.exports.correction_tables.radial_columns", lambda _: columns)
         lines = printed(print_radial, [table])
     assert lines[0] == (
         "camera 3210 m, ground 123 m: R at 45 deg 34.56 urad, the Manual's formula 29.87"

@@ -28,7 +28,7 @@ from unbend.simulate.true_air import (
     true_air,
     vapour_pressure_pa,
 )
-from unbend.stages import adjusted_profile as batch_air
+from unbend.stages import air_of_mission as batch_air
 
 METAR = "METAR KXYZ 151055Z 24011KT 9999 SCT040 12/08 Q1013"
 

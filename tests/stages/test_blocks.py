@@ -369,7 +369,7 @@ def test_a_point_twice_in_an_image_is_a_loss(block, by_log, points):
     lines[row] = " ".join(fields)
     file.write_text("\n".join(lines) + "\n")
     entries = {e["code"]: e for e in ran(block, 3)["ledger"] if e["kind"] == "loss"}
-    assert f"first {first} in nadir_00001" in entries["OBS-REPEATED-POINT"]["what"]
+    assert f"{first} in nadir_00001" in entries["OBS-REPEATED-POINT"]["what"]
 
 
 REAL_BLOCKS = ["dbat", "metashape"] if SHARED.is_dir() else []

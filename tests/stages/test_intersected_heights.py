@@ -81,8 +81,8 @@ def test_rows_in_any_order_and_in_many_files_give_the_same(own, monkeypatch):
     _, _, results, _ = own()
     key = ["image", "point"]
     first = results.set_index(key)["h_g_m"]
-    monkeypatch.setattr(point_heights, "_ROWS_OF_A_FILE", 50)
-    monkeypatch.setattr(point_heights, "_BATCH_ROWS", 70)
+    monkeypatch.setattr(point_heights, "ROWS_OF_A_FILE", 50)
+    monkeypatch.setattr(point_heights, "BATCH_ROWS", 70)
     _, _, shuffled, _ = own(lambda table: table.sample(frac=1.0, random_state=3))
     assert (shuffled.index.size, shuffled[key].duplicated().any()) == (results.index.size, False)
     again = shuffled.set_index(key)["h_g_m"].reindex(first.index)
@@ -113,7 +113,7 @@ def test_points_of_one_image_have_no_height(own):
     ended, manifest, results, _ = own(single)
     assert results.loc[results["point"] == "alone", "status"].tolist() == ["no_ground"]
     assert ended.code == 3
-    assert "1 has fewer than two rays" in entry(manifest)["what"]
+    assert "fewer than two rays: 1" in entry(manifest)["what"]
 
 
 def test_names_that_never_repeat_are_refused(own):

@@ -290,9 +290,11 @@ class ULogMessages(DamagedBytes):
         """Take a subscription; False where its format is not defined or its number is taken."""
         name = content[3:].decode("ascii", "replace")
         number = int.from_bytes(content[1:3], "little")
-        topic = UlogTopic(name, content[0])
         sizes = self.definitions.sizes_of(name)
-        if sizes is None or self.topics.setdefault(number, topic) != topic:
+        if sizes is None:
+            return False
+        topic = UlogTopic(name, content[0])
+        if self.topics.setdefault(number, topic) != topic:
             return False
         self.sizes[number] = sizes
         return True

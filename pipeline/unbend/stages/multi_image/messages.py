@@ -527,9 +527,9 @@ def no_height_intersected(
     return MissionError(
         GROUND_INTERSECTED,
         (
-            "{known} of {points} have a height by the intersection of their rays; {few} have "
-            "fewer than two rays, {narrow} only rays within 3 deg of each other, and of {apart} "
-            "the rays do not meet"
+            "{known} of {points} have a height by the intersection of their rays; fewer "
+            "than two rays: {few}, only rays within 3 deg of each other: {narrow}, rays that do "
+            "not meet: {apart}"
         ),
         where=where,
         known=known,
@@ -551,15 +551,15 @@ def heights_intersected(
     return note(
         GROUND_INTERSECTED,
         (
-            "{count} of {points} have a height by the intersection of their rays; {few} have "
-            "fewer than two rays, {narrow} only rays within 3 deg of each other, and of {apart} "
-            "the rays do not meet; sigma of a height is {percent:.2g} % of the height above it, "
+            "{count} of {points} have a height by the intersection of their rays; fewer "
+            "than two rays: {few}, only rays within 3 deg of each other: {narrow}, rays that do "
+            "not meet: {apart}; sigma of a height is {percent:.2g} % of the height above it, "
             "in the median"
         ),
         one=(
-            "1 of {points} has a height by the intersection of its rays; {few} have fewer than "
-            "two rays, {narrow} only rays within 3 deg of each other, and of {apart} the rays do "
-            "not meet; sigma of the height is {percent:.2g} % of the height above it"
+            "1 of {points} has a height by the intersection of its rays; fewer than two "
+            "rays: {few}, only rays within 3 deg of each other: {narrow}, rays that do not meet: "
+            "{apart}; sigma of the height is {percent:.2g} % of the height above it"
         ),
         where=where,
         count=count,
@@ -578,15 +578,15 @@ def heights_intersected_poorly(
     return loss(
         GROUND_INTERSECTED,
         (
-            "{count} of {points} have a height by the intersection of their rays; {few} have "
-            "fewer than two rays, {narrow} only rays within 3 deg of each other, and of {apart} "
-            "the rays do not meet; sigma of a height is {percent:.2g} % of the height above it, "
+            "{count} of {points} have a height by the intersection of their rays; fewer "
+            "than two rays: {few}, only rays within 3 deg of each other: {narrow}, rays that do "
+            "not meet: {apart}; sigma of a height is {percent:.2g} % of the height above it, "
             "in the median"
         ),
         one=(
-            "1 of {points} has a height by the intersection of its rays; {few} have fewer than "
-            "two rays, {narrow} only rays within 3 deg of each other, and of {apart} the rays do "
-            "not meet; sigma of the height is {percent:.2g} % of the height above it"
+            "1 of {points} has a height by the intersection of its rays; fewer than two "
+            "rays: {few}, only rays within 3 deg of each other: {narrow}, rays that do not meet: "
+            "{apart}; sigma of the height is {percent:.2g} % of the height above it"
         ),
         where=where,
         count=count,

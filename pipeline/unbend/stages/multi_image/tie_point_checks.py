@@ -109,8 +109,8 @@ class TieEvidence:
         ground_m = np.full(self.ties.point.max() + 1, np.nan)
         ground_m[np.unique(rays.point)[met]] = height_m
         ties = replace(self.ties, ground=ground_m[self.ties.point])
-        above_m = self.stations.h_msl_m[self.stations.ok] - np.nanmedian(height_m)
-        reordered = model_in_other_order(model, row, column, h_m, height_m, above_m)
+        station_m = self.stations.h_msl_m[self.stations.ok]
+        reordered = model_in_other_order(model, row, column, h_m, height_m, station_m)
         return replace(self, ties=ties), reordered
 
     def other_heights_m(self, rays: ImageRays) -> dict[str, float]:
@@ -136,17 +136,18 @@ class TieEvidence:
 
 
 def model_in_other_order(
-    model: ElevationModel, row: Array, column: Array, h_m: Array, height_m: Array, above_m: Array
+    model: ElevationModel, row: Array, column: Array, h_m: Array, height_m: Array, station_m: Array
 ) -> str:
     """Whether a model fits points far better with its rows or columns reversed or exchanged.
 
-    Heights ``h_m`` of points in cells (row, column), those of the model there, and how high the
-    stations are above it. Empty where it fits as it is.
+    Heights ``h_m`` of points in cells (row, column), those of the model there, and those of the
+    stations. Empty where it fits as it is.
     """
     left_m = scatter_of(height_m - h_m)
     if not np.isfinite(left_m) or left_m <= TERRAIN_FITS * scatter_of(h_m):
         return ""
-    if left_m <= FLAT * np.nanmedian(above_m):
+    above_m = np.nanmedian(station_m - np.nanmedian(height_m))
+    if left_m <= FLAT * above_m:
         return ""
     size = np.array(model.size)[:, None]
     others = []

@@ -96,8 +96,10 @@ class Facts:
         """The key of a part of a camera, by how the mission file gives its orientation."""
         section = self.mission.cameras[name]
         if section.model is not None:
-            size = "width_px, " if of_numbers == "width_px" else ""
-            return f"cameras.{name}, {size}params or file"
+            keys = "params or file"
+            if of_numbers == "width_px":
+                keys = f"width_px, {keys}"
+            return f"cameras.{name}, {keys}"
         if section.metric is not None:
             return f"cameras.{name}.metric.{of_metric}"
         return f"cameras.{name}.{of_numbers}"
