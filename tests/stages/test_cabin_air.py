@@ -12,7 +12,7 @@ import pytest
 from tests.physics.ray_on_sphere import ray_angle_sphere
 from unbend.atmosphere import standard_atmosphere
 from unbend.batch import opening
-from unbend.config.windows import CabinAir
+from unbend.config.windows import CabinSection
 from unbend.flight.channels import Channel, Source
 from unbend.flight.stations import Stations, empty_stations
 from unbend.ingest import open_log
@@ -85,7 +85,7 @@ PROBE = channel("HYGR[1]", temperature_k=294.0, relative_humidity=0.1)
 )  # fmt: skip
 def test_values_and_sigmas(section, logged, expected):
     at = stations(6000.0, cabin_pressure_pa=logged[0], cabin_temperature_k=logged[1])
-    found, _ = filled(at, CabinAir(**section).build())
+    found, _ = filled(at, CabinSection(**section).build())
     got = (found.cabin_pressure_pa[0], found.cabin_temperature_k[0],
            found.sigma_cabin_pressure_pa[0], found.sigma_cabin_temperature_k[0])  # fmt: skip
     assert got == pytest.approx(expected, rel=3e-5, nan_ok=True)

@@ -13,9 +13,9 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 import yaml
-from tests.stages.test_adjusted_profile import sounding_text
 
 from tests.conftest import run_command, without_plots
+from tests.stages.test_air_of_mission import sounding_text
 from unbend.batch import input_files, unchanged
 from unbend.batch.campaigns import select_missions
 from unbend.config.campaign import MissionRef
