@@ -16,6 +16,7 @@ from typing import Any
 import jinja2
 import numpy as np
 from jinja2 import Environment, FileSystemBytecodeCache, FunctionLoader, StrictUndefined
+from jinja2.bccache import Bucket
 from markupsafe import Markup, escape
 from numpy.typing import ArrayLike
 
@@ -198,6 +199,15 @@ def report_page(manifest: Mapping[str, Any], flown: Flown) -> str:
     )
 
 
+class ParsedTemplates(FileSystemBytecodeCache):
+    """Parsed templates in a folder; where it has gone meanwhile they are parsed again."""
+
+    def dump_bytecode(self, bucket: Bucket) -> None:
+        """Keep a parsed template."""
+        with suppress(OSError):
+            super().dump_bytecode(bucket)
+
+
 @lru_cache(maxsize=1)
 def environment() -> Environment:
     """Templates of the package; all that is no markup is escaped, unseen characters written out."""
@@ -206,7 +216,7 @@ def environment() -> Environment:
     pattern = hashlib.sha256(repr([jinja2.__version__, code]).encode()).hexdigest() + "-%s.jinja"
     with suppress(OSError):  # nothing can be kept: templates are parsed again
         os.makedirs(folder, exist_ok=True)
-        cache = FileSystemBytecodeCache(folder, pattern) if os.access(folder, os.W_OK) else None
+        cache = ParsedTemplates(folder, pattern) if os.access(folder, os.W_OK) else None
     made = Environment(
         autoescape=True,
         undefined=StrictUndefined,
