@@ -287,6 +287,8 @@ SLOW = (
     "atmosphere/estimate/",
     "atmosphere/test_estimate_montecarlo.py",
     "atmosphere/test_model_montecarlo.py",
+    "block/test_assignment.py::test_constant_intervals_are_refused",
+    "block/test_assignment.py::test_drawn_flights_are_right_or_refused",
     "block/test_diagnosis.py",
     "block/test_simulated_mission.py",
     "faults/",
@@ -297,6 +299,11 @@ SLOW = (
     "refraction/test_compile_cache.py",
     "refraction/test_forward.py",
     "refraction/test_image.py::test_the_scalar_equations_catch_mutants",
+    "refraction/test_ray.py::test_a_wiggly_profile_against_an_independent_ode",
+    "refraction/test_ray.py::test_targets_above_against_thirty_digits",
+    "refraction/test_steep.py",
+    "refraction/test_terrain.py",
+    "refraction/test_window_sigma.py",
 )
 """Folders, files and tests that take seconds of a processor, by the beginning of their names."""
 
