@@ -125,6 +125,7 @@ def test_a_standard_asked_for_leaves_it_unused(modelled):
     modelled.config["atmosphere"]["adjust"] = False
     (entry,) = [e for e in read_mission(modelled.save()).ledger if e.code == "AIR-SOURCES-UNUSED"]
     assert "1 column (soundings, weather model)" in entry.what
+    assert entry.count == 1  # sources that are not used
     assert run_command("check", modelled.file).code == 0
 
 

@@ -246,6 +246,7 @@ def air_sources_unused(*, where: str, soundings: int, surface: int, calibrations
             "{calibrated} are not used"
         ),
         where=where,
+        count=soundings + surface + calibrations,
         columns=Counted(soundings, "column"),
         reports=Counted(surface, "surface report"),
         calibrated=Counted(calibrations, "sensor calibration"),
