@@ -11,6 +11,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from functools import partial
 from typing import TypeVar
 
 from unbend.errors import Code, Value, rendered
@@ -104,44 +105,11 @@ def message(
     return Message(kind, code.name, text, where, count, values)
 
 
-def note(
-    code: Code, text: str = "", *, one: str = "", where: str = "", count: int = 0,
-    **values: Value,
-) -> Message:  # fmt: skip
-    """A choice made. Arguments as in `message`."""
-    return message(Kind.NOTE, code, text, one=one, where=where, count=count, **values)
-
-
-def fallback(
-    code: Code, text: str = "", *, one: str = "", where: str = "", count: int = 0,
-    **values: Value,
-) -> Message:  # fmt: skip
-    """An allowed substitute. Arguments as in `message`."""
-    return message(Kind.FALLBACK, code, text, one=one, where=where, count=count, **values)
-
-
-def warning(
-    code: Code, text: str = "", *, one: str = "", where: str = "", count: int = 0,
-    **values: Value,
-) -> Message:  # fmt: skip
-    """The user should look, but the result stands. Arguments as in `message`."""
-    return message(Kind.WARNING, code, text, one=one, where=where, count=count, **values)
-
-
-def finding(
-    code: Code, text: str = "", *, one: str = "", where: str = "", count: int = 0,
-    **values: Value,
-) -> Message:  # fmt: skip
-    """An input contradicts another, or what is plausible. Arguments as in `message`."""
-    return message(Kind.FINDING, code, text, one=one, where=where, count=count, **values)
-
-
-def loss(
-    code: Code, text: str = "", *, one: str = "", where: str = "", count: int = 0,
-    **values: Value,
-) -> Message:  # fmt: skip
-    """Data was lost, damaged or flagged. Arguments as in `message`."""
-    return message(Kind.LOSS, code, text, one=one, where=where, count=count, **values)
+note = partial(message, Kind.NOTE)
+fallback = partial(message, Kind.FALLBACK)
+warning = partial(message, Kind.WARNING)
+finding = partial(message, Kind.FINDING)
+loss = partial(message, Kind.LOSS)
 
 
 Result = TypeVar("Result")

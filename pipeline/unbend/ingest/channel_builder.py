@@ -15,7 +15,7 @@ from unbend.ingest.boot_clock import LOWEST_FIX
 from unbend.ingest.buffers import ColumnStore, allocate, copy_rows
 from unbend.ingest.field_maps import MessageMap
 from unbend.ingest.flight_log import utc_text
-from unbend.messages import Ledger
+from unbend.messages import Kind, Ledger
 from unbend.units import Array, Mask, Rows
 
 _QUATERNION = ("q_w", "q_x", "q_y", "q_z")
@@ -246,8 +246,8 @@ def _without_repeats(rows: DecodedRows, ledger: Ledger, *, event: bool) -> Decod
     count = int(np.count_nonzero(repeats))
     if not count:
         return rows
-    report = messages.repeated_exposures if event else messages.repeated_rows
-    ledger.add(report(channel=rows.name, count=count, total=len(rows)))
+    kind = Kind.LOSS if event else Kind.NOTE
+    ledger.add(messages.repeated_rows(kind=kind, channel=rows.name, count=count, total=len(rows)))
     return rows.take(~repeats)
 
 

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from unbend.errors import Code, Counted, LogError, MissionError
 from unbend.flight.evidence.messages import CHANNEL_UNIT
 from unbend.flight.messages import TIME_FIT
-from unbend.messages import Message, fallback, loss, note, warning
+from unbend.messages import Kind, Message, fallback, loss, message, note, warning
 
 # Opening a log.
 
@@ -377,21 +377,17 @@ TIME_REPEAT = Code(
     remedy="Nothing, unless exposures are lost.",
 )
 
-_REPEATED_ROWS = "{count} of {total} rows repeat the time of a row before and are not used"
-_REPEATED_ROW = "1 of {total} rows repeats the time of a row before and is not used"
 
-
-def repeated_rows(*, channel: str, count: int, total: int) -> Message:
-    """Rows have the time of the row before, or equal an earlier row."""
-    return note(
-        TIME_REPEAT, _REPEATED_ROWS, one=_REPEATED_ROW, where=channel, count=count, total=total
-    )
-
-
-def repeated_exposures(*, channel: str, count: int, total: int) -> Message:
-    """As `repeated_rows`, where each row is an exposure."""
-    return loss(
-        TIME_REPEAT, _REPEATED_ROWS, one=_REPEATED_ROW, where=channel, count=count, total=total
+def repeated_rows(*, kind: Kind, channel: str, count: int, total: int) -> Message:
+    """Rows have the time of the row before, or equal an earlier row; a loss of exposures."""
+    return message(
+        kind,
+        TIME_REPEAT,
+        "{count} of {total} rows repeat the time of a row before and are not used",
+        one="1 of {total} rows repeats the time of a row before and is not used",
+        where=channel,
+        count=count,
+        total=total,
     )
 
 

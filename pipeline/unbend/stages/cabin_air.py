@@ -16,7 +16,7 @@ from unbend.atmosphere.series.profile_series import ProfileSeries
 from unbend.flight.channels import Channel
 from unbend.flight.stations import Stations
 from unbend.flight.trajectory import interpolate
-from unbend.messages import Ledger, Message, Notes
+from unbend.messages import Kind, Ledger, Message, Notes
 from unbend.refraction.camera.camera import LensInAir
 from unbend.refraction.window import (
     SCHEDULE_CEILING_M,
@@ -92,11 +92,14 @@ def cabin_from_log(
         return stations, tuple(notes)
     count = int((of_camera & np.isnan(stations.cabin_temperature_k)).sum())
     if count:
-        send = messages.cabin_temperature_assumed
-        if cabin.temperature_logged:
-            send = messages.cabin_temperature_missing
-        able = could_play("temperature", channels, roles)
-        notes.append(send(where=f"camera {camera}", count=count, able=able))
+        notes.append(
+            messages.cabin_temperature_assumed(
+                kind=Kind.LOSS if cabin.temperature_logged else Kind.FALLBACK,
+                where=f"camera {camera}",
+                count=count,
+                able=could_play("temperature", channels, roles),
+            )
+        )
     thermometer = roles.get("cabin_temperature")
     if thermometer is None or "board_temperature_k" not in thermometer.columns:
         return stations, tuple(notes)

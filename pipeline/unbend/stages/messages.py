@@ -2,7 +2,7 @@
 
 from unbend.errors import Code, Counted, InputError, MissionError
 from unbend.flight.messages import CHANNEL_MISSING
-from unbend.messages import Message, fallback, finding, loss, note, warning
+from unbend.messages import Kind, Message, fallback, finding, loss, message, note, warning
 from unbend.tables.messages import MODEL_TIME
 
 STATIONS_ATTITUDE = Code(
@@ -979,34 +979,19 @@ def cabin_pressure_missing(*, where: str, count: int, reason: str) -> Message:
     )
 
 
-_CABIN_TEMPERATURE = (
-    "{count} exposures have no cabin temperature: 21 degC are taken, +- 5 K where the cabin is "
-    "pressurised, +- 10 K where it is not; {able}"
-)
-_CABIN_TEMPERATURE_OF_ONE = (
-    "1 exposure has no cabin temperature: 21 degC are taken, +- 5 K where the cabin is "
-    "pressurised, +- 10 K where it is not; {able}"
-)
-
-
-def cabin_temperature_assumed(*, where: str, count: int, able: str) -> Message:
-    """No thermometer of the log is in the cabin."""
-    return fallback(
+def cabin_temperature_assumed(*, kind: Kind, where: str, count: int, able: str) -> Message:
+    """No thermometer is in the cabin; a loss where the mission file says that one is logged."""
+    return message(
+        kind,
         CABIN_TEMPERATURE,
-        _CABIN_TEMPERATURE,
-        one=_CABIN_TEMPERATURE_OF_ONE,
-        where=where,
-        count=count,
-        able=able,
-    )
-
-
-def cabin_temperature_missing(*, where: str, count: int, able: str) -> Message:
-    """The temperature of a cabin is to come from the log, which has none."""
-    return loss(
-        CABIN_TEMPERATURE,
-        _CABIN_TEMPERATURE,
-        one=_CABIN_TEMPERATURE_OF_ONE,
+        (
+            "{count} exposures have no cabin temperature: 21 degC are taken, +- 5 K where the "
+            "cabin is pressurised, +- 10 K where it is not; {able}"
+        ),
+        one=(
+            "1 exposure has no cabin temperature: 21 degC are taken, +- 5 K where the cabin is "
+            "pressurised, +- 10 K where it is not; {able}"
+        ),
         where=where,
         count=count,
         able=able,

@@ -2,7 +2,7 @@
 
 from unbend.errors import Code, Counted, InputError, MissionError
 from unbend.flight.messages import IMAGES_OTHER
-from unbend.messages import Message, finding, loss, note, warning
+from unbend.messages import Kind, Message, finding, loss, message, note, warning
 from unbend.stages.messages import POINTS_MISSING
 from unbend.tables.geodata.messages import POINTS_EMPTY
 from unbend.tables.imports.messages import IMPORT_CONTRADICTED
@@ -412,25 +412,11 @@ def stations_too_high(
 
 
 def heights_above_ground(
-    *, where: str, count: int, median: float, low: float, high: float
+    *, kind: Kind, where: str, count: int, median: float, low: float, high: float
 ) -> Message:
-    """How high the stations are above the ground."""
-    return note(
-        ORIENTATION_HEIGHT,
-        "the cameras are {median:.0f} m above the ground in the median, {low:.0f} to {high:.0f} m",
-        where=where,
-        count=count,
-        median=median,
-        low=low,
-        high=high,
-    )
-
-
-def heights_above_ground_odd(
-    *, where: str, count: int, median: float, low: float, high: float
-) -> Message:
-    """Stations below the ground, or far too high above it."""
-    return warning(
+    """How high the stations are above the ground; a warning where some are below or far above."""
+    return message(
+        kind,
         ORIENTATION_HEIGHT,
         "the cameras are {median:.0f} m above the ground in the median, {low:.0f} to {high:.0f} m",
         where=where,
@@ -545,37 +531,19 @@ def no_height_intersected(
 
 
 def heights_intersected(
-    *, where: str, count: int, points: int, few: int, narrow: int, apart: int, percent: float
+    *,
+    kind: Kind,
+    where: str,
+    count: int,
+    points: int,
+    few: int,
+    narrow: int,
+    apart: int,
+    percent: float,
 ) -> Message:
-    """How many points have a height by the intersection of their rays."""
-    return note(
-        GROUND_INTERSECTED,
-        (
-            "{count} of {points} have a height by the intersection of their rays; fewer "
-            "than two rays: {few}, only rays within 3 deg of each other: {narrow}, rays that do "
-            "not meet: {apart}; sigma of a height is {percent:.2g} % of the height above it, "
-            "in the median"
-        ),
-        one=(
-            "1 of {points} has a height by the intersection of its rays; fewer than two "
-            "rays: {few}, only rays within 3 deg of each other: {narrow}, rays that do not meet: "
-            "{apart}; sigma of the height is {percent:.2g} % of the height above it"
-        ),
-        where=where,
-        count=count,
-        points=Counted(points, "point"),
-        few=few,
-        narrow=narrow,
-        apart=apart,
-        percent=percent,
-    )
-
-
-def heights_intersected_poorly(
-    *, where: str, count: int, points: int, few: int, narrow: int, apart: int, percent: float
-) -> Message:
-    """Heights by intersection that are too uncertain."""
-    return loss(
+    """How many points have a height by intersection; a loss where these are too uncertain."""
+    return message(
+        kind,
         GROUND_INTERSECTED,
         (
             "{count} of {points} have a height by the intersection of their rays; fewer "

@@ -18,7 +18,7 @@ from unbend.errors import MissionError
 from unbend.flight import heights, rotations
 from unbend.flight.image_names import renamed
 from unbend.flight.stations import NO_TIME, Stations
-from unbend.messages import Ledger
+from unbend.messages import Kind, Ledger
 from unbend.stages.exposure_events import camera_of_rows
 from unbend.stages.flight_log import FlightLog
 from unbend.stages.messages import no_events
@@ -275,10 +275,17 @@ def check_height_above_ground(
         )
         use = mission.stations.use_suspect
         return stations.as_suspect(too_high, "far above the others", np.nan, use=use)
-    send = messages.heights_above_ground
-    if below > 0 or count > 0:
-        send = messages.heights_above_ground_odd
-    ledger.add(send(where=where, count=above_ok.size, median=median, low=lowest, high=highest))
+    is_odd = below > 0 or count > 0
+    ledger.add(
+        messages.heights_above_ground(
+            kind=Kind.WARNING if is_odd else Kind.NOTE,
+            where=where,
+            count=above_ok.size,
+            median=median,
+            low=lowest,
+            high=highest,
+        )
+    )
     return stations
 
 

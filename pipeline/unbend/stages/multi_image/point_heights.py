@@ -19,7 +19,7 @@ from unbend.config.ground import ControlSection, PointTable
 from unbend.flight.heights import HeightSystem, known_home_m
 from unbend.flight.stations import Stations
 from unbend.geodesy import GeoidGrid, ecef_of_geodetic
-from unbend.messages import Ledger
+from unbend.messages import Kind, Ledger
 from unbend.refraction.image import correct_observations
 from unbend.stages.correction_setup import CorrectionSetup
 from unbend.stages.exposure_setup import orientations_of_mission
@@ -259,11 +259,9 @@ def report_intersected(counts: Counter[str], shares: list[Array], ledger: Ledger
             apart=counts["apart"],
         )
     share = float(np.median(np.concatenate(shares)))
-    send = messages.heights_intersected
-    if share > POOR_SIGMA:
-        send = messages.heights_intersected_poorly
     ledger.add(
-        send(
+        messages.heights_intersected(
+            kind=Kind.LOSS if share > POOR_SIGMA else Kind.NOTE,
             where="ground.height",
             count=known,
             points=counts["points"],
