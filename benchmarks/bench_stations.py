@@ -17,7 +17,7 @@ from unbend.messages import Ledger
 from unbend.stages.flight_log import flight_log
 from unbend.stages.opened_inputs import OpenedInputs
 from unbend.stages.stations import StationBuilder
-from unbend.tables.observations import observations_of_table
+from unbend.tables.observations import open_observations
 
 LOG = Path(__file__).resolve().parents[2] / "shared" / "logs" / "sitl_survey.BIN"
 COUNT = 20_000
@@ -41,7 +41,7 @@ def test_twenty_thousand_stations_beside_the_ingest_of_a_log(ratios, tmp_path):
     mission = load_mission(path)
     columns = mission.observations.columns.model_dump()
     observed = pa.table({"image": ["1"], "point": ["p"], "x_px": [1.0], "y_px": [1.0]})
-    observations = observations_of_table(observed, "observations", columns, None, Ledger())
+    observations = open_observations(Path("observations"), columns, None, Ledger(), table=observed)
     inputs = OpenedInputs(observations, open_log(LOG))
     flight = flight_log(mission, inputs, Ledger())
     builder = StationBuilder.of(mission, flight, "c", None)

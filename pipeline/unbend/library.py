@@ -21,12 +21,12 @@ from unbend.atmosphere import Profile
 from unbend.atmosphere.estimate.adjusted_profile import unadjusted
 from unbend.atmosphere.series.profile_series import ProfileSeries, TimedProfile, constant_series
 from unbend.batch.finished_run.read_back import air_of, stations_of
-from unbend.batch.opening import open_inputs, paths_beside_tables, stated_orientation
+from unbend.batch.opening import open_inputs, open_table, paths_beside_tables, stated_orientation
 from unbend.config import Mission
 from unbend.config.reading import mission_of
 from unbend.errors import ConfigError
 from unbend.flight.stations import Stations
-from unbend.messages import Kind, Ledger
+from unbend.messages import LOSSES, Ledger
 from unbend.refraction.effect import FlightAir
 from unbend.stages.correction import correct_parts
 from unbend.stages.correction_setup import CorrectionSetup
@@ -36,7 +36,6 @@ from unbend.stages.statistics import Statistics
 from unbend.stages.story import PreparedMission, correct_mission, prepare_mission
 from unbend.tables.imports.user_tables import orientation_of_frame
 from unbend.tables.manifest import ResultsRecord
-from unbend.tables.observations import observations_of_table
 
 Table = TypeVar("Table", pd.DataFrame, pa.Table)
 Air: TypeAlias = Profile | TimedProfile | ProfileSeries | pa.Table | str | Mapping[str, Any]
@@ -47,6 +46,7 @@ _NAMES = {"lat_deg": "latitude", "lon_deg": "longitude", "sigma_tilt_deg": "sigm
           "sigma_yaw_deg": "sigma_yaw"} | {f"{name}_deg": name for name in _DEGREES}  # fmt: skip
 _HEIGHTS = {"h_msl_m": "msl", "h_ellipsoid_m": "ellipsoid"}
 _ANGLES = {"omega": "omega_phi_kappa", "roll": "roll_pitch_yaw", "q_w": "quaternion"}
+_OF_A_RUN = {"profile_id", "status", "q_w"}  # columns that only the stations of a run have
 _FURTHER = ("camera", "time_utc", "sigma_horizontal_m", "sigma_height_m", "sigma_tilt", "sigma_yaw")
 
 
@@ -90,7 +90,9 @@ def correct(
         raise TypeError(f"{', '.join(taken)}: tables in memory take the place of these sections")
     measured = _arrow(observations, "observations")
     placed: pa.Table = _arrow(stations, "stations")
-    own = stations_of(placed) if {"profile_id", "status", "q_w"} <= {*placed.column_names} else None
+    own = None
+    if {*placed.column_names} >= _OF_A_RUN:
+        own = stations_of(placed)
     frame = placed.to_pandas().rename(columns=_NAMES)
     given = {"cameras": cameras, "atmosphere": _atmosphere(profile), **sections}
     mission = mission_of_tables(frame, orientation or {}, given)
@@ -104,7 +106,7 @@ def correct(
         prepared = replace(prepared, air=air_of_stations(profile, placed, prepared.stations))
     table, results = corrected_table(prepared)
     for entry in results.ledger:
-        if entry["kind"] in (Kind.LOSS, Kind.FINDING):
+        if entry["kind"] in LOSSES:
             warnings.warn(f"{entry['code']}: {entry['what']}", UserWarning, stacklevel=2)
     manifest = results.row()
     facts = {name: manifest[name] for name in ("uncertainty", "cabin_air", "ledger")}
@@ -197,19 +199,7 @@ def inputs_of_tables(
 ) -> tuple[Mission, OpenedInputs]:
     """The tables as inputs, with files that the mission names beside them; and what these say."""
     mission, paths = paths_beside_tables(mission, Path.cwd())
-    section = mission.observations
-    ground = mission.ground
-    observations = observations_of_table(
-        measured,
-        section.path,
-        section.columns.model_dump(),
-        ground.column,
-        ledger,
-        ground_is_msl=ground.reference == "msl",
-        sigma_column=ground.sigma_column,
-        direction=mission.refraction.direction,
-        pixels=section.pixels,
-    )
+    observations = open_table(mission, Path(mission.observations.path), ledger, table=measured)
     inputs = open_inputs(mission, paths, observations, None, ledger)
     of_stations = mission.stations.orientation
     if of_stations is None:
@@ -226,14 +216,18 @@ def air_of_stations(profile: Air, placed: pa.Table, stations: Stations) -> Fligh
     if isinstance(profile, TimedProfile):
         series = constant_series(profile, len(stations))
     elif isinstance(profile, pa.Table) and b"g_phi" in (profile.schema.metadata or {}):
-        ids = placed["profile_id"] if "profile_id" in placed.column_names else pa.nulls(0)
-        several = pc.count_distinct(profile["profile_id"]).as_py() > 1
-        if several and not len(ids):
+        ids = pa.nulls(0)
+        if "profile_id" in placed.column_names:
+            ids = placed["profile_id"]
+        profile_count = pc.count_distinct(profile["profile_id"]).as_py()
+        if profile_count > 1 and not len(ids):
             raise ValueError("several profiles need the stations of their run, with profile_id")
         series = air_of(profile, ids.cast(pa.string()))
     elif isinstance(profile, ProfileSeries):
         series = profile
-        if (size := series.profile_number.size) != (given := placed.num_rows):
+        size = series.profile_number.size
+        given = placed.num_rows
+        if size != given:
             what = f"the profiles are those of {size} stations, not of the {given} that are given"
             raise ValueError(what)
     if series is None:
@@ -244,7 +238,8 @@ def air_of_stations(profile: Air, placed: pa.Table, stations: Stations) -> Fligh
     number = np.zeros(len(stations), np.int64)
     number[: series.profile_number.size] = series.profile_number
     first = series.timed_profiles[0]
-    adjustment = replace(unadjusted(first.profile, "it is given"), covariance=first.covariance)
+    adjustment = unadjusted(first.profile, "it is given")
+    adjustment = replace(adjustment, covariance=first.covariance)
     return FlightAir(adjustment, ProfileSeries(series.timed_profiles, number))
 
 

@@ -5,6 +5,8 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+import pyarrow as pa
+
 from unbend.batch import messages, remote
 from unbend.batch.input_files import named_inputs
 from unbend.batch.plan import located, with_camera_files
@@ -70,9 +72,16 @@ def open_inputs(
 
 
 def open_table(
-    mission: Mission, path: Path, ledger: Ledger, most_rows: int | None = None
+    mission: Mission,
+    path: Path,
+    ledger: Ledger,
+    most_rows: int | None = None,
+    table: pa.Table | None = None,
 ) -> Observations:
-    """The table of observations, its columns checked, and ``most_rows`` rows drawn of it."""
+    """The table of observations, its columns checked, and ``most_rows`` rows drawn of it.
+
+    A ``table`` in memory takes the place of the file; ``path`` is then its name.
+    """
     section = mission.observations
     ground = mission.ground
     return open_observations(
@@ -86,6 +95,7 @@ def open_table(
         pixels=section.pixels,
         most_rows=most_rows,
         file_format=section.format,
+        table=table,
     )
 
 

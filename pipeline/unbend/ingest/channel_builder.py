@@ -247,7 +247,14 @@ def _without_repeats(rows: DecodedRows, ledger: Ledger, *, event: bool) -> Decod
     if not count:
         return rows
     kind = Kind.LOSS if event else Kind.NOTE
-    ledger.add(messages.repeated_rows(kind=kind, channel=rows.name, count=count, total=len(rows)))
+    ledger.add(
+        messages.repeated_rows(
+            kind=kind,
+            channel=rows.name,
+            count=count,
+            total=len(rows),
+        )
+    )
     return rows.take(~repeats)
 
 

@@ -1,7 +1,6 @@
 """Image measurements from a table or a block, in batches, with the user's other columns intact."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import islice
@@ -12,23 +11,22 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from unbend.messages import Ledger
 from unbend.tables import messages
-from unbend.tables.delimited import csv_names, open_csv, scan_csv
+from unbend.tables.delimited import scan_csv
 from unbend.tables.geodata.object_points import ObjectPoints
-from unbend.tables.imports.blocks import BLOCKS, block_rows
-from unbend.tables.imports.blocks.image_points import of_points, rows_of_image
+from unbend.tables.imports.blocks import BLOCKS
+from unbend.tables.imports.blocks.image_points import of_points
+from unbend.tables.observation_files import OpenedTable, Records, csv_records, in_memory, open_file
 from unbend.tables.pixels import COLMAP, PixelSystem
 from unbend.tables.refraction_mark import Direction, refuse_done
 from unbend.tables.schemas import DISPLACED_COLUMNS, OBSERVATION_COLUMNS
 from unbend.tables.text_columns import hashes_of, is_text, refuse_other_pixels, require_columns
 from unbend.units import Array
 
-Records = Callable[[int, list[str] | None, int], Iterator[pa.RecordBatch]]
-"""Reads a table: rows of a batch at most, where the file lets choose, which columns, from where."""
+_SCANNED_ROWS = 1 << 20  # read at a time for the names of images
 
 # A user's column with one of these names would be taken for a result, in either direction.
 _OURS = OBSERVATION_COLUMNS.keys() | DISPLACED_COLUMNS.keys()
@@ -296,12 +294,13 @@ def open_observations(
     pixels: PixelSystem = COLMAP,
     most_rows: int | None = None,
     file_format: str | None = None,
+    table: pa.Table | None = None,
 ) -> Observations:
     """Check a table of observations: its columns, its marks, its images.
 
     Parameters
     ----------
-    path : ``.csv`` or ``.parquet``, or what ``file_format`` says.
+    path : ``.csv`` or ``.parquet``, or what ``file_format`` says; of a ``table`` its name.
     columns : image, point, x_px, y_px -> the user's name of the column; distance_m too, where
         there is one: it passes through as the user's own.
     ground_column : the column of ground heights, or None where none has them.
@@ -312,129 +311,128 @@ def open_observations(
     pixels : where the table counts its pixels from.
     most_rows : draw that many rows, spread over the images, for `Observations.sampled`.
     file_format : csv, parquet, or one of `BLOCKS`; by default the ending says it.
+    table : the table itself, where it is in memory and no file.
 
     Refuses a table to which that was done already, one that lacks a column, or repeats a name. A
     point that stands twice in one image of a block is a loss.
     """
-    ending = path.suffix.lower().removeprefix(".")
-    kind = file_format or {"txt": "csv", "pq": "parquet"}.get(ending, ending)
-    schema, records = _opened(path, kind)
-    return _checked(
-        path,
-        kind,
-        schema,
-        records,
-        columns,
-        ground_column,
-        ledger,
-        ground_is_msl=ground_is_msl,
-        sigma_column=sigma_column,
-        direction=direction,
-        pixels=pixels,
-        most_rows=most_rows,
-    )
-
-
-def observations_of_table(
-    table: pa.Table,
-    name: str,
-    columns: Mapping[str, str | None],
-    ground_column: str | None,
-    ledger: Ledger,
-    *,
-    ground_is_msl: bool = True,
-    sigma_column: str | None = None,
-    direction: Direction = "remove",
-    pixels: PixelSystem = COLMAP,
-) -> Observations:
-    """As `open_observations` of a table in memory, which messages call ``name``."""
-    return _checked(
-        Path(name),
-        "memory",
-        table.schema,
-        partial(_table_records, table),
-        columns,
-        ground_column,
-        ledger,
-        ground_is_msl=ground_is_msl,
-        sigma_column=sigma_column,
-        direction=direction,
-        pixels=pixels,
-        most_rows=None,
-    )
-
-
-def _checked(
-    path: Path,
-    kind: str,
-    schema: pa.Schema,
-    records: Records,
-    columns: Mapping[str, str | None],
-    ground_column: str | None,
-    ledger: Ledger,
-    *,
-    ground_is_msl: bool,
-    sigma_column: str | None,
-    direction: Direction,
-    pixels: PixelSystem,
-    most_rows: int | None,
-) -> Observations:
-    """The observations of a table that was opened; ``kind`` is its format, or memory."""
+    opened = open_file(path, file_format) if table is None else in_memory(table)
+    schema = opened.schema
     named = {role: name for role, name in columns.items() if name is not None}
     wanted = [(role, name, f"observations.columns.{role}") for role, name in named.items()]
     if ground_column:
         wanted.append(("ground height", ground_column, "ground.height.column"))
     if sigma_column:
         wanted.append(("sigma of the ground", sigma_column, "ground.sigma_column"))
-    refuse_done(path, schema, direction, is_file=kind != "memory")
+    refuse_done(path, schema, direction, is_file=table is None)
     refuse_other_pixels(path, schema, direction, named)
     require_columns(path, schema, wanted)
-    sample, has_points = None if most_rows is None else RowSample(most_rows), kind not in BLOCKS
-    if kind == "csv":
+
+    # The images of all rows, and of a CSV the types of its columns.
+    sample = None if most_rows is None else RowSample(most_rows)
+    if opened.kind == "csv":
         numbers = {named["x_px"], named["y_px"], ground_column or ""} & set(schema.names)
-        add = None if sample is None else sample.add
-        scan = scan_csv(path, schema.names, (named["image"], named["point"]), numbers, add)
-        rows, images, records = scan.rows, scan.images, partial(_csv_records, path, scan.types)
-        schema = pa.schema(list(scan.types.items()))
-        require_columns(path, schema, wanted)  # now with the types that the values have
-        for name in scan.codes:
-            ledger.add(messages.column_as_text(column=name))
+        scan = _scan_of_csv(path, schema.names, named, numbers, sample, ledger)
+        require_columns(path, scan.schema, wanted)  # now with the types that the values have
     else:
-        rows, images, repeated = 0, set(), list[str]()
-        for batch in records(1 << 20, [named["image"], named["point"]][: 1 + (kind in BLOCKS)], 0):
-            rows += batch.num_rows
-            if kind in BLOCKS and (tied := of_points(batch, *batch.schema.names)).size:
-                point, has_points = batch.column(1).take(tied).to_pandas(), True
-                repeated += [f"{p} in {batch.column(0)[0]}" for p in point[point.duplicated()]]
-            names = batch.column(0)
-            if not pa.types.is_dictionary(names.type):
-                names = names.cast(pa.string())
-            images.update(pc.unique(names).to_pylist())
-            if sample is not None:
-                sample.add(names)
-        if repeated:
-            count, first = len(repeated), repeated[0]
-            ledger.add(messages.points_repeated(where=path.name, count=count, first=first))
-    if rows == 0:
+        scan = _scan_of_names(path, opened, named, sample, ledger)
+    if scan.rows == 0:
         raise messages.observations_empty(where=path)
+
+    # The user's other columns, beside those that the results replace.
     replaced = set(named.values()) - {named.get("distance_m")}
     if ground_column == "h_g_m" and ground_is_msl:
         replaced.add("h_g_m")
-    sources = _written_names([name for name in schema.names if name not in replaced], ledger)
+    own_names = [name for name in scan.schema.names if name not in replaced]
+    sources = _written_names(own_names, ledger)
+    user_fields = []
+    for written, original in sources.items():
+        user_fields.append(pa.field(written, scan.schema.field(original).type))
     return Observations(
         path=path,
         columns=named,
         ground_column=ground_column,
-        rows=rows,
-        images=tuple(sorted(images - {None})),
-        user_fields=tuple(pa.field(n, schema.field(source).type) for n, source in sources.items()),
+        rows=scan.rows,
+        images=tuple(sorted(name for name in scan.images if name is not None)),
+        user_fields=tuple(user_fields),
         sigma_column=sigma_column,
         pixels=pixels,
-        is_block=kind in BLOCKS,
-        has_points=has_points,
+        is_block=opened.kind in BLOCKS,
+        has_points=scan.has_points,
         sample=sample,
         _sources=sources,
-        _records=records,
+        _records=scan.records,
+    )
+
+
+@dataclass(frozen=True)
+class _Scan:
+    """What all rows of a table were read for once."""
+
+    rows: int
+    images: Collection[str | None]
+    schema: pa.Schema
+    records: Records
+    has_points: bool
+
+
+def _scan_of_csv(
+    path: Path,
+    names: list[str],
+    named: Mapping[str, str],
+    numbers: set[str],
+    sample: RowSample | None,
+    ledger: Ledger,
+) -> _Scan:
+    """Read a CSV once, which says the types of its columns."""
+    add = None if sample is None else sample.add
+    scan = scan_csv(path, names, (named["image"], named["point"]), numbers, add)
+    for name in scan.codes:
+        ledger.add(messages.column_as_text(column=name))
+    return _Scan(
+        rows=scan.rows,
+        images=scan.images,
+        schema=pa.schema(list(scan.types.items())),
+        records=partial(csv_records, path, scan.types),
+        has_points=True,
+    )
+
+
+def _scan_of_names(
+    path: Path,
+    opened: OpenedTable,
+    named: Mapping[str, str],
+    sample: RowSample | None,
+    ledger: Ledger,
+) -> _Scan:
+    """Read the images of all rows, and the points of a block, which may stand twice in an image."""
+    is_block = opened.kind in BLOCKS
+    only = [named["image"], named["point"]] if is_block else [named["image"]]
+    rows = 0
+    images: set[str | None] = set()
+    repeated: list[str] = []
+    has_points = not is_block
+    for batch in opened.records(_SCANNED_ROWS, only, 0):
+        rows += batch.num_rows
+        if is_block and (tied := of_points(batch, *batch.schema.names)).size:
+            point = batch.column(1).take(tied).to_pandas()
+            has_points = True
+            repeated += [f"{p} in {batch.column(0)[0]}" for p in point[point.duplicated()]]
+        names = batch.column(0)
+        if not pa.types.is_dictionary(names.type):
+            names = names.cast(pa.string())
+        images.update(pc.unique(names).to_pylist())
+        if sample is not None:
+            sample.add(names)
+    if repeated:
+        count = len(repeated)
+        ledger.add(messages.points_repeated(where=path.name, count=count, first=repeated[0]))
+    return _Scan(
+        rows=rows,
+        images=images,
+        schema=opened.schema,
+        records=opened.records,
+        has_points=has_points,
     )
 
 
@@ -449,78 +447,6 @@ def _written_names(users: list[str], ledger: Ledger) -> dict[str, str]:
             ledger.add(messages.column_renamed(column=own, written=name))
         sources[name] = own
     return sources
-
-
-def _opened(path: Path, kind: str) -> tuple[pa.Schema, Records]:
-    """The Arrow schema of a table, that of a CSV all text until it is scanned, and its rows."""
-    if not path.exists() or (kind not in BLOCKS and not path.is_file()):
-        raise messages.observations_missing(where=path)
-    if kind in BLOCKS:
-        rows = partial(_block_records, path, kind)
-        return next(rows(0, None, 0), rows_of_image("", [])).schema, rows
-    if kind == "csv":
-        schema = pa.schema([(name, pa.string()) for name in csv_names(path)])
-        return schema, partial(_csv_records, path, {})
-    if kind == "parquet":
-        try:
-            return pq.read_schema(path), partial(_parquet_records, path)
-        except (pa.ArrowInvalid, OSError) as error:
-            raise messages.parquet_unreadable(where=path, error=str(error)) from None
-    ending = path.suffix.lower() or "a file without extension"
-    raise messages.observations_format(where=path, ending=ending, blocks=", ".join(BLOCKS))
-
-
-def _block_records(
-    path: Path, kind: str, rows: int, only: list[str] | None, first: int
-) -> Iterator[pa.RecordBatch]:
-    for batch in _from_row(first, block_rows(path, kind)):
-        yield batch if only is None else batch.select(only)
-
-
-def _csv_records(
-    path: Path, types: Mapping[str, pa.DataType], rows: int, only: list[str] | None, first: int
-) -> Iterator[pa.RecordBatch]:
-    with damage_in_table(path), open_csv(path, types, only) as reader:
-        yield from _from_row(first, reader)
-
-
-def _parquet_records(
-    path: Path, rows: int, only: list[str] | None, first: int
-) -> Iterator[pa.RecordBatch]:
-    # Images have few names: the first of some columns is left as it is encoded.
-    encoded = None if only is None else only[:1]
-    # What is read ahead stays in memory until the end, as do the pages of a memory map.
-    opened = partial(pq.ParquetFile, path, pre_buffer=False, buffer_size=1 << 20)
-    with damage_in_table(path), opened(read_dictionary=encoded) as file:
-        groups = [file.metadata.row_group(i).num_rows for i in range(file.num_row_groups)]
-        begins = np.cumsum([0, *groups])
-        group = max(int(np.searchsorted(begins, first, "right")) - 1, 0)
-        left = list(range(group, len(groups)))
-        batches = file.iter_batches(batch_size=rows, columns=only, row_groups=left)
-        yield from _from_row(first - int(begins[group]), batches)
-
-
-def _table_records(
-    table: pa.Table, rows: int, only: list[str] | None, first: int
-) -> Iterator[pa.RecordBatch]:
-    chosen = table if only is None else table.select(only)
-    yield from chosen.slice(first).to_batches(max_chunksize=rows)
-
-
-def _from_row(first: int, batches: Iterable[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
-    """Batches without the rows before the first."""
-    for batch in batches:
-        yield batch.slice(min(first, batch.num_rows))
-        first = max(first - batch.num_rows, 0)
-
-
-@contextmanager
-def damage_in_table(path: Path) -> Iterator[None]:
-    """Raise what Arrow says of a damaged table as InputError (OBS-DAMAGED)."""
-    try:
-        yield
-    except (pa.ArrowException, OSError) as error:
-        raise messages.observations_damaged(where=path, error=str(error)) from None
 
 
 def _slices(batches: Iterator[pa.RecordBatch], rows: int) -> Iterator[pa.Table]:
