@@ -8,7 +8,7 @@ from io import StringIO, TextIOWrapper
 
 import typer
 
-from unbend.cli import guide, missions, physics
+from unbend.cli import guide, missions, physics, results
 from unbend.cli.app import app, print_bug, print_error
 from unbend.errors import UnbendError
 from unbend.exit_codes import EXIT_CONFIG, EXIT_DONE, EXIT_INTERRUPTED, EXIT_TERMINATED
@@ -16,7 +16,7 @@ from unbend.interrupts import SIGNALS
 from unbend.report.words import visible
 
 # The import of these modules registers their commands.
-_COMMANDS = (guide, missions, physics)
+_COMMANDS = (guide, missions, physics, results)
 
 # Base class of all errors in a command line: click's UsageError, or that of the copy of click in
 # newer versions of typer.

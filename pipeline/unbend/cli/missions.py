@@ -1,20 +1,17 @@
-"""Commands on missions, logs and folders of results."""
+"""Commands on missions and logs."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Generator, Iterable, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from contextlib import closing, nullcontext
 from dataclasses import replace
-from functools import cache, partial
-from inspect import Parameter, Signature
-from math import inf
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 from typer import Argument, Option
-from typer.core import TyperCommand
 
 from unbend.cli import messages
 from unbend.cli.app import Answer, command, print_bug, print_error, write_rows_csv
@@ -76,7 +73,7 @@ def run(
         from unbend.batch.execute import shard_of
 
         chosen = select_missions(configs, names or (), shard_of(shard))
-    entries: list[dict[str, Any]] = []
+    entries: dict[MissionRef, dict[str, Any]] = {}
     ended: dict[MissionRef, MissionEnd] = {}
     apart = jobs > 1 or scheduler is not None
     title = f"{len(chosen.missions)} missions"
@@ -92,11 +89,12 @@ def run(
     with answer.progress(title) if apart else nullcontext(), closing(ends):
         for ref, end in ends:
             ended[ref] = end
-            entries.append(print_end(answer, ref.label, end, chosen))
-    print_repeated(answer, chosen, ended.values())
+            entries[ref] = print_end(answer, ref.label, end, chosen)
+    print_repeated(answer, chosen, ended)
     if shard is None:
         answer.print_paths(str(page) for page in write_pages(chosen, ended))
-    end_of_command(answer, entries)
+    in_order = [entries[ref] for ref in chosen.missions if ref in entries]
+    end_of_command(answer, in_order)
 
 
 def run_missions(
@@ -164,12 +162,18 @@ def print_end(answer: Answer, config: str, end: MissionEnd, chosen: Selection) -
     return entry
 
 
-def print_repeated(answer: Answer, chosen: Selection, ends: Iterable[MissionEnd]) -> None:
-    """Print which of several missions were unchanged."""
+def print_repeated(
+    answer: Answer, chosen: Selection, ended: Mapping[MissionRef, MissionEnd]
+) -> None:
+    """Print which of several missions were unchanged, in the order of the files."""
     from unbend.batch.executors import Outcome
     from unbend.report.terminal import print_unchanged
 
-    repeated = [end.name for end in ends if isinstance(end, Outcome) and end.repeated]
+    repeated = []
+    for ref in chosen.missions:
+        end = ended.get(ref)
+        if isinstance(end, Outcome) and end.repeated:
+            repeated.append(end.name)
     if repeated and len(chosen.missions) > 1:
         print_unchanged(answer.console, repeated, len(chosen.missions))
 
@@ -356,92 +360,6 @@ def inspect(
     raise typer.Exit(exit_code_of(has_losses=opened.ledger.has_losses))
 
 
-@cache
-def _format_parameters() -> tuple[Any, ...]:
-    """Parameters of ``unbend export`` that the formats declare: --format, and their options."""
-    from unbend.tables.exports import FORMATS
-
-    names: dict[str, list[str]] = {}
-    options = {}
-    for form in FORMATS.values():
-        names.setdefault(form.contents, []).append(form.name)
-        for option in form.options:
-            options[option.name] = option
-    listed = "; ".join(f"{', '.join(of)}: {contents}" for contents, of in names.items())
-    format_option = Option("--format", help=listed, autocompletion=lambda: list(FORMATS))
-    hints: dict[str, Any] = {"format_name": Annotated[str, format_option]}
-    parameters = [Parameter("format_name", Parameter.KEYWORD_ONLY)]
-    for option in options.values():
-        unit = f" {option.unit}" if option.unit else ""
-        hints[option.name] = Annotated[
-            option.kind | None,
-            Option(
-                min=None if option.minimum == -inf else option.kind(option.minimum),
-                max=None if option.maximum == inf else option.kind(option.maximum),
-                help=f"{option.help}, by default {option.default}{unit}",
-            ),
-        ]
-        parameters.append(Parameter(option.name, Parameter.KEYWORD_ONLY, default=None))
-
-    def declared() -> None:
-        """Only its parameters are used."""
-
-    declared.__annotations__ = hints
-    declared.__signature__ = Signature(  # type: ignore[attr-defined]
-        [p.replace(annotation=hints[p.name]) for p in parameters]
-    )
-    command = typer.Typer(add_completion=False, rich_markup_mode=None)
-    command.command()(declared)
-    return tuple(typer.main.get_command(command).params)
-
-
-class _ExportCommand(TyperCommand):
-    """`unbend export`, with the options of the formats; they are imported when it is used."""
-
-    def get_params(self, ctx: Any) -> list[Any]:
-        own = len(self.params)
-        params = super().get_params(ctx)
-        quiet = not {"-q", "--quiet"}.isdisjoint(sys.argv)
-        with Answer(quiet=quiet, as_json="--json" in sys.argv).progress("loading"):
-            _format_parameters()
-        return [*params[:own], *_format_parameters(), *params[own:]]
-
-    def invoke(self, ctx: Any) -> Any:
-        """Hand the function of the command what the formats declare as one mapping."""
-        ctx.obj = {p.name: ctx.params.pop(p.name) for p in _format_parameters()}
-        return super().invoke(ctx)
-
-
-@command(
-    cls=_ExportCommand,
-    epilog="Example: unbend export results/survey --format lattice --out grid.parquet",
-)
-def export(
-    answer: Answer,
-    ctx: typer.Context,
-    run: Annotated[str, Argument(help="a folder of results, or their URL", metavar="RUN")],
-    out: Annotated[Path, Option(help="the file to write, or the folder that several go to")],
-    ground_height: Annotated[
-        float | None,
-        Option(help="metres above sea level; by default the median of each image's observations"),
-    ] = None,
-    *,
-    force: Annotated[bool, Option(help="replace the file if it is there")] = False,
-) -> None:
-    """Write the results of a run for other programs."""
-    options = {name: value for name, value in ctx.obj.items() if value is not None}
-    name = options.pop("format_name")
-    with answer.progress(f"exporting {run}"):
-        from unbend.batch.finished_run.export import export_run
-        from unbend.batch.plan import located
-
-        written, ledger = export_run(
-            located(run), name, out, options, ground_height_m=ground_height, force=force
-        )
-    answer.print_paths([f"{out}: {count(written, 'row')}"])
-    answer.end({"out": str(out), "format": name, "rows": written}, ledger)
-
-
 @command(epilog="Example: unbend simulate flown --height 3000")
 def simulate(
     answer: Answer,
@@ -476,56 +394,3 @@ def simulate(
             "missions": missions,
         }
     )
-
-
-@command(epilog="Example: unbend verify results/survey")
-def verify(
-    answer: Answer,
-    run: Annotated[str, Argument(help="a folder of results, or their URL", metavar="RUN")],
-    *,
-    remove_leftovers: Annotated[
-        bool, Option("--remove-leftovers", help="of a URL: remove what interrupted runs left there")
-    ] = False,
-    recent: Annotated[
-        bool, Option("--recent", help="with it: uploads of the last hour too, if no run goes on")
-    ] = False,
-) -> None:
-    """Whether the results of a run are whole and unchanged.
-
-    With --remove-leftovers the URL may be that of many results: what is below it is looked at too,
-    and no run need have finished there. No result is touched.
-    """
-    content: dict[str, Any] = {}
-    with answer.progress(f"hashing {run}"):
-        from unbend.batch import remote
-        from unbend.batch.plan import located
-        from unbend.batch.results import read_manifest, verify_run
-
-        output = located(run)
-        is_wanted = True
-        if remove_leftovers and isinstance(output, remote.Place):
-            removed, young = remote.remove_leftovers(output, recent=recent)
-            print_leftovers(answer, removed, young)
-            content = {"removed": removed, "kept": young}
-            is_wanted = read_manifest(output) is not None
-        manifest = verify_run(output) if is_wanted else None
-    if manifest is None:
-        answer.print_json(content)
-        return
-    files = len(manifest["outputs"])
-    verb = "is" if files == 1 else "are"
-    mission = manifest["mission"]
-    answer.print_paths([f"{run}: {count(files, 'file')} of mission {mission} {verb} whole"])
-    answer.print_json(
-        content | {"run": str(run), "mission": mission, "files": files, "whole": True}
-    )
-
-
-def print_leftovers(answer: Answer, removed: Sequence[str], young: int) -> None:
-    """Print what interrupted runs left in object storage, and how much of it stays."""
-    answer.print_paths(f"removed {name}" for name in removed)
-    if young:
-        uploads = count(young, "upload")
-        answer.console.print(f"{uploads} of the last hour kept: --recent removes them too")
-    elif not removed:
-        answer.console.print("nothing is left of interrupted runs")

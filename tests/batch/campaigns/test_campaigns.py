@@ -362,3 +362,15 @@ def test_code_and_summary_of_what_is_unchanged_are_those_of_the_run(done, unbend
     assert [mission["exit_code"] for mission in both] == [3, 0]
     assert both[0]["manifest"] == told
     assert unbend("run", done.file).code == 3
+
+
+def test_what_is_unchanged_is_told_in_the_order_of_the_files(done, unbend):
+    """Also where the first mission was compared by its hashes, after the second was known."""
+    (done.flight(0) / "balloon.csv").touch()
+    assert done.unchanged() == [1]
+    told = unbend("run", done.file).out
+    assert told.index("flight-0") < told.index("flight-1")
+    (done.flight(0) / "balloon.csv").touch()
+    entries = json.loads(unbend("run", done.file, "--json").out)
+    names = [Path(entry["output"]).name for entry in entries]
+    assert names == ["flight-0", "flight-1"]
