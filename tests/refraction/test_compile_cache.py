@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from filelock import FileLock
 
 import unbend
 from unbend.refraction.kernels import jit
@@ -157,20 +158,10 @@ def test_the_package_is_imported_where_there_is_no_fork(tree):
 
 def test_kernels_hold_no_lock_while_they_run():
     """Threads work on blocks of rows beside each other."""
-    from unbend.refraction.kernels import grazing, image, moments, ray, sigma, terrain
-
-    kernels = [
-        grazing.bend_grazing_rays,
-        image.fill_outgoing_rays,
-        image.shift_back,
-        moments.bend_steep_rays,
-        ray.bend_rays,
-        ray.ray_heights,
-        sigma.propagate,
-        terrain.follow_rays,
-    ]
-    assert all(kernel.targetoptions["nogil"] for kernel in kernels)
-    assert not any(kernel.targetoptions.get("fastmath") for kernel in kernels)
+    assert jit.OPTIONS["nogil"]
+    assert "fastmath" not in jit.OPTIONS
+    for path in ROOM.glob("kernels/*.py"):
+        assert path.name == "jit.py" or "numba.njit" not in path.read_text(), path
 
 
 def divided(x, y):
@@ -186,3 +177,18 @@ def test_a_division_by_zero_is_infinite_as_in_numpy(kept, monkeypatch, tmp_path)
     assert np.isinf(x[0])
     assert np.isnan(x[1])
     assert bool(list(tmp_path.rglob("*.nbc"))) == kept
+
+
+def test_while_another_process_compiles_nothing_is_kept(monkeypatch, tmp_path):
+    """numba numbers the files of a function: two writers may give each other's code to a type."""
+    monkeypatch.setattr(jit, "cache_folder", lambda: str(tmp_path))
+    monkeypatch.setattr(jit, "COMPILED_WITHIN_S", 0.1)
+    kernel = jit.entry(divided)
+    x = np.array([3.0, 1.0])
+    with FileLock(tmp_path / "compiling.lock"):
+        kernel(x, np.array([2.0, 4.0]))
+    assert x.tolist() == [1.5, 0.25]
+    assert not list(tmp_path.rglob("*.nbc"))
+    kernel(x, np.array([2.0, 4.0]))
+    assert x.tolist() == [0.75, 0.0625]
+    assert len(list(tmp_path.rglob("*.nbc"))) == 1

@@ -13,8 +13,8 @@ from unbend.refraction.kernels.columns import (
     NADIR_COSINE,
     NADIR_SINE,
     SPHERE_RADIUS,
-    ObservationColumns,
     TracedColumns,
+    observation_columns,
 )
 from unbend.refraction.kernels.threads import in_blocks
 from unbend.refraction.ray import PublishedRays, bend
@@ -114,7 +114,7 @@ def apply_refraction(
         return displaced
     if sigma_h_g is None:
         sigma_h_g = np.full(x_px.shape, np.nan)
-    observations = ObservationColumns(
+    observations = observation_columns(
         displaced.x_corrected_px, displaced.y_corrected_px, h_g, sigma_h_g, exposure
     )
     sigmas = Sigmas.room(x_px.size)

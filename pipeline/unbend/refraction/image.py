@@ -25,6 +25,7 @@ from unbend.refraction.kernels.columns import (
     ObservationColumns,
     RayColumns,
     TracedColumns,
+    observation_columns,
 )
 from unbend.refraction.kernels.threads import in_blocks
 from unbend.refraction.ray import PublishedRays, as_columns, bend
@@ -165,7 +166,6 @@ def correct_observations(
     coordinates. Rows of one exposure that follow each other are fastest.
     """
     n = x_px.size
-    n = x_px.size
     distance = _or_unknown(distance_m, n)
     sigma_h_g = _or_unknown(sigma_h_g, n)
     if _pays_to_sort(exposure):
@@ -190,7 +190,7 @@ def correct_observations(
         sigmas=None if uncertainty is None else Sigmas.room(n),
         **columns,
     )
-    observations = ObservationColumns(x_px, y_px, h_g, sigma_h_g, exposure)
+    observations = observation_columns(x_px, y_px, h_g, sigma_h_g, exposure)
     task = _Correction(camera.constants, exposures.columns, table, uncertainty)
 
     def correct_block(rows: slice) -> None:

@@ -24,11 +24,11 @@ from unbend.refraction.kernels.columns import (
     PASSES,
     SPHERE_RADIUS,
     WAITS,
-    ObservationColumns,
     RayColumns,
     TerrainGrid,
     TerrainRays,
     TerrainState,
+    observation_columns,
 )
 from unbend.refraction.kernels.threads import in_blocks
 from unbend.refraction.ray import DEFAULT_RADIUS_M, PublishedRays, as_columns, bend
@@ -156,7 +156,7 @@ def target_rays(
         x = x + _MARGIN_PX
         y = y + _MARGIN_PX
     anywhere = np.zeros(x.size)
-    observed = ObservationColumns(x, y, anywhere, anywhere, exposure)
+    observed = observation_columns(x, y, anywhere, anywhere, exposure)
     rays, _, _ = outgoing_rays(observed, camera.constants, exposures.columns)
     return rays
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from unbend.units import Array, Integers, Mask, Rows
 
@@ -123,6 +123,27 @@ class ObservationColumns(NamedTuple):
     def part(self, rows: slice) -> ObservationColumns:
         """Some of the rows."""
         return ObservationColumns._make(values[rows] for values in self)
+
+
+def observation_columns(
+    x: Array, y: Array, h_g: Array, sigma_h_g: Array, exposure: Integers
+) -> ObservationColumns:
+    """Observations as kernels take them; what is read-only is copied.
+
+    Kernels are compiled for types, and a read-only array is a type of its own.
+    """
+    return ObservationColumns(
+        x=_writable(x, np.float64),
+        y=_writable(y, np.float64),
+        h_g=_writable(h_g, np.float64),
+        sigma_h_g=_writable(sigma_h_g, np.float64),
+        exposure=_writable(exposure, np.int64),
+    )
+
+
+def _writable(values: Array | Integers, dtype: DTypeLike) -> Any:
+    """The values in one piece that may be written to: themselves where they are that."""
+    return np.require(values, dtype, ["C_CONTIGUOUS", "WRITEABLE"])
 
 
 class TracedColumns(NamedTuple):

@@ -20,6 +20,7 @@ from importlib.metadata import version
 from typing import Any
 
 import numba
+from filelock import FileLock, Timeout
 from numba.core import event
 
 from unbend.caches import OF_COMPILED, compiled_code
@@ -28,9 +29,10 @@ ROOM = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 COMPILED_FOLDERS = ("camera", "kernels")  # of that room
 COMPILED_FILES = ("status_codes.py",)
 UNUSED_FOR_S = 7 * 86_400.0  # the folder of other sources is then removed
+COMPILED_WITHIN_S = 120.0  # ten times what the slowest takes; another process may be stopped
 
 # Division by zero gives infinity or NaN, as in numpy.
-_OPTIONS: dict[str, Any] = {"error_model": "numpy", "nogil": True}
+OPTIONS: dict[str, Any] = {"error_model": "numpy", "nogil": True}
 
 COMPILING: list[str] = []
 """Names of the functions that are being compiled, for whoever shows progress."""
@@ -118,23 +120,60 @@ def _caching_in(folder: str) -> Iterator[None]:
 def jit(function: Callable[..., Any]) -> Callable[..., Any]:
     """A function that only kernels call."""
     compiled: Callable[..., Any] = numba.njit(
-        no_cpython_wrapper=True, no_cfunc_wrapper=True, **_OPTIONS
+        no_cpython_wrapper=True, no_cfunc_wrapper=True, **OPTIONS
     )(function)
     return compiled
 
 
 def within(function: Callable[..., Any]) -> Callable[..., Any]:
     """A function compiled as a part of the one that calls it; each level takes time."""
-    compiled: Callable[..., Any] = numba.njit(inline="always", **_OPTIONS)(function)
+    compiled: Callable[..., Any] = numba.njit(inline="always", **OPTIONS)(function)
     return compiled
 
 
-def entry(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A function that Python calls: compiled at its first call, unless it was kept."""
-    folder = cache_folder()
-    if folder is None:
-        in_memory: Callable[..., Any] = numba.njit(**_OPTIONS)(function)
-        return in_memory
-    with _caching_in(folder):
-        kept: Callable[..., Any] = numba.njit(cache=True, **_OPTIONS)(function)
-    return kept
+class Entry:
+    """A function that Python calls, compiled at its first call unless it was kept."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self._in_memory = numba.njit(**OPTIONS)(function)
+        self._folder = cache_folder()
+        self._kept = self._in_memory
+        if self._folder is not None:
+            with _caching_in(self._folder):
+                self._kept = numba.njit(cache=True, **OPTIONS)(function)
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Call the compiled function; without a lock on its folder it is compiled in memory."""
+        types = tuple(numba.typeof(argument) for argument in arguments)
+        if types in self._kept.overloads or self._compile_alone(types):
+            return self._kept(*arguments)
+        return self._in_memory(*arguments)
+
+    @property
+    def signatures(self) -> list[Any]:
+        """Types of arguments for which it was loaded or compiled."""
+        return [*self._kept.signatures, *self._in_memory.signatures]
+
+    def _compile_alone(self, types: tuple[Any, ...]) -> bool:
+        """Load or compile the function for types of arguments; False where that has to wait.
+
+        numba numbers the files of a function as it finds them, so two processes that compile it
+        for two types of arguments at the same time may each be given the code of the other.
+        """
+        if self._folder is None:
+            return False
+        lock = FileLock(os.path.join(self._folder, "compiling.lock"), timeout=COMPILED_WITHIN_S)
+        try:
+            lock.acquire()
+        except (OSError, Timeout):
+            return False
+        try:
+            self._kept.compile(types)
+        finally:
+            lock.release()
+        return True
+
+
+def entry(function: Callable[..., Any]) -> Entry:
+    """Decorate a function that Python calls."""
+    return Entry(function)
