@@ -33,7 +33,7 @@ settings.load_profile("unbend")
 
 # Signals between processes, forks, named pipes, memory limits: Windows has none of them.
 collect_ignore = (
-    ["batch/test_workers.py", "cli/test_interrupts.py", "faults", "ingest/test_buffers.py"]
+    ["batch/test_processes.py", "cli/test_interrupts.py", "faults", "ingest/test_buffers.py"]
     if os.name == "nt"
     else []
 )
