@@ -5,8 +5,10 @@ from __future__ import annotations
 import contextlib
 import io
 import itertools
+import math
 import os
 import pickle
+import random
 import shutil
 import signal
 import sys
@@ -307,9 +309,77 @@ SLOW = (
 )
 """Folders, files and tests that take seconds of a processor, by the beginning of their names."""
 
+DRAWN = (
+    "atmosphere/estimate/",
+    "atmosphere/test_estimate_montecarlo.py",
+    "atmosphere/test_model_montecarlo.py",
+    "batch/test_dask_executor.py::test_a_scheduler_that_is_killed_costs_no_finished_mission",
+    "batch/test_dask_executor.py::test_workers_that_are_killed_cost_no_mission",
+    "batch/test_processes.py::test_a_signal_stops_all_and_begins_nothing",
+    "batch/test_rehearsal.py::test_check_says_what_run_says",
+    "block/test_diagnosis.py",
+    "cli/test_interrupts.py",
+    "contract/test_imports.py::test_importing_warns_of_nothing",
+    "faults/test_mcap.py::test_bombs_are_skipped_at_once",
+    "flight/test_injected_faults.py",
+    "golden/test_block_heights.py",
+    "golden/test_costs.py",
+    "golden/test_gallery.py",
+    "golden/test_memory.py",
+    "golden/test_portability.py::test_missions_run_again_and_side_by_side",
+    "golden/test_sample_mission.py::test_kernel_against_the_ode_on_the_true_profile",
+    "golden/test_scale_parameter.py",
+    "golden/test_when.py",
+    "ingest/dataflash/test_equal.py",
+    "ingest/dataflash/test_text.py::test_every_cell_is_that_of_the_library",
+    "ingest/test_evidence.py",
+    "ingest/test_memory.py",
+    "ingest/test_other_systems.py",
+    "ingest/tlog/test_equal.py",
+    "refraction/test_air_sigma.py",
+    "refraction/test_forward.py",
+    "refraction/test_order_of_effects.py",
+    "refraction/test_ray.py::test_a_wiggly_profile_against_an_independent_ode",
+    "refraction/test_ray.py::test_targets_above",
+    "refraction/test_terrain.py::test_rays_land_where_an_integrated_ray_does",
+    "report/test_browser.py::test_nothing_is_wider_than_the_screen",
+    "stages/test_air_of_mission.py::test_a_sounding_of_another_time_or_place",
+    "stages/test_blocks.py::test_a_block_as_a_mission_without_a_log",
+    "stages/test_elevation_model.py",
+    "stages/test_image_events.py",
+    "stages/test_mistakes.py",
+    "stages/test_oriented_stations.py",
+    "stages/test_plausibility.py::test_a_mistake_is_found_with_its_key",
+    "stages/test_uncertainty.py",
+    "tables/exports/test_block_memory.py",
+    "tables/test_model_fields.py",
+    "tables/test_weather_files.py::test_pyproj_and_eccodes_live_together",
+)
+"""Tests that take half of the time of all and repeat a thought in other cases, by the beginning of
+their names. With UNBEND_CASES=drawn, as in `make test`, a quarter of them runs each day."""
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+
+def drawn_today(items: list[pytest.Item]) -> set[pytest.Item]:
+    """A quarter of the cases of each test, and of the tests that have one case, by the seed."""
+    cases: dict[str, list[pytest.Item]] = {}
+    for item in items:
+        cases.setdefault(item.nodeid.partition("[")[0], []).append(item)
+    groups = [group for group in cases.values() if len(group) > 1]
+    groups.append([group[0] for group in cases.values() if len(group) == 1])
+    chosen = set()
+    for group in groups:
+        draw = random.Random(f"{SEED} {group[0].nodeid}" if group else "")
+        chosen.update(draw.sample(group, math.ceil(len(group) / 4)))
+    return chosen
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Mark tests by name and fixtures; skip those whose folder of ../shared is absent."""
+    if os.environ.get("UNBEND_CASES") == "drawn":
+        costly = [item for item in items if item.nodeid.removeprefix("tests/").startswith(DRAWN)]
+        left_out = set(costly) - drawn_today(costly)
+        items[:] = [item for item in items if item not in left_out]
+        config.hook.pytest_deselected(items=list(left_out))
     for item in items:
         if item.nodeid.removeprefix("tests/").startswith(SLOW):
             item.add_marker(pytest.mark.slow)
