@@ -1,5 +1,5 @@
 # make sample: set up the program and run the main job on sample_logs/
-# make test:   set up the tests too and pass them; of the costliest a quarter, drawn anew each day
+# make test:   set up the tests too and pass them
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -32,7 +32,7 @@ sample: $(PROGRAM)
 
 test: $(EVERYTHING)
 	$(BIN)/lint-imports
-	UNBEND_CASES=drawn OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal
 
 # Lint and the tests of all pure rooms but the slow ones: a minute and a half on two cores, once
 # kernels are compiled and mypy has its cache.

@@ -356,7 +356,7 @@ DRAWN = (
     "tables/test_weather_files.py::test_pyproj_and_eccodes_live_together",
 )
 """Tests that take half of the time of all and repeat a thought in other cases, by the beginning of
-their names. With UNBEND_CASES=drawn, as in `make test`, a quarter of them runs each day."""
+their names. With UNBEND_CASES=drawn, as in `.ci/run`, a quarter of them runs each day."""
 
 
 def drawn_today(items: list[pytest.Item]) -> set[pytest.Item]:
