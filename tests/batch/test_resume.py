@@ -294,8 +294,8 @@ def test_parts_may_be_made_by_others_in_any_order(stream, untouched, tmp_path):
             PartsOfRun(folder), observations, setup, batch_rows=BATCH_ROWS, metadata={}
         )
         assert (counted.parts, counted.rows) == (PARTS, ROWS)
-        assert [item["name"] for item in folder.outputs()] == [
+        assert [output.name for output in folder.outputs()] == [
             f"observations/part-{i:05d}.parquet" for i in range(PARTS)
         ]
         parts = {name: digest for name, digest in untouched[0].items() if "part-" in name}
-        assert {str(item["name"]): item["sha256"] for item in folder.outputs()} == parts
+        assert {output.name: output.sha256 for output in folder.outputs()} == parts
