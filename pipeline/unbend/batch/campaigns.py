@@ -138,9 +138,10 @@ def known_missions(
         unchanged = find_unchanged(ref)
         if unchanged is None:
             continue
-        row = row_of(unchanged.manifest) if with_rows else None
         exit_code = unchanged.manifest.run.exit_code
-        known[ref] = KnownMission(unchanged.name, unchanged.output, exit_code, row)
+        with suppress(UnbendError):  # its manifest lacks results: it is compared, or run again
+            row = row_of(unchanged.manifest) if with_rows else None
+            known[ref] = KnownMission(unchanged.name, unchanged.output, exit_code, row)
     return known
 
 
@@ -260,7 +261,10 @@ def row_of_end(
         manifest = read_manifest(output, damaged=True)
     if manifest is None or manifest.run.mission != name:
         return row_without(name, None, "", "it has no results yet")
-    return row_of(manifest)
+    try:
+        return row_of(manifest)
+    except UnbendError as error:  # of a version whose results had other fields
+        return row_without(name, None, error.code, error.what)
 
 
 def link_to(output: Path | Place, page: Path) -> str:

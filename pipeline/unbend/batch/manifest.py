@@ -4,6 +4,8 @@ import json
 import re
 from collections.abc import Callable, Mapping
 
+from pydantic_core import from_json
+
 from unbend.batch import messages
 from unbend.tables.manifest.messages import manifest_not_ours
 from unbend.tables.manifest.whole import Manifest
@@ -27,7 +29,7 @@ def parse_manifest(content: bytes, where: str, *, of_attempt: bool = False) -> M
     One in object storage names an attempt.
     """
     try:
-        values = json.loads(content.decode("utf-8"))
+        values = values_of_json(content)
     except ValueError as error:
         raise messages.manifest_unreadable(path=where, error=str(error)) from None
     if not isinstance(values, dict) or "outputs" not in values:
@@ -37,6 +39,15 @@ def parse_manifest(content: bytes, where: str, *, of_attempt: bool = False) -> M
     if of_attempt and not _ATTEMPT.fullmatch(attempt):
         raise manifest_not_ours(path=where)
     return manifest
+
+
+def values_of_json(content: bytes) -> object:
+    """The values of a JSON file: by pydantic, which takes a third of the time; ValueError."""
+    try:
+        values: object = from_json(content)
+    except ValueError:  # `json` says better what is wrong, and reads lone surrogates
+        values = json.loads(content.decode("utf-8"))
+    return values
 
 
 def damage_of(

@@ -159,7 +159,8 @@ def test_results_that_are_replaced_while_they_are_exported(
         ended = unbend("export", results, "--format", "geojson", "--out", out)
         assert ended.code == 0, ended.text
     # An attempt that is gone for good is damage.
-    (results / f"attempts/{newer['attempt']}").remove(item["name"] for item in newer["outputs"])
+    attempt = results / f"attempts/{newer.run.attempt}"
+    attempt.remove(output.name for output in newer.run.outputs)
     ended = unbend("export", results, "--format", "geojson", "--out", tmp_path / "gone.geojson")
     assert ended.code == 5, ended.text
     assert "VERIFY-DAMAGED" in ended.err
