@@ -98,6 +98,7 @@ def distance(components_m: Sequence[float]) -> float:
 
 
 def next_steps(manifest: Manifest) -> list[str]:
+    """What to do with the results of a run, one step each."""
     steps = [step for _, step in _concerns(manifest)]
     adjust = "Then adjust" if steps else "Adjust"
     rows = manifest.results.observations.rows
