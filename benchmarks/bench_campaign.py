@@ -45,7 +45,7 @@ def campaign(folder: Path) -> Path:
             continue
         plan = plan_of(place / "mission.yaml")
         shutil.copytree(folder / "flights" / "0000" / "results", place / "results")
-        text = manifest_text(manifest | plan.identity())
+        text = manifest_text(manifest.with_values(plan.identity().row()))
         (place / "results" / "manifest.json").write_text(text, encoding="utf-8")
         if number == MISSIONS - 1:
             assert mission_status(place / "mission.yaml")[1] == []

@@ -105,8 +105,8 @@ def work(folder: Path) -> float:
     """Seconds of a run, and of the export of a database where the mission has one."""
     start = time.perf_counter()
     outcome = run_mission(folder / "mission.yaml", force=True)
-    counted = outcome.manifest["observations"]
-    assert counted["status"]["ok"] == counted["rows"]
+    counted = outcome.manifest.results.observations
+    assert counted.status["ok"] == counted.rows
     if (folder / "database.db").is_file():
         export_run(outcome.output, "colmap-database", folder / "out.db", {}, force=True)
     return time.perf_counter() - start

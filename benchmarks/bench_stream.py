@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from unbend.messages import Ledger
 from unbend.refraction.ray import rays_by
 from unbend.stages.correction_setup import CorrectionSetup
 from unbend.stages.ground_heights import GivenGround
+from unbend.tables.manifest.whole import Manifest
 from unbend.tables.observations import open_observations
 from unbend.tables.writing import parquet_settings
 
@@ -37,7 +39,8 @@ def correct(source: Path, out: Path) -> None:
     observations = open_observations(source, COLUMNS, "h_g_m", Ledger())
     with open_folder(out) as folder:
         correct_into(PartsOfRun(folder), observations, setup, batch_rows=BATCH_ROWS, metadata={})
-        folder.commit({"outputs": folder.outputs()})
+        outputs = [asdict(output) for output in folder.outputs()]
+        folder.commit(Manifest({"outputs": outputs}))
 
 
 def copy(source: Path, precomputed: list[pa.Table], out: Path) -> None:

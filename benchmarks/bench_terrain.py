@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +17,7 @@ from unbend.refraction.ray import rays_by
 from unbend.stages.correction_setup import CorrectionSetup
 from unbend.stages.ground_heights import GivenGround, TerrainGround
 from unbend.tables.geodata.elevation import open_elevation
+from unbend.tables.manifest.whole import Manifest
 from unbend.tables.observations import open_observations
 
 IMAGES, ROWS, CELLS = 200, 1_000_000, 10_000
@@ -67,7 +68,8 @@ def correct(source: Path, out: Path, model: Path | None) -> None:
         statistics = correct_into(
             PartsOfRun(folder), observations, setup, batch_rows=250_000, metadata={}
         )
-        folder.commit({"outputs": folder.outputs()})
+        outputs = [asdict(output) for output in folder.outputs()]
+        folder.commit(Manifest({"outputs": outputs}))
     assert statistics.status["ok"] == ROWS, statistics.status
 
 

@@ -28,6 +28,7 @@ from hypothesis import settings
 
 from tests.draws import SEED
 from unbend.simulate import Simulated, SimulationOptions, simulate
+from unbend.tables.manifest.whole import Manifest
 
 # No property depends on how loaded the machine is.
 settings.register_profile("unbend", deadline=None)
@@ -247,8 +248,8 @@ def without_plots() -> Iterator[None]:
     """A report without plots, which take half of the time of a small run."""
     from unbend.batch import runs
 
-    def write_report(path: Path, manifest: dict[str, Any], *_: object) -> None:
-        path.write_text(manifest["mission"], encoding="utf-8")
+    def write_report(path: Path, manifest: Manifest, *_: object) -> None:
+        path.write_text(manifest.run.mission, encoding="utf-8")
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(runs, "write_report", write_report)

@@ -35,7 +35,7 @@ from unbend.stages.results import observation_metadata
 from unbend.stages.statistics import Statistics
 from unbend.stages.story import PreparedMission, correct_mission, prepare_mission
 from unbend.tables.imports.user_tables import orientation_of_frame
-from unbend.tables.manifest import ResultsRecord
+from unbend.tables.manifest.results import ResultsRecord
 
 Table = TypeVar("Table", pd.DataFrame, pa.Table)
 Air: TypeAlias = Profile | TimedProfile | ProfileSeries | pa.Table | str | Mapping[str, Any]
@@ -106,8 +106,8 @@ def correct(
         prepared = replace(prepared, air=air_of_stations(profile, placed, prepared.stations))
     table, results = corrected_table(prepared)
     for entry in results.ledger:
-        if entry["kind"] in LOSSES:
-            warnings.warn(f"{entry['code']}: {entry['what']}", UserWarning, stacklevel=2)
+        if entry.kind in LOSSES:
+            warnings.warn(f"{entry.code}: {entry.what}", UserWarning, stacklevel=2)
     manifest = results.row()
     facts = {name: manifest[name] for name in ("uncertainty", "cabin_air", "ledger")}
     if isinstance(observations, pd.DataFrame):

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from enum import StrEnum
 from functools import partial
 from typing import TypeVar
@@ -29,6 +29,18 @@ class Kind(StrEnum):
 
 LOSSES = (Kind.LOSS, Kind.FINDING)
 """The kinds that make a run end with exit code 3."""
+
+
+@dataclass(frozen=True)
+class MessageRecord:
+    """A message as the manifest has it: ``what`` is its text for people, with all values."""
+
+    kind: str
+    code: str
+    what: str
+    where: str
+    count: int = 0
+    values: Mapping[str, object] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -57,16 +69,20 @@ class Message:
             return f"{what} (accepted: {self.accepted})"
         return what
 
+    def record(self) -> MessageRecord:
+        """The message with its text, for the manifest and the report."""
+        return MessageRecord(
+            kind=self.kind.value,
+            code=self.code,
+            what=self.what,
+            where=self.where,
+            count=self.count,
+            values={name: _known(value) for name, value in self.values.items()},
+        )
+
     def row(self) -> dict[str, object]:
-        """The message as plain values, for the manifest."""
-        return {
-            "kind": self.kind.value,
-            "code": self.code,
-            "what": self.what,
-            "where": self.where,
-            "count": self.count,
-            "values": {name: _known(value) for name, value in self.values.items()},
-        }
+        """The message as plain values."""
+        return asdict(self.record())
 
 
 def _known(value: Value) -> Value | None:
@@ -188,6 +204,10 @@ class Ledger:
 
         return sorted(self._messages, key=order)
 
+    def records(self) -> list[MessageRecord]:
+        """The messages with their texts, sorted, for the manifest and the report."""
+        return [message.record() for message in self.sorted()]
+
     def rows(self) -> list[dict[str, object]]:
-        """The messages as plain values, sorted, for the manifest."""
+        """The messages as plain values, sorted."""
         return [message.row() for message in self.sorted()]

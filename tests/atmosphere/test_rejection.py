@@ -75,5 +75,5 @@ def test_the_use_of_a_sensor_counts_what_was_removed_before(estimated):
         expected[Reason.OUTLIER] = 1
     assert use == SensorUse("temperature", "HYGR[0]", 3, expected)
     assert use.used == (0 if estimated else 1)
-    assert use.row()["rejected"] == {reason.text: 1 for reason in expected}
+    assert use.rejected == dict.fromkeys(expected, 1)
     assert "of 3 samples used; not used: 1 (" in use.sentence()

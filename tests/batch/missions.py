@@ -11,13 +11,14 @@ import os
 import signal
 import sys
 import time
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from unbend.batch.execute import run_many
 from unbend.batch.executors import Bug, Outcome
 from unbend.batch.store import open_folder, read_manifest
 from unbend.errors import InputError
+from unbend.tables.manifest.whole import Manifest
 
 
 @dataclass(frozen=True)
@@ -61,8 +62,9 @@ def one(mission, *, progress=None):
         time.sleep(float((here / "pace").read_text()))
         os.write(1, b"what a library prints\n")
         folder.seal("stations.parquet")
-        manifest = {"fingerprint": name, "mission": name, "exit_code": 3}
-        manifest["outputs"] = folder.outputs()
+        outputs = [asdict(output) for output in folder.outputs()]
+        values = {"fingerprint": name, "mission": name, "exit_code": 3, "outputs": outputs}
+        manifest = Manifest(values)
         if not name.startswith("elsewhere"):
             folder.commit(manifest)
     return Outcome(name, output, manifest, 3, False)
@@ -79,7 +81,7 @@ def main():
     for mission, end in run_many(one, missions, executor):
         word = "bug" if isinstance(end, Bug) else getattr(end, "code", None)
         if isinstance(end, Outcome):
-            assert (end.name, end.exit_code, end.manifest["fingerprint"]) == (end.name, 3, end.name)
+            assert (end.exit_code, end.manifest.run.fingerprint) == (3, end.name)
             word = "repeated" if end.repeated else "done"
         print(json.dumps([mission.path.stem, word, str(end)]), flush=True)
 

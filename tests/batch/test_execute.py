@@ -51,7 +51,7 @@ def test_missions_run_in_the_order_given_and_no_end_stops_the_rest():
             raise KeyError("buggy")
         if path.stem == "refused":
             raise InputError("OBS-EMPTY", "no rows", where=str(path))
-        return Outcome(path.stem, path, {}, 0, False)
+        return Outcome(path.stem, path, None, 0, False)
 
     @contextlib.contextmanager
     def bar(name: str):

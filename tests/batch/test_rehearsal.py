@@ -85,7 +85,7 @@ BAD = {
 def outcome(mission, act) -> tuple[int, set[tuple[str, str]]]:
     """Exit code, and kinds and codes of the ledger, or the code of the refusal."""
     try:
-        manifest = act(mission.save()).manifest
+        manifest = act(mission.save()).manifest.values
     except UnbendError as error:
         return error.exit_code, {("refused", error.code)}
     return manifest["exit_code"], {(e["kind"], e["code"]) for e in manifest["ledger"]}
@@ -118,20 +118,22 @@ def many_rows(mission, times: int) -> None:
 def test_a_large_table_is_sampled_and_its_counts_are_those_of_a_run(mission):
     many_rows(mission, 250)
     checked, ran = check_mission(mission.save()), run_mission(mission.save())
-    total = ran.manifest["observations"]
+    total = ran.manifest.values["observations"]
     assert total["rows"] > 70_000
     assert checked.corrected.statistics.rows == total["rows"]
     assert sum(len(part.status) for part in checked.corrected.statistics.sampled) <= 20_000
-    expected = checked.manifest["observations"]["status"]
+    expected = checked.manifest.values["observations"]["status"]
     for status, count in total["status"].items():
         assert expected[status] == pytest.approx(count, abs=0.015 * total["rows"]), status
-    assert {e["code"] for e in checked.manifest["ledger"]} == {
-        e["code"] for e in ran.manifest["ledger"]}  # fmt: skip
+    assert {e["code"] for e in checked.manifest.values["ledger"]} == {
+        e["code"] for e in ran.manifest.values["ledger"]}  # fmt: skip
     of_image = np.unique(checked.corrected.facts.rows.station, return_counts=True)[1]
     own = checked.corrected.prepared.observations.sample.counts
     assert sorted(of_image) == sorted(np.minimum(own, of_image.max()))
-    shift = {n: c["shift_px"]["median"] for n, c in ran.manifest["correction"]["cameras"].items()}
-    for name, camera in checked.manifest["correction"]["cameras"].items():
+    shift = {
+        n: c["shift_px"]["median"] for n, c in ran.manifest.values["correction"]["cameras"].items()
+    }
+    for name, camera in checked.manifest.values["correction"]["cameras"].items():
         assert camera["shift_px"]["median"] == pytest.approx(shift[name], rel=0.03)
 
 
@@ -289,12 +291,12 @@ def test_two_missions_of_one_folder_in_check(mission, unbend):
 
 def test_an_accepted_finding_stays_and_raises_nothing(mission):
     mission.config["mount"]["oblique"]["lever_arm_m"] = [20.0, 28.0, 55.0]
-    codes = {e["code"] for e in check_mission(mission.save()).manifest["ledger"]
+    codes = {e["code"] for e in check_mission(mission.save()).manifest.values["ledger"]
              if e["kind"] == "finding"}  # fmt: skip
     assert "PLAUSIBLE-LEVER-ARM" in codes
     mission.config["accept"] = [{"code": code, "reason": "a boom"} for code in sorted(codes)]
     ended = run_mission(mission.save())
-    entry = next(e for e in ended.manifest["ledger"] if e["code"] == "PLAUSIBLE-LEVER-ARM")
+    entry = next(e for e in ended.manifest.values["ledger"] if e["code"] == "PLAUSIBLE-LEVER-ARM")
     assert (entry["kind"], ended.exit_code) == ("warning", 0)
     assert entry["what"].endswith("(accepted: a boom)")
     assert json.loads((ended.output / "manifest.json").read_text())["config"]["accept"]
@@ -307,7 +309,7 @@ def test_losses_cannot_be_accepted_and_unused_ones_are_told(mission):
         with pytest.raises(MissionError, match="ACCEPT-LOSS"):
             act(mission.save())
     mission.config["accept"] = [{"code": "PLAUSIBLE-AIR", "reason": "cold"}]
-    manifest = check_mission(mission.save()).manifest
+    manifest = check_mission(mission.save()).manifest.values
     assert ("warning", "ACCEPT-UNUSED") in {(e["kind"], e["code"]) for e in manifest["ledger"]}
 
 

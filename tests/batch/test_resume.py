@@ -34,6 +34,7 @@ from unbend.refraction.ray import rays_by
 from unbend.stages.correction import correct_parts
 from unbend.stages.correction_setup import CorrectionSetup
 from unbend.stages.ground_heights import GivenGround
+from unbend.tables.manifest.whole import Manifest
 from unbend.tables.observations import open_observations
 
 ROWS, BATCH_ROWS, PARTS = 950, 100, 10
@@ -84,9 +85,11 @@ def run(stream, out: Path, key: str = "key", batch_rows: int = BATCH_ROWS, **opt
         counted = correct_into(
             PartsOfRun(folder, **options), observations, setup, batch_rows=batch_rows, metadata={}
         )
-        facts = {"fingerprint": key, "mission": "m", "exit_code": 0, "outputs": folder.outputs()}
+        outputs = [asdict(output) for output in folder.outputs()]
+        facts = {"fingerprint": key, "mission": "m", "exit_code": 0, "outputs": outputs}
         facts |= {"correction": asdict(counted.correction()), "sampled": counted.examples}
-        folder.commit(facts | {"rows": counted.sampled_rows().x_px.tolist()})
+        rows = counted.sampled_rows().x_px.tolist()
+        folder.commit(Manifest(facts | {"rows": rows}))
 
 
 class Disk:
@@ -152,7 +155,7 @@ def test_a_run_that_is_killed_goes_on_where_it_was(stream, untouched, tmp_path, 
         if manifest is not None:
             assert find_damage(out, manifest) == []
         finished = len([*(out / ".staging" / "receipts").glob("part-*.parquet")])
-        committed = manifest is not None and manifest["fingerprint"] == "key"
+        committed = manifest is not None and manifest.run.fingerprint == "key"
         if not committed:
             assert disk.parts - finished <= MOST_THREADS, (step, SEED)
         with pytest.MonkeyPatch.context() as patch:
@@ -291,8 +294,8 @@ def test_parts_may_be_made_by_others_in_any_order(stream, untouched, tmp_path):
             PartsOfRun(folder), observations, setup, batch_rows=BATCH_ROWS, metadata={}
         )
         assert (counted.parts, counted.rows) == (PARTS, ROWS)
-        assert [item["name"] for item in folder.outputs()] == [
+        assert [output.name for output in folder.outputs()] == [
             f"observations/part-{i:05d}.parquet" for i in range(PARTS)
         ]
         parts = {name: digest for name, digest in untouched[0].items() if "part-" in name}
-        assert {str(item["name"]): item["sha256"] for item in folder.outputs()} == parts
+        assert {output.name: output.sha256 for output in folder.outputs()} == parts

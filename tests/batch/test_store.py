@@ -7,13 +7,27 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import asdict
 from pathlib import Path
 
 import pytest
 
 from unbend.batch import store
-from unbend.batch.store import find_damage, open_folder, read_manifest, rehearse_folder
+from unbend.batch.store import (
+    RunFolder,
+    find_damage,
+    open_folder,
+    read_manifest,
+    rehearse_folder,
+)
 from unbend.errors import OutputInUseError, StorageError
+from unbend.tables.manifest.whole import Manifest
+
+
+def manifest_of(run: RunFolder) -> Manifest:
+    """The shortest manifest of the results in a folder."""
+    outputs = [asdict(output) for output in run.outputs()]
+    return Manifest({"fingerprint": "f", "mission": "m", "exit_code": 0, "outputs": outputs})
 
 
 def commit(folder: Path, *names: str) -> None:
@@ -21,7 +35,7 @@ def commit(folder: Path, *names: str) -> None:
         for name in names:
             run.place(name).write_text(name, encoding="utf-8")
             run.seal(name)
-        run.commit({"fingerprint": "f", "mission": "m", "exit_code": 0, "outputs": run.outputs()})
+        run.commit(manifest_of(run))
 
 
 def test_files_of_the_user_stay(tmp_path: Path) -> None:
@@ -169,7 +183,7 @@ def test_a_commit_that_ends_half_way_leaves_no_manifest_and_can_be_repeated(
                 run.seal(name)
             if killed:  # a killed process does not clean up
                 monkeypatch.setattr(store, "_clear_interrupted", lambda path, resumable: None)
-            run.commit({"fingerprint": "", "mission": "", "exit_code": 0, "outputs": run.outputs()})
+            run.commit(manifest_of(run))
 
     with pytest.raises(KeyboardInterrupt if killed else StorageError):
         commit_and_stop()

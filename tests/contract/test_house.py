@@ -27,7 +27,7 @@ SAME_THING = {
     "image", "ray",  # for a caller, and compiled
     "sensors",  # estimated, and simulated
     "campaign",  # as its file states it, and its page
-    "manifest", "results",  # records and values, and what reads and writes them
+    "results",  # records and values, and what reads and writes them
     "messages",  # of a room
 }  # fmt: skip
 

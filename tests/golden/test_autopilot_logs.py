@@ -42,7 +42,7 @@ class Flown:
     truth: pd.DataFrame
 
     def ledger(self, code: str) -> list[dict[str, object]]:
-        return [entry for entry in self.outcome.manifest["ledger"] if entry["code"] == code]
+        return [entry for entry in self.outcome.manifest.values["ledger"] if entry["code"] == code]
 
 
 def fly(folder: Path, name: str, extension: str, cameras: dict[str, int], ground: float) -> Flown:
@@ -182,13 +182,13 @@ def test_profile_is_the_air_and_not_the_board(
     assert np.sqrt(np.mean((dry - temperature) ** 2)) < 0.4
     assert np.abs(measured["temperature_k"] - temperature).max() < 2.5
     assert np.abs(measured["pressure_pa"] / 100.0 - pressure).max() < 0.5
-    role = flown.outcome.manifest["channels"]["temperature"]
+    role = flown.outcome.manifest.values["channels"]["temperature"]
     assert role in ("ARSP[0]", "SCALED_PRESSURE.temperature_press_diff")
 
 
 def test_sound_flights_raise_no_finding(survey: Flown, two_cameras: Flown) -> None:
     for flown in (survey, two_cameras):
-        entries = flown.outcome.manifest["ledger"]
+        entries = flown.outcome.manifest.values["ledger"]
         assert [e for e in entries if e["kind"] == "finding"] == []
 
 
@@ -202,7 +202,7 @@ def test_two_cameras_stay_apart_and_lost_pulses_are_counted(two_cameras: Flown) 
     # The other has none (CAM2_FEEDBAK_PIN -1): 128 triggers are 128 images, 1 to 128.
     images = two_cameras.truth.loc[two_cameras.truth["I"] == 1, "Img"]
     assert sorted(images) == list(range(1, 129))
-    if two_cameras.outcome.manifest["log"]["format"] == "dataflash":
+    if two_cameras.outcome.manifest.values["log"]["format"] == "dataflash":
         assert any(entry["count"] == 142 - 127 for entry in lost)
         assert {entry["where"] for entry in lost} == {"CAM[0]"}
         assert at_trigger == {"CAM[1]"}

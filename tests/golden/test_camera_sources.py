@@ -55,7 +55,7 @@ def test_cameras_of_files(tmp_path, as_it_is):
     for name in ("x_corrected_px", "y_corrected_px", "r_c_rad", "r_cc_rad"):
         np.testing.assert_allclose(found[name], as_it_is[name], rtol=0.0, atol=1e-9)
     assert (found["status"] == as_it_is["status"]).all()
-    inputs = {item["role"]: item["name"] for item in outcome.manifest["inputs"]}
+    inputs = {item["role"]: item["name"] for item in outcome.manifest.values["inputs"]}
     assert inputs["camera nadir"] == "nadir.xml"
     # The results can be opened without the files, and know the cameras.
     (tmp_path / "nadir.xml").unlink()

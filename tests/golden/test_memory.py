@@ -23,7 +23,7 @@ outcome = run_mission(Path(sys.argv[1]))
 # Not ru_maxrss: that starts at what the parent had when it made this process.
 status = dict(line.split(":", 1) for line in open("/proc/self/status"))
 peak = int(status["VmHWM"].split()[0]) * 1024
-print(json.dumps({"rows": outcome.manifest["observations"]["rows"], "peak": peak}))
+print(json.dumps({"rows": outcome.manifest.values["observations"]["rows"], "peak": peak}))
 """
 
 

@@ -85,7 +85,7 @@ def test_copter_with_a_gap_in_the_log(tmp_path: Path) -> None:
     assert counts["in_gap"] > 40
     assert counts["ok"] >= 5
     assert outcome.exit_code == 3
-    assert outcome.manifest["profile"]["basis"] == "climatology"
+    assert outcome.manifest.values["profile"]["basis"] == "climatology"
     corrected = (observations["status"] == "ok").sum()
     assert corrected > 20
     text = verdict(outcome.manifest)
@@ -99,7 +99,7 @@ def test_telemetry_with_five_boots(tmp_path: Path) -> None:
     ground = {"height": 570.0, "reference": "msl"}
     outcome = fly(tmp_path, "pymavlink_swift_flight.tlog", ground)
     stations, observations = checked(outcome)
-    assert outcome.manifest["log"]["boots"] == 5
+    assert outcome.manifest.values["log"]["boots"] == 5
     assert (stations["status"] == "ok").sum() > 30
     assert (observations["status"] == "ok").sum() > 100
 
@@ -131,5 +131,5 @@ def test_motion_capture_has_attitude_and_time(tmp_path: Path) -> None:
     assert (stations["status"] == "ok").all()
     assert (observations["status"] == "ok").sum() > 50
     # A tenth of the rays of a hand-held model pass over the horizon; nothing else is doubtful.
-    found = {e["code"] for e in whole.manifest["ledger"] if e["kind"] == "finding"}
+    found = {e["code"] for e in whole.manifest.values["ledger"] if e["kind"] == "finding"}
     assert found <= {"PLAUSIBLE-FLAGGED"}

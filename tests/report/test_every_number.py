@@ -34,6 +34,9 @@ from unbend.report.figures import (
     save_figure,
 )
 from unbend.report.terminal import print_log, print_run
+from unbend.units import ARCSEC
+
+from .manifests import manifest_of
 
 
 def spread(count: int, median: float, p95: float, maximum: float) -> dict[str, float]:
@@ -110,7 +113,7 @@ MANIFEST: dict[str, Any] = {
                 "degrees_of_freedom_for_signal": 16.08,
             },
             {"source": "METAR", "used": False, "why_not": "61 km away"},
-            {"source": "standard", "used": True},
+            {"source": "standard", "used": True, "why_not": ""},
         ],
         "samples": [
             {
@@ -246,7 +249,7 @@ SAMPLES = AirSamples(
 
 @pytest.fixture(scope="module")
 def air() -> Any:
-    effects = [SimpleNamespace(row=lambda row=row: row) for row in MANIFEST["profile"]["effect"]]
+    effects = [effect_of(row) for row in MANIFEST["profile"]["effect"]]
     adjustment = SimpleNamespace(
         profile=FLOWN, standard=STANDARD_AIR, covariance=COVARIANCE, sources=(), faults=(),
         rejected={"temperature": np.array([0, Reason.OUTLIER, Reason.GROUND_SOAK])},
@@ -258,6 +261,21 @@ def air() -> Any:
     )
     series = SimpleNamespace(timed_profiles=(1, 2, 3, 4))
     return SimpleNamespace(adjustment=adjustment, effects=effects, windows=windows, series=series)
+
+
+def effect_of(row: dict[str, Any]) -> Any:
+    """An effect that the manifest has as this row."""
+    has_sigma = row["sigma_arcsec"] is not None
+    return SimpleNamespace(
+        nadir_deg=row["nadir_angle_deg"],
+        h_c_m=row["h_c_m"],
+        h_g_m=row["h_g_m"],
+        r_c_rad=row["r_c_arcsec"] * ARCSEC,
+        standard_rad=row["standard_arcsec"] * ARCSEC,
+        sigma_rad=row["sigma_arcsec"] * ARCSEC if has_sigma else np.nan,
+        factor=row["factor"],
+        sigma_factor=row["sigma_factor"] if has_sigma else np.nan,
+    )
 
 
 def changed(**of_profile: Any) -> dict[str, Any]:
@@ -279,7 +297,7 @@ def cells(lines: list[str]) -> list[list[str]]:
 
 
 def test_every_number_of_the_terminal():
-    lines = printed(print_run, "ridge [1]", "out/[b]", MANIFEST, repeated=False)
+    lines = printed(print_run, "ridge [1]", "out/[b]", manifest_of(MANIFEST), repeated=False)
     text = " ".join(" ".join(lines).split())
     assert lines[0] == "ridge [1]"
     assert VERDICT in text
@@ -294,12 +312,15 @@ def test_every_number_of_the_terminal():
         f"next {' '.join(STEPS)} results out/[b] report out/[b]/report.html"
     )
     assert "nothing to do" not in text
-    assert "nothing to do" in " ".join(printed(print_run, "a", "b", MANIFEST, repeated=True))
+    assert "nothing to do" in " ".join(
+        printed(print_run, "a", "b", manifest_of(MANIFEST), repeated=True)
+    )
 
 
 def test_sentences_that_depend_on_the_air():
     stated = changed(basis="standard", reason="atmosphere.use is standard", windows=[])
-    text = " ".join(" ".join(printed(print_run, "a", "b", stated, repeated=False)).split())
+    lines = printed(print_run, "a", "b", manifest_of(stated), repeated=False)
+    text = " ".join(" ".join(lines).split())
     assert "tail [arcsec] 22.1 22.2 22.3 atmosphere.use is standard. R at 45°" in text
 
 
@@ -308,7 +329,8 @@ def test_a_tiny_correction_is_called_tiny(largest, said):
     small = camera(0.0) | {"shift_px": spread(9, 0.0004, 0.003, largest), "cameras": {}}
     small["window_arcsec"] = spread(9, 0.0, 0.0, 0.0)
     nine = {"observations": MANIFEST["observations"] | {"rows": 9}, "ledger": []}
-    lines = printed(print_run, "a", "b", MANIFEST | nine | {"correction": small}, repeated=False)
+    manifest = manifest_of(MANIFEST | nine | {"correction": small})
+    lines = printed(print_run, "a", "b", manifest, repeated=False)
     text = " ".join(" ".join(lines).split())
     assert ("less than can be measured" in text) == said
     assert "refraction of the window" not in text

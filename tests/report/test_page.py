@@ -19,6 +19,7 @@ from unbend.refraction.camera.camera import Camera
 from unbend.report.flown import Flown, air_curves, flown_of
 from unbend.report.html import report_page
 
+from .manifests import manifest_of
 from .test_every_number import (
     AIR,
     CORRECTION,
@@ -163,7 +164,7 @@ class Page(HTMLParser):
 
 @pytest.fixture(scope="module")
 def page(flown) -> Page:
-    return Page(report_page(whole_manifest(), flown))
+    return Page(report_page(manifest_of(whole_manifest()), flown))
 
 
 def test_every_cell_of_the_tables(page):
@@ -524,7 +525,7 @@ def test_the_page_of_twenty_thousand_exposures_is_small(air):
     )
     west, east, *_ = flown.limits_deg
     assert (west, east) == pytest.approx((179.85, 180.15), abs=0.06)  # across the 180th meridian
-    text = report_page(whole_manifest(), flown)
+    text = report_page(manifest_of(whole_manifest()), flown)
     assert len(text.encode()) < 1_500_000
     assert "1500 of 20000 exposures are drawn. 250 of 20000 footprints are drawn." in text
 
@@ -543,7 +544,7 @@ def test_a_relief_that_is_not_drawn_is_not_left_unsaid(flown, height, drawn, sai
     manifest = whole_manifest()
     manifest["config"]["ground"]["height"] = height
     relief = (flown.limits_deg, np.zeros((2, 2))) if drawn else None
-    page = Page(report_page(manifest, replace(flown, relief=relief)))
+    page = Page(report_page(manifest_of(manifest), replace(flown, relief=relief)))
     (caption,) = (text for tag, text in page.texts if tag == "figcaption" and "Map of" in text)
     assert ("relief" in caption) == bool(said)
     assert said in caption
@@ -568,7 +569,7 @@ def test_names_of_others_are_harmless(flown):
         exposures, flown.counts, flown.track, footprints, flown.seen, flown.limits_deg, None,
         flown.air,
     )  # fmt: skip
-    text = report_page(manifest, hostile)
+    text = report_page(manifest_of(manifest), hostile)
     assert "<script" not in text
     assert not re.search("[\x00-\x08\x0b-\x1f\x7f\u202a-\u202e\u2066-\u2069]", text)
     assert "&lt;script&gt;" in text
@@ -577,7 +578,7 @@ def test_names_of_others_are_harmless(flown):
 
 
 def test_the_same_data_give_the_same_bytes_and_nothing_is_loaded(page, flown):
-    assert report_page(whole_manifest(), flown) == page.text
+    assert report_page(manifest_of(whole_manifest()), flown) == page.text
     assert "default-src 'none'; style-src 'unsafe-inline'; img-src data:" in page.text
     assert not re.search(r'(?:src|href)="(?!#|data:)', page.text)
     assert "url(http" not in page.text

@@ -8,6 +8,9 @@ import numpy as np
 import pytest
 
 from unbend.report.summary import not_included
+from unbend.tables.manifest.whole import Manifest
+
+from .manifests import manifest_of
 
 NORTH_ARCSEC, EAST_ARCSEC = 0.17, 3.97
 
@@ -15,9 +18,9 @@ PLANE = {"shape": "plane", "in_calibration": "none"}
 LENS = {"dc_dp_px_per_hpa": 0.006}
 
 
-def manifest(direction: str = "remove", **cameras: dict) -> dict:
+def manifest(direction: str = "remove", **cameras: dict) -> Manifest:
     full = {n: {"window": None, "principal_distance": None} | c for n, c in cameras.items()}
-    return {"config": {"refraction": {"direction": direction}, "cameras": full}}
+    return manifest_of({"config": {"refraction": {"direction": direction}, "cameras": full}})
 
 
 def test_cameras_whose_lens_is_not_corrected_are_named():
@@ -50,11 +53,11 @@ def test_nothing_is_to_be_switched_off_where_refraction_was_put_in():
 
 def test_the_report_of_a_run_holds_these_lines(baseline):
     page = (baseline.output / "report.html").read_text(encoding="utf-8")
-    config = json.loads((baseline.output / "manifest.json").read_text(encoding="utf-8"))
-    lines = not_included(config)
+    values = json.loads((baseline.output / "manifest.json").read_text(encoding="utf-8"))
+    lines = not_included(Manifest(values))
     assert len(lines) == 4
     # PROJ's vgridshift at the middle of the flight, 47.400 N 8.642 E: differences over 1 km.
-    heights = config["heights"]
+    heights = values["heights"]
     assert heights["deflection"]["north_arcsec"] == pytest.approx(NORTH_ARCSEC, abs=0.2)
     assert heights["deflection"]["east_arcsec"] == pytest.approx(EAST_ARCSEC, abs=0.2)
     size = np.hypot(NORTH_ARCSEC, EAST_ARCSEC)

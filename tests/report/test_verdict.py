@@ -11,11 +11,14 @@ import pytest
 
 from unbend.report.summary import next_steps, remarks, verdict
 
+from .manifests import manifest_of
+
 READY = " in the image, and can be adjusted"
 LOOK = ", but not to be used before a look at "
 
 
-def manifest_of(mission) -> dict:
+def values_of(mission) -> dict:
+    """The manifest of a run as plain values."""
     return json.loads((mission.output / "manifest.json").read_text(encoding="utf-8"))
 
 
@@ -23,9 +26,9 @@ def ran(mission, code: int) -> tuple[dict, str, str]:
     """Its manifest, verdict and next steps, which the terminal prints too."""
     ended = mission.run()
     assert ended.code == code, ended.text
-    manifest = manifest_of(mission)
-    steps = " ".join(next_steps(manifest))
-    text = verdict(manifest)
+    manifest = values_of(mission)
+    steps = " ".join(next_steps(manifest_of(manifest)))
+    text = verdict(manifest_of(manifest))
     printed = " ".join(ended.out.split())
     assert text in printed
     assert steps in printed
@@ -41,10 +44,10 @@ def with_heights(mission, heights) -> None:
 
 def test_all_corrected(baseline):
     """Size by the results themselves: 1 m of 2.5 km, seen at 45 degrees."""
-    manifest = manifest_of(baseline)
+    manifest = values_of(baseline)
     rows = baseline.results().to_pandas()
     moved = np.hypot(rows["x_corrected_px"] - rows["x_px"], rows["y_corrected_px"] - rows["y_px"])
-    text = verdict(manifest)
+    text = verdict(manifest_of(manifest))
     assert text.startswith("All 59 observations were corrected by up to ")
     assert f" on the ground, {moved.max():.2g} px in the image, " in text
     centimetres = float(text.split("up to ")[1].split(" cm on")[0])
@@ -52,7 +55,7 @@ def test_all_corrected(baseline):
         manifest["correction"]["shift_ground_m"]["maximum"], rel=0.05
     )
     assert text.endswith(f"{READY}.")
-    steps = next_steps(manifest)
+    steps = next_steps(manifest_of(manifest))
     assert steps[-1] == (
         "Switch the refraction correction off in the adjustment program, where it has one: "
         "nothing may be corrected twice."
@@ -97,26 +100,28 @@ def test_air_that_was_not_measured(mission, baseline, plain_report):
     for role in ("pressure", "temperature", "humidity"):
         mission.config["log"]["channels"].pop(f"cabin_{role}")
     manifest, text, steps = ran(mission, 0)
-    assert remarks(manifest) == ["The air was not measured: a standard stands for it."]
+    assert remarks(manifest_of(manifest)) == ["The air was not measured: a standard stands for it."]
     assert text.endswith(f"{READY}.")
     assert "To correct better, give the air" in steps
-    manifest = copy.deepcopy(manifest_of(baseline))
+    manifest = copy.deepcopy(values_of(baseline))
     manifest["profile"]["basis"] = "climatology"
     manifest["uncertainty"]["scale_sigma"] = 0.0412
-    assert "a climatology stands for it, R is known to ± 4.1 %." in remarks(manifest)[0]
+    assert (
+        "a climatology stands for it, R is known to ± 4.1 %." in remarks(manifest_of(manifest))[0]
+    )
 
 
 def test_a_correction_too_small_to_matter(baseline):
     """One of 1.1 px, made 30 times smaller; not said where many rows could not be corrected."""
-    manifest = copy.deepcopy(manifest_of(baseline))
+    manifest = copy.deepcopy(values_of(baseline))
     for of in (manifest["correction"]["shift_px"], manifest["correction"]["shift_ground_m"]):
         of["maximum"] /= 30.0
-    assert verdict(manifest).endswith(
+    assert verdict(manifest_of(manifest)).endswith(
         " in the image, less than can be measured there: not needed here."
     )
-    assert any("it makes no difference" in step for step in next_steps(manifest))
+    assert any("it makes no difference" in step for step in next_steps(manifest_of(manifest)))
     manifest["correction"]["shift_px"]["count"] = 40
-    assert "not needed" not in verdict(manifest)
+    assert "not needed" not in verdict(manifest_of(manifest))
 
 
 @pytest.mark.parametrize(
@@ -130,27 +135,27 @@ def test_a_correction_too_small_to_matter(baseline):
     ],
 )  # fmt: skip
 def test_the_cabin_is_in_it_from_two_percent_on(baseline, cabin, air, end):
-    manifest = copy.deepcopy(manifest_of(baseline))
+    manifest = copy.deepcopy(values_of(baseline))
     manifest["cabin_sigma_share"]["median"] = cabin
     manifest["uncertainty"] = None if air is None else {"scale_sigma": air}
-    assert "cabin" not in verdict(manifest)
+    assert "cabin" not in verdict(manifest_of(manifest))
     if end is None:
-        assert remarks(manifest) == []
+        assert remarks(manifest_of(manifest)) == []
     else:
-        assert remarks(manifest) == [f"The air in the cabin is uncertain {end}"]
+        assert remarks(manifest_of(manifest)) == [f"The air in the cabin is uncertain {end}"]
         assert (
             "The cabin's sensors are assumed to be good to 3 hPa, 1 K: if they are "
             "better, give sigma_pressure_hpa, sigma_temperature_k (cameras.nadir.window.cabin, "
             "cameras.oblique.window.cabin)."
-        ) in next_steps(manifest)
+        ) in next_steps(manifest_of(manifest))
 
 
 def test_the_cabin_is_to_be_measured_only_where_it_was_not(baseline):
-    manifest = copy.deepcopy(manifest_of(baseline))
+    manifest = copy.deepcopy(values_of(baseline))
     manifest["cabin_sigma_share"]["median"] = 0.05
 
     def step() -> str:
-        (found,) = [step for step in next_steps(manifest) if "window.cabin" in step]
+        (found,) = [step for step in next_steps(manifest_of(manifest)) if "window.cabin" in step]
         return found
 
     windows = {name: c["window"] for name, c in manifest["config"]["cameras"].items()}
@@ -174,15 +179,15 @@ def test_the_cabin_is_to_be_measured_only_where_it_was_not(baseline):
 @pytest.mark.parametrize("kind", ["loss", "finding"])
 def test_nothing_that_ended_with_three_is_ready(baseline, kind):
     """Of the losses only those of single rows, which have no coordinates, leave the rest ready."""
-    manifest = copy.deepcopy(manifest_of(baseline))
+    manifest = copy.deepcopy(values_of(baseline))
     manifest["ledger"] += [{"kind": kind, "code": "LOG-BAD-BYTES", "what": "77 bytes"}] * 2
-    text = verdict(manifest)
+    text = verdict(manifest_of(manifest))
     assert READY not in text
     noun = {"loss": "1 loss", "finding": "1 likely mistake"}[kind]
     assert text.endswith(f"{LOOK}{noun} (LOG-BAD-BYTES).")
 
 
 def test_a_published_method_is_not_for_work(baseline):
-    manifest = copy.deepcopy(manifest_of(baseline))
+    manifest = copy.deepcopy(values_of(baseline))
     manifest["config"]["refraction"]["method"] = "gyer1996"
-    assert verdict(manifest).endswith("the method gyer1996, published for comparison.")
+    assert verdict(manifest_of(manifest)).endswith("the method gyer1996, published for comparison.")

@@ -128,7 +128,7 @@ def test_the_mission_of_the_page(block, by_log, points):
     from unbend.batch.runs import run_mission
 
     outcome = run_mission(block.folder / "mission.yaml")
-    assert outcome.exit_code == 0, outcome.manifest["ledger"]
+    assert outcome.exit_code == 0, outcome.manifest.values["ledger"]
     found = shift(block)
     assert (found["status"] == "ok").all()
     # The climatology of the day in place of the US 1976 atmosphere.
@@ -397,7 +397,7 @@ def test_a_block_as_a_mission_without_a_log(tmp_path, program):
     }  # fmt: skip
     (tmp_path / "m.yaml").write_text(yaml.safe_dump(mission))
     outcome = run_mission(tmp_path / "m.yaml")
-    assert outcome.exit_code == 0, outcome.manifest["ledger"]
+    assert outcome.exit_code == 0, outcome.manifest.values["ledger"]
     found = pd.read_parquet(outcome.output / "observations")
     assert (found["status"] == "ok").all()
     assert len(found) == count[program]
@@ -453,8 +453,8 @@ def test_a_model_in_an_unknown_frame(tmp_path):
         path = tmp_path / f"{name}.yaml"
         path.write_text(yaml.safe_dump(config), encoding="utf-8")
         outcome = run_mission(path)
-        assert outcome.exit_code == 0, outcome.manifest["ledger"]
-        codes = {entry["code"]: entry["what"] for entry in outcome.manifest["ledger"]}
+        assert outcome.exit_code == 0, outcome.manifest.values["ledger"]
+        codes = {entry["code"]: entry["what"] for entry in outcome.manifest.values["ledger"]}
         parts = sorted((tmp_path / f"results_{name}" / "observations").glob("*.parquet"))
         table = pd.concat([pq.read_table(part).to_pandas() for part in parts])
         found[name] = table.sort_values(["image", "keypoint"], ignore_index=True)

@@ -27,6 +27,7 @@ from tests.golden.held_block import (
 )
 from unbend.simulate.flight import UNDULATION_M
 from unbend.simulate.optics import height_and_up
+from unbend.tables.manifest.whole import Manifest
 
 EVERY = 7  # of the points is control
 
@@ -183,13 +184,14 @@ def test_the_report_has_each_point(block, tmp_path, unbend, whole_report):
         cells = [f"{v:+.3f}" for v in (*point["before_m"], *point["after_m"])]
         assert f"<td>{point['point']}</td>" in page
         assert "".join(f"<td>{cell}</td>" for cell in cells) in page
-    rows = control_rows(manifest, 200)
+    rows = control_rows(Manifest(manifest), 200)
     assert {len(row) for row in rows} == {len(CONTROL_HEAD)}
     assert [row[0] for row in rows[:-2]] == [p["point"] for p in manifest["control"]["points"]]
     assert float(rows[0][4]) == pytest.approx(manifest["control"]["points"][0]["before_m"][2],
                                               abs=1e-3)  # fmt: skip
-    assert control_sentence({}) == ""
-    assert control_rows({}, 9) == []
+    without = Manifest(manifest | {"control": None})
+    assert control_sentence(without) == ""
+    assert control_rows(without, 9) == []
 
 
 # -- the wrong control --------------------------------------------------------------------------

@@ -159,7 +159,7 @@ def test_a_model_that_nothing_can_verify_is_said_to_be_so(mission, modelled, mon
         modelled(change=lambda z: z if known == "take-off" else z[::-1])
     if known != "tie points":
         rows(lambda table: table.__setitem__("point", table["point"] + table["image"]))(mission)
-    ledger = check_mission(mission.save()).manifest["ledger"]
+    ledger = check_mission(mission.save()).manifest.values["ledger"]
     found = {e["code"]: e["kind"] for e in ledger if e["kind"] != "note"}
     assert ("TIES-HEIGHT" in found) == (known == "tie points")
     assert found.get("DEM-UNVERIFIED") == ("warning" if known == "nothing" else None)
@@ -308,7 +308,7 @@ def test_a_model_of_another_datum_is_found_at_the_take_off(mission, modelled, mo
     """The field lies in a wider model; 60 m are more than a model and a receiver leave."""
     monkeypatch.setitem(globals(), "STEP_M", 40.0)
     modelled(change=lambda z: z + add_m)
-    manifest = check_mission(mission.save()).manifest
+    manifest = check_mission(mission.save()).manifest.values
     found = [e for e in manifest["ledger"] if e["code"] == "PLAUSIBLE-TERRAIN"]
     assert len(found) == (add_m > 0.0)
     for each in found:

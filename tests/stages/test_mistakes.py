@@ -49,7 +49,7 @@ def parsed_once(computed_once: None) -> Iterator[None]:
 def checked(folder: Path, mistake: dict[str, Any]) -> tuple[int, str]:
     """Exit code of `check`, and what it says that is no note."""
     try:
-        manifest = check_mission(write_mistake(folder, mistake)).manifest
+        manifest = check_mission(write_mistake(folder, mistake)).manifest.values
     except UnbendError as error:
         return error.exit_code, str(error)
     grave = [e for e in manifest["ledger"] if e["kind"] in ("finding", "loss")]

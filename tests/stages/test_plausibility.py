@@ -129,7 +129,7 @@ FOUND = {
 def test_a_mistake_is_found_with_its_key(mission, what):
     spoil, code, key, words = FOUND[what]
     spoil(mission)
-    manifest = check_mission(mission.save()).manifest
+    manifest = check_mission(mission.save()).manifest.values
     found = [e for e in manifest["ledger"] if e["kind"] == "finding" and e["code"] == code]
     texts = [f"{e['what']} {e['where']}" for e in found]
     assert any(re.search(words, text) and key in text for text in texts), manifest["ledger"]
@@ -144,7 +144,7 @@ def test_slant_ranges_in_feet(mission):
     for factor, finds in ((1.0, False), (3.28084, True)):
         rows(lambda t, f=factor: t.insert(5, "slant", length * f))(mission)
         mission.config["observations"]["columns"] = {"distance_m": "slant"}
-        ledger = check_mission(mission.save()).manifest["ledger"]
+        ledger = check_mission(mission.save()).manifest.values["ledger"]
         text = [e["what"] for e in ledger if e["code"] == "PLAUSIBLE-DISTANCE"]
         assert bool(text) is finds
         assert not finds or "3.28 times" in text[0]
@@ -190,7 +190,7 @@ def test_ground_beside_the_terrain_of_the_autopilot(mission, factor, status, wor
     """Heights 100 m off pass as near the take-off, but not beside the logged terrain."""
     log_terrain(mission, status=status)
     scaled(h_g_m=factor)(mission)
-    manifest = check_mission(mission.save()).manifest
+    manifest = check_mission(mission.save()).manifest.values
     found = [e for e in manifest["ledger"] if e["code"] == "PLAUSIBLE-TERRAIN"]
     assert len(found) == (words is not None), manifest["ledger"]
     assert all(re.search(words, e["what"]) and "ground.reference" in e["where"] for e in found)
@@ -216,14 +216,14 @@ def test_air_of_another_pressure(mission, monkeypatch):
         return replace(air, adjustment=replace(air.adjustment, profile=profile))
 
     monkeypatch.setattr(story, "adjusted_profiles", thin)
-    ledger = check_mission(mission.save()).manifest["ledger"]
+    ledger = check_mission(mission.save()).manifest.values["ledger"]
     (text,) = [e["what"] for e in ledger if e["code"] == "PLAUSIBLE-AIR"]
     assert "is 0.50 times that in the standard" in text
 
 
 @pytest.mark.parametrize("kind", ["bin", "tlog", "mcap"])
 def test_a_sound_mission_has_no_findings(mission_factory, tmp_path, kind):
-    manifest = check_mission(mission_factory(tmp_path / "m", kind).save()).manifest
+    manifest = check_mission(mission_factory(tmp_path / "m", kind).save()).manifest.values
     assert [e for e in manifest["ledger"] if e["kind"] in ("finding", "loss")] == []
 
 
@@ -268,7 +268,7 @@ def test_rays_beyond_the_horizon_are_told_by_how_much(mission):
     """A camera that looks 120 deg from the nadir sees nothing but sky."""
     mission.config["mount"]["nadir"]["pitch_deg"] = -120.0
     checked = check_mission(mission.save())
-    (entry,) = [e for e in checked.manifest["ledger"]
+    (entry,) = [e for e in checked.manifest.values["ledger"]
                 if e["code"] == "OBS-FLAGGED" and "misses_ground" in e["what"]]  # fmt: skip
     degrees = float(re.search(r"up to ([\d.]+) deg beyond the horizon", entry["what"])[1])
     facts = checked.corrected.facts

@@ -7,7 +7,7 @@ import pytest
 
 from unbend.refraction.image import COLUMNS, Corrections
 from unbend.stages.statistics import Distribution, ShiftStatistics
-from unbend.tables.manifest import ShiftField
+from unbend.tables.manifest.results import ShiftField
 
 
 def test_no_quantile_is_larger_than_the_largest():

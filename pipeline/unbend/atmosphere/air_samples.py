@@ -69,14 +69,19 @@ class SensorSamples:
     @property
     def extent_m(self) -> float:
         """Height spanned by the accepted readings [m]."""
-        h = self.h_m[self.accepted]
-        return float(np.ptp(h)) if h.size else 0.0
+        heights = self.h_m[self.accepted]
+        if not heights.size:
+            return 0.0
+        return float(np.ptp(heights))
 
     @property
     def middle_ns(self) -> int | None:
         """Middle of the time that the accepted readings span [Unix ns]."""
         used = self.time_ns[self.accepted]
-        return int(used[0]) + (int(used[-1]) - int(used[0])) // 2 if used.size else None
+        if not used.size:
+            return None
+        begin_ns = int(used[0])
+        return begin_ns + (int(used[-1]) - begin_ns) // 2
 
     @property
     def middle_of_heights_ns(self) -> int | None:
@@ -126,16 +131,6 @@ class SensorUse:
         """How many samples are used."""
         return self.samples - sum(self.rejected.values())
 
-    def row(self) -> dict[str, object]:
-        """For the manifest: counts of those not used by the reason in words."""
-        return {
-            "sensor": self.sensor,
-            "quantity": self.quantity,
-            "samples": self.samples,
-            "used": self.used,
-            "rejected": {reason.text: count for reason, count in self.rejected.items()},
-        }
-
     def sentence(self) -> str:
         """For a person.
 
@@ -161,7 +156,10 @@ def sensor_uses(samples: AirSamples, rejected: Mapping[str, Reasons]) -> tuple[S
 
 def part_of(record: Record, rows: Mask | Rows | slice) -> Record:
     """The same with some rows of all its arrays."""
-    arrays = {name: v[rows] for name, v in vars(record).items() if isinstance(v, np.ndarray)}
+    arrays = {}
+    for name, value in vars(record).items():
+        if isinstance(value, np.ndarray):
+            arrays[name] = value[rows]
     return replace(record, **arrays)
 
 

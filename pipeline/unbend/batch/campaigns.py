@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from unbend.batch import messages
 from unbend.batch.execute import MissionEnd, shared_outputs
-from unbend.batch.executors import Outcome
+from unbend.batch.executors import Bug, Outcome
 from unbend.batch.fingerprint import code_hash
 from unbend.batch.plan import output_of
 from unbend.batch.remote import Place
@@ -91,7 +91,7 @@ class Selection:
         return Outcome(
             name=known.name,
             output=known.output,
-            manifest=manifest or {},
+            manifest=manifest,
             exit_code=known.exit_code,
             repeated=True,
         )
@@ -138,9 +138,10 @@ def known_missions(
         unchanged = find_unchanged(ref)
         if unchanged is None:
             continue
-        row = row_of(unchanged.manifest) if with_rows else None
-        exit_code = int(unchanged.manifest["exit_code"])
-        known[ref] = KnownMission(unchanged.name, unchanged.output, exit_code, row)
+        exit_code = unchanged.manifest.run.exit_code
+        with suppress(UnbendError):  # its manifest lacks results: it is compared, or run again
+            row = row_of(unchanged.manifest) if with_rows else None
+            known[ref] = KnownMission(unchanged.name, unchanged.output, exit_code, row)
     return known
 
 
@@ -251,23 +252,27 @@ def row_of_end(
         known = chosen.known[ref].row
         if known is not None:
             return known
-    if isinstance(end, Outcome):
-        return row_of(end.manifest)
     if isinstance(end, UnbendError):
         return row_without(name, end.exit_code, end.code, end.what)
-    if end is not None:
+    if isinstance(end, Bug):
         return row_without(name, EXIT_BUG, "", "a bug in unbend")
-    manifest = None if output is None else read_manifest(output, damaged=True)
-    if manifest is None or manifest["mission"] != name:
+    manifest = None if end is None else end.manifest
+    if manifest is None and output is not None:
+        manifest = read_manifest(output, damaged=True)
+    if manifest is None or manifest.run.mission != name:
         return row_without(name, None, "", "it has no results yet")
-    return row_of(manifest)
+    try:
+        return row_of(manifest)
+    except UnbendError as error:  # of a version whose results had other fields
+        return row_without(name, None, error.code, error.what)
 
 
 def link_to(output: Path | Place, page: Path) -> str:
     """Where the report of a mission lies, as seen from the folder of a page."""
     if isinstance(output, Place):
-        published = read_manifest(output, damaged=True) or {"attempt": ""}
-        return f"{output}/attempts/{published['attempt']}"
+        published = read_manifest(output, damaged=True)
+        attempt = "" if published is None else published.run.attempt
+        return f"{output}/attempts/{attempt}"
     target = os.path.realpath(output)
     with suppress(ValueError):  # on another drive
         target = os.path.relpath(target, os.path.realpath(page))

@@ -4,26 +4,27 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from unbend.batch.fingerprint import NOT_IN_FINGERPRINT
-from unbend.batch.input_files import InputRecord
 from unbend.batch.plan import Plan
 from unbend.batch.results import find_damage
+from unbend.tables.manifest.run import InputRecord
+from unbend.tables.manifest.whole import Manifest
 
 
-def reasons_to_run(plan: Plan, manifest: dict[str, Any]) -> list[str]:
+def reasons_to_run(plan: Plan, manifest: Manifest) -> list[str]:
     """Why the results of a manifest are not a plan's, whole and unchanged, one reason each."""
-    if manifest["fingerprint"] == plan.fingerprint:
+    run = manifest.run
+    if run.fingerprint == plan.fingerprint:
         return find_damage(plan.output, manifest, read=False)
     reasons = [
-        *changed_inputs(plan, manifest.get("inputs", ())),
-        *changed_keys(plan.config, manifest.get("config", {})),
-        *changed_versions(plan.versions, manifest.get("versions", {})),
+        *changed_inputs(plan, run.inputs),
+        *changed_keys(plan.config, run.config),
+        *changed_versions(plan.versions, run.versions),
     ]
     return reasons or ["the mission file is read in another way"]
 
 
-def changed_inputs(plan: Plan, rows: list[Mapping[str, Any]]) -> Iterator[str]:
+def changed_inputs(plan: Plan, records: list[InputRecord]) -> Iterator[str]:
     """The inputs that differ from those of a run."""
-    records = map(InputRecord.of_row, rows)
     before = {record.role: record.sha256 for record in records}
     now = {item.role: item for item in plan.inputs}
     for role in before.keys() - now.keys():

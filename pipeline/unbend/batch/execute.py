@@ -61,7 +61,7 @@ def with_manifest(end: MissionEnd) -> MissionEnd:
         return end
     try:
         manifest = read_manifest(end.output)
-        if manifest is None or manifest["fingerprint"] != end.fingerprint:
+        if manifest is None or manifest.run.fingerprint != end.fingerprint:
             raise messages.results_elsewhere(path=str(end.output), name=end.name)
     except UnbendError as error:
         return error

@@ -15,20 +15,21 @@ from unbend.errors import UnbendError
 if TYPE_CHECKING:
     from unbend.batch.object_store import Place
     from unbend.config.campaign import MissionRef
+    from unbend.tables.manifest.whole import Manifest
 
 
 @dataclass(frozen=True)
 class Outcome:
     """How a mission ended: where its results are, its manifest, and its exit code.
 
-    ``output`` is a folder, or a place in object storage. From another process comes a receipt of
-    less than a kilobyte: the manifest, which is at ``output``, is left out, and only its
-    ``fingerprint`` comes.
+    ``output`` is a folder, or a place in object storage. ``manifest`` is None where nobody asks
+    for it. From another process comes a receipt of less than a kilobyte: the manifest, which is at
+    ``output``, is left out, and only its ``fingerprint`` comes.
     """
 
     name: str
     output: Path | Place
-    manifest: dict[str, Any]
+    manifest: Manifest | None
     exit_code: int
     repeated: bool
     fingerprint: str = ""
@@ -38,10 +39,10 @@ class Outcome:
         return Outcome(
             name=self.name,
             output=self.output,
-            manifest={},
+            manifest=None,
             exit_code=self.exit_code,
             repeated=self.repeated,
-            fingerprint=str(self.manifest["fingerprint"]),
+            fingerprint="" if self.manifest is None else self.manifest.run.fingerprint,
         )
 
 

@@ -3,17 +3,18 @@
 import hashlib
 import os
 import time
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from unbend.batch import messages
 from unbend.config import Mission
 from unbend.ingest import hash_file
 from unbend.tables.geodata.gdal import raster_files
 from unbend.tables.imports.blocks import BLOCKS, block_reader, damage_refused
+from unbend.tables.manifest.run import InputRecord
 
 SETTLED_NS = 2_000_000_000
 """A file changed within this time may change again with the same times: FAT counts 2 s."""
@@ -143,59 +144,6 @@ def state_of(path: str | Path) -> FileState | None:
 States = tuple[FileState | None, ...]
 
 
-@dataclass(frozen=True)
-class InputRecord:
-    """An input in the manifest: what it held, and what shows without reading that it still does.
-
-    ``size_bytes`` and ``mtime_ns`` of its files: their sum, and the newest. ``mtime_ns`` is None
-    where a file had changed so shortly before that a later change need not show. ``version``
-    is a hash of names, sizes and times of several files, or the version of objects in storage.
-    """
-
-    role: str
-    name: str
-    sha256: str
-    size_bytes: int
-    mtime_ns: int | None
-    version: str = ""
-
-    @classmethod
-    def of_row(cls, row: Mapping[str, Any]) -> "InputRecord":
-        """The record from a row of a manifest, which an older version may have written."""
-        return cls(
-            role=str(row.get("role")),
-            name=str(row.get("name")),
-            sha256=str(row.get("sha256")),
-            size_bytes=int(row.get("bytes", -1)),
-            mtime_ns=row.get("mtime_ns"),
-            version=str(row.get("version", "")),
-        )
-
-    def row(self) -> dict[str, Any]:
-        """The record as plain values, for the manifest."""
-        return {
-            "role": self.role,
-            "name": self.name,
-            "sha256": self.sha256,
-            "bytes": self.size_bytes,
-            "mtime_ns": self.mtime_ns,
-            "version": self.version,
-        }
-
-    def with_hash(self, sha256: str) -> "InputRecord":
-        """The record with the hash of its content."""
-        return replace(self, sha256=sha256)
-
-    def is_like(self, other: "InputRecord | None") -> bool:
-        """Whether another record is of the same files, unchanged by size and time."""
-        return (
-            other is not None
-            and self.mtime_ns is not None
-            and (self.name, self.size_bytes, self.mtime_ns, self.version)
-            == (other.name, other.size_bytes, other.mtime_ns, other.version)
-        )
-
-
 def record_of(named: NamedInput, files: tuple[Path, ...], states: States) -> InputRecord:
     """The record of an input by the states of its files, without a hash."""
     there = [state for state in states if state is not None]
@@ -212,7 +160,7 @@ def record_of(named: NamedInput, files: tuple[Path, ...], states: States) -> Inp
         role=named.role,
         name=named.name,
         sha256="",
-        size_bytes=sum(state.size_bytes for state in there),
+        bytes=sum(state.size_bytes for state in there),
         mtime_ns=max(state.mtime_ns for state in there) if settled else None,
         version=listed,
     )

@@ -13,6 +13,7 @@ from unbend.errors import (
 )
 from unbend.flight.messages import IMAGES_OTHER
 from unbend.tables.imports.blocks.messages import INPUT_MISSING
+from unbend.tables.manifest.messages import MANIFEST_UNREADABLE
 
 # Inputs
 
@@ -105,12 +106,6 @@ STORAGE_SYMLINK = Code(
     means="A result in the output folder is a symbolic link.",
     effect="The mission is not run (exit code 5).",
     remedy="Remove the link.",
-)
-MANIFEST_UNREADABLE = Code(
-    "MANIFEST-UNREADABLE",
-    means="The manifest of the results cannot be read, or is not one that unbend wrote.",
-    effect="The command is refused.",
-    remedy="Run the mission again with --force, or choose another folder.",
 )
 VERIFY_NO_MANIFEST = Code(
     "VERIFY-NO-MANIFEST",
@@ -223,16 +218,6 @@ def manifest_unreadable(*, path: str, error: str) -> StorageError:
         where=path,
         remedy="run the mission again with --force",
         error=error,
-    )
-
-
-def manifest_not_ours(*, path: str) -> StorageError:
-    """The manifest is JSON, but lacks what every manifest of unbend has."""
-    return StorageError(
-        MANIFEST_UNREADABLE,
-        "manifest.json is not one that unbend wrote",
-        where=path,
-        remedy="choose another folder, or remove that file and the results beside it",
     )
 
 

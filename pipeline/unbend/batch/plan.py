@@ -15,7 +15,6 @@ from unbend.batch import messages, remote
 from unbend.batch.fingerprint import fingerprint_of, versions_of
 from unbend.batch.input_files import (
     Input,
-    InputRecord,
     NamedInput,
     check_unchanged,
     files_of,
@@ -30,7 +29,8 @@ from unbend.batch.store import would_replace
 from unbend.caches import user_cache
 from unbend.config import Mission
 from unbend.errors import UnbendError
-from unbend.tables.manifest import MANIFEST_VERSION
+from unbend.tables.manifest.run import MANIFEST_VERSION, Identity, InputRecord
+from unbend.tables.manifest.whole import Manifest
 
 
 @dataclass(frozen=True)
@@ -76,17 +76,17 @@ class Plan:
         """The input of a role: log, observations, events, orientation, or ``sounding 1``."""
         return next(item for item in self.inputs if item.role == role)
 
-    def identity(self) -> dict[str, Any]:
+    def identity(self) -> Identity:
         """What of the manifest says which run it is of."""
-        return {
-            "manifest_version": MANIFEST_VERSION,
-            "mission": self.mission.mission.name,
-            "fingerprint": self.fingerprint,
-            "mission_file_sha256": self.text_sha256,
-            "config": self.config,
-            "inputs": [item.record.row() for item in self.inputs],
-            "versions": self.versions,
-        }
+        return Identity(
+            manifest_version=MANIFEST_VERSION,
+            mission=self.mission.mission.name,
+            fingerprint=self.fingerprint,
+            mission_file_sha256=self.text_sha256,
+            config=self.config,
+            inputs=[item.record for item in self.inputs],
+            versions=self.versions,
+        )
 
     def check_unchanged(self, *, folders: bool = True) -> None:
         """Refuse (INPUT-CHANGED) inputs that were written to, or replaced, since they were hashed.
@@ -123,8 +123,7 @@ def make_plan(
     earlier = read_manifest(output, damaged=True)
     records: dict[str, InputRecord] = {}
     if earlier is not None and not verify:
-        rows = map(InputRecord.of_row, earlier.get("inputs", ()))
-        records = {record.role: record for record in rows}
+        records = {record.role: record for record in earlier.run.inputs}
     inputs = []
     remotes = {}
     for named in named_inputs(mission):
@@ -194,7 +193,7 @@ def remote_input(
         role=named.role,
         name=named.name,
         sha256="",
-        size_bytes=found.size_bytes,
+        bytes=found.size_bytes,
         mtime_ns=found.mtime_ns,
         version=found.version,
     )
@@ -227,12 +226,12 @@ def names_of_cameras(mission: Mission) -> dict[str, str]:
     return names
 
 
-def refuse_other_mission(plan: Plan, manifest: dict[str, Any] | None) -> None:
+def refuse_other_mission(plan: Plan, manifest: Manifest | None) -> None:
     """Refuse (OUTPUT-OTHER) a folder whose manifest is that of a mission of another name."""
     name = plan.mission.mission.name
-    if manifest is not None and manifest["mission"] != name:
+    if manifest is not None and manifest.run.mission != name:
         raise messages.output_of_other_mission(
-            path=str(plan.output), other=str(manifest["mission"]), name=name
+            path=str(plan.output), other=manifest.run.mission, name=name
         )
 
 

@@ -23,6 +23,7 @@ from unbend.stages.plausibility.facts import Facts
 from unbend.stages.results import utc_second
 from unbend.stages.story import CorrectedMission
 from unbend.tables.geodata.geoid import package_geoid
+from unbend.tables.manifest.results import EffectRecord
 from unbend.tables.observations import Batch
 from unbend.units import ARCSEC, Array, Integers, evenly_spaced
 
@@ -139,7 +140,7 @@ def rows_text(corrected: CorrectedMission) -> str:
 
 def air_text(facts: Facts) -> str:
     """What the air does to a ray, against the standard atmosphere."""
-    effects = [effect.row() for effect in facts.effects[:1]]
+    effects = [EffectRecord.of(effect) for effect in facts.effects[:1]]
     lines = effect_lines(effects, facts.adjustment.standard.name)
     return "; ".join(lines) or "no ray looks down"
 

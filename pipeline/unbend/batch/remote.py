@@ -28,6 +28,7 @@ from unbend.batch.manifest import MANIFEST, damage_of, manifest_text, parse_mani
 from unbend.batch.object_store import Place, is_url
 from unbend.caches import forget_oldest, user_cache
 from unbend.errors import UnbendError, storage_errors
+from unbend.tables.manifest.whole import Manifest
 
 __all__ = ["Place", "is_url"]
 
@@ -137,7 +138,7 @@ _NEVER = {"e_tag": '"00000000000000000000000000000000"', "version": "1"}
 """A version that no object has."""
 
 
-def read_manifest(place: Place, *, damaged: bool = False) -> dict[str, Any] | None:
+def read_manifest(place: Place, *, damaged: bool = False) -> Manifest | None:
     """The manifest published at a place; None where there is none, or ``damaged`` a damaged one."""
     file = place / MANIFEST
     content = file.read()[0]
@@ -151,18 +152,18 @@ def read_manifest(place: Place, *, damaged: bool = False) -> dict[str, Any] | No
         raise
 
 
-def attempt_of(place: Place, manifest: dict[str, Any]) -> Place:
+def attempt_of(place: Place, manifest: Manifest) -> Place:
     """Where the files of a published run lie."""
-    return place / f"attempts/{manifest['attempt']}"
+    return place / f"attempts/{manifest.run.attempt}"
 
 
-def copy_of_attempt(place: Place, manifest: dict[str, Any]) -> Path:
+def copy_of_attempt(place: Place, manifest: Manifest) -> Path:
     """A copy of the files of a published run; FileNotFoundError where they are gone."""
     attempt = Place.of(f"{attempt_of(place, manifest)}/")
     return fetch(look_up(attempt))
 
 
-def find_damage(place: Place, manifest: dict[str, Any], *, read: bool = True) -> list[str]:
+def find_damage(place: Place, manifest: Manifest, *, read: bool = True) -> list[str]:
     """What is missing or changed of a published run; without ``read`` no content is looked at.
 
     No file of an attempt is written twice.
@@ -211,9 +212,7 @@ class Publication:
         self._run_version = self._run.read()[1]
         self._before = read_manifest(place, damaged=True)
 
-    def publish(
-        self, folder: Path, manifest: dict[str, Any], advance: Callable[[int], None]
-    ) -> dict[str, Any]:
+    def publish(self, folder: Path, manifest: Manifest, advance: Callable[[int], None]) -> Manifest:
         """Upload the results of a folder and publish them; the manifest that is then there.
 
         Of several writers of the same run the first wins, and the others return its manifest.
@@ -221,7 +220,7 @@ class Publication:
         with the bytes of each file.
         """
         attempt = uuid.uuid4().hex
-        own = manifest | {"attempt": attempt}
+        own = manifest.with_values({"attempt": attempt})
         content = manifest_text(own).encode()
         try:
             self._upload(folder, own, advance)
@@ -236,45 +235,44 @@ class Publication:
             if not (self._place / MANIFEST).put(content, self._version):
                 # Refused, or done and the answer lost: what is there now says which.
                 published = read_manifest(self._place)
-        if published is None or published["attempt"] != attempt:
+        if published is None or published.run.attempt != attempt:
             self._remove(attempt)
-            if published is None or published.get("fingerprint") != self._fingerprint:
+            if published is None or published.run.fingerprint != self._fingerprint:
                 self._place.remove([run_name(self._fingerprint)])
                 raise messages.published_meanwhile(url=str(self._place))
         self._remove_former(published)
         return published
 
-    def _upload(
-        self, folder: Path, manifest: dict[str, Any], advance: Callable[[int], None]
-    ) -> None:
+    def _upload(self, folder: Path, manifest: Manifest, advance: Callable[[int], None]) -> None:
         attempt = attempt_of(self._place, manifest)
-        for item in manifest["outputs"]:
-            (attempt / item["name"]).put(folder / item["name"], "overwrite")
-            advance(item["bytes"])
+        for item in manifest.run.outputs:
+            (attempt / item.name).put(folder / item.name, "overwrite")
+            advance(item.bytes)
         damage = find_damage(self._place, manifest, read=False)
         if damage:
             raise messages.request_failed(
                 url=str(self._place), verb="write", answer=", ".join(damage)
             )
 
-    def _of_another_writer(self) -> dict[str, Any] | None:
+    def _of_another_writer(self) -> Manifest | None:
         """The manifest of the same run by a faster writer; None where that did not publish it."""
         deadline = time.monotonic() + _WAIT_S
         while time.monotonic() < deadline:
             now = read_manifest(self._place, damaged=True)
-            if now is not None and now != self._before and now["fingerprint"] == self._fingerprint:
+            is_same_run = now is not None and now.run.fingerprint == self._fingerprint
+            if is_same_run and now != self._before:
                 return now
             time.sleep(0.2)
         return None
 
-    def _remove_former(self, published: dict[str, Any]) -> None:
+    def _remove_former(self, published: Manifest) -> None:
         """Remove what was published before, where something else is now."""
         before = self._before
-        if before is None or before["attempt"] == published["attempt"]:
+        if before is None or before.run.attempt == published.run.attempt:
             return
-        self._remove(before["attempt"])
-        if before["fingerprint"] != self._fingerprint:
-            self._place.remove([run_name(before["fingerprint"])])
+        self._remove(before.run.attempt)
+        if before.run.fingerprint != self._fingerprint:
+            self._place.remove([run_name(before.run.fingerprint)])
 
     def _remove(self, attempt: str) -> None:
         of_attempt = self._place / f"attempts/{attempt}"
@@ -331,7 +329,7 @@ class _Leftovers:
         """Attempt and fingerprint of what is published; read after the listing."""
         if start not in self._published:
             now = read_manifest(self._place / start)
-            known = () if now is None else (now["attempt"], now["fingerprint"])
+            known = () if now is None else (now.run.attempt, now.run.fingerprint)
             self._published[start] = known
         return self._published[start]
 

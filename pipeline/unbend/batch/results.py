@@ -1,20 +1,20 @@
 """Results where they are: in a folder, or published in object storage."""
 
 from pathlib import Path
-from typing import Any
 
 from unbend.batch import messages, remote, store
 from unbend.batch.remote import Place
+from unbend.tables.manifest.whole import Manifest
 
 
-def read_manifest(output: Path | Place, *, damaged: bool = False) -> dict[str, Any] | None:
+def read_manifest(output: Path | Place, *, damaged: bool = False) -> Manifest | None:
     """The manifest of a run's results; None where there is none, or ``damaged`` a damaged one."""
     if isinstance(output, Place):
         return remote.read_manifest(output, damaged=damaged)
     return store.read_manifest(output, damaged=damaged)
 
 
-def find_damage(output: Path | Place, manifest: dict[str, Any], *, read: bool = True) -> list[str]:
+def find_damage(output: Path | Place, manifest: Manifest, *, read: bool = True) -> list[str]:
     """What is missing or changed of a run's results, one line each; empty when nothing is.
 
     Without ``read`` only files are read that changed after the manifest was written.
@@ -24,7 +24,7 @@ def find_damage(output: Path | Place, manifest: dict[str, Any], *, read: bool = 
     return store.find_damage(output, manifest, read=read)
 
 
-def manifest_of_run(output: Path | Place) -> dict[str, Any]:
+def manifest_of_run(output: Path | Place) -> Manifest:
     """The manifest of a finished run; refuses (VERIFY-NO-MANIFEST) a place without."""
     manifest = read_manifest(output)
     if manifest is None:
@@ -32,7 +32,7 @@ def manifest_of_run(output: Path | Place) -> dict[str, Any]:
     return manifest
 
 
-def verify_run(output: Path | Place) -> dict[str, Any]:
+def verify_run(output: Path | Place) -> Manifest:
     """The manifest of a run whose results are whole and unchanged; refuses any other."""
     manifest = manifest_of_run(output)
     damage = find_damage(output, manifest)

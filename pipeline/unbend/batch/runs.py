@@ -1,11 +1,11 @@
 """A mission is run into its folder: locked, hashed, resumed, published; rehearsed; looked at."""
 
 import shutil
+from collections.abc import Iterable
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from unbend.atmosphere import standard_atmosphere
 from unbend.atmosphere.air_samples import AirSamples
@@ -14,6 +14,7 @@ from unbend.atmosphere.series.profile_series import TimedProfile, constant_serie
 from unbend.batch import opening, remote, store
 from unbend.batch.differences import reasons_to_run
 from unbend.batch.executors import Outcome
+from unbend.batch.input_files import Input
 from unbend.batch.plan import Plan, fetch_inputs, make_plan, places_named, refuse_other_mission
 from unbend.batch.remote import Place
 from unbend.batch.results import read_manifest
@@ -21,7 +22,7 @@ from unbend.batch.run_files import PartsOfRun, correct_into, write_tables
 from unbend.batch.unchanged import load
 from unbend.config.campaign import MissionRef
 from unbend.errors import StorageError, storage_errors
-from unbend.messages import Ledger
+from unbend.messages import Ledger, MessageRecord
 from unbend.refraction.effect import FlightAir
 from unbend.report.flown import Flown, flown_of
 from unbend.report.html import write_report
@@ -31,6 +32,7 @@ from unbend.stages.correction_setup import CorrectionSetup
 from unbend.stages.results import observation_metadata
 from unbend.stages.statistics import SAMPLED_ROWS, Statistics
 from unbend.stages.story import CorrectedMission, PreparedMission, correct_mission, prepare_mission
+from unbend.tables.manifest.whole import Manifest
 
 
 def run_mission(
@@ -50,7 +52,8 @@ def run_mission(
     with places_named(plan):
         if isinstance(plan.output, Place):
             return run_and_publish(plan, place=plan.output, force=force, progress=progress)
-        return run_plan(plan, force=force, progress=progress)
+        is_repeated, manifest = run_plan(plan, force=force, progress=progress)
+        return outcome_of(plan, manifest, repeated=is_repeated)
 
 
 def plan_of(mission: MissionRef | Path | str, *, verify: bool = False) -> Plan:
@@ -72,25 +75,27 @@ def run_and_publish(plan: Plan, *, place: Place, force: bool, progress: Progress
     lock = store.lock_folder(plan.folder.parent)
     try:
         here = replace(plan, output=plan.folder)
-        run = run_plan(here, force=force, progress=progress)
-        if run.repeated and store.find_damage(plan.folder, run.manifest):
-            run = run_plan(here, force=True, progress=progress)
-        size = sum(int(item["bytes"]) for item in run.manifest["outputs"])
+        is_repeated, made = run_plan(here, force=force, progress=progress)
+        if is_repeated and store.find_damage(plan.folder, made):
+            _, made = run_plan(here, force=True, progress=progress)
+        size = sum(output.bytes for output in made.run.outputs)
         progress.start("uploading", size)
-        manifest = publication.publish(plan.folder, run.manifest, progress.advance)
+        manifest = publication.publish(plan.folder, made, progress.advance)
         shutil.rmtree(plan.folder, ignore_errors=True)
     finally:
         lock.release()
     return outcome_of(plan, manifest, repeated=False)
 
 
-def run_plan(plan: Plan, *, force: bool, progress: Progress) -> Outcome:
-    """Run a mission with its inputs hashed, whose results go to a folder."""
+def run_plan(plan: Plan, *, force: bool, progress: Progress) -> tuple[bool, Manifest]:
+    """Run a mission with its inputs hashed, whose results go to a folder.
+
+    Returns whether the same gave these results before, and their manifest.
+    """
     with store.open_folder(plan.folder) as folder:
         earlier = finished_before(plan, force=force)
         if earlier is not None:
-            earlier = renewed(plan, folder, earlier)
-            return outcome_of(plan, earlier, repeated=True)
+            return True, renewed(plan, folder, earlier)
         prepared = prepare(plan, progress)
         observations = prepared.observations
         batch_rows = plan.mission.output.batch_rows
@@ -112,8 +117,7 @@ def run_plan(plan: Plan, *, force: bool, progress: Progress) -> Outcome:
         progress.start("writing the report")
         write_tables(folder, corrected.stations, corrected.air)
         manifest = manifest_of(plan, corrected)
-        manifest = finish_run(plan, folder, manifest, drawing_of(corrected))
-    return outcome_of(plan, manifest, repeated=False)
+        return False, finish_run(plan, folder, manifest, drawing_of(corrected))
 
 
 def prepare(plan: Plan, progress: Progress, most_rows: int | None = None) -> PreparedMission:
@@ -138,30 +142,36 @@ def prepare(plan: Plan, progress: Progress, most_rows: int | None = None) -> Pre
     return prepare_mission(mission, inputs, ledger)
 
 
-def manifest_of(plan: Plan, corrected: CorrectedMission) -> dict[str, Any]:
+def manifest_of(plan: Plan, corrected: CorrectedMission) -> Manifest:
     """The manifest of a run, without its outputs.
 
     Holds no host name and no absolute path, and no clock but the times of the inputs.
     """
-    manifest = corrected.results.row()
-    for entry in manifest["ledger"]:  # a file is named as in the mission file, without its folder
-        for item in plan.inputs:
-            entry["where"] = str(entry["where"]).replace(str(item.path), item.name)
-    return manifest | plan.identity()
+    ledger = [renamed(entry, plan.inputs) for entry in corrected.results.ledger]
+    results = replace(corrected.results, ledger=ledger)
+    return Manifest({**results.row(), **plan.identity().row()})
 
 
-def outcome_of(plan: Plan, manifest: dict[str, Any], *, repeated: bool) -> Outcome:
+def renamed(entry: MessageRecord, inputs: Iterable[Input]) -> MessageRecord:
+    """A message that names files as the mission file does, without its folder."""
+    where = entry.where
+    for item in inputs:
+        where = where.replace(str(item.path), item.name)
+    return replace(entry, where=where)
+
+
+def outcome_of(plan: Plan, manifest: Manifest, *, repeated: bool) -> Outcome:
     """How a mission ended whose results have a manifest."""
     return Outcome(
         name=plan.mission.mission.name,
         output=plan.output,
         manifest=manifest,
-        exit_code=int(manifest["exit_code"]),
+        exit_code=manifest.run.exit_code,
         repeated=repeated,
     )
 
 
-def finished_before(plan: Plan, *, force: bool = False) -> dict[str, Any] | None:
+def finished_before(plan: Plan, *, force: bool = False) -> Manifest | None:
     """The manifest of an earlier run of this plan; refuses another mission's, ``force`` or not."""
     manifest = read_manifest(plan.output, damaged=force)
     refuse_other_mission(plan, manifest)
@@ -170,19 +180,22 @@ def finished_before(plan: Plan, *, force: bool = False) -> dict[str, Any] | None
     return manifest
 
 
-def renewed(plan: Plan, folder: store.RunFolder, manifest: dict[str, Any]) -> dict[str, Any]:
+def renewed(plan: Plan, folder: store.RunFolder, manifest: Manifest) -> Manifest:
     """The manifest of an unchanged run with sizes and times of its inputs as they are now.
 
     Where an input, or the mission file, was copied or written again with the same content, the
     next run need not read it. A folder that cannot be written to stays as it is.
     """
     now = plan.identity()
-    seen = {key: now[key] for key in ("inputs", "mission_file_sha256")}
-    if all(manifest.get(key) == value for key, value in seen.items()):
+    before = manifest.run
+    if before.inputs == now.inputs and before.mission_file_sha256 == now.mission_file_sha256:
         return manifest
+    inputs = [asdict(record) for record in now.inputs]
+    seen = {"inputs": inputs, "mission_file_sha256": now.mission_file_sha256}
+    as_now = manifest.with_values(seen)
     with suppress(StorageError):
-        folder.rewrite_manifest(manifest | seen)
-    return manifest | seen
+        folder.rewrite_manifest(as_now)
+    return as_now
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,7 +204,7 @@ class CheckedMission:
 
     plan: Plan
     corrected: CorrectedMission
-    manifest: dict[str, Any]
+    manifest: Manifest
 
 
 def check_mission(
@@ -243,16 +256,15 @@ def drawing_of(corrected: CorrectedMission) -> Flown:
     )
 
 
-def finish_run(
-    plan: Plan, folder: store.RunFolder, manifest: dict[str, Any], flown: Flown
-) -> dict[str, Any]:
+def finish_run(plan: Plan, folder: store.RunFolder, manifest: Manifest, flown: Flown) -> Manifest:
     """Write the report, and last the manifest, with the outputs, which makes the run finished."""
     report = folder.place("report.html")
     with storage_errors(report):
         write_report(report, manifest, flown)
     folder.seal("report.html")
     plan.check_unchanged()
-    manifest = manifest | {"outputs": folder.outputs()}
+    outputs = [asdict(output) for output in folder.outputs()]
+    manifest = manifest.with_values({"outputs": outputs})
     folder.commit(manifest)
     return manifest
 

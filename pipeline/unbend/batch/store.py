@@ -25,6 +25,8 @@ from unbend.batch.manifest import MANIFEST, damage_of, manifest_text, parse_mani
 from unbend.batch.receipts import packed, unpacked
 from unbend.errors import StorageError, storage_errors
 from unbend.ingest import hash_file
+from unbend.tables.manifest.run import OutputRecord
+from unbend.tables.manifest.whole import Manifest
 
 STAGING = ".staging"
 """The hidden folder in a run's folder that results are written to."""
@@ -137,14 +139,14 @@ class RunFolder:
         self._seals[name] = seal
         return value
 
-    def outputs(self) -> list[dict[str, str | int]]:
+    def outputs(self) -> list[OutputRecord]:
         """Name, hash and size of each sealed result, for the manifest."""
         return [
-            {"name": name, "sha256": seal.sha256, "bytes": seal.size_bytes}
+            OutputRecord(name, seal.sha256, seal.size_bytes)
             for name, seal in sorted(self._seals.items())
         ]
 
-    def commit(self, manifest: dict[str, Any]) -> None:
+    def commit(self, manifest: Manifest) -> None:
         """Make the staged results the visible ones; the manifest comes last.
 
         A power cut between any two steps leaves either the old results with their manifest, or
@@ -173,7 +175,7 @@ class RunFolder:
             sync_folder(self.path)
             _remove(self.staging)
 
-    def rewrite_manifest(self, manifest: dict[str, Any]) -> None:
+    def rewrite_manifest(self, manifest: Manifest) -> None:
         """Replace the manifest of the results that are there, whole at any time."""
         with atomic_write(self.path / MANIFEST) as draft:
             draft.write_text(manifest_text(manifest), encoding="utf-8", newline="\n")
@@ -357,7 +359,7 @@ def _undo_commit(path: Path, receipts: set[str]) -> None:
         (path / _PARTS).rmdir()
 
 
-def read_manifest(path: Path, *, damaged: bool = False) -> dict[str, Any] | None:
+def read_manifest(path: Path, *, damaged: bool = False) -> Manifest | None:
     """The manifest of a run's folder; None where there is none, or ``damaged`` a damaged one."""
     file = path / MANIFEST
     try:
@@ -374,13 +376,13 @@ def read_manifest(path: Path, *, damaged: bool = False) -> dict[str, Any] | None
         raise
 
 
-def find_damage(path: Path, manifest: dict[str, Any], *, read: bool = True) -> list[str]:
+def find_damage(path: Path, manifest: Manifest, *, read: bool = True) -> list[str]:
     """What is missing or changed in a run's folder, one line each; empty when nothing is.
 
     Without ``read`` only files are read that changed after the manifest was written, which is the
     last file of a run.
     """
-    names = [str(item["name"]) for item in manifest["outputs"]]
+    names = [item.name for item in manifest.run.outputs]
     names += [f"{_PARTS}/{part.name}" for part in (path / _PARTS).glob("part-*.parquet")]
     stats = {}
     for name in names:

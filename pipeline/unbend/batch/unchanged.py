@@ -17,7 +17,6 @@ import yaml
 from unbend.batch.fingerprint import versions_of
 from unbend.batch.input_files import (
     GDAL,
-    InputRecord,
     NamedInput,
     files_of,
     is_raster,
@@ -29,6 +28,8 @@ from unbend.batch.store import STAGING, find_damage, read_manifest
 from unbend.config import Mission
 from unbend.config.campaign import MissionRef
 from unbend.config.defaults import merged
+from unbend.tables.manifest.run import InputRecord
+from unbend.tables.manifest.whole import Manifest
 
 
 @dataclass(frozen=True)
@@ -37,7 +38,7 @@ class Unchanged:
 
     name: str
     output: Path
-    manifest: dict[str, Any]
+    manifest: Manifest
 
 
 @dataclass(frozen=True)
@@ -88,16 +89,16 @@ def find_unchanged(ref: MissionRef) -> Unchanged | None:
     if os.path.lexists(output / STAGING):
         return None
     manifest = read_manifest(output, damaged=True)
-    if manifest is None or manifest["mission"] != name:
+    if manifest is None or manifest.run.mission != name:
         return None
-    if manifest.get("mission_file_sha256") != hash_of_text(ref, text):
+    run = manifest.run
+    if run.mission_file_sha256 != hash_of_text(ref, text):
         return None
-    records = [InputRecord.of_row(row) for row in manifest["inputs"]]
-    roles = [record.role for record in records]
-    standard = manifest["config"]["atmosphere"]["standard"]
-    if versions_of(roles, standard) != manifest["versions"]:
+    roles = [record.role for record in run.inputs]
+    standard = run.config["atmosphere"]["standard"]
+    if versions_of(roles, standard) != run.versions:
         return None
-    if not all(is_as_recorded(record, ref.folder) for record in records):
+    if not all(is_as_recorded(record, ref.folder) for record in run.inputs):
         return None
     if find_damage(output, manifest, read=False):
         return None

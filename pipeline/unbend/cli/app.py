@@ -10,7 +10,7 @@ from __future__ import annotations
 import csv as csv_module
 import json
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import cached_property, wraps
 from inspect import Parameter, Signature, signature
 from pathlib import Path
@@ -29,7 +29,7 @@ from unbend.report.words import visible
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from unbend.messages import Ledger
+    from unbend.messages import Ledger, MessageRecord
 
 GROUPS = {
     "From a log to files for adjustment": ("init", "check", "run", "export"),
@@ -136,7 +136,7 @@ class Answer:
         content: dict[str, Any],
         ledger: Ledger,
         *written: Path | None,
-        shown: Sequence[Mapping[str, Any]] | None = None,
+        shown: Sequence[MessageRecord] | None = None,
     ) -> NoReturn:
         """Print ledger (``shown`` as text) and written files, and exit with the ledger's code."""
         code = exit_code_of(has_losses=ledger.has_losses)
@@ -145,7 +145,7 @@ class Answer:
         if not self.is_silent:
             from unbend.report.terminal import print_ledger
 
-            print_ledger(self.console, ledger.rows() if shown is None else shown)
+            print_ledger(self.console, ledger.records() if shown is None else shown)
             self.print_paths(files)
         raise typer.Exit(code)
 

@@ -17,6 +17,7 @@ from unbend.cli import messages
 from unbend.cli.app import Answer, command, print_bug, print_error, write_rows_csv
 from unbend.errors import UnbendError
 from unbend.exit_codes import EXIT_BUG, EXIT_DONE, exit_code_of
+from unbend.messages import Kind
 from unbend.report.words import count
 
 if TYPE_CHECKING:
@@ -140,7 +141,7 @@ def print_end(answer: Answer, config: str, end: MissionEnd, chosen: Selection) -
         print_bug(end.traceback, config)
         return {"config": config, "exit_code": EXIT_BUG}
     several = len(chosen.missions) > 1
-    if not (end.repeated and several):
+    if end.manifest is not None and not (end.repeated and several):
         from unbend.report.terminal import print_run
 
         print_run(
@@ -158,7 +159,8 @@ def print_end(answer: Answer, config: str, end: MissionEnd, chosen: Selection) -
         "exit_code": end.exit_code,
     }
     if answer.as_json:
-        entry["manifest"] = end.manifest or read_manifest(end.output)
+        manifest = end.manifest or read_manifest(end.output)
+        entry["manifest"] = None if manifest is None else manifest.values
     return entry
 
 
@@ -222,12 +224,13 @@ def check(answer: Answer, configs: Configs, names: Names = None) -> None:
         except UnbendError as error:
             entries.append(print_refused(ref.label, error))
             continue
-        print_check(answer.console, ref.label, lines, checked.manifest)
+        results = checked.manifest.results
+        print_check(answer.console, ref.label, lines, results)
         entry = {
             "config": ref.label,
-            "exit_code": checked.manifest["exit_code"],
+            "exit_code": results.exit_code,
             "lines": dict(lines),
-            "manifest": checked.manifest,
+            "manifest": checked.manifest.values,
         }
         entries.append(entry)
     end_of_command(answer, entries)
@@ -305,8 +308,8 @@ def stations(
     print_stations(answer.console, table)
     about = ("EVENTS-", "EXIF-", "IMAGES-", "STATIONS-", "SUSPECT-")
     shown = []
-    for entry in checked.ledger.rows():
-        if entry["kind"] != "note" or str(entry["code"]).startswith(about):
+    for entry in checked.ledger.records():
+        if entry.kind != Kind.NOTE or entry.code.startswith(about):
             shown.append(entry)
     answer.end({"stations": table}, checked.ledger, csv, plot, shown=shown)
 

@@ -1,5 +1,6 @@
 """Commands on the atmosphere and on rays through it."""
 
+from dataclasses import asdict
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
@@ -260,6 +261,7 @@ def profile(
         from unbend.atmosphere.profile import heights_every
         from unbend.batch.runs import air_of_mission_or_standard
         from unbend.report.air_and_rays import print_air, print_profile
+        from unbend.tables.manifest.results import EffectRecord
         from unbend.tables.writing import table_of_profile, table_of_profiles
 
         air, samples, ledger = air_of_mission_or_standard(config, atmosphere)
@@ -278,7 +280,7 @@ def profile(
     if csv is None and plot is None:
         print_profile(answer.console, rows.to_pylist(), adjustment.standard.name)
     print_air(answer.console, air)
-    effects = [effect.row() for effect in air.effects]
+    effects = [asdict(EffectRecord.of(effect)) for effect in air.effects]
     answer.end({"profile": rows.to_pylist(), "effect": effects}, ledger, csv, plot)
 
 

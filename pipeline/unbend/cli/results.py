@@ -138,9 +138,9 @@ def verify(
     if manifest is None:
         answer.print_json(content)
         return
-    files = len(manifest["outputs"])
+    files = len(manifest.run.outputs)
     verb = "is" if files == 1 else "are"
-    mission = manifest["mission"]
+    mission = manifest.run.mission
     answer.print_paths([f"{run}: {count(files, 'file')} of mission {mission} {verb} whole"])
     answer.print_json(
         content | {"run": str(run), "mission": mission, "files": files, "whole": True}

@@ -12,7 +12,7 @@ from unbend.atmosphere.series.profile_series import ProfileSeries
 from unbend.atmosphere.series.time_windows import TimeWindow
 from unbend.refraction.ray import refraction_angle
 from unbend.refraction.uncertainty.sensitivity import sensitivity
-from unbend.units import ARCSEC, DEGREE
+from unbend.units import DEGREE
 
 ANGLES_DEG = (45.0, 75.0)
 
@@ -39,20 +39,6 @@ class Effect:
     def sigma_factor(self) -> float:
         """One sigma of the factor."""
         return abs(self.sigma_rad / self.standard_rad)
-
-    def row(self) -> dict[str, float | None]:
-        """For the manifest."""
-        known = math.isfinite(self.sigma_rad)
-        return {
-            "nadir_angle_deg": self.nadir_deg,
-            "h_c_m": round(self.h_c_m, 1),
-            "h_g_m": round(self.h_g_m, 1),
-            "r_c_arcsec": round(self.r_c_rad / ARCSEC, 4),
-            "standard_arcsec": round(self.standard_rad / ARCSEC, 4),
-            "sigma_arcsec": round(self.sigma_rad / ARCSEC, 4) if known else None,
-            "factor": round(self.factor, 5),
-            "sigma_factor": round(self.sigma_factor, 5) if known else None,
-        }
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,6 +22,7 @@ from unbend.report.console import (
     shown,
 )
 from unbend.report.words import significant, with_sigma
+from unbend.tables.manifest.results import EffectRecord
 from unbend.units import MICRORADIAN
 
 if TYPE_CHECKING:  # scipy: angles need none
@@ -72,7 +73,8 @@ def _at_right(columns: Columns) -> list[Column]:
 def print_profile(console: Console, rows: Sequence[Mapping[str, Any]], standard: str) -> None:
     columns = columns_of("profile")
     table = plain_table((*(head for head, *_ in columns), "source\n"), gap=1)
-    table.columns[0].justify, table.columns[-1].justify = "right", "left"
+    table.columns[0].justify = "right"
+    table.columns[-1].justify = "left"
     for row in rows:
         cells = [
             f"[dim]{text}[/dim]" if name.startswith("standard") else text
@@ -88,8 +90,8 @@ def print_air(console: Console, air: FlightAir) -> None:
     from unbend.atmosphere.estimate.sensors import FAULT_TEXTS  # scipy: angles need none
 
     adjustment = air.adjustment
-    rows = [effect.row() for effect in air.effects]
-    lines = list(summary.effect_lines(rows, adjustment.standard.name))
+    effects = [EffectRecord.of(effect) for effect in air.effects]
+    lines = list(summary.effect_lines(effects, adjustment.standard.name))
     for use in adjustment.sources:
         lines.append(use.sentence())
     lines += [use.sentence() for use in adjustment.sensor_uses]

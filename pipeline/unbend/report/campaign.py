@@ -1,7 +1,7 @@
 """``campaign.html`` and ``campaign.parquet``: a row a mission."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime
 from typing import Any
 
@@ -9,6 +9,7 @@ import numpy as np
 import pyarrow as pa
 
 from unbend.report.summary import verdict
+from unbend.tables.manifest.whole import Manifest
 from unbend.tables.schemas import columns_of, schema_of
 
 COLUMNS = columns_of("campaign")
@@ -21,44 +22,50 @@ Row = Mapping[str, Any]
 """What the page shows of a mission, by the names of the columns of the table."""
 
 
-def row_of(manifest: Mapping[str, Any]) -> dict[str, Any]:
+def row_of(manifest: Manifest) -> dict[str, Any]:
     """The row of a mission that is done."""
-    flight = manifest["flight"]
-    correction = manifest["correction"]
-    kinds = Counter(entry["kind"] for entry in manifest["ledger"])
+    run = manifest.run
+    results = manifest.results
+    flight = results.flight
+    kinds = Counter(entry.kind for entry in results.ledger)
     row = dict.fromkeys(COLUMNS) | {
-        "mission": manifest["mission"],
-        "state": WITH_LOSSES if manifest["exit_code"] else DONE,
-        "exit_code": manifest["exit_code"],
+        "mission": run.mission,
+        "state": WITH_LOSSES if run.exit_code else DONE,
+        "exit_code": run.exit_code,
         "what": verdict(manifest),
-        "begin_utc": flight["begin_utc"],
-        "end_utc": flight["end_utc"],
-        "exposures": sum(manifest["stations"].values()),
-        "observations": manifest["observations"]["rows"],
-        "corrected": correction["shift_px"]["count"],
-        "fingerprint": manifest["fingerprint"],
+        "begin_utc": flight.begin_utc,
+        "end_utc": flight.end_utc,
+        "lat_deg": middle_of(flight.latitude_deg),
+        "lon_deg": middle_of(flight.longitude_deg),
+        "h_msl_m": middle_of(flight.h_msl_m),
+        "exposures": sum(results.stations.values()),
+        "observations": results.observations.rows,
+        "corrected": results.correction.shift_px.count,
+        "fingerprint": run.fingerprint,
         "losses": kinds["loss"],
         "findings": kinds["finding"],
         "warnings": kinds["warning"],
     }
-    spreads = {"lat_deg": "latitude_deg", "lon_deg": "longitude_deg", "h_msl_m": "h_msl_m"}
-    for name, spread in spreads.items():
-        if flight[spread]:
-            row[name] = flight[spread][1]
-    for unit, shift in (("px", "shift_px"), ("m", "shift_ground_m")):
-        row[f"shift_median_{unit}"] = correction[shift]["median"]
-        row[f"shift_maximum_{unit}"] = correction[shift]["maximum"]
-        row[f"sigma_{unit}"] = largest_sigma(manifest["sigma_budget"], unit)
+    totals = [parts["all"] for parts in results.sigma_budget.values() if "all" in parts]
+    shift_px = results.correction.shift_px
+    row["shift_median_px"] = shift_px.median
+    row["shift_maximum_px"] = shift_px.maximum
+    row["sigma_px"] = largest(total.px.median for total in totals)
+    shift_m = results.correction.shift_ground_m
+    row["shift_median_m"] = shift_m.median
+    row["shift_maximum_m"] = shift_m.maximum
+    row["sigma_m"] = largest(total.m.median for total in totals)
     return row
 
 
-def largest_sigma(sigma_budget: Mapping[str, Any], unit: str) -> float | None:
-    """The largest of the cameras' median standard deviations; None where none is known."""
-    medians = []
-    for camera in sigma_budget.values():
-        if "all" in camera and camera["all"][unit]["median"] is not None:
-            medians.append(camera["all"][unit]["median"])
-    return max(medians, default=None)
+def middle_of(spread: Sequence[float] | None) -> float | None:
+    """The median of lowest, median and highest; None where nothing is known."""
+    return None if spread is None else spread[1]
+
+
+def largest(values: Iterable[float | None]) -> float | None:
+    """The largest of the values that are known; None where none is."""
+    return max((value for value in values if value is not None), default=None)
 
 
 def row_without(name: str, exit_code: int | None, code: str, what: str) -> dict[str, Any]:

@@ -19,6 +19,7 @@ from unbend.refraction.effect import FlightAir
 from unbend.report import messages
 from unbend.report.flown import QUANTITIES, air_curves
 from unbend.report.summary import effect_lines
+from unbend.tables.manifest.results import EffectRecord
 from unbend.units import Array
 
 if TYPE_CHECKING:
@@ -162,7 +163,8 @@ def profile_figure(air: FlightAir, samples: AirSamples) -> Figure:
     axes[5].legend(
         *axes[0].get_legend_handles_labels(), frameon=False, markerscale=5.0, loc="upper left"
     )
-    lines = effect_lines([effect.row() for effect in air.effects], curves["standard_name"])
+    effects = [EffectRecord.of(effect) for effect in air.effects]
+    lines = effect_lines(effects, curves["standard_name"])
     text = "\n\n".join(line.replace(": ", ":\n") for line in lines)
     axes[5].text(0.0, 0.0, text, va="bottom", transform=axes[5].transAxes)
     return figure

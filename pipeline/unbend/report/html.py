@@ -6,12 +6,11 @@ import io
 import json
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from functools import lru_cache
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
 
 import jinja2
 import numpy as np
@@ -24,6 +23,8 @@ from unbend.caches import parsed_templates
 from unbend.report import summary, words
 from unbend.report.flown import QUANTITIES, Flown, utc
 from unbend.report.summary import is_applied, next_steps, remarks, verdict
+from unbend.tables.manifest.results import CameraShifts, Quantiles, ShiftField, SigmaRecord
+from unbend.tables.manifest.whole import Manifest
 from unbend.units import Array, round_step
 
 Range = tuple[float, float]
@@ -129,17 +130,20 @@ def arrows(x: ArrayLike, y: ArrayLike, dx: ArrayLike, dy: ArrayLike) -> str:
     return "".join(words)
 
 
-def field_arrows(axes: Axes, field: Mapping[str, Any]) -> tuple[str, str, float]:
+def field_arrows(axes: Axes, field: ShiftField) -> tuple[str, str, float]:
     """Arrows of a mean shift over an image, the longest 0.92 of a cell long; one for reference.
 
     Returns both paths, the second an arrow at the upper left, and the shift that it stands for
     [px], with one digit of 1, 2 or 5.
     """
-    x, y, dx, dy = (np.array(field[name]) for name in ("x_px", "y_px", "dx_px", "dy_px"))
+    dx = np.array(field.dx_px)
+    dy = np.array(field.dy_px)
     longest = float(np.hypot(dx, dy).max()) or 1.0
-    scale, reference = 0.92 * axes.box[2] / field["columns"] / longest, round_step(longest / 2.2)
+    scale = 0.92 * axes.box[2] / field.columns / longest
+    reference = round_step(longest / 2.2)
     example = arrows(axes.box[0] + 44.0, axes.box[1] - 11.0, reference * scale, 0.0)
-    return arrows(*axes.at(x, y), dx * scale, dy * scale), example, reference
+    x, y = axes.at(np.array(field.x_px), np.array(field.y_px))
+    return arrows(x, y, dx * scale, dy * scale), example, reference
 
 
 def map_axes(limits_deg: Sequence[float], width: float) -> tuple[Axes, float]:
@@ -171,32 +175,43 @@ _MOST_CAMERAS = 8  # with figures of their own; the manifest has the others too
 _DATA = files("unbend.report") / "data"
 
 
-def write_report(path: Path, manifest: Mapping[str, Any], flown: Flown) -> None:
+def write_report(path: Path, manifest: Manifest, flown: Flown) -> None:
     """Write the report of a run. The same manifest and flight give the same bytes."""
     path.write_text(report_page(manifest, flown), encoding="utf-8")
 
 
-def report_page(manifest: Mapping[str, Any], flown: Flown) -> str:
+def report_page(manifest: Manifest, flown: Flown) -> str:
+    """The report of a run as HTML."""
+    results = manifest.results
     ledger: dict[str, list[tuple[str, str]]] = {}
-    for kind, code, what in summary.ledger_rows(manifest["ledger"]):
+    for kind, code, what in summary.ledger_rows(results.ledger):
         ledger.setdefault(kind, []).append((code, what))
-    cameras = dict(list(manifest["correction"]["cameras"].items())[:_MOST_CAMERAS])
-    budget = {
-        name: {"shift": {"px": camera["shift_px"], "m": camera["shift_ground_m"]}} | parts
-        for name, camera in cameras.items()
-        if (parts := manifest["sigma_budget"].get(name))
-    }
+    cameras = dict(list(results.correction.cameras.items())[:_MOST_CAMERAS])
+    budget = {}
+    for name, camera in cameras.items():
+        if parts := results.sigma_budget.get(name):
+            budget[name] = {"shift": size_of_shift(camera), **parts}
     page = environment().get_template("report.html.j2")
     return page.render(
         manifest=manifest,
+        run=manifest.run,
+        results=results,
+        config=manifest.run.config,
         flown=flown,
-        few={name: camera for name, camera in cameras.items() if camera["shift_px"]["count"]},
+        few={name: camera for name, camera in cameras.items() if camera.shift_px.count},
         budget=budget,
         ledger=ledger,
         relief=None if flown.relief is None else light_png(flown.relief[1]),
-        suspects=[e["what"] for e in manifest["ledger"] if e["code"] == "STATIONS-SUSPECT"],
-        config=json.dumps(manifest["config"], indent=1, ensure_ascii=False),
+        suspects=[entry.what for entry in results.ledger if entry.code == "STATIONS-SUSPECT"],
+        mission_file=json.dumps(manifest.run.config, indent=1, ensure_ascii=False),
     )
+
+
+def size_of_shift(camera: CameraShifts) -> SigmaRecord:
+    """Median and 95 % of a camera's correction, to stand beside its standard deviations."""
+    pixels = camera.shift_px
+    metres = camera.shift_ground_m
+    return SigmaRecord(Quantiles(pixels.median, pixels.p95), Quantiles(metres.median, metres.p95))
 
 
 class ParsedTemplates(FileSystemBytecodeCache):

@@ -7,9 +7,21 @@ from functools import cache
 from importlib.resources import files
 from typing import Any
 
+from unbend.messages import MessageRecord
 from unbend.refraction.window import SIGMA_BAROMETER_PA, SIGMA_THERMOMETER_K
 from unbend.report.words import count, length, pixels, shortened, significant, with_sigma
+from unbend.tables.manifest.results import (
+    CameraShifts,
+    CorrectionRecord,
+    DistributionRecord,
+    EffectRecord,
+)
+from unbend.tables.manifest.sections import CabinKeys
+from unbend.tables.manifest.whole import Manifest
 from unbend.units import HECTOPASCAL
+
+Metres = Sequence[float | None]
+"""East, north and up [m]; None where one is not known."""
 
 LARGEST_CABIN_SHARE = 0.02
 """From this standard deviation on, as a share of R, the air in the cabin is in the verdict."""
@@ -25,28 +37,26 @@ _OF_ROWS = (
 
 _OF_SUSPECTS = ("STATIONS-SUSPECT", "STATIONS-HEIGHT", "ORIENTATION-FAR", "ORIENTATION-UP")
 _OF_USUAL_CABINS = ("CABIN-BOARD", "CABIN-TEMPERATURE")
-_ASSUMED = {
-    "sigma_pressure_hpa":
-        ("pressure", ("log", "ambient"), f"{SIGMA_BAROMETER_PA / HECTOPASCAL:g} hPa"),
-    "sigma_temperature_k": ("temperature_c", ("log", None), f"{SIGMA_THERMOMETER_K:g} K"),
-}  # fmt: skip
 _UNMEASURED = {"climatology": "a climatology stands for it", "standard": "a standard stands for it"}
 
 
-def is_applied(manifest: Mapping[str, Any]) -> bool:
+def is_applied(manifest: Manifest) -> bool:
     """Whether the run displaced ideal observations instead of correcting measured ones."""
-    return bool(manifest["config"]["refraction"]["direction"] == "apply")
+    return manifest.sections.refraction.direction == "apply"
 
 
-def verdict(manifest: Mapping[str, Any]) -> str:
+def verdict(manifest: Manifest) -> str:
     """One sentence: how many observations were corrected, how far, and whether they can be used.
 
     Never says that results can be adjusted where the run ended with code 3 for anything but rows
     that have no corrected coordinates.
     """
-    correction, rows = manifest["correction"], manifest["observations"]["rows"]
-    done, shift = correction["shift_px"]["count"], correction["shift_px"]["maximum"]
-    applied, metres = is_applied(manifest), correction["shift_ground_m"]["maximum"]
+    correction = manifest.results.correction
+    rows = manifest.results.observations.rows
+    done = correction.shift_px.count
+    shift = correction.shift_px.maximum
+    metres = correction.shift_ground_m.maximum
+    applied = is_applied(manifest)
     verb = "displaced" if applied else "corrected"
     concerns = "; ".join(what for what, _ in _concerns(manifest))
     if not done:
@@ -69,24 +79,30 @@ def verdict(manifest: Mapping[str, Any]) -> str:
     return f"{start} {verb} by up to {shown} in the image{end}."
 
 
-def remarks(manifest: Mapping[str, Any]) -> list[str]:
+def remarks(manifest: Manifest) -> list[str]:
     """What stands below the verdict: what limits the accuracy, and what control points show."""
     sentences = [text for text, _ in _limits(manifest)]
-    if control := manifest.get("control"):
-        before, after = (
-            length(sum(v**2 for v in control[f"rms_{name}_m"]) ** 0.5)
-            for name in ("before", "after")
-        )
-        points = count(control["used"], "control point")
+    control = manifest.results.control
+    if control is not None:
+        before = length(distance(control.rms_before_m))
+        after = length(distance(control.rms_after_m))
+        points = count(control.used, "control point")
         verb = "displaced" if is_applied(manifest) else "corrected"
         sentences.append(f"{points}: RMS distance {before} as measured, {after} {verb}.")
     return sentences
 
 
-def next_steps(manifest: Mapping[str, Any]) -> list[str]:
+def distance(components_m: Sequence[float]) -> float:
+    """The length of a vector."""
+    return math.sqrt(sum(value**2 for value in components_m))
+
+
+def next_steps(manifest: Manifest) -> list[str]:
+    """What to do with the results of a run, one step each."""
     steps = [step for _, step in _concerns(manifest)]
     adjust = "Then adjust" if steps else "Adjust"
-    rows, done = manifest["observations"]["rows"], manifest["correction"]["shift_px"]["count"]
+    rows = manifest.results.observations.rows
+    done = manifest.results.correction.shift_px.count
     applied = is_applied(manifest)
     if not done:
         return [*steps, "Find the cause among the losses, correct the mission file, run again."]
@@ -109,39 +125,44 @@ def next_steps(manifest: Mapping[str, Any]) -> list[str]:
     return steps
 
 
-def flagged(manifest: Mapping[str, Any]) -> str:
-    """How many observations have each status other than ok.
+def flagged(manifest: Manifest) -> str:
+    """How many observations have each status other than ok."""
+    return counted(manifest.results.observations.status)
 
-    >>> flagged({"observations": {"status": {"ok": 7, "no_ground": 0, "no_station": 1200}}})
+
+def counted(status: Mapping[str, int]) -> str:
+    """Numbers of each status other than ok.
+
+    >>> counted({"ok": 7, "no_ground": 0, "no_station": 1200})
     '1,200 no_station'
     """
-    status = manifest["observations"]["status"].items()
-    return ", ".join(f"{n:,} {name}" for name, n in status if n and name != "ok")
+    return ", ".join(f"{n:,} {name}" for name, n in status.items() if n and name != "ok")
 
 
-def is_tiny(manifest: Mapping[str, Any]) -> bool:
+def is_tiny(manifest: Manifest) -> bool:
     """Whether nearly all observations were corrected, each by less than can be measured."""
-    shift, rows = manifest["correction"]["shift_px"], manifest["observations"]["rows"]
-    return bool(shift["count"] > _NEARLY_ALL * rows and shift["maximum"] < SMALLEST_MEASURABLE_PX)
+    shift = manifest.results.correction.shift_px
+    is_nearly_all = shift.count > _NEARLY_ALL * manifest.results.observations.rows
+    return is_nearly_all and shift.maximum is not None and shift.maximum < SMALLEST_MEASURABLE_PX
 
 
-def _concerns(manifest: Mapping[str, Any]) -> list[tuple[str, str]]:
+def _concerns(manifest: Manifest) -> list[tuple[str, str]]:
     """What has to be looked at before the results are used, and how; the gravest first."""
     concerns = []
     codes: dict[str, list[str]] = {"finding": [], "loss": []}
-    for entry in manifest["ledger"]:
-        kind, code = entry["kind"], entry["code"]
-        if kind in codes and code not in (*_OF_ROWS, *_OF_SUSPECTS, *codes[kind]):
-            codes[kind].append(code)
+    for entry in manifest.results.ledger:
+        known = codes.get(entry.kind)
+        if known is not None and entry.code not in (*_OF_ROWS, *_OF_SUSPECTS, *known):
+            known.append(entry.code)
     if codes["finding"]:
         names = ", ".join(sorted(codes["finding"]))
         step = f"Correct what {names} says and run again, or accept it with the reason (accept)."
         concerns.append((f"{count(len(codes['finding']), 'likely mistake')} ({names})", step))
-    if number := manifest["stations"].get("suspect", 0):
+    if number := manifest.results.stations.get("suspect", 0):
         some = count(number, "suspect station")
-        reasons = [e["what"] for e in manifest["ledger"] if e["code"] in _OF_SUSPECTS]
+        reasons = [e.what for e in manifest.results.ledger if e.code in _OF_SUSPECTS]
         more = f" (and {len(reasons) - 1} more)" if len(reasons) > 1 else ""
-        used = manifest["config"]["stations"]["use_suspect"]
+        used = manifest.sections.stations.use_suspect
         left = "" if used else ", whose observations have no corrected coordinates"
         step = f"Look at the {some} (unbend stations MISSION --plot FILE): {reasons[0]}{more}."
         concerns.append((f"{some}{left}", step))
@@ -149,46 +170,50 @@ def _concerns(manifest: Mapping[str, Any]) -> list[tuple[str, str]]:
         names = ", ".join(sorted(codes["loss"]))
         step = f"Read what was lost ({names}), and give the whole file where there is one."
         concerns.append((f"{count(len(codes['loss']), 'loss', 'losses')} ({names})", step))
-    method = manifest["config"]["refraction"]["method"]
+    method = manifest.sections.refraction.method
     if method != "spherical":
         step = "Run again without refraction.method: the published methods are not for work."
         concerns.append((f"the method {method}, published for comparison", step))
     return concerns
 
 
-def _limits(manifest: Mapping[str, Any]) -> list[tuple[str, str]]:
+def _limits(manifest: Manifest) -> list[tuple[str, str]]:
     """What limits the accuracy, and what would help: air that was not measured, and the cabin."""
     limits = []
-    air, basis = manifest["uncertainty"], manifest["profile"]["basis"]
-    sigma = "" if air is None else f" ± {100.0 * air['scale_sigma']:.2g} %"
+    air = manifest.results.uncertainty
+    basis = manifest.results.profile.basis
+    sigma = "" if air is None else f" ± {100.0 * air.scale_sigma:.2g} %"
     if basis in _UNMEASURED:
         known = f", R is known to{sigma}" if sigma else ""
         step = "To correct better, give the air: a thermometer, soundings or METARs."
         limits.append((f"The air was not measured: {_UNMEASURED[basis]}{known}.", step))
-    cabin = manifest["cabin_sigma_share"]["median"]
+    cabin = manifest.results.cabin_sigma_share.median
     if cabin is not None and cabin > LARGEST_CABIN_SHARE:
         text = f"The air in the cabin is uncertain by {100.0 * cabin:.2g} % of R in the median"
         if air is not None:
             text += f", the air outside by{sigma.replace(' ±', '')}"
-            text += " only" * (cabin > air["scale_sigma"])
+            text += " only" if cabin > air.scale_sigma else ""
         limits.append((f"{text}.", cabin_step(manifest)))
     return limits
 
 
-def cabin_step(manifest: Mapping[str, Any]) -> str:
+def cabin_step(manifest: Manifest) -> str:
     """Which air in the cabins to measure, or which of the errors assumed of it to state."""
-    cameras = manifest["config"]["cameras"].items()
-    windows = {name: camera["window"] for name, camera in cameras if camera["window"]}
-    cabins = {name: w["cabin"] for name, w in windows.items() if w["shape"] == "plane"}
-    of = [e["where"] for e in manifest["ledger"] if e["code"] in _OF_USUAL_CABINS]
-    usual = [n for n, c in cabins.items() if c == "standard_schedule" or f"camera {n}" in of]
+    cabins = {}
+    for name, camera in manifest.sections.cameras.items():
+        if camera.window is not None and camera.window.shape == "plane":
+            cabins[name] = camera.window.cabin
+    ledger = manifest.results.ledger
+    of_usual = [entry.where for entry in ledger if entry.code in _OF_USUAL_CABINS]
+    usual = [n for n, c in cabins.items() if c == "standard_schedule" or f"camera {n}" in of_usual]
     keys = ", ".join(f"cameras.{name}.window.cabin" for name in usual or cabins)
     if usual:
         return f"Measure the air in the cabin, or state it: {keys}."
-    assumed = {
-        sigma: value for sigma, (quantity, sources, value) in _ASSUMED.items()
-        if any(c == "log" or (c[quantity] in sources and c[sigma] is None) for c in cabins.values())
-    }  # fmt: skip
+    assumed = {}
+    if any(is_pressure_sigma_assumed(cabin) for cabin in cabins.values()):
+        assumed["sigma_pressure_hpa"] = f"{SIGMA_BAROMETER_PA / HECTOPASCAL:g} hPa"
+    if any(is_temperature_sigma_assumed(cabin) for cabin in cabins.values()):
+        assumed["sigma_temperature_k"] = f"{SIGMA_THERMOMETER_K:g} K"
     if not assumed:
         return f"To correct better, know the air in the cabin better than stated: {keys}."
     return (
@@ -197,22 +222,34 @@ def cabin_step(manifest: Mapping[str, Any]) -> str:
     )
 
 
+def is_pressure_sigma_assumed(cabin: CabinKeys | str | None) -> bool:
+    """Whether a sensor measures the pressure in a cabin, and its sigma is not stated."""
+    if not isinstance(cabin, CabinKeys):
+        return cabin == "log"
+    return cabin.pressure in ("log", "ambient") and cabin.sigma_pressure_hpa is None
+
+
+def is_temperature_sigma_assumed(cabin: CabinKeys | str | None) -> bool:
+    """Whether a sensor measures the temperature in a cabin, and its sigma is not stated."""
+    if not isinstance(cabin, CabinKeys):
+        return cabin == "log"
+    return cabin.temperature_c in ("log", None) and cabin.sigma_temperature_k is None
+
+
 _GRAVEST_FIRST = ("finding", "loss", "warning", "fallback", "note")
 
 
-def control_sentence(manifest: Mapping[str, Any]) -> str:
+def control_sentence(manifest: Manifest) -> str:
     """How far control points are missed before and after; empty without control."""
-    control = manifest.get("control")
+    control = manifest.results.control
     if control is None:
         return ""
-    before, after, moved = (
-        "/".join(f"{v:.3f}" for v in control[f"rms_{name}_m"])
-        for name in ("before", "after", "refraction")
-    )
-    share = control["part_explained"]
-    sigma = control["sigma_u_m"]
+    rms = (control.rms_before_m, control.rms_after_m, control.rms_refraction_m)
+    before, after, moved = ("/".join(f"{v:.3f}" for v in of) for of in rms)
+    share = control.part_explained
+    sigma = control.sigma_u_m
     return (
-        f"{control['used']} control points, intersected with the stations held: RMS of east/north/"
+        f"{control.used} control points, intersected with the stations held: RMS of east/north/"
         f"up {before} m as measured, {after} m corrected; refraction moves them by {moved} m"
         + (f", {100.0 * share:.1f} % of what they missed (mean square)" if share > 0.0 else "")
         + (f". Stations and pixels let a height miss by {significant(sigma)} m." if sigma else ".")
@@ -224,123 +261,135 @@ CONTROL_HEAD = (
 )  # fmt: skip
 
 
-def control_rows(manifest: Mapping[str, Any], most: int) -> list[tuple[str, ...]]:
+def control_rows(manifest: Manifest, most: int) -> list[tuple[str, ...]]:
     """Intersected minus given, as measured and corrected, of some points; their mean and RMS."""
-    control = manifest.get("control")
+    control = manifest.results.control
     if control is None:
         return []
-    rows = [
-        (shortened(p["point"], 20), str(p["rays"]), *p["before_m"], *p["after_m"], p["sigma_u_m"])
-        for p in control["points"][:most]
-    ]
-    if len(control["points"]) > most:
-        rows.append((f"({len(control['points']) - most} more: manifest.json)", "", *[None] * 7))
-    for name in ("mean", "rms"):
-        both = (*control[f"{name}_before_m"], *control[f"{name}_after_m"])
-        rows.append((f"{name} of {control['used']}", "", *both, None))
-    return [
-        (
-            name,
-            rays,
-            *("" if v is None else f"{v:+.3f}" for v in values),
-            "" if sigma is None else significant(sigma, 2),
-        )
-        for name, rays, *values, sigma in rows
-    ]
+    rows = []
+    for point in control.points[:most]:
+        sigma = "" if point.sigma_u_m is None else significant(point.sigma_u_m, 2)
+        misses = signed(point.before_m, point.after_m)
+        rows.append((shortened(point.point, 20), str(point.rays), *misses, sigma))
+    if len(control.points) > most:
+        rows.append((f"({len(control.points) - most} more: manifest.json)", *[""] * 8))
+    mean = signed(control.mean_before_m, control.mean_after_m)
+    rms = signed(control.rms_before_m, control.rms_after_m)
+    rows.append((f"mean of {control.used}", "", *mean, ""))
+    rows.append((f"rms of {control.used}", "", *rms, ""))
+    return rows
+
+
+def signed(before_m: Metres, after_m: Metres) -> list[str]:
+    """Six distances with their signs, to a millimetre; empty where one is not known."""
+    return ["" if value is None else f"{value:+.3f}" for value in (*before_m, *after_m)]
 
 
 CORRECTION_HEAD = ("", "median", "95 %", "maximum")
 
 
-def correction_rows(manifest: Mapping[str, Any]) -> list[tuple[str, ...]]:
+def correction_rows(manifest: Manifest) -> list[tuple[str, ...]]:
     """Label, median, 95 % and maximum; camera by camera where there are several."""
-    correction = manifest["correction"]
-    cameras = correction["cameras"]
-    rows: list[tuple[str, ...]] = []
-    for key, label, unit in (
-        ("shift_px", "shift in the image", " [px]"),
-        ("shift_ground_m", "shift on the ground", ""),
-        ("refraction_arcsec", "refraction of the air", " [arcsec]"),
-        ("window_arcsec", "refraction of the window", " [arcsec]"),
-    ):
-        if key == "window_arcsec" and not correction[key]["maximum"]:
-            continue
-        for name, of_camera in (cameras if len(cameras) > 1 else {"": correction}).items():
-            written = length if key == "shift_ground_m" else significant
-            values = (written(of_camera[key][part]) for part in ("median", "p95", "maximum"))
-            of = f", {shortened(name, 20)}" if name else ""
-            rows.append((f"{label}{of}{unit}", *values))
+    correction = manifest.results.correction
+    cameras: Mapping[str, CorrectionRecord | CameraShifts] = correction.cameras
+    if len(cameras) < 2:
+        cameras = {"": correction}
+    rows = []
+    for name, sizes in cameras.items():
+        rows.append(distribution_row("shift in the image", name, sizes.shift_px, "px"))
+    for name, sizes in cameras.items():
+        rows.append(distribution_row("shift on the ground", name, sizes.shift_ground_m, "m"))
+    for name, sizes in cameras.items():
+        rows.append(
+            distribution_row("refraction of the air", name, sizes.refraction_arcsec, "arcsec")
+        )
+    if correction.window_arcsec.maximum:
+        for name, sizes in cameras.items():
+            label = "refraction of the window"
+            rows.append(distribution_row(label, name, sizes.window_arcsec, "arcsec"))
     return rows
 
 
-def air_sentences(manifest: Mapping[str, Any]) -> str:
+def distribution_row(
+    label: str, camera: str, distribution: DistributionRecord, unit: str
+) -> tuple[str, ...]:
+    """Label, median, 95 % and maximum of a distribution, of one ``camera`` if it has a name."""
+    if camera:
+        label = f"{label}, {shortened(camera, 20)}"
+    values = (distribution.median, distribution.p95, distribution.maximum)
+    if unit == "m":
+        return (label, *(length(value) for value in values))
+    return (f"{label} [{unit}]", *(significant(value) for value in values))
+
+
+def air_sentences(manifest: Manifest) -> str:
     """What the air was estimated from, and how it differs from the standard and changes."""
-    profile = manifest["profile"]
-    reason = profile["reason"]
+    profile = manifest.results.profile
+    reason = profile.reason
     first = reason.split()[0] if reason else ""
     # A key of the mission file, such as atmosphere.use, keeps its lower case.
     sentence = f"{reason}." if "." in first else f"{reason[:1].upper()}{reason[1:]}."
-    if profile["basis"] != "standard" and profile["departure_at_cameras_k"] is not None:
+    if profile.basis != "standard" and profile.departure_at_cameras_k is not None:
         sentence += (
-            f" At the height of the cameras the air is {profile['departure_at_cameras_k']:+.1f} K "
-            f"against {profile['standard']}."
+            f" At the height of the cameras the air is {profile.departure_at_cameras_k:+.1f} K "
+            f"against {profile.standard}."
         )
-    if profile["windows"]:
-        changes = [100.0 * window["change"] for window in profile["windows"]]
+    if profile.windows:
+        changes = [100.0 * window.change for window in profile.windows]
         sentence += (
             f" The air changes: R by {min(changes):+.1f} to {max(changes):+.1f} % of that of the "
-            f"whole flight; {profile['profiles']} profiles follow it."
+            f"whole flight; {profile.profiles} profiles follow it."
         )
     return sentence
 
 
-def effect_lines(effects: Sequence[Mapping[str, Any]], standard: str) -> list[str]:
+def effect_lines(effects: Sequence[EffectRecord], standard: str) -> list[str]:
     """R in the air of the flight beside that in the standard, a line for each nadir angle."""
-    return [
-        f"R at {effect['nadir_angle_deg']:.0f}° from {effect['h_c_m']:.0f} m to "
-        f"{effect['h_g_m']:.0f} m: {with_sigma(effect['r_c_arcsec'], effect['sigma_arcsec'])} "
-        f"arcsec, {effect['standard_arcsec']:.3f} in {standard}: "
-        + with_sigma(
-            100.0 * (effect["factor"] - 1.0),
-            None if effect["sigma_factor"] is None else 100.0 * effect["sigma_factor"],
-            "%",
-            signed=True,
+    lines = []
+    for effect in effects:
+        ours = with_sigma(effect.r_c_arcsec, effect.sigma_arcsec)
+        sigma = None if effect.sigma_factor is None else 100.0 * effect.sigma_factor
+        more = with_sigma(100.0 * (effect.factor - 1.0), sigma, "%", signed=True)
+        lines.append(
+            f"R at {effect.nadir_angle_deg:.0f}° from {effect.h_c_m:.0f} m to "
+            f"{effect.h_g_m:.0f} m: {ours} arcsec, {effect.standard_arcsec:.3f} in {standard}: "
+            f"{more}"
         )
-        for effect in effects
-    ]
+    return lines
 
 
-def ledger_rows(entries: Sequence[Mapping[str, Any]]) -> list[tuple[str, str, str]]:
+def ledger_rows(entries: Sequence[MessageRecord]) -> list[tuple[str, str, str]]:
     """Kind, code and text (with the place) of the entries of a ledger, the gravest first."""
     rows = []
     for entry in entries:
-        what, where = entry["what"], entry["where"]
-        text = what if where in what else f"{what} ({where})"
-        rows.append((entry["kind"], entry["code"], text))
+        text = entry.what if entry.where in entry.what else f"{entry.what} ({entry.where})"
+        rows.append((entry.kind, entry.code, text))
     return sorted(rows, key=lambda row: (_GRAVEST_FIRST.index(row[0]), row[1]))
 
 
-def not_included(manifest: Mapping[str, Any]) -> list[str]:
+def not_included(manifest: Manifest) -> list[str]:
     """Effects that the coordinates still contain (or lack, if refraction was applied)."""
     applied = is_applied(manifest)
     remains = "not applied" if applied else "not removed"
-    without_lens, behind_glass = [], []
-    for name, camera in manifest["config"]["cameras"].items():
-        if camera["principal_distance"] is None:
+    without_lens = []
+    behind_glass = []
+    for name, camera in manifest.sections.cameras.items():
+        if camera.principal_distance is None:
             without_lens.append(name)
-        window = camera["window"]
-        if window and (window["shape"], window["in_calibration"]) == ("plane", "none"):
+        window = camera.window
+        if window is not None and window.shape == "plane" and window.in_calibration == "none":
             behind_glass.append(name)
-    texts, lines = report_texts()["left"], []
+    texts = report_texts()["left"]
+    lines = []
     if without_lens:
         lines.append(texts["lens"].format(names=", ".join(without_lens), remains=remains))
     if behind_glass:
         lines.append(texts["glass"].format(names=", ".join(behind_glass), remains=remains))
-    lean = manifest.get("heights", {}).get("deflection", {})
-    if lean.get("applies") and lean["north_arcsec"] is not None and not applied:
-        size = math.hypot(lean["north_arcsec"], lean["east_arcsec"])
+    lean = manifest.results.heights.deflection
+    if lean.applies and lean.north_arcsec is not None and not applied:
+        size = math.hypot(lean.north_arcsec, lean.east_arcsec or 0.0)
         across = math.radians(size / 3.6)
-        lines.append(texts["vertical"].format(size=size, geoid=lean["geoid"], across=across))
+        lines.append(texts["vertical"].format(size=size, geoid=lean.geoid, across=across))
     return lines if applied else [*lines, texts["curvature"]]
 
 

@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.padding import Padding
 
+from unbend.messages import Kind, MessageRecord
 from unbend.report import summary
 from unbend.report.console import (
     cells_of,
@@ -22,6 +23,8 @@ from unbend.report.console import (
 )
 from unbend.report.summary import flagged, next_steps, remarks, verdict
 from unbend.report.words import count, shortened
+from unbend.tables.manifest.results import ResultsRecord
+from unbend.tables.manifest.whole import Manifest
 
 _COLOURS = {"finding": "red", "loss": "red", "warning": "yellow", "fallback": "cyan", "note": "dim"}
 
@@ -31,11 +34,18 @@ _MOST_REASONS = 6
 
 
 def print_run(
-    console: Console, name: str, output: str, manifest: Mapping[str, Any], *, repeated: bool,
+    console: Console,
+    name: str,
+    output: str,
+    manifest: Manifest,
+    *,
+    repeated: bool,
     brief: bool = False,
-) -> None:  # fmt: skip
+) -> None:
     """Summary at the end of a mission, or a ``brief`` line; ``repeated`` if it was up to date."""
-    folder = f"{output}/attempts/{manifest['attempt']}" if "attempt" in manifest else output
+    folder = output
+    if manifest.run.attempt:
+        folder = f"{output}/attempts/{manifest.run.attempt}"
     if brief:
         line = f"[bold]{shown(name)}[/bold]: {in_short(manifest)}; {shown(folder)}/report.html"
         console.print(line, soft_wrap=True)
@@ -45,8 +55,8 @@ def print_run(
         console.print("  nothing to do: mission file, inputs and code are those of the last run")
     print_indented(console, shown(" ".join([verdict(manifest), *remarks(manifest)])))
     print_rows(console, summary.CORRECTION_HEAD, summary.correction_rows(manifest), gap=2)
-    profile = manifest["profile"]
-    effects = summary.effect_lines(profile["effect"], profile["standard"])
+    profile = manifest.results.profile
+    effects = summary.effect_lines(profile.effect, profile.standard)
     for line in (summary.air_sentences(manifest), *effects):
         print_indented(console, shown(line))
     if sentence := summary.control_sentence(manifest):
@@ -55,19 +65,22 @@ def print_run(
         print_rows(console, summary.CONTROL_HEAD, rows, gap=1)
     if left_out := flagged(manifest):
         print_indented(console, f"Flagged rows: {left_out}")
-    print_ledger(console, [entry for entry in manifest["ledger"] if entry["kind"] != "note"])
+    ledger = manifest.results.ledger
+    print_ledger(console, [entry for entry in ledger if entry.kind != Kind.NOTE])
     steps = next_steps(manifest)
     print_labelled(console, [("" if i else "next", step) for i, step in enumerate(steps)])
     for label, path in (("results", output), ("report ", f"{folder}/report.html")):
         console.print(f"  {label}  {shown(path)}", soft_wrap=True)
 
 
-def in_short(manifest: Mapping[str, Any]) -> str:
+def in_short(manifest: Manifest) -> str:
     """A run in some words: rows, correction, losses and warnings."""
-    shift, kinds = manifest["correction"]["shift_px"], [e["kind"] for e in manifest["ledger"]]
-    said = [f"{shift['count']:,} of {count(manifest['observations']['rows'], 'observation')}"]
-    if shift["count"]:
-        said.append(f"median {shift['median']:.3g} px, at most {shift['maximum']:.3g} px")
+    shift = manifest.results.correction.shift_px
+    kinds = [entry.kind for entry in manifest.results.ledger]
+    rows = count(manifest.results.observations.rows, "observation")
+    said = [f"{shift.count:,} of {rows}"]
+    if shift.count:
+        said.append(f"median {shift.median:.3g} px, at most {shift.maximum:.3g} px")
     for kind, many in (("loss", "losses"), ("finding", ""), ("warning", "")):
         if number := kinds.count(kind):
             said.append(f"[{_COLOURS[kind]}]{count(number, kind, many)}[/]")
@@ -85,19 +98,19 @@ def print_unchanged(console: Console, names: Sequence[str], total: int) -> None:
         console.print(f"  {what}")
 
 
-def print_ledger(console: Console, entries: Sequence[Mapping[str, Any]]) -> None:
+def print_ledger(console: Console, entries: Sequence[MessageRecord]) -> None:
     for kind, code, what in summary.ledger_rows(entries):
         print_indented(console, f"[{_COLOURS[kind]}]{kind}[/] {shown(code)}: {shown(what)}")
 
 
 def print_check(
-    console: Console, name: str, lines: Sequence[tuple[str, str]], manifest: Mapping[str, Any]
+    console: Console, name: str, lines: Sequence[tuple[str, str]], results: ResultsRecord
 ) -> None:
     """What ``unbend check`` read and expects of a run, and what the ledger of a run would hold."""
-    verdict = "a run would end with code 3" if manifest["exit_code"] else "can be run"
+    verdict = "a run would end with code 3" if results.exit_code else "can be run"
     console.print(f"[bold]{shown(name)}[/bold] {verdict}")
     print_labelled(console, lines)
-    print_ledger(console, manifest["ledger"])
+    print_ledger(console, results.ledger)
 
 
 def print_status(console: Console, name: str, reasons: Sequence[str]) -> None:
@@ -194,7 +207,7 @@ def print_log(console: Console, log: Mapping[str, Any], name: str) -> None:
     console.print()
     print_indented(console, table)
     console.print()
-    print_ledger(console, log["ledger"])
+    print_ledger(console, [MessageRecord(**entry) for entry in log["ledger"]])
 
 
 def print_model(console: Console, contents: Mapping[str, Any], name: str) -> None:

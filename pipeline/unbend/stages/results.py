@@ -7,6 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from unbend.atmosphere.air_samples import SensorUse
+from unbend.atmosphere.estimate.candidates import SourceUse
 from unbend.atmosphere.estimate.sensors import FAULT_TEXTS
 from unbend.atmosphere.estimate.solver import FaultEstimate
 from unbend.atmosphere.series.time_windows import TimeWindow
@@ -23,19 +25,23 @@ from unbend.refraction.kernels.columns import CABIN_SIGMAS, WINDOW_KIND
 from unbend.stages.correction_setup import CorrectionSetup
 from unbend.stages.flight_log import FlightLog, Roles
 from unbend.stages.statistics import Statistics
-from unbend.tables.manifest import (
+from unbend.tables.manifest.results import (
     AirParameter,
     CabinParameter,
     ControlRecord,
     DeflectionRecord,
+    EffectRecord,
+    FittedSource,
     FlightRecord,
     FlownCamera,
     GroundReference,
     HeightsRecord,
     LogRecord,
     ObservationsRecord,
+    OtherSource,
     ProfileRecord,
     ResultsRecord,
+    SamplesRecord,
     SensorRecord,
     TimeWindowRecord,
     UndulationRecord,
@@ -103,7 +109,7 @@ def results_of_mission(
         cabin_air=cabin_parameters(setup),
         cabin_sigma_share=statistics.cabin_share.summary(),
         control=control,
-        ledger=ledger.rows(),
+        ledger=ledger.records(),
         exit_code=exit_code_of(has_losses=ledger.has_losses),
     )
 
@@ -296,12 +302,39 @@ def record_of_profile(air: FlightAir, stations: Stations) -> ProfileRecord:
         layers=dict(sorted(Counter(profile.layers.source).items())),
         latitude_deg=None if latitude is None else round(float(np.degrees(latitude)), 6),
         departure_at_cameras_k=departure,
-        effect=[effect.row() for effect in air.effects],
-        sources=[use.row() for use in adjustment.sources],
-        samples=[use.row() for use in adjustment.sensor_uses],
+        effect=[EffectRecord.of(effect) for effect in air.effects],
+        sources=[record_of_source(use) for use in adjustment.sources],
+        samples=[record_of_samples(use) for use in adjustment.sensor_uses],
         sensors=[record_of_sensor(estimate) for estimate in adjustment.faults],
         profiles=len(air.series.timed_profiles),
         windows=[record_of_window(window) for window in air.windows],
+    )
+
+
+def record_of_source(use: SourceUse) -> FittedSource | OtherSource:
+    """How a source of the air was used, or why not."""
+    fit = use.fit
+    if fit is None:
+        return OtherSource(use.source, used=not use.why_not, why_not=use.why_not)
+    return FittedSource(
+        source=use.source,
+        used=True,
+        quantity=fit.quantity,
+        readings=fit.count,
+        rms_sigma=round(fit.rms, 3),
+        sigma_inflation=round(fit.sigma_inflation, 3),
+        degrees_of_freedom_for_signal=round(fit.signal_freedom, 3),
+    )
+
+
+def record_of_samples(use: SensorUse) -> SamplesRecord:
+    """How many samples of a sensor were used, and why the others were not."""
+    return SamplesRecord(
+        sensor=use.sensor,
+        quantity=use.quantity,
+        samples=use.samples,
+        used=use.used,
+        rejected={reason.text: count for reason, count in use.rejected.items()},
     )
 
 

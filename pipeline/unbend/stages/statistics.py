@@ -17,7 +17,7 @@ from unbend.refraction.camera.camera import Camera
 from unbend.refraction.image import Corrections
 from unbend.refraction.status_codes import OK, STATUS_NAMES
 from unbend.stages import messages
-from unbend.tables.manifest import (
+from unbend.tables.manifest.results import (
     CameraShifts,
     CorrectionRecord,
     DistributionRecord,

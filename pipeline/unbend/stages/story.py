@@ -35,7 +35,7 @@ from unbend.stages.statistics import Statistics
 from unbend.stages.uncertainty import TYPICAL_ROWS, report_unknown_sigmas, with_uncertainties
 from unbend.tables.geodata.elevation import ElevationModel
 from unbend.tables.geodata.geoid import package_geoid
-from unbend.tables.manifest import ResultsRecord
+from unbend.tables.manifest.results import ResultsRecord
 from unbend.tables.observations import Observations
 from unbend.units import Array, Integers
 

@@ -1,4 +1,4 @@
-"""How the use of a source is written for the manifest and for a person."""
+"""How the use of a source is written for a person."""
 
 from __future__ import annotations
 
@@ -6,16 +6,6 @@ from unbend.atmosphere.estimate.candidates import SourceUse
 from unbend.atmosphere.estimate.solver import Fit
 
 FIT = Fit("IMET[0]", "temperature", 41, 1.234, 2.345, 7.891)
-
-
-def test_every_number_of_a_fit_has_its_own_key():
-    assert SourceUse("IMET[0]", fit=FIT).row() == {
-        "source": "IMET[0]", "used": True, "quantity": "temperature", "readings": 41,
-        "rms_sigma": 1.234, "sigma_inflation": 2.345, "degrees_of_freedom_for_signal": 7.891,
-    }  # fmt: skip
-    assert SourceUse("barometer", "none outside in the log").row() == {
-        "source": "barometer", "used": False, "why_not": "none outside in the log",
-    }  # fmt: skip
 
 
 def test_a_sentence_names_the_inflation_only_where_there_is_one():

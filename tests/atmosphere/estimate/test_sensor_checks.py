@@ -173,7 +173,7 @@ def test_a_hygrometer_stuck_at_saturation_through_a_desert(flights, airs, thermo
     limit = float(re.search(r"saturated air overturns at ([\d.]+) K/km", entry.what)[1])
     assert limit == pytest.approx(3.7, abs=0.3)
     (use,) = [use for use in adjusted.sources if use.source == "hygrometer hygrometer"]
-    assert "K/km" in use.row()["why_not"]
+    assert "K/km" in use.why_not
     assert adjusted.basis == ("both" if thermometer else "barometer")
     assert adjusted.samples.humidity is None
     assert sigmas(truth, adjusted, 3000.0) < 2.5
@@ -352,7 +352,7 @@ def test_a_refusal_states_what_is_seen_and_the_limit(flights, airs):
         assert float(seen) == pytest.approx(20.0, abs=5.0)
         assert 8.0 < float(limit) < 12.0
         (use,) = [use for use in adjusted.sources if use.source == "thermometer thermometer"]
-        assert f"limit {limit} K" in use.row()["why_not"]
+        assert f"limit {limit} K" in use.why_not
 
 
 def test_ground_in_the_sun_is_air(flights, airs):

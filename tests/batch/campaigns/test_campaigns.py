@@ -364,6 +364,25 @@ def test_code_and_summary_of_what_is_unchanged_are_those_of_the_run(done, unbend
     assert unbend("run", done.file).code == 3
 
 
+@pytest.mark.parametrize("version", ["", "0.0.1"], ids=["damaged", "another version"])
+def test_a_manifest_without_some_results_does_not_stop_the_others(done, unbend, version):
+    """One of another version, or damaged: the page says so, until the mission is run again."""
+    values = json.loads(done.manifest(0).read_text())
+    del values["profile"]
+    if version:
+        values["versions"]["unbend"] = version
+    done.manifest(0).write_text(json.dumps(values))
+    table = done.folder / "results" / "campaign.parquet"
+    ended = unbend("run", done.file, "--mission", "flight-1")
+    assert ended.code == 0, ended.text
+    first, second = pq.read_table(table).to_pylist()
+    assert (first["state"], first["code"]) == ("not run", "MANIFEST-UNREADABLE")
+    assert second["state"] == "done"
+    ended = unbend("run", done.file, "--mission", "flight-0", "--force")
+    assert ended.code == 0, ended.text
+    assert pq.read_table(table).to_pylist()[0]["state"] == "done"
+
+
 def test_what_is_unchanged_is_told_in_the_order_of_the_files(done, unbend):
     """Also where the first mission was compared by its hashes, after the second was known."""
     (done.flight(0) / "balloon.csv").touch()

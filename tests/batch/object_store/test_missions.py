@@ -45,16 +45,16 @@ def test_a_mission_in_object_storage(stored, s3_place, baseline, unbend, tmp_pat
     ended = stored.run()
     assert ended.code == 0, ended.text
     manifest = read_manifest(results)
-    attempt = results / f"attempts/{manifest['attempt']}"
+    attempt = results / f"attempts/{manifest.run.attempt}"
     assert f"results  {results}\n  report   {attempt}/report.html\n" in ended.out
     # The observations are those of a run in a folder, byte for byte.
     here = json.loads((baseline.output / "manifest.json").read_text())
     for name in ("observations/part-00000.parquet", "stations.parquet", "profile.parquet"):
         assert (attempt / name).read()[0] == (baseline.output / name).read_bytes(), name
-    assert manifest["observations"] == here["observations"]
+    assert manifest.values["observations"] == here["observations"]
     assert set(results.objects()) == {
-        "manifest.json", f"runs/{manifest['fingerprint']}.json",
-        *(f"attempts/{manifest['attempt']}/{item['name']}" for item in manifest["outputs"]),
+        "manifest.json", f"runs/{manifest.run.fingerprint}.json",
+        *(f"attempts/{manifest.run.attempt}/{item.name}" for item in manifest.run.outputs),
     }  # fmt: skip
     text = (results / "manifest.json").read()[0].decode() + ended.text
     assert "not-to-be-printed" not in text
@@ -90,9 +90,9 @@ def test_a_mission_in_object_storage(stored, s3_place, baseline, unbend, tmp_pat
     ended = stored.run()
     assert ended.code == 0, ended.text
     now = read_manifest(results)
-    assert now["observations"]["rows"] == manifest["observations"]["rows"] - 1
+    assert now.results.observations.rows == manifest.results.observations.rows - 1
     assert {name.split("/")[1] for name in results.objects() if "/" in name} == {
-        now["attempt"], f"{now['fingerprint']}.json"
+        now.run.attempt, f"{now.run.fingerprint}.json"
     }  # fmt: skip
 
 
@@ -118,7 +118,7 @@ def test_results_damaged_in_the_store_are_found_and_made_again(stored, s3_place,
     results = s3_place / "results"
     ended = stored.run()
     assert ended.code == 0, ended.text
-    attempt = results / f"attempts/{read_manifest(results)['attempt']}"
+    attempt = results / f"attempts/{read_manifest(results).run.attempt}"
     stations = attempt / "stations.parquet"
     content = bytearray(stations.read()[0])
     content[len(content) // 2] ^= 1
@@ -149,7 +149,7 @@ def test_results_that_are_replaced_while_they_are_exported(
     for number, left in enumerate(([], ["stations.parquet"])):  # removed, and half of it
         for name in left:
             assert (older / name).put(b"x", None)
-        answers = [newer | {"attempt": "0" * 32}]
+        answers = [newer.with_values({"attempt": "0" * 32})]
         monkeypatch.setattr(
             results_module,
             "read_manifest",
@@ -159,7 +159,8 @@ def test_results_that_are_replaced_while_they_are_exported(
         ended = unbend("export", results, "--format", "geojson", "--out", out)
         assert ended.code == 0, ended.text
     # An attempt that is gone for good is damage.
-    (results / f"attempts/{newer['attempt']}").remove(item["name"] for item in newer["outputs"])
+    attempt = results / f"attempts/{newer.run.attempt}"
+    attempt.remove(output.name for output in newer.run.outputs)
     ended = unbend("export", results, "--format", "geojson", "--out", tmp_path / "gone.geojson")
     assert ended.code == 5, ended.text
     assert "VERIFY-DAMAGED" in ended.err

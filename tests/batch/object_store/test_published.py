@@ -20,11 +20,12 @@ from unbend.batch.object_store import Place
 from unbend.batch.remote import Publication, find_damage, read_manifest, rehearse, remove_leftovers
 from unbend.batch.results import verify_run
 from unbend.errors import OutputInUseError, StorageError
+from unbend.tables.manifest.whole import Manifest
 
 RACES = int(os.environ.get("UNBEND_RACES", "4"))
 
 
-def made(folder, run: int) -> dict:
+def made(folder, run: int) -> Manifest:
     """Results of a run in a folder: files that hold its number, and their manifest."""
     outputs = []
     for name in ("observations/part-00000.parquet", "stations.parquet"):
@@ -34,23 +35,25 @@ def made(folder, run: int) -> dict:
         digest = hashlib.sha256(content).hexdigest()
         outputs.append({"name": name, "sha256": digest, "bytes": len(content)})
     fingerprint = hashlib.sha256(str(run).encode()).hexdigest()
-    return {"fingerprint": fingerprint, "mission": "m", "outputs": outputs, "exit_code": 0}
+    values = {"fingerprint": fingerprint, "mission": "m", "outputs": outputs, "exit_code": 0}
+    return Manifest(values)
 
 
-def publish(place, folder, run: int, together=lambda: None) -> dict | None:
+def publish(place, folder, run: int, together=lambda: None) -> Manifest | None:
     """Publish a run from a folder; None where it is refused because another was published."""
     manifest = made(folder, run)
-    before = Publication(place, manifest["fingerprint"])
+    before = Publication(place, manifest.run.fingerprint)
     together()
     with suppress(OutputInUseError):
         return before.publish(folder, manifest, lambda size: None)
     return None
 
 
-def expected_at(manifest: dict) -> set[str]:
+def expected_at(manifest: Manifest) -> set[str]:
     """The objects of a published run, and no others."""
-    files = {f"attempts/{manifest['attempt']}/{item['name']}" for item in manifest["outputs"]}
-    return {"manifest.json", f"runs/{manifest['fingerprint']}.json", *files}
+    run = manifest.run
+    files = {f"attempts/{run.attempt}/{item.name}" for item in run.outputs}
+    return {"manifest.json", f"runs/{run.fingerprint}.json", *files}
 
 
 def test_races_of_two_writers(place, tmp_path, record_property):
@@ -70,7 +73,7 @@ def test_races_of_two_writers(place, tmp_path, record_property):
                     seen += 1
             return seen
 
-        def write(number: int, at=at, same=same, barrier=barrier) -> dict | None:
+        def write(number: int, at=at, same=same, barrier=barrier) -> Manifest | None:
             return publish(at, tmp_path / str(number), 1 if same else number, barrier.wait)
 
         with ThreadPoolExecutor(3) as pool:
@@ -78,7 +81,7 @@ def test_races_of_two_writers(place, tmp_path, record_property):
             ends = list(pool.map(write, (1, 2)))
             over.set()
             assert reader.result() > 0
-        (winner,) = {end["attempt"]: end for end in ends if end is not None}.values()
+        (winner,) = {end.run.attempt: end for end in ends if end is not None}.values()
         assert ends.count(None) == (0 if same else 1), "one winner; of the same run both return it"
         assert read_manifest(at) == winner
         assert verify_run(at) == winner
@@ -112,7 +115,7 @@ def test_writers_killed_at_each_request(s3_place, tmp_path, monkeypatch):
             with suppress(Killed):
                 publish(at, tmp_path, 1)
         seen = verify_run(at)
-        assert seen == old or seen["fingerprint"] == made(tmp_path, 1)["fingerprint"]
+        assert seen == old or seen.run.fingerprint == made(tmp_path, 1).run.fingerprint
         monkeypatch.setattr(remote, "_WAIT_S", 0.0)
         now = publish(at, tmp_path, 1)
         assert verify_run(at) == now
@@ -174,16 +177,16 @@ def test_orphans_of_the_last_hour_stay(s3_place, tmp_path, monkeypatch, unbend):
 
 def test_objects_of_other_programs_stay(s3_place, tmp_path, unbend):
     ours = made(tmp_path, 1)
-    group, run = f"attempts/{'a' * 32}", f"one/runs/{ours['fingerprint']}.json"
+    group, run = f"attempts/{'a' * 32}", f"one/runs/{ours.run.fingerprint}.json"
     removed = {run, f"one/{group}/stations.parquet", f"one/{group}/observations/part-00001.parquet"}
     others = {
         f"other/{group}/model.pkl", f"other/{group}/stations.parquet", f"mixed/{group}/report.html",
         f"mixed/{group}/observations/part-1.parquet", f"other/runs/{'b' * 64}.json",
-        f"other/runs/{ours['fingerprint']}.json",
+        f"other/runs/{ours.run.fingerprint}.json",
     }  # fmt: skip
     for name in removed | others:
         assert (s3_place / name).put(b'{"fingerprint": "own"}', None)
-    assert (s3_place / run).put(json.dumps(ours, indent=2).encode(), "overwrite")
+    assert (s3_place / run).put(json.dumps(ours.values, indent=2).encode(), "overwrite")
     assert "2 uploads of the last hour kept" in unbend("verify", s3_place, "--remove-leftovers").out
     ended = unbend("verify", s3_place, "--remove-leftovers", "--recent", "--json")
     assert json.loads(ended.out)["kept"] == 0
@@ -193,7 +196,7 @@ def test_objects_of_other_programs_stay(s3_place, tmp_path, unbend):
 def test_a_manifest_that_leads_elsewhere_is_not_followed(s3_place, tmp_path):
     done = publish(s3_place, tmp_path, 1)
     for attempt in ("../../other", "", None):
-        content = json.dumps(done | {"attempt": attempt}).encode()
+        content = json.dumps({**done.values, "attempt": attempt}).encode()
         assert (s3_place / "manifest.json").put(content, "overwrite")
         with pytest.raises(StorageError) as refused:
             read_manifest(s3_place)
@@ -211,7 +214,7 @@ def test_a_store_is_rehearsed(place):
 
 def test_what_lies_in_an_attempt_and_belongs_to_no_run(s3_place, tmp_path):
     done = publish(s3_place, tmp_path, 1)
-    extra = s3_place / f"attempts/{done['attempt']}/observations/part-00001.parquet"
+    extra = s3_place / f"attempts/{done.run.attempt}/observations/part-00001.parquet"
     assert extra.put(b"x", None)
     assert find_damage(s3_place, done, read=False) == [
         "observations/part-00001.parquet: belongs to no run"

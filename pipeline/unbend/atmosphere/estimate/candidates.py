@@ -156,17 +156,6 @@ class SourceUse:
     why_not: str = ""
     fit: Fit | None = None
 
-    def row(self) -> dict[str, object]:
-        """For the manifest."""
-        if self.fit is None:
-            return {"source": self.source, "used": not self.why_not, "why_not": self.why_not}
-        fit = self.fit
-        return {
-            "source": self.source, "used": True, "quantity": fit.quantity, "readings": fit.count,
-            "rms_sigma": round(fit.rms, 3), "sigma_inflation": round(fit.sigma_inflation, 3),
-            "degrees_of_freedom_for_signal": round(fit.signal_freedom, 3),
-        }  # fmt: skip
-
     def sentence(self) -> str:
         """For a person.
 

@@ -29,6 +29,7 @@ from unbend.refraction.image import correct_observations
 from unbend.refraction.ray import rays_by
 from unbend.stages import exposure_setup
 from unbend.tables.exports import ExportCamera, FinishedRun, find_format
+from unbend.tables.manifest.whole import Manifest
 from unbend.tables.refraction_mark import SIDECAR, sidecar_text
 from unbend.units import Array, Integers
 
@@ -101,7 +102,7 @@ def copy_of_run(place: Place) -> Path:
 
 
 def rebuild_run(
-    path: Path, manifest: dict[str, Any], ground_height_m: float | None, ledger: Ledger
+    path: Path, manifest: Manifest, ground_height_m: float | None, ledger: Ledger
 ) -> FinishedRun:
     """A run from its folder alone; ``ground_height_m`` [m above sea level] replaces its heights."""
     if ground_height_m is not None and not LOWEST_GROUND_M <= ground_height_m <= HIGHEST_GROUND_M:
@@ -115,7 +116,7 @@ def rebuild_run(
     stations = stations_of(table)
     air = air_of(pq.read_table(path / "profile.parquet"), table["profile_id"])
     method = mission.refraction.method
-    outputs = sorted(str(item["name"]) for item in manifest["outputs"])
+    outputs = sorted(item.name for item in manifest.run.outputs)
     run = FinishedRun(
         mission=mission.mission.name,
         stations=stations,
@@ -129,7 +130,7 @@ def rebuild_run(
         parts=tuple(path / name for name in outputs if name.startswith("observations/")),
         metadata={
             "unbend.mission": mission.mission.name,
-            "unbend.fingerprint": manifest["fingerprint"],
+            "unbend.fingerprint": manifest.run.fingerprint,
             "unbend.pixel_origin": mission.observations.pixel_origin,
         },
         database=partial(database_of, mission, manifest, path),
@@ -181,7 +182,7 @@ def ground_of(run: FinishedRun, constant_m: float | None, ledger: Ledger) -> Arr
     return ground
 
 
-def database_of(mission: Mission, manifest: dict[str, Any], path: Path) -> Path | None:
+def database_of(mission: Mission, manifest: Manifest, path: Path) -> Path | None:
     """COLMAP's database that the run read, as seen from its folder; None if gone or changed."""
     here = Path("/?/?/?/?/?")  # in the place of the mission's folder, whose name no table keeps
     stated = mission.observations.path
@@ -190,7 +191,7 @@ def database_of(mission: Mission, manifest: dict[str, Any], path: Path) -> Path 
     file = path / stated
     if file.suffix.lower() != ".db" or not file.is_file():
         return None
-    read = {item["sha256"] for item in manifest["inputs"] if item["role"] == "observations"}
+    read = {item.sha256 for item in manifest.run.inputs if item.role == "observations"}
     return file if hash_file(file) in read else None
 
 

@@ -19,14 +19,15 @@ from unbend.batch.manifest import MANIFEST
 from unbend.config import Mission
 from unbend.flight.stations import NO_TIME, SUSPECT, Stations
 from unbend.geodesy import Gravity
+from unbend.tables.manifest.whole import Manifest
 from unbend.units import Array, Names
 
 
-def mission_of(manifest: dict[str, Any], path: Path) -> Mission:
+def mission_of(manifest: Manifest, path: Path) -> Mission:
     """The mission file as the run understood it, from its manifest."""
     try:
         # As text, because strict models take from JSON what they gave to it.
-        return Mission.model_validate_json(json.dumps(manifest.get("config")))
+        return Mission.model_validate_json(json.dumps(manifest.run.config))
     except ValidationError as error:
         raise messages.config_not_understood(
             path=str(path / MANIFEST), mistakes=error.error_count()

@@ -21,7 +21,7 @@ from unbend.stages.multi_image import messages
 from unbend.stages.multi_image.point_heights import points_above_sea
 from unbend.stages.opened_inputs import OpenedInputs
 from unbend.tables.geodata.object_points import ObjectPoints, matching_rows
-from unbend.tables.manifest import ControlPoint, ControlRecord
+from unbend.tables.manifest.results import ControlPoint, ControlRecord
 from unbend.tables.observations import Batch, Observations
 from unbend.units import Array, Integers, Mask
 
@@ -65,7 +65,8 @@ class ControlComparison:
 
     def part_explained(self) -> float:
         """The part of the mean square of what points missed that the correction takes away."""
-        before, after = (float(np.sum(self.rms(v) ** 2)) for v in (self.before, self.after))
+        before = float(np.sum(self.rms(self.before) ** 2))
+        after = float(np.sum(self.rms(self.after) ** 2))
         return 1.0 - after / before
 
     def record(self) -> ControlRecord:
@@ -89,19 +90,27 @@ class ControlComparison:
             points=points,
             used=int(self.used.sum()),
             unmeasured=self.unmeasured,
-            rms_before_m=rounded(self.rms(self.before)),
-            rms_after_m=rounded(self.rms(self.after)),
-            rms_refraction_m=rounded(self.rms(self.before - self.after)),
-            mean_before_m=rounded(self.before[self.used].mean(axis=0)),
-            mean_after_m=rounded(self.after[self.used].mean(axis=0)),
+            rms_before_m=rounded_known(self.rms(self.before)),
+            rms_after_m=rounded_known(self.rms(self.after)),
+            rms_refraction_m=rounded_known(self.rms(self.before - self.after)),
+            mean_before_m=rounded_known(self.before[self.used].mean(axis=0)),
+            mean_after_m=rounded_known(self.after[self.used].mean(axis=0)),
             part_explained=round(self.part_explained(), 4),
             sigma_u_m=rounded(np.atleast_1d(median_m))[0],
         )
 
 
+def rounded_known(metres: Array) -> list[float]:
+    """Numbers to four digits behind the point."""
+    return [round(value, 4) for value in metres.tolist()]
+
+
 def rounded(metres: Array) -> list[float | None]:
     """Numbers to four digits behind the point, None where one is not known."""
-    return [None if np.isnan(value) else round(value, 4) for value in metres.tolist()]
+    numbers = []
+    for value in metres.tolist():
+        numbers.append(None if np.isnan(value) else round(value, 4))
+    return numbers
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,12 +4,18 @@ Numbers are rounded to what they are worth; None is what is not known. ``row()``
 plain values, under the names of its fields.
 """
 
+from __future__ import annotations
+
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-MANIFEST_VERSION = 2
-"""Since 2 a message of the ledger has its ``values`` beside its text ``what``."""
+from unbend.messages import MessageRecord
+from unbend.units import ARCSEC
+
+if TYPE_CHECKING:  # scipy, which commands on one ray do not need
+    from unbend.refraction.effect import Effect
 
 
 @dataclass(frozen=True)
@@ -114,6 +120,68 @@ class TimeWindowRecord:
 
 
 @dataclass(frozen=True)
+class EffectRecord:
+    """R of one ray in the air of the flight, and beside that in the standard; sigma if known."""
+
+    nadir_angle_deg: float
+    h_c_m: float
+    h_g_m: float
+    r_c_arcsec: float
+    standard_arcsec: float
+    sigma_arcsec: float | None
+    factor: float
+    sigma_factor: float | None
+
+    @classmethod
+    def of(cls, effect: Effect) -> EffectRecord:
+        """The record of an effect."""
+        is_sigma_known = math.isfinite(effect.sigma_rad)
+        return cls(
+            nadir_angle_deg=effect.nadir_deg,
+            h_c_m=round(effect.h_c_m, 1),
+            h_g_m=round(effect.h_g_m, 1),
+            r_c_arcsec=round(effect.r_c_rad / ARCSEC, 4),
+            standard_arcsec=round(effect.standard_rad / ARCSEC, 4),
+            sigma_arcsec=round(effect.sigma_rad / ARCSEC, 4) if is_sigma_known else None,
+            factor=round(effect.factor, 5),
+            sigma_factor=round(effect.sigma_factor, 5) if is_sigma_known else None,
+        )
+
+
+@dataclass(frozen=True)
+class FittedSource:
+    """A source of the air that the estimate was fitted to, and how it fits."""
+
+    source: str
+    used: bool
+    quantity: str
+    readings: int
+    rms_sigma: float
+    sigma_inflation: float
+    degrees_of_freedom_for_signal: float
+
+
+@dataclass(frozen=True)
+class OtherSource:
+    """A source of the air that was used as it is, or why it was not used."""
+
+    source: str
+    used: bool
+    why_not: str
+
+
+@dataclass(frozen=True)
+class SamplesRecord:
+    """How many samples of a sensor were used; the others by the reason, in words."""
+
+    sensor: str
+    quantity: str
+    samples: int
+    used: int
+    rejected: Mapping[str, int]
+
+
+@dataclass(frozen=True)
 class ProfileRecord:
     """The estimate of the air, its sources, and its difference from the standard atmosphere."""
 
@@ -123,9 +191,9 @@ class ProfileRecord:
     layers: Mapping[str, int]
     latitude_deg: float | None
     departure_at_cameras_k: float | None
-    effect: list[Mapping[str, Any]]
-    sources: list[Mapping[str, Any]]
-    samples: list[Mapping[str, Any]]
+    effect: list[EffectRecord]
+    sources: list[FittedSource | OtherSource]
+    samples: list[SamplesRecord]
     sensors: list[SensorRecord]
     profiles: int
     windows: list[TimeWindowRecord]
@@ -266,11 +334,11 @@ class ControlRecord:
     points: list[ControlPoint]
     used: int
     unmeasured: int
-    rms_before_m: list[float | None]
-    rms_after_m: list[float | None]
-    rms_refraction_m: list[float | None]
-    mean_before_m: list[float | None]
-    mean_after_m: list[float | None]
+    rms_before_m: list[float]
+    rms_after_m: list[float]
+    rms_refraction_m: list[float]
+    mean_before_m: list[float]
+    mean_after_m: list[float]
     part_explained: float
     sigma_u_m: float | None
 
@@ -293,7 +361,7 @@ class ResultsRecord:
     cabin_air: Mapping[str, CabinParameter]
     cabin_sigma_share: DistributionRecord
     control: ControlRecord | None
-    ledger: list[dict[str, Any]]
+    ledger: list[MessageRecord]
     exit_code: int
 
     def row(self) -> dict[str, Any]:

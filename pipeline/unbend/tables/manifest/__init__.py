@@ -1,0 +1,1 @@
+"""The manifest of a run: the records that its writers write and all its readers read."""

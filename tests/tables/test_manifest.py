@@ -1,0 +1,85 @@
+"""What is read of a manifest: records, and the refusal of what is none."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, fields
+from typing import Any
+
+import pytest
+
+from unbend.config import Mission
+from unbend.errors import StorageError
+from unbend.refraction.effect import Effect
+from unbend.tables.manifest.results import EffectRecord, FittedSource, OtherSource
+from unbend.tables.manifest.run import Identity, RunRecord
+from unbend.tables.manifest.whole import Manifest
+
+
+@pytest.fixture
+def values(baseline) -> dict[str, Any]:
+    """The manifest of a run, as its file has it."""
+    content = (baseline.output / "manifest.json").read_text(encoding="utf-8")
+    return dict(json.loads(content))
+
+
+def test_the_effect_of_the_air():
+    """10 urad for 8 in the standard, sigma 0.4: 2.0626 and 1.6501 arcsec, factor 1.25 +- 0.05."""
+    record = EffectRecord.of(Effect(45.0, 6000.04, 200.0, 10e-6, 8e-6, 0.4e-6))
+    assert asdict(record) == {
+        "nadir_angle_deg": 45.0, "h_c_m": 6000.0, "h_g_m": 200.0, "r_c_arcsec": 2.0626,
+        "standard_arcsec": 1.6501, "sigma_arcsec": 0.0825, "factor": 1.25, "sigma_factor": 0.05,
+    }  # fmt: skip
+    unknown = EffectRecord.of(Effect(45.0, 6000.0, 200.0, 10e-6, 8e-6))
+    assert unknown.sigma_arcsec is unknown.sigma_factor is None
+
+
+def test_the_records_hold_all_that_the_file_holds(values):
+    """Written again they give the same values, and no key is without a field."""
+    manifest = Manifest(values)
+    run = asdict(manifest.run)
+    assert run.pop("attempt") == ""
+    assert run | manifest.results.row() == values
+    kinds = {type(source) for source in manifest.results.profile.sources}
+    assert kinds == {FittedSource, OtherSource}
+
+
+def test_what_the_report_reads_of_a_mission_file_are_keys_of_it(values):
+    mission = Mission.model_validate_json(json.dumps(values["config"]))
+    sections = Manifest(values).sections
+    assert sections.refraction.method == mission.refraction.method
+    assert sections.refraction.direction == mission.refraction.direction
+    assert sections.stations.use_suspect == mission.stations.use_suspect
+    assert sections.cameras.keys() == mission.cameras.keys()
+    for name, camera in sections.cameras.items():
+        stated = mission.cameras[name]
+        assert (camera.principal_distance is None) == (stated.principal_distance is None)
+        assert camera.window is not None
+        assert stated.window is not None
+        for field in fields(camera.window):
+            assert getattr(camera.window, field.name) == getattr(stated.window, field.name)
+
+
+def test_what_a_later_version_adds_is_kept_and_not_read(values):
+    values["correction"]["later"] = 1
+    values["later"] = {"a": 2}
+    manifest = Manifest(values)
+    assert manifest.results.correction.shift_px.count == 59
+    assert manifest.with_values({"mission_file_sha256": "x"}).values["later"] == {"a": 2}
+
+
+def test_what_an_older_version_did_not_write_is_empty():
+    old = {"mission": "m", "fingerprint": "f", "exit_code": 0, "outputs": []}
+    run = Manifest(old).run
+    assert run == RunRecord(mission="m", fingerprint="f", exit_code=0)
+    assert isinstance(run, Identity)
+    assert (run.inputs, run.config, run.versions) == ([], {}, {})
+    assert Manifest(old | {"inputs": [{"role": "log", "name": "n", "sha256": "s"}]}).run.inputs
+
+
+@pytest.mark.parametrize("wrong", [{"shift_px": None}, {"shift_px": {"count": "many"}}, {}])
+def test_results_that_lack_something_are_refused_with_their_file(values, wrong):
+    values["correction"] = wrong
+    with pytest.raises(StorageError, match="MANIFEST-UNREADABLE") as refused:
+        _ = Manifest(values, "out/manifest.json").results
+    assert refused.value.where == "out/manifest.json"
