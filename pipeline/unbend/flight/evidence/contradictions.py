@@ -1,7 +1,9 @@
 """Suspect stretches of a flight by all evidence of its log, and of what other programs imported."""
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,7 +14,7 @@ from unbend.flight.evidence.filter_health import (
     filter_evidence,
     message_evidence,
 )
-from unbend.flight.evidence.messages import barometer_drifts
+from unbend.flight.evidence.messages import barometer_drifts, spare_barometer_drifts
 from unbend.flight.evidence.sources import (
     BESIDE_S,
     LONGEST_COAST_S,
@@ -21,13 +23,13 @@ from unbend.flight.evidence.sources import (
     Difference,
     SourcePath,
     Sources,
-    difference,
     drifted,
     height_of_pressure,
     is_receiver,
     places_of,
     replacement_for,
     sigma_column,
+    source_difference,
     source_path,
     velocity_at,
     with_places,
@@ -60,6 +62,7 @@ _EXPLAINED_SIGMAS = 3.0  # of an imported channel, which explain a difference
 _BETTER_AFTER = 0.5  # of the accuracy before a step: what is so much better was wrong before
 _PRESENT = 0.8  # of the usual samples of a channel that goes on
 _SILENT_INTERVALS = 5.0  # usual ones of a receiver, after which it has no fix
+_BESIDE_NS = int(BESIDE_S * SECOND)
 _LARGE_PART = 0.5  # of the greatest difference, by which a receiver would contradict itself
 
 
@@ -117,7 +120,8 @@ class _Examination:
     def examine_places(self, quantity: str, own: Channel) -> None:
         """What other sources say against a position or height, and which replaces it."""
         sources = sources_of(quantity, own, self.channels, self.roles)
-        suspect, drifts = contradictions_of(sources, self._goes_on_beside(own))
+        contradictions = contradictions_of(sources, self._goes_on_beside(own))
+        suspect = contradictions.suspect
         if quantity == POSITION and not is_receiver(own):
             suspect += [s for s in self.said if s.quantity == POSITION]
             self._prolong_attitude(merged(suspect))
@@ -127,8 +131,9 @@ class _Examination:
             suspect += [replace(s, quantity=HEIGHT, off_m=np.nan) for s in away]
             good = sources.own.good & ~covered(away, sources.own.channel.time_ns)
             sources = replace(sources, own=replace(sources.own, good=good))
-        for drift in merged(drifts):
-            self._leave_pressure_out(drift)
+        for barometer, drifts in contradictions.barometer_drifts.items():
+            for drift in merged(drifts):
+                self._report_drift(barometer, drift)
         for stretch in merged(suspect):
             self.suspect.append(self._replaced_if_plain(sources, stretch))
 
@@ -157,12 +162,18 @@ class _Examination:
         path = source_path(receiver, POSITION, moving)
         return [s for s in own_contradictions(path, POSITION) if np.isfinite(s.off_m)]
 
-    def _leave_pressure_out(self, drift: Stretch) -> None:
-        """The pressure without a stretch in which the barometer drifts."""
+    def _report_drift(self, barometer: str, drift: Stretch) -> None:
+        """Report a barometer that drifts; if the pressure is from it, remove the pressure there."""
         pressure = self.result["pressure"]
+        if barometer != pressure.name:
+            message = spare_barometer_drifts(
+                barometer=barometer, reason=drift.reason, when=drift.when
+            )
+            self.notes.append(message)
+            return
         reasons = reasons_where(drift.covers(pressure.time_ns), Reason.BAROMETER_DRIFT)
         self.result["pressure"] = pressure.without(reasons)
-        message = barometer_drifts(barometer=pressure.name, reason=drift.reason, when=drift.when)
+        message = barometer_drifts(barometer=barometer, reason=drift.reason, when=drift.when)
         self.notes.append(message)
 
     def _replaced_if_plain(self, sources: Sources, stretch: Stretch) -> Stretch:
@@ -204,7 +215,7 @@ def sources_of(
     differences: list[Difference] = []
     for other in others:
         path = source_path(other, quantity, [other, *moving])
-        apart = difference(
+        apart = source_difference(
             own,
             path,
             quantity,
@@ -243,34 +254,48 @@ def _steady_until(own: Channel, path: SourcePath, quantity: str) -> int | None:
     return step_ns
 
 
-def contradictions_of(sources: Sources, while_on: Channel) -> tuple[list[Stretch], list[Stretch]]:
-    """Where a source contradicts itself or the others, and where only the barometer is wrong."""
-    own = sources.own
-    suspect = _of_source_itself(sources, while_on)
-    drifts: list[Stretch] = []
-    for each in sources.differences:
-        other = each.other
-        height_of_receiver = (
-            sources.quantity == HEIGHT
-            and is_receiver(own.channel)
-            and not is_receiver(other.channel)
-        )
-        for run in each.apart:
-            off_m = float(np.nanmax(each.off_m[run.rows]))
-            reason = f"{own.channel.name} and {other.channel.name} are {off_m:.0f} m apart"
-            if other.stepped_m[run.rows].any():
-                steps = f"{other.channel.name} steps at {other.fastest_m_s:.0f} m/s"
-                reason = f"{steps}; {reason}"
-            stretch = stretch_of_run(other.channel.time_ns, run, sources.quantity, reason, off_m)
-            if not (height_of_receiver and receiver_is_right(sources, each, run)):
+class Contradictions(NamedTuple):
+    """Stretches in which the sources of one quantity contradict each other.
+
+    ``suspect``: the source of the role may be wrong. ``barometer_drifts``: that source, a receiver,
+    is right, and the barometer of that name is wrong.
+    """
+
+    suspect: list[Stretch]
+    barometer_drifts: dict[str, list[Stretch]]
+
+
+def contradictions_of(sources: Sources, while_on: Channel) -> Contradictions:
+    """Find where the source of a role contradicts itself or another source.
+
+    ``while_on``: a channel that goes on where a receiver is silent.
+    """
+    suspect = _contradictions_of_source_itself(sources, while_on)
+    barometer_drifts: defaultdict[str, list[Stretch]] = defaultdict(list)
+    for difference in sources.differences:
+        other_name = difference.other.channel.name
+        for run in difference.apart:
+            stretch = _stretch_apart(sources, difference, run)
+            if not receiver_is_right(sources, difference, run):
                 suspect.append(stretch)
-            elif other.channel.name in sources.barometers[:1]:
-                drifts.append(stretch)
-            # Else it is a filter's height, which follows the barometer and says nothing of its own.
-    return suspect, drifts
+            elif other_name in sources.barometers:
+                barometer_drifts[other_name].append(stretch)
+            # Else the other source is a filter, whose height follows a barometer: the difference
+            # from that barometer is reported.
+    return Contradictions(suspect, dict(barometer_drifts))
 
 
-def _of_source_itself(sources: Sources, while_on: Channel) -> list[Stretch]:
+def _stretch_apart(sources: Sources, difference: Difference, run: Run) -> Stretch:
+    """The stretch in which another source is apart from that of the role."""
+    other = difference.other
+    off_m = float(np.nanmax(difference.off_m[run.rows]))
+    reason = f"{sources.own.channel.name} and {other.channel.name} are {off_m:.0f} m apart"
+    if other.stepped_m[run.rows].any():
+        reason = f"{other.channel.name} steps at {other.fastest_m_s:.0f} m/s; {reason}"
+    return stretch_of_run(other.channel.time_ns, run, sources.quantity, reason, off_m)
+
+
+def _contradictions_of_source_itself(sources: Sources, while_on: Channel) -> list[Stretch]:
     """Where a source steps or is silent; of a filter, where its receivers do.
 
     A filter that was led away leaves the receiver's path less its steps. One that steps back to it
@@ -333,39 +358,46 @@ def silences(channel: Channel, while_on: Channel, quantity: str) -> list[Stretch
     return suspect
 
 
-def receiver_is_right(sources: Sources, departs: Difference, run: Run) -> bool:
-    """Whether a receiver's height is confirmed where a barometer, or a filter by it, departs.
+def receiver_is_right(sources: Sources, difference: Difference, run: Run) -> bool:
+    """Whether a receiver gives the height, and is confirmed where another source departs from it.
 
-    By its own vertical velocity from 10 s before to the greatest difference and about the end, or
-    by a source that does not depend on that barometer and agrees all the time.
+    The other source is a barometer, or a filter that follows one. The receiver is confirmed by its
+    own vertical velocity; without that by a source that does not depend on the barometer.
     """
-    own = sources.own.channel
-    time_ns = departs.other.channel.time_ns
-    beside_ns = int(BESIDE_S * SECOND)
+    receiver = sources.own
+    is_height_of_receiver = (
+        sources.quantity == HEIGHT
+        and is_receiver(receiver.channel)
+        and not is_receiver(difference.other.channel)
+    )
+    if not is_height_of_receiver:
+        return False
+    time_ns = difference.other.channel.time_ns
     begin_ns = int(time_ns[run.first])
     end_ns = int(time_ns[run.last])
-    around = (own.time_ns >= begin_ns - beside_ns) & (own.time_ns <= end_ns + beside_ns)
-    if np.count_nonzero(around) < 2 or sources.own.stepped_m[around].any():
+    around = receiver.channel.time_ns >= begin_ns - _BESIDE_NS
+    around &= receiver.channel.time_ns <= end_ns + _BESIDE_NS
+    if np.count_nonzero(around) < 2 or receiver.stepped_m[around].any():
         return False
-    own_ns = own.time_ns[around]
-    climb_m_s = velocity_at([own], HEIGHT, own_ns)[:, 0]
+    around_ns = receiver.channel.time_ns[around]
+    climb_m_s = velocity_at([receiver.channel], HEIGHT, around_ns)[:, 0]
     if not np.isfinite(climb_m_s).all():
-        return _agrees_with_another(sources, departs, begin_ns, end_ns)
-    height_m = places_of(own, HEIGHT)[around, 0]
-    unexplained_m = _climbed(own_ns, climb_m_s) - height_m
-    worst = run.first + int(np.nanargmax(departs.off_m[run.rows]))
+        return _another_source_agrees(sources, difference, begin_ns, end_ns)
+    height_m = places_of(receiver.channel, HEIGHT)[around, 0]
+    unexplained_m = _climbed(around_ns, climb_m_s) - height_m
+    worst = run.first + int(np.nanargmax(difference.off_m[run.rows]))
     worst_ns = int(time_ns[worst])
-    allowed_m = _LARGE_PART * float(departs.off_m[worst])
-
-    def changes_by(from_ns: int, to_ns: int) -> float:
-        first, last = np.searchsorted(own_ns, [from_ns, to_ns])
-        newest = own_ns.size - 1
-        change = unexplained_m[min(last, newest)] - unexplained_m[min(first, newest)]
-        return abs(float(change))
-
-    until_worst_m = changes_by(begin_ns - beside_ns, worst_ns)
-    about_end_m = changes_by(end_ns - beside_ns, end_ns + beside_ns)
+    allowed_m = _LARGE_PART * float(difference.off_m[worst])
+    until_worst_m = _change(unexplained_m, around_ns, begin_ns - _BESIDE_NS, worst_ns)
+    about_end_m = _change(unexplained_m, around_ns, end_ns - _BESIDE_NS, end_ns + _BESIDE_NS)
     return until_worst_m < allowed_m and about_end_m < allowed_m
+
+
+def _change(values: Array, time_ns: TimeArray, from_ns: int, to_ns: int) -> float:
+    """By how much (n,) values change from one instant to another, without its sign."""
+    first, last = np.searchsorted(time_ns, [from_ns, to_ns])
+    newest = time_ns.size - 1
+    return abs(float(values[min(last, newest)] - values[min(first, newest)]))
 
 
 def _climbed(time_ns: TimeArray, climb_m_s: Array) -> Array:
@@ -374,16 +406,22 @@ def _climbed(time_ns: TimeArray, climb_m_s: Array) -> Array:
     return np.append(0.0, np.cumsum(np.diff(time_ns * 1e-9) * mean_m_s))
 
 
-def _agrees_with_another(sources: Sources, departs: Difference, begin_ns: int, end_ns: int) -> bool:
-    """Whether a source that does not depend on the one that departs agrees all the time."""
-    for each in sources.differences:
-        channel = each.other.channel
-        if channel.name == departs.other.channel.name:
+def _another_source_agrees(
+    sources: Sources, departing: Difference, begin_ns: int, end_ns: int
+) -> bool:
+    """Whether another receiver, or a spare barometer, agrees all the time with the role's source.
+
+    The source that departs, and what depends on the barometer of the pressure, are not asked.
+    """
+    spare_barometers = sources.barometers[1:]
+    for difference in sources.differences:
+        channel = difference.other.channel
+        if channel.name == departing.other.channel.name:
             continue
-        if not is_receiver(channel) and channel.name not in sources.barometers[1:]:
+        if not is_receiver(channel) and channel.name not in spare_barometers:
             continue
         inside = (channel.time_ns >= begin_ns) & (channel.time_ns <= end_ns)
-        if inside.any() and bool((each.off_m[inside] < each.limit_m).all()):
+        if inside.any() and bool((difference.off_m[inside] < difference.limit_m).all()):
             return True
     return False
 
@@ -453,7 +491,7 @@ def _departures_from_log(
     velocity = never_away  # heights above two surfaces are apart where nothing lags
     if quantity == POSITION:
         velocity = velocity_at(moving, quantity, channel.time_ns)
-    apart = difference(log, whole, quantity, velocity)
+    apart = source_difference(log, whole, quantity, velocity)
     off_m = np.where(covered(silent, channel.time_ns), 0.0, np.nan_to_num(apart.off_m))
     limit_m = max(apart.limit_m, LEAST_M[quantity])
     stretches: list[Stretch] = []

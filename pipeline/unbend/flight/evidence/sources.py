@@ -250,7 +250,7 @@ class Difference:
         return runs(self.other.channel.time_ns, is_half_off, is_off)
 
 
-def difference(
+def source_difference(
     mine: Channel,
     other: SourcePath,
     quantity: str,
