@@ -233,7 +233,11 @@ def _row_times(table: Table, clock: BootClock) -> _RowTimes:
 def _rows_of_message(
     message: str, spec: MessageMap, tables: dict[str, Table], clock: BootClock, ledger: Ledger
 ) -> Iterator[DecodedRows]:
-    """The rows of each instance of a message, whose table is used up: memory has its peak here."""
+    """The rows of each instance of a message, as channels are built from them.
+
+    The table of the message, and that of its accuracy, are removed from ``tables``: memory has its
+    peak here.
+    """
     if message not in tables:
         return
     table = tables.pop(message)
@@ -241,31 +245,58 @@ def _rows_of_message(
     if spec.text_field:
         yield from _text_rows(message, spec, table, times, ledger)
         return
-    accuracy_message = ACCURACY_MESSAGES.get(message, "")
-    if accuracy_message in tables:
-        table = _join_accuracy(table, tables.pop(accuracy_message))
+    accuracy = tables.pop(ACCURACY_MESSAGES.get(message, ""), None)
+    if accuracy is not None:
+        table = _join_accuracy(table, accuracy)
+        del accuracy
         spec = replace(spec, columns=spec.columns + _ACCURACY_MAP.columns)
     _report_fields(message, spec, table, ledger)
-    is_named = spec.id_field in table
-    instance = table[spec.id_field] if is_named else instance_of(table)
-    table = dict(table)
-    del table[PLACE]
-    values = extract(table, spec.columns, copy_rows, used_up=table)
+    instances = _instances_of(message, spec, table, ledger)
+    values = _extract_columns(table, spec)
     del table
-    numbers = np.unique(instance)
-    if not is_named and not spec.event:
-        numbers = _without_stray_instances(message, instance, ledger)
-    for number in numbers.tolist():
-        label = str(number) if is_named or number >= 0 else None
+    for number, label in instances.labels.items():
         name = message if label is None else f"{message}[{label}]"
         rows = DecodedRows(name, Source(message, label), times.time_ns, times.boot, values)
-        yield _chosen(rows, (instance == number) & times.good)
+        yield _chosen(rows, (instances.of_rows == number) & times.good)
+
+
+class _Instances(NamedTuple):
+    """The instance of each row of a message, and the label of each instance that is a channel."""
+
+    of_rows: NDArray[Any]
+    labels: dict[Any, str | None]  # None: the only one, of a message without instances
+
+
+def _instances_of(message: str, spec: MessageMap, table: Table, ledger: Ledger) -> _Instances:
+    """The instances of a message: the names in its ``id_field``, or else numbers.
+
+    Numbers that a flipped bit made are left out, but not of events: each one counts.
+    """
+    if spec.id_field in table:
+        names = table[spec.id_field]
+        return _Instances(names, {name: str(name) for name in np.unique(names).tolist()})
+    numbers = instance_of(table)
+    if spec.event:
+        used_numbers = np.unique(numbers)
+    else:
+        used_numbers = _without_stray_instances(message, numbers, ledger)
+    labels: dict[Any, str | None] = {}
+    for number in used_numbers.tolist():
+        labels[number] = str(number) if number >= 0 else None
+    return _Instances(numbers, labels)
+
+
+def _extract_columns(table: Table, spec: MessageMap) -> dict[str, Array]:
+    """The columns of a message in SI units; the fields they are made of are released one by one."""
+    fields = dict(table)
+    del fields[PLACE]
+    return extract(fields, spec.columns, copy_rows, used_up=fields)
 
 
 def _text_rows(
     message: str, spec: MessageMap, table: Table, times: _RowTimes, ledger: Ledger
 ) -> Iterator[DecodedRows]:
-    """The rows of a message that is what the autopilot says."""
+    """The rows of a message in which the autopilot reports in words; none without its texts."""
     texts = texts_of(message, spec.text_field, table)
     if texts is None:
         ledger.add(messages.no_text_field(message=message, field=spec.text_field))
