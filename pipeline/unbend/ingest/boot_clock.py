@@ -130,8 +130,8 @@ def timeline(blocks: Iterable[Stamps]) -> Timeline:
         if stretches and abs(new_stretches[0].begin - stretches[-1].end) <= clock.BOOT_STEP_NS:
             continuation = new_stretches.pop(0)
             last = stretches[-1]
-            length = last.length + continuation.length
-            stretches[-1] = last._replace(end=continuation.end, length=length)
+            records = last.length + continuation.length
+            stretches[-1] = last._replace(end=continuation.end, length=records)
         stretches += new_stretches
     first, begin, end, length = np.array(stretches, np.int64).reshape(-1, 4).T.copy()
     stray = clock.stray_stretches(begin, end, length)
