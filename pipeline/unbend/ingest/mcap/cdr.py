@@ -54,19 +54,19 @@ def decode_plan(steps: Sequence[MessageField], wanted: frozenset[str] | None = N
     and texts outside of sequences, with arrays as arrays, and for the number of elements of each
     sequence (``path[]``; -1 where the message ends before it).
     """
-    fields: list[MessageField] = []
+    message_fields: list[MessageField] = []
     for step in steps:
-        fields += _split_array(step, wanted)
-    paths = frozenset(each.path for each in fields if not isinstance(each, SequenceField))
+        message_fields += _split_array(step, wanted)
+    paths = frozenset(part.path for part in message_fields if not isinstance(part, SequenceField))
     chosen_paths = paths if wanted is None else paths & wanted
     end = 0  # behind the last field that is chosen
-    for number, each in enumerate(fields):
-        if each.path in chosen_paths:
+    for number, part in enumerate(message_fields):
+        if part.path in chosen_paths:
             end = number + 1
-    plan_steps = tuple(_runs(fields[:end]))
+    plan_steps = tuple(_runs(message_fields[:end]))
     if wanted is not None:
         return DecodePlan(plan_steps, chosen_paths)
-    rest = tuple(each for each in fields[end:] if isinstance(each, SequenceField))
+    rest = tuple(part for part in message_fields[end:] if isinstance(part, SequenceField))
     return DecodePlan(plan_steps, chosen_paths, counted=True, rest=rest)
 
 
