@@ -258,40 +258,21 @@ def _rows_of_message(
         table = _join_accuracy(table, tables.pop(accuracy_message))
         spec = replace(spec, columns=spec.columns + _ACCURACY_MAP.columns)
     _report_fields(message, spec, table, ledger)
-    instances = _instances_of(message, spec, table, ledger)
-    fields = {name: column for name, column in table.items() if name != PLACE}
-    del table  # so that fields are released one by one
-    values = extract(fields, spec.columns, copy_rows, used_up=fields)
-    for number, label in instances.labels.items():
-        name = message if label is None else f"{message}[{label}]"
+    is_named = spec.id_field in table
+    instance = table[spec.id_field] if is_named else instance_of(table)
+    table = dict(table)
+    del table[PLACE]
+    values = extract(table, spec.columns, copy_rows, used_up=table)  # fields are freed one by one
+    del table  # with the fields that no column is made of
+    instances = np.unique(instance)
+    if not is_named and not spec.event:
+        instances = _without_stray_instances(message, instance, ledger)
+    for value in instances.tolist():
+        has_label = is_named or value >= 0  # -1 is of messages without instances
+        label = str(value) if has_label else None
+        name = f"{message}[{label}]" if has_label else message
         rows = DecodedRows(name, Source(message, label), times.time_ns, times.boot, values)
-        yield _chosen(rows, (instances.of_rows == number) & times.good)
-
-
-class _Instances(NamedTuple):
-    """The instance of each row of a message, and the label of each instance that is a channel."""
-
-    of_rows: NDArray[Any]
-    labels: dict[Any, str | None]  # None: the only one, of a message without instances
-
-
-def _instances_of(message: str, spec: MessageMap, table: Table, ledger: Ledger) -> _Instances:
-    """The instances of a message: the names in its ``id_field``, or else numbers.
-
-    Numbers that a flipped bit made are left out, but not of events: each one counts.
-    """
-    if spec.id_field in table:
-        names = table[spec.id_field]
-        return _Instances(names, {name: str(name) for name in np.unique(names).tolist()})
-    numbers = instance_of(table)
-    if spec.event:
-        used_numbers = np.unique(numbers)
-    else:
-        used_numbers = _without_stray_instances(message, numbers, ledger)
-    labels: dict[Any, str | None] = {}
-    for number in used_numbers.tolist():
-        labels[number] = str(number) if number >= 0 else None
-    return _Instances(numbers, labels)
+        yield _chosen(rows, (instance == value) & times.good)
 
 
 def _text_rows(
