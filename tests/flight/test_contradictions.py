@@ -10,12 +10,12 @@ import pytest
 from unbend.atmosphere.rejection import Reason
 from unbend.flight.channels import Channel, Source
 from unbend.flight.evidence.contradictions import examine
-from unbend.flight.evidence.differences import source_difference
 from unbend.flight.evidence.filter_health import (
     attitude_evidence,
     filter_evidence,
     message_evidence,
 )
+from unbend.flight.evidence.source_differences import source_difference
 from unbend.flight.evidence.sources import source_path, velocity_at
 from unbend.flight.evidence.stretches import POSITION, Stretch, flag_suspect, merged, runs
 from unbend.flight.stations import empty_stations

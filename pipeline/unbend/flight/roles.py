@@ -130,7 +130,8 @@ def _fill(
             filled[role] = equals[0]
             yield messages.role_filled(role=role, channel=equals[0].name)
             return
-        yield messages.role_ambiguous(role=role, candidates=[channel.name for channel in equals])
+        names = [channel.name for channel in equals]
+        yield messages.role_ambiguous(role=role, candidates=names)
 
 
 def _candidates(
@@ -192,11 +193,13 @@ def _fill_barometers(
 
     ``free``: the channels that are not named for a role.
     """
+    height = filled.get("height")
+    if height is None:
+        return
     given = filled.keys() | named.keys()
     seeks_outside = "pressure" not in given
     seeks_cabin = needs_cabin and "cabin_pressure" not in given
-    height = filled.get("height")
-    if height is None or not (seeks_outside or seeks_cabin):
+    if not (seeks_outside or seeks_cabin):
         return
     barometers = [channel for channel in free if "pressure" in channel.roles]
     barometers.sort(key=lambda channel: (channel.rank, channel.name))

@@ -91,8 +91,9 @@ def build_stations(
         quaternion=_from_enu(body_attitude, mount.camera_from_body),
     )
     sample_sigmas = _sigmas_of_samples(roles, time_ns, track.lat_rad, mount, accuracy)
-    motion = _Motion(track, attitudes, bend)
-    stations = _with_sigmas(stations, sample_sigmas, motion, events.sigma_time_s)
+    stations = _with_sigmas(
+        stations, sample_sigmas, _Motion(track, attitudes, bend), events.sigma_time_s
+    )
     if any(mount.lever_arm_m):
         stations = stations.moved(_lever_arm_enu(body_attitude, mount))
     aircraft = _aircraft_attitude(roles, attitudes, time_ns, max_gap_s)

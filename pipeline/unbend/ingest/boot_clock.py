@@ -136,7 +136,14 @@ def timeline(blocks: Iterable[Stamps]) -> Timeline:
     first, begin, end, length = np.array(stretches, np.int64).reshape(-1, 4).T.copy()
     stray = clock.stray_stretches(begin, end, length)
     boot = _boots(begin, end, stray)
-    return Timeline(first=first, begin=begin, end=end, length=length, stray=stray, boot=boot)
+    return Timeline(
+        first=first,
+        begin=begin,
+        end=end,
+        length=length,
+        stray=stray,
+        boot=boot,
+    )
 
 
 def _boots(begin: TimeArray, end: TimeArray, stray: Mask) -> NDArray[np.int16]:

@@ -207,10 +207,12 @@ def extract(
     _make_velocity(result, kept)
     vibrations = _taken(result, "vibration_m_s2_")
     if vibrations:
-        result["vibration_m_s2"] = kept(np.fmax.reduce(vibrations))
+        worst = np.fmax.reduce(vibrations)
+        result["vibration_m_s2"] = kept(worst)
     clippings = _taken(result, "clipping_")
     if clippings:
-        result["clipping"] = kept(np.add.reduce(clippings))
+        total = np.add.reduce(clippings)
+        result["clipping"] = kept(total)
     return result
 
 

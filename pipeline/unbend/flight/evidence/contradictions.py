@@ -9,7 +9,6 @@ import numpy as np
 
 from unbend.atmosphere.rejection import Reason, reasons_where
 from unbend.flight.channels import Channel, TimeArray
-from unbend.flight.evidence.differences import Difference, height_of_pressure, source_difference
 from unbend.flight.evidence.filter_health import (
     attitude_evidence,
     filter_evidence,
@@ -24,6 +23,11 @@ from unbend.flight.evidence.replacements import (
     attitude_drifts,
     replacement_for,
     with_replaced,
+)
+from unbend.flight.evidence.source_differences import (
+    Difference,
+    height_of_pressure,
+    source_difference,
 )
 from unbend.flight.evidence.sources import (
     WORST_ACCURACY_M,

@@ -7,7 +7,7 @@ import numpy as np
 
 from unbend.flight.channels import Channel
 from unbend.flight.evidence.contradictions import FEWEST_SAMPLES, own_contradictions
-from unbend.flight.evidence.differences import source_difference
+from unbend.flight.evidence.source_differences import source_difference
 from unbend.flight.evidence.sources import (
     SourcePath,
     sigma_column,

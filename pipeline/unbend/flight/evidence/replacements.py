@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from unbend.flight.channels import Channel
-from unbend.flight.evidence.differences import Difference
+from unbend.flight.evidence.source_differences import Difference
 from unbend.flight.evidence.sources import EARTH_RADIUS_M, SourcePath, is_receiver, sigma_column
 from unbend.flight.evidence.stretches import ATTITUDE, SECOND, Stretch
 from unbend.units import Array, Mask
@@ -65,7 +65,11 @@ def replacement_for(sources: Sources, stretch: Stretch) -> Replacement | None:
     none of these, and agrees for 10 s before and after. A filter or a barometer replaces a
     receiver for at most 60 s.
     """
-    wide = replace(stretch, begin_ns=stretch.begin_ns - SECOND, end_ns=stretch.end_ns + SECOND)
+    wide = replace(
+        stretch,
+        begin_ns=stretch.begin_ns - SECOND,
+        end_ns=stretch.end_ns + SECOND,
+    )
     paths = [sources.of_role, *(difference.other for difference in sources.differences)]
     receivers = [path for path in paths if is_receiver(path.channel)]
     if not any(_fails(path, wide) for path in receivers):
@@ -96,8 +100,16 @@ def _fails(path: SourcePath, stretch: Stretch) -> bool:
 def _if_agrees_beside(difference: Difference, stretch: Stretch) -> Replacement | None:
     """The replacement by a source, if it agrees for 10 s before and after a stretch."""
     margin_ns = int(BESIDE_S * SECOND)
-    before = replace(stretch, begin_ns=stretch.begin_ns - margin_ns, end_ns=stretch.begin_ns)
-    after = replace(stretch, begin_ns=stretch.end_ns, end_ns=stretch.end_ns + margin_ns)
+    before = replace(
+        stretch,
+        begin_ns=stretch.begin_ns - margin_ns,
+        end_ns=stretch.begin_ns,
+    )
+    after = replace(
+        stretch,
+        begin_ns=stretch.end_ns,
+        end_ns=stretch.end_ns + margin_ns,
+    )
     before_m = _agreed_offset(difference, before)
     after_m = _agreed_offset(difference, after)
     if before_m is None or after_m is None:
@@ -107,7 +119,8 @@ def _if_agrees_beside(difference: Difference, stretch: Stretch) -> Replacement |
 
 def _agreed_offset(difference: Difference, stretch: Stretch) -> Array | None:
     """(k,) median difference of two sources in a stretch; None where they do not agree in it."""
-    rows = stretch.covers(difference.other.channel.time_ns) & np.isfinite(difference.off_m)
+    rows = stretch.covers(difference.other.channel.time_ns)
+    rows &= np.isfinite(difference.off_m)
     if np.count_nonzero(rows) < _FEWEST_BESIDE:
         return None
     if np.percentile(difference.off_m[rows], _MOST_AGREE) >= difference.limit_m:
@@ -132,7 +145,8 @@ def attitude_drifts(
     off_m = np.where(may_drift, np.nan_to_num(difference.off_m), 0.0)
     worst = int(np.argmax(off_m))
     after_s = (int(time_ns[worst]) - stretch.begin_ns) / SECOND
-    if off_m[worst] < max(difference.limit_m, LARGEST_DRIFT_M_S2 * after_s**2):
+    least_m = max(difference.limit_m, LARGEST_DRIFT_M_S2 * after_s**2)
+    if off_m[worst] < least_m:
         return []
     reason = (
         f"{filter_path.channel.name} drifts {off_m[worst]:.0f} m in {after_s:.0f} s, as with a "

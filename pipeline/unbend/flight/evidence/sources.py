@@ -138,7 +138,8 @@ def _reports_useful_accuracy(channel: Channel, quantity: str) -> Mask:
     if sigma_m is None or not np.isfinite(sigma_m).any():
         return np.ones(len(channel), np.bool_)
     usual_m = float(np.nanmedian(sigma_m))
-    return np.asarray(~(sigma_m > max(WORST_ACCURACY_M, SEVERAL_USUAL_ACCURACIES * usual_m)))
+    limit_m = max(WORST_ACCURACY_M, SEVERAL_USUAL_ACCURACIES * usual_m)
+    return np.asarray(~(sigma_m > limit_m))
 
 
 def _unexplained_moves(channel: Channel, quantity: str, channels: Iterable[Channel]) -> Array:

@@ -271,7 +271,13 @@ def _rows_of_message(
         has_label = is_named or value >= 0  # -1 is of messages without instances
         label = str(value) if has_label else None
         name = f"{message}[{label}]" if has_label else message
-        rows = DecodedRows(name, Source(message, label), times.time_ns, times.boot, values)
+        rows = DecodedRows(
+            name=name,
+            source=Source(message, label),
+            time_ns=times.time_ns,
+            boot=times.boot,
+            columns=values,
+        )
         yield _chosen(rows, (instance == value) & times.good)
 
 
@@ -283,8 +289,14 @@ def _text_rows(
     if texts is None:
         ledger.add(messages.no_text_field(message=message, field=spec.text_field))
         return
-    labels = {"text": texts}
-    rows = DecodedRows(message, Source(message), times.time_ns, times.boot, {}, labels)
+    rows = DecodedRows(
+        name=message,
+        source=Source(message),
+        time_ns=times.time_ns,
+        boot=times.boot,
+        columns={},
+        labels={"text": texts},
+    )
     yield _chosen(rows, times.good)
 
 

@@ -135,10 +135,7 @@ def candidate_places(view: Bytes, opcodes: tuple[int, ...]) -> Rows:
 
 
 def next_message_place(view: Bytes, begin: int, channels: Set[int]) -> int:
-    """The first place behind ``begin`` of a chunk from which messages follow each other.
-
-    The end of the chunk where there is none.
-    """
+    """The first place of a chunk behind ``begin`` from which messages follow; else its end."""
     raw = raw_of(view)
     for near_begin in range(begin + 1, view.shape[0], NEAR):
         near = view[near_begin : near_begin + NEAR + RECORD.size - 1]
@@ -305,10 +302,7 @@ class RecordWalk:
         return span
 
     def _ends_span(self, span: _Span, record: Record) -> bool:
-        """Take a record that is no small message; returns whether the span ends with it.
-
-        The span says then where to go on.
-        """
+        """Take a record that is no small message; returns whether the span ends with it."""
         opcode = record.opcode
         end = record.content + record.length
         is_possible = 0 < opcode <= LAST or opcode >= PRIVATE
@@ -335,7 +329,8 @@ class RecordWalk:
             self._data_ends += 1
             if self._data_ends > LISTED_ENDS:
                 return
-        if opcode in DEFINITIONS or opcode in (Opcode.MESSAGE, Opcode.CHUNK, Opcode.DATA_END):
+        is_read = opcode in (Opcode.MESSAGE, Opcode.CHUNK, Opcode.DATA_END)
+        if is_read or opcode in DEFINITIONS:
             span.others.append(record)
 
     def _drop_disproved(self, span: _Span, at: int) -> None:

@@ -51,13 +51,14 @@ class MessageCounts:
         number = batch.sequence[order].astype(np.int64)
         log_ns = batch.log_time[order]
         first_of_channel = np.flatnonzero(np.diff(channel, prepend=-1))
+        channels = channel[first_of_channel]
         number_before = np.concatenate([[-1], number[:-1]])
-        number_before[first_of_channel] = self._last_number[channel[first_of_channel]]
+        number_before[first_of_channel] = self._last_number[channels]
         log_before_ns = np.concatenate([[-1], log_ns[:-1]])
-        log_before_ns[first_of_channel] = self._last_ns[channel[first_of_channel]]
+        log_before_ns[first_of_channel] = self._last_ns[channels]
         last_of_channel = np.append(first_of_channel[1:], channel.shape[0]) - 1
-        self._last_number[channel[last_of_channel]] = number[last_of_channel]
-        self._last_ns[channel[last_of_channel]] = log_ns[last_of_channel]
+        self._last_number[channels] = number[last_of_channel]
+        self._last_ns[channels] = log_ns[last_of_channel]
 
         step = np.where(number_before < 0, 0, number - number_before)
         np.add.at(self._single_steps, channel[step == 1], 1)

@@ -50,9 +50,13 @@ class _SentTimes:
         rows = (self.readings["utc_ns"] <= 0) & (self.readings["boot_ns"] > 0)
         of_boot = self.readings[rows]
         stamped_ns = clock.utc_of_boot(
-            of_boot["at"], of_boot["host_us"] * MICROSECOND, of_boot["boot_ns"], self.turn_ns
+            of_boot["at"],
+            of_boot["host_us"] * MICROSECOND,
+            of_boot["boot_ns"],
+            self.turn_ns,
         )
-        return np.asarray(self._received_ns(clock)[rows] - stamped_ns, np.int64)
+        received_ns = self._received_ns(clock)[rows]
+        return np.asarray(received_ns - stamped_ns, np.int64)
 
     def _received_ns(self, clock: SenderClock) -> TimeArray:
         """UTC at which the messages were received."""
@@ -111,7 +115,9 @@ def _with_checked_clock(
     late_ns = np.concatenate([part.late_by_utc(clock) for part in times])
     if late_ns.size and not _is_plausible(late_ns):
         wrong_utc = messages.camera_utc_wrong(
-            sender=str(sender), count=late_ns.size, late_s=_median_s(late_ns)
+            sender=str(sender),
+            count=late_ns.size,
+            late_s=_median_s(late_ns),
         )
         ledger.add(wrong_utc)
         clocks = replace(clocks, wrong_utc=clocks.wrong_utc | {sender})

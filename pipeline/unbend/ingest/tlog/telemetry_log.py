@@ -119,7 +119,10 @@ def _report_link(
     Reported are numbers missing in the sequence of a sender, and its silences.
     """
     senders = {(channel.source.system, channel.source.component) for channel in channels}
-    lost = Counter({sender: count for sender, count in scan.lost.items() if sender in senders})
+    lost: Counter[Sender] = Counter()
+    for sender, count in scan.lost.items():
+        if sender in senders:
+            lost[sender] = count
     silences_of: dict[Sender, list[Silence]] = {}
     for silence in scan.silences:
         sender = silence.source
@@ -129,7 +132,10 @@ def _report_link(
             lost[sender] += silence.backward
     for sender, count in sorted((+lost).items()):
         lost_message = messages.lost_by_radio(
-            file=file, count=count, system=sender.system, component=sender.component
+            file=file,
+            count=count,
+            system=sender.system,
+            component=sender.component,
         )
         ledger.add(lost_message)
     for sender, silences in sorted(silences_of.items()):
