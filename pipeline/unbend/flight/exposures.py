@@ -142,16 +142,18 @@ _COUNT_NEAR = 1 << 12  # a count that goes on farther than this from zero has be
 
 
 def unwrapped_numbers(index: Integers) -> Integers:
-    """Image numbers that count on where a number of 16 bits ran over.
+    """Image numbers of one power-up that go on beyond 65535, where the log begins at 0 again.
 
-    ``index``: (n,) in the order of their time, of one power-up.
+    ``index``: (n,) 16-bit numbers of the log, in the order of their time.
 
     >>> unwrapped_numbers(np.array([65534, 65535, 1, 2]))
     array([65534, 65535, 65537, 65538])
     """
     step = np.diff(index)
-    ran_over = (step < 0) & (step + _COUNT_ROUND < _COUNT_NEAR)  # else it has begun anew
-    went_back = (step > 0) & (_COUNT_ROUND - step < _COUNT_NEAR)  # logged after its successor
+    # a large step back is from 65535 to 0; a smaller one is of a count that was set to zero
+    ran_over = (step < 0) & (step + _COUNT_ROUND < _COUNT_NEAR)
+    # a large step forward is of an image that was logged after its successor, which ran over
+    went_back = (step > 0) & (_COUNT_ROUND - step < _COUNT_NEAR)
     rounds = np.cumsum(ran_over.astype(np.int64) - went_back)
     return np.asarray(index + _COUNT_ROUND * np.append(0, rounds), np.int64)
 

@@ -69,7 +69,11 @@ def _by_short_name(names: Collection[str], differences: Collection[str]) -> dict
 def renamed(
     names: Names, images: Iterable[str], differences: Collection[str], where: str
 ) -> tuple[Names, Notes]:
-    """Names as the observations have them, by the differences that the mission file allows."""
+    """Names of exposures, with those that match an observed image replaced by the image's name.
+
+    ``images`` are observed; they may differ from ``names`` by the ``differences`` that the mission
+    file allows. A note says how many names were replaced.
+    """
     if not differences:
         return names, ()
     given = [name for name in names.tolist() if name]

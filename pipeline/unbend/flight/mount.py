@@ -167,11 +167,11 @@ def gimbal_notes(
     """
     attitude = roles.get("attitude")
     if attitude is None or not is_of_gimbal(attitude.source.message):
-        of_gimbals = [
+        listed = [
             f"{count} {name}" for name, count in logged.items() if count and is_of_gimbal(name)
         ]
-        if of_gimbals:
-            yield messages.gimbal_ignored(listed=", ".join(of_gimbals))
+        if listed:
+            yield messages.gimbal_ignored(listed=", ".join(listed))
         return
     down = down_in_body(attitude)
     for camera, mount in mounts.items():

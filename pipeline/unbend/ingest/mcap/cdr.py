@@ -228,14 +228,17 @@ class _Layout(NamedTuple):
 
 @lru_cache(maxsize=1024)
 def _layout(run: NumberRun, wanted: frozenset[str], phase: int, *, big: bool) -> _Layout:
-    """The layout of a run that begins ``phase`` bytes behind a multiple of `ALIGN`."""
+    """The layout of a run that begins ``phase`` bytes behind a multiple of `ALIGN`.
+
+    ``big``: the message is big-endian.
+    """
     names = []
     kinds = []
     offsets = []
-    end = phase
+    end = phase  # of the numbers so far, from the multiple of `ALIGN` on
     for numbers in run:
         size = np.dtype(numbers.kind).itemsize
-        end = -(-end // size) * size
+        end = -(-end // size) * size  # the next multiple of the size
         if numbers.path in wanted:
             kind = np.dtype(numbers.kind.replace("?", "u1")).newbyteorder(">" if big else "<")
             names.append(numbers.path)
@@ -245,8 +248,8 @@ def _layout(run: NumberRun, wanted: frozenset[str], phase: int, *, big: bool) ->
     length = end - phase
     if not names or length >= MAX_COUNT:  # no message is that long
         return _Layout(None, length)
-    used = {"names": names, "formats": kinds, "offsets": offsets, "itemsize": length}
-    return _Layout(np.dtype(used), length)  # type: ignore[call-overload]
+    layout = {"names": names, "formats": kinds, "offsets": offsets, "itemsize": length}
+    return _Layout(np.dtype(layout), length)  # type: ignore[call-overload]
 
 
 class _Arrangement(NamedTuple):
