@@ -15,7 +15,8 @@ from unbend.flight.evidence.filter_health import (
     filter_evidence,
     message_evidence,
 )
-from unbend.flight.evidence.sources import difference, source_path, velocity_at
+from unbend.flight.evidence.source_differences import source_difference
+from unbend.flight.evidence.sources import source_path, velocity_at
 from unbend.flight.evidence.stretches import POSITION, Stretch, flag_suspect, merged, runs
 from unbend.flight.stations import empty_stations
 
@@ -221,6 +222,16 @@ def test_a_barometer_that_winds_up_leaves_the_stations_and_its_pressure_is_not_u
     assert set(removed.reason.tolist()) == {Reason.BAROMETER_DRIFT}
 
 
+def test_a_second_barometer_that_winds_up_is_noted_and_no_pressure_is_removed():
+    up = np.interp(T10, [80.0, 105.0, 115.0, 140.0], [0.0, 40.0, 40.0, 0.0])
+    channels, roles = flight(barometer(), barometer("BARO[1]", up=up))
+    roles["pressure"] = channels[2]
+    examined, what, _, notes = found(channels, roles)
+    assert what == []
+    assert [(e.code, e.where, e.kind) for e in notes] == [("BARO-DRIFT", "BARO[1]", "note")]
+    assert len(examined["pressure"]) == T10.size
+
+
 def test_a_height_that_contradicts_its_own_velocity_and_the_barometer_is_doubtful():
     up = np.interp(T5, [100.0, 120.0, 140.0], [0.0, 40.0, 0.0])
     channels, roles = flight(barometer(), gps=receiver(up=up))
@@ -308,7 +319,7 @@ def test_differences_know_lag_offset_and_the_date_line():
         ]  # fmt: skip
         track = source_path(moved[1], POSITION, moved)
         velocity = velocity_at(moved, POSITION, moved[1].time_ns)
-        apart = difference(moved[0], track, POSITION, velocity)
+        apart = source_difference(moved[0], track, POSITION, velocity)
         assert not track.step_ns.size
         assert apart.lag_s == pytest.approx(LAG_S, abs=0.005)
         assert np.nanmax(apart.off_m) < 0.5

@@ -168,29 +168,28 @@ def rows_in_time_order(time_ns: TimeArray) -> tuple[Rows, NDArray[np.int16]]:
 
     ``time_ns``: (n,) [ns] in the order of the file. Returns (m,) rows whose times increase
     strictly, and (m,) the number of the stretch between two settings of the clock, from 0. Few rows
-    out of order are left out (`longest_increasing`); more than `STRAY_ROWS` in a row are a clock
-    that was set, and what it passed before and passes again is left out: which was meant, is
-    unknowable.
+    out of order are left out (`longest_increasing`). More than `STRAY_ROWS` in a row show that the
+    clock was set back; of the times that it passed twice the earlier rows are left out.
 
     >>> rows_in_time_order(np.array([0, 1, 90, 91, 92, 93, 94, 40, 41, 42, 43, 44, 45, 46]))[0]
     array([ 0,  1,  7,  8,  9, 10, 11, 12, 13,  2,  3,  4,  5,  6])
     """
-    keep = longest_increasing(time_ns)
-    rows = np.flatnonzero(keep | _in_long_runs(~keep))
-    set_back = np.diff(time_ns[rows]) <= 0
-    settings = int(np.count_nonzero(set_back))
+    is_increasing = longest_increasing(time_ns)
+    rows = np.flatnonzero(is_increasing | _in_long_runs(~is_increasing))
+    is_set_back = np.diff(time_ns[rows]) <= 0
+    settings = int(np.count_nonzero(is_set_back))
     if settings == 0 or settings > SET_BACKS:
-        rows = np.flatnonzero(keep)
+        rows = np.flatnonzero(is_increasing)
         return rows, np.zeros(rows.shape, np.int16)
-    stretch = np.append(0, np.cumsum(set_back)).astype(np.int16)
+    stretch = np.append(0, np.cumsum(is_set_back)).astype(np.int16)
     time = time_ns[rows]
-    stays = np.ones(rows.shape, np.bool_)
+    is_kept = np.ones(rows.shape, np.bool_)
     for number in range(1, settings + 1):
-        later = time[stretch == number]
-        passed_again = (time >= later[0]) & (time <= later[-1])
-        stays &= (stretch >= number) | ~passed_again
-    order = np.argsort(time[stays], kind="stable")
-    return rows[stays][order], stretch[stays][order]
+        after_setting = time[stretch == number]
+        passed_again = (time >= after_setting[0]) & (time <= after_setting[-1])
+        is_kept &= (stretch >= number) | ~passed_again
+    order = np.argsort(time[is_kept], kind="stable")
+    return rows[is_kept][order], stretch[is_kept][order]
 
 
 def _in_long_runs(mask: Mask) -> Mask:
@@ -202,20 +201,15 @@ def _in_long_runs(mask: Mask) -> Mask:
 
 @dataclass(frozen=True)
 class ClockOffset:
-    """UTC minus the time since boot of one boot.
+    """UTC minus the time since boot of one boot, and how the rows scatter about it."""
 
-    ``offset_ns`` the median; of the rows about it ``spread_ns`` p95 - p5 and ``largest_ns`` the
-    farthest; ``rows`` how many it rests on. ``far`` of them are farther than `LARGEST_SPREAD_NS`,
-    the first ``first_far_ns`` after boot; ``stepped`` where more than `STRAY_ROWS` are in a row.
-    """
-
-    offset_ns: int
-    spread_ns: int
+    offset_ns: int  # median of the rows
+    spread_ns: int  # from the 5th to the 95th percentile
     rows: int
-    largest_ns: int = 0
-    far: int = 0
-    first_far_ns: int = 0
-    stepped: bool = False
+    largest_ns: int = 0  # of the row farthest from the median
+    far: int = 0  # rows farther from it than `LARGEST_SPREAD_NS`
+    first_far_ns: int = 0  # time since boot of the first of these
+    stepped: bool = False  # more than `STRAY_ROWS` of them are in a row
 
 
 def fit_offset(utc_ns: TimeArray, boot_ns: TimeArray) -> ClockOffset | None:
@@ -261,11 +255,11 @@ def new_readings(time_ns: TimeArray) -> Mask:
 
 
 def clock_map(from_ns: TimeArray, to_ns: TimeArray) -> Callable[[TimeArray], TimeArray]:
-    """A map from one clock to another through pairs of readings, linear between them.
+    """A function from (m,) times [ns] of one clock to those of another, by pairs of readings.
 
-    ``from_ns``, ``to_ns``: (n,) [ns] simultaneous readings, n >= 1, in any order; a reading of the
+    ``from_ns``, ``to_ns``: (n,) [ns] simultaneous readings, n >= 1, in any order. Between readings
+    the function is linear; outside it keeps the difference of the nearest one. A reading of the
     second clock that falls back behind an earlier one (senders do overtake) is raised to it.
-    Returns a function of (m,) times [ns], with the nearest difference outside the readings.
 
     >>> clock_map(np.array([0, 10]), np.array([100, 120]))(np.array([-1, 5, 12]))
     array([ 99, 110, 122])
@@ -294,14 +288,14 @@ def clock_map(from_ns: TimeArray, to_ns: TimeArray) -> Callable[[TimeArray], Tim
 
 
 def clock_fit_note(source: str, fit: ClockOffset, where: str) -> Message:
-    """How well the stamps agree that tie a vehicle's clock to UTC; one that stepped is a loss.
+    """Report how well the rows of a source agree on UTC; a loss where one of the clocks stepped.
 
     p5 to p95 do not see a tenth of the rows: the farthest counts as well, and rows that stay away.
     """
     spread_ms = fit.spread_ns / 1e6
     largest_ms = fit.largest_ns / 1e6
-    steady = fit.spread_ns <= LARGEST_SPREAD_NS and fit.largest_ns <= BOOT_STEP_NS
-    if steady and not fit.stepped:
+    is_steady = fit.spread_ns <= LARGEST_SPREAD_NS and fit.largest_ns <= BOOT_STEP_NS
+    if is_steady and not fit.stepped:
         return time_fit(
             where=where,
             rows=fit.rows,

@@ -19,10 +19,10 @@ from unbend.units import NANOSECONDS_PER_SECOND, Array, Integers, Mask, Names
 class Events:
     """Exposures of one camera: (m,) names, times (UTC, ns) and, one or (m,), their sigma [s].
 
-    A name is "" where only the images themselves give it. ``index`` (m,) are the log's numbers
-    where they count on from the first event to the last, ``lost`` how many of them have no event.
-    ``counts`` of a file: always, where its rows have no numbers of their own, or maybe, where they
-    begin at 1 and skip none, which a file renumbered after a loss does too.
+    A name is "" where only the images themselves give it. ``index`` (m,) : the numbers in the log,
+    if they rise from the first event to the last; ``lost`` : how many numbers have no event.
+    ``counts`` : whether the numbers of a file only count its rows: "always" where it has none of
+    its own; "maybe" where they begin at 1 and skip none, as in a file renumbered after a loss.
     """
 
     camera: str
@@ -55,16 +55,16 @@ _NUMBERS_PER_BOOT = 1e6  # numbers of two power-ups are kept apart by this
 def lag_from_feedback(
     channels: tuple[Channel, ...], trigger: Channel, camera: str
 ) -> tuple[ExposureDelay, Notes]:
-    """The shutter's lag behind the trigger, by triggers with a logged pulse.
+    """The shutter's lag behind the trigger, from triggers whose pulse is logged.
 
-    The median of the pairs of one number and power-up, with their scatter as sigma; refuses
-    (MissionError EVENTS-FEEDBACK) fewer than ten, or events that are no triggers.
+    That is the median lag of pairs of one number and power-up, with the scatter of the pairs as
+    sigma. Refuses (MissionError EVENTS-FEEDBACK) fewer than ten pairs, or events that are no
+    triggers.
     """
     lags = np.empty(0)
     if trigger.source.message == "TRIG":
-        for shots in channels:
-            if shots.source.message == "CAM" and _of_one_camera(trigger, shots):
-                lags = np.append(lags, _lags_of_pairs(trigger, shots))
+        for shutter in _shutters_of(trigger, channels):
+            lags = np.append(lags, _lags_of_pairs(trigger, shutter))
     if lags.size < FEWEST_PAIRS:
         raise messages.too_few_feedback_pairs(
             camera=camera, channel=trigger.name, pairs=lags.size, needed=FEWEST_PAIRS
@@ -82,10 +82,10 @@ def lag_from_feedback(
 
 def _lags_of_pairs(trigger: Channel, shots: Channel) -> Array:
     """(k,) seconds from each trigger to the pulse of the same number and power-up."""
-    sent = trigger["event_index"] + _NUMBERS_PER_BOOT * trigger.boot
-    seen = shots["event_index"] + _NUMBERS_PER_BOOT * shots.boot
-    _, sent_row, seen_row = np.intersect1d(sent, seen, return_indices=True)
-    apart = (shots.time_ns[seen_row] - trigger.time_ns[sent_row]) * 1e-9
+    trigger_number = trigger["event_index"] + _NUMBERS_PER_BOOT * trigger.boot
+    shot_number = shots["event_index"] + _NUMBERS_PER_BOOT * shots.boot
+    _, trigger_row, shot_row = np.intersect1d(trigger_number, shot_number, return_indices=True)
+    apart = (shots.time_ns[shot_row] - trigger.time_ns[trigger_row]) * 1e-9
     lags = apart[(apart > 0.0) & (apart < LONGEST_LAG_S)]
     return np.asarray(lags)
 
@@ -93,12 +93,11 @@ def _lags_of_pairs(trigger: Channel, shots: Channel) -> Array:
 def events_of_channel(
     channel: Channel, camera: str, pattern: str, delay: ExposureDelay
 ) -> tuple[Events, Notes]:
-    """Exposures of an event channel, named by a pattern of ``{index}`` and ``{n}``.
+    """Exposures of an event channel, named by a pattern, and a loss for each power-up with gaps.
 
-    ``pattern``: with ``*`` in it, the names are those of images that exist, and left empty here.
-
-    Numbers that the log skips are pulses that were lost: a loss for each power-up. ``{index}`` is
-    the number as the log has it, which may count modulo 65536.
+    In the pattern ``{index}`` stands for the number in the log, which may count modulo 65536, and
+    ``{n}`` for the number of the event from 1. A pattern with ``*`` leaves the names empty: the
+    images themselves give them. Numbers that the log skips are pulses that were lost.
     """
     index = channel["event_index"].astype(np.int64)
     if "*" in pattern:
@@ -108,14 +107,14 @@ def events_of_channel(
     logged_sigma_s = np.zeros(len(channel))
     if "sigma_time_s" in channel.columns:
         logged_sigma_s = np.nan_to_num(channel["sigma_time_s"])
-    counts_on = bool((np.diff(unwrapped_numbers(index)) > 0).all())
+    is_rising = bool((np.diff(unwrapped_numbers(index)) > 0).all())
     skipped = _skipped_numbers(channel, index)
     events = Events(
         camera,
         np.array(names, dtype=object),
         channel.time_ns + delay.nanoseconds,
         sigma_time_s=np.hypot(logged_sigma_s, delay.sigma_s),
-        index=index if counts_on else None,
+        index=index if is_rising else None,
         lost=sum(numbers.missing for numbers in skipped),
     )
     return events, tuple(numbers.message(channel) for numbers in skipped)
@@ -143,16 +142,18 @@ _COUNT_NEAR = 1 << 12  # a count that goes on farther than this from zero has be
 
 
 def unwrapped_numbers(index: Integers) -> Integers:
-    """Image numbers that count on where a number of 16 bits ran over.
+    """Image numbers of one power-up that go on beyond 65535, where the log begins at 0 again.
 
-    ``index``: (n,) in the order of their time, of one power-up.
+    ``index``: (n,) 16-bit numbers of the log, in the order of their time.
 
     >>> unwrapped_numbers(np.array([65534, 65535, 1, 2]))
     array([65534, 65535, 65537, 65538])
     """
     step = np.diff(index)
+    # a large step back is from 65535 to 0; a smaller one is of a count that was set to zero
     ran_over = (step < 0) & (step + _COUNT_ROUND < _COUNT_NEAR)
-    went_back = (step > 0) & (_COUNT_ROUND - step < _COUNT_NEAR)  # logged after its successor
+    # a large step forward is of an image that was logged after its successor, which ran over
+    went_back = (step > 0) & (_COUNT_ROUND - step < _COUNT_NEAR)
     rounds = np.cumsum(ran_over.astype(np.int64) - went_back)
     return np.asarray(index + _COUNT_ROUND * np.append(0, rounds), np.int64)
 
@@ -175,7 +176,7 @@ class _SkippedNumbers:
         return sum(end - begin + 1 for begin, end in self.gaps)
 
     def message(self, channel: Channel) -> Message:
-        """The loss that names the first gaps."""
+        """The loss to report, which lists the first gaps."""
         listed: list[str] = []
         for begin, end in self.gaps:
             first = _number_as_logged(begin)
@@ -197,7 +198,7 @@ _GAPS_LISTED = 4
 
 
 def _skipped_numbers(channel: Channel, index: Integers) -> list[_SkippedNumbers]:
-    """The power-ups in which numbers between others have no event."""
+    """For each power-up with gaps in its numbers, which numbers have no event."""
     skipped = []
     for boot in np.unique(channel.boot).tolist():
         known = np.unique(unwrapped_numbers(index[channel.boot == boot]))
@@ -212,7 +213,7 @@ def _skipped_numbers(channel: Channel, index: Integers) -> list[_SkippedNumbers]
 
 
 def _number_as_logged(counted: int) -> int:
-    """A counted number as the log has it."""
+    """A number of a count that goes on beyond 16 bits, as the log has it."""
     return counted % _COUNT_ROUND if counted >= _COUNT_ROUND else counted
 
 
@@ -240,11 +241,11 @@ class _Span:
 
     @classmethod
     def of(cls, time_ns: Integers) -> "_Span":
-        """That of increasing times, of which there is one at least."""
+        """The span of times in rising order, at least one."""
         return cls(int(time_ns[0]), int(time_ns[-1]))
 
     def count_outside(self, time_ns: Integers) -> int:
-        """How many times lie before or after it."""
+        """How many times lie before or after the span."""
         outside = (time_ns < self.first_ns) | (time_ns > self.last_ns)
         return int(np.count_nonzero(outside))
 
@@ -254,67 +255,61 @@ class _Span:
 
 
 def span_notes(events: list[Events], position: Channel, key: str) -> Notes:
-    """Events beyond the time of the flight: a warning, with the shift by which they would fit.
+    """Warn of events beyond the time of the flight, with a shift by which they would fit.
 
-    That is the first of leap seconds, time zones, a day and a week which brings all of them into
-    the span of ``position``, else the one that makes both begin together, if it brings more of them
-    into it. ``key`` says where the times are stated. Refuses (MissionError EVENTS-SPAN) where more
-    than half lie beyond it.
+    ``position`` gives the time of the flight; ``key`` says where the mission file states the times
+    of the events. Refuses (MissionError EVENTS-SPAN) where more than half of them lie beyond it.
     """
     times = [exposed.time_ns for exposed in events]
     time_ns = np.sort(np.concatenate([np.empty(0, np.int64), *times]))
     if time_ns.size == 0 or len(position) == 0:
         return ()
-    of_events = _Span.of(time_ns)
-    of_flight = _Span.of(position.time_ns)
-    beyond = of_flight.count_outside(time_ns)
+    span_of_events = _Span.of(time_ns)
+    span_of_flight = _Span.of(position.time_ns)
+    beyond = span_of_flight.count_outside(time_ns)
     if beyond == 0:
         return ()
-    shift_ns = _fitting_shift(of_events, of_flight)
-    left = of_flight.count_outside(time_ns + shift_ns)
+    shift_ns = _fitting_shift(span_of_events, span_of_flight)
+    still_beyond = span_of_flight.count_outside(time_ns + shift_ns)
     fitting = "no offset would bring more of them"
-    if left < beyond:
-        brought = f"{time_ns.size - left}" if left else "all"
+    if still_beyond < beyond:
+        brought = f"{time_ns.size - still_beyond}" if still_beyond else "all"
         fitting = f"{shift_ns * 1e-9:+.6g} s would bring {brought} of them"
-    if 2 * beyond > time_ns.size:
-        raise messages.most_events_beyond_flight(
-            key=key,
-            beyond=beyond,
-            total=time_ns.size,
-            of_events=str(of_events),
-            channel=position.name,
-            of_flight=str(of_flight),
-            fitting=fitting,
-        )
-    warning = messages.events_beyond_flight(
+    events_beyond = messages.BeyondFlight(
         key=key,
         beyond=beyond,
         total=time_ns.size,
-        of_events=str(of_events),
+        of_events=str(span_of_events),
         channel=position.name,
-        of_flight=str(of_flight),
+        of_flight=str(span_of_flight),
         fitting=fitting,
     )
-    return (warning,)
+    if 2 * beyond > time_ns.size:
+        raise messages.most_events_beyond_flight(events_beyond)
+    return (messages.events_beyond_flight(events_beyond),)
 
 
-def _fitting_shift(of_events: _Span, of_flight: _Span) -> int:
-    """The first usual shift [ns] that brings all events into a flight, else to its begin."""
-    for shift in _usual_shifts_ns():
-        after_begin = of_events.first_ns + shift >= of_flight.first_ns
-        before_end = of_events.last_ns + shift <= of_flight.last_ns
-        if after_begin and before_end:
-            return shift
-    return of_flight.first_ns - of_events.first_ns
+def _fitting_shift(events: _Span, flight: _Span) -> int:
+    """A shift [ns] that may bring events into the time of a flight.
+
+    That is the first of the usual shifts (leap seconds, time zones, a day, a week) which brings all
+    of them into it, else the one by which both begin together.
+    """
+    for shift_ns in _usual_shifts_ns():
+        begins_after = events.first_ns + shift_ns >= flight.first_ns
+        ends_before = events.last_ns + shift_ns <= flight.last_ns
+        if begins_after and ends_before:
+            return shift_ns
+    return flight.first_ns - events.first_ns
 
 
 def ground_shot_notes(
     stations: Stations, roles: Mapping[str, Channel], images: Collection[str]
 ) -> Notes:
-    """Exposures made while the aircraft stood on the ground, by name: test shots.
+    """Report exposures made while the aircraft stood on the ground, by name: test shots.
 
-    A note; a warning where some of them are images of the observations, a loss where more than
-    half of all exposures are: then the events are of another time.
+    A note; a warning where some of them are images of the observations; a loss where more than
+    half of all exposures are such: then the events are of another time.
     """
     height = roles.get("height")
     if height is None or len(stations) == 0:
@@ -322,8 +317,8 @@ def ground_shot_notes(
     on_ground_ns = times_on_the_ground(height)
     if on_ground_ns.size == 0:
         return ()
-    on_ground = _within_a_second(stations.time_ns, on_ground_ns)
-    names = stations.image[stations.ok & on_ground].tolist()
+    is_on_ground = _within_a_second(stations.time_ns, on_ground_ns)
+    names = stations.image[stations.ok & is_on_ground].tolist()
     if not names:
         return ()
     observed = set(images)
@@ -336,7 +331,7 @@ def ground_shot_notes(
 
 
 def _within_a_second(time_ns: Integers, others_ns: Integers) -> Mask:
-    """Which times are within a second of the nearest of others, which increase."""
+    """(n,) which times are less than a second from the nearest of others, which are in order."""
     after = np.clip(np.searchsorted(others_ns, time_ns), 1, others_ns.size - 1)
     to_before = np.abs(time_ns - others_ns[after - 1])
     to_after = np.abs(time_ns - others_ns[after])
@@ -344,22 +339,25 @@ def _within_a_second(time_ns: Integers, others_ns: Integers) -> Mask:
 
 
 def choose_event_channel(channels: tuple[Channel, ...], name: str | None) -> Channel:
-    """The event channel of a camera: the one that was named, or the only one of the best rank."""
-    able = [channel for channel in channels if channel.fits_role("events")]
-    candidates = able
+    """The event channel of a camera: the one that was named, or the only one of the best rank.
+
+    Refuses (MissionError EVENTS-CHANNEL) where there is none, or several have that rank.
+    """
+    event_channels = [channel for channel in channels if channel.fits_role("events")]
+    candidates = event_channels
     if name:
-        candidates = [channel for channel in able if channel.name == name]
+        candidates = [channel for channel in event_channels if channel.name == name]
     if candidates:
         best_rank = min(channel.rank for channel in candidates)
         best = [channel for channel in candidates if channel.rank == best_rank]
         if len(best) == 1:
             return best[0]
-    there = [f"{channel.name} ({len(channel)})" for channel in able]
-    raise messages.event_channel_unknown(name=name, channels=there)
+    listed = [f"{channel.name} ({len(channel)})" for channel in event_channels]
+    raise messages.event_channel_unknown(name=name, channels=listed)
 
 
 def trigger_notes(channels: tuple[Channel, ...], chosen: Channel) -> Iterator[Message]:
-    """How many triggers have no shutter event, and whether the events are triggers themselves.
+    """Report events that are triggers themselves, and triggers without a pulse of the shutter.
 
     ArduPilot logs TRIG at the trigger and CAM at the feedback of a camera with a feedback pin, and
     without one CAM alone, at the trigger. Cameras fire apart: the rows of an instance belong to one
@@ -369,7 +367,7 @@ def trigger_notes(channels: tuple[Channel, ...], chosen: Channel) -> Iterator[Me
     triggers = [
         channel
         for channel in channels
-        if channel.source.message == "TRIG" and _of_one_camera(channel, chosen)
+        if channel.source.message == "TRIG" and _may_be_of_one_camera(channel, chosen)
     ]
     is_trigger = kind in ("TRIG", "CAMERA_TRIGGER")
     if is_trigger or (kind == "CAM" and not triggers):
@@ -377,11 +375,7 @@ def trigger_notes(channels: tuple[Channel, ...], chosen: Channel) -> Iterator[Me
     if kind != "CAM":
         return
     for trigger in triggers:
-        shutters = [
-            channel
-            for channel in channels
-            if channel.source.message == "CAM" and _of_one_camera(trigger, channel)
-        ]
+        shutters = _shutters_of(trigger, channels)
         events = sum(len(channel) for channel in shutters)
         if len(trigger) > events:
             yield messages.triggers_without_pulse(
@@ -392,8 +386,17 @@ def trigger_notes(channels: tuple[Channel, ...], chosen: Channel) -> Iterator[Me
             )
 
 
-def _of_one_camera(trigger: Channel, shots: Channel) -> bool:
-    """Whether a trigger may belong to the camera of some events: any, without an instance."""
+def _shutters_of(trigger: Channel, channels: tuple[Channel, ...]) -> list[Channel]:
+    """The channels of shutter events that may be of the camera of a trigger."""
+    return [
+        channel
+        for channel in channels
+        if channel.source.message == "CAM" and _may_be_of_one_camera(trigger, channel)
+    ]
+
+
+def _may_be_of_one_camera(trigger: Channel, shots: Channel) -> bool:
+    """Whether a trigger has the instance of some events, or none, and then may be of any camera."""
     return trigger.source.instance in (None, shots.source.instance)
 
 

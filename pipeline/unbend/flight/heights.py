@@ -31,7 +31,9 @@ nowhere [m]."""
 
 @dataclass(frozen=True)
 class HeightSystem:
-    """How the two kinds of height go together; without undulation and geoid that is unknown.
+    """How heights above sea level and above the ellipsoid of a mission are related.
+
+    Without an undulation and a geoid that is unknown.
 
     undulation_m : ellipsoidal height minus height above sea level, the same everywhere.
     home_h_msl_m : height of the take-off point.
@@ -66,29 +68,29 @@ def height_system(
 ) -> tuple[HeightSystem, Notes]:
     """Undulation and take-off height, from the mission file, the log itself or a geoid.
 
-    The take-off height is known where the height of the position above sea level and above home
-    differ by one value, but for rows that give both alike: there the home is not set.
+    A log gives the take-off height if the heights of its position above sea level and above home
+    differ by a constant. Rows with equal heights do not count: there the home is not set yet.
     """
     system = _without_log(stated_undulation_m, geoid)
     notes: list[Message] = []
     height = roles.get("height")
     if height is not None:
-        own_undulation = _difference(height, "h_ellipsoid_m", "h_msl_m")
-        if own_undulation.size:
-            system, note = _with_two_heights(system, height, own_undulation)
-            notes += note
+        logged_undulation = _difference(height, "h_ellipsoid_m", "h_msl_m")
+        if logged_undulation.size:
+            system, height_notes = _with_two_heights(system, height, logged_undulation)
+            notes += height_notes
     home_m = None
     position = roles.get("position")
     if position is not None:
-        home_m, note = _logged_home(position)
-        notes += note
+        home_m, home_notes = _logged_home(position)
+        notes += home_notes
     if stated_home_m is not None:
         home_m = stated_home_m
     return replace(system, home_h_msl_m=home_m), tuple(notes)
 
 
 def _without_log(stated_undulation_m: float | None, geoid: GeoidGrid | None) -> HeightSystem:
-    """Heights by what the mission file states, else by a geoid."""
+    """The height system that the mission file states, else that of a geoid."""
     if stated_undulation_m is not None:
         source = "mission.undulation_m"
     elif geoid is not None:
@@ -99,21 +101,22 @@ def _without_log(stated_undulation_m: float | None, geoid: GeoidGrid | None) -> 
 
 
 def _with_two_heights(
-    system: HeightSystem, height: Channel, own_undulation: Array
+    system: HeightSystem, height: Channel, logged_undulation: Array
 ) -> tuple[HeightSystem, Notes]:
-    """Heights by a channel that has both, unless the mission file states the undulation.
+    """The height system of a channel with both heights.
 
-    ``own_undulation`` : the known differences of its heights.
+    ``logged_undulation`` : the known differences of its heights. Where the mission file states the
+    undulation, the system stays and a large difference from the logged one is reported.
     """
-    own_m = float(np.median(own_undulation))
-    rows = own_undulation.size
+    logged_m = float(np.median(logged_undulation))
+    rows = logged_undulation.size
     stated_m = system.undulation_m
-    if not own_undulation.any():  # as some receivers on a CAN bus do
-        here_m = stated_m
+    if not logged_undulation.any():  # as some receivers on a CAN bus do
+        used_m = stated_m
         if stated_m is None:
-            here_m = _median(_undulation_of_grid(system.geoid, height))
+            used_m = _median(_undulation_of_grid(system.geoid, height))
         warning = messages.heights_are_one(
-            channel=height.name, rows=rows, source=system.source, undulation_m=here_m
+            channel=height.name, rows=rows, source=system.source, undulation_m=used_m
         )
         return replace(system, one_height=True), (warning,)
     if stated_m is None:
@@ -121,19 +124,19 @@ def _with_two_heights(
         from_grid = _median(apart - _undulation_of_grid(system.geoid, height))
         by_log = replace(
             system,
-            undulation_m=own_m if system.geoid is None else None,
+            undulation_m=logged_m if system.geoid is None else None,
             offset_m=from_grid or 0.0,
             source=f"the two heights of {height.name}",
             by_log=True,
         )
         return by_log, ()
-    if abs(stated_m - own_m) > USUAL_GEOID_M:
+    if abs(stated_m - logged_m) > USUAL_GEOID_M:
         differs = messages.stated_undulation_off(
             channel=height.name,
             rows=rows,
             stated_m=stated_m,
-            own_m=own_m,
-            grave=_is_grave(stated_m - own_m),
+            own_m=logged_m,
+            grave=_is_grave(stated_m - logged_m),
         )
         return system, (differs,)
     return system, ()
@@ -147,7 +150,10 @@ def _undulation_of_grid(geoid: GeoidGrid | None, channel: Channel) -> Array:
 
 
 def _logged_home(position: Channel) -> tuple[float | None, Notes]:
-    """The take-off height [m] by two heights of a position; None where unknown or not steady."""
+    """The take-off height [m] by the heights of a position above sea level and above home.
+
+    None where it is unknown or changes.
+    """
     homes_m = _difference(position, "h_msl_m", "h_home_m")
     is_set = np.abs(homes_m) > _HOME_NOT_SET_M
     if is_set.any():
@@ -162,7 +168,7 @@ def _logged_home(position: Channel) -> tuple[float | None, Notes]:
 
 
 def _median(values: Array) -> float | None:
-    """That of the known values."""
+    """The median of the known values; None without any."""
     return float(np.nanmedian(values)) if np.isfinite(values).any() else None
 
 
@@ -174,10 +180,10 @@ def _is_grave(off_m: float) -> bool:
 def undulation_notes(
     heights: HeightSystem, stations: Stations, egm96: GeoidGrid
 ) -> Iterator[Message]:
-    """Which undulation is used at the stations; what speaks against it, by EGM96."""
-    placed = np.isfinite(stations.lat_rad)
-    lat_rad = stations.lat_rad[placed]
-    lon_rad = stations.lon_rad[placed]
+    """Report which undulation is used at the stations, and if it differs much from EGM96."""
+    has_place = np.isfinite(stations.lat_rad)
+    lat_rad = stations.lat_rad[has_place]
+    lon_rad = stations.lon_rad[has_place]
     where = "mission.geoid"
     if heights.undulation_m is not None:
         where = "mission.undulation_m"
@@ -197,8 +203,8 @@ def undulation_notes(
     shown_m = used_m
     if heights.by_log:
         where = "log.channels.height"
-        own_m = (stations.h_ellipsoid_m - stations.h_msl_m)[placed][known]
-        shown_m = np.where(np.isfinite(own_m), own_m, used_m)
+        logged_m = (stations.h_ellipsoid_m - stations.h_msl_m)[has_place][known]
+        shown_m = np.where(np.isfinite(logged_m), logged_m, used_m)
     ends = dict.fromkeys([f"{shown_m.min():.2f}", f"{shown_m.max():.2f}"])
     used = f"undulation of {' to '.join(ends)} m, by {heights.source}"
     yield messages.undulation_used(where=where, stations=used_m.size, used=used)
@@ -329,8 +335,8 @@ def logged_terrain(channels: Iterable[Channel], time_ns: Integers) -> Array:
         is_placed = channel.get("lat_rad") != 0.0
         of_report = (channel.get("terrain_spacing_m") > 0.0) & is_placed
         of_log = channel.get("terrain_status") == _HEALTHY
-        of_grid = np.where(of_report | of_log, channel["h_terrain_m"], np.nan)
-        of_channel = replace(channel, columns={"h_terrain_m": of_grid}, labels={})
-        logged_m = interpolate(of_channel, "h_terrain_m", time_ns, _LONGEST_TERRAIN_GAP_S)
+        usable_m = np.where(of_report | of_log, channel["h_terrain_m"], np.nan)
+        usable = replace(channel, columns={"h_terrain_m": usable_m}, labels={})
+        logged_m = interpolate(usable, "h_terrain_m", time_ns, _LONGEST_TERRAIN_GAP_S)
         terrain_m = np.where(np.isnan(terrain_m), logged_m, terrain_m)
     return terrain_m

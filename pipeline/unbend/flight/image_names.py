@@ -18,7 +18,9 @@ DIFFERENCES: tuple[Difference, ...] = ("case", "extension", "folder", "digits")
 
 
 def without_differences(name: str, differences: Collection[str]) -> str:
-    """What is left of a name without its case, extension, folder, zeros and marks before digits.
+    """A name without its case, extension, folder, or zeros and marks before digits.
+
+    ``differences`` : which of these are taken away.
 
     >>> without_differences("left/DSC_0001.JPG", DIFFERENCES)
     'dsc#1'
@@ -37,9 +39,10 @@ def without_differences(name: str, differences: Collection[str]) -> str:
 def other_names(
     images: Iterable[str], known: Iterable[str], differences: Collection[str]
 ) -> dict[str, str]:
-    """``known`` names -> ``images`` they are but for the differences; one to one, no exact ones.
+    """Match ``known`` names to ``images`` that have the same name but for the differences.
 
-    Two names that become one are no match for anything.
+    Returns the image of each known name that has exactly one match. Names that are equal are left
+    out, and so are names that the differences make equal to another one.
 
     >>> other_names(["A_01.tif", "b.tif"], ["a_1.tif", "b.tif"], ["case", "digits"])
     {'a_1.tif': 'A_01.tif'}
@@ -47,26 +50,30 @@ def other_names(
     images = set(images)
     known = set(known)
     exact = images & known
-    image_by_rest = _by_rest(images - exact, differences)
-    known_by_rest = _by_rest(known - exact, differences)
+    image_by_short_name = _by_short_name(images - exact, differences)
+    known_by_short_name = _by_short_name(known - exact, differences)
     matches: dict[str, str] = {}
-    for rest, name in known_by_rest.items():
-        if rest in image_by_rest:
-            matches[name] = image_by_rest[rest]
+    for short_name, name in known_by_short_name.items():
+        if short_name in image_by_short_name:
+            matches[name] = image_by_short_name[short_name]
     return matches
 
 
-def _by_rest(names: Collection[str], differences: Collection[str]) -> dict[str, str]:
-    """Names by what is left of them `without_differences`; not those that become one."""
-    rest_of = {name: without_differences(name, differences) for name in sorted(names)}
-    count = Counter(rest_of.values())
-    return {rest: name for name, rest in rest_of.items() if count[rest] == 1}
+def _by_short_name(names: Collection[str], differences: Collection[str]) -> dict[str, str]:
+    """Each name by its form `without_differences`; without names that share that form."""
+    short_names = {name: without_differences(name, differences) for name in sorted(names)}
+    count = Counter(short_names.values())
+    return {short: name for name, short in short_names.items() if count[short] == 1}
 
 
 def renamed(
     names: Names, images: Iterable[str], differences: Collection[str], where: str
 ) -> tuple[Names, Notes]:
-    """Names as the observations have them, by the differences that the mission file allows."""
+    """Names of exposures, with those that match an observed image replaced by the image's name.
+
+    ``images`` are observed; they may differ from ``names`` by the ``differences`` that the mission
+    file allows. A note says how many names were replaced.
+    """
     if not differences:
         return names, ()
     given = [name for name in names.tolist() if name]
@@ -82,7 +89,10 @@ def renamed(
 
 
 def proposal(images: Collection[str], known: Collection[str]) -> str:
-    """How many images the fewest differences would match, for a message; empty where none."""
+    """Propose, in words, the differences to allow that match most images; "" where none do.
+
+    Of several that match as many the fewest differences are proposed.
+    """
     best: dict[str, str] = {}
     best_differences: tuple[Difference, ...] = ()
     for size in range(1, len(DIFFERENCES) + 1):
@@ -102,8 +112,9 @@ def proposal(images: Collection[str], known: Collection[str]) -> str:
 def refuse_other_names(exposures: Mapping[str, Collection[str]], images: Iterable[str]) -> None:
     """Refuse (MissionError IMAGES-OTHER) a camera of whose exposures none is an observed image.
 
-    ``exposures`` : by camera, their names. Only where half as many observed images as a camera has
-    exposures are without any: it may be that nothing was measured in the images of that camera.
+    ``exposures`` : their names, by camera. Not refused is a camera with more than twice as many
+    exposures as there are observed images without an exposure: it may be that nothing was measured
+    in its images.
     """
     observed = set(images)
     unknown = sorted(observed.difference(*exposures.values()))
@@ -168,7 +179,7 @@ class NameSeries:
         return ""
 
     def counts_as(self, index: Collection[int]) -> bool:
-        """Whether the numbers may be those of a log: none is missing at either end, none is new."""
+        """Whether all numbers are numbers of a log, the first and the last of the log included."""
         log_numbers = set(index)
         own_numbers = set(self.numbers)
         if not self.has_number or not own_numbers:
@@ -185,24 +196,27 @@ class NameSeries:
         return messages.first_names(names, _LISTED)
 
     def strays(self, index: Collection[int]) -> tuple[int, ...]:
-        """Few numbers far from a log's, beside which all others may be the log's; else none.
+        """The few numbers that are far from those of a log, if all others may be the log's.
 
-        Numbers that go on where the log's end (1 to 29 for 28 events) rather show a lost event.
+        ``index`` : the numbers of the log. Returns no number if more than a tenth of the numbers is
+        far, or the others do not count as the log does. A number is far if it is beyond either end
+        by more than the length of the log: numbers that go on where the log ends (1 to 29 for 28
+        events) rather show a lost event.
         """
         first = min(index, default=0)
         last = max(index, default=0)
-        reach = last - first + 1
+        length = last - first + 1
         near: list[int] = []
         far: list[int] = []
         for number in self.numbers:
-            if first - reach <= number <= last + reach:
+            if first - length <= number <= last + length:
                 near.append(number)
             else:
                 far.append(number)
-        if _STRAYS_IN * len(far) > len(self.numbers):
+        has_too_many = _STRAYS_IN * len(far) > len(self.numbers)
+        if has_too_many or not replace(self, numbers=tuple(near)).counts_as(index):
             return ()
-        rest = replace(self, numbers=tuple(near))
-        return tuple(far) if rest.counts_as(index) else ()
+        return tuple(far)
 
 
 def name_series(names: Iterable[str]) -> list[NameSeries]:
@@ -225,12 +239,15 @@ def name_series(names: Iterable[str]) -> list[NameSeries]:
 
 
 def _series(texts: tuple[str, ...], rows: list[list[str]]) -> list[NameSeries]:
-    """The series of names of the same texts, whose digits are ``rows`` (one a name)."""
+    """The series of names that have the same texts between their groups of digits.
+
+    ``rows``: the groups of digits of each name.
+    """
     if not rows[0]:
         return [_name_without_number(texts[0])]
     columns = list(zip(*rows, strict=True))
     varieties = [len(set(column)) for column in columns]
-    # Of digits that differ alike the last count the images.
+    # The digits that differ most count the images; of several such groups the last.
     count_column = max(range(len(columns)), key=lambda column: (varieties[column], column))
     other_columns = [
         column for column, variety in enumerate(varieties) if column != count_column and variety > 1
@@ -276,7 +293,7 @@ def _one_series(
 
 
 def _alternating(texts: tuple[str, ...], digits: list[str]) -> Iterator[str]:
-    """Text, digits, text, ... , text."""
+    """The parts of a name in their order: text, digits, text, ... , text."""
     yield texts[0]
     for text, number in zip(texts[1:], digits, strict=True):
         yield number

@@ -1,6 +1,7 @@
 """What the flight room says: its codes, and one function for each message and refusal."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from unbend.errors import Code, Counted, MissionError
 from unbend.messages import Message, finding, loss, note, warning
@@ -669,55 +670,50 @@ _ONE_BEYOND_FLIGHT = (
 )
 
 
-def events_beyond_flight(
-    *,
-    key: str,
-    beyond: int,
-    total: int,
-    of_events: str,
-    channel: str,
-    of_flight: str,
-    fitting: str,
-) -> Message:
+@dataclass(frozen=True)
+class BeyondFlight:
+    """Events beyond the time of a flight."""
+
+    key: str  # where the mission file states the times
+    beyond: int  # how many events are
+    total: int  # events
+    of_events: str  # from the first event to the last
+    channel: str  # that gives the time of the flight
+    of_flight: str  # from its first sample to its last
+    fitting: str  # which shift of time would bring how many events into the flight
+
+
+def events_beyond_flight(events: BeyondFlight) -> Message:
     """Few events beyond the time of the flight, and the shift by which they would fit."""
     return warning(
         EVENTS_SPAN,
         _BEYOND_FLIGHT,
         one=_ONE_BEYOND_FLIGHT,
-        where=key,
-        count=beyond,
-        total_events=Counted(total, "event"),
-        of_events=of_events,
-        channel=channel,
-        of_flight=of_flight,
-        fitting=fitting,
+        where=events.key,
+        count=events.beyond,
+        total_events=Counted(events.total, "event"),
+        of_events=events.of_events,
+        channel=events.channel,
+        of_flight=events.of_flight,
+        fitting=events.fitting,
     )
 
 
-def most_events_beyond_flight(
-    *,
-    key: str,
-    beyond: int,
-    total: int,
-    of_events: str,
-    channel: str,
-    of_flight: str,
-    fitting: str,
-) -> MissionError:
+def most_events_beyond_flight(events: BeyondFlight) -> MissionError:
     """More than half of the events are not of this flight."""
     return MissionError(
         EVENTS_SPAN,
         _BEYOND_FLIGHT,
         one=_ONE_BEYOND_FLIGHT,
-        where=key,
-        count=beyond,
+        where=events.key,
+        count=events.beyond,
         remedy="check {where} (GPS time is 18 s ahead of UTC, local time by its zone), or add the "
         "offset to delay_s; or name the events and the log of one flight",
-        total_events=Counted(total, "event"),
-        of_events=of_events,
-        channel=channel,
-        of_flight=of_flight,
-        fitting=fitting,
+        total_events=Counted(events.total, "event"),
+        of_events=events.of_events,
+        channel=events.channel,
+        of_flight=events.of_flight,
+        fitting=events.fitting,
     )
 
 

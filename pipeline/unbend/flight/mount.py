@@ -62,7 +62,7 @@ class Mount:
 def payload_attitude(
     gimbal: Channel, aircraft: Channel | None, max_gap_s: float
 ) -> tuple[Channel, Notes]:
-    """A gimbal's channel with the attitude of its payload where its yaw counts from the nose.
+    """A gimbal's channel with the attitude of its payload, also where its yaw counts from the nose.
 
     Roll and pitch of gimbals are to the horizon, so only the yaw of the aircraft is added:
     v_ned = Rz(yaw of the aircraft) Rz(yaw) Ry(pitch) Rx(roll) v_payload, then comes the mount
@@ -115,7 +115,7 @@ def _rotations_to_nose(gimbal: Channel) -> Array | None:
 
 
 def _are_angles_of_servos(gimbal: Channel, to_nose: Array, ned_from_aircraft: Array) -> bool:
-    """Whether the angles of a MOUNT_STATUS counter the motion of the aircraft."""
+    """Whether angles are to the aircraft: those of a MOUNT_STATUS that counter its motion."""
     if not is_of_gimbal(gimbal.source.message, "MOUNTSTATUS"):
         return False
     slope = slope_of(roll_and_pitch(to_nose), roll_and_pitch(ned_from_aircraft))
@@ -132,10 +132,10 @@ def _yaw_alone(ned_from_aircraft: Array) -> Array:
 def with_payload_attitude(
     channels: tuple[Channel, ...], named: Mapping[str, str], max_gap_s: float
 ) -> tuple[tuple[Channel, ...], Notes]:
-    """The channels, that of a gimbal which is named as attitude with its `payload_attitude`.
+    """The channels, in which a gimbal that is named as attitude has its `payload_attitude`.
 
-    ``named`` : role -> channel. The aircraft is the channel named for that, or the best that may
-    play the attitude.
+    ``named`` : role -> name of the channel. The attitude of the aircraft is that of the channel
+    named for it, or of the channel with the best rank.
     """
     attitude_name = named.get("attitude")
     gimbal = next((channel for channel in channels if channel.name == attitude_name), None)
@@ -149,28 +149,29 @@ def with_payload_attitude(
 
 def _aircraft_of_gimbal(channels: tuple[Channel, ...], name: str | None) -> Channel | None:
     """The channel with the attitude of the aircraft: of this name, or of the best rank."""
-    able = [
+    candidates = [
         channel
         for channel in channels
         if (channel.name == name or "attitude" in channel.roles) and channel.fits_role("attitude")
     ]
-    return min(able, key=lambda channel: (channel.name != name, channel.rank), default=None)
+    return min(candidates, key=lambda channel: (channel.name != name, channel.rank), default=None)
 
 
 def gimbal_notes(
     logged: Mapping[str, int], roles: Mapping[str, Channel], mounts: Mapping[str, Mount]
 ) -> Iterator[Message]:
-    """How each camera sits on the gimbal that plays the attitude, or that none is followed.
+    """Report how each camera sits on the gimbal that plays the attitude.
 
-    ``logged`` : count of every message type or topic of the log. ``mounts`` : by camera.
+    If no gimbal does, report that the log has gimbals which are not used. ``logged`` : count of
+    every message type or topic of the log. ``mounts`` : by camera.
     """
     attitude = roles.get("attitude")
     if attitude is None or not is_of_gimbal(attitude.source.message):
-        of_gimbals = [
+        listed = [
             f"{count} {name}" for name, count in logged.items() if count and is_of_gimbal(name)
         ]
-        if of_gimbals:
-            yield messages.gimbal_ignored(listed=", ".join(of_gimbals))
+        if listed:
+            yield messages.gimbal_ignored(listed=", ".join(listed))
         return
     down = down_in_body(attitude)
     for camera, mount in mounts.items():
@@ -205,7 +206,7 @@ def roll_and_pitch(ned_from_body: Array) -> Array:
 
 
 def slope_of(angles: Array, motion: Array) -> float:
-    """By how much angles follow a motion, (k, n) each: -1 where they counter it; 0 without any.
+    """The slope of (k, n) angles over a (k, n) motion: -1 where they counter it; 0 without motion.
 
     >>> slope_of(np.array([[0.1, 0.0, -0.1]]), np.array([[-0.1, 0.0, 0.1]]))
     -1.0
@@ -220,10 +221,14 @@ def slope_of(angles: Array, motion: Array) -> float:
 
 
 def _about_median(angles: Array) -> Array:
+    """(k, n) angles less the median of each row."""
     return np.asarray(angles - np.median(angles, axis=1, keepdims=True))
 
 
 def is_of_gimbal(message: str, *names: str) -> bool:
-    """Whether a message is a gimbal's, or of these names; PX4 writes it as topic and ROS type."""
-    plain = message.rpartition("/")[2].replace("_", "").upper()
-    return plain in (names or _GIMBAL_MESSAGES)
+    """Whether a message is of a gimbal, or, with ``names``, one of these.
+
+    PX4 writes the names of messages as topics and as ROS types.
+    """
+    plain_name = message.rpartition("/")[2].replace("_", "").upper()
+    return plain_name in (names or _GIMBAL_MESSAGES)

@@ -46,7 +46,7 @@ def outside_air_samples(
     height = roles.get("height")
     if height is None:
         return AirSamples(), ()
-    contradicted = [
+    suspect_heights = [
         stretch for stretch in suspect if stretch.quantity == HEIGHT and not stretch.replaced_by
     ]
     on_ground_ns = times_on_the_ground(height)
@@ -65,23 +65,40 @@ def outside_air_samples(
             name=channel.name,
             removed=channel.removed,
         )
-        sensor = sensor.reject(covered(contradicted, channel.time_ns), Reason.SUSPECT_HEIGHT)
-        count = sensor.count(Reason.SUSPECT_HEIGHT)
-        if count:
-            notes.append(messages.readings_at_suspect_heights(channel=channel.name, count=count))
+        sensor, height_notes = _without_suspect_heights(sensor, suspect_heights)
+        notes += height_notes
         if role == "pressure" and _is_fused(height):
             sensor = sensor.reject(_is_above_level(sensor), Reason.FUSED_HEIGHT)
             notes.append(messages.height_is_fused(channel=height.name, level_m=LEVEL_M))
         if role in _SOAKED_ROLES:
-            sensor = sensor.reject(_is_soaked(channel.time_ns, on_ground_ns), Reason.GROUND_SOAK)
-            count = sensor.count(Reason.GROUND_SOAK)
-            if count:
-                notes.append(
-                    messages.ground_soak(channel=channel.name, count=count, seconds=SOAK_SECONDS)
-                )
+            sensor, soak_notes = _without_ground_soak(sensor, on_ground_ns)
+            notes += soak_notes
         sensors[role] = sensor
     samples = AirSamples(**sensors, takeoff_ns=_takeoffs(on_ground_ns))
     return samples, tuple(notes)
+
+
+def _without_suspect_heights(
+    sensor: SensorSamples, suspect_heights: Sequence[Stretch]
+) -> tuple[SensorSamples, Notes]:
+    """A sensor whose readings in some stretches are rejected, as their height may be wrong."""
+    sensor = sensor.reject(covered(suspect_heights, sensor.time_ns), Reason.SUSPECT_HEIGHT)
+    count = sensor.count(Reason.SUSPECT_HEIGHT)
+    if count == 0:
+        return sensor, ()
+    return sensor, (messages.readings_at_suspect_heights(channel=sensor.name, count=count),)
+
+
+def _without_ground_soak(
+    sensor: SensorSamples, on_ground_ns: Integers
+) -> tuple[SensorSamples, Notes]:
+    """A sensor whose readings on the ground and shortly after take-off are rejected."""
+    sensor = sensor.reject(_is_soaked(sensor.time_ns, on_ground_ns), Reason.GROUND_SOAK)
+    count = sensor.count(Reason.GROUND_SOAK)
+    if count == 0:
+        return sensor, ()
+    note = messages.ground_soak(channel=sensor.name, count=count, seconds=SOAK_SECONDS)
+    return sensor, (note,)
 
 
 def _is_above_level(sensor: SensorSamples) -> Mask:
@@ -91,7 +108,7 @@ def _is_above_level(sensor: SensorSamples) -> Mask:
 
 
 def _is_fused(height: Channel) -> bool:
-    """Whether a log's height is that of a filter, for want of a receiver's."""
+    """Whether the height of a log is a filter's, because no receiver gives one."""
     return bool(height.roles) and "height" not in height.roles
 
 
@@ -105,7 +122,7 @@ def _is_soaked(time_ns: Integers, on_ground_ns: Integers) -> Mask:
 
 
 def _takeoffs(on_ground_ns: Integers) -> Integers:
-    """When the aircraft last stood before it was away for a minute or more."""
+    """The times at which the aircraft last stood before it was away for a minute or more."""
     if on_ground_ns.size == 0:
         return on_ground_ns
     away_ns = np.diff(on_ground_ns, append=np.iinfo(np.int64).max)

@@ -63,7 +63,10 @@ def assign_roles(
 def _named_roles(
     channels: tuple[Channel, ...], named: Mapping[str, str]
 ) -> tuple[dict[str, Channel], list[Message]]:
-    """The roles for which the mission file names a channel that is there and fits."""
+    """The roles for which the mission file names a channel that is there and fits.
+
+    The messages report the roles whose named channel does not.
+    """
     by_name = {channel.name: channel for channel in channels}
     filled: dict[str, Channel] = {}
     notes: list[Message] = []
@@ -77,18 +80,21 @@ def _named_roles(
 
 
 def _named_but_absent(channels: tuple[Channel, ...], role: str, name: str) -> Message:
-    """A loss for a named channel that is absent or does not fit; MissionError if it is needed."""
+    """The loss of a role whose named channel is absent or does not fit.
+
+    Raises MissionError where the role is needed.
+    """
     able = [channel.name for channel in channels if channel.fits_role(role)]
     named_channel = next((channel for channel in channels if channel.name == name), None)
     if named_channel is None:
         columns = None
         names = [channel.name for channel in channels]
-        near = difflib.get_close_matches(name, names, _NAMES_PROPOSED, _LEAST_SIMILARITY)
+        similar = difflib.get_close_matches(name, names, _NAMES_PROPOSED, _LEAST_SIMILARITY)
     else:
         columns = list(named_channel.columns)
-        near = []
+        similar = []
     why = messages.why_channel_is_missing(
-        name=name, needed=ROLE_COLUMNS[role], columns=columns, near=near
+        name=name, needed=ROLE_COLUMNS[role], columns=columns, near=similar
     )
     if role in _REQUIRED:
         raise messages.required_channel_missing(role=role, why=why, able=able)
@@ -110,19 +116,22 @@ def _refuse_one_sensor_twice(filled: Mapping[str, Channel]) -> None:
 def _fill(
     filled: dict[str, Channel], role: str, channels: tuple[Channel, ...], named: Mapping[str, str]
 ) -> Iterator[Message]:
-    """Fill a role that was not named, from the candidates of the best rank."""
+    """Fill a role that was not named with the only candidate of the best rank.
+
+    Where several have a rank, none of them gets the role and the next rank is tried; but in the
+    roles `_SPARES` the first of several gets it.
+    """
     if role in filled or role in named:
         return
     candidates = _candidates(filled, role, channels)
-    while candidates:
-        best_rank = min(channel.rank for channel in candidates)
-        equals = [channel for channel in candidates if channel.rank == best_rank]
+    for rank in sorted({channel.rank for channel in candidates}):
+        equals = [channel for channel in candidates if channel.rank == rank]
         if len(equals) == 1 or role in _SPARES:
             filled[role] = equals[0]
             yield messages.role_filled(role=role, channel=equals[0].name)
             return
-        yield messages.role_ambiguous(role=role, candidates=[channel.name for channel in equals])
-        candidates = [channel for channel in candidates if channel.rank > best_rank]
+        names = [channel.name for channel in equals]
+        yield messages.role_ambiguous(role=role, candidates=names)
 
 
 def _candidates(
@@ -130,7 +139,7 @@ def _candidates(
 ) -> list[Channel]:
     """The channels that may take a role.
 
-    A channel may serve a role it was not named for, except that inside is never outside.
+    A channel may have several roles, but not one outside and one in the cabin.
     """
     inside = role.startswith("cabin_")
     on_other_side = {
@@ -180,27 +189,45 @@ def _fill_barometers(
     *,
     needs_cabin: bool,
 ) -> Iterator[Message]:
-    """Distinguish barometers outside and in the cabin by how their pressure follows height."""
-    given = filled.keys() | named.keys()
-    seek_outside = "pressure" not in given
-    seek_cabin = needs_cabin and "cabin_pressure" not in given
+    """Fill the roles of the barometers outside and in the cabin, by how they follow the height.
+
+    ``free``: the channels that are not named for a role.
+    """
     height = filled.get("height")
-    if height is None or not (seek_outside or seek_cabin):
+    if height is None:
+        return
+    given = filled.keys() | named.keys()
+    seeks_outside = "pressure" not in given
+    seeks_cabin = needs_cabin and "cabin_pressure" not in given
+    if not (seeks_outside or seeks_cabin):
         return
     barometers = [channel for channel in free if "pressure" in channel.roles]
     barometers.sort(key=lambda channel: (channel.rank, channel.name))
     indoors = [channel for channel in barometers if follows_height(channel, height) is False]
-    if seek_outside:
-        for channel in indoors:
-            yield messages.barometer_not_outside(channel=channel.name)
-        outside = [channel for channel in barometers if channel not in indoors]
-        if outside:
-            filled["pressure"] = outside[0]
-            yield messages.role_filled(role="pressure", channel=outside[0].name)
-    if seek_cabin and len(indoors) == 1:
+    if seeks_outside:
+        outdoors = [channel for channel in barometers if channel not in indoors]
+        yield from _fill_outside_pressure(filled, outdoors, indoors)
+    if seeks_cabin:
+        yield from _fill_cabin_pressure(filled, indoors)
+
+
+def _fill_outside_pressure(
+    filled: dict[str, Channel], outdoors: list[Channel], indoors: list[Channel]
+) -> Iterator[Message]:
+    """Fill the pressure outside with the first barometer that may be outside."""
+    for channel in indoors:
+        yield messages.barometer_not_outside(channel=channel.name)
+    if outdoors:
+        filled["pressure"] = outdoors[0]
+        yield messages.role_filled(role="pressure", channel=outdoors[0].name)
+
+
+def _fill_cabin_pressure(filled: dict[str, Channel], indoors: list[Channel]) -> Iterator[Message]:
+    """Fill the pressure of the cabin, if exactly one barometer is in a closed compartment."""
+    if len(indoors) == 1:
         filled["cabin_pressure"] = indoors[0]
         yield messages.role_filled(role="cabin_pressure", channel=indoors[0].name)
-    elif seek_cabin and indoors:
+    elif indoors:
         names = [channel.name for channel in indoors]
         yield messages.role_ambiguous(role="cabin_pressure", candidates=names)
 

@@ -57,7 +57,10 @@ UNIT_MISTAKES: dict[str, Callable[..., _ThreeAngles]] = {
     "taken for radians": _radians_for_degrees,
     "taken for degrees": _degrees_for_radians,
 }
-"""Angles that were taken for degrees (or radians) and are in another unit."""
+"""What undoes mistakes about the unit of three angles [rad], by the words for the mistake.
+
+The angles are in grads, radians or degrees; they were read as degrees, the last one as radians.
+"""
 
 ANGLE_MISTAKES: dict[str, Callable[..., _ThreeAngles]] = {
     "with the other sign of {2}": lambda a, b, c: (a, b, -c),
@@ -67,11 +70,14 @@ ANGLE_MISTAKES: dict[str, Callable[..., _ThreeAngles]] = {
     "with {0} and {1} exchanged": lambda a, b, c: (b, a, c),
     "with {2} counted from east to north": lambda a, b, c: (a, b, np.pi / 2.0 - c),
 }
-"""Mistakes about three angles, two about level axes and the heading, and what undoes them."""
+"""What undoes mistakes about three angles [rad], by the words for the mistake.
+
+The first two angles are about level axes, the third is the heading; {0} to {2} are their names.
+"""
 
 
 def _rotation() -> "type[Rotation]":
-    """scipy's rotations: their import takes longer than to read a small log."""
+    """The class of scipy's rotations, imported late: that takes longer than reading a small log."""
     from scipy.spatial.transform import Rotation
 
     return Rotation
@@ -177,12 +183,12 @@ def enu_from_grid(convergence_rad: float | Array) -> Array:
 
 def quaternion_products(first: Array, second: Array) -> Array:
     """(m, 4) products of unit quaternions x, y, z, w, in a tenth of the time of scipy's."""
-    a, b, c, d = first.T
-    x, y, z, w = second.T
-    product_x = d * x + w * a + b * z - c * y
-    product_y = d * y + w * b + c * x - a * z
-    product_z = d * z + w * c + a * y - b * x
-    product_w = d * w - a * x - b * y - c * z
+    x1, y1, z1, w1 = first.T
+    x2, y2, z2, w2 = second.T
+    product_x = w1 * x2 + w2 * x1 + y1 * z2 - z1 * y2
+    product_y = w1 * y2 + w2 * y1 + z1 * x2 - x1 * z2
+    product_z = w1 * z2 + w2 * z1 + x1 * y2 - y1 * x2
+    product_w = w1 * w2 - x1 * x2 - y1 * y2 - z1 * z2
     return np.stack([product_x, product_y, product_z, product_w], axis=1)
 
 
@@ -215,6 +221,8 @@ def rotation_vectors(quaternion: Array) -> Array:
 
 
 def _euler_matrices(axes: _Axes, angles: Array) -> Array:
+    """(n, 3, 3) matrices of (n, 3) angles [rad] about these axes, each as turned so far."""
+
     def turned(known: Array) -> Array:
         return _rotation().from_euler(axes, known).as_matrix()
 
@@ -222,6 +230,8 @@ def _euler_matrices(axes: _Axes, angles: Array) -> Array:
 
 
 def _euler_angles(axes: _Axes, matrix: Array) -> Array:
+    """(n, 3) angles [rad] about these axes of (n, 3, 3) matrices; inverse of `_euler_matrices`."""
+
     def angles_of(known: Array) -> Array:
         return _rotation().from_matrix(known).as_euler(axes, suppress_warnings=True)
 
@@ -231,7 +241,7 @@ def _euler_angles(axes: _Axes, matrix: Array) -> Array:
 def _where_known(
     function: Callable[[Array], Array], values: Array, shape: tuple[int, ...]
 ) -> Array:
-    """(n, *shape) results of a function of the rows that are known; NaN for the others."""
+    """(n, *shape) results of a function for the rows without NaN; NaN for the other rows."""
     result = np.full((values.shape[0], *shape), np.nan)
     columns = tuple(range(1, values.ndim))
     known = np.isfinite(values).all(axis=columns)

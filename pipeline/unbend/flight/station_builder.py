@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from unbend.atmosphere.refractive_index import vapour_pressure
 from unbend.flight import messages
 from unbend.flight.channels import Channel, TimeArray
-from unbend.flight.evidence.log_accuracy import LogAccuracy
+from unbend.flight.evidence.log_accuracy import AttitudeSigmas, LogAccuracy, PositionSigmas
 from unbend.flight.exposures import Events
 from unbend.flight.heights import HeightSystem, heights_at
 from unbend.flight.mount import Mount, is_of_gimbal
@@ -53,10 +53,9 @@ def build_stations(
 ) -> Stations:
     """Position, attitude and air at each exposure of one camera, with their sigmas.
 
-    An exposure outside the log, in a gap of it, or without position, attitude or a height above
-    sea level is not invented: its status gives the reason and its values are NaN. Each sigma is
-    that of the log's samples by their ``accuracy``, of the interpolation between them, and of the
-    exposure's time at its speed and rate of turn.
+    The values of an exposure outside the log, in a gap, or without position, attitude or height
+    above sea level are NaN, and its status gives the reason. ``accuracy`` is that of the log's
+    samples.
     """
     time_ns = events.time_ns
     every = np.ones(time_ns.size, np.bool_)
@@ -83,7 +82,6 @@ def build_stations(
         bend = bend_of_heights(height, height.height_column, time_ns, max_gap_s)
     placed = ~_unknown_rows(attitudes.quaternion) & np.isfinite(track.lat_rad)
     body_attitude = np.where(placed[:, None], attitudes.quaternion, np.nan)
-    flown = _Flown(track, attitudes, bend)
     stations = replace(
         stations,
         lat_rad=track.lat_rad,
@@ -92,7 +90,10 @@ def build_stations(
         h_ellipsoid_m=h_ellipsoid_m + bend.metres_up,
         quaternion=_from_enu(body_attitude, mount.camera_from_body),
     )
-    stations = _with_sigmas(stations, events, flown, roles, mount, accuracy)
+    sample_sigmas = _sigmas_of_samples(roles, time_ns, track.lat_rad, mount, accuracy)
+    stations = _with_sigmas(
+        stations, sample_sigmas, _Motion(track, attitudes, bend), events.sigma_time_s
+    )
     if any(mount.lever_arm_m):
         stations = stations.moved(_lever_arm_enu(body_attitude, mount))
     aircraft = _aircraft_attitude(roles, attitudes, time_ns, max_gap_s)
@@ -101,93 +102,94 @@ def build_stations(
 
 
 @dataclass(frozen=True, eq=False)
-class _Flown:
-    """Position, attitude and height at the exposures, interpolated."""
+class _Motion:
+    """Position, attitude and height interpolated at the exposures, with their rates."""
 
     track: Track
     attitudes: Attitudes
     bend: HeightBend
 
-    @property
-    def variance_of_track(self) -> Array:
-        """(n,) of the interpolation of places, per horizontal axis [m2]."""
-        return np.asarray(np.square(self.track.sigma_m).mean(axis=1))
-
-    @property
-    def square_speed(self) -> Array:
-        """(n,) per horizontal axis [m2/s2]."""
-        return np.asarray(np.square(self.track.velocity_m_s).mean(axis=1))
-
-    def variance_of_climb(self, late_s: Array | float) -> Array:
-        """(n,) of heights at times of a sigma [m2]."""
-        return np.asarray(np.square(late_s * self.bend.speed_down_m_s))
-
-    def variance_of_turn(self, late_s: Array | float) -> Array:
-        """(n, 3) of the interpolation of attitudes, and of times of a sigma [rad2]."""
-        turned = self.attitudes.rate_rad_s * np.reshape(late_s, (-1, 1))
-        return np.asarray(np.square(self.attitudes.sigma_rad) + np.square(turned))
-
 
 def _with_coverage(stations: Stations, coverage: NDArray[np.uint8]) -> Stations:
-    """Stations with the status of those in a gap of a channel, or beyond its ends."""
+    """Stations, of which those in a gap of a channel or beyond its ends have that status."""
     in_gap = coverage == GAP_IN_CHANNEL
     outside = (coverage != INSIDE) & ~in_gap
     return stations.with_status(in_gap, IN_GAP).with_status(outside, OUTSIDE_LOG)
 
 
 def _unknown_rows(quaternion: Array) -> Mask:
+    """(n,) which quaternions are unknown."""
     return np.asarray(np.isnan(quaternion).any(axis=1))
 
 
-def _with_sigmas(
-    stations: Stations,
-    events: Events,
-    flown: _Flown,
+class _SampleSigmas(NamedTuple):
+    """(n,) sigmas of the log's samples at the exposures."""
+
+    position: PositionSigmas
+    height_m: Array
+    attitude: AttitudeSigmas
+
+
+def _sigmas_of_samples(
     roles: Mapping[str, Channel],
+    time_ns: TimeArray,
+    lat_rad: Array,
     mount: Mount,
     accuracy: LogAccuracy,
-) -> Stations:
-    """Stations with their sigmas: of samples, of the interpolation, and of the exposure's time.
-
-    Time, and with it the sampled rates, acts along one direction: half of it on each axis.
-    """
-    variance_of_time = np.square(events.sigma_time_s)
-    horizontal, _ = accuracy.positions(roles["position"], events.time_ns)
-    _, vertical = accuracy.positions(roles["height"], events.time_ns)
-    tilt, yaw = _attitude_sigmas(
-        roles["attitude"], events.time_ns, flown.track.lat_rad, mount, accuracy
-    )
-    variance_of_turn = flown.variance_of_turn(events.sigma_time_s)
-    return replace(
-        stations,
-        sigma_horizontal_m=np.sqrt(
-            np.square(horizontal) + flown.variance_of_track + variance_of_time * flown.square_speed
-        ),
-        sigma_height_m=np.sqrt(
-            np.square(vertical)
-            + np.square(flown.bend.sigma_m)
-            + flown.variance_of_climb(events.sigma_time_s)
-        ),
-        sigma_tilt_rad=np.sqrt(np.square(tilt) + variance_of_turn[:, :2].mean(axis=1)),
-        sigma_yaw_rad=np.sqrt(np.square(yaw) + variance_of_turn[:, 2]),
+) -> _SampleSigmas:
+    """The sigmas of position, height and attitude as the log, or the mount, states them."""
+    return _SampleSigmas(
+        position=accuracy.positions(roles["position"], time_ns),
+        height_m=accuracy.positions(roles["height"], time_ns).height_m,
+        attitude=_attitude_sigmas(roles["attitude"], time_ns, lat_rad, mount, accuracy),
     )
 
 
 def _attitude_sigmas(
     channel: Channel, time_ns: TimeArray, lat_rad: Array, mount: Mount, accuracy: LogAccuracy
-) -> tuple[Array, Array]:
-    """(n,) sigmas of samples of an attitude, about level axes and the vertical one [rad].
-
-    Those that the mount states, else those of the log; its filter says nothing of a gimbal.
-    """
+) -> AttitudeSigmas:
+    """The sigmas of an attitude that the mount states; those it does not state by the log."""
     if is_of_gimbal(channel.source.message):
-        accuracy = LogAccuracy()
+        accuracy = LogAccuracy()  # the filter of the aircraft says nothing of a gimbal
     tilt, yaw = accuracy.attitude(channel, time_ns, lat_rad)
     if mount.sigma_tilt_rad is not None:
         tilt = np.full(time_ns.size, mount.sigma_tilt_rad)
     if mount.sigma_yaw_rad is not None:
         yaw = np.full(time_ns.size, mount.sigma_yaw_rad)
-    return tilt, yaw
+    return AttitudeSigmas(tilt, yaw)
+
+
+def _with_sigmas(
+    stations: Stations, samples: _SampleSigmas, motion: _Motion, sigma_time_s: Array | float
+) -> Stations:
+    """Stations with their sigmas.
+
+    Each adds three variances: of the log's samples, of the interpolation between them, and of the
+    motion within the sigma of the exposure's time. Interpolation and motion are along one
+    direction: half of their variance counts on each of two level axes.
+    """
+    track = motion.track
+    bend = motion.bend
+    interpolation_m2 = np.square(track.sigma_m).mean(axis=1)
+    square_speed = np.square(track.velocity_m_s).mean(axis=1)
+    moved_m2 = np.square(sigma_time_s) * square_speed
+    horizontal_m2 = np.square(samples.position.horizontal_m) + interpolation_m2 + moved_m2
+
+    climbed_m2 = np.square(sigma_time_s * bend.speed_down_m_s)
+    height_m2 = np.square(samples.height_m) + np.square(bend.sigma_m) + climbed_m2
+
+    attitudes = motion.attitudes
+    turned_rad = attitudes.rate_rad_s * np.reshape(sigma_time_s, (-1, 1))
+    turn_rad2 = np.square(attitudes.sigma_rad) + np.square(turned_rad)
+    tilt_rad2 = np.square(samples.attitude.tilt_rad) + turn_rad2[:, :2].mean(axis=1)
+    yaw_rad2 = np.square(samples.attitude.yaw_rad) + turn_rad2[:, 2]
+    return replace(
+        stations,
+        sigma_horizontal_m=np.sqrt(horizontal_m2),
+        sigma_height_m=np.sqrt(height_m2),
+        sigma_tilt_rad=np.sqrt(tilt_rad2),
+        sigma_yaw_rad=np.sqrt(yaw_rad2),
+    )
 
 
 def _lever_arm_enu(body_attitude: Array, mount: Mount) -> Array:
@@ -212,20 +214,23 @@ def _aircraft_attitude(
 
 
 def _from_enu(attitude: Array, frame_from_body: Array) -> Array:
-    """(n, 4) quaternions of v_frame = R(q) v_enu from attitudes v_ned = R(q) v_body; NaN stays."""
-    basis = np.eye(4)
+    """(n, 4) quaternions of v_frame = R(q) v_enu from attitudes v_ned = R(q) v_body; NaN stays.
+
+    ``frame_from_body`` is a (3, 3) rotation.
+    """
     frame = np.tile(Rotation.from_matrix(frame_from_body).as_quat(), (4, 1))
-    enu = np.tile(Rotation.from_matrix(NED_FROM_ENU).as_quat(), (4, 1))
-    # The product is linear in the quaternion in the middle: a matrix of those of the basis.
-    turns = quaternion_products(quaternion_products(frame, basis), enu)
-    body_from_ned = attitude[:, [1, 2, 3, 0]] * [-1.0, -1.0, -1.0, 1.0]
-    turned = body_from_ned @ turns
-    canonical = np.where(turned[:, 3:] < 0.0, -turned, turned)
+    ned_from_enu = np.tile(Rotation.from_matrix(NED_FROM_ENU).as_quat(), (4, 1))
+    # The product of three quaternions is linear in the one in the middle: a matrix, whose rows are
+    # the products of the four basis quaternions.
+    matrix = quaternion_products(quaternion_products(frame, np.eye(4)), ned_from_enu)
+    body_from_ned = attitude[:, [1, 2, 3, 0]] * [-1.0, -1.0, -1.0, 1.0]  # x, y, z, w; inverse
+    frame_from_enu = body_from_ned @ matrix
+    canonical = np.where(frame_from_enu[:, 3:] < 0.0, -frame_from_enu, frame_from_enu)
     return canonical[:, [3, 0, 1, 2]]
 
 
 def with_air(stations: Stations, roles: Mapping[str, Channel], max_gap_s: float) -> Stations:
-    """Stations with the air that was measured outside and inside at the exposure."""
+    """Stations with the air measured at the exposures, outside and in the cabin."""
 
     def reading(role: str, column: str) -> Array:
         channel = roles.get(role)
@@ -251,7 +256,10 @@ NO_AIRCRAFT_ATTITUDE = (
 
 
 def flag_missing_aircraft_attitude(stations: Stations, camera: str) -> tuple[Stations, Notes]:
-    """Mark exposures as suspect without the attitude of the aircraft that a window is fixed to."""
+    """Mark the exposures of a camera that lack the attitude of the aircraft as suspect.
+
+    Without it the direction of the aircraft's window is unknown.
+    """
     missing = _unknown_rows(stations.aircraft_quaternion)
     stations, count = mark_suspect(stations, camera, missing, NO_AIRCRAFT_ATTITUDE)
     if count == 0:

@@ -103,8 +103,8 @@ class Stations:
         A reason is added to those that a station has; ``off_m`` is how far off they may be [m], NaN
         where unknown; ``use`` leaves them usable (`ok`).
         """
-        able = self.ok if use else self.ok | (self.status == SUSPECT)
-        where = where & able
+        can_be_suspect = self.ok if use else self.ok | (self.status == SUSPECT)
+        where = where & can_be_suspect
         reasons = self.suspect_reason.copy()
         for row in np.flatnonzero(where):
             reasons[row] = f"{reasons[row]}; {reason}" if reasons[row] else reason
@@ -117,7 +117,7 @@ class Stations:
         )
 
     def moved(self, enu_m: NDArray[np.float64]) -> Stations:
-        """The same moved by (n, 3) east, north and up [m], where that is known."""
+        """The stations moved by (s, 3) metres east, north and up, where these are known."""
         rows = np.flatnonzero(np.isfinite(enu_m).all(axis=1) & np.isfinite(self.lat_rad))
         # Only the difference counts here, so any height will do where the ellipsoidal is unknown.
         start_m = self.h_ellipsoid_m[rows]
@@ -174,23 +174,23 @@ def station_columns(stations: Stations) -> dict[str, Any]:
     """Columns of ``stations.parquet``: degrees, UTC, null (NaT, NaN) where unknown."""
     columns: dict[str, Any] = {}
     for field in fields(stations):
-        name = field.name
-        values = getattr(stations, name)
-        if name == "accepted":
-            continue
-        if name == "time_ns":
-            columns["time_utc"] = _utc(values)
-        elif name in _QUATERNIONS:
-            prefix = name.removesuffix("quaternion") + "q_"
-            for component, axis in enumerate("wxyz"):
-                columns[f"{prefix}{axis}"] = values[:, component]
-        elif name.endswith("_rad"):
-            columns[name.removesuffix("rad") + "deg"] = np.degrees(values)
-        elif name == "suspect_reason":
-            columns[name] = [reason or None for reason in values]
-        else:
-            columns[name] = values
+        if field.name != "accepted":
+            columns |= _columns_of_field(field.name, getattr(stations, field.name))
     return columns
+
+
+def _columns_of_field(name: str, values: NDArray[Any]) -> dict[str, Any]:
+    """The columns of ``stations.parquet`` that a field of the stations becomes."""
+    if name == "time_ns":
+        return {"time_utc": _utc(values)}
+    if name in _QUATERNIONS:
+        prefix = name.removesuffix("quaternion") + "q_"
+        return {f"{prefix}{axis}": values[:, column] for column, axis in enumerate("wxyz")}
+    if name.endswith("_rad"):
+        return {name.removesuffix("rad") + "deg": np.degrees(values)}
+    if name == "suspect_reason":
+        return {name: [reason or None for reason in values]}
+    return {name: values}
 
 
 def _utc(time_ns: Integers) -> NDArray[np.datetime64]:
@@ -201,9 +201,13 @@ def _utc(time_ns: Integers) -> NDArray[np.datetime64]:
 
 
 def append_unmatched_images(stations: Stations, images: tuple[str, ...]) -> tuple[Stations, Notes]:
-    """The stations, with a row for every image that was measured but never exposed in the log."""
+    """The stations, with a further row for each observed image that has no exposure.
+
+    ``images``: the observed ones. Reported are these, and exposures without an observed image.
+    """
     observed = np.array(images, dtype=str)
-    unused = stations.image[~np.isin(stations.image.astype(str), observed)].tolist()
+    is_unused = ~np.isin(stations.image.astype(str), observed)
+    unused = stations.image[is_unused].tolist()
     notes: list[Message] = []
     if unused:
         notes.append(messages.exposures_unused(images=unused))
@@ -225,7 +229,7 @@ def append_unmatched_images(stations: Stations, images: tuple[str, ...]) -> tupl
 
 
 def _neighbour_by_name(stations: Stations, image: str) -> str | None:
-    """The exposure before an image in the order of names, which begins as it does."""
+    """The exposure before an image in the order of names, whose name probably begins alike."""
     if len(stations) == 0:
         return None
     ordered = np.sort(stations.image.astype(str))
@@ -280,7 +284,10 @@ class SigmaLimits:
 
 
 def sigma_notes(stations: Stations, limits: SigmaLimits) -> Iterator[Message]:
-    """How well stations are known; a loss for each limit that some, or unknown ones, exceed."""
+    """The median sigmas of the stations, and a loss for each limit that some stations exceed.
+
+    An unknown sigma exceeds every limit.
+    """
     ok = stations.ok
     if not ok.any():
         return
@@ -328,7 +335,7 @@ class _StationSigma:
         return f"{self.quantity} {np.nanmedian(self.values):.2f} {self.unit}"
 
     def beyond_limit(self, image: Names) -> Iterator[Message]:
-        """The loss of stations that are known worse, or not at all, if there is a limit."""
+        """The loss of stations whose sigma exceeds the limit or is unknown, if there is a limit."""
         if self.limit is None:
             return
         count = int(np.count_nonzero(~(self.values <= self.limit)))

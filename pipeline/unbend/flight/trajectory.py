@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,10 +30,14 @@ _LEAST_PARALLEL_M = 1e4  # radius; nearer to a pole no bend in longitude is adde
 
 @dataclass(frozen=True)
 class _BendLimits:
-    """What slopes may differ from the straight line between samples, else they contradict it."""
+    """How far slopes may differ from the straight line between samples; else they contradict it."""
 
-    over_interval: float  # whatever the interval
+    over_interval: float  # by which they may always differ, over one interval
     per_s2: float  # the acceleration that an aircraft can have
+
+    def allowed(self, interval_s: Array) -> Array:
+        """The largest difference over intervals."""
+        return np.asarray(self.over_interval + self.per_s2 * interval_s**2 / 2.0)
 
 
 # Twice what aircraft of survey do.
@@ -50,14 +55,14 @@ class Bracket:
     coverage: NDArray[np.uint8]  # INSIDE, or else the rest means nothing
 
     def rows(self, which: Mask) -> Bracket:
-        """Those of some of the instants."""
+        """The samples on either side of some of the instants."""
         return Bracket(
             self.before[which], self.after[which], self.fraction[which], self.coverage[which]
         )
 
 
 def bracket(channel: Channel, time_ns: TimeArray, max_gap_s: float) -> Bracket:
-    """The samples on either side of instants.
+    """The samples on either side of (m,) instants.
 
     A gap is an interval longer than ``max_gap_s``, or one in which the vehicle restarted. An
     instant that a sample hits is never in a gap.
@@ -68,30 +73,31 @@ def bracket(channel: Channel, time_ns: TimeArray, max_gap_s: float) -> Bracket:
         coverage = np.full(time_ns.shape, OUTSIDE_CHANNEL, np.uint8)
         return Bracket(nowhere, nowhere, np.zeros(time_ns.shape), coverage)
     after = np.clip(np.searchsorted(stamps, time_ns, side="left"), 0, stamps.size - 1)
-    hit = stamps[after] == time_ns
-    before = np.where(hit, after, np.maximum(after - 1, 0))
+    is_hit = stamps[after] == time_ns
+    before = np.where(is_hit, after, np.maximum(after - 1, 0))
     interval_ns = stamps[after] - stamps[before]
     restarted = channel.boot[after] != channel.boot[before]
-    torn = (interval_ns > max_gap_s * 1e9) | restarted
-    outside = (time_ns < stamps[0]) | (time_ns > stamps[-1])
+    is_gap = (interval_ns > max_gap_s * 1e9) | restarted
+    is_outside = (time_ns < stamps[0]) | (time_ns > stamps[-1])
     fraction = (time_ns - stamps[before]) / np.maximum(interval_ns, 1)
-    fraction = np.where(hit, 0.0, fraction)
+    fraction = np.where(is_hit, 0.0, fraction)
     coverage = np.full(time_ns.shape, INSIDE, np.uint8)
-    coverage[torn & ~hit] = GAP_IN_CHANNEL
-    coverage[outside] = OUTSIDE_CHANNEL
+    coverage[is_gap & ~is_hit] = GAP_IN_CHANNEL
+    coverage[is_outside] = OUTSIDE_CHANNEL
     return Bracket(before, after, fraction, coverage)
 
 
 def interpolate(channel: Channel, column: str, time_ns: TimeArray, max_gap_s: float) -> Array:
-    """A column at instants, linear in time; NaN outside the channel and in its gaps."""
+    """A column at (m,) instants, linear in time; NaN outside the channel and in its gaps."""
     if column not in channel.columns or len(channel) == 0:
         return np.full(time_ns.shape, np.nan)
-    place = bracket(channel, time_ns, max_gap_s)
+    samples = bracket(channel, time_ns, max_gap_s)
     values = channel[column]
-    between = place.fraction > 0.0  # an unknown value behind a sample that is hit does no harm
-    from_after = np.where(between, values[place.after], 0.0) * place.fraction
-    value = values[place.before] * (1.0 - place.fraction) + from_after
-    return np.where(place.coverage == INSIDE, value, np.nan)
+    from_before = values[samples.before] * (1.0 - samples.fraction)
+    # where an instant hits a sample, an unknown value behind that does no harm
+    is_between = samples.fraction > 0.0
+    from_after = np.where(is_between, values[samples.after], 0.0) * samples.fraction
+    return np.where(samples.coverage == INSIDE, from_before + from_after, np.nan)
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,9 +130,10 @@ class Attitudes:
 
 
 def with_slopes(channel: Channel, donors: Iterable[Channel], names: tuple[str, ...]) -> Channel:
-    """The channel with columns (`VELOCITY`, `RATES`) of the first donor of the same sender.
+    """The channel with slopes (columns `VELOCITY` or `RATES`) of another channel of its sender.
 
-    Without one, or where it has them itself, it is returned as it is.
+    They are interpolated from the first of ``donors`` of the same sender that has them. A channel
+    that has them itself, or finds no donor, is returned as it is.
     """
     if _has_columns(channel, names):
         return channel
@@ -145,43 +152,43 @@ def _has_columns(channel: Channel, names: tuple[str, ...]) -> bool:
 
 
 def track_at(channel: Channel, time_ns: TimeArray, max_gap_s: float) -> Track:
-    """Places at instants, by a cubic through the neighbouring samples with their velocities.
+    """Places at (m,) instants, by a cubic through the neighbouring samples with their velocities.
 
-    Velocities as logged (`VELOCITY`), else those of parabolas through three samples; the normal
-    vector of the ellipsoid is interpolated. 1 Hz against 10 Hz samples of a simulator flight at
-    35 m/s with turns: 0.04 m rms, without velocities 0.06 m, along straight lines 0.29 m.
+    The straight part interpolates the normal vector of the ellipsoid; to it the bend of the cubic
+    is added. Velocities are those logged (`VELOCITY`), else those of parabolas through three
+    samples. 1 Hz against 10 Hz samples of a simulator flight at 35 m/s with turns: 0.04 m rms,
+    without velocities 0.06 m, along straight lines 0.29 m.
     """
-    place = bracket(channel, time_ns, max_gap_s)
+    samples = bracket(channel, time_ns, max_gap_s)
     lat = channel["lat_rad"]
     lon = channel["lon_rad"]
 
     def metres(first: Rows, second: Rows) -> Array:
         meridian_m, prime_vertical_m = principal_radii(lat[first])
-        north = (lat[second] - lat[first]) * meridian_m
-        east = wrapped(lon[second] - lon[first]) * prime_vertical_m * np.cos(lat[first])
-        return np.stack([north, east], axis=1)
+        north_m = (lat[second] - lat[first]) * meridian_m
+        east_m = wrapped(lon[second] - lon[first]) * prime_vertical_m * np.cos(lat[first])
+        return np.stack([north_m, east_m], axis=1)
 
     curve = _Curve(channel, VELOCITY[:2], metres, _LIMITS_M)
-    _, bend = curve.between(place)
+    bend_m = curve.between(samples).bend
 
-    straight_lat, straight_lon = _along_normal_vectors(lat, lon, place)
-    meridian, prime_vertical = principal_radii(lat[place.before])
-    parallel = prime_vertical * np.cos(lat[place.before])
+    straight_lat, straight_lon = _along_normal_vectors(lat, lon, samples)
+    meridian_m, prime_vertical_m = principal_radii(lat[samples.before])
+    parallel_m = prime_vertical_m * np.cos(lat[samples.before])
     with np.errstate(invalid="ignore", divide="ignore"):
-        latitude = straight_lat + bend[:, 0] / meridian
-        lon_bend = np.where(parallel > _LEAST_PARALLEL_M, bend[:, 1] / parallel, 0.0)
-        longitude = straight_lon + lon_bend
-    inside = place.coverage == INSIDE
+        lat_bend = bend_m[:, 0] / meridian_m
+        lon_bend = np.where(parallel_m > _LEAST_PARALLEL_M, bend_m[:, 1] / parallel_m, 0.0)
+    is_inside = samples.coverage == INSIDE
     return Track(
-        lat_rad=np.where(inside, latitude, np.nan),
-        lon_rad=np.where(inside, wrapped(longitude), np.nan),
-        velocity_m_s=curve.rate(place),
-        sigma_m=curve.sigma(place),
-        coverage=place.coverage,
+        lat_rad=np.where(is_inside, straight_lat + lat_bend, np.nan),
+        lon_rad=np.where(is_inside, wrapped(straight_lon + lon_bend), np.nan),
+        velocity_m_s=curve.rate(samples),
+        sigma_m=curve.sigma(samples),
+        coverage=samples.coverage,
     )
 
 
-def _along_normal_vectors(lat: Array, lon: Array, place: Bracket) -> tuple[Array, Array]:
+def _along_normal_vectors(lat: Array, lon: Array, samples: Bracket) -> tuple[Array, Array]:
     """(m,) latitude and longitude [rad] of normal vectors interpolated between samples."""
 
     def normals(rows: Rows) -> Array:
@@ -189,8 +196,9 @@ def _along_normal_vectors(lat: Array, lon: Array, place: Bracket) -> tuple[Array
         y = np.cos(lat[rows]) * np.sin(lon[rows])
         return np.stack([x, y, np.sin(lat[rows])])
 
-    before = normals(place.before) * (1.0 - place.fraction)
-    x, y, z = before + normals(place.after) * place.fraction
+    from_before = normals(samples.before) * (1.0 - samples.fraction)
+    from_after = normals(samples.after) * samples.fraction
+    x, y, z = from_before + from_after
     return np.arctan2(z, np.hypot(x, y)), np.arctan2(y, x)
 
 
@@ -198,7 +206,7 @@ def _along_normal_vectors(lat: Array, lon: Array, place: Bracket) -> tuple[Array
 class HeightBend:
     """How heights differ from linear ones at instants, (m,) arrays.
 
-    ``metres_up`` what to add to a linear height, ``sigma_m`` of the interpolation alone.
+    ``metres_up`` is what to add to a linear height, ``sigma_m`` that of the interpolation alone.
     """
 
     metres_up: Array
@@ -207,64 +215,65 @@ class HeightBend:
 
 
 def no_bend(count: int) -> HeightBend:
-    """That of so many heights that are known without curvature and speed."""
+    """The bend of (count,) heights that are taken as linear, and whose speed is not known."""
     return HeightBend(np.zeros(count), np.zeros(count), np.zeros(count))
 
 
 def bend_of_heights(
     channel: Channel, column: str, time_ns: TimeArray, max_gap_s: float
 ) -> HeightBend:
-    """How heights curve between samples, as `track_at` has it for places."""
+    """How heights in a column curve between samples, by the cubic of `track_at`."""
     values = channel[column]
-    place = bracket(channel, time_ns, max_gap_s)
+    samples = bracket(channel, time_ns, max_gap_s)
 
     def metres_down(first: Rows, second: Rows) -> Array:
         return (values[first] - values[second])[:, None]
 
     curve = _Curve(channel, VELOCITY[2:], metres_down, _LIMITS_M)
-    _, bend_down = curve.between(place)
+    bend_down = curve.between(samples).bend
     return HeightBend(
         metres_up=-bend_down[:, 0],
-        speed_down_m_s=curve.rate(place)[:, 0],
-        sigma_m=curve.sigma(place)[:, 0],
+        speed_down_m_s=curve.rate(samples)[:, 0],
+        sigma_m=curve.sigma(samples)[:, 0],
     )
 
 
 def attitude_at(channel: Channel, time_ns: TimeArray, max_gap_s: float) -> Attitudes:
-    """Attitudes at instants, by a cubic turn through the neighbouring samples with their rates.
+    """Attitudes at (m,) instants, by a cubic turn through the neighbouring samples.
 
-    Rates about the body's axes as logged (`RATES`), else those of parabolas through three samples;
-    without either the shortest turn (slerp). The turn phi from the sample before obeys
-    d phi / dt = J_r(phi)^-1 rate (Sola et al. 2018, A micro Lie theory, Equations 143-144), whose
+    Rates about the body's axes are those logged (`RATES`), else those of parabolas through three
+    samples; without either the turn is the shortest (slerp). The turn phi from the sample before
+    obeys d phi / dt = J_r(phi)^-1 rate (Sola et al. 2018, A micro Lie theory, Eqs. 143-144), whose
     inverse Jacobian is expanded to the second order. At 2 Hz in the turns of a simulator flight
     0.26 deg rms in calm air and 0.9 deg in gusts, by slerp 1.4 deg.
     """
-    place = bracket(channel, time_ns, max_gap_s)
+    samples = bracket(channel, time_ns, max_gap_s)
     unit = _unit_quaternions(channel)
-    usable = np.asarray(np.isfinite(unit).all(axis=1))
-    good = (place.coverage == INSIDE) & usable[place.before] & usable[place.after]
+    is_known = np.asarray(np.isfinite(unit).all(axis=1))
+    between_known = is_known[samples.before] & is_known[samples.after]
+    usable = (samples.coverage == INSIDE) & between_known
     attitudes = Attitudes(
         quaternion=np.full((time_ns.size, 4), np.nan),
         rate_rad_s=np.full((time_ns.size, 3), np.nan),
         sigma_rad=np.full((time_ns.size, 3), np.nan),
-        coverage=place.coverage,
+        coverage=samples.coverage,
     )
-    if not bool(good.any()):
+    if not bool(usable.any()):
         return attitudes
-    place = place.rows(good)
+    samples = samples.rows(usable)
 
     def turn(first: Rows, second: Rows) -> Array:
-        back = unit[first] * [-1.0, -1.0, -1.0, 1.0]
-        return rotation_vectors(quaternion_products(back, unit[second]))
+        inverse = unit[first] * [-1.0, -1.0, -1.0, 1.0]
+        return rotation_vectors(quaternion_products(inverse, unit[second]))
 
     curve = _Curve(channel, RATES, turn, _LIMITS_RAD, RATE_LAG_S)
-    step, bend = curve.between(place)
-    turned = step * place.fraction[:, None] + bend
-    quaternion = quaternion_products(unit[place.before], _quaternions_of_vectors(turned))
+    step, bend = curve.between(samples)
+    turned = step * samples.fraction[:, None] + bend
+    quaternion = quaternion_products(unit[samples.before], _quaternions_of_vectors(turned))
     canonical = np.where(quaternion[:, 3:] < 0.0, -quaternion, quaternion)
-    attitudes.quaternion[good] = canonical[:, [3, 0, 1, 2]]
-    attitudes.rate_rad_s[good] = curve.rate(place)
-    attitudes.sigma_rad[good] = curve.sigma(place)
+    attitudes.quaternion[usable] = canonical[:, [3, 0, 1, 2]]
+    attitudes.rate_rad_s[usable] = curve.rate(samples)
+    attitudes.sigma_rad[usable] = curve.sigma(samples)
     return attitudes
 
 
@@ -280,6 +289,16 @@ def _quaternions_of_vectors(vectors: Array) -> Array:
     angle = lengths(vectors)[:, None]
     half_sine_over_angle = np.sinc(angle / (2.0 * np.pi)) / 2.0
     return np.concatenate([half_sine_over_angle * vectors, np.cos(angle / 2.0)], axis=1)
+
+
+class _CurvePieces(NamedTuple):
+    """(m, k) steps from the sample before an instant to the one after it, and the bend at it.
+
+    The curve at an instant is the fraction of the step, plus the bend.
+    """
+
+    step: Array
+    bend: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -303,94 +322,108 @@ class _Curve:
         apart_s = (self.channel.time_ns[second] - self.channel.time_ns[first]) * 1e-9
         return np.where(one_boot, apart_s, np.nan)[:, None]
 
-    def rate(self, place: Bracket) -> Array:
+    def rate(self, samples: Bracket) -> Array:
         """(m, k) mean slope between the samples about an instant, or beside one that it hits."""
         last = len(self.channel) - 1
-        first = np.clip(place.before, 0, max(last - 1, 0))
-        second = np.minimum(np.maximum(place.after, first + 1), last)
+        first = np.clip(samples.before, 0, max(last - 1, 0))
+        second = np.minimum(np.maximum(samples.after, first + 1), last)
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.nan_to_num(self.difference(first, second) / self._seconds(first, second))
 
-    def between(self, place: Bracket) -> tuple[Array, Array]:
-        """Steps (m, k) between samples, and the bend beside them (m, k)."""
-        step = self.difference(place.before, place.after)
-        interval = np.maximum(self._seconds(place.before, place.after), _SHORTEST_S)
+    def between(self, samples: Bracket) -> _CurvePieces:
+        """The step between the samples about each instant, and the bend of the cubic at it.
+
+        The bend is 0 where the slopes contradict the samples.
+        """
+        step = self.difference(samples.before, samples.after)
+        interval_s = np.maximum(self._seconds(samples.before, samples.after), _SHORTEST_S)
         with np.errstate(invalid="ignore", divide="ignore"):
-            begin, end = self._end_slopes(place, step, interval)
+            begin, end = self._end_slopes(samples, step, interval_s)
             if step.shape[1] == 3:
                 end = _in_frame_of_begin(end, step)
-            allowed = self.limits.over_interval + self.limits.per_s2 * interval[:, 0] ** 2 / 2.0
-            credible = lengths(begin - step) <= allowed
-            credible &= lengths(end - step) <= allowed
-            u = place.fraction[:, None]
+            allowed = self.limits.allowed(interval_s[:, 0])
+            is_credible = lengths(begin - step) <= allowed
+            is_credible &= lengths(end - step) <= allowed
+            u = samples.fraction[:, None]
             bend = u * (1.0 - u) * ((1.0 - u) * (begin - step) - u * (end - step))
-            bend *= interval**2 / (interval**2 + self.lag_s**2)
-        return step, np.where(credible[:, None], bend, 0.0)
+            bend *= interval_s**2 / (interval_s**2 + self.lag_s**2)
+        return _CurvePieces(step, np.where(is_credible[:, None], bend, 0.0))
 
-    def _end_slopes(self, place: Bracket, step: Array, interval: Array) -> tuple[Array, Array]:
-        """Slopes over the interval at its begin and end, by columns or by parabolas."""
-        before = place.before
-        after = place.after
+    def _end_slopes(self, samples: Bracket, step: Array, interval_s: Array) -> tuple[Array, Array]:
+        """(m, k) slopes, over the whole interval, at its begin and at its end.
+
+        By columns where the channel has them, else by parabolas.
+        """
+        before = samples.before
+        after = samples.after
         columns = self.channel.columns
         if all(name in columns for name in self.slopes):
             slopes = np.stack([columns[name] for name in self.slopes], axis=1)
-            return slopes[before] * interval, slopes[after] * interval
+            return slopes[before] * interval_s, slopes[after] * interval_s
         earlier = np.maximum(before - 1, 0)
         later = np.minimum(after + 1, len(self.channel) - 1)
-        begin = self._parabola(step, interval, earlier, before)
-        end = self._parabola(step, interval, after, later)
+        begin = self._parabola(step, interval_s, earlier, before)
+        end = self._parabola(step, interval_s, after, later)
         return begin, end
 
-    def _parabola(self, step: Array, interval: Array, first: Rows, second: Rows) -> Array:
-        """The slope over the interval where it meets a neighbouring one; the step without that."""
-        beside = self._seconds(first, second)
-        step_beside = self.difference(first, second)
-        slope = step_beside / beside * interval + step / interval * beside
-        slope = slope / (interval + beside)
-        is_near = (beside > 0.0) & (beside < _NEAR_INTERVALS * interval)
-        return np.where(is_near, slope * interval, step)
+    def _parabola(self, step: Array, interval_s: Array, first: Rows, second: Rows) -> Array:
+        """(m, k) slope of a parabola, over the whole interval, where that meets a neighbouring one.
 
-    def sigma(self, place: Bracket) -> Array:
-        """(m, k) sigma of the curve between samples, from how well it finds samples themselves.
+        The neighbouring interval lies between the rows ``first`` and ``second``. Where that is too
+        long, or there is none, the slope is the step of the interval.
+        """
+        beside_s = self._seconds(first, second)
+        step_beside = self.difference(first, second)
+        slope = step_beside / beside_s * interval_s + step / interval_s * beside_s
+        slope = slope / (interval_s + beside_s)
+        is_near = (beside_s > 0.0) & (beside_s < _NEAR_INTERVALS * interval_s)
+        return np.where(is_near, slope * interval_s, step)
+
+    def sigma(self, samples: Bracket) -> Array:
+        """(m, k) sigma of the curve between samples, from how well it predicts samples themselves.
 
         Each of the four samples about an instant is predicted from its two neighbours, over twice
         the interval; errors grow with the interval, and from the samples to the middle of it.
         """
         last = len(self.channel) - 1
-        about = np.stack([place.before - 1, place.before, place.after, place.after + 1])
-        about = np.clip(about, min(1, last), max(last - 1, 0))
+        before = samples.before
+        after = samples.after
+        four_rows = np.stack([before - 1, before, after, after + 1])
+        four_rows = np.clip(four_rows, min(1, last), max(last - 1, 0))
         # Each sample is predicted once, however many instants it is near to.
-        used = np.zeros(last + 1, np.bool_)
-        used[about] = True
-        samples = np.flatnonzero(used)
-        prediction_of = (np.cumsum(used) - 1)[about]
-        square = self._squared_misfits(samples)
-        known = np.isfinite(square.sum(axis=1))[:, None]
-        sum_of_squares = np.where(known, square, 0.0)[prediction_of].sum(axis=0)
-        count = known[prediction_of].sum(axis=0)
+        is_used = np.zeros(last + 1, np.bool_)
+        is_used[four_rows] = True
+        squares = self._squared_misfits(np.flatnonzero(is_used))
+        number_of_row = np.cumsum(is_used) - 1
+        four_numbers = number_of_row[four_rows]
+        is_known = np.isfinite(squares.sum(axis=1))[:, None]
+        sum_of_squares = np.where(is_known, squares, 0.0)[four_numbers].sum(axis=0)
+        count = is_known[four_numbers].sum(axis=0)
         misfit = np.sqrt(sum_of_squares / np.maximum(count, 1.0))
-        u = place.fraction[:, None]
+        u = samples.fraction[:, None]
         return np.asarray(2.0 * u * (1.0 - u) * misfit)
 
-    def _squared_misfits(self, samples: Rows) -> Array:
+    def _squared_misfits(self, rows: Rows) -> Array:
         """(s, k) squared differences of samples from the curve between their neighbours."""
         last = len(self.channel) - 1
-        left = np.maximum(samples - 1, 0)
-        right = np.minimum(samples + 1, last)
+        left = np.maximum(rows - 1, 0)
+        right = np.minimum(rows + 1, last)
         whole_s = np.maximum(self._seconds(left, right), _SHORTEST_S)
-        fraction = self._seconds(left, samples) / whole_s
-        inside = np.full(samples.shape, INSIDE, np.uint8)
+        fraction = self._seconds(left, rows) / whole_s
+        inside = np.full(rows.shape, INSIDE, np.uint8)
         step, bend = self.between(Bracket(left, right, fraction[:, 0], inside))
         predicted = step * fraction
-        return np.square(self.difference(left, samples) - predicted - bend)
+        return np.square(self.difference(left, rows) - predicted - bend)
 
 
 _NEAR_INTERVALS = 3.0  # a neighbour that is farther away, in intervals, is no part of a parabola
 
 
 def _in_frame_of_begin(rate: Array, turn: Array) -> Array:
-    """A rate at the end of a turn, about the axes of its begin: the vector of a turn changes along
-    the rate, not by it. To the second order of the turn (Sola et al. 2018, Equation 144)."""
+    """(m, 3) how the vector of a turn changes at its end, by the rate about the axes of the body.
+
+    That is J_r(turn)^-1 rate, to the second order of the turn (Sola et al. 2018, Eq. 144).
+    """
     across = np.cross(turn, rate)
     return np.asarray(rate + across / 2.0 + np.cross(turn, across) / 12.0)
 
@@ -402,7 +435,7 @@ class Takeoff:
     lat_rad: float
     lon_rad: float
     h_msl_m: float
-    stands: bool = True  # still there, at this height
+    stands: bool = True  # the aircraft still stands there, at this height
 
 
 _TAKEOFF_NS = 10 * NANOSECONDS_PER_SECOND  # from the begin of a log, in which it stands or moves
@@ -413,19 +446,20 @@ _EARTH_M = 6.371e6
 def takeoff_of(
     track: tuple[TimeArray, Array, Array, Array], home_m: float | None
 ) -> Takeoff | None:
-    """Where a log begins, if it stands still there or has a take-off height ``home_m`` [m].
+    """Where a log begins; None if the aircraft moves there and no take-off height is known.
 
-    ``track`` holds time [Unix ns], latitude, longitude [rad] and height above sea level [m].
+    ``track`` holds time [Unix ns], latitude, longitude [rad] and height above sea level [m];
+    ``home_m`` is the take-off height [m], if known.
     """
     time_ns, lat_rad, lon_rad, height_m = track
     known = np.isfinite(lat_rad + lon_rad + height_m)
     if not known.any():
         return None
     begin_ns = time_ns[known][0]
-    first = known & (time_ns <= begin_ns + _TAKEOFF_NS)
-    lat_rad = lat_rad[first]
-    lon_rad = lon_rad[first]
-    height_m = height_m[first]
+    is_at_begin = known & (time_ns <= begin_ns + _TAKEOFF_NS)
+    lat_rad = lat_rad[is_at_begin]
+    lon_rad = lon_rad[is_at_begin]
+    height_m = height_m[is_at_begin]
     north_m = float(np.ptp(lat_rad)) * _EARTH_M
     east_m = float(np.ptp(lon_rad)) * math.cos(lat_rad[0]) * _EARTH_M
     moved_m = max(math.hypot(north_m, east_m), float(np.ptp(height_m)))
@@ -434,5 +468,5 @@ def takeoff_of(
         return None
     logged_m = float(np.median(height_m))
     home_m = logged_m if home_m is None else home_m
-    at_home = abs(logged_m - home_m) <= _TAKEOFF_MOVE_M
-    return Takeoff(float(lat_rad[0]), float(lon_rad[0]), home_m, stands=stands and at_home)
+    is_at_home = abs(logged_m - home_m) <= _TAKEOFF_MOVE_M
+    return Takeoff(float(lat_rad[0]), float(lon_rad[0]), home_m, stands=stands and is_at_home)

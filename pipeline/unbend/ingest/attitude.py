@@ -18,7 +18,10 @@ _YAW_IN_EARTH_FRAME = 64
 
 
 def unit_quaternions(q: Array) -> Array:
-    """(n, 4) w, x, y, z -> the same rotations, q_w >= 0; NaN where the length is 0 or infinite."""
+    """(n, 4) unit quaternions w, x, y, z, w >= 0, of quaternions of any length.
+
+    NaN where the length is 0 or infinite.
+    """
     with np.errstate(over="ignore", invalid="ignore"):
         length = np.linalg.norm(q, axis=1, keepdims=True)
         usable = (length > 0.0) & np.isfinite(length)
@@ -27,17 +30,22 @@ def unit_quaternions(q: Array) -> Array:
 
 
 def replace_in_blocks(rotation: Callable[[Array], Array], parts: Sequence[Array]) -> None:
-    """Replace four columns by the quaternions of their (n, 4) numbers, some rows at a time."""
+    """Replace four (n,) columns, in place and some rows at a time, by those of quaternions.
+
+    ``rotation`` makes (m, 4) quaternions of the numbers in (m, 4) rows of the columns.
+    """
     for begin in range(0, parts[0].shape[0], BLOCK):
         block = slice(begin, begin + BLOCK)
         numbers = np.stack([part[block] for part in parts], axis=1)
-        q = rotation(numbers)
-        for part, component in zip(parts, q.T, strict=True):
+        quaternion = rotation(numbers)
+        for part, component in zip(parts, quaternion.T, strict=True):
             part[block] = component
 
 
 def quaternion_of_euler(roll_rad: Array, pitch_rad: Array, yaw_rad: Array) -> Array:
-    """(n,) angles [rad] of any range, Z-Y-X as in MAVLink ATTITUDE and ATT -> (n, 4) w, x, y, z.
+    """(n, 4) quaternions w, x, y, z of (n,) Euler angles [rad] of any range.
+
+    Yaw is applied first, then pitch, then roll (Z-Y-X), as in MAVLink ATTITUDE and in ATT.
 
     >>> quaternion_of_euler(np.zeros(1), np.zeros(1), np.array([np.pi / 2])).round(4)
     array([[0.7071, 0.    , 0.    , 0.7071]])
@@ -56,9 +64,11 @@ def quaternion_of_euler(roll_rad: Array, pitch_rad: Array, yaw_rad: Array) -> Ar
 
 
 def ned_frd_of_enu_flu(q: Array) -> Array:
-    """Attitude of ROS (REP 103: east-north-up, forward-left-up) -> NED and FRD; (n, 4) w, x, y, z.
+    """(n, 4) attitudes w, x, y, z of the package from those of ROS (REP 103).
 
-    The product of (0, s, s, 0), q and (0, 1, 0, 0), s = 1/sqrt(2), exchanges both frames' axes.
+    ROS turns from forward-left-up to east-north-up, the package from forward-right-down to
+    north-east-down. The product (0, s, s, 0) q (0, 1, 0, 0), s = 1/sqrt(2), exchanges the axes of
+    both frames.
 
     >>> ned_frd_of_enu_flu(np.array([[1.0, 0.0, 0.0, 0.0]])).round(4)  # x forward, facing east
     array([[0.7071, 0.    , 0.    , 0.7071]])
@@ -70,10 +80,11 @@ def ned_frd_of_enu_flu(q: Array) -> Array:
 
 
 def earth_frame_attitude(columns: Mapping[str, Array]) -> dict[str, Array]:
-    """A gimbal's columns with ``q_*`` NaN where the yaw is not from north; ``gimbal_q_*`` as sent.
+    """A gimbal's columns, with the quaternion ``q_*`` NaN where its yaw does not count from north.
 
-    The yaw counts from north or from the vehicle's nose, as the flags say; where neither flag is
-    set, a locked yaw counts from north (the text of the message in MAVLink's common.xml).
+    The columns ``gimbal_q_*`` stay as sent. The yaw counts from north or from the vehicle's nose,
+    as the flags say; where neither flag is set, a locked yaw counts from north (the text of the
+    message in MAVLink's common.xml).
     """
     flags = np.nan_to_num(columns["flags"]).astype(np.int64)
     is_locked = flags & _YAW_LOCK != 0

@@ -34,18 +34,14 @@ class Silences(NamedTuple):
 
 @dataclass(frozen=True)
 class Timeline:
-    """Stretches of a log in which the time since boot runs on, (n,) in the order of the log.
+    """Stretches of a log in which the time since boot runs on, (n,) in the order of the log."""
 
-    ``first`` the place of the first record, ``begin`` and ``end`` the first and the last time since
-    boot [ns], ``length`` how many records, ``stray`` whether it is a glitch, ``boot`` from 0.
-    """
-
-    first: Integers
-    begin: TimeArray
-    end: TimeArray
-    length: Integers
-    stray: Mask
-    boot: NDArray[np.int16]
+    first: Integers  # place of the first record
+    begin: TimeArray  # time since boot of the first record [ns]
+    end: TimeArray  # that of the last record [ns]
+    length: Integers  # number of records
+    stray: Mask  # whether the stretch is a glitch of the stamps
+    boot: NDArray[np.int16]  # number of the power-up, from 0
 
     @property
     def boots(self) -> int:
@@ -61,19 +57,20 @@ class Timeline:
         return np.asarray(self.boot[self._stretch(places)], np.int16)
 
     def good(self, places: Integers) -> Mask:
-        """Whether the stamps of records are no glitches."""
+        """Which records, by their places, have a stamp that is no glitch."""
         if not self.stray.any():
             return np.ones(places.shape, np.bool_)
         return np.asarray(~self.stray[self._stretch(places)], np.bool_)
 
     def silences(self) -> Silences:
-        """The stretches before which nothing was recorded for a while, and for how long."""
+        """The silences between stretches that are no glitches."""
         steady = np.flatnonzero(~self.stray)
         silence_ns = self.begin[steady][1:] - self.end[steady][:-1]
         is_long = silence_ns > clock.BOOT_STEP_NS
         return Silences(steady[1:][is_long], silence_ns[is_long])
 
     def _stretch(self, places: Integers) -> Rows:
+        """The stretches in which records lie, by their places."""
         return np.maximum(np.searchsorted(self.first, places, side="right") - 1, 0)
 
 
@@ -117,9 +114,9 @@ def _stretches_of(places: Integers, time_ns: TimeArray) -> list[_Stretch]:
 
 
 def timeline(blocks: Iterable[Stamps]) -> Timeline:
-    """Power-ups and stray stamps, from all times since boot of a log in its order.
+    """Find power-ups and stray stamps in all times since boot of a log, in its order.
 
-    A step back by more than 1 s is a power-up, unless `stray_stretches` has it.
+    A step back by more than 1 s is a power-up, unless it belongs to a stray stretch.
 
     >>> time_ns = np.array([5, 6, 7, 8, 9, 2, 3, 4, 5, 6]) * 10**9
     >>> timeline([(np.arange(10), time_ns)]).boot_of(np.array([4, 5]))
@@ -129,15 +126,24 @@ def timeline(blocks: Iterable[Stamps]) -> Timeline:
     for places, time_ns in blocks:
         if not places.shape[0]:
             continue
-        next_stretches = _stretches_of(places, time_ns)
-        if stretches and abs(next_stretches[0].begin - stretches[-1].end) <= clock.BOOT_STEP_NS:
-            goes_on = next_stretches.pop(0)
+        new_stretches = _stretches_of(places, time_ns)
+        if stretches and abs(new_stretches[0].begin - stretches[-1].end) <= clock.BOOT_STEP_NS:
+            continuation = new_stretches.pop(0)
             last = stretches[-1]
-            stretches[-1] = last._replace(end=goes_on.end, length=last.length + goes_on.length)
-        stretches += next_stretches
+            records = last.length + continuation.length
+            stretches[-1] = last._replace(end=continuation.end, length=records)
+        stretches += new_stretches
     first, begin, end, length = np.array(stretches, np.int64).reshape(-1, 4).T.copy()
     stray = clock.stray_stretches(begin, end, length)
-    return Timeline(first, begin, end, length, stray, _boots(begin, end, stray))
+    boot = _boots(begin, end, stray)
+    return Timeline(
+        first=first,
+        begin=begin,
+        end=end,
+        length=length,
+        stray=stray,
+        boot=boot,
+    )
 
 
 def _boots(begin: TimeArray, end: TimeArray, stray: Mask) -> NDArray[np.int16]:
@@ -152,42 +158,41 @@ def _boots(begin: TimeArray, end: TimeArray, stray: Mask) -> NDArray[np.int16]:
 
 
 def report_timeline(line: Timeline, ledger: Ledger) -> None:
-    """Enter stray stamps, and silences between sensors, of a log whose places are bytes."""
+    """Report stray stamps, and silences between records of sensors, of a log.
+
+    The places of the log must be bytes: the reports name them.
+    """
     if line.stray.any():
-        first = int(line.first[line.stray][0])
+        first_byte = int(line.first[line.stray][0])
         count = int(line.length[line.stray].sum())
-        ledger.add(messages.stray_records(byte=first, count=count))
-    of_sensors = np.flatnonzero(~line.stray & (line.length >= _FEWEST_RECORDS))
-    if not of_sensors.size:
+        ledger.add(messages.stray_records(byte=first_byte, count=count))
+    with_sensors = np.flatnonzero(~line.stray & (line.length >= _FEWEST_RECORDS))
+    if not with_sensors.size:
         return
     silences = line.silences()
-    between = (silences.after > of_sensors[0]) & (silences.after <= of_sensors[-1])
-    if not between.any():
+    is_between = (silences.after > with_sensors[0]) & (silences.after <= with_sensors[-1])
+    if not is_between.any():
         return
-    first = int(line.first[silences.after[between][0]])
-    seconds = float(silences.length_ns[between].sum()) / 1e9
-    count = int(np.count_nonzero(between))
-    ledger.add(messages.nothing_logged(byte=first, count=count, seconds=seconds))
+    first_byte = int(line.first[silences.after[is_between][0]])
+    seconds = float(silences.length_ns[is_between].sum()) / 1e9
+    count = int(np.count_nonzero(is_between))
+    ledger.add(messages.nothing_logged(byte=first_byte, count=count, seconds=seconds))
 
 
 @dataclass(frozen=True)
 class UtcReadings:
-    """UTC beside the time since boot, by one source, (n,) in the order of the log.
+    """UTC beside the time since boot, by one source, (n,) in the order of the log."""
 
-    ``source``: what the rows are, in the plural, ``one`` of them in the singular. ``usable`` False:
-    no UTC, a stray stamp. ``fix`` of a receiver, empty for other sources.
-    """
-
-    source: str
+    source: str  # what the rows are, in the plural
     places: Integers
     boot_ns: TimeArray
     utc_ns: TimeArray
-    usable: Mask
-    fix: NDArray[Any] = field(default_factory=lambda: np.empty(0))
-    one: str = ""
+    usable: Mask  # False where there is no UTC, or a stray stamp
+    fix: NDArray[Any] = field(default_factory=lambda: np.empty(0))  # of a receiver; else empty
+    one: str = ""  # what one row is, in the singular
 
     def counted(self, rows: int) -> str:
-        """A number of its rows, in words."""
+        """A number of rows of this source, in words."""
         return str(Counted(rows, self.one or self.source, self.source))
 
     def sound(self, line: Timeline) -> "UtcReadings":
@@ -242,7 +247,7 @@ class BootClock:
     utc_known: tuple[bool, ...]
 
     def utc(self, places: Integers, boot_ns: TimeArray) -> TimeArray:
-        """UTC [ns] of times since boot at places of the log; these where UTC is unknown."""
+        """UTC [ns] of times since boot at places of the log; the times where UTC is unknown."""
         offsets_ns = np.array([fit.offset_ns if fit else 0 for fit in self.fits], np.int64)
         utc_ns = offsets_ns[self.line.boot_of(places)]
         utc_ns += boot_ns  # memory has its peak here
@@ -259,15 +264,15 @@ def fit_clock(
     cameras: Sequence[UtcReadings] = (),
     utc_of: str = "source of UTC",
 ) -> BootClock:
-    """One offset of UTC from the time since boot, for each boot; how well it fits is reported.
+    """Fit the offset of UTC from the time since boot, for each boot, and report how well it fits.
 
-    ``sources``: in each boot the one with the most rows is used, by their median; another that
-    differs by more than 1 s is a loss. ``cameras`` count where none of them has UTC, ``recorder``
-    in boots without any; without UTC a boot counts as if in 1970. ``where``, ``utc_of``: the
-    vehicle and what gives UTC in this format, for the ledger.
+    In each boot the one of the ``sources`` with the most rows is used, by the median of its rows;
+    each other source that differs by more than 1 s is a loss. ``cameras`` are used if no source has
+    UTC, and ``recorder`` in boots without either; a boot without any counts from 1970. ``where`` is
+    the vehicle and ``utc_of`` what gives UTC in this format, in words for the reports.
 
     A boot is also split where nothing was recorded for more than 1 s and the offset is another by
-    more than 1 s from there on. Where it steps while the time runs on, a clock was set: no boot.
+    more than 1 s from there on. Where the offset steps without such a silence, a clock was set.
     """
     sources = [source.sound(line) for source in sources]
     if not any(source.places.size for source in sources):
@@ -298,26 +303,30 @@ def _split_at_silences(line: Timeline, sources: Sequence[UtcReadings]) -> Timeli
 
     A source with rows on both sides of a silence, in one boot, decides about it.
     """
-    by_steps = line
-    at_silence = line.first[line.silences().after]
-    decided = np.zeros(at_silence.shape, np.bool_)
+    unsplit_line = line
+    silence_places = line.first[line.silences().after]
+    is_decided = np.zeros(silence_places.shape, np.bool_)
     for source in sources:
-        line = _split_boots(line, source, decided)
-        # -1 stands for no row before a silence, -2 for none behind it
-        boots = np.concatenate([[-1], by_steps.boot_of(source.places), [-2]]).astype(np.int64)
-        rows_before = np.searchsorted(source.places, at_silence)
-        boot_before = boots[rows_before]
-        boot_behind = boots[rows_before + 1]
-        decided |= boot_before == boot_behind
+        line = _split_boots(line, source, is_decided)
+        is_decided |= _has_both_sides(source, unsplit_line, silence_places)
     return line
 
 
-def _split_boots(line: Timeline, source: UtcReadings, decided: Mask) -> Timeline:
-    """Split boots where this source's offset steps at a silence that is not ``decided`` yet."""
+def _has_both_sides(source: UtcReadings, line: Timeline, silence_places: Integers) -> Mask:
+    """Whether a source has rows of the same boot before and behind each silence."""
+    boots = line.boot_of(source.places)
+    # -1 stands for no row before a silence, -2 for none behind it
+    padded_boots = np.concatenate([[-1], boots, [-2]]).astype(np.int64)
+    rows_before = np.searchsorted(source.places, silence_places)
+    return np.asarray(padded_boots[rows_before] == padded_boots[rows_before + 1])
+
+
+def _split_boots(line: Timeline, source: UtcReadings, is_decided: Mask) -> Timeline:
+    """Split boots where the offset of a source steps at a silence that is not decided yet."""
     silences = line.silences()
-    within_boot = line.boot[silences.after] == line.boot[silences.after - 1]
-    free = ~decided & within_boot
-    silences = Silences(silences.after[free], silences.length_ns[free])
+    is_within_boot = line.boot[silences.after] == line.boot[silences.after - 1]
+    may_split = ~is_decided & is_within_boot
+    silences = Silences(silences.after[may_split], silences.length_ns[may_split])
     if not silences.after.size or not source.places.shape[0]:
         return line
     silence_places = line.first[silences.after]
@@ -359,7 +368,7 @@ def without_glitches(offset_ns: TimeArray) -> TimeArray:
 
 
 def _fit_boot(line: Timeline, number: int, source: UtcReadings) -> clock.ClockOffset | None:
-    """The offset of one boot by one source, None where that has no rows in it."""
+    """The offset of a boot by one source; None where the source has no rows in that boot."""
     rows = line.boot_of(source.places) == number
     return clock.fit_offset(source.utc_ns[rows], source.boot_ns[rows])
 
@@ -367,7 +376,10 @@ def _fit_boot(line: Timeline, number: int, source: UtcReadings) -> clock.ClockOf
 def _best_fit(
     line: Timeline, number: int, sources: Sequence[UtcReadings], place: str, ledger: Ledger
 ) -> clock.ClockOffset | None:
-    """The offset of a boot by the source with the most rows; sources that differ are losses."""
+    """The offset of a boot by the source with the most rows in it; None without any rows.
+
+    The fit is reported, and each source that differs from it by more than 1 s.
+    """
     fits = []
     for source in sources:
         fit = _fit_boot(line, number, source)

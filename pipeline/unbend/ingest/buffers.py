@@ -103,20 +103,22 @@ def view_of_bytes(data: bytes) -> FileView:
 
 
 def gather(data: NDArray[np.uint8], places: NDArray[Any], size: int) -> NDArray[Any]:
-    """So many bytes from each place on, one void item a row; all must lie in the data.
+    """(n,) void items: ``size`` bytes of the data from each of (n,) places on.
+
+    All of them must lie in the data.
 
     >>> gather(np.frombuffer(b"abcdef", np.uint8), np.array([3, 0]), 2).view("S2")
     array([b'de', b'ab'], dtype='|S2')
     """
     count = max(data.shape[0] - size + 1, 0)
-    # an item at every byte, overlapping: those at the places are then one copy
-    every: NDArray[Any] = np.ndarray((count,), f"V{size}", data, offset=0, strides=(1,))
-    rows: NDArray[Any] = every[places]
-    return rows
+    # an item at every byte, overlapping, without a copy; then one copy of those at the places
+    all_items: NDArray[Any] = np.ndarray((count,), f"V{size}", data, offset=0, strides=(1,))
+    items: NDArray[Any] = all_items[places]
+    return items
 
 
 class Runs:
-    """Places, rising, where messages may begin and end; a run ends where the next does not follow.
+    """Places, rising, where messages may begin and end, and the runs of those that follow directly.
 
     >>> Runs(np.array([0, 4, 9]), np.array([4, 8, 12])).starting_at(0)
     slice(0, 2, None)
@@ -129,7 +131,7 @@ class Runs:
         self._breaks = np.flatnonzero(next_at != end)  # the last of each run
 
     def starting_at(self, place: int) -> slice:
-        """Those that follow each other from a place on; empty when none begins there."""
+        """The rows of the messages that follow each other from a place on; empty without any."""
         first = int(np.searchsorted(self.at, place))
         if first == self.at.shape[0] or self.at[first] != place:
             return slice(first, first)
@@ -154,7 +156,7 @@ class _Arena:
         self.used = 0  # bytes of the last region
 
     def take(self, size: int) -> tuple[mmap.mmap, int]:
-        """Memory of so many bytes, and the place in it where they begin."""
+        """Memory with ``size`` free bytes, and the place in it where these begin."""
         with self.lock:
             if self.private + size > PRIVATE:
                 region = self._region_with(size)
@@ -190,7 +192,7 @@ class _Arena:
         return memory
 
     def _free(self, size: int, generation: int) -> None:
-        """Count private memory that was freed; not that of the parent of a forked process."""
+        """Subtract private memory that was freed, unless a fork has begun a new generation."""
         with self.lock:
             if generation == self.generation:
                 self.private -= size
@@ -294,13 +296,13 @@ class ColumnStore:
         self._blocks.append(allocate(self._room, self.dtype))
 
     def blocks(self) -> Iterator[NDArray[Any]]:
-        """The rows, some at a time; they may be written to."""
+        """The rows, block by block; they may be written to."""
         yield from self._blocks[:-1]
         for block in self._blocks[-1:]:
             yield block[: block.shape[0] - self._room]
 
     def drained(self) -> Iterator[NDArray[Any]]:
-        """The rows, some at a time; each block is freed when the next is asked for."""
+        """The rows, block by block; empties the store, so that each block is freed after use."""
         blocks = self._blocks[::-1]
         free_rows = self._room
         self._blocks = []
@@ -313,7 +315,7 @@ class ColumnStore:
             yield block
 
     def whole(self) -> NDArray[Any]:
-        """All rows as one array; the store is empty then.
+        """All rows as one array; empties the store.
 
         >>> store = ColumnStore(np.int64)
         >>> store.add(np.arange(3))

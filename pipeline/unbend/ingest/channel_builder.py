@@ -53,17 +53,17 @@ class DecodedRows:
 
 
 class ColumnStores:
-    """Columns made piece by piece; one takes memory when it has its first value, NaN before."""
+    """Columns made piece by piece; a column takes no memory before its first value."""
 
     def __init__(self, spec: MessageMap) -> None:
         self.stores: dict[str, ColumnStore] = {}
-        self._needed = spec.position or spec.attitude  # also without a value
+        self._keeps_empty = spec.position or spec.attitude  # columns without any value
         self._length = 0
 
     def add(self, values: Mapping[str, Array], count: int) -> None:
-        """The next ``count`` rows of each column; NaN where ``values`` lacks one."""
+        """Add the next ``count`` rows to each column; NaN to columns that ``values`` lacks."""
         for name, column in values.items():
-            if name not in self.stores and (self._needed or bool(np.isfinite(column).any())):
+            if name not in self.stores and (self._keeps_empty or bool(np.isfinite(column).any())):
                 self.stores[name] = ColumnStore("f8")
                 self.stores[name].add(np.broadcast_to(np.nan, self._length))
         for name, store in self.stores.items():
@@ -71,12 +71,16 @@ class ColumnStores:
         self._length += count
 
     def whole(self) -> dict[str, Array]:
-        """All rows; the stores are empty then."""
+        """All rows by column; empties the stores."""
         return {name: store.whole() for name, store in self.stores.items()}
 
 
 def channel_of(rows: DecodedRows, spec: MessageMap, ledger: Ledger) -> Channel | None:
-    """A channel from decoded rows, or None when nothing is left; drops are in the ledger."""
+    """The channel of decoded rows; None if no row or no value is left.
+
+    Rows that cannot be used are dropped and reported: those without a fix, repeats, and rows out of
+    the order of time.
+    """
     if spec.text_field:
         return channel_of_texts(rows, spec)
     absent = sorted(_needed_columns(rows, spec) - set(rows.columns))
@@ -128,7 +132,7 @@ def _needed_columns(rows: DecodedRows, spec: MessageMap) -> set[str]:
 
 
 def _rank(source: Source, spec: MessageMap) -> int:
-    """How soon a channel is chosen: of spare instances another than of the first."""
+    """The rank of a channel among candidates for a role; spare instances have one of their own."""
     is_first = source.instance in (None, "0")
     if spec.spare_rank is None or is_first:
         return spec.rank
@@ -136,7 +140,7 @@ def _rank(source: Source, spec: MessageMap) -> int:
 
 
 def _with_fix(rows: DecodedRows, ledger: Ledger) -> DecodedRows:
-    """The rows of a position that have a fix; 0, 0 is none."""
+    """The rows of a position with a fix; the place 0, 0 is no fix. The others are reported."""
     lat_rad = rows.columns["lat_rad"]
     lon_rad = rows.columns["lon_rad"]
     good = np.isfinite(lat_rad) & np.isfinite(lon_rad)
@@ -151,7 +155,10 @@ def _with_fix(rows: DecodedRows, ledger: Ledger) -> DecodedRows:
 
 
 def _numbered_exposures(rows: DecodedRows) -> DecodedRows:
-    """Exposures with a number, and a place only where they have one; before rows are dropped."""
+    """Exposures, numbered by their row where the log does not number them, with 0, 0 as no place.
+
+    To be called before rows are dropped.
+    """
     columns = dict(rows.columns)
     if "event_index" not in columns:
         columns["event_index"] = np.arange(len(rows), dtype=np.float64)
@@ -181,14 +188,17 @@ def _quaternion_of_angles(numbers: Array) -> Array:
 
 
 def channel_of_texts(rows: DecodedRows, spec: MessageMap) -> Channel | None:
-    """What an autopilot says, in the order of time; texts of one time are lines of one row."""
+    """The channel of an autopilot's texts in the order of time; None without any.
+
+    Texts of the same time are lines of one row.
+    """
     order = np.argsort(rows.time_ns, kind="stable")
     time_ns, first = np.unique(rows.time_ns[order], return_index=True)
     if not time_ns.size:
         return None
-    words = [rows.labels["text"][row].strip() for row in order.tolist()]
-    bounds = [*first.tolist(), len(words)]
-    texts = tuple("\n".join(words[begin:end]) for begin, end in pairwise(bounds))
+    lines = [rows.labels["text"][row].strip() for row in order.tolist()]
+    bounds = [*first.tolist(), len(lines)]
+    texts = tuple("\n".join(lines[begin:end]) for begin, end in pairwise(bounds))
     return Channel(
         name=rows.name,
         time_ns=time_ns,
@@ -201,7 +211,7 @@ def channel_of_texts(rows: DecodedRows, spec: MessageMap) -> Channel | None:
 
 
 def without_stray(rows: DecodedRows, stray: Mask, ledger: Ledger) -> DecodedRows:
-    """The rows without those whose time since boot fits none of their neighbours."""
+    """The rows without stray ones, whose time since boot fits no neighbour; those are reported."""
     if not stray.any():
         return rows
     ledger.add(
@@ -239,7 +249,10 @@ def captured_rows(rows: DecodedRows, ledger: Ledger) -> DecodedRows:
 
 
 def _without_repeats(rows: DecodedRows, ledger: Ledger, *, event: bool) -> DecodedRows:
-    """The rows without those of the time of the row before, or equal to any earlier row."""
+    """The rows without repeats: those with the time of the row before, or equal to an earlier row.
+
+    Repeats are reported; of events they are a loss.
+    """
     if bool(np.all(rows.time_ns[1:] > rows.time_ns[:-1])):
         return rows
     repeats = _equal_to_earlier(rows) | ~new_readings(rows.time_ns)
@@ -263,16 +276,19 @@ def _equal_to_earlier(rows: DecodedRows) -> Mask:
     if not rows.columns:
         return np.zeros(len(rows), np.bool_)
     _, first, group = np.unique(rows.time_ns, return_index=True, return_inverse=True)
-    original = first[group]  # the first row of the same time
-    equal = original != np.arange(len(rows))
+    first_of_time = first[group]
+    is_equal = first_of_time != np.arange(len(rows))
     for column in rows.columns.values():
-        both_unknown = np.isnan(column) & np.isnan(column[original])
-        equal &= (column == column[original]) | both_unknown
-    return np.asarray(equal, np.bool_)
+        both_unknown = np.isnan(column) & np.isnan(column[first_of_time])
+        is_equal &= (column == column[first_of_time]) | both_unknown
+    return np.asarray(is_equal, np.bool_)
 
 
 def _in_rising_time(rows: DecodedRows, ledger: Ledger) -> DecodedRows:
-    """The rows in strictly increasing time; where a clock was set back, a new boot begins."""
+    """The rows in strictly increasing time; where a clock was set back, a new boot begins.
+
+    Rows that are lost thereby, and settings of the clock, are reported.
+    """
     if bool(np.all(rows.time_ns[1:] > rows.time_ns[:-1])):
         return rows
     kept, stretch = rows_in_time_order(rows.time_ns)
@@ -307,34 +323,39 @@ _MAX_OPTION = 1 << 15  # a parameter is a float; a damaged one may be anything
 def with_both_heights(
     channels: Iterable[Channel], parameters: Mapping[str, float], ledger: Ledger, where: str
 ) -> list[Channel]:
-    """The channels with both heights, where the receiver gave the undulation with one of them.
+    """The channels with heights above sea level and above the ellipsoid, where both are known.
 
-    ``where``: of the settings, which may say that heights above sea level are above the ellipsoid.
+    A receiver that gives one height and the undulation gives both. A setting among the
+    ``parameters`` says that heights logged as above sea level are above the ellipsoid. ``where``
+    the settings are, for the report of that.
     """
     option = parameters.get(HEIGHT_OPTION, 0.0)
-    ellipsoidal = 0.0 <= option < _MAX_OPTION and bool(int(option) & _HEIGHT_ELLIPSOID)
-    if ellipsoidal:
+    is_ellipsoidal = 0.0 <= option < _MAX_OPTION and bool(int(option) & _HEIGHT_ELLIPSOID)
+    if is_ellipsoidal:
         ledger.add(messages.heights_above_ellipsoid(where=where, parameter=HEIGHT_OPTION))
     result = []
     for channel in channels:
-        columns = _with_both_heights(channel.columns, ellipsoidal=ellipsoidal)
+        columns = _with_both_heights(channel.columns, is_ellipsoidal=is_ellipsoidal)
         result.append(replace(channel, columns=columns))
     return result
 
 
-def _with_both_heights(columns: Mapping[str, Array], *, ellipsoidal: bool) -> dict[str, Array]:
-    """The columns of a channel with both heights; ``ellipsoidal``: of its height as logged."""
+def _with_both_heights(columns: Mapping[str, Array], *, is_ellipsoidal: bool) -> dict[str, Array]:
+    """The columns of a channel with both heights, as far as they are known.
+
+    ``is_ellipsoidal``: the height logged as above sea level is above the ellipsoid.
+    """
     result = dict(columns)
     undulation_m = result.pop("undulation_m", None)
     logged_m = result.get("h_msl_m")
     if logged_m is None:
         return result
     if undulation_m is None:
-        if ellipsoidal:
+        if is_ellipsoidal:
             del result["h_msl_m"]
             result.setdefault("h_ellipsoid_m", logged_m)
         return result
-    if ellipsoidal:
+    if is_ellipsoidal:
         result["h_ellipsoid_m"] = logged_m
         result["h_msl_m"] = logged_m - undulation_m
     result.setdefault("h_ellipsoid_m", logged_m + undulation_m)

@@ -48,22 +48,17 @@ class FieldColumn:
 
 @dataclass(frozen=True)
 class MessageMap:
-    """One message and the channel it becomes.
-
-    ``id_field`` tells instances apart, ``time_field`` is the message's own time, where the format
-    has neither. ``spare_rank``: of all instances but the first, which are spares (numbers do not
-    show which thermometer is outside). ``position`` drops rows without a fix, ``attitude`` makes
-    quaternions of Euler angles, ``text_field`` is what the autopilot says: no columns.
-    """
+    """One message and the channel it becomes."""
 
     columns: tuple[FieldColumn, ...]
     roles: tuple[str, ...] = ()
     rank: int = 50
-    id_field: str = ""
-    time_field: str = "timestamp"
-    position: bool = False
-    attitude: bool = False
-    text_field: str = ""
+    id_field: str = ""  # tells instances apart, where the format has no instances of its own
+    time_field: str = "timestamp"  # the message's own time, where the format has none for all
+    position: bool = False  # rows without a fix are dropped
+    attitude: bool = False  # Euler angles become quaternions
+    text_field: str = ""  # the words of the autopilot; there are no columns then
+    # of all instances but the first: numbers do not show which thermometer is outside
     spare_rank: int | None = None
 
     @property
@@ -150,7 +145,10 @@ def to_si(raw: NDArray[Any], spec: FieldColumn) -> Array:
 
 
 def _translated_flags(bits: NDArray[np.int64], pairs: list[tuple[int, int]]) -> NDArray[np.int64]:
-    """Flags of a log in the package's order; ``pairs``: number of a bit in the log, and here."""
+    """Flags of a log with their bits in the package's order.
+
+    ``pairs``: the number of a bit in the log, and in the package; the lowest ten bits are alike.
+    """
     flags = bits & _SAME_FLAGS
     for logged_bit, own_bit in pairs:
         flags |= (bits >> logged_bit & 1) << own_bit
@@ -158,11 +156,12 @@ def _translated_flags(bits: NDArray[np.int64], pairs: list[tuple[int, int]]) -> 
 
 
 def in_stated_unit(channel: Channel, role: str, unit: str) -> Channel:
-    """The channel with the column of a role in SI, where its numbers are really in another unit.
+    """The channel with the column of a role in SI, where the mission file states the true unit.
 
-    ``unit``: of `STATED_UNITS`, by the mission file. A bare ``value`` becomes the column; else
-    numbers are converted back first: SCALED_PRESSURE is in hPa; a driver that sends kPa has 81.25
-    for 81,250 Pa, read as 8125 Pa, stated as kPa 81,250 Pa. Raises MissionError (CHANNEL-UNIT).
+    ``unit``: of `STATED_UNITS`. A bare ``value`` becomes the column. Numbers that were converted
+    from the unit of the log are converted back first: a driver that sends kPa in SCALED_PRESSURE,
+    which is in hPa, writes 81.25 for 81,250 Pa; that was read as 8125 Pa, and with "kPa" stated
+    becomes 81,250 Pa. Raises MissionError (CHANNEL-UNIT) for a unit of another quantity.
     """
     column, factor, offset = STATED_UNITS[unit]
     if column not in ROLE_COLUMNS[role]:
@@ -189,11 +188,12 @@ def extract(
     kept: Callable[[Array], Array] = np.asarray,
     used_up: dict[str, NDArray[Any]] | None = None,
 ) -> dict[str, Array]:
-    """The columns of a field map that a decoded message has, each as it is to be ``kept``.
+    """The columns of a field map, in SI, that a decoded message has fields for.
 
     A field that is an array or a text where a number is expected is left out. Speed and course
     become velocity, a vibration that of the worst axis, clippings of several sensors their sum.
-    Fields that are read are removed from ``used_up``: memory has its peak here.
+    ``kept`` makes the array that is returned of each column. Fields that are read are removed from
+    ``used_up``: memory has its peak here.
     """
     result: dict[str, Array] = {}
     last_use = {field: spec.name for spec in columns for field in spec.fields}
@@ -204,25 +204,32 @@ def extract(
         result[spec.name] = kept(to_si(table[field], spec))
         if used_up is not None and last_use[field] == spec.name:
             del used_up[field]
-    if "speed_m_s" in result and "course_rad" in result:
-        speed = result.pop("speed_m_s")
-        course = result.pop("course_rad")
-        result["v_north_m_s"] = kept(speed * np.cos(course))
-        result["v_east_m_s"] = kept(speed * np.sin(course))
-    has_vertical_speed = result.pop("has_vertical_speed", None)  # the speed is 0 where it has none
-    if has_vertical_speed is not None and "v_down_m_s" in result:
-        result["v_down_m_s"][has_vertical_speed == 0.0] = np.nan
+    _make_velocity(result, kept)
     vibrations = _taken(result, "vibration_m_s2_")
     if vibrations:
-        result["vibration_m_s2"] = kept(np.fmax.reduce(vibrations))
+        worst = np.fmax.reduce(vibrations)
+        result["vibration_m_s2"] = kept(worst)
     clippings = _taken(result, "clipping_")
     if clippings:
-        result["clipping"] = kept(np.add.reduce(clippings))
+        total = np.add.reduce(clippings)
+        result["clipping"] = kept(total)
     return result
 
 
+def _make_velocity(columns: dict[str, Array], kept: Callable[[Array], Array]) -> None:
+    """Replace speed and course by the velocity; the vertical one is NaN where it is not known."""
+    if "speed_m_s" in columns and "course_rad" in columns:
+        speed = columns.pop("speed_m_s")
+        course = columns.pop("course_rad")
+        columns["v_north_m_s"] = kept(speed * np.cos(course))
+        columns["v_east_m_s"] = kept(speed * np.sin(course))
+    has_vertical_speed = columns.pop("has_vertical_speed", None)  # the speed is 0 without it
+    if has_vertical_speed is not None and "v_down_m_s" in columns:
+        columns["v_down_m_s"][has_vertical_speed == 0.0] = np.nan
+
+
 def _field_of(spec: FieldColumn, table: Mapping[str, NDArray[Any]]) -> str | None:
-    """The field of a table that a column is made of, or None."""
+    """The first of the fields for a column that a table has as numbers; None without any."""
     for field in spec.fields:
         if field in table and is_number(table[field]):
             return field
@@ -230,7 +237,7 @@ def _field_of(spec: FieldColumn, table: Mapping[str, NDArray[Any]]) -> str | Non
 
 
 def _taken(columns: dict[str, Array], prefix: str) -> list[Array]:
-    """The columns whose names begin so, taken out."""
+    """Remove the columns whose names begin with a prefix; returns them in the order of names."""
     names = sorted(name for name in columns if name.startswith(prefix))
     return [columns.pop(name) for name in names]
 

@@ -19,17 +19,17 @@ _WORD = 1 << 64  # the first integer that needs more than 64 bits
 
 
 def column_of(values: list[Any]) -> NDArray[Any]:
-    """Values of one field, a message each (None without), as one column.
+    """The values of a field in (n,) messages, None where one lacks it, as one column.
 
-    bool, int64, uint64 or float64 where that alters no number (NaN where one is missing), str where
-    all are texts ("" where one is missing), else objects.
+    The type is bool, int64, uint64 or float64 if that alters no number, with NaN for missing ones;
+    str if all are texts, with "" for missing ones; else object.
 
     >>> column_of([2**60 + 1, -5]).tolist(), column_of([1, None]), column_of([1, "n/a"])
     ([1152921504606846977, -5], array([ 1., nan]), array([1, 'n/a'], dtype=object))
     """
-    all_kinds = {type(value) for value in values}
-    kinds = all_kinds - {type(None)}
-    is_complete = kinds == all_kinds
+    kinds_with_none = {type(value) for value in values}
+    kinds = kinds_with_none - {type(None)}
+    is_complete = kinds == kinds_with_none
     if kinds == {str}:
         return np.array(_filled_values(values, ""), np.str_)
     if kinds == {bool} and is_complete:
@@ -42,7 +42,7 @@ def column_of(values: list[Any]) -> NDArray[Any]:
 
 
 def _filled_values(values: list[Any], missing: Any) -> list[Any]:
-    """Values with something for those that are missing."""
+    """Values, with another value in place of None."""
     return [missing if value is None else value for value in values]
 
 
@@ -60,7 +60,7 @@ def _integers(values: list[int]) -> NDArray[Any]:
 
 
 def _is_exact_as_float(value: Any) -> bool:
-    """Whether a float64 holds a number as it is; of None: NaN does."""
+    """Whether a float64 holds a value as it is; None counts as NaN, which it holds."""
     if not isinstance(value, int) or abs(value) <= EXACT:
         return True
     return abs(value) < _WORD and int(float(value)) == value
@@ -75,7 +75,10 @@ def _objects(values: list[Any]) -> NDArray[Any]:
 
 
 def in_order(tables: Sequence[Table]) -> Table:
-    """Tables with `PLACE` as one in the order of the log, columns as `join_pieces`; used up."""
+    """Tables with `PLACE` as one table in the order of the log, with columns as `join_pieces`.
+
+    The columns are removed from the tables, so that memory does not hold them twice.
+    """
     whole = tables[0] if len(tables) == 1 else _joined(tables)
     places = whole[PLACE]
     if bool(np.all(places[1:] > places[:-1])):
@@ -85,7 +88,7 @@ def in_order(tables: Sequence[Table]) -> Table:
 
 
 def _joined(tables: Sequence[Table]) -> Table:
-    """Tables end to end; each column is taken out of them, so that its memory is freed."""
+    """Tables end to end; their columns are removed one by one, so that memory is freed."""
     names = dict.fromkeys(name for table in tables for name in table)
     counts = [table[PLACE].shape[0] for table in tables]
     whole: Table = {}
@@ -96,9 +99,10 @@ def _joined(tables: Sequence[Table]) -> Table:
 
 
 def join_pieces(pieces: Sequence[NDArray[Any] | int]) -> NDArray[Any]:
-    """Pieces of a column end to end; an integer stands for so many rows without it (NaN, or "").
+    """The pieces of a column end to end.
 
-    What no type of numpy holds without loss is as `column_of` has it.
+    An integer instead of a piece stands for that many rows without a value: NaN, or "" among texts.
+    Pieces that numpy cannot join without altering a value become a column as by `column_of`.
 
     >>> join_pieces([np.array([1.5]), 1]), join_pieces([np.array(["a"]), np.array([7])])
     (array([1.5, nan]), array(['a', 7], dtype=object))
@@ -128,14 +132,14 @@ def _joined_without_loss(pieces: Sequence[NDArray[Any] | int]) -> NDArray[Any] |
 
 
 def _has_floats(pieces: Sequence[NDArray[Any] | int], arrays: Sequence[NDArray[Any]]) -> bool:
-    """Whether a column is of floats: a piece is, or one is missing, which becomes NaN."""
+    """Whether a joined column has floats by right: in a piece, or NaN for missing rows."""
     return len(arrays) < len(pieces) or any(array.dtype.kind == "f" for array in arrays)
 
 
 def _filled(
     pieces: Sequence[NDArray[Any] | int], arrays: Sequence[NDArray[Any]]
 ) -> list[NDArray[Any]]:
-    """The pieces, missing ones as NaN or empty texts of the shape and the type of the others."""
+    """The pieces, with NaN or empty texts in the shape of the others for missing rows."""
     kind = np.dtype(np.float64)
     for array in arrays:
         if array.dtype.kind in "fU":

@@ -61,11 +61,17 @@ class ReceiverDelay:
 
 
 def with_receiver_delay(contents: Contents, ledger: Ledger) -> Contents:
-    """The contents with all times in UTC: later by the delay, but for fixes, which get their epoch.
+    """The contents with the delay of the receiver taken out of all times.
 
-    Logs without a receiver of an autopilot, or stamped in UTC, are returned as they are.
+    UTC from late stamps is too early by the delay: all times of the vehicle become later by that.
+    The times of fixes become earlier by the delay of their own receiver, and so those of their
+    epochs. Logs without a receiver of an autopilot, or stamped in UTC, are returned as they are.
     """
-    receivers = [c for c in contents.channels if c.source.message in _RECEIVERS and len(c)]
+    receivers = [
+        channel
+        for channel in contents.channels
+        if channel.source.message in _RECEIVERS and len(channel)
+    ]
     if not receivers:
         return contents
     delays = {channel.name: _delay_of(channel, contents) for channel in receivers}
@@ -98,7 +104,7 @@ def with_receiver_delay(contents: Contents, ledger: Ledger) -> Contents:
 
 
 def _shifted(channel: Channel, shift_ns: int) -> Channel:
-    """The channel with later times; the same where they stay."""
+    """The channel with its times later by a shift."""
     if not shift_ns:
         return channel
     return replace(channel, time_ns=channel.time_ns + shift_ns)
@@ -107,7 +113,7 @@ def _shifted(channel: Channel, shift_ns: int) -> Channel:
 def _later_table(
     table: Callable[[str, str | None], Table] | None, later_ns: int
 ) -> Callable[[str, str | None], Table] | None:
-    """The function that decodes tables, with their times later."""
+    """A function that decodes tables as ``table`` does, with their times later."""
     if table is None:
         return None
 
@@ -157,15 +163,12 @@ def _settings_of(receiver: Channel) -> Sequence[str]:
 
 @dataclass(frozen=True)
 class _Motion:
-    """Fixes beside the positions of a filter, both as stamped; arrays are (2, n): north, east.
+    """Fixes of a receiver beside the positions of a filter, both as stamped."""
 
-    ``time_ns`` (n,) and ``fixes_rad`` of the receiver; ``m_per_rad`` (2, 1) along the axes.
-    """
-
-    fused: Channel
-    time_ns: TimeArray
-    fixes_rad: Array
-    m_per_rad: Array
+    fused: Channel  # the positions of the filter
+    time_ns: TimeArray  # (n,) of the fixes
+    fixes_rad: Array  # (2, n) latitude and longitude
+    m_per_rad: Array  # (2, 1) north and east
 
     def places_rad(self, time_ns: TimeArray) -> Array:
         """Latitude and longitude of the filter at other times."""
@@ -175,7 +178,10 @@ class _Motion:
         return np.stack([latitude, longitude])
 
     def delays_beyond(self, delay_s: float) -> Array:
-        """By how much longer than ``delay_s`` each fix of a fast flight is late; empty for few."""
+        """By how much longer than ``delay_s`` each fix in fast flight is late [s].
+
+        Empty where there are too few fixes to estimate a delay.
+        """
         epoch_ns = self.time_ns - round(delay_s * 1e9)
         apart_m = wrapped(self.fixes_rad - self.places_rad(epoch_ns)) * self.m_per_rad
         after = self.places_rad(epoch_ns + _HALF_BASE_NS)
@@ -196,9 +202,9 @@ class _Motion:
 def estimated_delay(receiver: Channel, fused: Channel) -> ReceiverDelay | None:
     """The delay of fixes behind the positions of the filter that follows them, both as stamped.
 
-    Fixes lie behind by the speed times the delay: the median of all rows in fast flight; None where
-    they are few or do not agree. Accuracy against the truth of two simulator flights: 1 ms for the
-    positions of the filter, which themselves lead by 11 and 21 ms.
+    Fixes lie behind by the speed times the delay; the median of all rows in fast flight counts.
+    None where these rows are few or do not agree. Accuracy against the truth of two simulator
+    flights: 1 ms for the positions of the filter, which themselves lead by 11 and 21 ms.
     """
     step = max(len(receiver) // MOST_ROWS, 1)  # memory has its peak here
     fixes_rad = np.stack([receiver["lat_rad"][::step], receiver["lon_rad"][::step]])

@@ -5,7 +5,8 @@ from dataclasses import dataclass, field, replace
 
 from unbend.config import Mission
 from unbend.flight.channels import ROLE_COLUMNS, Channel
-from unbend.flight.evidence.contradictions import contradictions_of_import, examine
+from unbend.flight.evidence.contradictions import examine
+from unbend.flight.evidence.imported_channels import contradictions_of_import
 from unbend.flight.evidence.log_accuracy import LogAccuracy, with_accuracy
 from unbend.flight.evidence.quality import plausible_samples
 from unbend.flight.evidence.stretches import Stretch

@@ -8,7 +8,7 @@ import numpy as np
 from unbend.config import Mission
 from unbend.flight import exposures
 from unbend.flight.channels import Channel
-from unbend.flight.evidence.contradictions import contradictions_of_import
+from unbend.flight.evidence.imported_channels import contradictions_of_import
 from unbend.flight.evidence.log_accuracy import LogAccuracy
 from unbend.flight.evidence.stretches import Stretch, flag_suspect
 from unbend.flight.exposures import Events

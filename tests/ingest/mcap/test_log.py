@@ -593,6 +593,23 @@ def test_a_message_that_does_not_fit_its_schema_is_a_loss(tmp_path: Path) -> Non
     assert len(log.channel("/outside/air")) == 60
 
 
+def test_an_instance_that_is_not_there_is_not_told_as_messages_that_do_not_fit(
+    tmp_path: Path,
+) -> None:
+    bag = Bag()
+    definition = "string name\nfloat32 value_float"
+    schema = bag.writer.register_msgdef("mavros_msgs/msg/DebugValue", definition)
+    row = {"name": "CabT", "value_float": 20.0}
+    bag.writer.write_message("/debug", schema, row, START)
+    damaged = with_message(bag.data, "/debug", b"\x00\x01\x00\x00\xff\xff\xff\xff")
+    log = opened(tmp_path, damaged)
+    assert entries(log, "LOG-DECODE")[0].count == 1
+    assert log.message("/debug", "CabT")["value_float"].tolist() == [20.0]
+    with pytest.raises(LogError, match="/debug, instance Cab, has no rows") as caught:
+        log.message("/debug", "Cab")
+    assert "decoded" not in str(caught.value)
+
+
 def test_a_schema_that_cannot_be_parsed_costs_its_topic(tmp_path: Path) -> None:
     bag = Bag()
     schema = bag.writer.register_msgdef("sensor_msgs/msg/FluidPressure", "wstring name")

@@ -9,7 +9,7 @@ import pytest
 
 from unbend.errors import MissionError
 from unbend.flight.channels import Channel, Source
-from unbend.flight.evidence.contradictions import contradictions_of_import
+from unbend.flight.evidence.imported_channels import contradictions_of_import
 from unbend.flight.evidence.stretches import Stretch
 from unbend.flight.heights import HeightSystem
 from unbend.messages import Ledger

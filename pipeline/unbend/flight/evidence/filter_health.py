@@ -75,10 +75,10 @@ _INNOVATIONS = {
 
 
 def filter_evidence(channels: Sequence[Channel]) -> list[Stretch]:
-    """What the filter says of itself: innovations, health, clipping accelerometers.
+    """The stretches that innovations, flags and accelerometers of a filter make suspect.
 
-    Innovation ratios above 1 are rejected measurements. Of several lanes the best counts, which is
-    the one an autopilot flies by.
+    An innovation ratio above 1 is a rejected measurement. Of several lanes the best counts, which
+    is the one an autopilot flies by.
     """
     suspect: list[Stretch] = []
     for column in _INNOVATIONS:
@@ -94,22 +94,25 @@ def filter_evidence(channels: Sequence[Channel]) -> list[Stretch]:
 
 
 def _rejected_measurements(column: str, lanes: list[Channel]) -> list[Stretch]:
-    """Where all lanes of a filter reject a measurement; a velocity speaks of the position too."""
+    """The stretches in which all lanes of a filter reject a measurement.
+
+    A rejected velocity makes the position suspect, too.
+    """
     quantity, reason = _INNOVATIONS[column]
     shortest_s = _SHORT_COMPASS_S if column == "innovation_compass" else _SHORT_S
     time_ns = lanes[0].time_ns
     ratio = lanes[0][column]
     for lane in lanes[1:]:
-        of_lane = interpolate(lane, column, time_ns, lane.gap_limit_s(_LANE_GAP_S))
-        ratio = np.fmin(ratio, of_lane)
+        lane_ratio = interpolate(lane, column, time_ns, lane.gap_limit_s(_LANE_GAP_S))
+        ratio = np.fmin(ratio, lane_ratio)
     suspect: list[Stretch] = []
     for run in runs(time_ns, ratio > SETTLED_RATIO, ratio > REJECTED_RATIO, SETTLED_S):
         lasts_s = (time_ns[run.last] - time_ns[run.first]) * 1e-9
         worst = float(np.nanmax(ratio[run.rows]))
         if worst < _LARGE_RATIO and lasts_s < shortest_s:
             continue
-        why = f"{reason} (innovation ratio {worst:.3g})"
-        stretch = stretch_of_run(time_ns, run, quantity, why)
+        reason_with_ratio = f"{reason} (innovation ratio {worst:.3g})"
+        stretch = stretch_of_run(time_ns, run, quantity, reason_with_ratio)
         suspect.append(stretch)
         if column == "innovation_velocity":
             suspect.append(replace(stretch, quantity=POSITION))
@@ -117,7 +120,7 @@ def _rejected_measurements(column: str, lanes: list[Channel]) -> list[Stretch]:
 
 
 def _flagged(channel: Channel) -> list[Stretch]:
-    """Where bits of a filter's flags say that its position is wrong."""
+    """The stretches in which a filter's flags say that its position is wrong."""
     flags = np.nan_to_num(channel["filter_flags"]).astype(np.int64)
     suspect: list[Stretch] = []
     for reason, bit in _FLAGS.items():
@@ -128,7 +131,7 @@ def _flagged(channel: Channel) -> list[Stretch]:
 
 
 def _clipping(channel: Channel) -> list[Stretch]:
-    """Where accelerometers clip: the attitude has lost its vertical."""
+    """The stretches in which accelerometers clip: the attitude has lost its vertical."""
     time_ns = channel.time_ns
     clips_per_second = np.diff(channel["clipping"]) / np.diff(time_ns) * SECOND
     rate = np.append(0.0, clips_per_second)
@@ -141,9 +144,9 @@ def _clipping(channel: Channel) -> list[Stretch]:
 
 
 def message_evidence(channels: Sequence[Channel]) -> list[Stretch]:
-    """What the autopilot says of its position and attitude, until it says that this is over.
+    """The stretches from a text in which the autopilot reports trouble to one that ends it.
 
-    A switch from one filter to another counts for 5 s. It takes half a second to say so.
+    A switch from one filter to another makes 5 s suspect. A text comes half a second late.
     """
     suspect: list[Stretch] = []
     for channel in channels:
@@ -155,7 +158,7 @@ def message_evidence(channels: Sequence[Channel]) -> list[Stretch]:
 
 
 def _trouble(channel: Channel, row: int, line: str) -> list[Stretch]:
-    """What a line of an autopilot's text says is suspect, from its row on."""
+    """The stretches that a line in a row of an autopilot's texts makes suspect, from then on."""
     begin_ns = int(channel.time_ns[row]) - _MESSAGE_DELAY_NS
     end_ns = begin_ns + _MOMENT_NS
     if not _MOMENTARY.search(line):
@@ -168,7 +171,7 @@ def _trouble(channel: Channel, row: int, line: str) -> list[Stretch]:
 
 
 def _over_ns(channel: Channel, row: int) -> int:
-    """When a later text says that a trouble is over; else an hour after the last of its boot."""
+    """When the next text ends a trouble; else an hour after the last text of the boot."""
     texts = channel.labels["text"]
     for later in range(row + 1, len(texts)):
         if _OVER.search(texts[later]):
@@ -178,9 +181,10 @@ def _over_ns(channel: Channel, row: int) -> int:
 
 
 def attitude_evidence(attitude: Channel, channels: Sequence[Channel]) -> list[Stretch]:
-    """Where the vertical of an attitude differs from that of another, beyond what is usual.
+    """The stretches in which the vertical of an attitude departs from that of another attitude.
 
-    What the aircraft turns in 0.2 s does not count: times of telemetry are no better.
+    The angle between the two counts beyond what the aircraft turns in 0.2 s (times of telemetry are
+    no better), and beyond what is usual.
     """
     suspect: list[Stretch] = []
     vertical = _vertical(attitude)
@@ -190,9 +194,7 @@ def attitude_evidence(attitude: Channel, channels: Sequence[Channel]) -> list[St
         time_ns = other.time_ns
         other_down = _down_at(_vertical(other), time_ns)
         apart_deg = _angle_deg(_down_at(vertical, time_ns), other_down)
-        later = _down_at(vertical, time_ns + _TURN_NS)
-        earlier = _down_at(vertical, time_ns - _TURN_NS)
-        tilt_deg = apart_deg - np.nan_to_num(_angle_deg(later, earlier))
+        tilt_deg = apart_deg - _turned_deg(vertical, time_ns)
         if not np.isfinite(tilt_deg).any():
             continue
         usual_deg = float(np.nanpercentile(tilt_deg, 95.0))
@@ -203,6 +205,13 @@ def attitude_evidence(attitude: Channel, channels: Sequence[Channel]) -> list[St
                 reason = f"{attitude.name} and {other.name} are {worst_deg:.1f} deg apart"
                 suspect.append(stretch_of_run(time_ns, run, ATTITUDE, reason))
     return suspect
+
+
+def _turned_deg(vertical: Channel, time_ns: TimeArray) -> Array:
+    """(n,) angles [deg] by which a vertical turns within 0.2 s about instants; 0 where unknown."""
+    later = _down_at(vertical, time_ns + _TURN_NS)
+    earlier = _down_at(vertical, time_ns - _TURN_NS)
+    return np.asarray(np.nan_to_num(_angle_deg(later, earlier)))
 
 
 def _vertical(attitude: Channel) -> Channel:

@@ -1,7 +1,8 @@
 """How accurate a log's positions and attitudes are, by what the log itself reports."""
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -42,6 +43,27 @@ USUAL_INTERVAL_S = 1.0  # of fixes: a filter drifts only after a longer one
 _REPORTS = ("sigma_h_m", "sigma_v_m", "hdop")  # what a channel says of its own accuracy
 
 
+class PositionSigmas(NamedTuple):
+    """(m,) sigmas of positions [m], of each horizontal axis and of the height."""
+
+    horizontal_m: Array
+    height_m: Array
+
+
+class AttitudeSigmas(NamedTuple):
+    """(m,) sigmas of attitudes [rad], about each level axis and about the vertical one."""
+
+    tilt_rad: Array
+    yaw_rad: Array
+
+
+class _PositionVariances(NamedTuple):
+    """(m,) variances of positions [m2], of each horizontal axis and of the height."""
+
+    horizontal_m2: Array
+    height_m2: Array
+
+
 @dataclass(frozen=True, eq=False)
 class LogAccuracy:
     """What a log says about the accuracy of its positions and attitudes; None where nothing.
@@ -54,93 +76,116 @@ class LogAccuracy:
     health: Channel | None = None
     fused: Channel | None = None
 
-    def positions(self, channel: Channel, time_ns: TimeArray) -> tuple[Array, Array]:
-        """(m,) sigmas of positions of a channel, per horizontal axis and of heights [m].
+    def positions(self, channel: Channel, time_ns: TimeArray) -> PositionSigmas:
+        """(m,) sigmas of the positions of a channel at instants; NaN where unknown.
 
-        What the channel itself reports; in height with the scatter about that of the filter, which
-        drifts slowly. A filter that reports nothing has the sigmas of its receiver and its own
-        innovations; where fixes are more than 1 s apart, it drifts away from the last.
+        They are those that the channel itself reports. A filter that reports none has those of its
+        receiver together with its own innovations.
         """
-        reports_itself = any(name in channel.columns for name in _REPORTS)
-        source = channel if reports_itself else self.receiver
-        if source is None:
-            unknown = np.full(time_ns.shape, np.nan)
-            return unknown, unknown
-        horizontal, vertical = _reported_variances(source, time_ns)
-        if not reports_itself:
-            of_position = POSITION_GATE_M * self.innovation("position", time_ns)
-            of_velocity = VELOCITY_GATE_M_S * FILTER_TIME_S * self.innovation("velocity", time_ns)
-            of_height = HEIGHT_GATE_M * self.innovation("height", time_ns)
-            horizontal = horizontal + np.square(of_position) + np.square(of_velocity)
-            vertical = vertical + np.square(of_height)
+        if not any(name in channel.columns for name in _REPORTS):
+            variances = self._filter_variances(time_ns)
         else:
-            vertical = vertical + self._variance_about_fused(channel, time_ns)
-        silent = ~np.isfinite(horizontal)
+            variances = self._channel_variances(channel, time_ns)
+        return PositionSigmas(np.sqrt(variances.horizontal_m2), np.sqrt(variances.height_m2))
+
+    def _channel_variances(self, channel: Channel, time_ns: TimeArray) -> _PositionVariances:
+        """(m,) variances that a channel reports of its own positions.
+
+        That of the height includes its scatter about the filter's. At instants without a report a
+        channel that is not the receiver has the variances of a filter.
+        """
+        reported = _reported_variances(channel, time_ns)
+        horizontal_m2 = reported.horizontal_m2
+        height_m2 = reported.height_m2 + self._variance_about_fused(channel, time_ns)
+        is_silent = ~np.isfinite(horizontal_m2)
         is_receiver = self.receiver is None or channel is self.receiver
-        if reports_itself and not is_receiver and silent.any():  # for a part of the time only
-            columns = {k: v for k, v in channel.columns.items() if k not in _REPORTS}
-            sigma_h, sigma_v = self.positions(replace(channel, columns=columns), time_ns)
-            horizontal = np.where(silent, np.square(sigma_h), horizontal)
-            vertical = np.where(silent, np.square(sigma_v), vertical)
-        return np.sqrt(horizontal), np.sqrt(vertical)
+        if not is_receiver and is_silent.any():
+            of_filter = self._filter_variances(time_ns)
+            horizontal_m2 = np.where(is_silent, of_filter.horizontal_m2, horizontal_m2)
+            height_m2 = np.where(is_silent, of_filter.height_m2, height_m2)
+        return _PositionVariances(horizontal_m2, height_m2)
+
+    def _filter_variances(self, time_ns: TimeArray) -> _PositionVariances:
+        """(m,) variances of a filter's positions: its receiver's, and of its own innovations.
+
+        NaN without a receiver.
+        """
+        if self.receiver is None:
+            unknown = np.full(time_ns.shape, np.nan)
+            return _PositionVariances(unknown, unknown)
+        of_receiver = _reported_variances(self.receiver, time_ns)
+        by_position_m = POSITION_GATE_M * self.innovation("position", time_ns)
+        by_velocity_m = VELOCITY_GATE_M_S * FILTER_TIME_S * self.innovation("velocity", time_ns)
+        by_height_m = HEIGHT_GATE_M * self.innovation("height", time_ns)
+        return _PositionVariances(
+            of_receiver.horizontal_m2 + np.square(by_position_m) + np.square(by_velocity_m),
+            of_receiver.height_m2 + np.square(by_height_m),
+        )
 
     def _variance_about_fused(self, channel: Channel, time_ns: TimeArray) -> Array:
-        """(m,) scatter of a channel's heights about those of the filter, which drifts slowly."""
+        """(m,) variance [m2] of a channel's heights about those of the filter, which drift slowly.
+
+        0 where there are no heights of a filter.
+        """
         name = channel.height_column
         if self.fused is None or name is None or name not in self.fused.columns:
             return np.zeros(time_ns.shape)
         gap_s = self.fused.gap_limit_s()
-        apart = channel[name] - interpolate(self.fused, name, channel.time_ns, gap_s)
-        _, deviation = _about(channel.time_ns, apart, time_ns)
-        return np.square(deviation)
+        apart_m = channel[name] - interpolate(self.fused, name, channel.time_ns, gap_s)
+        return np.square(_scatter_about(channel.time_ns, apart_m, time_ns).deviation)
 
-    def attitude(self, channel: Channel, time_ns: TimeArray, lat_rad: Array) -> tuple[Array, Array]:
-        """(m,) sigmas of attitudes of a channel about a level and the vertical axis [rad].
+    def attitude(self, channel: Channel, time_ns: TimeArray, lat_rad: Array) -> AttitudeSigmas:
+        """(m,) sigmas of the attitudes of a channel at instants and latitudes.
 
-        What the channel itself reports. Else the tilt of a filter grows with its innovations of
-        velocity, as the sigma of unit weight does, and a compass shows it times the tangent of the
-        field's dip (that of a dipole along the earth's axis, 2 tan(latitude)) as yaw.
+        They are those that the channel itself reports. Else the tilt of a filter grows with its
+        innovations of velocity, as the sigma of unit weight does, and a compass adds to the yaw the
+        tilt times the tangent of the field's dip (that of a dipole along the earth's axis,
+        2 tan(latitude)).
         """
         if "sigma_tilt_rad" in channel.columns and "sigma_yaw_rad" in channel.columns:
             gap_s = channel.gap_limit_s()
             tilt = interpolate(channel, "sigma_tilt_rad", time_ns, gap_s)
             yaw = interpolate(channel, "sigma_yaw_rad", time_ns, gap_s)
-            return tilt, yaw
+            return AttitudeSigmas(tilt, yaw)
         gates = np.full(time_ns.shape, ONE_SIGMA_OF_GATE)
         if self.health is not None:
             gates = self.innovation("velocity", time_ns)
         tilt = np.hypot(LEAST_TILT_RAD, GATE_SIGMAS * TILT_RAD * gates)
         latitude = np.abs(np.nan_to_num(lat_rad))
         dip = np.clip(2.0 * np.tan(latitude), 0.0, STEEPEST_DIP)
-        return tilt, np.hypot(LEAST_YAW_RAD, dip * tilt)
+        yaw = np.hypot(LEAST_YAW_RAD, dip * tilt)
+        return AttitudeSigmas(tilt, yaw)
 
     def innovation(self, kind: str, time_ns: TimeArray) -> Array:
-        """Rms of an innovation over its gate about instants; 0 where it is not logged."""
+        """(m,) rms of an innovation over its gate about instants; 0 where it is not logged."""
         column = f"innovation_{kind}"
         if self.health is None or column not in self.health.columns:
             return np.zeros(time_ns.shape)
-        mean, scatter = _about(self.health.time_ns, self.health[column], time_ns)
-        return np.hypot(mean, scatter)
+        scatter = _scatter_about(self.health.time_ns, self.health[column], time_ns)
+        return np.hypot(scatter.mean, scatter.deviation)
 
 
-def _reported_variances(source: Channel, time_ns: TimeArray) -> tuple[Array, Array]:
-    """(m,) variances by the nearest sample's report, horizontal per axis and vertical [m2].
+def _reported_variances(source: Channel, time_ns: TimeArray) -> _PositionVariances:
+    """(m,) variances by the report of the sample nearest to each instant.
 
-    Where that is far away, a filter has drifted since.
+    More than `USUAL_INTERVAL_S` away from that sample a filter has drifted.
     """
     row = _nearest_row(source, time_ns)
     away_s = np.abs(time_ns - source.time_ns[row]) * 1e-9
     drift_m = DRIFT_M_S * np.maximum(away_s - USUAL_INTERVAL_S, 0.0)
-    of_drift = np.square(drift_m)
+    horizontal_m = _reported_sigma(source, "sigma_h_m", HORIZONTAL_RANGES)
+    height_m = _reported_sigma(source, "sigma_v_m", VERTICAL_RANGES)
+    return _PositionVariances(
+        np.square(horizontal_m[row]) + np.square(drift_m),
+        np.square(height_m[row]) + np.square(drift_m),
+    )
 
-    def reported(name: str, ranges: float) -> Array:
-        by_dop = ranges * RANGE_ERROR_M * source.get("hdop")
-        stated = source.get(name)
-        return np.where(np.isfinite(stated), stated, by_dop)
 
-    horizontal = np.square(reported("sigma_h_m", HORIZONTAL_RANGES)[row]) + of_drift
-    vertical = np.square(reported("sigma_v_m", VERTICAL_RANGES)[row]) + of_drift
-    return horizontal, vertical
+def _reported_sigma(source: Channel, column: str, ranges_per_hdop: float) -> Array:
+    """(n,) sigma [m] that a source reports in a column; where that is unknown, by its HDOP."""
+    by_hdop = ranges_per_hdop * RANGE_ERROR_M * source.get("hdop")
+    sigma = source.get(column)
+    return np.where(np.isfinite(sigma), sigma, by_hdop)
 
 
 def _nearest_row(channel: Channel, time_ns: TimeArray) -> Rows:
@@ -151,10 +196,17 @@ def _nearest_row(channel: Channel, time_ns: TimeArray) -> Rows:
     return np.asarray(np.where(to_before < to_after, after - 1, after))
 
 
-def _about(stamps: TimeArray, values: Array, time_ns: TimeArray) -> tuple[Array, Array]:
-    """(m,) mean and standard deviation of known values within `WINDOW_NS` of instants.
+class _Scatter(NamedTuple):
+    """(m,) mean and standard deviation of values about instants."""
 
-    0 where there is none.
+    mean: Array
+    deviation: Array
+
+
+def _scatter_about(stamps: TimeArray, values: Array, time_ns: TimeArray) -> _Scatter:
+    """Mean and standard deviation of the finite values within `WINDOW_NS` of each instant.
+
+    ``stamps`` are the times of the values. Both are 0 where there is no value.
     """
     known = np.isfinite(values)
     stamps = stamps[known]
@@ -162,23 +214,23 @@ def _about(stamps: TimeArray, values: Array, time_ns: TimeArray) -> tuple[Array,
     middle = float(np.median(values)) if values.size else 0.0
     departures = values - middle  # so that squares do not cancel
     first = np.searchsorted(stamps, time_ns - WINDOW_NS)
-    last = np.searchsorted(stamps, time_ns + WINDOW_NS, side="right")
-    count = np.maximum(last - first, 1)
+    end = np.searchsorted(stamps, time_ns + WINDOW_NS, side="right")
+    count = np.maximum(end - first, 1)
     sums = np.append(0.0, np.cumsum(departures))
     square_sums = np.append(0.0, np.cumsum(departures**2))
-    mean = (sums[last] - sums[first]) / count
-    mean_square = (square_sums[last] - square_sums[first]) / count
+    mean = (sums[end] - sums[first]) / count
+    mean_square = (square_sums[end] - square_sums[first]) / count
     deviation = np.sqrt(np.maximum(mean_square - mean**2, 0.0))
-    return np.where(last > first, middle + mean, 0.0), deviation
+    return _Scatter(np.where(end > first, middle + mean, 0.0), deviation)
 
 
 def with_accuracy(
     roles: Mapping[str, Channel], channels: Iterable[Channel]
 ) -> tuple[dict[str, Channel], LogAccuracy]:
-    """The channels of the roles with velocities and body rates, and how accurate they are.
+    """The roles with velocities and body rates in their channels, and how accurate those are.
 
-    They get the columns of other channels of the same sender; a gimbal does not, whose body rates
-    are the aircraft's.
+    A channel without such columns gets those of another channel of the same sender. A gimbal's does
+    not: the body rates of the sender are the aircraft's.
     """
     by_rank = sorted(channels, key=lambda channel: (channel.rank, channel.name))
     result = dict(roles)
@@ -188,8 +240,8 @@ def with_accuracy(
             slopes = RATES if "attitude" in role else VELOCITY
             result[role] = with_slopes(channel, by_rank, slopes)
     system = roles["position"].source.system if "position" in roles else None
-    own = [channel for channel in by_rank if channel.source.system == system and len(channel)]
-    return result, _accuracy_of_sender(own)
+    of_sender = [channel for channel in by_rank if channel.source.system == system and len(channel)]
+    return result, _accuracy_of_sender(of_sender)
 
 
 def _accuracy_of_sender(channels: list[Channel]) -> LogAccuracy:

@@ -191,6 +191,17 @@ def barometer_drifts(*, barometer: str, reason: str, when: str) -> Message:
     )
 
 
+def spare_barometer_drifts(*, barometer: str, reason: str, when: str) -> Message:
+    """A barometer that no station takes its pressure from leaves the height of a good receiver."""
+    return note(
+        BARO_DRIFT,
+        "{reason} from {when}; no station uses this barometer",
+        where=barometer,
+        reason=reason,
+        when=when,
+    )
+
+
 STATIONS_STAND_IN = Code(
     "STATIONS-STAND-IN",
     means="In a part of the flight another source replaces one that is wrong.",

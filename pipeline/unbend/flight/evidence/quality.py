@@ -75,24 +75,24 @@ _ROLES_WITH_JUMPS = ("position", "attitude", "pressure", "temperature", "humidit
 
 
 class _Distance(NamedTuple):
-    """How far samples of two sets of rows are apart, and what is no jump."""
+    """How to measure how far samples are apart, and up to which distance that is no jump."""
 
-    between: Callable[[Channel, Rows, Rows], Array]
-    rate: float  # per second
-    noise: float  # whatever the interval
+    between: Callable[[Channel, Rows, Rows], Array]  # (m,) of two arrays of rows
+    rate: float  # that is no jump, per second between the samples
+    noise: float  # that is no jump, whatever the time between the samples
 
 
 def plausible_samples(channel: Channel, role: str) -> tuple[Channel, Notes]:
     """The channel without the samples that are missing or impossible in the columns of its role.
 
-    Impossible is a value out of range, or one that is reached and left faster than air or aircraft
-    can change; the notes count those that `mask_impossible_values` has not. Refuses a channel whose
-    median shows a wrong unit (hPa where Pa is due).
+    A value is impossible if it is out of range, or reached and left faster than air or aircraft can
+    change. The notes count these samples, but not those that `mask_impossible_values` counted.
+    Refuses a channel whose median shows a wrong unit (hPa where Pa is due).
     """
     notes: list[Message] = []
     if role in ("position", "height"):
-        channel, of_heights = _mask_heights(channel)
-        notes += of_heights
+        channel, height_notes = _mask_heights(channel)
+        notes += height_notes
     reasons = np.zeros(len(channel), np.uint8)
     for column in ROLE_COLUMNS[role]:
         values = channel[column]
@@ -114,9 +114,9 @@ def plausible_samples(channel: Channel, role: str) -> tuple[Channel, Notes]:
         reasons = np.where(reasons == Reason.USED, impossible, reasons)
         reasons = with_reason(reasons, unknown, Reason.NO_VALUE)
         reasons = with_reason(reasons, outside, Reason.OUT_OF_RANGE)
-    jumps, of_jumps = _jumps(channel, reasons == Reason.USED, role)
+    jumps, jump_notes = _jumps(channel, reasons == Reason.USED, role)
     reasons[jumps] = Reason.JUMP
-    return channel.without(reasons), (*notes, *of_jumps)
+    return channel.without(reasons), (*notes, *jump_notes)
 
 
 def _refuse_wrong_unit(channel: Channel, role: str, column: str) -> None:
@@ -134,34 +134,34 @@ def _refuse_wrong_unit(channel: Channel, role: str, column: str) -> None:
 
 
 def mask_impossible_values(channel: Channel) -> tuple[Channel, Notes]:
-    """The channel of a log without the values that cannot be true; the notes count them.
+    """The channel of a log with impossible values unknown (NaN); the notes count them.
 
-    As `plausible_samples`, before a role is given to it: a wrong value becomes unknown (NaN), and
-    its row goes where nothing is left that a role could use. A column whose median is impossible is
-    kept, with a warning: it has another unit, or is not of air. Of events only ranges are checked.
+    Values are impossible as for `plausible_samples`, for all roles that the channel may get. Rows
+    in which no role has a value left are removed. A column whose median is impossible is kept, with
+    a warning: it has another unit, or is not of air. Of events only ranges are checked.
     """
-    channel, of_heights = _mask_heights(channel)
-    channel, odd_columns, of_ranges = _mask_ranges(channel)
-    notes = [*of_heights, *of_ranges]
+    channel, height_notes = _mask_heights(channel)
+    channel, odd_columns, range_notes = _mask_ranges(channel)
+    notes = [*height_notes, *range_notes]
     if "events" in channel.roles:
         return channel, tuple(notes)
     roles = [role for role in _ROLES_WITH_JUMPS if channel.fits_role(role)]
     for role in roles:
         if odd_columns.isdisjoint(ROLE_COLUMNS[role]):
-            channel, of_jumps = _mask_jumps(channel, role)
-            notes += of_jumps
+            channel, jump_notes = _mask_jumps(channel, role)
+            notes += jump_notes
     return channel.without(_reasons_of_useless_rows(channel, roles)), tuple(notes)
 
 
 def _reasons_of_useless_rows(channel: Channel, roles: list[str]) -> Reasons:
-    """(n,) why nothing is left in a row that a role could use; 0 where something is.
+    """(n,) why no role has a value left in a row; 0 where a role has one.
 
-    The row of an impossible height keeps its latitude and longitude.
+    An impossible height is no reason: the row keeps its latitude and longitude.
     """
     reasons = np.zeros(len(channel), np.uint8)
-    for column, of_column in channel.rejected.items():
+    for column, column_reasons in channel.rejected.items():
         if column not in _HEIGHTS:
-            reasons = np.where(reasons == Reason.USED, of_column, reasons)
+            reasons = np.where(reasons == Reason.USED, column_reasons, reasons)
     useful = np.full(len(channel), not roles)
     for role in roles:
         useful |= _known(channel, role)
@@ -169,9 +169,9 @@ def _reasons_of_useless_rows(channel: Channel, roles: list[str]) -> Reasons:
 
 
 def _mask_ranges(channel: Channel) -> tuple[Channel, set[str], Notes]:
-    """The channel with values out of range unknown, but for columns whose median is odd.
+    """The channel with values out of range unknown, and the columns whose median is out of range.
 
-    Returns these columns as well. Heights are masked by `_mask_heights`.
+    These columns are left as they are; heights are left to `_mask_heights`.
     """
     odd_columns: set[str] = set()
     notes: list[Message] = []
@@ -255,9 +255,9 @@ def _mask_heights(channel: Channel) -> tuple[Channel, Notes]:
         is_jump = np.zeros(len(channel), np.bool_)
         if "lat_rad" in channel.columns:
             known = np.isfinite(height) & ~outside
-            stray, of_noise = _stray_rows(channel, known, _STEPS[column], channel.name)
+            stray, noise_notes = _stray_rows(channel, known, _STEPS[column], channel.name)
             is_jump[stray] = True
-            notes += of_noise
+            notes += noise_notes
         impossible = outside | is_jump
         if impossible.any():
             first_row = int(np.argmax(impossible))
@@ -277,15 +277,19 @@ def _mask_heights(channel: Channel) -> tuple[Channel, Notes]:
 
 
 def _jumps(channel: Channel, known: Mask, role: str) -> tuple[Rows, Notes]:
-    """Few samples in a row that a role's columns cannot reach from those around them."""
+    """The rows of samples that jump: few in a row, which the samples around them cannot reach.
+
+    Only known rows are compared, in the columns of a role. Jumps that show how a filter is aligned
+    are noted and are no loss.
+    """
     where = f"{channel.name}, as {role}"
     notes: list[Message] = []
     is_stray = np.zeros(len(channel), np.bool_)
     for name in (role, *ROLE_COLUMNS[role]):
         if name in _STEPS:
-            rows, of_noise = _stray_rows(channel, known, _STEPS[name], where)
+            rows, noise_notes = _stray_rows(channel, known, _STEPS[name], where)
             is_stray[rows] = True
-            notes += of_noise
+            notes += noise_notes
     jumps = np.flatnonzero(is_stray)
     lost = jumps
     if role.endswith("attitude"):
@@ -305,9 +309,10 @@ def _jumps(channel: Channel, known: Mask, role: str) -> tuple[Rows, Notes]:
 
 
 def _leads_to_another_attitude(channel: Channel, kept: Mask, jumps: Rows) -> Mask:
-    """Which jumps lie between attitudes too far apart for the time between: the filter was aligned.
+    """(j,) which jumps show that the filter was aligned.
 
-    So do those before the first attitude that is kept.
+    The attitudes before and after such a jump are too far apart for the time between them, or the
+    jump comes before the first attitude that is kept.
     """
     kept_rows = np.flatnonzero(kept)
     place = np.searchsorted(kept_rows, jumps)
@@ -343,7 +348,7 @@ def _angle(channel: Channel, first: Rows, second: Rows) -> Array:
 
 
 def _step_of(column: str, rate: float, noise: float) -> _Distance:
-    """The difference of the values of a column."""
+    """The distance of samples by the difference of their values in a column."""
 
     def between(channel: Channel, first: Rows, second: Rows) -> Array:
         return np.abs(channel[column][second] - channel[column][first])
@@ -364,14 +369,14 @@ _STEPS: Mapping[str, _Distance] = {
 
 
 def _is_far(channel: Channel, first: Rows, second: Rows, step: _Distance) -> Mask:
-    """Which of two samples are farther apart than a step allows in the time between."""
+    """(m,) whether two samples are farther apart than a step allows in the time between them."""
     seconds = 1e-9 * (channel.time_ns[second] - channel.time_ns[first])
     limit = np.maximum(step.rate * seconds, step.noise)
     return np.asarray(step.between(channel, first, second) > limit, np.bool_)
 
 
 def _stray_rows(channel: Channel, known: Mask, step: _Distance, where: str) -> tuple[Rows, Notes]:
-    """Rows that neither side reaches at the rate of a step, up to `STRAY_ROWS` in a row."""
+    """The known rows, up to `STRAY_ROWS` in a row, that a step reaches from neither side."""
     rows = np.flatnonzero(known)
     first = _begins_of_stretches(channel, rows, step)
     if rows.size < _FEWEST_SAMPLES or first.size == 1:
@@ -384,7 +389,7 @@ def _stray_rows(channel: Channel, known: Mask, step: _Distance, where: str) -> t
     end_row = rows[first + length - 1]
 
     def is_out_of_reach(earlier: int, later: int) -> bool:
-        """Whether a stretch cannot be reached from the end of another."""
+        """Whether a later stretch begins too far from the end of an earlier one."""
         end = end_row[earlier : earlier + 1]
         begin = begin_row[later : later + 1]
         return bool(_is_far(channel, end, begin, step)[0])

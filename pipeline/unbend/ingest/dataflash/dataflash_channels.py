@@ -50,7 +50,7 @@ ACCURACY_FIELDS = [field for column in _ACCURACY_MAP.columns for field in column
 
 
 def texts_of(message: str, field: str, table: Table) -> tuple[str, ...] | None:
-    """What the autopilot says in each row of MSG, EV or ERR; None where no text is defined.
+    """The words of the autopilot in each row of MSG, EV or ERR; None where they are not defined.
 
     >>> texts_of("ERR", "Subsys", {"Subsys": np.array([16], "u1"), "ECode": np.array([2], "u1")})
     ('ERR EKFCHECK 2',)
@@ -61,19 +61,22 @@ def texts_of(message: str, field: str, table: Table) -> tuple[str, ...] | None:
         return None
     if message == "MSG":
         return tuple(values.tolist())
-    names = MAPS["dataflash_numbers"][message]
+    name_of_number = MAPS["dataflash_numbers"][message]
     error_codes = [""] * values.shape[0]
     if "ECode" in table:
         error_codes = table["ECode"].tolist()
     texts = []
     for number, error_code in zip(values.tolist(), error_codes, strict=True):
-        name = names.get(str(number), number)
+        name = name_of_number.get(str(number), number)
         texts.append(f"{message} {name} {error_code}".strip())
     return tuple(texts)
 
 
 def instance_of(table: Table) -> NDArray[Any]:
-    """The instance of each row, -1 without; integers only: I of PID messages is none."""
+    """(n,) number of the instance (sensor, core) of each row; -1 where a message has none.
+
+    Only integers are instances: the field I of PID messages is an integral gain.
+    """
     for field in INSTANCE_FIELDS:
         if field in table and table[field].dtype.kind in "iu":
             return table[field]
@@ -88,7 +91,7 @@ def _length(table: Table) -> int:
 
 
 def stamps(data: FileView, walker: RecordWalker) -> Iterator[Stamps]:
-    """The times of all records that begin with one, during the walk."""
+    """Walk through the log; yields places and times [ns] of the records that begin with a time."""
     for block in walker.blocks():
         time_fields = [form.time_field for form in walker.definitions]
         places, time_us = _times_of_block(data, block, time_fields)
@@ -101,20 +104,19 @@ def _times_of_block(
 ) -> tuple[Integers, TimeArray]:
     """Places and times since boot [us] of the records of a block that begin with a time.
 
-    ``time_fields``: by definition, "" where a record has none.
+    ``time_fields``: the name of the first field of each definition if that is a time, else "".
     """
-    has_time = np.array([bool(field) for field in time_fields])
-    in_ms = np.array([field == "TimeMS" for field in time_fields])
-    rows = has_time[block.numbers]
-    offsets = block.at[rows].astype(np.int64)
+    has_time = np.array([bool(field) for field in time_fields])[block.numbers]
+    offsets = block.at[has_time].astype(np.int64)
     if not offsets.size:
         return offsets, offsets
     raw = data.array(block.base, block.end())
     time_us = microseconds(gather(raw, offsets + HEADER, 8).view("<u8"))
-    if in_ms.any():
-        rows_in_ms = in_ms[block.numbers[rows]]
-        time_ms = gather(raw, offsets[rows_in_ms] + HEADER, 4).view("<u4")
-        time_us[rows_in_ms] = time_ms * np.int64(1000)
+    is_definition_in_ms = np.array([field == "TimeMS" for field in time_fields])
+    if is_definition_in_ms.any():
+        in_ms = is_definition_in_ms[block.numbers[has_time]]
+        time_ms = gather(raw, offsets[in_ms] + HEADER, 4).view("<u4")
+        time_us[in_ms] = time_ms * np.int64(1000)
     return offsets + block.base, time_us
 
 
@@ -134,21 +136,21 @@ def clock_of(line: Timeline, tables: Mapping[str, Table], ledger: Ledger) -> tup
 
 
 def _receiver_utc(line: Timeline, table: Table, name: str, ledger: Ledger) -> Iterator[UtcReadings]:
-    """The UTC of each receiver of a message."""
+    """The UTC readings of each receiver (instance) in the table of a message."""
     absent = sorted(_UTC_FIELDS - set(table))
     if absent:
         count = table[PLACE].size
         ledger.add(messages.no_utc_fields(message=name, count=count, fields=absent))
         return
-    usable = (table["GWk"] > 0) & (table["GWk"] < _WEEKS)
-    usable &= (table["GMS"] >= 0) & (table["GMS"] < _MS_PER_WEEK)
+    has_utc = (table["GWk"] > 0) & (table["GWk"] < _WEEKS)
+    has_utc &= (table["GMS"] >= 0) & (table["GMS"] < _MS_PER_WEEK)
     instance = instance_of(table)
-    for number in np.unique(instance[usable]):
-        rows = usable & (instance == number)
+    for number in np.unique(instance[has_utc]):
+        rows = has_utc & (instance == number)
         receiver = table
         if not bool(rows.all()):  # a long log is not copied
-            needed = (PLACE, "TimeUS", *_UTC_FIELDS)
-            receiver = {field: table[field][rows] for field in needed}
+            needed_fields = (PLACE, "TimeUS", *_UTC_FIELDS)
+            receiver = {field: table[field][rows] for field in needed_fields}
         label = f"{name}[{number}]" if number >= 0 else name
         places = receiver[PLACE]
         week = _full_weeks_by_boot(receiver, line.boot_of(places), label, ledger)
@@ -165,7 +167,10 @@ def _receiver_utc(line: Timeline, table: Table, name: str, ledger: Ledger) -> It
 def _full_weeks_by_boot(
     receiver: Table, boot: NDArray[np.int16], label: str, ledger: Ledger
 ) -> NDArray[Any]:
-    """The GPS weeks of a receiver; it rolls over in all rows of a boot or in none."""
+    """(n,) GPS weeks of a receiver, with the rollovers of its week counter repaired and reported.
+
+    The counter rolled over in all rows of a boot or in none.
+    """
     week = receiver["GWk"]
     has_fix = receiver["Status"] >= LOWEST_FIX
     for number in np.unique(boot).tolist():
@@ -187,7 +192,7 @@ def _full_weeks_by_boot(
 
 
 def wanted_fields() -> dict[str, Callable[[str], bool]]:
-    """The messages that become channels or are needed for it, and which of their fields."""
+    """Which messages are read, and for each of them a test whether a field of it is read."""
     always = {"TimeUS", "TimeMS", *INSTANCE_FIELDS}
     fields: dict[str, set[str]] = {}
     for name, spec in MESSAGES.items():
@@ -204,7 +209,10 @@ def wanted_fields() -> dict[str, Callable[[str], bool]]:
 def channels_of(
     tables: dict[str, Table], parameters: Mapping[str, float], clock: BootClock, ledger: Ledger
 ) -> tuple[Channel, ...]:
-    """The channels of the messages that the field map knows; their tables are used up."""
+    """The channels of the messages that the field map knows.
+
+    Their tables are removed from ``tables``, so that memory does not hold them twice.
+    """
     channels = []
     for message, spec in MESSAGES.items():
         for rows in _rows_of_message(message, spec, tables, clock, ledger):
@@ -233,7 +241,11 @@ def _row_times(table: Table, clock: BootClock) -> _RowTimes:
 def _rows_of_message(
     message: str, spec: MessageMap, tables: dict[str, Table], clock: BootClock, ledger: Ledger
 ) -> Iterator[DecodedRows]:
-    """The rows of each instance of a message, whose table is used up: memory has its peak here."""
+    """The rows of each instance of a message, as channels are built from them.
+
+    The table of the message, and that of its accuracy, are removed from ``tables``: memory has its
+    peak here.
+    """
     if message not in tables:
         return
     table = tables.pop(message)
@@ -250,85 +262,95 @@ def _rows_of_message(
     instance = table[spec.id_field] if is_named else instance_of(table)
     table = dict(table)
     del table[PLACE]
-    values = extract(table, spec.columns, copy_rows, used_up=table)
-    del table
-    numbers = np.unique(instance)
+    values = extract(table, spec.columns, copy_rows, used_up=table)  # fields are freed one by one
+    del table  # with the fields that no column is made of
+    instances = np.unique(instance)
     if not is_named and not spec.event:
-        numbers = _without_stray_instances(message, instance, ledger)
-    for number in numbers.tolist():
-        label = str(number) if is_named or number >= 0 else None
-        name = message if label is None else f"{message}[{label}]"
-        rows = DecodedRows(name, Source(message, label), times.time_ns, times.boot, values)
-        yield _chosen(rows, (instance == number) & times.good)
+        instances = _without_stray_instances(message, instance, ledger)
+    for value in instances.tolist():
+        has_label = is_named or value >= 0  # -1 is of messages without instances
+        label = str(value) if has_label else None
+        name = f"{message}[{label}]" if has_label else message
+        rows = DecodedRows(
+            name=name,
+            source=Source(message, label),
+            time_ns=times.time_ns,
+            boot=times.boot,
+            columns=values,
+        )
+        yield _chosen(rows, (instance == value) & times.good)
 
 
 def _text_rows(
     message: str, spec: MessageMap, table: Table, times: _RowTimes, ledger: Ledger
 ) -> Iterator[DecodedRows]:
-    """The rows of a message that is what the autopilot says."""
+    """The rows of a message in which the autopilot reports in words; none without its texts."""
     texts = texts_of(message, spec.text_field, table)
     if texts is None:
         ledger.add(messages.no_text_field(message=message, field=spec.text_field))
         return
-    labels = {"text": texts}
-    rows = DecodedRows(message, Source(message), times.time_ns, times.boot, {}, labels)
+    rows = DecodedRows(
+        name=message,
+        source=Source(message),
+        time_ns=times.time_ns,
+        boot=times.boot,
+        columns={},
+        labels={"text": texts},
+    )
     yield _chosen(rows, times.good)
 
 
 def _chosen(rows: DecodedRows, chosen: Mask) -> DecodedRows:
-    """Some of the rows, not copied where these are all."""
+    """The chosen rows; the rows themselves, without a copy, where all are chosen."""
     return rows if chosen.all() else rows.take(chosen)
 
 
 def _without_stray_instances(message: str, instance: NDArray[Any], ledger: Ledger) -> NDArray[Any]:
-    """The instances of a message without those that a flipped bit made.
+    """The numbers of the instances of a message, without those that a flipped bit made.
 
-    These have a few rows, beside a hundred times as many of another instance.
+    An instance is such damage if it has a few rows and another one has a hundred times as many.
     """
     numbers, counts = np.unique(instance, return_counts=True)
     most = int(counts.max(initial=0))
     stray = (counts <= STRAY_ROWS) & (counts * STRAY_SHARE <= most)
     if stray.any():
-        ledger.add(
-            messages.stray_instances(
-                message=message,
-                count=int(counts[stray].sum()),
-                numbers=numbers[stray].tolist()[:LISTED_INSTANCES],
-                most=most,
-                main=int(numbers[np.argmax(counts)]),
-            )
+        message_of_stray = messages.stray_instances(
+            message=message,
+            count=int(counts[stray].sum()),
+            numbers=numbers[stray].tolist()[:LISTED_INSTANCES],
+            most=most,
+            main=int(numbers[np.argmax(counts)]),
         )
+        ledger.add(message_of_stray)
     return np.asarray(numbers[~stray])
 
 
 def _report_fields(message: str, spec: MessageMap, table: Table, ledger: Ledger) -> None:
-    """Enter fields that hold no numbers, and columns of roles that have no field."""
-    odd_fields = set()
-    odd_columns = set()
-    known_columns = set()
+    """Report fields that hold no numbers, and columns of roles for which there is no field."""
+    fields_without_numbers = set()
+    columns_without_numbers = set()
+    columns_with_numbers = set()
     for column in spec.columns:
         for field in column.fields:
             if field not in table:
                 continue
             if is_number(table[field]):
-                known_columns.add(column.name)
+                columns_with_numbers.add(column.name)
             else:
-                odd_fields.add(field)
-                odd_columns.add(column.name)
+                fields_without_numbers.add(field)
+                columns_without_numbers.add(column.name)
     count = _length(table)
-    if odd_fields:
-        ledger.add(
-            messages.fields_not_numbers(message=message, count=count, fields=sorted(odd_fields))
-        )
-    absent = _reported_columns(spec) - known_columns - odd_columns
+    if fields_without_numbers:
+        fields = sorted(fields_without_numbers)
+        ledger.add(messages.fields_not_numbers(message=message, count=count, fields=fields))
+    absent = _reported_columns(spec) - columns_with_numbers - columns_without_numbers
     if absent:
-        ledger.add(
-            messages.columns_without_field(message=message, count=count, columns=sorted(absent))
-        )
+        columns = sorted(absent)
+        ledger.add(messages.columns_without_field(message=message, count=count, columns=columns))
 
 
 def _reported_columns(spec: MessageMap) -> set[str]:
-    """The columns of the roles of a message whose absence `channel_of` does not report."""
+    """The columns of the roles of a message, without those whose absence `channel_of` reports."""
     needed = {column for role in spec.roles for column in ROLE_COLUMNS[role]}
     needed.discard("event_index")
     if spec.attitude or spec.position:
@@ -343,20 +365,21 @@ _TIME_BITS = 52  # 2^52 us are 142 years: the instance fits above the time
 _INSTANCE_MASK = 0x3FF
 
 
-def _join_accuracy(table: Table, other: Table) -> Table:
-    """The table of fixes with the accuracy of equal instance and time, logged behind the fix."""
-    fields = [field for field in ACCURACY_FIELDS if field in other]
-    if not fields or "TimeUS" not in other or not other[PLACE].size:
-        return table
-    fixes = _Keyed(_key(table), table[PLACE])
-    accuracies = _Keyed(_key(other), other[PLACE])
-    if np.array_equal(fixes.key, accuracies.key):  # one for one, as in all logs without damage
-        return table | {field: other[field] for field in fields}
-    rows, matches = _nearest_pairs(fixes, accuracies)
-    joined = dict(table)
+def _join_accuracy(fixes: Table, accuracies: Table) -> Table:
+    """The table of fixes with the fields of the accuracy messages of equal instance and time."""
+    fields = [field for field in ACCURACY_FIELDS if field in accuracies]
+    if not fields or "TimeUS" not in accuracies or not accuracies[PLACE].size:
+        return fixes
+    keyed_fixes = _Keyed(_key(fixes), fixes[PLACE])
+    keyed_accuracies = _Keyed(_key(accuracies), accuracies[PLACE])
+    # one for one, as in all logs without damage
+    if np.array_equal(keyed_fixes.key, keyed_accuracies.key):
+        return fixes | {field: accuracies[field] for field in fields}
+    fix_rows, accuracy_rows = _nearest_pairs(keyed_fixes, keyed_accuracies)
+    joined = dict(fixes)
     for field in fields:
-        joined[field] = np.full(fixes.key.shape, np.nan)
-        joined[field][rows] = other[field][matches]
+        joined[field] = np.full(keyed_fixes.key.shape, np.nan)
+        joined[field][fix_rows] = accuracies[field][accuracy_rows]
     return joined
 
 
@@ -368,49 +391,51 @@ class _Keyed(NamedTuple):
 
 
 class _Pairs(NamedTuple):
-    """Rows of two tables with equal keys, and how far apart they are in the log [bytes]."""
+    """Rows of a fix and of an accuracy with equal keys, and how far apart in the log [bytes]."""
 
-    rows: Integers
-    matches: Integers
+    fix_rows: Integers
+    accuracy_rows: Integers
     distances: Integers
 
 
 def _nearest_pairs(fixes: _Keyed, accuracies: _Keyed) -> tuple[Integers, Integers]:
     """Rows of fixes and of accuracies that belong together, each in one pair at most.
 
-    The nearest in the log are paired first, those behind a fix before those in front of it.
+    The nearest in the log are paired first, and accuracies behind their fix before those in front.
     """
     keys = np.concatenate([fixes.key, accuracies.key])
     places = np.concatenate([fixes.places, accuracies.places])
     in_log_order = np.lexsort((places, keys))  # within each key
     behind = _neighbours(fixes, accuracies, in_log_order, shift=0)
     before = _neighbours(fixes, accuracies, in_log_order, shift=-1)
-    rows = np.concatenate([behind.rows, before.rows])
-    matches = np.concatenate([behind.matches, before.matches])
+    fix_rows = np.concatenate([behind.fix_rows, before.fix_rows])
+    accuracy_rows = np.concatenate([behind.accuracy_rows, before.accuracy_rows])
     distances = np.concatenate([behind.distances, before.distances + _BEFORE])
     order = np.argsort(distances, kind="stable")
-    for column in (rows, matches):  # of several pairs with one row, the nearest
-        _, first = np.unique(column[order], return_index=True)
+    for rows in (fix_rows, accuracy_rows):  # of several pairs with one row, the nearest
+        _, first = np.unique(rows[order], return_index=True)
         order = order[np.sort(first)]
-    return rows[order], matches[order]
+    return fix_rows[order], accuracy_rows[order]
 
 
 def _neighbours(fixes: _Keyed, accuracies: _Keyed, in_log_order: Integers, *, shift: int) -> _Pairs:
-    """Each fix and the accuracy of its key that stands behind it (``shift`` 0) or before it (-1).
+    """Pair each fix with the accuracy of its key that is next behind (``shift`` 0) or before (-1).
 
-    ``in_log_order``: rows of the fixes, and behind these of the accuracies, by key and place.
+    ``in_log_order``: rows of both tables by key and place; those of the accuracies count on from
+    the last fix.
     """
     is_accuracy = in_log_order >= fixes.key.shape[0]
-    accuracy_rows = in_log_order[is_accuracy] - fixes.key.shape[0]
-    of_fixes = np.flatnonzero(~is_accuracy)
-    nearest = np.cumsum(is_accuracy)[of_fixes] + shift
-    inside = (nearest >= 0) & (nearest < accuracy_rows.shape[0])
-    rows = in_log_order[of_fixes[inside]]
-    matches = accuracy_rows[nearest[inside]]
-    same = fixes.key[rows] == accuracies.key[matches]
-    rows = rows[same]
-    matches = matches[same]
-    return _Pairs(rows, matches, np.abs(fixes.places[rows] - accuracies.places[matches]))
+    ordered_accuracy_rows = in_log_order[is_accuracy] - fixes.key.shape[0]
+    positions_of_fixes = np.flatnonzero(~is_accuracy)
+    neighbour = np.cumsum(is_accuracy)[positions_of_fixes] + shift
+    has_neighbour = (neighbour >= 0) & (neighbour < ordered_accuracy_rows.shape[0])
+    fix_rows = in_log_order[positions_of_fixes[has_neighbour]]
+    accuracy_rows = ordered_accuracy_rows[neighbour[has_neighbour]]
+    has_same_key = fixes.key[fix_rows] == accuracies.key[accuracy_rows]
+    fix_rows = fix_rows[has_same_key]
+    accuracy_rows = accuracy_rows[has_same_key]
+    distances = np.abs(fixes.places[fix_rows] - accuracies.places[accuracy_rows])
+    return _Pairs(fix_rows, accuracy_rows, distances)
 
 
 def _key(table: Table) -> Integers:

@@ -41,8 +41,9 @@ def contents_of(
 ) -> Contents:
     """The contents of a log, binary or text.
 
-    ``damage``, ``counts``: bytes of no message, messages by type. ``tables``: the wanted fields,
-    used up. ``reread``: reads all fields of some types, when they are asked for.
+    ``damage``: the bytes of no message. ``counts``: messages by type. ``line``: the power-ups.
+    ``tables``: the wanted fields by type; they are removed, so that memory does not hold them
+    twice. ``reread``: reads all fields of some types, when somebody asks for them.
     """
     timed = timed_tables(tables, ledger)
     clock, time_base = clock_of(line, timed, ledger)
@@ -74,7 +75,11 @@ def _last_values(rows: Table) -> dict[str, float]:
 
 
 def timed_tables(tables: dict[str, Table], ledger: Ledger) -> dict[str, Table]:
-    """The tables with a time since boot, without rows that lack it or columns of a wrong kind."""
+    """The tables with a time since boot in each row; they are removed from ``tables``.
+
+    Columns of a wrong kind, rows without a time and tables without times are left out and reported.
+    Old logs have no time in rows of `_TIMELESS` messages: these get the time of the row before.
+    """
     timed: dict[str, Table] = {}
     timeless: dict[str, Table] = {}
     is_old = not any("TimeUS" in table for table in tables.values())
@@ -94,16 +99,18 @@ def timed_tables(tables: dict[str, Table], ledger: Ledger) -> dict[str, Table]:
 
 
 def _without_odd_fields(name: str, table: Table, ledger: Ledger) -> Table:
-    """The table without fields that should be numbers or names and are not."""
-    odd = []
+    """The table without fields that should be numbers or names and are not; these are reported."""
+    odd_fields = []
     for field, column in table.items():
-        is_odd_number = field in _NUMBERS and not is_number(column)
-        if is_odd_number or (field == "Name" and column.ndim != 1):
-            odd.append(field)
-    if not odd:
+        is_no_number = field in _NUMBERS and not is_number(column)
+        is_no_name = field == "Name" and column.ndim != 1
+        if is_no_number or is_no_name:
+            odd_fields.append(field)
+    if not odd_fields:
         return table
-    ledger.add(messages.fields_not_numbers(message=name, count=table[PLACE].size, fields=odd))
-    return {field: column for field, column in table.items() if field not in odd}
+    count = table[PLACE].size
+    ledger.add(messages.fields_not_numbers(message=name, count=count, fields=odd_fields))
+    return {field: column for field, column in table.items() if field not in odd_fields}
 
 
 def _rows_with_time(table: Table) -> Table:
@@ -116,7 +123,10 @@ def _rows_with_time(table: Table) -> Table:
 
 
 def _add_timeless(timed: dict[str, Table], timeless: Mapping[str, Table], ledger: Ledger) -> None:
-    """Give rows without a time that of the record before them."""
+    """Add the timeless tables to the timed ones; a row gets the time of the record before it.
+
+    Exposures (CAM) get that of the last fix.
+    """
     places = np.concatenate([table[PLACE] for table in timed.values()])
     times_us = np.concatenate([microseconds(table["TimeUS"]) for table in timed.values()])
     order = np.argsort(places, kind="stable")
@@ -130,7 +140,11 @@ def _add_timeless(timed: dict[str, Table], timeless: Mapping[str, Table], ledger
 
 
 def with_time(name: str, columns: Table) -> Table:
-    """A table with TimeUS; until 2015 that was TimeMS, in rows of receivers T."""
+    """The table of a message with its time in TimeUS [us].
+
+    Until 2015 the time was in TimeMS [ms], and in rows of receivers, where TimeMS and Week were the
+    GPS time, in T [ms].
+    """
     is_receiver = name in RECEIVERS
     time_ms = columns.get("T" if is_receiver else "TimeMS")
     if "TimeUS" in columns or time_ms is None or not is_number(time_ms):
@@ -162,23 +176,26 @@ def _fixes_of(receiver: Table) -> _Fixes:
     """The fixes of a table of GPS rows, none where it lacks the time or the status."""
     if not {"GMS", "GWk", "Status"} <= receiver.keys():
         return _Fixes(np.empty(0, np.int64), np.empty(0, np.int64))
-    fixes = receiver["Status"] >= LOWEST_FIX
-    gps_ms, first = np.unique(
-        _gps_ms(receiver["GWk"][fixes], receiver["GMS"][fixes]), return_index=True
-    )
-    return _Fixes(gps_ms, microseconds(receiver["TimeUS"][fixes])[first])
+    has_fix = receiver["Status"] >= LOWEST_FIX
+    gps_ms = _gps_ms(receiver["GWk"][has_fix], receiver["GMS"][has_fix])
+    time_us = microseconds(receiver["TimeUS"][has_fix])
+    distinct_ms, first_rows = np.unique(gps_ms, return_index=True)
+    return _Fixes(distinct_ms, time_us[first_rows])
 
 
 def exposures_by_last_fix(exposures: Table, receiver: Table, ledger: Ledger) -> Table:
-    """Exposures with only the GPS time of the last fix: half an interval behind it."""
+    """Exposures, of which only the GPS time of the last fix is logged, with a time and its sigma.
+
+    The time is half an interval of fixes after that of the fix.
+    """
     time_us = exposures["TimeUS"].copy()
     fixes = _fixes_of(receiver)
     interval_s = fixes.interval_s
     known = np.zeros(time_us.shape, np.bool_)
     if {"GPSTime", "GPSWeek"} <= exposures.keys() and np.isfinite(interval_s):
-        own_ms = _gps_ms(exposures["GPSWeek"], exposures["GPSTime"])
-        row = np.minimum(np.searchsorted(fixes.gps_ms, own_ms), fixes.gps_ms.size - 1)
-        known = fixes.gps_ms[row] == own_ms
+        last_fix_ms = _gps_ms(exposures["GPSWeek"], exposures["GPSTime"])
+        row = np.minimum(np.searchsorted(fixes.gps_ms, last_fix_ms), fixes.gps_ms.size - 1)
+        known = fixes.gps_ms[row] == last_fix_ms
         half_interval_us = round(interval_s * 5e5)
         time_us[known] = fixes.time_us[row[known]] + half_interval_us
     sigma_s = interval_s / np.sqrt(12.0)  # of a uniform distribution over the interval
@@ -195,19 +212,22 @@ def exposures_by_last_fix(exposures: Table, receiver: Table, ledger: Ledger) -> 
 
 
 def _gps_ms(week: NDArray[Any], time_ms: NDArray[Any]) -> Integers:
-    """GPS time [ms] of weeks and times in them."""
+    """(n,) GPS time [ms] since 1980 of weeks and of times within them [ms]."""
     week_ms = np.asarray(week, np.int64) * (SECONDS_PER_WEEK * 1000)
     return np.asarray(week_ms + np.asarray(time_ms, np.int64), np.int64)
 
 
 def stamped(name: str, table: Table, clock: BootClock, instance: str | None) -> Table:
-    """A table with UTC and boot before its own columns; only an instance, where one is given."""
+    """The table of a message as a user asks for it: UTC and boot before the logged columns.
+
+    ``instance``: of which only the rows are wanted; empty where no row is of it.
+    """
     timed = with_time(name, table)
     places = table.pop(PLACE)
     if "TimeUS" in timed and is_number(timed["TimeUS"]):
         time_ns = clock.utc(places, nanoseconds(timed["TimeUS"]))
-        added: Table = {"time_ns": time_ns, "boot": clock.line.boot_of(places)}
-        table = added | table
+        time_columns: Table = {"time_ns": time_ns, "boot": clock.line.boot_of(places)}
+        table = time_columns | table
     if instance is None:
         return table
     rows = instance_of(table).astype(np.str_) == instance

@@ -66,10 +66,11 @@ class _RecordRun:
 
 
 class RecordWalker(DamagedBytes):
-    """One pass over a file: where the records of some ``names`` (None for all) are, in its order.
+    """One pass over a file that finds its records.
 
-    After it ``wanted`` has their blocks, ``definitions`` are all that occurred, ``refused``
-    describes FMT records that are not valid.
+    After the pass ``wanted`` has the places of the records with some ``names`` (None for all), in
+    the order of the file and in blocks; ``definitions`` are all that occurred; ``refused`` tells of
+    FMT records that are not valid.
     """
 
     def __init__(self, data: FileView, names: Collection[str] | None = None) -> None:
@@ -111,7 +112,10 @@ class RecordWalker(DamagedBytes):
         return dict(+counts)
 
     def _walk_block(self, place: int) -> int:
-        """Walk the records that begin in a block; its arrays are freed before the next is read."""
+        """Keep the records that begin in a block of the file; returns where the next block begins.
+
+        The arrays of a block are freed before the next one is read.
+        """
         begin = place
         end = min(place + SPAN, self.size - HEADER + 1)
         raw = self.data.array(begin, end + HEADER - 1)
@@ -135,7 +139,10 @@ class RecordWalker(DamagedBytes):
         return place
 
     def _keep(self, block: _Candidates, row: int, stop: int) -> int:
-        """Keep a run of records; it ends early where an FMT record redefines the following ones."""
+        """Keep the records from ``row`` to ``stop``, and take the definitions among them.
+
+        Returns where it ends: before ``stop`` if an FMT record redefines the records behind it.
+        """
         definitions = row + np.flatnonzero(block.types[row:stop] == FMT_TYPE)
         for place in definitions.tolist():
             number = self._number_of_definition(int(block.at[place]))
@@ -176,7 +183,10 @@ class RecordWalker(DamagedBytes):
             self.runs.append(_RecordRun(block.at[row:stop], numbers))
 
     def _flush(self, keep: int) -> Iterator[RecordBlock]:
-        """Pack the runs into blocks; the last record may be kept back, as damage may include it."""
+        """Pack the runs into blocks.
+
+        The last ``keep`` records (0 or 1) stay a run: damage behind them may include them.
+        """
         if not self.runs:
             return
         places = np.concatenate([run.places for run in self.runs])
@@ -278,7 +288,7 @@ class RecordWalker(DamagedBytes):
             self.runs.append(_RecordRun(last.places[:-1], last.numbers[:-1]))
 
     def _length(self, type_byte: bytes) -> int:
-        """The length of the records of a type; 0 where it is not defined, or not there."""
+        """The length of the records of a type; 0 where that is not defined, or the byte missing."""
         if not type_byte:
             return 0
         return int(self.length_of[type_byte[0]])
@@ -301,9 +311,9 @@ class RecordWalker(DamagedBytes):
 
 
 def find_records(data: FileView, names: Collection[str] | None = None) -> RecordWalker:
-    """Where the records of some types are, or of all, and the damage between them.
+    """Find the records of some types, or of all, and the damage between them.
 
-    A flipped type byte costs that record; after it reading goes on at three in a row.
+    After damage reading goes on where three records follow each other.
     """
     walker = RecordWalker(data, names)
     deque(walker.blocks(), 0)

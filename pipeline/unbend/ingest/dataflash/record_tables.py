@@ -25,51 +25,55 @@ class RecordRows(NamedTuple):
     places: Integers
 
 
-def read_records(found: RecordWalker, wanted: Mask) -> Iterator[RecordRows]:
-    """The records of the wanted definitions, a block of the file at a time."""
-    for block in found.wanted:
+def read_records(walker: RecordWalker, wanted: Mask) -> Iterator[RecordRows]:
+    """The records of the wanted definitions, block by block of the file, and in it by definition.
+
+    ``wanted``: (n,) by number of the definition.
+    """
+    for block in walker.wanted:
         rows = np.flatnonzero(wanted[block.numbers])
         if rows.size == 0:
             continue
         numbers = block.numbers[rows]
-        order = rows[np.argsort(numbers, kind="stable")]
+        rows_by_number = rows[np.argsort(numbers, kind="stable")]
         counts = np.bincount(numbers, minlength=wanted.shape[0])
-        raw = found.data.array(block.base, block.end())
+        raw = walker.data.array(block.base, block.end())
         begin = 0
         for number in np.flatnonzero(counts).tolist():
             end = begin + int(counts[number])
-            offsets = block.at[order[begin:end]]
+            offsets = block.at[rows_by_number[begin:end]]
             begin = end
-            form = found.definitions[number]
+            form = walker.definitions[number]
             records = gather(raw, offsets, form.length).view(form.dtype)
             yield RecordRows(number, records, offsets.astype(np.int64) + block.base)
 
 
-def decode(found: RecordWalker, wanted: Mapping[str, Callable[[str], bool]]) -> dict[str, Table]:
-    """The columns of some message types, in one pass over the file, with `PLACE`.
+def decode(walker: RecordWalker, wanted: Mapping[str, Callable[[str], bool]]) -> dict[str, Table]:
+    """The tables of some message types by name, in one pass over the file, with `PLACE`.
 
-    ``wanted``: by type, which fields. Numbers keep their type; scaled ones (c, C, e, E, L) are
-    float64, divided as pymavlink does; characters are text. Types of one name are one table: what a
-    row lacks is NaN or empty, a field that was text and number is of objects (`without_objects`).
+    ``wanted``: for each type a test whether a field is wanted. Numbers keep their type; scaled ones
+    (c, C, e, E, L) are float64, divided as pymavlink does; characters are text. Definitions of one
+    name give one table: what a row lacks is NaN or empty, and a field that was text and number is
+    of objects (`without_objects`).
     """
     tables: dict[int, Table] = {}
-    for number, count in enumerate(found.counts.tolist()):
-        form = found.definitions[number]
+    for number, count in enumerate(walker.counts.tolist()):
+        form = walker.definitions[number]
         if form.name in wanted and count:
             tables[number] = _empty_table(form, wanted[form.name], count)
-    _fill(tables, found)
-    by_name: dict[str, list[Table]] = {}
+    _fill(tables, walker)
+    tables_of_name: dict[str, list[Table]] = {}
     for number in sorted(tables):
         table = tables.pop(number)
-        for name in list(table):
-            if table[name].dtype.kind == "S":
-                table[name] = texts(table[name])
-        by_name.setdefault(found.definitions[number].name, []).append(table)
-    return {name: merge_tables(several) for name, several in by_name.items()}
+        for field, column in table.items():
+            if column.dtype.kind == "S":
+                table[field] = texts(column)
+        tables_of_name.setdefault(walker.definitions[number].name, []).append(table)
+    return {name: merge_tables(several) for name, several in tables_of_name.items()}
 
 
 def _empty_table(form: RecordDefinition, is_wanted: Callable[[str], bool], count: int) -> Table:
-    """Memory for the wanted fields of so many records."""
+    """A table with memory for the wanted fields of ``count`` records."""
     table = {PLACE: allocate(count, np.int64)}
     for name in form.fields:
         if not is_wanted(name):
@@ -79,16 +83,16 @@ def _empty_table(form: RecordDefinition, is_wanted: Callable[[str], bool], count
     return table
 
 
-def _fill(tables: Mapping[int, Table], found: RecordWalker) -> None:
+def _fill(tables: Mapping[int, Table], walker: RecordWalker) -> None:
     """Write the records into the tables of their definitions, in the order of the file."""
-    is_wanted = np.zeros(len(found.definitions), np.bool_)
+    is_wanted = np.zeros(len(walker.definitions), np.bool_)
     is_wanted[list(tables)] = True
-    filled = dict.fromkeys(tables, 0)
-    for number, rows, places in read_records(found, is_wanted):
-        begin = filled[number]
+    filled_rows = dict.fromkeys(tables, 0)
+    for number, rows, places in read_records(walker, is_wanted):
+        begin = filled_rows[number]
         end = begin + places.shape[0]
-        filled[number] = end
-        divisors = found.definitions[number].divisors
+        filled_rows[number] = end
+        divisors = walker.definitions[number].divisors
         for name, column in tables[number].items():
             if name == PLACE:
                 column[begin:end] = places
@@ -106,9 +110,9 @@ def texts(raw: NDArray[np.bytes_]) -> NDArray[np.str_]:
     """
     if not raw.size:
         return np.empty(0, "U1")
-    different, places = np.unique(raw, return_inverse=True)
-    words = [_text(value) for value in different.tolist()]
-    return np.array(words, np.str_)[places]
+    distinct, number_of_row = np.unique(raw, return_inverse=True)
+    distinct_texts = [_text(value) for value in distinct.tolist()]
+    return np.array(distinct_texts, np.str_)[number_of_row]
 
 
 def _text(value: bytes) -> str:
@@ -133,7 +137,7 @@ def merge_tables(several: list[Table]) -> Table:
 
 
 def without_objects(table: Table, name: str, ledger: Ledger) -> Table:
-    """A table without objects: the last value of a column decides between text and numbers."""
+    """A table whose columns of objects became texts or numbers, as their last value is."""
     columns = dict(table)
     for field, column in table.items():
         if column.dtype.kind == "O":
@@ -142,19 +146,23 @@ def without_objects(table: Table, name: str, ledger: Ledger) -> Table:
 
 
 def _of_one_kind(column: NDArray[Any], field: str, message: str, ledger: Ledger) -> NDArray[Any]:
-    """The texts or the numbers of a column of objects; values of the other kind are entered."""
-    known = [value for value in column.tolist() if value is not None]
-    if isinstance(known[-1], str):
-        kept = [isinstance(value, str) for value in known]
+    """The texts or the numbers of a column of objects, as its last value is.
+
+    Values of the other kind are dropped and reported.
+    """
+    values = [value for value in column.tolist() if value is not None]
+    if isinstance(values[-1], str):
+        is_kept = [isinstance(value, str) for value in values]
         result: NDArray[Any] = _texts_only(column)
     else:
-        kept = [isinstance(value, int | float) for value in known]
+        is_kept = [isinstance(value, int | float) for value in values]
         result = _numbers_only(column)
-    dropped = kept.count(False)
+    dropped = is_kept.count(False)
     if dropped:
-        ledger.add(
-            messages.field_redefined(message=message, field=field, count=dropped, total=len(known))
+        redefined = messages.field_redefined(
+            message=message, field=field, count=dropped, total=len(values)
         )
+        ledger.add(redefined)
     return result
 
 

@@ -90,14 +90,14 @@ class _LineFormat:
     def table(self, lines: list[_Line]) -> Table:
         """Places and values of lines as columns."""
         columns: Table = {PLACE: np.array([line.place for line in lines], np.int64)}
-        by_field = zip(*(line.values for line in lines), strict=True)
-        for name, letter, values in zip(self.fields, self.letters, by_field, strict=True):
+        values_of_fields = zip(*(line.values for line in lines), strict=True)
+        for name, letter, values in zip(self.fields, self.letters, values_of_fields, strict=True):
             columns[name] = _column(letter, values)
         return columns
 
 
 def _column(letter: str, values: Sequence[str]) -> NDArray[Any]:
-    """The values of a field, by its letter."""
+    """The values of a field as texts, float64 or integers, as its letter says."""
     if letter in _TEXT:
         return np.array(values, np.str_)
     if letter in _DECIMAL:
@@ -124,6 +124,7 @@ class _TableBuilder:
             self._make_table(name, form, pending)
 
     def _make_table(self, name: str, form: _LineFormat, pending: list[_Line]) -> None:
+        """Make a table of the pending lines of a message and a format, and empty their list."""
         self._tables.setdefault(name, []).append(form.table(pending))
         pending.clear()
 
@@ -151,7 +152,8 @@ class _LineReader(DamagedBytes):
             while raw := stream.readline(LONGEST):  # a longer line comes in pieces
                 begin = end
                 end = begin + len(raw)
-                if not raw.endswith(b"\n") and len(raw) < LONGEST:  # the last, maybe in a number
+                is_cut_off = not raw.endswith(b"\n") and len(raw) < LONGEST
+                if is_cut_off:  # maybe within a number
                     self.cut_bytes = len(raw)
                     break
                 name, values = self._parse(raw)
@@ -188,7 +190,9 @@ class _LineReader(DamagedBytes):
 
     def _define(self, values: list[str]) -> bool:
         """Take the definition of an FMT line; False where it is not valid."""
-        _, _, name, letters, columns = values
+        name = values[2]
+        letters = values[3]
+        columns = values[4]
         fields = tuple(part.strip() for part in columns.split(","))
         if columns == "Type,Length,Name,Format":  # old logs forget the last one
             fields += ("Columns",)

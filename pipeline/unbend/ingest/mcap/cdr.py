@@ -48,30 +48,30 @@ class DecodePlan:
 
 
 def decode_plan(steps: Sequence[MessageField], wanted: frozenset[str] | None = None) -> DecodePlan:
-    """What to do to get at some columns of a message of these steps.
+    """The steps to decode the wanted columns of messages with these fields.
 
-    ``wanted``: paths, also of single elements, as ``q.0``; None for every number and text that each
-    message has once, arrays as arrays, and how many elements sequences have (``path[]``; -1 where
-    the message ends before that).
+    ``wanted``: paths, also of single elements of an array, as ``q.0``. None stands for all numbers
+    and texts outside of sequences, with arrays as arrays, and for the number of elements of each
+    sequence (``path[]``; -1 where the message ends before it).
     """
-    parts: list[MessageField] = []
+    message_fields: list[MessageField] = []
     for step in steps:
-        parts += _split_array(step, wanted)
-    paths = frozenset(step.path for step in parts if not isinstance(step, SequenceField))
-    chosen = paths if wanted is None else paths & wanted
-    end = 0  # behind the last step that is chosen
-    for k, step in enumerate(parts):
-        if step.path in chosen:
-            end = k + 1
-    plan_steps = tuple(_runs(parts[:end]))
+        message_fields += _split_array(step, wanted)
+    paths = frozenset(part.path for part in message_fields if not isinstance(part, SequenceField))
+    chosen_paths = paths if wanted is None else paths & wanted
+    end = 0  # behind the last field that is chosen
+    for number, part in enumerate(message_fields):
+        if part.path in chosen_paths:
+            end = number + 1
+    plan_steps = tuple(_runs(message_fields[:end]))
     if wanted is not None:
-        return DecodePlan(plan_steps, chosen)
-    rest = tuple(step for step in parts[end:] if isinstance(step, SequenceField))
-    return DecodePlan(plan_steps, chosen, counted=True, rest=rest)
+        return DecodePlan(plan_steps, chosen_paths)
+    rest = tuple(part for part in message_fields[end:] if isinstance(part, SequenceField))
+    return DecodePlan(plan_steps, chosen_paths, counted=True, rest=rest)
 
 
 def _split_array(step: MessageField, wanted: frozenset[str] | None) -> list[MessageField]:
-    """An array of which only elements are wanted as these, and what lies between them."""
+    """A field as it is, or an array as its wanted elements and the pieces between those."""
     if wanted is None or step.path in wanted:
         return [step]
     if not isinstance(step, NumberField) or not step.array:
@@ -103,16 +103,16 @@ def _wanted_elements(step: NumberField, wanted: frozenset[str]) -> list[int]:
 
 
 def _runs(steps: Sequence[MessageField]) -> list[PlanStep]:
-    """Steps with neighbouring numbers put together."""
-    result: list[PlanStep] = []
+    """The steps of a plan: neighbouring numbers are one step, texts and sequences a step each."""
+    plan_steps: list[PlanStep] = []
     for _, group in groupby(steps, lambda step: isinstance(step, NumberField)):
-        part = list(group)
-        numbers = tuple(step for step in part if isinstance(step, NumberField))
+        neighbours = list(group)
+        numbers = tuple(step for step in neighbours if isinstance(step, NumberField))
         if numbers:
-            result.append(numbers)
+            plan_steps.append(numbers)
         else:
-            result += [step for step in part if not isinstance(step, NumberField)]
-    return result
+            plan_steps += [step for step in neighbours if not isinstance(step, NumberField)]
+    return plan_steps
 
 
 def _aligned(at: Integers, size: int) -> Integers:
@@ -136,7 +136,7 @@ class _Cursors:
     columns: dict[str, NDArray[Any]] = field(default_factory=dict)
 
     def only(self, good: Mask) -> None:
-        """Keep these messages only, and what was read of them."""
+        """Drop all messages but the good ones, and what was read of the dropped ones."""
         if bool(good.all()):
             return
         self.row = self.row[good]
@@ -152,7 +152,10 @@ class _Cursors:
         return _Cursors(self.data, rows, self.begin, self.length, self.big, self.at)
 
     def count(self) -> Integers:
-        """The 32-bit length that stands here; the cursors move behind it."""
+        """Read a 32-bit length, and move the cursors behind it.
+
+        Messages that end before the end of the length are dropped.
+        """
         self.at = _aligned(self.at, COUNT)
         self.only(self.at + COUNT <= self.length)
         raw = gather(self.data, self.begin + self.at, COUNT).view("<u4")
@@ -203,17 +206,17 @@ def decode(data: Bytes, begin: Integers, length: Integers, plan: DecodePlan) -> 
 
 
 def _count_rest(cursors: _Cursors, sequences: Sequence[SequenceField]) -> None:
-    """How many elements the last sequences have; -1 where the message ends before that.
+    """Count the elements of the last sequences; -1 where the message ends before that.
 
-    Of a large message the beginning alone is there.
+    The messages stay all the same: of a large one the beginning alone is there.
     """
-    rest = cursors.restarted()
+    whole_messages = cursors.restarted()
     for step in sequences:
-        count = rest.count()
+        count = whole_messages.count()
         column = np.full(cursors.row.shape, -1, np.int64)
-        column[rest.row] = count
+        column[whole_messages.row] = count
         cursors.columns[f"{step.path}[]"] = column
-        _skip_elements(rest, step, count)
+        _skip_elements(whole_messages, step, count)
 
 
 class _Layout(NamedTuple):
@@ -225,14 +228,17 @@ class _Layout(NamedTuple):
 
 @lru_cache(maxsize=1024)
 def _layout(run: NumberRun, wanted: frozenset[str], phase: int, *, big: bool) -> _Layout:
-    """The layout of a run that begins ``phase`` bytes behind a multiple of `ALIGN`."""
+    """The layout of a run that begins ``phase`` bytes behind a multiple of `ALIGN`.
+
+    ``big``: the message is big-endian.
+    """
     names = []
     kinds = []
     offsets = []
-    end = phase
+    end = phase  # of the numbers so far, from the multiple of `ALIGN` on
     for numbers in run:
         size = np.dtype(numbers.kind).itemsize
-        end = -(-end // size) * size
+        end = -(-end // size) * size  # the next multiple of the size
         if numbers.path in wanted:
             kind = np.dtype(numbers.kind.replace("?", "u1")).newbyteorder(">" if big else "<")
             names.append(numbers.path)
@@ -242,8 +248,8 @@ def _layout(run: NumberRun, wanted: frozenset[str], phase: int, *, big: bool) ->
     length = end - phase
     if not names or length >= MAX_COUNT:  # no message is that long
         return _Layout(None, length)
-    used = {"names": names, "formats": kinds, "offsets": offsets, "itemsize": length}
-    return _Layout(np.dtype(used), length)  # type: ignore[call-overload]
+    layout = {"names": names, "formats": kinds, "offsets": offsets, "itemsize": length}
+    return _Layout(np.dtype(layout), length)  # type: ignore[call-overload]
 
 
 class _Arrangement(NamedTuple):
@@ -254,12 +260,15 @@ class _Arrangement(NamedTuple):
 
     @classmethod
     def of_key(cls, key: int) -> _Arrangement:
-        """The arrangement of a number that holds both."""
+        """The arrangement from a number that holds the phase and the byte order."""
         return cls(key % ALIGN, key >= ALIGN)
 
 
 def _read_numbers(cursors: _Cursors, run: NumberRun, wanted: frozenset[str]) -> None:
-    """Read the wanted numbers of a run; messages of one arrangement have one layout."""
+    """Read the wanted numbers of a run, and move behind it.
+
+    The layout of the run is the same in messages of one arrangement.
+    """
     key = (cursors.at % ALIGN + ALIGN * cursors.big).astype(np.int8)
     layouts = {}
     sizes = np.zeros(2 * ALIGN, np.int64)
@@ -299,21 +308,21 @@ def _read_text(cursors: _Cursors, step: TextField, *, wanted: bool) -> None:
 
 
 def _texts(data: Bytes, begin: Integers, length: Integers) -> NDArray[np.str_]:
-    """Texts at (n,) places, of so many bytes with the NUL at the end."""
+    """Texts at (n,) places, of (n,) lengths in bytes with the NUL at the end."""
     if not length.size:
         return np.empty(0, "U1")
     texts = np.full(length.shape, "", object)
     for size in np.unique(length[length > 1]).tolist():
         rows = np.flatnonzero(length == size)
         raw = gather(data, begin[rows], size - 1).view(f"S{size - 1}")
-        different, places = np.unique(raw, return_inverse=True)
-        known = [value.decode("utf-8", "backslashreplace") for value in different.tolist()]
-        texts[rows] = np.array(known, object)[places]
+        distinct, number_of_row = np.unique(raw, return_inverse=True)
+        decoded = [value.decode("utf-8", "backslashreplace") for value in distinct.tolist()]
+        texts[rows] = np.array(decoded, object)[number_of_row]
     return texts.astype(np.str_)
 
 
 def _skip(cursors: _Cursors, step: SequenceField, *, counted: bool = False) -> None:
-    """Move behind a sequence; of its elements nothing is kept."""
+    """Move behind a sequence; where ``counted`` keep how many elements it has, but no element."""
     count = cursors.count()
     if counted:
         cursors.columns[f"{step.path}[]"] = count
@@ -321,7 +330,10 @@ def _skip(cursors: _Cursors, step: SequenceField, *, counted: bool = False) -> N
 
 
 def _skip_elements(cursors: _Cursors, step: SequenceField, count: Integers) -> None:
-    """Move behind so many elements; those of varying length one at a time in all messages."""
+    """Move behind the elements of a sequence, of which each message has another ``count``.
+
+    Numbers are passed at once; other elements one at a time, in all messages that have one more.
+    """
     good = count <= cursors.length  # an element has a byte at least
     cursors.only(good)
     count = count[good]
@@ -329,25 +341,25 @@ def _skip_elements(cursors: _Cursors, step: SequenceField, count: Integers) -> N
     if isinstance(first, NumberField) and len(step.steps) == 1:
         _skip_numbers(cursors, first, count)
         return
-    ends = np.full(cursors.row.shape, -1, np.int64)
-    inner = cursors.restarted()
-    inner.columns["count"] = count
+    ends = np.full(cursors.row.shape, -1, np.int64)  # -1 of messages that end too early
+    unfinished = cursors.restarted()
+    unfinished.columns["count"] = count
     steps = _runs(step.steps)
-    done = 0
+    passed = 0
     while True:
-        goes_on = inner.columns["count"] > done
-        ends[inner.row[~goes_on]] = inner.at[~goes_on]
-        inner.only(goes_on)
-        if not inner.row.shape[0]:
+        has_more = unfinished.columns["count"] > passed
+        ends[unfinished.row[~has_more]] = unfinished.at[~has_more]
+        unfinished.only(has_more)
+        if not unfinished.row.shape[0]:
             break
-        _skip_steps(inner, steps)
-        done += 1
+        _skip_steps(unfinished, steps)
+        passed += 1
     cursors.at = np.maximum(ends, 0)
     cursors.only(ends >= 0)
 
 
 def _skip_numbers(cursors: _Cursors, numbers: NumberField, count: Integers) -> None:
-    """Move behind so many elements that are numbers."""
+    """Move behind ``count`` elements, each of them numbers."""
     size = np.dtype(numbers.kind).itemsize
     end = _aligned(cursors.at, size) + count * numbers.count * size
     cursors.at = np.where(count > 0, end, cursors.at)

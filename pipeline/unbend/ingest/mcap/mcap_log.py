@@ -19,6 +19,7 @@ from unbend.ingest.mcap.stamps import LOG_TIME, SEQUENCE, STAMP, times_of
 from unbend.ingest.mcap.topic_samples import TopicSamples
 from unbend.ingest.message_tables import PLACE, Table, in_order
 from unbend.messages import Ledger
+from unbend.units import Mask, Rows
 
 
 def read_log(path: Path, ledger: Ledger) -> Contents:
@@ -34,7 +35,7 @@ def read_log(path: Path, ledger: Ledger) -> Contents:
     reader.release_topics()
     channels = []
     unstamped = 0
-    while series:  # each is released when its channel is made
+    while series:  # memory of samples is released when their channel is made
         samples = series.pop(0)
         rows, unstamped_rows = samples.rows(clock, ledger)
         unstamped += unstamped_rows
@@ -53,7 +54,10 @@ def read_log(path: Path, ledger: Ledger) -> Contents:
 
 
 def _time_base(clock: BootClock, unstamped: int) -> str:
-    """Where the UTC of the messages comes from, some of which have no time of their own."""
+    """Where the UTC of the messages comes from, in words, for inspections and reports.
+
+    ``unstamped`` : how many messages have no time of their own.
+    """
     if not clock.line.boot.size:
         time_base = "header.stamp of the messages"
     elif any(clock.utc_known):
@@ -76,43 +80,54 @@ MCAP = LogFormat("mcap", "MCAP", (".mcap",), is_mcap, read_log)
 
 
 def make_names_unique(series: list[TopicSamples]) -> None:
-    """Channels of one topic that has several schemas get the schema into their names."""
-    of_topic = Counter(samples.name for samples in series)
+    """Add the schema to names that several channels have, and a number where that is not enough."""
+    count_of_name = Counter(samples.name for samples in series)
     for samples in series:
-        if of_topic[samples.name] > 1:
+        if count_of_name[samples.name] > 1:
             samples.name += f" ({samples.source.message})"
-    names: Counter[str] = Counter()
+    count_so_far: Counter[str] = Counter()
     for samples in series:  # time since boot and Unix time under one name and schema
-        names[samples.name] += 1
-        if names[samples.name] > 1:
-            samples.name += f" #{names[samples.name]}"
+        count_so_far[samples.name] += 1
+        if count_so_far[samples.name] > 1:
+            samples.name += f" #{count_so_far[samples.name]}"
 
 
 def boots_of_topics(line: Timeline, series: Sequence[TopicSamples]) -> Timeline:
-    """The boots at which the time of one topic at least steps back: messages may come late."""
+    """A timeline whose boots begin only where the time of at least one topic steps back.
+
+    Messages of different topics may come late, and seem to step back against each other.
+    """
     starts = np.flatnonzero(np.diff(line.boot) > 0) + 1
-    confirmed = np.zeros(starts.shape, np.bool_)
+    is_boot = np.zeros(starts.shape, np.bool_)
     if starts.size:
         for samples in series:
-            if not samples.counted:
-                continue
-            places, boot_ns = samples.stamps(line)
-            row = np.searchsorted(places, line.first[starts])
-            inner = (row > 0) & (row < places.shape[0])
-            step_ns = boot_ns[row[inner]] - boot_ns[row[inner] - 1]
-            confirmed[inner] |= step_ns < -BOOT_STEP_NS
+            if samples.counted:
+                is_boot |= _steps_back_at(line, starts, samples)
     marks = np.zeros(line.boot.shape, np.int16)
-    marks[starts] = confirmed
+    marks[starts] = is_boot
     return replace(line, boot=np.cumsum(marks, dtype=np.int16))
+
+
+def _steps_back_at(line: Timeline, starts: Rows, samples: TopicSamples) -> Mask:
+    """Whether the time of a topic steps back from before each of some stretches to behind it."""
+    places, boot_ns = samples.stamps(line)
+    first_row = np.searchsorted(places, line.first[starts])
+    has_both_sides = (first_row > 0) & (first_row < places.shape[0])
+    first_row = first_row[has_both_sides]
+    step_ns = boot_ns[first_row] - boot_ns[first_row - 1]
+    steps_back = np.zeros(starts.shape, np.bool_)
+    steps_back[has_both_sides] = step_ns < -BOOT_STEP_NS
+    return steps_back
 
 
 def boot_clock_of(
     line: Timeline, series: list[TopicSamples], recorder: UtcReadings | None, ledger: Ledger
 ) -> BootClock:
-    """UTC of the clock since boot that PX4's messages count.
+    """Fit UTC to the clock since boot that PX4's messages count.
 
-    ``line``: by the messages of all topics. Receivers of ``series`` give UTC, cameras where none
-    has a fix, ``recorder`` (log_time) in boots without; None where no message counts it.
+    ``line`` is the timeline by the messages of all topics. UTC comes from the receivers among
+    ``series``, from cameras where no receiver has a fix, and from ``recorder`` (log_time) in boots
+    without either. ``recorder`` is None where no message counts from a boot.
     """
     if line.boots > 1:
         line = boots_of_topics(line, series)
@@ -137,32 +152,48 @@ def boot_clock_of(
 
 
 def _table(path: Path, clock: BootClock, name: str, instance: str | None) -> Table:
-    """The messages of a topic with the recorder's time and their fields as sent.
+    """The messages of a topic, or of one ``instance``, with the recorder's time and all fields.
 
-    A topic of several schemas gives one table, in the order of the file.
+    A topic of several schemas gives one table, in the order of the file. The table is empty where
+    no message is of the instance. Raises LogError (LOG-NO-TABLE) where the topic has messages and
+    none of them can be decoded.
     """
     reader = McapReader(Ledger(), path.name, only=name)
     deque(reader.through(path), 0)
-    tables = []
+    has_decoded = False
+    tables: list[Table] = []
     for topic in reader.topics.values():
-        for table in _tables_of(topic, clock):
-            rows = table
+        for decoded in _tables_of(topic, clock):
+            has_decoded = True
+            table = decoded
             if instance is not None:
-                rows = _rows_of_instance(table, topic.spec.id_field, instance)
-            if rows and rows[PLACE].shape[0]:
-                tables.append(rows)
-    if tables:
-        whole = in_order(tables)
-        del whole[PLACE]
-        return whole
-    reasons = [*reader.unread, *(topic.misfit for topic in reader.topics.values() if topic.failed)]
+                table = _rows_of_instance(decoded, topic.spec.id_field, instance)
+            if table:
+                tables.append(table)
+    if not has_decoded:
+        _refuse_undecoded(reader, name)
+    if not tables:
+        return {}
+    table_of_topic = in_order(tables)
+    del table_of_topic[PLACE]
+    return table_of_topic
+
+
+def _refuse_undecoded(reader: McapReader, name: str) -> None:
+    """Raise a LogError (LOG-NO-TABLE) if the topic is not read or its messages do not fit."""
+    reasons = list(reader.unread)
+    for topic in reader.topics.values():
+        if topic.failed:
+            reasons.append(topic.misfit)
     if reasons:
-        raise messages.topic_without_table(file=path.name, name=name, reason=reasons[0].what)
-    return {}
+        raise messages.topic_without_table(file=reader.file, name=name, reason=reasons[0].what)
 
 
 def _tables_of(topic: topics.Topic, clock: BootClock) -> Iterator[Table]:
-    """The messages of a topic whose times are counted, and the others; they are used up."""
+    """A table of the messages that count time from a boot, and one of the others.
+
+    The blocks of the topic are removed, so that memory does not hold them twice.
+    """
     for counted in (False, True):
         blocks = topic.blocks[counted]
         topic.blocks[counted] = []
@@ -178,7 +209,7 @@ def _tables_of(topic: topics.Topic, clock: BootClock) -> Iterator[Table]:
 
 
 def _rows_of_instance(table: Table, id_field: str, instance: str) -> Table:
-    """The rows of one name in the messages, none where no message has it."""
+    """The rows whose name is the instance; an empty table where there are none."""
     for name, rows in topics.rows_by_name(table, id_field):
         if name == instance:
             return {field: column[rows] for field, column in table.items()}

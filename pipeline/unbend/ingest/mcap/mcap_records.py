@@ -67,18 +67,15 @@ class Definition:
 
 @dataclass(frozen=True)
 class Messages:
-    """Messages in the order of the file, their bytes, and how many records were too ``short``.
-
-    ``begin`` and ``length`` of the encoded message; of a large one only the beginning is there.
-    """
+    """Messages in the order of the file; of a large message only the beginning is there."""
 
     data: Bytes
     channel: NDArray[np.uint16]
     sequence: NDArray[np.uint32]
     log_time: Integers
-    begin: Integers
-    length: Integers
-    short: int
+    begin: Integers  # place of the encoded message in ``data``
+    length: Integers  # of the encoded message
+    short: int  # how many records were too short to be messages
 
     def __len__(self) -> int:
         return int(self.channel.shape[0])
@@ -99,16 +96,13 @@ class Record(NamedTuple):
 
 @dataclass
 class _Span:
-    """Records that begin in a stretch of the file.
-
-    ``starts``: places of small messages behind ``begin``; ``following``: where to go on, or -1.
-    """
+    """Records that begin in a stretch of the file."""
 
     begin: int
-    view: Bytes
-    starts: list[int]
+    view: Bytes  # the bytes from ``begin`` on
+    starts: list[int]  # places of small messages in the view
     others: list[Record]
-    following: int = -1
+    following: int = -1  # where in the file to go on; -1 at the end
 
 
 _MESSAGE_HEADER = np.dtype(
@@ -141,7 +135,7 @@ def candidate_places(view: Bytes, opcodes: tuple[int, ...]) -> Rows:
 
 
 def next_message_place(view: Bytes, begin: int, channels: Set[int]) -> int:
-    """The first place of a chunk behind ``begin`` where messages follow, or the chunk's end."""
+    """The first place of a chunk behind ``begin`` from which messages follow; else its end."""
     raw = raw_of(view)
     for near_begin in range(begin + 1, view.shape[0], NEAR):
         near = view[near_begin : near_begin + NEAR + RECORD.size - 1]
@@ -196,7 +190,10 @@ class RecordWalk:
     # The summary.
 
     def _summary(self) -> Iterator[Definition]:
-        """Definitions of the summary, if its checksum holds; if moved, it follows the data end."""
+        """The definitions of the summary at the end of the file, if its checksum holds.
+
+        Where lost bytes have moved the summary, it is searched behind the ends of the data.
+        """
         footer = self.data.size - len(MAGIC) - FOOT.size  # where its content begins
         if footer < RECORD.size or self.data[footer + FOOT.size : self.data.size] != MAGIC:
             return
@@ -220,7 +217,7 @@ class RecordWalk:
             start = begin + length
 
     def _moved_summary(self, footer: int, covered_end: int, crc: int) -> int:
-        """Where behind an end of the data the checksum of a summary holds, or -1."""
+        """Where behind an end of the data a summary begins whose checksum holds, or -1."""
         mark = RECORD.pack(Opcode.DATA_END, CHECKSUM)
         place = -1
         for _ in range(LINKS):
@@ -240,7 +237,7 @@ class RecordWalk:
         return crc
 
     def _definition(self, opcode: int, content: bytes, at: int) -> Definition:
-        """A definition; the channels that there are prove messages after damage."""
+        """A definition; the number of a channel is kept, as it proves messages after damage."""
         if opcode == Opcode.CHANNEL:
             self.channels.add(int.from_bytes(content[:2], "little"))
         return Definition(opcode, content, at)
@@ -248,7 +245,7 @@ class RecordWalk:
     # The walk over the file.
 
     def _records(self) -> Iterator[Definition | Messages]:
-        """The records from behind the mark, or from the header record on, to the footer."""
+        """All records of the file: definitions before the messages of their stretch."""
         place = self._first_record()
         self._before = place - 1
         while place >= 0:
@@ -305,7 +302,7 @@ class RecordWalk:
         return span
 
     def _ends_span(self, span: _Span, record: Record) -> bool:
-        """Take a record that is no small message in the span; True where the span ends with it."""
+        """Take a record that is no small message; returns whether the span ends with it."""
         opcode = record.opcode
         end = record.content + record.length
         is_possible = 0 < opcode <= LAST or opcode >= PRIVATE
@@ -325,25 +322,25 @@ class RecordWalk:
         return False
 
     def _list_record(self, span: _Span, record: Record) -> None:
-        """List a record that is no small message, where it is one that is given out."""
+        """Add a record to the others of a span, if it is of a kind that is read."""
         opcode = record.opcode
         if opcode == Opcode.DATA_END:
             self._data_end = record.content + record.length
             self._data_ends += 1
             if self._data_ends > LISTED_ENDS:
                 return
-        is_given_out = opcode in (Opcode.MESSAGE, Opcode.CHUNK, Opcode.DATA_END)
-        if is_given_out or opcode in DEFINITIONS:
+        is_read = opcode in (Opcode.MESSAGE, Opcode.CHUNK, Opcode.DATA_END)
+        if is_read or opcode in DEFINITIONS:
             span.others.append(record)
 
     def _drop_disproved(self, span: _Span, at: int) -> None:
-        """Take back the last message of a span, where the records go on inside it."""
+        """Remove the last message of a span, if the records go on at a place inside it."""
         goes_back = 0 <= span.following < at
         if goes_back and span.starts and span.begin + span.starts[-1] == self._disproved:
             span.starts.pop()
 
     def _end_at_footer(self, at: int, length: int) -> int:
-        """The end of the walk, if a footer is where a footer must be."""
+        """Where to go on after a footer: -1, or another record if it is not at the file's end."""
         end = at + RECORD.size + FOOT.size + len(MAGIC)
         if length != FOOT.size or end > self.data.size:
             return self._resume(at, Opcode.FOOTER, length)
@@ -398,7 +395,7 @@ class RecordWalk:
             self.damage.add(messages.data_checksum_fails(where=where))
 
     def _read_chunk(self, record: Record) -> Iterator[Definition | Messages]:
-        """The records of a chunk, or the damage that it is."""
+        """The records of a chunk; a chunk that cannot be read is entered as damage."""
         where = self.damage.at(record.at)
         count = record.length
         chunk = chunks.chunk_head(self.data, record.content, record.length)
@@ -477,7 +474,10 @@ class RecordWalk:
             yield from self._collect(view, np.concatenate(starts))
 
     def _resume_inside(self, view: Bytes, place: int, starts: list[Integers], at: int) -> int:
-        """Where the messages of a chunk go on after damage, which is entered."""
+        """Enter damage in a chunk, and return where its messages go on.
+
+        The last of ``starts`` is removed where its length is what is damaged.
+        """
         last = place
         if starts and starts[-1].size:
             last = int(starts[-1][-1])
@@ -521,7 +521,7 @@ class RecordWalk:
     # After damage.
 
     def _resume(self, at: int, opcode: int, length: int) -> int:
-        """Where the records go on after damage, or -1 where they do not."""
+        """Enter damage that begins at a record; returns where the records go on, or -1."""
         place = self._next_proved(self._before + 1)
         where = self.damage.at(at)
         if place < 0:

@@ -14,20 +14,23 @@ LISTED_TOPICS = 8  # whose counts differ from the statistics, in the ledger
 
 
 class MessageCounts:
-    """Messages by channel, steps of their numbers; ``stated`` by the log's own statistics."""
+    """How many messages each channel has, and how many numbers are missing in its sequence.
+
+    ``stated`` and ``stated_total`` are the counts of the log's own statistics.
+    """
 
     def __init__(self) -> None:
         self.counts = np.zeros(CHANNEL_NUMBERS, np.int64)
         self.orphans = 0  # messages of no channel
         self.stated: dict[int, int] = {}
         self.stated_total: int | None = None
-        self._last = np.full(CHANNEL_NUMBERS, -1, np.int64)  # number
-        self._last_ns = np.zeros(CHANNEL_NUMBERS, np.int64)  # log_time
+        self._last_number = np.full(CHANNEL_NUMBERS, -1, np.int64)  # -1 before the first message
+        self._last_ns = np.zeros(CHANNEL_NUMBERS, np.int64)  # log_time of the last message
         self._single_steps = np.zeros(CHANNEL_NUMBERS, np.int64)
-        self._missing = np.zeros(CHANNEL_NUMBERS, np.int64)  # numbers
+        self._missing_numbers = np.zeros(CHANNEL_NUMBERS, np.int64)
 
     def take(self, batch: Messages, names: Mapping[int, str]) -> list[int]:
-        """Count some messages; returns the known channels that they are of."""
+        """Count some messages; returns the known channels among theirs."""
         counts = np.bincount(batch.channel, minlength=CHANNEL_NUMBERS)
         known = []
         self.orphans += batch.short
@@ -42,26 +45,27 @@ class MessageCounts:
         return known
 
     def _take_sequences(self, batch: Messages) -> None:
-        """Count the steps of the numbers of each channel."""
+        """Count the steps of the numbers of each channel, from message to message."""
         order = np.argsort(batch.channel, kind="stable")
         channel = batch.channel[order].astype(np.int64)
-        sequence = batch.sequence[order].astype(np.int64)
+        number = batch.sequence[order].astype(np.int64)
         log_ns = batch.log_time[order]
-        before = np.concatenate([[-1], sequence[:-1]])
-        before_ns = np.concatenate([[-1], log_ns[:-1]])
-        first = np.flatnonzero(np.diff(channel, prepend=-1))  # of each channel
-        before[first] = self._last[channel[first]]
-        before_ns[first] = self._last_ns[channel[first]]
-        last = np.append(first[1:], channel.shape[0]) - 1
-        self._last[channel[last]] = sequence[last]
-        self._last_ns[channel[last]] = log_ns[last]
-        step = np.where(before < 0, 0, sequence - before)
+        first_of_channel = np.flatnonzero(np.diff(channel, prepend=-1))
+        channels = channel[first_of_channel]
+        number_before = np.concatenate([[-1], number[:-1]])
+        number_before[first_of_channel] = self._last_number[channels]
+        log_before_ns = np.concatenate([[-1], log_ns[:-1]])
+        log_before_ns[first_of_channel] = self._last_ns[channels]
+        last_of_channel = np.append(first_of_channel[1:], channel.shape[0]) - 1
+        self._last_number[channels] = number[last_of_channel]
+        self._last_ns[channels] = log_ns[last_of_channel]
+
+        step = np.where(number_before < 0, 0, number - number_before)
         np.add.at(self._single_steps, channel[step == 1], 1)
-        ahead = step > 1
         # chunks in another order fill gaps that stood open; a recorder that begins anew does not
-        back = (step < 0) & (log_ns < before_ns)
-        moved = ahead | back
-        np.add.at(self._missing, channel[moved], step[moved] - 1)
+        fills_gap = (step < 0) & (log_ns < log_before_ns)
+        is_gap = (step > 1) | fills_gap
+        np.add.at(self._missing_numbers, channel[is_gap], step[is_gap] - 1)
 
     def by_name(self, names: Mapping[int, str]) -> dict[str, int]:
         """How many messages each topic has; topics without any are left out."""
@@ -71,7 +75,7 @@ class MessageCounts:
         return result
 
     def report(self, names: Mapping[int, str], ledger: Ledger, where: str, *, damaged: bool) -> int:
-        """Enter what is missing; returns how many messages that is."""
+        """Report missing messages; returns how many."""
         if self.orphans:
             ledger.add(messages.no_channel_of_messages(file=where, count=self.orphans))
         skipped = self._report_skipped(names, ledger)
@@ -80,34 +84,37 @@ class MessageCounts:
                 ledger.add(messages.no_statistics(file=where))
             return skipped
         read = int(self.counts.sum())
-        differ = self._differing_channels()
-        if read != self.stated_total or differ:
-            topics = [names.get(number, f"channel {number}") for number in differ[:LISTED_TOPICS]]
-            ledger.add(
-                messages.statistics_differ(
-                    file=where, read=read, stated=self.stated_total, topics=topics
-                )
+        differing = self._differing_channels()
+        if read != self.stated_total or differing:
+            listed = differing[:LISTED_TOPICS]
+            topics = [names.get(number, f"channel {number}") for number in listed]
+            differ = messages.statistics_differ(
+                file=where, read=read, stated=self.stated_total, topics=topics
             )
+            ledger.add(differ)
         return max(self.stated_total - read, skipped, 0)
 
     def _report_skipped(self, names: Mapping[int, str], ledger: Ledger) -> int:
-        """Enter the messages that are missing by their numbers; returns how many."""
+        """Report the messages that are missing by their numbers; returns how many.
+
+        Not of channels whose numbers do not count the messages: fewer than half of them are by 1.
+        """
         skipped = 0
-        for number in np.flatnonzero(self._missing > 0).tolist():
-            counts_its_messages = 2 * self._single_steps[number] >= self.counts[number]
-            if counts_its_messages and number in names:
-                count = int(self._missing[number])
+        for number in np.flatnonzero(self._missing_numbers > 0).tolist():
+            is_numbered = 2 * self._single_steps[number] >= self.counts[number]
+            if is_numbered and number in names:
+                count = int(self._missing_numbers[number])
                 skipped += count
                 ledger.add(messages.lost_by_recorder(topic=names[number], count=count))
         return skipped
 
     def _differing_channels(self) -> list[int]:
-        """The channels that have another count than the log's statistics state."""
+        """The channels with another count than the log's statistics state."""
         if not self.stated:
             return []
-        present = np.flatnonzero(self.counts).tolist()
-        differ = []
-        for number in sorted({*self.stated, *present}):
+        with_messages = np.flatnonzero(self.counts).tolist()
+        differing = []
+        for number in sorted({*self.stated, *with_messages}):
             if self.stated.get(number, 0) != self.counts[number]:
-                differ.append(number)
-        return differ
+                differing.append(number)
+        return differing

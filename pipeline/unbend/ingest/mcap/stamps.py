@@ -36,9 +36,10 @@ _LARGEST_NUMBER = 1e19  # more is no time in any of them
 
 
 def stamp_of(value: Any) -> int:
-    """Unix time [ns] of a time in JSON or protobuf; 0 when there is none.
+    """Unix time [ns] of a time in JSON or protobuf; 0 where the value is no time.
 
-    Seconds and nanoseconds, a number of seconds (or ms, us, ns: by its size), or RFC 3339.
+    A time is an object with seconds and nanoseconds, a number of seconds, ms, us or ns (its size
+    shows which), or a text as in RFC 3339.
 
     >>> stamp_of("2026-05-01T10:00:00.5Z"), stamp_of(1.5e9), stamp_of({"sec": 1, "nsec": 2})
     (1777629600500000000, 1500000000000000000, 1000000002)
@@ -81,7 +82,7 @@ def _ns_of_number(value: float) -> int:
 
 
 def _first(value: Any, names: tuple[str, ...]) -> Any:
-    """The first of these members that an object has, or 0."""
+    """The value of the first of some members that an object or a dict has; 0 without any."""
     for name in names:
         member = value.get(name) if isinstance(value, dict) else getattr(value, name, None)
         if member is not None:
@@ -90,9 +91,10 @@ def _first(value: Any, names: tuple[str, ...]) -> Any:
 
 
 def in_sequence(sequence: NDArray[np.uint32], time_ns: TimeArray) -> Rows | None:
-    """The order by (n,) numbers, where that puts times right that step back, else None.
+    """The rows in the order of their (n,) numbers, if that puts times in order that are not.
 
-    Numbers that repeat or contradict the times are of a recorder that counts anew, or a set clock.
+    None where the times are in order, or the numbers repeat or contradict them: then a recorder has
+    counted anew, or a clock was set.
 
     >>> in_sequence(np.array([0, 1, 4, 2], np.uint32), np.array([10, 11, 14, 12]))
     array([0, 1, 3, 2])
@@ -108,16 +110,17 @@ def in_sequence(sequence: NDArray[np.uint32], time_ns: TimeArray) -> Rows | None
 
 
 class OwnTimes(NamedTuple):
-    """Own times of messages [ns], 0 without; ``counted``: in microseconds, maybe from a boot."""
+    """The times [ns] that messages carry, 0 without; ``counted``: in us, maybe from a boot."""
 
     time_ns: TimeArray
     counted: bool
 
 
 def own_times(columns: Columns, time_field: str, count: int) -> OwnTimes:
-    """The messages' own times.
+    """The times that messages carry.
 
-    ``time_field`` names a Time of the (count,) columns, or microseconds from a boot or 1970.
+    ``time_field``: the field with a Time of ROS, or with microseconds since a boot or 1970.
+    ``count``: of the messages.
     """
     if STAMP in columns:
         return OwnTimes(columns[STAMP], counted=False)
@@ -134,37 +137,38 @@ def own_times(columns: Columns, time_field: str, count: int) -> OwnTimes:
 
 
 def since_boot(stamp_ns: TimeArray) -> Mask:
-    """Which counted stamps count from a boot; 0 is none, and large ones are Unix time."""
+    """Which stamps count from a boot: not 0, which is no time, nor large ones, of Unix time."""
     return np.asarray((stamp_ns > 0) & (stamp_ns < UNIX_NS_FROM), np.bool_)
 
 
 def good_rows(places: Integers, stamp_ns: TimeArray, clock: BootClock) -> Mask:
     """Which messages of a topic, at (n,) places and stamps [ns], have a time that fits the log.
 
-    One that fits none of its neighbours there may have come late: it is used where it lies between
-    its neighbours of the same topic, and within the times of the log.
+    A stamp that fits none of its neighbours in the log may be of a message that came late: it is
+    good if it lies between its neighbours of the same topic, and within the times of the boot.
     """
     line = clock.line
-    counted = since_boot(stamp_ns)
-    good = np.asarray(line.good(places) | ~counted, np.bool_)
-    misfits = np.flatnonzero(~good)
+    is_since_boot = since_boot(stamp_ns)
+    is_good = np.asarray(line.good(places) | ~is_since_boot, np.bool_)
+    misfits = np.flatnonzero(~is_good)
     if not misfits.size:
-        return good
+        return is_good
     boot = line.boot_of(places)
     for number in np.unique(boot[misfits]).tolist():
-        of_boot = ~line.stray & (line.boot == number)
-        earliest_ns = line.begin[of_boot].min() - BOOT_STEP_NS
-        latest_ns = line.end[of_boot].max() + BOOT_STEP_NS
-        neighbours = np.flatnonzero(good & counted & (boot == number))
+        stretches = ~line.stray & (line.boot == number)
+        earliest_ns = line.begin[stretches].min() - BOOT_STEP_NS
+        latest_ns = line.end[stretches].max() + BOOT_STEP_NS
+        neighbours = np.flatnonzero(is_good & is_since_boot & (boot == number))
         bounds_ns = np.concatenate([[earliest_ns], stamp_ns[neighbours], [latest_ns]])
         rows = misfits[boot[misfits] == number]
-        good[rows] = _lie_between(stamp_ns[rows], bounds_ns, np.searchsorted(neighbours, rows))
-    return good
+        bound_before = np.searchsorted(neighbours, rows)
+        is_good[rows] = _lie_between(stamp_ns[rows], bounds_ns, bound_before)
+    return is_good
 
 
-def _lie_between(stamp_ns: TimeArray, bounds_ns: TimeArray, lower: Rows) -> Mask:
-    """Which (n,) stamps lie between the bound ``lower`` (n,) and the next."""
-    return (bounds_ns[lower] < stamp_ns) & (stamp_ns < bounds_ns[lower + 1])
+def _lie_between(stamp_ns: TimeArray, bounds_ns: TimeArray, bound_before: Rows) -> Mask:
+    """Which (n,) stamps lie between the bound of number ``bound_before`` (n,) and the next one."""
+    return (bounds_ns[bound_before] < stamp_ns) & (stamp_ns < bounds_ns[bound_before + 1])
 
 
 class MessageTimes(NamedTuple):
@@ -184,9 +188,9 @@ def times_of(
     ledger: Ledger,
     topic: str,
 ) -> MessageTimes:
-    """The times of the messages of a topic.
+    """The times of the messages of a topic: their stamps, or the recorder's where they have none.
 
-    ``places`` of messages whose stamps are counted in microseconds, None of others.
+    ``places`` of messages whose stamps are in microseconds, maybe since a boot; None of others.
     """
     is_unstamped = stamp_ns == 0
     is_early = stamp_ns < UNIX_NS_FROM

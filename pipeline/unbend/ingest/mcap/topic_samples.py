@@ -85,9 +85,10 @@ def known_name(schema: str) -> str:
 
 
 def finished(schema: str, columns: Mapping[str, Array]) -> dict[str, Array]:
-    """Columns as decoded -> columns in use: one attitude convention, sigmas, a fix as in MAVLink.
+    """The columns of a message as the package uses them, from those that were decoded.
 
-    An Imu whose first covariance is -1 has no orientation (sensor_msgs/Imu); a NavSatFix whose
+    Attitudes follow the package's convention, variances become sigmas, a fix is that of MAVLink. An
+    Imu whose first covariance is -1 has no orientation (sensor_msgs/Imu); a NavSatFix whose
     covariance type is 0 does not know its accuracy.
     """
     result = dict(columns)
@@ -110,13 +111,13 @@ def finished(schema: str, columns: Mapping[str, Array]) -> dict[str, Array]:
 
 def _turn_ros_attitude(columns: dict[str, Array]) -> None:
     """Replace the attitude of ROS by that of the package, in the same memory."""
-    q = [columns.pop(f"ros_{axis}") for axis in "wxyz"]
-    replace_in_blocks(ned_frd_of_enu_flu, q)
+    components = [columns.pop(f"ros_{axis}") for axis in "wxyz"]
+    replace_in_blocks(ned_frd_of_enu_flu, components)
     if "covariance_0" in columns:
-        unknown = columns.pop("covariance_0") == _NO_ORIENTATION
-        for part in q:
-            part[unknown] = np.nan
-    columns.update(zip(("q_w", "q_x", "q_y", "q_z"), q, strict=True))
+        is_unknown = columns.pop("covariance_0") == _NO_ORIENTATION
+        for component in components:
+            component[is_unknown] = np.nan
+    columns.update(zip(("q_w", "q_x", "q_y", "q_z"), components, strict=True))
 
 
 def _add_sigmas(columns: dict[str, Array]) -> None:
@@ -141,29 +142,25 @@ def _uint32_store() -> ColumnStore:
 
 @dataclass
 class TopicSamples:
-    """What was read of one topic, or of one name in it.
-
-    ``stamp_ns`` own times, 0 without; ``log_ns`` the recorder's by their first row, where needed;
-    ``utc_us`` UTC beside the time since boot. ``counted`` stamps are microseconds, maybe from a
-    boot: then ``places`` are those in the whole log; else ``sequence`` are the messages' numbers.
-    """
+    """What was read of one topic, or of one name in it."""
 
     name: str
     source: Source
     spec: MessageMap
-    counted: bool = False
-    stamp_ns: ColumnStore = field(default_factory=_int64_store)
-    places: ColumnStore = field(default_factory=_int64_store)
-    sequence: ColumnStore = field(default_factory=_uint32_store)
+    counted: bool = False  # stamps are microseconds, maybe since a boot
+    stamp_ns: ColumnStore = field(default_factory=_int64_store)  # of the messages, 0 without
+    places: ColumnStore = field(default_factory=_int64_store)  # in the whole log, of counted stamps
+    sequence: ColumnStore = field(default_factory=_uint32_store)  # numbers of the other messages
     log_ns: list[tuple[int, TimeArray]] = field(default_factory=list)
-    utc_us: ColumnStore = field(default_factory=_int64_store)
+    """The recorder's times of blocks in which messages have no stamp, and the block's first row."""
+    utc_us: ColumnStore = field(default_factory=_int64_store)  # beside the time since boot
     labels: dict[str, list[str]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.columns = ColumnStores(self.spec)
 
     def add(self, columns: Columns) -> None:
-        """The next messages, as decoded."""
+        """Add the next messages, as decoded."""
         before = len(self.stamp_ns)
         count = columns[STAMP].shape[0]
         self.stamp_ns.add(columns[STAMP])
@@ -183,7 +180,10 @@ class TopicSamples:
             self._add_labels(columns, before, count)
 
     def _add_labels(self, columns: Columns, before: int, count: int) -> None:
-        """The texts of the next ``count`` exposures, "" where they have none."""
+        """Add the texts of the next ``count`` exposures, "" where they have none.
+
+        ``before``: how many exposures precede them.
+        """
         for name, paths in LABELS.items():
             path = next((path for path in paths if path in columns), None)
             if path is not None:
@@ -218,9 +218,10 @@ class TopicSamples:
         )
 
     def rows(self, clock: BootClock, ledger: Ledger) -> tuple[DecodedRows, int]:
-        """All of it, handed over, and how many messages had no time of their own.
+        """All rows, and how many of the messages had no time of their own; the samples are emptied.
 
-        Never in the order of log_time: a clock that was set back would shuffle parts of the flight.
+        The rows are never sorted by log_time: a clock that was set back would shuffle parts of the
+        flight.
         """
         stamp_ns = self.stamp_ns.whole()
         log_ns = np.zeros(stamp_ns.shape, np.int64)

@@ -63,10 +63,12 @@ def _no_blocks() -> dict[bool, list[Columns]]:
 
 @dataclass
 class Topic:
-    """A topic that is read, of one name of schema, and where its messages go.
+    """A topic that is read, with messages of one name of schema, and what was read of it.
 
-    To ``series`` of channels, one for each name in them (`rows_by_name`), or, where that is None,
-    to the ``blocks`` of a table, counted times apart. ``odd`` values are wanted and no numbers.
+    Messages go to ``series`` of channels, one for each name in them (`rows_by_name`); or, where
+    that is None, to the ``blocks`` of a table, those with counted times apart. Counted are messages
+    that ``failed`` to decode, ``nameless`` ones beyond `MAX_NAMES`, and ``odd`` values: wanted ones
+    that are no numbers.
     """
 
     name: str
@@ -81,10 +83,10 @@ class Topic:
     def take(
         self, batch: Messages, shares: Iterable[tuple[Decoder, Rows]], before: int
     ) -> list[BootStamps]:
-        """Decode some of these messages, which ``before`` others precede in the log.
+        """Decode the messages of this topic in a batch; returns the stamps that count from a boot.
 
-        ``shares``: rows, and what decodes them: a topic may have several definitions. Returns
-        the stamps of those that count from a boot.
+        ``shares``: decoders, and the rows of the batch for each: a topic may have several
+        definitions. ``before``: how many messages precede the batch in the log.
         """
         blocks = self.blocks if self.series is None else _no_blocks()
         for decoder, rows in shares:
@@ -151,7 +153,10 @@ class Topic:
 
 
 def rows_by_name(columns: Columns, field: str) -> Iterable[tuple[str | None, slice | Mask]]:
-    """The names in messages (of empty ones the ``index``) or None, and the rows of each."""
+    """The names in a field of messages, and the rows of each; None with all rows without a field.
+
+    The ``index`` of a message stands for an empty name.
+    """
     if not field or field not in columns:
         yield None, slice(None)
         return
@@ -232,7 +237,7 @@ class ObjectDecoder:
 
 
 def _make_numbers(values: dict[str, Any], fields: set[str]) -> int:
-    """Turn the values of some fields into numbers, NaN where they are none; returns how many."""
+    """Turn the values of some fields into numbers; returns how many are none, and become NaN."""
     odd = 0
     for name in fields & values.keys():
         value = number(values[name])
@@ -244,7 +249,10 @@ def _make_numbers(values: dict[str, Any], fields: set[str]) -> int:
 
 
 def flat(value: Any, path: str, wanted: frozenset[str] | None) -> Iterable[tuple[str, Any]]:
-    """Numbers and texts of an object by path; of long arrays the length, of what is wanted all."""
+    """The paths and values of an object: wanted ones as they are; all if ``wanted`` is None.
+
+    Of all, these are numbers and texts, and of long arrays the length, as ``path[]``.
+    """
     if wanted is not None and path in wanted and value is not None:
         yield path, value
     if isinstance(value, bool | int | float | str):

@@ -43,13 +43,20 @@ class _SentTimes:
         return np.asarray((received_ns - self.readings["utc_ns"])[has_utc], np.int64)
 
     def late_by_boot(self, clock: SenderClock) -> TimeArray:
-        """How long after their time since boot by this clock the others were received [ns]."""
+        """How long after their time since boot, by ``clock``, messages were received [ns].
+
+        Only of messages without UTC.
+        """
         rows = (self.readings["utc_ns"] <= 0) & (self.readings["boot_ns"] > 0)
         of_boot = self.readings[rows]
         stamped_ns = clock.utc_of_boot(
-            of_boot["at"], of_boot["host_us"] * MICROSECOND, of_boot["boot_ns"], self.turn_ns
+            of_boot["at"],
+            of_boot["host_us"] * MICROSECOND,
+            of_boot["boot_ns"],
+            self.turn_ns,
         )
-        return np.asarray(self._received_ns(clock)[rows] - stamped_ns, np.int64)
+        received_ns = self._received_ns(clock)[rows]
+        return np.asarray(received_ns - stamped_ns, np.int64)
 
     def _received_ns(self, clock: SenderClock) -> TimeArray:
         """UTC at which the messages were received."""
@@ -99,15 +106,20 @@ def unix_us(records: NDArray[Any]) -> Integers:
 def _with_checked_clock(
     clocks: Clocks, sender: Sender, times: Sequence[_SentTimes], ledger: Ledger
 ) -> Clocks:
-    """The clocks after the delay of one sender's messages is checked, by their UTC and by boot."""
+    """The clocks after those times of one sender are checked by when they were received.
+
+    First the UTC that its images carry; then, if the sender has no clock, its time since boot
+    against the clock of another component. Where that does not fit, the sender gets its own clock.
+    """
     clock = clocks.of(sender)
     late_ns = np.concatenate([part.late_by_utc(clock) for part in times])
     if late_ns.size and not _is_plausible(late_ns):
-        ledger.add(
-            messages.camera_utc_wrong(
-                sender=str(sender), count=late_ns.size, late_s=_median_s(late_ns)
-            )
+        wrong_utc = messages.camera_utc_wrong(
+            sender=str(sender),
+            count=late_ns.size,
+            late_s=_median_s(late_ns),
         )
+        ledger.add(wrong_utc)
         clocks = replace(clocks, wrong_utc=clocks.wrong_utc | {sender})
         for part in times:
             part.readings["utc_ns"] = 0
@@ -118,27 +130,26 @@ def _with_checked_clock(
     if lender is None:
         ledger.add(messages.no_clock_of_system(sender=str(sender), count=late_ns.size))
         return clocks
-    fits = _is_plausible(late_ns)
-    report = messages.clock_borrowed if fits else messages.clock_not_borrowed
-    ledger.add(
-        report(
-            sender=str(sender),
-            count=late_ns.size,
-            lender=lender.component,
-            late_s=_median_s(late_ns),
-        )
+    is_borrowed = _is_plausible(late_ns)
+    report = messages.clock_borrowed if is_borrowed else messages.clock_not_borrowed
+    clock_report = report(
+        sender=str(sender),
+        count=late_ns.size,
+        lender=lender.component,
+        late_s=_median_s(late_ns),
     )
-    if fits:
+    ledger.add(clock_report)
+    if is_borrowed:
         return clocks
     readings = np.concatenate([part.readings for part in times])
     readings = readings[readings["boot_ns"] > 0]
     readings = readings[np.argsort(readings["at"], kind="stable")]
-    own_clock = fit_sender(readings, clock, sender, ledger)
-    return replace(clocks, senders={**clocks.senders, sender: own_clock})
+    clock_of_sender = fit_sender(readings, clock, sender, ledger)
+    return replace(clocks, senders={**clocks.senders, sender: clock_of_sender})
 
 
 def _is_plausible(late_ns: TimeArray) -> bool:
-    """Whether messages were received so late after their time as links delay them."""
+    """Whether the median delay of messages is one that links have."""
     return bool(EARLIEST_NS <= np.median(late_ns) <= LATEST_NS)
 
 

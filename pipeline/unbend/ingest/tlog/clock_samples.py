@@ -51,7 +51,7 @@ class Sampler:
         self.rows.add(rows[np.argsort(rows["at"], kind="stable")])
 
     def readings(self, systems: Set[int]) -> Readings:
-        """The samples of the senders of these systems; all are used up."""
+        """The samples of the senders of these systems; removes all samples."""
         chosen = ColumnStore(READING)
         for block in self.rows.drained():
             chosen.add(block[np.isin(systems_of(block["source"]), sorted(systems))])
@@ -59,7 +59,7 @@ class Sampler:
 
 
 def _readings_of(messages: NDArray[Any]) -> Readings:
-    """What messages of one type say of the clocks of their senders."""
+    """A reading of the sender's clock from each of the messages of one type."""
     records = messages["records"]
     rows = np.zeros(messages.shape[0], READING)
     for name in ("at", "host_us", "source"):
@@ -72,7 +72,7 @@ def _readings_of(messages: NDArray[Any]) -> Readings:
 
 
 def _is_sampled(rows: Readings) -> Mask:
-    """Which messages, in the order of their senders, are the first of a sampling interval."""
+    """Which readings, sorted by sender, are the first of a sampling interval or have UTC."""
     host_ms = rows["host_us"] // 1000
     boot_ms = rows["boot_ns"] // MILLISECOND
     sampled = _changes(rows["source"])
@@ -83,7 +83,7 @@ def _is_sampled(rows: Readings) -> Mask:
 
 
 def _is_kept(rows: Readings) -> Mask:
-    """Which samples say more than those beside them."""
+    """Which samples to keep: about each change of the delay, each second, and around jumps."""
     boot_ms = rows["boot_ns"] // MILLISECOND
     delay = (rows["host_us"] - boot_ms * 1000) // DELAY_US
     changed = _changes(delay) | _changes(boot_ms // STEADY_MS)
@@ -97,5 +97,5 @@ def _is_kept(rows: Readings) -> Mask:
 
 
 def _changes(column: NDArray[Any]) -> Mask:
-    """Where a value is not that of the row before."""
+    """Which rows have another value than the row before; the first row counts as changed."""
     return np.append(True, column[1:] != column[:-1])

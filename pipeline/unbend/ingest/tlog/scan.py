@@ -62,7 +62,7 @@ class RejectedFrames:
     size: int = 0
 
     def add(self, place: int, length: int) -> None:
-        """Count one more, which comes behind those before."""
+        """Count one more frame, which lies behind those counted before."""
         if not self.count:
             self.first = place
         self.count += 1
@@ -126,9 +126,9 @@ class Scan(DamagedBytes):
         for begin in range(0, data.size, STRETCH):
             self._scan_stretch(begin, min(begin + STRETCH, data.size))
         if self._end < data.size:
-            rest = self._between(self._end, data.size)
-            if len(rest):
-                self._count_lost(rest)
+            frames_at_end = self._examine_gap(self._end, data.size)
+            if len(frames_at_end):
+                self._count_lost(frames_at_end)
 
     def _scan_stretch(self, begin: int, stop: int) -> None:
         """Scan the frames that begin in a stretch."""
@@ -167,34 +167,46 @@ class Scan(DamagedBytes):
         self.clock.take(timed)
 
     def _accept(self, frames: Frames) -> None:
-        """Count the accepted frames of a stretch, and what lies between them."""
-        last_us = self._host_us or int(frames.host_us[0])
-        step_us = np.diff(frames.host_us, prepend=last_us)
-        self.steady &= bool(np.all(step_us >= -STEADY_US))
-        self._host_us = int(frames.host_us[-1])
-        end_before = np.concatenate([[self._end], frames.end[:-1]])
-        between = []
-        for row in np.flatnonzero(end_before != frames.at).tolist():
-            frames_between = self._between(int(end_before[row]), int(frames.at[row]))
-            if len(frames_between):
-                between.append(frames_between)
-        self._count_lost(joined([frames, *between]) if between else frames)
+        """Count the accepted frames of a stretch, and examine the bytes between them."""
+        self._check_stamps(frames)
+        counted = [frames, *self._frames_between(frames)]
+        self._count_lost(joined(counted) if len(counted) > 1 else frames)
         self._end = int(frames.end[-1])
         counts = np.bincount(frames.message_id[frames.message_id < _MOST_IDS])
         for number in np.flatnonzero(counts).tolist():
             self.counts[number] += int(counts[number])
 
-    def _between(self, begin: int, stop: int) -> Frames:
-        """Count the bytes between two accepted frames; returns the frames among them."""
+    def _check_stamps(self, frames: Frames) -> None:
+        """Note if the clock of the ground station steps back by more than `STEADY_US`."""
+        last_us = self._host_us or int(frames.host_us[0])
+        step_us = np.diff(frames.host_us, prepend=last_us)
+        self.steady &= bool(np.all(step_us >= -STEADY_US))
+        self._host_us = int(frames.host_us[-1])
+
+    def _frames_between(self, frames: Frames) -> list[Frames]:
+        """Examine the gaps between accepted frames; returns the rejected frames in each."""
+        rejected: list[Frames] = []
+        previous_end = np.concatenate([[self._end], frames.end[:-1]])
+        for row in np.flatnonzero(previous_end != frames.at).tolist():
+            frames_in_gap = self._examine_gap(int(previous_end[row]), int(frames.at[row]))
+            if len(frames_in_gap):
+                rejected.append(frames_in_gap)
+        return rejected
+
+    def _examine_gap(self, begin: int, stop: int) -> Frames:
+        """Count the bytes between two accepted frames: frames not accepted, and no frames.
+
+        Returns the frames among them. Their messages are no loss, though their content is not used.
+        """
         places, end = self._frames_in_a_row(begin, stop)
-        cut = 0
+        cut_bytes = 0
         if end < stop:
             if self._ends_in_frame(end, stop, places):
-                cut = stop - end
+                cut_bytes = stop - end
             elif places:
                 end = places.pop()  # its length may be damaged
-        self.cut_bytes += cut
-        if end + cut < stop:
+        self.cut_bytes += cut_bytes
+        if end + cut_bytes < stop:
             self.drop(end, stop)
         window = _padded(self._data.array(begin, end))
         frames = headers(window, np.array(places, np.int64) - begin, end - begin).moved(begin)
@@ -202,14 +214,18 @@ class Scan(DamagedBytes):
         return frames
 
     def _frames_in_a_row(self, begin: int, stop: int) -> tuple[list[int], int]:
-        """The places of frames that follow each other from a byte, and where the last ends."""
+        """The places of frames that follow each other from a byte, and where the last ends.
+
+        Their checksums do not count here: only stamps, magic bytes and lengths.
+        """
         places: list[int] = []
         place = begin
         view = b""
         view_begin = begin
         while place < stop:
             view_end = view_begin + len(view)
-            if place + LONGEST > view_end and view_end < stop:
+            is_cut_off = place + LONGEST > view_end and view_end < stop
+            if is_cut_off:
                 view_begin = place
                 view = self._data[place : min(place + STRETCH, stop)]
             length = frame_length(view, place - view_begin)
@@ -220,15 +236,16 @@ class Scan(DamagedBytes):
         return places, place
 
     def _ends_in_frame(self, at: int, stop: int, places: list[int]) -> bool:
-        """Whether the file ends in a frame that begins here, behind frames at ``places``."""
+        """Whether the file ends within a frame that begins here, behind frames at ``places``."""
         if stop != self._data.size:
             return False
-        rest = self._data[at : at + LONGEST]
-        if stop - at >= SHORTEST and frame_length(rest, 0) <= len(rest):
+        last_bytes = self._data[at : at + LONGEST]
+        is_whole_or_none = stop - at >= SHORTEST and frame_length(last_bytes, 0) <= len(last_bytes)
+        if is_whole_or_none:
             return False
         if not places:
             return True
-        # not behind a frame whose checksum fails
+        # not behind a frame whose checksum fails: its length may be wrong
         head = _padded(self._data.array(places[-1], places[-1] + HEAD))
         last = headers(head, np.zeros(1, np.int64), LONGEST)
         return int(last.message_id[0]) not in self._extras
@@ -245,7 +262,7 @@ class Scan(DamagedBytes):
             rejected.add(place, length)
 
     def _count_lost(self, frames: Frames) -> None:
-        """Messages missing by the numbers of each sender; the upper half of steps is backward."""
+        """Count the messages that each sender numbered and that are not among these frames."""
         numbers = frames.sender
         order = np.argsort(numbers, kind="stable")
         starts = np.flatnonzero(np.diff(numbers[order].astype(np.int32), prepend=-1)).tolist()
@@ -258,50 +275,52 @@ class Scan(DamagedBytes):
     def _count_lost_of_sender(
         self, number: int, sequence: NDArray[np.uint8], host_us: Integers, at: Integers
     ) -> None:
-        """Count what is missing between the next messages of a sender; what is late fills its gap.
+        """Count the numbers that are missing in the next messages of a sender.
 
-        A silence counts unless few stamps beside it are stray.
+        The sequence counts modulo 256: a step of more than half of that is one backward, of a
+        message that was overtaken, which fills its gap. After a silence no step is backward.
         """
         sender = Sender.of_number(number)
         state = self._sequences.get(number)
         if state is None:
             state = _SequenceState(last=(int(sequence[0]) - 1) % SEQUENCE, heard_us=int(host_us[0]))
         skipped = np.diff(sequence, prepend=np.uint8(state.last)) - np.uint8(1)  # modulo 256
-        silent = np.diff(host_us, prepend=state.heard_us) > SILENT_US
-        for row in np.flatnonzero(silent).tolist():
+        is_after_silence = np.diff(host_us, prepend=state.heard_us) > SILENT_US
+        for row in np.flatnonzero(is_after_silence).tolist():
             silent_us = _silent_us(host_us, row, state.heard_us)
             if silent_us > SILENT_US:
                 is_backward = skipped[row] >= SEQUENCE // 2
                 backward = int(skipped[row]) if is_backward else 0
                 self.silences.append(Silence(sender, int(at[row]), silent_us / 1e6, backward))
-        # how far each message is from the last of those before
         step = skipped.view(np.int8).astype(np.int64) + 1
-        step[(step < 0) & silent] = 1  # after seconds of silence no message overtakes another
-        place = np.cumsum(step)
-        new = np.unique(place[place > state.ahead])
+        step[(step < 0) & is_after_silence] = 1
+        position = np.cumsum(step)  # of each message, counted from the last of those before
+        new_positions = np.unique(position[position > state.ahead])
         lost = 0
-        if new.size:
-            lost = int(new[-1]) - state.ahead - new.shape[0]
+        if new_positions.size:
+            lost = int(new_positions[-1]) - state.ahead - new_positions.shape[0]
         self.lost[sender] += lost
         self._sequences[number] = _SequenceState(
             last=int(sequence[-1]),
             heard_us=int(host_us[-1]),
-            ahead=max(state.ahead, int(place.max())) - int(place[-1]),
+            ahead=max(state.ahead, int(position.max())) - int(position[-1]),
         )
 
 
 def _silent_us(host_us: Integers, row: int, heard_us: int) -> int:
-    """The time before a message without another of its sender, by the stamps on both sides.
+    """How long a sender was silent before a message [us].
 
-    Of those the nearest count, as single ones may be stray; ``heard_us``: the last one before all.
+    From the latest of a few stamps before to the earliest of a few stamps from there on, because
+    single stamps may be stray. ``heard_us``: the stamp of the sender before all rows.
     """
-    before_us = host_us[max(row - STRAY_ROWS - 1, 0) : row].max(initial=heard_us)
+    first = max(row - STRAY_ROWS - 1, 0)
+    before_us = host_us[first:row].max(initial=heard_us)
     after_us = host_us[row : row + STRAY_ROWS + 1].min()
     return int(after_us) - int(before_us)
 
 
 def _apart(frames: Frames) -> Frames:
-    """The frames without those that begin inside the one before, as where a payload holds a log."""
+    """The frames without those that begin inside another frame: its payload may hold a log."""
     if bool(np.all(frames.at[1:] >= frames.end[:-1])):
         return frames
     rows = []
@@ -314,5 +333,5 @@ def _apart(frames: Frames) -> Frames:
 
 
 def _padded(window: Bytes) -> Bytes:
-    """The bytes and behind them zeros, as many as a header may extend beyond the end."""
+    """The bytes, followed by `HEAD` zeros: a header may extend beyond the end."""
     return np.concatenate([window, np.zeros(HEAD, np.uint8)])

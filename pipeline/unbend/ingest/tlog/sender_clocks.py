@@ -70,7 +70,11 @@ class SenderClock:
         return np.maximum(np.searchsorted(self.at, at, side="right") - 1, 0)
 
     def boot_places(self, at: Integers, boot_ns: TimeArray) -> Integers:
-        """Places of that boot: messages may come before the first reading of its clock."""
+        """For each message a place in the file that lies in the boot of its time.
+
+        That is its own place, unless its time is nearer to the next reading, which is of another
+        boot: messages may come before the first reading of their clock.
+        """
         if self.clock.line.boots == 1:
             return at
         before = self._row(at)
@@ -95,7 +99,10 @@ class SenderClock:
     def utc_of_boot(
         self, at: Integers, host_ns: TimeArray, boot_ns: TimeArray, turn_ns: int
     ) -> TimeArray:
-        """UTC [ns] of times since boot that wrap after ``turn_ns``; the log's without a clock."""
+        """UTC [ns] of times since boot that wrap after ``turn_ns``.
+
+        Without a known clock, the stamps ``host_ns`` of the ground station.
+        """
         if not self.at.size:
             return host_ns
         near_ns = np.asarray(self.boot_ns[self._row(at)], np.int64)
@@ -117,7 +124,11 @@ _HOST_CLOCK = SenderClock(
 
 @dataclass(frozen=True)
 class Clocks:
-    """All senders of a log, the vehicle's ``boots``; ``wrong_utc``: of images of these senders."""
+    """The clocks of all senders of a log whose time since boot is known.
+
+    ``boots`` of the vehicle; ``description`` of its clock in words; ``wrong_utc``: senders whose
+    images carry a UTC that does not fit.
+    """
 
     senders: Mapping[Sender, SenderClock]
     boots: int
@@ -139,7 +150,10 @@ class Clocks:
         return self.senders[lender]
 
     def advanced(self, sender: Sender, at: int, least_ns: int) -> bool:
-        """Whether a sender's clock, if known, advances by so much at a place, within a boot."""
+        """Whether a sender's clock advances by ``least_ns`` or more at a place, within a boot.
+
+        True also where the clock is not known beside that place.
+        """
         clock = self.senders.get(sender, _HOST_CLOCK)
         row = int(np.searchsorted(clock.at, at))
         if not 0 < row < clock.at.shape[0]:
@@ -155,7 +169,9 @@ def clock_field(names: Container[str]) -> str:
 
 
 def unrolled(stamp_ns: TimeArray, near_ns: TimeArray, turn_ns: int) -> TimeArray:
-    """(n,) stamps [ns] of a counter that wraps after ``turn_ns``, completed where near the clock.
+    """(n,) stamps [ns] of a counter that wraps after ``turn_ns``, with the missing turns added.
+
+    Turns are added where the result is within `NEAR_NS` of the sender's clock, ``near_ns``.
 
     >>> unrolled(np.array([5 * 10**9]), np.array([ROUND_US + 4 * 10**9]), ROUND_US) - ROUND_US
     array([5000000000])
@@ -183,8 +199,8 @@ def clocks_of(readings: Readings, ledger: Ledger) -> Clocks:
         lead = _HOST_CLOCK
         if sender.system == vehicle.system:
             lead = clocks.get(vehicle, _HOST_CLOCK)
-        of_sender = _some(readings, readings["source"] == number)
-        clocks[sender] = fit_sender(of_sender, lead, sender, ledger)
+        readings_of_sender = _selected(readings, readings["source"] == number)
+        clocks[sender] = fit_sender(readings_of_sender, lead, sender, ledger)
     clock = clocks[vehicle].clock
     return Clocks(clocks, clock.line.boots, _description(clock))
 
@@ -200,15 +216,16 @@ def _description(clock: BootClock) -> str:
     return f"vehicle clock, set to UTC by SYSTEM_TIME in {known} of {boots} boots"
 
 
-def _some(readings: Readings, rows: Mask) -> Readings:
-    """Some of the readings, not copied where these are all: memory has its peak here."""
+def _selected(readings: Readings, rows: Mask) -> Readings:
+    """The readings in some rows, not copied where these are all: memory has its peak here."""
     return readings if bool(rows.all()) else readings[rows]
 
 
 def overtaken(readings: Readings) -> Mask:
-    """Which (n,) readings of a sender are of messages that others overtook, without a restart.
+    """Which (n,) readings of a sender are of messages that later ones overtook.
 
-    They are up to `LATEST_NS` older than one before them, received when the sender was on as long.
+    Their time is up to `LATEST_NS` before that of an earlier row, and the sender was not restarted:
+    by the stamps of reception it had been on for longer than since that row.
     """
     boot_ns = readings["boot_ns"]
     host_ns = readings["host_us"] * MICROSECOND
@@ -224,10 +241,14 @@ def overtaken(readings: Readings) -> Mask:
 def fit_sender(
     readings: Readings, lead: SenderClock, sender: Sender, ledger: Ledger
 ) -> SenderClock:
-    """A sender's clock; without UTC of its own it is set by when its messages were received."""
-    readings = _some(readings, ~stray_times(readings["boot_ns"]))  # a glitch of it is no boot
+    """Fit the clock of a sender to its readings.
+
+    UTC is that of its SYSTEM_TIME; in boots without, that of ``lead`` (the vehicle's clock) when
+    its messages were received.
+    """
+    readings = _selected(readings, ~stray_times(readings["boot_ns"]))
     if bool(np.any(np.diff(readings["boot_ns"]) < -BOOT_STEP_NS)):
-        readings = _some(readings, ~overtaken(readings))
+        readings = _selected(readings, ~overtaken(readings))
     places = readings["at"]
     stamped_ns = readings["host_us"] * MICROSECOND
     boot_ns = _continued(readings["boot_ns"], stamped_ns, sender, ledger)
@@ -252,12 +273,11 @@ def fit_sender(
     boot = clock.line.boot_of(places)
     counts = np.bincount(boot, minlength=clock.line.boots).tolist()
     _report_host_clock(clock, counts, sender, ledger)
-    kept = np.ones(boot.shape, np.bool_)
-    new_second = np.diff(boot_ns // NANOSECONDS_PER_SECOND) != 0
-    kept[1:] = new_second | (np.diff(boot) != 0)
+    second = boot_ns // NANOSECONDS_PER_SECOND
+    is_kept = np.append(True, (np.diff(second) != 0) | (np.diff(boot) != 0))
     return SenderClock(
-        at=places[kept],
-        boot_ns=boot_ns[kept],
+        at=places[is_kept],
+        boot_ns=boot_ns[is_kept],
         clock=clock,
         counts=tuple(counts),
         maps=_maps_to_utc(stamped_ns, clock.utc(places, boot_ns), counts),
@@ -267,7 +287,7 @@ def fit_sender(
 def _report_host_clock(
     clock: BootClock, counts: Sequence[int], sender: Sender, ledger: Ledger
 ) -> None:
-    """Enter the boots that only the reception of the messages ties to UTC."""
+    """Report the boots whose UTC is only that of the reception of their messages."""
     for number, fit in enumerate(clock.fits):
         if fit is not None and not clock.utc_known[number]:
             ledger.add(
@@ -283,7 +303,10 @@ def _report_host_clock(
 def _maps_to_utc(
     stamped_ns: TimeArray, utc_ns: TimeArray, counts: Sequence[int]
 ) -> tuple[Callable[[TimeArray], TimeArray], ...]:
-    """For each boot, of so many readings, what maps the ground station's clock to UTC."""
+    """For each boot a function that maps the ground station's clock to UTC.
+
+    ``counts``: of the readings of each boot, which follow each other in both arrays.
+    """
     maps = []
     begin = 0
     for count in counts:
@@ -302,11 +325,11 @@ def _continued(
     message that was overtaken has the time before the wrap: a step by a turn the other way.
     """
     step_ns = np.diff(boot_ns)
-    turn = np.rint(-step_ns / ROUND_MS).astype(np.int64)
-    unexplained_ns = step_ns + turn * ROUND_MS - np.diff(stamped_ns)
-    turn[np.abs(unexplained_ns) > NEAR_NS] = 0
-    if not turn.any():
+    turns_in_step = np.rint(-step_ns / ROUND_MS).astype(np.int64)
+    unexplained_ns = step_ns + turns_in_step * ROUND_MS - np.diff(stamped_ns)
+    turns_in_step[np.abs(unexplained_ns) > NEAR_NS] = 0
+    if not turns_in_step.any():
         return boot_ns
-    turns = np.concatenate([[0], np.cumsum(turn)])
+    turns = np.append(0, np.cumsum(turns_in_step))
     ledger.add(messages.count_wrapped(sender=str(sender), count=int(turns.max())))
     return np.asarray(boot_ns + turns * ROUND_MS, np.int64)

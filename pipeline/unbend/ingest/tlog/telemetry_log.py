@@ -86,7 +86,11 @@ TLOG = LogFormat("tlog", "MAVLink telemetry", (".tlog", ".rlog"), is_tlog, read_
 
 
 def _report_rejected(scan: Scan, wanted: set[int], file: str, ledger: Ledger) -> int:
-    """Enter frames that are not accepted; returns the bytes of those that are damage."""
+    """Report frames that are not accepted; returns how many bytes of them are damage.
+
+    A checksum that fails is damage if the log has good messages of that type, or the type is
+    ``wanted``; else the type may have other fields in the dialect of the sender.
+    """
     if scan.unknown:
         ledger.add(
             messages.unknown_ids(
@@ -110,39 +114,49 @@ def _report_rejected(scan: Scan, wanted: set[int], file: str, ledger: Ledger) ->
 def _report_link(
     scan: Scan, clocks: Clocks, channels: list[Channel], file: str, ledger: Ledger
 ) -> int:
-    """Enter the messages of the senders of channels that the link lost; returns the least count."""
-    carriers = {(channel.source.system, channel.source.component) for channel in channels}
-    lost = Counter({sender: count for sender, count in scan.lost.items() if sender in carriers})
+    """Report the messages that the link lost, of senders of channels; returns their least number.
+
+    Reported are numbers missing in the sequence of a sender, and its silences.
+    """
+    senders = {(channel.source.system, channel.source.component) for channel in channels}
+    lost: Counter[Sender] = Counter()
+    for sender, count in scan.lost.items():
+        if sender in senders:
+            lost[sender] = count
     silences_of: dict[Sender, list[Silence]] = {}
     for silence in scan.silences:
         sender = silence.source
-        if sender in carriers and clocks.advanced(sender, silence.at, SILENT_NS):
+        if sender in senders and clocks.advanced(sender, silence.at, SILENT_NS):
             silences_of.setdefault(sender, []).append(silence)
             # after seconds of silence no message overtakes another: the step is a loss
             lost[sender] += silence.backward
     for sender, count in sorted((+lost).items()):
-        ledger.add(
-            messages.lost_by_radio(
-                file=file, count=count, system=sender.system, component=sender.component
-            )
+        lost_message = messages.lost_by_radio(
+            file=file,
+            count=count,
+            system=sender.system,
+            component=sender.component,
         )
+        ledger.add(lost_message)
     for sender, silences in sorted(silences_of.items()):
-        ledger.add(
-            messages.sender_silent(
-                file=file,
-                byte=silences[0].at,
-                count=len(silences),
-                system=sender.system,
-                component=sender.component,
-                least_s=SILENT_US / 1e6,
-                seconds=sum(silence.seconds for silence in silences),
-            )
+        silent_message = messages.sender_silent(
+            file=file,
+            byte=silences[0].at,
+            count=len(silences),
+            system=sender.system,
+            component=sender.component,
+            least_s=SILENT_US / 1e6,
+            seconds=sum(silence.seconds for silence in silences),
         )
+        ledger.add(silent_message)
     return lost.total()
 
 
 def _replace_stray_stamps(scan: Scan, ledger: Ledger, file: str) -> None:
-    """Replace stamps of the ground station, which no checksum covers, that jump and return."""
+    """Replace stamps of the ground station that jump and return: no checksum covers them.
+
+    A stray stamp gets the value of the stamp of the last good message before it.
+    """
     blocks = [block for store in scan.sent.values() for block in store.blocks()]
     if not blocks:
         return
@@ -155,17 +169,16 @@ def _replace_stray_stamps(scan: Scan, ledger: Ledger, file: str) -> None:
     count = int(np.count_nonzero(stray))
     if count == 0 or bool(stray.all()):
         return
-    stray_at = places[stray]
-    ledger.add(messages.stray_stamps(file=file, first=int(stray_at[0]), count=count))
-    # each gets the stamp of the message before it
+    stray_places = places[stray]
+    ledger.add(messages.stray_stamps(file=file, first=int(stray_places[0]), count=count))
     good_us = host_us[~stray]
-    rows_before = np.searchsorted(np.flatnonzero(~stray), np.flatnonzero(stray)) - 1
-    replacement_us = good_us[np.maximum(rows_before, 0)]
+    good_before = np.searchsorted(np.flatnonzero(~stray), np.flatnonzero(stray)) - 1
+    replacement_us = good_us[np.maximum(good_before, 0)]
     for store in (*scan.sent.values(), scan.clock.rows):
         for block in store.blocks():
-            place = np.minimum(np.searchsorted(stray_at, block["at"]), count - 1)
-            is_stray = stray_at[place] == block["at"]
-            block["host_us"][is_stray] = replacement_us[place[is_stray]]
+            number = np.minimum(np.searchsorted(stray_places, block["at"]), count - 1)
+            is_stray = stray_places[number] == block["at"]
+            block["host_us"][is_stray] = replacement_us[number[is_stray]]
 
 
 def _table(path: Path, clocks: Clocks, name: str, instance: str | None) -> Table:
@@ -211,9 +224,9 @@ def _rows_of_instance(
     """The messages of one instance, none where the message has no instances."""
     if not message.instance_field:
         return rows[:0]
-    sent = rows["records"][message.instance_field]
-    asked = [value for value in np.unique(sent) if label_of(value) == instance]
-    return rows[np.isin(sent, asked)]
+    instances = rows["records"][message.instance_field]
+    wanted = [value for value in np.unique(instances) if label_of(value) == instance]
+    return rows[np.isin(instances, wanted)]
 
 
 def _texts(raw: NDArray[Any]) -> NDArray[np.str_]:

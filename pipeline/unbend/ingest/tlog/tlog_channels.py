@@ -36,16 +36,20 @@ MISSING_CHUNK = "..."  # in a text some of whose parts were lost
 def channels_of(
     sent: dict[str, ColumnStore], clocks: Clocks, ledger: Ledger
 ) -> tuple[list[Channel], dict[str, float]]:
-    """The channels of the wanted messages, whose memory is freed on the way, and the parameters."""
-    keys_of: dict[str, list[str]] = {}
+    """The channels of the wanted messages, and the last values of the parameters.
+
+    The messages are removed from ``sent``, so that memory does not hold them twice.
+    """
+    keys_of_message: dict[str, list[str]] = {}
     for key in MESSAGES:
-        keys_of.setdefault(message_of_key(key), []).append(key)
+        keys_of_message.setdefault(message_of_key(key), []).append(key)
     channels = []
-    for message, keys in keys_of.items():
+    for message, keys in keys_of_message.items():
         if message not in sent:
             continue
-        for series in _series(keys, sent.pop(message), clocks):
-            rows = _in_time_order(_own_rows(series, ledger), is_event=series.spec.event)
+        for series in _series_of_message(keys, sent.pop(message), clocks):
+            rows = _rows_of_series(series, ledger)
+            rows = _in_time_order(rows, is_event=series.spec.event)
             channel = channel_of(rows, series.spec, ledger)
             if channel is not None:
                 channels.append(channel)
@@ -56,8 +60,8 @@ def channels_of(
     return with_both_heights(channels, parameters, ledger, PARAM_VALUE), parameters
 
 
-def _own_rows(series: "_Series", ledger: Ledger) -> DecodedRows:
-    """The rows of a series, after what is particular to its message."""
+def _rows_of_series(series: "_Series", ledger: Ledger) -> DecodedRows:
+    """The rows of a series; repeated exposures are dropped, and chunks of a text are joined."""
     rows = series.rows()
     if series.key == "CAMERA_FEEDBACK":
         return rows.take(distinct_exposures(series.records(), rows.name, ledger))
@@ -69,15 +73,16 @@ def _own_rows(series: "_Series", ledger: Ledger) -> DecodedRows:
 
 
 def _in_time_order(rows: DecodedRows, *, is_event: bool) -> DecodedRows:
-    """Rows put in order where messages came late; a clock that was set back is left as it is.
+    """The rows in the order of their time, unless a clock was set back.
 
-    The link delivers exposures late, and others overtake each other by up to some seconds.
+    The link delivers exposures late, and other messages overtake each other by up to some seconds:
+    a step back of more than `LATEST_NS` is of the clock.
     """
-    comes_late = is_event
+    is_late_message = is_event
     if not bool(np.all(rows.time_ns[1:] >= rows.time_ns[:-1])):
         newest_ns = np.maximum.accumulate(rows.time_ns)
-        comes_late |= int(np.max(newest_ns - rows.time_ns)) < LATEST_NS
-    if not comes_late:
+        is_late_message |= int(np.max(newest_ns - rows.time_ns)) < LATEST_NS
+    if not is_late_message:
         return rows
     return rows.take(np.argsort(rows.time_ns, kind="stable"))
 
@@ -148,18 +153,20 @@ def _fields_of(records: NDArray[Any]) -> dict[str, NDArray[Any]]:
     return fields
 
 
-def _series(keys: list[str], store: ColumnStore, clocks: Clocks) -> list[_Series]:
-    """The series of one message, for each key, sender and instance."""
-    by_group: dict[tuple[Sender, Any], list[_Series]] = {}  # the instance as sent, or None
+def _series_of_message(keys: list[str], store: ColumnStore, clocks: Clocks) -> list[_Series]:
+    """The series of one message, for each key, sender and instance; the store is emptied."""
+    series_of_group: dict[tuple[Sender, Any], list[_Series]] = {}  # the instance as sent, or None
     field = message_of_name()[message_of_key(keys[0])].instance_field
-    for sender, value, rows in _groups(store, field):
-        group = (sender, value)
-        if group not in by_group:
-            label = None if value is None else label_of(value)
-            by_group[group] = [_Series(key, sender, label) for key in keys]
-        for series in by_group[group]:
+    for sender, instance, rows in _rows_by_group(store, field):
+        group = (sender, instance)
+        if group not in series_of_group:
+            label = None if instance is None else label_of(instance)
+            series_of_group[group] = [_Series(key, sender, label) for key in keys]
+        for series in series_of_group[group]:
             series.add(rows, clocks)
-    all_series = [series for group in sorted(by_group) for series in by_group[group]]
+    all_series: list[_Series] = []
+    for group in sorted(series_of_group):
+        all_series += series_of_group[group]
     senders = {series.sender for series in all_series}
     if len(senders) > 1:
         _add_senders_to_names(all_series)
@@ -172,26 +179,30 @@ def _add_senders_to_names(all_series: list[_Series]) -> None:
         series.name += f"@{series.sender.system}/{series.sender.component}"
 
 
-def _groups(store: ColumnStore, field: str) -> Iterator[tuple[Sender, Any, NDArray[Any]]]:
-    """The messages of each sender and instance, in pieces; their store is used up."""
+def _rows_by_group(store: ColumnStore, field: str) -> Iterator[tuple[Sender, Any, NDArray[Any]]]:
+    """The sender, the instance and the messages of both, block by block; the store is emptied."""
     for block in store.drained():
-        for sender, of_sender in by_sender(block):
-            for value, rows in _by_instance(block[of_sender], field):
-                yield sender, value, rows
+        for sender, rows_of_sender in by_sender(block):
+            for instance, rows in _by_instance(block[rows_of_sender], field):
+                yield sender, instance, rows
 
 
 def _by_instance(rows: NDArray[Any], field: str) -> list[tuple[Any, NDArray[Any]]]:
-    """The instances in messages, as sent, and the messages of each; None without a field."""
+    """Each instance, as sent, with its messages; None with all of them where there is no field."""
     if not field:
         return [(None, rows)]
-    sent = rows["records"][field]
-    return [(value.item(), rows[sent == value]) for value in np.unique(sent)]
+    instances = rows["records"][field]
+    return [(value.item(), rows[instances == value]) for value in np.unique(instances)]
 
 
 def times_of(
     rows: NDArray[Any], field: str, clocks: Clocks, sender: Sender
 ) -> tuple[TimeArray, NDArray[np.int16]]:
-    """UTC [ns] and boot of (n,) messages of a sender, by their own time or that of reception."""
+    """UTC [ns] and boot of (n,) messages of a sender.
+
+    ``field``: the one with the messages' own time, of `CLOCK_FIELDS`; where that is "", the time of
+    their reception counts.
+    """
     places = rows["at"]
     host_ns = rows["host_us"] * MICROSECOND
     clock = clocks.of(sender)
@@ -200,13 +211,13 @@ def times_of(
     unit_ns, turn_ns = CLOCK_FIELDS[field]
     stamp = microseconds(rows["records"][field])  # cut at what no log can last
     stamp_ns = stamp * unit_ns
-    placed = clock.boot_places(places, stamp_ns)
-    time_ns = clock.utc_of_boot(placed, host_ns, stamp_ns, turn_ns)
-    boot = clock.boot(placed)
+    boot_places = clock.boot_places(places, stamp_ns)
+    time_ns = clock.utc_of_boot(boot_places, host_ns, stamp_ns, turn_ns)
+    boot = clock.boot(boot_places)
     if field == "time_boot_ms":
-        own_us = unix_us(rows["records"])
-        if sender not in clocks.wrong_utc and own_us.any():
-            time_ns = np.where(own_us > 0, own_us * MICROSECOND, time_ns)
+        utc_us = unix_us(rows["records"])
+        if sender not in clocks.wrong_utc and utc_us.any():
+            time_ns = np.where(utc_us > 0, utc_us * MICROSECOND, time_ns)
         return time_ns, boot
     # time_usec: Unix time from some senders, time since boot from others, 0 when not known
     is_unix = stamp > UNIX_US_FROM
@@ -230,24 +241,27 @@ def text_of(value: bytes) -> str:
 
 
 def whole_texts(rows: DecodedRows, records: NDArray[Any]) -> DecodedRows:
-    """An autopilot's texts; chunks of one id, not 0, are joined, "..." stands for missing ones."""
+    """The rows of an autopilot's texts, with the chunks of one text joined.
+
+    Chunks have the same id, which is not 0. "..." stands for chunks that are missing.
+    """
     texts: list[str] = []
     first_rows: list[int] = []
-    begun: dict[int, int] = {}  # by id, which text it is
+    text_of_id: dict[int, int] = {}  # the number in ``texts`` of the latest text of an id
     next_chunk: dict[int, int] = {}  # by id, the number of the chunk that is due
-    numbers = records["id"].tolist()
+    ids = records["id"].tolist()
     chunks = records["chunk_seq"].tolist()
     for row, text in enumerate(rows.labels["text"]):
-        number = numbers[row]
+        number = ids[row]
         chunk = chunks[row]
-        is_part = number != 0 and chunk != 0
+        is_later_chunk = number != 0 and chunk != 0
         due = next_chunk.get(number, 0)
-        if is_part and number in begun and chunk >= due:
+        if is_later_chunk and number in text_of_id and chunk >= due:
             missing = MISSING_CHUNK if chunk > due else ""
-            texts[begun[number]] += missing + text
+            texts[text_of_id[number]] += missing + text
         else:
-            begun[number] = len(texts)
-            texts.append(MISSING_CHUNK + text if is_part else text)
+            text_of_id[number] = len(texts)
+            texts.append(MISSING_CHUNK + text if is_later_chunk else text)
             first_rows.append(row)
         next_chunk[number] = chunk + 1
     return replace(rows.take(np.array(first_rows, np.intp)), labels={"text": tuple(texts)})
@@ -260,21 +274,21 @@ def distinct_exposures(table: NDArray[Any], name: str, ledger: Ledger) -> Rows:
     """
     times_us = table["time_usec"]
     indices = table["img_idx"].astype(np.uint64)
-    empty = (times_us == 0) & (table["lat"] == 0) & (table["lng"] == 0)
-    empties = int(np.count_nonzero(empty))
-    if empties:
-        ledger.add(messages.empty_feedback(channel=name, count=empties, total=table.shape[0]))
+    is_empty = (times_us == 0) & (table["lat"] == 0) & (table["lng"] == 0)
+    empty_rows = int(np.count_nonzero(is_empty))
+    if empty_rows:
+        ledger.add(messages.empty_feedback(channel=name, count=empty_rows, total=table.shape[0]))
     keys = np.where(times_us == 0, indices, times_us)
-    first = _first_of_each(keys, ~empty, "the time of an exposure", name, ledger)
-    with_unix_time = int(np.count_nonzero(times_us[first] > UNIX_US_FROM))
+    first_rows = _first_of_each(keys, ~is_empty, "the time of an exposure", name, ledger)
+    with_unix_time = int(np.count_nonzero(times_us[first_rows] > UNIX_US_FROM))
     if with_unix_time:
         ledger.add(messages.times_of_triggers(channel=name, count=with_unix_time))
-    unseen = np.setdiff1d(indices[~empty], indices[first])
+    unseen = np.setdiff1d(indices[~is_empty], indices[first_rows])
     if unseen.size:
         ledger.add(
             messages.numbers_without_feedback(channel=name, count=unseen.size, first=int(unseen[0]))
         )
-    return first
+    return first_rows
 
 
 def captured_images(table: NDArray[Any], name: str, ledger: Ledger) -> Rows:
@@ -288,13 +302,18 @@ def captured_images(table: NDArray[Any], name: str, ledger: Ledger) -> Rows:
     return _first_of_each(keys, ~failed, "an image", name, ledger)
 
 
-def _first_of_each(keys: NDArray[Any], good: Mask, what: str, name: str, ledger: Ledger) -> Rows:
-    """The first of the good rows of each key; repeated is ``what`` the key stands for."""
+def _first_of_each(
+    keys: NDArray[Any], good: Mask, key_words: str, name: str, ledger: Ledger
+) -> Rows:
+    """The first of the good rows of each key; the repeated rows are reported.
+
+    ``key_words``: what a key stands for, for the report.
+    """
     rows = np.flatnonzero(good)
     _, first = np.unique(keys[rows], return_index=True)
     repeats = int(rows.size - first.size)
     if repeats:
         ledger.add(
-            messages.repeated_events(channel=name, count=repeats, total=keys.size, what=what)
+            messages.repeated_events(channel=name, count=repeats, total=keys.size, what=key_words)
         )
     return rows[np.sort(first)]

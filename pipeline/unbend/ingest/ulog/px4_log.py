@@ -141,7 +141,7 @@ def _channel(
 
 
 def _texts_channel(texts: list[Text], offset_ns: int, ledger: Ledger) -> Channel | None:
-    """What the vehicle says, as a channel."""
+    """The channel of the texts of the vehicle; None without any."""
     boot_ns = nanoseconds(np.array([text.time_us for text in texts], np.uint64))
     decoded = DecodedRows(
         name="MSG",
@@ -155,39 +155,39 @@ def _texts_channel(texts: list[Text], offset_ns: int, ledger: Ledger) -> Channel
 
 
 def report_silences(log: ULogMessages, name: str, ledger: Ledger) -> None:
-    """Enter the times in which no topic has a message: whole ones were cut out, or never logged.
+    """Report silences of all topics: messages were cut out of the file, or never logged.
 
-    Stamps of a topic that were sampled before the logger began, and stray ones, do not count.
+    Only topics with short intervals show silences. Not counted are stray stamps, and stamps that
+    were sampled before the logger began.
     """
-    parts = []
+    times_of_topics = []
     shortest_ns = float(LONGEST_INTERVAL_NS)
     for rows in log.rows.values():
         time_ns = nanoseconds(rows["timestamp"])[EARLY_ROWS:]
         time_ns = time_ns[~stray_times(time_ns)]
         interval_ns = _median_interval_ns(time_ns)
         if interval_ns <= LONGEST_INTERVAL_NS:
-            parts.append(time_ns)
+            times_of_topics.append(time_ns)
             shortest_ns = min(shortest_ns, interval_ns)
-    if not parts:
+    if not times_of_topics:
         return
-    begin_ns = max(int(part[0]) for part in parts)
-    time_ns = np.unique(np.concatenate(parts))
-    time_ns = time_ns[time_ns >= begin_ns]
-    steps_ns = np.diff(time_ns)
+    begin_ns = max(int(time_ns[0]) for time_ns in times_of_topics)
+    all_times_ns = np.unique(np.concatenate(times_of_topics))
+    all_times_ns = all_times_ns[all_times_ns >= begin_ns]
+    steps_ns = np.diff(all_times_ns)
     silent = steps_ns > max(SILENCE_NS, SILENT_INTERVALS * shortest_ns)
     if not silent.any():
         return
     silent_ns = float(steps_ns[silent].sum())
     messages_per_ns = log.counts.total() / float(steps_ns[~silent].sum())
-    ledger.add(
-        messages.messages_cut_out(
-            file=name,
-            after_boot_s=float(time_ns[np.argmax(silent)]) * 1e-9,
-            count=int(np.count_nonzero(silent)),
-            seconds=silent_ns / 1e9,
-            missing=round(messages_per_ns * silent_ns),
-        )
+    cut_out = messages.messages_cut_out(
+        file=name,
+        after_boot_s=float(all_times_ns[np.argmax(silent)]) * 1e-9,
+        count=int(np.count_nonzero(silent)),
+        seconds=silent_ns / 1e9,
+        missing=round(messages_per_ns * silent_ns),
     )
+    ledger.add(cut_out)
 
 
 def _median_interval_ns(time_ns: TimeArray) -> float:
@@ -200,7 +200,7 @@ def _median_interval_ns(time_ns: TimeArray) -> float:
 def _clock(
     rows_of_topic: TopicRows, sources: Mapping[UlogTopic, Source], ledger: Ledger
 ) -> tuple[int, str]:
-    """UTC minus time since boot [ns], and where it comes from."""
+    """UTC minus time since boot [ns], and in words where it comes from; 0 where it is unknown."""
     clock = fit_clock(
         _ONE_BOOT,
         _utc_readings(rows_of_topic, sources, "position", UTC_FIELD),
@@ -217,7 +217,7 @@ def _clock(
 def _utc_readings(
     rows_of_topic: TopicRows, sources: Mapping[UlogTopic, Source], role: str, field: str
 ) -> list[UtcReadings]:
-    """UTC beside the time since boot, in the topics of a role that have it in a field."""
+    """The UTC beside the time since boot, of each topic that may play a role and has the field."""
     readings = []
     for topic, rows in rows_of_topic.items():
         if role not in PX4_TOPICS[topic.name].roles or field not in _names(rows):
@@ -239,19 +239,19 @@ def _utc_readings(
 
 
 def _table(path: Path, offset_ns: int, topic: str, instance: str | None) -> Table:
-    """The messages of one topic, for `Log.message`; instances follow each other."""
-    parts = []
-    numbers = []
+    """The messages of a topic, or of one of its instances, instance by instance."""
+    rows_of_instances = []
+    instance_columns = []
     for key, rows in _messages(path, [topic]).rows.items():
         if instance in (None, str(key.instance)):
-            parts.append(rows)
-            numbers.append(np.full(len(rows), key.instance, np.int16))
-    if not parts:
+            rows_of_instances.append(rows)
+            instance_columns.append(np.full(len(rows), key.instance, np.int16))
+    if not rows_of_instances:
         return {}
-    rows = np.concatenate(parts)
+    rows = np.concatenate(rows_of_instances)
     table: Table = {
         "time_ns": nanoseconds(rows["timestamp"]) + offset_ns,
-        "instance": np.concatenate(numbers),
+        "instance": np.concatenate(instance_columns),
     }
     for name in _names(rows):
         table[name] = rows[name]

@@ -96,7 +96,7 @@ class UlogTopic(NamedTuple):
 
 
 class Text(NamedTuple):
-    """What the vehicle says, and when [us since boot]."""
+    """A text of the vehicle, and its time [us since boot]."""
 
     time_us: int
     words: str
@@ -125,22 +125,17 @@ def _keyed_value(content: bytes, kind: int) -> _KeyedValue:
 
 
 class ULogMessages(DamagedBytes):
-    """The messages of a file with a whole header, those of the ``wanted`` topics as rows.
-
-    ``counts`` by topic; ``rows`` by topic and instance; ``timeless`` topics have no timestamp and
-    no rows; ``damaged_values``: parameters and information of a wrong length; ``dropouts_ms`` of
-    the logger; ``texts`` of the vehicle; ``parameters``: the last value of each.
-    """
+    """The messages of a file with a whole header, those of the ``wanted`` topics as rows."""
 
     def __init__(self, data: FileView, wanted: Collection[str]) -> None:
         super().__init__()
-        self.counts: Counter[str] = Counter()
+        self.counts: Counter[str] = Counter()  # by topic
         self.rows: dict[UlogTopic, NDArray[Any]] = {}
-        self.timeless: set[str] = set()
-        self.damaged_values = 0
-        self.dropouts_ms: list[int] = []
-        self.texts: list[Text] = []
-        self.parameters: dict[str, float] = {}
+        self.timeless: set[str] = set()  # topics without a timestamp, which have no rows
+        self.damaged_values = 0  # parameters and information of a wrong length
+        self.dropouts_ms: list[int] = []  # of the logger
+        self.texts: list[Text] = []  # of the vehicle
+        self.parameters: dict[str, float] = {}  # the last value of each
         self.definitions = Definitions()
         self.topics: dict[int, UlogTopic] = {}  # by number
         self.sizes: dict[int, tuple[int, int]] = {}  # of data: without and with padding
@@ -180,7 +175,7 @@ class ULogMessages(DamagedBytes):
                 self.rows[topic] = store.whole()
 
     def _walk_span(self, view: _View) -> int:
-        """Take the messages that begin in a span; returns where the next begins in the view."""
+        """Take the messages that begin in a span; returns where in the view the next one begins."""
         is_last = view.base + len(view.raw) >= self._data.size
         end = len(view.raw) if is_last else SPAN
         place = 0
@@ -198,7 +193,10 @@ class ULogMessages(DamagedBytes):
         return place
 
     def _pass_data(self, raw: bytes, place: int, end: int) -> int:
-        """Take data wall to wall, which most of a file is; returns where something else begins."""
+        """Take messages of data that follow each other; returns where something else begins.
+
+        Most of a file is such data: this loop is short for the sake of time.
+        """
         if self._appended:  # such files are read message by message
             return place
         unpack = DATA.unpack_from
@@ -233,7 +231,10 @@ class ULogMessages(DamagedBytes):
         self._places.clear()
 
     def _length(self, view: _View, place: int, *, loose: bool = False) -> int:
-        """The length of a message that begins here, or 0; ``loose``: also of unknown topics."""
+        """The length of the message that begins here; 0 where none does.
+
+        ``loose``: a message of data counts also if its topic is not known.
+        """
         if place + HEAD.size > len(view.raw):
             return 0
         size, kind = HEAD.unpack_from(view.raw, place)
@@ -248,7 +249,7 @@ class ULogMessages(DamagedBytes):
         return length if loose and kind == MessageKind.DATA and size >= _LEAST_UNKNOWN else 0
 
     def _fits(self, view: _View, place: int) -> bool:
-        """Whether the beginning of a message, as far as it is there, is that of its kind."""
+        """Whether the size and the first bytes of a message are possible for its kind."""
         size, kind = HEAD.unpack_from(view.raw, place)
         begin = place + HEAD.size
         content = view.raw[begin : begin + _LONGEST_KEYED]
@@ -272,7 +273,7 @@ class ULogMessages(DamagedBytes):
         content = raw[place + HEAD.size : place + length]
         if kind == MessageKind.DATA:
             self._places[int.from_bytes(content[:_NUMBER], "little")].append(place)
-        elif kind == MessageKind.FORMAT:  # among the data it is none
+        elif kind == MessageKind.FORMAT:  # among the data it is not valid
             return self._defining and self.definitions.add_format(content)
         elif kind == MessageKind.SUBSCRIPTION:
             self._defining = False
@@ -300,7 +301,7 @@ class ULogMessages(DamagedBytes):
         return True
 
     def _take_text(self, content: bytes) -> None:
-        """Keep what the vehicle says: the time and the words."""
+        """Keep a text of the vehicle with its time."""
         if len(content) >= _TIME:
             time_us = int.from_bytes(content[:_TIME], "little")
             self.texts.append(Text(time_us, content[_TIME:].decode("utf-8", "replace")))

@@ -1,0 +1,127 @@
+"""Suspect stretches of channels that other programs made, compared with the log."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from unbend.flight.channels import Channel
+from unbend.flight.evidence.contradictions import FEWEST_SAMPLES, own_contradictions
+from unbend.flight.evidence.source_differences import source_difference
+from unbend.flight.evidence.sources import (
+    SourcePath,
+    sigma_column,
+    source_path,
+    velocity_at,
+    with_places,
+)
+from unbend.flight.evidence.stretches import (
+    HEIGHT,
+    POSITION,
+    Stretch,
+    covered,
+    merged,
+    runs,
+    stretch_of_run,
+)
+
+# A difference from the log that is an autopilot's own, beyond a constant one [m].
+LEAST_M = {POSITION: 5.0, HEIGHT: 10.0}
+
+_SLOWEST_HZ = 1.0  # of a channel in which steps are looked for
+_EXPLAINED_SIGMAS = 3.0  # of an imported channel, which explain a difference
+
+
+def contradictions_of_import(
+    imported: Channel,
+    quantities: Sequence[str],
+    roles: Mapping[str, Channel],
+    suspect_in_log: Sequence[Stretch],
+) -> tuple[Stretch, ...]:
+    """Stretches in which an imported channel steps, or departs from the log in the same quantities.
+
+    ``roles`` are those that the log fills; in the stretches ``suspect_in_log`` its values do not
+    count. Steps are looked for at 1 Hz and faster. What three of the channel's own sigmas explain
+    is no contradiction.
+    """
+    suspect: list[Stretch] = []
+    for quantity in (POSITION, HEIGHT):
+        if quantity not in quantities:
+            continue
+        placed = with_places(imported, quantity)
+        if len(placed) <= FEWEST_SAMPLES:
+            continue
+        in_quantity = [stretch for stretch in suspect_in_log if stretch.quantity == quantity]
+        for stretch in merged(_contradictions_in(quantity, placed, roles, in_quantity)):
+            if not _explained_by_sigma(stretch, placed, quantity):
+                suspect.append(stretch)
+    return tuple(suspect)
+
+
+def _contradictions_in(
+    quantity: str,
+    imported: Channel,
+    roles: Mapping[str, Channel],
+    suspect_in_log: Sequence[Stretch],
+) -> list[Stretch]:
+    """Stretches in which an imported position or height steps, or departs from the log."""
+    with_velocity = [imported]
+    for role in (POSITION, HEIGHT):
+        if role in roles:
+            with_velocity.append(roles[role])
+    path = source_path(_without_sigmas(imported), quantity, with_velocity)
+    stretches: list[Stretch] = []
+    if imported.rate_hz >= _SLOWEST_HZ:
+        stretches += own_contradictions(path, quantity)
+    if quantity in roles:
+        log = with_places(roles[quantity], quantity)
+        if len(log) > FEWEST_SAMPLES:
+            stretches += _departures_from_log(path, log, quantity, with_velocity, suspect_in_log)
+    return stretches
+
+
+def _explained_by_sigma(stretch: Stretch, imported: Channel, quantity: str) -> bool:
+    """Whether a difference is less than three of the sigmas that the channel reports."""
+    sigma_m = np.nan_to_num(imported.get(sigma_column(quantity)))
+    largest_m = float(sigma_m[stretch.covers(imported.time_ns)].max(initial=0.0))
+    return stretch.off_m < _EXPLAINED_SIGMAS * largest_m
+
+
+def _without_sigmas(channel: Channel) -> Channel:
+    """The channel without columns of its own accuracy."""
+    columns = {name: v for name, v in channel.columns.items() if not name.startswith("sigma_")}
+    return replace(channel, columns=columns)
+
+
+def _departures_from_log(
+    imported: SourcePath,
+    log: Channel,
+    quantity: str,
+    with_velocity: Sequence[Channel],
+    suspect_in_log: Sequence[Stretch],
+) -> list[Stretch]:
+    """Stretches in which an imported path departs from the log by more than an autopilot's error.
+
+    The steps of the imported path itself count as departures here. In the stretches
+    ``suspect_in_log`` the log is no evidence.
+    """
+    channel = imported.channel
+    with_steps = replace(
+        imported,
+        stepped_m=np.zeros_like(imported.stepped_m),
+        good=np.ones(len(channel), np.bool_),
+        part=channel.boot.astype(np.intp),
+    )
+    velocity = np.zeros_like(imported.stepped_m)  # heights are not searched for a lag
+    if quantity == POSITION:
+        velocity = velocity_at(with_velocity, quantity, channel.time_ns)
+    difference = source_difference(log, with_steps, quantity, velocity)
+    is_suspect = covered(suspect_in_log, channel.time_ns)
+    off_m = np.where(is_suspect, 0.0, np.nan_to_num(difference.off_m))
+    limit_m = max(difference.limit_m, LEAST_M[quantity])
+    stretches: list[Stretch] = []
+    for run in runs(channel.time_ns, off_m > 0.5 * limit_m, off_m > limit_m):
+        farthest_m = float(off_m[run.rows].max())
+        reason = f"{channel.name} and {log.name} are {farthest_m:.0f} m apart"
+        stretches.append(stretch_of_run(channel.time_ns, run, quantity, reason, farthest_m))
+    return stretches

@@ -1,0 +1,209 @@
+"""Replacing a source of position or height where it is plain that it is wrong."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from unbend.flight.channels import Channel
+from unbend.flight.evidence.source_differences import Difference
+from unbend.flight.evidence.sources import EARTH_RADIUS_M, SourcePath, is_receiver, sigma_column
+from unbend.flight.evidence.stretches import ATTITUDE, SECOND, Stretch
+from unbend.units import Array, Mask
+
+LONGEST_COAST_S = 2.0  # a filter without a receiver for longer is no longer known to be right [s]
+BESIDE_S = 10.0  # a source that replaces another agrees with it for so long before and after [s]
+LONGEST_REPLACED_S = 60  # that a filter without its receiver, or a barometer, replaces one [s]
+# Half the acceleration by which a filter drifts whose vertical is 0.25 degrees wrong [m/s2].
+LARGEST_DRIFT_M_S2 = 0.02
+_FEWEST_BESIDE = 5  # samples before and after that agree
+_MOST_AGREE = 90.0  # percentile of them that is within the noise
+
+
+@dataclass(frozen=True, eq=False)
+class Sources:
+    """The source that plays the role of a quantity, and its difference from each other source.
+
+    ``barometers`` : the names of those compared, first the one of the role of the pressure.
+    """
+
+    quantity: str
+    of_role: SourcePath
+    differences: tuple[Difference, ...]
+    barometers: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Replacement:
+    """A source that replaces a suspect one, and how far the two are apart before and after."""
+
+    difference: Difference
+    before_m: Array  # (k,) offset
+    after_m: Array  # (k,) offset
+
+    @property
+    def channel(self) -> Channel:
+        """The channel of the source which replaces."""
+        return self.difference.other.channel
+
+    @property
+    def offset_m(self) -> Array:
+        """(k,) mean of the offsets before and after."""
+        return 0.5 * (self.before_m + self.after_m)
+
+    @property
+    def spread_m(self) -> float:
+        """Half the difference of both offsets, and the scatter of the two sources, as one sigma."""
+        change_m = float(np.linalg.norm(self.after_m - self.before_m))
+        return float(np.hypot(0.5 * change_m, self.difference.scatter_m))
+
+
+def replacement_for(sources: Sources, stretch: Stretch) -> Replacement | None:
+    """The source that replaces a suspect one where it is plain which one is wrong; else None.
+
+    A source is plainly wrong if it has steps of its own, a poor accuracy or no fix. That must be
+    the suspect source, or, where that is a filter, one of several receivers. The replacement has
+    none of these, and agrees for 10 s before and after. A filter or a barometer replaces a
+    receiver for at most 60 s.
+    """
+    wide = replace(
+        stretch,
+        begin_ns=stretch.begin_ns - SECOND,
+        end_ns=stretch.end_ns + SECOND,
+    )
+    paths = [sources.of_role, *(difference.other for difference in sources.differences)]
+    receivers = [path for path in paths if is_receiver(path.channel)]
+    if not any(_fails(path, wide) for path in receivers):
+        return None
+    is_long = stretch.end_ns - stretch.begin_ns > LONGEST_REPLACED_S * SECOND
+    must_be_receiver = is_long or not is_receiver(sources.of_role.channel)
+    for difference in sources.differences:
+        if must_be_receiver and not is_receiver(difference.other.channel):
+            continue
+        if _fails(difference.other, wide):
+            continue
+        replacement = _if_agrees_beside(difference, wide)
+        if replacement is not None:
+            return replacement
+    return None
+
+
+def _fails(path: SourcePath, stretch: Stretch) -> bool:
+    """Whether a source is silent, steps or reports a poor accuracy in a stretch."""
+    rows = stretch.covers(path.channel.time_ns)
+    stamps = path.channel.time_ns[rows]
+    gaps_ns = np.diff(stamps, prepend=stretch.begin_ns, append=stretch.end_ns)
+    is_silent = bool(gaps_ns.max() > LONGEST_COAST_S * SECOND)
+    steps = bool(stretch.covers(path.step_ns).any())
+    return is_silent or steps or not path.good[rows].all()
+
+
+def _if_agrees_beside(difference: Difference, stretch: Stretch) -> Replacement | None:
+    """The replacement by a source, if it agrees for 10 s before and after a stretch."""
+    margin_ns = int(BESIDE_S * SECOND)
+    before = replace(
+        stretch,
+        begin_ns=stretch.begin_ns - margin_ns,
+        end_ns=stretch.begin_ns,
+    )
+    after = replace(
+        stretch,
+        begin_ns=stretch.end_ns,
+        end_ns=stretch.end_ns + margin_ns,
+    )
+    before_m = _agreed_offset(difference, before)
+    after_m = _agreed_offset(difference, after)
+    if before_m is None or after_m is None:
+        return None
+    return Replacement(difference, before_m=before_m, after_m=after_m)
+
+
+def _agreed_offset(difference: Difference, stretch: Stretch) -> Array | None:
+    """(k,) median difference of two sources in a stretch; None where they do not agree in it."""
+    rows = stretch.covers(difference.other.channel.time_ns)
+    rows &= np.isfinite(difference.off_m)
+    if np.count_nonzero(rows) < _FEWEST_BESIDE:
+        return None
+    if np.percentile(difference.off_m[rows], _MOST_AGREE) >= difference.limit_m:
+        return None
+    offset_m: Array = np.median(difference.apart_m[rows], axis=0)
+    return offset_m
+
+
+def attitude_drifts(
+    filter_path: SourcePath, replacement: Replacement, stretch: Stretch
+) -> list[Stretch]:
+    """The stretch as one of a suspect attitude, if the filter drifted; else nothing.
+
+    A filter that leaves its replacement without a step has a wrong vertical: a quarter of a degree
+    of tilt carries a coasting filter 0.02 m/s² t² away.
+    """
+    difference = replacement.difference
+    time_ns = replacement.channel.time_ns
+    has_stepped = filter_path.stepped_m.any(axis=1)
+    step_share = np.interp(time_ns, filter_path.channel.time_ns, has_stepped)
+    may_drift = stretch.covers(time_ns) & (step_share == 0.0)
+    off_m = np.where(may_drift, np.nan_to_num(difference.off_m), 0.0)
+    worst = int(np.argmax(off_m))
+    after_s = (int(time_ns[worst]) - stretch.begin_ns) / SECOND
+    least_m = max(difference.limit_m, LARGEST_DRIFT_M_S2 * after_s**2)
+    if off_m[worst] < least_m:
+        return []
+    reason = (
+        f"{filter_path.channel.name} drifts {off_m[worst]:.0f} m in {after_s:.0f} s, as with a "
+        "wrong vertical"
+    )
+    return [replace(stretch, quantity=ATTITUDE, reason=reason, off_m=np.nan)]
+
+
+def with_replaced(channel: Channel, replacement: Replacement, stretch: Stretch) -> Channel:
+    """The channel with the samples of another source in a stretch, its lag and offset taken out.
+
+    Of the offsets before and after the mean counts; half their difference and the usual difference
+    of the two go into the standard deviation, with the source's own.
+    """
+    other = replacement.channel
+    other_ns = other.time_ns - round(replacement.difference.lag_s * 1e9)
+    inside = stretch.covers(other_ns)
+    outside = ~stretch.covers(channel.time_ns)
+    sigma = sigma_column(stretch.quantity)
+    filling = _filling_columns(replacement, inside, sigma, channel.height_column)
+    unknown = np.full(np.count_nonzero(inside), np.nan)
+
+    both_ns = np.concatenate([channel.time_ns[outside], other_ns[inside]])
+    time_ns, rows = np.unique(both_ns, return_index=True)
+    columns: dict[str, Array] = {}
+    for name in (*channel.columns, sigma):
+        both = np.concatenate([channel.get(name)[outside], filling.get(name, unknown)])
+        columns[name] = both[rows]
+    boot = np.concatenate([channel.boot[outside], other.boot[inside]])[rows]
+    return replace(channel, time_ns=time_ns, boot=boot, columns=columns, labels={}, rejected={})
+
+
+def _filling_columns(
+    replacement: Replacement, inside: Mask, sigma: str, height_column: str | None
+) -> dict[str, Array]:
+    """The columns of some samples of a replacement, moved by its offset, with its ``sigma``."""
+    other = replacement.channel
+    columns = {name: values[inside] for name, values in other.columns.items()}
+    columns |= moved(other, inside, replacement.offset_m, height_column)
+    unknown = np.full(np.count_nonzero(inside), np.nan)
+    reported_m = np.nan_to_num(columns.get(sigma, unknown))
+    columns[sigma] = np.hypot(reported_m, replacement.spread_m)
+    return columns
+
+
+def moved(channel: Channel, rows: Mask, by_m: Array, height_column: str | None) -> dict[str, Array]:
+    """Columns of some rows of a channel, moved by (2,) metres north and east or (1,) up.
+
+    Of heights only the one in ``height_column`` is known then.
+    """
+    if by_m.size == 1:
+        height = channel[channel.height_column or "h_msl_m"][rows] + by_m[0]
+        unknown = np.full(height.shape, np.nan)
+        columns = dict.fromkeys(("h_msl_m", "h_ellipsoid_m", "h_home_m", "h_gnss_m"), unknown)
+        columns[height_column or "h_msl_m"] = height
+        return columns
+    lat = channel["lat_rad"][rows]
+    lon = channel["lon_rad"][rows]
+    north, east = by_m / EARTH_RADIUS_M
+    return {"lat_rad": lat + north, "lon_rad": lon + east / np.cos(lat)}

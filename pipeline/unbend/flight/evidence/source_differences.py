@@ -1,0 +1,249 @@
+"""Differences of two sources of position or height, beyond a constant lag and offset."""
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from unbend.flight.channels import Channel
+from unbend.flight.evidence.sources import (
+    SEVERAL,
+    SOURCE_GAP_S,
+    SourcePath,
+    is_receiver,
+    metres,
+    places_of,
+)
+from unbend.flight.evidence.stretches import HEIGHT, POSITION, Run, runs
+from unbend.flight.trajectory import interpolate
+from unbend.units import Array, Mask, Rows
+
+# A difference of two sources that is noise, beyond lag and offset [m].
+NOISE_MISFIT_M = {POSITION: 2.0, HEIGHT: 4.0}
+
+_SIGMA_OF_MEDIAN = 1.48  # of absolute differences of normal errors
+
+# Lag of a source behind another, by differences along the track.
+_SLOWEST_M_S = 2.0  # slower samples show no lag, nor those of less than a third of usual speeds
+_FAST_SHARE = 0.1  # of the square of the 95th percentile of speeds
+_FEWEST_FAST = 20
+_LAG_PARTS = 20  # of the flight, whose lags are tried where the median one does not fit
+_LONGEST_LAG_S = 0.3  # of receivers; a constant offset seems to be one along a line
+_PART_OF_FLIGHT = 0.1  # in which two sources agree: no chance, whatever the rest is like
+
+# Heights of a barometer.
+_SLOPE_M = -8434.5  # dh / d ln p at 288.15 K
+_FEWEST_PRESSURES = 30
+_SPAN_OF_PARABOLA_M = 300.0  # of a flight: over less, noise would bend it
+_LEAST_SCATTER_M = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Difference:
+    """How far a source is from another, at the times of the other.
+
+    NaN where either is missing, or the other's accuracy is poor.
+    """
+
+    other: SourcePath
+    apart_m: Array  # (n, k) from the other less its own steps and its constant lag ``lag_s``
+    off_m: Array  # (n,) beyond the usual offset
+    lag_s: float
+    limit_m: float  # the largest ``off_m`` that is noise
+    scatter_m: float  # its standard deviation
+
+    @property
+    def apart(self) -> list[Run]:
+        """Rows of the other in which the two differ by more than noise."""
+        with np.errstate(invalid="ignore"):
+            is_half_off = self.off_m > 0.5 * self.limit_m
+            is_off = self.off_m > self.limit_m
+        return runs(self.other.channel.time_ns, is_half_off, is_off)
+
+
+def source_difference(
+    source: Channel,
+    other: SourcePath,
+    quantity: str,
+    velocity: Array,
+    *,
+    steady_until_ns: int | None = None,
+) -> Difference:
+    """How far a source is from another source, beyond the usual offset of the two.
+
+    ``velocity`` (n, k) [m/s] at the times of the other source. The usual offset is the median, or
+    that of a tenth of the flight or more in which the two agree: positions, and heights of
+    receivers, near 0; other heights before ``steady_until_ns``, when ``source`` stepped and did
+    not return.
+    """
+    noise_m = NOISE_MISFIT_M[quantity]
+    are_receivers = is_receiver(source) and is_receiver(other.channel)
+    agree_near_zero = quantity == POSITION or are_receivers
+    velocity = np.nan_to_num(velocity)
+    apart_m = _apart_with_lag(source, other, quantity)
+    known = np.isfinite(apart_m).all(axis=1) & other.good
+    lag = _constant_lag(apart_m, velocity, known, noise_m, may_part=agree_near_zero)
+    apart_m -= lag.seconds * velocity
+    is_reported = other.good | other.stepped_m.any(axis=1)
+    apart_m[~is_reported] = np.nan
+    if agree_near_zero:
+        agree = np.linalg.norm(apart_m, axis=1) < noise_m
+    elif steady_until_ns is not None:
+        agree = other.channel.time_ns < steady_until_ns
+    else:
+        agree = np.zeros(known.shape, np.bool_)
+    misfit = _misfit(apart_m, other.part, lag.shown_by, agree, noise_m)
+    scatter_m = 0.0
+    if misfit.settled.any():
+        scatter_m = _SIGMA_OF_MEDIAN * float(np.median(misfit.off_m[misfit.settled]))
+    return Difference(
+        other=other,
+        apart_m=apart_m,
+        off_m=misfit.off_m,
+        lag_s=lag.seconds,
+        limit_m=max(noise_m, SEVERAL * scatter_m),
+        scatter_m=scatter_m,
+    )
+
+
+def _apart_with_lag(source: Channel, other: SourcePath, quantity: str) -> Array:
+    """(n, k) metres from another source, less its own steps, to ``source`` at its times.
+
+    A lag of the other source is still in them.
+    """
+    columns = dict(zip("xy", places_of(source, quantity).T, strict=False))
+    placed = replace(source, columns=columns, labels={})
+    gap_s = source.gap_limit_s(SOURCE_GAP_S)
+    time_ns = other.channel.time_ns
+    components = [interpolate(placed, name, time_ns, gap_s) for name in columns]
+    other_places = places_of(other.channel, quantity)
+    apart = np.stack(components, axis=1) - other_places
+    apart_m = apart if quantity == HEIGHT else metres(apart, other_places[:, 0])
+    return np.asarray(apart_m + other.stepped_m)
+
+
+class _Lag(NamedTuple):
+    """By how many seconds a source is behind another, and the (n,) samples that show it."""
+
+    seconds: float
+    shown_by: Mask
+
+
+def _constant_lag(
+    apart_m: Array, velocity: Array, known: Mask, noise_m: float, *, may_part: bool
+) -> _Lag:
+    """The lag that differences along the track show, the median; 0 where too few are fast.
+
+    ``may_part`` where two sources may agree in a part of the flight only.
+    """
+    square_speed = np.sum(velocity**2, axis=1)
+    usual_square = float(np.percentile(square_speed, 95.0))
+    is_fast = known & (square_speed > max(_SLOWEST_M_S**2, _FAST_SHARE * usual_square))
+    if np.count_nonzero(is_fast) < _FEWEST_FAST:
+        return _Lag(0.0, known)
+    lags = np.sum(apart_m * velocity, axis=1)[is_fast] / square_speed[is_fast]
+    median_s = float(np.median(lags))
+    scatter_s = np.median(np.abs(lags - median_s))
+    scatter_m = scatter_s * np.sqrt(np.median(square_speed))
+    if may_part and scatter_m > noise_m:
+        return _Lag(_lag_of_a_part(lags, apart_m[is_fast], velocity[is_fast]), is_fast)
+    return _Lag(median_s, is_fast)
+
+
+def _lag_of_a_part(lags: Array, apart_m: Array, velocity: Array) -> float:
+    """The lag [s] with which the nearest tenth of (f, k) differences is nearest.
+
+    Tried are the median of all (f,) lags and that of each twentieth of the flight: two sources may
+    agree in a part of it only.
+    """
+
+    def distance_of_nearest(lag_s: float) -> float:
+        without_lag_m = np.linalg.norm(apart_m - lag_s * velocity, axis=1)
+        return float(np.percentile(without_lag_m, 100.0 * _PART_OF_FLIGHT))
+
+    candidates = [float(np.median(lags))]
+    for part in np.array_split(lags, _LAG_PARTS):
+        lag_s = float(np.median(part))
+        if abs(lag_s) < _LONGEST_LAG_S:
+            candidates.append(lag_s)
+    return min(candidates, key=distance_of_nearest)
+
+
+class _Misfit(NamedTuple):
+    """(n,) metres beyond the usual offset, and the samples on which that offset rests."""
+
+    off_m: Array
+    settled: Mask
+
+
+def _misfit(apart_m: Array, part: Rows, known: Mask, agree: Mask, noise_m: float) -> _Misfit:
+    """How far two sources are apart beyond their usual offset, which each part has for itself.
+
+    Heights above home have a new home after a restart.
+    """
+    off_m = np.full(part.size, np.nan)
+    settled = np.zeros(part.size, np.bool_)
+    for number in np.unique(part):
+        in_part = part == number
+        usable = in_part & known
+        if not usable.any():
+            usable = in_part & np.isfinite(apart_m).all(axis=1)
+        if not usable.any():
+            continue
+        used, offset_m = _usual_offset(apart_m, usable, agree, noise_m)
+        off_m[in_part] = np.linalg.norm(apart_m[in_part] - offset_m, axis=1)
+        settled |= used & known
+    return _Misfit(off_m, settled)
+
+
+def _usual_offset(apart_m: Array, usable: Mask, agree: Mask, noise_m: float) -> tuple[Mask, Array]:
+    """The rows that show the usual offset of two sources, and their median difference (k,) [m].
+
+    All usable rows; but only those that agree, if they are a tenth or more of the usable ones and
+    their median is another by more than noise.
+    """
+    offset_m = np.median(apart_m[usable], axis=0)
+    agreeing = usable & agree
+    if np.count_nonzero(agreeing) > _PART_OF_FLIGHT * np.count_nonzero(usable):
+        agreed_m = np.median(apart_m[agreeing], axis=0)
+        if np.linalg.norm(agreed_m - offset_m) > noise_m:
+            return agreeing, agreed_m
+    return usable, offset_m
+
+
+def height_of_pressure(barometer: Channel, height: Channel) -> Channel | None:
+    """A barometer as a source of heights, by the flight's own relation of height and ln p.
+
+    The relation is a parabola, or a line of standard air where the flight spans under 300 m; it is
+    fitted twice, the second time without outliers. None where too few pressures have a height.
+    """
+    column = height.height_column
+    if column is None or "pressure_pa" not in barometer.columns:
+        return None
+    gap_s = height.gap_limit_s(SOURCE_GAP_S)
+    height_m = interpolate(height, column, barometer.time_ns, gap_s)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        log_p = np.log(barometer["pressure_pa"])
+    usable = np.isfinite(height_m) & np.isfinite(log_p)
+    if np.count_nonzero(usable) < _FEWEST_PRESSURES:
+        return None
+    of_pressure_m = _height_by_log_p(log_p, height_m, usable)
+    usable &= _is_near(height_m, of_pressure_m)
+    of_pressure_m = _height_by_log_p(log_p, height_m, usable)
+    return replace(barometer, columns={"h_msl_m": of_pressure_m}, roles=(), labels={})
+
+
+def _height_by_log_p(log_p: Array, height_m: Array, usable: Mask) -> Array:
+    """(n,) heights of pressures by a parabola, or a line of standard air, through usable rows."""
+    if float(np.ptp(height_m[usable])) > _SPAN_OF_PARABOLA_M:
+        parabola = np.polynomial.Polynomial.fit(log_p[usable], height_m[usable], 2)
+        return np.asarray(parabola(log_p))
+    at_unit_pressure_m = float(np.median(height_m[usable] - _SLOPE_M * log_p[usable]))
+    return at_unit_pressure_m + _SLOPE_M * log_p
+
+
+def _is_near(height_m: Array, of_pressure_m: Array) -> Mask:
+    """(n,) which heights are within three sigma of those of the pressure."""
+    off_m = np.abs(height_m - of_pressure_m)
+    three_sigma_m = 3.0 * _SIGMA_OF_MEDIAN * float(np.nanmedian(off_m))
+    return np.asarray(off_m < max(three_sigma_m, _LEAST_SCATTER_M))
