@@ -347,7 +347,7 @@ def _follow(path, grid, ray, state):  # type: ignore[no-untyped-def]
         if over and rise < 0.0:
             step = min(step, f / -rise + _CLOSE_M)
         if under and rise > 0.0:
-            step = min(step, -f / rise + _CLOSE_M)
+            step = min(step, (box.low - height) / rise + _CLOSE_M)
 
         # Heights above the terrain on the way.
         patch = _Patch(grid.tiles, box.slot, box.cell[0], box.cell[1], top, left)
