@@ -14,7 +14,7 @@ from unbend.refraction.status_codes import (
     OK,
     SEVERAL_CROSSINGS,
 )
-from unbend.refraction.target_heights import terrain_heights
+from unbend.refraction.terrain_heights import terrain_heights
 
 from .array_terrain import ArrayTerrain
 

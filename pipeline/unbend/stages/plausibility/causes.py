@@ -120,4 +120,4 @@ def passes_window(exposures: Exposures, station: Integers, u: Array, v: Array) -
     inside = exposures.refractivity_cabin[station]
     outside = exposures.refractivity_outside[station]
     _, r_cc = refract_at_window(direction, inside, outside, exposures.normals[station])
-    return (inside == outside) | np.isfinite(r_cc)
+    return np.asarray((inside == outside) | np.isfinite(r_cc))
