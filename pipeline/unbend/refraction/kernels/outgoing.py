@@ -1,9 +1,9 @@
 """From pixels to rays outside the window, compiled.
 
 The rays of n observations are the matrix (RAY_ROWS, n) of rows `IDEAL_U` to `CAMERA_HEIGHT`.
-Observations of one exposure that follow each other, a `Run`, are taken together: what belongs to
-the exposure is read once, and each step is a short loop over the run without a branch, which the
-processor does for four rays at a time.
+Observations of one exposure that follow each other, `ExposureRows`, are taken together: what
+belongs to the exposure is read once, and each step is a short loop over the rows without a branch,
+which the processor does for four rays at a time.
 """
 
 import math
@@ -43,10 +43,11 @@ CONVERGED = 1e-12  # largest residual in distorted image coordinates that counts
 SERIES_LIMIT_RAD = 0.01  # up to which the series of R_cc is good
 
 
-class Run(NamedTuple):
-    """Rows ``first`` to ``end`` - 1, which belong to one exposure.
+class ExposureRows(NamedTuple):
+    """The observations ``first`` to ``end`` - 1, which belong to one exposure.
 
-    Rows are unsigned: an index that might count from the end keeps the compiler from vectors.
+    The numbers are unsigned: an index that might count from the end keeps the compiler from
+    vectors.
     """
 
     first: np.uint64
@@ -70,12 +71,12 @@ class _Scratch(NamedTuple):
 
 
 @within
-def run_from(first, exposure):  # type: ignore[no-untyped-def]
-    """The `Run` of rows from ``first`` that have one exposure number; ``exposure`` (n,) has all."""
+def exposure_rows_from(first, exposure):  # type: ignore[no-untyped-def]
+    """The `ExposureRows` that begin with ``first``; ``exposure`` (n,) is that of all observations."""
     end = first + np.uint64(1)
     while end < exposure.size and exposure[end] == exposure[first]:
         end += np.uint64(1)
-    return Run(first, end)
+    return ExposureRows(first, end)
 
 
 # ---------------------------------------------------------------------- pixels to camera rays
@@ -118,8 +119,8 @@ def _converged(u_d, v_d, u, v, parameters):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _fill_ideal_coordinates(run, pixels, camera, change_px, rays):  # type: ignore[no-untyped-def]
-    """Fill the rows `IDEAL_U` and `IDEAL_V` of a run from ``pixels`` (x, y) [px].
+def _fill_ideal_coordinates(rows, pixels, camera, change_px, rays):  # type: ignore[no-untyped-def]
+    """Fill the rows `IDEAL_U` and `IDEAL_V` of some observations from ``pixels`` (x, y) [px].
 
     ``change_px`` [px] is added to the calibrated principal distance. The coordinates are NaN where
     the pixel is outside the format or outside the radius in which the distortion can be inverted,
@@ -138,10 +139,10 @@ def _fill_ideal_coordinates(run, pixels, camera, change_px, rays):  # type: igno
     # The distorted coordinates, in two rows that are filled with other values afterwards.
     u_d = rays[WINDOW_CHANGE]
     v_d = rays[WINDOW_CHANGE + 1]
-    for i in range(run.first, run.end):
+    for i in range(rows.first, rows.end):
         u_d[i] = (x[i] - cx) / fx
         v_d[i] = (y[i] - cy) / fy
-    for i in range(run.first, run.end):
+    for i in range(rows.first, rows.end):
         u_i = u_d[i]
         v_i = v_d[i]
         for _ in range(FIRST_NEWTON_STEPS):
@@ -149,7 +150,7 @@ def _fill_ideal_coordinates(run, pixels, camera, change_px, rays):  # type: igno
         u[i] = u_i
         v[i] = v_i
     is_lens = 0.0 < fx < math.inf and 0.0 < fy < math.inf
-    for i in range(run.first, run.end):
+    for i in range(rows.first, rows.end):
         u_i = math.nan
         v_i = math.nan
         if is_lens and 0.0 <= x[i] <= width and 0.0 <= y[i] <= height:
@@ -164,27 +165,27 @@ def _fill_ideal_coordinates(run, pixels, camera, change_px, rays):  # type: igno
 @entry
 def rays_of_pixels(x, y, camera, rays):  # type: ignore[no-untyped-def]
     """Fill the rows `IDEAL_U` and `IDEAL_V` of pixels; NaN where the camera does not cover them."""
-    run = Run(np.uint64(0), np.uint64(x.size))
-    _fill_ideal_coordinates(run, (x, y), camera, 0.0, rays)
+    rows = ExposureRows(np.uint64(0), np.uint64(x.size))
+    _fill_ideal_coordinates(rows, (x, y), camera, 0.0, rays)
 
 
 # ---------------------------------------------------------------------- through the window
 
 
 @jit
-def _fill_camera_directions(run, rays, direction):  # type: ignore[no-untyped-def]
+def _fill_camera_directions(rows, rays, direction):  # type: ignore[no-untyped-def]
     """Fill ``direction`` (3, n) with (u, v, 1) as a unit vector, in the camera frame."""
     u = rays[IDEAL_U]
     v = rays[IDEAL_V]
-    for i in range(run.first, run.end):
+    for i in range(rows.first, rows.end):
         direction[2, i] = 1.0 / math.sqrt(u[i] * u[i] + v[i] * v[i] + 1.0)
-    for i in range(run.first, run.end):
+    for i in range(rows.first, rows.end):
         direction[0, i] = u[i] * direction[2, i]
         direction[1, i] = v[i] * direction[2, i]
 
 
 @within
-def _fill_rays_outside(run, rays, scratch, optics, r_cc):  # type: ignore[no-untyped-def]
+def _fill_rays_outside(rows, rays, scratch, optics, r_cc):  # type: ignore[no-untyped-def]
     """Fill the rays of one exposure outside the window from their ideal image coordinates.
 
     ``optics`` is the `_ExposureOptics`, ``scratch`` a `_Scratch`. Filled are the rows
@@ -196,16 +197,16 @@ def _fill_rays_outside(run, rays, scratch, optics, r_cc):  # type: ignore[no-unt
     rotation = optics.rotation
     direction = scratch.direction
     along_normal = scratch.along_normal
-    _fill_camera_directions(run, rays, direction)
+    _fill_camera_directions(rows, rays, direction)
 
     # Through the window (Gyer 1996, Eq. 36).
     if excess == 0.0:
-        for i in range(run.first, run.end):
+        for i in range(rows.first, rows.end):
             along_normal[i] = 0.0
             r_cc[i] = 0.0
     else:
         fill_window_change(
-            run,
+            rows,
             direction=direction,
             normal=normal,
             excess=excess,
@@ -216,12 +217,12 @@ def _fill_rays_outside(run, rays, scratch, optics, r_cc):  # type: ignore[no-unt
         change = rays[WINDOW_CHANGE + k]
         direction_k = direction[k]
         normal_k = normal[k]
-        for i in range(run.first, run.end):
+        for i in range(rows.first, rows.end):
             change[i] = excess * direction_k[i] + along_normal[i] * normal_k
     for k in range(3):
         change = rays[WINDOW_CHANGE + k]
         direction_k = direction[k]
-        for i in range(run.first, run.end):
+        for i in range(rows.first, rows.end):
             direction_k[i] += change[i]
 
     # To east, north and up.
@@ -233,14 +234,14 @@ def _fill_rays_outside(run, rays, scratch, optics, r_cc):  # type: ignore[no-unt
         t_1 = rotation[1, k]
         t_2 = rotation[2, k]
         apparent = rays[DIRECTION + k]
-        for i in range(run.first, run.end):
+        for i in range(rows.first, rows.end):
             apparent[i] = t_0 * d_0[i] + t_1 * d_1[i] + t_2 * d_2[i]
-    _fill_nadir_angle_and_radius(run, rays, optics.curvature)
+    _fill_nadir_angle_and_radius(rows, rays, optics.curvature)
 
 
 @jit
-def _fill_nadir_angle_and_radius(run, rays, curvature):  # type: ignore[no-untyped-def]
-    """Fill `NADIR_SINE`, `NADIR_COSINE` and `SPHERE_RADIUS` of a run from its `DIRECTION`.
+def _fill_nadir_angle_and_radius(rows, rays, curvature):  # type: ignore[no-untyped-def]
+    """Fill `NADIR_SINE`, `NADIR_COSINE` and `SPHERE_RADIUS` from the `DIRECTION` of rays.
 
     The radius is Euler's in the azimuth A of the ray, 1 / R = cos^2(A) / M + sin^2(A) / N, from
     ``curvature``, 1 / M in the meridian and 1 / N in the prime vertical [1/m]. A ray at the nadir
@@ -254,12 +255,12 @@ def _fill_nadir_angle_and_radius(run, rays, curvature):  # type: ignore[no-untyp
     sine = rays[NADIR_SINE]
     cosine = rays[NADIR_COSINE]
     radius = rays[SPHERE_RADIUS]
-    for i in range(run.first, run.end):
+    for i in range(rows.first, rows.end):
         # Rounding may leave the sine of a level ray 1e-16 above one.
         length = math.sqrt(east[i] * east[i] + north[i] * north[i])
         sine[i] = 1.0 if length > 1.0 else length
         cosine[i] = -1.0 if up[i] > 1.0 else (1.0 if up[i] < -1.0 else -up[i])
-    for i in range(run.first, run.end):
+    for i in range(rows.first, rows.end):
         north2 = north[i] * north[i]
         level2 = east[i] * east[i] + north2
         cos2_azimuth = north2 / level2 if level2 > 0.0 else 1.0
@@ -282,14 +283,14 @@ def _status_of_input(x, y, h_g, has_station):  # type: ignore[no-untyped-def]
 
 
 @within
-def _set_status_of_rays(run, rays, refractivity_outside, r_cc, status):  # type: ignore[no-untyped-def]
+def _set_status_of_rays(rows, rays, refractivity_outside, r_cc, status):  # type: ignore[no-untyped-def]
     """Set the status of observations whose ray does not exist, and their numbers to NaN.
 
     ``refractivity_outside`` is NaN where the camera is outside the profile. An R_cc beyond the
     range of the series, near total reflection, is computed anew.
     """
     u = rays[IDEAL_U]
-    for i in range(run.first, run.end):
+    for i in range(rows.first, rows.end):
         if status[i] == OK:
             if math.isnan(u[i]):
                 status[i] = OUTSIDE_CAMERA
@@ -327,25 +328,25 @@ def fill_outgoing_rays(observed, camera, exposures, outgoing):  # type: ignore[n
     scratch = _Scratch(room[:3], room[3])
     end = np.uint64(0)
     while end < x.size:
-        run = run_from(end, exposure)
-        end = run.end
-        e = exposure[run.first]
+        rows = exposure_rows_from(end, exposure)
+        end = rows.end
+        e = exposure[rows.first]
         has_station = 0 <= e < exposures.usable.size and exposures.usable[e]
-        for i in range(run.first, run.end):
+        for i in range(rows.first, rows.end):
             status[i] = _status_of_input(x[i], y[i], h_g[i], has_station)
         refractivity_outside = math.nan
         if has_station:
             refractivity_outside = exposures.outside[e]
             difference = exposures.cabin[e] - refractivity_outside
             height = exposures.height[e]
-            for i in range(run.first, run.end):
+            for i in range(rows.first, rows.end):
                 rays[CAMERA_HEIGHT, i] = height
-            _fill_ideal_coordinates(run, (x, y), camera, exposures.change_px[e], rays)
+            _fill_ideal_coordinates(rows, (x, y), camera, exposures.change_px[e], rays)
             optics = _ExposureOptics(
                 normal=exposures.normal[e],
                 excess=difference / (1.0 + refractivity_outside),
                 rotation=exposures.rotation[e],
                 curvature=exposures.curvature[e],
             )
-            _fill_rays_outside(run, rays, scratch, optics, r_cc)
-        _set_status_of_rays(run, rays, refractivity_outside, r_cc, status)
+            _fill_rays_outside(rows, rays, scratch, optics, r_cc)
+        _set_status_of_rays(rows, rays, refractivity_outside, r_cc, status)

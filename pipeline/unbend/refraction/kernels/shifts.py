@@ -27,7 +27,7 @@ from unbend.refraction.kernels.columns import (
 )
 from unbend.refraction.kernels.distortion import distort
 from unbend.refraction.kernels.jit import entry, jit, within
-from unbend.refraction.kernels.outgoing import run_from
+from unbend.refraction.kernels.outgoing import exposure_rows_from
 from unbend.refraction.status_codes import FAR_BRANCH
 from unbend.units import Array
 
@@ -100,7 +100,7 @@ def _fill_turn_to_nadir(rays, r_c, scratch):  # type: ignore[no-untyped-def]
 
 
 @within
-def _fill_image_shift(run, rays, scratch, exposed, shifts):  # type: ignore[no-untyped-def]
+def _fill_image_shift(rows, rays, scratch, exposed, shifts):  # type: ignore[no-untyped-def]
     """Fill ``dx`` and ``dy`` [px] of the `Shifts` of one exposure, an `_ExposedCamera`.
 
     The straight ray in the camera frame is (u, v, 1) as a unit vector, changed by the window and by
@@ -126,12 +126,12 @@ def _fill_image_shift(run, rays, scratch, exposed, shifts):  # type: ignore[no-u
         t_2 = rotation[k, 2]
         at_window = rays[WINDOW_CHANGE + k]
         change_k = change[k]
-        for i in range(run.first, run.end):
+        for i in range(rows.first, rows.end):
             change_k[i] = at_window[i] + (t_0 * east[i] + t_1 * north[i] + t_2 * up[i])
     change_x = change[0]
     change_y = change[1]
     change_z = change[2]
-    for i in range(run.first, run.end):
+    for i in range(rows.first, rows.end):
         straight_z = 1.0 / math.sqrt(u[i] * u[i] + v[i] * v[i] + 1.0) + change_z[i]
         u_0, v_0 = distort(u[i], v[i], parameters)
         u_straight = u[i] + (change_x[i] - u[i] * change_z[i]) / straight_z
@@ -142,7 +142,7 @@ def _fill_image_shift(run, rays, scratch, exposed, shifts):  # type: ignore[no-u
 
 
 @within
-def _fill_ground_shift(run, traced, h_g, scratch, rotation, shift):  # type: ignore[no-untyped-def]
+def _fill_ground_shift(rows, traced, h_g, scratch, rotation, shift):  # type: ignore[no-untyped-def]
     """Fill how far apart two straight rays meet the height ``h_g`` of the target [m].
 
     The first has the direction of the ray inside the window, the second that of the straight ray to
@@ -163,13 +163,13 @@ def _fill_ground_shift(run, traced, h_g, scratch, rotation, shift):  # type: ign
         t_2 = rotation[2, k]
         apparent = rays[DIRECTION + k]
         inside_k = inside[k]
-        for i in range(run.first, run.end):
+        for i in range(rows.first, rows.end):
             change = t_0 * at_window_0[i] + t_1 * at_window_1[i] + t_2 * at_window_2[i]
             inside_k[i] = apparent[i] - change
     east = rays[DIRECTION]
     north = rays[DIRECTION + 1]
     up = rays[DIRECTION + 2]
-    for i in range(run.first, run.end):
+    for i in range(rows.first, rows.end):
         is_far = status[i] == FAR_BRANCH
         cos_straight = -up[i] - to_nadir[2, i]
         raw_m = _straight_distance(-inside[2, i], h_c[i], h_g[i], radius[i], is_far)
@@ -194,15 +194,15 @@ def fill_shifts(observed, camera, exposures, traced, shifts):  # type: ignore[no
     _fill_turn_to_nadir(traced.rays, r_c, scratch)
     end = np.uint64(0)
     while end < r_c.size:
-        run = run_from(end, exposure)
-        end = run.end
-        e = exposure[run.first]
+        rows = exposure_rows_from(end, exposure)
+        end = rows.end
+        e = exposure[rows.first]
         if 0 <= e < exposures.usable.size:
             rotation = exposures.rotation[e]
             exposed = _ExposedCamera(camera, rotation, exposures.change_px[e])
-            _fill_image_shift(run, traced.rays, scratch, exposed, shifts)
+            _fill_image_shift(rows, traced.rays, scratch, exposed, shifts)
             _fill_ground_shift(
-                run,
+                rows,
                 traced,
                 h_g=observed.h_g,
                 scratch=scratch,

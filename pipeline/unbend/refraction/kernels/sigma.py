@@ -76,7 +76,7 @@ from unbend.refraction.kernels.sigma_rows import (
     X_PX,
     Y_PX,
 )
-from unbend.refraction.kernels.sigma_tables import Place, fill_positions, interpolate, linear
+from unbend.refraction.kernels.sigma_tables import TablePlace, fill_positions, interpolate, linear
 from unbend.refraction.status_codes import FAR_BRANCH
 
 _COPIED_ROWS = (
@@ -101,7 +101,7 @@ class Station(NamedTuple):
 
     refractivity: float  # N outside
     relative_gradient: float  # N'/n there [1/m]
-    camera_place: Place  # among the heights of cameras in the tables
+    camera_place: TablePlace  # among the heights of cameras in the tables
     height_share: float  # of the way from the lowest camera to the highest
     tilt_variance: float  # [rad2]
     yaw_excess_variance: float  # variance of yaw less that of tilt [rad2]
@@ -191,7 +191,7 @@ def _station(columns, rotation, air):  # type: ignore[no-untyped-def]
 
     Numbers, and no arrays, so that loops read them once.
     """
-    camera_place = Place(int(columns[TABLE_NODE]), columns[NODE_SHARE])
+    camera_place = TablePlace(int(columns[TABLE_NODE]), columns[NODE_SHARE])
     window_kind = int(columns[WINDOW_KIND])
     sigma_y = 0.0
     mode_y = 0.0

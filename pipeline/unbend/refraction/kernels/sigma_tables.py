@@ -29,7 +29,7 @@ from unbend.refraction.kernels.sigma_rows import (
 )
 
 
-class Place(NamedTuple):
+class TablePlace(NamedTuple):
     """A place between two nodes of an axis of a table."""
 
     node: int  # below the place
@@ -46,15 +46,15 @@ class _SphereFactors(NamedTuple):
 
 @jit
 def _place_at(position, count):  # type: ignore[no-untyped-def]
-    """The `Place` at a position on an axis of ``count`` nodes, at its ends outside the axis."""
+    """The `TablePlace` at a position on an axis of ``count`` nodes; outside, at the axis's end."""
     inside = min(max(position, 0.0), count - 1.0)
     node = min(int(inside), count - 2)
-    return Place(node, inside - node)
+    return TablePlace(node, inside - node)
 
 
 @jit
 def linear(table, place):  # type: ignore[no-untyped-def]
-    """The value of a table (n,) at a `Place`."""
+    """The value of a table (n,) at a `TablePlace`."""
     i = place.node
     return table[i] + place.share * (table[i + 1] - table[i])
 

@@ -113,7 +113,7 @@ def _exit(low, high, place, speed):  # type: ignore[no-untyped-def]
 
 @jit
 def _above(patch, at):  # type: ignore[no-untyped-def]
-    """Height [m] of the `Place` ``at`` above a bilinear `_Patch`."""
+    """Height [m] of the `RayPlace` ``at`` above a bilinear `_Patch`."""
     tiles = patch.tiles
     slot = patch.slot
     i = patch.i
@@ -257,7 +257,7 @@ def _at_end(landed, side, gap):  # type: ignore[no-untyped-def]
 
 @jit
 def _surroundings(grid, at):  # type: ignore[no-untyped-def]
-    """The `_Surroundings` of the `Place` ``at``."""
+    """The `_Surroundings` of the `RayPlace` ``at``."""
     box = _box_at(grid, at.row, at.column, at.height)
     edges = box.edges
     is_over = at.height > box.high + _ABOUT_BLOCK_M

@@ -30,7 +30,7 @@ class Path(NamedTuple):
     column: np.ndarray
 
 
-class Place(NamedTuple):
+class RayPlace(NamedTuple):
     """Where a ray is at one distance from the camera."""
 
     row: float  # of the grid
@@ -51,7 +51,7 @@ class Velocity(NamedTuple):
 
 @jit
 def place_at(path, t):  # type: ignore[no-untyped-def]
-    """The `Place` of a ray at the straight distance t [m] from the camera.
+    """The `RayPlace` of a ray at the straight distance t [m] from the camera.
 
     The end of the straight line at the nadir angle zeta_c - R_c(t). Where it moves on, the ray's
     own direction is that of the line, turned by t dR_c/dt.
@@ -80,7 +80,7 @@ def place_at(path, t):  # type: ignore[no-untyped-def]
     for k in range(path.row.size - 2, -1, -1):
         row = row * arc + path.row[k]
         column = column * arc + path.column[k]
-    return Place(
+    return RayPlace(
         row=row,
         column=column,
         height=height,
@@ -92,7 +92,7 @@ def place_at(path, t):  # type: ignore[no-untyped-def]
 
 @jit
 def velocity_at(path, at):  # type: ignore[no-untyped-def]
-    """The `Velocity` of a ray at the `Place` ``at``."""
+    """The `Velocity` of a ray at the `RayPlace` ``at``."""
     arc = at.arc
     theta = arc / path.r_e  # at the earth's centre
     arc_per_metre = (at.sine + theta * at.cosine) / (1.0 + at.height / path.r_e)

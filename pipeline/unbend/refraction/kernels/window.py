@@ -64,12 +64,12 @@ def refract_directions(direction, normal, excess, change, angle):  # type: ignor
 
 
 @jit
-def fill_window_change(run, direction, normal, excess, along_normal, r_cc):  # type: ignore[no-untyped-def]
+def fill_window_change(rows, direction, normal, excess, along_normal, r_cc):  # type: ignore[no-untyped-def]
     """Fill the change of direction at the window of one exposure, and the angle R_cc [rad].
 
-    ``direction`` (3, n) are the unit vectors of rays inside the window, ``run`` the `Run` of rows
-    of the exposure, ``normal`` (3,) the unit normal of its window, ``excess`` n_cabin / n_outside
-    - 1. The change is excess * direction + ``along_normal`` * normal.
+    ``rows`` are the `ExposureRows`, ``direction`` (3, n) unit vectors of rays inside the window,
+    ``normal`` (3,) its unit normal, ``excess`` n_cabin / n_outside - 1. The change is
+    excess * direction + ``along_normal`` * normal.
 
     R_cc is the series of 2 asin(length / 2), good below 0.01. Both are NaN for a ray that the
     window reflects wholly, or that does not lead out.
@@ -78,7 +78,7 @@ def fill_window_change(run, direction, normal, excess, along_normal, r_cc):  # t
     d_1 = direction[1]
     d_2 = direction[2]
     m = (normal[0], normal[1], normal[2])
-    for i in range(run.first, run.end):
+    for i in range(rows.first, rows.end):
         d = (d_0[i], d_1[i], d_2[i])
         cos_in = _dot(d, m)
         t_0 = d[0] - cos_in * m[0]
