@@ -72,7 +72,7 @@ class _Scratch(NamedTuple):
 
 @within
 def exposure_rows_from(first, exposure):  # type: ignore[no-untyped-def]
-    """The `ExposureRows` that begin with ``first``; ``exposure`` (n,) is that of all observations."""
+    """The `ExposureRows` that begin with ``first``; ``exposure`` (n,) are those of all rows."""
     end = first + np.uint64(1)
     while end < exposure.size and exposure[end] == exposure[first]:
         end += np.uint64(1)
