@@ -24,7 +24,7 @@ PACKAGE = Path(unbend.__file__).parent
 # The same module name in several rooms, where it is the same thing seen from each.
 SAME_THING = {
     "stations", "flight_log",  # values, and the stage that makes them
-    "image", "ray",  # for a caller, and compiled
+    "ray", "window",  # for a caller, and compiled
     "sensors",  # estimated, and simulated
     "campaign",  # as its file states it, and its page
     "results",  # records and values, and what reads and writes them

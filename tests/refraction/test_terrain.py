@@ -10,10 +10,11 @@ from unbend.atmosphere import standard_atmosphere
 from unbend.refraction import Camera, Exposures, correct_observations
 from unbend.refraction.ray import rays_by
 from unbend.refraction.status_codes import (
+    NO_GROUND,
     OK,
     SEVERAL_CROSSINGS,
 )
-from unbend.refraction.target_heights import terrain_heights
+from unbend.refraction.terrain_heights import terrain_heights
 
 from .array_terrain import ArrayTerrain
 
@@ -225,3 +226,39 @@ def test_the_error_of_a_landing_is_that_of_the_terrain_by_its_slope():
     change = (high.h_m - low.h_m)[near] / 0.5
     assert np.quantile(np.abs(change / at[near] - 1.0), 0.9) < 0.05
     assert change.max() > 1.2
+
+
+class CountedTerrain(ArrayTerrain):
+    """A terrain that fails where rays ask for tiles again and again."""
+
+    def load(self, tiles):
+        self.rounds = getattr(self, "rounds", 0) + 1
+        assert self.rounds < 100, "rays are followed for ever"
+        super().load(tiles)
+
+
+def test_a_ray_that_rises_beside_the_terrain_comes_to_an_end():
+    """Two cameras beside the terrain and one above it, all looking 5 degrees above the horizon.
+
+    All leave it before they are higher than any land may be.
+    """
+    terrain = CountedTerrain(relief(600, 600, cliffs=False), 46.5, 8.0, STEP, STEP)
+    lat = np.full(3, 46.3)
+    lon = np.array([7.9, 8.6, 8.2])
+    height = np.full(3, 2500.0)
+    to_the_east = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+    exposures = exposures_at(lat, height, np.tile(to_the_east, (3, 1, 1)))
+    x = np.full(3, CAMERA.cx_px)
+    y = np.full(3, CAMERA.cy_px - CAMERA.fy_px * np.tan(np.radians(5.0)))
+    found = terrain_heights(
+        x,
+        y,
+        np.arange(3),
+        exposures,
+        (np.radians(lat), np.radians(lon)),
+        camera=CAMERA,
+        table=TABLE,
+        terrain=terrain,
+    )
+    assert found.status.tolist() == [NO_GROUND] * 3
+    assert np.isnan(found.h_m).all()

@@ -13,11 +13,12 @@ import pytest
 from tests.batch.test_rehearsal import config, rows
 from unbend.batch.rehearsal import camera_text
 from unbend.batch.runs import check_mission
-from unbend.refraction import Camera
+from unbend.refraction import BrownConrady, Camera, Exposures
 from unbend.refraction.camera.general_frame import GeneralFrame
 from unbend.refraction.camera.opencv_fisheye import OpenCVFisheye
 from unbend.simulate.flight import FIELD_LAT_RAD, FIELD_LON_RAD, geographic, terrain_m
 from unbend.simulate.write_dataflash import FORMATS
+from unbend.stages.plausibility.causes import cause_of_outside
 from unbend.stages.plausibility.facts import Facts
 from unbend.stages.plausibility.rules import RULES, distortion, field_of_view
 
@@ -277,3 +278,47 @@ def test_rays_beyond_the_horizon_are_told_by_how_much(mission):
     height = np.nanmax(facts.camera_height_m - facts.rows.h_g_m)
     dip = np.degrees(np.sqrt(2.0 * height / 6.371e6))
     assert degrees == pytest.approx(angle - 90.0 + dip, abs=0.2)
+
+
+def outside_facts(camera, x_px, *, direction="remove", normal=(0.0, 0.0, 1.0)):
+    """What `cause_of_outside` looks at: points in the middle row, behind a window."""
+    n = len(x_px)
+    exposures = Exposures(
+        np.ones(1, bool), np.diag([1.0, -1.0, -1.0])[None], np.zeros(1), np.array([3000.0]),
+        np.array([2e-4]), np.array([2.5e-4]), np.array([normal]),
+    )  # fmt: skip
+    mission = SimpleNamespace(
+        cameras={"nadir": SimpleNamespace(model=None, metric=None)},
+        refraction=SimpleNamespace(direction=direction),
+    )
+    rows = SimpleNamespace(
+        x_px=np.asarray(x_px, float), y_px=np.full(n, 500.0), station=np.zeros(n, np.int64)
+    )
+    # The cameras of rows are a cached property of stations.
+    facts = Facts(*[None] * len(fields(Facts)))
+    facts = replace(
+        facts, mission=mission, exposures=exposures, cameras={"nadir": camera}, rows=rows
+    )
+    facts.__dict__["camera"] = np.full(n, "nadir")
+    return facts, np.ones(n, bool)
+
+
+PLAIN = Camera(1000, 1000, 900.0, 900.0, 500.0, 500.0)
+CURVED = Camera(1000, 1000, 300.0, 300.0, 500.0, 500.0, BrownConrady(k1=-0.2))
+
+
+@pytest.mark.parametrize(
+    ("camera", "x_px", "given", "cause"),
+    [
+        (PLAIN, -5.0, {}, "outside 1000 x 1000 px (cameras.nadir.width_px; observations.columns)"),
+        (CURVED, 990.0, {}, "beyond where the distortion of nadir can be inverted "
+                            "(cameras.nadir.distortion)"),
+        (PLAIN, 990.0, {"normal": (-0.9, 0.0, np.sqrt(0.19))},
+         "their rays do not pass the window of nadir (cameras.nadir.window.normal)"),
+        (PLAIN, 999.99, {"direction": "apply"},
+         "refraction displaces them out of the image of nadir (refraction.direction)"),
+    ],
+)  # fmt: skip
+def test_the_cause_of_a_pixel_outside_the_camera(camera, x_px, given, cause):
+    facts, outside = outside_facts(camera, [x_px], **given)
+    assert cause_of_outside(facts, outside) == cause

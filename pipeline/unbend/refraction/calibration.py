@@ -1,5 +1,7 @@
-"""Cameras by the name of a model and its parameters or from the calibration report of a metric
-camera in millimetres, and whether a camera can be one."""
+"""Cameras by the name of a model or from a calibration report, and whether a camera can be one.
+
+A model has parameters in pixels; the report of a metric camera is in millimetres.
+"""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -58,22 +60,42 @@ def camera_of_model(
         raise messages.camera_parameters(
             model=model, count=len(names), names=", ".join(names), given=given
         )
-    of = dict(zip(names, map(float, parameters), strict=True))
-    fx, fy = of.pop("fx", of.get("f", 0.0)), of.pop("fy", of.pop("f", 0.0))
-    cx, cy = of.pop("cx"), of.pop("cy")
-    return Camera(width_px, height_px, fx, fy, cx, cy, distortion(**of))
+    value_of = dict(zip(names, map(float, parameters), strict=True))
+    if "f" in value_of:
+        fx = value_of.pop("f")
+        fy = fx
+    else:
+        fx = value_of.pop("fx")
+        fy = value_of.pop("fy")
+    cx = value_of.pop("cx")
+    cy = value_of.pop("cy")
+    return Camera(
+        width_px=width_px,
+        height_px=height_px,
+        fx_px=fx,
+        fy_px=fy,
+        cx_px=cx,
+        cy_px=cy,
+        distortion=distortion(**value_of),
+    )
 
 
 def model_of_camera(camera: Camera) -> tuple[str, list[float]]:
-    """The name of a model with all its parameters that is this camera.
+    """The name and all parameters of the model in `MODELS` that has every coefficient of a camera.
 
     >>> model_of_camera(camera_of_model("SIMPLE_PINHOLE", 40, 30, [32.0, 20.0, 15.0]))
     ('BROWN', [32.0, 32.0, 20.0, 15.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     """
-    # The last of a type is the one that has all parameters.
-    name = [name for name, (kind, _) in MODELS.items() if kind is type(camera.distortion)][-1]
+    name = ""
+    for model, (distortion, _) in MODELS.items():
+        if distortion is type(camera.distortion):
+            name = model  # the last of a type has all parameters
     frame = (camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px)
     return name, [float(value) for value in (*frame, *camera.distortion)]
+
+
+LARGEST_FRAME_FIELD_DEG = 150.0
+LARGEST_FISHEYE_FIELD_DEG = 360.0
 
 
 def is_fisheye(camera: Camera) -> bool:
@@ -90,8 +112,9 @@ def field_of_view(camera: Camera) -> tuple[float, float]:
     """
     size = np.array([camera.width_px, camera.height_px])
     centre = np.array([camera.cx_px, camera.cy_px])
-    ends = np.array([centre, size - centre]) / [camera.fx_px, camera.fy_px]
-    across, down = (ends if is_fisheye(camera) else np.arctan(ends)).sum(axis=0)
+    tangents = np.array([centre, size - centre]) / [camera.fx_px, camera.fy_px]
+    angles = tangents if is_fisheye(camera) else np.arctan(tangents)
+    across, down = angles.sum(axis=0)
     return float(across), float(down)
 
 
@@ -103,17 +126,22 @@ def refuse_impossible(camera: Camera) -> None:
     pixel. Beyond the calibrated radius, and 89.5 degrees off the axis of a fisheye, observations
     have the status outside_camera instead.
     """
-    seen = np.degrees(max(field_of_view(camera)))
-    if seen > (360.0 if is_fisheye(camera) else 150.0):
+    seen_deg = np.degrees(max(field_of_view(camera)))
+    largest_deg = LARGEST_FISHEYE_FIELD_DEG if is_fisheye(camera) else LARGEST_FRAME_FIELD_DEG
+    if seen_deg > largest_deg:
         raise messages.camera_field(
-            fx_px=camera.fx_px, width_px=camera.width_px, height_px=camera.height_px, seen_deg=seen
+            fx_px=camera.fx_px,
+            width_px=camera.width_px,
+            height_px=camera.height_px,
+            seen_deg=seen_deg,
         )
-    end = min(float(getattr(camera.distortion, "limit", np.inf)), float(np.tan(LARGEST_ANGLE_RAD)))
+    # Circles about the principal point, to where observations are outside_camera.
+    limit = float(getattr(camera.distortion, "limit", np.inf))
+    end = min(limit, float(np.tan(LARGEST_ANGLE_RAD)))
     theta = np.linspace(0.0, np.arctan(min(end, camera.largest_radius)), 200)[:, None]
-    right = (np.array([0, camera.width_px]) - camera.cx_px) / camera.fx_px
-    down = (np.array([[0], [camera.height_px]]) - camera.cy_px) / camera.fy_px
-    azimuth = np.append(np.linspace(0.0, 2.0 * np.pi, 25), np.arctan2(down, right))
-    u, v = np.tan(theta) * np.cos(azimuth), np.tan(theta) * np.sin(azimuth)
+    azimuth = np.append(np.linspace(0.0, 2.0 * np.pi, 25), _azimuths_of_corners(camera))
+    u = np.tan(theta) * np.cos(azimuth)
+    v = np.tan(theta) * np.sin(azimuth)
     with np.errstate(all="ignore"):
         x, y = camera.project(u, v)
         uu, uv, vv = model_of(type(camera.distortion)).slopes(u, v, camera.distortion)
@@ -125,6 +153,13 @@ def refuse_impossible(camera: Camera) -> None:
         i, k = np.argwhere(folded)[0]
         off_axis_deg = np.degrees(theta[i, 0])
         raise messages.camera_turns(off_axis_deg=off_axis_deg, x=x[i, k], y=y[i, k])
+
+
+def _azimuths_of_corners(camera: Camera) -> Array:
+    """(2, 2) angles [rad] at the principal point from the x axis to the corners of the image."""
+    right = (np.array([0, camera.width_px]) - camera.cx_px) / camera.fx_px
+    down = (np.array([[0], [camera.height_px]]) - camera.cy_px) / camera.fy_px
+    return np.asarray(np.arctan2(down, right))
 
 
 DIRECTIONS = {"right": (1.0, 0.0), "left": (-1.0, 0.0), "down": (0.0, 1.0), "up": (0.0, -1.0)}
@@ -139,29 +174,44 @@ LARGEST_DISAGREEMENT_MM = 0.002
 LARGEST_OFFSET = 0.25
 """Part of the format by which no principal point of a metric camera is off its centre."""
 
+SMALLEST_PART = 0.95
+LARGEST_PART = 1.15
+"""Part of the format that pixels fill: scans have a border, others are not of this format."""
+
+_RADIAL_POWERS = np.arange(1, 10, 2)  # of r in dr
+_SLOPE_POWERS = np.arange(0, 10, 2)  # of r in d(dr)/dr, and of the focal length in k0 to k4
+_TO_CORNER = 0.6  # of the format's diagonal: to a corner, with an offset of the principal point
+_INVERTED_TO = 1e-17  # of a correction: how far its inversion is iterated
+_SMALLEST_SLOPE = 1e-9
+_LARGEST_SLOPE = 0.27
+_UNLIMITED = 1e9  # radius in units of the principal distance
+
 
 @dataclass(frozen=True, eq=False)
 class MetricReport:
     """What the calibration report of a metric frame camera states, in millimetres.
 
-    Pairs are (across, down) or (x, y); ``origin_px`` is where millimetres count from, in COLMAP's
-    pixels, ``axes`` the directions of x and y, as ``right up``. ``coefficients`` [powers of mm]:
-    dr = r (k0 + k1 r^2 + ... k4 r^8), dx = p1 (r^2 + 2 x^2) + 2 p2 x y, dx = b1 x + b2 y;
-    ``table`` (n, 2) radius and dr [mm] with its sense. Calibrated to ``radius_mm`` about the PPBS,
-    or the end of the table.
+    Pairs are (across, down) or (x, y). With (x, y) from the PPBS and r their length [mm]
+
+        dr = r (k0 + k1 r^2 + k2 r^4 + k3 r^6 + k4 r^8),
+        dx = p1 (r^2 + 2 x^2) + 2 p2 x y,   dx = b1 x + b2 y.
     """
 
     focal_mm: float
     pixel_mm: ArrayLike
     format_mm: ArrayLike
-    origin_px: ArrayLike
-    axes: str
-    ppa_mm: ArrayLike
-    ppbs_mm: ArrayLike
-    coefficients: Mapping[str, float]
-    sense: str = "distortion"
-    table: tuple[ArrayLike, str] | None = None
-    radius_mm: float = np.inf
+    origin_px: ArrayLike  # where millimetres count from, in COLMAP's pixels
+    axes: str  # directions of x and y in the image, as ``right up``
+    ppa_mm: ArrayLike  # principal point of autocollimation
+    ppbs_mm: ArrayLike  # principal point of best symmetry
+    coefficients: Mapping[str, float]  # k0 to k4, p1, p2, b1, b2 [powers of mm]; 0 by default
+    sense: str = "distortion"  # of the coefficients, one of `SENSES`
+    table: tuple[ArrayLike, str] | None = None  # (n, 2) r and dr [mm], and the sense of dr
+    radius_mm: float = np.inf  # calibrated, about the PPBS; the table's end limits it too
+
+    def coefficient(self, name: str) -> float:
+        """A coefficient, 0 where the report has none."""
+        return self.coefficients.get(name, 0.0)
 
 
 def camera_of_report(report: MetricReport, size_px: tuple[int, int]) -> Camera:
@@ -171,60 +221,121 @@ def camera_of_report(report: MetricReport, size_px: tuple[int, int]) -> Camera:
     from the centre (CAMERA-PRINCIPAL-POINT), a table that contradicts the coefficients, or without
     these a polynomial (CAMERA-REPORT).
     """
-    size, pixel, c = np.array(size_px), np.asarray(report.pixel_mm), report.focal_mm
-    ppa_mm, table, radius_mm = report.ppa_mm, report.table, report.radius_mm
-    part = size * pixel / report.format_mm
-    if not (part.min() > 0.95 and part.max() < 1.15):
+    size = np.array(size_px)
+    pixel_mm = np.asarray(report.pixel_mm)
+    _refuse_other_format(report, size)
+    to_image = np.array([DIRECTIONS[axis] for axis in report.axes.split()]).T
+    point = np.asarray(report.origin_px) + to_image @ report.ppa_mm / pixel_mm
+    off_centre = np.abs(point / size - 0.5).max()
+    if off_centre > LARGEST_OFFSET:
+        raise messages.camera_principal_point(percent=100.0 * off_centre)
+    affine = _affinity(report, to_image)
+    principal_px = report.focal_mm / pixel_mm * affine.diagonal()
+    diagonal_mm = np.hypot(*size * pixel_mm)
+    return Camera(
+        width_px=size_px[0],
+        height_px=size_px[1],
+        fx_px=float(principal_px[0]),
+        fy_px=float(principal_px[1]),
+        cx_px=float(point[0]),
+        cy_px=float(point[1]),
+        distortion=_distortion_of_report(report, to_image, affine, diagonal_mm),
+    )
+
+
+def _refuse_other_format(report: MetricReport, size: Array) -> None:
+    """Refuse an image of ``size`` (2,) [px] that does not fill the format of a report."""
+    pixel_mm = np.asarray(report.pixel_mm)
+    part = size * pixel_mm / report.format_mm
+    if not (part.min() > SMALLEST_PART and part.max() < LARGEST_PART):
         raise messages.camera_format(
             width_px=int(size[0]),
             height_px=int(size[1]),
-            pixel_x_um=pixel[0] * 1e3,
-            pixel_y_um=pixel[1] * 1e3,
+            pixel_x_um=pixel_mm[0] * 1e3,
+            pixel_y_um=pixel_mm[1] * 1e3,
             part_of_width=part[0],
             part_of_height=part[1],
         )
-    to_image = np.array([DIRECTIONS[axis] for axis in report.axes.split()]).T
-    point = np.asarray(report.origin_px) + to_image @ ppa_mm / pixel
-    off = np.abs(point / size - 0.5).max()
-    if off > LARGEST_OFFSET:
-        raise messages.camera_principal_point(percent=100.0 * off)
-    sign, given = SENSES[report.sense], report.coefficients.get
-    known = np.array([given(f"k{i}", 0.0) for i in range(5)])
-    if table is not None:
-        r, dr = np.asarray(table[0], np.float64).T
+
+
+def _affinity(report: MetricReport, to_image: Array) -> Array:
+    """(2, 2) what b1 and b2 of a report make of ideal coordinates, in the axes of the image."""
+    stretch = [[1.0 + report.coefficient("b1"), report.coefficient("b2")], [0.0, 1.0]]
+    distorting = stretch if SENSES[report.sense] > 0.0 else np.linalg.inv(stretch)
+    return np.asarray(to_image @ distorting @ to_image.T)
+
+
+def _distortion_of_report(
+    report: MetricReport, to_image: Array, affine: Array, diagonal_mm: float
+) -> GeneralFrame:
+    """The distortion of a report in units of the principal distance.
+
+    ``to_image`` (2, 2) takes the report's axes to those of the image, ``affine`` (2, 2) is that of
+    `_affinity`, ``diagonal_mm`` that of the format.
+    """
+    sign = SENSES[report.sense]
+    focal_mm = report.focal_mm
+    radial = np.array([report.coefficient(f"k{i}") for i in range(5)])
+    tangential = (report.coefficient("p1"), report.coefficient("p2"))
+    radius_mm = report.radius_mm
+    if report.table is not None:
+        columns, sense = report.table
+        r, dr = np.asarray(columns, np.float64).T
         # To first order a correction is the distortion with the other sign.
-        known = _agreed(known, r, dr * SENSES[table[1]] * sign)
+        radial = _agreed(radial, r, dr * SENSES[sense] * sign)
         radius_mm = min(radius_mm, r[-1])
-    offset = to_image @ np.subtract(ppa_mm, report.ppbs_mm) / c
-    px, py = to_image @ (given("p1", 0.0), given("p2", 0.0)) * c
-    stretch = [[1.0 + given("b1", 0.0), given("b2", 0.0)], [0.0, 1.0]]
-    affine = to_image @ (stretch if sign > 0.0 else np.linalg.inv(stretch)) @ to_image.T
-    # Slope of a correction in the corners, and so many steps that it is inverted to 1e-17.
-    corner = 0.6 * np.hypot(*size * pixel) * np.linspace(0.0, 1.0, 50)[:, None]
-    slope = np.abs((known * np.arange(1, 10, 2) * corner ** np.arange(0, 10, 2)).sum(axis=1)).max()
-    slope += 6.0 * (abs(given("p1", 0.0)) + abs(given("p2", 0.0))) * corner[-1, 0]
-    steps = np.ceil(np.log(1e-17) / np.log(np.clip(slope, 1e-9, 0.27)))
-    numbers = (
-        *known * c ** np.arange(0, 10, 2), 0.0, 0.0, 0.0, px, py, *offset,
-        affine[0, 1] / affine[0, 0], affine[1, 0] / affine[1, 1], sign,
-        min(radius_mm / c - np.hypot(*offset), 1e9), steps,
-    )  # fmt: skip
-    fx, fy, cx, cy = map(float, (*c / pixel * affine.diagonal(), *point))
-    return Camera(*size_px, fx, fy, cx, cy, GeneralFrame(*map(float, numbers)))
+    offset = to_image @ np.subtract(report.ppa_mm, report.ppbs_mm) / focal_mm
+    px, py = to_image @ tangential * focal_mm
+    steps = _inversion_steps(radial, tangential, _TO_CORNER * diagonal_mm)
+    k = (radial * focal_mm**_SLOPE_POWERS).tolist()
+    return GeneralFrame(
+        k0=k[0],
+        k1=k[1],
+        k2=k[2],
+        k3=k[3],
+        k4=k[4],
+        px=float(px),
+        py=float(py),
+        offset_u=float(offset[0]),
+        offset_v=float(offset[1]),
+        skew_x=float(affine[0, 1] / affine[0, 0]),
+        skew_y=float(affine[1, 0] / affine[1, 1]),
+        sense=sign,
+        limit=float(min(radius_mm / focal_mm - np.hypot(*offset), _UNLIMITED)),
+        steps=steps,
+    )
 
 
-def _agreed(known: Array, r: Array, wanted: Array) -> Array:
-    """(5,) k0 to k4, fitted where all are zero, once they agree with the table."""
-    powers, fitted = r[:, None] ** np.arange(1, 10, 2), not known.any()
-    if fitted:
-        terms, scale = min(5, max(1, np.count_nonzero(r) - 1)), r[-1] ** np.arange(1, 10, 2)
-        known[:terms] = np.linalg.lstsq((powers / scale)[:, :terms], wanted, rcond=None)[0]
-        known = known / scale
-    apart = np.abs(powers @ known - wanted)
+def _inversion_steps(radial: Array, tangential: tuple[float, float], corner_mm: float) -> float:
+    """How many steps invert a correction to 1e-17, by its steepest slope out to a radius [mm]."""
+    radius = corner_mm * np.linspace(0.0, 1.0, 50)[:, None]
+    slopes = (radial * _RADIAL_POWERS * radius**_SLOPE_POWERS).sum(axis=1)
+    slope = np.abs(slopes).max()
+    p1, p2 = tangential
+    slope += 6.0 * (abs(p1) + abs(p2)) * radius[-1, 0]
+    gain = np.clip(slope, _SMALLEST_SLOPE, _LARGEST_SLOPE)
+    return float(np.ceil(np.log(_INVERTED_TO) / np.log(gain)))
+
+
+def _agreed(radial: Array, r: Array, wanted: Array) -> Array:
+    """(5,) k0 to k4 of a report once they agree with its table; fitted to it where all are zero.
+
+    ``r`` and ``wanted`` (n,) are radius and dr [mm] of the table. Refuses (PhysicsError
+    CAMERA-REPORT) a table that differs by more than `LARGEST_DISAGREEMENT_MM`.
+    """
+    powers = r[:, None] ** _RADIAL_POWERS
+    is_fitted = not radial.any()
+    if is_fitted:
+        terms = min(5, max(1, np.count_nonzero(r) - 1))
+        scale = r[-1] ** _RADIAL_POWERS
+        scaled = np.zeros(5)
+        scaled[:terms] = np.linalg.lstsq((powers / scale)[:, :terms], wanted, rcond=None)[0]
+        radial = scaled / scale
+    apart = np.abs(powers @ radial - wanted)
     if not apart.max() <= LARGEST_DISAGREEMENT_MM:
         raise messages.camera_report(
-            fit="a polynomial" if fitted else "the coefficients",
+            fit="a polynomial" if is_fitted else "the coefficients",
             apart_um=apart.max() * 1000.0,
             radius_mm=r[apart.argmax()],
         )
-    return known
+    return radial

@@ -123,7 +123,7 @@ def apply_refraction(
 
     def fill_block(rows: slice) -> None:
         observed = observations.part(rows)
-        rays, _, _ = image.outgoing_rays(observed, constants, exposure_columns)
+        rays = image.outgoing_rays(observed, constants, exposure_columns).rays
         image.fill_sigmas(
             sigmas.rows(rows),
             observed=observed,

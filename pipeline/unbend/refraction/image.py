@@ -23,7 +23,9 @@ from unbend.refraction.kernels.columns import (
     CameraConstants,
     ExposureColumns,
     ObservationColumns,
+    OutgoingRays,
     RayColumns,
+    Shifts,
     TracedColumns,
     observation_columns,
 )
@@ -224,10 +226,10 @@ class _Correction:
 
     def fill(self, part: Corrections, observed: ObservationColumns, distance: Array) -> None:
         """Fill the corrections of some observations with slant ranges (n,) [m]."""
-        from unbend.refraction.kernels.image import shift_back
+        from unbend.refraction.kernels.shifts import fill_shifts
 
-        rays, part.r_cc_rad[:], seen = outgoing_rays(observed, self.camera, self.exposures)
-        r_c, bent = bend(
+        rays, part.r_cc_rad[:], status_of_ray = outgoing_rays(observed, self.camera, self.exposures)
+        r_c, status_of_bend = bend(
             self.table,
             rays[CAMERA_HEIGHT],
             observed.h_g,
@@ -236,13 +238,13 @@ class _Correction:
             radius=rays[SPHERE_RADIUS],
             distance=distance,
         )
-        status = np.where(seen == OK, bent, seen)
+        status = np.where(status_of_ray == OK, status_of_bend, status_of_ray)
         traced = TracedColumns(rays, r_c, status)
         part.r_c_rad[:] = r_c
         part.status[:] = status
         part.zeta_c_rad[:] = np.arctan2(rays[NADIR_SINE], rays[NADIR_COSINE])
-        shifts = (part.dx_px, part.dy_px, part.shift_ground_m)
-        shift_back(observed, self.camera, self.exposures, traced, shifts)
+        shifts = Shifts(part.dx_px, part.dy_px, part.shift_ground_m)
+        fill_shifts(observed, self.camera, self.exposures, traced, shifts)
         part.x_corrected_px[:] = observed.x + part.dx_px
         part.y_corrected_px[:] = observed.y + part.dy_px
         if self.uncertainty is not None and part.sigmas is not None:
@@ -266,25 +268,23 @@ def fill_sigmas(
     uncertainty: Uncertainty,
 ) -> None:
     """Fill the standard deviations of some observations."""
-    from unbend.refraction.kernels.sigma import propagate
+    from unbend.refraction.kernels.sigma import fill_sigma_columns
 
     pose = (camera, exposures.rotation)
     air = (uncertainty.stations, uncertainty.tables)
-    propagate(observed, pose, traced, air, tuple(sigmas))
+    fill_sigma_columns(observed, pose, traced, air, tuple(sigmas))
 
 
 def outgoing_rays(
     observed: ObservationColumns, camera: CameraConstants, exposures: ExposureColumns
-) -> tuple[Array, Array, NDArray[np.uint8]]:
-    """The matrix of rays that pixels see outside the window, R_cc [rad] and status."""
-    from unbend.refraction.kernels.image import fill_outgoing_rays
+) -> OutgoingRays:
+    """The rays that pixels see outside the window."""
+    from unbend.refraction.kernels.outgoing import fill_outgoing_rays
 
     n = observed.x.size
-    rays = np.empty((RAY_ROWS, n))
-    r_cc = np.empty(n)
-    status = np.empty(n, np.uint8)
-    fill_outgoing_rays(observed, camera, exposures, rays, (status, r_cc))
-    return rays, r_cc, status
+    outgoing = OutgoingRays(np.empty((RAY_ROWS, n)), np.empty(n), np.empty(n, np.uint8))
+    fill_outgoing_rays(observed, camera, exposures, outgoing)
+    return outgoing
 
 
 def straight_reach(
@@ -298,7 +298,7 @@ def straight_reach(
     >>> straight_reach(3000.0, 1000.0, 0.8, radius=6371e3, far=[False, True]).round(3).tolist()
     [2500.221, 10195899.779]
     """
-    from unbend.refraction.kernels.image import fill_straight_reach
+    from unbend.refraction.kernels.shifts import fill_straight_reach
 
     shape, columns = as_columns(h_c, h_g, cos_zeta, radius, far)
     distance = np.empty(columns[0].shape)

@@ -37,20 +37,24 @@ class RayTable:
 
     @cached_property
     def fine(self) -> FineTable:
-        """The same refractivity in shorter intervals."""
+        """The same refractivity in intervals of at most 62.5 m, by polynomials of degree 5."""
         edge = cut(self.edge_m, _FINE_M)
-        piece = np.searchsorted(self.edge_m, edge[:-1], side="right") - 1
         nodes = _chebyshev_nodes(_FINE_DEGREE)
         height = edge[:-1, None] + np.diff(edge)[:, None] * nodes
-        thickness = np.diff(self.edge_m)
-        u = (height - self.edge_m[piece, None]) / thickness[piece, None]
-        powers = self.coefficient[piece].T[..., None]
-        value = np.polynomial.polynomial.polyval(u, powers, tensor=False)
-        coefficient = _polynomials(nodes, np.asarray(value, np.float64))
+        piece = np.searchsorted(self.edge_m, edge[:-1], side="right") - 1
+        bottom = self.edge_m[piece, None]
+        thickness = np.diff(self.edge_m)[piece, None]
+        coefficients = self.coefficient[piece].T[..., None]
+        refractivity = np.polynomial.polynomial.polyval(
+            (height - bottom) / thickness, coefficients, tensor=False
+        )
         marks = np.arange(edge[0], edge[-1], HINT_M)
         interval = np.searchsorted(edge, marks, side="right") - 1
-        hint = np.clip(interval, 0, edge.size - 2)
-        return FineTable(edge, coefficient, hint)
+        return FineTable(
+            edge=edge,
+            coefficient=_polynomials(nodes, np.asarray(refractivity, np.float64)),
+            hint=np.clip(interval, 0, edge.size - 2),
+        )
 
 
 @lru_cache(maxsize=64)
@@ -79,11 +83,15 @@ def cut(edge: Array, longest: float | Array) -> Array:
 
 
 def _chebyshev_nodes(degree: int) -> Array:
-    """degree + 1 nodes between 0 and 1."""
-    return 0.5 - 0.5 * np.cos(np.pi * (np.arange(degree + 1) + 0.5) / (degree + 1))
+    """degree + 1 nodes between 0 and 1: the zeros of a Chebyshev polynomial."""
+    count = degree + 1
+    return 0.5 - 0.5 * np.cos(np.pi * (np.arange(count) + 0.5) / count)
 
 
 def _polynomials(nodes: Array, values: Array) -> Array:
-    """(m, d + 1) coefficients, lowest power first, through (m, d + 1) values at the nodes."""
+    """(m, d + 1) coefficients, lowest power first, of polynomials through values at d + 1 nodes.
+
+    ``values`` (m, d + 1) are those of m polynomials.
+    """
     vandermonde = np.vander(nodes, nodes.size, increasing=True)
     return np.ascontiguousarray(np.linalg.solve(vandermonde, values.T).T)

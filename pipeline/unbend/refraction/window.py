@@ -122,7 +122,7 @@ def refract_at_window(
     >>> (r_cc * 180 * 3600 / np.pi).round(2).tolist()  # Gyer's Table 7, 10 km: 19.44
     [19.44]
     """
-    from unbend.refraction.kernels.image import refract_directions
+    from unbend.refraction.kernels.window import refract_directions
 
     n_before = np.asarray(refractivity_before, dtype=np.float64)
     n_after = np.asarray(refractivity_after, dtype=np.float64)

@@ -9,7 +9,8 @@ from unbend.flight.heights import HIGHEST_GROUND_M, LOWEST_GROUND_M, HeightSyste
 from unbend.flight.stations import Stations
 from unbend.messages import Ledger
 from unbend.refraction.status_codes import OK
-from unbend.refraction.target_heights import target_heights, terrain_heights
+from unbend.refraction.target_heights import target_heights
+from unbend.refraction.terrain_heights import terrain_heights
 from unbend.stages import messages
 from unbend.stages.correction_setup import CorrectionSetup, GroundHeights
 from unbend.stages.opened_inputs import OpenedInputs

@@ -30,7 +30,11 @@ def distort(u: Any, v: Any, parameters: BrownConrady) -> tuple[Any, Any]:
     >>> [round(c, 9) for c in distort(0.5, 0.0, BrownConrady(k1=-0.1, p2=0.001))]
     [0.48825, 0.0]
     """
-    k1, k2, k3, p1, p2 = parameters
+    k1 = parameters.k1
+    k2 = parameters.k2
+    k3 = parameters.k3
+    p1 = parameters.p1
+    p2 = parameters.p2
     r2 = u * u + v * v
     radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
     u_d = u * radial + 2.0 * p1 * u * v + p2 * (r2 + 2.0 * u * u)
@@ -40,7 +44,11 @@ def distort(u: Any, v: Any, parameters: BrownConrady) -> tuple[Any, Any]:
 
 def slopes(u: Any, v: Any, parameters: BrownConrady) -> tuple[Any, Any, Any]:
     """Derivatives du_d/du, du_d/dv = dv_d/du and dv_d/dv of `distort`."""
-    k1, k2, k3, p1, p2 = parameters
+    k1 = parameters.k1
+    k2 = parameters.k2
+    k3 = parameters.k3
+    p1 = parameters.p1
+    p2 = parameters.p2
     r2 = u * u + v * v
     radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
     slope = 2.0 * (k1 + r2 * (2.0 * k2 + 3.0 * r2 * k3))
@@ -57,16 +65,22 @@ def largest_radius(parameters: BrownConrady) -> float:
     1.0
     """
     p = parameters
-    return first_root([1.0, 3.0 * p.k1, 5.0 * p.k2, 7.0 * p.k3])  # of d(r_d)/dr
+    slope_of_r_d = [1.0, 3.0 * p.k1, 5.0 * p.k2, 7.0 * p.k3]  # d(r_d)/dr in powers of r^2
+    return first_root(slope_of_r_d)
 
 
 def first_root(coefficients: Any) -> float:
-    """Smallest positive r at which a polynomial in r^2 is zero, lowest power first; else infinity.
+    """The smallest positive r at which a polynomial in r^2 is zero; infinity without any.
+
+    ``coefficients`` are numbers, lowest power first, or a numpy polynomial.
 
     >>> first_root([1.0, -0.25])
     2.0
     """
-    # In 1/r^2: so nothing is divided by a coefficient that may be tiny.
-    roots = np.roots(np.asarray(getattr(coefficients, "coef", coefficients)))
-    real = roots.real[(np.abs(roots.imag) < 1e-9 * np.abs(roots.real)) & (roots.real > 1e-12)]
-    return float(1.0 / np.sqrt(real.max())) if real.size else np.inf
+    # Roots in 1/r^2: so nothing is divided by a coefficient that may be tiny.
+    inverse_squares = np.roots(np.asarray(getattr(coefficients, "coef", coefficients)))
+    is_real = np.abs(inverse_squares.imag) < 1e-9 * np.abs(inverse_squares.real)
+    positive = inverse_squares.real[is_real & (inverse_squares.real > 1e-12)]
+    if positive.size == 0:
+        return np.inf
+    return float(1.0 / np.sqrt(positive.max()))

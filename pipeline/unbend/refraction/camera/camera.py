@@ -26,26 +26,31 @@ LARGEST_CHANGE = 0.01
 class Camera:
     """Interior orientation of a frame camera.
 
-    Format of the image, principal distance and principal point [px], and the parameters of one of
-    `DISTORTION_MODELS`, whose type names the model.
+    The type of ``distortion``, the parameters of a lens, names one of `DISTORTION_MODELS`.
     """
 
-    width_px: int
+    width_px: int  # format of the image
     height_px: int
-    fx_px: float
+    fx_px: float  # principal distance
     fy_px: float
-    cx_px: float
+    cx_px: float  # principal point
     cy_px: float
     distortion: Any = NO_DISTORTION
 
     @property
     def constants(self) -> CameraConstants:
         """The camera for compiled functions."""
+        parameters = [float(number) for number in self.distortion]
         return CameraConstants(
-            float(self.width_px), float(self.height_px), float(self.fx_px), float(self.fy_px),
-            float(self.cx_px), float(self.cy_px), self.largest_radius,
-            type(self.distortion)(*(float(p) for p in self.distortion)),
-        )  # fmt: skip
+            width=float(self.width_px),
+            height=float(self.height_px),
+            fx=float(self.fx_px),
+            fy=float(self.fy_px),
+            cx=float(self.cx_px),
+            cy=float(self.cy_px),
+            largest_radius=self.largest_radius,
+            distortion=type(self.distortion)(*parameters),
+        )
 
     @cached_property
     def largest_radius(self) -> float:
@@ -58,19 +63,21 @@ class Camera:
         return u_d, v_d
 
     def rays(self, x_px: Array, y_px: Array) -> tuple[Array, Array, Mask]:
-        """Ideal image coordinates (u, v) = (tan) of pixels, and whether the camera covers them.
+        """Ideal image coordinates u, v (n,) of pixels (n,), and whether the camera covers them.
 
-        (n,) pixels. A pixel outside the format, or beyond the radius to which the distortion can
-        be inverted, is not covered and returns NaN. Newton's iteration, 1e-14 in u and v.
+        The ray of a pixel is (u, v, 1) in the frame of the camera. A pixel outside the format, or
+        beyond the radius to which the distortion can be inverted, is not covered and returns NaN.
+        Newton's iteration, 1e-14 in u and v.
 
         >>> camera = Camera(1000, 800, 900.0, 900.0, 500.0, 400.0, BrownConrady(k1=-0.1))
         >>> u, v, covered = camera.rays(np.array([500.0, 950.0]), np.array([400.0, 400.0]))
         >>> camera.project(u, v)[0].round(9).tolist(), covered.tolist()
         ([500.0, 950.0], [True, True])
         """
-        from unbend.refraction.kernels.image import rays_of_pixels
+        from unbend.refraction.kernels.outgoing import rays_of_pixels
 
-        x, y = (np.ascontiguousarray(a, np.float64) for a in (x_px, y_px))
+        x = np.ascontiguousarray(x_px, np.float64)
+        y = np.ascontiguousarray(y_px, np.float64)
         rays = np.empty((RAY_ROWS, x.size))
         rays_of_pixels(x, y, self.constants, rays)
         return rays[IDEAL_U], rays[IDEAL_V], np.isfinite(rays[IDEAL_U])

@@ -21,9 +21,7 @@ _STEEPEST = 0.3  # slope of a correction that the iteration of `distort` inverts
 
 
 class GeneralFrame(NamedTuple):
-    """Coefficients; ``offset`` is principal point minus point of symmetry, ``limit`` the calibrated
-    radius about the principal point, both in units of the principal distance; ``steps`` of the
-    iteration that inverts a correction, each of which gains a factor of its slope."""
+    """Coefficients of the module's equations; lengths are in units of the principal distance."""
 
     k0: float = 0.0
     k1: float = 0.0
@@ -35,13 +33,13 @@ class GeneralFrame(NamedTuple):
     q3: float = 0.0
     px: float = 0.0
     py: float = 0.0
-    offset_u: float = 0.0
+    offset_u: float = 0.0  # principal point less point of best symmetry
     offset_v: float = 0.0
     skew_x: float = 0.0
     skew_y: float = 0.0
     sense: float = 1.0
-    limit: float = 1e9
-    steps: float = 30.0
+    limit: float = 1e9  # calibrated radius about the principal point
+    steps: float = 30.0  # that invert a correction; each gains a factor of its slope
 
 
 Parameters = GeneralFrame
@@ -50,46 +48,60 @@ Parameters = GeneralFrame
 def distort(u: Any, v: Any, parameters: GeneralFrame) -> tuple[Any, Any]:
     """Distorted image coordinates of ideal ones.
 
+    A correction (``sense`` -1) is inverted by repetition: (x, y) = (s, t) - (ds, dt)(x, y).
+
     >>> [round(c, 9) for c in distort(0.5, 0.0, GeneralFrame(k1=0.1, q1=0.2))]
     [0.488095238, 0.0]
     >>> x = distort(0.5, 0.0, GeneralFrame(k1=0.1, sense=-1.0))[0]
     >>> round(x + 0.1 * x**3, 12)
     0.5
     """
-    k0, k1, k2, k3, k4, q1, q2, q3, px, py, a, b, skew_x, skew_y, sense, _, steps = parameters
-    s, t = u + a, v + b
-    x, y = s, t
-    for _ in range(1 if sense > 0.0 else int(steps)):
+    p = parameters
+    s = u + p.offset_u
+    t = v + p.offset_v
+    x = s
+    y = t
+    for _ in range(1 if p.sense > 0.0 else int(p.steps)):
         r2 = x * x + y * y
-        above = k0 + r2 * (k1 + r2 * (k2 + r2 * (k3 + r2 * k4)))
-        below = r2 * (q1 + r2 * (q2 + r2 * q3))
-        radial = (above - below) / (1.0 + below)
-        dx = x * radial + px * (r2 + 2.0 * x * x) + 2.0 * py * x * y
-        dy = y * radial + py * (r2 + 2.0 * y * y) + 2.0 * px * x * y
-        x, y = s + sense * dx, t + sense * dy
-    return x - a + skew_x * (y - b), y - b + skew_y * (x - a)
+        above = p.k0 + r2 * (p.k1 + r2 * (p.k2 + r2 * (p.k3 + r2 * p.k4)))
+        below = r2 * (p.q1 + r2 * (p.q2 + r2 * p.q3))
+        q_less_1 = (above - below) / (1.0 + below)
+        dx = x * q_less_1 + p.px * (r2 + 2.0 * x * x) + 2.0 * p.py * x * y
+        dy = y * q_less_1 + p.py * (r2 + 2.0 * y * y) + 2.0 * p.px * x * y
+        x = s + p.sense * dx
+        y = t + p.sense * dy
+    u_d = x - p.offset_u + p.skew_x * (y - p.offset_v)
+    v_d = y - p.offset_v + p.skew_y * (x - p.offset_u)
+    return u_d, v_d
 
 
 def slopes(u: Any, v: Any, parameters: GeneralFrame) -> tuple[Any, Any, Any]:
-    """Derivatives du_d/du, du_d/dv = dv_d/du and dv_d/dv of `distort`, but for the affinity."""
-    k0, k1, k2, k3, k4, q1, q2, q3, px, py, a, b, _, _, sense, _, steps = parameters
-    s, t = u + a, v + b
-    x, y = s, t
-    for _ in range(0 if sense > 0.0 else int(steps)):
+    """Derivatives du_d/du, du_d/dv = dv_d/du and dv_d/dv of `distort`, without the affinity.
+
+    Those of a correction are the inverse of the matrix of its own derivatives, at (x, y).
+    """
+    p = parameters
+    s = u + p.offset_u
+    t = v + p.offset_v
+    x = s
+    y = t
+    for _ in range(0 if p.sense > 0.0 else int(p.steps)):  # a correction has no denominator
         r2 = x * x + y * y
-        radial = k0 + r2 * (k1 + r2 * (k2 + r2 * (k3 + r2 * k4)))
-        dx = x * radial + px * (r2 + 2.0 * x * x) + 2.0 * py * x * y
-        dy = y * radial + py * (r2 + 2.0 * y * y) + 2.0 * px * x * y
-        x, y = s - dx, t - dy
+        q_less_1 = p.k0 + r2 * (p.k1 + r2 * (p.k2 + r2 * (p.k3 + r2 * p.k4)))
+        dx = x * q_less_1 + p.px * (r2 + 2.0 * x * x) + 2.0 * p.py * x * y
+        dy = y * q_less_1 + p.py * (r2 + 2.0 * y * y) + 2.0 * p.px * x * y
+        x = s - dx
+        y = t - dy
     r2 = x * x + y * y
-    below = 1.0 + r2 * (q1 + r2 * (q2 + r2 * q3))
-    radial = (1.0 + k0 + r2 * (k1 + r2 * (k2 + r2 * (k3 + r2 * k4)))) / below
-    above_slope = k1 + r2 * (2.0 * k2 + r2 * (3.0 * k3 + 4.0 * r2 * k4))
-    slope = 2.0 * (above_slope - radial * (q1 + r2 * (2.0 * q2 + 3.0 * r2 * q3))) / below
-    uu = radial + x * x * slope + 6.0 * px * x + 2.0 * py * y
-    uv = x * y * slope + 2.0 * px * y + 2.0 * py * x
-    vv = radial + y * y * slope + 6.0 * py * y + 2.0 * px * x
-    if sense > 0.0:
+    below = 1.0 + r2 * (p.q1 + r2 * (p.q2 + r2 * p.q3))
+    q = (1.0 + p.k0 + r2 * (p.k1 + r2 * (p.k2 + r2 * (p.k3 + r2 * p.k4)))) / below
+    above_slope = p.k1 + r2 * (2.0 * p.k2 + r2 * (3.0 * p.k3 + 4.0 * r2 * p.k4))
+    below_slope = p.q1 + r2 * (2.0 * p.q2 + 3.0 * r2 * p.q3)
+    twice_q_slope = 2.0 * (above_slope - q * below_slope) / below  # 2 dq/d(r^2)
+    uu = q + x * x * twice_q_slope + 6.0 * p.px * x + 2.0 * p.py * y
+    uv = x * y * twice_q_slope + 2.0 * p.px * y + 2.0 * p.py * x
+    vv = q + y * y * twice_q_slope + 6.0 * p.py * y + 2.0 * p.px * x
+    if p.sense > 0.0:
         return uu, uv, vv
     inverse = 1.0 / (uu * vv - uv * uv)
     return vv * inverse, -uv * inverse, uu * inverse
@@ -107,12 +119,15 @@ def largest_radius(parameters: GeneralFrame) -> float:
     square = np.polynomial.Polynomial([0.0, 1.0])
     above = np.polynomial.Polynomial([1.0 + p.k0, p.k1, p.k2, p.k3, p.k4])
     below = np.polynomial.Polynomial([1.0, p.q1, p.q2, p.q3])
+    slope_above = above + 2.0 * square * above.deriv()  # d(r above)/dr
     if p.sense < 0.0:
-        by_radius = above + 2.0 * square * above.deriv()
-        r = min(first_root(by_radius - 1.0 - side * _STEEPEST) for side in (-1.0, 1.0))
+        correction_slope = slope_above - 1.0
+        grows_to = first_root(correction_slope - _STEEPEST)
+        falls_to = first_root(correction_slope + _STEEPEST)
+        r = min(grows_to, falls_to)
         reached = r * float(above(r * r)) if r < np.inf else np.inf
     else:
-        # Where d(r_d)/dr = 0, or where the denominator is.
-        turns = (above + 2.0 * square * above.deriv()) * below
-        reached = min(map(first_root, (turns - 2.0 * square * above * below.deriv(), below)))
+        # Where d(r above / below)/dr = 0, or where the denominator is.
+        turns = slope_above * below - 2.0 * square * above * below.deriv()
+        reached = min(first_root(turns), first_root(below))
     return float(min(reached - np.hypot(p.offset_u, p.offset_v), p.limit))

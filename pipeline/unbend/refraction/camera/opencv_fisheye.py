@@ -16,7 +16,7 @@ import numpy as np
 from unbend.refraction.camera.brown_conrady import first_root
 
 # Added to r^2: the quotients below are then exact on the axis too.
-_NOTHING = 1e-300
+_TINY = 1e-300
 
 LARGEST_ANGLE_RAD = np.radians(89.5)
 """Rays farther from the optical axis than this are not covered: their tangent is not precise."""
@@ -40,25 +40,31 @@ def distort(u: Any, v: Any, parameters: OpenCVFisheye) -> tuple[Any, Any]:
     >>> [round(float(c), 9) for c in distort(1.0, 0.0, OpenCVFisheye())]  # 45 degrees
     [0.785398163, 0.0]
     """
-    k1, k2, k3, k4 = parameters
-    r = np.sqrt(u * u + v * v + _NOTHING)
+    p = parameters
+    r = np.sqrt(u * u + v * v + _TINY)
     theta = np.arctan(r)
     t2 = theta * theta
-    quotient = theta * (1.0 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4)))) / r
+    theta_d = theta * (1.0 + t2 * (p.k1 + t2 * (p.k2 + t2 * (p.k3 + t2 * p.k4))))
+    quotient = theta_d / r
     return u * quotient, v * quotient
 
 
 def slopes(u: Any, v: Any, parameters: OpenCVFisheye) -> tuple[Any, Any, Any]:
     """Derivatives du_d/du, du_d/dv = dv_d/du and dv_d/dv of `distort`."""
-    k1, k2, k3, k4 = parameters
-    r2 = u * u + v * v + _NOTHING
+    p = parameters
+    r2 = u * u + v * v + _TINY
     r = np.sqrt(r2)
     theta = np.arctan(r)
     t2 = theta * theta
-    quotient = theta * (1.0 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4)))) / r
-    by_theta = 1.0 + t2 * (3.0 * k1 + t2 * (5.0 * k2 + t2 * (7.0 * k3 + t2 * 9.0 * k4)))
-    rest = (by_theta / (1.0 + r2) - quotient) / r2
-    return quotient + u * u * rest, u * v * rest, quotient + v * v * rest
+    theta_d = theta * (1.0 + t2 * (p.k1 + t2 * (p.k2 + t2 * (p.k3 + t2 * p.k4))))
+    quotient = theta_d / r
+    inner = t2 * (5.0 * p.k2 + t2 * (7.0 * p.k3 + t2 * 9.0 * p.k4))
+    by_theta = 1.0 + t2 * (3.0 * p.k1 + inner)  # d(theta_d)/d(theta)
+    by_r2 = (by_theta / (1.0 + r2) - quotient) / r2  # 2 d(quotient)/d(r^2)
+    uu = quotient + u * u * by_r2
+    uv = u * v * by_r2
+    vv = quotient + v * v * by_r2
+    return uu, uv, vv
 
 
 def largest_radius(parameters: OpenCVFisheye) -> float:
@@ -67,6 +73,7 @@ def largest_radius(parameters: OpenCVFisheye) -> float:
     >>> round(float(np.degrees(np.arctan(largest_radius(OpenCVFisheye())))), 6)
     89.5
     """
-    k1, k2, k3, k4 = parameters
-    turn = first_root([1.0, 3.0 * k1, 5.0 * k2, 7.0 * k3, 9.0 * k4])  # of d(theta_d)/d(theta)
+    p = parameters
+    # Where d(theta_d)/d(theta) = 0.
+    turn = first_root([1.0, 3.0 * p.k1, 5.0 * p.k2, 7.0 * p.k3, 9.0 * p.k4])
     return float(np.tan(min(turn, LARGEST_ANGLE_RAD)))

@@ -14,10 +14,10 @@ from numpy.typing import DTypeLike, NDArray
 from unbend.units import Array, Integers, Mask, Rows
 
 # Rows of a matrix of rays (RAY_ROWS, n).
-IDEAL_U = 0  # ideal image coordinates
+IDEAL_U = 0  # ideal image coordinates: the ray is (u, v, 1) in the frame of the camera
 IDEAL_V = 1
-WINDOW_CHANGE = 2  # three: change of direction in the window, in the frame of the camera
-DIRECTION = 5  # three: direction outside, east, north and up
+WINDOW_CHANGE = 2  # three: change of the unit vector at the window, in the frame of the camera
+DIRECTION = 5  # three: unit vector of the apparent ray outside; east, north and up
 NADIR_SINE = 8  # of the apparent nadir angle
 NADIR_COSINE = 9
 SPHERE_RADIUS = 10  # [m]
@@ -27,12 +27,12 @@ RAY_ROWS = 12
 # Columns of a matrix of stations (s, STATION_COLUMNS).
 REFRACTIVITY = 0  # N outside
 RELATIVE_GRADIENT = 1  # N'/n there [1/m]
-TABLE_NODE = 2  # node below it among the cameras of the table
-NODE_SHARE = 3  # share of the way to the next
-HEIGHT_SHARE = 4  # share of the way from the lowest to the highest camera
+TABLE_NODE = 2  # number of the camera height below it in the tables
+NODE_SHARE = 3  # share of the way to the next camera height
+HEIGHT_SHARE = 4  # share of the way from the lowest camera height to the highest
 TILT_VARIANCE = 5  # [rad2]
-YAW_EXCESS_VARIANCE = 6  # by what that of yaw exceeds that of tilt [rad2]
-YAW_AXIS_EAST = 7
+YAW_EXCESS_VARIANCE = 6  # variance of yaw less that of tilt [rad2]
+YAW_AXIS_EAST = 7  # of the unit vector of the yaw axis
 YAW_AXIS_NORTH = 8
 SIGMA_HEIGHT = 9  # [m]
 WINDOW_KIND = 10  # number of its kind of window in the tables, -1 without a plane window
@@ -50,75 +50,71 @@ WORTH_A_TABLE = 24
 
 
 class IndexTable(NamedTuple):
-    """`RayTable`: ``edge`` (m + 1,) [m], ``coefficient`` (m, 8)."""
+    """The columns of a `RayTable`: N as a polynomial of degree 7 in each of m pieces of height."""
 
-    edge: Array
-    coefficient: Array
+    edge: Array  # (m + 1,) heights [m]
+    coefficient: Array  # (m, 8) by the share of the piece that lies below, lowest power first
 
 
 class FineTable(NamedTuple):
-    """Intervals of at most 62.5 m, in which moments of the air are kept for many rays.
+    """N as a polynomial of degree 5 in each of k intervals of at most 62.5 m.
 
-    ``edge`` (k + 1,) [m]; ``coefficient`` (k, 6) refractivity in each interval as a polynomial of
-    degree 5 in the share of it, lowest power first (1e-15 of n - 1 apart from `RayTable`);
-    ``hint`` the number of the interval at every `HINT_M` from the bottom.
+    It differs from that of `RayTable` by 1e-15 of n - 1. Moments of the air are kept for intervals.
     """
 
-    edge: Array
-    coefficient: Array
-    hint: Rows
+    edge: Array  # (k + 1,) heights [m]
+    coefficient: Array  # (k, 6) by the share of the interval that lies below, lowest power first
+    hint: Rows  # number of the interval at every `HINT_M` above the bottom
 
 
 HINT_M = 125.0
 
 
 class RayColumns(NamedTuple):
-    """Rays: heights of camera and target [m], the apparent nadir angle at the camera, the radius of
-    the sphere [m], the slant range [m], NaN where unknown."""
+    """Rays from cameras to the heights of their targets."""
 
-    h_c: Array
-    h_g: Array
-    sin_c: Array
+    h_c: Array  # height of the camera [m]
+    h_g: Array  # height of the target [m]
+    sin_c: Array  # sine of the apparent nadir angle at the camera
     cos_c: Array
-    r_e: Array
-    distance: Array
+    r_e: Array  # radius of the sphere [m]
+    distance: Array  # slant range [m], NaN where unknown
 
 
 class CameraConstants(NamedTuple):
-    """A camera [px]; ``distortion`` are the parameters of a model, whose type names the model."""
+    """A camera. The type of ``distortion`` names the model of its lens."""
 
-    width: float
+    width: float  # of the format [px]
     height: float
-    fx: float
+    fx: float  # principal distance [px]
     fy: float
-    cx: float
+    cx: float  # principal point [px]
     cy: float
-    largest_radius: float
-    distortion: Any
+    largest_radius: float  # tangent of the field angle up to which the distortion can be inverted
+    distortion: Any  # parameters of one of `DISTORTION_MODELS`
 
 
 class ExposureColumns(NamedTuple):
-    """Exposures; ``curvature`` (s, 2) is 1/radius in the meridian and in the prime vertical,
-    ``normal`` (s, 3) that of the window, ``change_px`` is added to the principal distance."""
+    """What rays need to know of each of s exposures."""
 
-    usable: Mask
-    rotation: Array
-    curvature: Array
-    height: Array
-    outside: Array
-    cabin: Array
-    normal: Array
-    change_px: Array
+    usable: Mask  # False where position, attitude or the cabin's air is unknown
+    rotation: Array  # (s, 3, 3) from east-north-up to the camera frame
+    curvature: Array  # (s, 2) 1/radius in the meridian and in the prime vertical [1/m]
+    height: Array  # [m]
+    outside: Array  # N outside the window, NaN where the camera is outside the profile
+    cabin: Array  # N behind the window
+    normal: Array  # (s, 3) unit vector out of the window, in the camera frame
+    change_px: Array  # what is added to the principal distance [px]
 
 
 class ObservationColumns(NamedTuple):
-    """Observations: pixels, height of the target [m] with its sigma, row of the exposure."""
+    """Measured points of images."""
 
-    x: Array
+    x: Array  # [px]
     y: Array
-    h_g: Array
-    sigma_h_g: Array
-    exposure: Integers
+    h_g: Array  # height of the target [m]
+    sigma_h_g: Array  # standard deviation of that height [m]
+    exposure: Integers  # row of `ExposureColumns`, -1 where the image has no exposure
 
     def part(self, rows: slice) -> ObservationColumns:
         """Some of the rows."""
@@ -141,53 +137,66 @@ def observation_columns(
     )
 
 
-def _writable(values: Array | Integers, dtype: DTypeLike) -> Any:
+def _writable(values: Array | Integers, dtype: DTypeLike) -> NDArray[Any]:
     """The values in one piece that may be written to: themselves where they are that."""
     return np.require(values, dtype, ["C_CONTIGUOUS", "WRITEABLE"])
 
 
-class TracedColumns(NamedTuple):
-    """Observations followed to the ground: matrix of rays, refraction angle [rad], status."""
+class OutgoingRays(NamedTuple):
+    """Rays of observations outside the window; all numbers are NaN where the status is not ok."""
 
-    rays: Array
-    r_c: Array
+    rays: Array  # (RAY_ROWS, n)
+    r_cc: Array  # refraction angle at the window [rad]
     status: NDArray[np.uint8]
 
 
+class TracedColumns(NamedTuple):
+    """Rays of observations that were followed to the ground."""
+
+    rays: Array  # (RAY_ROWS, n)
+    r_c: Array  # refraction angle [rad]
+    status: NDArray[np.uint8]
+
+
+class Shifts(NamedTuple):
+    """What the correction changes."""
+
+    dx: Array  # in the image [px]
+    dy: Array
+    ground: Array  # between the points where the raw and the true straight ray land [m]
+
+
 class AirTables(NamedTuple):
-    """Tables of sigma_R, dR/dzeta and the leading mode, of c cameras, w ways, v kinds of windows.
+    """Tables of what the air does to rays, for c heights of cameras and w ways to the target.
 
-    way_first : root of the first way [m^0.5], ``way_step`` before the next.
-    coarse_step, incidence_step : spacing of the factors in the root of the way and in
-        1 / sqrt(cos z) at the ground, from 1.
-    sigma, angle : (c, w) sigma_R / (tan(zeta) way) and R / (tan(zeta) way) in the plane [rad/m].
-    factors : (f, j, k, 3) what the sphere multiplies sigma_R and dR/dzeta by, and what it adds to
-        ``mode``, at even heights from the lowest camera to the highest.
-    behind : (v, 2, c, w) sigma of x, and its covariance with y over sigma of y, in the plane.
-    lean : (v, c) sigma of y.
-    ground_m, spacing_m : lowest height [m] and spacing of ``refractivity`` (n,).
-    mode : (c, w) what one sigma of the leading mode changes in R / (tan(zeta) way) in the plane.
-    mode_lean : (v, c) and in N at the camera, less its part in the cabin.
-    mode_sigma : that sigma, in the units of the parameter s.
-
-    The sigmas and the mode are NaN throughout without a covariance.
+    A way is the height of the camera above the target. Ways are even in their root; the factors are
+    at f even heights from the lowest camera to the highest, at j coarser ways and at k values of
+    the incidence 1 / sqrt(cos z_g), z_g the nadir angle of the ray at the ground. There are v kinds
+    of windows, and x and y are those of `uncertainty.sigmas`. The sigmas and the mode are NaN
+    throughout without a covariance.
     """
 
-    way_first: float
-    way_step: float
-    coarse_step: float
-    incidence_step: float
-    sigma: Array
-    angle: Array
-    factors: Array
-    behind: Array
-    lean: Array
-    ground_m: float
-    spacing_m: float
-    refractivity: Array
-    mode: Array
-    mode_lean: Array
-    mode_sigma: float
+    way_first: float  # root of the first way [m^0.5]
+    way_step: float  # between roots of ways [m^0.5]
+    coarse_step: float  # between roots of the coarser ways [m^0.5], which begin likewise
+    incidence_step: float  # between values of the incidence, which begin at 1
+    sigma: Array  # (c, w) sigma_R / (tan(zeta) way) in the plane [rad/m]
+    angle: Array  # (c, w) R / (tan(zeta) way) in the plane [rad/m]
+    factors: Array  # (f, j, k, 3) by `SIGMA_FACTOR`, `ANGLE_FACTOR`, `MODE_SUMMAND`
+    behind: Array  # (v, 2, c, w) sigma of x, and its covariance with y over sigma of y
+    lean: Array  # (v, c) sigma of y
+    ground_m: float  # lowest height of ``refractivity`` [m]
+    spacing_m: float  # between heights of ``refractivity`` [m]
+    refractivity: Array  # (n,) N by height
+    mode: Array  # (c, w) what one sigma of the leading mode changes in R / (tan(zeta) way)
+    mode_lean: Array  # (v, c) the same in y
+    mode_sigma: float  # that sigma, in the units of the parameter s
+
+
+# Last axis of `AirTables.factors`: what the sphere does to values of the plane.
+SIGMA_FACTOR = 0  # times sigma_R
+ANGLE_FACTOR = 1  # times dR/dzeta
+MODE_SUMMAND = 2  # added to ``mode``
 
 
 TILE = 512
@@ -208,61 +217,42 @@ WAITS = 5  # for a tile
 
 
 class TerrainGrid(NamedTuple):
-    """Tiles of a terrain, (p, q) of `TILE` cells, of which some are in memory.
+    """A terrain of p times q tiles of `TILE` cells, of which s are in memory."""
 
-    ``low``, ``high`` (p, q) are the lowest and highest node of a tile [m], NaN where it was not
-    read yet, infinite where it has none; ``slot`` (p, q) its place among the next three, or -1.
-    ``tiles`` (s, TILE + 1, TILE + 1) nodes [m], NaN in holes; ``block_low``, ``block_high``
-    (s, TILE / BLOCK, TILE / BLOCK) likewise. ``around`` columns go round the earth, 0 where
-    they do not.
-    """
-
-    low: NDArray[np.float32]
-    high: NDArray[np.float32]
-    slot: NDArray[np.int32]
-    tiles: NDArray[np.float32]
-    block_low: NDArray[np.float32]
-    block_high: NDArray[np.float32]
-    around: int
+    low: NDArray[np.float32]  # (p, q) lowest node [m]; NaN: not read yet, infinite: no node
+    high: NDArray[np.float32]  # (p, q) highest node [m], likewise
+    slot: NDArray[np.int32]  # (p, q) place of the tile in memory, -1 without
+    tiles: NDArray[np.float32]  # (s, TILE + 1, TILE + 1) nodes [m], NaN in holes
+    block_low: NDArray[np.float32]  # (s, TILE / BLOCK, TILE / BLOCK) lowest node of a block [m]
+    block_high: NDArray[np.float32]  # and highest
+    around: int  # columns of the grid that go round the earth, 0 where they do not
 
 
 class TerrainRays(NamedTuple):
-    """Rays (n,) and the way they take over a grid.
+    """Rays (n,) and the way they take over a grid."""
 
-    ``east``, ``north`` of the unit vector of the azimuth; ``knot``, ``bend`` (n, k) distances [m]
-    and the divided differences of R_c / distance there; ``chart`` (n,) numbers ``charts``
-    (m, 2, 15): row and column of the grid as polynomials of degree 4 in east and north of a
-    station, in units of its ``reach`` (m,) [m].
-    """
-
-    sin_c: Array
+    sin_c: Array  # of the apparent nadir angle at the camera
     cos_c: Array
-    h_c: Array
-    r_e: Array
-    east: Array
+    h_c: Array  # height of the camera [m]
+    r_e: Array  # radius of the sphere [m]
+    east: Array  # of the unit vector of the azimuth
     north: Array
-    knot: Array
-    bend: Array
-    chart: Integers
-    charts: Array
-    reach: Array
+    knot: Array  # (n, k) distances from the camera [m]
+    bend: Array  # (n, k) divided differences of R_c / distance there
+    chart: Integers  # number of the ray's chart
+    charts: Array  # (m, 2, 15) coefficients of row and column by east and north of a station
+    reach: Array  # (m,) unit of this east and north [m]
 
 
 class TerrainState(NamedTuple):
-    """How far rays (n,) were followed, and what was found.
+    """How far rays (n,) were followed, and what was found."""
 
-    ``end`` and ``t`` are distances from the camera [m], ``side`` 1 above and -1 under the terrain
-    and 0 where unknown, ``gap`` whether it is unknown at ``t``; ``distance`` and ``height`` [m]
-    of the first crossing, NaN without one, and ``factor`` what it changes by with the height of the
-    terrain; ``wanted`` is the tile a ray waits for, or -1; ``result`` what becomes of it.
-    """
-
-    end: Array
-    t: Array
-    side: NDArray[np.int8]
-    gap: Mask
-    distance: Array
-    height: Array
-    factor: Array
-    wanted: Integers
-    result: NDArray[np.uint8]
+    end: Array  # distance from the camera to which the ray is followed [m]
+    t: Array  # to which it was followed so far [m]
+    side: NDArray[np.int8]  # of the terrain at ``t``: 1 above, -1 under, 0 unknown
+    gap: Mask  # whether the terrain at ``t`` is unknown
+    distance: Array  # to the first crossing [m], NaN without a crossing
+    height: Array  # of the first crossing [m], NaN without a crossing
+    factor: Array  # d(height of the crossing) / d(height of the terrain)
+    wanted: Integers  # number of the tile that the ray waits for, -1 without
+    result: NDArray[np.uint8]  # what becomes of the ray, `LANDED` to `WAITS`

@@ -1,7 +1,14 @@
-"""Rays near grazing, compiled: the angle they subtend at the earth's centre, and which crossing.
+"""Rays near grazing, compiled: the angle a ray subtends at the earth's centre, and R_c from it.
 
-Symbols are those of Gyer 1996: r = r_e + h, k = n_c r_c sin zeta_c, N = n - 1. Compiled functions
-take no keywords: what belongs together travels in named tuples.
+Symbols are those of Gyer 1996: r = r_e + h, k = n_c r_c sin zeta_c (Eq. 1), N = n - 1. Between two
+heights a ray subtends
+
+    theta = integral of k dh / (r sqrt(n^2 r^2 - k^2))   (Eq. 12)
+          = integral of k dh / (r sqrt(E (E + 2 k))),   E = n r - k.
+
+E, the excess [m], is zero where the ray is level: at P_90, its lowest point, of height h_90.
+Computed as r (N - N_c) + n_c (h - h_c) + lift, with lift = n_c r_c (1 - sin zeta_c), it loses no
+digits. The substitution h = h_90 + s^2 takes the singularity at h_90 out of the integrand.
 """
 
 import math
@@ -18,7 +25,7 @@ from unbend.units import Array
 _LEVEL_M = 1e-4
 
 # Where n r grows less than this with height the ray bends nearly as the earth does, and may be
-# level at the upper end of a layer, or within it: such layers are integrated in graded panels.
+# level at the upper end of a layer, or within it: such layers are integrated in halving panels.
 _COMMON_SLOPE = 0.2
 _HALVINGS = 44  # of a layer, down to 1e-12 m
 
@@ -32,6 +39,9 @@ _DEGREE = 7  # of the polynomials of the table
 
 _LEVEL_COSINE = 1e-9  # at the camera's own height: the far crossing of a level ray is the near one
 _DEPTH_TO_SPARE_M = 100.0
+
+UPWARDS = 1.0
+DOWNWARDS = -1.0
 
 
 def gauss_legendre(count: int) -> tuple[Array, Array]:
@@ -47,26 +57,26 @@ class Ray(NamedTuple):
     """A ray at its camera, and what stays the same along it."""
 
     h_c: float  # height of the camera [m]
-    sin_c: float  # of the apparent nadir angle
+    sin_c: float  # of the apparent nadir angle zeta_c
     cos_c: float
     r_e: float  # radius of the sphere [m]
     n_c: float  # N at the camera
-    lift: float  # n_c r_c (1 - sin zeta_c) [m]
-    k: float
+    lift: float  # n_c r_c (1 - sin zeta_c) [m], the excess at the camera
+    k: float  # n_c r_c sin zeta_c [m]
 
 
-class _Base(NamedTuple):
-    """Where panels begin."""
+class _Origin(NamedTuple):
+    """A height within one piece of the table, from which distances in height are counted."""
 
-    piece: int  # of the table
-    height: float
-    excess: float  # n r - k there
-    sense: float  # up (1) or down (-1)
+    piece: int  # number of the piece
+    height: float  # [m]
+    excess: float  # n r - k at this height [m]
+    sense: float  # of the distances: `UPWARDS` or `DOWNWARDS`
 
 
 @jit
 def piece(edge, h):  # type: ignore[no-untyped-def]
-    """Number of the piece of the table that holds height h."""
+    """Number of the piece of the table that holds height h, by bisection in ``edge``."""
     low = 0
     high = edge.size - 1
     while high - low > 1:
@@ -91,23 +101,26 @@ def refractivity(table, i, h):  # type: ignore[no-untyped-def]
 
 @jit
 def ray_at(table, h_c, sin_c, cos_c, r_e):  # type: ignore[no-untyped-def]
-    """The `Ray` that leaves a camera; ``lift`` without cancellation."""
+    """The `Ray` that leaves a camera.
+
+    Its lift is n_c r_c cos^2 zeta_c / (1 + sin zeta_c), which loses no digits for level rays.
+    """
     n_c = refractivity(table, piece(table.edge, h_c), h_c)
     lift = (1.0 + n_c) * (r_e + h_c) * cos_c * cos_c / (1.0 + sin_c)
     k = (1.0 + n_c) * (r_e + h_c) - lift
-    return Ray(h_c, sin_c, cos_c, r_e, n_c, lift, k)
+    return Ray(h_c=h_c, sin_c=sin_c, cos_c=cos_c, r_e=r_e, n_c=n_c, lift=lift, k=k)
 
 
 @jit
 def excess(table, ray, i, h):  # type: ignore[no-untyped-def]
-    """n r - k at height h in piece i, without cancellation."""
+    """n r - k [m] at height h in piece i, without cancellation."""
     n = refractivity(table, i, h)
     return (ray.r_e + h) * (n - ray.n_c) + (1.0 + ray.n_c) * (h - ray.h_c) + ray.lift
 
 
 @jit
 def _slope(table, i, h, r_e):  # type: ignore[no-untyped-def]
-    """d(n r)/dh at height h; about 0.8 in common air, below zero in a duct."""
+    """d(n r)/dh at height h in piece i; about 0.8 in common air, below zero in a duct."""
     edge, coefficient = table
     width = edge[i + 1] - edge[i]
     u = (h - edge[i]) / width
@@ -119,7 +132,10 @@ def _slope(table, i, h, r_e):  # type: ignore[no-untyped-def]
 
 @jit
 def turning_height(table, ray):  # type: ignore[no-untyped-def]
-    """h_90 at or below the camera, where n r = k (Gyer 1996, Eq. 16); NaN below the profile."""
+    """h_90 [m] at or below the camera, where n r = k (Gyer 1996, Eq. 16), by bisection.
+
+    NaN where the ray is not level before it leaves the profile.
+    """
     i = piece(table.edge, ray.h_c)
     high = ray.h_c
     while i >= 0:
@@ -140,90 +156,128 @@ def turning_height(table, ray):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _excess_near(table, ray, base, y):  # type: ignore[no-untyped-def]
-    """n r - k at the height of ``base`` + y; y may be as small as it likes."""
+def _excess_near(table, ray, origin, y):  # type: ignore[no-untyped-def]
+    """n r - k [m] at the height of an `_Origin` + y [m], where y may be as small as it likes.
+
+    The change of N over y is y times the divided difference of the polynomial, by Horner's scheme
+    beside that of its value.
+    """
     edge, coefficient = table
-    i = base.piece
+    i = origin.piece
     width = edge[i + 1] - edge[i]
-    u_0 = (base.height - edge[i]) / width
+    u_0 = (origin.height - edge[i]) / width
     u = u_0 + y / width
-    # The divided difference of the polynomial, by Horner's scheme beside that of its value.
     value = coefficient[i, _DEGREE]
     quotient = coefficient[i, _DEGREE]
     for j in range(_DEGREE - 1, 0, -1):
         value = value * u_0 + coefficient[i, j]
         quotient = quotient * u + value
     value = value * u_0 + coefficient[i, 0]
-    r = ray.r_e + base.height + y
-    return base.excess + (1.0 + value) * y + r * (y / width) * quotient
+    r = ray.r_e + origin.height + y
+    return origin.excess + (1.0 + value) * y + r * (y / width) * quotient
 
 
 @jit
-def _panel(table, ray, base, span, depth):  # type: ignore[no-untyped-def]
-    """Angle subtended between the two distances ``span`` from ``base``.
+def _subtended_in_panel(table, ray, origin, ends, depth):  # type: ignore[no-untyped-def]
+    """Angle that the ray subtends between two distances ``ends`` [m] from an `_Origin`.
 
-    With s^2 = distance + ``depth`` as the variable; NaN where the ray turns in between.
+    Eight nodes of Gauss and Legendre in s, with s^2 = distance + ``depth`` [m]: ``depth`` is how
+    far before the origin the ray is level, or zero. NaN where the ray turns between the ends.
     """
-    s_0 = math.sqrt(span[0] + depth)
-    s_1 = math.sqrt(span[1] + depth)
+    s_0 = math.sqrt(ends[0] + depth)
+    s_1 = math.sqrt(ends[1] + depth)
     total = 0.0
     for j in range(_X8.size):
         s = s_0 + (s_1 - s_0) * _X8[j]
-        y = base.sense * (s * s - depth)
-        above = _excess_near(table, ray, base, y)
-        if not above > 0.0:
+        y = origin.sense * (s * s - depth)
+        excess_at_node = _excess_near(table, ray, origin, y)
+        if not excess_at_node > 0.0:
             return math.nan
-        r = ray.r_e + base.height + y
-        total += _W8[j] * 2.0 * s * ray.k / (r * math.sqrt(above * (above + 2.0 * ray.k)))
+        r = ray.r_e + origin.height + y
+        root = math.sqrt(excess_at_node * (excess_at_node + 2.0 * ray.k))
+        total += _W8[j] * 2.0 * s * ray.k / (r * root)
     return total * (s_1 - s_0)
 
 
 @jit
-def _graded(table, ray, base, width):  # type: ignore[no-untyped-def]
-    """Angle subtended over ``width`` from ``base``, in panels that halve towards it.
+def _subtended_from(table, ray, origin, width):  # type: ignore[no-untyped-def]
+    """Angle that the ray subtends over ``width`` [m] from an `_Origin`, in 45 panels.
 
-    For air in which n r hardly grows, or falls, away from its smallest value in the layer.
+    Each panel is half as wide as the next one, and the narrowest is at the origin. For air in which
+    n r hardly grows, or falls, away from its smallest value in the layer, which is at the origin.
     """
     total = 0.0
     far = width
     for _ in range(_HALVINGS):
         near = 0.5 * far
-        total += _panel(table, ray, base, (near, far), 0.0)
+        total += _subtended_in_panel(table, ray, origin, (near, far), 0.0)
         far = near
-    return total + _panel(table, ray, base, (0.0, far), 0.0)
+    return total + _subtended_in_panel(table, ray, origin, (0.0, far), 0.0)
 
 
 @jit
-def _flat_layer(table, ray, i, ends, at_0):  # type: ignore[no-untyped-def]
-    """Angle subtended between two heights of piece i where n r hardly grows, or falls."""
-    h_0, h_1 = ends
-    at_1 = ray.lift if h_1 == ray.h_c else excess(table, ray, i, h_1)
-    if not _slope(table, i, h_0, ray.r_e) < 0.0 < _slope(table, i, h_1, ray.r_e):
-        half = 0.5 * (h_1 - h_0)
-        lower_half = _graded(table, ray, _Base(i, h_0, at_0, 1.0), half)
-        upper_half = _graded(table, ray, _Base(i, h_1, at_1, -1.0), half)
-        return lower_half + upper_half
-    least = h_0  # n r is smallest in between
-    high = h_1
+def _smallest_between(table, i, h_0, h_1, r_e):  # type: ignore[no-untyped-def]
+    """Height [m] between two heights in piece i where n r falls no more, by bisection."""
+    falling = h_0
+    growing = h_1
     for _ in range(_HALVINGS_OF_LAYER):
-        middle = 0.5 * (least + high)
-        if _slope(table, i, middle, ray.r_e) < 0.0:
-            least = middle
+        middle = 0.5 * (falling + growing)
+        if _slope(table, i, middle, r_e) < 0.0:
+            falling = middle
         else:
-            high = middle
-    at_least = excess(table, ray, i, least)
-    below = _graded(table, ray, _Base(i, least, at_least, -1.0), least - h_0)
-    above = _graded(table, ray, _Base(i, least, at_least, 1.0), h_1 - least)
-    return below + above
+            growing = middle
+    return falling
 
 
 @jit
-def subtended(table, ray, low, high, level_at_low):  # type: ignore[no-untyped-def]
-    """Angle the ray subtends between two heights (Gyer 1996, Eq. 12), with h = turn + s^2.
+def _subtended_in_flat_layer(table, ray, i, ends, excess_0):  # type: ignore[no-untyped-def]
+    """Angle subtended between two heights ``ends`` [m] of piece i where n r hardly grows, or falls.
 
-    ``turn`` is where the ray would be level by each piece of the table; the substitution takes
-    the singularity out of the integrand. With ``level_at_low`` that is ``low`` itself, which
-    rounding would miss: 1e-13 m of depth there are 3e-5 arcsec. NaN where the ray turns in between.
+    ``excess_0`` is n r - k [m] at the lower end. The ray may be level at either end, and where n r
+    is smallest in between: panels are narrow there.
+    """
+    h_0, h_1 = ends
+    excess_1 = ray.lift if h_1 == ray.h_c else excess(table, ray, i, h_1)
+    if _slope(table, i, h_0, ray.r_e) < 0.0 < _slope(table, i, h_1, ray.r_e):
+        h_least = _smallest_between(table, i, h_0, h_1, ray.r_e)
+        least_excess = excess(table, ray, i, h_least)
+        down = _Origin(i, h_least, least_excess, DOWNWARDS)
+        up = _Origin(i, h_least, least_excess, UPWARDS)
+        theta_below = _subtended_from(table, ray, down, h_least - h_0)
+        theta_above = _subtended_from(table, ray, up, h_1 - h_least)
+        return theta_below + theta_above
+    half_width = 0.5 * (h_1 - h_0)
+    up = _Origin(i, h_0, excess_0, UPWARDS)
+    down = _Origin(i, h_1, excess_1, DOWNWARDS)
+    theta_lower_half = _subtended_from(table, ray, up, half_width)
+    theta_upper_half = _subtended_from(table, ray, down, half_width)
+    return theta_lower_half + theta_upper_half
+
+
+@jit
+def _depth_of_level(table, ray, origin, slope):  # type: ignore[no-untyped-def]
+    """How far [m] below an `_Origin` the ray would be level if its piece of the table went on.
+
+    ``slope`` is d(n r)/dh at the origin.
+    """
+    if not origin.excess > 0.0:
+        return 0.0
+    edge = table.edge
+    depth = origin.excess / slope
+    # Farther down the integrand is smooth whatever the substitution; nearer, digits end.
+    if _LEVEL_M < depth < 0.5 * (edge[origin.piece + 1] - edge[origin.piece]):
+        for _ in range(_DEPTH_STEPS):
+            depth += _excess_near(table, ray, origin, -depth) / slope
+    return max(depth, 0.0)
+
+
+@jit
+def subtended(table, ray, low, high, is_level_at_low):  # type: ignore[no-untyped-def]
+    """Angle theta [rad] that the ray subtends between two heights (Gyer 1996, Eq. 12).
+
+    With h = h_90 + s^2, where h_90 is the height at which the ray would be level by each piece of
+    the table. ``is_level_at_low`` says that h_90 is ``low``, which rounding would miss: 1e-13 m of
+    depth there are 3e-5 arcsec. NaN where the ray turns in between.
     """
     edge = table.edge
     total = 0.0
@@ -232,130 +286,143 @@ def subtended(table, ray, low, high, level_at_low):  # type: ignore[no-untyped-d
         h_1 = min(high, edge[i + 1])
         if h_1 <= h_0:
             continue
-        at_0 = ray.lift
-        if level_at_low and h_0 == low:
-            at_0 = 0.0
+        excess_0 = ray.lift
+        if is_level_at_low and h_0 == low:
+            excess_0 = 0.0
         elif h_0 != ray.h_c:
-            at_0 = excess(table, ray, i, h_0)
+            excess_0 = excess(table, ray, i, h_0)
         slope = _slope(table, i, h_0, ray.r_e)
-        if not min(slope, _slope(table, i, h_1, ray.r_e)) > _COMMON_SLOPE:
-            total += _flat_layer(table, ray, i, (h_0, h_1), at_0)
-            continue
-        # How far below h_0 the ray would be level if piece i of the table went on.
-        base = _Base(i, h_0, at_0, 1.0)
-        depth = 0.0
-        if at_0 > 0.0:
-            depth = at_0 / slope
-            # Farther down the integrand is smooth whatever the substitution; nearer, digits end.
-            if _LEVEL_M < depth < 0.5 * (edge[i + 1] - edge[i]):
-                for _ in range(_DEPTH_STEPS):
-                    depth += _excess_near(table, ray, base, -depth) / slope
-            depth = max(depth, 0.0)
-        total += _panel(table, ray, base, (0.0, h_1 - h_0), depth)
+        if min(slope, _slope(table, i, h_1, ray.r_e)) > _COMMON_SLOPE:
+            origin = _Origin(i, h_0, excess_0, UPWARDS)
+            depth = _depth_of_level(table, ray, origin, slope)
+            total += _subtended_in_panel(table, ray, origin, (0.0, h_1 - h_0), depth)
+        else:
+            total += _subtended_in_flat_layer(table, ray, i, (h_0, h_1), excess_0)
     return total
 
 
 @jit
-def subtended_through_turn(table, ray):  # type: ignore[no-untyped-def]
-    """Angle from the camera down to P_90 and up to the camera's height again; NaN below land."""
+def subtended_to_rise(table, ray):  # type: ignore[no-untyped-def]
+    """Angle [rad] from the camera through P_90 to where the ray rises to the camera's height.
+
+    Twice the angle down to P_90 (Gyer 1996, Eq. 15). NaN where P_90 is below all land.
+    """
     i = piece(table.edge, ray.h_c)
     if i > 0 and ray.h_c <= table.edge[i]:
         i -= 1
     slope = _slope(table, i, ray.h_c, ray.r_e)
     if slope > 0.0 and ray.lift < _LEVEL_M * slope:
         return 2.0 * (1.0 + ray.n_c) * ray.sin_c * ray.cos_c / slope
-    turn = turning_height(table, ray)
-    if not turn >= LOWEST_TERRAIN_M:
+    h_90 = turning_height(table, ray)
+    if not h_90 >= LOWEST_TERRAIN_M:
         return math.nan
-    return 2.0 * subtended(table, ray, turn, ray.h_c, True)
+    return 2.0 * subtended(table, ray, h_90, ray.h_c, is_level_at_low=True)
 
 
 @jit
 def chord2(ray, theta, h):  # type: ignore[no-untyped-def]
-    """Square of the straight distance to a point at height h that the ray sees theta away."""
+    """Square of the chord [m2] to the point at height h where the ray has subtended theta.
+
+    (h_c - h)^2 + 4 r_c r sin^2(theta / 2), the law of cosines without cancellation.
+    """
     drop = ray.h_c - h
-    half = math.sin(0.5 * theta)
-    return drop * drop + 4.0 * (ray.r_e + ray.h_c) * (ray.r_e + h) * (half * half)
+    sin_half = math.sin(0.5 * theta)
+    return drop * drop + 4.0 * (ray.r_e + ray.h_c) * (ray.r_e + h) * (sin_half * sin_half)
 
 
 @jit
 def angle_to(ray, theta, h_g):  # type: ignore[no-untyped-def]
-    """R_c of the point at height h_g where the ray has subtended theta (Gyer 1996, Eq. 11)."""
+    """R_c [rad] of the point at height h_g where the ray has subtended theta (Gyer 1996, Eq. 11).
+
+    Eq. 11's r_c / r_g - cos(theta) is (h_c - h_g) / r_g + 2 sin^2(theta / 2), without cancellation.
+    """
     across = math.sin(theta)
-    half = math.sin(0.5 * theta)
-    along = (ray.h_c - h_g) / (ray.r_e + h_g) + 2.0 * (half * half)
-    aside = ray.sin_c * along - ray.cos_c * across
-    ahead = ray.cos_c * along + ray.sin_c * across
+    sin_half = math.sin(0.5 * theta)
+    down = (ray.h_c - h_g) / (ray.r_e + h_g) + 2.0 * (sin_half * sin_half)
+    aside = ray.sin_c * down - ray.cos_c * across
+    ahead = ray.cos_c * down + ray.sin_c * across
     return math.atan2(aside, ahead)
 
 
 @jit
+def _lowest_target(table, h_g):  # type: ignore[no-untyped-def]
+    """The lowest height [m] that a ray to the target may have to pass within the profile."""
+    return max(table.edge[0], min(LOWEST_TERRAIN_M, h_g))
+
+
+@jit
 def crosses_once(table, ray, h_g):  # type: ignore[no-untyped-def]
-    """Whether a ray meets a height once only, or is so steep that this needs no further test."""
+    """Whether it is clear that a ray meets the height h_g once only.
+
+    A ray that turns above the ground meets heights below h_c twice. The lowest point of the
+    straight line lies deeper than that of the ray, by less than a fifth in any air in which n falls
+    with height: a line that goes far below all land needs no further test.
+    """
     h_c = ray.h_c
     if not (h_g < h_c or (h_g == h_c and ray.cos_c > _LEVEL_COSINE)):
         return True
-    # Whether the ray turns above the ground, and so meets heights below h_c twice. The straight
-    # line's lowest point lies deeper than the ray's, by less than a fifth in any air in which n
-    # falls with height; a line that goes far below the floor needs no further test.
-    floor = max(table.edge[0], min(LOWEST_TERRAIN_M, h_g))
-    depth = h_c - floor + _DEPTH_TO_SPARE_M
+    depth = h_c - _lowest_target(table, h_g) + _DEPTH_TO_SPARE_M
     return (ray.r_e + h_c) * ray.cos_c * ray.cos_c > 2.0 * (1.0 + ray.sin_c) * depth
 
 
 @jit
-def crossing_meant(table, ray, angle, h_g, distance):  # type: ignore[no-untyped-def]
-    """R_c [rad] and status of a ray to h_g, of which ``angle`` is R_c at the near crossing.
+def _crossing_meant(table, ray, angle, h_g, distance):  # type: ignore[no-untyped-def]
+    """R_c [rad] and status of a ray to h_g; ``angle`` is R_c at the near crossing of that height.
 
-    A ray that turns above the ground meets a height twice. ``distance`` is the slant range [m] that
-    decides which crossing is meant; NaN where unknown: the near one, status `BEYOND_GRAZING`.
+    A ray that turns above the ground meets the height twice. The crossing is meant whose slant
+    range is nearer to ``distance`` [m]; where that is NaN the near one, status `BEYOND_GRAZING`.
     """
-    h_c = ray.h_c
     if crosses_once(table, ray, h_g):
         return angle, OK
-    floor = max(table.edge[0], min(LOWEST_TERRAIN_M, h_g))
-    if not excess(table, ray, piece(table.edge, floor), floor) < 0.0:
+    lowest = _lowest_target(table, h_g)
+    turns_above_land = excess(table, ray, piece(table.edge, lowest), lowest) < 0.0
+    if not turns_above_land:
         return angle, OK
     if not distance > 0.0:
         return angle, BEYOND_GRAZING
-    # The crossing whose slant range is nearer to the one that was given.
-    theta = subtended(table, ray, h_g, h_c, False)
-    around = subtended_through_turn(table, ray)
-    far = math.sqrt(chord2(ray, around - theta, h_g))
-    near = math.sqrt(chord2(ray, theta, h_g))
+    near_theta = subtended(table, ray, h_g, ray.h_c, is_level_at_low=False)
+    far_theta = subtended_to_rise(table, ray) - near_theta
+    near = math.sqrt(chord2(ray, near_theta, h_g))
+    far = math.sqrt(chord2(ray, far_theta, h_g))
     if abs(far - distance) < abs(near - distance):
-        return angle_to(ray, around - theta, h_g), FAR_BRANCH
+        return angle_to(ray, far_theta, h_g), FAR_BRANCH
     return angle, OK
 
 
 @jit
 def bend_by_subtended(table, ray, h_g):  # type: ignore[no-untyped-def]
-    """R_c from the subtended angle (Gyer 1996, Eq. 11, 12, 15), good at and beyond grazing."""
+    """R_c [rad] from the subtended angle (Gyer 1996, Eq. 11, 12, 15), good at and beyond grazing.
+
+    NaN where the ray does not reach h_g.
+    """
     h_c = ray.h_c
     if h_g > h_c and ray.cos_c > 0.0:  # down through P_90 and up again
-        around = subtended_through_turn(table, ray)
-        theta = around + subtended(table, ray, h_c, h_g, False)
+        theta_to_rise = subtended_to_rise(table, ray)
+        theta = theta_to_rise + subtended(table, ray, h_c, h_g, is_level_at_low=False)
     else:
         low = min(h_c, h_g)
         high = max(h_c, h_g)
         if not excess(table, ray, piece(table.edge, low), low) >= 0.0:
             return math.nan
-        theta = subtended(table, ray, low, high, False)
+        theta = subtended(table, ray, low, high, is_level_at_low=False)
     return angle_to(ray, theta, h_g)
 
 
 @entry
 def bend_grazing_rays(table, rays, which, angle, status):  # type: ignore[no-untyped-def]
-    """Fill ``angle`` [rad] and ``status`` for rays that `bend_rays` has left."""
+    """Fill ``angle`` [rad] and ``status`` for the `RayColumns` that `bend_rays` has left.
+
+    ``which`` numbers them. An ``angle`` that is not NaN is R_c of the near crossing.
+    """
     for i in which:
         h_g = rays.h_g[i]
         ray = ray_at(table, rays.h_c[i], rays.sin_c[i], rays.cos_c[i], rays.r_e[i])
-        bent = angle[i]
-        if math.isnan(bent):
-            bent = bend_by_subtended(table, ray, h_g)
+        near_angle = angle[i]
+        if math.isnan(near_angle):
+            near_angle = bend_by_subtended(table, ray, h_g)
         angle[i] = math.nan
         status[i] = MISSES_GROUND
-        if not math.isnan(bent):
-            meant, code = crossing_meant(table, ray, bent, h_g, rays.distance[i])
+        if not math.isnan(near_angle):
+            meant, code = _crossing_meant(table, ray, near_angle, h_g, rays.distance[i])
             angle[i] = meant
             status[i] = code

@@ -132,7 +132,10 @@ def within(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 class Entry:
-    """A function that Python calls, compiled at its first call unless it was kept."""
+    """A function that Python calls, compiled at its first call unless it was kept.
+
+    It fills arrays and returns nothing.
+    """
 
     def __init__(self, function: Callable[..., Any]) -> None:
         self._in_memory = numba.njit(**OPTIONS)(function)
@@ -142,12 +145,13 @@ class Entry:
             with _caching_in(self._folder):
                 self._kept = numba.njit(cache=True, **OPTIONS)(function)
 
-    def __call__(self, *arguments: Any) -> Any:
+    def __call__(self, *arguments: object) -> None:
         """Call the compiled function; without a lock on its folder it is compiled in memory."""
         types = tuple(numba.typeof(argument) for argument in arguments)
         if types in self._kept.overloads or self._compile_alone(types):
-            return self._kept(*arguments)
-        return self._in_memory(*arguments)
+            self._kept(*arguments)
+        else:
+            self._in_memory(*arguments)
 
     @property
     def signatures(self) -> list[Any]:

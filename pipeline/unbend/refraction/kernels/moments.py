@@ -1,4 +1,8 @@
-"""Many steep rays from one camera: moments down to the target's interval, and the rest there.
+"""R_c of many steep rays from one camera, by moments of the air that all of them share, compiled.
+
+The difference integral of `kernels.ray` is split at the upper end of the interval of `FineTable`
+that holds the target. Above that end the moments give the integral; below, in the rest of one
+interval, three nodes do.
 
 With x = 1/r_c, y = h_c - h, u = y x (2 - y x) = 1 - (r/r_c)^2, w = 1/cos^2 zeta_c and
 m = n^2 - n_c^2, the difference form of `kernels.ray` expands, where w u and w m are small, into
@@ -62,43 +66,54 @@ _X3, _W3 = gauss_legendre(3)
 _FINE_DEGREE = 5  # of the polynomials of `FineTable`
 
 # Rows of the rays to one interval.
-_H_G = 0  # target height
-_SIN = 1  # of zeta_c
-_COS = 2
-_R_E = 3  # radius
-_W = 4  # w and x as above
-_X = 5
-_REST = 6  # the difference integral below the interval's upper end
-_ABOVE = 7  # and above it
-_SCRATCH = 8  # three rows
-_ANGLE = 11
+_H_G = 0  # height of the target [m]
+_SIN_C = 1  # of zeta_c
+_COS_C = 2
+_R_E = 3  # radius of the sphere [m]
+_W = 4  # w = 1/cos^2 zeta_c
+_X = 5  # x = 1/r_c [1/m]
+_BELOW = 6  # the difference integral from the target to the upper end of its interval; then delta/2
+_ABOVE = 7  # delta / (x tan zeta_c) from there to the camera
+_W_X = 8  # w x
+_X_CHANGE = 9  # x less that of the table
+_SUM_OF_ORDER = 10  # of the moments of one order p
+_ANGLE = 11  # R_c [rad]
 _ROWS = 12
 
 
 class _Camera(NamedTuple):
-    """The camera of some rays."""
+    """The camera of some rays, and the moments from there down."""
 
     h_c: float  # height [m]
     n_c: float  # N there
-    x: float  # 1/r_c of the table
-    table: Array  # of moments
+    x: float  # 1/r_c for which the moments are made [1/m]
+    moments: Array  # (k + 1, _MOMENTS) from each edge of the `FineTable` up to the camera
 
 
 class _Group(NamedTuple):
-    """Columns of rays from one height ``h_c``, with their results."""
+    """Rays from one height, with their results."""
 
-    h_c: float
-    h_g: Array
-    sin_c: Array
+    h_c: float  # height of the camera [m]
+    h_g: Array  # height of the target [m]
+    sin_c: Array  # of the apparent nadir angle
     cos_c: Array
-    r_e: Array
-    angle: Array
+    r_e: Array  # radius of the sphere [m]
+    angle: Array  # R_c [rad]
     status: NDArray[np.uint8]
+
+
+class _Room(NamedTuple):
+    """Arrays to work in, for one group of rays after the other."""
+
+    moments: Array  # (k + 1, _MOMENTS)
+    steps_down: NDArray[np.int64]  # (n,) intervals between the camera's and that of a target
+    order: NDArray[np.int64]  # (n,) numbers of rays in the order of their intervals
+    rays: Array  # (_ROWS, n) the rays to one interval
 
 
 @jit
 def _refractivity_in(coefficient, i, u):  # type: ignore[no-untyped-def]
-    """N at the share u of interval i, by its polynomial of degree 5."""
+    """N where the share u of interval i lies below, by the interval's polynomial."""
     value = coefficient[i, _FINE_DEGREE]
     for j in range(_FINE_DEGREE - 1, -1, -1):
         value = value * u + coefficient[i, j]
@@ -106,18 +121,22 @@ def _refractivity_in(coefficient, i, u):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _fill_moments(air, camera, first, last):  # type: ignore[no-untyped-def]
-    """Moments from ``edge[i]`` up to the camera into ``table[i]``, for i from first down to last.
+def _fill_moments(air, camera, top, bottom):  # type: ignore[no-untyped-def]
+    """Fill the moments M_pk and their derivatives by x, for intervals from ``top`` to ``bottom``.
 
-    ``table[first + 1]`` must hold those of the height above.
+    ``camera`` is a `_Camera`: row i of its moments is filled with those from ``edge[i]`` of the
+    `FineTable` up to the camera, and with the largest |m| above. Row top + 1 must be zero.
     """
-    edge, coefficient, _ = air
-    h_c, n_c, x, table = camera
+    edge = air.edge
+    coefficient = air.coefficient
+    h_c = camera.h_c
+    n_c = camera.n_c
+    x = camera.x
     index2 = (1.0 + n_c) * (1.0 + n_c)
-    for i in range(first, last - 1, -1):
-        moments = table[i]
+    for i in range(top, bottom - 1, -1):
+        moments = camera.moments[i]
         for column in range(_MOMENTS):
-            moments[column] = table[i + 1, column]
+            moments[column] = camera.moments[i + 1, column]
         low = edge[i]
         high = edge[i + 1] if edge[i + 1] < h_c else h_c
         share = (high - low) / (edge[i + 1] - low)
@@ -133,7 +152,7 @@ def _fill_moments(air, camera, first, last):  # type: ignore[no-untyped-def]
             for p in range(_ORDERS):
                 power *= m / index2 * inside * inside
                 term = power
-                # Of the logarithm by x: of (1 - y x)^(2p - 1), and of (2 - y x)^k.
+                # d ln(M)/dx of (1 - y x)^(2p - 1), and of each factor (2 - y x); p counts from 0.
                 slope = -(2 * p + 1) * y / inside
                 step = -y / (2.0 - y * x)
                 for k in range(_LONGEST[p]):
@@ -145,39 +164,39 @@ def _fill_moments(air, camera, first, last):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _series(n, moments, c, x_table, rays):  # type: ignore[no-untyped-def]
-    """Fill delta / (x tan zeta_c) of n rays between one height and the camera, by class c.
+def _fill_above(n, moments, length_class, x_table, rays):  # type: ignore[no-untyped-def]
+    """Fill delta / (x tan zeta_c) of n rays between one height and the camera, by the series.
 
-    ``moments`` is the height's row of the table, made for ``x_table``.
+    ``moments`` are those of the height, made for 1/r_c = ``x_table``; ``length_class`` says how
+    many of them count. Term by term over all rays: the short loops run four rays at a time.
     """
     w = rays[_W]
     x = rays[_X]
     total = rays[_ABOVE]
-    t = rays[_SCRATCH]
-    change = rays[_SCRATCH + 1]
-    part = rays[_SCRATCH + 2]
+    w_x = rays[_W_X]
+    x_change = rays[_X_CHANGE]
+    of_order = rays[_SUM_OF_ORDER]
     for i in range(n):
-        t[i] = w[i] * x[i]
+        w_x[i] = w[i] * x[i]
     for i in range(n):
-        change[i] = x[i] - x_table
+        x_change[i] = x[i] - x_table
         total[i] = 0.0
-    # Term by term over all rays: the short loops run four rays at a time.
     for p in range(_ORDERS - 1, -1, -1):
         for i in range(n):
-            part[i] = 0.0
-        for k in range(_COUNT[c, p] - 1, -1, -1):
+            of_order[i] = 0.0
+        for k in range(_COUNT[length_class, p] - 1, -1, -1):
             column = 2 * (_START[p] + k)
             value = moments[column]
             slope = moments[column + 1]
             for i in range(n):
-                part[i] = part[i] * t[i] + (value + change[i] * slope)
+                of_order[i] = of_order[i] * w_x[i] + (value + x_change[i] * slope)
         for i in range(n):
-            total[i] = (total[i] + part[i]) * w[i]
+            total[i] = (total[i] + of_order[i]) * w[i]
 
 
 @jit
 def _interval(edge, hint, h):  # type: ignore[no-untyped-def]
-    """Number of the fine interval that holds height h."""
+    """Number of the interval of `FineTable` that holds height h."""
     k = int((h - edge[0]) / HINT_M)
     last = hint.size - 1
     i = hint[k if k < last else last]
@@ -187,11 +206,11 @@ def _interval(edge, hint, h):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _by_interval(air, group, top, at, order):  # type: ignore[no-untyped-def]
-    """Fill ``order`` with the rays that the series may serve, by the interval of their targets.
+def _mark_served(air, group, top, steps_down):  # type: ignore[no-untyped-def]
+    """Set the status OK of the rays that the series may serve, and `LEFT` of all others.
 
-    They get the status OK, others and what is no ray LEFT. Gives where in ``order`` those of each
-    interval begin, counted from ``top`` downwards.
+    ``steps_down`` is filled with the number of intervals between ``top``, the camera's, and that of
+    the target. Returns the largest of these, -1 where the series serves no ray.
     """
     h_c = group.h_c
     h_g = group.h_g
@@ -199,46 +218,59 @@ def _by_interval(air, group, top, at, order):  # type: ignore[no-untyped-def]
     cos_c = group.cos_c
     r_e = group.r_e
     status = group.status
-    edge, _, hint = air
-    deepest = -1
+    edge = air.edge
+    most_steps = -1
     r_table = r_e[0] + h_c
     for i in range(h_g.size):
         r_c = r_e[i] + h_c
-        level = r_c * cos_c[i] * cos_c[i]
-        ray = (cos_c[i] > 0.0) & (cos_c[i] <= 1.0) & (sin_c[i] >= 0.0) & (sin_c[i] <= 1.0)
-        downwards = (edge[0] <= h_g[i]) & (h_g[i] < h_c)
-        same_radius = abs(r_c - r_table) < _SAME_RADIUS * r_table
-        near = 2.0 * (h_c - h_g[i]) <= _LARGEST_DROP * level
+        # The straight line is level r_c_cos2 / (1 + sin_c) below the camera.
+        r_c_cos2 = r_c * cos_c[i] * cos_c[i]
+        is_ray = (cos_c[i] > 0.0) & (cos_c[i] <= 1.0) & (sin_c[i] >= 0.0) & (sin_c[i] <= 1.0)
+        is_downwards = (edge[0] <= h_g[i]) & (h_g[i] < h_c)
+        is_same_radius = abs(r_c - r_table) < _SAME_RADIUS * r_table
+        is_near = 2.0 * (h_c - h_g[i]) <= _LARGEST_DROP * r_c_cos2
         # Only then can the ray turn above land; the other kernel decides about those.
-        deep = level > 2.0 * (1.0 + sin_c[i]) * (h_c + _DEEP_M)
-        status[i] = OK if ray & downwards & same_radius & near & deep else LEFT
-        if status[i] == OK:
-            at[i] = top - _interval(edge, hint, h_g[i])
-            if at[i] > deepest:
-                deepest = at[i]
-    start = np.empty(deepest + 2, np.int64)
-    place = np.empty(deepest + 2, np.int64)
-    for k in range(deepest + 2):
+        is_deep = r_c_cos2 > 2.0 * (1.0 + sin_c[i]) * (h_c + _DEEP_M)
+        is_served = is_ray & is_downwards & is_same_radius & is_near & is_deep
+        status[i] = OK if is_served else LEFT
+        if is_served:
+            steps_down[i] = top - _interval(edge, air.hint, h_g[i])
+            if steps_down[i] > most_steps:
+                most_steps = steps_down[i]
+    return most_steps
+
+
+@jit
+def _fill_order(status, steps_down, most_steps, order):  # type: ignore[no-untyped-def]
+    """Fill ``order`` with the numbers of the rays of status OK, by rising ``steps_down``.
+
+    Returns where the rays of each number of steps begin in ``order``, (most_steps + 2,): the last
+    is the count of all.
+    """
+    start = np.empty(most_steps + 2, np.int64)
+    place = np.empty(most_steps + 2, np.int64)
+    for k in range(most_steps + 2):
         start[k] = 0
-    for i in range(h_g.size):
+    for i in range(status.size):
         if status[i] == OK:
-            start[at[i] + 1] += 1
-    for k in range(deepest + 1):
+            start[steps_down[i] + 1] += 1
+    for k in range(most_steps + 1):
         start[k + 1] += start[k]
         place[k] = start[k]
-    for i in range(h_g.size):
+    for i in range(status.size):
         if status[i] == OK:
-            order[place[at[i]]] = i
-            place[at[i]] += 1
+            order[place[steps_down[i]]] = i
+            place[steps_down[i]] += 1
     return start
 
 
 @jit
-def _rest(n, air, interval, camera, rays):  # type: ignore[no-untyped-def]
-    """Fill the difference integral from the targets up to the end of an interval, by itself.
+def _fill_below(n, air, interval, camera, rays):  # type: ignore[no-untyped-def]
+    """Fill the difference integral of n rays from their targets up to the end of their interval.
 
-    The integrand of the difference form, expanded in the bending, which is below 5e-3 here, and
-    about the middle, from where b^2 differs by less than 1e-3 of itself.
+    The integrand (n^2 - n_c^2) r / (a b (a + b)) of `kernels.ray` is expanded in the bending
+    (n^2 - n_c^2) r^2 / b^2, which is below 5e-3 here, and about the middle of the way, from where
+    b^2 differs by less than 1e-3 of itself.
     """
     low = air.edge[interval]
     h_1 = air.edge[interval + 1]
@@ -246,9 +278,9 @@ def _rest(n, air, interval, camera, rays):  # type: ignore[no-untyped-def]
     n_c = camera.n_c
     high = h_1 if h_1 < h_c else h_c
     h_g = rays[_H_G]
-    cos_c = rays[_COS]
+    cos_c = rays[_COS_C]
     r_e = rays[_R_E]
-    rest = rays[_REST]
+    below = rays[_BELOW]
     index2 = (1.0 + n_c) * (1.0 + n_c)
     per_metre = 1.0 / (h_1 - low)
     polynomial = air.coefficient[interval]
@@ -270,48 +302,56 @@ def _rest(n, air, interval, camera, rays):  # type: ignore[no-untyped-def]
             r = r_e[i] + h
             index = a_0 + u * (a_1 + u * (a_2 + u * (a_3 + u * (a_4 + u * a_5))))
             m = (index - n_c) * (2.0 + index + n_c)
+            # b^2 = b2 (1 + off), a^2 = b^2 (1 + bending): the series of (1 + off)^(-3/2) and of
+            # 1 / (sqrt(1 + bending) (1 + sqrt(1 + bending))).
             off = index2 * (h - middle) * (r + r_e[i] + middle) * inverse
             cube = 1.0 - off * (1.5 - off * (1.875 - off * 2.1875))
-            x = m * r * r * inverse * (1.0 - off * (1.0 - off))
-            bent = 0.5 - x * (0.375 - x * (0.3125 - x * (0.2734375 - x * 0.24609375)))
+            bending = m * r * r * inverse * (1.0 - off * (1.0 - off))
+            tail = bending * (0.3125 - bending * (0.2734375 - bending * 0.24609375))
+            bent = 0.5 - bending * (0.375 - tail)
             total += _W3[j] * m * r * cube * bent
-        rest[i] = total * (high - h_g[i]) * inverse * math.sqrt(inverse)
+        below[i] = total * (high - h_g[i]) * inverse * math.sqrt(inverse)
 
 
 @jit
-def _class_of(n, largest, h_c, rays):  # type: ignore[no-untyped-def]
-    """Class of lengths of the series that is enough for all rays it serves; `_CLASSES` for none.
+def _length_class(n, largest, h_c, rays):  # type: ignore[no-untyped-def]
+    """The class of `_COUNT` that is enough for all rays that the series serves.
 
-    ``largest`` is that |m| above the interval.
+    ``largest`` is the largest |m| above the target, ``h_c`` the height of the camera [m]. Returns
+    `_CLASSES` where the series serves no ray.
     """
     h_g = rays[_H_G]
     w = rays[_W]
     x = rays[_X]
-    drop = -1.0
-    bend = -1.0
+    largest_w_u = -1.0
+    largest_w_m = -1.0
     for j in range(n):
-        if largest * w[j] <= _LARGEST_BEND:
-            fall = 2.0 * (h_c - h_g[j]) * w[j] * x[j]
-            bend = largest * w[j] if largest * w[j] > bend else bend
-            drop = fall if fall > drop else drop
-    if bend < 0.0:
+        w_m = largest * w[j]
+        if w_m <= _LARGEST_BEND:
+            w_u = 2.0 * (h_c - h_g[j]) * w[j] * x[j]
+            largest_w_m = w_m if w_m > largest_w_m else largest_w_m
+            largest_w_u = w_u if w_u > largest_w_u else largest_w_u
+    if largest_w_m < 0.0:
         return _CLASSES
     for c in range(_CLASSES):
-        if drop <= _DROP_OF_CLASS[c] and bend <= _BEND_OF_CLASS[c]:
+        if largest_w_u <= _DROP_OF_CLASS[c] and largest_w_m <= _BEND_OF_CLASS[c]:
             return c
     return _CLASSES
 
 
 @within
-def _to_interval(n, air, i, camera, rays):  # type: ignore[no-untyped-def]
-    """The angles of n rays whose targets lie in interval i; False where the series serves none."""
+def _bend_to_interval(n, air, i, camera, rays):  # type: ignore[no-untyped-def]
+    """Fill R_c of n ``rays`` whose targets lie in interval i; False where the series serves none.
+
+    ``camera`` is their `_Camera`.
+    """
     h_g = rays[_H_G]
-    sin_c = rays[_SIN]
-    cos_c = rays[_COS]
+    sin_c = rays[_SIN_C]
+    cos_c = rays[_COS_C]
     r_e = rays[_R_E]
     w = rays[_W]
     x = rays[_X]
-    rest = rays[_REST]
+    below = rays[_BELOW]
     above = rays[_ABOVE]
     angle = rays[_ANGLE]
     h_c = camera.h_c
@@ -319,58 +359,69 @@ def _to_interval(n, air, i, camera, rays):  # type: ignore[no-untyped-def]
     for j in range(n):
         w[j] = 1.0 / (cos_c[j] * cos_c[j])
         x[j] = 1.0 / (r_e[j] + h_c)
-    size = _class_of(n, camera.table[i, -1], h_c, rays)
-    if size == _CLASSES:
+    length_class = _length_class(n, camera.moments[i, -1], h_c, rays)
+    if length_class == _CLASSES:
         return False
-    _series(n, camera.table[i + 1], size, camera.x, rays)
-    _rest(n, air, i, camera, rays)
+    _fill_above(n, camera.moments[i + 1], length_class, camera.x, rays)
+    _fill_below(n, air, i, camera, rays)
+    half_delta = below
     for j in range(n):
-        straight = (1.0 + n_c) * (r_e[j] + h_c) * sin_c[j] * rest[j]
-        rest[j] = 0.5 * (straight + sin_c[j] / cos_c[j] * x[j] * above[j])
+        delta_below = (1.0 + n_c) * (r_e[j] + h_c) * sin_c[j] * below[j]
+        half_delta[j] = 0.5 * (delta_below + sin_c[j] / cos_c[j] * x[j] * above[j])
     # Angles are below 0.01 wherever the series holds.
     for j in range(n):
         r_c = r_e[j] + h_c
         r_g = r_e[j] + h_g[j]
-        b2_g = r_c * cos_c[j] * r_c * cos_c[j] - (h_c - h_g[j]) * (r_c + r_g)
-        line = Triangle(1.0, r_c * sin_c[j], h_c - h_g[j], r_c * cos_c[j], b2_g, r_c, r_g)
-        aside, ahead = sides_of(rest[j], line)
-        angle[j] = small_angle(aside / ahead)
+        along2_g = r_c * cos_c[j] * r_c * cos_c[j] - (h_c - h_g[j]) * (r_c + r_g)
+        line = Triangle(
+            sense=1.0,
+            s=r_c * sin_c[j],
+            rise=h_c - h_g[j],
+            along_c=r_c * cos_c[j],
+            along2_g=along2_g,
+            r_c=r_c,
+            r_g=r_g,
+        )
+        across, ahead = sides_of(half_delta[j], line)
+        angle[j] = small_angle(across / ahead)
     return True
 
 
 @within
-def _bend_group(air, group, table, numbers, rays):  # type: ignore[no-untyped-def]
-    """Rays from one height, those to the same interval together in passes over all of them.
+def _bend_group(air, group, room):  # type: ignore[no-untyped-def]
+    """Fill angles and status of a `_Group` of rays from one height; ``room`` is a `_Room`.
 
-    Short loops keep the processor busy, and without a branch run four rays at a time. ``table`` is
-    scratch for the moments, ``numbers`` (2, n) and ``rays`` (_ROWS, n) for the rays.
+    Rays to the same interval are taken together, in passes over all of them: short loops keep the
+    processor busy, and without a branch run four rays at a time.
     """
-    edge, coefficient, hint = air
+    edge = air.edge
     h_c = group.h_c
-    order = numbers[1]
-    top = _interval(edge, hint, h_c)
-    start = _by_interval(air, group, top, numbers[0], order)
+    order = room.order
+    rays = room.rays
+    top = _interval(edge, air.hint, h_c)
+    most_steps = _mark_served(air, group, top, room.steps_down)
+    start = _fill_order(group.status, room.steps_down, most_steps, order)
     share = (h_c - edge[top]) / (edge[top + 1] - edge[top])
-    n_c = _refractivity_in(coefficient, top, share)
-    camera = _Camera(h_c, n_c, 1.0 / (group.r_e[0] + h_c), table)
+    n_c = _refractivity_in(air.coefficient, top, share)
+    camera = _Camera(h_c, n_c, 1.0 / (group.r_e[0] + h_c), room.moments)
     for column in range(_MOMENTS):
-        table[top + 1, column] = 0.0
-    _fill_moments(air, camera, top, top - start.size + 2)
-    for k in range(start.size - 1):
-        n = start[k + 1] - start[k]
+        room.moments[top + 1, column] = 0.0
+    _fill_moments(air, camera, top, top - most_steps)
+    for steps in range(most_steps + 1):
+        n = start[steps + 1] - start[steps]
         if n == 0:
             continue
         for j in range(n):
-            i = order[start[k] + j]
+            i = order[start[steps] + j]
             rays[_H_G, j] = group.h_g[i]
-            rays[_SIN, j] = group.sin_c[i]
-            rays[_COS, j] = group.cos_c[i]
+            rays[_SIN_C, j] = group.sin_c[i]
+            rays[_COS_C, j] = group.cos_c[i]
             rays[_R_E, j] = group.r_e[i]
-        served = _to_interval(n, air, top - k, camera, rays)
-        largest = table[top - k, -1]
+        is_served = _bend_to_interval(n, air, top - steps, camera, rays)
+        largest = room.moments[top - steps, -1]
         for j in range(n):
-            i = order[start[k] + j]
-            if served and largest * rays[_W, j] <= _LARGEST_BEND:
+            i = order[start[steps] + j]
+            if is_served and largest * rays[_W, j] <= _LARGEST_BEND:
                 group.angle[i] = rays[_ANGLE, j]
             else:
                 group.status[i] = LEFT
@@ -378,35 +429,37 @@ def _bend_group(air, group, table, numbers, rays):  # type: ignore[no-untyped-de
 
 @entry
 def bend_steep_rays(air, rays, angle, status):  # type: ignore[no-untyped-def]
-    """Fill ``angle`` [rad] and ``status`` of the steep rays among many from the same heights.
+    """Fill ``angle`` [rad] and ``status`` of the steep rays among `RayColumns` from few heights.
 
-    ``air`` is a `FineTable`, ``rays`` are `RayColumns`. Rays from one height that follow each other
-    share a table of moments, filled downwards as far as their targets lie. The others get the
-    status `LEFT`.
+    ``air`` is a `FineTable`. Rays from one height that follow each other share a table of moments,
+    filled downwards as far as their targets lie. The other rays get the status `LEFT`.
     """
     edge = air.edge
     h_c = rays.h_c
-    table = np.empty((edge.size, _MOMENTS))
-    room = h_c.size if h_c.size < _TOGETHER else _TOGETHER
-    numbers = np.empty((2, room), np.int64)
-    columns = np.empty((_ROWS, room))
+    together = h_c.size if h_c.size < _TOGETHER else _TOGETHER
+    room = _Room(
+        moments=np.empty((edge.size, _MOMENTS)),
+        steps_down=np.empty(together, np.int64),
+        order=np.empty(together, np.int64),
+        rays=np.empty((_ROWS, together)),
+    )
     first = 0
     while first < h_c.size:
         last = first + 1
-        while last < h_c.size and last - first < room and h_c[last] == h_c[first]:
+        while last < h_c.size and last - first < together and h_c[last] == h_c[first]:
             last += 1
         if last - first >= WORTH_A_TABLE and edge[0] <= h_c[first] <= edge[-1]:
             rows = slice(first, last)
             group = _Group(
-                h_c[first],
-                rays.h_g[rows],
-                rays.sin_c[rows],
-                rays.cos_c[rows],
-                rays.r_e[rows],
-                angle[rows],
-                status[rows],
+                h_c=h_c[first],
+                h_g=rays.h_g[rows],
+                sin_c=rays.sin_c[rows],
+                cos_c=rays.cos_c[rows],
+                r_e=rays.r_e[rows],
+                angle=angle[rows],
+                status=status[rows],
             )
-            _bend_group(air, group, table, numbers, columns)
+            _bend_group(air, group, room)
         else:
             for i in range(first, last):
                 status[i] = LEFT

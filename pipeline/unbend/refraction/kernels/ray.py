@@ -1,6 +1,21 @@
-"""The compiled parts of `ray` and `chord`: one ray at a time, in double precision.
+"""R_c of rays, and heights at distances along rays, compiled: one ray at a time.
 
-Symbols are those of Gyer 1996: r = r_e + h, k = n_c r_c sin zeta_c, N = n - 1.
+Symbols are those of Gyer 1996: r = r_e + h, k = n_c r_c sin zeta_c (Eq. 1), N = n - 1; indices c
+and g are the camera and the target. Both the bent ray and the straight line that leaves the camera
+in its direction subtend an angle at the earth's centre on their way to h_g (Eq. 12). With
+s = r_c sin zeta_c, a = sqrt(n^2 r^2 - k^2) and b = n_c sqrt(r^2 - s^2) the difference of the two,
+straight less bent, is
+
+    delta = k integral_{h_g}^{h_c} (N - N_c) (2 + N + N_c) r / (a b (a + b)) dh
+
+without cancellation: the difference form. From delta, with sin z = s / r_g and cos z = q / r_g the
+straight line at the target, q = sqrt(r_g^2 - s^2), and D the length of that line,
+
+    D = (h_c - h_g) (r_c + r_g) / (r_c cos zeta_c + q),
+    tan R_c = 2 r_g sin(delta / 2) cos(z - delta / 2)
+              / (D - 2 r_g sin(delta / 2) sin(z - delta / 2)),
+
+which is Eq. 11. Near grazing b goes to zero, and `kernels.grazing` serves the ray.
 """
 
 import math
@@ -16,7 +31,7 @@ from unbend.refraction.kernels.grazing import (
     ray_at,
     refractivity,
     subtended,
-    subtended_through_turn,
+    subtended_to_rise,
     turning_height,
 )
 from unbend.refraction.kernels.jit import entry, jit
@@ -46,59 +61,59 @@ _REACHED = 2e-6  # of the distance: what a ray may lack of it at the end of the 
 
 
 class Triangle(NamedTuple):
-    """The straight line from camera to target height."""
+    """The straight line from the camera to the height of the target, all lengths in m."""
 
-    sense: float  # -1 upwards
-    s: float  # r_c sin zeta_c
-    rise: float  # of one end over the other
-    along: float  # r_c |cos zeta_c|
-    b2_g: float  # (r_g cos)^2
+    sense: float  # 1 downwards, -1 upwards
+    s: float  # r_c sin zeta_c, the distance of the line from the earth's centre
+    rise: float  # |h_c - h_g|
+    along_c: float  # r_c |cos zeta_c|
+    along2_g: float  # q^2 = r_g^2 - s^2
     r_c: float
     r_g: float
 
 
 class _Search(NamedTuple):
-    """Where a height is sought."""
+    """Where along a ray a height is sought."""
 
-    low: float  # limits [m]
+    low: float  # limits of the height [m]
     high: float
-    turn: float  # lowest point of the ray [m]
+    h_90: float  # of the lowest point of the ray, or below it [m]
     start: float  # first guess [m]
-    around: float  # angle subtended through P_90 and up again, 0 without
+    theta_to_rise: float  # angle through P_90 up to h_c [rad], 0 before P_90
     sense: float  # sign of d(chord)/dh
 
 
 @jit
-def sides_of(half, line):  # type: ignore[no-untyped-def]
-    """Two lengths, across and ahead, whose ratio is tan R_c.
+def sides_of(half_delta, line):  # type: ignore[no-untyped-def]
+    """Numerator and denominator of tan R_c (see the module), times r_c cos zeta_c + q [m2].
 
-    ``half`` is half the difference of the subtended angles, ``line`` a `Triangle`.
+    ``half_delta`` is delta / 2 [rad], below 0.01, ``line`` a `Triangle`.
     """
-    q = math.sqrt(line.b2_g)
-    upon = line.along + q
-    # half is below 0.01: the next terms are 1e-14 of these.
-    square = half * half
-    sin_half = half - half * square * (1.0 / 6.0 - square / 120.0)
+    q = math.sqrt(line.along2_g)
+    sum_of_sides = line.along_c + q
+    # The next terms of these series are 1e-14 of the whole.
+    square = half_delta * half_delta
+    sin_half = half_delta - half_delta * square * (1.0 / 6.0 - square / 120.0)
     cos_half = 1.0 - square * (0.5 - square / 24.0)
-    chord = 2.0 * sin_half * upon
-    turned = line.sense * chord * (line.s * cos_half - q * sin_half)
+    twice_sine = 2.0 * sin_half * sum_of_sides
+    turned = line.sense * twice_sine * (line.s * cos_half - q * sin_half)
     ahead = line.rise * (line.r_c + line.r_g) - turned
-    across = chord * (q * cos_half + line.s * sin_half)
+    across = twice_sine * (q * cos_half + line.s * sin_half)
     return across, ahead
 
 
 @jit
 def small_angle(tangent):  # type: ignore[no-untyped-def]
-    """Arctangent of up to 0.01, to 1e-16 of it."""
+    """The arctangent of a number up to 0.01 by its series, to 1e-16 of itself."""
     square = tangent * tangent
     return tangent - tangent * square * (1.0 / 3.0 - square * (0.2 - square / 7.0))
 
 
 @jit
 def bend_by_difference(table, ray, h_g):  # type: ignore[no-untyped-def]
-    """R_c from the difference between straight and bent ray, both on their way to h_g.
+    """R_c [rad] by the difference form (see the module).
 
-    NaN where the bent ray is nearly level before it gets there.
+    NaN where the bent ray is nearly level before it reaches h_g.
     """
     edge = table.edge
     h_c = ray.h_c
@@ -109,10 +124,10 @@ def bend_by_difference(table, ray, h_g):  # type: ignore[no-untyped-def]
     index_c = 1.0 + n_c
     index2 = index_c * index_c
     s = r_c * ray.sin_c
-    # (r cos z)^2 along the straight line is linear in r^2.
-    b2_c = (r_c * ray.cos_c) * (r_c * ray.cos_c)
-    b2_g = b2_c - (h_c - h_g) * (r_c + r_g)
-    steep = min(b2_g, b2_c) > _STEEP_SHARE * max(b2_g, b2_c)
+    # r^2 - s^2 along the straight line is linear in r^2.
+    along2_c = (r_c * ray.cos_c) * (r_c * ray.cos_c)
+    along2_g = along2_c - (h_c - h_g) * (r_c + r_g)
+    is_steep = min(along2_g, along2_c) > _STEEP_SHARE * max(along2_g, along2_c)
     low = min(h_c, h_g)
     high = max(h_c, h_g)
     integral = 0.0
@@ -124,7 +139,7 @@ def bend_by_difference(table, ray, h_g):  # type: ignore[no-untyped-def]
             continue
         # Far from grazing the integrand is smooth across a layer: the error of four nodes over
         # 260 m is 1e-13 of the whole.
-        if steep and width < _WIDEST_M:
+        if is_steep and width < _WIDEST_M:
             nodes = _X4
             weights = _W4
         else:
@@ -135,43 +150,50 @@ def bend_by_difference(table, ray, h_g):  # type: ignore[no-untyped-def]
             h = h_0 + width * nodes[j]
             n = refractivity(table, i, h)
             r = r_e + h
-            # (n^2 - n_c^2) r / (a b (a + b)), a along the bent and b along the straight line.
-            squares = (n - n_c) * (2.0 + n + n_c)
-            straight2 = index2 * (b2_c - (h_c - h) * (r_c + r))
-            bent2 = straight2 + squares * r * r
-            if not (straight2 > 0.0 and bent2 > _BENT_GUARD * straight2):
+            index2_change = (n - n_c) * (2.0 + n + n_c)
+            b2 = index2 * (along2_c - (h_c - h) * (r_c + r))
+            a2 = b2 + index2_change * r * r
+            if not (b2 > 0.0 and a2 > _BENT_GUARD * b2):
                 return math.nan
-            a = math.sqrt(bent2)
-            b = math.sqrt(straight2)
-            part += weights[j] * (squares * r / (a * b * (a + b)))
+            a = math.sqrt(a2)
+            b = math.sqrt(b2)
+            part += weights[j] * (index2_change * r / (a * b * (a + b)))
         integral += part * width
     # Upwards the bent ray subtends the larger angle, and both signs turn over.
     sense = 1.0 if h_g < h_c else -1.0
-    half = 0.5 * sense * index_c * s * integral
-    line = Triangle(sense, s, abs(h_c - h_g), r_c * abs(ray.cos_c), b2_g, r_c, r_g)
-    aside, ahead = sides_of(half, line)
-    if abs(aside) < _SMALL_ANGLE * ahead:
-        return small_angle(aside / ahead)
-    return math.atan2(aside, ahead)
+    half_delta = 0.5 * sense * index_c * s * integral
+    line = Triangle(
+        sense=sense,
+        s=s,
+        rise=abs(h_c - h_g),
+        along_c=r_c * abs(ray.cos_c),
+        along2_g=along2_g,
+        r_c=r_c,
+        r_g=r_g,
+    )
+    across, ahead = sides_of(half_delta, line)
+    if abs(across) < _SMALL_ANGLE * ahead:
+        return small_angle(across / ahead)
+    return math.atan2(across, ahead)
 
 
 @jit
 def _is_far_from_grazing(ray, h_g):  # type: ignore[no-untyped-def]
-    """Whether the difference form serves a ray to height h_g."""
+    """Whether the difference form serves a ray to the height h_g."""
     if h_g > ray.h_c and ray.cos_c > 0.0:  # down through P_90 and up again
         return False
-    level = (ray.r_e + ray.h_c) * ray.cos_c
-    b2_c = level * level
-    b2_g = b2_c - (ray.h_c - h_g) * (2.0 * ray.r_e + ray.h_c + h_g)
-    return min(b2_c, b2_g) >= _GRAZING_GUARD * max(b2_c, b2_g)
+    along_c = (ray.r_e + ray.h_c) * ray.cos_c
+    along2_c = along_c * along_c
+    along2_g = along2_c - (ray.h_c - h_g) * (2.0 * ray.r_e + ray.h_c + h_g)
+    return min(along2_c, along2_g) >= _GRAZING_GUARD * max(along2_c, along2_g)
 
 
 @entry
 def bend_rays(table, rays, which, angle, status):  # type: ignore[no-untyped-def]
     """Fill ``angle`` [rad] and ``status`` for the rays of `RayColumns` that ``which`` numbers.
 
-    Those that the difference form does not serve, or that may meet their height twice, get the
-    status `LEFT`, and the angle NaN or of the near crossing.
+    The status is `LEFT` for a ray that the difference form does not serve, whose angle is NaN, and
+    for a ray that may meet its height twice, whose angle is that of the near crossing.
     """
     bottom = table.edge[0] - _SLACK_M
     top = table.edge[-1] + _SLACK_M
@@ -182,8 +204,8 @@ def bend_rays(table, rays, which, angle, status):  # type: ignore[no-untyped-def
         sin_c = rays.sin_c[i]
         cos_c = rays.cos_c[i]
         angle[i] = math.nan
-        finite = math.isfinite(h_c) and math.isfinite(h_g) and math.isfinite(r_e)
-        if not (finite and 0.0 <= sin_c <= 1.0 and abs(cos_c) <= 1.0 and r_e > 0.0):
+        is_finite = math.isfinite(h_c) and math.isfinite(h_g) and math.isfinite(r_e)
+        if not (is_finite and 0.0 <= sin_c <= 1.0 and abs(cos_c) <= 1.0 and r_e > 0.0):
             status[i] = BAD_MEASUREMENT
         elif min(h_c, h_g) < bottom or max(h_c, h_g) > top:
             status[i] = OUTSIDE_PROFILE
@@ -200,80 +222,122 @@ def bend_rays(table, rays, which, angle, status):  # type: ignore[no-untyped-def
 
 
 @jit
-def _search_height(table, ray, distance, search):  # type: ignore[no-untyped-def]
-    """The height at which the chord is ``distance`` long, and status.
+def _subtended_to_height(table, ray, h, theta_to_rise):  # type: ignore[no-untyped-def]
+    """Angle [rad] that a ray has subtended where its height is h.
 
-    Newton's iteration from ``start`` in s with h = turn + s^2, in which the chord is smooth through
-    P_90, and bisection where it would leave the interval from ``low`` to ``high``.
+    ``theta_to_rise`` is the angle through P_90 up to the camera's height, and zero where h is
+    reached before P_90.
+    """
+    if theta_to_rise > 0.0 and h >= ray.h_c:
+        return theta_to_rise + subtended(table, ray, ray.h_c, h, is_level_at_low=False)
+    theta = subtended(table, ray, min(h, ray.h_c), max(h, ray.h_c), is_level_at_low=False)
+    return theta_to_rise - theta if theta_to_rise > 0.0 else theta
+
+
+@jit
+def _chord2_slope(table, ray, theta, h, sense):  # type: ignore[no-untyped-def]
+    """d(chord^2)/dh [m] along a ray that has subtended ``theta`` where its height is h.
+
+    Of `chord2`, with d(theta)/dh = k / (r sqrt(n^2 r^2 - k^2)) (Gyer 1996, Eq. 12), whose sign is
+    ``sense``.
+    """
+    excess_h = excess(table, ray, piece(table.edge, h), h)
+    r_c = ray.r_e + ray.h_c
+    r_h = ray.r_e + h
+    theta_slope = sense * ray.k / (r_h * math.sqrt(excess_h * (excess_h + 2.0 * ray.k)))
+    sin_half = math.sin(0.5 * theta)
+    slope = 2.0 * (h - ray.h_c) + 4.0 * r_c * (sin_half * sin_half)
+    slope += 2.0 * r_c * r_h * math.sin(theta) * theta_slope
+    return slope
+
+
+@jit
+def _search_height(table, ray, distance, search):  # type: ignore[no-untyped-def]
+    """The height [m] at which the chord is ``distance`` [m] long, and status; see `_Search`.
+
+    Newton's iteration in s with h = h_90 + s^2, in which the chord is smooth through P_90, and
+    bisection where Newton's step would leave the interval that is known to hold the height.
     """
     low = search.low
     high = search.high
-    turn = search.turn
-    around = search.around
+    h_90 = search.h_90
     sense = search.sense
-    s_0 = math.sqrt(max(low - turn, 0.0))
-    s_1 = math.sqrt(max(high - turn, 0.0))
+    s_0 = math.sqrt(max(low - h_90, 0.0))
+    s_1 = math.sqrt(max(high - h_90, 0.0))
     s = 0.5 * (s_0 + s_1)
     if low < search.start < high:
-        s = math.sqrt(search.start - turn)
-    reached = False
+        s = math.sqrt(search.start - h_90)
+    is_reached = False
     for _ in range(_MOST_STEPS):
-        h = min(max(turn + s * s, low), high)
-        if around > 0.0 and h >= ray.h_c:  # through P_90 and up again
-            theta = around + subtended(table, ray, ray.h_c, h, False)
-        else:
-            theta = subtended(table, ray, min(h, ray.h_c), max(h, ray.h_c), False)
-            theta = around - theta if around > 0.0 else theta
-        miss = chord2(ray, theta, h) - distance * distance
-        if math.isnan(miss):
+        h = min(max(h_90 + s * s, low), high)
+        theta = _subtended_to_height(table, ray, h, search.theta_to_rise)
+        too_long_m2 = chord2(ray, theta, h) - distance * distance
+        if math.isnan(too_long_m2):
             return math.nan, MISSES_GROUND
-        reached = reached or miss >= 0.0
-        if miss * sense > 0.0:
+        is_reached = is_reached or too_long_m2 >= 0.0
+        if too_long_m2 * sense > 0.0:
             s_1 = s
         else:
             s_0 = s
-        # d(chord^2)/dh along the ray.
-        above = excess(table, ray, piece(table.edge, h), h)
-        r_c = ray.r_e + ray.h_c
-        r_h = ray.r_e + h
-        turning = sense * ray.k / (r_h * math.sqrt(above * (above + 2.0 * ray.k)))
-        half = math.sin(0.5 * theta)
-        slope = 2.0 * (h - ray.h_c) + 4.0 * r_c * (half * half)
-        slope += 2.0 * r_c * r_h * math.sin(theta) * turning
-        step = -miss / (slope * 2.0 * s) if s > 0.0 else math.nan
+        slope = _chord2_slope(table, ray, theta, h, sense)
+        step = -too_long_m2 / (slope * 2.0 * s) if s > 0.0 else math.nan
         if not s_0 < s + step < s_1:  # also where the slope is no number
             step = 0.5 * (s_0 + s_1) - s
         s += step
         if abs(step) * (2.0 * s + abs(step)) < _SHORTEST_STEP_M:
             break
-    if reached or abs(miss) < _REACHED * distance:
-        return min(max(turn + s * s, low), high), OK
+    if is_reached or abs(too_long_m2) < _REACHED * distance:
+        return min(max(h_90 + s * s, low), high), OK
     return math.nan, OUTSIDE_PROFILE  # not even at the end of the profile is it so far
 
 
 @jit
+def _start_height(ray, distance):  # type: ignore[no-untyped-def]
+    """Height [m] at a distance along the straight line in the ray's direction.
+
+    Tenths of a metre from that of the ray for steep rays, kilometres for level ones.
+    """
+    r_c = ray.r_e + ray.h_c
+    square_change = distance * (distance - 2.0 * r_c * ray.cos_c)  # r^2 - r_c^2
+    return ray.h_c + square_change / (r_c + math.sqrt(max(r_c * r_c + square_change, 0.0)))
+
+
+@jit
+def _chord_to_lowest(table, ray, h_90):  # type: ignore[no-untyped-def]
+    """Length [m] of the chord to the lowest point of a ray."""
+    theta = subtended(table, ray, h_90, ray.h_c, is_level_at_low=True)
+    return math.sqrt(chord2(ray, theta, h_90))
+
+
+@jit
 def _ray_height(table, ray, distance):  # type: ignore[no-untyped-def]
-    """Height and status of one ray at one distance."""
+    """Height [m] and status of one ray at one distance [m]."""
     h_c = ray.h_c
     bottom = table.edge[0]
     top = table.edge[-1]
     level = h_c - ray.lift
-    # Along the straight line: tenths of a metre off for steep rays, kilometres for level ones.
-    r_c = ray.r_e + h_c
-    fall = distance * (distance - 2.0 * r_c * ray.cos_c)
-    start = h_c + fall / (r_c + math.sqrt(max(r_c * r_c + fall, 0.0)))
-    turn = turning_height(table, ray) if ray.cos_c > 0.0 else math.nan
+    start = _start_height(ray, distance)
+    h_90 = turning_height(table, ray) if ray.cos_c > 0.0 else math.nan
     if ray.cos_c <= 0.0:
-        search = _Search(h_c, top, level, start, 0.0, 1.0)
-    elif math.isnan(turn):
-        search = _Search(bottom, h_c, min(level, bottom), start, 0.0, -1.0)
-    elif math.sqrt(chord2(ray, subtended(table, ray, turn, h_c, True), turn)) >= distance:
-        search = _Search(turn, h_c, turn, start, 0.0, -1.0)
+        search = _Search(low=h_c, high=top, h_90=level, start=start, theta_to_rise=0.0, sense=1.0)
+    elif math.isnan(h_90):
+        search = _Search(
+            low=bottom,
+            high=h_c,
+            h_90=min(level, bottom),
+            start=start,
+            theta_to_rise=0.0,
+            sense=-1.0,
+        )
+    elif _chord_to_lowest(table, ray, h_90) >= distance:
+        search = _Search(low=h_90, high=h_c, h_90=h_90, start=start, theta_to_rise=0.0, sense=-1.0)
     else:
-        around = subtended_through_turn(table, ray)
-        if not around > 0.0:
+        theta_to_rise = subtended_to_rise(table, ray)
+        if not theta_to_rise > 0.0:
             return math.nan, MISSES_GROUND  # its lowest point lies under all land
-        search = _Search(turn, top, turn, start, around, 1.0)
+        search = _Search(
+            low=h_90, high=top, h_90=h_90, start=start, theta_to_rise=theta_to_rise, sense=1.0
+        )
     return _search_height(table, ray, distance, search)
 
 
@@ -288,8 +352,8 @@ def ray_heights(table, rays, height, status):  # type: ignore[no-untyped-def]
         r_e = rays.r_e[i]
         height[i] = math.nan
         status[i] = BAD_MEASUREMENT
-        sound = 0.0 <= sin_c <= 1.0 and abs(cos_c) <= 1.0 and r_e > 0.0
-        if not (sound and 0.0 < rays.distance[i] < math.inf and math.isfinite(h_c + r_e)):
+        is_ray = 0.0 <= sin_c <= 1.0 and abs(cos_c) <= 1.0 and r_e > 0.0
+        if not (is_ray and 0.0 < rays.distance[i] < math.inf and math.isfinite(h_c + r_e)):
             continue
         if not edge[0] <= h_c <= edge[-1]:
             status[i] = OUTSIDE_PROFILE

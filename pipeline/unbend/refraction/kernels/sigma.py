@@ -1,4 +1,13 @@
-"""Standard deviations of corrections, row by row, compiled."""
+"""Standard deviations of corrections, row by row, compiled.
+
+Each source of error turns the ray, towards the nadir in its vertical plane (``along``) or square to
+that (``across``), and so moves its pixel. A small turn dt of the ray's unit vector in the camera
+frame moves the ideal image coordinates (u, v) by
+
+    du = (dt_x - u dt_z) sqrt(u^2 + v^2 + 1),   dv = (dt_y - v dt_z) sqrt(u^2 + v^2 + 1).
+
+A nadir angle that changes by d zeta turns the corrected ray by (1 - dR/dzeta) d zeta.
+"""
 
 import math
 from typing import NamedTuple
@@ -16,7 +25,6 @@ from unbend.refraction.kernels.columns import (
     NADIR_COSINE,
     NADIR_SINE,
     NODE_SHARE,
-    RAY_ROWS,
     REFRACTIVITY,
     RELATIVE_GRADIENT,
     SIGMA_HEIGHT,
@@ -32,12 +40,46 @@ from unbend.refraction.kernels.columns import (
 )
 from unbend.refraction.kernels.distortion import slopes
 from unbend.refraction.kernels.jit import entry, jit, within
+from unbend.refraction.kernels.sigma_rows import (
+    AIR_DX,
+    AIR_DY,
+    ALL_ROWS,
+    CABIN_DX,
+    CABIN_DY,
+    COLUMNS_TOGETHER,
+    DROP,
+    DX_DNCC,
+    DX_DS,
+    DY_DNCC,
+    DY_DS,
+    FIRST_RESULT,
+    GROUND_DX,
+    GROUND_DY,
+    H_G,
+    MODE_BY_TANGENT,
+    N_GROUND,
+    ONE_IF_KNOWN,
+    R_C,
+    RESULTS,
+    SHARED_XY,
+    SIGMA_BY_TANGENT,
+    SIGMA_H_G,
+    SIGMA_R_C,
+    SIGMA_R_CC,
+    SIGMA_X,
+    SLOPE_BY_SECANT2,
+    SLOPE_UU,
+    SLOPE_UV,
+    SLOPE_VV,
+    STATION_DX,
+    STATION_DY,
+    X_PX,
+    Y_PX,
+)
+from unbend.refraction.kernels.sigma_tables import TablePlace, fill_positions, interpolate, linear
 from unbend.refraction.status_codes import FAR_BRANCH
 
-_TOGETHER = 256
-"""Rows that are worked on together, in a room that stays in a core's first cache."""
-
-_OF_RAYS = (
+_COPIED_ROWS = (
     IDEAL_U,
     IDEAL_V,
     DIRECTION,
@@ -47,426 +89,409 @@ _OF_RAYS = (
     SPHERE_RADIUS,
     CAMERA_HEIGHT,
 )
-"""Rows of a matrix of rays that are copied to that room."""
-
-# Further rows of it: what observations have,
-_X = RAY_ROWS
-_Y = _X + 1
-_R = _X + 2
-_H_G = _X + 3
-_SIGMA_H_G = _X + 4
-_KEEP = _X + 5  # 1, or NaN where no sigma is known
-_DROP = _X + 6  # from the camera to the target [m]
-# their places in the tables,
-_WAY = _X + 7
-_COARSE = _X + 8
-_INCIDENCE = _X + 9
-_GROUND = _X + 10  # and then N at the target
-# what the air does there,
-_SPREAD = _X + 11  # sigma of R_c / tan(zeta)
-_STEEP = _X + 12  # dR/dzeta cos^2(zeta)
-_MODE = _X + 13
-_BEHIND = _X + 14
-_SHARED = _X + 15
-# the slopes of the distortion (3), and the columns of `Sigmas`.
-_SLOPES = _X + 16
-_OUT = _SLOPES + 3
-_SIGMAS = 14
-_ROOM = _OUT + _SIGMAS
+"""Rows of a matrix of rays that are copied to the room."""
 
 _AT_NADIR = 1e-9  # the sine below which R / sin(zeta) is dR/dzeta, and no azimuth is known
 
-
-class _Motion(NamedTuple):
-    """How a ray turns, and with what.
-
-    ``tan_z`` tangent of the nadir angle; ``d_zeta`` dR/dzeta; ``swing`` R/sin(zeta); ``out_t`` and
-    ``out_q`` how far the ray turns towards the nadir and across per unit of dN_c - dN_cc at the
-    window; ``d_h_c`` and ``d_h_g`` dR/dh_c and dR/dh_g [rad/m]; ``yaw_along`` and ``yaw_across``
-    the yaw axis in the ray's vertical plane and across it.
-    """
-
-    tan_z: float
-    d_zeta: float
-    swing: float
-    out_t: float
-    out_q: float
-    d_h_c: float
-    d_h_g: float
-    yaw_along: float
-    yaw_across: float
+Vector = tuple[float, float, float]
 
 
-class _AirOfRay(NamedTuple):
-    """Sigma of R_c, sigma of x, its covariance with y over sigma of y, and sigma of y."""
+class Station(NamedTuple):
+    """One exposure: its columns of the matrix of stations, its rotation, its window."""
 
-    sigma_r: float
-    sigma_x: float
-    shared: float
-    sigma_y: float
+    refractivity: float  # N outside
+    relative_gradient: float  # N'/n there [1/m]
+    camera_place: TablePlace  # among the heights of cameras in the tables
+    height_share: float  # of the way from the lowest camera to the highest
+    tilt_variance: float  # [rad2]
+    yaw_excess_variance: float  # variance of yaw less that of tilt [rad2]
+    yaw_axis_east: float  # of the unit vector of the yaw axis
+    yaw_axis_north: float
+    sigma_height: float  # [m]
+    window_kind: int  # number of the kind of window in the tables, -1 without a plane window
+    window_gradient: float  # N'/n less the cabin's share that follows it [1/m]
+    window_normal: Vector  # in the camera frame
+    cabin_by_pressure: float  # what one sigma of the cabin's pressure changes in N there,
+    cabin_by_temperature: float  # and one of its temperature
+    lens_by_pressure: float  # what they change in the principal distance [px]
+    lens_by_temperature: float
+    rotation: tuple[Vector, Vector, Vector]  # from east-north-up to the camera frame
+    sigma_y: float  # sigma of y of `uncertainty.sigmas`, 0 without a plane window
+    mode_y: float  # dy/ds, s the parameter of the leading mode, 0 without a plane window
 
 
 class _BentRay(NamedTuple):
-    """Sine and cosine of zeta, radius and camera's height [m], fall to the target [m], R."""
+    """A ray and its refraction angle."""
 
-    sin_z: float
+    sin_z: float  # of the apparent nadir angle zeta
     cos_z: float
-    radius: float
-    h_c: float
-    drop: float
-    r: float
+    radius: float  # of the sphere [m]
+    h_c: float  # height of the camera [m]
+    drop: float  # height of the camera above the target [m]
+    r: float  # R_c [rad]
+
+
+class _CameraRay(NamedTuple):
+    """A ray in the image, and the directions in which it turns, in the camera frame."""
+
+    u: float  # ideal image coordinates
+    v: float
+    depth: float  # sqrt(u^2 + v^2 + 1)
+    along: Vector  # unit vector towards the nadir, square to the ray
+    across: Vector  # unit vector square to the vertical plane of the ray
+
+
+class _Motion(NamedTuple):
+    """How far a ray turns by the errors of its exposure."""
+
+    tan_z: float  # tangent of the nadir angle
+    d_zeta: float  # dR/dzeta
+    swing: float  # R / sin(zeta), or dR/dzeta at the nadir
+    window_along: float  # turn towards the nadir per unit of dN_c - dN_cc at the window
+    window_across: float  # turn across per unit of dN_c - dN_cc
+    d_h_c: float  # dR/dh_c [rad/m]
+    d_h_g: float  # dR/dh_g [rad/m]
+    yaw_along: float  # how a turn about the yaw axis turns the nadir in the ray's vertical plane
+    yaw_across: float  # how such a turn turns the nadir across that plane
+
+
+class _AirOfRay(NamedTuple):
+    """Standard deviations by the air; x and y as in `uncertainty.sigmas`."""
+
+    sigma_r: float  # of R_c [rad]
+    sigma_x: float
+    shared: float  # covariance of x and y over sigma of y
+    sigma_y: float
+
+
+class _PixelTurn(NamedTuple):
+    """What turns of the ray do to one coordinate of its pixel [px/rad]."""
+
+    along: float  # a turn towards the nadir
+    across: float  # a turn square to the vertical plane
+
+
+class _PixelSigmas(NamedTuple):
+    """Standard deviations of one coordinate of a pixel."""
+
+    air: float  # [px]
+    station: float  # [px]
+    by_ground: float  # derivative by the height of the target [px/m], with its sign
 
 
 @jit
-def _bilinear(table, i, a, j, b):  # type: ignore[no-untyped-def]
-    """Bilinear in a table (c, w)."""
-    low = table[i, j] + b * (table[i, j + 1] - table[i, j])
-    high = table[i + 1, j] + b * (table[i + 1, j + 1] - table[i + 1, j])
-    return low + a * (high - low)
+def _vector(v):  # type: ignore[no-untyped-def]
+    """The numbers of an array (3,)."""
+    return (v[0], v[1], v[2])
 
 
 @jit
-def _cell(position, count):  # type: ignore[no-untyped-def]
-    """The node below a position, held within a table, and the share of the way to the next."""
-    held = min(max(position, 0.0), count - 1.0)
-    node = min(int(held), count - 2)
-    return node, held - node
+def _station(columns, rotation, air):  # type: ignore[no-untyped-def]
+    """The `Station` of one row ``columns`` of the matrix of stations and its rotation (3, 3).
 
-
-@jit
-def _of_exposure(s, turn, air):  # type: ignore[no-untyped-def]
-    """A row of the matrix of stations and a rotation as numbers; sigma of y, the mode's part of y.
-
-    The last two are zero without a plane window.
+    Numbers, and no arrays, so that loops read them once.
     """
-    station = (
-        s[0], s[1], s[2], s[3], s[4], s[5], s[6], s[7], s[8], s[9],
-        s[10], s[11], s[12], s[13], s[14], s[15], s[16], s[17], s[18],
-    )  # fmt: skip
-    first = turn[0]
-    second = turn[1]
-    third = turn[2]
-    rows = (
-        (first[0], first[1], first[2]),
-        (second[0], second[1], second[2]),
-        (third[0], third[1], third[2]),
-    )
-    i = int(s[TABLE_NODE])
-    a = s[NODE_SHARE]
-    window = int(s[WINDOW_KIND])
+    camera_place = TablePlace(int(columns[TABLE_NODE]), columns[NODE_SHARE])
+    window_kind = int(columns[WINDOW_KIND])
     sigma_y = 0.0
     mode_y = 0.0
-    if window >= 0:
-        lean = air.lean[window]
-        mode = air.mode_lean[window]
-        sigma_y = lean[i] + a * (lean[i + 1] - lean[i])
-        mode_y = (mode[i] + a * (mode[i + 1] - mode[i])) / air.mode_sigma
-    return station, rows, (sigma_y, mode_y)
+    if window_kind >= 0:
+        sigma_y = linear(air.lean[window_kind], camera_place)
+        mode_y = linear(air.mode_lean[window_kind], camera_place) / air.mode_sigma
+    return Station(
+        refractivity=columns[REFRACTIVITY],
+        relative_gradient=columns[RELATIVE_GRADIENT],
+        camera_place=camera_place,
+        height_share=columns[HEIGHT_SHARE],
+        tilt_variance=columns[TILT_VARIANCE],
+        yaw_excess_variance=columns[YAW_EXCESS_VARIANCE],
+        yaw_axis_east=columns[YAW_AXIS_EAST],
+        yaw_axis_north=columns[YAW_AXIS_NORTH],
+        sigma_height=columns[SIGMA_HEIGHT],
+        window_kind=window_kind,
+        window_gradient=columns[WINDOW_GRADIENT],
+        window_normal=_vector(columns[WINDOW_NORMAL : WINDOW_NORMAL + 3]),
+        cabin_by_pressure=columns[CABIN_SIGMAS],
+        cabin_by_temperature=columns[CABIN_SIGMAS + 1],
+        lens_by_pressure=columns[LENS_SIGMAS],
+        lens_by_temperature=columns[LENS_SIGMAS + 1],
+        rotation=(_vector(rotation[0]), _vector(rotation[1]), _vector(rotation[2])),
+        sigma_y=sigma_y,
+        mode_y=mode_y,
+    )
 
 
 @jit
-def _interpolate(room, count, air, s):  # type: ignore[no-untyped-def]
-    """Fill what the air does to rays by their places in the tables; NaN in, NaN out."""
-    sigma = air.sigma
-    angle = air.angle
-    factors = air.factors
-    behind = air.behind
-    refractivity = air.refractivity
-    i = int(s[TABLE_NODE])
-    a = s[NODE_SHARE]
-    window = int(s[WINDOW_KIND])
-    e, share = _cell(s[HEIGHT_SHARE] * (factors.shape[0] - 1), factors.shape[0])
-    for r in range(count):
-        j, b = _cell(room[_WAY, r], sigma.shape[1])
-        drop = room[_DROP, r]
-        spread = _bilinear(sigma, i, a, j, b)
-        turn = _bilinear(angle, i, a, j, b)
-        mode = _bilinear(air.mode, i, a, j, b)
-        room[_BEHIND, r] = 0.0
-        room[_SHARED, r] = 0.0
-        if window >= 0:
-            room[_BEHIND, r] = _bilinear(behind[window, 0], i, a, j, b)
-            room[_SHARED, r] = _bilinear(behind[window, 1], i, a, j, b)
-        j, b = _cell(room[_COARSE, r], factors.shape[1])
-        k, c = _cell(room[_INCIDENCE, r], factors.shape[2])
-        spread_factor = 0.0
-        turn_factor = 0.0
-        for corner in range(8):
-            f = corner >> 2
-            g = (corner >> 1) & 1
-            h = corner & 1
-            by_height = share if f else 1.0 - share
-            by_way = b if g else 1.0 - b
-            by_incidence = c if h else 1.0 - c
-            weight = by_height * by_way * by_incidence
-            spread_factor += weight * factors[e + f, j + g, k + h, 0]
-            turn_factor += weight * factors[e + f, j + g, k + h, 1]
-            mode += weight * factors[e + f, j + g, k + h, 2]
-        room[_SPREAD, r] = spread * spread_factor * drop
-        room[_STEEP, r] = turn * turn_factor * drop
-        room[_MODE, r] = mode * drop / air.mode_sigma
-        j, b = _cell(room[_GROUND, r], refractivity.size)
-        room[_GROUND, r] = refractivity[j] + b * (refractivity[j + 1] - refractivity[j])
+def _by_heights(ray, d_zeta, n_g, station):  # type: ignore[no-untyped-def]
+    """dR/dh_c and dR/dh_g [rad/m] of a `_BentRay`.
 
+    The equations are those of `unbend.refraction.uncertainty.sensitivity`, with beta the chord's
+    and z_g the ray's angle at the target; ``d_zeta`` is dR/dzeta_c, ``n_g`` N at the target.
 
-@jit
-def _by_heights(ray, d_zeta, n_g, s):  # type: ignore[no-untyped-def]
-    """dR/dh_c and dR/dh_g [rad/m]; formulas of `unbend.refraction.uncertainty.sensitivity`.
-
-    ``ray`` is a `_BentRay`.
+        sin(beta) - sin(z_g) = (r_c sin(zeta) (N_g - N_c) / (1 + N_g)
+                                - r_c (sin(zeta) - sin(zeta - R))) / r_g
+        dR/dh_g = -sin(beta - z_g) / (chord cos(z_g))
+        dR/dh_c = tan(zeta) (dR/dzeta (N_c' / n_c + 1 / r_c) - N_c' / n_c)
+                  - sin(R) / (chord cos(zeta))
     """
-    sin_z, cos_z, radius, h_c, drop, r = ray
-    r_c = radius + h_c
-    r_g = radius + h_c - drop
-    n_c = s[REFRACTIVITY]
+    sin_z = ray.sin_z
+    cos_z = ray.cos_z
+    drop = ray.drop
+    r = ray.r
+    r_c = ray.radius + ray.h_c
+    r_g = ray.radius + ray.h_c - drop
+    n_c = station.refractivity
     sin_r = r * (1.0 - r * r / 6.0)
-    cos_t = cos_z * (1.0 - 0.5 * r * r) + sin_z * sin_r
-    sin_t = sin_z * (1.0 - 0.5 * r * r) - cos_z * sin_r
-    down = math.sqrt(r_c * r_c * cos_t * cos_t - drop * (r_c + r_g))
-    chord = drop * (r_c + r_g) / (r_c * cos_t + down)
+    # Of the chord's nadir angle zeta - R at the camera.
+    cos_chord = cos_z * (1.0 - 0.5 * r * r) + sin_z * sin_r
+    sin_chord = sin_z * (1.0 - 0.5 * r * r) - cos_z * sin_r
+    down = math.sqrt(r_c * r_c * cos_chord * cos_chord - drop * (r_c + r_g))  # r_g cos(beta)
+    chord = drop * (r_c + r_g) / (r_c * cos_chord + down)
     turned = r_c * sin_r * (cos_z + 0.5 * r * sin_z)
-    sines = (r_c * sin_z * (n_g - n_c) / (1.0 + n_g) - turned) / r_g
-    sin_g = r_c * sin_t / r_g - sines
+    sine_difference = (r_c * sin_z * (n_g - n_c) / (1.0 + n_g) - turned) / r_g
+    sin_g = r_c * sin_chord / r_g - sine_difference
     cos_g = math.sqrt(1.0 - sin_g * sin_g)
-    d_h_g = -2.0 * sines / ((down / r_g + cos_g) * chord * cos_g)
+    d_h_g = -2.0 * sine_difference / ((down / r_g + cos_g) * chord * cos_g)
     tan_z = sin_z / cos_z
-    bend = s[RELATIVE_GRADIENT]
-    d_h_c = tan_z * (d_zeta * (bend + 1.0 / r_c) - bend) - sin_r / (chord * cos_z)
+    gradient = station.relative_gradient
+    d_h_c = tan_z * (d_zeta * (gradient + 1.0 / r_c) - gradient) - sin_r / (chord * cos_z)
     return d_h_c, d_h_g
 
 
 @jit
-def _turns(axis, east, north, sin_z, cos_z):  # type: ignore[no-untyped-def]
-    """Parts along an axis of the camera of unit vectors towards the nadir, and across the ray's
-    vertical plane."""
-    towards = -cos_z * (axis[0] * east + axis[1] * north) - sin_z * axis[2]
+def _turns_about(axis, east, north, sin_z, cos_z):  # type: ignore[no-untyped-def]
+    """Parts of the `_CameraRay` directions along and across on one axis of the camera.
+
+    ``axis`` is the axis in east, north and up; ``east``, ``north`` the unit vector of the azimuth.
+    """
+    along = -cos_z * (axis[0] * east + axis[1] * north) - sin_z * axis[2]
     across = axis[1] * east - axis[0] * north
-    return towards, across
+    return along, across
 
 
 @jit
-def _moved(point, t, camera, d_image):  # type: ignore[no-untyped-def]
-    """What a turn of the ray towards the unit vector t does to its pixel [px/rad]."""
-    u, v, depth = point
+def _camera_ray(u, v, azimuth, ray, rotation):  # type: ignore[no-untyped-def]
+    """The `_CameraRay` of a `_BentRay`; ``azimuth`` is its unit vector (east, north)."""
+    east, north = azimuth
+    along_0, across_0 = _turns_about(rotation[0], east, north, ray.sin_z, ray.cos_z)
+    along_1, across_1 = _turns_about(rotation[1], east, north, ray.sin_z, ray.cos_z)
+    along_2, across_2 = _turns_about(rotation[2], east, north, ray.sin_z, ray.cos_z)
+    return _CameraRay(
+        u=u,
+        v=v,
+        depth=math.sqrt(u * u + v * v + 1.0),
+        along=(along_0, along_1, along_2),
+        across=(across_0, across_1, across_2),
+    )
+
+
+@jit
+def _pixel_motion(ray, turn, camera, d_image):  # type: ignore[no-untyped-def]
+    """What a turn of a `_CameraRay` towards the unit vector ``turn`` does to x and y [px/rad].
+
+    ``d_image`` are the derivatives of the distortion, du_d/du, du_d/dv and dv_d/dv.
+    """
     uu, uv, vv = d_image
-    x = t[0] - u * t[2]
-    y = t[1] - v * t[2]
-    moved_x = camera.fx * depth * (uu * x + uv * y)
-    moved_y = camera.fy * depth * (uv * x + vv * y)
+    du = turn[0] - ray.u * turn[2]
+    dv = turn[1] - ray.v * turn[2]
+    moved_x = camera.fx * ray.depth * (uu * du + uv * dv)
+    moved_y = camera.fy * ray.depth * (uv * du + vv * dv)
     return moved_x, moved_y
 
 
 @jit
-def _in_the_image(along, across, motion, air, s):  # type: ignore[no-untyped-def]
-    """Sigma of x or y [px] by the air and by the station, and the pixel's motion with h_g [px/m].
+def _pixel_sigmas(turn, motion, air, station):  # type: ignore[no-untyped-def]
+    """The `_PixelSigmas` of one coordinate, with ``turn`` its `_PixelTurn`.
 
-    ``along`` and ``across`` are what a turn of the ray along the vertical plane and across it does
-    to the pixel [px/rad]; ``air`` is an `_AirOfRay`, ``motion`` a `_Motion`.
+    ``motion`` is a `_Motion`, ``air`` an `_AirOfRay`.
     """
-    # What dN_c - dN_cc does at the window, and how much of it is not the x of a level one.
-    window = along * motion.out_t + across * motion.out_q
+    along = turn.along
+    across = turn.across
+    # Behind a plane window the air moves the pixel by straight * x + leaning * y: what the window
+    # adds to its motion by N_c - N_cc is not all along tan(zeta) (1 - dR/dzeta) where it leans.
+    by_window = along * motion.window_along + across * motion.window_across
     by_air = abs(along) * air.sigma_r
-    if s[WINDOW_KIND] >= 0.0:
+    if station.window_kind >= 0:
         straight = along * motion.tan_z
-        leaning = window - along * (motion.tan_z * (1.0 - motion.d_zeta))
-        both = straight * straight * air.sigma_x * air.sigma_x
-        both += 2.0 * straight * leaning * air.shared * air.sigma_y
-        both += leaning * leaning * air.sigma_y * air.sigma_y
-        by_air = 0.0 if both < 0.0 else math.sqrt(both)
-    # A tilt turns the nadir: zeta by its part in the ray's plane, the plane by that across it.
-    k_e = -motion.d_zeta * along
-    k_p = motion.swing * across
-    turned2 = s[TILT_VARIANCE] * (k_e * k_e + k_p * k_p)
-    by_yaw = k_e * motion.yaw_along + k_p * motion.yaw_across
-    turned2 += s[YAW_EXCESS_VARIANCE] * (by_yaw * by_yaw)
-    lift = (along * motion.d_h_c + window * s[WINDOW_GRADIENT]) * s[SIGMA_HEIGHT]
-    by_station = math.sqrt(turned2 + lift * lift)
-    return by_air, by_station, along * motion.d_h_g
+        leaning = by_window - along * (motion.tan_z * (1.0 - motion.d_zeta))
+        variance = straight * straight * air.sigma_x * air.sigma_x
+        variance += 2.0 * straight * leaning * air.shared * air.sigma_y
+        variance += leaning * leaning * air.sigma_y * air.sigma_y
+        by_air = 0.0 if variance < 0.0 else math.sqrt(variance)
+    # A tilt turns the nadir: in the ray's vertical plane it changes zeta, across it the azimuth.
+    by_zeta = -motion.d_zeta * along
+    by_azimuth = motion.swing * across
+    by_nadir2 = by_zeta * by_zeta + by_azimuth * by_azimuth
+    variance_of_turns = station.tilt_variance * by_nadir2
+    by_yaw = by_zeta * motion.yaw_along + by_azimuth * motion.yaw_across
+    variance_of_turns += station.yaw_excess_variance * (by_yaw * by_yaw)
+    by_height = along * motion.d_h_c + by_window * station.window_gradient
+    by_height = by_height * station.sigma_height
+    by_station = math.sqrt(variance_of_turns + by_height * by_height)
+    return _PixelSigmas(by_air, by_station, along * motion.d_h_g)
 
 
-@within
-def _places(room, count, air):  # type: ignore[no-untyped-def]
-    """Fill where rays are in the tables; rays that are nearly level, or not kept, become NaN."""
-    way_first = air.way_first
-    way_step = air.way_step
-    coarse_step = air.coarse_step
-    incidence_step = air.incidence_step
-    most = air.factors.shape[2] - 1.0
-    ground_m = air.ground_m
-    spacing_m = air.spacing_m
-    for i in range(count):
-        h_c = room[CAMERA_HEIGHT, i]
-        cos_z = room[NADIR_COSINE, i]
-        r_c = room[SPHERE_RADIUS, i] + room[CAMERA_HEIGHT, i]
-        drop = h_c - room[_H_G, i]
-        r_g = room[SPHERE_RADIUS, i] + h_c - drop
-        level2 = (r_c * r_c * cos_z * cos_z - drop * (r_c + r_g)) / (r_g * r_g)
-        root = math.sqrt(drop) - way_first
-        incidence = (1.0 / math.sqrt(math.sqrt(level2)) - 1.0) / incidence_step
-        served = (room[_KEEP, i] == 1.0) & (drop > 0.0) & (cos_z > 0.0) & (level2 > 0.0)
-        served &= incidence <= most
-        room[_DROP, i] = drop
-        room[_KEEP, i] = 1.0 if served else math.nan
-        room[_WAY, i] = root / way_step if served else 0.0
-        room[_COARSE, i] = root / coarse_step if served else 0.0
-        room[_INCIDENCE, i] = incidence if served else 0.0
-        room[_GROUND, i] = (room[_H_G, i] - ground_m) / spacing_m if served else 0.0
+@jit
+def _cabin_sigma(by_refractivity, lever, station):  # type: ignore[no-untyped-def]
+    """Sigma of one coordinate [px] by pressure and temperature in the cabin.
 
-
-@within
-def _spread(room, count, camera, exposure):  # type: ignore[no-untyped-def]
-    """Fill the columns of `Sigmas`; ``exposure`` as `_of_exposure` returns it.
-
-    A loop without a branch, over rows of one small array, runs four rays at a time.
+    ``by_refractivity`` [px] is what dN_c - dN_cc does to the coordinate at the window, ``lever``
+    what a change of the principal distance does.
     """
-    fx = camera.fx
-    fy = camera.fy
-    cx = camera.cx
-    cy = camera.cy
-    s, turn, (sigma_y, mode_y) = exposure
-    window = s[WINDOW_KIND] >= 0.0
-    no_window = 1.0 if window else math.nan
-    n0 = s[WINDOW_NORMAL]
-    n1 = s[WINDOW_NORMAL + 1]
-    n2 = s[WINDOW_NORMAL + 2]
-    axis_e = s[YAW_AXIS_EAST]
-    axis_n = s[YAW_AXIS_NORTH]
-    # By pressure and temperature in the cabin.
-    n_p = s[CABIN_SIGMAS]
-    n_t = s[CABIN_SIGMAS + 1]
-    lens_p = s[LENS_SIGMAS]
-    lens_t = s[LENS_SIGMAS + 1]
-    cabin = math.sqrt(n_p * n_p + n_t * n_t)
+    by_pressure = by_refractivity * station.cabin_by_pressure + lever * station.lens_by_pressure
+    by_temperature = (
+        by_refractivity * station.cabin_by_temperature + lever * station.lens_by_temperature
+    )
+    return math.sqrt(by_pressure * by_pressure + by_temperature * by_temperature)
+
+
+@within
+def _fill_sigmas(room, count, camera, station):  # type: ignore[no-untyped-def]
+    """Fill the results of ``count`` observations of one `Station`.
+
+    A loop without a branch over the rows of ``room`` runs four observations at a time.
+    """
+    has_window = station.window_kind >= 0
+    one_if_window = 1.0 if has_window else math.nan
+    n_0, n_1, n_2 = station.window_normal
+    axis_east = station.yaw_axis_east
+    axis_north = station.yaw_axis_north
+    n_p = station.cabin_by_pressure
+    n_t = station.cabin_by_temperature
+    sigma_cabin = math.sqrt(n_p * n_p + n_t * n_t)
     for i in range(count):
-        sin_z = room[NADIR_SINE, i]
-        cos_z = room[NADIR_COSINE, i]
-        r = room[_R, i]
         ray = _BentRay(
-            sin_z, cos_z, room[SPHERE_RADIUS, i], room[CAMERA_HEIGHT, i], room[_DROP, i], r
+            sin_z=room[NADIR_SINE, i],
+            cos_z=room[NADIR_COSINE, i],
+            radius=room[SPHERE_RADIUS, i],
+            h_c=room[CAMERA_HEIGHT, i],
+            drop=room[DROP, i],
+            r=room[R_C, i],
         )
-        secant = 1.0 / cos_z
-        steep = room[_STEEP, i]
-        keep = math.nan if math.isnan(steep) else room[_KEEP, i]
-        d_zeta = steep * secant * secant
-        sigma_r = room[_SPREAD, i] * sin_z * secant
-        d_h_c, d_h_g = _by_heights(ray, d_zeta, room[_GROUND, i], s)
+        secant = 1.0 / ray.cos_z
+        tan_z = ray.sin_z * secant
+        slope = room[SLOPE_BY_SECANT2, i]
+        one_if_known = math.nan if math.isnan(slope) else room[ONE_IF_KNOWN, i]
+        d_zeta = slope * secant * secant
+        sigma_r = room[SIGMA_BY_TANGENT, i] * ray.sin_z * secant
+        d_h_c, d_h_g = _by_heights(ray, d_zeta, room[N_GROUND, i], station)
 
         # At the nadir any azimuth will do.
-        inverse = 1.0 / sin_z
-        leans = sin_z > _AT_NADIR
-        east = room[DIRECTION, i] * inverse if leans else 1.0
-        north = room[DIRECTION + 1, i] * inverse if leans else 0.0
-        swing = r * inverse if leans else d_zeta
-        t_0, q_0 = _turns(turn[0], east, north, sin_z, cos_z)
-        t_1, q_1 = _turns(turn[1], east, north, sin_z, cos_z)
-        t_2, q_2 = _turns(turn[2], east, north, sin_z, cos_z)
-        towards = (t_0, t_1, t_2)
-        across = (q_0, q_1, q_2)
-        u = room[IDEAL_U, i]
-        v = room[IDEAL_V, i]
-        point = (u, v, math.sqrt(u * u + v * v + 1.0))
-
-        # How far it turns towards the nadir and across per unit of dN_c - dN_cc.
-        out = (n0 * u + n1 * v + n2) / point[2]
-        out_t = (n0 * t_0 + n1 * t_1 + n2 * t_2) / out * (1.0 - d_zeta) if window else 0.0
-        out_q = (n0 * q_0 + n1 * q_1 + n2 * q_2) / out if window else 0.0
-        steepness = math.sqrt(max(0.0, 1.0 - out * out)) / out if window else 0.0
-        d_image = (room[_SLOPES, i], room[_SLOPES + 1, i], room[_SLOPES + 2, i])
-        along_x, along_y = _moved(point, towards, camera, d_image)
-        across_x, across_y = _moved(point, across, camera, d_image)
-        yaw_along = axis_n * east - axis_e * north
-        yaw_across = -axis_n * north - axis_e * east
-        motion = _Motion(
-            sin_z * secant, d_zeta, swing, out_t, out_q, d_h_c, d_h_g, yaw_along, yaw_across
+        inverse = 1.0 / ray.sin_z
+        has_azimuth = ray.sin_z > _AT_NADIR
+        east = room[DIRECTION, i] * inverse if has_azimuth else 1.0
+        north = room[DIRECTION + 1, i] * inverse if has_azimuth else 0.0
+        swing = ray.r * inverse if has_azimuth else d_zeta
+        in_camera = _camera_ray(
+            room[IDEAL_U, i], room[IDEAL_V, i], (east, north), ray, station.rotation
         )
-        air_of_ray = _AirOfRay(sigma_r, room[_BEHIND, i], room[_SHARED, i], sigma_y)
-        air_x, station_x, ground_x = _in_the_image(along_x, across_x, motion, air_of_ray, s)
-        air_y, station_y, ground_y = _in_the_image(along_y, across_y, motion, air_of_ray, s)
+        d_image = (room[SLOPE_UU, i], room[SLOPE_UV, i], room[SLOPE_VV, i])
+        along_x, along_y = _pixel_motion(in_camera, in_camera.along, camera, d_image)
+        across_x, across_y = _pixel_motion(in_camera, in_camera.across, camera, d_image)
 
-        # N in the cabin turns the ray at the window (Gyer 1996, Eq. 36), and its air the lens.
-        by_mode = room[_MODE, i] * (sin_z * secant)
-        turned_x = along_x * out_t + across_x * out_q
-        turned_y = along_y * out_t + across_y * out_q
-        x_lever = (room[_X, i] - cx) / fx
-        y_lever = (room[_Y, i] - cy) / fy
-        x_p = turned_x * n_p + x_lever * lens_p
-        x_t = turned_x * n_t + x_lever * lens_t
-        y_p = turned_y * n_p + y_lever * lens_p
-        y_t = turned_y * n_t + y_lever * lens_t
-        room[_OUT, i] = sigma_r * keep
-        room[_OUT + 1, i] = air_x * keep
-        room[_OUT + 2, i] = air_y * keep
-        room[_OUT + 3, i] = station_x * keep
-        room[_OUT + 4, i] = station_y * keep
-        room[_OUT + 5, i] = abs(ground_x) * room[_SIGMA_H_G, i] * keep
-        room[_OUT + 6, i] = abs(ground_y) * room[_SIGMA_H_G, i] * keep
-        room[_OUT + 7, i] = steepness * cabin * keep
-        room[_OUT + 8, i] = math.sqrt(x_p * x_p + x_t * x_t) * keep
-        room[_OUT + 9, i] = math.sqrt(y_p * y_p + y_t * y_t) * keep
-        room[_OUT + 10, i] = (along_x * by_mode + turned_x * mode_y) * keep
-        room[_OUT + 11, i] = (along_y * by_mode + turned_y * mode_y) * keep
-        room[_OUT + 12, i] = -turned_x * no_window * keep
-        room[_OUT + 13, i] = -turned_y * no_window * keep
+        # At the window with the normal m a ray d turns by m / (m . d) - d per unit of dN_c - dN_cc.
+        t_0, t_1, t_2 = in_camera.along
+        q_0, q_1, q_2 = in_camera.across
+        cos_out = (n_0 * in_camera.u + n_1 * in_camera.v + n_2) / in_camera.depth
+        window_along = (n_0 * t_0 + n_1 * t_1 + n_2 * t_2) / cos_out * (1.0 - d_zeta)
+        window_across = (n_0 * q_0 + n_1 * q_1 + n_2 * q_2) / cos_out
+        tan_out = math.sqrt(max(0.0, 1.0 - cos_out * cos_out)) / cos_out
+        motion = _Motion(
+            tan_z=tan_z,
+            d_zeta=d_zeta,
+            swing=swing,
+            window_along=window_along if has_window else 0.0,
+            window_across=window_across if has_window else 0.0,
+            d_h_c=d_h_c,
+            d_h_g=d_h_g,
+            yaw_along=axis_north * east - axis_east * north,
+            yaw_across=-axis_north * north - axis_east * east,
+        )
+        air = _AirOfRay(sigma_r, room[SIGMA_X, i], room[SHARED_XY, i], station.sigma_y)
+        x = _pixel_sigmas(_PixelTurn(along_x, across_x), motion, air, station)
+        y = _pixel_sigmas(_PixelTurn(along_y, across_y), motion, air, station)
+
+        # N in the cabin turns the ray at the window (Gyer 1996, Eq. 36); its air is in the lens.
+        by_mode = room[MODE_BY_TANGENT, i] * tan_z
+        window_x = along_x * motion.window_along + across_x * motion.window_across
+        window_y = along_y * motion.window_along + across_y * motion.window_across
+        x_lever = (room[X_PX, i] - camera.cx) / camera.fx
+        y_lever = (room[Y_PX, i] - camera.cy) / camera.fy
+        sigma_r_cc = (tan_out if has_window else 0.0) * sigma_cabin
+        room[SIGMA_R_C, i] = sigma_r * one_if_known
+        room[AIR_DX, i] = x.air * one_if_known
+        room[AIR_DY, i] = y.air * one_if_known
+        room[STATION_DX, i] = x.station * one_if_known
+        room[STATION_DY, i] = y.station * one_if_known
+        room[GROUND_DX, i] = abs(x.by_ground) * room[SIGMA_H_G, i] * one_if_known
+        room[GROUND_DY, i] = abs(y.by_ground) * room[SIGMA_H_G, i] * one_if_known
+        room[SIGMA_R_CC, i] = sigma_r_cc * one_if_known
+        room[CABIN_DX, i] = _cabin_sigma(window_x, x_lever, station) * one_if_known
+        room[CABIN_DY, i] = _cabin_sigma(window_y, y_lever, station) * one_if_known
+        room[DX_DS, i] = (along_x * by_mode + window_x * station.mode_y) * one_if_known
+        room[DY_DS, i] = (along_y * by_mode + window_y * station.mode_y) * one_if_known
+        room[DX_DNCC, i] = -window_x * one_if_window * one_if_known
+        room[DY_DNCC, i] = -window_y * one_if_window * one_if_known
 
 
 @within
-def _copy_to_room(room, span, observed, camera, traced):  # type: ignore[no-untyped-def]
-    """Fill the first rows of the room: rays, observations and slopes of the distortion."""
-    first, count = span
-    x, y, h_g, sigma_h_g, _ = observed
-    rays, r_c, status = traced
-    for k in _OF_RAYS:
+def _copy_to_room(room, rows, observed, camera, traced):  # type: ignore[no-untyped-def]
+    """Fill rays, observations and derivatives of the distortion of ``rows`` (first, count)."""
+    first, count = rows
+    rays = traced.rays
+    r_c = traced.r_c
+    for k in _COPIED_ROWS:
         for i in range(count):
             room[k, i] = rays[k, first + i]
     for i in range(count):
         j = first + i
-        room[_X, i] = x[j]
-        room[_Y, i] = y[j]
-        room[_R, i] = r_c[j]
-        room[_H_G, i] = h_g[j]
-        room[_SIGMA_H_G, i] = sigma_h_g[j]
-        far = status[j] == FAR_BRANCH
-        room[_KEEP, i] = math.nan if math.isnan(r_c[j]) or far else 1.0
+        room[X_PX, i] = observed.x[j]
+        room[Y_PX, i] = observed.y[j]
+        room[R_C, i] = r_c[j]
+        room[H_G, i] = observed.h_g[j]
+        room[SIGMA_H_G, i] = observed.sigma_h_g[j]
+        is_far = traced.status[j] == FAR_BRANCH
+        room[ONE_IF_KNOWN, i] = math.nan if math.isnan(r_c[j]) or is_far else 1.0
         uu, uv, vv = slopes(rays[IDEAL_U, j], rays[IDEAL_V, j], camera.distortion)
-        room[_SLOPES, i] = uu
-        room[_SLOPES + 1, i] = uv
-        room[_SLOPES + 2, i] = vv
+        room[SLOPE_UU, i] = uu
+        room[SLOPE_UV, i] = uv
+        room[SLOPE_VV, i] = vv
 
 
 @entry
-def propagate(observed, camera_and_rotation, traced, stations_and_air, sigmas):  # type: ignore[no-untyped-def]
-    """Fill sigma of R_c [rad], of x and y [px] by air, station and ground, and by the cabin.
+def fill_sigma_columns(observed, pose, traced, air, sigmas):  # type: ignore[no-untyped-def]
+    """Fill the columns of `Sigmas` of `ObservationColumns` and their `TracedColumns`.
 
-    And the derivatives of x and y, with their signs, by the parameter of the leading mode, and by
-    the refractivity behind a plane window. ``sigmas`` are the columns of `Sigmas`. NaN where not
-    known. Rows of one exposure that follow each other are taken together.
+    ``pose`` are the `CameraConstants` and the rotations (s, 3, 3) of exposures, ``air`` the matrix
+    of stations (s, `STATION_COLUMNS`) and the `AirTables`. NaN where nothing is known. Rows of one
+    exposure that follow each other are taken together.
     """
     exposure = observed.exposure
-    camera, rotation = camera_and_rotation
-    stations, air = stations_and_air
-    sigma_r = sigmas[0]
+    camera, rotation = pose
+    stations, tables = air
+    sigma_r = sigmas[0]  # in double precision, the others in single
     others = sigmas[1:]
-    room = np.empty((_ROOM, _TOGETHER))
-    last = 0
-    while last < exposure.size:
-        first = last
-        e = exposure[last]
-        while last < exposure.size and last - first < _TOGETHER and exposure[last] == e:
-            last += 1
-        count = last - first
+    room = np.empty((ALL_ROWS, COLUMNS_TOGETHER))
+    end = 0
+    while end < exposure.size:
+        first = end
+        e = exposure[first]
+        while end < exposure.size and end - first < COLUMNS_TOGETHER and exposure[end] == e:
+            end += 1
+        count = end - first
         if not 0 <= e < stations.shape[0]:
-            for k in range(_SIGMAS):
+            for k in range(RESULTS):
                 for i in range(count):
-                    room[_OUT + k, i] = math.nan
+                    room[FIRST_RESULT + k, i] = math.nan
         else:
             _copy_to_room(room, (first, count), observed, camera, traced)
-            of_exposure = _of_exposure(stations[e], rotation[e], air)
-            _places(room, count, air)
-            _interpolate(room, count, air, of_exposure[0])
-            _spread(room, count, camera, of_exposure)
+            station = _station(stations[e], rotation[e], tables)
+            fill_positions(room, count, tables)
+            interpolate(room, count, tables, station)
+            _fill_sigmas(room, count, camera, station)
         for i in range(count):
-            sigma_r[first + i] = room[_OUT, i]
-        for k in range(_SIGMAS - 1):
-            out = others[k]
+            sigma_r[first + i] = room[FIRST_RESULT, i]
+        for k in range(RESULTS - 1):
+            column = others[k]
             for i in range(count):
-                out[first + i] = room[_OUT + 1 + k, i]
+                column[first + i] = room[FIRST_RESULT + 1 + k, i]

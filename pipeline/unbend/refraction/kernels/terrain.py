@@ -22,6 +22,7 @@ from unbend.refraction.kernels.columns import (
     WAITS,
 )
 from unbend.refraction.kernels.jit import entry, jit
+from unbend.refraction.kernels.terrain_paths import Path, fill_path, place_at, velocity_at
 
 _SKY_M = 9_000.0  # above all land
 _DEEP_M = 500.0  # so deep under the ground a ray is not followed any further
@@ -46,41 +47,14 @@ _NOT_NEEDED = -1
 _TO_BE_READ = -2
 
 
-class _Path(NamedTuple):
-    """A ray: apparent nadir angle, height of the camera [m], radius of the sphere and with the
-    camera [m]; distances and divided differences of R_c / distance; row and column as polynomials
-    in the arc from the camera."""
-
-    sin_c: float
-    cos_c: float
-    h_c: float
-    r_e: float
-    r_c: float
-    knot: np.ndarray
-    bend: np.ndarray
-    row: np.ndarray
-    column: np.ndarray
-
-
-class _Place(NamedTuple):
-    """Where a ray is: row, column and height; arc, sine and cosine of its own direction there."""
-
-    row: float
-    column: float
-    height: float
-    arc: float
-    sine: float
-    cosine: float
-
-
 class _Patch(NamedTuple):
-    """The cell of a tile, and the row and column of its first node in the grid."""
+    """A cell of a tile, between four nodes."""
 
-    tiles: np.ndarray
-    slot: int
-    i: int
+    tiles: np.ndarray  # those of the `TerrainGrid`
+    slot: int  # of the tile
+    i: int  # row and column of the cell's first node in the tile
     j: int
-    first_row: float
+    first_row: float  # row and column of that node in the grid
     first_column: float
 
 
@@ -94,77 +68,42 @@ class _Edges(NamedTuple):
 
 
 class _Box(NamedTuple):
-    """The tile about a place and its slot; the cell in the tile; lowest and highest node, edges."""
+    """The tile about a place, or the block of the tile where its nodes are needed."""
 
-    tile: int
-    slot: int
-    cell: tuple[int, int]
-    low: float
-    high: float
+    tile: int  # number of the tile, -1 beside the grid
+    slot: int  # of the tile, or `_NOT_NEEDED`, `_TO_BE_READ`
+    cell: tuple[int, int]  # row and column of the place's cell in the tile
+    low: float  # lowest node [m]; infinite where all are unknown
+    high: float  # highest node [m]; minus infinite where all are unknown
     edges: _Edges
 
 
+class _Surroundings(NamedTuple):
+    """What a ray has about it: a box that it is above or below, or else one cell of that box."""
+
+    box: _Box
+    edges: _Edges  # of the box, or of the cell
+    is_over: bool  # the ray is above all nodes of the box
+    is_under: bool  # the ray is below all nodes; both where all nodes are unknown
+    is_near: bool  # neither: the corners of the cell are looked at
+
+
 class _Passage(NamedTuple):
-    """Heights above a patch along a straight way over it.
+    """Heights of a ray above the terrain along a straight step over it."""
 
-    ``f``, ``f_1`` at its ends; ``f_turn`` at the nearest turn of that height between them (or at
-    the end), which is at the distance ``t_turn``; ``square`` what ``f`` has of second order.
-    """
-
-    f: float
-    f_1: float
-    t_turn: float
-    f_turn: float
-    square: float
-
-
-@jit
-def _place(path, t):  # type: ignore[no-untyped-def]
-    """The `_Place` at a straight distance from the camera."""
-    knot = path.knot
-    bend = path.bend
-    angle = bend[-1]
-    slope = 0.0
-    for k in range(bend.size - 2, -1, -1):
-        slope = angle + (t - knot[k]) * slope
-        angle = bend[k] + (t - knot[k]) * angle
-    turned = (angle + t * slope) * t
-    angle *= t
-    back = 1.0 - 0.5 * angle * angle
-    sine = path.sin_c * back - path.cos_c * angle
-    cosine = path.cos_c * back + path.sin_c * angle
-    across = t * sine
-    down = path.r_c - t * cosine
-    r = math.sqrt(across * across + down * down)
-    height = path.h_c - t * cosine + across * across / (r + down)
-    q = across / down
-    q2 = q * q
-    arc = path.r_e * q * (1.0 - q2 * (1.0 / 3.0 - q2 * (0.2 - q2 / 7.0)))
-    row = path.row[-1]
-    column = path.column[-1]
-    for k in range(path.row.size - 2, -1, -1):
-        row = row * arc + path.row[k]
-        column = column * arc + path.column[k]
-    return _Place(row, column, height, arc, sine - cosine * turned, cosine + sine * turned)
-
-
-@jit
-def _velocity(path, at):  # type: ignore[no-untyped-def]
-    """Rows, columns and metres of height per metre of the way, where `_place` is ``at``."""
-    arc = at.arc
-    turned = arc / path.r_e
-    along = (at.sine + turned * at.cosine) / (1.0 + at.height / path.r_e)
-    row = 0.0
-    column = 0.0
-    for k in range(path.row.size - 1, 0, -1):
-        row = row * arc + k * path.row[k]
-        column = column * arc + k * path.column[k]
-    return row * along, column * along, turned * at.sine - at.cosine
+    f: float  # at the begin of the step [m]; NaN in a hole
+    f_1: float  # at its end [m]
+    t_turn: float  # distance of the turn of this height that is nearest to zero, or of the end [m]
+    f_turn: float  # at the turn [m]
+    square: float  # term of second order over the whole step [m]
 
 
 @jit
 def _exit(low, high, place, speed):  # type: ignore[no-untyped-def]
-    """Way to the edge of the interval from low to high; infinite for what stands still."""
+    """Way [m] to the edge of the interval from low to high; infinite for what stands still.
+
+    ``place`` is a row or a column, ``speed`` its change per metre.
+    """
     if speed > 0.0:
         return (high - place + _BEHIND) / speed
     if speed < 0.0:
@@ -174,20 +113,24 @@ def _exit(low, high, place, speed):  # type: ignore[no-untyped-def]
 
 @jit
 def _above(patch, at):  # type: ignore[no-untyped-def]
-    """Height above a bilinear `_Patch`, where `_place` is ``at``."""
-    tiles, slot, i, j, first_row, first_column = patch
-    right = at.column - first_column
+    """Height [m] of the `RayPlace` ``at`` above a bilinear `_Patch`."""
+    tiles = patch.tiles
+    slot = patch.slot
+    i = patch.i
+    j = patch.j
+    right = at.column - patch.first_column
     upper = tiles[slot, i, j] + right * (tiles[slot, i, j + 1] - tiles[slot, i, j])
     lower = tiles[slot, i + 1, j] + right * (tiles[slot, i + 1, j + 1] - tiles[slot, i + 1, j])
-    return at.height - (upper + (at.row - first_row) * (lower - upper))
+    return at.height - (upper + (at.row - patch.first_row) * (lower - upper))
 
 
 @jit
 def _crossing(path, patch, ends, sides, square):  # type: ignore[no-untyped-def]
-    """Distance and height where a ray meets a patch between two distances, first above it.
+    """Distance and height [m] at which a ray meets a patch between two distances ``ends`` [m].
 
-    ``sides`` are the heights above it there, between which a straight way is above it by a
-    parabola whose term of second order is ``square``: its root, then secant and bisection in turn.
+    ``sides`` are the heights above the patch at the ends, the first above zero. Between them the
+    height of a straight way is a parabola with the term of second order ``square``: its root is the
+    first guess, then secant and bisection in turn.
     """
     t_0, t_1 = ends
     f_0, f_1 = sides
@@ -200,7 +143,7 @@ def _crossing(path, patch, ends, sides, square):  # type: ignore[no-untyped-def]
             t = t_0 - f_0 * (t_1 - t_0) / (f_1 - f_0)
         elif turn > 0:
             t = 0.5 * (t_0 + t_1)
-        at = _place(path, t)
+        at = place_at(path, t)
         f = _above(patch, at)
         height = at.height
         if abs(f) < _FLAT_M or t_1 - t_0 < _CLOSE_M:
@@ -215,10 +158,17 @@ def _crossing(path, patch, ends, sides, square):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _in_patch(path, patch, ends, at, at_1):  # type: ignore[no-untyped-def]
-    """The `_Passage` between two distances, where `_place` is ``at`` and ``at_1``."""
+def _passage_over_patch(path, patch, ends, at, at_1):  # type: ignore[no-untyped-def]
+    """The `_Passage` over a `_Patch` between two distances ``ends`` [m], at two places.
+
+    The height above the patch is a parabola along a straight way: the term of second order comes
+    from the twist of the patch.
+    """
     t, t_1 = ends
-    tiles, slot, i, j, _, _ = patch
+    tiles = patch.tiles
+    slot = patch.slot
+    i = patch.i
+    j = patch.j
     f = _above(patch, at)
     f_1 = _above(patch, at_1)
     twist = tiles[slot, i, j] - tiles[slot, i, j + 1] - tiles[slot, i + 1, j]
@@ -230,16 +180,16 @@ def _in_patch(path, patch, ends, at, at_1):  # type: ignore[no-untyped-def]
     if f * f_1 > 0.0 and square * f > 0.0 and 0.0 < -linear / (2.0 * square) < 1.0:
         share = -linear / (2.0 * square)
         t_turn = t + share * (t_1 - t)
-        f_turn = _above(patch, _place(path, t_turn))
+        f_turn = _above(patch, place_at(path, t_turn))
     return _Passage(f, f_1, t_turn, f_turn, square)
 
 
 @jit
 def _box_at(grid, row, column, height):  # type: ignore[no-untyped-def]
-    """The `_Box` of the tile about a place, or of its block where the tile's nodes are needed.
+    """The `_Box` of the tile about a place, or of a block of it where the tile's nodes are needed.
 
-    They are where the height is between those of the tile. Its slot in memory is `_NOT_NEEDED`
-    elsewhere and `_TO_BE_READ` where it is not there yet.
+    The nodes are needed where the height is between the lowest and the highest of the tile. The
+    slot is `_TO_BE_READ` where they are not in memory yet, and `_NOT_NEEDED` elsewhere.
     """
     turn = 0
     if grid.around > 0:  # columns go round the earth
@@ -277,13 +227,17 @@ def _box_at(grid, row, column, height):  # type: ignore[no-untyped-def]
                 bottom = top + BLOCK
                 right = min(left + BLOCK, right)
     edges = _Edges(float(top), float(bottom), float(left + turn), float(right + turn))
-    return _Box(tile, slot, cell, low, high, edges)
+    return _Box(tile=tile, slot=slot, cell=cell, low=low, high=high, edges=edges)
 
 
 @jit
 def _change(side, now, gap, t):  # type: ignore[no-untyped-def]
-    """What becomes of a ray that is on a side of the terrain (1 above, -1 under) after another (0
-    where that is unknown), perhaps behind a gap; LANDED where the terrain has a step."""
+    """What becomes of a ray that was on one ``side`` of the terrain and is on another ``now``.
+
+    Sides are 1 above, -1 under, 0 unknown; ``gap`` says that the terrain in between is unknown,
+    ``t`` is the distance from the camera [m]. A ray that is suddenly under the terrain has LANDED
+    at a step of the terrain.
+    """
     if side == 0 and now < 0:
         return NO_TERRAIN if gap or t > 0.0 else HIDDEN
     if side > 0 and now < 0:
@@ -293,7 +247,7 @@ def _change(side, now, gap, t):  # type: ignore[no-untyped-def]
 
 @jit
 def _at_end(landed, side, gap):  # type: ignore[no-untyped-def]
-    """What becomes of a ray that was followed to its end."""
+    """What becomes of a ray that was followed to its end, when it is on ``side`` of the terrain."""
     if landed:
         return LANDED
     if side != 0 and not gap:
@@ -302,87 +256,133 @@ def _at_end(landed, side, gap):  # type: ignore[no-untyped-def]
 
 
 @jit
+def _surroundings(grid, at):  # type: ignore[no-untyped-def]
+    """The `_Surroundings` of the `RayPlace` ``at``."""
+    box = _box_at(grid, at.row, at.column, at.height)
+    edges = box.edges
+    is_over = at.height > box.high + _ABOUT_BLOCK_M
+    is_under = at.height < box.low
+    is_near = not (is_over or is_under)
+    if is_near:
+        top = float(math.floor(at.row))
+        left = float(math.floor(at.column))
+        edges = _Edges(top, top + 1.0, left, left + 1.0)
+    return _Surroundings(box, edges, is_over, is_under, is_near)
+
+
+@jit
+def _step(path, at, velocity, around, way_left):  # type: ignore[no-untyped-def]
+    """Length [m] of a step to the edge of the `_Surroundings` ``around``.
+
+    Not beyond the height of their highest or lowest node, nor beyond ``way_left`` [m].
+    """
+    edges = around.edges
+    to_row = _exit(edges.top, edges.bottom, at.row, velocity.row)
+    to_column = _exit(edges.left, edges.right, at.column, velocity.column)
+    step = min(to_row, to_column)
+    step = min(step * (1.0 - _FASTER * min(step, way_left) * at.cosine / path.r_e), way_left)
+    if around.is_over and velocity.rise < 0.0:
+        step = min(step, (at.height - around.box.high) / -velocity.rise + _CLOSE_M)
+    if around.is_under and velocity.rise > 0.0:
+        step = min(step, (around.box.low - at.height) / velocity.rise + _CLOSE_M)
+    return step
+
+
+@jit
+def _passage(path, patch, around, ends, places):  # type: ignore[no-untyped-def]
+    """The `_Passage` of a step between two distances ``ends`` [m] and two ``places``.
+
+    Over or under a box the height above its highest or lowest node stands for all heights.
+    """
+    at, after = places
+    if around.is_near:
+        return _passage_over_patch(path, patch, ends, at, after)
+    f = at.height - around.box.high if around.is_over else at.height - around.box.low
+    return _Passage(f, f, ends[0], f, 0.0)
+
+
+@jit
+def _lands(around, passage):  # type: ignore[no-untyped-def]
+    """Whether a ray above the terrain comes down to it over one cell."""
+    return around.is_near and (passage.f_1 <= 0.0 or passage.f_turn <= 0.0)
+
+
+@jit
+def _after_sky(at, rise, t, end):  # type: ignore[no-untyped-def]
+    """The distance [m] at which a ray that is above all land comes down to it; else ``end``."""
+    if rise >= 0.0:
+        return end
+    return t + max((at.height - _SKY_M) / -rise, _SHORTEST_STEP_M)
+
+
+@jit
 def _follow(path, grid, ray, state):  # type: ignore[no-untyped-def]
     """Follow one ray until it is known what becomes of it, or a tile is missing.
 
-    ``ray`` is its number; the columns of ``state`` are changed. ``side`` is 1 above the terrain,
-    -1 below, 0 where that is not known yet. A ray that landed is followed on under the terrain, to
-    see whether it comes out again.
+    ``ray`` is its number in the `TerrainState`, whose columns are changed. A ray that landed is
+    followed on under the terrain, to see whether it comes out again.
     """
     end = state.end[ray]
     t = state.t[ray]
     side = state.side[ray]
     gap = state.gap[ray]
-    landed = not math.isnan(state.height[ray])
+    has_landed = not math.isnan(state.height[ray])
     result = WAITS
     state.wanted[ray] = -1
-    at = _place(path, t)
+    at = place_at(path, t)
     while result == WAITS and t < end:
-        height = at.height
-        v_row, v_column, rise = _velocity(path, at)
-        if height > _SKY_M:
-            t = end if rise >= 0.0 else t + max((height - _SKY_M) / -rise, _SHORTEST_STEP_M)
-            at = _place(path, t)
+        velocity = velocity_at(path, at)
+        if at.height > _SKY_M:
+            t = _after_sky(at, velocity.rise, t, end)
+            at = place_at(path, t)
             continue
-        box = _box_at(grid, at.row, at.column, height)
+        around = _surroundings(grid, at)
+        box = around.box
         if box.slot == _TO_BE_READ:
             state.wanted[ray] = box.tile
             break
-        top, bottom, left, right = box.edges
-        over = height > box.high + _ABOUT_BLOCK_M
-        under = height < box.low
-        near = not (over or under)
-        if near:  # one cell, of which the corners are looked at
-            top = math.floor(at.row)
-            left = math.floor(at.column)
-            bottom = top + 1.0
-            right = left + 1.0
-
-        # The step: to the edge of the box, and not beyond its highest or lowest node.
-        step = min(_exit(top, bottom, at.row, v_row), _exit(left, right, at.column, v_column))
-        f = height - box.high if over else height - box.low
-        f_1 = f
-        f_turn = f
-        step = min(step * (1.0 - _FASTER * min(step, end - t) * at.cosine / path.r_e), end - t)
-        if over and rise < 0.0:
-            step = min(step, f / -rise + _CLOSE_M)
-        if under and rise > 0.0:
-            step = min(step, -f / rise + _CLOSE_M)
-
-        # Heights above the terrain on the way.
-        patch = _Patch(grid.tiles, box.slot, box.cell[0], box.cell[1], top, left)
-        after = _place(path, t + step)
-        t_turn = t
-        square = 0.0
-        if near:
-            f, f_1, t_turn, f_turn, square = _in_patch(path, patch, (t, t + step), at, after)
-        if math.isnan(f) or (over and under):
+        step = _step(path, at, velocity, around, end - t)
+        after = place_at(path, t + step)
+        patch = _Patch(
+            tiles=grid.tiles,
+            slot=box.slot,
+            i=box.cell[0],
+            j=box.cell[1],
+            first_row=around.edges.top,
+            first_column=around.edges.left,
+        )
+        passage = _passage(path, patch, around, (t, t + step), (at, after))
+        f = passage.f
+        f_1 = passage.f_1
+        f_turn = passage.f_turn
+        if math.isnan(f) or (around.is_over and around.is_under):
             gap = True
             t = t + step
             at = after
             continue
 
-        # What becomes of the ray on it.
+        # What becomes of the ray on this step.
         now = 1 if f > (_CLOSE_M if side < 0 else 0.0) else -1
         result = _change(side, now, gap, t)
         side = now
         gap = False
         if result == LANDED:  # at a step of the terrain
             state.distance[ray] = t
-            state.height[ray] = height
+            state.height[ray] = at.height
             state.factor[ray] = 1.0
-            landed = True
+            has_landed = True
             result = WAITS
-        elif near and not landed and (f_1 <= 0.0 or f_turn <= 0.0) and result == WAITS:
-            share = (t_turn - t) / step
-            of_second_order = square * share * share
-            found = _crossing(path, patch, (t, t_turn), (f, f_turn), of_second_order)
-            state.distance[ray] = found[0]
-            state.height[ray] = found[1]
-            state.factor[ray] = abs((after.height - height) * share / (f_turn - f))
-            landed = True
+        elif _lands(around, passage) and not has_landed and result == WAITS:
+            share = (passage.t_turn - t) / step
+            square = passage.square * share * share
+            ends = (t, passage.t_turn)
+            distance, height = _crossing(path, patch, ends, (f, f_turn), square)
+            state.distance[ray] = distance
+            state.height[ray] = height
+            state.factor[ray] = abs((after.height - at.height) * share / (f_turn - f))
+            has_landed = True
             f_turn = f_1
-        if landed and result == WAITS:
+        if has_landed and result == WAITS:
             side = -1
             if max(f_1, f_turn) > _CLOSE_M:
                 result = EMERGES
@@ -391,36 +391,11 @@ def _follow(path, grid, ray, state):  # type: ignore[no-untyped-def]
         t = t + step
         at = after
     if t >= end and result == WAITS:
-        result = _at_end(landed, side, gap)
+        result = _at_end(has_landed, side, gap)
     state.t[ray] = t
     state.side[ray] = side
     state.gap[ray] = gap
     state.result[ray] = result
-
-
-@jit
-def _fill_path(rays, i, row, column, powers):  # type: ignore[no-untyped-def]
-    """Fill row and column of ray i as polynomials in the arc, from those of its chart.
-
-    ``powers`` (2, `CHART_DEGREE` + 1) is room for powers of east and of north; the first are 1.
-    """
-    easts = powers[0]
-    norths = powers[1]
-    chart = rays.chart[i]
-    east = rays.east[i] / rays.reach[chart]
-    north = rays.north[i] / rays.reach[chart]
-    for power in range(CHART_DEGREE):
-        easts[power + 1] = east * easts[power]
-        norths[power + 1] = north * norths[power]
-    row[:] = 0.0
-    column[:] = 0.0
-    term = 0
-    for degree in range(CHART_DEGREE + 1):
-        for power in range(degree + 1):
-            share = easts[degree - power] * norths[power]
-            row[degree] += rays.charts[chart, 0, term] * share
-            column[degree] += rays.charts[chart, 1, term] * share
-            term += 1
 
 
 @entry
@@ -433,30 +408,21 @@ def follow_rays(rays, which, grid, state):  # type: ignore[no-untyped-def]
     column = np.empty(CHART_DEGREE + 1)
     powers = np.ones((2, CHART_DEGREE + 1))
     for i in which:
-        _fill_path(rays, i, row, column, powers)
+        fill_path(rays, i, row, column, powers)
         h_c = rays.h_c[i]
         r_e = rays.r_e[i]
-        path = _Path(
-            rays.sin_c[i],
-            rays.cos_c[i],
-            h_c,
-            r_e,
-            r_e + h_c,
-            rays.knot[i],
-            rays.bend[i],
-            row,
-            column,
+        path = Path(
+            sin_c=rays.sin_c[i],
+            cos_c=rays.cos_c[i],
+            h_c=h_c,
+            r_e=r_e,
+            r_c=r_e + h_c,
+            knot=rays.knot[i],
+            bend=rays.bend[i],
+            row=row,
+            column=column,
         )
         _follow(path, grid, i, state)
-
-
-@entry
-def divide_differences(knot, value):  # type: ignore[no-untyped-def]
-    """Newton's divided differences of ``value`` (n, k) at ``knot`` (n, k), in its place."""
-    for i in range(knot.shape[0]):
-        for order in range(1, knot.shape[1]):
-            for k in range(knot.shape[1] - 1, order - 1, -1):
-                value[i, k] = (value[i, k] - value[i, k - 1]) / (knot[i, k] - knot[i, k - order])
 
 
 @entry

@@ -79,12 +79,12 @@ class Pieces(NamedTuple):
 
 
 class Rays(NamedTuple):
-    """Rays as vectors of one length."""
+    """Rays (n,)."""
 
-    h_c: Array  # heights [m]
-    h_g: Array
+    h_c: Array  # height of the camera [m]
+    h_g: Array  # height of the target [m]
     zeta_c: Array  # nadir angle at the camera [rad]
-    radius: Array  # [m]
+    radius: Array  # of the sphere [m]
     r_c: Array  # refraction angle [rad]
 
     def rows(self, which: Rows) -> Rays:
@@ -93,12 +93,28 @@ class Rays(NamedTuple):
 
 
 class _Integrals(NamedTuple):
-    """Integrals along rays (n,): see `_integrals`."""
+    """Integrals along rays (n,), m as in the module's equations."""
 
-    theta: Array
-    by_s: Array
-    moments: Array
-    least_excess: Array
+    theta: Array  # angle subtended at the earth's centre [rad]
+    by_s: Array  # of m dh, which is d(theta)/ds [1/m]
+    moments: Array  # (n, p, 6) of m / n times each Chebyshev polynomial of each piece
+    least_excess: Array  # smallest excess that a node or an end has [m]
+
+
+class _Air(NamedTuple):
+    """The air at heights (n, p, j) in the pieces of a profile."""
+
+    excess: Array  # nu r - s [m]
+    refractivity: Array
+    basis: Array  # (6, n, p, j) Chebyshev polynomials
+
+
+class _Adjoints(NamedTuple):
+    """Derivatives of R_c of rays (n,), NaN where they are not valid."""
+
+    weight: Array  # (n, nodes) by N at the nodes, the share of the camera's N included
+    by_place: Array  # (n, 3) by h_c, h_g [rad/m] and zeta_c
+    valid: Mask
 
 
 def pieces_between(profile: Profile, low: float, high: float) -> Pieces:
@@ -114,48 +130,49 @@ def pieces_between(profile: Profile, low: float, high: float) -> Pieces:
     return Pieces(edge, height, coefficient, np.pad(slope, ((0, 0), (0, 1))))
 
 
-def trace_adjoints(pieces: Pieces, rays: Rays) -> tuple[Array, Array, Mask]:
+def trace_adjoints(pieces: Pieces, rays: Rays) -> _Adjoints:
     """The adjoint of each ray, by Gauss-Legendre in each piece of the profile.
 
-    Returns the derivatives of R_c (rays, nodes) with respect to N at the nodes, the camera's share
-    included; (rays, 3) with respect to h_c, h_g [rad/m] and zeta_c; and where they are valid, NaN
-    elsewhere. Rays must not turn between their ends, nor come within `LEVEL_GUARD_M` of being level
-    on their way.
+    Not valid are rays that turn between their ends, or come within `LEVEL_GUARD_M` of being level
+    on their way; within `_SHORT_GUARD_M` where camera and target have nearly one height.
     """
     camera, at_camera = _at(pieces, rays.h_c, rays.h_g)
     n_c = np.sum(pieces.coefficient[camera] * at_camera, axis=1)
-    theta, by_s, moments, least_excess = _integrals(pieces, rays, n_c)
+    integrals = _integrals(pieces, rays, n_c)
     fall = rays.h_c - rays.h_g
-    short = np.abs(fall) < _SHORT_M
-    valid = least_excess > np.where(short, _SHORT_GUARD_M, LEVEL_GUARD_M)
+    is_short = np.abs(fall) < _SHORT_M
+    guard_m = np.where(is_short, _SHORT_GUARD_M, LEVEL_GUARD_M)
+    valid = integrals.least_excess > guard_m
 
     # Length of the chord, one where camera and target coincide, and cos(beta).
     r_c = rays.radius + rays.h_c
     r_g = rays.radius + rays.h_g
-    sagitta = 2.0 * np.sin(0.5 * theta) ** 2
+    sagitta = 2.0 * np.sin(0.5 * integrals.theta) ** 2
     chord = np.sqrt(fall * fall + 2.0 * r_c * r_g * sagitta)
     chord[chord == 0.0] = 1.0
     cos_beta = (fall - r_c * sagitta) / chord
-    by_theta = r_g * cos_beta / chord
+    by_theta = r_g * cos_beta / chord  # psi'
+
+    # psi' s times the integral of m (dN / n - dN_c / n_c).
     scale = by_theta * r_c * np.sin(rays.zeta_c)
-    weight = (scale[:, None, None] * moments) @ _TO_COEFFICIENTS
-    share = scale * by_s / (1.0 + n_c)
-    weight[np.arange(camera.size), camera] -= share[:, None] * at_camera @ _TO_COEFFICIENTS
+    weight = (scale[:, None, None] * integrals.moments) @ _TO_COEFFICIENTS
+    of_camera = scale * integrals.by_s / (1.0 + n_c)
+    weight[np.arange(camera.size), camera] -= of_camera[:, None] * at_camera @ _TO_COEFFICIENTS
     weight = weight.reshape(camera.size, -1)
     weight[~valid] = np.nan
 
-    d_zeta_c = 1.0 - by_theta * r_c * np.cos(rays.zeta_c) * by_s
-    bend_c = np.sum(pieces.slope[camera] * at_camera, axis=1) / (1.0 + n_c)
+    d_zeta_c = 1.0 - by_theta * r_c * np.cos(rays.zeta_c) * integrals.by_s
+    gradient_c = np.sum(pieces.slope[camera] * at_camera, axis=1) / (1.0 + n_c)  # N_c' / n_c
     tan_c = np.tan(rays.zeta_c)
-    d_h_c = tan_c * (d_zeta_c * (bend_c + 1.0 / r_c) - bend_c)
+    d_h_c = tan_c * (d_zeta_c * (gradient_c + 1.0 / r_c) - gradient_c)
     d_h_c = d_h_c - np.sin(rays.r_c) / (chord * np.cos(rays.zeta_c))
     d_h_g = _by_target_height(pieces, rays, n_c, chord, cos_beta)
     # In the limit of a short ray R_c = -tan(zeta_c) N' (h_c - h_g) / (2 n).
-    half = 0.5 * bend_c
+    half = 0.5 * gradient_c
     limit = (-tan_c * half, tan_c * half, -(1.0 + tan_c * tan_c) * half * fall)
-    by_place = np.where(short, limit, (d_h_c, d_h_g, d_zeta_c))
+    by_place = np.where(is_short, limit, (d_h_c, d_h_g, d_zeta_c))
     by_place = np.where(valid, by_place, np.nan)
-    return weight, by_place.T, valid
+    return _Adjoints(weight, by_place.T, valid)
 
 
 def _basis(u: Array) -> Array:
@@ -180,28 +197,29 @@ def _lift(rays: Rays) -> Array:
     return (rays.radius + rays.h_c) * cos_c * cos_c / (1.0 + np.sin(rays.zeta_c))
 
 
-def _excess(pieces: Pieces, rays: Rays, n_c: Array, h: Array) -> tuple[Array, Array, Array]:
-    """nu r - s [m] without cancellation, N and the polynomials, at ``h`` (rays, p, j)."""
+def _air_at(pieces: Pieces, rays: Rays, n_c: Array, h: Array) -> _Air:
+    """The air at heights ``h`` (n, p, j) [m] in each piece, the excess without cancellation.
+
+    nu r - s = r (N - N_c) / n_c + (h - h_c) + r_c (1 - sin zeta_c).
+    """
     low = pieces.edge_m[:-1, None]
     high = pieces.edge_m[1:, None]
     u = np.clip(2.0 * (h - low) / (high - low) - 1.0, -1.0, 1.0)
     basis = _basis(u)
-    n = np.einsum("pa,abpj->bpj", pieces.coefficient, basis)
+    refractivity = np.einsum("pa,abpj->bpj", pieces.coefficient, basis)
     h_c = rays.h_c[:, None, None]
     radius = rays.radius[:, None, None]
     n_c = n_c[:, None, None]
     lift = _lift(rays)[:, None, None]
-    excess = (radius + h) * (n - n_c) / (1.0 + n_c) + (h - h_c) + lift
-    return excess, n, basis
+    excess = (radius + h) * (refractivity - n_c) / (1.0 + n_c) + (h - h_c) + lift
+    return _Air(excess, refractivity, basis)
 
 
 def _integrals(pieces: Pieces, rays: Rays, n_c: Array) -> _Integrals:
-    """Integrals along rays.
+    """The `_Integrals` along rays, by nodes at which the excess grows by equal ratios.
 
-    ``theta``; ``by_s`` the integral of m dh = d theta / d s; ``moments`` (rays, p, 6) those of
-    m / n with the Chebyshev polynomials of each piece; and the least excess met [m].
-
-    The nodes are at steps of equal ratio of the excess, which undoes the pole of m.
+    That undoes the pole of m where the excess is zero: h = h_0 + scale (exp(grading x) - 1), x from
+    0 to 1 in each piece, grading the logarithm of the ratio of the excess at its ends.
     """
     low = np.minimum(rays.h_c, rays.h_g)[:, None]
     high = np.maximum(rays.h_c, rays.h_g)[:, None]
@@ -209,9 +227,8 @@ def _integrals(pieces: Pieces, rays: Rays, n_c: Array) -> _Integrals:
     upper_end = np.clip(pieces.edge_m[1:], low, high)
     ends = np.stack([lower_end, upper_end], axis=2)
     width = np.diff(ends)
-    inside = width > 0.0
-    excess, _, _ = _excess(pieces, rays, n_c, ends)
-    excess = np.where(inside, excess, np.inf)
+    is_inside = width > 0.0
+    excess = np.where(is_inside, _air_at(pieces, rays, n_c, ends).excess, np.inf)
     least = excess.min(axis=(1, 2))
     turns = (least <= 0.0)[:, None, None]
     excess[~np.isfinite(excess) | turns] = 1.0
@@ -222,26 +239,33 @@ def _integrals(pieces: Pieces, rays: Rays, n_c: Array) -> _Integrals:
     x = 0.5 + 0.5 * nodes
     w = 0.5 * weights
     scale = width / np.expm1(grading)
-    height = ends[..., :1] + scale * np.expm1(grading * x)
-    excess, n, basis = _excess(pieces, rays, n_c, height)
-    step = scale * grading * np.exp(grading * x) * w
-    met = np.where(inside, excess, np.inf)
-    least = np.minimum(least, met.min(axis=(1, 2)))
+    air = _air_at(pieces, rays, n_c, ends[..., :1] + scale * np.expm1(grading * x))
+    step = scale * grading * np.exp(grading * x) * w  # weight times dh/dx
+    excess_inside = np.where(is_inside, air.excess, np.inf)
+    least = np.minimum(least, excess_inside.min(axis=(1, 2)))
     does_not_turn = (least > 0.0)[:, None, None]
-    excess = np.where(inside & does_not_turn, excess, 1.0)
+    excess = np.where(is_inside & does_not_turn, air.excess, 1.0)
 
     s = ((rays.radius + rays.h_c) * np.sin(rays.zeta_c))[:, None, None]
-    nu = 1.0 + (n - n_c[:, None, None]) / (1.0 + n_c[:, None, None])
-    root = np.sqrt(excess * (excess + 2.0 * s))
+    n_c = n_c[:, None, None]
+    nu = 1.0 + (air.refractivity - n_c) / (1.0 + n_c)
+    root = np.sqrt(excess * (excess + 2.0 * s))  # sqrt(nu^2 r^2 - s^2)
     r = (excess + s) / nu
-    density = step * nu * nu * r / root**3
-    theta = np.sum(step * s / (r * root), axis=(1, 2))
-    moments = np.einsum("abpj,bpj->bpa", basis, density / (1.0 + n))
-    return _Integrals(theta, density.sum(axis=(1, 2)), moments, least)
+    m_step = step * nu * nu * r / root**3
+    return _Integrals(
+        theta=np.sum(step * s / (r * root), axis=(1, 2)),
+        by_s=m_step.sum(axis=(1, 2)),
+        moments=np.einsum("abpj,bpj->bpa", air.basis, m_step / (1.0 + air.refractivity)),
+        least_excess=least,
+    )
 
 
 def _by_target_height(air: Pieces, rays: Rays, n_c: Array, chord: Array, cos_beta: Array) -> Array:
-    """dR_c/dh_g, with sin(beta) - sin(z_g) from r_g sin(beta) = r_c sin(zeta_c - R_c)."""
+    """dR_c/dh_g [rad/m] = -sin(beta - z_g) / (chord cos z_g).
+
+    beta - z_g comes from sin(beta) - sin(z_g), and that without cancellation from
+    r_g sin(beta) = r_c sin(zeta_c - R_c) and n_g r_g sin(z_g) = n_c r_c sin(zeta_c).
+    """
     target, at_target = _at(air, rays.h_g, rays.h_c)
     n_g = np.sum(air.coefficient[target] * at_target, axis=1)
     r_c = rays.radius + rays.h_c
@@ -253,9 +277,9 @@ def _by_target_height(air: Pieces, rays: Rays, n_c: Array, chord: Array, cos_bet
     cos_g = down * np.sqrt(excess * (excess + 2.0 * s)) / (excess + s)
     half = 0.5 * rays.r_c
     turned = 2.0 * r_c * np.cos(rays.zeta_c - half) * np.sin(half)
-    sines = (s * (n_g - n_c) / (1.0 + n_g) - turned) / r_g
-    bend_g = 2.0 * np.arctan2(sines * down, (cos_beta + cos_g) * down)
-    return np.asarray(-np.sin(bend_g) / (chord * cos_g))
+    sine_difference = (s * (n_g - n_c) / (1.0 + n_g) - turned) / r_g
+    beta_less_z_g = 2.0 * np.arctan2(sine_difference * down, (cos_beta + cos_g) * down)
+    return np.asarray(-np.sin(beta_less_z_g) / (chord * cos_g))
 
 
 class RayWeights(NamedTuple):
@@ -379,18 +403,24 @@ def sensitivity(
 def _derivatives(
     profile: Profile, rays: tuple[ArrayLike, ...], air_of: Callable[[Array], Array]
 ) -> tuple[RayWeights, Array]:
-    """Derivatives (..., k) by what changes N at heights (n,), as ``air_of`` (n, k) has it, and
-    (..., 3) by h_c, h_g and zeta_c."""
+    """Derivatives of R_c by the air, and (..., 3) by h_c, h_g [rad/m] and zeta_c.
+
+    ``rays`` are h_c, h_g, zeta_c and the radius, which broadcast. ``air_of`` takes heights (n,) [m]
+    to the derivatives of N there by k quantities, (n, k): the ``weight`` returned is (..., k).
+    """
     shape, columns = as_columns(*rays)
-    h_c, h_g, zeta_c, radius = columns
+    h_c = columns[0]
+    h_g = columns[1]
+    zeta_c = columns[2]
+    radius = columns[3]
     safe = np.where((zeta_c >= 0.0) & (zeta_c <= np.pi), zeta_c, np.nan)
     r_c, status = bend(ray_table(profile), h_c, h_g, np.sin(safe), np.cos(safe), radius=radius)
-    turns = (h_g > h_c) & (np.cos(safe) > 0.0)
-    traced = np.flatnonzero(np.isin(status, (OK, BEYOND_GRAZING)) & ~turns)
+    every_ray = Rays(h_c, h_g, zeta_c, radius, r_c)
+    rises_again = (h_g > h_c) & (np.cos(safe) > 0.0)
+    traced = np.flatnonzero(np.isin(status, (OK, BEYOND_GRAZING)) & ~rises_again)
     # The steepest first: blocks of them need fewer nodes.
     steepness = np.abs(np.cos(zeta_c[traced]))
     traced = traced[np.argsort(-steepness, kind="stable")]
-    every_ray = Rays(h_c, h_g, zeta_c, radius, r_c)
     low = profile.bottom_m
     high = profile.bottom_m
     if traced.size:
@@ -404,11 +434,13 @@ def _derivatives(
     by_place = np.full((h_c.size, 3), np.nan)
     valid = np.zeros(h_c.size, dtype=bool)
     nodes_of_ray = height_m.size // _NODES * _FINE[0].size
-    at_once = max(1, _BLOCK // nodes_of_ray)
-    for first in range(0, traced.size, at_once):
-        rows = traced[first : first + at_once]
-        weight, by_place[rows], valid[rows] = trace_adjoints(pieces, every_ray.rows(rows))
-        gradient[rows] = weight @ air
+    rays_at_once = max(1, _BLOCK // nodes_of_ray)
+    for first in range(0, traced.size, rays_at_once):
+        rows = traced[first : first + rays_at_once]
+        adjoints = trace_adjoints(pieces, every_ray.rows(rows))
+        gradient[rows] = adjoints.weight @ air
+        by_place[rows] = adjoints.by_place
+        valid[rows] = adjoints.valid
     derivatives = RayWeights(
         height_m=height_m,
         weight=gradient.reshape(*shape, air.shape[1]),

@@ -4,9 +4,11 @@ from collections import Counter
 
 import numpy as np
 
+from unbend.refraction.image import Exposures
 from unbend.refraction.status_codes import MISSES_GROUND, OUTSIDE_CAMERA
+from unbend.refraction.window import refract_at_window
 from unbend.stages.plausibility.facts import Facts
-from unbend.units import Mask
+from unbend.units import Array, Integers, Mask
 
 EARTH_RADIUS_M = 6.371e6
 
@@ -70,21 +72,52 @@ def cause_of_misses(facts: Facts) -> str:
 
 
 def cause_of_outside(facts: Facts, outside: Mask) -> str:
-    """Why pixels are outside a camera: beyond its image, or beyond what its distortion allows."""
+    """Why pixels are outside a camera.
+
+    They are beyond the image or beyond what the distortion allows, their rays do not pass the
+    window, or refraction, where it is applied, displaces them out of the image.
+    """
     causes = []
     for name in np.unique(facts.camera[outside]).tolist():
         camera = facts.cameras[name]
-        rows = outside & (facts.camera == name)
+        rows = np.flatnonzero(outside & (facts.camera == name))
         x = facts.rows.x_px[rows]
         y = facts.rows.y_px[rows]
         # Pixels are COLMAP's: 0 is the outer corner.
         beyond_format = (x < 0) | (y < 0) | (x > camera.width_px) | (y > camera.height_px)
+        u, v, is_covered = camera.rays(x, y)
+        is_blocked = is_covered & ~passes_window(facts.exposures, facts.rows.station[rows], u, v)
+        is_displaced = np.zeros(rows.size, dtype=bool)
+        if facts.mission.refraction.direction == "apply":
+            is_displaced = is_covered & ~is_blocked
         if beyond_format.any():
             size = facts.key_of(name, of_numbers="width_px", of_metric="format_mm")
             causes.append(
                 f"outside {camera.width_px} x {camera.height_px} px ({size}; observations.columns)"
             )
-        if not beyond_format.all():
+        if is_blocked.any():
+            causes.append(
+                f"their rays do not pass the window of {name} (cameras.{name}.window.normal)"
+            )
+        if is_displaced.any():
+            causes.append(
+                f"refraction displaces them out of the image of {name} (refraction.direction)"
+            )
+        if not (beyond_format | is_blocked | is_displaced).all():
             key = facts.key_of(name, of_numbers="distortion", of_metric="distortion")
             causes.append(f"beyond where the distortion of {name} can be inverted ({key})")
     return "; ".join(causes)
+
+
+def passes_window(exposures: Exposures, station: Integers, u: Array, v: Array) -> Mask:
+    """Whether rays (n,) go out through the plane window of their exposures, if there is one.
+
+    ``station`` are rows of ``exposures``, ``u`` and ``v`` ideal image coordinates. A window
+    reflects a ray that meets it too flat, and a ray against its normal does not meet it.
+    """
+    direction = np.stack([u, v, np.ones(u.size)], axis=1)
+    direction = direction / np.linalg.norm(direction, axis=1)[:, None]
+    inside = exposures.refractivity_cabin[station]
+    outside = exposures.refractivity_outside[station]
+    _, r_cc = refract_at_window(direction, inside, outside, exposures.normals[station])
+    return np.asarray((inside == outside) | np.isfinite(r_cc))

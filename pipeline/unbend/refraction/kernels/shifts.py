@@ -1,0 +1,216 @@
+"""From refraction angles back to pixels: the shifts in the image and on the ground, compiled.
+
+The straight ray to the target is the apparent one, turned towards the nadir by R_c: with the nadir
+angle z, east e, north n and up u of the apparent unit vector,
+
+    e' - e = e (-2 sin^2(R_c / 2) - sin(R_c) cos(z) / sin(z)),   n' - n likewise,
+    u' - u = -2 u sin^2(R_c / 2) - sin(R_c) sin(z),
+
+the vector form of Gyer 1996, Eq. 40-51, without a difference of directions.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from unbend.refraction.kernels.columns import (
+    CAMERA_HEIGHT,
+    DIRECTION,
+    IDEAL_U,
+    IDEAL_V,
+    NADIR_COSINE,
+    NADIR_SINE,
+    SPHERE_RADIUS,
+    WINDOW_CHANGE,
+    CameraConstants,
+)
+from unbend.refraction.kernels.distortion import distort
+from unbend.refraction.kernels.jit import entry, jit, within
+from unbend.refraction.kernels.outgoing import exposure_rows_from
+from unbend.refraction.status_codes import FAR_BRANCH
+from unbend.units import Array
+
+
+class _Scratch(NamedTuple):
+    """Columns to work in, for all observations."""
+
+    sin_half_r: Array  # (n,) sin(R_c / 2)
+    sin_r: Array  # (n,) sin(R_c)
+    to_nadir: Array  # (3, n) straight less apparent unit vector outside; east, north, up
+    vector: Array  # (3, n) a vector of each ray that one function fills and uses
+
+
+class _ExposedCamera(NamedTuple):
+    """The camera of one exposure and its pose."""
+
+    camera: CameraConstants
+    rotation: Array  # (3, 3) from east-north-up to the camera frame
+    change_px: float  # what the air in the lens adds to the principal distance [px]
+
+
+@jit
+def _straight_distance(cos_z, h_c, h_g, radius, is_far):  # type: ignore[no-untyped-def]
+    """Distance D [m] along a straight line to where its height is h_g; NaN where it never is.
+
+    With r = radius + h the law of cosines gives D^2 - 2 D r_c cos(z) + r_c^2 - r_g^2 = 0, z the
+    nadir angle. Downwards D is the smaller root, or with ``is_far`` the larger; upwards only the
+    larger is positive.
+    """
+    if h_c == h_g and not is_far:
+        return 0.0
+    along = (radius + h_c) * cos_z
+    square_difference = (h_c - h_g) * (2.0 * radius + h_c + h_g)  # r_c^2 - r_g^2
+    root = math.sqrt(along * along - square_difference)
+    is_near = h_c > h_g and not is_far
+    distance = square_difference / (along + root) if is_near else along + root
+    return distance if distance >= 0.0 else math.nan
+
+
+@entry
+def fill_straight_reach(rays, is_far, distance):  # type: ignore[no-untyped-def]
+    """Fill the distances [m] at which the straight lines of `RayColumns` meet their target heights.
+
+    Downwards the nearer of two crossings, or the farther where ``is_far`` (n,); sin_c is not read.
+    """
+    for i in range(distance.size):
+        distance[i] = _straight_distance(
+            rays.cos_c[i], rays.h_c[i], rays.h_g[i], rays.r_e[i], is_far[i]
+        )
+
+
+@within
+def _fill_turn_to_nadir(rays, r_c, scratch):  # type: ignore[no-untyped-def]
+    """Fill ``scratch.to_nadir`` of all rays from their refraction angles (see the module)."""
+    sin_half_r = scratch.sin_half_r
+    sin_r = scratch.sin_r
+    to_nadir = scratch.to_nadir
+    for i in range(r_c.size):
+        sin_half_r[i] = math.sin(0.5 * r_c[i])
+        sin_r[i] = math.sin(r_c[i])
+    for i in range(r_c.size):
+        sin_z = rays[NADIR_SINE, i]
+        cos_z = rays[NADIR_COSINE, i]
+        second_order = -2.0 * (sin_half_r[i] * sin_half_r[i])
+        # A ray at the nadir does not turn.
+        first_order = sin_r[i] * cos_z / sin_z if sin_z > 0.0 else 0.0
+        to_nadir[0, i] = rays[DIRECTION, i] * (second_order - first_order)
+        to_nadir[1, i] = rays[DIRECTION + 1, i] * (second_order - first_order)
+        to_nadir[2, i] = rays[DIRECTION + 2, i] * second_order - sin_r[i] * sin_z
+
+
+@within
+def _fill_image_shift(rows, rays, scratch, exposed, shifts):  # type: ignore[no-untyped-def]
+    """Fill ``dx`` and ``dy`` [px] of the `Shifts` of one exposure, an `_ExposedCamera`.
+
+    The straight ray in the camera frame is (u, v, 1) as a unit vector, changed by the window and by
+    the turn to the nadir; its pixel is that of the calibrated principal distance.
+    """
+    camera = exposed.camera
+    rotation = exposed.rotation
+    change_px = exposed.change_px
+    dx = shifts.dx
+    dy = shifts.dy
+    fx = camera.fx
+    fy = camera.fy
+    parameters = camera.distortion
+    u = rays[IDEAL_U]
+    v = rays[IDEAL_V]
+    east = scratch.to_nadir[0]
+    north = scratch.to_nadir[1]
+    up = scratch.to_nadir[2]
+    change = scratch.vector
+    for k in range(3):
+        t_0 = rotation[k, 0]
+        t_1 = rotation[k, 1]
+        t_2 = rotation[k, 2]
+        at_window = rays[WINDOW_CHANGE + k]
+        change_k = change[k]
+        for i in range(rows.first, rows.end):
+            change_k[i] = at_window[i] + (t_0 * east[i] + t_1 * north[i] + t_2 * up[i])
+    change_x = change[0]
+    change_y = change[1]
+    change_z = change[2]
+    for i in range(rows.first, rows.end):
+        straight_z = 1.0 / math.sqrt(u[i] * u[i] + v[i] * v[i] + 1.0) + change_z[i]
+        u_0, v_0 = distort(u[i], v[i], parameters)
+        u_straight = u[i] + (change_x[i] - u[i] * change_z[i]) / straight_z
+        v_straight = v[i] + (change_y[i] - v[i] * change_z[i]) / straight_z
+        u_1, v_1 = distort(u_straight, v_straight, parameters)
+        dx[i] = fx * (u_1 - u_0) - change_px * u_0
+        dy[i] = fy * (v_1 - v_0) - change_px * v_0
+
+
+@within
+def _fill_ground_shift(rows, traced, h_g, scratch, rotation, shift):  # type: ignore[no-untyped-def]
+    """Fill how far apart two straight rays meet the height ``h_g`` of the target [m].
+
+    The first has the direction of the ray inside the window, the second that of the straight ray to
+    the target. ``shift`` (n,) [m] is filled for one exposure, ``rotation`` that of its camera.
+    """
+    rays = traced.rays
+    status = traced.status
+    to_nadir = scratch.to_nadir
+    inside = scratch.vector
+    radius = rays[SPHERE_RADIUS]
+    h_c = rays[CAMERA_HEIGHT]
+    at_window_0 = rays[WINDOW_CHANGE]
+    at_window_1 = rays[WINDOW_CHANGE + 1]
+    at_window_2 = rays[WINDOW_CHANGE + 2]
+    for k in range(3):  # the direction inside the window: east, north, up
+        t_0 = rotation[0, k]
+        t_1 = rotation[1, k]
+        t_2 = rotation[2, k]
+        apparent = rays[DIRECTION + k]
+        inside_k = inside[k]
+        for i in range(rows.first, rows.end):
+            change = t_0 * at_window_0[i] + t_1 * at_window_1[i] + t_2 * at_window_2[i]
+            inside_k[i] = apparent[i] - change
+    east = rays[DIRECTION]
+    north = rays[DIRECTION + 1]
+    up = rays[DIRECTION + 2]
+    for i in range(rows.first, rows.end):
+        is_far = status[i] == FAR_BRANCH
+        cos_straight = -up[i] - to_nadir[2, i]
+        raw_m = _straight_distance(-inside[2, i], h_c[i], h_g[i], radius[i], is_far)
+        true_m = _straight_distance(cos_straight, h_c[i], h_g[i], radius[i], is_far)
+        x = inside[0, i] * raw_m - (east[i] + to_nadir[0, i]) * true_m
+        y = inside[1, i] * raw_m - (north[i] + to_nadir[1, i]) * true_m
+        z = inside[2, i] * raw_m - (up[i] + to_nadir[2, i]) * true_m
+        shift[i] = math.sqrt(x * x + y * y + z * z)
+
+
+@entry
+def fill_shifts(observed, camera, exposures, traced, shifts):  # type: ignore[no-untyped-def]
+    """Fill the `Shifts` in the image and on the ground that refraction angles amount to.
+
+    ``observed`` are `ObservationColumns`, ``camera`` `CameraConstants`, ``exposures``
+    `ExposureColumns` and ``traced`` `TracedColumns`; NaN where there is no refraction angle.
+    """
+    exposure = observed.exposure
+    r_c = traced.r_c
+    room = np.empty((8, r_c.size))
+    scratch = _Scratch(room[0], room[1], room[2:5], room[5:8])
+    _fill_turn_to_nadir(traced.rays, r_c, scratch)
+    end = np.uint64(0)
+    while end < r_c.size:
+        rows = exposure_rows_from(end, exposure)
+        end = rows.end
+        e = exposure[rows.first]
+        if 0 <= e < exposures.usable.size:
+            rotation = exposures.rotation[e]
+            exposed = _ExposedCamera(camera, rotation, exposures.change_px[e])
+            _fill_image_shift(rows, traced.rays, scratch, exposed, shifts)
+            _fill_ground_shift(
+                rows,
+                traced,
+                h_g=observed.h_g,
+                scratch=scratch,
+                rotation=rotation,
+                shift=shifts.ground,
+            )
+    for i in range(r_c.size):
+        if math.isnan(r_c[i]):
+            shifts.dx[i] = math.nan
+            shifts.dy[i] = math.nan
+            shifts.ground[i] = math.nan

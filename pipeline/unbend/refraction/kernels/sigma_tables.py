@@ -1,0 +1,167 @@
+"""What the air does to rays, interpolated in the tables of `AirTables`, compiled."""
+
+import math
+from typing import NamedTuple
+
+from unbend.refraction.kernels.columns import (
+    ANGLE_FACTOR,
+    CAMERA_HEIGHT,
+    MODE_SUMMAND,
+    NADIR_COSINE,
+    SIGMA_FACTOR,
+    SPHERE_RADIUS,
+)
+from unbend.refraction.kernels.jit import jit, within
+from unbend.refraction.kernels.sigma_rows import (
+    COARSE_POSITION,
+    DROP,
+    GROUND_POSITION,
+    H_G,
+    INCIDENCE_POSITION,
+    MODE_BY_TANGENT,
+    N_GROUND,
+    ONE_IF_KNOWN,
+    SHARED_XY,
+    SIGMA_BY_TANGENT,
+    SIGMA_X,
+    SLOPE_BY_SECANT2,
+    WAY_POSITION,
+)
+
+
+class TablePlace(NamedTuple):
+    """A place between two nodes of an axis of a table."""
+
+    node: int  # below the place
+    share: float  # of the way from this node to the next
+
+
+class _SphereFactors(NamedTuple):
+    """What the sphere does to values of the plane."""
+
+    sigma: float  # factor of sigma_R
+    angle: float  # factor of dR/dzeta
+    mode: float  # ``mode`` in the plane, and the sphere's summand
+
+
+@jit
+def _place_at(position, count):  # type: ignore[no-untyped-def]
+    """The `TablePlace` at a position on an axis of ``count`` nodes; outside, at the axis's end."""
+    inside = min(max(position, 0.0), count - 1.0)
+    node = min(int(inside), count - 2)
+    return TablePlace(node, inside - node)
+
+
+@jit
+def linear(table, place):  # type: ignore[no-untyped-def]
+    """The value of a table (n,) at a `TablePlace`."""
+    i = place.node
+    return table[i] + place.share * (table[i + 1] - table[i])
+
+
+@jit
+def _bilinear(table, row_place, column_place):  # type: ignore[no-untyped-def]
+    """The value of a table (c, w) between the four nodes around two places."""
+    i = row_place.node
+    j = column_place.node
+    share = column_place.share
+    low = table[i, j] + share * (table[i, j + 1] - table[i, j])
+    high = table[i + 1, j] + share * (table[i + 1, j + 1] - table[i + 1, j])
+    return low + row_place.share * (high - low)
+
+
+@jit
+def _sphere_factors(factors, height, way, incidence, mode):  # type: ignore[no-untyped-def]
+    """The `_SphereFactors` between the eight nodes around three places.
+
+    ``factors`` are those of `AirTables`, ``mode`` is the value of the plane.
+    """
+    sigma_factor = 0.0
+    angle_factor = 0.0
+    for corner in range(8):
+        next_height = corner >> 2
+        next_way = (corner >> 1) & 1
+        next_incidence = corner & 1
+        by_height = height.share if next_height else 1.0 - height.share
+        by_way = way.share if next_way else 1.0 - way.share
+        by_incidence = incidence.share if next_incidence else 1.0 - incidence.share
+        weight = by_height * by_way * by_incidence
+        i = height.node + next_height
+        j = way.node + next_way
+        k = incidence.node + next_incidence
+        sigma_factor += weight * factors[i, j, k, SIGMA_FACTOR]
+        angle_factor += weight * factors[i, j, k, ANGLE_FACTOR]
+        mode += weight * factors[i, j, k, MODE_SUMMAND]
+    return _SphereFactors(sigma_factor, angle_factor, mode)
+
+
+@within
+def fill_positions(room, count, air):  # type: ignore[no-untyped-def]
+    """Fill where ``count`` rays are in the tables, their `DROP`, and `ONE_IF_KNOWN`.
+
+    The tables do not serve a ray to a target at or above the camera, nor a ray that is nearly level
+    at the target: its `ONE_IF_KNOWN` becomes NaN.
+    """
+    way_first = air.way_first
+    way_step = air.way_step
+    coarse_step = air.coarse_step
+    incidence_step = air.incidence_step
+    last_incidence = air.factors.shape[2] - 1.0
+    ground_m = air.ground_m
+    spacing_m = air.spacing_m
+    for i in range(count):
+        h_c = room[CAMERA_HEIGHT, i]
+        cos_z = room[NADIR_COSINE, i]
+        r_c = room[SPHERE_RADIUS, i] + room[CAMERA_HEIGHT, i]
+        drop = h_c - room[H_G, i]
+        r_g = room[SPHERE_RADIUS, i] + h_c - drop
+        # cos^2 of the straight ray's nadir angle at the target.
+        cos2_g = (r_c * r_c * cos_z * cos_z - drop * (r_c + r_g)) / (r_g * r_g)
+        beyond_first_way = math.sqrt(drop) - way_first
+        incidence = (1.0 / math.sqrt(math.sqrt(cos2_g)) - 1.0) / incidence_step
+        is_served = (room[ONE_IF_KNOWN, i] == 1.0) & (drop > 0.0) & (cos_z > 0.0) & (cos2_g > 0.0)
+        is_served &= incidence <= last_incidence
+        room[DROP, i] = drop
+        room[ONE_IF_KNOWN, i] = 1.0 if is_served else math.nan
+        room[WAY_POSITION, i] = beyond_first_way / way_step if is_served else 0.0
+        room[COARSE_POSITION, i] = beyond_first_way / coarse_step if is_served else 0.0
+        room[INCIDENCE_POSITION, i] = incidence if is_served else 0.0
+        room[GROUND_POSITION, i] = (room[H_G, i] - ground_m) / spacing_m if is_served else 0.0
+
+
+@jit
+def interpolate(room, count, air, station):  # type: ignore[no-untyped-def]
+    """Fill `SIGMA_BY_TANGENT` to `N_GROUND` of ``count`` rays from their positions in the tables.
+
+    ``station`` is the `Station` of their exposure. NaN in, NaN out; x and y are zero without a
+    plane window.
+    """
+    sigma = air.sigma
+    angle = air.angle
+    factors = air.factors
+    behind = air.behind
+    refractivity = air.refractivity
+    camera = station.camera_place
+    window = station.window_kind
+    height_nodes = factors.shape[0]
+    height = _place_at(station.height_share * (height_nodes - 1), height_nodes)
+    for r in range(count):
+        drop = room[DROP, r]
+        way = _place_at(room[WAY_POSITION, r], sigma.shape[1])
+        sigma_in_plane = _bilinear(sigma, camera, way)
+        angle_in_plane = _bilinear(angle, camera, way)
+        mode_in_plane = _bilinear(air.mode, camera, way)
+        room[SIGMA_X, r] = 0.0
+        room[SHARED_XY, r] = 0.0
+        if window >= 0:
+            room[SIGMA_X, r] = _bilinear(behind[window, 0], camera, way)
+            room[SHARED_XY, r] = _bilinear(behind[window, 1], camera, way)
+        coarse_way = _place_at(room[COARSE_POSITION, r], factors.shape[1])
+        incidence = _place_at(room[INCIDENCE_POSITION, r], factors.shape[2])
+        sphere = _sphere_factors(factors, height, coarse_way, incidence, mode_in_plane)
+        room[SIGMA_BY_TANGENT, r] = sigma_in_plane * sphere.sigma * drop
+        room[SLOPE_BY_SECANT2, r] = angle_in_plane * sphere.angle * drop
+        room[MODE_BY_TANGENT, r] = sphere.mode * drop / air.mode_sigma
+        room[N_GROUND, r] = linear(
+            refractivity, _place_at(room[GROUND_POSITION, r], refractivity.size)
+        )
