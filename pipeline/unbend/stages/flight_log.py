@@ -273,18 +273,23 @@ def heights_of_roles(
 def with_trajectory(
     roles: Roles, trajectory: Channel, replaced: tuple[str, ...], own: Roles, ledger: Ledger
 ) -> Roles:
-    """The roles with those that a trajectory plays, in place of the log's ``own``."""
+    """The roles of the log, with those that the trajectory plays; the ledger names these.
+
+    ``replaced`` are the roles that the mission file gives to the trajectory, ``own`` those of the
+    log alone. A log without heights gets those of the trajectory along with its positions.
+    """
+    played = list(replaced)
+    if "position" in replaced and "height" not in {*replaced, *own}:
+        played.append("height")
     roles = dict(roles)
-    for role in replaced:
+    for role in played:
         roles[role] = ledger.take(plausible_samples(trajectory, role))
-    if "position" in roles:
-        roles.setdefault("height", roles["position"])
-    former = ", ".join(f"{role} of {own[role].name}" for role in replaced if role in own)
+    former = ", ".join(f"{role} of {own[role].name}" for role in played if role in own)
     ledger.add(
         messages.trajectory_replaces(
             where="stations.trajectory",
             name=trajectory.name,
-            roles=", ".join(replaced),
+            roles=", ".join(played),
             former=f"in place of {former}" if former else "which the log has not",
         )
     )
