@@ -254,12 +254,13 @@ class _Span:
 
 
 def span_notes(events: list[Events], position: Channel, key: str) -> Notes:
-    """Events beyond the time of the flight: a warning, with the shift by which they would fit.
+    """Events beyond the time of the flight: a warning, with a shift that would help.
 
-    That is the first of leap seconds, time zones, a day and a week which brings all of them into
-    the span of ``position``, else the one that makes both begin together, if it brings more of them
-    into it. ``key`` says where the times are stated. Refuses (MissionError EVENTS-SPAN) where more
-    than half lie beyond it.
+    Tried are leap seconds, time zones, a day and a week: the first of these that brings all events
+    into the span of ``position`` is named. If none does, the shift is tried that lets events and
+    flight begin together; that shift is named if it brings more events into the flight. ``key``
+    says where the times are stated. Refuses (MissionError EVENTS-SPAN) events more than half of
+    which lie beyond the flight.
     """
     times = [exposed.time_ns for exposed in events]
     time_ns = np.sort(np.concatenate([np.empty(0, np.int64), *times]))
@@ -272,10 +273,13 @@ def span_notes(events: list[Events], position: Channel, key: str) -> Notes:
         return ()
     shift_ns = _fitting_shift(of_events, of_flight)
     left = of_flight.count_outside(time_ns + shift_ns)
-    fitting = "no offset would bring more of them"
+    fitting = (
+        "neither leap seconds, a time zone, a day nor a week would bring all of them into it, and "
+        "a common begin brings no more of them"
+    )
     if left < beyond:
         brought = f"{time_ns.size - left}" if left else "all"
-        fitting = f"{shift_ns * 1e-9:+.6g} s would bring {brought} of them"
+        fitting = f"{shift_ns * 1e-9:+.6g} s would bring {brought} of them into it"
     if 2 * beyond > time_ns.size:
         raise messages.most_events_beyond_flight(
             key=key,

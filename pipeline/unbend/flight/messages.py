@@ -648,8 +648,8 @@ def image_names_repeated(*, total: int, example: str) -> MissionError:
 EVENTS_SPAN = Code(
     "EVENTS-SPAN",
     means=(
-        "Events lie beyond the time of the flight; the entry gives the shift by which they "
-        "would fit."
+        "Events lie beyond the time of the flight; the entry gives a shift that would bring more "
+        "of them into it, if leap seconds, a time zone, a day, a week or a common begin does."
     ),
     effect="A warning; refused where more than half lie beyond it.",
     remedy=(
@@ -661,11 +661,11 @@ EVENTS_SPAN = Code(
 
 _BEYOND_FLIGHT = (
     "{count} of {total_events} lie beyond the flight: events {of_events}, "
-    "{channel} {of_flight}; {fitting} into it"
+    "{channel} {of_flight}; {fitting}"
 )
 _ONE_BEYOND_FLIGHT = (
     "1 of {total_events} lies beyond the flight: events {of_events}, "
-    "{channel} {of_flight}; {fitting} into it"
+    "{channel} {of_flight}; {fitting}"
 )
 
 
@@ -679,7 +679,7 @@ def events_beyond_flight(
     of_flight: str,
     fitting: str,
 ) -> Message:
-    """Few events beyond the time of the flight, and the shift by which they would fit."""
+    """Few events lie beyond the time of the flight; ``fitting`` says which shift would help."""
     return warning(
         EVENTS_SPAN,
         _BEYOND_FLIGHT,
