@@ -15,7 +15,6 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
-import yaml
 
 from unbend.atmosphere import Profile
 from unbend.atmosphere.estimate.adjusted_profile import unadjusted
@@ -24,7 +23,6 @@ from unbend.batch.finished_run.read_back import air_of, stations_of
 from unbend.batch.opening import open_inputs, open_table, paths_beside_tables, stated_orientation
 from unbend.config import Mission
 from unbend.config.reading import mission_of
-from unbend.errors import ConfigError
 from unbend.flight.stations import Stations
 from unbend.messages import LOSSES, Ledger
 from unbend.refraction.effect import FlightAir
@@ -40,7 +38,6 @@ from unbend.tables.manifest import ResultsRecord
 Table = TypeVar("Table", pd.DataFrame, pa.Table)
 Air: TypeAlias = Profile | TimedProfile | ProfileSeries | pa.Table | str | Mapping[str, Any]
 
-_NO_FILE = yaml.MappingNode("tag:yaml.org,2002:map", [], yaml.Mark("", 0, 0, 0, None, 0))
 _DEGREES = ("latitude", "longitude", "omega", "phi", "kappa", "roll", "pitch", "yaw")
 _NAMES = {"lat_deg": "latitude", "lon_deg": "longitude", "sigma_tilt_deg": "sigma_tilt",
           "sigma_yaw_deg": "sigma_yaw"} | {f"{name}_deg": name for name in _DEGREES}  # fmt: skip
@@ -187,11 +184,7 @@ def mission_of_tables(
         given["log"] = {"path": "-"}
     # Plain values: tuples become lists, and numpy's numbers Python's, with all their digits.
     text = json.dumps(given, default=lambda v: v.item() if hasattr(v, "item") else str(v))
-    try:
-        return mission_of(json.loads(text), _NO_FILE, "sections")
-    except ConfigError as error:  # no line of a file that nobody wrote
-        what = error.what.replace("line 1: ", "")
-        raise ConfigError(error.code, what, where=error.where, remedy=error.remedy) from None
+    return mission_of(json.loads(text), None, "sections")
 
 
 def inputs_of_tables(

@@ -24,11 +24,6 @@ from unbend.config.section import SectionError
 from unbend.config.yaml_text import Place, open_questions, read_yaml
 from unbend.errors import ConfigError
 
-_NO_LINES = yaml.MappingNode(
-    "",
-    [],
-    yaml.Mark(name="", index=0, line=0, column=0, buffer=None, pointer=0),
-)
 _IS_CAMPAIGN = re.compile(r"""^["']?(campaign|missions)["']?\s*:|^\s*\{""", re.MULTILINE)
 _URL = re.compile("[A-Za-z][A-Za-z0-9+.-]+:/")  # as `is_url` of the rooms above has it
 
@@ -76,7 +71,7 @@ class MissionRef:
         """Read and check it; refuses as `load_mission`."""
         defaults = json.loads(self.defaults) if self.defaults else None
         if self.own:
-            return mission_of(json.loads(self.own), _NO_LINES, self.label, defaults)
+            return mission_of(json.loads(self.own), None, self.label, defaults)
         values, node = read_yaml(self.path)
         return mission_of(values, node, str(self.path), defaults)
 
