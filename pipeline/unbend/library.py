@@ -229,9 +229,11 @@ def orientation_section(filled: Sequence[str], stated: Mapping[str, Any]) -> dic
     return section
 
 
-def _plain_value(value: Any) -> Any:
+def _plain_value(value: object) -> object:
     """A value for JSON: a number of numpy with all its digits, anything else as text."""
-    return value.item() if hasattr(value, "item") else str(value)
+    if isinstance(value, np.generic):
+        return value.item()
+    return str(value)
 
 
 def inputs_of_tables(

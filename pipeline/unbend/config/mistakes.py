@@ -48,9 +48,8 @@ def sentences_of(
     that stand in the mission file itself; a mistake in another value is in the defaults of the
     campaign, and its sentence says so instead of a line.
     """
-    mistakes = dict.fromkeys(mistakes_of(items, values))
     sentences: set[tuple[int, str]] = set()
-    for mistake in mistakes:
+    for mistake in mistakes_of(items, values):
         line = 0 if node is None else line_of(node, mistake.place)
         origin = f"line {line}" if line else ""
         if own is not None and not has_place(own, _nearest_place(values, mistake.place)):
@@ -167,8 +166,10 @@ def _nearest_place(values: object, place: Place) -> Place:
 
 def _written(place: Place) -> str:
     """A place as people write it: ``events.csv``, ``soundings[0].path``."""
-    parts = [f"[{part}]" if isinstance(part, int) else f".{part}" for part in place]
-    return "".join(parts).removeprefix(".")
+    text = ""
+    for part in place:
+        text += f"[{part}]" if isinstance(part, int) else f".{part}"
+    return text.removeprefix(".")
 
 
 def _shown(value: object) -> str:

@@ -54,10 +54,14 @@ def facts_of_log(path: Path) -> LogFacts:
     log = open_log(path)
     roles, notes = assign_roles(log.channels, {}, needs_cabin=False)
     plausible, questions = plausible_roles(roles)
-    indoors = [note.where for note in notes if note.code == "BARO-NOT-OUTSIDE"]
+    indoors = []
+    open_roles: dict[str, None] = {}
+    for note in notes:
+        if note.code == "BARO-NOT-OUTSIDE":
+            indoors.append(note.where)
+        elif note.code in OPEN_ROLES:
+            open_roles[note.where.removeprefix("log.channels.")] = None
     compartment = ", ".join(indoors)
-    places = [note.where for note in notes if note.code in OPEN_ROLES]
-    open_roles = dict.fromkeys(place.rpartition(".")[2] for place in places)
     for role in open_roles:
         questions += questions_of_role(role, log.channels, compartment)
 
@@ -67,7 +71,6 @@ def facts_of_log(path: Path) -> LogFacts:
     remarks.append(f"found by itself: {', '.join(decided)}")
     if indoors:
         remarks.append(f"{compartment} is in a closed compartment: it does not follow the height")
-    gimbals = [channel.name for channel in log.channels if is_of_gimbal(channel.source.message)]
     events = best_of([channel for channel in log.channels if channel.fits_role("events")])
     return LogFacts(
         events=events,
@@ -75,7 +78,7 @@ def facts_of_log(path: Path) -> LogFacts:
         roles=tuple(questions),
         compartment=compartment,
         takeoff=takeoff,
-        gimbals=", ".join(gimbals),
+        gimbals=", ".join(gimbal_channels(log)),
         trigger=", ".join(late_events(log, events)),
     )
 
@@ -104,7 +107,7 @@ def time_remark(log: Log) -> str:
 def place_remark(roles: Mapping[str, Channel]) -> str:
     """The median place of a flight; empty without positions."""
     position = roles.get("position")
-    if position is None or not len(position):
+    if position is None or len(position) == 0:
         return ""
     latitude = np.degrees(np.nanmedian(position["lat_rad"]))
     longitude = np.degrees(np.nanmedian(position["lon_rad"]))
@@ -145,15 +148,22 @@ def surface_of_heights(height: Channel) -> str:
     return "the sea" if height.height_column == "h_msl_m" else "the ellipsoid"
 
 
+def gimbal_channels(log: Log) -> list[str]:
+    """Names of the channels with attitudes of gimbals."""
+    return [channel.name for channel in log.channels if is_of_gimbal(channel.source.message)]
+
+
 def late_events(log: Log, events: tuple[Channel, ...]) -> list[str]:
     """Names of channels of events that have the times of the triggers, each once."""
-    late = []
+    late: dict[str, None] = {}
     for channel in events:
         for note in trigger_notes(log.channels, channel):
             if note.code == LATE_TRIGGER:
-                late.append(channel.name)
-    late += [note.where for note in log.ledger if note.code == LATE_TRIGGER]
-    return list(dict.fromkeys(late))
+                late[channel.name] = None
+    for note in log.ledger:
+        if note.code == LATE_TRIGGER:
+            late[note.where] = None
+    return list(late)
 
 
 def best_of(channels: list[Channel]) -> tuple[Channel, ...]:
@@ -167,7 +177,8 @@ def questions_of_role(role: str, channels: tuple[Channel, ...], compartment: str
 
     Beside a barometer in a ``compartment`` a sensor may be that of the cabin: a second question.
     """
-    candidates = best_of([c for c in channels if role in c.roles and c.fits_role(role)])
+    able = [channel for channel in channels if role in channel.roles and channel.fits_role(role)]
+    candidates = best_of(able)
     if not candidates:
         remark = f"no channel of the log has the {role}; null where stations.trajectory gives it"
         return [Proposed(role, TODO, remark)]
