@@ -174,7 +174,7 @@ def test_heights_of_the_trajectory_are_named_where_the_log_has_none(own, told):
     trajectory = Channel("flight.pos", time_ns, columns, Source("RTKLIB"))
     of_log = {role: Channel("GPS", time_ns, columns, Source("GPS")) for role in own}
     ledger = Ledger()
-    roles = with_trajectory(of_log, trajectory, ("position",), of_log, ledger)
+    roles = with_trajectory(of_log, trajectory, ("position",), ledger)
     assert roles["position"].name == "flight.pos"
     assert roles["height"].name == ("GPS" if own else "flight.pos")
     (entry,) = ledger
