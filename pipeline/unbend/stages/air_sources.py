@@ -70,8 +70,8 @@ def read_model_air(
     flight: FlightLog,
     stations: Stations,
     samples: AirSamples,
-    middle: TimeAndPlace,
     *,
+    middle: TimeAndPlace,
     ledger: Ledger,
 ) -> ModelAir | None:
     """The weather model of a mission; None where the mission names none.
@@ -359,19 +359,16 @@ def read_air_sources(
         longitude_rad=longitude if known.size else 0.0,
     )
     soundings = read_soundings(section, inputs, flight_ns, latitude, ledger)
-    surface = []
-    for number, of_station in enumerate(section.surface):
-        where = f"atmosphere.surface[{number}]"
-        surface.append(read_report(of_station, where, flight_ns, background, ledger))
+    surface = read_reports(section, flight_ns, background, ledger)
     middle = TimeAndPlace(flight_ns, latitude, longitude)
-    model = read_model_air(mission, inputs, flight, stations, samples, middle, ledger=ledger)
+    model = read_model_air(mission, inputs, flight, stations, samples, middle=middle, ledger=ledger)
     if model is not None:
         soundings.append(model.column)
-    ledger.extend(distance_notes(tuple(soundings), tuple(surface), middle))
+    ledger.extend(distance_notes(tuple(soundings), surface, middle))
     sources = AirSources(
         background=background,
         soundings=tuple(soundings),
-        surface=tuple(surface),
+        surface=surface,
         time_ns=flight_ns,
         longitude_rad=longitude,
         lowest_h_m=lowest_h_m,
@@ -381,6 +378,17 @@ def read_air_sources(
     if not section.adjust:
         report_unused(sources, ledger)
     return sources
+
+
+def read_reports(
+    section: AtmosphereSection, flight_ns: int | None, background: Climatology, ledger: Ledger
+) -> tuple[SurfaceReport, ...]:
+    """The reports of weather stations that a mission names."""
+    reports = []
+    for number, station in enumerate(section.surface):
+        where = f"atmosphere.surface[{number}]"
+        reports.append(read_report(station, where, flight_ns, background, ledger))
+    return tuple(reports)
 
 
 def read_soundings(
