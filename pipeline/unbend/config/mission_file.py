@@ -438,7 +438,7 @@ class Mission(Section):
 
     @model_validator(mode="after")
     def _check_positions_once(self) -> Self:
-        """Positions come from one source, and lead to the cameras."""
+        """Positions come from one source, and it is known where the cameras are from there."""
         trajectory = self.stations.trajectory
         events = self.position_events
         if self.stations.orientation is not None and (trajectory is not None or events):

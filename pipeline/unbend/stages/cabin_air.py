@@ -166,10 +166,10 @@ def pressurised_after_all(
     outside = roles.get("pressure")
     if outside is None:
         return []
+    time_ns = stations.time_ns[of_camera]
     for channel in channels:
         if channel.name == outside.name or not channel.fits_role("pressure"):
             continue
-        time_ns = stations.time_ns[of_camera]
         inside_pa = interpolate(channel, "pressure_pa", time_ns, MAX_GAP_S)
         excess_pa = inside_pa - stations.pressure_pa[of_camera]
         excess_pa = excess_pa[np.isfinite(excess_pa)]

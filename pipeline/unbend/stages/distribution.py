@@ -12,6 +12,7 @@ from unbend.units import Array, Integers, round_step
 _LOWEST_EXPONENT = -12  # of 10: the first bin; zero falls into it
 _HIGHEST_EXPONENT = 8
 _BINS_PER_DECADE = 500  # each is 0.46 % wide
+_BINS = (_HIGHEST_EXPONENT - _LOWEST_EXPONENT) * _BINS_PER_DECADE + 1
 
 
 @dataclass
@@ -26,11 +27,7 @@ class Distribution:
     (True, 999.0)
     """
 
-    counts: Integers = field(
-        default_factory=lambda: np.zeros(
-            (_HIGHEST_EXPONENT - _LOWEST_EXPONENT) * _BINS_PER_DECADE + 1, np.int64
-        )
-    )
+    counts: Integers = field(default_factory=lambda: np.zeros(_BINS, np.int64))
     maximum: float = 0.0
     total: int = 0
 
@@ -56,12 +53,14 @@ class Distribution:
         number = int(np.searchsorted(np.cumsum(self.counts), share * self.total))
         if number == 0:
             return 0.0
-        middle = 10.0 ** ((number + 0.5) / _BINS_PER_DECADE + _LOWEST_EXPONENT)
-        return float(min(middle, self.maximum))
+        middle = float(middle_of_bins(np.array(number)))
+        return min(middle, self.maximum)
 
     def __add__(self, other: Distribution) -> Distribution:
         return Distribution(
-            self.counts + other.counts, max(self.maximum, other.maximum), self.total + other.total
+            counts=self.counts + other.counts,
+            maximum=max(self.maximum, other.maximum),
+            total=self.total + other.total,
         )
 
     def histogram(self, bins: int = 24) -> HistogramRecord:
@@ -76,8 +75,9 @@ class Distribution:
             return HistogramRecord(1.0, [self.total] if self.total else [])
         step = round_step(self.maximum / bins)
         filled = np.flatnonzero(self.counts)
-        middle = 10.0 ** ((filled + 0.5) / _BINS_PER_DECADE + _LOWEST_EXPONENT)
-        number = (np.minimum(middle, self.maximum * (1.0 - 1e-12)) / step).astype(np.int64)
+        below_maximum = self.maximum * (1.0 - 1e-12)
+        values = np.minimum(middle_of_bins(filled), below_maximum)
+        number = (values / step).astype(np.int64)
         counts = np.bincount(number, self.counts[filled]).astype(np.int64)
         return HistogramRecord(step, counts.tolist())
 
@@ -89,6 +89,12 @@ class Distribution:
             p95=to_three_digits(self.quantile(0.95)),
             maximum=float(f"{self.maximum:.6g}") if self.total else None,
         )
+
+
+def middle_of_bins(number: Integers) -> Array:
+    """The middle value of bins, by their numbers."""
+    exponent = (number + 0.5) / _BINS_PER_DECADE + _LOWEST_EXPONENT
+    return np.asarray(10.0**exponent)
 
 
 def to_three_digits(value: float | None) -> float | None:

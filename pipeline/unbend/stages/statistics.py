@@ -161,7 +161,10 @@ class SampledRows(NamedTuple):
         station: NDArray[np.int64],
         most: int,
     ) -> SampledRows:
-        """Rows of a batch, evenly spaced."""
+        """At most ``most`` rows of a batch, evenly spaced, with their corrections.
+
+        ``h_g`` and ``station`` (n,) are the ground heights and the stations of the batch.
+        """
         rows = evenly_spaced(len(batch), most)
         weight = np.ones(rows.size) if batch.weight is None else batch.weight[rows]
         distance_m = np.full(rows.size, np.nan)
@@ -371,7 +374,7 @@ class Statistics:
                 ledger.add(self.flagged(status, count, causes.get(status, "")))
 
     def flagged(self, status: str, count: int, cause: str) -> Message:
-        """What is to be said of the rows of a status that is not ok."""
+        """The message that ``count`` rows have a status that is not ok, with its likely cause."""
         examples = ", ".join(self.examples.get(status, []))
         words: dict[str, Any] = {
             "total": self.rows,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -369,28 +369,46 @@ def is_shifted(
     Shifted by 1 to 12 events, or by as many as there are more events than images. Tie points
     count if images on both sides of the place show them.
     """
-    event = assignment.event
-    offset = int(np.median((event - images.number)[event >= 0]))
-    apart = max(2, abs(events_count - order.size))
-    sizes = {*range(1, min(apart, LARGEST_HOLE) + 1), apart}
-    shifts = [sign * size for size in sizes for sign in (-1, 1)]
     across_place: list[Likelihood] = []
     for likelihood in likelihoods.values():
         if isinstance(likelihood, TieLikelihood):
             across_place.append(likelihood.across(order[:place]))
         else:
             across_place.append(likelihood)
-    needed = sum(likelihood(event) for likelihood in across_place) + LOG_RATIO_NEEDED
+
+    def joint_likelihood(event: Integers) -> float:
+        return sum(likelihood(event) for likelihood in across_place)
+
+    needed = joint_likelihood(assignment.event) + LOG_RATIO_NEEDED
+    shifted_parts = shifted_assignments(assignment, images, order, place, events_count=events_count)
+    return any(joint_likelihood(event) > needed for event in shifted_parts)
+
+
+def shifted_assignments(
+    assignment: Assignment,
+    images: CameraImages,
+    order: Integers,
+    place: int,
+    *,
+    events_count: int,
+) -> Iterator[Integers]:
+    """Assignments (k,) with the images before a place in their order, or from it on, shifted.
+
+    An image that would be shifted beyond the events has none (-1). A shift that leaves fewer than
+    half of the images an event is left out.
+    """
+    event = assignment.event
+    offset = int(np.median((event - images.number)[event >= 0]))
+    surplus = max(2, abs(events_count - order.size))
+    sizes = {*range(1, min(surplus, LARGEST_HOLE) + 1), surplus}
+    shifts = [sign * size for size in sizes for sign in (-1, 1)]
     for rows, shift in product((order[:place], order[place:]), shifts):
         moved = images.number[rows] + offset + shift
         is_event = (moved >= 0) & (moved < events_count)
-        if 2 * is_event.sum() < rows.size:
-            continue
-        shifted = event.copy()
-        shifted[rows] = np.where(is_event, moved, -1)
-        if sum(likelihood(shifted) for likelihood in across_place) > needed:
-            return True
-    return False
+        if 2 * is_event.sum() >= rows.size:
+            shifted = event.copy()
+            shifted[rows] = np.where(is_event, moved, -1)
+            yield shifted
 
 
 def beside_the_log(images: CameraImages, exposed: Events) -> tuple[str, str]:
