@@ -21,6 +21,9 @@ Likelihood = Callable[[Integers], float]
 """Natural logarithm of the likelihood of an assignment: (k,) the row of the event of each image,
 -1 for an image without an event."""
 
+TIES = "tie points"
+"""The name of the likelihood by tie points, among the evidence for an assignment."""
+
 FEWEST_POINTS = 10  # tie points: fewer decide nothing
 TIE_POINTS = 200  # that decide: 800 rays show a shift by a factor of e^3000
 POINTS_AT_FIRST = 50  # tie points whose rays rank many assignments
