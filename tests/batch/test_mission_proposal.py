@@ -18,9 +18,9 @@ import yaml
 from tests.ingest.ulog.test_log import flight
 from tests.logs import at_hand
 from unbend.batch.proposal import mission_text
-from unbend.batch.proposal.cameras import proposed_cameras
 from unbend.batch.proposal.log_facts import LogFacts, facts_of_log
 from unbend.batch.proposal.mission_text import propose_mission
+from unbend.batch.proposal.proposed_cameras import proposed_cameras
 from unbend.flight.channels import Channel, Source
 from unbend.flight.image_names import name_series
 

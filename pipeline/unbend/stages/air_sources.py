@@ -163,14 +163,14 @@ def sampled_place(
     )
 
 
-class UsedSamples(NamedTuple):
+class AcceptedSamples(NamedTuple):
     """Times [Unix ns] and heights [m] of the samples of a sensor that are used, (n,)."""
 
     time_ns: Integers
     h_m: Array
 
 
-def used_samples(samples: AirSamples, start_ns: int, end_ns: int) -> UsedSamples | None:
+def used_samples(samples: AirSamples, start_ns: int, end_ns: int) -> AcceptedSamples | None:
     """The used samples of the thermometer between two times, else of the barometer; or None."""
     for sensor in (samples.temperature, samples.pressure):
         if sensor is None:
@@ -178,7 +178,7 @@ def used_samples(samples: AirSamples, start_ns: int, end_ns: int) -> UsedSamples
         is_between = (sensor.time_ns >= start_ns) & (sensor.time_ns < end_ns)
         rows = sensor.accepted & np.isfinite(sensor.h_m) & is_between
         if bool(rows.any()):
-            return UsedSamples(sensor.time_ns[rows], sensor.h_m[rows])
+            return AcceptedSamples(sensor.time_ns[rows], sensor.h_m[rows])
     return None
 
 

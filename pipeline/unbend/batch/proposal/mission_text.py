@@ -8,8 +8,8 @@ from pathlib import Path
 from jinja2 import Environment, StrictUndefined, Template
 
 from unbend.batch import messages
-from unbend.batch.proposal.cameras import proposed_cameras
 from unbend.batch.proposal.log_facts import facts_of_log
+from unbend.batch.proposal.proposed_cameras import proposed_cameras
 from unbend.batch.proposal.table_facts import (
     OPENSFM_FILE,
     TableFacts,

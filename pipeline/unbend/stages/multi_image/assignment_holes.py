@@ -51,7 +51,9 @@ def hole_between(
         return ""
     order = np.argsort(images.number, kind="stable")
     for place in places_of_holes(assignment, order, likelihoods):
-        if is_shifted(assignment, images, order, place, events_count, likelihoods):
+        if is_shifted(
+            assignment, images, order, place, events_count=events_count, likelihoods=likelihoods
+        ):
             return f"one is missing near {images.name[order[place]]}"
     return ""
 
@@ -79,6 +81,7 @@ def is_shifted(
     images: CameraImages,
     order: Integers,
     place: int,
+    *,
     events_count: int,
     likelihoods: Mapping[str, Likelihood],
 ) -> bool:
