@@ -6,7 +6,7 @@ story's steps.
 
 import json
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeAlias, TypeVar
@@ -15,7 +15,6 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
-import yaml
 
 from unbend.atmosphere import Profile
 from unbend.atmosphere.estimate.adjusted_profile import unadjusted
@@ -24,7 +23,6 @@ from unbend.batch.finished_run.read_back import air_of, stations_of
 from unbend.batch.opening import open_inputs, open_table, paths_beside_tables, stated_orientation
 from unbend.config import Mission
 from unbend.config.reading import mission_of
-from unbend.errors import ConfigError
 from unbend.flight.stations import Stations
 from unbend.messages import LOSSES, Ledger
 from unbend.refraction.effect import FlightAir
@@ -40,14 +38,43 @@ from unbend.tables.manifest.results import ResultsRecord
 Table = TypeVar("Table", pd.DataFrame, pa.Table)
 Air: TypeAlias = Profile | TimedProfile | ProfileSeries | pa.Table | str | Mapping[str, Any]
 
-_NO_FILE = yaml.MappingNode("tag:yaml.org,2002:map", [], yaml.Mark("", 0, 0, 0, None, 0))
-_DEGREES = ("latitude", "longitude", "omega", "phi", "kappa", "roll", "pitch", "yaw")
-_NAMES = {"lat_deg": "latitude", "lon_deg": "longitude", "sigma_tilt_deg": "sigma_tilt",
-          "sigma_yaw_deg": "sigma_yaw"} | {f"{name}_deg": name for name in _DEGREES}  # fmt: skip
-_HEIGHTS = {"h_msl_m": "msl", "h_ellipsoid_m": "ellipsoid"}
-_ANGLES = {"omega": "omega_phi_kappa", "roll": "roll_pitch_yaw", "q_w": "quaternion"}
-_OF_A_RUN = {"profile_id", "status", "q_w"}  # columns that only the stations of a run have
-_FURTHER = ("camera", "time_utc", "sigma_horizontal_m", "sigma_height_m", "sigma_tilt", "sigma_yaw")
+_QUANTITY_OF_COLUMN = {
+    "lat_deg": "latitude",
+    "lon_deg": "longitude",
+    "latitude_deg": "latitude",
+    "longitude_deg": "longitude",
+    "omega_deg": "omega",
+    "phi_deg": "phi",
+    "kappa_deg": "kappa",
+    "roll_deg": "roll",
+    "pitch_deg": "pitch",
+    "yaw_deg": "yaw",
+    "sigma_tilt_deg": "sigma_tilt",
+    "sigma_yaw_deg": "sigma_yaw",
+}
+"""Other names that columns of stations may have."""
+
+_REFERENCE_OF_HEIGHT = {"h_msl_m": "msl", "h_ellipsoid_m": "ellipsoid"}
+"""What the heights of a column of stations count from."""
+
+_ANGLES_OF_COLUMN = {"omega": "omega_phi_kappa", "roll": "roll_pitch_yaw", "q_w": "quaternion"}
+"""The kind of angles that stations have, by one of their columns."""
+
+_OPTIONAL_COLUMNS = (
+    "camera",
+    "time_utc",
+    "sigma_horizontal_m",
+    "sigma_height_m",
+    "sigma_tilt",
+    "sigma_yaw",
+)
+"""Columns of stations that are used where they are there."""
+
+_COLUMNS_OF_A_RUN = {"profile_id", "status", "q_w"}
+"""Columns that together only the stations of a run have."""
+
+_REPLACED_SECTIONS = {"log", "stations", "events", "atmosphere", "output"}
+"""Sections of a mission file that tables in memory take the place of."""
 
 
 def correct(
@@ -68,40 +95,39 @@ def correct(
         latitude, longitude [deg] (or lat_deg, lon_deg) and a height, named h_msl_m or
         h_ellipsoid_m [m]; omega, phi, kappa, or roll, pitch, yaw, or q_w to q_z, the angles in
         degrees (omega_deg too) against east, north and up at the station. Or the whole
-        ``stations.parquet`` of a run, of which then everything is taken as it is.
+        ``stations.parquet`` of a run, which is then taken as it is.
     profile : a `Profile`; with a covariance a `TimedProfile`; the `ProfileSeries` or the
         ``profile.parquet`` of a run with its stations; the name of a standard atmosphere; or the
         section ``atmosphere`` of a mission file, from which the air is estimated.
     cameras : the section of that name of a mission file.
-    orientation : further keys of ``stations.orientation``, where names do not say everything:
-        frame, heights, unit, columns, date, sigmas.
+    orientation : further keys of ``stations.orientation``, for what the names of columns do not
+        say: frame, heights, unit, columns, date, sigmas.
     sections : other sections of a mission file, as ``ground={"height": 120.0}``.
 
     Returns a table of the kind of ``observations`` with the columns of a run, the same to the last
     bit. ``uncertainty``, ``cabin_air`` and ``ledger`` of the manifest are in ``attrs`` of a
     DataFrame, and as JSON in the metadata of an Arrow table.
 
-    Refuses what a run refuses, with its codes (`UnbendError`); what ends a run with code 3 is a
-    UserWarning each. Raises TypeError for what is no table and ValueError for a series of profiles
-    that belongs to other stations.
+    Refuses what a run refuses, with the same codes (`UnbendError`). Each loss or finding, which
+    would end a run with code 3, is a UserWarning. Raises TypeError for what is no table, and
+    ValueError for a series of profiles that belongs to other stations.
     """
-    taken = sorted({"log", "stations", "events", "atmosphere", "output"} & sections.keys())
-    if taken:
-        raise TypeError(f"{', '.join(taken)}: tables in memory take the place of these sections")
-    measured = _arrow(observations, "observations")
-    placed: pa.Table = _arrow(stations, "stations")
-    own = None
-    if {*placed.column_names} >= _OF_A_RUN:
-        own = stations_of(placed)
-    frame = placed.to_pandas().rename(columns=_NAMES)
+    replaced = sorted(_REPLACED_SECTIONS & sections.keys())
+    if replaced:
+        raise TypeError(f"{', '.join(replaced)}: tables in memory take the place of these sections")
+    measured = _arrow_table(observations, "observations")
+    placed: pa.Table = _arrow_table(stations, "stations")
+    frame = placed.to_pandas().rename(columns=_QUANTITY_OF_COLUMN)
     given = {"cameras": cameras, "atmosphere": _atmosphere(profile), **sections}
     mission = mission_of_tables(frame, orientation or {}, given)
-    if own is not None:
+    run_stations = None
+    if {*placed.column_names} >= _COLUMNS_OF_A_RUN:
+        run_stations = stations_of(placed)
         from_run = mission.stations.model_copy(update={"orientation": None})
         mission = mission.model_copy(update={"log": None, "stations": from_run})
     ledger = Ledger()
     mission, inputs = inputs_of_tables(mission, measured, frame, ledger)
-    prepared = prepare_mission(mission, inputs, ledger, stations=own)
+    prepared = prepare_mission(mission, inputs, ledger, stations=run_stations)
     if not isinstance(profile, str | Mapping):
         prepared = replace(prepared, air=air_of_stations(profile, placed, prepared.stations))
     table, results = corrected_table(prepared)
@@ -119,29 +145,29 @@ def correct(
 
 
 def corrected_table(prepared: PreparedMission) -> tuple[pa.Table, ResultsRecord]:
-    """The corrected observations of a mission, all in memory, and what is to be said of them."""
-    parts: list[pa.Table] = []
+    """Correct all observations in memory: their table, and the record of the results."""
+    tables: list[pa.Table] = []
 
     def correct_all(setup: CorrectionSetup) -> Statistics:
         total = Statistics.of(setup.cameras)
-        made = correct_parts(
+        parts = correct_parts(
             prepared.observations,
             setup,
             finish=lambda part: part,
             batch_rows=prepared.mission.output.batch_rows,
             metadata=observation_metadata(prepared.mission),
         )
-        for part in made:
+        for part in parts:
             total.merge(part.statistics)
-            parts.append(part.table)
+            tables.append(part.table)
         return total
 
     results = correct_mission(prepared, correct_all).results
-    return pa.concat_tables(parts), results
+    return pa.concat_tables(tables), results
 
 
 def _atmosphere(profile: Air) -> Mapping[str, Any]:
-    """The section of the atmosphere; it does not count where the profile itself is given."""
+    """The section ``atmosphere`` of the mission; without effect for a profile that is a value."""
     if isinstance(profile, str):
         return {"adjust": False, "standard": profile}
     if isinstance(profile, Mapping):
@@ -149,7 +175,8 @@ def _atmosphere(profile: Air) -> Mapping[str, Any]:
     return {"adjust": False}
 
 
-def _arrow(table: pd.DataFrame | pa.Table, name: str) -> pa.Table:
+def _arrow_table(table: pd.DataFrame | pa.Table, name: str) -> pa.Table:
+    """A table as a table of Arrow; ``name`` is what a TypeError calls it."""
     if isinstance(table, pd.DataFrame):
         return pa.Table.from_pandas(table, preserve_index=False)
     if not isinstance(table, pa.Table):
@@ -161,86 +188,116 @@ def _arrow(table: pd.DataFrame | pa.Table, name: str) -> pa.Table:
 def mission_of_tables(
     frame: pd.DataFrame, orientation: Mapping[str, Any], sections: Mapping[str, Any]
 ) -> Mission:
-    """The mission of tables in memory; the ``frame`` of stations has the names of quantities."""
-    known = [name for name in frame if frame[name].notna().any()]
-    columns = {name: name for name in _FURTHER if name in known}
-    if "date" in orientation:
-        columns.pop("time_utc", None)
-    stated: dict[str, Any] = {"frame": "geographic"}
-    stated.update(("angles", angles) for name, angles in _ANGLES.items() if name in known)
-    for name, heights in _HEIGHTS.items():
-        if name in known and "latitude" in known and "height" not in columns:
-            columns["height"] = name
-            stated["heights"] = heights
-    stated |= orientation
-    stated["columns"] = columns | dict(orientation.get("columns", {}))
-    stated["path"] = "stations"
+    """The mission of tables in memory.
+
+    ``frame`` is the table of stations, its columns named by quantities; ``orientation`` and
+    ``sections`` are what the caller states beside it.
+    """
+    filled = [str(name) for name in frame if frame[name].notna().any()]
     given = {
         "ground": {"height": {"column": "h_g_m"}, "reference": "msl"},
         **sections,
         "mission": {"name": "tables", **sections.get("mission", {})},
         "observations": {**sections.get("observations", {}), "path": "observations"},
-        "stations": {"orientation": stated},
+        "stations": {"orientation": orientation_section(filled, orientation)},
         "output": {"path": "results"},
     }
-    if "profile_id" in known:  # the cabin's air of a run's stations may be that of a log
+    if "profile_id" in filled:  # the cabin's air of a run's stations may be that of a log
         given["log"] = {"path": "-"}
-    # Plain values: tuples become lists, and numpy's numbers Python's, with all their digits.
-    text = json.dumps(given, default=lambda v: v.item() if hasattr(v, "item") else str(v))
-    try:
-        return mission_of(json.loads(text), _NO_FILE, "sections")
-    except ConfigError as error:  # no line of a file that nobody wrote
-        what = error.what.replace("line 1: ", "")
-        raise ConfigError(error.code, what, where=error.where, remedy=error.remedy) from None
+    return mission_of(json.loads(json.dumps(given, default=_plain_value)), None, "sections")
+
+
+def orientation_section(filled: Sequence[str], stated: Mapping[str, Any]) -> dict[str, Any]:
+    """The section ``stations.orientation`` by the names of the ``filled`` columns of stations.
+
+    What the caller has ``stated`` goes before what the names say.
+    """
+    columns = {name: name for name in _OPTIONAL_COLUMNS if name in filled}
+    if "date" in stated:
+        columns.pop("time_utc", None)
+    section: dict[str, Any] = {"frame": "geographic"}
+    for name, angles in _ANGLES_OF_COLUMN.items():
+        if name in filled:
+            section["angles"] = angles
+    for name, reference in _REFERENCE_OF_HEIGHT.items():
+        if name in filled and "latitude" in filled and "height" not in columns:
+            columns["height"] = name
+            section["heights"] = reference
+    section |= stated
+    section["columns"] = columns | dict(stated.get("columns", {}))
+    section["path"] = "stations"
+    return section
+
+
+def _plain_value(value: object) -> object:
+    """A value for JSON: a number of numpy with all its digits, anything else as text."""
+    if isinstance(value, np.generic):
+        return value.item()
+    return str(value)
 
 
 def inputs_of_tables(
     mission: Mission, measured: pa.Table, frame: pd.DataFrame, ledger: Ledger
 ) -> tuple[Mission, OpenedInputs]:
-    """The tables as inputs, with files that the mission names beside them; and what these say."""
+    """The opened inputs of a mission: tables in memory, and the files that it names.
+
+    The mission comes back with what the files of its cameras say.
+    """
     mission, paths = paths_beside_tables(mission, Path.cwd())
     observations = open_table(mission, Path(mission.observations.path), ledger, table=measured)
     inputs = open_inputs(mission, paths, observations, None, ledger)
-    of_stations = mission.stations.orientation
-    if of_stations is None:
+    section = mission.stations.orientation
+    if section is None:
         return mission, inputs
-    table = orientation_of_frame(frame, of_stations.path, stated_orientation(of_stations), ledger)
+    table = orientation_of_frame(frame, section.path, stated_orientation(section), ledger)
     return mission, replace(inputs, orientation=table)
 
 
 def air_of_stations(profile: Air, placed: pa.Table, stations: Stations) -> FlightAir:
-    """The air that is given, for all stations; those that have none get the first profile."""
-    series: ProfileSeries | None = None
+    """The air that the caller gives, for all stations.
+
+    ``placed`` is the caller's table of stations; ``stations`` are these and, after them, images
+    without an exposure, which get the first profile.
+    """
+    series = series_of_stations(profile, placed, len(stations))
+    profile_number = np.zeros(len(stations), np.int64)
+    profile_number[: series.profile_number.size] = series.profile_number
+    first = series.timed_profiles[0]
+    adjustment = unadjusted(first.profile, "it is given")
+    adjustment = replace(adjustment, covariance=first.covariance)
+    return FlightAir(adjustment, ProfileSeries(series.timed_profiles, profile_number))
+
+
+def series_of_stations(profile: Air, placed: pa.Table, count: int) -> ProfileSeries:
+    """The profiles of stations, by whatever the caller gives as the air.
+
+    A single profile is that of all ``count`` stations; several belong to the rows of ``placed``,
+    the caller's table of stations.
+    """
     if isinstance(profile, Profile):
-        profile = TimedProfile(None, profile)
+        return constant_series(TimedProfile(None, profile), count)
     if isinstance(profile, TimedProfile):
-        series = constant_series(profile, len(stations))
-    elif isinstance(profile, pa.Table) and b"g_phi" in (profile.schema.metadata or {}):
+        return constant_series(profile, count)
+    if isinstance(profile, pa.Table) and b"g_phi" in (profile.schema.metadata or {}):
         ids = pa.nulls(0)
         if "profile_id" in placed.column_names:
             ids = placed["profile_id"]
         profile_count = pc.count_distinct(profile["profile_id"]).as_py()
         if profile_count > 1 and not len(ids):
             raise ValueError("several profiles need the stations of their run, with profile_id")
-        series = air_of(profile, ids.cast(pa.string()))
-    elif isinstance(profile, ProfileSeries):
-        series = profile
-        size = series.profile_number.size
+        return air_of(profile, ids.cast(pa.string()))
+    if isinstance(profile, ProfileSeries):
+        size = profile.profile_number.size
         given = placed.num_rows
         if size != given:
-            what = f"the profiles are those of {size} stations, not of the {given} that are given"
-            raise ValueError(what)
-    if series is None:
-        raise TypeError(
-            f"a profile is none of {type(profile).__name__}: a Profile, TimedProfile, "
-            "ProfileSeries, the Arrow table of profile.parquet, a name, or a section"
-        )
-    number = np.zeros(len(stations), np.int64)
-    number[: series.profile_number.size] = series.profile_number
-    first = series.timed_profiles[0]
-    adjustment = unadjusted(first.profile, "it is given")
-    adjustment = replace(adjustment, covariance=first.covariance)
-    return FlightAir(adjustment, ProfileSeries(series.timed_profiles, number))
+            raise ValueError(
+                f"the profiles are those of {size} stations, not of the {given} that are given"
+            )
+        return profile
+    raise TypeError(
+        f"a profile is none of {type(profile).__name__}: a Profile, TimedProfile, "
+        "ProfileSeries, the Arrow table of profile.parquet, a name, or a section"
+    )
 
 
 def correct_one_image() -> None:

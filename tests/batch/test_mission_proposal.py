@@ -6,6 +6,7 @@ import csv
 import io
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +17,10 @@ import yaml
 
 from tests.ingest.ulog.test_log import flight
 from tests.logs import at_hand
-from unbend.batch import mission_proposal
-from unbend.batch.mission_proposal import FoundLog, propose_mission, proposed_cameras
+from unbend.batch.proposal import mission_text
+from unbend.batch.proposal.log_facts import LogFacts, facts_of_log
+from unbend.batch.proposal.mission_text import propose_mission
+from unbend.batch.proposal.proposed_cameras import proposed_cameras
 from unbend.flight.channels import Channel, Source
 from unbend.flight.image_names import name_series
 
@@ -95,8 +98,8 @@ def test_a_bare_camera_takes_twenty_lines(mission, monkeypatch):
     """Beside remarks on lines of their own; the flight has one channel, and no cabin."""
     seen = mission.measurements().to_pandas()
     seen[seen["image"].str.startswith("nadir")].to_csv(mission.folder / "o.csv", index=False)
-    found = FoundLog(events=(channel("CAM[0]", [1, 2, 3]),), takeoff="take-off 450 m above the sea")
-    monkeypatch.setattr(mission_proposal, "found_in_log", lambda _: found)
+    facts = LogFacts(events=(channel("CAM[0]", [1, 2, 3]),), takeoff="take-off 450 m above the sea")
+    monkeypatch.setattr(mission_text, "facts_of_log", lambda _: facts)
     table = mission.folder / "o.csv"
     text = propose_mission(mission.log, table, None, mission.file)
     lines = [line for line in text.splitlines() if not line.lstrip().startswith("#")]
@@ -169,16 +172,16 @@ def names(prefix: str, numbers: range) -> tuple[str, ...]:
 
 
 def test_two_cameras_by_one_channel_are_a_question():
-    log = FoundLog(events=(channel("CAM[0]", [*range(1, 9)]),))
-    cameras = proposed_cameras(log, names("left_", range(1, 9)) + names("right_", range(1, 9)))
+    events = (channel("CAM[0]", [*range(1, 9)]),)
+    cameras = proposed_cameras(events, names("left_", range(1, 9)) + names("right_", range(1, 9)))
     assert [c.name for c in cameras] == ["left", "right"]
     assert [c.channel.value for c in cameras] == ["TODO", "TODO"]
     assert "CAM[0] (8 events)" in cameras[0].channel.remark
 
 
 def test_each_camera_gets_the_channel_that_counts_alike():
-    log = FoundLog(events=(channel("CAM[0]", [*range(1, 9)]), channel("CAM[1]", [*range(3, 9)])))
-    cameras = proposed_cameras(log, names("a_", range(3, 9)) + names("b_", range(1, 9)))
+    events = (channel("CAM[0]", [*range(1, 9)]), channel("CAM[1]", [*range(3, 9)]))
+    cameras = proposed_cameras(events, names("a_", range(3, 9)) + names("b_", range(1, 9)))
     found = {c.name: (c.channel.value, c.image.value) for c in cameras}
     assert found == {
         "b": ('"CAM[0]"', '"b_{index:04d}.tif"'), "a": ('"CAM[1]"', '"a_{index:04d}.tif"')
@@ -188,17 +191,16 @@ def test_each_camera_gets_the_channel_that_counts_alike():
 @pytest.mark.parametrize("numbers", [range(700, 708), range(2, 9), range(1, 8), range(9)])
 def test_names_that_do_not_count_as_the_log_are_left_to_the_evidence(numbers):
     """Also where the first or last is missing: the camera's own count may begin elsewhere."""
-    log = FoundLog(events=(channel("CAM[0]", [*range(1, 9)]),))
-    (camera,) = proposed_cameras(log, names("DSC_", numbers))
+    events = (channel("CAM[0]", [*range(1, 9)]),)
+    (camera,) = proposed_cameras(events, names("DSC_", numbers))
     assert (camera.name, camera.channel.value) == ("camera", '"CAM[0]"')
     assert camera.image.value == '"DSC_*.tif"'
     assert "DSC_{index:04d}.tif" in camera.image.remark
 
 
 def test_without_events_their_table_is_asked_for(mission, unbend, monkeypatch):
-    found = mission_proposal.found_in_log(mission.log)
-    found.events = ()
-    monkeypatch.setattr(mission_proposal, "found_in_log", lambda _: found)
+    facts = replace(facts_of_log(mission.log), events=())
+    monkeypatch.setattr(mission_text, "facts_of_log", lambda _: facts)
     text = propose_mission(mission.log, None, None, mission.file)
     assert yaml.safe_load(text)["events"] == {"csv": {"path": "TODO"}}
     assert "# the log has no camera events" in text
@@ -346,9 +348,9 @@ def test_a_flight_of_two_cameras_runs_once_the_questions_are_answered(unbend, tm
 
 
 def test_one_stray_name_does_not_hide_that_the_others_count_as_the_log():
-    log = FoundLog(events=(channel("CAM[0]", [*range(1, 29)]),))
-    (camera,) = proposed_cameras(log, (*names("a_", range(1, 29)), "a_9999.tif"))
+    events = (channel("CAM[0]", [*range(1, 29)]),)
+    (camera,) = proposed_cameras(events, (*names("a_", range(1, 29)), "a_9999.tif"))
     assert camera.image.value == '"a_{index:04d}.tif"'
     assert camera.image.remark.endswith("1 to 28; not a_9999.tif")
-    (camera,) = proposed_cameras(log, names("a_", range(1, 30)))  # an event may be lost
+    (camera,) = proposed_cameras(events, names("a_", range(1, 30)))  # an event may be lost
     assert camera.image.value == '"a_*.tif"'

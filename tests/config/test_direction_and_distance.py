@@ -60,11 +60,20 @@ def test_what_would_have_no_effect_is_refused(load, more):
     assert "above mean sea level" in refused(load, ground={"height": "from_distance"} | more)
 
 
-@pytest.mark.parametrize("reference", ["msl", "ellipsoid"])
-def test_intersected_heights_have_no_reference(load, reference):
-    assert load(ground={"height": "intersected"}).ground.reference == "msl"
-    words = refused(load, ground={"height": "intersected", "reference": reference})
-    assert "leave reference out" in words
+def test_intersected_heights_are_above_mean_sea_level_and_may_say_so(load):
+    """The manifest says so, and `unbend init` asks for the reference before it knows the height."""
+    ground = load(ground={"height": "intersected"}).ground
+    assert ground.reference == "msl"
+    assert load(ground={"height": "intersected", "reference": "msl"}).ground == ground
+    words = refused(load, ground={"height": "intersected", "reference": "ellipsoid"})
+    assert "height: intersected gives heights above mean sea level" in words
+
+
+@pytest.mark.parametrize("height", ["from_distance", "intersected"])
+def test_a_mission_is_understood_again_from_the_manifest_of_its_run(load, height):
+    """`unbend export` reads it there; defaults that were filled in are then stated."""
+    mission = load(ground={"height": height})
+    assert Mission.model_validate_json(mission.model_dump_json()) == mission
 
 
 def test_heights_from_distances_need_the_column(load):

@@ -15,7 +15,10 @@ import pytest
 
 from unbend.batch.runs import read_mission
 from unbend.errors import ConfigError, MissionError
+from unbend.flight.channels import Channel, Source
+from unbend.messages import Ledger
 from unbend.simulate.flight import UNDULATION_M, fly
+from unbend.stages.flight_log import with_trajectory
 
 GPS_EPOCH = datetime(1980, 1, 6, tzinfo=UTC)
 NEAR_M = 0.15  # events are 1.6 ms off by the clock of the log, at 70 m/s
@@ -161,6 +164,21 @@ def test_an_sbet_replaces_all_and_its_week_is_that_of_the_log(mission, files, tr
     assert place < NEAR_M
     assert height < 0.05
     assert attitude < 0.02
+
+
+@pytest.mark.parametrize(("own", "told"), [([], "position, height"), (["height"], "position")])
+def test_heights_of_the_trajectory_are_named_where_the_log_has_none(own, told):
+    """Positions alone are to be replaced: heights come along only where the log has none."""
+    time_ns = np.arange(10) * 10**9
+    columns = {"lat_rad": np.full(10, 0.8), "lon_rad": np.full(10, 0.1), "h_msl_m": np.ones(10)}
+    trajectory = Channel("flight.pos", time_ns, columns, Source("RTKLIB"))
+    of_log = {role: Channel("GPS", time_ns, columns, Source("GPS")) for role in own}
+    ledger = Ledger()
+    roles = with_trajectory(of_log, trajectory, ("position",), ledger)
+    assert roles["position"].name == "flight.pos"
+    assert roles["height"].name == ("GPS" if own else "flight.pos")
+    (entry,) = ledger
+    assert entry.what == f"flight.pos gives {told}, which the log has not"
 
 
 def test_attitude_alone_leaves_the_positions_of_the_log(mission, files, truth):

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from unbend.refraction.image import COLUMNS, Corrections
-from unbend.stages.statistics import Distribution, ShiftStatistics
+from unbend.stages.distribution import Distribution
+from unbend.stages.statistics import ShiftStatistics
 from unbend.tables.manifest.results import ShiftField
 
 

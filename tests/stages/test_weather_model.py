@@ -20,7 +20,8 @@ from unbend.batch.runs import read_mission
 from unbend.messages import Ledger
 from unbend.simulate.flight import FIELD_LAT_RAD
 from unbend.simulate.true_air import temperature_k, true_air, vapour_pressure_pa
-from unbend.stages.air_of_mission import adjusted_profiles, read_air_sources
+from unbend.stages.air_of_mission import adjusted_profiles
+from unbend.stages.air_sources import read_air_sources
 
 from .test_oriented_stations import columns_of
 

@@ -187,7 +187,7 @@ def surface_report(
 
     Raises ``InputError`` where values cannot be those of air at the ground, as Fahrenheit taken
     for Celsius, or QNH taken for the station's pressure 650 m up, are not. Missions are also
-    checked by place and season, see `unbend.stages.air_of_mission`.
+    checked by place and season, see `unbend.stages.air_sources`.
 
     >>> surface_report(100.0, temperature_k=293.15, relative_humidity=0.5).pressure_pa
     nan

@@ -78,9 +78,9 @@ class Place:
 
     @classmethod
     def of(cls, url: str) -> Place:
-        """The place of a URL; refuses (ConfigError URL-INVALID) what names none.
+        """The place of a URL; refuses (ConfigError URL-INVALID) a URL that names no place.
 
-        A user, password, query or fragment is refused and not repeated: it may be a secret. The
+        A user, password, query or fragment is refused, and not repeated: it may be a secret. The
         key is written as the bucket has it, without percent-encoding.
         """
         scheme, _, rest = url.partition("://")
@@ -104,15 +104,15 @@ class Place:
 
     @property
     def name(self) -> str:
-        """The last part of its key, or the bucket."""
+        """The last part of the key, or the bucket."""
         return self.key.rpartition("/")[2] or self.bucket
 
     def is_below(self, other: Place) -> bool:
-        """Whether its name begins with that of another place, or is the same."""
+        """Whether the place lies below another one, or is the same."""
         return f"{self}/".startswith(f"{other}/")
 
     def read(self) -> tuple[bytes | None, dict[str, Any] | None]:
-        """The content of a small object, and its version for `put`; None where there is none."""
+        """The content of a small object, and its version for `put`; both None without an object."""
         try:
             got = request("read", self, "get")
         except FileNotFoundError:
@@ -124,19 +124,25 @@ class Place:
         return bytes(answered("read", self, got.bytes)), version
 
     def put(self, content: Any, version: dict[str, Any] | str | None) -> bool:
-        """Write it whole; False if the version (None: not there; "overwrite": any) is another."""
+        """Write an object whole, if it still has a version; False if it has another one.
+
+        ``version`` is as of `read`; None stands for no object, "overwrite" for any version.
+        """
         return request("write", self, "put", content, mode=version or "create") is not None
 
     def head(self) -> dict[str, Any]:
-        """Size, version and time of an object; FileNotFoundError."""
+        """Size, version and time of an object; raises FileNotFoundError without an object."""
         try:
             return dict(request("read", self, "head"))
         except (FileNotFoundError, StorageError):
-            # That answer has no text: ask for one that has.
+            # A refusal of HEAD has no text that says why; one of GET has.
             return dict(request("read", self, "get").meta)
 
     def blocks(self) -> Iterator[bytes]:
-        """The content of an object, 32 MiB at a time; refuses (INPUT-CHANGED) two versions."""
+        """The content of an object, 32 MiB at a time.
+
+        Refuses (INPUT-CHANGED) an object that is written to meanwhile.
+        """
         meta = self.head()
         for start in range(0, meta["size"], _BLOCK_BYTES):
             stop = min(start + _BLOCK_BYTES, meta["size"])
@@ -160,14 +166,14 @@ class Place:
         return digest.hexdigest()
 
     def objects(self) -> dict[str, dict[str, Any]]:
-        """The objects below the place, as of `head`, by the rest of their names."""
+        """What `head` says of each object below the place, by the name from the place on."""
         start = f"{self.key}/" if self.key else ""
         listing = request("list", Place(self.scheme, self.bucket, start), "list")
         listed = answered("list", self, listing.collect)
         return {str(meta["path"]).removeprefix(start): meta for meta in listed}
 
     def remove(self, names: Iterable[str]) -> None:
-        """Remove objects below the place; one that is not there is none."""
+        """Remove objects below the place, by their names; one that is gone already is no error."""
         for name in names:
             try:
                 request("delete", self / name, "delete")
@@ -189,7 +195,7 @@ def _mistake_of(url: str, bucket: str, key: str) -> str:
 
 @lru_cache(maxsize=64)
 def open_store(scheme: str, bucket: str) -> Any:
-    """The store of a bucket; what else it needs is taken from the environment."""
+    """The store of a bucket; credentials and region are those of the environment."""
     from obstore import store
 
     # Where options are given, those of the environment are not looked at.
@@ -216,7 +222,7 @@ def request(verb: str, place: Place, function: str, *arguments: Any, **options: 
 
 
 def answered(verb: str, place: Place, call: Callable[[], Any]) -> Any:
-    """What a call of obstore returns; the rest as `request`."""
+    """What a call of obstore returns; an error becomes None or a refusal, as `request` says."""
     try:
         from obstore import exceptions
     except ImportError:
@@ -239,12 +245,14 @@ def answer_in(text: str) -> str:
     >>> answer_in("... <Code>AccessDenied</Code> ..."), answer_in("status code: 500"), answer_in("")
     ('AccessDenied', '500', 'nothing')
     """
-    found = re.search(r"<Code>\s*(\w+)", text) or re.search(r"status code: (\d{3})", text)
-    return found[1] if found else "nothing"
+    match = re.search(r"<Code>\s*(\w+)", text)
+    if match is None:
+        match = re.search(r"status code: (\d{3})", text)
+    return match[1] if match else "nothing"
 
 
 def refusal_of(text: str, verb: str, place: Place) -> StorageError | None:
-    """The refusal for what obstore says of an error; None where that is not known."""
+    """The refusal for the text of obstore's error; None for an error of an unknown kind."""
     url = str(place)
     answer = answer_in(text)
     has_code = "<Code>" in text

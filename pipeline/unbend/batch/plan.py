@@ -35,9 +35,11 @@ from unbend.tables.manifest.whole import Manifest
 
 @dataclass(frozen=True)
 class Plan:
-    """A mission with its inputs hashed; ``camera_names`` by what a block calls its cameras.
+    """A mission with its inputs hashed.
 
-    ``text_sha256`` is of the mission file that it was read from; "" where that is not known.
+    camera_names : the mission's name of each camera, by what a block calls that camera.
+    text_sha256 : hash of the mission file that the mission was read from; "" where not known.
+    remotes : the inputs in object storage, by their roles.
     """
 
     mission: Mission
@@ -54,19 +56,19 @@ class Plan:
 
     @cached_property
     def versions(self) -> dict[str, str]:
-        """Versions of all that its numbers depend on."""
+        """Versions of all software and data that the numbers of the results depend on."""
         roles = [item.role for item in self.inputs]
         return versions_of(roles, self.mission.atmosphere.standard)
 
     @cached_property
     def fingerprint(self) -> str:
-        """SHA-256 over all that its results depend on."""
+        """SHA-256 over all that the results depend on."""
         hashes = {item.role: item.sha256 for item in self.inputs}
         return fingerprint_of(self.config, self.versions, hashes)
 
     @property
     def folder(self) -> Path:
-        """The folder its results are made in: the output, or one in the user's cache."""
+        """The folder that results are made in: the output, or for a URL one in the user's cache."""
         if isinstance(self.output, Path):
             return self.output
         key = hashlib.sha256(str(self.output).encode()).hexdigest()[:32]
@@ -149,7 +151,7 @@ def make_plan(
 
 @contextmanager
 def readable(named: NamedInput, place: Path | Place) -> Iterator[None]:
-    """Raise what the operating system says of an input as a refusal."""
+    """Turn an error of the operating system about an input into a refusal (InputError)."""
     try:
         yield
     except FileNotFoundError:
@@ -166,7 +168,10 @@ def refuse_missing(named: NamedInput, path: Path) -> None:
 
 
 def local_input(named: NamedInput, path: Path, known: InputRecord | None, *, verify: bool) -> Input:
-    """An input in a folder; not read where it is like the record that is known of it."""
+    """An input in a folder, hashed; ``known`` is its record in an earlier run.
+
+    A file of the size and time of that record is not read, unless to ``verify``.
+    """
     files = files_of(path, named.program)
     states = tuple(state_of(file) for file in files)
     record = record_of(named, files, states)
@@ -188,7 +193,11 @@ def look_up(named: NamedInput, place: Place) -> RemoteInput:
 def remote_input(
     named: NamedInput, found: RemoteInput, known: InputRecord | None, *, verify: bool
 ) -> Input:
-    """An input in object storage; not copied where its version is the one that is known."""
+    """An input in object storage, hashed; ``known`` is its record in an earlier run.
+
+    An object of the version in that record is not copied; that of a camera is always, because it is
+    read when the mission is understood.
+    """
     record = InputRecord(
         role=named.role,
         name=named.name,
@@ -197,8 +206,8 @@ def remote_input(
         mtime_ns=found.mtime_ns,
         version=found.version,
     )
-    of_camera = named.role.startswith("camera ")  # it is read when the mission is understood
-    if record.is_like(known) and known is not None and not of_camera:
+    is_of_camera = named.role.startswith("camera ")
+    if record.is_like(known) and known is not None and not is_of_camera:
         record = known
     else:
         copy = remote.fetch(found, anew=verify)
@@ -208,7 +217,7 @@ def remote_input(
 
 
 def with_camera_files(mission: Mission, paths: Mapping[str, Path]) -> Mission:
-    """The mission with what the files of its cameras say; ``paths`` of inputs by their roles."""
+    """The mission with what the files of its cameras say; ``paths`` are those of inputs by role."""
     cameras = {}
     for name, camera in mission.cameras.items():
         role = f"camera {name}"
@@ -217,8 +226,13 @@ def with_camera_files(mission: Mission, paths: Mapping[str, Path]) -> Mission:
 
 
 def names_of_cameras(mission: Mission) -> dict[str, str]:
-    """The names of cameras by what a block calls them; "" is the only one of a mission."""
-    names = {str(camera.camera or name): name for name, camera in mission.cameras.items()}
+    """The mission's name of each camera, by what a block calls that camera.
+
+    "" stands for the only camera of a mission, whatever the block calls it.
+    """
+    names = {}
+    for name, camera in mission.cameras.items():
+        names[str(camera.camera or name)] = name
     if len(mission.cameras) == 1:
         (only,) = mission.cameras.values()
         if only.camera is None:
@@ -248,7 +262,10 @@ def refuse_among_results(role: str, path: Path | Place, output: Path | Place) ->
 
 
 def fetch_inputs(plan: Plan) -> None:
-    """Copy inputs in object storage that have no whole copy here; refuses INPUT-CHANGED."""
+    """Copy the inputs in object storage that have no whole copy here.
+
+    Refuses (INPUT-CHANGED) an input whose new copy has another hash than planned.
+    """
     for role, found in plan.remotes.items():
         item = plan.input(role)
         if not is_whole(item, found, anew=False) and not is_whole(item, found, anew=True):
@@ -256,7 +273,7 @@ def fetch_inputs(plan: Plan) -> None:
 
 
 def is_whole(item: Input, found: RemoteInput, *, anew: bool) -> bool:
-    """Whether the copy of an input holds what its hash says; it is made where it is not there."""
+    """Whether the copy of an input, made if missing or ``anew``, has the planned hash."""
     copy = remote.fetch(found, anew=anew)
     return hash_input(copy, item.program, files_of(copy, item.program)) == item.sha256
 

@@ -35,11 +35,11 @@ _SAME_UNDULATION_M = 0.1
 _WIDEST_DEG = 85.0  # off the axis: of a fisheye that sees the horizon, the ground up to there
 _SMALLEST_COSINE = 0.02  # of a camera's axis from straight down: farther ones see no ground
 
+# By how much `changed_setups` changes what the correction is made of.
 _MORE_GROUND_M = 10.0
 _MORE_HEIGHT_M = 10.0
 _MORE_TILT_DEG = 0.5
 _WARMER_K = 5.0
-"""By how much `changes_text` changes what the correction is made of."""
 
 Line = tuple[str, str]
 """A label and its text."""
@@ -222,42 +222,52 @@ def deflection_text(facts: Facts) -> str:
 
 
 def changes_text(corrected: CorrectedMission) -> str:
-    """How far the correction moves, in the median of each camera [px], with what it is made of."""
+    """How much corrections change with ground, height, tilt and air: median of each camera [px]."""
     facts = corrected.facts
     rows = np.flatnonzero(np.isfinite(facts.rows.shift_px))
     rows = rows[evenly_spaced(rows.size, _ROWS)]
     if not rows.size:
         return "unknown: no row is corrected"
     setup = replace(corrected.setup, uncertainties=(None,) * len(corrected.setup.rays))
-    exposures = setup.exposures
-    turn = Rotation.from_rotvec([math.radians(_MORE_TILT_DEG), 0.0, 0.0]).as_matrix()
-    tilted = replace(exposures, rotation=turn @ exposures.rotation)
-    higher = replace(exposures, height_m=exposures.height_m + _MORE_HEIGHT_M)
-    warm_rays = []
-    for profile in corrected.air.series.profiles:
-        warm_rays.append(rays_by(warmer(profile, _WARMER_K), facts.mission.refraction.method))
     h_g = facts.rows.h_g_m[rows]
-    changes = (
-        (f"{_MORE_GROUND_M:g} m of ground", setup, h_g + _MORE_GROUND_M),
-        (f"{_MORE_HEIGHT_M:g} m of height", replace(setup, exposures=higher), h_g),
-        (f"{_MORE_TILT_DEG:g} deg of tilt", replace(setup, exposures=tilted), h_g),
-        (f"{_WARMER_K:g} K", replace(setup, rays=tuple(warm_rays)), h_g),
-    )
     before = corrections_of(facts, rows, h_g, setup)
+    changed = {
+        f"{_MORE_GROUND_M:g} m of ground": corrections_of(facts, rows, h_g + _MORE_GROUND_M, setup)
+    }
+    for label, changed_setup in changed_setups(corrected, setup).items():
+        changed[label] = corrections_of(facts, rows, h_g, changed_setup)
     camera = facts.camera[rows]
     texts = []
-    for label, changed, ground in changes:
-        after = corrections_of(facts, rows, ground, changed)
-        moved = np.hypot(after.dx_px - before.dx_px, after.dy_px - before.dy_px)
+    for label, after in changed.items():
+        moved_px = np.hypot(after.dx_px - before.dx_px, after.dy_px - before.dy_px)
         medians = {}
         for name in np.unique(camera):
-            medians[name] = f"{np.nanmedian(moved[camera == name]):.2g}"
+            medians[name] = f"{np.nanmedian(moved_px[camera == name]):.2g}"
         texts.append(f"{label} {_by_camera(medians)} px")
     return "; ".join(texts)
 
 
+def changed_setups(
+    corrected: CorrectedMission, setup: CorrectionSetup
+) -> dict[str, CorrectionSetup]:
+    """The setup with higher cameras, with tilted cameras, and with warmer air, by a label."""
+    exposures = setup.exposures
+    higher = replace(exposures, height_m=exposures.height_m + _MORE_HEIGHT_M)
+    turn = Rotation.from_rotvec([math.radians(_MORE_TILT_DEG), 0.0, 0.0]).as_matrix()
+    tilted = replace(exposures, rotation=turn @ exposures.rotation)
+    method = corrected.facts.mission.refraction.method
+    warm_rays = []
+    for profile in corrected.air.series.profiles:
+        warm_rays.append(rays_by(warmer(profile, _WARMER_K), method))
+    return {
+        f"{_MORE_HEIGHT_M:g} m of height": replace(setup, exposures=higher),
+        f"{_MORE_TILT_DEG:g} deg of tilt": replace(setup, exposures=tilted),
+        f"{_WARMER_K:g} K": replace(setup, rays=tuple(warm_rays)),
+    }
+
+
 def corrections_of(facts: Facts, rows: Integers, h_g: Array, setup: CorrectionSetup) -> Corrections:
-    """The corrections of some rows of the sample, with other heights of the ground."""
+    """The corrections of some rows of the sample, with ``h_g`` (n,) as heights of the ground."""
     x_px = facts.rows.x_px[rows]
     y_px = facts.rows.y_px[rows]
     names = pa.nulls(rows.size, pa.string())
@@ -277,7 +287,7 @@ def corrections_of(facts: Facts, rows: Integers, h_g: Array, setup: CorrectionSe
 
 
 def warmer(profile: Profile, by_k: float) -> Profile:
-    """The air warmer by the same at every height, with the pressure at its bottom."""
+    """The air ``by_k`` warmer at every height, with the same pressure at the bottom."""
     layers = profile.layers
     top = layers.vapour[-1] + layers.vapour_slope[-1] * (layers.edge[-1] - layers.edge[-2])
     warmed = stack_layers(

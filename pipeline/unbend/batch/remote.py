@@ -55,43 +55,48 @@ class RemoteInput:
 
     @property
     def copy(self) -> Path:
-        """Where its copy is, or will be: a path of the same name."""
+        """Where the copy of the input is, or will be: a path with the same last part."""
         key = hashlib.sha256(f"{self.place}\0{self.version}".encode()).hexdigest()[:32]
         return Path(user_cache()) / "copies" / key / self.place.name
 
 
 def objects_of(place: Place) -> dict[str, dict[str, Any]]:
-    """The objects of an input by their names: one, or all below a folder; FileNotFoundError."""
+    """What storage says of the objects of an input, by their names below the place.
+
+    One object has the name ""; of a folder they are all objects below. Raises FileNotFoundError
+    without any.
+    """
     if not place.is_folder:
         return {"": place.head()}
-    found = {name: meta for name, meta in place.objects().items() if name}
-    if not found:
+    objects = place.objects()
+    objects.pop("", None)  # some programs write an object for the folder itself
+    if not objects:
         raise FileNotFoundError(ENOENT, os.strerror(ENOENT), str(place))
-    for name in found:
+    for name in objects:
         Place.of(f"{place}/{name}")  # refuses names that would lead out of the folder
-    return found
+    return objects
 
 
 def look_up(place: Place) -> RemoteInput:
-    """An input as it is in storage now; FileNotFoundError where there is none."""
+    """An input as it is in storage now; raises FileNotFoundError without one."""
     objects = objects_of(place)
-    parts = [os.environ.get(name) for name in _STORE_VARIABLES]
+    version_parts = [os.environ.get(name) for name in _STORE_VARIABLES]
     for name, meta in sorted(objects.items()):
         changed = meta["e_tag"] or meta["last_modified"]
-        parts += [name, str(changed), str(meta["version"]), str(meta["size"])]
+        version_parts += [name, str(changed), str(meta["version"]), str(meta["size"])]
     newest = max(meta["last_modified"] for meta in objects.values())
     return RemoteInput(
         place=place,
-        version=hashlib.sha256(repr(parts).encode()).hexdigest(),
+        version=hashlib.sha256(repr(version_parts).encode()).hexdigest(),
         size_bytes=sum(meta["size"] for meta in objects.values()),
         mtime_ns=int(newest.timestamp()) * 1_000_000_000,
     )
 
 
 def fetch(remote: RemoteInput, *, anew: bool = False) -> Path:
-    """The copy of an input, made where it is not there yet, or ``anew``.
+    """The path of the copy of an input, which is made if it is not there, or ``anew``.
 
-    Refuses (INPUT-CHANGED) an object that changes or goes while it is read.
+    Refuses (INPUT-CHANGED) an object that is changed or removed while it is read.
     """
     place = remote.place
     copy = remote.copy
@@ -110,7 +115,7 @@ def fetch(remote: RemoteInput, *, anew: bool = False) -> Path:
                 refuse_changed(remote, role=place.name)
                 with suppress(OSError):  # another process was faster
                     draft.replace(kept)
-            except FileNotFoundError:  # one was removed since
+            except FileNotFoundError:  # an object was removed since
                 raise messages.input_changed(role=place.name, path=str(place)) from None
             finally:
                 shutil.rmtree(draft, ignore_errors=True)
@@ -138,8 +143,16 @@ _NEVER = {"e_tag": '"00000000000000000000000000000000"', "version": "1"}
 """A version that no object has."""
 
 
+<<<<<<< HEAD
 def read_manifest(place: Place, *, damaged: bool = False) -> Manifest | None:
     """The manifest published at a place; None where there is none, or ``damaged`` a damaged one."""
+=======
+def read_manifest(place: Place, *, damaged: bool = False) -> dict[str, Any] | None:
+    """The manifest published at a place; None without a manifest.
+
+    A damaged manifest is refused; with ``damaged`` it counts as none.
+    """
+>>>>>>> stages
     file = place / MANIFEST
     content = file.read()[0]
     if content is None:
@@ -157,16 +170,26 @@ def attempt_of(place: Place, manifest: Manifest) -> Place:
     return place / f"attempts/{manifest.run.attempt}"
 
 
+<<<<<<< HEAD
 def copy_of_attempt(place: Place, manifest: Manifest) -> Path:
     """A copy of the files of a published run; FileNotFoundError where they are gone."""
+=======
+def copy_of_attempt(place: Place, manifest: dict[str, Any]) -> Path:
+    """A copy of the files of a published run; raises FileNotFoundError if they are gone."""
+>>>>>>> stages
     attempt = Place.of(f"{attempt_of(place, manifest)}/")
     return fetch(look_up(attempt))
 
 
+<<<<<<< HEAD
 def find_damage(place: Place, manifest: Manifest, *, read: bool = True) -> list[str]:
     """What is missing or changed of a published run; without ``read`` no content is looked at.
+=======
+def find_damage(place: Place, manifest: dict[str, Any], *, read: bool = True) -> list[str]:
+    """Names of what is missing or changed of a published run.
+>>>>>>> stages
 
-    No file of an attempt is written twice.
+    Without ``read`` only sizes are looked at: no file of an attempt is written twice.
     """
     attempt = attempt_of(place, manifest)
     sizes = {name: int(meta["size"]) for name, meta in attempt.objects().items()}
@@ -178,22 +201,24 @@ def find_damage(place: Place, manifest: Manifest, *, read: bool = True) -> list[
 
 
 def rehearse(place: Place, *, writes: bool = False) -> None:
-    """Refuse credentials that may not write, a clock that is off, a store that does not compare.
+    """Try whether results can be published at a place, before hours are spent on them.
 
-    Tried by a write that must fail; ``writes`` also writes an object and removes it.
+    Refuses credentials that may not write, a clock that is off, and a store that ignores the
+    conditions of a write. One write is tried that must fail; ``writes`` also writes an object and
+    removes it.
     """
     name = f"attempts/{uuid.uuid4().hex}/probe"
     probe = place / name
     content = b"written to see whether it can be; nothing reads it"
     try:
-        conditional = not probe.put(content, _NEVER)
-        if conditional and writes:
-            conditional = probe.put(content, None) and not probe.put(content, None)
-            late = abs(datetime.now(UTC) - probe.head()["last_modified"])
-            if late > _CLOCK_TOLERANCE:
-                raise messages.wrong_clock(url=str(place), answer=f"off by {late}")
+        heeds_conditions = not probe.put(content, _NEVER)
+        if heeds_conditions and writes:
+            heeds_conditions = probe.put(content, None) and not probe.put(content, None)
+            clock_error = abs(datetime.now(UTC) - probe.head()["last_modified"])
+            if clock_error > _CLOCK_TOLERANCE:
+                raise messages.wrong_clock(url=str(place), answer=f"off by {clock_error}")
             place.remove([name])
-        if not conditional:
+        if not heeds_conditions:
             raise messages.writes_unconditional(url=str(place))
     except UnbendError:
         with suppress(UnbendError):
@@ -202,7 +227,10 @@ def rehearse(place: Place, *, writes: bool = False) -> None:
 
 
 class Publication:
-    """What is published at a place before a run, to be replaced by that run alone."""
+    """A run that will be published at a place, and what is published there before.
+
+    The manifest is replaced only if it is still the one that was there when this was made.
+    """
 
     def __init__(self, place: Place, fingerprint: str) -> None:
         self._place = place
@@ -212,12 +240,19 @@ class Publication:
         self._run_version = self._run.read()[1]
         self._before = read_manifest(place, damaged=True)
 
+<<<<<<< HEAD
     def publish(self, folder: Path, manifest: Manifest, advance: Callable[[int], None]) -> Manifest:
         """Upload the results of a folder and publish them; the manifest that is then there.
+=======
+    def publish(
+        self, folder: Path, manifest: dict[str, Any], advance: Callable[[int], None]
+    ) -> dict[str, Any]:
+        """Upload the results of a folder and publish them; returns the manifest that is then there.
+>>>>>>> stages
 
-        Of several writers of the same run the first wins, and the others return its manifest.
-        Refuses (OutputInUseError) where another run was published since. ``advance`` is called
-        with the bytes of each file.
+        Of several writers of the same run the first wins; the others return the manifest of the
+        first. Refuses (OutputInUseError) if another run was published since. ``advance`` is called
+        with the number of bytes of each file.
         """
         attempt = uuid.uuid4().hex
         own = manifest.with_values({"attempt": attempt})
@@ -254,8 +289,13 @@ class Publication:
                 url=str(self._place), verb="write", answer=", ".join(damage)
             )
 
+<<<<<<< HEAD
     def _of_another_writer(self) -> Manifest | None:
         """The manifest of the same run by a faster writer; None where that did not publish it."""
+=======
+    def _of_another_writer(self) -> dict[str, Any] | None:
+        """The manifest of the same run by a faster writer; None if not published in 10 s."""
+>>>>>>> stages
         deadline = time.monotonic() + _WAIT_S
         while time.monotonic() < deadline:
             now = read_manifest(self._place, damaged=True)
@@ -265,8 +305,13 @@ class Publication:
             time.sleep(0.2)
         return None
 
+<<<<<<< HEAD
     def _remove_former(self, published: Manifest) -> None:
         """Remove what was published before, where something else is now."""
+=======
+    def _remove_former(self, published: dict[str, Any]) -> None:
+        """Remove what was published before, if something else is published now."""
+>>>>>>> stages
         before = self._before
         if before is None or before.run.attempt == published.run.attempt:
             return
@@ -285,26 +330,33 @@ def run_name(fingerprint: str) -> str:
 
 
 def would_replace(output: Place, place: Place) -> bool:
-    """Whether a run that publishes at a place removes or replaces an input, or one in a folder."""
+    """Whether a run that publishes at ``output`` would replace an input, or be written into it.
+
+    ``place`` is the input: an object or a folder.
+    """
     if place.is_folder and output.is_below(place):
         return True
     return any(place.is_below(output / name) for name in ("attempts", "runs", MANIFEST))
 
 
-_OURS = re.compile(
+_OBJECT_OF_A_RUN = re.compile(
     r"(?P<start>(?:.+/)?)"
     r"(?:attempts/(?P<attempt>[0-9a-f]{32})/(?P<file>.+)|runs/(?P<run>[0-9a-f]{64})\.json)"
 )
-"""Objects that are named as those of a run."""
+"""Names of objects that runs publish, from a place on: a file of an attempt, or a run."""
 
-_FILE = re.compile(r"(observations/part-\d{5,}|stations|profile)\.parquet|report\.html|probe")
-"""Names of files of an attempt."""
-
+_FILE_OF_AN_ATTEMPT = re.compile(
+    r"(observations/part-\d{5,}|stations|profile)\.parquet|report\.html|probe"
+)
 _YOUNG = timedelta(hours=1)  # an upload of this age may still go on
 
 
 class _Leftovers:
-    """Attempts and runs below a place that no published manifest names, with their objects."""
+    """Attempts and runs below a place that no published manifest names.
+
+    ``groups`` : names of the objects of each attempt or run. A group with an object that no run
+    writes is another program's, and left out.
+    """
 
     def __init__(self, place: Place) -> None:
         self.objects = place.objects()
@@ -313,18 +365,19 @@ class _Leftovers:
         self._published: dict[str, tuple[str, ...]] = {}
         foreign: set[str] = set()
         for name in self.objects:
-            found = _OURS.fullmatch(name)
-            if found is None or (found["attempt"] or found["run"]) in self._kept(found["start"]):
+            match = _OBJECT_OF_A_RUN.fullmatch(name)
+            if match is None or self._is_published(match):
                 continue
             group = name
-            if found["attempt"]:
-                group = f"{found['start']}attempts/{found['attempt']}/"
+            if match["attempt"]:
+                group = f"{match['start']}attempts/{match['attempt']}/"
             self.groups.setdefault(group, []).append(name)
-            if not self._is_ours(name, found):
+            if not self._is_ours(name, match):
                 foreign.add(group)
         for group in foreign:
             del self.groups[group]
 
+<<<<<<< HEAD
     def _kept(self, start: str) -> tuple[str, ...]:
         """Attempt and fingerprint of what is published; read after the listing."""
         if start not in self._published:
@@ -332,23 +385,38 @@ class _Leftovers:
             known = () if now is None else (now.run.attempt, now.run.fingerprint)
             self._published[start] = known
         return self._published[start]
+=======
+    def _is_published(self, match: re.Match[str]) -> bool:
+        """Whether a published manifest names the attempt or the run of an object.
+>>>>>>> stages
 
-    def _is_ours(self, name: str, found: re.Match[str]) -> bool:
-        if found["attempt"]:
-            return _FILE.fullmatch(found["file"]) is not None
+        The manifest is read after the objects were listed, so that it names all that are in use.
+        """
+        start = match["start"]
+        if start not in self._published:
+            manifest = read_manifest(self._place / start)
+            names = () if manifest is None else (manifest["attempt"], manifest["fingerprint"])
+            self._published[start] = names
+        return (match["attempt"] or match["run"]) in self._published[start]
+
+    def _is_ours(self, name: str, match: re.Match[str]) -> bool:
+        """Whether a run of this program wrote an object: by its name, or by its content."""
+        if match["attempt"]:
+            return _FILE_OF_AN_ATTEMPT.fullmatch(match["file"]) is not None
         content = (self._place / name).read()[0] or b""
-        return f'"fingerprint": "{found["run"]}"'.encode() in content
+        return f'"fingerprint": "{match["run"]}"'.encode() in content
 
     def is_young(self, group: str) -> bool:
-        """Whether an object of it was written within the last hour."""
+        """Whether an object of a group was written within the last hour."""
         newest: datetime = max(self.objects[name]["last_modified"] for name in self.groups[group])
         return newest >= datetime.now(UTC) - _YOUNG
 
 
 def remove_leftovers(place: Place, *, recent: bool = False) -> tuple[list[str], int]:
-    """Remove what killed runs left at a place and below it; what, and how many of them stay.
+    """Remove what killed runs left at a place and below it; what was removed, and how many stay.
 
-    What is of the last hour stays, except with ``recent``, and so do other programs' objects.
+    Leftovers of the last hour stay unless ``recent``, because their run may go on. Objects of other
+    programs stay.
     """
     leftovers = _Leftovers(place)
     removed = []

@@ -90,7 +90,7 @@ def init(
     with answer.progress(f"reading {log.name}"):
         import yaml
 
-        from unbend.batch.mission_proposal import propose_mission
+        from unbend.batch.proposal.mission_text import propose_mission
         from unbend.config.yaml_text import open_questions
 
         target = Path("mission.yaml") if printed else out

@@ -24,11 +24,6 @@ from unbend.config.section import SectionError
 from unbend.config.yaml_text import Place, open_questions, read_yaml
 from unbend.errors import ConfigError
 
-_NO_LINES = yaml.MappingNode(
-    "",
-    [],
-    yaml.Mark(name="", index=0, line=0, column=0, buffer=None, pointer=0),
-)
 _IS_CAMPAIGN = re.compile(r"""^["']?(campaign|missions)["']?\s*:|^\s*\{""", re.MULTILINE)
 _URL = re.compile("[A-Za-z][A-Za-z0-9+.-]+:/")  # as `is_url` of the rooms above has it
 
@@ -37,8 +32,10 @@ _URL = re.compile("[A-Za-z][A-Za-z0-9+.-]+:/")  # as `is_url` of the rooms above
 class MissionRef:
     """A mission to run, small and of plain values: it can be sent to another process or machine.
 
-    ``defaults`` are sections that stand where the file has none, as JSON; ``own`` those of one
-    that stands in the campaign file itself.
+    path : the mission file, or the campaign file in which the mission stands.
+    defaults : sections of the campaign, as JSON; they hold where the mission has none.
+    own : sections of the mission, as JSON, if it stands in the campaign file itself.
+    campaign : the campaign file; empty for a mission without one.
     """
 
     path: Path
@@ -48,12 +45,12 @@ class MissionRef:
 
     @classmethod
     def of(cls, mission: MissionRef | Path | str) -> MissionRef:
-        """The reference itself, or that of a mission file alone."""
+        """A reference as it is, or the reference to a mission file without a campaign."""
         return mission if isinstance(mission, MissionRef) else cls(Path(mission))
 
     @property
     def folder(self) -> Path:
-        """The folder from which its relative paths resolve."""
+        """The folder from which relative paths of the mission resolve."""
         return self.path.parent
 
     @property
@@ -63,20 +60,20 @@ class MissionRef:
 
     @property
     def label(self) -> str:
-        """What messages call it: its file, and its name where that is a campaign's."""
+        """What messages call the mission: its file; its name too if it stands in a campaign."""
         return f"{self.path}: {self._own_name}" if self.own else str(self.path)
 
     @property
     def words(self) -> tuple[str, ...]:
-        """What follows `unbend run` to run this mission alone."""
+        """The arguments of `unbend run` that run this mission alone."""
         name = self._own_name or str(self.path)
         return (self.campaign, "--mission", name) if self.campaign else (name,)
 
     def load(self) -> Mission:
-        """Read and check it; refuses as `load_mission`."""
+        """Read and check the mission; refuses as `load_mission`."""
         defaults = json.loads(self.defaults) if self.defaults else None
         if self.own:
-            return mission_of(json.loads(self.own), _NO_LINES, self.label, defaults)
+            return mission_of(json.loads(self.own), None, self.label, defaults)
         values, node = read_yaml(self.path)
         return mission_of(values, node, str(self.path), defaults)
 
@@ -92,14 +89,17 @@ class Campaign:
 
 
 def open_configs(paths: Iterable[Path]) -> tuple[list[MissionRef], list[Campaign]]:
-    """The missions of mission files and campaign files, in their order and once, and the campaigns.
+    """The missions of some mission files and campaign files, each once, and the campaigns.
 
-    Refuses as `campaign_of`; what cannot be read is a mission, which is refused at its turn.
+    Missions stand in the order of ``paths``. Refuses as `campaign_of`; a file that cannot be read
+    counts as a mission, which is refused when its turn comes.
     """
     missions: list[MissionRef] = []
     campaigns: list[Campaign] = []
-    once = {os.path.join(os.path.realpath(path.parent), path.name): path for path in paths}
-    for path in once.values():
+    path_of_file = {}
+    for path in paths:
+        path_of_file[os.path.join(os.path.realpath(path.parent), path.name)] = path
+    for path in path_of_file.values():
         campaign = _campaign_at(path)
         if campaign is None:
             missions.append(MissionRef(path))
@@ -110,7 +110,7 @@ def open_configs(paths: Iterable[Path]) -> tuple[list[MissionRef], list[Campaign
 
 
 def _campaign_at(path: Path) -> Campaign | None:
-    """The campaign of a file; None of what is something else, or cannot be read."""
+    """The campaign of a file; None for a file that holds something else, or cannot be read."""
     try:
         if not _IS_CAMPAIGN.search(path.read_text(encoding="utf-8")):
             return None
@@ -125,8 +125,8 @@ def _campaign_at(path: Path) -> Campaign | None:
 def campaign_of(path: Path, values: dict[str, Any], node: yaml.Node) -> Campaign:
     """Check the values of a campaign file; refuses (ConfigError) every mistake with its line.
 
-    Its defaults and the missions that stand in it are checked too; of mission files only that
-    patterns match some. Opens nothing.
+    The defaults and the missions that stand in the file are checked too. Mission files are not
+    opened; a pattern that matches none is refused.
     """
     complete = _with_defaults(values)
     items = _refused(CampaignFile, values)
@@ -173,7 +173,11 @@ def _refused(model: type[BaseModel], values: object, *, at: Place = ()) -> list[
 
 
 def _refused_defaults(values: dict[str, Any]) -> Iterator[Mapping[str, Any]]:
-    """What is wrong with defaults whatever a mission adds: not what is missing or goes together."""
+    """What is wrong with the defaults of a campaign, whatever a mission adds to them.
+
+    A missing key is no mistake here, nor are keys of a section that do not go together: a mission
+    may state them.
+    """
     for item in _refused(Mission, values.get("defaults", {}), at=("defaults",)):
         error = item.get("ctx", {}).get("error")
         of_one_key = isinstance(error, SectionError) and error.key
@@ -197,7 +201,11 @@ def _refused_missions(values: dict[str, Any]) -> Iterator[Mapping[str, Any]]:
 
 
 def mission_files(path: Path, stated: Sequence[Any]) -> Iterator[tuple[Path, str]]:
-    """File of each mission of a campaign, once, and its own sections where they stand in it."""
+    """The file of each mission of a campaign, and as JSON the sections that stand in the campaign.
+
+    ``stated`` are the entries under ``missions``: paths, patterns of paths, or sections. A file
+    that several entries name comes once.
+    """
     listed: set[str] = set()
     for entry in stated:
         if isinstance(entry, str):
@@ -232,21 +240,34 @@ def _matching_files(path: Path, pattern: str) -> list[Path]:
 def _seen_from(values: object, campaign: Path, mission: Path, place: Place = ()) -> object:
     """Values of a campaign with relative paths in them as seen from the folder of a mission."""
     if isinstance(values, dict):
-        return {
-            key: _seen_from(value, campaign, mission, (*place, key))
-            for key, value in values.items()
-        }
+        items: dict[str, object] = {}
+        for key, value in values.items():
+            items[key] = _seen_from(value, campaign, mission, (*place, key))
+        return items
     if isinstance(values, list):
-        return [_seen_from(v, campaign, mission, (*place, i)) for i, v in enumerate(values)]
-    if campaign == mission or not isinstance(values, str) or not _is_path_at(place, values):
-        return values
-    if _URL.match(values) or os.path.isabs(values):
-        return values
-    target = os.path.abspath(campaign / values)
+        entries: list[object] = []
+        for number, value in enumerate(values):
+            entries.append(_seen_from(value, campaign, mission, (*place, number)))
+        return entries
+    if isinstance(values, str) and campaign != mission and _is_path_at(place, values):
+        return _path_seen_from(values, campaign, mission)
+    return values
+
+
+def _path_seen_from(path: str, campaign: Path, mission: Path) -> str:
+    """A path that counts from the folder of a campaign, as counted from that of a mission.
+
+    URLs and absolute paths stay. The path becomes absolute where a relative one leads astray: to
+    another drive of Windows, or from a folder that is reached by a symbolic link.
+    """
+    if _URL.match(path) or os.path.isabs(path):
+        return path
+    target = os.path.abspath(campaign / path)
     start = os.path.abspath(mission)
-    on_other_drive = os.path.splitdrive(target)[0] != os.path.splitdrive(start)[0]
+    drive_of_target, _ = os.path.splitdrive(target)
+    drive_of_start, _ = os.path.splitdrive(start)
     is_linked = start != os.path.realpath(start)
-    if on_other_drive or is_linked:
+    if drive_of_target != drive_of_start or is_linked:
         return target
     return os.path.relpath(target, start)
 

@@ -252,10 +252,6 @@ class GroundSection(Section):
         """Heights that follow from the camera's own are above mean sea level."""
         if not isinstance(values, dict):
             return values
-        if values.get("height") == "intersected" and "reference" in values:
-            raise SectionError(
-                "height: intersected gives heights above mean sea level; leave reference out"
-            )
         if values.get("height") in _ABOVE_THE_SEA:
             return {"reference": "msl"} | values
         return values

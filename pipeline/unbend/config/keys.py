@@ -28,7 +28,10 @@ def in_words(node: Node) -> str:
 
 
 def _arm_in_words(arm: Node, unit: str, form: str) -> str:
-    """What one alternative of a node allows; ``unit`` as it is shown, ``form`` of a text."""
+    """What one alternative of a node allows, in words.
+
+    ``unit`` stands behind numbers; ``form`` describes a text, for an alternative that is one.
+    """
     if "enum" in arm:
         return " | ".join(str(value) for value in arm["enum"])
     if "const" in arm:

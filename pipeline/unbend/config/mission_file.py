@@ -202,7 +202,7 @@ class Mission(Section):
     @model_validator(mode="before")
     @classmethod
     def _mounts_at_rest(cls, values: object) -> object:
-        """With stations from elsewhere, a camera without a mount is at rest in the aircraft."""
+        """With ``stations.orientation``, a camera without a mount is at rest in the aircraft."""
         if not isinstance(values, dict):
             return values
         cameras = values.get("cameras", {})
@@ -218,9 +218,9 @@ class Mission(Section):
     @model_validator(mode="before")
     @classmethod
     def _from_block(cls, values: object) -> object:
-        """Cameras and orientations that are not given are those of the block of observations.
+        """Cameras and orientations that are not stated are those of the block of observations.
 
-        The last of these validators runs first.
+        Pydantic runs the last validator of mode "before" first: that is this one.
         """
         return with_block(values) if isinstance(values, dict) else values
 
@@ -231,7 +231,7 @@ class Mission(Section):
 
     @model_validator(mode="after")
     def _check_sources_of_stations(self) -> Self:
-        """Something says where each image was taken, and how the camera was turned."""
+        """Some key gives the position and the attitude of each image."""
         orientation = self.stations.orientation
         trajectory = self.stations.trajectory
         if self.log is None and not (orientation or trajectory or self.position_events):
@@ -240,7 +240,9 @@ class Mission(Section):
                 "or events.positions gives position and attitude"
             )
         if self.log is None and trajectory is not None and trajectory.replaces is not None:
-            needed = {"attitude"} if self._has_placed_events else {"position", "height", "attitude"}
+            needed = {"position", "height", "attitude"}
+            if self._has_placed_events:
+                needed = {"attitude"}
             if not needed <= set(trajectory.replaces):
                 raise SectionError(
                     "stations.trajectory.replaces leaves to the log what there is no log for: "
@@ -254,7 +256,7 @@ class Mission(Section):
 
     @model_validator(mode="after")
     def _check_without_log(self) -> Self:
-        """Nothing is to come from a log where there is none."""
+        """Without a log, no key takes anything from it."""
         if self.log is not None:
             return self
         if self.events is not None and self.events.log is not None:
@@ -281,7 +283,7 @@ class Mission(Section):
 
     @model_validator(mode="after")
     def _check_orientation(self) -> Self:
-        """The images of a table of orientations have a camera and a time."""
+        """The images of ``stations.orientation`` have a camera and a time."""
         orientation = self.stations.orientation
         if orientation is None:
             return self
@@ -305,7 +307,10 @@ class Mission(Section):
 
     @cached_property
     def interior_orientations(self) -> dict[str, Camera]:
-        """By camera, in COLMAP's pixels; of those of files once these are read (`with_file`)."""
+        """The interior orientation of each camera, in COLMAP's pixels.
+
+        That of a camera file is known once the file has been read (`CameraSection.with_file`).
+        """
         origin = self.observations.pixel_origin
         return {
             name: camera.interior_orientation_by(origin) for name, camera in self.cameras.items()
@@ -322,7 +327,7 @@ class Mission(Section):
 
     @cached_property
     def lenses(self) -> dict[str, LensInAir]:
-        """How the lens follows the air, of the cameras of which the mission file says it."""
+        """How the lens of each camera follows the air, where the mission file states it."""
         lenses = {}
         for name, camera in self.cameras.items():
             if camera.lens is not None:
@@ -347,7 +352,10 @@ class Mission(Section):
         return any(not source.times_only for source in self.position_events.values())
 
     def attitude_key(self, camera: str) -> str:
-        """Where the angles of a camera are stated: its mount, or orientations that are its own."""
+        """The key under which the angles of a camera are stated, for messages.
+
+        With ``stations.orientation`` in angles of the camera itself the mount has no effect.
+        """
         orientation = self.stations.orientation
         if orientation is not None and orientation.angles != "roll_pitch_yaw":
             return "stations.orientation"
@@ -355,12 +363,12 @@ class Mission(Section):
 
     @property
     def max_gap_s(self) -> float:
-        """The longest interval of a log that is no gap [s]."""
+        """The longest interval between samples of the log that is no gap [s]."""
         return USUAL_MAX_GAP_S if self.log is None else self.log.max_gap_s
 
     @model_validator(mode="after")
     def _check_window_directions(self) -> Self:
-        """A window of the aircraft is where the camera behind it looks."""
+        """A camera looks out of its window: the normal of the window points forward."""
         if self.log is not None and self.log.channels.aircraft_attitude is not None:
             return self  # a stabilised camera turns behind the window: only the log knows how
         for name, window in self.windows.items():
@@ -378,14 +386,23 @@ class Mission(Section):
         return self
 
     @model_validator(mode="after")
-    def _check_named_inputs(self) -> Self:
-        """What a key asks for is named by another key."""
-        names_board = self.log is not None and self.log.channels.temperature is not None
-        if self.atmosphere.board_temperature and not names_board:
+    def _check_board_temperature(self) -> Self:
+        """``atmosphere.board_temperature`` needs the name of a channel, whose board is meant."""
+        names_channel = self.log is not None and self.log.channels.temperature is not None
+        if self.atmosphere.board_temperature and not names_channel:
             raise SectionError(
                 "atmosphere.board_temperature needs log.channels.temperature, the channel whose "
                 "board is meant, as BARO[0]"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _check_heights_of_block(self) -> Self:
+        """``ground.height: block`` needs a block in ``stations.orientation`` that has points.
+
+        They are placed before the stations are built, so that the frame of the block must be known
+        without the positions of a log.
+        """
         orientation = self.stations.orientation
         has_points = (
             orientation is not None
@@ -397,11 +414,21 @@ class Mission(Section):
                 "ground.height: block takes the points of stations.orientation: give it a format "
                 f"of {', '.join(BLOCKS)}, and a frame that does not need the log"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _check_control(self) -> Self:
+        """Control points are compared with what removes refraction, not with what applies it."""
         if self.control is not None and self.refraction.direction == "apply":
             raise SectionError(
                 "control shows what removing refraction does: leave it out with "
                 "refraction.direction: apply"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _check_slant_ranges(self) -> Self:
+        """``ground.height: from_distance`` needs the name of the column of slant ranges."""
         if self.ground.from_distance and not self.observations.columns.distance_m:
             raise SectionError(
                 "ground.height: from_distance needs observations.columns.distance_m, the name of "
@@ -411,7 +438,7 @@ class Mission(Section):
 
     @model_validator(mode="after")
     def _check_positions_once(self) -> Self:
-        """Positions come from one source, and lead to the cameras."""
+        """Positions come from one source, and it is known where the cameras are from there."""
         trajectory = self.stations.trajectory
         events = self.position_events
         if self.stations.orientation is not None and (trajectory is not None or events):
@@ -439,21 +466,21 @@ class Mission(Section):
 
     @model_validator(mode="after")
     def _check_camera_names(self) -> Self:
-        """All sections speak of the same cameras."""
+        """All sections name the same cameras."""
         named = self._cameras_by_section()
         for section, names in named.items():
             for name in sorted(names - self.cameras.keys()):
                 nearest = difflib.get_close_matches(name, self.cameras, n=1, cutoff=0.0)[0]
                 raise SectionError(f"{section} names camera {name!r}; perhaps {nearest!r}?")
         for section, names in named.items():
-            if section == "events.csv.camera":
+            if section == "events.csv.camera":  # other cameras may have no exposures
                 continue
             for name in sorted(self.cameras.keys() - names):
                 raise SectionError(f"camera {name!r} has no entry under {section}")
         return self
 
     def _cameras_by_section(self) -> dict[str, set[str]]:
-        """The cameras that sections name, by the keys of these."""
+        """The names of cameras under each section that has such names, by the section's key."""
         named = {"mount": set(self.mount)}
         events = self.events
         if events is None:

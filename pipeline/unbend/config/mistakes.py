@@ -38,23 +38,25 @@ class Refused:
 def sentences_of(
     items: Sequence[Mapping[str, Any]],
     values: dict[str, Any],
-    node: yaml.Node,
+    node: yaml.Node | None,
     own: dict[str, Any] | None = None,
 ) -> list[str]:
-    """One sentence for each mistake, in the order of the file.
+    """One sentence for each mistake, in the order of the file, with the line of the mistake.
 
-    ``items`` is what the models refuse, ``values`` and ``node`` are the file. Open questions come
-    as such. What is not in ``own``, where that is given, is of a campaign's defaults: no line.
+    ``items`` is what the models refuse of the ``values``; open questions are mistakes too. ``node``
+    knows the lines of the values; values that stand in no file have none. ``own`` are the values
+    that stand in the mission file itself; a mistake in another value is in the defaults of the
+    campaign, and its sentence says so instead of a line.
     """
-    mistakes = dict.fromkeys(mistakes_of(items, values))
-    sentences: dict[tuple[int, str], None] = {}
-    for mistake in mistakes:
-        line = line_of(node, mistake.place)
-        inherited = own is not None and not has_place(own, _nearest_place(values, mistake.place))
-        begin = "defaults of the campaign" if inherited else f"line {line}"
+    sentences: set[tuple[int, str]] = set()
+    for mistake in mistakes_of(items, values):
+        line = 0 if node is None else line_of(node, mistake.place)
+        origin = f"line {line}" if line else ""
+        if own is not None and not has_place(own, _nearest_place(values, mistake.place)):
+            origin = "defaults of the campaign"
         key = _written(mistake.place)
-        sentence = f"{begin}: {key}: {mistake.what}" if key else f"{begin}: {mistake.what}"
-        sentences[line, sentence] = None
+        parts = [part for part in (origin, key, mistake.what) if part]
+        sentences.add((line, ": ".join(parts)))
     return [sentence for _, sentence in sorted(sentences)]
 
 
@@ -164,8 +166,10 @@ def _nearest_place(values: object, place: Place) -> Place:
 
 def _written(place: Place) -> str:
     """A place as people write it: ``events.csv``, ``soundings[0].path``."""
-    parts = [f"[{part}]" if isinstance(part, int) else f".{part}" for part in place]
-    return "".join(parts).removeprefix(".")
+    text = ""
+    for part in place:
+        text += f"[{part}]" if isinstance(part, int) else f".{part}"
+    return text.removeprefix(".")
 
 
 def _shown(value: object) -> str:

@@ -23,9 +23,16 @@ def load_mission(path: Path | str) -> Mission:
 
 
 def mission_of(
-    own: dict[str, Any], node: yaml.Node, where: str, defaults: dict[str, Any] | None = None
+    own: dict[str, Any],
+    node: yaml.Node | None,
+    where: str,
+    defaults: dict[str, Any] | None = None,
 ) -> Mission:
-    """Check the values of a mission; ``defaults`` stand where it has none of its own."""
+    """Check the values of a mission and return the mission that they state.
+
+    ``own`` are the values of the mission itself, ``defaults`` those of its campaign, which hold
+    where the mission has none. ``node`` knows the lines of ``own``; None if these stand in no file.
+    """
     if "campaign" in own and "mission" not in own:
         raise messages.config_campaign(where=where)
     values = own if defaults is None else merged(defaults, own)
@@ -43,7 +50,7 @@ def mission_of(
 def refusal_of(
     items: Sequence[Mapping[str, Any]],
     values: dict[str, Any],
-    node: yaml.Node,
+    node: yaml.Node | None,
     where: str,
     *,
     own: dict[str, Any] | None = None,

@@ -649,8 +649,8 @@ def image_names_repeated(*, total: int, example: str) -> MissionError:
 EVENTS_SPAN = Code(
     "EVENTS-SPAN",
     means=(
-        "Events lie beyond the time of the flight; the entry gives the shift by which they "
-        "would fit."
+        "Events lie beyond the time of the flight; the entry gives a shift that would bring more "
+        "of them into it, if leap seconds, a time zone, a day, a week or a common begin does."
     ),
     effect="A warning; refused where more than half lie beyond it.",
     remedy=(
@@ -662,14 +662,15 @@ EVENTS_SPAN = Code(
 
 _BEYOND_FLIGHT = (
     "{count} of {total_events} lie beyond the flight: events {of_events}, "
-    "{channel} {of_flight}; {fitting} into it"
+    "{channel} {of_flight}; {fitting}"
 )
 _ONE_BEYOND_FLIGHT = (
     "1 of {total_events} lies beyond the flight: events {of_events}, "
-    "{channel} {of_flight}; {fitting} into it"
+    "{channel} {of_flight}; {fitting}"
 )
 
 
+<<<<<<< HEAD
 @dataclass(frozen=True)
 class BeyondFlight:
     """Events beyond the time of a flight."""
@@ -685,6 +686,19 @@ class BeyondFlight:
 
 def events_beyond_flight(events: BeyondFlight) -> Message:
     """Few events beyond the time of the flight, and the shift by which they would fit."""
+=======
+def events_beyond_flight(
+    *,
+    key: str,
+    beyond: int,
+    total: int,
+    of_events: str,
+    channel: str,
+    of_flight: str,
+    fitting: str,
+) -> Message:
+    """Few events lie beyond the time of the flight; ``fitting`` says which shift would help."""
+>>>>>>> stages
     return warning(
         EVENTS_SPAN,
         _BEYOND_FLIGHT,

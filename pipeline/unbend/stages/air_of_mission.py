@@ -1,49 +1,35 @@
-"""The locally adjusted profile of a mission: its sources, checked, and the estimate from them."""
+"""The locally adjusted profile of a mission, and how it changes along the flight."""
 
-import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from unbend.atmosphere import standard_atmosphere, surface_report
+from unbend.atmosphere import standard_atmosphere
 from unbend.atmosphere.air_samples import AirSamples
-from unbend.atmosphere.climatology import Climatology, climatology, month_of
 from unbend.atmosphere.estimate import adjusted_profile as estimate
 from unbend.atmosphere.estimate.adjusted_profile import Adjustment, build_adjusted_profile
 from unbend.atmosphere.estimate.candidates import ExternalSources, no_source_used
-from unbend.atmosphere.estimate.external_readings import TimeAndPlace, distance_notes
-from unbend.atmosphere.estimate.sensors import FAULT_TEXTS, SensorCalibration, SensorSettings
-from unbend.atmosphere.estimate.state import SensorFault
-from unbend.atmosphere.refractive_index import IndexModel
+from unbend.atmosphere.estimate.sensors import SensorSettings
 from unbend.atmosphere.series import profile_series
-from unbend.atmosphere.series.profile_series import Place, TimedProfile
+from unbend.atmosphere.series.profile_series import ProfileSeries, TimedProfile
 from unbend.atmosphere.series.profiles_by_place import add_model_changes
 from unbend.atmosphere.series.time_windows import TimeWindow, estimate_windows
-from unbend.atmosphere.soundings import Sounding
-from unbend.atmosphere.soundings.model_field import ModelField, model_column
-from unbend.atmosphere.surface_report import SurfaceReport
 from unbend.config import Mission
-from unbend.config.atmosphere import AtmosphereSection, SurfaceSection
 from unbend.flight.stations import NO_TIME, Stations
 from unbend.geodesy import longitudes_near
 from unbend.messages import Ledger
 from unbend.refraction.effect import FlightAir, effects_on_r
 from unbend.stages import messages
-from unbend.stages.flight_log import FlightLog, Track
-from unbend.stages.opened_inputs import OpenedInputs
-from unbend.tables.weather_files import FlightArea
-from unbend.units import DEGREE, HECTOPASCAL, ZERO_CELSIUS_K, Mask
+from unbend.stages.air_sources import (
+    AirSources,
+    ModelAir,
+    constant_ground_m,
+    index_of,
+    middle_exposure_ns,
+)
+from unbend.units import Integers
 
-BIN_M = 100.0  # of heights: a climb counts more than a long level run
-LIKELY_SIGMAS = 2.0  # that a value in another unit, or reduced, may be off
-FAHRENHEIT_SIGMAS = 2.5  # too warm by so much, in Fahrenheit right: it is Fahrenheit
-IMPOSSIBLE_SIGMAS = 4.0  # of a temperature: real soundings stay in 2.9
-QNH_SIGMAS = 3.0  # too high by so much, as QNH right: it is reduced to sea level
-IMPOSSIBLE_PRESSURE_SIGMAS = 5.0  # weather stays in 5
-ALWAYS_NS = 2**62  # before and after all times
+LEAST_HEIGHT_M = 1.0  # of cameras above the ground, for rays that are worth an estimate
 
 
 @dataclass(frozen=True)
@@ -54,388 +40,18 @@ class Levels:
     ground_m: float
 
 
-@dataclass(frozen=True, eq=False)
-class ModelAir:
-    """A weather model about a flight: its fields, and its column where the flight met its air."""
-
-    field: ModelField
-    column: Sounding
-    place: Place
-    track: Track | None
-
-    def place_of(self, samples: AirSamples | None, window: TimeWindow) -> Place:
-        """Where and when a part of the flight met the air that is used in it."""
-        if samples is None or window.why_not:
-            return self.place
-        return sampled_place(samples, self.track, window.start_ns, window.end_ns) or self.place
-
-
-def read_model_air(
-    mission: Mission,
-    inputs: OpenedInputs,
-    flight: FlightLog,
-    stations: Stations,
-    samples: AirSamples,
-    middle: TimeAndPlace,
-    *,
-    ledger: Ledger,
-) -> ModelAir | None:
-    """The weather model of a mission, None where it names none; ``middle`` is that of the flight.
-
-    Refuses (`InputError`) a flight without a time or place, and stations outside its area.
-    """
-    model = inputs.weather_model
-    if model is None:
-        return None
-    if middle.time_ns is None or not math.isfinite(middle.latitude_rad + middle.longitude_rad):
-        raise messages.flight_without_time(where=model.name)
-    of_middle = middle.latitude_rad, middle.longitude_rad, middle.time_ns
-    place = sampled_place(samples, flight.track) or of_middle
-    placed = stations.ok & np.isfinite(stations.lat_rad + stations.lon_rad)
-    area = area_of_flight(stations, placed, place)
-    field = model.read(area, ledger)
-    field.refuse_outside(area.latitude_rad, area.longitude_rad)
-
-    levels = (_constant_ground_m(mission), flight.heights.home_h_msl_m)
-    ground_m = next((height for height in levels if height is not None), math.nan)
-    highest_m = float(stations.h_msl_m[placed].max(initial=0.0))
-    column = ledger.take(model_column(field, place, ground_h_m=ground_m, highest_h_m=highest_m))
-    latitude, longitude, time_ns = place
-    ledger.add(
-        messages.model_column(
-            where=model.name,
-            count=column.h_m.size,
-            low=float(column.h_m[0]),
-            high=float(column.h_m[-1]),
-            north=latitude / DEGREE,
-            east=longitude / DEGREE,
-            hours=TimeAndPlace(time_ns).hours_from(column.time_ns),
-        )
-    )
-    # It is the air where the flight met it: no distance adds to its errors.
-    column = replace(column, latitude_rad=middle.latitude_rad, longitude_rad=middle.longitude_rad)
-    return ModelAir(field, column, place, flight.track)
-
-
-def area_of_flight(stations: Stations, placed: Mask, place: Place) -> FlightArea:
-    """Where and when stations, and the air that the flight met, are."""
-    latitude, longitude, time_ns = place
-    times = stations.time_ns[placed]
-    times = np.where(times == NO_TIME, time_ns, times)
-    return FlightArea(
-        np.append(stations.lat_rad[placed], latitude),
-        longitudes_near(np.append(stations.lon_rad[placed], longitude), longitude),
-        np.append(times, time_ns),
-    )
-
-
-def sampled_place(
-    samples: AirSamples,
-    track: Track | None,
-    start_ns: int = -ALWAYS_NS,
-    end_ns: int = ALWAYS_NS,
-) -> Place | None:
-    """Latitude, longitude and time where a flight met the air that it measured between two times.
-
-    The mean over heights in bins of 100 m: a climb counts more than a long level run. None: no air.
-    """
-    if track is None:
-        return None
-    time_ns, latitude, longitude = track
-    known = np.isfinite(latitude + longitude)
-    if not bool(known.any()):
-        return None
-    for sensor in (samples.temperature, samples.pressure):
-        if sensor is None:
-            continue
-        inside = (sensor.time_ns >= start_ns) & (sensor.time_ns < end_ns)
-        rows = sensor.accepted & np.isfinite(sensor.h_m) & inside
-        if bool(rows.any()):
-            break
-    else:
-        return None
-    first_ns = int(time_ns[0])
-    seconds = (sensor.time_ns[rows] - first_ns) * 1e-9
-    at = (time_ns[known] - first_ns) * 1e-9
-    east = longitudes_near(longitude[known], float(longitude[known][0]))
-    _, number = np.unique(np.floor(sensor.h_m[rows] / BIN_M), return_inverse=True)
-    count = np.bincount(number)
-
-    def mean_of_bins(values: NDArray[np.floating[Any]]) -> float:
-        return float(np.mean(np.bincount(number, values) / count))
-
-    return (
-        mean_of_bins(np.interp(seconds, at, latitude[known])),
-        mean_of_bins(np.interp(seconds, at, east)),
-        first_ns + round(mean_of_bins(seconds) * 1e9),
-    )
-
-
-def read_report(
-    section: SurfaceSection,
-    where: str,
-    flight_ns: int | None,
-    background: Climatology,
-    ledger: Ledger,
-) -> SurfaceReport:
-    """The report of a weather station, from its METAR or from numbers.
-
-    Refuses (``InputError``) values that the climatology of place and season rules out, such as a
-    temperature in Fahrenheit or a pressure reduced to sea level.
-    """
-    if section.metar is not None:
-        report = surface_report.parse_metar(
-            section.metar, section.h_msl_m, ledger, flight_ns=flight_ns, where=f"{where}.metar"
-        )
-    else:
-        report = surface_report.surface_report(
-            section.h_msl_m,
-            temperature_k=section.temperature_k,
-            pressure_pa=section.pressure_pa,
-            relative_humidity=section.humidity,
-            time_ns=section.time_ns,
-            where=where,
-        )
-    of_metar = section.metar is not None
-    refuse_impossible_temperature(report, background, where, of_metar=of_metar)
-    refuse_impossible_pressure(report, background, where, of_metar=of_metar)
-    distance_m = 1e3 * section.distance_km
-    return replace(report, distance_m=distance_m, across=section.across_coast_or_ridge)
-
-
-def refuse_impossible_temperature(
-    report: SurfaceReport, background: Climatology, where: str, *, of_metar: bool
-) -> None:
-    """Refuse a temperature that no season has, or that is usual in Fahrenheit (no METAR)."""
-    celsius = report.temperature_k - ZERO_CELSIUS_K
-    from_fahrenheit = (celsius - 32.0) / 1.8
-    expected_k = float(background.profile.temperature(report.h_m))
-    sigma_k = float(background.spread.sigma_temperature(report.h_m))
-    departure = (report.temperature_k - expected_k) / sigma_k
-    as_fahrenheit = (from_fahrenheit + ZERO_CELSIUS_K - expected_k) / sigma_k
-    is_fahrenheit = departure > FAHRENHEIT_SIGMAS and abs(as_fahrenheit) < LIKELY_SIGMAS
-    mistaken = is_fahrenheit and not of_metar
-    if mistaken or abs(departure) > IMPOSSIBLE_SIGMAS:
-        rather = f"; {celsius:.1f} F would be {from_fahrenheit:.1f} C" if mistaken else ""
-        raise messages.surface_temperature_unlikely(
-            where=where,
-            celsius=celsius,
-            height_m=report.h_m,
-            sigmas=abs(departure),
-            expected_c=expected_k - ZERO_CELSIUS_K,
-            rather=rather,
-        )
-
-
-def refuse_impossible_pressure(
-    report: SurfaceReport, background: Climatology, where: str, *, of_metar: bool
-) -> None:
-    """Refuse a pressure that no weather has, or that is usual reduced to sea level (no METAR)."""
-    if not math.isfinite(report.pressure_pa):
-        return
-    expected_pa = float(background.profile.pressure(report.h_m))
-    sigma = background.sigma_log_pressure(report.h_m)
-    departure = math.log(report.pressure_pa / expected_pa) / sigma
-    reduced_pa = surface_report.station_pressure(report.pressure_pa, report.h_m)
-    as_qnh = math.log(reduced_pa / expected_pa) / sigma
-    mistaken = departure > QNH_SIGMAS and abs(as_qnh) < LIKELY_SIGMAS and not of_metar
-    if mistaken or abs(departure) > IMPOSSIBLE_PRESSURE_SIGMAS:
-        rather = f"; as QNH it would be {reduced_pa / HECTOPASCAL:.1f} hPa there"
-        raise messages.surface_pressure_unlikely(
-            where=where,
-            hpa=report.pressure_pa / HECTOPASCAL,
-            height_m=report.h_m,
-            sigmas=abs(departure),
-            expected_hpa=expected_pa / HECTOPASCAL,
-            rather=rather if mistaken else "",
-        )
-
-
-@dataclass(frozen=True, eq=False)
-class AirSources:
-    """What a mission has of the air beside its log.
-
-    ``lowest_h_m`` [m above sea level] is the lowest height at which the log sampled the air, else
-    that of the take-off, else 0.
-    """
-
-    background: Climatology
-    soundings: tuple[Sounding, ...] = ()
-    surface: tuple[SurfaceReport, ...] = ()
-    time_ns: int | None = None
-    longitude_rad: float = math.nan
-    lowest_h_m: float = 0.0
-    model: ModelAir | None = None
-    calibration: Mapping[SensorFault, SensorCalibration] = field(default_factory=dict)
-
-    def lines(self) -> list[tuple[str, str]]:
-        """A label and a description of each source, for `unbend check`."""
-        lines = [*map(line_of_sounding, self.soundings), *map(line_of_report, self.surface)]
-        background = self.background
-        lines.append(("climatology", f"{background.profile.name}, {background.origin}"))
-        if self.calibration:
-            lines.append(("sensors", describe_calibration(self.calibration)))
-        return lines
-
-
-def line_of_sounding(sounding: Sounding) -> tuple[str, str]:
-    """The label of a sounding, and its station, time and levels."""
-    time = ""
-    if sounding.time_ns is not None:
-        time = f" of {np.datetime64(sounding.time_ns, 'ns').astype('datetime64[m]')} UTC"
-    h_m = sounding.h_m
-    levels = f"{h_m.size} levels from {h_m[0]:.0f} to {h_m[-1]:.0f} m"
-    return sounding.kind, f"{sounding.station}{time}: {levels}, {sounding.origin}"
-
-
-def line_of_report(report: SurfaceReport) -> tuple[str, str]:
-    """The label of a surface report, and its values."""
-    values = {
-        "{:.1f} C": report.temperature_k - ZERO_CELSIUS_K,
-        "{:.1f} hPa": report.pressure_pa / HECTOPASCAL,
-        "vapour {:.1f} hPa": report.vapour_pressure_pa / HECTOPASCAL,
-    }
-    known = [text.format(value) for text, value in values.items() if np.isfinite(value)]
-    return "surface", f"{report.origin} at {report.h_m:.0f} m: {', '.join(known)}"
-
-
-def describe_calibration(calibration: Mapping[SensorFault, SensorCalibration]) -> str:
-    """Known mean and standard deviation of each sensor error; one that is not known is left out.
-
-    >>> describe_calibration({SensorFault.HYGROMETER_BIAS: SensorCalibration(0.01, 0.02)})
-    'hygrometer bias 0.01 ± 0.02'
-    """
-    parts = []
-    for fault, known in calibration.items():
-        mean = "" if known.mean is None else f" {known.mean:g}"
-        sigma = "" if known.sigma is None else f" ± {known.sigma:g}"
-        parts.append(f"{FAULT_TEXTS[fault]}{mean}{sigma}")
-    return ", ".join(parts)
-
-
-def read_air_sources(
-    mission: Mission,
-    inputs: OpenedInputs,
-    flight: FlightLog,
-    stations: Stations,
-    samples: AirSamples,
-    ledger: Ledger,
-) -> AirSources:
-    """Read soundings, surface reports and weather model of a mission; choose its climatology."""
-    section = mission.atmosphere
-    flight_ns = _middle_exposure_ns(stations)
-    orientation = mission.stations.orientation
-    if flight_ns is None and orientation is not None:
-        flight_ns = orientation.date_ns
-    latitude = stations.mean_latitude_rad
-    known = stations.lon_rad[np.isfinite(stations.lon_rad)]
-    longitude = float(np.median(known)) if known.size else math.nan
-    lowest_h_m = lowest_sample_m(samples, flight.heights.home_h_msl_m)
-    background = climatology(
-        section.climatology,
-        latitude_rad=latitude,
-        month=month_of(flight_ns),
-        index=_index_of(section),
-        ground_h_m=lowest_h_m,
-        longitude_rad=longitude if known.size else 0.0,
-    )
-    soundings = read_soundings(section, inputs, flight_ns, latitude, ledger)
-    surface = []
-    for number, of_station in enumerate(section.surface):
-        where = f"atmosphere.surface[{number}]"
-        surface.append(read_report(of_station, where, flight_ns, background, ledger))
-    middle = TimeAndPlace(flight_ns, latitude, longitude)
-    model = read_model_air(mission, inputs, flight, stations, samples, middle, ledger=ledger)
-    if model is not None:
-        soundings.append(model.column)
-    ledger.extend(distance_notes(tuple(soundings), tuple(surface), middle))
-    sources = AirSources(
-        background=background,
-        soundings=tuple(soundings),
-        surface=tuple(surface),
-        time_ns=flight_ns,
-        longitude_rad=longitude,
-        lowest_h_m=lowest_h_m,
-        model=model,
-        calibration=section.sensors.calibration,
-    )
-    if not section.adjust:
-        report_unused(sources, ledger)
-    return sources
-
-
-def read_soundings(
-    section: AtmosphereSection,
-    inputs: OpenedInputs,
-    flight_ns: int | None,
-    latitude_rad: float,
-    ledger: Ledger,
-) -> list[Sounding]:
-    """The soundings of a mission, those of several launches nearest in time to the flight."""
-    soundings = []
-    for read, of_file in zip(inputs.soundings, section.soundings, strict=True):
-        stated_m = of_file.station_h_msl_m
-        sounding = read(
-            ledger,
-            time_ns=flight_ns,
-            latitude_rad=latitude_rad,
-            station_h_m=math.nan if stated_m is None else stated_m,
-        )
-        soundings.append(replace(sounding, across=of_file.across_coast_or_ridge))
-    return soundings
-
-
-def report_unused(sources: AirSources, ledger: Ledger) -> None:
-    """A warning of sources that are named, where the air is not adjusted."""
-    if sources.soundings or sources.surface or sources.calibration:
-        ledger.add(
-            messages.air_sources_unused(
-                where="atmosphere",
-                soundings=len(sources.soundings),
-                surface=len(sources.surface),
-                calibrations=len(sources.calibration),
-            )
-        )
-
-
-def lowest_sample_m(samples: AirSamples, home_h_msl_m: float | None) -> float:
-    """The lowest height at which the air was sampled [m above sea level], else the take-off's."""
-    lowest = []
-    for sensor in (samples.pressure, samples.temperature, samples.humidity):
-        if sensor is None:
-            continue
-        heights = sensor.h_m[np.isfinite(sensor.h_m)]
-        if heights.size:
-            lowest.append(float(heights.min()))
-    return min(lowest, default=home_h_msl_m or 0.0)
-
-
-def _middle_exposure_ns(stations: Stations) -> int | None:
-    times = np.sort(stations.time_ns[stations.time_ns != NO_TIME])
-    return int(times[times.size // 2]) if times.size else None
-
-
-def _index_of(section: AtmosphereSection) -> IndexModel:
-    return IndexModel(section.index, section.wavelength_m, section.co2_ppm)
-
-
-def _constant_ground_m(mission: Mission) -> float | None:
-    """The one height of the ground above sea level, where the mission file has it."""
-    return mission.ground.constant_m if mission.ground.reference == "msl" else None
-
-
 def adjusted_profiles(
     mission: Mission, stations: Stations, samples: AirSamples, sources: AirSources, ledger: Ledger
 ) -> FlightAir:
-    """The locally adjusted profile of the flight and how it changes with time.
+    """The locally adjusted profile of the flight, and how it changes with time.
 
     With ``atmosphere.adjust: false`` it is the standard atmosphere, unchanged. Parts of a long
-    flight are estimated on their own where that lowers the uncertainty; between them, and with
-    the age of the measurements, each exposure gets the profile of its time.
+    flight are estimated on their own where that lowers the uncertainty; each exposure gets a
+    profile between those of these parts, and the uncertainty grows with the age of measurements.
     """
     section = mission.atmosphere
     latitude = stations.mean_latitude_rad
-    standard = replace(standard_atmosphere(section.standard), index=_index_of(section))
+    standard = replace(standard_atmosphere(section.standard), index=index_of(section))
     if not section.adjust:
         why = "atmosphere.adjust is false: the standard is kept"
         ledger.add(messages.air_not_adjusted())
@@ -456,16 +72,21 @@ def adjusted_profiles(
             time_ns=sources.time_ns,
             longitude_rad=sources.longitude_rad,
         )
-    level = _constant_ground_m(mission)
-    h_g = sources.lowest_h_m if level is None else level
-    heights = stations.h_msl_m[stations.ok]
-    h_c = [h_g]
-    if heights.size:
-        h_c = [float(height) for height in np.percentile(heights, [0, 50, 100])]
     model = sources.model
     if model is not None and not is_used(model, adjustment):
         model = None
-    return profiles_in_time(adjustment, stations, Levels(h_c, h_g), model, ledger)
+    levels = levels_of_mission(mission, stations, sources)
+    return profiles_in_time(adjustment, stations, levels, model, ledger)
+
+
+def levels_of_mission(mission: Mission, stations: Stations, sources: AirSources) -> Levels:
+    """The heights between which the rays of a mission run; without stations all at the ground."""
+    level = constant_ground_m(mission)
+    h_g = sources.lowest_h_m if level is None else level
+    heights = stations.h_msl_m[stations.ok]
+    if heights.size == 0:
+        return Levels([h_g], h_g)
+    return Levels(np.percentile(heights, [0, 50, 100]).tolist(), h_g)
 
 
 def is_used(model: ModelAir, adjustment: Adjustment) -> bool:
@@ -480,11 +101,15 @@ def profiles_in_time(
     model: ModelAir | None,
     ledger: Ledger,
 ) -> FlightAir:
-    """Profiles of the exposures, each of its time, and of its place where a ``model`` knows it."""
+    """The profile of each exposure at its time, and at its place where a ``model`` knows it.
+
+    Exposures without a time, and images without an exposure, get the profile of the middle
+    exposure.
+    """
     h_c = levels.cameras_m
     h_g = levels.ground_m
     windows: tuple[TimeWindow, ...] = ()
-    if max(h_c) > h_g + 1.0:
+    if max(h_c) > h_g + LEAST_HEIGHT_M:
         windows = ledger.take(estimate_windows(adjustment, h_c, h_g))
     if model is not None:
         windows = tuple(window_of_model(window, model, adjustment) for window in windows)
@@ -495,10 +120,10 @@ def profiles_in_time(
         sampled_at=None if model is None else model.place,
     )
     series = profile_series.constant_series(whole, len(stations))
-    middle_ns = _middle_exposure_ns(stations)
+    middle_ns = middle_exposure_ns(stations)
     if middle_ns is not None:
-        timed = stations.ok & (stations.time_ns != NO_TIME)
-        times = np.where(timed, stations.time_ns, middle_ns)
+        is_timed = stations.ok & (stations.time_ns != NO_TIME)
+        times = np.where(is_timed, stations.time_ns, middle_ns)
         if windows:
             airs = [window.air for window in windows]
             series = profile_series.interpolate_series(airs, times, h_c, h_g)
@@ -507,33 +132,61 @@ def profiles_in_time(
                 profile_series.add_ageing(series, times, adjustment.samples, max(h_c), h_g)
             )
         if model is not None:
-            north = np.where(stations.ok, stations.lat_rad, np.nan)
-            east = longitudes_near(stations.lon_rad, model.place[1])
-            changed = add_model_changes(
-                series,
-                model.field,
-                times,
-                north,
-                east,
-                h_c=h_c,
-                h_g=h_g,
-                measured=adjustment.time_ns is not None,
+            is_measured = adjustment.time_ns is not None
+            series = with_model_changes(
+                series, model, stations, times, levels, is_measured=is_measured, ledger=ledger
             )
-            series = ledger.take(changed)
         if not windows and len(stations):
-            # The covariance reported for the flight is that at its middle exposure.
-            number = series.profile_number[int(np.argmin(np.abs(times - middle_ns)))]
-            covariance = series.timed_profiles[number].covariance
-            if covariance is not None:
-                covariance = replace(covariance, profile=adjustment.profile)
-            adjustment = replace(adjustment, covariance=covariance)
+            middle = int(np.argmin(np.abs(times - middle_ns)))
+            adjustment = with_covariance_of(adjustment, series, middle)
     effects = effects_on_r(
         adjustment.profile, adjustment.standard, adjustment.covariance, float(np.median(h_c)), h_g
     )
     return FlightAir(adjustment, series, windows, effects)
 
 
+def with_model_changes(
+    series: ProfileSeries,
+    model: ModelAir,
+    stations: Stations,
+    times: Integers,
+    levels: Levels,
+    *,
+    is_measured: bool,
+    ledger: Ledger,
+) -> ProfileSeries:
+    """The profiles with the changes of a weather model along the flight.
+
+    ``times`` (s,) are those of the exposures; ``is_measured`` says whether the profiles come from
+    measurements with a time.
+    """
+    _, longitude, _ = model.place
+    north = np.where(stations.ok, stations.lat_rad, np.nan)
+    east = longitudes_near(stations.lon_rad, longitude)
+    return ledger.take(
+        add_model_changes(
+            series,
+            model.field,
+            times,
+            north,
+            east,
+            h_c=levels.cameras_m,
+            h_g=levels.ground_m,
+            measured=is_measured,
+        )
+    )
+
+
+def with_covariance_of(adjustment: Adjustment, series: ProfileSeries, station: int) -> Adjustment:
+    """The estimate with the covariance of the profile at a station, which is reported for all."""
+    number = series.profile_number[station]
+    covariance = series.timed_profiles[number].covariance
+    if covariance is not None:
+        covariance = replace(covariance, profile=adjustment.profile)
+    return replace(adjustment, covariance=covariance)
+
+
 def window_of_model(window: TimeWindow, model: ModelAir, adjustment: Adjustment) -> TimeWindow:
-    """A part of a flight whose air is that of a model where it was met."""
+    """A part of a flight with the place where it met its air, from which a model changes it."""
     place = model.place_of(adjustment.samples, window)
     return replace(window, air=replace(window.air, sampled_at=place))

@@ -71,18 +71,19 @@ def cabin_from_log(
     channels: Iterable[Channel] = (),
     roles: Mapping[str, Channel] | None = None,
 ) -> tuple[Stations, Notes]:
-    """Stations of a camera with what the log has of its cabin, and what it lacks.
+    """The stations with the logged air in the cabin of a camera, and notes on what the log lacks.
 
     Exposures without the pressure that is to come from the log become suspect (CABIN-MISSING). A
-    temperature that is missing is assumed later; a barometer's board is `BOARD_WARMER_K` warmer.
+    temperature that is missing is assumed later. `BOARD_WARMER_K` is subtracted from that of a
+    barometer's circuit board.
     """
     roles = roles or {}
     channels = tuple(channels)
     notes: list[Message] = []
     if cabin.source == "log":
-        able = could_play("pressure", channels, roles)
-        stations, missing = without_pressure(stations, camera, able)
-        notes += missing
+        candidates = could_play("pressure", channels, roles)
+        stations, losses = without_pressure(stations, camera, candidates)
+        notes += losses
     of_camera = (stations.camera == camera) & stations.ok
     if cabin.source == "ambient":
         notes += pressurised_after_all(stations, of_camera, camera, channels, roles)
@@ -121,13 +122,19 @@ def cabin_from_log(
     return stations, tuple(notes)
 
 
-def without_pressure(stations: Stations, camera: str, able: str) -> tuple[Stations, list[Message]]:
-    """Stations of a camera, suspect without the cabin's pressure, and the loss that counts them."""
+def without_pressure(
+    stations: Stations, camera: str, candidates: str
+) -> tuple[Stations, list[Message]]:
+    """The stations, those of a camera suspect if the pressure in its cabin is unknown.
+
+    Also the loss that counts the suspect ones; ``candidates`` says which channels of the log could
+    have the pressure.
+    """
     missing = np.isnan(stations.cabin_pressure_pa) & (stations.camera == camera) & stations.ok
     count = int(missing.sum())
     if count == 0:
         return stations, []
-    reason = f"no cabin pressure, without which the window cannot be corrected: {able}"
+    reason = f"no cabin pressure, without which the window cannot be corrected: {candidates}"
     lost = messages.cabin_pressure_missing(where=f"camera {camera}", count=count, reason=reason)
     return stations.as_suspect(missing, reason, np.nan, use=False), [lost]
 
@@ -155,14 +162,14 @@ def pressurised_after_all(
     channels: Iterable[Channel],
     roles: Mapping[str, Channel],
 ) -> list[Message]:
-    """A finding where a barometer of the log has much more pressure than the air outside."""
+    """A finding if a barometer of the log reads much more pressure than that of the air outside."""
     outside = roles.get("pressure")
     if outside is None:
         return []
+    time_ns = stations.time_ns[of_camera]
     for channel in channels:
         if channel.name == outside.name or not channel.fits_role("pressure"):
             continue
-        time_ns = stations.time_ns[of_camera]
         inside_pa = interpolate(channel, "pressure_pa", time_ns, MAX_GAP_S)
         excess_pa = inside_pa - stations.pressure_pa[of_camera]
         excess_pa = excess_pa[np.isfinite(excess_pa)]
@@ -275,15 +282,16 @@ def usual_sigma(pressure_pa: Array, outside_pa: Array) -> Array:
 
 
 def first_known(*values: ArrayLike) -> Array:
-    """Of several numbers or arrays the first that is known, element by element."""
-    found, *others = (np.asarray(value, np.float64) for value in values)
+    """Element by element the first of several numbers or arrays that is known; NaN without any."""
+    first, *others = (np.asarray(value, np.float64) for value in values)
+    result = first
     for other in others:
-        found = np.where(np.isfinite(found), found, other)
-    return found
+        result = np.where(np.isfinite(result), result, other)
+    return result
 
 
 def air_in(cabin: Cabin, logged: CabinAir, outside: OutsideAir) -> CabinAir:
-    """The air in a cabin by what is stated, logged and outside, in this order."""
+    """The air in a cabin: what is stated, else what is logged, else that of the air outside."""
     blank = np.full(logged.pressure_pa.shape, np.nan)
     temperature_logged = logged.temperature_k
     vapour_logged = logged.vapour_pressure_pa
@@ -321,11 +329,12 @@ def air_in(cabin: Cabin, logged: CabinAir, outside: OutsideAir) -> CabinAir:
 
 
 def cabin_changes(stations: Stations, lenses: Mapping[str, LensInAir], index: IndexModel) -> Array:
-    """What one sigma of a cabin's pressure and of its temperature change; (s, 4).
+    """(s, 4) what one sigma of the pressure and of the temperature in a cabin change.
 
-    In the refractivity there (first two), and in the principal distance of a camera that is among
-    the ``lenses`` [px]. NaN where neither has a sigma; one without does not count beside one that
-    has. Derivatives by central differences over 2 hPa and 2 K, good to 1e-4 of them.
+    The first two columns are changes of the refractivity in the cabin, the others of the principal
+    distance [px] of a camera among the ``lenses``; by pressure and by temperature each. NaN where
+    neither has a sigma; a single unknown sigma counts as 0. The derivatives are central differences
+    over 2 hPa and 2 K, good to 1e-4 of their values.
     """
     p = stations.cabin_pressure_pa
     t = stations.cabin_temperature_k

@@ -33,9 +33,10 @@ class Air(NamedTuple):
 
 
 def orientations_of_mission(mission: Mission, stations: Stations) -> Orientations:
-    """The stations held in an intersection, with usual sigmas where theirs are unknown."""
-    oriented = mission.stations.orientation is not None
-    return orientations_of(stations, SIGMAS_OF_BLOCK if oriented else UNKNOWN_SIGMAS)
+    """Position and attitude of the stations for intersections; usual sigmas for unknown ones."""
+    if mission.stations.orientation is not None:
+        return orientations_of(stations, SIGMAS_OF_BLOCK)
+    return orientations_of(stations, UNKNOWN_SIGMAS)
 
 
 def exposures_of_mission(
@@ -69,10 +70,10 @@ def exposures_of(
 ) -> Exposures:
     """Attitude, height, window and lens of each exposure, and the air beside them.
 
-    The air outside is the profile's at the height of the camera, the same that the ray starts in;
-    that in the cabin is the stations' (`with_cabin_air`). Behind a window the lens is in the
-    cabin's air, else in the air outside. Refuses (MissionError LENS-CHANGE) a change of the
-    principal distance of more than 1 %.
+    The air outside is the profile's at the height of the camera, in which the ray starts; the air
+    in the cabin is that of the stations (`with_cabin_air`). The lens is in the cabin's air behind a
+    window, else in the air outside. Refuses (MissionError LENS-CHANGE) a change of the principal
+    distance of more than 1 %.
     """
     rotation = matrices_of(stations.quaternion)
     h = stations.h_msl_m
@@ -120,9 +121,10 @@ def air_at_camera(
     lens: LensInAir | None,
     rows: Mask,
 ) -> Air:
-    """The air about a camera at some exposures: that of its cabin, or of the profile."""
-    matters = lens is not None or (window is not None and window.shape == "plane")
-    if window is not None and window.cabin is not None and matters:
+    """The air about the lens of a camera at some exposures (a mask): of its cabin, or outside."""
+    has_plane_window = window is not None and window.shape == "plane"
+    has_cabin = window is not None and window.cabin is not None
+    if has_cabin and (lens is not None or has_plane_window):
         return Air(
             stations.cabin_pressure_pa[rows],
             stations.cabin_temperature_k[rows],
@@ -135,7 +137,7 @@ def air_at_camera(
 
 
 def window_normals(window: Window, rotation: Array, aircraft_quaternion: Array) -> Array:
-    """(m, 3) normals of a window in the frame of its camera at each exposure; NaN stays."""
+    """(m, 3) normals of a window in the frame of its camera; NaN where an attitude is unknown."""
     normal = np.array(window.normal)
     if window.frame == "camera":
         return np.broadcast_to(normal, (rotation.shape[0], 3))
@@ -146,7 +148,7 @@ def window_normals(window: Window, rotation: Array, aircraft_quaternion: Array) 
 def report_change(
     name: str, lens: LensInAir, change_px: Array, pressure_pa: Array, ok: Mask, ledger: Ledger
 ) -> None:
-    """Say how much the air in a lens changes its principal distance; refuse an absurd change."""
+    """Note how much the air in a lens changes its principal distance; refuse an absurd change."""
     where = f"cameras.{name}.principal_distance"
     absurd = is_absurd(lens, change_px) & ok
     if bool(absurd.any()):
@@ -200,10 +202,16 @@ def report_lenses(cameras: Iterable[str], lenses: Mapping[str, LensInAir], ledge
 def correction_setup(
     mission: Mission, stations: Stations, air: ProfileSeries, heights: HeightSystem, ledger: Ledger
 ) -> CorrectionSetup:
-    """Exposures, cameras, rays and given ground of a mission; ``heights`` are those of its log."""
+    """Exposures, cameras, rays and ground heights of a mission.
+
+    The ground is the given one, or where slant ranges end; elevation models and intersections take
+    its place later. ``heights`` relate heights above sea level and ellipsoid.
+    """
     section = mission.ground
-    ground: Ground = SlantRangeGround(section.sigma_m)
-    if not section.from_distance:
+    ground: Ground
+    if section.from_distance:
+        ground = SlantRangeGround(section.sigma_m)
+    else:
         offsets = ground_offsets(section.reference_of_values, stations, heights)
         ground = GivenGround(section.constant_m, offsets, section.sigma_m)
     method = mission.refraction.method

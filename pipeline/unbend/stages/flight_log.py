@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 from unbend.config import Mission
+from unbend.config.logs import NamedChannel
 from unbend.flight.channels import ROLE_COLUMNS, Channel
 from unbend.flight.evidence.contradictions import examine
 from unbend.flight.evidence.imported_channels import contradictions_of_import
@@ -34,9 +35,11 @@ Roles = dict[str, Channel]
 class FlightLog:
     """A log after its channels were given their roles; these hold plausible values only.
 
-    ``suspect`` are stretches in which the log contradicts itself; ``own`` are the roles as it fills
-    them, with ``own_suspect``; in ``roles`` a trajectory has replaced some. ``log`` is None where
-    stations come from elsewhere; ``heads`` are attitudes of cameras with one of their own.
+    log : None where stations come from elsewhere.
+    roles : the channel of each role; of a trajectory, where that replaces the log's.
+    own : the channel of each role as the log alone fills them.
+    suspect, own_suspect : stretches in which ``roles`` and ``own`` are contradicted.
+    heads : the attitude of each camera that has a gimbal of its own.
     """
 
     log: Log | None
@@ -50,7 +53,11 @@ class FlightLog:
     heads: Mapping[str, Channel] = field(default_factory=dict)
 
     def roles_of(self, camera: str) -> Roles:
-        """The roles for one camera; beside its own head the attitude is that of the aircraft."""
+        """The roles for one camera.
+
+        The attitude of a camera with a gimbal is that of the gimbal; the attitude in ``roles`` is
+        then that of the aircraft.
+        """
         if camera not in self.heads:
             return self.roles
         roles = self.roles | {"attitude": self.heads[camera]}
@@ -61,7 +68,7 @@ class FlightLog:
 
     @property
     def track(self) -> Track | None:
-        """Where the aircraft was, None where no position is known."""
+        """Where the aircraft was; None where no position is known."""
         position = self.roles.get("position")
         if position is None:
             return None
@@ -76,7 +83,8 @@ class FlightLog:
 def flight_log(mission: Mission, inputs: OpenedInputs, ledger: Ledger) -> FlightLog:
     """Assign the channels of a log to roles, and relate its heights to sea level.
 
-    Without a log a trajectory has all the roles; refuses (STATIONS-ATTITUDE) one without attitudes.
+    Without a log a trajectory plays all roles; refuses (STATIONS-ATTITUDE) a trajectory that has no
+    attitudes then.
     """
     log = inputs.log if mission.log is not None else None
     if log is None and inputs.trajectory is None:
@@ -91,21 +99,20 @@ def flight_log(mission: Mission, inputs: OpenedInputs, ledger: Ledger) -> Flight
     roles = roles_of_channels(mission, channels, replaced, has_log=log is not None, ledger=ledger)
     heads = heads_of_cameras(mission, channels, ledger)
     if log is not None:
-        mounts = {camera: m for camera, m in mission.mounts.items() if camera not in heads}
-        kinds = {} if heads else log.messages
-        ledger.extend(gimbal_notes(kinds, roles, mounts))
+        report_gimbals(mission, log, roles, heads, ledger)
     heights = heights_of_roles(mission, inputs, roles, ledger)
     own, own_suspect, notes = examine(channels, roles)
     ledger.extend(notes)
 
     roles = dict(own)
-    suspect = tuple(stretch for stretch in own_suspect if stretch.quantity not in replaced)
+    suspect = own_suspect
     if trajectory is not None:
+        suspect = tuple(stretch for stretch in own_suspect if stretch.quantity not in replaced)
         suspect += contradictions_of_import(trajectory, replaced, own, own_suspect)
         section = mission.stations.trajectory
         order = "ZYX" if section is None else section.angle_order
         compare_with_log(trajectory, own, heights, ledger, replaces=replaced, angle_order=order)
-        roles = with_trajectory(roles, trajectory, replaced, own, ledger)
+        roles = with_trajectory(own, trajectory, replaced, ledger)
     roles, accuracy = with_accuracy(roles, channels)
     return FlightLog(
         log=log,
@@ -120,15 +127,31 @@ def flight_log(mission: Mission, inputs: OpenedInputs, ledger: Ledger) -> Flight
     )
 
 
+def report_gimbals(
+    mission: Mission, log: Log, roles: Roles, heads: Mapping[str, Channel], ledger: Ledger
+) -> None:
+    """Notes on the cameras without a gimbal of their own: whether one of the log turns them."""
+    mounts = {camera: mount for camera, mount in mission.mounts.items() if camera not in heads}
+    message_counts = {} if heads else log.messages
+    ledger.extend(gimbal_notes(message_counts, roles, mounts))
+
+
 def channels_of_log(mission: Mission, log: Log | None, ledger: Ledger) -> tuple[Channel, ...]:
-    """The channels of a log as the mission file states them, with attitudes of payloads."""
+    """The channels of a log as the mission file states them.
+
+    The attitude that ``log.channels`` names, and that of each mount, may be of a gimbal: its
+    channel then has the attitude of the payload.
+    """
     section = mission.log
     if section is None or log is None:
         return ()
     names = names_of_roles(mission)
     channels = stated_channels(mission, log.channels)
-    heads = [mount.attitude for mount in mission.mount.values() if mount.attitude is not None]
-    for attitude in dict.fromkeys([names.get("attitude", ""), *heads]):
+    attitudes = [names.get("attitude", "")]
+    for mount in mission.mount.values():
+        if mount.attitude is not None:
+            attitudes.append(mount.attitude)
+    for attitude in dict.fromkeys(attitudes):
         named = names | {"attitude": attitude}
         channels = ledger.take(with_payload_attitude(channels, named, section.max_gap_s))
     return channels
@@ -142,7 +165,11 @@ def names_of_roles(mission: Mission) -> dict[str, str]:
 
 
 def stated_channels(mission: Mission, channels: tuple[Channel, ...]) -> tuple[Channel, ...]:
-    """The channels of the log on the earth, in the units and for the boards that are stated."""
+    """The channels of the log with what the mission file states of them.
+
+    Local positions are placed on the earth; circuit boards named as thermometers count as air;
+    values are converted from the units that the mission file states.
+    """
     section = mission.log
     if section is None:
         return channels
@@ -150,23 +177,30 @@ def stated_channels(mission: Mission, channels: tuple[Channel, ...]) -> tuple[Ch
         origin = section.local_origin.build()
         channels = tuple(to_geodetic(channel, origin) for channel in channels)
     named = section.channels.named()
-    boards = {"cabin_temperature"}
+    board_roles = {"cabin_temperature"}
     if mission.atmosphere.board_temperature:
-        boards.add("temperature")
-    names_of_boards = {named[role].name for role in boards & named.keys()}
-    stated = list(channels)
-    for number, channel in enumerate(stated):
-        if channel.name in names_of_boards:
-            channel = board_as_air(channel)
-        for role, of_role in named.items():
-            if of_role.unit is not None and of_role.name == channel.name:
-                channel = in_stated_unit(channel, role, of_role.unit)
-        stated[number] = channel
+        board_roles.add("temperature")
+    board_names = {named[role].name for role in board_roles & named.keys()}
+    stated = []
+    for channel in channels:
+        as_air = board_as_air(channel) if channel.name in board_names else channel
+        stated.append(in_stated_units(as_air, named))
     return tuple(stated)
 
 
+def in_stated_units(channel: Channel, named: Mapping[str, NamedChannel]) -> Channel:
+    """A channel with the values of its roles in SI; ``named`` are channels and units by role."""
+    for role, stated in named.items():
+        if stated.unit is not None and stated.name == channel.name:
+            channel = in_stated_unit(channel, role, stated.unit)
+    return channel
+
+
 def board_as_air(channel: Channel) -> Channel:
-    """A barometer whose circuit board's temperature is taken for that of the air."""
+    """A barometer with the temperature of its circuit board as that of the air.
+
+    A channel without a board, or with a thermometer, is returned as it is.
+    """
     board = channel.columns.get("board_temperature_k")
     if board is None or "temperature_k" in channel.columns:
         return channel
@@ -201,18 +235,21 @@ def read_trajectory(
 
 
 def replaced_roles(mission: Mission, trajectory: Channel) -> tuple[str, ...]:
-    """The roles that a trajectory plays; refuses one that lacks what is to be replaced."""
+    """The roles that a trajectory plays in place of the log: those stated, or all that it can.
+
+    Refuses (TRAJECTORY-REPLACES) a trajectory without the columns of a stated role.
+    """
     section = mission.stations.trajectory
-    able = [role for role in ("position", "height", "attitude") if trajectory.fits_role(role)]
+    playable = [role for role in ("position", "height", "attitude") if trajectory.fits_role(role)]
     if section is None or section.replaces is None:
-        return tuple(able)
+        return tuple(playable)
     for role in section.replaces:
-        if role not in able:
+        if role not in playable:
             raise messages.trajectory_lacks_role(
                 where=trajectory.name,
                 role=role,
                 columns=", ".join(ROLE_COLUMNS[role]),
-                able=", ".join(able),
+                able=", ".join(playable),
             )
     return tuple(section.replaces)
 
@@ -225,7 +262,11 @@ def roles_of_channels(
     has_log: bool,
     ledger: Ledger,
 ) -> Roles:
-    """The plausible samples of the channel of each role; some a trajectory ``replaced``."""
+    """The channel of the log in each role, with its plausible samples only.
+
+    ``replaced`` are roles that a trajectory plays: the log need not fill them. Without a log no
+    role is missed.
+    """
     roles = ledger.take(
         assign_roles(
             channels,
@@ -240,18 +281,21 @@ def roles_of_channels(
 def heads_of_cameras(
     mission: Mission, channels: tuple[Channel, ...], ledger: Ledger
 ) -> dict[str, Channel]:
-    """Attitudes of cameras with a gimbal of their own; refuses (CHANNEL-MISSING) an unknown one."""
-    able = {channel.name: channel for channel in channels if channel.fits_role("attitude")}
+    """The attitude of each camera with a gimbal of its own, ``mount.<camera>.attitude``.
+
+    Refuses (CHANNEL-MISSING) a name that no channel with attitudes has.
+    """
+    attitudes = {channel.name: channel for channel in channels if channel.fits_role("attitude")}
     heads = {}
     for camera, section in mission.mount.items():
         name = section.attitude
         if name is None:
             continue
-        if name not in able:
+        if name not in attitudes:
             raise messages.attitude_channel_missing(
-                where=f"mount.{camera}.attitude", name=name, there=", ".join(able) or "none"
+                where=f"mount.{camera}.attitude", name=name, there=", ".join(attitudes) or "none"
             )
-        heads[camera] = ledger.take(plausible_samples(able[name], "attitude"))
+        heads[camera] = ledger.take(plausible_samples(attitudes[name], "attitude"))
         mount: Mount = mission.mounts[camera]
         ledger.extend(gimbal_notes({}, {"attitude": heads[camera]}, {camera: mount}))
     return heads
@@ -260,7 +304,7 @@ def heads_of_cameras(
 def heights_of_roles(
     mission: Mission, inputs: OpenedInputs, roles: Roles, ledger: Ledger
 ) -> HeightSystem:
-    """How the heights of a log relate to sea level."""
+    """How the heights of a log, above sea level and above the ellipsoid, relate."""
     return ledger.take(
         height_system(
             roles,
@@ -272,20 +316,25 @@ def heights_of_roles(
 
 
 def with_trajectory(
-    roles: Roles, trajectory: Channel, replaced: tuple[str, ...], own: Roles, ledger: Ledger
+    own: Roles, trajectory: Channel, replaced: tuple[str, ...], ledger: Ledger
 ) -> Roles:
-    """The roles with those that a trajectory plays, in place of the log's ``own``."""
-    roles = dict(roles)
-    for role in replaced:
+    """The roles with the trajectory in the ``replaced`` ones, and the log's ``own`` in the others.
+
+    A log without heights gets those of the trajectory along with its positions. The ledger names
+    what the trajectory gives.
+    """
+    played = list(replaced)
+    if "position" in replaced and "height" not in {*replaced, *own}:
+        played.append("height")
+    roles = dict(own)
+    for role in played:
         roles[role] = ledger.take(plausible_samples(trajectory, role))
-    if "position" in roles:
-        roles.setdefault("height", roles["position"])
-    former = ", ".join(f"{role} of {own[role].name}" for role in replaced if role in own)
+    former = ", ".join(f"{role} of {own[role].name}" for role in played if role in own)
     ledger.add(
         messages.trajectory_replaces(
             where="stations.trajectory",
             name=trajectory.name,
-            roles=", ".join(replaced),
+            roles=", ".join(played),
             former=f"in place of {former}" if former else "which the log has not",
         )
     )
@@ -293,11 +342,15 @@ def with_trajectory(
 
 
 def time_range(channels: tuple[Channel, ...]) -> tuple[int, int] | None:
-    """First and last time of the positions of a log, or of all that it has [Unix ns]."""
+    """First and last time [Unix ns] of the positions of a log, or of all channels without these.
+
+    None for a log without samples.
+    """
     filled = [channel for channel in channels if len(channel)]
-    placed = [channel for channel in filled if channel.fits_role("position")] or filled
-    if not placed:
+    positions = [channel for channel in filled if channel.fits_role("position")]
+    timed = positions or filled
+    if not timed:
         return None
-    first = min(int(channel.time_ns[0]) for channel in placed)
-    last = max(int(channel.time_ns[-1]) for channel in placed)
+    first = min(int(channel.time_ns[0]) for channel in timed)
+    last = max(int(channel.time_ns[-1]) for channel in timed)
     return first, last

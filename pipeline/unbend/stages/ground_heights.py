@@ -21,10 +21,12 @@ from unbend.units import Array, Integers
 
 @dataclass(frozen=True, eq=False)
 class GivenGround:
-    """Heights that are given, a constant or a column, plus the ``offset_m`` (s,) of each station:
-    minus the undulation for ellipsoidal heights, the take-off's height for relative ones.
+    """Heights that are given: one for all points, or a column of the observations.
 
-    ``sigma_m`` is the standard deviation that all of them share, where there is one.
+    constant_m : the one height; None where there is a column.
+    offset_m : (s,) what to add at each station to have heights above sea level: minus the
+        undulation for ellipsoidal heights, the take-off's height for relative ones.
+    sigma_m : the standard deviation of all heights, where the mission file states one.
     """
 
     constant_m: float | None
@@ -42,16 +44,21 @@ class GivenGround:
         offset = np.append(self.offset_m, np.nan)[station]
         # Without a station there is no offset; such an observation gets the status no_station.
         h_m = plausible + np.where(station < 0, 0.0, offset)
-        lost = int(np.count_nonzero(np.isfinite(given) & np.isnan(plausible)))
-        return GroundHeights(h_m, sigmas_given(batch, self.sigma_m), implausible=lost)
+        is_implausible = np.isfinite(given) & np.isnan(plausible)
+        return GroundHeights(
+            h_m,
+            sigmas_given(batch, self.sigma_m),
+            implausible=int(np.count_nonzero(is_implausible)),
+        )
 
     @property
     def limits(self) -> tuple[float, float]:
-        """Those of the constant; of a column those of all land."""
+        """The lowest and highest height above sea level [m]: of the constant, or of all land."""
         if self.constant_m is None:
             return LOWEST_GROUND_M, HIGHEST_GROUND_M
-        known = self.offset_m[np.isfinite(self.offset_m)]
-        offset = known if known.size else np.zeros(1)
+        offset = self.offset_m[np.isfinite(self.offset_m)]
+        if offset.size == 0:
+            offset = np.zeros(1)
         return self.constant_m + float(offset.min()), self.constant_m + float(offset.max())
 
 
@@ -82,7 +89,7 @@ class SlantRangeGround:
 
 @dataclass(frozen=True, eq=False)
 class ComputedGround:
-    """Heights and sigmas [m] of all rows of the table, (2, rows), computed before."""
+    """Heights that were computed before: (2, rows) heights and sigmas [m] of the whole table."""
 
     of_rows: Array
     limits: tuple[float, float] = (LOWEST_GROUND_M, HIGHEST_GROUND_M)
@@ -94,7 +101,10 @@ class ComputedGround:
 
 
 def sigmas_given(batch: Batch, sigma_m: float | None) -> Array:
-    """(n,) standard deviations [m] of a batch's column, or the one of all; NaN where unknown."""
+    """(n,) standard deviations [m] of ground heights: a batch's column, or ``sigma_m`` for all.
+
+    NaN where neither is known.
+    """
     if batch.ground_sigma is not None:
         return batch.ground_sigma
     return np.full(len(batch), np.nan if sigma_m is None else sigma_m)
@@ -110,8 +120,11 @@ LARGEST_SLOPE_FACTOR = 20.0  # of an error of the model's height, where a ray gr
 
 
 class Landings(NamedTuple):
-    """Where rays meet an elevation model, (n,): height [m], its error over the model's, slant range
-    [m] and status.
+    """Where rays meet an elevation model, (n,) each.
+
+    error_factor : error of the height over that of the model.
+    distance_m : slant range.
+    status : codes of `status_codes`.
     """
 
     h_m: Array
@@ -122,10 +135,11 @@ class Landings(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class TerrainGround:
-    """Heights where rays from ``places`` (s,), latitude and longitude [rad], first meet a model.
+    """Heights where rays first meet an elevation model.
 
-    The sigma of a landing is larger than ``sigma_m``, that of the model, on slopes that fall away
-    from the camera: by 1 / (1 + tan slope tan zeta), 20 at most.
+    places : (s,) latitudes and longitudes of the stations [rad].
+    sigma_m : standard deviation of the heights of the model. That of a landing is larger on slopes
+        that fall away from the camera: by 1 / (1 + tan slope tan zeta), 20 at most.
     """
 
     model: ElevationModel
@@ -134,23 +148,24 @@ class TerrainGround:
     limits: tuple[float, float] = (LOWEST_GROUND_M, HIGHEST_GROUND_M)
 
     def heights(self, batch: Batch, station: Integers, setup: CorrectionSetup) -> GroundHeights:
-        """(n,) heights above sea level [m], with the reason where there is none."""
+        """(n,) heights above sea level [m], and the status of rays that land nowhere."""
         landings = self.landings(batch.x_px, batch.y_px, station, setup)
-        sigma = sigmas_given(batch, self.sigma_m) * np.minimum(
-            landings.error_factor, LARGEST_SLOPE_FACTOR
-        )
+        slope_factor = np.minimum(landings.error_factor, LARGEST_SLOPE_FACTOR)
         return GroundHeights(
-            landings.h_m, sigma, landings.status.astype(np.uint8), distance_m=landings.distance_m
+            landings.h_m,
+            sigmas_given(batch, self.sigma_m) * slope_factor,
+            landings.status.astype(np.uint8),
+            distance_m=landings.distance_m,
         )
 
     def landings(
         self, x_px: Array, y_px: Array, station: Integers, setup: CorrectionSetup
     ) -> Landings:
         """Where the rays of pixels meet the model."""
-        found = np.full((4, station.size), np.nan)
-        found[3] = OK
+        columns = np.full((len(Landings._fields), station.size), np.nan)
+        columns[Landings._fields.index("status")] = OK
         for rows, camera, profile in setup.groups(station):
-            found[:, rows] = terrain_heights(
+            columns[:, rows] = terrain_heights(
                 x_px[rows],
                 y_px[rows],
                 station[rows],
@@ -161,7 +176,7 @@ class TerrainGround:
                 terrain=self.model,
                 ideal=setup.direction == "apply",
             )
-        return Landings(*found)
+        return Landings(*columns)
 
 
 def elevation_of_mission(
@@ -180,9 +195,10 @@ def with_terrain(
     sigma_m: float | None,
     ledger: Ledger,
 ) -> CorrectionSetup:
-    """The setup with heights of the elevation model, where there is one; ``sigma_m`` are its.
+    """The setup with the heights of the elevation model as ground, if the mission has one.
 
-    Refuses (DEM-OUTSIDE) a model under no station; a loss where it is under some.
+    ``sigma_m`` is the standard deviation of these heights. Refuses (DEM-OUTSIDE) a model that lies
+    under no station; a loss if it lies under some but not all.
     """
     if model is None:
         return setup

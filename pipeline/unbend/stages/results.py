@@ -130,7 +130,7 @@ def record_of_log(log: Log) -> LogRecord:
 def record_of_flight(
     stations: Stations, setup: CorrectionSetup, statistics: Statistics
 ) -> FlightRecord:
-    """When and where the exposures are."""
+    """When and where the exposures are, and what the cameras see."""
     ok = stations.ok
     time_ns = stations.time_ns[ok & (stations.time_ns != NO_TIME)]
     rows = statistics.sampled_rows()

@@ -42,7 +42,12 @@ from unbend.units import DEGREE
 
 @dataclass(frozen=True, eq=False)
 class StationBuilder:
-    """Makes stations of one camera at any times; ``offsets`` : a file of ways from the antenna."""
+    """Builds the stations of one camera at any times.
+
+    roles, suspect : the channels of the camera, and the stretches that contradict these.
+    offsets : a file of exposures with the way from the antenna to the camera at each; None where
+        the mount has the lever arm.
+    """
 
     camera: str
     roles: Mapping[str, Channel]
@@ -57,7 +62,7 @@ class StationBuilder:
     def of(
         cls, mission: Mission, flight: FlightLog, camera: str, positions: Channel | None
     ) -> "StationBuilder":
-        """That of a camera; a file of ``positions`` at its exposures replaces channels."""
+        """The builder for a camera; a file of ``positions`` at its exposures replaces channels."""
         roles = flight.roles_of(camera)
         suspect = flight.suspect
         if positions is not None and not mission.position_events[camera].times_only:
@@ -85,29 +90,32 @@ class StationBuilder:
         )
 
     def stations(self, events: Events) -> Stations:
-        """The stations of some exposures, suspect or not."""
+        """The stations at some exposures; those in suspect stretches are not flagged yet."""
         stations = build_stations(
             events, self.roles, self.mount, self.heights, self.max_gap_s, accuracy=self.accuracy
         )
-        file = self.offsets
-        if file is None:
+        offsets = self.offsets
+        if offsets is None:
             return stations
         # The row of the nearest event: a delay moves all alike, by less than half an interval.
-        between = (file.time_ns[:-1] + file.time_ns[1:]) // 2
-        row = np.searchsorted(between, stations.time_ns)
-        north = file["offset_north_m"][row]
-        east = file["offset_east_m"][row]
-        down = file["offset_down_m"][row]
+        between_ns = (offsets.time_ns[:-1] + offsets.time_ns[1:]) // 2
+        row = np.searchsorted(between_ns, stations.time_ns)
+        north = offsets["offset_north_m"][row]
+        east = offsets["offset_east_m"][row]
+        down = offsets["offset_down_m"][row]
         return stations.moved(np.stack([east, north, -down], axis=1))
 
     def later(self, stations: Stations, seconds: float) -> Stations:
-        """The stations of the same images that many seconds later."""
+        """The stations of the same images if these had been exposed some ``seconds`` later."""
         time_ns = stations.time_ns + round(seconds * 1e9)
         return self.stations(Events(self.camera, stations.image, time_ns))
 
 
 def mount_of_camera(mission: Mission, camera: str) -> tuple[Mount, bool]:
-    """The mount with its lever arm; True where the way to the camera is in the events' file."""
+    """The mount of a camera, its lever arm from the point whose positions are used.
+
+    True, and no lever arm, where a file of events has the way from the antenna to the camera.
+    """
     mount = mission.mounts[camera]
     at_camera = replace(mount, lever_arm_m=(0.0, 0.0, 0.0))
     events = mission.position_events.get(camera)
@@ -141,13 +149,13 @@ def stations_of_mission(
     # Stations at the exposures of each camera.
     positions = read_positions(mission, inputs, flight, ledger)
     events = exposure_events(mission, inputs, flight, positions, ledger)
+    use_suspect = mission.stations.use_suspect
     builders = []
     exposed = []
-    for of_camera in events:
-        camera = of_camera.camera
+    for camera_events in events:
+        camera = camera_events.camera
         builder = StationBuilder.of(mission, flight, camera, positions.get(camera))
-        stations = builder.stations(of_camera)
-        use_suspect = mission.stations.use_suspect
+        stations = builder.stations(camera_events)
         stations = ledger.take(flag_suspect(stations, builder.suspect, use_suspect=use_suspect))
         builders.append(builder)
         exposed.append(stations)
@@ -166,7 +174,7 @@ def stations_of_mission(
             ledger=ledger,
         )
 
-    # They are those of the events, or a table says where the cameras were.
+    # The stations are those of the events, or a table says where the cameras were.
     if mission.stations.orientation is None:
         stations = join_stations(exposed)
     else:
@@ -174,8 +182,10 @@ def stations_of_mission(
         stations = with_air(oriented, flight.roles, mission.max_gap_s)
 
     def later(seconds: float) -> Stations:
-        of_cameras = zip(builders, exposed, strict=True)
-        return join_stations([builder.later(part, seconds) for builder, part in of_cameras])
+        moved = []
+        for builder, camera_stations in zip(builders, exposed, strict=True):
+            moved.append(builder.later(camera_stations, seconds))
+        return join_stations(moved)
 
     evidence = TieEvidence(
         mission=mission,
@@ -187,12 +197,12 @@ def stations_of_mission(
     )
     check_tie_points(evidence, ledger)
     stations = with_cabins(mission, flight, stations, ledger)
-    cameras = {of_camera.camera for of_camera in events}
+    cameras = {camera_events.camera for camera_events in events}
     return matched_stations(mission, flight, stations, cameras, observations.images, ledger=ledger)
 
 
 def report_repeated_points(observations: Observations, ties: TiePoints, ledger: Ledger) -> None:
-    """A loss where points stand twice in an image; a block says so when it is opened."""
+    """Add a loss if points stand twice in an image; a block says so when it is opened."""
     if ties.repeated and not observations.is_block:
         ledger.add(
             points_repeated(
@@ -210,9 +220,10 @@ def matched_stations(
     *,
     ledger: Ledger,
 ) -> Stations:
-    """The stations matched to the observed images, with what is to be said of both.
+    """The stations, and after them a row for each observed image without an exposure.
 
-    ``cameras`` have exposures, though perhaps no station.
+    Adds notes on images and stations that do not match, and on large sigmas. ``cameras`` have
+    exposures, though perhaps no station; ``observed`` are the observed images.
     """
     names = sorted({*stations.camera.tolist(), *cameras})
     images = {name: stations.image[stations.camera == name].tolist() for name in names}

@@ -17,19 +17,22 @@ from unbend.refraction.camera.camera import Camera
 from unbend.refraction.image import Corrections
 from unbend.refraction.status_codes import OK, STATUS_NAMES
 from unbend.stages import messages
+<<<<<<< HEAD
 from unbend.tables.manifest.results import (
+=======
+from unbend.stages.distribution import Distribution
+from unbend.tables.manifest import (
+>>>>>>> stages
     CameraShifts,
     CorrectionRecord,
-    DistributionRecord,
     GroundHeightsRecord,
     GroundHistogram,
-    HistogramRecord,
     Quantiles,
     ShiftField,
     SigmaRecord,
 )
 from unbend.tables.observations import Batch
-from unbend.units import ARCSEC, Array, Integers, evenly_spaced, round_step
+from unbend.units import ARCSEC, Array, evenly_spaced, round_step
 
 SAMPLED_ROWS = 20_000
 """Rows that stand for all others, where what is plausible is looked at."""
@@ -54,93 +57,6 @@ ADDED = (
 )
 """Counts of `Statistics` that are added when parts are merged."""
 
-_LOWEST_EXPONENT = -12
-_HIGHEST_EXPONENT = 8
-_BINS_PER_DECADE = 500
-
-
-@dataclass
-class Distribution:
-    """Distribution of non-negative magnitudes in logarithmic bins.
-
-    The maximum is exact; quantiles are good to 0.25 % of their value.
-
-    >>> distribution = Distribution()
-    >>> distribution.add(np.arange(1.0, 1000.0))
-    >>> abs(distribution.quantile(0.5) / 500.0 - 1.0) < 0.005, distribution.maximum
-    (True, 999.0)
-    """
-
-    counts: Integers = field(
-        default_factory=lambda: np.zeros(
-            (_HIGHEST_EXPONENT - _LOWEST_EXPONENT) * _BINS_PER_DECADE + 1, np.int64
-        )
-    )
-    maximum: float = 0.0
-    total: int = 0
-
-    def add(self, values: Array) -> None:
-        """Count values; zero falls into the lowest bin, NaN into none."""
-        finite = np.isfinite(values)
-        values = values if finite.all() else values[finite]
-        if values.size == 0:
-            return
-        with np.errstate(divide="ignore"):
-            exponent = np.log10(values)  # of zero minus infinity
-        exponent -= _LOWEST_EXPONENT
-        exponent *= _BINS_PER_DECADE
-        np.clip(exponent, 0, self.counts.size - 1, out=exponent)
-        self.counts += np.bincount(exponent.astype(np.int64), minlength=self.counts.size)
-        self.maximum = max(self.maximum, float(values.max()))
-        self.total += values.size
-
-    def quantile(self, share: float) -> float | None:
-        """The value that a share of the values does not exceed; None without values."""
-        if self.total == 0:
-            return None
-        number = int(np.searchsorted(np.cumsum(self.counts), share * self.total))
-        if number == 0:
-            return 0.0
-        middle = 10.0 ** ((number + 0.5) / _BINS_PER_DECADE + _LOWEST_EXPONENT)
-        return float(min(middle, self.maximum))
-
-    def __add__(self, other: Distribution) -> Distribution:
-        return Distribution(
-            self.counts + other.counts, max(self.maximum, other.maximum), self.total + other.total
-        )
-
-    def histogram(self, bins: int = 24) -> HistogramRecord:
-        """Counts in at most ``bins`` bins from zero, steps of 1, 2 or 5; values 0.25 % off at most.
-
-        >>> distribution = Distribution()
-        >>> distribution.add(np.array([0.1, 2.5, 2.6, 9.9]))
-        >>> distribution.histogram(10)
-        HistogramRecord(step=1.0, counts=[1, 0, 2, 0, 0, 0, 0, 0, 0, 1])
-        """
-        if self.maximum <= 0.0:
-            return HistogramRecord(1.0, [self.total] if self.total else [])
-        step = round_step(self.maximum / bins)
-        filled = np.flatnonzero(self.counts)
-        middle = 10.0 ** ((filled + 0.5) / _BINS_PER_DECADE + _LOWEST_EXPONENT)
-        number = (np.minimum(middle, self.maximum * (1.0 - 1e-12)) / step).astype(np.int64)
-        counts = np.bincount(number, self.counts[filled]).astype(np.int64)
-        return HistogramRecord(step, counts.tolist())
-
-    def summary(self) -> DistributionRecord:
-        """For the manifest: six digits are more than the bins hold."""
-        return DistributionRecord(
-            count=self.total,
-            median=to_three_digits(self.quantile(0.5)),
-            p95=to_three_digits(self.quantile(0.95)),
-            maximum=float(f"{self.maximum:.6g}") if self.total else None,
-        )
-
-
-def to_three_digits(value: float | None) -> float | None:
-    """A number rounded to three digits."""
-    return None if value is None else float(f"{value:.3g}")
-
-
 QUANTITIES = ("shift_px", "shift_ground_m", "refraction_arcsec", "window_arcsec")
 """What `ShiftStatistics` keeps distributions of."""
 
@@ -151,7 +67,11 @@ _ROWS = 10
 
 @dataclass
 class ShiftStatistics:
-    """Corrections in a camera's images; ``sums`` (3, 10, 14) of dx, dy [px] and points in cells."""
+    """How far corrections move the points of a camera.
+
+    ``sums`` (3, 10, 14) are those of dx and dy [px], and the number of points, in each cell of the
+    image.
+    """
 
     width_px: int
     height_px: int
@@ -170,8 +90,9 @@ class ShiftStatistics:
         column = np.clip(x_px[good] / self.width_px * _COLUMNS, 0, _COLUMNS - 1).astype(np.intp)
         row = np.clip(y_px[good] / self.height_px * _ROWS, 0, _ROWS - 1).astype(np.intp)
         cell = row * _COLUMNS + column
-        for i, weight in enumerate((dx, dy, np.ones(dx.shape))):
-            self.sums[i] += np.bincount(cell, weight, _ROWS * _COLUMNS).reshape(_ROWS, _COLUMNS)
+        for number, weight in enumerate((dx, dy, np.ones(dx.shape))):
+            of_cells = np.bincount(cell, weight, _ROWS * _COLUMNS)
+            self.sums[number] += of_cells.reshape(_ROWS, _COLUMNS)
         magnitudes = {
             "shift_px": np.sqrt(dx * dx + dy * dy),
             "shift_ground_m": corrections.shift_ground_m[good],
@@ -182,21 +103,24 @@ class ShiftStatistics:
             self.distributions[name].add(values)
 
     def __add__(self, other: ShiftStatistics) -> ShiftStatistics:
-        both = {name: of + other.distributions[name] for name, of in self.distributions.items()}
-        return ShiftStatistics(self.width_px, self.height_px, self.sums + other.sums, both)
+        distributions = {}
+        for name, distribution in self.distributions.items():
+            distributions[name] = distribution + other.distributions[name]
+        return ShiftStatistics(self.width_px, self.height_px, self.sums + other.sums, distributions)
 
     def summary(self) -> CameraShifts:
         """Counts, medians and maxima, histograms of the shift, and its field, for the manifest."""
-        filled = self.sums[2] > 0
+        sum_dx, sum_dy, points = self.sums
+        filled = points > 0
         row, column = np.nonzero(filled)
-        count = self.sums[2][filled]
+        count = points[filled]
         field_of_shifts = ShiftField(
             format_px=[self.width_px, self.height_px],
             columns=_COLUMNS,
             x_px=to_five_digits((column + 0.5) * self.width_px / _COLUMNS),
             y_px=to_five_digits((row + 0.5) * self.height_px / _ROWS),
-            dx_px=to_five_digits(self.sums[0][filled] / count),
-            dy_px=to_five_digits(self.sums[1][filled] / count),
+            dx_px=to_five_digits(sum_dx[filled] / count),
+            dy_px=to_five_digits(sum_dy[filled] / count),
         )
         summaries = {name: values.summary() for name, values in self.distributions.items()}
         return CameraShifts(
@@ -241,7 +165,10 @@ class SampledRows(NamedTuple):
         station: NDArray[np.int64],
         most: int,
     ) -> SampledRows:
-        """Rows of a batch, evenly spaced."""
+        """At most ``most`` rows of a batch, evenly spaced, with their corrections.
+
+        ``h_g`` and ``station`` (n,) are the ground heights and the stations of the batch.
+        """
         rows = evenly_spaced(len(batch), most)
         weight = np.ones(rows.size) if batch.weight is None else batch.weight[rows]
         distance_m = np.full(rows.size, np.nan)
@@ -267,12 +194,15 @@ class SampledRows(NamedTuple):
 class Statistics:
     """Counts of observations, and how large the corrections were in each camera.
 
-    ``examples`` : of each status but ok, its first images and points in the order of the rows.
-    ``ground_m`` : the lowest and the highest ground that was used.
-    ``air_variance`` : of all corrections by the air, and ``by_mode`` the squares of their
-    derivatives by the parameter of the leading mode [px2].
-    ``sampled`` : rows of each part, of which `SAMPLED_ROWS` stand for all.
-    ``cabin_share`` : sigma of R_cc by the air in the cabin as a share of R_c.
+    shifts : how far corrections move points, by camera.
+    status : how many rows have each status.
+    examples : the first images and points of each status but ok, in the order of the rows.
+    ground_m : the lowest and the highest ground that was used.
+    air_variance : sum of the squares of the sigmas of corrections by the air [px2].
+    by_mode : sum of the squares of the derivatives of corrections by the parameter of the leading
+        mode of the air [px2].
+    sampled : some rows of each part; `SAMPLED_ROWS` in all, which stand for all rows.
+    cabin_share : sigma of R_cc by the air in the cabin, as a share of R_c.
     """
 
     shifts: dict[str, ShiftStatistics]
@@ -292,8 +222,11 @@ class Statistics:
 
     @classmethod
     def of(cls, cameras: Mapping[str, Camera]) -> Statistics:
-        """Those of no observations."""
-        return cls({n: ShiftStatistics(of.width_px, of.height_px) for n, of in cameras.items()})
+        """The statistics of no observations."""
+        shifts = {}
+        for name, camera in cameras.items():
+            shifts[name] = ShiftStatistics(camera.width_px, camera.height_px)
+        return cls(shifts)
 
     def add(self, batch: Batch, corrections: Corrections, camera: NDArray[np.int64]) -> None:
         """Count a batch; ``camera`` (n,) numbers the cameras, -1 without one."""
@@ -334,8 +267,11 @@ class Statistics:
             self.examples[STATUS_NAMES[code]] = examples
 
     def sampled_rows(self) -> SampledRows:
-        """The rows of all parts that stand for all others."""
-        return SampledRows(*map(np.concatenate, zip(*self.sampled, strict=True)))
+        """The sampled rows of all parts, one part after the other."""
+        columns = []
+        for parts_of_column in zip(*self.sampled, strict=True):
+            columns.append(np.concatenate(parts_of_column))
+        return SampledRows(*columns)
 
     def merge(self, other: Statistics) -> None:
         """Add the counts of another part, which comes after."""
@@ -348,15 +284,17 @@ class Statistics:
             self.status[name] = self.status.get(name, 0) + count
         for name, texts in other.examples.items():
             self.examples[name] = (self.examples.get(name, []) + texts)[:MOST_EXAMPLES]
-        self.shifts = {name: of + other.shifts[name] for name, of in self.shifts.items()}
+        for name, statistics in other.shifts.items():
+            self.shifts[name] = self.shifts[name] + statistics
 
     def correction(self) -> CorrectionRecord:
         """How large the correction was, over all and camera by camera, for the manifest."""
-        parts = [of_camera.distributions for of_camera in self.shifts.values()]
         over_all = {}
         for name in QUANTITIES:
-            of_cameras = (distributions[name] for distributions in parts)
-            over_all[name] = sum(of_cameras, Distribution()).summary()
+            total = Distribution()
+            for of_camera in self.shifts.values():
+                total = total + of_camera.distributions[name]
+            over_all[name] = total.summary()
         cameras = {name: of_camera.summary() for name, of_camera in self.shifts.items()}
         return CorrectionRecord(**over_all, cameras=cameras)
 
@@ -440,7 +378,7 @@ class Statistics:
                 ledger.add(self.flagged(status, count, causes.get(status, "")))
 
     def flagged(self, status: str, count: int, cause: str) -> Message:
-        """What is to be said of the rows of a status that is not ok."""
+        """The message that ``count`` rows have a status that is not ok, with its likely cause."""
         examples = ", ".join(self.examples.get(status, []))
         words: dict[str, Any] = {
             "total": self.rows,

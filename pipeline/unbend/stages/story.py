@@ -13,7 +13,8 @@ from unbend.flight.stations import Stations, append_unmatched_images, flag_heigh
 from unbend.flight.trajectory import takeoff_of
 from unbend.messages import Ledger
 from unbend.refraction.effect import FlightAir
-from unbend.stages.air_of_mission import AirSources, adjusted_profiles, read_air_sources
+from unbend.stages.air_of_mission import adjusted_profiles
+from unbend.stages.air_sources import AirSources, read_air_sources
 from unbend.stages.cabin_air import with_cabin_air
 from unbend.stages.correction_setup import CorrectionSetup
 from unbend.stages.exposure_setup import correction_setup

@@ -30,14 +30,12 @@ def with_uncertainties(
     """The setup with what standard deviations and derivatives are computed from, for each profile.
 
     The leading mode of the air is that of rays to the median height of the points of a ``batch``.
-    None for a profile without covariance where neither the mission file nor a window has anything
-    to compute. Of several profiles each has its own leading mode and all have one parameter: their
-    errors are taken as one, which moves R of all to the same side.
+    Each of several profiles has a leading mode of its own; all have one parameter, as their errors
+    are taken for one that moves R of all to the same side. A profile without covariance has None
+    if stations, ground and windows have no standard deviation either.
     """
-    sigmas = replace(
-        station_sigmas(mission, stations),
-        cabin=cabin_changes(stations, mission.lenses, air.profiles[0].index),
-    )
+    cabin = cabin_changes(stations, mission.lenses, air.profiles[0].index)
+    sigmas = replace(station_sigmas(mission, stations), cabin=cabin)
     window_kinds = kinds_of_windows(mission, stations, air)
     any_sigma = has_any_sigma(mission, stations, sigmas, window_kinds)
     typical_ground_m = median_ground_m(setup, batch)
@@ -85,9 +83,16 @@ def has_any_sigma(
 def with_common_scale(
     uncertainties: Iterable[Uncertainty | None],
 ) -> tuple[Uncertainty | None, ...]:
-    """Uncertainties whose leading modes share one parameter: the root mean square of theirs."""
-    known = list(uncertainties)
-    scales = [u.mode.sigma for u in known if u is not None and u.mode is not None]
+    """Uncertainties whose leading modes have one parameter, with one sigma.
+
+    That is the root mean square of the sigmas of all modes. A profile without uncertainty keeps
+    None.
+    """
+    known = tuple(uncertainties)
+    scales = []
+    for uncertainty in known:
+        if uncertainty is not None and uncertainty.mode is not None:
+            scales.append(uncertainty.mode.sigma)
     common = np.nan
     if scales:
         common = float(f"{np.sqrt(np.mean(np.square(scales))):.6g}")
@@ -109,15 +114,20 @@ def kinds_of_windows(mission: Mission, stations: Stations, air: ProfileSeries) -
 
 
 def station_sigmas(mission: Mission, stations: Stations) -> StationSigmas:
-    """Sigmas of the stations, of the attitude the mission file's where they have none; or NaN."""
+    """Sigmas of attitude and height of the stations; NaN where unknown.
+
+    A station without sigmas of its attitude has those that the mission file states for its mount.
+    """
     tilt = stations.sigma_tilt_rad.copy()
     yaw = stations.sigma_yaw_rad.copy()
     axis = np.tile([0.0, 0.0, 1.0], (len(stations), 1))
     for name, mount in mission.mounts.items():
         rows = stations.camera == name
         axis[rows] = mount.camera_from_body[:, 2]
-        for sigma, stated in ((tilt, mount.sigma_tilt_rad), (yaw, mount.sigma_yaw_rad)):
-            sigma[rows & np.isnan(sigma)] = np.nan if stated is None else stated
+        if mount.sigma_tilt_rad is not None:
+            tilt[rows & np.isnan(tilt)] = mount.sigma_tilt_rad
+        if mount.sigma_yaw_rad is not None:
+            yaw[rows & np.isnan(yaw)] = mount.sigma_yaw_rad
     return StationSigmas(tilt, yaw, axis, stations.sigma_height_m)
 
 
@@ -135,7 +145,7 @@ def report_unknown_sigmas(
 
 
 def missing_sigmas(mission: Mission, stations: Stations, air: ProfileSeries) -> Iterator[str]:
-    """Standard deviations that nobody stated, with the keys that would."""
+    """Standard deviations that nobody stated, each with the key that would state it."""
     if not all(timed.has_covariance for timed in air.timed_profiles):
         yield "the air (its profile has no covariance)"
     unknown = stations.ok & np.isnan(station_sigmas(mission, stations).tilt_rad)

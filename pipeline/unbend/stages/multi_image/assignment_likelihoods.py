@@ -18,85 +18,106 @@ from unbend.tables.tie_points import TiePoints, tie_rays
 from unbend.units import Array, Integers, Mask
 
 Likelihood = Callable[[Integers], float]
-"""Natural logarithm of the likelihood of an assignment: (k,) rows of events, -1 for none."""
+"""Natural logarithm of the likelihood of an assignment: (k,) the row of the event of each image,
+-1 for an image without an event."""
 
-FEWEST_POINTS = 10
-TIE_POINTS = 200  # 800 rays show a shift by a factor of e^3000
-POINTS_AT_FIRST = 50  # whose rays rank many assignments
-FEWEST_MEET = 0.5  # share of the points whose rays meet at all
-POOREST_FIT = 5.0  # residuals over what the stations' sigmas say
-USABLE_STATIONS = 0.9
-CONTRADICTED_SHARE = 0.5  # of the rays of an image, which meet no other
-FEWEST_RAYS = 4  # of an image that is judged by that share
+TIES = "tie points"
+"""The name of the likelihood by tie points, among the evidence for an assignment."""
+
+FEWEST_POINTS = 10  # tie points: fewer decide nothing
+TIE_POINTS = 200  # that decide: 800 rays show a shift by a factor of e^3000
+POINTS_AT_FIRST = 50  # tie points whose rays rank many assignments
+FEWEST_MEET = 0.5  # share of the points whose rays meet under a right assignment
+POOREST_FIT = 5.0  # residuals over what the sigmas of the stations say
+USABLE_STATIONS = 0.9  # share of the events that must have a usable station
+CONTRADICTED_SHARE = 0.5  # of the rays of an image, which meet no other ray
+FEWEST_RAYS = 4  # an image with fewer counts as one with so many
 POSITION_M = 10.0  # sigma of a position in EXIF
-COMMON_M = 5.0  # and of what all share
-DELAY_S = 1.0  # a receiver's last fix
+COMMON_M = 5.0  # sigma of an offset that all positions share
+DELAY_S = 1.0  # sigma of a delay that all positions share: that of a receiver's last fix
 OUTLIER = 25.0  # square of sigmas, beyond which a position costs no more
-FEWEST_STATIONS = 3
+FEWEST_STATIONS = 3  # the velocity of a station needs its neighbours
 ITERATIONS = 4  # of the robust fit of what positions share
 
 
 @dataclass(frozen=True, eq=False)
 class TieLikelihood:
-    """Log likelihood of assignments (k,) of events to images by ``rays``, some of ``every`` one."""
+    """Log likelihood of assignments (k,) of events to images, by tie points.
 
-    of_events: Orientations
+    event_orientations : position and attitude of the camera at each event.
+    rays : rays of the points that decide.
+    all_rays : rays of all points.
+    """
+
+    event_orientations: Orientations
     rays: ImageRays
-    every: ImageRays
+    all_rays: ImageRays
 
     def intersected(self, event: Integers) -> Intersection:
-        """The points of the rays under an assignment."""
-        orientations = self.of_events.assigned(event)
+        """The points of the rays that decide, under an assignment (k,)."""
+        orientations = self.event_orientations.assigned(event)
         return intersect(orientations, straightened(orientations, self.rays))
 
     def __call__(self, event: Integers) -> float:
-        return self.intersected(event).log_likelihood if self.rays.point.size else 0.0
+        """The log likelihood of an assignment (k,); 0 without rays."""
+        if self.rays.point.size == 0:
+            return 0.0
+        return self.intersected(event).log_likelihood
 
     def share_met(self, events: Integers) -> Array:
-        """(c,) share of some points whose rays meet under assignments (c, k); more than jointly."""
-        points = np.unique(self.rays.point)
-        some = evenly_spaced_of(points, POINTS_AT_FIRST)
-        rays = self.rays.of_points(some)
-        count = self.of_events.camera.size
-        assignments = events.shape[0]
-        shape = assignments, rays.image.size
-        # The points of each assignment are points of their own.
-        point = np.searchsorted(some, rays.point) + some.size * np.arange(assignments)[:, None]
+        """(c,) share of the points whose rays meet under each of several assignments (c, k).
+
+        By 50 of the points, for all assignments at a time. Each point stands alone, so that more
+        rays meet than in an intersection in which the points share the errors of the stations.
+        """
+        points = evenly_spaced_of(np.unique(self.rays.point), POINTS_AT_FIRST)
+        rays = self.rays.of_points(points)
+        assignment_count = events.shape[0]
+        event_count = self.event_orientations.camera.size
+        # An image without an event (-1) is seen from a last row, which has no orientation.
+        orientations = self.event_orientations.assigned(np.append(np.arange(event_count), -1))
+        row = events[:, rays.image] % (event_count + 1)
+        # Each assignment has points of its own.
+        first_point = points.size * np.arange(assignment_count)
+        point = np.searchsorted(points, rays.point) + first_point[:, None]
         stacked = ImageRays(
-            events[:, rays.image].ravel() % (count + 1),
-            point.ravel(),
-            np.broadcast_to(rays.direction, (*shape, 3)).reshape(-1, 3),
-            np.broadcast_to(rays.sigma_rad, shape).ravel(),
+            image=row.ravel(),
+            point=point.ravel(),
+            direction=np.tile(rays.direction, (assignment_count, 1)),
+            sigma_rad=np.broadcast_to(rays.sigma_rad, point.shape).ravel(),
         )
-        of_all = self.of_events.assigned(np.append(np.arange(count), -1))
-        found = point_heights(of_all, stacked)
-        return np.asarray(np.isfinite(found.h_m).reshape(assignments, -1).mean(axis=1))
+        heights_m = point_heights(orientations, stacked).h_m
+        return np.asarray(np.isfinite(heights_m).reshape(assignment_count, -1).mean(axis=1))
 
     def across(self, images: Integers) -> TieLikelihood:
-        """That by the points which some of the images show, and others too."""
-        inside = np.isin(self.every.image, images)
-        both = np.intersect1d(self.every.point[inside], self.every.point[~inside])
-        return replace(self, rays=self.every.of_points(both))
+        """The likelihood by those points that both some ``images`` (by rows) and others show."""
+        rays = self.all_rays
+        is_inside = np.isin(rays.image, images)
+        shared = np.intersect1d(rays.point[is_inside], rays.point[~is_inside])
+        return replace(self, rays=rays.of_points(shared))
 
     def contradicted(self, event: Integers) -> Integers:
-        """The images, by their rows, half of whose rays meet those of no others."""
-        orientations = self.of_events.assigned(event)
-        every = self.every
-        found = intersect(orientations, straightened(orientations, every))
-        unused = ~found.used[np.searchsorted(found.point, every.point)]
-        seen = np.bincount(every.image, minlength=event.size)
-        lost = np.bincount(every.image[found.bad | unused], minlength=event.size)
-        most = CONTRADICTED_SHARE * np.maximum(seen, FEWEST_RAYS)
-        return np.flatnonzero((lost >= most) & np.isfinite(orientations.centre_m[:, 0]))
+        """Rows of the images half of whose rays meet no ray of another image, if assigned so."""
+        orientations = self.event_orientations.assigned(event)
+        rays = self.all_rays
+        intersection = intersect(orientations, straightened(orientations, rays))
+        point_used = intersection.used[np.searchsorted(intersection.point, rays.point)]
+        is_lost = intersection.bad | ~point_used
+        ray_count = np.bincount(rays.image, minlength=event.size)
+        lost_count = np.bincount(rays.image[is_lost], minlength=event.size)
+        limit = CONTRADICTED_SHARE * np.maximum(ray_count, FEWEST_RAYS)
+        is_placed = np.isfinite(orientations.centre_m[:, 0])
+        return np.flatnonzero((lost_count >= limit) & is_placed)
 
     def fits(self, event: Integers) -> bool:
-        """Whether rays meet at all under the best assignment: else something else is wrong."""
-        found = self.intersected(event)
-        return bool(found.used.mean() >= FEWEST_MEET and found.sigma_factor < POOREST_FIT)
+        """Whether rays meet under the best assignment; else not the assignment is wrong."""
+        intersection = self.intersected(event)
+        meets = intersection.used.mean() >= FEWEST_MEET
+        return bool(meets and intersection.sigma_factor < POOREST_FIT)
 
 
 def evenly_spaced_of(values: Integers, most: int) -> Integers:
-    """At most so many of some values, evenly spaced among them."""
+    """At most ``most`` of some values, evenly spaced among them."""
     rows = np.unique(np.linspace(0, values.size - 1, most).astype(int))
     return np.asarray(values[rows])
 
@@ -104,52 +125,63 @@ def evenly_spaced_of(values: Integers, most: int) -> Integers:
 def tie_likelihood(
     ties: TiePoints, images: CameraImages, camera: Camera, stations: Stations
 ) -> TieLikelihood | None:
-    """Likelihood by the tie points of one camera; None where these or usable events are few."""
-    of_camera = np.full(images.name.shape, "camera", object)
-    rays = tie_rays(ties, images.name, of_camera, {"camera": camera})
+    """The likelihood by the tie points of one camera; None with few points or few usable events.
+
+    ``stations`` are those of all events of the camera.
+    """
+    camera_of_image = np.full(images.name.shape, "camera", object)
+    rays = tie_rays(ties, images.name, camera_of_image, {"camera": camera})
     points = np.unique(rays.point)
-    usable = stations.ok.sum() >= max(2.0, USABLE_STATIONS * len(stations))
-    if points.size < FEWEST_POINTS or not usable:
+    needed = max(2.0, USABLE_STATIONS * len(stations))
+    if points.size < FEWEST_POINTS or stations.ok.sum() < needed:
         return None
-    rays = replace(rays, height_m=None)
-    some = rays.of_points(evenly_spaced_of(points, TIE_POINTS))
-    return TieLikelihood(orientations_of(stations), some, rays)
+    all_rays = replace(rays, height_m=None)
+    rays = all_rays.of_points(evenly_spaced_of(points, TIE_POINTS))
+    return TieLikelihood(orientations_of(stations), rays, all_rays)
 
 
 @dataclass(frozen=True, eq=False)
 class PositionLikelihood:
-    """Log likelihood of assignments by the positions in the images.
+    """Log likelihood of assignments (k,) of events to images, by positions in the images.
 
-    The positions err by 10 m each, at most five times that, and together by 5 m and a delay of
-    1 s: a receiver's last fix. Along one line they decide nothing; along lines to and fro they do.
+    A position errs by 10 m, at most five times that. All positions together err by an offset of
+    5 m and by a delay of 1 s, that of a receiver's last fix. Along one line of flight positions
+    therefore decide nothing; along lines to and fro they do.
 
-    ``written_m`` (k, 2) of the images, where they have one (``has``); ``flown_m`` and
-    ``velocity_m_s`` (m, 2) of the events; north and east.
+    written_m : (k, 2) position in each image, to the north and east; see ``is_written``.
+    flown_m, velocity_m_s : (m, 2) of the camera at each event, to the north and east.
     """
 
-    has: Mask
+    is_written: Mask
     written_m: Array
     flown_m: Array
     velocity_m_s: Array
 
     def __call__(self, event: Integers) -> float:
-        rows = np.flatnonzero(self.has & (event >= 0))
+        """The log likelihood of an assignment (k,), with what positions share at its best."""
+        rows = np.flatnonzero(self.is_written & (event >= 0))
         rows = rows[np.isfinite(self.flown_m[event[rows], 0])]
-        off = (self.written_m[rows] - self.flown_m[event[rows]]).ravel() / POSITION_M
-        # What all positions share: a delay along the way, and an offset to north and east.
+        # Residuals (2 n,) in sigmas; three parameters: the delay, the offset to north and to east.
+        residual = (self.written_m[rows] - self.flown_m[event[rows]]).ravel() / POSITION_M
         design = np.tile(np.eye(3)[1:], (rows.size, 1)) * COMMON_M / POSITION_M
         design[:, 0] = self.velocity_m_s[event[rows]].ravel() * DELAY_S / POSITION_M
-        shared = np.zeros(3)
-        limit = 4.0 * OUTLIER
-        for _ in range(ITERATIONS):
-            near = np.repeat(squares_of_pairs(off - design @ shared) < limit, 2)
-            limit = OUTLIER
-            normal = design[near].T @ design[near] + np.eye(3)
-            shared = np.linalg.solve(normal, design[near].T @ off[near])
-        left = squares_of_pairs(off - design @ shared)
-        without = int(self.has.sum()) - rows.size
-        cost = np.minimum(left, OUTLIER).sum() + np.square(shared).sum() + without * OUTLIER
+        shared = shared_errors(residual, design)
+        remaining = squares_of_pairs(residual - design @ shared)
+        without = int(self.is_written.sum()) - rows.size
+        cost = np.minimum(remaining, OUTLIER).sum() + np.square(shared).sum() + without * OUTLIER
         return -0.5 * float(cost)
+
+
+def shared_errors(residual: Array, design: Array) -> Array:
+    """(3,) errors that all positions share, in sigmas, fitted without outliers."""
+    shared = np.zeros(3)
+    limit = 4.0 * OUTLIER  # at first, before anything is fitted
+    for _ in range(ITERATIONS):
+        near = np.repeat(squares_of_pairs(residual - design @ shared) < limit, 2)
+        limit = OUTLIER
+        normal = design[near].T @ design[near] + np.eye(3)
+        shared = np.asarray(np.linalg.solve(normal, design[near].T @ residual[near]), np.float64)
+    return shared
 
 
 def squares_of_pairs(values: Array) -> Array:
@@ -160,26 +192,31 @@ def squares_of_pairs(values: Array) -> Array:
 def position_likelihood(
     images: CameraImages, files: ImageTimes | None, stations: Stations
 ) -> PositionLikelihood | None:
-    """Likelihood by the positions in the images; None where few images have one."""
+    """The likelihood by positions in the images; None where few images or events have one.
+
+    ``stations`` are those of all events of the camera.
+    """
     if files is None or len(stations) < FEWEST_STATIONS:
         return None
+    # The last row is for an image without a file, whose row is -1.
     position = np.append(files.position, [[np.nan] * 3], axis=0)[images.file]
-    has = np.isfinite(position[:, 0])
-    enough = has.sum() >= max(3.0, 0.5 * has.size)
-    if not enough or stations.ok.sum() < USABLE_STATIONS * len(stations):
+    is_written = np.isfinite(position[:, 0])
+    if is_written.sum() < max(3.0, 0.5 * is_written.size):
+        return None
+    if stations.ok.sum() < USABLE_STATIONS * len(stations):
         return None
     latitude = np.median(stations.lat_rad[stations.ok])
     longitude = np.median(stations.lon_rad[stations.ok])
     meridian, vertical = principal_radii(np.array([latitude]))
-    metres = np.array([meridian[0], vertical[0] * np.cos(latitude)])
+    metres_per_rad = np.array([meridian[0], vertical[0] * np.cos(latitude)])
     origin = [latitude, longitude]
-    flown_m = (np.stack([stations.lat_rad, stations.lon_rad], axis=1) - origin) * metres
+    flown_m = (np.stack([stations.lat_rad, stations.lon_rad], axis=1) - origin) * metres_per_rad
     seconds = np.maximum.accumulate((stations.time_ns - stations.time_ns[0]) * 1e-9)
     with np.errstate(invalid="ignore", divide="ignore"):  # pulses that repeat
         velocity = np.gradient(flown_m, seconds, axis=0)
     return PositionLikelihood(
-        has=has,
-        written_m=(position[:, :2] - origin) * metres,
+        is_written=is_written,
+        written_m=(position[:, :2] - origin) * metres_per_rad,
         flown_m=flown_m,
         velocity_m_s=np.nan_to_num(velocity, posinf=0.0, neginf=0.0),
     )

@@ -27,30 +27,38 @@ SIGMA_OF_LOG_M = 1.5  # positions of an autopilot that fuses a receiver without 
 
 
 def orientation_table(section: OrientationSection, inputs: OpenedInputs) -> OrientationTable:
-    """The table or block of orientations, with the mission's names of cameras (BLOCK-CAMERA)."""
+    """The table of orientations; that of a block has the mission's names of the cameras.
+
+    Refuses (BLOCK-CAMERA) a camera of the block that the mission file does not name.
+    """
     table = inputs.orientation
     if table is None:
         raise no_events(where="stations", what="orientation")
     if not section.of_block:
         return table
-    given = np.array(table.camera)
-    own = sorted(set(given.tolist()))
-    names = dict(inputs.camera_names)
-    if len(own) == 1 and "" in names:
-        names[own[0]] = names[""]
-    for name in own:
-        if name not in names:
-            images = table.image[given == name]
+    block_camera = np.array(table.camera)
+    block_cameras = sorted(set(block_camera.tolist()))
+    mission_camera = dict(inputs.camera_names)
+    if len(block_cameras) == 1 and "" in mission_camera:
+        (only,) = block_cameras
+        mission_camera[only] = mission_camera[""]
+    for name in block_cameras:
+        if name not in mission_camera:
+            images = table.image[block_camera == name]
             raise messages.block_camera_unknown(
                 where=section.path, total=images.size, image=str(images[0]), name=str(name)
             )
-    return replace(table, camera=np.array([names[name] for name in given], object))
+    camera = np.array([mission_camera[name] for name in block_camera], object)
+    return replace(table, camera=camera)
 
 
 def block_points(
     mission: Mission, inputs: OpenedInputs, flight: FlightLog, ledger: Ledger
 ) -> ObjectPoints:
-    """The object points of a block, above sea level; others take the median of their image's."""
+    """The object points of a block, above sea level.
+
+    An image point without an object point gets the median height of those in its image.
+    """
     section = mission.stations.orientation
     block = inputs.block_points
     if section is None or block is None:
@@ -76,17 +84,21 @@ def block_points(
 def with_medians_of_images(
     points: ObjectPoints, block: BlockPoints, ledger: Ledger
 ) -> ObjectPoints:
-    """The points of a block, and for image points of none the median of their image's."""
-    image = []
+    """The points of a block with the median height of the points in each image.
+
+    A note says how far the heights of points are from these medians.
+    """
+    images = []
     medians = []
     apart = [np.zeros(1)]
-    for batch in block.rows():
+    for batch in block.rows():  # a batch holds the rows of one image
         heights, _ = points.heights(batch["point"], batch["image"])
         heights = heights[np.isfinite(heights)]
         if heights.size:
-            image.append(batch["image"][0].as_py())
-            medians.append(float(np.median(heights)))
-            apart.append(np.abs(heights - medians[-1]))
+            median = float(np.median(heights))
+            images.append(batch["image"][0].as_py())
+            medians.append(median)
+            apart.append(np.abs(heights - median))
     ledger.add(
         messages.ground_of_block(
             where="ground.height",
@@ -96,19 +108,22 @@ def with_medians_of_images(
             apart=float(np.median(np.concatenate(apart))),
         )
     )
-    usual = np.array([*medians, np.nanmedian(points.h_m)])
-    return replace(points, of_image=(pa.array(image, pa.string()), usual))
+    # The last is for images without any object point.
+    usual_heights = np.array([*medians, np.nanmedian(points.h_m)])
+    return replace(points, of_image=(pa.array(images, pa.string()), usual_heights))
 
 
 def in_wgs84(
     section: OrientationSection, table: OrientationTable, geoid: GeoidGrid | None
 ) -> tuple[OrientationTable, Notes]:
-    """The table with its positions in WGS 84, and the convergence of its grid."""
+    """The table with its positions in WGS 84, and the convergence of its grid; notes on these."""
     if section.crs is None or section.heights is None:
         return table, ()
     x, y, h = table.position.T
     if section.frame == "geographic":
-        x, y = np.degrees(y), np.degrees(x)
+        latitude, longitude, h = table.position.T
+        x = np.degrees(longitude)
+        y = np.degrees(latitude)
     places, notes = places_of(
         section.crs,
         (x, y, h),
@@ -135,7 +150,11 @@ def frame_of_block(
     exposed: list[Stations],
     ledger: Ledger,
 ) -> CartesianFrame:
-    """The frame of the angles, where it is not each station's own."""
+    """The frame of the angles of a table, where it is not that of each station's vertical.
+
+    The mission file states the frame, or the block says it. An unknown frame is fitted to known
+    positions of images: those of the mission file, or of the log, at the stations ``exposed``.
+    """
     named = section.frame
     stated = named.enu.build() if isinstance(named, EnuFrame) else named
     frame = stated or table.frame

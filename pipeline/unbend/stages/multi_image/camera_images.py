@@ -2,6 +2,7 @@
 
 import re
 import string
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -11,12 +12,17 @@ from unbend.tables.imports.exif import ImageTimes
 from unbend.units import Integers, Names
 
 FIELDS = {"index": "index", "n": "counted"}
-"""How images are numbered by the fields of a pattern: by the log's numbers, or counted."""
+"""How images are numbered, by the field of the pattern: by the log's numbers, or counted."""
 
 
 @dataclass(frozen=True, eq=False)
 class CameraImages:
-    """The images of one camera, (k,): names, numbers in them, rows of their files (-1 without)."""
+    """The images of one camera, (k,).
+
+    number : the number in each name; ``numbering`` says what it counts: ``index`` the log's events,
+        ``counted`` events from the first, ``sequence`` the images themselves.
+    file : the row of the file of each image, -1 without a file.
+    """
 
     name: Names
     number: Integers
@@ -24,8 +30,11 @@ class CameraImages:
     file: Integers
 
 
-class FoundImage(NamedTuple):
-    """An image that a pattern describes, with the row of its file and what its fields hold."""
+class DescribedImage(NamedTuple):
+    """An image whose name a pattern describes: the row of its file, and the values of the fields.
+
+    ``row`` is -1 for an image without a file.
+    """
 
     name: str
     row: int
@@ -46,11 +55,12 @@ class NamePattern:
 
     @classmethod
     def of(cls, pattern: str) -> "NamePattern":
-        """The expressions of a pattern; ``*`` stands for anything."""
+        """The expressions of a pattern, in which ``*`` stands for anything."""
         text = ""
         fields: list[str] = []
-        for literal, field, _, _ in string.Formatter().parse(pattern):
-            text += ".*".join(re.escape(part) for part in literal.split("*"))
+        for part in string.Formatter().parse(pattern):
+            literal, field = part[:2]
+            text += re.escape(literal).replace(re.escape("*"), ".*")
             if field is None:
                 continue
             text += r"\d+" if field in fields else rf"(?P<{field}>\d+)"
@@ -69,43 +79,50 @@ class NamePattern:
 def images_of_camera(
     pattern: str, observed: tuple[str, ...], files: ImageTimes | None
 ) -> CameraImages:
-    """Images of the observations, and files without any, that a pattern describes, in their order.
+    """The images that a pattern describes, in the order of their names.
 
-    Where it has no number, the digits that differ most are the camera's count.
+    They are images of the observations, and files of images in which nothing was measured. Where
+    the pattern has no number, the digits that differ most are the camera's count.
     """
-    names = NamePattern.of(pattern)
-    found = described_images(names, observed, files)
-    found.sort(key=lambda image: sorting_key(image.name))
-    name = np.array([image.name for image in found], object)
-    file = np.array([image.row for image in found], np.int64)
+    name_pattern = NamePattern.of(pattern)
+    images = described_images(name_pattern, observed, files)
+    images.sort(key=lambda image: sorting_key(image.name))
+    name = np.array([image.name for image in images], object)
+    file = np.array([image.row for image in images], np.int64)
     for field, numbering in FIELDS.items():
-        if field in names.fields:
-            number = np.array([int(image.values[field]) for image in found], np.int64)
+        if field in name_pattern.fields:
+            number = np.array([int(image.values[field]) for image in images], np.int64)
             return CameraImages(name, number, numbering, file)
     return CameraImages(name, count_of_camera(name), "sequence", file)
 
 
 def described_images(
-    names: NamePattern, observed: tuple[str, ...], files: ImageTimes | None
-) -> list[FoundImage]:
+    name_pattern: NamePattern, observed: tuple[str, ...], files: ImageTimes | None
+) -> list[DescribedImage]:
     """The images that a pattern describes: observed ones first, then files of no observed image."""
-    paths: list[str] = [] if files is None else files.file.tolist()
-    row_of = {} if files is None else files.rows_of(observed)
-    found = []
-    for image in observed:
-        row = row_of.get(image, -1)
-        match = names.whole.fullmatch(image)
+    paths: list[str] = []
+    row_of_image: Mapping[str, int] = {}
+    if files is not None:
+        paths = files.file.tolist()
+        row_of_image = files.rows_of(observed)
+    images = []
+    for name in observed:
+        row = row_of_image.get(name, -1)
+        match = name_pattern.whole.fullmatch(name)
         if match is None and row >= 0:
-            match = names.stem.fullmatch(paths[row])
+            match = name_pattern.stem.fullmatch(paths[row])
         if match is not None:
-            found.append(FoundImage(image, row, match.groupdict()))
-    for row in sorted(set(range(len(paths))) - set(row_of.values())):
+            images.append(DescribedImage(name, row, match.groupdict()))
+    unmeasured = set(range(len(paths))) - set(row_of_image.values())
+    for row in sorted(unmeasured):
         path = paths[row]
-        match = names.stem.fullmatch(path) or names.stem.fullmatch(path.rpartition("/")[2])
+        match = name_pattern.stem.fullmatch(path)
+        if match is None:
+            match = name_pattern.stem.fullmatch(path.rpartition("/")[2])
         if match is not None:
-            name = names.name_of(path, match.groupdict())
-            found.append(FoundImage(name, row, match.groupdict()))
-    return found
+            name = name_pattern.name_of(path, match.groupdict())
+            images.append(DescribedImage(name, row, match.groupdict()))
+    return images
 
 
 def sorting_key(name: str) -> list[str]:
@@ -118,13 +135,17 @@ def sorting_key(name: str) -> list[str]:
 
 
 def count_of_camera(names: Names) -> Integers:
-    """(k,) the camera's count in sorted names: the digits that differ most, if they rise."""
-    count = np.arange(names.size, dtype=np.int64)
+    """(k,) the camera's count in sorted names: the digits that differ most, if they rise.
+
+    Else a number for each name, from 0. Of digits that differ alike the last ones count.
+    """
+    from_zero = np.arange(names.size, dtype=np.int64)
     groups = [re.findall(r"\d{1,15}", name) for name in names]
-    sizes = {len(group) for group in groups}
-    if len(sizes) != 1 or not groups[0]:
-        return count
-    columns = np.array(groups).astype(np.int64).T[::-1]
-    different = [np.unique(column).size for column in columns]
-    most = columns[np.argmax(different)]
-    return most if bool((np.diff(most) > 0).all()) else count
+    group_counts = {len(group) for group in groups}
+    if len(group_counts) != 1 or not groups[0]:
+        return from_zero
+    last_first = np.array(groups).astype(np.int64).T[::-1]
+    varieties = [np.unique(column).size for column in last_first]
+    count = last_first[np.argmax(varieties)]
+    is_rising = bool((np.diff(count) > 0).all())
+    return count if is_rising else from_zero

@@ -60,17 +60,24 @@ class ControlComparison:
         return np.asarray(np.isfinite(self.before + self.after).all(axis=1))
 
     def rms(self, values: Array) -> Array:
-        """(3,) root mean squares of some (p, 3) of used points."""
+        """(3,) root mean squares of ``values`` (p, 3), over the points whose rays meet."""
         return np.asarray(np.sqrt(np.mean(values[self.used] ** 2, axis=0)))
 
     def part_explained(self) -> float:
+<<<<<<< HEAD
         """The part of the mean square of what points missed that the correction takes away."""
         before = float(np.sum(self.rms(self.before) ** 2))
         after = float(np.sum(self.rms(self.after) ** 2))
         return 1.0 - after / before
+=======
+        """The part of the mean square distance to the control that the correction takes away."""
+        before_m2 = float(np.sum(self.rms(self.before) ** 2))
+        after_m2 = float(np.sum(self.rms(self.after) ** 2))
+        return 1.0 - after_m2 / before_m2
+>>>>>>> stages
 
     def record(self) -> ControlRecord:
-        """For the manifest: tenths of a millimetre are enough."""
+        """The record for the manifest, to tenths of a millimetre."""
         sigma_m = self.sigma_m
         if not self.sigma_stated:
             sigma_m = np.full(sigma_m.size, np.nan)
@@ -125,15 +132,23 @@ class ControlRays:
 
     @classmethod
     def joined(cls, parts: list["ControlRays"]) -> "ControlRays":
-        """All rays of some parts."""
-        columns = ([getattr(part, field.name) for part in parts] for field in fields(cls))
-        return cls(*map(np.concatenate, columns))
+        """The rays of all parts, one part after the other."""
+        columns = []
+        for field in fields(cls):
+            columns.append(np.concatenate([getattr(part, field.name) for part in parts]))
+        return cls(*columns)
 
     def known(self) -> "ControlRays":
-        """Those with a station and with directions."""
-        finite = np.isfinite(self.sigma_rad) & np.isfinite(self.before).all(axis=1)
-        rows = finite & np.isfinite(self.after).all(axis=1) & (self.station >= 0)
-        return ControlRays(*(getattr(self, field.name)[rows] for field in fields(self)))
+        """The rays that have a station and both directions."""
+        has_directions = np.isfinite(self.before).all(axis=1) & np.isfinite(self.after).all(axis=1)
+        rows = np.isfinite(self.sigma_rad) & has_directions & (self.station >= 0)
+        return ControlRays(
+            point=self.point[rows],
+            station=self.station[rows],
+            sigma_rad=self.sigma_rad[rows],
+            before=self.before[rows],
+            after=self.after[rows],
+        )
 
 
 def compare_control(
@@ -144,9 +159,10 @@ def compare_control(
     heights: HeightSystem,
     ledger: Ledger,
 ) -> ControlComparison | None:
-    """Control points where their rays meet, before and after; None without control, or rays.
+    """Compare control points with where their rays meet, before and after the correction.
 
-    Refuses (CONTROL-MISSING) a table of which no point is observed; CONTROL-RAYS is a loss.
+    None for a mission without control. Refuses (CONTROL-MISSING) a table none of whose points is
+    observed; a loss (CONTROL-RAYS), and None, if no rays meet.
     """
     section = mission.control
     if section is None or inputs.control is None:
@@ -163,32 +179,38 @@ def compare_control(
     rays = rays_of_control(inputs.observations, points, setup)
     control = MeasuredControl.of(points, np.unique(rays.point), stations, heights)
     rays = rays.known()
-    at = np.searchsorted(control.row, rays.point)
+    point_number = np.searchsorted(control.row, rays.point)
     orientations = orientations_of_mission(mission, stations)
-    meeting = meeting_points(rays, at, control.row.size, orientations)
+    meeting = meeting_points(rays, point_number, control.row.size, orientations)
 
     axes = enu_from_ecef(control.latitude_rad, control.longitude_rad)
     places = np.stack([meeting.before, meeting.after])
     before, after = np.einsum("pij,kpj->kpi", axes, places - control.place())
-    sigma_of_stations = (stations.sigma_height_m + stations.sigma_tilt_rad)[rays.station]
+    station_sigmas = (stations.sigma_height_m + stations.sigma_tilt_rad)[rays.station]
     comparison = ControlComparison(
         name=tuple(points.name.take(pa.array(control.row)).to_pylist()),
-        rays=np.bincount(at, minlength=control.row.size),
+        rays=np.bincount(point_number, minlength=control.row.size),
         before=before,
         after=after,
         sigma_m=meeting.sigma_m,
-        sigma_stated=bool(np.isfinite(sigma_of_stations).any()),
+        sigma_stated=bool(np.isfinite(station_sigmas).any()),
         unmeasured=len(points.name) - control.row.size,
     )
     if not comparison.used.any():
         ledger.add(messages.control_without_rays(where="control", count=control.row.size))
         return None
-    off_m = {}
-    for what, place in control.other_readings(section.reference, heights.home_h_msl_m).items():
-        distance_m = np.linalg.norm(meeting.after - place, axis=1)
-        off_m[what] = float(np.median(distance_m[comparison.used]))
-    judge_control(comparison, off_m, ledger)
+    readings = control.other_readings(section.reference, heights.home_h_msl_m)
+    judge_control(comparison, distances_of(readings, meeting.after, comparison.used), ledger)
     return comparison
+
+
+def distances_of(readings: Mapping[str, Array], meeting: Array, used: Mask) -> dict[str, float]:
+    """Median distance [m] of where rays meet (p, 3) from the control, in each reading of that."""
+    distances = {}
+    for words, place in readings.items():
+        distance_m = np.linalg.norm(meeting - place, axis=1)
+        distances[words] = float(np.median(distance_m[used]))
+    return distances
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,25 +240,30 @@ class MeasuredControl:
         return cls(row, latitude, longitude, h_m, undulation)
 
     def place(self, h_m: Array | None = None) -> Array:
-        """(p, 3) earth-centred [m], at other heights if these are given."""
+        """(p, 3) earth-centred places [m]; ``h_m`` takes the place of the points' heights."""
         height = self.h_m if h_m is None else h_m
         return ecef_of_geodetic(self.latitude_rad, self.longitude_rad, height)
 
     def other_readings(self, reference: str, home_h_msl_m: float | None) -> dict[str, Array]:
-        """(p, 3) where the points are if the mission file states them wrongly, by what it does."""
+        """(p, 3) where the points are if the table was misread, for each mistake in words.
+
+        ``reference`` is what the mission file says that the heights count from.
+        """
         h_m = self.h_m
         undulation_m = self.undulation_m
         home_m = home_h_msl_m or np.nan
         stated_m = h_m if reference == "ellipsoid" else h_m - undulation_m
-        in_feet_m = h_m - (1.0 - METRES_OF_A_FOOT) * stated_m
+        too_high_in_feet_m = (1.0 - METRES_OF_A_FOOT) * stated_m
+        below = self.place(h_m - undulation_m)
+        above = self.place(h_m + undulation_m)
+        above_takeoff = self.place(h_m + home_m)
+        in_feet = self.place(h_m - too_high_in_feet_m)
         exchanged = ecef_of_geodetic(self.longitude_rad, self.latitude_rad, h_m)
-        below_m = h_m - undulation_m
-        above_m = h_m + undulation_m
         return {
-            "heights above the ellipsoid taken for those above sea level": self.place(below_m),
-            "heights above sea level taken for those above the ellipsoid": self.place(above_m),
-            "heights above the take-off taken for those above sea level": self.place(h_m + home_m),
-            "heights in feet taken for metres": self.place(in_feet_m),
+            "heights above the ellipsoid taken for those above sea level": below,
+            "heights above sea level taken for those above the ellipsoid": above,
+            "heights above the take-off taken for those above sea level": above_takeoff,
+            "heights in feet taken for metres": in_feet,
             "latitude and longitude exchanged": exchanged,
         }
 
@@ -281,21 +308,26 @@ class MeetingPoints(NamedTuple):
 
 
 def meeting_points(
-    rays: ControlRays, at: Integers, count: int, orientations: Orientations
+    rays: ControlRays, point_number: Integers, count: int, orientations: Orientations
 ) -> MeetingPoints:
-    """Where rays meet as measured and as corrected; ``at`` (n,) numbers the points of the rays."""
-    row = np.unique(at)
+    """Where rays meet as measured and as corrected.
+
+    ``point_number`` (n,) is the point of each ray among ``count`` points; NaN for a point whose
+    rays do not meet. The sigmas are those of the corrected rays.
+    """
+    points = np.unique(point_number)
     sigma_m = np.full(count, np.nan)
     places = []
     for direction in (rays.before, rays.after):
-        of_image = ImageRays(rays.station, at, direction, rays.sigma_rad)
-        by_point = sorted_rays(orientations, of_image)
-        found = point_heights(orientations, of_image)
-        meets = ~(found.few | found.narrow)
+        image_rays = ImageRays(rays.station, point_number, direction, rays.sigma_rad)
+        by_point = sorted_rays(orientations, image_rays)
+        nearest = by_point.positions(by_point.oriented) + by_point.origin
+        heights = point_heights(orientations, image_rays)
+        meets = ~(heights.few | heights.narrow)
         place = np.full((count, 3), np.nan)
-        place[row[meets]] = (by_point.positions(by_point.oriented) + by_point.origin)[meets]
+        place[points[meets]] = nearest[meets]
         places.append(place)
-        sigma_m[row] = found.sigma_m
+        sigma_m[points] = heights.sigma_m
     before, after = places
     return MeetingPoints(before, after, sigma_m)
 
@@ -303,17 +335,18 @@ def meeting_points(
 def judge_control(
     comparison: ControlComparison, off_m: Mapping[str, float], ledger: Ledger
 ) -> None:
-    """What control points say against themselves, the stations or the correction.
+    """Add what control points say against themselves, the stations or the correction.
 
-    ``off_m`` : median distance of the corrected points from the control in other readings [m].
+    ``off_m`` : median distance of the corrected points from the control, in each other reading of
+    the control [m].
     """
     used = comparison.used
     after = comparison.after[used]
     misses_m = float(np.median(np.linalg.norm(after, axis=1)))
     effect_m = length(comparison.rms(comparison.before - comparison.after))
-    known = comparison.sigma_m[used]
-    known = known[np.isfinite(known)]
-    sigma_m = float(np.median(known)) if known.size else 0.0
+    sigmas_m = comparison.sigma_m[used]
+    sigmas_m = sigmas_m[np.isfinite(sigmas_m)]
+    sigma_m = float(np.median(sigmas_m)) if sigmas_m.size else 0.0
     if misses_m > max(FAR_M, FAR_SIGMAS * sigma_m, FAR_EFFECTS * effect_m):
         ledger.add(far_control(int(used.sum()), misses_m, sigma_m, off_m))
         return
@@ -370,19 +403,23 @@ def report_effect(
     effect_m: float,
     ledger: Ledger,
 ) -> None:
-    """Whether control points can show what the correction does, and whether it is worse with it."""
+    """Add a note if control points are too noisy to show the correction; a finding if it is worse.
+
+    ``effect_m`` is how far the correction moves points; ``sigma_m`` and ``scatter_m`` are how far
+    control points miss by the sigmas of stations and pixels, and among each other.
+    """
     count = int(comparison.used.sum())
     was_m = length(comparison.rms(comparison.before))
     now_m = length(comparison.rms(comparison.after))
     noise_m = scatter_m
-    of = "the control points scatter"
+    source = "the control points scatter"
     if comparison.sigma_stated:
         noise_m = sigma_m
-        of = "sigmas of stations and pixels let control points miss"
+        source = "sigmas of stations and pixels let control points miss"
     if noise_m > effect_m:
         ledger.add(
             messages.control_noise(
-                where="control", count=count, of=of, noise=noise_m, effect=effect_m
+                where="control", count=count, of=source, noise=noise_m, effect=effect_m
             )
         )
     elif now_m**2 - was_m**2 > WORSE * effect_m**2:

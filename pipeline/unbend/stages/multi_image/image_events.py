@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from itertools import product
 
 import numpy as np
 
-from unbend.block.alignment import LOG_RATIO_NEEDED
 from unbend.block.assignment import Assignment, CameraEvents, ImageEvidence, assign
 from unbend.config import Mission
 from unbend.config.event_sources import EventsSection, FirstImage
@@ -17,7 +15,9 @@ from unbend.flight.image_names import name_series
 from unbend.flight.stations import NO_TIME, Stations
 from unbend.messages import Ledger, Message, Notes
 from unbend.stages.multi_image import messages
+from unbend.stages.multi_image.assignment_holes import hole_between
 from unbend.stages.multi_image.assignment_likelihoods import (
+    TIES,
     Likelihood,
     TieLikelihood,
     position_likelihood,
@@ -32,9 +32,8 @@ from unbend.units import Integers, Mask
 SECONDS_PER_HOUR = 3600.0
 LARGEST_CLOCK_ERROR_S = 86_400.0  # beyond a day the images are hardly of this flight
 FEW_CONTRADICTED = 0.02  # share of the numbers in names that evidence may contradict
-LARGEST_HOLE = 12  # events that a log may lack between two images
-PLACES_OF_HOLES = 20  # that are looked at
-TIES = "tie points"
+MOST_LISTED_IMAGES = 3
+MOST_LISTED_EVENTS = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +42,11 @@ class AssignedEvents:
 
     events: Events
     rows: Integers
+
+    @classmethod
+    def of(cls, exposed: Events, rows: Integers) -> AssignedEvents:
+        """Some rows of the events of a camera, under the names that they have."""
+        return cls(Events(exposed.camera, exposed.image[rows], exposed.time_ns[rows]), rows)
 
 
 def assigned_stations(
@@ -56,34 +60,39 @@ def assigned_stations(
     ties: TiePoints,
     ledger: Ledger,
 ) -> list[Stations]:
-    """Of the ``stations`` of all events, camera by camera, those that have an image, as its."""
+    """The stations of the events that have an image, camera by camera, under the image's name.
+
+    ``stations`` are those of all ``events``, camera by camera. Events of a table, and of a file
+    that names its images, keep the names that they have.
+    """
     if section.csv is not None:
         return stations
     if section.images is not None and files is not None:
         report_absent(files, observations.images, section.images.path, ledger)
-    result = []
-    chosen = []
-    for exposed, of_events in zip(events, stations, strict=True):
+    stations_with_image = []
+    events_with_image = []
+    for exposed, event_stations in zip(events, stations, strict=True):
         pattern = section.patterns[exposed.camera]
         if pattern == "{name}":
-            result.append(of_events)
-            chosen.append(exposed)
+            stations_with_image.append(event_stations)
+            events_with_image.append(exposed)
             continue
         images = images_of_camera(pattern, observations.images, files)
         camera = mission.interior_orientations[exposed.camera]
         likelihoods: dict[str, Likelihood] = {}
-        by_ties = tie_likelihood(ties, images, camera, of_events)
+        by_ties = tie_likelihood(ties, images, camera, event_stations)
         if by_ties is not None:
             likelihoods[TIES] = by_ties
-        by_positions = position_likelihood(images, files, of_events)
+        by_positions = position_likelihood(images, files, event_stations)
         if by_positions is not None:
             likelihoods["positions"] = by_positions
         anchor = section.anchor(exposed.camera)
         assigned = ledger.take(assigned_events(exposed, images, files, anchor, likelihoods))
-        chosen.append(assigned.events)
-        result.append(replace(of_events.rows(assigned.rows), image=assigned.events.image))
-    refuse_repeated_images(chosen)
-    return result
+        named = replace(event_stations.rows(assigned.rows), image=assigned.events.image)
+        stations_with_image.append(named)
+        events_with_image.append(assigned.events)
+    refuse_repeated_images(events_with_image)
+    return stations_with_image
 
 
 def report_absent(files: ImageTimes, observed: tuple[str, ...], where: str, ledger: Ledger) -> None:
@@ -104,45 +113,36 @@ def assigned_events(
     anchor: FirstImage | None,
     likelihoods: Mapping[str, Likelihood],
 ) -> tuple[AssignedEvents, Notes]:
-    """The events that have an image.
+    """The events of a camera that have an image, and notes on how they were found.
 
-    The log's own numbers in names decide unless contradicted (EVENTS-CONTRADICTED); else likelihood
-    does, and refuses (EVENTS-AMBIGUOUS) where the runner-up is not 1000 times less likely.
+    The log's own numbers in names decide, unless other evidence contradicts them: refuses
+    (EVENTS-CONTRADICTED). Without such numbers the likelihood decides: refuses (EVENTS-AMBIGUOUS)
+    where the next best assignment is not 1000 times less likely.
     """
-    every = np.arange(exposed.time_ns.size, dtype=np.int64)
+    all_rows = np.arange(exposed.time_ns.size, dtype=np.int64)
     has_names = bool((exposed.image != "").all())
-    if images.name.size == 0 or every.size == 0:
-        kept = every if has_names else every[:0]
-        unnamed = Events(exposed.camera, exposed.image[kept], exposed.time_ns[kept])
-        return AssignedEvents(unnamed, kept), ()
+    if images.name.size == 0 or all_rows.size == 0:
+        return AssignedEvents.of(exposed, all_rows if has_names else all_rows[:0]), ()
 
     # How the numbers in names count.
-    counted = is_counted(exposed, images)
-    if counted:
+    if is_counted(exposed, images):
         images = replace(images, numbering="counted")
         has_names = False
     by_index = images.numbering == "index" and exposed.index is not None
     if images.numbering == "index" and not by_index:
         if has_names:  # the numbers begin anew, but their names do not repeat
-            return AssignedEvents(exposed, every), ()
+            return AssignedEvents(exposed, all_rows), ()
         images = replace(images, numbering="sequence")
     by_name = events_by_name(exposed, images, by_index=by_index and not has_names)
 
     # What the evidence says.
     evidence = evidence_of_images(exposed, images, files)
+    assignment = likeliest_assignment(exposed, images, evidence, anchor, likelihoods)
     ties = likelihoods.get(TIES)
-    assignment = assign(
-        CameraEvents((exposed.time_ns - exposed.time_ns[0]) / 1e9, exposed.index),
-        evidence,
-        first_image=anchor_rows(anchor, images, exposed),
-        tie_points=(lambda of: sum(f(of) for f in likelihoods.values())) if likelihoods else None,
-        share_met=ties.share_met if isinstance(ties, TieLikelihood) else None,
-    )
     if isinstance(ties, TieLikelihood) and not ties.fits(assignment.event):
         # No assignment lets the rays meet: mounts, cameras or times are wrong, not the events.
-        rest = {name: f for name, f in likelihoods.items() if f is not ties}
-        return assigned_events(exposed, images, files, anchor, rest)
-    assignment = with_names_of(assignment, likelihoods)
+        without_ties = {name: f for name, f in likelihoods.items() if name != TIES}
+        return assigned_events(exposed, images, files, anchor, without_ties)
     undecided = assignment.ambiguous
     event = assignment.event
     if by_index:
@@ -152,25 +152,58 @@ def assigned_events(
     else:
         refuse_ambiguity(assignment, assignment.reason, images, exposed)
     if exposed.counts == "maybe" or not by_index:
-        hole = hole_between(assignment, images, exposed, likelihoods)
-        if hole:
-            why = f"a part of the images, not all, may be shifted, because {hole}"
-            refuse_ambiguity(assignment, why, images, exposed)
+        refuse_hole(assignment, images, exposed, likelihoods)
 
-    entries = notes_of_assignment(assignment, event, undecided, images, exposed)
+    # The events under the names of their images.
+    notes = notes_of_assignment(assignment, event, undecided, images, exposed)
     if evidence.time_s is not None and abs(assignment.offset_s) > LARGEST_CLOCK_ERROR_S:
         hours = assignment.offset_s / SECONDS_PER_HOUR
-        entries.append(messages.camera_clock_off(where="events.images", hours=hours))
+        notes.append(messages.camera_clock_off(where="events.images", hours=hours))
     if has_names and np.array_equal(event, by_name):
-        return AssignedEvents(exposed, every), tuple(entries)
-    has_event = np.flatnonzero(event >= 0)
-    has_event = has_event[np.argsort(event[has_event], kind="stable")]
-    rows = event[has_event]
-    unused = np.setdiff1d(every, rows)
+        return AssignedEvents(exposed, all_rows), tuple(notes)
+    assigned = named_events(exposed, images, event)
+    unused = np.setdiff1d(all_rows, assigned.rows)
     if unused.size:
-        entries.append(note_of_unused(unused, exposed))
-    named = Events(exposed.camera, images.name[has_event], exposed.time_ns[rows])
-    return AssignedEvents(named, rows), tuple(entries)
+        notes.append(note_of_unused(unused, exposed))
+    return assigned, tuple(notes)
+
+
+def likeliest_assignment(
+    exposed: Events,
+    images: CameraImages,
+    evidence: ImageEvidence,
+    anchor: FirstImage | None,
+    likelihoods: Mapping[str, Likelihood],
+) -> Assignment:
+    """The assignment of events to images that all evidence makes most likely.
+
+    The names of the ``likelihoods`` are among the evidence that the assignment lists.
+    """
+
+    def joint_likelihood(event: Integers) -> float:
+        return sum(likelihood(event) for likelihood in likelihoods.values())
+
+    ties = likelihoods.get(TIES)
+    assignment = assign(
+        CameraEvents((exposed.time_ns - exposed.time_ns[0]) / 1e9, exposed.index),
+        evidence,
+        first_image=anchor_rows(anchor, images, exposed),
+        tie_points=joint_likelihood if likelihoods else None,
+        share_met=ties.share_met if isinstance(ties, TieLikelihood) else None,
+    )
+    names = " and ".join(likelihoods)
+    listed = tuple(name.replace(TIES, names) for name in assignment.evidence)
+    return replace(assignment, evidence=listed)
+
+
+def named_events(exposed: Events, images: CameraImages, event: Integers) -> AssignedEvents:
+    """The events of an assignment (k,) in their order, under the names of their images."""
+    has_event = np.flatnonzero(event >= 0)
+    image_rows = has_event[np.argsort(event[has_event], kind="stable")]
+    rows = event[image_rows]
+    return AssignedEvents(
+        Events(exposed.camera, images.name[image_rows], exposed.time_ns[rows]), rows
+    )
 
 
 def is_counted(exposed: Events, images: CameraImages) -> bool:
@@ -194,27 +227,20 @@ def events_by_name(exposed: Events, images: CameraImages, *, by_index: bool) -> 
     return np.array([row_of.get(key, -1) for key in wanted], np.int64)
 
 
-def with_names_of(assignment: Assignment, likelihoods: Mapping[str, Likelihood]) -> Assignment:
-    """An assignment whose evidence names all that was added to the tie points."""
-    names = " and ".join(likelihoods)
-    evidence = tuple(name.replace(TIES, names) for name in assignment.evidence)
-    return replace(assignment, evidence=evidence)
-
-
 def refuse_contradiction(
     assignment: Assignment, undecided: Mask, images: CameraImages, exposed: Events
 ) -> None:
     """Refuse (EVENTS-CONTRADICTED) the log's numbers in names, where evidence says otherwise."""
     if float(undecided.mean()) > FEW_CONTRADICTED:
         where = f"events.log.{exposed.camera}"
-        found = describe_assignment(assignment, images, exposed)
-        raise messages.numbers_contradicted(where=where, of=where, found=found)
+        description = describe_assignment(assignment, images, exposed)
+        raise messages.numbers_contradicted(where=where, of=where, found=description)
 
 
 def refuse_ambiguity(
     assignment: Assignment, why: str, images: CameraImages, exposed: Events
 ) -> None:
-    """Refuse (EVENTS-AMBIGUOUS) an assignment for a reason, if there is one."""
+    """Refuse (EVENTS-AMBIGUOUS) an assignment, unless the reason ``why`` is empty."""
     if not why:
         return
     strays, mend = beside_the_log(images, exposed)
@@ -236,109 +262,47 @@ def notes_of_assignment(
     images: CameraImages,
     exposed: Events,
 ) -> list[Message]:
-    """How images were assigned to events (k,), and a loss of those that evidence cannot decide."""
+    """How many images have an event, and a loss of the images that evidence does not decide.
+
+    ``event`` (k,) is the row of the event of each image, ``undecided`` (k,) a mask.
+    """
     where = f"events.log.{exposed.camera}"
     description = describe_assignment(assignment, images, exposed)
     count = int((event >= 0).sum())
-    entries = [messages.events_assigned(where=where, count=count, description=description)]
+    notes = [messages.events_assigned(where=where, count=count, description=description)]
     if undecided.any():
-        listed = ", ".join(images.name[undecided][:3])
-        entries.append(
+        listed = ", ".join(images.name[undecided][:MOST_LISTED_IMAGES])
+        notes.append(
             messages.events_undecided(where=where, count=int(undecided.sum()), images=listed)
         )
-    return entries
+    return notes
 
 
 def note_of_unused(unused: Integers, exposed: Events) -> Message:
-    """The events, by their rows, that have no image."""
+    """A note of events without an image; ``unused`` are their rows."""
     numbers = unused + 1 if exposed.index is None else exposed.index[unused]
-    listed = ", ".join(map(str, numbers[:8]))
-    if unused.size > 8:
+    listed = ", ".join(map(str, numbers[:MOST_LISTED_EVENTS]))
+    if unused.size > MOST_LISTED_EVENTS:
         listed += " ..."
     where = f"events.log.{exposed.camera}"
     return messages.events_unused(where=where, count=int(unused.size), events=listed)
 
 
-def hole_between(
+def refuse_hole(
     assignment: Assignment,
     images: CameraImages,
     exposed: Events,
     likelihoods: Mapping[str, Likelihood],
-) -> str:
-    """Why a part of the images is shifted against the events in their order; empty if none is."""
-    if "times" in assignment.evidence:
-        return ""
-    images_count = images.name.size
-    events_count = exposed.time_ns.size
-    counted = images.numbering == "counted"
-    last = int(images.number.max()) if counted else images_count
-    lost = last > events_count or (exposed.lost > 0 and not likelihoods)
-    if lost and "first_image" not in assignment.evidence:
-        if counted:
-            return f"{events_count} events for images counted up to {last}: some were lost"
-        return (
-            f"{events_count} events for {images_count} images, and nothing shows where the log "
-            "lacks one"
-        )
-    if not likelihoods:
-        return ""
-    order = np.argsort(images.number, kind="stable")
-    for place in places_of_holes(assignment, order, likelihoods):
-        if is_shifted(assignment, images, order, place, events_count, likelihoods):
-            return f"one is missing near {images.name[order[place]]}"
-    return ""
-
-
-def places_of_holes(
-    assignment: Assignment, order: Integers, likelihoods: Mapping[str, Likelihood]
-) -> list[int]:
-    """Places in the order of the images where one may be missing."""
-    places = np.linspace(1, order.size - 1, PLACES_OF_HOLES).astype(int)
-    ties = likelihoods.get(TIES)
-    if isinstance(ties, TieLikelihood):  # beside images that do not fit the others
-        rank = np.flatnonzero(np.isin(order, ties.contradicted(assignment.event)))
-        places = np.concatenate([rank, rank + 1])
-        if places.size:
-            some = np.unique(np.linspace(0, places.size - 1, PLACES_OF_HOLES).astype(int))
-            places = places[some]
-    inside = (places > 0) & (places < order.size)
-    return [int(place) for place in np.unique(places[inside])]
-
-
-def is_shifted(
-    assignment: Assignment,
-    images: CameraImages,
-    order: Integers,
-    place: int,
-    events_count: int,
-    likelihoods: Mapping[str, Likelihood],
-) -> bool:
-    """Whether images before a place in their order, or from it on, fit far better shifted."""
-    event = assignment.event
-    offset = int(np.median((event - images.number)[event >= 0]))
-    apart = max(2, abs(events_count - order.size))
-    sizes = {*range(1, min(apart, LARGEST_HOLE) + 1), apart}
-    near = []
-    for likelihood in likelihoods.values():
-        if isinstance(likelihood, TieLikelihood):
-            likelihood = likelihood.across(order[:place])
-        near.append(likelihood)
-    enough = sum(likelihood(event) for likelihood in near) + LOG_RATIO_NEEDED
-    shifts = [sign * size for size in sizes for sign in (-1, 1)]
-    for rows, shift in product((order[:place], order[place:]), shifts):
-        moved = images.number[rows] + offset + shift
-        inside = (moved >= 0) & (moved < events_count)
-        if 2 * inside.sum() < rows.size:
-            continue
-        parted = event.copy()
-        parted[rows] = np.where(inside, moved, -1)
-        if sum(likelihood(parted) for likelihood in near) > enough:
-            return True
-    return False
+) -> None:
+    """Refuse (EVENTS-AMBIGUOUS) where a part of the images may belong to other events."""
+    hole = hole_between(assignment, images, exposed, likelihoods)
+    if hole:
+        why = f"a part of the images, not all, may be shifted, because {hole}"
+        refuse_ambiguity(assignment, why, images, exposed)
 
 
 def beside_the_log(images: CameraImages, exposed: Events) -> tuple[str, str]:
-    """Two beginnings for a refusal: which few names do not fit, and what to do about them.
+    """Two beginnings for a refusal: which few names do not fit the log, and what to do about them.
 
     Both are empty unless all other names may be the log's numbers.
     """

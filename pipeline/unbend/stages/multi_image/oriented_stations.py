@@ -69,8 +69,8 @@ def oriented_stations(
     table = replace(table, image=ledger.take(image))
     reader = Reader(mission, inputs, flight, section, exposed)
     stations = reader.stations(table, ledger)
-    use = mission.stations.use_suspect
-    stations = ledger.take(oriented_images.flag_far_images(stations, use=use))
+    use_suspect = mission.stations.use_suspect
+    stations = ledger.take(oriented_images.flag_far_images(stations, use=use_suspect))
     stations = check_height_above_ground(mission, flight, stations, observations, ledger)
     rays = tie_rays(ties, stations.image, stations.camera, mission.interior_orientations)
     if np.unique(rays.point).size >= FEWEST_TIE_POINTS:
@@ -83,16 +83,16 @@ def refuse_other_reading(
 ) -> None:
     """Refuse (ORIENTATION-READING) a table by which rays meet far better in another reading."""
     section = reader.section
-    stated = intersected(stations, rays)
+    as_stated = intersected(stations, rays)
     likely: Reading | None = None
-    best = stated
+    best = as_stated
     for reading in other_readings(section, table):
-        with suppress(MissionError):
-            found = intersected(reader.stations(reading.table, Ledger()), rays)
-            if found.log_likelihood > best.log_likelihood:
+        with suppress(MissionError):  # a reading that is refused is not meant
+            intersection = intersected(reader.stations(reading.table, Ledger()), rays)
+            if intersection.log_likelihood > best.log_likelihood:
                 likely = reading
-                best = found
-    better = best.log_likelihood - stated.log_likelihood
+                best = intersection
+    better = best.log_likelihood - as_stated.log_likelihood
     if likely is not None and better > LOG_RATIO_NEEDED and best.sigma_factor < GOOD_FACTOR:
         raise messages.orientation_reading(
             where=section.path,
@@ -104,13 +104,13 @@ def refuse_other_reading(
 
 
 def intersected(stations: Stations, rays: ImageRays) -> Intersection:
-    """The tie points of rays, with the stations held."""
+    """The tie points at which rays meet, with the stations held."""
     orientations = orientations_of(stations, SIGMAS_OF_BLOCK)
     return intersect(orientations, straightened(orientations, replace(rays, height_m=None)))
 
 
 def other_readings(section: OrientationSection, table: OrientationTable) -> Iterator[Reading]:
-    """What else a table could mean."""
+    """What a table could mean instead of what the mission file states: angles and positions."""
     if section.angles.startswith("quaternion"):
         inverse = replace(table, angles=table.angles * [1, -1, -1, -1])
         yield Reading("if the quaternions turn the other way", ANGLES, inverse)
@@ -166,7 +166,7 @@ class Reader:
         self.exposed = exposed
 
     def stations(self, table: OrientationTable, ledger: Ledger) -> Stations:
-        """The stations of a table in one reading."""
+        """The stations of a table, with each attitude against the station's own vertical."""
         section = self.section
         quaternion = quaternions_of_table(section, table)
         latitude, longitude, height_m = table.position.T
@@ -206,17 +206,17 @@ class Reader:
         return stations
 
     def times(self, table: OrientationTable) -> Integers:
-        """(n,) times of the images [Unix ns], of the events where the table has none."""
+        """(n,) times of the images [Unix ns]: those of the events where the table has none."""
         if not self.exposed or self.section.has_clock:
             return table.time_ns
-        known: dict[str, int] = {}
-        for part in self.exposed:
-            known.update(zip(part.image, part.time_ns, strict=True))
-        return np.array([known.get(name, NO_TIME) for name in table.image], np.int64)
+        time_of_image: dict[str, int] = {}
+        for stations in self.exposed:
+            time_of_image.update(zip(stations.image, stations.time_ns, strict=True))
+        return np.array([time_of_image.get(name, NO_TIME) for name in table.image], np.int64)
 
 
 def quaternions_of_table(section: OrientationSection, table: OrientationTable) -> Array:
-    """(n, 4) attitudes of a table in its frame: of cameras, or of the aircraft by its angles."""
+    """(n, 4) attitudes of a table in its frame: of cameras; of the aircraft by its angles."""
     if section.angles == "roll_pitch_yaw":
         return rotations.quaternion_of_rpy(table.angles, np.eye(3))
     if section.angles == "quaternion":
@@ -233,17 +233,21 @@ def check_height_above_ground(
     observations: Observations,
     ledger: Ledger,
 ) -> Stations:
-    """Stations, and a note of their heights above ground; those far too high are suspect."""
+    """The stations, some of them suspect because they are far too high above the given ground.
+
+    Adds a note of the heights above ground. Refuses (ORIENTATION-HEIGHT) stations more than a tenth
+    of which are below the ground.
+    """
     section = mission.ground
     batch = next(observations.batches(mission.output.batch_rows))
-    given = batch.ground
-    if given is None:
-        given = np.array([section.constant_m], np.float64)
-    given = given[np.isfinite(given)]
-    if section.from_distance or given.size == 0 or not bool(stations.ok.any()):
+    ground_m = batch.ground
+    if ground_m is None:
+        ground_m = np.array([section.constant_m], np.float64)
+    ground_m = ground_m[np.isfinite(ground_m)]
+    if section.from_distance or ground_m.size == 0 or not bool(stations.ok.any()):
         return stations
     offset_m = heights.ground_offsets(section.reference_of_values, stations, flight.heights)
-    above_m = stations.h_msl_m - (offset_m + np.median(given))
+    above_m = stations.h_msl_m - (offset_m + np.median(ground_m))
     above_ok = above_m[stations.ok]
     where = "stations.orientation"
     median = float(np.median(above_ok))
@@ -292,7 +296,11 @@ def check_height_above_ground(
 def sigmas_of_block(
     section: OrientationSection, table: OrientationTable, tilt_rad: float
 ) -> dict[str, Array]:
-    """Standard deviations by the names of `Stations`: a column, or a constant, or unknown."""
+    """Standard deviations of images by their names in `Stations`, (n,) each; NaN where unknown.
+
+    Each is a column of the table, or the constant of the mission file. ``tilt_rad`` is how far the
+    vertical of the frame may lean; it adds to the sigma of the tilt.
+    """
     stated = {
         "sigma_tilt_rad": in_units(section.sigma_tilt_deg, DEGREE),
         "sigma_yaw_rad": in_units(section.sigma_yaw_deg, DEGREE),

@@ -80,12 +80,19 @@ def points_above_sea(
     geoid: GeoidGrid | None,
     ledger: Ledger,
 ) -> ObjectPoints:
-    """The points of a user's table above sea level, as ``section`` and ``reference`` state it."""
-    value = table.columns
-    x, y = ("x", "y") if "x" in value else ("longitude", "latitude")
+    """The points of a user's table, their heights above sea level.
+
+    ``section`` states the coordinate system of the table, ``reference`` what its heights count
+    from; ``key`` is the key of the section, for refusals.
+    """
+    columns = table.columns
+    if "x" in columns:
+        coordinates = (columns["x"], columns["y"], columns["height"])
+    else:
+        coordinates = (columns["longitude"], columns["latitude"], columns["height"])
     placed = places_of(
         section.crs,
-        (value[x], value[y], value["height"]),
+        coordinates,
         heights=reference,
         geoid=geoid,
         where=table.where,
@@ -103,8 +110,8 @@ def points_above_sea(
 def check_object_points(observations: Observations, stations: Stations, ledger: Ledger) -> None:
     """Compare the places of object points with the stations that see them.
 
-    Refuses (InputError) a table without any of the points (POINTS-MISSING), and points below the
-    horizon (POINTS-FAR); a loss where the median one is seen at more than 87 deg from the nadir.
+    Refuses a table that has none of the observed points (POINTS-MISSING), and points beyond the
+    horizon in the median (POINTS-FAR); a loss if they are seen at more than 87 deg from the nadir.
     """
     points = observations.points
     if points is None:
@@ -117,8 +124,8 @@ def check_object_points(observations: Observations, stations: Stations, ledger: 
             where=where, total=len(batch), point=str(batch.point[0]), first=str(points.name[0])
         )
     station = matching_rows(batch.image, pa.array(stations.image, pa.string()))
-    both = (row >= 0) & (station >= 0)
-    seen = seen_points(points, stations, row[both], station[both])
+    has_both = (row >= 0) & (station >= 0)
+    seen = seen_points(points, stations, row[has_both], station[has_both])
     known = np.isfinite(seen.distance_m)
     if not bool(known.any()):
         return
@@ -140,8 +147,9 @@ def check_object_points(observations: Observations, stations: Stations, ledger: 
 class SeenPoints:
     """Object points beside the stations that see them, (n,) [m].
 
-    ``distance_exchanged_m`` with latitude and longitude of the points exchanged; ``above_m`` is the
-    height of a station above its point, at least 50 m.
+    distance_m : from station to point.
+    distance_exchanged_m : the same with latitude and longitude of the point exchanged.
+    above_m : height of the station above the point, at least 50 m.
     """
 
     distance_m: Array
@@ -152,7 +160,7 @@ class SeenPoints:
 def seen_points(
     points: ObjectPoints, stations: Stations, row: Integers, station: Integers
 ) -> SeenPoints:
-    """Rows (n,) of object points beside those of stations."""
+    """Object points, by their rows (n,), beside the stations that see them, by theirs."""
     latitude = points.lat_rad[row]
     longitude = points.lon_rad[row]
     h = points.h_m[row]
@@ -174,13 +182,13 @@ def with_intersected_heights(
     stations: Stations,
     ledger: Ledger,
 ) -> CorrectionSetup:
-    """The setup with intersected ground heights and their sigmas, where the mission file says so.
+    """The setup with intersected ground heights and their sigmas, if the mission asks for them.
 
     The rays of a point may lie anywhere in a table of any length: its rows are divided by the hash
     of their points into temporary files of some 300,000 rows, which are intersected one after the
     other, by rays without refraction of air and window. Heights lie in a temporary file too (16
-    bytes a row, the rays 40). A rehearsal takes the points of its rows alone. Refuses (MissionError
-    GROUND-INTERSECTED) where no point has a height; those without one are NaN.
+    bytes a row, the rays 40). A rehearsal takes the points of its rows alone. A point whose rays do
+    not meet has no height (NaN); refuses (GROUND-INTERSECTED) a mission in which no point has one.
     """
     if mission.ground.height != "intersected":
         return setup
@@ -199,23 +207,35 @@ def with_intersected_heights(
             rays = np.frombuffer(file.read(), RAY)
             if rays.size == 0:
                 continue
-            h_msl, found = heights_of_rays(rays, setup, stations, orientations)
-            sigma_m = found.sigma_m[found.index]
+            h_msl, points = heights_of_rays(rays, setup, stations, orientations)
+            sigma_m = points.sigma_m[points.index]
             heights[:, rays["row"]] = h_msl, sigma_m
-            counts["points"] += found.h_m.size
-            counts["few"] += int(found.few.sum())
-            counts["narrow"] += int(found.narrow.sum())
-            counts["apart"] += int(found.apart.sum())
-            with np.errstate(invalid="ignore"):
-                share = sigma_m / np.abs(stations.h_msl_m[rays["station"]] - h_msl)
-            step = max(1, rays.size // SAMPLED_SHARES)
-            shares.append(share[np.isfinite(share)][::step])
+            counts += counts_of_points(points)
+            shares.append(sigma_shares(sigma_m, stations.h_msl_m[rays["station"]] - h_msl))
     report_intersected(counts, shares, ledger)
     return replace(setup, ground=ComputedGround(heights))
 
 
+def counts_of_points(points: PointHeights) -> Counter[str]:
+    """How many points there are, and how many have no height, by the reason."""
+    return Counter(
+        points=points.h_m.size,
+        few=int(points.few.sum()),
+        narrow=int(points.narrow.sum()),
+        apart=int(points.apart.sum()),
+    )
+
+
+def sigma_shares(sigma_m: Array, above_m: Array) -> Array:
+    """Some of the known sigmas of heights, as shares of the camera's height above the point."""
+    with np.errstate(invalid="ignore"):
+        share = sigma_m / np.abs(above_m)
+    step = max(1, share.size // SAMPLED_SHARES)
+    return share[np.isfinite(share)][::step]
+
+
 def batches_with_points(observations: Observations) -> Iterable[Batch]:
-    """The observations in batches; of a sample all that show one of its points."""
+    """The observations in batches; with a sample one batch, all that show a point of the sample."""
     if observations.sample is None:
         return observations.batches(BATCH_ROWS)
     wanted = np.unique(hashes_of(observations.sampled(points=True).point))
@@ -225,7 +245,7 @@ def batches_with_points(observations: Observations) -> Iterable[Batch]:
 def write_rays(
     batches: Iterable[Batch], setup: CorrectionSetup, files: Sequence[IO[bytes]]
 ) -> None:
-    """Write the rays of observations with a station, all of a point into one of the files."""
+    """Write the rays of observations that have a station; those of one point go into one file."""
     images = pa.array(setup.images, pa.string())
     for batch in batches:
         rows = batch.rows
@@ -235,18 +255,18 @@ def write_rays(
         rays["station"] = matching_rows(batch.image, images)
         rays["x"] = batch.x_px
         rays["y"] = batch.y_px
-        named = batch.point.is_valid().to_numpy(zero_copy_only=False)
-        measured = np.isfinite(rays["x"] + rays["y"])
-        rays = rays[named & (rays["station"] >= 0) & measured]
-        of_file = rays["point"] % np.uint64(len(files))
-        for number in np.unique(of_file):
-            files[number].write(rays[of_file == number].tobytes())
+        is_named = batch.point.is_valid().to_numpy(zero_copy_only=False)
+        is_measured = np.isfinite(rays["x"] + rays["y"])
+        rays = rays[is_named & (rays["station"] >= 0) & is_measured]
+        file_number = rays["point"] % np.uint64(len(files))
+        for number in np.unique(file_number):
+            files[number].write(rays[file_number == number].tobytes())
 
 
 def report_intersected(counts: Counter[str], shares: list[Array], ledger: Ledger) -> None:
-    """How many points have a height; refuses (GROUND-INTERSECTED) if none has.
+    """Add how many points have a height to the ledger; refuses (GROUND-INTERSECTED) if none has.
 
-    ``shares`` : sigmas of heights, in heights of the camera above them.
+    ``counts`` as of `counts_of_points`, ``shares`` as of `sigma_shares`.
     """
     known = counts["points"] - counts["few"] - counts["narrow"] - counts["apart"]
     if known == 0:
@@ -276,30 +296,47 @@ def report_intersected(counts: Counter[str], shares: list[Array], ledger: Ledger
 def heights_of_rays(
     rays: NDArray[np.void], setup: CorrectionSetup, stations: Stations, orientations: Orientations
 ) -> tuple[Array, PointHeights]:
-    """(n,) heights of points above sea level; a first intersection says how rays are bent."""
-    x = rays["x"]
-    y = rays["y"]
+    """(n,) heights above sea level at which the rays of each point meet, and the points.
+
+    Rays that were bent by refraction are straightened before they are intersected; a first
+    intersection of the rays as measured gives the heights that this needs.
+    """
     station = rays["station"]
+    x_px = rays["x"]
+    y_px = rays["y"]
     undulation = np.nan_to_num(stations.h_ellipsoid_m - stations.h_msl_m)[station]
-    h_msl = np.full(rays.size, np.nan)
-    for bent in (False, setup.direction == "remove"):
-        seen_x = x.copy()
-        seen_y = y.copy()
-        for rows, camera, profile in setup.groups(station) if bent else ():
-            corrected = correct_observations(
-                x[rows],
-                y[rows],
-                h_msl[rows],
-                station[rows],
-                setup.exposures,
-                camera=camera,
-                table=setup.rays[profile],
-            )
-            seen_x[rows] = corrected.x_corrected_px
-            seen_y[rows] = corrected.y_corrected_px
-        direction, sigma = setup.directions(seen_x, seen_y, station)
-        found = point_heights(orientations, ImageRays(station, rays["point"], direction, sigma))
-        number = np.maximum(np.bincount(found.index), 1)
-        mean_undulation = np.bincount(found.index, undulation) / number
-        h_msl = (found.h_m - mean_undulation)[found.index]
-    return h_msl, found
+
+    def intersected(x_px: Array, y_px: Array) -> tuple[Array, PointHeights]:
+        direction, sigma_rad = setup.directions(x_px, y_px, station)
+        image_rays = ImageRays(station, rays["point"], direction, sigma_rad)
+        points = point_heights(orientations, image_rays)
+        ray_count = np.maximum(np.bincount(points.index), 1)
+        mean_undulation = np.bincount(points.index, undulation) / ray_count
+        return (points.h_m - mean_undulation)[points.index], points
+
+    h_msl, points = intersected(x_px, y_px)
+    if setup.direction == "remove":
+        straight = straight_pixels(x_px, y_px, h_msl, station, setup)
+        h_msl, points = intersected(*straight)
+    return h_msl, points
+
+
+def straight_pixels(
+    x_px: Array, y_px: Array, h_msl: Array, station: Integers, setup: CorrectionSetup
+) -> tuple[Array, Array]:
+    """(n,) x and y [px] without the refraction of the rays to points at some heights [m]."""
+    straight_x = x_px.copy()
+    straight_y = y_px.copy()
+    for rows, camera, profile in setup.groups(station):
+        corrected = correct_observations(
+            x_px[rows],
+            y_px[rows],
+            h_msl[rows],
+            station[rows],
+            setup.exposures,
+            camera=camera,
+            table=setup.rays[profile],
+        )
+        straight_x[rows] = corrected.x_corrected_px
+        straight_y[rows] = corrected.y_corrected_px
+    return straight_x, straight_y

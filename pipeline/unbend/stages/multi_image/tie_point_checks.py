@@ -22,7 +22,7 @@ from unbend.stages.exposure_setup import orientations_of_mission
 from unbend.stages.multi_image import messages
 from unbend.tables.geodata.elevation import ElevationModel
 from unbend.tables.tie_points import TiePoints, tie_rays
-from unbend.units import Array, Mask
+from unbend.units import Array, Mask, Names
 
 FEWEST_TIE_POINTS = 10
 FEET_IN_METRES_TOO_MUCH = 1.0 - 0.3048  # of heights in feet that were taken for metres
@@ -32,6 +32,8 @@ TERRAIN_FITS = 0.2  # of the relief: the scatter about a model that belongs to t
 FLAT = 0.002  # of the flying height: the scatter that is judged at all
 FAR_BETTER = 0.5  # of the scatter: a model reversed that fits so much better
 PANE_RAD = 1e-4  # what a window bends, which stays in the rays
+MOST_MEET = 0.5  # share of the points whose rays meet where nothing is wrong
+MOST_WORST_IMAGES = 3  # that a finding names
 
 TO_CHANGE = {
     "TIES-HEIGHT": "ground.height (its column or unit), ground.reference, mission.undulation_m, or "
@@ -47,9 +49,11 @@ TO_CHANGE = {
 
 @dataclass(frozen=True, eq=False)
 class TieEvidence:
-    """Tie points beside the stations of a mission, and the heights that it gives them.
+    """Tie points, the stations of a mission, and the ground heights that the mission states.
 
-    ``later`` gives the stations that many seconds later, where they are those of events.
+    terrain : the elevation model, if the mission has one.
+    later : gives the stations of the same exposures some seconds later; None where the stations
+        are not those of events.
     """
 
     mission: Mission
@@ -61,23 +65,27 @@ class TieEvidence:
 
     @cached_property
     def offset_m(self) -> Array:
-        """(s,) what has to be added to ground heights for those above sea level [m]."""
+        """(s,) what to add to stated ground heights to have them above sea level [m]."""
         reference = self.mission.ground.reference_of_values
         return ground_offsets(reference, self.stations, self.heights)
 
     @cached_property
     def undulation_m(self) -> Array:
-        """(s,) of the stations [m], 0 where only one of their heights is known."""
+        """(s,) undulation at the stations [m]; 0 where only one of their heights is known."""
         return np.nan_to_num(self.stations.h_ellipsoid_m - self.stations.h_msl_m)
 
     def orientations(self, seconds: float = 0.0) -> Orientations:
-        """Of the stations, or of those that many seconds later."""
-        at = self.stations if self.later is None else self.later(seconds)
-        at = at.with_status(~self.stations.ok, "suspect")
-        return orientations_of_mission(self.mission, at)
+        """Position and attitude of the stations, or of the stations some ``seconds`` later."""
+        stations = self.stations if self.later is None else self.later(seconds)
+        stations = stations.with_status(~self.stations.ok, "suspect")
+        return orientations_of_mission(self.mission, stations)
 
     def rays(self, cameras: Mapping[str, Camera], axes: Mapping[str, str]) -> ImageRays:
-        """The apparent rays, with given heights of their points above the ellipsoid."""
+        """The apparent rays of tie points, with the stated heights above the ellipsoid.
+
+        ``cameras`` are the interior orientations; ``axes`` say, by camera, whether pixels have
+        other axes than stated, as for `tie_rays`.
+        """
         stations = self.stations
         sections = self.mission.cameras
         rays = tie_rays(self.ties, stations.image, stations.camera, cameras, axes)
@@ -92,108 +100,119 @@ class TieEvidence:
             height_m=given_m + (self.offset_m + self.undulation_m)[rays.image],
         )
 
-    def on_terrain(self) -> tuple[TieEvidence, str]:
-        """With heights of the elevation model where rays meet; and whether another order fits."""
-        if self.terrain is None:
-            return self, ""
-        model = self.terrain
+    def on_terrain(self, model: ElevationModel) -> tuple[TieEvidence, str]:
+        """The evidence with heights of an elevation model where rays meet.
+
+        Also whether the model fits better in another order, as `model_in_other_order` says.
+        """
         orientations = self.orientations()
         rays = self.rays(self.mission.interior_orientations, {})
-        found = point_heights(
-            orientations, straightened(orientations, replace(rays, height_m=None))
-        )
-        met = np.isfinite(found.h_m)
-        latitude, longitude, h_m = geodetic_of_ecef(*found.position_m[met].T)
+        straight_rays = straightened(orientations, replace(rays, height_m=None))
+        points = point_heights(orientations, straight_rays)
+        met = np.isfinite(points.h_m)
+        latitude, longitude, h_m = geodetic_of_ecef(*points.position_m[met].T)
         row, column = model.nodes(latitude, longitude)
         height_m = model.heights(row, column)
-        ground_m = np.full(self.ties.point.max() + 1, np.nan)
-        ground_m[np.unique(rays.point)[met]] = height_m
-        ties = replace(self.ties, ground=ground_m[self.ties.point])
+        ground_of_point = np.full(self.ties.point.max() + 1, np.nan)
+        ground_of_point[np.unique(rays.point)[met]] = height_m
+        ties = replace(self.ties, ground=ground_of_point[self.ties.point])
         station_m = self.stations.h_msl_m[self.stations.ok]
-        reordered = model_in_other_order(model, row, column, h_m, height_m, station_m)
+        reordered = model_in_other_order(
+            model, row, column, h_m=h_m, height_m=height_m, station_m=station_m
+        )
         return replace(self, ties=ties), reordered
 
     def other_heights_m(self, rays: ImageRays) -> dict[str, float]:
-        """What stations lie too low by, if heights are not what the mission file says."""
-        undulation = float(np.nanmedian(self.undulation_m))
-        offset = float(np.nanmedian(self.offset_m))
-        known = np.zeros(0) if rays.height_m is None else rays.height_m
-        known = known[np.isfinite(known)]
-        ground = np.nan
-        if known.size:
-            ground = float(np.median(known)) - undulation - offset
-        station = float(np.nanmedian(self.stations.h_msl_m[self.stations.ok]))
-        home = self.heights.home_h_msl_m or 0.0
+        """How far stations lie too low [m], for each way to misread heights, in words."""
+        undulation_m = float(np.nanmedian(self.undulation_m))
+        offset_m = float(np.nanmedian(self.offset_m))
+        ground_m = np.nan
+        if rays.height_m is not None and np.isfinite(rays.height_m).any():
+            given_m = rays.height_m[np.isfinite(rays.height_m)]
+            ground_m = float(np.median(given_m)) - undulation_m - offset_m
+        station_m = float(np.nanmedian(self.stations.h_msl_m[self.stations.ok]))
+        home_m = self.heights.home_h_msl_m or 0.0
         too_much = FEET_IN_METRES_TOO_MUCH
         return {
-            "heights above the ellipsoid were taken for those above sea level": -undulation,
-            "heights above sea level were taken for those above the ellipsoid": undulation,
-            "heights above sea level were taken for those above the take-off": offset,
-            "heights of the ground in feet were taken for metres": too_much * ground,
-            "heights of the stations in feet were taken for metres": -too_much * station,
-            "heights above the take-off were taken for those above sea level": -home,
+            "heights above the ellipsoid were taken for those above sea level": -undulation_m,
+            "heights above sea level were taken for those above the ellipsoid": undulation_m,
+            "heights above sea level were taken for those above the take-off": offset_m,
+            "heights of the ground in feet were taken for metres": too_much * ground_m,
+            "heights of the stations in feet were taken for metres": -too_much * station_m,
+            "heights above the take-off were taken for those above sea level": -home_m,
         }
 
 
 def model_in_other_order(
-    model: ElevationModel, row: Array, column: Array, h_m: Array, height_m: Array, station_m: Array
+    model: ElevationModel,
+    row: Array,
+    column: Array,
+    *,
+    h_m: Array,
+    height_m: Array,
+    station_m: Array,
 ) -> str:
-    """Whether a model fits points far better with its rows or columns reversed or exchanged.
+    """How much better a model fits points with its rows or columns reversed or exchanged, in words.
 
-    Heights ``h_m`` of points in cells (row, column), those of the model there, and those of the
-    stations. Empty where it fits as it is.
+    ``h_m`` (n,) are heights of points in the cells (``row``, ``column``), ``height_m`` (n,) those
+    of the model there, ``station_m`` those of the stations. Empty where the model fits as it is, is
+    flat, or fits hardly better in another order.
     """
-    left_m = scatter_of(height_m - h_m)
-    if not np.isfinite(left_m) or left_m <= TERRAIN_FITS * scatter_of(h_m):
+    scatter_m = scatter_of(height_m - h_m)
+    if not np.isfinite(scatter_m) or scatter_m <= TERRAIN_FITS * scatter_of(h_m):
         return ""
-    above_m = np.nanmedian(station_m - np.nanmedian(height_m))
-    if left_m <= FLAT * above_m:
+    above_ground_m = np.nanmedian(station_m - np.nanmedian(height_m))
+    if scatter_m <= FLAT * above_ground_m:
         return ""
+    cell = np.array([row, column])
     size = np.array(model.size)[:, None]
-    others = []
-    for exchanged, *reverse in list(product((False, True), repeat=3))[1:]:
-        at = np.array([column, row] if exchanged else [row, column])
-        at = np.where(np.array(reverse)[:, None], size - 1 - at, at)
-        others.append(scatter_of(model.heights(*at) - h_m))
-    if min(others) >= FAR_BETTER * left_m:
+    best_m = np.inf
+    orders = list(product((False, True), repeat=3))
+    for is_exchanged, *is_reversed in orders[1:]:  # the first is the order that it has
+        in_order = cell[::-1] if is_exchanged else cell
+        in_order = np.where(np.array(is_reversed)[:, None], size - 1 - in_order, in_order)
+        best_m = min(best_m, scatter_of(model.heights(*in_order) - h_m))
+    if best_m >= FAR_BETTER * scatter_m:
         return ""
     return (
-        f"the elevation model is off by {left_m:.0f} m or more at a tenth of the points, and "
-        f"by {min(others):.0f} m with its rows or columns reversed or exchanged"
+        f"the elevation model is off by {scatter_m:.0f} m or more at a tenth of the points, and "
+        f"by {best_m:.0f} m with its rows or columns reversed or exchanged"
     )
 
 
 def check_tie_points(evidence: TieEvidence, ledger: Ledger) -> None:
-    """A finding for each part of the mission file that tie points contradict, with its estimate.
+    """Add a finding for each part of the mission file that tie points contradict.
 
-    Where none explains what the rays miss each other by, one finding lists what comes nearest.
+    If no finding explains how far the rays miss each other, a single one lists what would explain
+    the most.
     """
-    mission = evidence.mission
+    cameras = evidence.mission.interior_orientations
     stations = evidence.stations
-    cameras = mission.interior_orientations
     rays = evidence.rays(cameras, {})
     if np.unique(rays.point[stations.ok[rays.image]]).size < FEWEST_TIE_POINTS:
         return
-    evidence, reordered = evidence.on_terrain()
-    rays = evidence.rays(cameras, {})
-    stated, findings = diagnosis(stated_mission(evidence, rays))
-    if reordered and not any(found.code == "TIES-HEIGHT" for found in findings):
+    reordered = ""
+    if evidence.terrain is not None:
+        evidence, reordered = evidence.on_terrain(evidence.terrain)
+        rays = evidence.rays(cameras, {})
+    intersection, findings = diagnosis(stated_mission(evidence, rays))
+    if reordered and not any(finding.code == "TIES-HEIGHT" for finding in findings):
         key = "ground.height.dem"
-        of_model = Finding("TIES-HEIGHT", key, reordered, np.inf, stated.sigma_factor)
+        of_model = Finding("TIES-HEIGHT", key, reordered, np.inf, intersection.sigma_factor)
         findings = (*findings, of_model)
-    explained = bool(findings) and findings[-1].sigma_factor < POOR_FACTOR
-    if explained:
-        left = findings[-1].sigma_factor
-        for found in findings:
-            ledger.add(message_of_finding(found, left, count=stated.point.size))
-    nearest = "; ".join(f"{described(found)} ({found.key})" for found in findings)
+    is_explained = bool(findings) and findings[-1].sigma_factor < POOR_FACTOR
+    if is_explained:
+        remaining = findings[-1].sigma_factor
+        for finding in findings:
+            ledger.add(message_of_finding(finding, remaining, count=intersection.point.size))
+    nearest = "; ".join(f"{described(finding)} ({finding.key})" for finding in findings)
     report_misses(
         stations,
-        stated,
+        intersection,
         rays,
         ledger,
-        oriented=mission.stations.orientation is not None,
-        explained=explained,
+        oriented=evidence.mission.stations.orientation is not None,
+        explained=is_explained,
         nearest=nearest,
     )
 
@@ -216,22 +235,25 @@ def stated_mission(evidence: TieEvidence, rays: ImageRays) -> StatedMission:
     )
 
 
-def message_of_finding(found: Finding, sigma_factor: float, *, count: int) -> Message:
-    """The message of what tie points contradict; ``sigma_factor`` is left after all findings."""
-    change = TO_CHANGE.get(found.code, "{}").format(found.key)
+def message_of_finding(finding: Finding, sigma_factor: float, *, count: int) -> Message:
+    """The message of a finding by ``count`` tie points.
+
+    ``sigma_factor`` is how far residuals exceed their sigmas when all findings are mended.
+    """
+    change = TO_CHANGE.get(finding.code, "{}").format(finding.key)
     return messages.ties_contradict(
-        code=found.code,
-        where=found.key,
+        code=finding.code,
+        where=finding.key,
         count=count,
-        mistake=described(found),
-        decades=float(found.log_ratio / np.log(10.0)),
+        mistake=described(finding),
+        decades=float(finding.log_ratio / np.log(10.0)),
         change=change,
         residual=float(sigma_factor) if sigma_factor > PART_FACTOR else None,
     )
 
 
 def described(finding: Finding) -> str:
-    """The mistake that is found, and others that tie points do not separate from it."""
+    """The mistake of a finding, with others that tie points do not tell from this one."""
     mistakes = "; or ".join((finding.what, *finding.also))
     if finding.also:
         return f"equally likely by the tie points: {mistakes}"
@@ -240,7 +262,7 @@ def described(finding: Finding) -> str:
 
 def report_misses(
     stations: Stations,
-    stated: Intersection,
+    intersection: Intersection,
     rays: ImageRays,
     ledger: Ledger,
     *,
@@ -248,31 +270,34 @@ def report_misses(
     explained: bool,
     nearest: str,
 ) -> None:
-    """How far rays of tie points miss each other; ``nearest`` would explain a part of it."""
-    at = np.searchsorted(stated.point, rays.point)
-    miss_rad = np.sqrt(np.mean(stated.residual_rad**2, axis=1))
+    """Add how far the rays of tie points miss each other to the ledger.
+
+    That is a note if they meet, or if findings have ``explained`` why they do not; else a finding
+    with the worst cameras and images. ``nearest`` are findings that would explain a part.
+    """
+    point_of_ray = np.searchsorted(intersection.point, rays.point)
+    miss_rad = np.sqrt(np.mean(intersection.residual_rad**2, axis=1))
     # A point whose rays are all but parallel has no place of its own.
-    judged = stated.used | (stated.angle_rad >= MINIMUM_ANGLE_RAD)
-    judged[at[stated.bad]] = True
+    is_judged = intersection.used | (intersection.angle_rad >= MINIMUM_ANGLE_RAD)
+    is_judged[point_of_ray[intersection.bad]] = True
     where = "stations.orientation.path" if oriented else "stations"
-    count = stated.point.size
-    misses = describe_misses(stated, rays, miss_rad)
-    meets = stated.used.sum() >= 0.5 * judged.sum() and not stated.sigma_factor > POOR_FACTOR
+    count = intersection.point.size
+    misses = describe_misses(intersection, rays, miss_rad)
+    most_meet = intersection.used.sum() >= MOST_MEET * is_judged.sum()
+    meets = most_meet and not intersection.sigma_factor > POOR_FACTOR
     if explained or (meets and not nearest):
         ledger.add(messages.ties_miss(oriented=oriented, where=where, count=count, misses=misses))
         return
-    lost = (stated.bad | np.isnan(miss_rad)) & judged[at]
-    line_m = stated.position_m[at] - stated.orientations.centre_m[rays.image]
-    distance_m = np.linalg.norm(line_m, axis=1)
-    for camera in sorted(set(stations.camera[rays.image].tolist())):
-        of_camera = stations.camera[rays.image] == camera
-        met = of_camera & ~lost & judged[at]
-        misses += f"; {camera}: {lost[of_camera].sum()} of {of_camera.sum()} rays meet no other"
-        if met.any():
-            metres = np.median(miss_rad[met] * distance_m[met])
-            degrees = np.degrees(np.median(miss_rad[met]))
-            misses += f", the others miss by {degrees:.2g} deg, {metres:.2g} m, in the median"
-    worst = worst_images(stations, rays, lost)
+    line_m = intersection.position_m[point_of_ray] - intersection.orientations.centre_m[rays.image]
+    rays_missed = RaysMissed(
+        camera=stations.camera[rays.image],
+        is_judged=is_judged[point_of_ray],
+        is_lost=(intersection.bad | np.isnan(miss_rad)) & is_judged[point_of_ray],
+        miss_rad=miss_rad,
+        distance_m=np.linalg.norm(line_m, axis=1),
+    )
+    misses += rays_missed.by_camera()
+    worst = worst_images(stations, rays, rays_missed.is_lost)
     if worst:
         misses += f"; most of {', '.join(worst)}"
     ledger.add(
@@ -282,10 +307,40 @@ def report_misses(
     )
 
 
-def describe_misses(stated: Intersection, rays: ImageRays, miss_rad: Array) -> str:
+@dataclass(frozen=True, eq=False)
+class RaysMissed:
+    """Rays of tie points that miss each other, (r,) each.
+
+    is_judged : the point of the ray has a place, or would have one.
+    is_lost : the ray meets no other ray of its point.
+    distance_m : from the camera to the point.
+    """
+
+    camera: Names
+    is_judged: Mask
+    is_lost: Mask
+    miss_rad: Array
+    distance_m: Array
+
+    def by_camera(self) -> str:
+        """How many rays of each camera are lost, and how far the others miss, in words."""
+        text = ""
+        for camera in sorted(set(self.camera.tolist())):
+            of_camera = self.camera == camera
+            lost = self.is_lost[of_camera].sum()
+            text += f"; {camera}: {lost} of {of_camera.sum()} rays meet no other"
+            met = of_camera & ~self.is_lost & self.is_judged
+            if met.any():
+                metres = np.median(self.miss_rad[met] * self.distance_m[met])
+                degrees = np.degrees(np.median(self.miss_rad[met]))
+                text += f", the others miss by {degrees:.2g} deg, {metres:.2g} m, in the median"
+        return text
+
+
+def describe_misses(intersection: Intersection, rays: ImageRays, miss_rad: Array) -> str:
     """How far the rays of tie points miss each other, in words."""
-    points = int(stated.used.sum())
-    count = stated.point.size
+    points = int(intersection.used.sum())
+    count = intersection.point.size
     if not points:
         return f"no rays of {count} tie points meet at an angle that checks anything"
     if np.isnan(miss_rad).all():
@@ -298,8 +353,9 @@ def describe_misses(stated: Intersection, rays: ImageRays, miss_rad: Array) -> s
 
 
 def worst_images(stations: Stations, rays: ImageRays, lost: Mask) -> list[str]:
-    """At most three images whose rays meet no others, the worst first."""
-    seen = np.bincount(rays.image, minlength=stations.image.size)
-    share = np.bincount(rays.image[lost], minlength=seen.size) / np.maximum(seen, 1)
-    worst = np.argsort(-share, kind="stable")[:3]
+    """At most three images, the worst first, by the share of their rays that are ``lost`` (r,)."""
+    ray_count = np.bincount(rays.image, minlength=stations.image.size)
+    lost_count = np.bincount(rays.image[lost], minlength=ray_count.size)
+    share = lost_count / np.maximum(ray_count, 1)
+    worst = np.argsort(-share, kind="stable")[:MOST_WORST_IMAGES]
     return [str(stations.image[row]) for row in worst if share[row] > 0]

@@ -21,9 +21,10 @@ KEYS_OF_STATIONS = {
 
 def causes_of_statuses(facts: Facts) -> dict[str, str]:
     """A likely cause of each status that flags rows, with the keys to look at."""
-    column = facts.mission.ground.column
     columns = facts.mission.observations.columns
-    height = f"column {column} is empty or no height there" if column else "no height is known"
+    height = "no height is known"
+    if facts.mission.ground.column is not None:
+        height = f"column {facts.mission.ground.column} is empty or no height there"
     causes = {
         "no_station": cause_of_missing_stations(facts),
         "no_ground": f"{height} (ground.height)",
@@ -42,28 +43,30 @@ def causes_of_statuses(facts: Facts) -> dict[str, str]:
 
 
 def cause_of_missing_stations(facts: Facts) -> str:
-    """What became of the stations that are not ok, with the keys to look at."""
-    lost = Counter(facts.stations.status[~facts.stations.ok].tolist())
+    """How many stations have each status but ok, with the keys to look at."""
+    counts = Counter(facts.stations.status[~facts.stations.ok].tolist())
     listed = []
-    for status, count in lost.items():
-        listed.append(f"{count} {status} ({KEYS_OF_STATIONS.get(status, 'log')})")
+    for status, count in counts.items():
+        keys = KEYS_OF_STATIONS.get(status, "log")
+        listed.append(f"{count} {status} ({keys})")
     return f"their stations: {', '.join(listed)}"
 
 
 def cause_of_misses(facts: Facts) -> str:
-    """Why rays miss the ground: how far it lies above the camera, or beyond the horizon."""
+    """Why rays miss the ground: the ground lies above the camera, or rays pass the horizon."""
     rows = facts.rows.status == MISSES_GROUND
-    above_m = (facts.rows.h_g_m - facts.camera_height_m)[rows]
-    angle = facts.nadir_angle_rad[rows]
-    below = above_m < 0.0
+    ground_above_camera_m = (facts.rows.h_g_m - facts.camera_height_m)[rows]
+    nadir_angle_rad = facts.nadir_angle_rad[rows]
+    is_below = ground_above_camera_m < 0.0
     causes = []
-    if bool((~below).any()):
-        heights = above_m[~below]
-        most = f"up to {np.max(heights):.0f} m" if heights.size > 1 else "so far"
+    if not is_below.all():
+        too_high_m = ground_above_camera_m[~is_below]
+        most = f"up to {np.max(too_high_m):.0f} m" if too_high_m.size > 1 else "so far"
         causes.append(f"the ground lies {most} above the camera (ground.height, ground.reference)")
-    if bool(below.any()):
-        dip = np.arccos(EARTH_RADIUS_M / (EARTH_RADIUS_M - above_m[below]))
-        beyond_deg = np.degrees(angle[below] + dip) - 90.0
+    if is_below.any():
+        camera_radius_m = EARTH_RADIUS_M - ground_above_camera_m[is_below]
+        dip_rad = np.arccos(EARTH_RADIUS_M / camera_radius_m)  # of the horizon of the ground
+        beyond_deg = np.degrees(nadir_angle_rad[is_below] + dip_rad) - 90.0
         causes.append(
             f"rays pass up to {np.nanmax(beyond_deg):.1f} deg beyond the horizon (angles of mount, "
             "f_px of the camera)"
@@ -72,10 +75,16 @@ def cause_of_misses(facts: Facts) -> str:
 
 
 def cause_of_outside(facts: Facts, outside: Mask) -> str:
+<<<<<<< HEAD
     """Why pixels are outside a camera.
 
     They are beyond the image or beyond what the distortion allows, their rays do not pass the
     window, or refraction, where it is applied, displaces them out of the image.
+=======
+    """Why pixels are outside a camera: beyond its image, or where its distortion has no inverse.
+
+    ``outside`` (n,) are the rows of such pixels.
+>>>>>>> stages
     """
     causes = []
     for name in np.unique(facts.camera[outside]).tolist():

@@ -22,7 +22,12 @@ from unbend.units import Array, Names
 
 @dataclass(frozen=True, eq=False)
 class Facts:
-    """What the rules look at; ``logged_terrain_m`` (s,) is that below stations."""
+    """What the rules look at: a mission, its stations, and rows that stand for all observations.
+
+    rows : the sampled observations, (n,) each.
+    takeoff, terrain : None where they are unknown.
+    logged_terrain_m : (s,) terrain below each station, as the autopilot logged it.
+    """
 
     mission: Mission
     stations: Stations
@@ -46,7 +51,7 @@ class Facts:
 
     @cached_property
     def effects(self) -> tuple[Effect, ...]:
-        """R between the median heights of camera and ground of the rows, beside the standard's."""
+        """Refraction between the median heights of camera and ground, beside the standard's."""
         known = np.isfinite(self.camera_height_m - self.rows.h_g_m)
         if not known.any():
             return ()
@@ -57,49 +62,58 @@ class Facts:
 
     @cached_property
     def camera(self) -> Names:
-        """(n,) the camera of each row, empty without one."""
+        """(n,) the camera of each row; empty for a row without a station."""
         return np.append(self.stations.camera, "")[self.rows.station]
 
     @cached_property
     def camera_height_m(self) -> Array:
-        """(n,) above sea level."""
+        """(n,) height of the camera above sea level [m]; NaN for a row without a station."""
         return np.append(self.exposures.height_m, np.nan)[self.rows.station]
 
     @cached_property
     def nadir_angle_rad(self) -> Array:
-        """(n,) of the measured ray in the camera, before the window; NaN outside the camera."""
+        """(n,) nadir angle of the measured ray of each row, inside the window.
+
+        NaN for pixels outside the camera, and rows without a station.
+        """
         angle = np.full(self.rows.station.size, np.nan)
         for name, camera in self.cameras.items():
             rows = np.flatnonzero((self.camera == name) & (self.rows.station >= 0))
             u, v, _ = camera.rays(self.rows.x_px[rows], self.rows.y_px[rows])
-            up = self.exposures.rotation[self.rows.station[rows], :, 2]
-            length = np.sqrt(u * u + v * v + 1.0)
-            cosine = -(up[:, 0] * u + up[:, 1] * v + up[:, 2]) / length
+            station = self.rows.station[rows]
+            up = self.exposures.rotation[station, :, 2]
+            upward = up[:, 0] * u + up[:, 1] * v + up[:, 2]
+            cosine = -upward / np.sqrt(u * u + v * v + 1.0)
             angle[rows] = np.arccos(np.clip(cosine, -1.0, 1.0))
         return angle
 
     def axis_deg(self, name: str) -> float:
         """The median nadir angle of a camera's axis [deg]; NaN without stations."""
-        rows = (self.stations.camera == name) & self.stations.ok
-        cosine = -self.exposures.rotation[rows, 2, 2]
+        stations = (self.stations.camera == name) & self.stations.ok
+        cosine = -self.exposures.rotation[stations, 2, 2]
         cosine = np.clip(cosine[np.isfinite(cosine)], -1.0, 1.0)
-        if not cosine.size:
+        if cosine.size == 0:
             return math.nan
-        return float(np.degrees(np.median(np.arccos(cosine))))
+        angle_rad = np.arccos(cosine)
+        return float(np.degrees(np.median(angle_rad)))
 
     def of_camera(self, name: str, values: Array) -> Array:
-        """The finite values of the rows of one camera."""
+        """The finite ones of ``values`` (n,) in the rows of one camera."""
         values = values[self.camera == name]
         return np.asarray(values[np.isfinite(values)])
 
     def key_of(self, name: str, *, of_numbers: str, of_metric: str) -> str:
-        """The key of a part of a camera, by how the mission file gives its orientation."""
+        """The key that states a part of a camera, for messages.
+
+        ``of_numbers`` is the key where the mission file gives the interior orientation in numbers
+        in pixels, ``of_metric`` under ``metric`` where it gives it in millimetres. A camera of
+        COLMAP's models has one key for all parts.
+        """
         section = self.mission.cameras[name]
+        if section.model is not None and of_numbers == "width_px":
+            return f"cameras.{name}, width_px, params or file"
         if section.model is not None:
-            keys = "params or file"
-            if of_numbers == "width_px":
-                keys = f"width_px, {keys}"
-            return f"cameras.{name}, {keys}"
+            return f"cameras.{name}, params or file"
         if section.metric is not None:
             return f"cameras.{name}.metric.{of_metric}"
         return f"cameras.{name}.{of_numbers}"
@@ -107,7 +121,9 @@ class Facts:
     def view_deg(self, name: str) -> float:
         """The field of view over the diagonal [deg], as if without distortion."""
         camera = self.cameras[name]
-        half = math.hypot(camera.width_px / camera.fx_px, camera.height_px / camera.fy_px) / 2.0
+        width = camera.width_px / camera.fx_px
+        height = camera.height_px / camera.fy_px
+        half_diagonal = math.hypot(width, height) / 2.0
         if is_fisheye(camera):  # equidistant: its corners often lie beyond its circle
-            return 2.0 * math.degrees(half)
-        return 2.0 * math.degrees(math.atan(half))
+            return 2.0 * math.degrees(half_diagonal)
+        return 2.0 * math.degrees(math.atan(half_diagonal))

@@ -1,9 +1,11 @@
 """The findings of all rules go into the ledger, and what the mission file accepts is accepted."""
 
 import math
+from collections.abc import Iterable
 
 import numpy as np
 
+from unbend.config.mission_file import AcceptedFinding
 from unbend.messages import Kind, Ledger
 from unbend.stages.plausibility import messages
 from unbend.stages.plausibility.facts import Facts
@@ -14,27 +16,39 @@ VERIFYING = ("TIES-RESIDUALS", "ORIENTATION-TIES")
 
 
 def report_findings(facts: Facts, ledger: Ledger) -> None:
-    """Findings of all rules, and warnings of those that the mission file accepts.
+    """Add the findings of all rules to the ledger, and accept those that the mission file accepts.
 
-    A warning (DEM-UNVERIFIED) where nothing could contradict its elevation model. Losses cannot be
-    accepted: refuses (MissionError ACCEPT-LOSS) the code of one.
+    Adds a warning (DEM-UNVERIFIED) if nothing in the mission could contradict its elevation model.
     """
-    mission = facts.mission
     for rule in RULES:
         ledger.extend(rule(facts))
-    if mission.ground.model is not None and not is_verified(facts, ledger):
+    has_model = facts.mission.ground.model is not None
+    if has_model and not is_verified(facts, ledger):
         ledger.add(messages.model_unverified(where="ground.height.dem"))
+    accept_findings(facts.mission.accept, ledger)
+
+
+def accept_findings(accepted: Iterable[AcceptedFinding], ledger: Ledger) -> None:
+    """Turn accepted findings into warnings, with their reasons.
+
+    Refuses (MissionError ACCEPT-LOSS) the code of a loss, which cannot be accepted; warns of a code
+    that no finding has.
+    """
     losses = {entry.code for entry in ledger if entry.kind is Kind.LOSS}
-    for accepted in mission.accept:
-        if accepted.code in losses:
-            raise messages.loss_accepted(where="accept", accepted_code=accepted.code)
-    reasons = {accepted.code: accepted.reason for accepted in mission.accept}
+    reasons = {}
+    for finding in accepted:
+        if finding.code in losses:
+            raise messages.loss_accepted(where="accept", accepted_code=finding.code)
+        reasons[finding.code] = finding.reason
     for code in ledger.accept(reasons):
         ledger.add(messages.accepted_code_unused(where="accept", accepted_code=code))
 
 
 def is_verified(facts: Facts, ledger: Ledger) -> bool:
-    """Whether something in the mission could contradict its elevation model."""
+    """Whether something in the mission could contradict its elevation model.
+
+    That is a take-off on the model, terrain that the autopilot logged, or tie points.
+    """
     takeoff = facts.takeoff
     if takeoff is not None and takeoff.stands and math.isfinite(facts.model_at_takeoff_m):
         return True

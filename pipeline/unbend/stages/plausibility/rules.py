@@ -1,4 +1,8 @@
-"""The rules: each looks at one thing, and says what it found, expected, and the likely mistake."""
+"""The rules of plausibility: each is a function whose docstring says what is expected.
+
+A rule yields a finding where the expectation is not met: what there is instead, and the likely
+mistake.
+"""
 
 import math
 from collections.abc import Callable, Iterator
@@ -9,6 +13,7 @@ from unbend.flight.trajectory import Takeoff
 from unbend.geodesy import wrapped
 from unbend.messages import Message
 from unbend.refraction.calibration import is_fisheye
+from unbend.refraction.camera.camera import Camera
 from unbend.refraction.status_codes import STATUS_NAMES
 from unbend.stages.plausibility import messages
 from unbend.stages.plausibility.causes import EARTH_RADIUS_M, causes_of_statuses
@@ -19,18 +24,41 @@ Findings = Iterator[Message]
 """Messages whose ``where`` is the key of the mission file to change."""
 
 TAKEOFF_NEAR_KM = 30.0  # farther away the take-off says nothing about the ground
-GROUND_ALLOWED_M = 300.0  # between the ground and the take-off, beside it
-GROUND_ALLOWED_M_PER_KM = 20.0  # and more with the distance
-TERRAIN_ALLOWED_M = 50.0  # between the ground and terrain at the same place
+GROUND_ALLOWED_M = 300.0  # between the heights of ground and take-off, at the take-off
+GROUND_ALLOWED_M_PER_KM = 20.0  # more, for each kilometre from the take-off
+TERRAIN_ALLOWED_M = 50.0  # between the heights of ground and terrain at the same place
 SEES_STATION_RAD = 0.5  # rays within so much of the nadir see the ground near their station
-MOST_FLAGGED = 0.2  # share of the rows, for one cause
-LARGEST_EFFECT = 1.5  # R over that in the standard atmosphere, or below its inverse
+LIKELY_SHARE = 0.5  # of a difference, that a likely mistake may leave
+NARROWEST_VIEW_DEG = 3.0
+WIDEST_VIEW_DEG = 130.0
+NARROWEST_FISHEYE_DEG = 60.0
+WIDEST_FISHEYE_DEG = 300.0
+LARGEST_PIXEL_RATIO = 0.02  # of the sides of a pixel, minus 1
+LARGEST_OFF_CENTRE = 0.1  # of a principal point, in sizes of the image
+SMALLEST_DISTORTION = 1e-6  # at the corners of the image, as a share of the radius
+LARGEST_DISTORTION = 0.3  # the same, for views under 90 deg
+LARGEST_WIDE_DISTORTION = 1.0  # the same, for wider views
+LARGEST_TANGENTIAL = 1e-3  # p1 and p2 are larger only if they stand in the place of k3
+TANGENTIAL_OVER_RADIAL = 3.0
+MOST_OUTSIDE = 0.01  # share of the observations outside the image
+FILLED = 0.7  # share of the image that many observations reach
 MANY_ROWS = 100  # that fill an image
+BEHIND_CENTRE = -0.2  # in sizes of the image: pixels that count from its centre are lower
+LARGEST_TILT_DEG = 30.0  # of a camera that is called nadir
+SMALLEST_OBLIQUE_DEG = 10.0  # of a camera that is called oblique
+ANGLE_STEP_DEG = 15.0  # angles of mounts are often multiples of it
+LARGEST_STEP_ERROR = 2e-3  # in steps, of an angle that was rounded in radians
 HIGHEST_CAMERA_M = 0.25  # above an antenna, which has the sky above it, or an inertial sensor
+LOOKS_DOWN = 0.5  # least cosine of the nadir angle of an axis
 LONGEST_LEVER_ARM_M = 10.0
 LARGEST_GROUND_SIGMA_M = 50.0
 LONGEST_DELAY_S = 1.0
 MOST_WINDOW_TILT_DEG = 35.0
+STEEPEST_RAD = 1.4  # nadir angle beyond which a straight slant range means little
+SMALLEST_RANGE_RATIO = 0.7  # slant range over that of the heights
+LARGEST_RANGE_RATIO = 1.4
+MOST_FLAGGED = 0.2  # share of the rows, for one cause
+LARGEST_EFFECT = 1.5  # R over that in the standard atmosphere, or below its inverse
 METRES_OF_A_FOOT = 0.3048
 
 
@@ -44,7 +72,9 @@ def ground_beside_takeoff(facts: Facts) -> Findings:
     if km > TAKEOFF_NEAR_KM:
         return
     column = facts.mission.ground.column
-    key = "ground.height" + (f", column {column}" if column else "")
+    key = "ground.height"
+    if column:
+        key += f", column {column}"
     height_m = float(np.nanmedian(ground))
     off_m = height_m - takeoff.h_msl_m
     allowed_m = GROUND_ALLOWED_M + GROUND_ALLOWED_M_PER_KM * km
@@ -62,39 +92,40 @@ def ground_beside_takeoff(facts: Facts) -> Findings:
 def median_distance_km(facts: Facts, takeoff: Takeoff) -> float:
     """How far the stations are from the take-off, in the median [km]."""
     ok = facts.stations.ok
-    north = (facts.stations.lat_rad[ok] - takeoff.lat_rad) * EARTH_RADIUS_M
+    north_m = (facts.stations.lat_rad[ok] - takeoff.lat_rad) * EARTH_RADIUS_M
     parallel_m = math.cos(takeoff.lat_rad) * EARTH_RADIUS_M
-    east = wrapped(facts.stations.lon_rad[ok] - takeoff.lon_rad) * parallel_m
-    return float(np.median(np.hypot(north, east))) / 1000.0
+    east_m = wrapped(facts.stations.lon_rad[ok] - takeoff.lon_rad) * parallel_m
+    return float(np.median(np.hypot(north_m, east_m))) / 1000.0
 
 
 def ground_beside_terrain(facts: Facts) -> Findings:
-    """The ground within 50 m, and its scatter, of the terrain that the autopilot logged.
+    """The ground within 50 m of the terrain that the autopilot logged, and its scatter more.
 
     Rows within 29 deg of the nadir count, which see the ground near their station.
     """
-    terrain = np.append(facts.logged_terrain_m, np.nan)[facts.rows.station]
-    near = facts.nadir_angle_rad < SEES_STATION_RAD
-    apart_m = np.where(near, facts.rows.h_g_m, np.nan) - terrain
-    known = np.isfinite(apart_m)
+    terrain_m = np.append(facts.logged_terrain_m, np.nan)[facts.rows.station]
+    is_near = facts.nadir_angle_rad < SEES_STATION_RAD
+    above_terrain_m = np.where(is_near, facts.rows.h_g_m, np.nan) - terrain_m
+    known = np.isfinite(above_terrain_m)
     if not known.any():
         return
-    low, middle, high = np.percentile(apart_m[known], [16.0, 50.0, 84.0]).tolist()
-    allowed_m = TERRAIN_ALLOWED_M + (high - low) / 2.0
-    if abs(middle) > allowed_m:
-        height_m = float(np.median(terrain[known])) + middle
+    low_m, median_m, high_m = np.percentile(above_terrain_m[known], [16.0, 50.0, 84.0]).tolist()
+    scatter_m = (high_m - low_m) / 2.0
+    allowed_m = TERRAIN_ALLOWED_M + scatter_m
+    if abs(median_m) > allowed_m:
+        height_m = float(np.median(terrain_m[known])) + median_m
         yield messages.terrain_off(
             where=key_of_ground(facts),
             height_m=height_m,
-            off_m=middle,
+            off_m=median_m,
             reference=f"the terrain that the autopilot logged, in {known.sum()} rows",
             allowed_m=allowed_m,
-            likely=likely_reading(middle, height_m, takeoff_height_m(facts)),
+            likely=likely_reading(median_m, height_m, takeoff_height_m(facts)),
         )
 
 
 def model_beside_takeoff(facts: Facts) -> Findings:
-    """The elevation model within 50 m of the take-off, where the log begins, standing."""
+    """The elevation model within 50 m of the take-off, if the log begins while standing there."""
     takeoff = facts.takeoff
     model_m = facts.model_at_takeoff_m
     if takeoff is None or not takeoff.stands or not np.isfinite(model_m):
@@ -124,15 +155,20 @@ def takeoff_height_m(facts: Facts) -> float:
 
 
 def likely_reading(off_m: float, ground_m: float, takeoff_m: float) -> str:
-    """What ground heights [m] likely are, that lie ``off_m`` above where they are expected."""
-    above = {
+    """What ground heights likely are that lie ``off_m`` above where they are expected.
+
+    Each reading says by how much heights would be too high if they were taken for metres above sea
+    level; the reading that explains ``off_m`` best is likely, if it explains half of it.
+    """
+    too_high_m = {
         "feet": ground_m - ground_m * METRES_OF_A_FOOT,
         "km": ground_m - ground_m * 1000.0,
         "heights above the take-off (ground.reference: relative)": -takeoff_m,
         "heights above sea level, not relative ones (ground.reference)": takeoff_m,
     }
-    best = min(above, key=lambda reading: abs(above[reading] - off_m))
-    if ground_m == 0.0 or abs(above[best] - off_m) > 0.5 * abs(off_m):
+    best = min(too_high_m, key=lambda reading: abs(too_high_m[reading] - off_m))
+    unexplained_m = abs(too_high_m[best] - off_m)
+    if ground_m == 0.0 or unexplained_m > LIKELY_SHARE * abs(off_m):
         return "another height, datum or unit than that of ground.height"
     return best
 
@@ -142,7 +178,11 @@ def field_of_view(facts: Facts) -> Findings:
     for name, camera in facts.cameras.items():
         view = facts.view_deg(name)
         key = facts.key_of(name, of_numbers="fx_px", of_metric="focal_mm")
-        least, most = (60.0, 300.0) if is_fisheye(camera) else (3.0, 130.0)
+        least = NARROWEST_VIEW_DEG
+        most = WIDEST_VIEW_DEG
+        if is_fisheye(camera):
+            least = NARROWEST_FISHEYE_DEG
+            most = WIDEST_FISHEYE_DEG
         if not least <= view <= most:
             yield messages.field_of_view(
                 where=key,
@@ -154,7 +194,7 @@ def field_of_view(facts: Facts) -> Findings:
                 least=least,
                 most=most,
             )
-        if abs(camera.fx_px / camera.fy_px - 1.0) > 0.02:
+        if abs(camera.fx_px / camera.fy_px - 1.0) > LARGEST_PIXEL_RATIO:
             yield messages.pixels_not_square(
                 where=key, name=name, fx_px=camera.fx_px, fy_px=camera.fy_px
             )
@@ -166,7 +206,7 @@ def principal_point(facts: Facts) -> Findings:
         off_x = abs(camera.cx_px / camera.width_px - 0.5)
         off_y = abs(camera.cy_px / camera.height_px - 0.5)
         off = max(off_x, off_y)
-        if off > 0.1:
+        if off > LARGEST_OFF_CENTRE:
             yield messages.principal_point_off(
                 where=facts.key_of(name, of_numbers="cx_px", of_metric="origin"),
                 name=name,
@@ -177,24 +217,33 @@ def principal_point(facts: Facts) -> Findings:
 
 
 def distortion(facts: Facts) -> Findings:
-    """At the corners between 1e-6 and a third of the radius, and tangential less than radial."""
+    """Distortion at the corners between 1e-6 and 0.3 of the radius, and small tangential terms.
+
+    Up to the whole radius in views of 90 deg and more. Fisheyes are not looked at.
+    """
     for name, camera in facts.cameras.items():
-        values = {k: v for k, v in camera.distortion._asdict().items() if v}
-        view = facts.view_deg(name)
-        if not values or view > 130.0 or is_fisheye(camera):
+        coefficients = camera.distortion._asdict()
+        view_deg = facts.view_deg(name)
+        if not any(coefficients.values()) or view_deg > WIDEST_VIEW_DEG or is_fisheye(camera):
             continue
-        u = np.array([0.5, 0.5, -0.5, -0.5]) * camera.width_px / camera.fx_px
-        v = np.array([0.5, -0.5, 0.5, -0.5]) * camera.height_px / camera.fy_px
-        u_d, v_d = camera.distort(u, v)
-        share = float(np.max(np.hypot(u_d - u, v_d - v) / np.hypot(u, v)))
-        largest = 0.3 if view < 90.0 else 1.0
-        if share != 0.0 and not 1e-6 <= share <= largest:
+        share = distortion_at_corners(camera)
+        largest = LARGEST_DISTORTION if view_deg < 90.0 else LARGEST_WIDE_DISTORTION
+        if share != 0.0 and not SMALLEST_DISTORTION <= share <= largest:
             key = facts.key_of(name, of_numbers="distortion", of_metric="distortion")
             yield messages.distortion_size(where=key, name=name, share=share)
-        tangential = max(abs(values.get("p1", 0.0)), abs(values.get("p2", 0.0)))
-        if tangential > 1e-3 and tangential > 3.0 * abs(values.get("k3", 0.0)):
+        tangential = max(abs(coefficients.get("p1", 0.0)), abs(coefficients.get("p2", 0.0)))
+        over_radial = tangential > TANGENTIAL_OVER_RADIAL * abs(coefficients.get("k3", 0.0))
+        if tangential > LARGEST_TANGENTIAL and over_radial:
             key = facts.key_of(name, of_numbers="distortion.k3", of_metric="distortion")
             yield messages.distortion_order(where=key, name=name, most=tangential)
+
+
+def distortion_at_corners(camera: Camera) -> float:
+    """The largest distortion at a corner of the image, as a share of the radius there."""
+    u = np.array([0.5, 0.5, -0.5, -0.5]) * camera.width_px / camera.fx_px
+    v = np.array([0.5, -0.5, 0.5, -0.5]) * camera.height_px / camera.fy_px
+    u_d, v_d = camera.distort(u, v)
+    return float(np.max(np.hypot(u_d - u, v_d - v) / np.hypot(u, v)))
 
 
 def extent_of_observations(facts: Facts) -> Findings:
@@ -208,12 +257,12 @@ def extent_of_observations(facts: Facts) -> Findings:
         width = camera.width_px
         height = camera.height_px
         outside = float(np.mean((x < 0) | (x > width) | (y < 0) | (y > height)))
-        if outside > 0.01:
+        if outside > MOST_OUTSIDE:
             expected = "none outside"
             mistake = likely_extent(x, y, width, height)
         else:
             filled = max(x.max() / width, y.max() / height)
-            if x.size < MANY_ROWS or filled >= 0.7:
+            if x.size < MANY_ROWS or filled >= FILLED:
                 continue
             expected = "to fill it"
             mistake = "measured in reduced images"
@@ -231,8 +280,8 @@ def extent_of_observations(facts: Facts) -> Findings:
 
 
 def likely_extent(x: Array, y: Array, width: int, height: int) -> str:
-    """What pixels likely are that lie outside an image."""
-    if x.min() < -0.2 * width and y.min() < -0.2 * height:
+    """What pixels likely are that lie outside an image of this width and height [px]."""
+    if x.min() < BEHIND_CENTRE * width and y.min() < BEHIND_CENTRE * height:
         return "counted from the centre of the image, not from its upper left corner"
     if x.max() <= height and y.max() <= width:
         return "width and height, or x and y, exchanged"
@@ -248,9 +297,9 @@ def direction_of_cameras(facts: Facts) -> Findings:
         expected = ""
         if axis > 90.0 - min(half_view, 10.0):
             expected = "down: likely 0 for a camera that looks down, not -90"
-        elif axis > 30.0 and named_nadir:
+        elif axis > LARGEST_TILT_DEG and named_nadir:
             expected = f"within 30 deg of the nadir by the name of {name}"
-        elif axis < 10.0 and "oblique" in name.lower():
+        elif axis < SMALLEST_OBLIQUE_DEG and "oblique" in name.lower():
             expected = f"more than 10 deg off by the name of {name}: likely radians, or exchanged"
         if expected:
             key = facts.mission.attitude_key(name)
@@ -258,13 +307,14 @@ def direction_of_cameras(facts: Facts) -> Findings:
 
 
 def angles_of_mounts(facts: Facts) -> Findings:
-    """Angles in degrees: none that is a multiple of 15 deg in radians."""
+    """Angles in degrees: no angle that would be a multiple of 15 deg if it were in radians."""
     for name, mount in facts.mission.mount.items():
         for key in ("roll_deg", "pitch_deg", "yaw_deg"):
             value = getattr(mount, key)
             degrees = math.degrees(value)
-            steps = degrees / 15.0
-            if value and abs(value) <= math.tau and abs(steps - round(steps)) < 2e-3:
+            steps = degrees / ANGLE_STEP_DEG
+            is_multiple = abs(steps - round(steps)) < LARGEST_STEP_ERROR
+            if value and abs(value) <= math.tau and is_multiple:
                 yield messages.angle_in_radians(
                     where=f"mount.{name}.{key}", name=name, angle=key, value=value, deg=degrees
                 )
@@ -278,7 +328,7 @@ def lever_arms(facts: Facts) -> Findings:
         if length > LONGEST_LEVER_ARM_M:
             yield messages.lever_arm_long(where=key, name=name, length=length)
         up = -mount.lever_arm_m[2]
-        looks_down = facts.mission.mounts[name].camera_from_body[2, 2] > 0.5
+        looks_down = facts.mission.mounts[name].camera_from_body[2, 2] > LOOKS_DOWN
         if up > HIGHEST_CAMERA_M and looks_down:
             yield messages.lever_arm_above(where=key, name=name, up=up, most=HIGHEST_CAMERA_M)
 
@@ -298,7 +348,7 @@ def sigmas_and_delays(facts: Facts) -> Findings:
 
 
 def windows(facts: Facts) -> Findings:
-    """Windows where a cabin is logged, and square within 35 deg to the camera they belong to."""
+    """A window where the log has a cabin, and windows within 35 deg of square to the camera."""
     mission = facts.mission
     channel = None if mission.log is None else mission.log.channels.cabin_pressure
     if channel is not None and not mission.windows:
@@ -314,13 +364,13 @@ def windows(facts: Facts) -> Findings:
 
 def slant_ranges(facts: Facts) -> Findings:
     """Slant ranges that fit the heights of camera and ground."""
-    straight = (facts.camera_height_m - facts.rows.h_g_m) / np.cos(facts.nadir_angle_rad)
-    ratio = facts.rows.distance_m / straight
-    ratio = ratio[np.isfinite(ratio) & (facts.nadir_angle_rad < 1.4)]
+    straight_m = (facts.camera_height_m - facts.rows.h_g_m) / np.cos(facts.nadir_angle_rad)
+    ratio = facts.rows.distance_m / straight_m
+    ratio = ratio[np.isfinite(ratio) & (facts.nadir_angle_rad < STEEPEST_RAD)]
     if not ratio.size:
         return
     median = float(np.median(ratio))
-    if not 0.7 < median < 1.4:
+    if not SMALLEST_RANGE_RATIO < median < LARGEST_RANGE_RATIO:
         yield messages.slant_ranges_off(where="observations.columns.distance_m", ratio=median)
 
 
@@ -341,7 +391,7 @@ def flagged_rows(facts: Facts) -> Findings:
 
 
 def air_of_flight(facts: Facts) -> Findings:
-    """R within a factor of 1.5 of that in US 1976 between the same heights."""
+    """Refraction within a factor of 1.5 of that in the standard air between the same heights."""
     for effect in facts.effects[:1]:
         if not 1.0 / LARGEST_EFFECT < effect.factor < LARGEST_EFFECT:
             yield messages.air_implausible(
@@ -354,7 +404,7 @@ def air_of_flight(facts: Facts) -> Findings:
 
 
 def measured_observations(facts: Facts) -> Findings:
-    """Refraction is applied to observations for plans, not to those of a flight with a log."""
+    """Refraction is removed from the observations of a flight with a log, not applied to them."""
     mission = facts.mission
     if mission.refraction.direction == "apply" and mission.stations.orientation is None:
         yield messages.refraction_applied_twice(where="refraction.direction")

@@ -1,0 +1,1 @@
+"""What `unbend init` proposes: a commented mission file, by a log, observations and images."""

@@ -1,0 +1,202 @@
+"""What a flight log decides of its mission file, and what it leaves open."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from unbend.batch.proposal.values import Proposed, words_of_proposals
+from unbend.config.yaml_text import TODO
+from unbend.errors import MissionError
+from unbend.flight.channels import ROLE_COLUMNS, Channel
+from unbend.flight.evidence.quality import plausible_samples
+from unbend.flight.exposures import trigger_notes
+from unbend.flight.heights import height_system
+from unbend.flight.mount import is_of_gimbal
+from unbend.flight.roles import assign_roles
+from unbend.ingest import Log, open_log
+from unbend.ingest.flight_log import utc_text
+from unbend.ingest.overview import flight_of
+from unbend.tables.geodata.geoid import package_geoid
+
+OPEN_ROLES = ("ROLE-AMBIGUOUS", "CHANNEL-MISSING")
+"""Codes of notes on roles that a log leaves open."""
+
+LATE_TRIGGER = "EVENTS-TRIGGER-TIME"
+"""Code of notes on channels of events that have the times of the triggers, not of the shutter."""
+
+
+@dataclass(frozen=True)
+class LogFacts:
+    """What a log decides, for the template of the mission file.
+
+    events : channels of exposures.
+    remarks : what stands at the beginning of the file, in sentences.
+    roles : keys under ``log.channels`` that are open.
+    compartment : names of barometers in a closed compartment.
+    takeoff : the height of the take-off, in words.
+    gimbals : names of channels with attitudes of gimbals.
+    trigger : names of channels of events with the times of the triggers.
+    """
+
+    events: tuple[Channel, ...] = ()
+    remarks: tuple[str, ...] = ()
+    roles: tuple[Proposed, ...] = ()
+    compartment: str = ""
+    takeoff: str = ""
+    gimbals: str = ""
+    trigger: str = ""
+
+
+def facts_of_log(path: Path) -> LogFacts:
+    """Read a log and decide what can be decided; refuses as `open_log`."""
+    log = open_log(path)
+    roles, notes = assign_roles(log.channels, {}, needs_cabin=False)
+    plausible, questions = plausible_roles(roles)
+    indoors = []
+    open_roles: dict[str, None] = {}
+    for note in notes:
+        if note.code == "BARO-NOT-OUTSIDE":
+            indoors.append(note.where)
+        elif note.code in OPEN_ROLES:
+            open_roles[note.where.removeprefix("log.channels.")] = None
+    compartment = ", ".join(indoors)
+    for role in open_roles:
+        questions += questions_of_role(role, log.channels, compartment)
+
+    takeoff = takeoff_remark(plausible)
+    remarks = [time_remark(log), place_remark(plausible), heights_remark(plausible, takeoff)]
+    decided = [f"{role} {roles[role].name}" for role in roles if role not in open_roles]
+    remarks.append(f"found by itself: {', '.join(decided)}")
+    if indoors:
+        remarks.append(f"{compartment} is in a closed compartment: it does not follow the height")
+    events = best_of([channel for channel in log.channels if channel.fits_role("events")])
+    return LogFacts(
+        events=events,
+        remarks=tuple(filter(None, remarks)),
+        roles=tuple(questions),
+        compartment=compartment,
+        takeoff=takeoff,
+        gimbals=", ".join(gimbal_channels(log)),
+        trigger=", ".join(late_events(log, events)),
+    )
+
+
+def plausible_roles(
+    roles: Mapping[str, Channel],
+) -> tuple[dict[str, Channel], list[Proposed]]:
+    """The plausible samples of each role, and a question for each role in a wrong unit."""
+    plausible = {}
+    questions = []
+    for role, channel in roles.items():
+        try:
+            plausible[role], _ = plausible_samples(channel, role)
+        except MissionError as error:
+            questions.append(Proposed(role, TODO, f"{error.what}; {error.remedy}"))
+    return plausible, questions
+
+
+def time_remark(log: Log) -> str:
+    """When a log begins and ends, and what its times count from."""
+    first = utc_text(log.start_ns)[:19]
+    last = utc_text(log.end_ns)[:19]
+    return f"{first} to {last} UTC, {log.duration_s / 60.0:.1f} minutes; {log.time_base}"
+
+
+def place_remark(roles: Mapping[str, Channel]) -> str:
+    """The median place of a flight; empty without positions."""
+    position = roles.get("position")
+    if position is None or len(position) == 0:
+        return ""
+    latitude = np.degrees(np.nanmedian(position["lat_rad"]))
+    longitude = np.degrees(np.nanmedian(position["lon_rad"]))
+    return f"place: latitude {latitude:.4f}, longitude {longitude:.4f}"
+
+
+def heights_remark(roles: Mapping[str, Channel], takeoff: str) -> str:
+    """The heights of a flight, and of its take-off; empty without heights."""
+    height = roles.get("height")
+    if height is None or height.height_column is None:
+        return ""
+    heights_m = height[height.height_column]
+    heights_m = heights_m[np.isfinite(heights_m)]  # the column of a role has finite values
+    span = f"heights {heights_m.min():.0f} to {heights_m.max():.0f} m"
+    remark = f"{span} above {surface_of_heights(height)} ({height.name})"
+    return f"{remark}; {takeoff}" if takeoff else remark
+
+
+def takeoff_remark(roles: Mapping[str, Channel]) -> str:
+    """The height of the take-off; empty where the log does not show it."""
+    height = roles.get("height")
+    position = roles.get("position")
+    if height is None or height.height_column is None:
+        return ""
+    system, _ = height_system(roles, None, package_geoid())
+    if system.home_h_msl_m is not None:
+        return f"take-off {system.home_h_msl_m:.0f} m above the sea"
+    takeoff_m = None
+    if position is not None:
+        takeoff_m = flight_of(position, height).get("take_off_m")
+    if takeoff_m is None:
+        return ""
+    return f"take-off {takeoff_m:.0f} m above {surface_of_heights(height)}"
+
+
+def surface_of_heights(height: Channel) -> str:
+    """What the heights of a channel count from, in words."""
+    return "the sea" if height.height_column == "h_msl_m" else "the ellipsoid"
+
+
+def gimbal_channels(log: Log) -> list[str]:
+    """Names of the channels with attitudes of gimbals."""
+    return [channel.name for channel in log.channels if is_of_gimbal(channel.source.message)]
+
+
+def late_events(log: Log, events: tuple[Channel, ...]) -> list[str]:
+    """Names of channels of events that have the times of the triggers, each once."""
+    late: dict[str, None] = {}
+    for channel in events:
+        for note in trigger_notes(log.channels, channel):
+            if note.code == LATE_TRIGGER:
+                late[channel.name] = None
+    for note in log.ledger:
+        if note.code == LATE_TRIGGER:
+            late[note.where] = None
+    return list(late)
+
+
+def best_of(channels: list[Channel]) -> tuple[Channel, ...]:
+    """The channels of the lowest rank."""
+    lowest = min((channel.rank for channel in channels), default=0)
+    return tuple(channel for channel in channels if channel.rank == lowest)
+
+
+def questions_of_role(role: str, channels: tuple[Channel, ...], compartment: str) -> list[Proposed]:
+    """The questions about a role that several channels could play, or no channel.
+
+    Beside a barometer in a ``compartment`` a sensor may be that of the cabin: a second question.
+    """
+    able = [channel for channel in channels if role in channel.roles and channel.fits_role(role)]
+    candidates = best_of(able)
+    if not candidates:
+        remark = f"no channel of the log has the {role}; null where stations.trajectory gives it"
+        return [Proposed(role, TODO, remark)]
+    choices = " or ".join(channel.name + range_text(channel, role) for channel in candidates)
+    outside = Proposed(role, TODO, f"{choices}: the one outside; null to use none")
+    may_be_of_cabin = any(f"cabin_{role}" in channel.roles for channel in candidates)
+    if not compartment or not may_be_of_cabin:
+        return [outside]
+    remark = f"{choices}: the one in the compartment of {compartment}; null if there is none"
+    return [outside, Proposed(f"cabin_{role}", TODO, remark)]
+
+
+def range_text(channel: Channel, role: str) -> str:
+    """The range of a sensor's finite readings, in brackets; empty for other channels."""
+    column = ROLE_COLUMNS[role][0]
+    unit, factor, zero = words_of_proposals()["units"].get(column, ("", 1.0, 0.0))
+    values = channel[column]
+    values = values[np.isfinite(values)] / factor - zero
+    if not unit or not values.size:
+        return ""
+    return f" ({values.min():.0f} to {values.max():.0f} {unit})"

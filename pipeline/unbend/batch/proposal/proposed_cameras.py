@@ -1,0 +1,171 @@
+"""The cameras of a proposed mission file: their names, and the channels that fire them."""
+
+import json
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+
+from unbend.batch.proposal.values import Proposed, yaml_text
+from unbend.config.yaml_text import TODO
+from unbend.flight.channels import Channel
+from unbend.flight.image_names import NameSeries, name_series
+
+MOST_CAMERAS = 12  # more series of names than this are no cameras
+
+EventNumbers = Mapping[str, list[int]]
+"""The log's own number of each event, by channel."""
+
+
+@dataclass(frozen=True)
+class ProposedCamera:
+    """A camera with its exposures; ``block`` is its name in the block that has it."""
+
+    name: str
+    channel: Proposed | None = None
+    image: Proposed | None = None
+    block: str = ""
+
+
+@dataclass(frozen=True)
+class Numbering:
+    """How the numbers in the names of images follow the events of channels.
+
+    ``field`` is the field of a name pattern: ``index`` for the log's own numbers, ``n`` for
+    numbers counted from 1, ``*`` for neither. ``channels`` have such events.
+    """
+
+    field: str
+    channels: tuple[str, ...] = ()
+
+    def of_events(self, log_numbers: list[int]) -> Collection[int]:
+        """The numbers of events as names would have them."""
+        return range(1, len(log_numbers) + 1) if self.field == "n" else log_numbers
+
+
+def proposed_cameras(
+    channels: Sequence[Channel], images: tuple[str, ...], block_cameras: tuple[str, ...] = ()
+) -> list[ProposedCamera]:
+    """The cameras by the names of the images, each with the channel that counts as they do.
+
+    ``channels`` are those of exposures in the log, ``block_cameras`` the cameras of a block.
+    """
+    all_series = series_of_cameras(images, block_cameras, len(channels))
+    count = len(all_series) or len(block_cameras) or len(channels) or 1
+    names = names_of_cameras([series.camera for series in all_series] or [""] * count)
+    event_numbers = {c.name: c["event_index"].astype(int).tolist() for c in channels}
+    cameras = []
+    for number, name in enumerate(names):
+        channel = image = None
+        if channels and all_series:
+            channel = channel_of_series(number, all_series, event_numbers)
+            image = image_of_series(all_series[number], event_numbers)
+        elif channels:
+            channel = channel_of_camera(number, count, event_numbers)
+            remark = "names of its images; {index} is the log's number, as in IMG_{index:04d}.JPG"
+            image = Proposed("image", TODO, remark)
+        block = block_cameras[number] if len(block_cameras) == count else ""
+        cameras.append(ProposedCamera(name, channel, image, block))
+    return cameras
+
+
+def series_of_cameras(
+    images: tuple[str, ...], block_cameras: tuple[str, ...], channel_count: int
+) -> list[NameSeries]:
+    """A series of image names for each camera; none where names do not tell cameras apart."""
+    all_series = name_series(images)
+    if len(all_series) > max(MOST_CAMERAS, channel_count):
+        all_series = [NameSeries("", 0, "", (0,), has_number=False)]
+    if block_cameras and len(block_cameras) != len(all_series):
+        return []
+    return all_series
+
+
+def names_of_cameras(words: list[str]) -> list[str]:
+    """A name for each camera: its word, or ``camera`` with its number; each name once.
+
+    >>> names_of_cameras([""]), names_of_cameras(["nadir", "", "nadir"])
+    (['camera'], ['nadir', 'camera_2', 'nadir_3'])
+    """
+    names: list[str] = []
+    for number, word in enumerate(words, start=1):
+        name = word or ("camera" if len(words) == 1 else f"camera_{number}")
+        names.append(f"{name}_{number}" if name in names else name)
+    return names
+
+
+def numbering_of(series: NameSeries, event_numbers: EventNumbers) -> Numbering:
+    """How a series of names follows the events of a log.
+
+    The log's own numbers decide; where no channel has such numbers, a channel with as many events
+    as there are images; else the log's numbers that fit but for a few names.
+    """
+    by_index = [name for name, numbers in event_numbers.items() if series.counts_as(numbers)]
+    if by_index:
+        return Numbering("index", tuple(by_index))
+    counted = []
+    nearly = []
+    for name, numbers in event_numbers.items():
+        if series.counts_as(range(1, len(numbers) + 1)):
+            counted.append(name)
+        if series.strays(numbers):
+            nearly.append(name)
+    if counted:
+        return Numbering("n", tuple(counted))
+    if nearly:
+        return Numbering("index", tuple(nearly))
+    return Numbering("*")
+
+
+def channel_of_camera(number: int, count: int, event_numbers: EventNumbers) -> Proposed:
+    """The channel of a camera whose images have no known names: by the order of the channels."""
+    channels = list(event_numbers)
+    if count != len(channels):
+        return open_channel(channels, event_numbers)
+    remark = ""
+    if count > 1:
+        remark = "guessed: a camera for each channel; name it by the camera that is fired"
+    return Proposed("channel", yaml_text(channels[number]), remark)
+
+
+def channel_of_series(
+    number: int, all_series: list[NameSeries], event_numbers: EventNumbers
+) -> Proposed:
+    """The channel that fires the camera of a series of names; a question where several may."""
+    channels = list(event_numbers)
+    numbering = numbering_of(all_series[number], event_numbers)
+    fits = numbering.channels
+    others = all_series[:number] + all_series[number + 1 :]
+    has_rivals = False
+    for channel in fits:
+        numbers = numbering.of_events(event_numbers[channel])
+        for series in others:
+            if series.counts_as(numbers) or series.strays(numbers):
+                has_rivals = True
+    if len(fits) == 1 and not has_rivals:
+        return Proposed("channel", yaml_text(fits[0]))
+    if len(channels) == len(all_series) == 1:
+        return Proposed("channel", yaml_text(channels[0]))
+    return open_channel(fits or channels, event_numbers)
+
+
+def open_channel(channels: Sequence[str], event_numbers: EventNumbers) -> Proposed:
+    """The question which of some channels fires a camera."""
+    choices = [f"{channel} ({len(event_numbers[channel])} events)" for channel in channels]
+    return Proposed("channel", TODO, f"{' or '.join(choices)}: which of them fires this camera")
+
+
+def image_of_series(series: NameSeries, event_numbers: EventNumbers) -> Proposed:
+    """The pattern of the names of a series, with what speaks for it."""
+    numbering = numbering_of(series, event_numbers)
+    if numbering.channels:
+        strays = series.strays(event_numbers[numbering.channels[0]])
+        alike = [number for number in series.numbers if number not in strays]
+        count = f"{len(alike)} images count as the log does"
+        remark = f"guessed: {count}, {alike[0]} to {alike[-1]}"
+        if strays:
+            remark += f"; not {series.listed(strays)}"
+    else:
+        remark = f"numbers and tie points assign {len(series.numbers)} images"
+        if series.has_number:
+            remark += f"; or {series.pattern('index')}, if these are the log's numbers"
+    pattern = json.dumps(series.pattern(numbering.field), ensure_ascii=False)
+    return Proposed("image", pattern, remark)

@@ -1,0 +1,453 @@
+"""What a mission has of the air beside its log: soundings, reports, a weather model; checked."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unbend.atmosphere import surface_report
+from unbend.atmosphere.air_samples import AirSamples
+from unbend.atmosphere.climatology import Climatology, climatology, month_of
+from unbend.atmosphere.estimate.external_readings import TimeAndPlace, distance_notes
+from unbend.atmosphere.estimate.sensors import FAULT_TEXTS, SensorCalibration
+from unbend.atmosphere.estimate.state import SensorFault
+from unbend.atmosphere.refractive_index import IndexModel
+from unbend.atmosphere.series.profile_series import Place
+from unbend.atmosphere.series.time_windows import TimeWindow
+from unbend.atmosphere.soundings import Sounding
+from unbend.atmosphere.soundings.model_field import ModelField, model_column
+from unbend.atmosphere.surface_report import SurfaceReport
+from unbend.config import Mission
+from unbend.config.atmosphere import AtmosphereSection, SurfaceSection
+from unbend.flight.stations import NO_TIME, Stations
+from unbend.geodesy import longitudes_near
+from unbend.messages import Ledger
+from unbend.stages import messages
+from unbend.stages.flight_log import FlightLog, Track
+from unbend.stages.opened_inputs import OpenedInputs
+from unbend.tables.weather_files import FlightArea
+from unbend.units import DEGREE, HECTOPASCAL, ZERO_CELSIUS_K, Array, Integers, Mask
+
+BIN_M = 100.0  # of heights: a climb counts more than a long level run
+LIKELY_SIGMAS = 2.0  # that a value in another unit, or reduced, may be off
+FAHRENHEIT_SIGMAS = 2.5  # too warm by so much, in Fahrenheit right: it is Fahrenheit
+IMPOSSIBLE_SIGMAS = 4.0  # of a temperature: real soundings stay in 2.9
+QNH_SIGMAS = 3.0  # too high by so much, as QNH right: it is reduced to sea level
+IMPOSSIBLE_PRESSURE_SIGMAS = 5.0  # weather stays in 5
+ALWAYS_NS = 2**62  # before and after all times
+
+
+@dataclass(frozen=True, eq=False)
+class ModelAir:
+    """A weather model about a flight.
+
+    place : where and when the flight met the air that it measured.
+    column : the air of the model there.
+    track : where the flight was.
+    """
+
+    field: ModelField
+    column: Sounding
+    place: Place
+    track: Track | None
+
+    def place_of(self, samples: AirSamples | None, window: TimeWindow) -> Place:
+        """Where and when a part of the flight met the air from which its profile is estimated.
+
+        A part without an estimate of its own has the air, and the place, of the whole flight.
+        """
+        if samples is None or window.why_not:
+            return self.place
+        return sampled_place(samples, self.track, window.start_ns, window.end_ns) or self.place
+
+
+def read_model_air(
+    mission: Mission,
+    inputs: OpenedInputs,
+    flight: FlightLog,
+    stations: Stations,
+    samples: AirSamples,
+    *,
+    middle: TimeAndPlace,
+    ledger: Ledger,
+) -> ModelAir | None:
+    """The weather model of a mission; None where the mission names none.
+
+    ``middle`` is the middle of the flight. Refuses (`InputError`) a flight without a time or place,
+    and stations outside the area of the model.
+    """
+    model = inputs.weather_model
+    if model is None:
+        return None
+    if middle.time_ns is None or not math.isfinite(middle.latitude_rad + middle.longitude_rad):
+        raise messages.flight_without_time(where=model.name)
+    place = sampled_place(samples, flight.track)
+    if place is None:
+        place = middle.latitude_rad, middle.longitude_rad, middle.time_ns
+    placed = stations.ok & np.isfinite(stations.lat_rad + stations.lon_rad)
+    area = area_of_flight(stations, placed, place)
+    field = model.read(area, ledger)
+    field.refuse_outside(area.latitude_rad, area.longitude_rad)
+
+    ground_m = constant_ground_m(mission)
+    if ground_m is None:
+        ground_m = flight.heights.home_h_msl_m
+    if ground_m is None:
+        ground_m = math.nan
+    highest_m = float(stations.h_msl_m[placed].max(initial=0.0))
+    column = ledger.take(model_column(field, place, ground_h_m=ground_m, highest_h_m=highest_m))
+    latitude, longitude, time_ns = place
+    ledger.add(
+        messages.model_column(
+            where=model.name,
+            count=column.h_m.size,
+            low=float(column.h_m[0]),
+            high=float(column.h_m[-1]),
+            north=latitude / DEGREE,
+            east=longitude / DEGREE,
+            hours=TimeAndPlace(time_ns).hours_from(column.time_ns),
+        )
+    )
+    # It is the air where the flight met it: no distance adds to its errors.
+    column = replace(column, latitude_rad=middle.latitude_rad, longitude_rad=middle.longitude_rad)
+    return ModelAir(field, column, place, flight.track)
+
+
+def area_of_flight(stations: Stations, placed: Mask, place: Place) -> FlightArea:
+    """The ``placed`` stations (a mask), and ``place``, where the flight met its air."""
+    latitude, longitude, time_ns = place
+    times = stations.time_ns[placed]
+    times = np.where(times == NO_TIME, time_ns, times)
+    return FlightArea(
+        np.append(stations.lat_rad[placed], latitude),
+        longitudes_near(np.append(stations.lon_rad[placed], longitude), longitude),
+        np.append(times, time_ns),
+    )
+
+
+def sampled_place(
+    samples: AirSamples,
+    track: Track | None,
+    start_ns: int = -ALWAYS_NS,
+    end_ns: int = ALWAYS_NS,
+) -> Place | None:
+    """Latitude, longitude and time where a flight met the air that it measured between two times.
+
+    The mean over heights in bins of 100 m: a climb counts more than a long level run. None if no
+    air was measured then, or the flight has no positions.
+    """
+    if track is None:
+        return None
+    time_ns, latitude, longitude = track
+    known = np.isfinite(latitude + longitude)
+    used = used_samples(samples, start_ns, end_ns)
+    if used is None or not bool(known.any()):
+        return None
+    first_ns = int(time_ns[0])
+    sample_s = (used.time_ns - first_ns) * 1e-9
+    track_s = (time_ns[known] - first_ns) * 1e-9
+    east = longitudes_near(longitude[known], float(longitude[known][0]))
+    _, bin_number = np.unique(np.floor(used.h_m / BIN_M), return_inverse=True)
+    bin_count = np.bincount(bin_number)
+
+    def mean_of_bins(values: NDArray[np.floating[Any]]) -> float:
+        return float(np.mean(np.bincount(bin_number, values) / bin_count))
+
+    return (
+        mean_of_bins(np.interp(sample_s, track_s, latitude[known])),
+        mean_of_bins(np.interp(sample_s, track_s, east)),
+        first_ns + round(mean_of_bins(sample_s) * 1e9),
+    )
+
+
+class AcceptedSamples(NamedTuple):
+    """Times [Unix ns] and heights [m] of the samples of a sensor that are used, (n,)."""
+
+    time_ns: Integers
+    h_m: Array
+
+
+def used_samples(samples: AirSamples, start_ns: int, end_ns: int) -> AcceptedSamples | None:
+    """The used samples of the thermometer between two times, else of the barometer; or None."""
+    for sensor in (samples.temperature, samples.pressure):
+        if sensor is None:
+            continue
+        is_between = (sensor.time_ns >= start_ns) & (sensor.time_ns < end_ns)
+        rows = sensor.accepted & np.isfinite(sensor.h_m) & is_between
+        if bool(rows.any()):
+            return AcceptedSamples(sensor.time_ns[rows], sensor.h_m[rows])
+    return None
+
+
+def read_report(
+    section: SurfaceSection,
+    where: str,
+    flight_ns: int | None,
+    background: Climatology,
+    ledger: Ledger,
+) -> SurfaceReport:
+    """The report of a weather station, from its METAR or from numbers.
+
+    Refuses (``InputError``) values that the climatology of place and season rules out, such as a
+    temperature in Fahrenheit or a pressure reduced to sea level.
+    """
+    if section.metar is not None:
+        report = surface_report.parse_metar(
+            section.metar, section.h_msl_m, ledger, flight_ns=flight_ns, where=f"{where}.metar"
+        )
+    else:
+        report = surface_report.surface_report(
+            section.h_msl_m,
+            temperature_k=section.temperature_k,
+            pressure_pa=section.pressure_pa,
+            relative_humidity=section.humidity,
+            time_ns=section.time_ns,
+            where=where,
+        )
+    of_metar = section.metar is not None
+    refuse_impossible_temperature(report, background, where, of_metar=of_metar)
+    refuse_impossible_pressure(report, background, where, of_metar=of_metar)
+    distance_m = 1e3 * section.distance_km
+    return replace(report, distance_m=distance_m, across=section.across_coast_or_ridge)
+
+
+def refuse_impossible_temperature(
+    report: SurfaceReport, background: Climatology, where: str, *, of_metar: bool
+) -> None:
+    """Refuse a temperature that no season has, or that is usual if it was given in Fahrenheit.
+
+    A METAR is never in Fahrenheit.
+    """
+    celsius = report.temperature_k - ZERO_CELSIUS_K
+    from_fahrenheit = (celsius - 32.0) / 1.8
+    expected_k = float(background.profile.temperature(report.h_m))
+    sigma_k = float(background.spread.sigma_temperature(report.h_m))
+    departure = (report.temperature_k - expected_k) / sigma_k
+    as_fahrenheit = (from_fahrenheit + ZERO_CELSIUS_K - expected_k) / sigma_k
+    is_fahrenheit = departure > FAHRENHEIT_SIGMAS and abs(as_fahrenheit) < LIKELY_SIGMAS
+    mistaken = is_fahrenheit and not of_metar
+    if mistaken or abs(departure) > IMPOSSIBLE_SIGMAS:
+        rather = f"; {celsius:.1f} F would be {from_fahrenheit:.1f} C" if mistaken else ""
+        raise messages.surface_temperature_unlikely(
+            where=where,
+            celsius=celsius,
+            height_m=report.h_m,
+            sigmas=abs(departure),
+            expected_c=expected_k - ZERO_CELSIUS_K,
+            rather=rather,
+        )
+
+
+def refuse_impossible_pressure(
+    report: SurfaceReport, background: Climatology, where: str, *, of_metar: bool
+) -> None:
+    """Refuse a pressure that no weather has, or that is usual if it was reduced to sea level.
+
+    The pressure of a METAR is, and has been converted.
+    """
+    if not math.isfinite(report.pressure_pa):
+        return
+    expected_pa = float(background.profile.pressure(report.h_m))
+    sigma = background.sigma_log_pressure(report.h_m)
+    departure = math.log(report.pressure_pa / expected_pa) / sigma
+    reduced_pa = surface_report.station_pressure(report.pressure_pa, report.h_m)
+    as_qnh = math.log(reduced_pa / expected_pa) / sigma
+    mistaken = departure > QNH_SIGMAS and abs(as_qnh) < LIKELY_SIGMAS and not of_metar
+    if mistaken or abs(departure) > IMPOSSIBLE_PRESSURE_SIGMAS:
+        rather = f"; as QNH it would be {reduced_pa / HECTOPASCAL:.1f} hPa there"
+        raise messages.surface_pressure_unlikely(
+            where=where,
+            hpa=report.pressure_pa / HECTOPASCAL,
+            height_m=report.h_m,
+            sigmas=abs(departure),
+            expected_hpa=expected_pa / HECTOPASCAL,
+            rather=rather if mistaken else "",
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class AirSources:
+    """What a mission has of the air beside its log.
+
+    time_ns, longitude_rad : the middle of the flight.
+    lowest_h_m : the lowest height at which the log sampled the air, else that of the take-off,
+        else 0 [m above sea level].
+    calibration : the known errors of sensors.
+    """
+
+    background: Climatology
+    soundings: tuple[Sounding, ...] = ()
+    surface: tuple[SurfaceReport, ...] = ()
+    time_ns: int | None = None
+    longitude_rad: float = math.nan
+    lowest_h_m: float = 0.0
+    model: ModelAir | None = None
+    calibration: Mapping[SensorFault, SensorCalibration] = field(default_factory=dict)
+
+    def lines(self) -> list[tuple[str, str]]:
+        """A label and a description of each source, for `unbend check`."""
+        lines = [*map(line_of_sounding, self.soundings), *map(line_of_report, self.surface)]
+        background = self.background
+        lines.append(("climatology", f"{background.profile.name}, {background.origin}"))
+        if self.calibration:
+            lines.append(("sensors", describe_calibration(self.calibration)))
+        return lines
+
+
+def line_of_sounding(sounding: Sounding) -> tuple[str, str]:
+    """The label of a sounding, and its station, time and levels."""
+    time = ""
+    if sounding.time_ns is not None:
+        time = f" of {np.datetime64(sounding.time_ns, 'ns').astype('datetime64[m]')} UTC"
+    h_m = sounding.h_m
+    levels = f"{h_m.size} levels from {h_m[0]:.0f} to {h_m[-1]:.0f} m"
+    return sounding.kind, f"{sounding.station}{time}: {levels}, {sounding.origin}"
+
+
+def line_of_report(report: SurfaceReport) -> tuple[str, str]:
+    """The label of a surface report, and its values."""
+    values = {
+        "{:.1f} C": report.temperature_k - ZERO_CELSIUS_K,
+        "{:.1f} hPa": report.pressure_pa / HECTOPASCAL,
+        "vapour {:.1f} hPa": report.vapour_pressure_pa / HECTOPASCAL,
+    }
+    known = [text.format(value) for text, value in values.items() if np.isfinite(value)]
+    return "surface", f"{report.origin} at {report.h_m:.0f} m: {', '.join(known)}"
+
+
+def describe_calibration(calibration: Mapping[SensorFault, SensorCalibration]) -> str:
+    """Known mean and standard deviation of each sensor error, in words.
+
+    >>> describe_calibration({SensorFault.HYGROMETER_BIAS: SensorCalibration(0.01, 0.02)})
+    'hygrometer bias 0.01 ± 0.02'
+    """
+    parts = []
+    for fault, known in calibration.items():
+        mean = "" if known.mean is None else f" {known.mean:g}"
+        sigma = "" if known.sigma is None else f" ± {known.sigma:g}"
+        parts.append(f"{FAULT_TEXTS[fault]}{mean}{sigma}")
+    return ", ".join(parts)
+
+
+def read_air_sources(
+    mission: Mission,
+    inputs: OpenedInputs,
+    flight: FlightLog,
+    stations: Stations,
+    samples: AirSamples,
+    ledger: Ledger,
+) -> AirSources:
+    """Read soundings, surface reports and weather model of a mission; choose its climatology."""
+    section = mission.atmosphere
+    flight_ns = middle_exposure_ns(stations)
+    orientation = mission.stations.orientation
+    if flight_ns is None and orientation is not None:
+        flight_ns = orientation.date_ns
+    latitude = stations.mean_latitude_rad
+    known = stations.lon_rad[np.isfinite(stations.lon_rad)]
+    longitude = float(np.median(known)) if known.size else math.nan
+    lowest_h_m = lowest_sample_m(samples, flight.heights.home_h_msl_m)
+    background = climatology(
+        section.climatology,
+        latitude_rad=latitude,
+        month=month_of(flight_ns),
+        index=index_of(section),
+        ground_h_m=lowest_h_m,
+        longitude_rad=longitude if known.size else 0.0,
+    )
+    soundings = read_soundings(section, inputs, flight_ns, latitude, ledger)
+    surface = read_reports(section, flight_ns, background, ledger)
+    middle = TimeAndPlace(flight_ns, latitude, longitude)
+    model = read_model_air(mission, inputs, flight, stations, samples, middle=middle, ledger=ledger)
+    if model is not None:
+        soundings.append(model.column)
+    ledger.extend(distance_notes(tuple(soundings), surface, middle))
+    sources = AirSources(
+        background=background,
+        soundings=tuple(soundings),
+        surface=surface,
+        time_ns=flight_ns,
+        longitude_rad=longitude,
+        lowest_h_m=lowest_h_m,
+        model=model,
+        calibration=section.sensors.calibration,
+    )
+    if not section.adjust:
+        report_unused(sources, ledger)
+    return sources
+
+
+def read_reports(
+    section: AtmosphereSection, flight_ns: int | None, background: Climatology, ledger: Ledger
+) -> tuple[SurfaceReport, ...]:
+    """The reports of weather stations that a mission names."""
+    reports = []
+    for number, station in enumerate(section.surface):
+        where = f"atmosphere.surface[{number}]"
+        reports.append(read_report(station, where, flight_ns, background, ledger))
+    return tuple(reports)
+
+
+def read_soundings(
+    section: AtmosphereSection,
+    inputs: OpenedInputs,
+    flight_ns: int | None,
+    latitude_rad: float,
+    ledger: Ledger,
+) -> list[Sounding]:
+    """The soundings of a mission, those of several launches nearest in time to the flight."""
+    soundings = []
+    for read, of_file in zip(inputs.soundings, section.soundings, strict=True):
+        stated_m = of_file.station_h_msl_m
+        sounding = read(
+            ledger,
+            time_ns=flight_ns,
+            latitude_rad=latitude_rad,
+            station_h_m=math.nan if stated_m is None else stated_m,
+        )
+        soundings.append(replace(sounding, across=of_file.across_coast_or_ridge))
+    return soundings
+
+
+def report_unused(sources: AirSources, ledger: Ledger) -> None:
+    """A warning of sources that are named, where the air is not adjusted."""
+    if sources.soundings or sources.surface or sources.calibration:
+        ledger.add(
+            messages.air_sources_unused(
+                where="atmosphere",
+                soundings=len(sources.soundings),
+                surface=len(sources.surface),
+                calibrations=len(sources.calibration),
+            )
+        )
+
+
+def lowest_sample_m(samples: AirSamples, home_h_msl_m: float | None) -> float:
+    """The lowest height at which the air was sampled [m above sea level], else the take-off's."""
+    lowest = []
+    for sensor in (samples.pressure, samples.temperature, samples.humidity):
+        if sensor is None:
+            continue
+        heights = sensor.h_m[np.isfinite(sensor.h_m)]
+        if heights.size:
+            lowest.append(float(heights.min()))
+    return min(lowest, default=home_h_msl_m or 0.0)
+
+
+def middle_exposure_ns(stations: Stations) -> int | None:
+    """The time of the middle exposure [Unix ns]; None where no exposure has a time."""
+    times = np.sort(stations.time_ns[stations.time_ns != NO_TIME])
+    return int(times[times.size // 2]) if times.size else None
+
+
+def index_of(section: AtmosphereSection) -> IndexModel:
+    """The refractive index of air that a mission file states."""
+    return IndexModel(section.index, section.wavelength_m, section.co2_ppm)
+
+
+def constant_ground_m(mission: Mission) -> float | None:
+    """The height of the ground above sea level [m] that a mission file states for all points."""
+    return mission.ground.constant_m if mission.ground.reference == "msl" else None

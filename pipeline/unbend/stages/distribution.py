@@ -1,0 +1,102 @@
+"""Distributions of the magnitudes of a stream, in fixed memory."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from unbend.tables.manifest import DistributionRecord, HistogramRecord
+from unbend.units import Array, Integers, round_step
+
+_LOWEST_EXPONENT = -12  # of 10: the first bin; zero falls into it
+_HIGHEST_EXPONENT = 8
+_BINS_PER_DECADE = 500  # each is 0.46 % wide
+_BINS = (_HIGHEST_EXPONENT - _LOWEST_EXPONENT) * _BINS_PER_DECADE + 1
+
+
+@dataclass
+class Distribution:
+    """Distribution of non-negative magnitudes in logarithmic bins.
+
+    The maximum is exact; quantiles are good to 0.25 % of their value.
+
+    >>> distribution = Distribution()
+    >>> distribution.add(np.arange(1.0, 1000.0))
+    >>> abs(distribution.quantile(0.5) / 500.0 - 1.0) < 0.005, distribution.maximum
+    (True, 999.0)
+    """
+
+    counts: Integers = field(default_factory=lambda: np.zeros(_BINS, np.int64))
+    maximum: float = 0.0
+    total: int = 0
+
+    def add(self, values: Array) -> None:
+        """Count values; zero falls into the lowest bin, NaN into none."""
+        finite = np.isfinite(values)
+        values = values if finite.all() else values[finite]
+        if values.size == 0:
+            return
+        with np.errstate(divide="ignore"):
+            exponent = np.log10(values)  # minus infinity for zero
+        exponent -= _LOWEST_EXPONENT
+        exponent *= _BINS_PER_DECADE
+        np.clip(exponent, 0, self.counts.size - 1, out=exponent)
+        self.counts += np.bincount(exponent.astype(np.int64), minlength=self.counts.size)
+        self.maximum = max(self.maximum, float(values.max()))
+        self.total += values.size
+
+    def quantile(self, share: float) -> float | None:
+        """The value that a share of the values does not exceed; None without values."""
+        if self.total == 0:
+            return None
+        number = int(np.searchsorted(np.cumsum(self.counts), share * self.total))
+        if number == 0:
+            return 0.0
+        middle = float(middle_of_bins(np.array(number)))
+        return min(middle, self.maximum)
+
+    def __add__(self, other: Distribution) -> Distribution:
+        return Distribution(
+            counts=self.counts + other.counts,
+            maximum=max(self.maximum, other.maximum),
+            total=self.total + other.total,
+        )
+
+    def histogram(self, bins: int = 24) -> HistogramRecord:
+        """Counts in at most ``bins`` bins from zero, steps of 1, 2 or 5; values 0.25 % off at most.
+
+        >>> distribution = Distribution()
+        >>> distribution.add(np.array([0.1, 2.5, 2.6, 9.9]))
+        >>> distribution.histogram(10)
+        HistogramRecord(step=1.0, counts=[1, 0, 2, 0, 0, 0, 0, 0, 0, 1])
+        """
+        if self.maximum <= 0.0:
+            return HistogramRecord(1.0, [self.total] if self.total else [])
+        step = round_step(self.maximum / bins)
+        filled = np.flatnonzero(self.counts)
+        below_maximum = self.maximum * (1.0 - 1e-12)
+        values = np.minimum(middle_of_bins(filled), below_maximum)
+        number = (values / step).astype(np.int64)
+        counts = np.bincount(number, self.counts[filled]).astype(np.int64)
+        return HistogramRecord(step, counts.tolist())
+
+    def summary(self) -> DistributionRecord:
+        """Count, median, 95 % and maximum, for the manifest."""
+        return DistributionRecord(
+            count=self.total,
+            median=to_three_digits(self.quantile(0.5)),
+            p95=to_three_digits(self.quantile(0.95)),
+            maximum=float(f"{self.maximum:.6g}") if self.total else None,
+        )
+
+
+def middle_of_bins(number: Integers) -> Array:
+    """The middle value of bins, by their numbers."""
+    exponent = (number + 0.5) / _BINS_PER_DECADE + _LOWEST_EXPONENT
+    return np.asarray(10.0**exponent)
+
+
+def to_three_digits(value: float | None) -> float | None:
+    """A number rounded to three digits."""
+    return None if value is None else float(f"{value:.3g}")

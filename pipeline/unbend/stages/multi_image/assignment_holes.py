@@ -1,0 +1,132 @@
+"""Whether an event or an image is missing in between, so that a part of the images is shifted."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from itertools import product
+
+import numpy as np
+
+from unbend.block.alignment import LOG_RATIO_NEEDED
+from unbend.block.assignment import Assignment
+from unbend.flight.exposures import Events
+from unbend.stages.multi_image.assignment_likelihoods import (
+    TIES,
+    Likelihood,
+    TieLikelihood,
+    evenly_spaced_of,
+)
+from unbend.stages.multi_image.camera_images import CameraImages
+from unbend.units import Integers
+
+LARGEST_HOLE = 12  # events that a log may lack between two images
+PLACES_OF_HOLES = 20  # that are looked at
+
+
+def hole_between(
+    assignment: Assignment,
+    images: CameraImages,
+    exposed: Events,
+    likelihoods: Mapping[str, Likelihood],
+) -> str:
+    """What shows that an event or an image is missing in between, in words; empty if nothing.
+
+    After a missing one all images up to the end would belong to other events than assigned.
+    """
+    if "times" in assignment.evidence:
+        return ""
+    images_count = images.name.size
+    events_count = exposed.time_ns.size
+    counted = images.numbering == "counted"
+    last = int(images.number.max()) if counted else images_count
+    lost = last > events_count or (exposed.lost > 0 and not likelihoods)
+    if lost and "first_image" not in assignment.evidence:
+        if counted:
+            return f"{events_count} events for images counted up to {last}: some were lost"
+        return (
+            f"{events_count} events for {images_count} images, and nothing shows where the log "
+            "lacks one"
+        )
+    if not likelihoods:
+        return ""
+    order = np.argsort(images.number, kind="stable")
+    for place in places_of_holes(assignment, order, likelihoods):
+        if is_shifted(
+            assignment, images, order, place, events_count=events_count, likelihoods=likelihoods
+        ):
+            return f"one is missing near {images.name[order[place]]}"
+    return ""
+
+
+def places_of_holes(
+    assignment: Assignment, order: Integers, likelihoods: Mapping[str, Likelihood]
+) -> list[int]:
+    """Places in the ``order`` of the images before which one may be missing.
+
+    With tie points they are those beside images that do not fit the others; else evenly spaced.
+    """
+    places = np.linspace(1, order.size - 1, PLACES_OF_HOLES).astype(int)
+    ties = likelihoods.get(TIES)
+    if isinstance(ties, TieLikelihood):
+        rank = np.flatnonzero(np.isin(order, ties.contradicted(assignment.event)))
+        places = np.concatenate([rank, rank + 1])
+        if places.size:
+            places = evenly_spaced_of(places, PLACES_OF_HOLES)
+    inside = (places > 0) & (places < order.size)
+    return [int(place) for place in np.unique(places[inside])]
+
+
+def is_shifted(
+    assignment: Assignment,
+    images: CameraImages,
+    order: Integers,
+    place: int,
+    *,
+    events_count: int,
+    likelihoods: Mapping[str, Likelihood],
+) -> bool:
+    """Whether images before a place in their order, or from it on, fit far better shifted.
+
+    Shifted by 1 to 12 events, or by as many as there are more events than images. Tie points
+    count if images on both sides of the place show them.
+    """
+    across_place: list[Likelihood] = []
+    for likelihood in likelihoods.values():
+        if isinstance(likelihood, TieLikelihood):
+            across_place.append(likelihood.across(order[:place]))
+        else:
+            across_place.append(likelihood)
+
+    def joint_likelihood(event: Integers) -> float:
+        return sum(likelihood(event) for likelihood in across_place)
+
+    needed = joint_likelihood(assignment.event) + LOG_RATIO_NEEDED
+    shifted_parts = shifted_assignments(assignment, images, order, place, events_count=events_count)
+    return any(joint_likelihood(event) > needed for event in shifted_parts)
+
+
+def shifted_assignments(
+    assignment: Assignment,
+    images: CameraImages,
+    order: Integers,
+    place: int,
+    *,
+    events_count: int,
+) -> Iterator[Integers]:
+    """Assignments (k,) with the images before a place in their order, or from it on, shifted.
+
+    An image that would be shifted beyond the events has none (-1). A shift that leaves fewer than
+    half of the images an event is left out.
+    """
+    event = assignment.event
+    offset = int(np.median((event - images.number)[event >= 0]))
+    surplus = max(2, abs(events_count - order.size))
+    sizes = {*range(1, min(surplus, LARGEST_HOLE) + 1), surplus}
+    shifts = [sign * size for size in sizes for sign in (-1, 1)]
+    for rows, shift in product((order[:place], order[place:]), shifts):
+        moved = images.number[rows] + offset + shift
+        is_event = (moved >= 0) & (moved < events_count)
+        if 2 * is_event.sum() >= rows.size:
+            shifted = event.copy()
+            shifted[rows] = np.where(is_event, moved, -1)
+            yield shifted
