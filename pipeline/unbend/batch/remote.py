@@ -143,16 +143,11 @@ _NEVER = {"e_tag": '"00000000000000000000000000000000"', "version": "1"}
 """A version that no object has."""
 
 
-<<<<<<< HEAD
 def read_manifest(place: Place, *, damaged: bool = False) -> Manifest | None:
-    """The manifest published at a place; None where there is none, or ``damaged`` a damaged one."""
-=======
-def read_manifest(place: Place, *, damaged: bool = False) -> dict[str, Any] | None:
     """The manifest published at a place; None without a manifest.
 
     A damaged manifest is refused; with ``damaged`` it counts as none.
     """
->>>>>>> stages
     file = place / MANIFEST
     content = file.read()[0]
     if content is None:
@@ -170,24 +165,14 @@ def attempt_of(place: Place, manifest: Manifest) -> Place:
     return place / f"attempts/{manifest.run.attempt}"
 
 
-<<<<<<< HEAD
 def copy_of_attempt(place: Place, manifest: Manifest) -> Path:
-    """A copy of the files of a published run; FileNotFoundError where they are gone."""
-=======
-def copy_of_attempt(place: Place, manifest: dict[str, Any]) -> Path:
     """A copy of the files of a published run; raises FileNotFoundError if they are gone."""
->>>>>>> stages
     attempt = Place.of(f"{attempt_of(place, manifest)}/")
     return fetch(look_up(attempt))
 
 
-<<<<<<< HEAD
 def find_damage(place: Place, manifest: Manifest, *, read: bool = True) -> list[str]:
-    """What is missing or changed of a published run; without ``read`` no content is looked at.
-=======
-def find_damage(place: Place, manifest: dict[str, Any], *, read: bool = True) -> list[str]:
     """Names of what is missing or changed of a published run.
->>>>>>> stages
 
     Without ``read`` only sizes are looked at: no file of an attempt is written twice.
     """
@@ -240,15 +225,8 @@ class Publication:
         self._run_version = self._run.read()[1]
         self._before = read_manifest(place, damaged=True)
 
-<<<<<<< HEAD
     def publish(self, folder: Path, manifest: Manifest, advance: Callable[[int], None]) -> Manifest:
-        """Upload the results of a folder and publish them; the manifest that is then there.
-=======
-    def publish(
-        self, folder: Path, manifest: dict[str, Any], advance: Callable[[int], None]
-    ) -> dict[str, Any]:
         """Upload the results of a folder and publish them; returns the manifest that is then there.
->>>>>>> stages
 
         Of several writers of the same run the first wins; the others return the manifest of the
         first. Refuses (OutputInUseError) if another run was published since. ``advance`` is called
@@ -289,13 +267,8 @@ class Publication:
                 url=str(self._place), verb="write", answer=", ".join(damage)
             )
 
-<<<<<<< HEAD
     def _of_another_writer(self) -> Manifest | None:
-        """The manifest of the same run by a faster writer; None where that did not publish it."""
-=======
-    def _of_another_writer(self) -> dict[str, Any] | None:
         """The manifest of the same run by a faster writer; None if not published in 10 s."""
->>>>>>> stages
         deadline = time.monotonic() + _WAIT_S
         while time.monotonic() < deadline:
             now = read_manifest(self._place, damaged=True)
@@ -305,13 +278,8 @@ class Publication:
             time.sleep(0.2)
         return None
 
-<<<<<<< HEAD
     def _remove_former(self, published: Manifest) -> None:
-        """Remove what was published before, where something else is now."""
-=======
-    def _remove_former(self, published: dict[str, Any]) -> None:
         """Remove what was published before, if something else is published now."""
->>>>>>> stages
         before = self._before
         if before is None or before.run.attempt == published.run.attempt:
             return
@@ -377,25 +345,15 @@ class _Leftovers:
         for group in foreign:
             del self.groups[group]
 
-<<<<<<< HEAD
-    def _kept(self, start: str) -> tuple[str, ...]:
-        """Attempt and fingerprint of what is published; read after the listing."""
-        if start not in self._published:
-            now = read_manifest(self._place / start)
-            known = () if now is None else (now.run.attempt, now.run.fingerprint)
-            self._published[start] = known
-        return self._published[start]
-=======
     def _is_published(self, match: re.Match[str]) -> bool:
         """Whether a published manifest names the attempt or the run of an object.
->>>>>>> stages
 
         The manifest is read after the objects were listed, so that it names all that are in use.
         """
         start = match["start"]
         if start not in self._published:
             manifest = read_manifest(self._place / start)
-            names = () if manifest is None else (manifest["attempt"], manifest["fingerprint"])
+            names = () if manifest is None else (manifest.run.attempt, manifest.run.fingerprint)
             self._published[start] = names
         return (match["attempt"] or match["run"]) in self._published[start]
 

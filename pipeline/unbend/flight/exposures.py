@@ -255,12 +255,6 @@ class _Span:
 
 
 def span_notes(events: list[Events], position: Channel, key: str) -> Notes:
-<<<<<<< HEAD
-    """Warn of events beyond the time of the flight, with a shift by which they would fit.
-
-    ``position`` gives the time of the flight; ``key`` says where the mission file states the times
-    of the events. Refuses (MissionError EVENTS-SPAN) where more than half of them lie beyond it.
-=======
     """Events beyond the time of the flight: a warning, with a shift that would help.
 
     Tried are leap seconds, time zones, a day and a week: the first of these that brings all events
@@ -268,7 +262,6 @@ def span_notes(events: list[Events], position: Channel, key: str) -> Notes:
     flight begin together; that shift is named if it brings more events into the flight. ``key``
     says where the times are stated. Refuses (MissionError EVENTS-SPAN) events more than half of
     which lie beyond the flight.
->>>>>>> stages
     """
     times = [exposed.time_ns for exposed in events]
     time_ns = np.sort(np.concatenate([np.empty(0, np.int64), *times]))
@@ -279,36 +272,16 @@ def span_notes(events: list[Events], position: Channel, key: str) -> Notes:
     beyond = span_of_flight.count_outside(time_ns)
     if beyond == 0:
         return ()
-<<<<<<< HEAD
     shift_ns = _fitting_shift(span_of_events, span_of_flight)
     still_beyond = span_of_flight.count_outside(time_ns + shift_ns)
-    fitting = "no offset would bring more of them"
-    if still_beyond < beyond:
-        brought = f"{time_ns.size - still_beyond}" if still_beyond else "all"
-        fitting = f"{shift_ns * 1e-9:+.6g} s would bring {brought} of them"
-    events_beyond = messages.BeyondFlight(
-=======
-    shift_ns = _fitting_shift(of_events, of_flight)
-    left = of_flight.count_outside(time_ns + shift_ns)
     fitting = (
         "neither leap seconds, a time zone, a day nor a week would bring all of them into it, and "
         "a common begin brings no more of them"
     )
-    if left < beyond:
-        brought = f"{time_ns.size - left}" if left else "all"
+    if still_beyond < beyond:
+        brought = f"{time_ns.size - still_beyond}" if still_beyond else "all"
         fitting = f"{shift_ns * 1e-9:+.6g} s would bring {brought} of them into it"
-    if 2 * beyond > time_ns.size:
-        raise messages.most_events_beyond_flight(
-            key=key,
-            beyond=beyond,
-            total=time_ns.size,
-            of_events=str(of_events),
-            channel=position.name,
-            of_flight=str(of_flight),
-            fitting=fitting,
-        )
-    warning = messages.events_beyond_flight(
->>>>>>> stages
+    events_beyond = messages.BeyondFlight(
         key=key,
         beyond=beyond,
         total=time_ns.size,

@@ -670,7 +670,6 @@ _ONE_BEYOND_FLIGHT = (
 )
 
 
-<<<<<<< HEAD
 @dataclass(frozen=True)
 class BeyondFlight:
     """Events beyond the time of a flight."""
@@ -686,19 +685,6 @@ class BeyondFlight:
 
 def events_beyond_flight(events: BeyondFlight) -> Message:
     """Few events beyond the time of the flight, and the shift by which they would fit."""
-=======
-def events_beyond_flight(
-    *,
-    key: str,
-    beyond: int,
-    total: int,
-    of_events: str,
-    channel: str,
-    of_flight: str,
-    fitting: str,
-) -> Message:
-    """Few events lie beyond the time of the flight; ``fitting`` says which shift would help."""
->>>>>>> stages
     return warning(
         EVENTS_SPAN,
         _BEYOND_FLIGHT,

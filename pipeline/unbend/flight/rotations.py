@@ -8,6 +8,7 @@ the frame: ``M = Rx(omega) Ry(phi) Rz(kappa)``. Textbooks that turn from the fra
 print its transpose (Wolf and Dewitt 2000, Appendix C): the angles are the same.
 """
 
+import warnings
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Literal
 
@@ -233,7 +234,10 @@ def _euler_angles(axes: _Axes, matrix: Array) -> Array:
     """(n, 3) angles [rad] about these axes of (n, 3, 3) matrices; inverse of `_euler_matrices`."""
 
     def angles_of(known: Array) -> Array:
-        return _rotation().from_matrix(known).as_euler(axes, suppress_warnings=True)
+        with warnings.catch_warnings():
+            # Where the first and third axis coincide, one of their angles is taken as zero.
+            warnings.simplefilter("ignore", UserWarning)
+            return _rotation().from_matrix(known).as_euler(axes)
 
     return _where_known(angles_of, matrix, (3,))
 

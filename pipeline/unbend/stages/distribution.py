@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from unbend.tables.manifest import DistributionRecord, HistogramRecord
+from unbend.tables.manifest.results import DistributionRecord, HistogramRecord
 from unbend.units import Array, Integers, round_step
 
 _LOWEST_EXPONENT = -12  # of 10: the first bin; zero falls into it

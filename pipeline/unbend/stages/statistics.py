@@ -17,12 +17,8 @@ from unbend.refraction.camera.camera import Camera
 from unbend.refraction.image import Corrections
 from unbend.refraction.status_codes import OK, STATUS_NAMES
 from unbend.stages import messages
-<<<<<<< HEAD
-from unbend.tables.manifest.results import (
-=======
 from unbend.stages.distribution import Distribution
-from unbend.tables.manifest import (
->>>>>>> stages
+from unbend.tables.manifest.results import (
     CameraShifts,
     CorrectionRecord,
     GroundHeightsRecord,

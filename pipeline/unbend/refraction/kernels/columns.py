@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import NDArray
 
 from unbend.units import Array, Integers, Mask, Rows
 
@@ -129,17 +129,17 @@ def observation_columns(
     Kernels are compiled for types, and a read-only array is a type of its own.
     """
     return ObservationColumns(
-        x=_writable(x, np.float64),
-        y=_writable(y, np.float64),
-        h_g=_writable(h_g, np.float64),
-        sigma_h_g=_writable(sigma_h_g, np.float64),
-        exposure=_writable(exposure, np.int64),
+        x=_writable(x),
+        y=_writable(y),
+        h_g=_writable(h_g),
+        sigma_h_g=_writable(sigma_h_g),
+        exposure=np.require(exposure, np.int64, ["C_CONTIGUOUS", "WRITEABLE"]),
     )
 
 
-def _writable(values: Array | Integers, dtype: DTypeLike) -> NDArray[Any]:
+def _writable(values: Array) -> Array:
     """The values in one piece that may be written to: themselves where they are that."""
-    return np.require(values, dtype, ["C_CONTIGUOUS", "WRITEABLE"])
+    return np.require(values, np.float64, ["C_CONTIGUOUS", "WRITEABLE"])
 
 
 class OutgoingRays(NamedTuple):

@@ -64,17 +64,10 @@ class ControlComparison:
         return np.asarray(np.sqrt(np.mean(values[self.used] ** 2, axis=0)))
 
     def part_explained(self) -> float:
-<<<<<<< HEAD
-        """The part of the mean square of what points missed that the correction takes away."""
-        before = float(np.sum(self.rms(self.before) ** 2))
-        after = float(np.sum(self.rms(self.after) ** 2))
-        return 1.0 - after / before
-=======
         """The part of the mean square distance to the control that the correction takes away."""
         before_m2 = float(np.sum(self.rms(self.before) ** 2))
         after_m2 = float(np.sum(self.rms(self.after) ** 2))
         return 1.0 - after_m2 / before_m2
->>>>>>> stages
 
     def record(self) -> ControlRecord:
         """The record for the manifest, to tenths of a millimetre."""

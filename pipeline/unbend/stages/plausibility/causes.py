@@ -75,16 +75,11 @@ def cause_of_misses(facts: Facts) -> str:
 
 
 def cause_of_outside(facts: Facts, outside: Mask) -> str:
-<<<<<<< HEAD
     """Why pixels are outside a camera.
 
     They are beyond the image or beyond what the distortion allows, their rays do not pass the
-    window, or refraction, where it is applied, displaces them out of the image.
-=======
-    """Why pixels are outside a camera: beyond its image, or where its distortion has no inverse.
-
-    ``outside`` (n,) are the rows of such pixels.
->>>>>>> stages
+    window, or refraction, where it is applied, displaces them out of the image. ``outside`` (n,)
+    are the rows of such pixels.
     """
     causes = []
     for name in np.unique(facts.camera[outside]).tolist():
