@@ -125,6 +125,7 @@ def assigned_events(
         return AssignedEvents.of(exposed, all_rows if has_names else all_rows[:0]), ()
 
     # How the numbers in names count.
+    images_as_given = images
     if is_counted(exposed, images):
         images = replace(images, numbering="counted")
         has_names = False
@@ -142,7 +143,7 @@ def assigned_events(
     if isinstance(ties, TieLikelihood) and not ties.fits(assignment.event):
         # No assignment lets the rays meet: mounts, cameras or times are wrong, not the events.
         without_ties = {name: f for name, f in likelihoods.items() if name != TIES}
-        return assigned_events(exposed, images, files, anchor, without_ties)
+        return assigned_events(exposed, images_as_given, files, anchor, without_ties)
     undecided = assignment.ambiguous
     event = assignment.event
     if by_index:
