@@ -9,6 +9,7 @@ import pytest
 
 from unbend.block.alignment import LOG_RATIO_NEEDED
 from unbend.flight.stations import STATION_OK, empty_stations
+from unbend.geodesy import wrapped
 from unbend.stages.multi_image.assignment_likelihoods import position_likelihood
 from unbend.stages.multi_image.camera_images import CameraImages
 from unbend.tables.imports.exif import NO_TIME, ImageTimes
@@ -16,7 +17,7 @@ from unbend.tables.imports.exif import NO_TIME, ImageTimes
 A, SPEED, INTERVAL = 6.37e6, 20.0, 1.5
 
 
-def flown(lines: int, per_line: int = 30):
+def flown(lines: int, per_line: int = 30, *, lon_rad: float = 0.1):
     """North of exposures on lines to and fro, 60 m apart, 30 m from one to the next."""
     along = np.arange(per_line) * SPEED * INTERVAL
     north = np.concatenate([along if k % 2 == 0 else along[::-1] for k in range(lines)])
@@ -28,22 +29,29 @@ def flown(lines: int, per_line: int = 30):
             stations,
             time_ns=(np.arange(n) * INTERVAL * 1e9).astype(np.int64),
             lat_rad=0.8 + north / A,
-            lon_rad=0.1 + east / A / np.cos(0.8),
+            lon_rad=wrapped(lon_rad + east / A / np.cos(0.8)),
         ),
         north,
         east,
     )
 
 
-def likelihood(lines: int, *, first: int = 5, stale_s: float = 0.7, known: float = 1.0):
+def likelihood(
+    lines: int,
+    *,
+    first: int = 5,
+    stale_s: float = 0.7,
+    known: float = 1.0,
+    lon_rad: float = 0.1,
+):
     """Of images of the events from ``first`` on, their positions by a receiver's last fix."""
-    stations, north, east = flown(lines)
+    stations, north, east = flown(lines, lon_rad=lon_rad)
     rng = np.random.default_rng(3)
     images = north.size - first
     heading = np.sign(np.gradient(north))[first:]
     written = np.stack([
         0.8 + (north[first:] - heading * SPEED * stale_s + rng.normal(0, 4, images)) / A,
-        0.1 + (east[first:] + 3.0 + rng.normal(0, 4, images)) / A / np.cos(0.8),
+        wrapped(lon_rad + (east[first:] + 3.0 + rng.normal(0, 4, images)) / A / np.cos(0.8)),
         np.zeros(images),
     ], axis=1)  # fmt: skip
     written[rng.random(images) >= known] = np.nan
@@ -58,6 +66,13 @@ def likelihood(lines: int, *, first: int = 5, stale_s: float = 0.7, known: float
 def test_lines_to_and_fro_decide_though_the_fixes_are_stale(shift):
     function, row = likelihood(4)
     assert function(row + 5) > function(np.minimum(row + 5 + shift, 119)) + LOG_RATIO_NEEDED
+
+
+def test_across_180_degrees_they_say_the_same():
+    function, row = likelihood(4)
+    across, _ = likelihood(4, lon_rad=np.pi - 5e-6)  # 32 m before it at the equator
+    for shift in (0, 1):
+        assert across(row + 5 - shift) == pytest.approx(function(row + 5 - shift), rel=1e-4)
 
 
 def test_one_line_decides_nothing_that_a_delay_explains():

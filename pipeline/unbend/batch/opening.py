@@ -106,15 +106,20 @@ def decode_log(mission: Mission, paths: Paths, sha256: str | None) -> Log | None
     return open_log(paths["log"], sha256)
 
 
-def paths_beside_tables(mission: Mission, folder: Path) -> tuple[Mission, dict[str, Path]]:
-    """A mission whose observations and orientations are in memory, and where its other inputs are.
+_NOT_IN_FILES = ("log", "observations", "orientation")
+"""Roles of inputs that a mission with tables in memory has not, or not in a file."""
 
-    The mission comes with what the files of its cameras say. Refuses (INPUT-MISSING) what is not
-    there; an input in object storage is copied.
+
+def paths_beside_tables(mission: Mission, folder: Path) -> tuple[Mission, dict[str, Path]]:
+    """Where the files are of a mission whose observations and orientations are in memory.
+
+    Returned before the paths by role is the mission with what the files of its cameras say. Such a
+    mission has no log. Refuses (INPUT-MISSING) what is not there; an input in object storage is
+    copied.
     """
     paths = {}
     for named in named_inputs(mission):
-        if named.role in ("log", "observations", "orientation"):
+        if named.role in _NOT_IN_FILES:
             continue
         place = located(named.name, folder)
         if isinstance(place, Place):

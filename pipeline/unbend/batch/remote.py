@@ -139,6 +139,7 @@ _WAIT_S = 10.0
 
 _CLOCK_TOLERANCE = timedelta(minutes=15)  # beyond it stores take no signature
 
+_IF_ABSENT = None  # the condition of a write: that there is no object yet
 _NEVER = {"e_tag": '"00000000000000000000000000000000"', "version": "1"}
 """A version that no object has."""
 
@@ -198,7 +199,9 @@ def rehearse(place: Place, *, writes: bool = False) -> None:
     try:
         heeds_conditions = not probe.put(content, _NEVER)
         if heeds_conditions and writes:
-            heeds_conditions = probe.put(content, None) and not probe.put(content, None)
+            is_created = probe.put(content, _IF_ABSENT)
+            is_created_again = probe.put(content, _IF_ABSENT)
+            heeds_conditions = is_created and not is_created_again
             clock_error = abs(datetime.now(UTC) - probe.head()["last_modified"])
             if clock_error > _CLOCK_TOLERANCE:
                 raise messages.wrong_clock(url=str(place), answer=f"off by {clock_error}")

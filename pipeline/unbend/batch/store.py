@@ -351,7 +351,7 @@ def _undo_commit(path: Path, receipts: set[str]) -> None:
         if part.name in receipts and not staged.exists():
             staged.parent.mkdir(exist_ok=True)
             replace_file(part, staged)
-        part.unlink(missing_ok=True)
+        part.unlink(missing_ok=True)  # gone already if it was staged
     for name in _RESULTS:
         if name != _PARTS:
             (path / name).unlink(missing_ok=True)

@@ -369,19 +369,19 @@ class SensorsSection(Section):
 
     @property
     def calibration(self) -> dict[SensorFault, SensorCalibration]:
-        """By sensor fault, in SI."""
+        """The stated calibrations by sensor fault, in SI units."""
         stated = {}
-        for fault, (sensor, key, unit) in CALIBRATION_KEYS.items():
+        for fault, (sensor, key, si_per_unit) in CALIBRATION_KEYS.items():
             section = getattr(self, sensor)
-            mean = getattr(section, key, None)
+            mean = getattr(section, key, None)  # some faults have a key of their sigma alone
             sigma = getattr(section, f"sigma_{key}")
             if mean is None and sigma is None:
                 continue
-            key_of_path = key if mean is not None else f"sigma_{key}"
+            stated_key = key if mean is not None else f"sigma_{key}"
             stated[fault] = SensorCalibration(
-                None if mean is None else unit * mean,
-                None if sigma is None else unit * sigma,
-                path=f"atmosphere.sensors.{sensor}.{key_of_path}",
+                None if mean is None else si_per_unit * mean,
+                None if sigma is None else si_per_unit * sigma,
+                path=f"atmosphere.sensors.{sensor}.{stated_key}",
             )
         return stated
 

@@ -22,7 +22,7 @@ INTERIOR_ORIENTATION = {
 def with_block(values: dict[str, Any]) -> dict[str, Any]:
     """The values of a mission file, with the cameras and orientations of its block of observations.
 
-    ``values`` were not checked before: whatever is none of the sections that it looks at stays.
+    ``values`` are unchecked: a section that is no mapping is left as it is, to be refused later.
     """
     observations = values.get("observations")
     if not isinstance(observations, dict) or not is_block(observations.get("format")):
@@ -35,16 +35,30 @@ def with_block(values: dict[str, Any]) -> dict[str, Any]:
     stations = values.get("stations")
     if stations is None:
         stations = {}
-    if not isinstance(stations, dict):
-        return filled
-    others_give_stations = values.get("log") or values.get("events") or stations.get("trajectory")
-    orientation = stations.get("orientation")
-    if "orientation" not in stations and not others_give_stations:
-        orientation = {}  # nothing else gives stations: all of it is the block's
-    if isinstance(orientation, dict) and "path" not in orientation:
-        of_block = {"path": block["file"], "format": block["format"]}
-        filled["stations"] = stations | {"orientation": of_block | orientation}
+    if isinstance(stations, dict):
+        others_give_stations = values.get("log") or values.get("events")
+        filled["stations"] = _with_orientation(stations, block, alone=not others_give_stations)
     return filled
+
+
+def _with_orientation(
+    stations: dict[str, Any], block: dict[str, Any], *, alone: bool
+) -> dict[str, Any]:
+    """The section of stations, whose orientation is the block's unless it has a path of its own.
+
+    Without the key of an orientation it is the block's only where nothing else gives stations:
+    ``alone``, and no trajectory.
+    """
+    if "orientation" in stations:
+        orientation = stations["orientation"]
+    elif alone and not stations.get("trajectory"):
+        orientation = {}
+    else:
+        return stations
+    if not isinstance(orientation, dict) or "path" in orientation:
+        return stations
+    of_block = {"path": block["file"], "format": block["format"]}
+    return stations | {"orientation": of_block | orientation}
 
 
 def _with_cameras(cameras: dict[str, Any], block: dict[str, Any]) -> dict[str, Any]:

@@ -234,12 +234,12 @@ class CameraSection(Section):
         if self.file is not None:
             ways.append("file")
         if self.model is not None:
-            ways += ["model", "params"]
+            ways.append("model, params")
         if self.metric is not None:
             ways.append("metric")
         if self._states_numbers:
             ways.append("f_px, cx_px, distortion")
-        if len(ways) > 1 and ways != ["model", "params"]:
+        if len(ways) > 1:
             given = ", ".join(ways)
             raise SectionError(f"{given}: each gives the interior orientation; keep one")
         format_without_file = self.file is None and self.format is not None

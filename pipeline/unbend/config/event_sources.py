@@ -15,17 +15,20 @@ _NUMBER_FORMAT = re.compile(r"^0?[0-9]{0,2}d?$")
 
 
 def image_pattern(value: str) -> str:
-    """A pattern of the names of images, once it is one."""
+    """Check a pattern of the names of images, and return it as it is."""
     try:
         pieces = list(string.Formatter().parse(value))
     except ValueError as error:
         raise SectionError(f"is not a pattern with {{index}} or {{n}} ({error})") from None
-    fields = [piece[1:] for piece in pieces if piece[1] is not None]
-    for name, code, conversion in fields:
-        is_number = _NUMBER_FORMAT.match(code or "")
+    names = []
+    for _, name, number_format, conversion in pieces:
+        if name is None:  # text behind the last field
+            continue
+        is_number = _NUMBER_FORMAT.match(number_format or "")
         if name not in ("index", "n") or conversion or not is_number:
             raise SectionError("is not a pattern with {index} or {n}, as in IMG_{index:05d}.tif")
-    if not fields and "*" not in value:
+        names.append(name)
+    if not names and "*" not in value:
         raise SectionError("gives every exposure the same name; put {index}, {n} or * into it")
     return value
 

@@ -245,8 +245,8 @@ class Mission(Section):
                 needed = {"attitude"}
             if not needed <= set(trajectory.replaces):
                 raise SectionError(
-                    "stations.trajectory.replaces leaves to the log what there is no log for: "
-                    "leave it out"
+                    "there is no log, so the trajectory gives all that it has: remove the key "
+                    "stations.trajectory.replaces"
                 )
         if orientation is None and self.events is None:
             raise SectionError("events is missing, and there is no stations.orientation")
@@ -374,7 +374,8 @@ class Mission(Section):
         for name, window in self.windows.items():
             if window.frame == "camera" or name not in self.mount:
                 continue
-            if self.mount[name].attitude is not None:
+            has_gimbal = self.mount[name].attitude is not None
+            if has_gimbal:  # it turns behind the window too
                 continue
             x, y, z = self.mounts[name].camera_from_body @ np.array(window.normal)
             if z <= 0.0:

@@ -349,15 +349,18 @@ class OrientationSection(Section):
 
     @model_validator(mode="after")
     def _check_frame(self) -> Self:
-        lacks_crs = self.frame == "projected" and self.crs is None
-        if lacks_crs or (self.crs and not self._is_level):
-            raise SectionError(
-                "frame: projected needs crs, as EPSG:25832, and crs frame: projected or geographic"
-            )
-        if self.frame != "unknown":
-            if self.known_positions is not None:
-                raise SectionError("known_positions are for frame: unknown")
-            return self
+        if self.frame == "projected" and self.crs is None:
+            raise SectionError("frame: projected needs crs, as EPSG:25832")
+        if self.crs and not self._is_level:
+            raise SectionError("crs is only for frame: projected or geographic")
+        if self.frame == "unknown":
+            self._check_unknown_frame()
+        elif self.known_positions is not None:
+            raise SectionError("known_positions are for frame: unknown")
+        return self
+
+    def _check_unknown_frame(self) -> None:
+        """Refuse a frame without a vertical that nothing places on the earth."""
         if self.is_geodetic:
             raise SectionError("an unknown frame has x, y and z, not columns.latitude")
         if self.known_positions is None:
@@ -365,7 +368,6 @@ class OrientationSection(Section):
                 "an unknown frame has no vertical, no north and no scale: give known_positions, of "
                 "at least three images that do not lie on one line"
             )
-        return self
 
     @model_validator(mode="after")
     def _check_heights(self) -> Self:

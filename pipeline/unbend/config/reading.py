@@ -36,14 +36,14 @@ def mission_of(
     if "campaign" in own and "mission" not in own:
         raise messages.config_campaign(where=where)
     values = own if defaults is None else merged(defaults, own)
-    own_alone = None if defaults is None else own
+    own_in_campaign = None if defaults is None else own
     try:
         mission = Mission.model_validate(values)
     except ValidationError as error:
         items = error.errors(include_url=False)
-        raise refusal_of(items, values, node, where, own=own_alone) from None
-    if open_questions(values):
-        raise refusal_of([], values, node, where, own=own_alone)
+        raise refusal_of(items, values, node, where, own=own_in_campaign) from None
+    if open_questions(values):  # which the refusal lists itself
+        raise refusal_of([], values, node, where, own=own_in_campaign)
     return mission
 
 

@@ -24,7 +24,7 @@ def times_on_the_ground(height: Channel) -> Integers:
     column = height.height_column
     if column is None:
         return np.empty(0, np.int64)
-    known = np.isfinite(height[column] + height["lat_rad"])
+    known = np.isfinite(height[column] + height["lat_rad"] + height["lon_rad"])
     if np.count_nonzero(known) < FEWEST_SAMPLES:
         return np.empty(0, np.int64)
     time_ns = height.time_ns[known]
@@ -35,8 +35,10 @@ def times_on_the_ground(height: Channel) -> Integers:
     north_m = lat_rad * _EARTH_M
     east_m = lon_rad * np.cos(lat_rad[0]) * _EARTH_M
     track = [north_m, east_m, height_m]
-    # The ten seconds before see the take-off, the ten seconds after the landing.
-    still = _moves_little(track, seconds, -WINDOW_S) | _moves_little(track, seconds, WINDOW_S)
+    # Until it takes off it stood still before, and from the landing on it stands still afterwards.
+    stood_still = _moves_little(track, seconds, -WINDOW_S)
+    will_stand_still = _moves_little(track, seconds, WINDOW_S)
+    still = stood_still | will_stand_still
     lowest = float(np.percentile(height_m, LOWEST_PERCENTILE))
     return np.asarray(time_ns[still & (height_m < lowest + GROUND_RISE_M)])
 

@@ -89,16 +89,16 @@ def renamed(
 
 
 def proposal(images: Collection[str], known: Collection[str]) -> str:
-    """Propose, in words, the differences to allow that match most images; "" where none do.
+    """Propose, in words, which differences to allow so that most images match; "" where none do.
 
-    Of several that match as many the fewest differences are proposed.
+    Of sets of differences that match equally many images the smallest is proposed.
     """
     best: dict[str, str] = {}
     best_differences: tuple[Difference, ...] = ()
     for size in range(1, len(DIFFERENCES) + 1):
         for differences in combinations(DIFFERENCES, size):
             matches = other_names(images, known, differences)
-            if len(matches) > len(best):
+            if len(matches) > len(best):  # else the smaller set, which was tried before, stays
                 best = matches
                 best_differences = differences
     if not best:

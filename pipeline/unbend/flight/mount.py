@@ -67,9 +67,10 @@ def payload_attitude(
     Roll and pitch of gimbals are to the horizon, so only the yaw of the aircraft is added:
     v_ned = Rz(yaw of the aircraft) Rz(yaw) Ry(pitch) Rx(roll) v_payload, then comes the mount
     (boresight) of the camera (common.xml of MAVLink: GIMBAL_DEVICE_FLAGS_YAW_IN_VEHICLE_FRAME and
-    MOUNT_ORIENTATION). MOUNT_STATUS may hold the angles of servos: where they counter roll and
-    pitch of the aircraft (a slope of -1) they are to it, v_ned = R(aircraft) Rz(yaw) Ry(pitch)
-    Rx(roll) v_payload. Angles beyond a turn are none: old autopilots send a place there.
+    MOUNT_ORIENTATION). MOUNT_STATUS may hold the angles of servos. Angles that follow roll and
+    pitch of the aircraft with a slope of -1 are such, and count from the aircraft:
+    v_ned = R(aircraft) Rz(yaw) Ry(pitch) Rx(roll) v_payload. Numbers beyond 360 degrees are no
+    angles: old autopilots send a position in these fields.
     """
     to_nose = _rotations_to_nose(gimbal)
     if to_nose is None or aircraft is None:

@@ -166,11 +166,14 @@ def report_timeline(line: Timeline, ledger: Ledger) -> None:
         first_byte = int(line.first[line.stray][0])
         count = int(line.length[line.stray].sum())
         ledger.add(messages.stray_records(byte=first_byte, count=count))
+    # Stretches of few records are of parameters and texts, before and behind those of sensors.
     with_sensors = np.flatnonzero(~line.stray & (line.length >= _FEWEST_RECORDS))
     if not with_sensors.size:
         return
     silences = line.silences()
-    is_between = (silences.after > with_sensors[0]) & (silences.after <= with_sensors[-1])
+    begins_behind_first = silences.after > with_sensors[0]
+    ends_before_last = silences.after <= with_sensors[-1]
+    is_between = begins_behind_first & ends_before_last
     if not is_between.any():
         return
     first_byte = int(line.first[silences.after[is_between][0]])
@@ -195,7 +198,7 @@ class UtcReadings:
         """A number of rows of this source, in words."""
         return str(Counted(rows, self.one or self.source, self.source))
 
-    def sound(self, line: Timeline) -> "UtcReadings":
+    def usable_rows(self, line: Timeline) -> "UtcReadings":
         """The rows without stray stamps, with a fix, and with another UTC than the row before."""
         good = self.usable & line.good(self.places)
         if self.fix.size:
@@ -271,15 +274,15 @@ def fit_clock(
     UTC, and ``recorder`` in boots without either; a boot without any counts from 1970. ``where`` is
     the vehicle and ``utc_of`` what gives UTC in this format, in words for the reports.
 
-    A boot is also split where nothing was recorded for more than 1 s and the offset is another by
-    more than 1 s from there on. Where the offset steps without such a silence, a clock was set.
+    A boot is also split where nothing was recorded for more than 1 s and the offset differs by more
+    than 1 s from then on. Where the offset steps without such a silence, a clock was set.
     """
-    sources = [source.sound(line) for source in sources]
+    sources = [source.usable_rows(line) for source in sources]
     if not any(source.places.size for source in sources):
-        sources = [camera.sound(line) for camera in cameras]
+        sources = [camera.usable_rows(line) for camera in cameras]
     sources = sorted(sources, key=lambda source: -source.places.size)
     if recorder is not None:
-        recorder = recorder.sound(line)
+        recorder = recorder.usable_rows(line)
     boots_by_steps = line.boots
     line = _split_at_silences(line, sources if recorder is None else [*sources, recorder])
     if line.boots > boots_by_steps:
@@ -289,7 +292,7 @@ def fit_clock(
     for number in range(line.boots):
         place = f"{where}, boot {number}".removeprefix(", ")
         fit = _best_fit(line, number, sources, place, ledger)
-        utc_known.append(fit is not None)
+        utc_known.append(fit is not None)  # the recorder's clock is not known to be UTC
         if fit is None and recorder is not None:
             fit = _fit_boot(line, number, recorder)
         if fit is None:

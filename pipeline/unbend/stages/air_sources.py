@@ -217,27 +217,29 @@ def read_report(
 def refuse_impossible_temperature(
     report: SurfaceReport, background: Climatology, where: str, *, of_metar: bool
 ) -> None:
-    """Refuse a temperature that no season has, or that is usual if it was given in Fahrenheit.
+    """Refuse a temperature that no season has, or that only as degrees Fahrenheit is usual.
 
     A METAR is never in Fahrenheit.
     """
     celsius = report.temperature_k - ZERO_CELSIUS_K
-    from_fahrenheit = (celsius - 32.0) / 1.8
+    celsius_if_fahrenheit = (celsius - 32.0) / 1.8
     expected_k = float(background.profile.temperature(report.h_m))
     sigma_k = float(background.spread.sigma_temperature(report.h_m))
     departure = (report.temperature_k - expected_k) / sigma_k
-    as_fahrenheit = (from_fahrenheit + ZERO_CELSIUS_K - expected_k) / sigma_k
-    is_fahrenheit = departure > FAHRENHEIT_SIGMAS and abs(as_fahrenheit) < LIKELY_SIGMAS
-    mistaken = is_fahrenheit and not of_metar
-    if mistaken or abs(departure) > IMPOSSIBLE_SIGMAS:
-        rather = f"; {celsius:.1f} F would be {from_fahrenheit:.1f} C" if mistaken else ""
+    departure_if_fahrenheit = (celsius_if_fahrenheit + ZERO_CELSIUS_K - expected_k) / sigma_k
+    is_usual_if_fahrenheit = abs(departure_if_fahrenheit) < LIKELY_SIGMAS
+    looks_fahrenheit = departure > FAHRENHEIT_SIGMAS and is_usual_if_fahrenheit and not of_metar
+    if looks_fahrenheit or abs(departure) > IMPOSSIBLE_SIGMAS:
+        hint = ""
+        if looks_fahrenheit:
+            hint = f"; {celsius:.1f} F would be {celsius_if_fahrenheit:.1f} C"
         raise messages.surface_temperature_unlikely(
             where=where,
             celsius=celsius,
             height_m=report.h_m,
             sigmas=abs(departure),
             expected_c=expected_k - ZERO_CELSIUS_K,
-            rather=rather,
+            rather=hint,
         )
 
 

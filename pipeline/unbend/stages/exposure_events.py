@@ -119,7 +119,7 @@ def events_of_cameras(
     *,
     ledger: Ledger,
 ) -> list[Events]:
-    """When each camera was exposed, camera by camera, under the names of the source."""
+    """When each camera was exposed: one `Events` for each camera that a source names."""
     if section.log is not None:
         return events_of_log(section, flight.channels, ledger)
     if section.positions is not None:

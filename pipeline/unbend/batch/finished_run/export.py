@@ -51,24 +51,30 @@ def export_run(
     ground_height_m: float | None = None,
     force: bool = False,
 ) -> tuple[int, Ledger]:
-    """Write a finished run in a format, with its options; rows written, and what was left out."""
+    """Write a finished run in a format, with its options.
+
+    Returns the number of rows written, and notes on what was left out.
+    """
     form = find_format(name, out)
+    is_folder = not form.ending
     values = form.values(options)
     if isinstance(path, Place):
         path = copy_of_run(path)
-    refuse_output(path, out, force=force and bool(form.ending))
+    refuse_output(path, out, force=force and not is_folder)
     ledger = Ledger()
     run = rebuild_run(path, verify_run(path), ground_height_m, ledger)
     with store.atomic_write(out) as draft:
-        if not form.ending:
+        if is_folder:
             draft.mkdir(parents=True)
         rows = form.write(run, values, draft, ledger)
         if form.use:
             ledger.add(messages.use_of_export(use=form.use, name=name))
         if form.marked:
             about = {"mission": run.mission, "notes": [message.what for message in ledger]}
+            # Marked are files of the folder, or "", which is the file itself.
             files = {file or out.name: draft / file for file in form.marked}
-            beside = out if form.ending else draft / form.marked[0]
+            beside = draft / form.marked[0] if is_folder else out
+            # It appears before the file: points without a mark might be corrected again.
             with store.atomic_write(beside.with_name(beside.name + SIDECAR)) as sidecar:
                 sidecar.write_text(sidecar_text(files, about), encoding="utf-8")
     return rows, ledger

@@ -185,15 +185,16 @@ class _Examination:
     def _replaced_if_plain(self, sources: Sources, stretch: Stretch) -> Stretch:
         """Replace the samples of a suspect stretch if it is plain which source is wrong.
 
-        Returns the stretch, with the name of the source that replaces the samples.
+        Returns the stretch, with the name of the source that replaces the samples. A filter whose
+        position drifts may have drifted in attitude as well, which becomes suspect.
         """
         replacement = replacement_for(sources, stretch)
         if replacement is None:
             return stretch
-        path = sources.of_role
-        is_filter = sources.quantity == POSITION and not is_receiver(path.channel)
-        if is_filter and self.attitude_of_vehicle is not None:
-            self.suspect_attitude += attitude_drifts(path, replacement, stretch)
+        suspect = sources.of_role
+        is_position_of_filter = sources.quantity == POSITION and not is_receiver(suspect.channel)
+        if is_position_of_filter and self.attitude_of_vehicle is not None:
+            self.suspect_attitude += attitude_drifts(suspect, replacement, stretch)
         stretch = replace(stretch, replaced_by=replacement.channel.name)
         channel = self.result[sources.quantity]
         self.result[sources.quantity] = with_replaced(channel, replacement, stretch)

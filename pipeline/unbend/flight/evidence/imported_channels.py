@@ -48,12 +48,12 @@ def contradictions_of_import(
     for quantity in (POSITION, HEIGHT):
         if quantity not in quantities:
             continue
-        placed = with_places(imported, quantity)
-        if len(placed) <= FEWEST_SAMPLES:
+        known = with_places(imported, quantity)
+        if len(known) <= FEWEST_SAMPLES:
             continue
-        in_quantity = [stretch for stretch in suspect_in_log if stretch.quantity == quantity]
-        for stretch in merged(_contradictions_in(quantity, placed, roles, in_quantity)):
-            if not _explained_by_sigma(stretch, placed, quantity):
+        log_suspects = [stretch for stretch in suspect_in_log if stretch.quantity == quantity]
+        for stretch in merged(_contradictions_in(quantity, known, roles, log_suspects)):
+            if not _explained_by_sigma(stretch, known, quantity):
                 suspect.append(stretch)
     return tuple(suspect)
 

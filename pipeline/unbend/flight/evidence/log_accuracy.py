@@ -91,15 +91,16 @@ class LogAccuracy:
     def _channel_variances(self, channel: Channel, time_ns: TimeArray) -> _PositionVariances:
         """(m,) variances that a channel reports of its own positions.
 
-        That of the height includes its scatter about the filter's. At instants without a report a
-        channel that is not the receiver has the variances of a filter.
+        That of the height includes its scatter about the filter's height. At instants without a
+        report a channel other than the known receiver has the variances of a filter: those of the
+        receiver and more.
         """
         reported = _reported_variances(channel, time_ns)
         horizontal_m2 = reported.horizontal_m2
         height_m2 = reported.height_m2 + self._variance_about_fused(channel, time_ns)
-        is_silent = ~np.isfinite(horizontal_m2)
-        is_receiver = self.receiver is None or channel is self.receiver
-        if not is_receiver and is_silent.any():
+        is_silent = ~np.isfinite(horizontal_m2)  # reports hold both or neither
+        may_be_filter = self.receiver is not None and channel is not self.receiver
+        if may_be_filter and is_silent.any():
             of_filter = self._filter_variances(time_ns)
             horizontal_m2 = np.where(is_silent, of_filter.horizontal_m2, horizontal_m2)
             height_m2 = np.where(is_silent, of_filter.height_m2, height_m2)

@@ -280,7 +280,7 @@ def _jumps(channel: Channel, known: Mask, role: str) -> tuple[Rows, Notes]:
     """The rows of samples that jump: few in a row, which the samples around them cannot reach.
 
     Only known rows are compared, in the columns of a role. Jumps that show how a filter is aligned
-    are noted and are no loss.
+    are returned too; they have a note of their own instead of a loss.
     """
     where = f"{channel.name}, as {role}"
     notes: list[Message] = []
@@ -291,18 +291,21 @@ def _jumps(channel: Channel, known: Mask, role: str) -> tuple[Rows, Notes]:
             is_stray[rows] = True
             notes += noise_notes
     jumps = np.flatnonzero(is_stray)
-    lost = jumps
+    unexplained = jumps
     if role.endswith("attitude"):
         aligned = _leads_to_another_attitude(channel, known & ~is_stray, jumps)
-        lost = jumps[~aligned]
+        unexplained = jumps[~aligned]
         count = int(np.count_nonzero(aligned))
         if count:
             notes.append(messages.attitude_aligned(where=where, count=count))
-    if lost.size:
-        first_s = (channel.time_ns[lost[0]] - channel.time_ns[0]) * 1e-9
+    if unexplained.size:
+        first_s = (channel.time_ns[unexplained[0]] - channel.time_ns[0]) * 1e-9
         notes.append(
             messages.samples_jump(
-                where=where, count=lost.size, total=len(channel), first_s=float(first_s)
+                where=where,
+                count=unexplained.size,
+                total=len(channel),
+                first_s=float(first_s),
             )
         )
     return jumps, tuple(notes)

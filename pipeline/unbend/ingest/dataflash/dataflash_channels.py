@@ -360,7 +360,7 @@ def _reported_columns(spec: MessageMap) -> set[str]:
     return needed
 
 
-_BEFORE = 1 << 40  # [bytes] more than any log has: pairs in the wrong order come last
+_FARTHER_THAN_ALL = 1 << 40  # [bytes] more than any log has
 _TIME_BITS = 52  # 2^52 us are 142 years: the instance fits above the time
 _INSTANCE_MASK = 0x3FF
 
@@ -401,25 +401,31 @@ class _Pairs(NamedTuple):
 def _nearest_pairs(fixes: _Keyed, accuracies: _Keyed) -> tuple[Integers, Integers]:
     """Rows of fixes and of accuracies that belong together, each in one pair at most.
 
-    The nearest in the log are paired first, and accuracies behind their fix before those in front.
+    An accuracy that follows its fix is preferred to one that precedes it; among equals the one that
+    is nearer in the log. A fix whose accuracy belongs better to another fix has none.
     """
     keys = np.concatenate([fixes.key, accuracies.key])
     places = np.concatenate([fixes.places, accuracies.places])
     in_log_order = np.lexsort((places, keys))  # within each key
-    behind = _neighbours(fixes, accuracies, in_log_order, shift=0)
-    before = _neighbours(fixes, accuracies, in_log_order, shift=-1)
-    fix_rows = np.concatenate([behind.fix_rows, before.fix_rows])
-    accuracy_rows = np.concatenate([behind.accuracy_rows, before.accuracy_rows])
-    distances = np.concatenate([behind.distances, before.distances + _BEFORE])
-    order = np.argsort(distances, kind="stable")
-    for rows in (fix_rows, accuracy_rows):  # of several pairs with one row, the nearest
-        _, first = np.unique(rows[order], return_index=True)
-        order = order[np.sort(first)]
-    return fix_rows[order], accuracy_rows[order]
+    following = _neighbours(fixes, accuracies, in_log_order, shift=0)
+    preceding = _neighbours(fixes, accuracies, in_log_order, shift=-1)
+    fix_rows = np.concatenate([following.fix_rows, preceding.fix_rows])
+    accuracy_rows = np.concatenate([following.accuracy_rows, preceding.accuracy_rows])
+    ranks = np.concatenate([following.distances, preceding.distances + _FARTHER_THAN_ALL])
+    pairs = np.argsort(ranks, kind="stable")
+    pairs = _first_with_each_row(pairs, fix_rows)
+    pairs = _first_with_each_row(pairs, accuracy_rows)
+    return fix_rows[pairs], accuracy_rows[pairs]
+
+
+def _first_with_each_row(pairs: Integers, rows: Integers) -> Integers:
+    """The pairs, best first, of which each is the first with its row."""
+    _, first = np.unique(rows[pairs], return_index=True)
+    return pairs[np.sort(first)]
 
 
 def _neighbours(fixes: _Keyed, accuracies: _Keyed, in_log_order: Integers, *, shift: int) -> _Pairs:
-    """Pair each fix with the accuracy of its key that is next behind (``shift`` 0) or before (-1).
+    """Pair each fix with the accuracy of its key that follows (``shift`` 0) or precedes it (-1).
 
     ``in_log_order``: rows of both tables by key and place; those of the accuracies count on from
     the last fix.

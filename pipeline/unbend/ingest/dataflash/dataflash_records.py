@@ -259,13 +259,13 @@ class RecordWalker(DamagedBytes):
     def _next_chain(self, place: int) -> int:
         """The first place from here on where records follow each other, or the end of the file.
 
-        The search widens: where all records of a type are damaged, it costs what lies between two
-        of them and not a block for each.
+        The reach starts small and doubles: in a log with many damaged records each search reads
+        little more than what lies before the next good one.
         """
         reach = REACH
         while place < self.size:
             end = min(place + reach, self.size)
-            raw = self.data.array(place, end + 1)
+            raw = self.data.array(place, end + 1)  # a magic byte at the end has its second behind
             rows = np.flatnonzero((raw[:-1] == MAGIC[0]) & (raw[1:] == MAGIC[1]))
             for candidate in (rows + place).tolist():
                 if self._chain(candidate):

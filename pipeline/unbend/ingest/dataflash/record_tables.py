@@ -25,18 +25,18 @@ class RecordRows(NamedTuple):
     places: Integers
 
 
-def read_records(walker: RecordWalker, wanted: Mask) -> Iterator[RecordRows]:
+def read_records(walker: RecordWalker, is_wanted: Mask) -> Iterator[RecordRows]:
     """The records of the wanted definitions, block by block of the file, and in it by definition.
 
-    ``wanted``: (n,) by number of the definition.
+    ``is_wanted``: (n,) by number of the definition.
     """
     for block in walker.wanted:
-        rows = np.flatnonzero(wanted[block.numbers])
+        rows = np.flatnonzero(is_wanted[block.numbers])
         if rows.size == 0:
             continue
         numbers = block.numbers[rows]
         rows_by_number = rows[np.argsort(numbers, kind="stable")]
-        counts = np.bincount(numbers, minlength=wanted.shape[0])
+        counts = np.bincount(numbers, minlength=is_wanted.shape[0])
         raw = walker.data.array(block.base, block.end())
         begin = 0
         for number in np.flatnonzero(counts).tolist():

@@ -168,9 +168,11 @@ class TopicSamples:
             self.places.add(columns[PLACE])
         else:
             self.sequence.add(columns[SEQUENCE])
-        if not bool(columns[STAMP].all()):
+        some_without_stamp = bool((columns[STAMP] == 0).any())
+        if some_without_stamp:
             self.log_ns.append((before, columns[LOG_TIME]))
-        utc = columns.get(UTC_FIELD if self.spec.position else CAPTURE_UTC_FIELD)
+        utc_field = UTC_FIELD if self.spec.position else CAPTURE_UTC_FIELD
+        utc = columns.get(utc_field)
         if utc is not None and utc.dtype.kind in "iu":
             self.utc_us.add(microseconds(utc))
         numbers = {name: column for name, column in columns.items() if column.dtype.kind in "biuf"}

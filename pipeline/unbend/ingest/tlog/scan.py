@@ -224,8 +224,8 @@ class Scan(DamagedBytes):
         view_begin = begin
         while place < stop:
             view_end = view_begin + len(view)
-            is_cut_off = place + LONGEST > view_end and view_end < stop
-            if is_cut_off:
+            needs_next_view = place + LONGEST > view_end and view_end < stop
+            if needs_next_view:  # the first one too
                 view_begin = place
                 view = self._data[place : min(place + STRETCH, stop)]
             length = frame_length(view, place - view_begin)

@@ -276,8 +276,9 @@ def subtended(table, ray, low, high, is_level_at_low):  # type: ignore[no-untype
     """Angle theta [rad] that the ray subtends between two heights (Gyer 1996, Eq. 12).
 
     With h = h_90 + s^2, where h_90 is the height at which the ray would be level by each piece of
-    the table. ``is_level_at_low`` says that h_90 is ``low``, which rounding would miss: 1e-13 m of
-    depth there are 3e-5 arcsec. NaN where the ray turns in between.
+    the table. ``is_level_at_low`` states that the ray is level at ``low``: computed with a rounding
+    error of 1e-13 m, that height would change theta by 3e-5 arcsec. NaN where the ray turns in
+    between.
     """
     edge = table.edge
     total = 0.0
@@ -286,13 +287,15 @@ def subtended(table, ray, low, high, is_level_at_low):  # type: ignore[no-untype
         h_1 = min(high, edge[i + 1])
         if h_1 <= h_0:
             continue
-        excess_0 = ray.lift
         if is_level_at_low and h_0 == low:
             excess_0 = 0.0
-        elif h_0 != ray.h_c:
+        elif h_0 == ray.h_c:
+            excess_0 = ray.lift  # the same without a rounding error
+        else:
             excess_0 = excess(table, ray, i, h_0)
         slope = _slope(table, i, h_0, ray.r_e)
-        if min(slope, _slope(table, i, h_1, ray.r_e)) > _COMMON_SLOPE:
+        rises_as_in_common_air = min(slope, _slope(table, i, h_1, ray.r_e)) > _COMMON_SLOPE
+        if rises_as_in_common_air:
             origin = _Origin(i, h_0, excess_0, UPWARDS)
             depth = _depth_of_level(table, ray, origin, slope)
             total += _subtended_in_panel(table, ray, origin, (0.0, h_1 - h_0), depth)

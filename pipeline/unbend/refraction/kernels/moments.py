@@ -35,6 +35,8 @@ _TOGETHER = 4096
 # above land, whatever the air: 500 m of depth, and more again for the bending.
 _DEEP_M = 1200.0
 
+_LARGEST_M = -1  # the last column of a row of moments: the largest |m| above
+
 # The series is left where its terms fall too slowly: w u and w m at the target.
 _LARGEST_DROP = 0.06
 _LARGEST_BEND = 5e-3
@@ -130,9 +132,9 @@ def _fill_moments(air, camera, top, bottom):  # type: ignore[no-untyped-def]
     edge = air.edge
     coefficient = air.coefficient
     h_c = camera.h_c
-    n_c = camera.n_c
+    refractivity_c = camera.n_c
     x = camera.x
-    index2 = (1.0 + n_c) * (1.0 + n_c)
+    index2 = (1.0 + refractivity_c) * (1.0 + refractivity_c)
     for i in range(top, bottom - 1, -1):
         moments = camera.moments[i]
         for column in range(_MOMENTS):
@@ -141,10 +143,11 @@ def _fill_moments(air, camera, top, bottom):  # type: ignore[no-untyped-def]
         high = edge[i + 1] if edge[i + 1] < h_c else h_c
         share = (high - low) / (edge[i + 1] - low)
         for j in range(_X3.size):
-            n = _refractivity_in(coefficient, i, share * _X3[j])
-            m = (n - n_c) * (2.0 + n + n_c)
-            if abs(m) > moments[-1]:
-                moments[-1] = abs(m)
+            refractivity = _refractivity_in(coefficient, i, share * _X3[j])
+            # n^2 - n_c^2, from refractivities n - 1, which keep their digits.
+            m = (refractivity - refractivity_c) * (2.0 + refractivity + refractivity_c)
+            if abs(m) > moments[_LARGEST_M]:
+                moments[_LARGEST_M] = abs(m)
             y = h_c - (low + (high - low) * _X3[j])
             inside = 1.0 - y * x
             along = y * (2.0 - y * x)

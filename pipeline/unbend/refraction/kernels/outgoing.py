@@ -259,7 +259,12 @@ def _fill_nadir_angle_and_radius(rows, rays, curvature):  # type: ignore[no-unty
         # Rounding may leave the sine of a level ray 1e-16 above one.
         length = math.sqrt(east[i] * east[i] + north[i] * north[i])
         sine[i] = 1.0 if length > 1.0 else length
-        cosine[i] = -1.0 if up[i] > 1.0 else (1.0 if up[i] < -1.0 else -up[i])
+        down = -up[i]
+        if down > 1.0:
+            down = 1.0
+        elif down < -1.0:
+            down = -1.0
+        cosine[i] = down
     for i in range(rows.first, rows.end):
         north2 = north[i] * north[i]
         level2 = east[i] * east[i] + north2

@@ -315,12 +315,14 @@ def _ray_height(table, ray, distance):  # type: ignore[no-untyped-def]
     h_c = ray.h_c
     bottom = table.edge[0]
     top = table.edge[-1]
-    level = h_c - ray.lift
     start = _start_height(ray, distance)
     h_90 = turning_height(table, ray) if ray.cos_c > 0.0 else math.nan
-    if ray.cos_c <= 0.0:
+    # Where the ray would be level if n r grew by a metre for each metre of height. It stands for
+    # h_90 in rays without a lowest point: the search goes by s^2 = h - h_90 and needs a smooth s.
+    level = h_c - ray.lift
+    if ray.cos_c <= 0.0:  # it rises
         search = _Search(low=h_c, high=top, h_90=level, start=start, theta_to_rise=0.0, sense=1.0)
-    elif math.isnan(h_90):
+    elif math.isnan(h_90):  # it falls to the end of the table
         search = _Search(
             low=bottom,
             high=h_c,
@@ -329,9 +331,9 @@ def _ray_height(table, ray, distance):  # type: ignore[no-untyped-def]
             theta_to_rise=0.0,
             sense=-1.0,
         )
-    elif _chord_to_lowest(table, ray, h_90) >= distance:
+    elif _chord_to_lowest(table, ray, h_90) >= distance:  # it falls, to before its lowest point
         search = _Search(low=h_90, high=h_c, h_90=h_90, start=start, theta_to_rise=0.0, sense=-1.0)
-    else:
+    else:  # it rises again behind its lowest point
         theta_to_rise = subtended_to_rise(table, ray)
         if not theta_to_rise > 0.0:
             return math.nan, MISSES_GROUND  # its lowest point lies under all land

@@ -145,7 +145,7 @@ class _Motion(NamedTuple):
     """How far a ray turns by the errors of its exposure."""
 
     tan_z: float  # tangent of the nadir angle
-    d_zeta: float  # dR/dzeta
+    dr_dzeta: float
     swing: float  # R / sin(zeta), or dR/dzeta at the nadir
     window_along: float  # turn towards the nadir per unit of dN_c - dN_cc at the window
     window_across: float  # turn across per unit of dN_c - dN_cc
@@ -222,11 +222,11 @@ def _station(columns, rotation, air):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _by_heights(ray, d_zeta, n_g, station):  # type: ignore[no-untyped-def]
+def _by_heights(ray, dr_dzeta, n_g, station):  # type: ignore[no-untyped-def]
     """dR/dh_c and dR/dh_g [rad/m] of a `_BentRay`.
 
     The equations are those of `unbend.refraction.uncertainty.sensitivity`, with beta the chord's
-    and z_g the ray's angle at the target; ``d_zeta`` is dR/dzeta_c, ``n_g`` N at the target.
+    and z_g the ray's angle at the target; ``dr_dzeta`` is dR/dzeta_c, ``n_g`` N at the target.
 
         sin(beta) - sin(z_g) = (r_c sin(zeta) (N_g - N_c) / (1 + N_g)
                                 - r_c (sin(zeta) - sin(zeta - R))) / r_g
@@ -254,7 +254,7 @@ def _by_heights(ray, d_zeta, n_g, station):  # type: ignore[no-untyped-def]
     d_h_g = -2.0 * sine_difference / ((down / r_g + cos_g) * chord * cos_g)
     tan_z = sin_z / cos_z
     gradient = station.relative_gradient
-    d_h_c = tan_z * (d_zeta * (gradient + 1.0 / r_c) - gradient) - sin_r / (chord * cos_z)
+    d_h_c = tan_z * (dr_dzeta * (gradient + 1.0 / r_c) - gradient) - sin_r / (chord * cos_z)
     return d_h_c, d_h_g
 
 
@@ -313,13 +313,13 @@ def _pixel_sigmas(turn, motion, air, station):  # type: ignore[no-untyped-def]
     by_air = abs(along) * air.sigma_r
     if station.window_kind >= 0:
         straight = along * motion.tan_z
-        leaning = by_window - along * (motion.tan_z * (1.0 - motion.d_zeta))
+        leaning = by_window - along * (motion.tan_z * (1.0 - motion.dr_dzeta))
         variance = straight * straight * air.sigma_x * air.sigma_x
         variance += 2.0 * straight * leaning * air.shared * air.sigma_y
         variance += leaning * leaning * air.sigma_y * air.sigma_y
         by_air = 0.0 if variance < 0.0 else math.sqrt(variance)
     # A tilt turns the nadir: in the ray's vertical plane it changes zeta, across it the azimuth.
-    by_zeta = -motion.d_zeta * along
+    by_zeta = -motion.dr_dzeta * along
     by_azimuth = motion.swing * across
     by_nadir2 = by_zeta * by_zeta + by_azimuth * by_azimuth
     variance_of_turns = station.tilt_variance * by_nadir2
@@ -372,16 +372,16 @@ def _fill_sigmas(room, count, camera, station):  # type: ignore[no-untyped-def]
         tan_z = ray.sin_z * secant
         slope = room[SLOPE_BY_SECANT2, i]
         one_if_known = math.nan if math.isnan(slope) else room[ONE_IF_KNOWN, i]
-        d_zeta = slope * secant * secant
+        dr_dzeta = slope * secant * secant
         sigma_r = room[SIGMA_BY_TANGENT, i] * ray.sin_z * secant
-        d_h_c, d_h_g = _by_heights(ray, d_zeta, room[N_GROUND, i], station)
+        d_h_c, d_h_g = _by_heights(ray, dr_dzeta, room[N_GROUND, i], station)
 
         # At the nadir any azimuth will do.
         inverse = 1.0 / ray.sin_z
         has_azimuth = ray.sin_z > _AT_NADIR
         east = room[DIRECTION, i] * inverse if has_azimuth else 1.0
         north = room[DIRECTION + 1, i] * inverse if has_azimuth else 0.0
-        swing = ray.r * inverse if has_azimuth else d_zeta
+        swing = ray.r * inverse if has_azimuth else dr_dzeta
         in_camera = _camera_ray(
             room[IDEAL_U, i], room[IDEAL_V, i], (east, north), ray, station.rotation
         )
@@ -393,12 +393,12 @@ def _fill_sigmas(room, count, camera, station):  # type: ignore[no-untyped-def]
         t_0, t_1, t_2 = in_camera.along
         q_0, q_1, q_2 = in_camera.across
         cos_out = (n_0 * in_camera.u + n_1 * in_camera.v + n_2) / in_camera.depth
-        window_along = (n_0 * t_0 + n_1 * t_1 + n_2 * t_2) / cos_out * (1.0 - d_zeta)
+        window_along = (n_0 * t_0 + n_1 * t_1 + n_2 * t_2) / cos_out * (1.0 - dr_dzeta)
         window_across = (n_0 * q_0 + n_1 * q_1 + n_2 * q_2) / cos_out
         tan_out = math.sqrt(max(0.0, 1.0 - cos_out * cos_out)) / cos_out
         motion = _Motion(
             tan_z=tan_z,
-            d_zeta=d_zeta,
+            dr_dzeta=dr_dzeta,
             swing=swing,
             window_along=window_along if has_window else 0.0,
             window_across=window_across if has_window else 0.0,

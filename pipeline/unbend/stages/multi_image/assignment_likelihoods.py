@@ -10,7 +10,7 @@ import numpy as np
 from unbend.block.image_rays import ImageRays, Orientations, orientations_of, straightened
 from unbend.block.intersection import Intersection, intersect, point_heights
 from unbend.flight.stations import Stations
-from unbend.geodesy import principal_radii
+from unbend.geodesy import principal_radii, wrapped
 from unbend.refraction.camera.camera import Camera
 from unbend.stages.multi_image.camera_images import CameraImages
 from unbend.tables.imports.exif import ImageTimes
@@ -29,6 +29,8 @@ TIE_POINTS = 200  # that decide: 800 rays show a shift by a factor of e^3000
 POINTS_AT_FIRST = 50  # tie points whose rays rank many assignments
 FEWEST_MEET = 0.5  # share of the points whose rays meet under a right assignment
 POOREST_FIT = 5.0  # residuals over what the sigmas of the stations say
+FEWEST_WRITTEN = 3  # images with a position
+WRITTEN_SHARE = 0.5  # of the images that must have a position
 USABLE_STATIONS = 0.9  # share of the events that must have a usable station
 CONTRADICTED_SHARE = 0.5  # of the rays of an image, which meet no other ray
 FEWEST_RAYS = 4  # an image with fewer counts as one with so many
@@ -158,17 +160,22 @@ class PositionLikelihood:
     velocity_m_s: Array
 
     def __call__(self, event: Integers) -> float:
-        """The log likelihood of an assignment (k,), with what positions share at its best."""
+        """The log likelihood of an assignment (k,), at the likeliest common offset and delay."""
         rows = np.flatnonzero(self.is_written & (event >= 0))
         rows = rows[np.isfinite(self.flown_m[event[rows], 0])]
-        # Residuals (2 n,) in sigmas; three parameters: the delay, the offset to north and to east.
+        # Residuals (n north, east pairs as 2 n,) and their derivatives, in sigmas of a position, by
+        # the common errors, in sigmas of theirs: delay, offset to the north, offset to the east.
         residual = (self.written_m[rows] - self.flown_m[event[rows]]).ravel() / POSITION_M
-        design = np.tile(np.eye(3)[1:], (rows.size, 1)) * COMMON_M / POSITION_M
-        design[:, 0] = self.velocity_m_s[event[rows]].ravel() * DELAY_S / POSITION_M
+        design = np.zeros((rows.size, 2, 3))
+        design[:, :, 0] = self.velocity_m_s[event[rows]] * DELAY_S / POSITION_M
+        design[:, 0, 1] = COMMON_M / POSITION_M
+        design[:, 1, 2] = COMMON_M / POSITION_M
+        design = design.reshape(-1, 3)
         shared = shared_errors(residual, design)
         remaining = squares_of_pairs(residual - design @ shared)
-        without = int(self.is_written.sum()) - rows.size
-        cost = np.minimum(remaining, OUTLIER).sum() + np.square(shared).sum() + without * OUTLIER
+        prior = np.square(shared).sum()
+        without_event = int(self.is_written.sum()) - rows.size
+        cost = np.minimum(remaining, OUTLIER).sum() + prior + without_event * OUTLIER
         return -0.5 * float(cost)
 
 
@@ -201,22 +208,28 @@ def position_likelihood(
     # The last row is for an image without a file, whose row is -1.
     position = np.append(files.position, [[np.nan] * 3], axis=0)[images.file]
     is_written = np.isfinite(position[:, 0])
-    if is_written.sum() < max(3.0, 0.5 * is_written.size):
+    if is_written.sum() < max(FEWEST_WRITTEN, WRITTEN_SHARE * is_written.size):
         return None
     if stations.ok.sum() < USABLE_STATIONS * len(stations):
         return None
     latitude = np.median(stations.lat_rad[stations.ok])
-    longitude = np.median(stations.lon_rad[stations.ok])
-    meridian, vertical = principal_radii(np.array([latitude]))
-    metres_per_rad = np.array([meridian[0], vertical[0] * np.cos(latitude)])
-    origin = [latitude, longitude]
-    flown_m = (np.stack([stations.lat_rad, stations.lon_rad], axis=1) - origin) * metres_per_rad
+    longitude = stations.lon_rad[stations.ok][0]
+    meridian, prime_vertical = principal_radii(np.array([latitude]))
+    metres_per_rad = np.array([meridian[0], prime_vertical[0] * np.cos(latitude)])
+
+    def local_m(lat_rad: Array, lon_rad: Array) -> Array:
+        """(n, 2) metres to the north and east of the origin, also across 180 degrees."""
+        from_origin = np.stack([lat_rad - latitude, wrapped(lon_rad - longitude)], axis=1)
+        return np.asarray(from_origin * metres_per_rad)
+
+    flown_m = local_m(stations.lat_rad, stations.lon_rad)
+    # Where times repeat or fall back no time passes, and the velocity counts as zero.
     seconds = np.maximum.accumulate((stations.time_ns - stations.time_ns[0]) * 1e-9)
-    with np.errstate(invalid="ignore", divide="ignore"):  # pulses that repeat
+    with np.errstate(invalid="ignore", divide="ignore"):
         velocity = np.gradient(flown_m, seconds, axis=0)
     return PositionLikelihood(
         is_written=is_written,
-        written_m=(position[:, :2] - origin) * metres_per_rad,
+        written_m=local_m(position[:, 0], position[:, 1]),
         flown_m=flown_m,
         velocity_m_s=np.nan_to_num(velocity, posinf=0.0, neginf=0.0),
     )

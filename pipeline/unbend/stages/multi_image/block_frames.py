@@ -90,7 +90,7 @@ def with_medians_of_images(
     """
     images = []
     medians = []
-    apart = [np.zeros(1)]
+    from_median = []
     for batch in block.rows():  # a batch holds the rows of one image
         heights, _ = points.heights(batch["point"], batch["image"])
         heights = heights[np.isfinite(heights)]
@@ -98,14 +98,15 @@ def with_medians_of_images(
             median = float(np.median(heights))
             images.append(batch["image"][0].as_py())
             medians.append(median)
-            apart.append(np.abs(heights - median))
+            from_median.append(np.abs(heights - median))
+    apart = float(np.median(np.concatenate(from_median))) if from_median else 0.0
     ledger.add(
         messages.ground_of_block(
             where="ground.height",
             count=len(points.name),
             low=float(np.nanmin(points.h_m)),
             high=float(np.nanmax(points.h_m)),
-            apart=float(np.median(np.concatenate(apart))),
+            apart=apart,
         )
     )
     # The last is for images without any object point.

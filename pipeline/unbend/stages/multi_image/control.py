@@ -265,6 +265,7 @@ def rays_of_control(
     observations: Observations, points: ObjectPoints, setup: CorrectionSetup
 ) -> ControlRays:
     """The rays of all observations of control points, measured and corrected."""
+    # Of the corrections only the rays are wanted, no standard deviations.
     setup = replace(setup, uncertainties=(None,) * len(setup.rays))
     images = pa.array(setup.images, pa.string())
     parts = []

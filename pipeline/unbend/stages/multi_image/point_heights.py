@@ -160,13 +160,17 @@ class SeenPoints:
 def seen_points(
     points: ObjectPoints, stations: Stations, row: Integers, station: Integers
 ) -> SeenPoints:
-    """Object points, by their rows (n,), beside the stations that see them, by theirs."""
+    """How far each point is from the station that sees it, for n pairs of them.
+
+    ``row`` (n,) are rows of the points, ``station`` (n,) rows of the stations.
+    """
     latitude = points.lat_rad[row]
     longitude = points.lon_rad[row]
     h = points.h_m[row]
     station_h = stations.h_msl_m[station]
     centre = ecef_of_geodetic(stations.lat_rad[station], stations.lon_rad[station], station_h)
     apart = ecef_of_geodetic(latitude, longitude, h) - centre
+    # As if the columns of latitude and longitude had been confused.
     exchanged = ecef_of_geodetic(longitude, latitude, h) - centre
     return SeenPoints(
         np.linalg.norm(apart, axis=1),
@@ -192,17 +196,18 @@ def with_intersected_heights(
     """
     if mission.ground.height != "intersected":
         return setup
-    with TemporaryFile() as file:  # the map keeps it
-        heights = np.memmap(file, np.float64, "w+", shape=(2, observations.rows))
+    with TemporaryFile() as file_of_heights:  # the map of its memory outlives the closed file
+        heights = np.memmap(file_of_heights, np.float64, "w+", shape=(2, observations.rows))
     heights[:] = np.nan
     orientations = orientations_of_mission(mission, stations)
     counts: Counter[str] = Counter()
     shares = []
     with ExitStack() as stack:
-        count = 1 if observations.sample else 1 + observations.rows // ROWS_OF_A_FILE
-        files = [stack.enter_context(TemporaryFile()) for _ in range(min(MOST_FILES, count))]
-        write_rays(batches_with_points(observations), setup, files)
-        for file in files:
+        wanted_files = 1 if observations.sample else 1 + observations.rows // ROWS_OF_A_FILE
+        number_of_files = min(MOST_FILES, wanted_files)
+        files_of_rays = [stack.enter_context(TemporaryFile()) for _ in range(number_of_files)]
+        write_rays(batches_with_points(observations), setup, files_of_rays)
+        for file in files_of_rays:
             file.seek(0)
             rays = np.frombuffer(file.read(), RAY)
             if rays.size == 0:
