@@ -21,7 +21,10 @@ def image_pattern(value: str) -> str:
     except ValueError as error:
         raise SectionError(f"is not a pattern with {{index}} or {{n}} ({error})") from None
     names = []
-    for _, name, number_format, conversion in pieces:
+    for piece in pieces:  # of text, and the name, format and conversion of the field behind it
+        name = piece[1]
+        number_format = piece[2]
+        conversion = piece[3]
         if name is None:  # text behind the last field
             continue
         is_number = _NUMBER_FORMAT.match(number_format or "")

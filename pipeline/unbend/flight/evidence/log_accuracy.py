@@ -99,8 +99,8 @@ class LogAccuracy:
         horizontal_m2 = reported.horizontal_m2
         height_m2 = reported.height_m2 + self._variance_about_fused(channel, time_ns)
         is_silent = ~np.isfinite(horizontal_m2)  # reports hold both or neither
-        may_be_filter = self.receiver is not None and channel is not self.receiver
-        if may_be_filter and is_silent.any():
+        has_other_receiver = self.receiver is not None and channel is not self.receiver
+        if has_other_receiver and is_silent.any():
             of_filter = self._filter_variances(time_ns)
             horizontal_m2 = np.where(is_silent, of_filter.horizontal_m2, horizontal_m2)
             height_m2 = np.where(is_silent, of_filter.height_m2, height_m2)
