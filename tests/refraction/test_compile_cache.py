@@ -185,7 +185,7 @@ def test_while_another_process_compiles_nothing_is_kept(monkeypatch, tmp_path):
     monkeypatch.setattr(jit, "COMPILED_WITHIN_S", 0.1)
     kernel = jit.entry(divided)
     x = np.array([3.0, 1.0])
-    with FileLock(tmp_path / "compiling.lock"):
+    with FileLock(tmp_path / "divided.lock"):
         kernel(x, np.array([2.0, 4.0]))
     assert x.tolist() == [1.5, 0.25]
     assert not list(tmp_path.rglob("*.nbc"))

@@ -29,7 +29,7 @@ ROOM = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 COMPILED_FOLDERS = ("camera", "kernels")  # of that room
 COMPILED_FILES = ("status_codes.py",)
 UNUSED_FOR_S = 7 * 86_400.0  # the folder of other sources is then removed
-COMPILED_WITHIN_S = 120.0  # ten times what the slowest takes; another process may be stopped
+COMPILED_WITHIN_S = 300.0  # the slowest takes 15 s; another process may be stopped
 
 # Division by zero gives infinity or NaN, as in numpy.
 OPTIONS: dict[str, Any] = {"error_model": "numpy", "nogil": True}
@@ -138,6 +138,7 @@ class Entry:
     """
 
     def __init__(self, function: Callable[..., Any]) -> None:
+        self._name = function.__name__
         self._in_memory = numba.njit(**OPTIONS)(function)
         self._folder = cache_folder()
         self._kept = self._in_memory
@@ -166,7 +167,8 @@ class Entry:
         """
         if self._folder is None:
             return False
-        lock = FileLock(os.path.join(self._folder, "compiling.lock"), timeout=COMPILED_WITHIN_S)
+        lock_file = os.path.join(self._folder, f"{self._name}.lock")
+        lock = FileLock(lock_file, timeout=COMPILED_WITHIN_S)
         try:
             lock.acquire()
         except (OSError, Timeout):
