@@ -47,17 +47,17 @@ def test_the_compiler_uses_the_same_folder(monkeypatch, tmp_path):
 def test_what_warm_compiles_is_what_missions_call(unbend):
     """Nothing is compiled for other types of arguments: those of real tables and logs."""
     from unbend.batch.runs import check_mission
-    from unbend.refraction.kernels import image, moments, ray, sigma
+    from unbend.refraction.kernels import moments, outgoing, ray, shifts, sigma
     from unbend.refraction.kernels.jit import cache_folder
 
     ended = unbend("warm")
     assert (ended.code, ended.out.strip()) == (0, cache_folder())
     kernels = [
-        image.fill_outgoing_rays,
-        image.shift_back,
+        outgoing.fill_outgoing_rays,
+        shifts.fill_shifts,
         moments.bend_steep_rays,
         ray.bend_rays,
-        sigma.propagate,
+        sigma.fill_sigma_columns,
     ]
     known = [kernel.signatures for kernel in kernels]
     assert all(known)
