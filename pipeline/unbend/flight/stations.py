@@ -196,7 +196,7 @@ def _columns_of_field(name: str, values: NDArray[Any]) -> dict[str, Any]:
 def _utc(time_ns: Integers) -> NDArray[np.datetime64]:
     """Times of stations as UTC; NaT where there is none."""
     time = time_ns.astype("datetime64[ns]")
-    time[time_ns == NO_TIME] = np.datetime64("NaT")
+    time[time_ns == NO_TIME] = np.datetime64("NaT", "ns")
     return time
 
 
