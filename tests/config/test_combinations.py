@@ -167,7 +167,8 @@ def test_combinations_with_a_trajectory(trajectory, changes, text, refusal):
          "leave stations.trajectory and events.positions out"),
         ({"stations": {"trajectory": TRAJECTORY | {"replaces": ["position"]}},
           "events": {"csv": {"path": "e.csv"}}, "mount": {"nadir": {}}},
-         "stations.trajectory.replaces leaves to the log what there is no log for: leave it out"),
+         "there is no log, so the trajectory gives all that it has: remove the key "
+         "stations.trajectory.replaces"),
         ({"stations.orientation.format": "dji"},
          "stations.orientation: format: dji has angles: roll_pitch_yaw, of the gimbal"),
         ({"stations.orientation": {"path": "m", "format": "colmap", "frame": "ecef",
