@@ -158,6 +158,20 @@ def test_the_package_is_imported_where_there_is_no_fork(tree):
 
 def test_kernels_hold_no_lock_while_they_run():
     """Threads work on blocks of rows beside each other."""
+    from unbend.refraction.kernels import grazing, moments, outgoing, ray, shifts, sigma, terrain
+
+    kernels = [
+        grazing.bend_grazing_rays,
+        outgoing.fill_outgoing_rays,
+        shifts.fill_shifts,
+        moments.bend_steep_rays,
+        ray.bend_rays,
+        ray.ray_heights,
+        sigma.fill_sigma_columns,
+        terrain.follow_rays,
+    ]
+    assert all(kernel.targetoptions["nogil"] for kernel in kernels)
+    assert not any(kernel.targetoptions.get("fastmath") for kernel in kernels)
     assert jit.OPTIONS["nogil"]
     assert "fastmath" not in jit.OPTIONS
     for path in ROOM.glob("kernels/*.py"):
@@ -179,6 +193,11 @@ def test_a_division_by_zero_is_infinite_as_in_numpy(kept, monkeypatch, tmp_path)
     assert bool(list(tmp_path.rglob("*.nbc"))) == kept
 
 
+def patient_lock(path, timeout):
+    assert timeout == 0.0, "a kernel waits again for a process that is stopped"
+    return FileLock(path, timeout=timeout)
+
+
 def test_while_another_process_compiles_nothing_is_kept(monkeypatch, tmp_path):
     """numba numbers the files of a function: two writers may give each other's code to a type."""
     monkeypatch.setattr(jit, "cache_folder", lambda: str(tmp_path))
@@ -187,7 +206,9 @@ def test_while_another_process_compiles_nothing_is_kept(monkeypatch, tmp_path):
     x = np.array([3.0, 1.0])
     with FileLock(tmp_path / "divided.lock"):
         kernel(x, np.array([2.0, 4.0]))
-    assert x.tolist() == [1.5, 0.25]
+        assert x.tolist() == [1.5, 0.25]
+        monkeypatch.setattr(jit, "FileLock", patient_lock)
+        kernel(np.ones(2), np.ones(2))  # which waits no more
     assert not list(tmp_path.rglob("*.nbc"))
     kernel(x, np.array([2.0, 4.0]))
     assert x.tolist() == [0.75, 0.0625]

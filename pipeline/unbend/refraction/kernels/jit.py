@@ -131,55 +131,47 @@ def within(function: Callable[..., Any]) -> Callable[..., Any]:
     return compiled
 
 
-class Entry:
-    """A function that Python calls, compiled at its first call unless it was kept.
+class _CompilesAlone:
+    """What compiles or loads a kernel in the place of its dispatcher's ``compile``, under a lock.
 
-    It fills arrays and returns nothing.
+    numba numbers the files of a function as it finds them, so two processes that compile it for
+    two types of arguments at the same time may each be given the code of the other.
     """
 
-    def __init__(self, function: Callable[..., Any]) -> None:
-        self._name = function.__name__
-        self._in_memory = numba.njit(**OPTIONS)(function)
-        self._folder = cache_folder()
-        self._kept = self._in_memory
-        if self._folder is not None:
-            with _caching_in(self._folder):
-                self._kept = numba.njit(cache=True, **OPTIONS)(function)
+    def __init__(
+        self,
+        compile_kept: Callable[..., object],
+        compile_in_memory: Callable[..., object],
+        lock_file: str,
+    ) -> None:
+        self._compile_kept = compile_kept
+        self._compile_in_memory = compile_in_memory
+        self._lock_file = lock_file
+        self._patience_s = COMPILED_WITHIN_S
 
-    def __call__(self, *arguments: object) -> None:
-        """Call the compiled function; without a lock on its folder it is compiled in memory."""
-        types = tuple(numba.typeof(argument) for argument in arguments)
-        if types in self._kept.overloads or self._compile_alone(types):
-            self._kept(*arguments)
-        else:
-            self._in_memory(*arguments)
-
-    @property
-    def signatures(self) -> list[Any]:
-        """Types of arguments for which it was loaded or compiled."""
-        return [*self._kept.signatures, *self._in_memory.signatures]
-
-    def _compile_alone(self, types: tuple[Any, ...]) -> bool:
-        """Load or compile the function for types of arguments; False where that has to wait.
-
-        numba numbers the files of a function as it finds them, so two processes that compile it
-        for two types of arguments at the same time may each be given the code of the other.
-        """
-        if self._folder is None:
-            return False
-        lock_file = os.path.join(self._folder, f"{self._name}.lock")
-        lock = FileLock(lock_file, timeout=COMPILED_WITHIN_S)
+    def __call__(self, types: object) -> object:
+        """The code for types of arguments; without the lock it is in memory alone."""
+        lock = FileLock(self._lock_file, timeout=self._patience_s)
         try:
             lock.acquire()
         except (OSError, Timeout):
-            return False
+            self._patience_s = 0.0  # no further call waits for a process that is stopped
+            return self._compile_in_memory(types)
         try:
-            self._kept.compile(types)
+            return self._compile_kept(types)
         finally:
             lock.release()
-        return True
 
 
-def entry(function: Callable[..., Any]) -> Entry:
-    """Decorate a function that Python calls."""
-    return Entry(function)
+def entry(function: Callable[..., Any]) -> Callable[..., Any]:
+    """A function that Python calls: compiled at its first call, unless it was kept."""
+    kernel: Any = numba.njit(**OPTIONS)(function)
+    folder = cache_folder()
+    if folder is not None:
+        in_memory = kernel
+        with _caching_in(folder):
+            kernel = numba.njit(cache=True, **OPTIONS)(function)
+        lock_file = os.path.join(folder, f"{function.__name__}.lock")
+        kernel.compile = _CompilesAlone(kernel.compile, in_memory.compile, lock_file)
+    dispatcher: Callable[..., Any] = kernel
+    return dispatcher
