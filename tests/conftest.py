@@ -365,11 +365,11 @@ def drawn_today(items: list[pytest.Item]) -> set[pytest.Item]:
     cases: dict[str, list[pytest.Item]] = {}
     for item in items:
         cases.setdefault(item.nodeid.partition("[")[0], []).append(item)
-    groups = [group for group in cases.values() if len(group) > 1]
-    groups.append([group[0] for group in cases.values() if len(group) == 1])
+    with_one_case = [item for group in cases.values() if len(group) == 1 for item in group]
+    with_several = [group for group in cases.values() if len(group) > 1]
+    draw = random.Random(SEED)
     chosen = set()
-    for group in groups:
-        draw = random.Random(f"{SEED} {group[0].nodeid}" if group else "")
+    for group in [*with_several, with_one_case]:
         chosen.update(draw.sample(group, math.ceil(len(group) / 4)))
     return chosen
 

@@ -37,6 +37,9 @@ from unbend.tables.weather_files import read_model_field
 Paths = Mapping[str, Path]
 """Where each input is, by its role."""
 
+_NOT_IN_FILES = ("log", "observations", "orientation")
+"""Roles of inputs that a mission with tables in memory has not, or not in a file."""
+
 
 def open_inputs(
     mission: Mission,
@@ -104,10 +107,6 @@ def decode_log(mission: Mission, paths: Paths, sha256: str | None) -> Log | None
     if mission.log is None:
         return None
     return open_log(paths["log"], sha256)
-
-
-_NOT_IN_FILES = ("log", "observations", "orientation")
-"""Roles of inputs that a mission with tables in memory has not, or not in a file."""
 
 
 def paths_beside_tables(mission: Mission, folder: Path) -> tuple[Mission, dict[str, Path]]:
