@@ -15,6 +15,7 @@ from unbend.stages.multi_image.assignment_likelihoods import (
     Likelihood,
     TieLikelihood,
     evenly_spaced_of,
+    joint_likelihood,
 )
 from unbend.stages.multi_image.camera_images import CameraImages
 from unbend.units import Integers
@@ -97,12 +98,10 @@ def is_shifted(
         else:
             across_place.append(likelihood)
 
-    def joint_likelihood(event: Integers) -> float:
-        return sum(likelihood(event) for likelihood in across_place)
-
-    needed = joint_likelihood(assignment.event) + LOG_RATIO_NEEDED
+    joint = joint_likelihood(across_place)
+    needed = joint(assignment.event) + LOG_RATIO_NEEDED
     shifted_parts = shifted_assignments(assignment, images, order, place, events_count=events_count)
-    return any(joint_likelihood(event) > needed for event in shifted_parts)
+    return any(joint(event) > needed for event in shifted_parts)
 
 
 def shifted_assignments(

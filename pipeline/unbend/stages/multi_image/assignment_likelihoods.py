@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -40,6 +40,16 @@ DELAY_S = 1.0  # sigma of a delay that all positions share: that of a receiver's
 OUTLIER = 25.0  # square of sigmas, beyond which a position costs no more
 FEWEST_STATIONS = 3  # the velocity of a station needs its neighbours
 ITERATIONS = 4  # of the robust fit of what positions share
+
+
+def joint_likelihood(likelihoods: Iterable[Likelihood]) -> Likelihood:
+    """The log likelihood of assignments by several evidences that do not depend on each other."""
+    parts = tuple(likelihoods)
+
+    def of_assignment(event: Integers) -> float:
+        return sum(likelihood(event) for likelihood in parts)
+
+    return of_assignment
 
 
 @dataclass(frozen=True, eq=False)

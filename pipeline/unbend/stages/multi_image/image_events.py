@@ -20,6 +20,7 @@ from unbend.stages.multi_image.assignment_likelihoods import (
     TIES,
     Likelihood,
     TieLikelihood,
+    joint_likelihood,
     position_likelihood,
     tie_likelihood,
 )
@@ -181,15 +182,12 @@ def likeliest_assignment(
     The names of the ``likelihoods`` are among the evidence that the assignment lists.
     """
 
-    def joint_likelihood(event: Integers) -> float:
-        return sum(likelihood(event) for likelihood in likelihoods.values())
-
     ties = likelihoods.get(TIES)
     assignment = assign(
         CameraEvents((exposed.time_ns - exposed.time_ns[0]) / 1e9, exposed.index),
         evidence,
         first_image=anchor_rows(anchor, images, exposed),
-        tie_points=joint_likelihood if likelihoods else None,
+        tie_points=joint_likelihood(likelihoods.values()) if likelihoods else None,
         share_met=ties.share_met if isinstance(ties, TieLikelihood) else None,
     )
     names = " and ".join(likelihoods)
