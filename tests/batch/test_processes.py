@@ -7,11 +7,15 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import pytest
+
+from unbend.batch.processes import MissionProcess, stop_all
 
 MISSIONS = str(Path(__file__).with_name("missions.py"))
 sys.path.append(str(Path(MISSIONS).parent))
@@ -89,6 +93,16 @@ def test_no_process_outlives_its_parent(tmp_path):
     parent.wait()
     workers = [int(line.split()[1]) for line in begun.read_text().splitlines()]
     wait_until(lambda: all(map(gone, workers)), 5.0)
+
+
+def test_the_threads_of_a_pool_end_with_its_process():
+    before = set(threading.enumerate())
+    processes = [MissionProcess(1) for _ in range(2)]
+    for process in processes:
+        process.submit(partial(time.sleep, 600))
+    stop_all(processes)
+    left = set(threading.enumerate()) - before
+    assert not left
 
 
 def wait_until(happened: Callable[[], bool], seconds: float = 120.0) -> None:

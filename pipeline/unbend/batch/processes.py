@@ -70,7 +70,7 @@ class MissionProcess:
         try:
             return future.result()
         except BrokenProcessPool:
-            self._close(wait=True)
+            self._close()
             code = None if self._process is None else self._process.exitcode
             return Lost(way_of_death(code))
         except Exception as error:  # what it returned, or is asked to do, cannot be sent
@@ -83,17 +83,21 @@ class MissionProcess:
 
     def stop(self, deadline: float) -> None:
         """Wait for the end of the process until a time of `time.monotonic`, then kill it."""
+        if self._process is not None:
+            self._process.join(max(0.0, deadline - time.monotonic()))
+            if self._process.is_alive():
+                self._process.kill()
+                self._process.join()
         self._close()
-        if self._process is None:
-            return
-        self._process.join(max(0.0, deadline - time.monotonic()))
-        if self._process.is_alive():
-            self._process.kill()
-            self._process.join()
 
-    def _close(self, *, wait: bool = False) -> None:
+    def _close(self) -> None:
+        """Close the pool of a process that has ended or is about to.
+
+        The pool's own thread is waited for: at the interpreter's end Python would write into a
+        pipe that this thread is closing, and print a traceback.
+        """
         if self._pool is not None:
-            self._pool.shutdown(wait=wait, cancel_futures=True)
+            self._pool.shutdown(wait=True, cancel_futures=True)
             self._pool = None
 
 
