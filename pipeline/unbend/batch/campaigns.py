@@ -71,7 +71,10 @@ class Selection:
         *,
         again: bool = False,
     ) -> Generator[tuple[MissionRef, MissionEnd]]:
-        """How each mission ended; what is not refused or (but for ``again``) unchanged is run."""
+        """How each mission ended. ``run`` gets all but refused missions and unchanged ones.
+
+        With ``again`` unchanged missions are run too.
+        """
         waiting = []
         for ref in self.missions:
             if ref in self.refused:

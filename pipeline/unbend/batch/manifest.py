@@ -24,7 +24,7 @@ def manifest_text(manifest: Manifest) -> str:
 def parse_manifest(content: bytes, where: str, *, of_attempt: bool = False) -> Manifest:
     """The manifest in a file; refuses (MANIFEST-UNREADABLE) what unbend did not write.
 
-    One in object storage names an attempt.
+    ``of_attempt`` : the manifest is in object storage, and has to name the attempt it is of.
     """
     try:
         values = json.loads(content.decode("utf-8"))
@@ -33,8 +33,8 @@ def parse_manifest(content: bytes, where: str, *, of_attempt: bool = False) -> M
     if not isinstance(values, dict) or "outputs" not in values:
         raise manifest_not_ours(path=where)
     manifest = Manifest(values, where)
-    attempt = manifest.run.attempt  # refuses values that all versions have, but these lack
-    if of_attempt and not _ATTEMPT.fullmatch(attempt):
+    run = manifest.run  # its record is made here: it refuses a manifest without the common values
+    if of_attempt and not _ATTEMPT.fullmatch(run.attempt):
         raise manifest_not_ours(path=where)
     return manifest
 

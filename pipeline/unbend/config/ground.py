@@ -145,7 +145,11 @@ class GroundModel(Section):
 
 
 def _kind_of_height(value: object) -> str:
-    """Which of the sources of heights a value is meant for, so that one has its messages alone."""
+    """The tag of the kind of height that a value is meant as.
+
+    pydantic checks the value as this kind alone, and so reports the mistakes against this kind and
+    not those against every kind.
+    """
     match value:
         case str():
             return "name"

@@ -401,16 +401,16 @@ class Mission(Section):
     def _check_heights_of_block(self) -> Self:
         """``ground.height: block`` needs a block in ``stations.orientation`` that has points.
 
-        They are placed before the stations are built, so that the frame of the block must be known
+        The points are placed before the stations are built, so the frame of the block must be known
         without the positions of a log.
         """
         orientation = self.stations.orientation
-        has_points = (
+        has_placed_points = (
             orientation is not None
             and orientation.of_block
             and orientation.known_positions != "log"
         )
-        if self.ground.height == "block" and not has_points:
+        if self.ground.height == "block" and not has_placed_points:
             raise SectionError(
                 "ground.height: block takes the points of stations.orientation: give it a format "
                 f"of {', '.join(BLOCKS)}, and a frame that does not need the log"

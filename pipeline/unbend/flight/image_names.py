@@ -18,9 +18,10 @@ DIFFERENCES: tuple[Difference, ...] = ("case", "extension", "folder", "digits")
 
 
 def without_differences(name: str, differences: Collection[str]) -> str:
-    """A name without its case, extension, folder, or zeros and marks before digits.
+    """A name without the listed differences: case, extension, folder, marks before digits.
 
-    ``differences`` : which of these are taken away.
+    ``differences`` : which of these are taken away. One ``#`` stands for the zeros, blanks, lines
+    and underscores before digits.
 
     >>> without_differences("left/DSC_0001.JPG", DIFFERENCES)
     'dsc#1'
@@ -30,6 +31,7 @@ def without_differences(name: str, differences: Collection[str]) -> str:
     if "folder" in differences:
         name = re.split(r"[\\/]", name)[-1]
     if "extension" in differences:
+        # An extension has a letter: what follows the point of "strip.0001" is a number.
         name = re.sub(r"\.(?=\w*[A-Za-z])\w{1,5}$", "", name)
     if "digits" in differences:
         name = re.sub(r"(?:^|[ _-]+|(?<=\D))0*(\d+)", r"#\1", name)

@@ -96,25 +96,29 @@ def air_of(table: pa.Table, profile_id: pa.ChunkedArray) -> ProfileSeries:
 
 
 def profile_of(table: pa.Table) -> Profile:
-    """The profile from a table of one as in ``profile.parquet``; the inverse of `table_of_profile`.
+    """The profile from a table as in ``profile.parquet``; the inverse of `table_of_profile`.
 
-    The refractivity is that of the run to 1e-15 of itself (6e-16 in the sample runs).
+    The rows are the layers at their lower edges and then the top of the last layer, which repeats
+    the base values of that layer. The refractivity is that of the run to 1e-15 of itself (6e-16 in
+    the sample runs).
     """
     metadata = {key.decode(): value.decode() for key, value in table.schema.metadata.items()}
 
     def column(name: str) -> Array:
         return np.asarray(table[name].to_numpy(), dtype=np.float64)
 
-    vapour = column("vapour_pressure_pa") / column("pressure_pa")
-    edge = np.append(column("geopotential_base_m")[:-1], column("geopotential_m")[-1])
+    all_layers = slice(None, -1)
+    top_m = column("geopotential_m")[-1]
+    edge_m = np.append(column("geopotential_base_m")[all_layers], top_m)
+    vapour_at_edge = column("vapour_pressure_pa") / column("pressure_pa")
     layers = Layers(
-        edge=edge,
-        temperature=column("t_base_k")[:-1],
-        lapse=column("lapse_k_per_m")[:-1],
-        pressure=column("p_base_pa")[:-1],
-        vapour=vapour[:-1],
-        vapour_slope=np.diff(vapour) / np.diff(edge),
-        source=tuple(table["source"].to_pylist()[:-1]),
+        edge=edge_m,
+        temperature=column("t_base_k")[all_layers],
+        lapse=column("lapse_k_per_m")[all_layers],
+        pressure=column("p_base_pa")[all_layers],
+        vapour=vapour_at_edge[all_layers],
+        vapour_slope=np.diff(vapour_at_edge) / np.diff(edge_m),
+        source=tuple(table["source"].to_pylist()[all_layers]),
     )
     latitude = None
     if metadata["latitude"]:

@@ -15,6 +15,7 @@ from unbend.flight.exposures import trigger_notes
 from unbend.flight.heights import height_system
 from unbend.flight.mount import is_of_gimbal
 from unbend.flight.roles import assign_roles
+from unbend.geodesy import longitudes_near, wrapped
 from unbend.ingest import Log, open_log
 from unbend.ingest.flight_log import utc_text
 from unbend.ingest.overview import flight_of
@@ -109,9 +110,14 @@ def place_remark(roles: Mapping[str, Channel]) -> str:
     position = roles.get("position")
     if position is None or len(position) == 0:
         return ""
-    latitude = np.degrees(np.nanmedian(position["lat_rad"]))
-    longitude = np.degrees(np.nanmedian(position["lon_rad"]))
-    return f"place: latitude {latitude:.4f}, longitude {longitude:.4f}"
+    longitude_rad = position["lon_rad"]
+    known_rad = longitude_rad[np.isfinite(longitude_rad)]
+    if known_rad.size == 0:
+        return ""
+    median_rad = np.median(longitudes_near(known_rad, known_rad[0]))
+    latitude_deg = np.degrees(np.nanmedian(position["lat_rad"]))
+    longitude_deg = np.degrees(wrapped(median_rad))
+    return f"place: latitude {latitude_deg:.4f}, longitude {longitude_deg:.4f}"
 
 
 def heights_remark(roles: Mapping[str, Channel], takeoff: str) -> str:

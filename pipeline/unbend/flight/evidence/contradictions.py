@@ -119,26 +119,27 @@ class _Examination:
     def examine_places(self, quantity: str, channel: Channel) -> None:
         """Enter what other sources have against the position or height, and replace its samples.
 
-        ``channel`` : the one of the role. A drifting barometer is reported.
+        ``channel`` : the one of the role. A drifting barometer is reported. Enters into ``result``,
+        ``suspect`` and ``suspect_attitude``.
         """
         sources = sources_of(quantity, channel, self.channels, self.roles)
         contradictions = contradictions_of(sources, self._goes_on_beside(channel))
         suspect = contradictions.suspect
         if quantity == POSITION and not is_receiver(channel):
+            # What the autopilot reports is of its filter, and says nothing against a receiver.
             suspect += [s for s in self.reported if s.quantity == POSITION]
             self._prolong_suspect_attitude(merged(suspect))
         elif quantity == HEIGHT and is_receiver(channel):
             # A fix that has stepped away in position is wrong in height too.
             stepped_away = self._steps_in_position(channel)
             suspect += [replace(s, quantity=HEIGHT, off_m=np.nan) for s in stepped_away]
-            path = sources.of_role
-            good = path.good & ~covered(stepped_away, path.channel.time_ns)
-            sources = replace(sources, of_role=replace(path, good=good))
+            sources = _without_stretches(sources, stepped_away)
         for barometer, drifts in contradictions.barometer_drifts.items():
             for drift in merged(drifts):
                 self._report_drift(barometer, drift)
         for stretch in merged(suspect):
-            self.suspect.append(self._replaced_if_plain(sources, stretch))
+            stretch_with_source = self._replace_if_plain(sources, stretch)
+            self.suspect.append(stretch_with_source)
 
     def _goes_on_beside(self, receiver: Channel) -> Channel:
         """A channel that shows whether the log goes on where a receiver is silent."""
@@ -182,7 +183,7 @@ class _Examination:
         message = barometer_drifts(barometer=barometer, reason=drift.reason, when=drift.when)
         self.notes.append(message)
 
-    def _replaced_if_plain(self, sources: Sources, stretch: Stretch) -> Stretch:
+    def _replace_if_plain(self, sources: Sources, stretch: Stretch) -> Stretch:
         """Replace the samples of a suspect stretch if it is plain which source is wrong.
 
         Returns the stretch, with the name of the source that replaces the samples. A filter whose
@@ -199,6 +200,13 @@ class _Examination:
         channel = self.result[sources.quantity]
         self.result[sources.quantity] = with_replaced(channel, replacement, stretch)
         return stretch
+
+
+def _without_stretches(sources: Sources, stretches: list[Stretch]) -> Sources:
+    """Sources in which the samples of the role within some stretches no longer count as good."""
+    path = sources.of_role
+    good = path.good & ~covered(stretches, path.channel.time_ns)
+    return replace(sources, of_role=replace(path, good=good))
 
 
 def sources_of(

@@ -156,11 +156,7 @@ def attitude_drifts(
 
 
 def with_replaced(channel: Channel, replacement: Replacement, stretch: Stretch) -> Channel:
-    """The channel with the samples of another source in a stretch, its lag and offset taken out.
-
-    Of the offsets before and after the mean counts; half their difference and the usual difference
-    of the two go into the standard deviation, with the source's own.
-    """
+    """The channel with the samples of another source in a stretch, its lag and offset taken out."""
     other = replacement.channel
     other_ns = other.time_ns - round(replacement.difference.lag_s * 1e9)
     inside = stretch.covers(other_ns)
@@ -182,7 +178,11 @@ def with_replaced(channel: Channel, replacement: Replacement, stretch: Stretch) 
 def _filling_columns(
     replacement: Replacement, inside: Mask, sigma: str, height_column: str | None
 ) -> dict[str, Array]:
-    """The columns of some samples of a replacement, moved by its offset, with its ``sigma``."""
+    """The columns of some samples of a replacement, moved by its offset.
+
+    In the column ``sigma`` are the standard deviations that the source itself reports, and
+    `Replacement.spread_m` added in quadrature. ``height_column`` is that of the replaced channel.
+    """
     other = replacement.channel
     columns = {name: values[inside] for name, values in other.columns.items()}
     columns |= moved(other, inside, replacement.offset_m, height_column)
@@ -192,16 +192,17 @@ def _filling_columns(
     return columns
 
 
-def moved(channel: Channel, rows: Mask, by_m: Array, height_column: str | None) -> dict[str, Array]:
+def moved(channel: Channel, rows: Mask, by_m: Array, into_column: str | None) -> dict[str, Array]:
     """Columns of some rows of a channel, moved by (2,) metres north and east or (1,) up.
 
-    Of heights only the one in ``height_column`` is known then.
+    A height is read from the channel's own height column and returned as ``into_column``, the
+    height column of the channel that it replaces; the other kinds of height become NaN.
     """
     if by_m.size == 1:
         height = channel[channel.height_column or "h_msl_m"][rows] + by_m[0]
         unknown = np.full(height.shape, np.nan)
         columns = dict.fromkeys(("h_msl_m", "h_ellipsoid_m", "h_home_m", "h_gnss_m"), unknown)
-        columns[height_column or "h_msl_m"] = height
+        columns[into_column or "h_msl_m"] = height
         return columns
     lat = channel["lat_rad"][rows]
     lon = channel["lon_rad"][rows]

@@ -272,12 +272,14 @@ def report_misses(
 ) -> None:
     """Add how far the rays of tie points miss each other to the ledger.
 
-    That is a note if they meet, or if findings have ``explained`` why they do not; else a finding
-    with the worst cameras and images. ``nearest`` are findings that would explain a part.
+    That is a note if findings have ``explained`` the misses, or if the rays meet and no finding
+    would explain even a part of what remains (``nearest`` is empty). Else it is a finding, with the
+    worst cameras and images.
     """
     point_of_ray = np.searchsorted(intersection.point, rays.point)
     miss_rad = np.sqrt(np.mean(intersection.residual_rad**2, axis=1))
-    # A point whose rays are all but parallel has no place of its own.
+    # A point is judged if it has a place, or would have one without the rays that miss the others.
+    # Rays that are all but parallel fix no place.
     is_judged = intersection.used | (intersection.angle_rad >= MINIMUM_ANGLE_RAD)
     is_judged[point_of_ray[intersection.bad]] = True
     where = "stations.orientation.path" if oriented else "stations"

@@ -61,8 +61,11 @@ def cause_of_misses(facts: Facts) -> str:
     causes = []
     if not is_below.all():
         too_high_m = ground_above_camera_m[~is_below]
-        most = f"up to {np.max(too_high_m):.0f} m" if too_high_m.size > 1 else "so far"
-        causes.append(f"the ground lies {most} above the camera (ground.height, ground.reference)")
+        most_m = np.max(too_high_m)
+        causes.append(
+            f"the ground lies up to {most_m:.0f} m above the camera (ground.height, "
+            "ground.reference)"
+        )
     if is_below.any():
         camera_radius_m = EARTH_RADIUS_M - ground_above_camera_m[is_below]
         dip_rad = np.arccos(EARTH_RADIUS_M / camera_radius_m)  # of the horizon of the ground
