@@ -18,7 +18,7 @@ import yaml
 from tests.ingest.ulog.test_log import flight
 from tests.logs import at_hand
 from unbend.batch.proposal import mission_text
-from unbend.batch.proposal.log_facts import LogFacts, facts_of_log
+from unbend.batch.proposal.log_facts import LogFacts, facts_of_log, place_remark
 from unbend.batch.proposal.mission_text import propose_mission
 from unbend.batch.proposal.proposed_cameras import proposed_cameras
 from unbend.flight.channels import Channel, Source
@@ -196,6 +196,13 @@ def test_names_that_do_not_count_as_the_log_are_left_to_the_evidence(numbers):
     assert (camera.name, camera.channel.value) == ("camera", '"CAM[0]"')
     assert camera.image.value == '"DSC_*.tif"'
     assert "DSC_{index:04d}.tif" in camera.image.remark
+
+
+def test_the_place_of_a_flight_across_the_180th_meridian():
+    columns = {"lat_rad": np.radians([-17.0, -17.0]), "lon_rad": np.radians([179.99, -179.97])}
+    time_ns = np.array([0, 1], dtype=np.int64)
+    position = Channel("GPS[0]", time_ns, columns, source=Source("GPS"))
+    assert place_remark({"position": position}) == "place: latitude -17.0000, longitude -179.9900"
 
 
 def test_without_events_their_table_is_asked_for(mission, unbend, monkeypatch):

@@ -114,9 +114,9 @@ def place_remark(roles: Mapping[str, Channel]) -> str:
     known_rad = longitude_rad[np.isfinite(longitude_rad)]
     if known_rad.size == 0:
         return ""
-    median_rad = np.median(longitudes_near(known_rad, known_rad[0]))
+    median_rad = np.median(longitudes_near(known_rad, known_rad[0]), keepdims=True)
     latitude_deg = np.degrees(np.nanmedian(position["lat_rad"]))
-    longitude_deg = np.degrees(wrapped(median_rad))
+    longitude_deg = np.degrees(wrapped(median_rad))[0]
     return f"place: latitude {latitude_deg:.4f}, longitude {longitude_deg:.4f}"
 
 
