@@ -246,6 +246,7 @@ def test_definitions_from_the_summary_save_a_log_that_lost_its_first_chunk(
 ) -> None:
     """Writers define channels in the first chunk that needs them."""
     monkeypatch.setattr("unbend.ingest.mcap.mcap_records.SPAN", 8192)  # as if the log were long
+    monkeypatch.setattr("unbend.ingest.mcap.message_batches.BATCH_BYTES", 8192)
     data = bytearray(small_logs()[0])
     begin, end, lost = next(chunks(bytes(data)))
     data[end - 40] ^= 0xFF

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from unbend.ingest.mcap import messages
-from unbend.ingest.mcap.mcap_records import Messages
+from unbend.ingest.mcap.message_batches import Messages
 from unbend.messages import Ledger
 
 CHANNEL_NUMBERS = 1 << 16  # they are 16 bits wide

@@ -14,7 +14,7 @@ from unbend.flight.channels import Source, TimeArray
 from unbend.ingest.field_maps import CAPTURE_UTC_FIELD, UTC_FIELD, MessageMap
 from unbend.ingest.mcap import messages
 from unbend.ingest.mcap.cdr import decode, decode_plan
-from unbend.ingest.mcap.mcap_records import Messages
+from unbend.ingest.mcap.message_batches import Messages
 from unbend.ingest.mcap.ros2_definitions import SchemaError, steps_of
 from unbend.ingest.mcap.stamps import LOG_TIME, SEQUENCE, STAMP, own_times, since_boot, stamp_of
 from unbend.ingest.mcap.topic_samples import LABELS, PLAIN_JSON, TopicSamples
