@@ -443,15 +443,21 @@ _TAKEOFF_MOVE_M = 20.0  # by which receivers wander meanwhile
 _EARTH_M = 6.371e6
 
 
-def takeoff_of(
-    track: tuple[TimeArray, Array, Array, Array], home_m: float | None
-) -> Takeoff | None:
+class LoggedPath(NamedTuple):
+    """(n,) times [Unix ns], latitudes, longitudes [rad], heights above sea level [m] of a log."""
+
+    time_ns: TimeArray
+    latitude_rad: Array
+    longitude_rad: Array
+    h_msl_m: Array
+
+
+def takeoff_of(path: LoggedPath, home_m: float | None) -> Takeoff | None:
     """Where a log begins; None if the aircraft moves there and no take-off height is known.
 
-    ``track`` holds time [Unix ns], latitude, longitude [rad] and height above sea level [m];
     ``home_m`` is the take-off height [m], if known.
     """
-    time_ns, lat_rad, lon_rad, height_m = track
+    time_ns, lat_rad, lon_rad, height_m = path
     known = np.isfinite(lat_rad + lon_rad + height_m)
     if not known.any():
         return None

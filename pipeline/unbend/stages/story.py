@@ -10,7 +10,7 @@ from unbend.config import Mission
 from unbend.flight.heights import heights_at, logged_terrain, undulation_notes
 from unbend.flight.outside_air import outside_air_samples
 from unbend.flight.stations import Stations, append_unmatched_images, flag_height_misfits
-from unbend.flight.trajectory import takeoff_of
+from unbend.flight.trajectory import LoggedPath, takeoff_of
 from unbend.messages import Ledger
 from unbend.refraction.effect import FlightAir
 from unbend.stages.air_of_mission import adjusted_profiles
@@ -38,7 +38,6 @@ from unbend.tables.geodata.elevation import ElevationModel
 from unbend.tables.geodata.geoid import package_geoid
 from unbend.tables.manifest.results import ResultsRecord
 from unbend.tables.observations import Observations
-from unbend.units import Array, Integers
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,17 +59,16 @@ class PreparedMission:
         """The table of observations, with the heights of object points where these have them."""
         return self.inputs.observations
 
-    def track(self) -> tuple[Integers, Array, Array, Array]:
-        """(n,) time [Unix ns], latitude, longitude [rad], height above sea level [m] as logged."""
+    def track(self) -> LoggedPath:
+        """Where the aircraft was as logged; empty where positions or heights are not known."""
         track = self.flight.track
         height = self.flight.roles.get("height")
         if track is None or height is None:
             none = np.empty(0)
-            return np.empty(0, np.int64), none, none, none
-        time_ns, latitude, longitude = track
+            return LoggedPath(np.empty(0, np.int64), none, none, none)
         gap_s = self.mission.max_gap_s
-        h_msl_m, _ = heights_at(height, time_ns, self.flight.heights, gap_s)
-        return time_ns, latitude, longitude, h_msl_m
+        h_msl_m, _ = heights_at(height, track.time_ns, self.flight.heights, gap_s)
+        return LoggedPath(*track, h_msl_m)
 
 
 @dataclass(frozen=True, eq=False)
