@@ -179,7 +179,7 @@ def series_between(
 def with_ageing(
     series: ProfileSeries, samples: AirSamples, times_ns: Integers, levels: Levels, ledger: Ledger
 ) -> ProfileSeries:
-    """The profiles with their sigmas at times (s,) that may be long after the samples, or before."""
+    """The profiles with their sigmas at times (s,), which may be long after the samples."""
     highest_m = max(levels.cameras_m)
     return ledger.take(add_ageing(series, times_ns, samples, highest_m, levels.ground_m))
 

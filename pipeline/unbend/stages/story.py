@@ -106,7 +106,9 @@ def prepare_mission(
     samples = ledger.take(
         outside_air_samples(flight.air_roles, flight.heights, mission.max_gap_s, flight.own_suspect)
     )
-    sources = read_air_sources(mission, inputs, flight, stations, samples, ledger)
+    sources = read_air_sources(
+        mission, inputs, flight=flight, stations=stations, samples=samples, ledger=ledger
+    )
     air = adjusted_profiles(mission, stations, samples, sources, ledger)
     if air.adjustment.is_measured:
         use_suspect = mission.stations.use_suspect
@@ -147,7 +149,14 @@ def correct_mission(
     setup = with_uncertainties(setup, mission, stations, air.series, batch)
 
     # The correction, and the user's own control before and after it.
-    control = compare_control(mission, prepared.inputs, setup, stations, heights, ledger)
+    control = compare_control(
+        mission,
+        prepared.inputs,
+        setup=setup,
+        stations=stations,
+        heights=heights,
+        ledger=ledger,
+    )
     statistics = correct(setup)
 
     # What is to be said of the results.
