@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from unbend.flight.channels import Channel, TimeArray
 from unbend.flight.rotations import lengths, quaternion_products, rotation_vectors
-from unbend.geodesy import principal_radii, wrapped
+from unbend.geodesy import longitudes_near, principal_radii, wrapped
 from unbend.units import NANOSECONDS_PER_SECOND, Array, Mask, Rows
 
 VELOCITY = ("v_north_m_s", "v_east_m_s", "v_down_m_s")
@@ -464,7 +464,7 @@ def takeoff_of(path: LoggedPath, home_m: float | None) -> Takeoff | None:
     begin_ns = time_ns[known][0]
     is_at_begin = known & (time_ns <= begin_ns + _TAKEOFF_NS)
     lat_rad = lat_rad[is_at_begin]
-    lon_rad = lon_rad[is_at_begin]
+    lon_rad = longitudes_near(lon_rad[is_at_begin], lon_rad[is_at_begin][0])
     height_m = height_m[is_at_begin]
     north_m = float(np.ptp(lat_rad)) * _EARTH_M
     east_m = float(np.ptp(lon_rad)) * math.cos(lat_rad[0]) * _EARTH_M

@@ -353,8 +353,7 @@ def read_air_sources(
     if flight_ns is None and orientation is not None:
         flight_ns = orientation.date_ns
     latitude = stations.mean_latitude_rad
-    known = stations.lon_rad[np.isfinite(stations.lon_rad)]
-    longitude = float(np.median(known)) if known.size else math.nan
+    longitude = stations.median_longitude_rad
     lowest_h_m = lowest_sample_m(samples, flight.heights.home_h_msl_m)
     background = climatology(
         section.climatology,
@@ -362,7 +361,7 @@ def read_air_sources(
         month=month_of(flight_ns),
         index=index_of(section),
         ground_h_m=lowest_h_m,
-        longitude_rad=longitude if known.size else 0.0,
+        longitude_rad=0.0 if math.isnan(longitude) else longitude,
     )
     soundings = read_soundings(section, inputs, flight_ns, latitude, ledger)
     surface = read_reports(section, flight_ns, background, ledger)

@@ -76,7 +76,7 @@ class RecordWalk:
         # Where the last record begins, or a proved chunk has its last byte. Records are searched
         # behind it after damage, as the length of that record may be what is damaged.
         self._last_begin = -1
-        self._data_end = -1  # where the summary begins
+        self._data_end: int | None = None  # behind it the summary begins
         self._data_ends = 0  # records that end the data
         self._data_end_checked = False
 
@@ -196,12 +196,18 @@ class RecordWalk:
             extra = self.data.size - end
             self.damage.add(messages.file_end_damaged(where=where, count=extra))
         summary_start, _, _ = FOOT.unpack(self.data[record.content : mark])
-        is_elsewhere = self._data_end < 0 or summary_start not in (0, self._data_end)
-        if is_elsewhere and not self.damage.losses:
-            self.damage.add(
-                messages.summary_elsewhere(where=where, stated=summary_start, found=self._data_end)
-            )
+        if not self.damage.losses:  # else what is missing is known
+            self._check_summary_start(where, summary_start)
         return None
+
+    def _check_summary_start(self, where: str, stated: int) -> None:
+        """Enter a loss where the footer states another place than the end of the data; 0: none."""
+        if self._data_end is None:
+            self.damage.add(messages.data_end_missing(where=where, stated=stated))
+        elif stated not in (0, self._data_end):
+            self.damage.add(
+                messages.summary_elsewhere(where=where, stated=stated, found=self._data_end)
+            )
 
     def _resume(self, record: Record) -> int | None:
         """Enter damage that begins at a record; returns where records go on, None if nowhere."""
