@@ -58,26 +58,30 @@ def export_run(
     form = find_format(name, out)
     is_folder = not form.ending
     values = form.values(options)
-    if isinstance(path, Place):
-        path = copy_of_run(path)
-    refuse_output(path, out, force=force and not is_folder)
+    folder = copy_of_run(path) if isinstance(path, Place) else path
+    refuse_output(folder, out, force=force and not is_folder)
     ledger = Ledger()
-    run = rebuild_run(path, verify_run(path), ground_height_m, ledger)
+    run = rebuild_run(folder, verify_run(folder), ground_height_m, ledger)
     with store.atomic_write(out) as draft:
         if is_folder:
             draft.mkdir(parents=True)
         rows = form.write(run, values, draft, ledger)
         if form.use:
             ledger.add(messages.use_of_export(use=form.use, name=name))
-        if form.marked:
-            about = {"mission": run.mission, "notes": [message.what for message in ledger]}
-            # Marked are files of the folder, or "", which is the file itself.
-            files = {file or out.name: draft / file for file in form.marked}
-            beside = draft / form.marked[0] if is_folder else out
-            # It appears before the file: points without a mark might be corrected again.
-            with store.atomic_write(beside.with_name(beside.name + SIDECAR)) as sidecar:
-                sidecar.write_text(sidecar_text(files, about), encoding="utf-8")
+        # The mark appears before the file: points without it might be corrected again.
+        if form.marked and is_folder:
+            files = {file: draft / file for file in form.marked}
+            write_mark(draft / form.marked[0], files, run.mission, ledger)
+        elif form.marked:
+            write_mark(out, {out.name: draft}, run.mission, ledger)
     return rows, ledger
+
+
+def write_mark(beside: Path, files: Mapping[str, Path], mission: str, ledger: Ledger) -> None:
+    """Write, beside a file, that refraction is removed from the points in some files."""
+    about = {"mission": mission, "notes": [message.what for message in ledger]}
+    with store.atomic_write(beside.with_name(beside.name + SIDECAR)) as sidecar:
+        sidecar.write_text(sidecar_text(files, about), encoding="utf-8")
 
 
 def refuse_output(run: Path, out: Path, *, force: bool) -> None:

@@ -117,12 +117,11 @@ class Topic:
         for name, rows in rows_by_name(block, self.spec.id_field):
             part = {path: column[rows] for path, column in block.items()}
             key = SeriesKey(name, counted)
+            if key not in series and len(series) >= MAX_NAMES:
+                self.nameless += int(part[PLACE].shape[0])
+                continue
             if key not in series:
-                if len(series) >= MAX_NAMES:
-                    self.nameless += int(part[PLACE].shape[0])
-                    continue
-                label = self.name if name is None else f"{self.name}[{name}]"
-                series[key] = TopicSamples(label, Source(self.schema, name), self.spec, counted)
+                series[key] = self._new_series(key)
             series[key].add(part)
         from_boot = since_boot(block[STAMP])
         if not counted or not bool(from_boot.any()):
@@ -130,6 +129,11 @@ class Topic:
         return [
             BootStamps(block[PLACE][from_boot], block[STAMP][from_boot], block[LOG_TIME][from_boot])
         ]
+
+    def _new_series(self, key: SeriesKey) -> TopicSamples:
+        """Samples of a name that is new in this topic, still without any."""
+        label = self.name if key.name is None else f"{self.name}[{key.name}]"
+        return TopicSamples(label, Source(self.schema, key.name), self.spec, key.counted)
 
     @property
     def misfit(self) -> Message:
