@@ -43,7 +43,13 @@ def flight_of(position: Channel, height: Channel) -> dict[str, Any]:
     if known_heights_m.size:
         limits_m = np.percentile(known_heights_m, HEIGHT_PERCENTILES).round(1)
         lowest_m, highest_m = limits_m.tolist()
-    take_off = takeoff_of(LoggedPath(position.time_ns, lat_rad, lon_rad, heights_m), home_m=None)
+    path = LoggedPath(
+        time_ns=position.time_ns,
+        latitude_rad=lat_rad,
+        longitude_rad=lon_rad,
+        h_msl_m=heights_m,
+    )
+    take_off = takeoff_of(path, home_m=None)
     first = int(np.argmax(known))
     start = np.datetime64(int(position.time_ns[first]), "ns")
     duration_s = float(position.time_ns[-1] - position.time_ns[0]) / 1e9

@@ -169,7 +169,9 @@ def missing_sigmas_of_cabins(mission: Mission, stations: Stations) -> Iterator[s
     for name, window in mission.windows.items():
         if window.shape != "plane":
             continue
-        rows = (stations.camera == name) & stations.ok
+        of_camera = stations.camera == name
+        rows = of_camera & stations.ok
         for key, sigma in of_cabins.items():
-            if bool(np.isnan(sigma[rows]).any()):
+            is_missing = np.isnan(sigma[rows])
+            if bool(is_missing.any()):
                 yield f"the cabin's air (cameras.{name}.window.cabin.{key})"

@@ -36,9 +36,10 @@ def next_proved_record(data: FileView, begin: int, channels: Set[int]) -> int | 
     reach = NEAR
     while begin < data.size:
         view = data.array(begin, begin + reach)
-        for candidate in candidate_places(view, PROVABLE).tolist():
-            if is_proved(data, begin + candidate, channels):
-                return int(begin + candidate)
+        for place_in_view in candidate_places(view, PROVABLE).tolist():
+            place = int(begin + place_in_view)
+            if is_proved(data, place, channels):
+                return place
         if begin + view.shape[0] >= data.size:
             return None
         begin += view.shape[0] - RECORD.size + 1
@@ -68,9 +69,10 @@ def next_message_in_chunk(view: Bytes, begin: int, channels: Set[int]) -> int:
     raw = raw_of(view)
     for near_begin in range(begin + 1, view.shape[0], NEAR):
         near = view[near_begin : near_begin + NEAR + RECORD.size - 1]
-        for place in candidate_places(near, (Opcode.MESSAGE,)).tolist():
-            if messages_follow(raw, near_begin + place, channels):
-                return int(near_begin + place)
+        for place_in_near in candidate_places(near, (Opcode.MESSAGE,)).tolist():
+            place = int(near_begin + place_in_near)
+            if messages_follow(raw, place, channels):
+                return place
     return int(view.shape[0])
 
 
@@ -94,10 +96,12 @@ def messages_follow(raw: memoryview, place: int, channels: Set[int]) -> bool:
         if content + MESSAGE.size > len(raw):
             return False
         opcode, length = RECORD.unpack_from(raw, place)
-        channel = int.from_bytes(raw[content : content + 2], "little")
-        if opcode != Opcode.MESSAGE or not MESSAGE.size <= length <= LARGE_MESSAGE:
+        if opcode != Opcode.MESSAGE:
             return False
-        if channel not in channels:
+        if not MESSAGE.size <= length <= LARGE_MESSAGE:
+            return False
+        channel_number = raw[content : content + 2]
+        if int.from_bytes(channel_number, "little") not in channels:
             return False
         place = content + length
     return place <= len(raw)

@@ -133,7 +133,12 @@ class Topic:
     def _new_series(self, key: SeriesKey) -> TopicSamples:
         """Samples of a name that is new in this topic, still without any."""
         label = self.name if key.name is None else f"{self.name}[{key.name}]"
-        return TopicSamples(label, Source(self.schema, key.name), self.spec, key.counted)
+        return TopicSamples(
+            name=label,
+            source=Source(self.schema, key.name),
+            spec=self.spec,
+            counted=key.counted,
+        )
 
     @property
     def misfit(self) -> Message:
