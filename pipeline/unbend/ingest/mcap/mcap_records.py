@@ -92,7 +92,10 @@ class RecordWalk:
     def _handed_on(
         self, parts: Iterable[Definition | MessageRecords]
     ) -> Iterator[Definition | Messages]:
-        """Definitions at once, the numbers of their channels noted; messages in batches."""
+        """The parts for the reader of the file: definitions at once, messages decoded in batches.
+
+        Here the numbers of the defined channels are noted.
+        """
         for part in parts:
             if isinstance(part, MessageRecords):
                 yield from self._batch.add(part)
