@@ -99,6 +99,16 @@ def test_the_table_is_in_degrees_and_unknown_times_are_null():
     assert [columns[f"aircraft_q_{a}"][0] for a in "wxyz"] == [0.5, 0.6, 0.7, 0.8]
 
 
+def test_the_median_longitude_goes_on_across_the_180th_meridian():
+    """The plain median of 179.9, 179.95, -179.9 and -179.95 degrees is 0: another ocean."""
+    lon = np.radians([179.9, 179.95, -179.9, -179.95])
+    across = replace(stations(4), lon_rad=lon).median_longitude_rad
+    assert abs(np.degrees(across)) == pytest.approx(180.0)
+    east = np.array([np.nan, 0.3, 0.1, 0.2])
+    assert replace(stations(4), lon_rad=east).median_longitude_rad == 0.2
+    assert np.isnan(replace(stations(4), lon_rad=np.full(4, np.nan)).median_longitude_rad)
+
+
 def test_the_mean_latitude_is_of_the_known_ones():
     lat = np.array([0.4, np.nan, 0.6])
     assert replace(stations(), lat_rad=lat).mean_latitude_rad == pytest.approx(0.5)

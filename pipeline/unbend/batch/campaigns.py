@@ -24,6 +24,7 @@ from unbend.config.campaign import Campaign, MissionRef, open_configs, refuse_tw
 from unbend.errors import UnbendError, storage_errors
 from unbend.exit_codes import EXIT_BUG
 from unbend.report.campaign import Row, campaign_page, campaign_table, row_of, row_without
+from unbend.tables.manifest.whole import Manifest
 
 PAGE = "campaign.html"
 TABLE = "campaign.parquet"
@@ -116,8 +117,8 @@ def select_missions(
     known = known_missions(missions, with_rows=writes and bool(campaigns))
     listed = list(named_missions(missions, known))
     for campaign in campaigns:
-        own = set(campaign.missions)
-        refuse_twins(campaign, [mission for mission in listed if mission.ref in own])
+        members = set(campaign.missions)
+        refuse_twins(campaign, [mission for mission in listed if mission.ref in members])
         if writes:
             refuse_foreign_page(campaign.output)
     chosen = missions
@@ -164,15 +165,16 @@ def named_missions(
 def missions_called(names: Sequence[str], listed: Sequence[NamedMission]) -> list[MissionRef]:
     """The missions of some names or files; refuses (CAMPAIGN-MISSION) a name that none has."""
     wanted = set(names)
+    not_met = set(names)
     chosen = []
     for mission in listed:
-        own = {mission.name, mission.ref.words[-1]}
-        if own & set(names):
+        names_of_mission = {mission.name, mission.ref.words[-1]}
+        if names_of_mission & wanted:
             chosen.append(mission.ref)
-        wanted -= own
-    for name in wanted:
+        not_met -= names_of_mission
+    if not_met:
         known = sorted(mission.name for mission in listed)
-        raise messages.no_such_mission(name=name, known=known[:_MOST_LISTED])
+        raise messages.no_such_mission(name=next(iter(not_met)), known=known[:_MOST_LISTED])
     return chosen
 
 
@@ -249,7 +251,10 @@ def row_of_end(
     name: str,
     output: Path | Place | None,
 ) -> Row:
-    """What is known of a mission that ended now, or before, or never ran."""
+    """What is known of a mission that ended now, or before, or never ran.
+
+    The manifest at ``output`` is read only where ``end`` does not hold it.
+    """
     is_repeated = end is None or (isinstance(end, Outcome) and end.repeated)
     if is_repeated and ref in chosen.known:
         known = chosen.known[ref].row
@@ -262,6 +267,11 @@ def row_of_end(
     manifest = None if end is None else end.manifest
     if manifest is None and output is not None:
         manifest = read_manifest(output, damaged=True)
+    return row_of_manifest(name, manifest)
+
+
+def row_of_manifest(name: str, manifest: Manifest | None) -> Row:
+    """What the manifest in a mission's folder says of it, unless it is another mission's."""
     if manifest is None or manifest.run.mission != name:
         return row_without(name, None, "", "it has no results yet")
     try:

@@ -111,14 +111,14 @@ class DaskExecutor:
             import distributed
         except ImportError as error:
             raise messages.dask_missing(error=str(error)) from None
-        own = versions_here()
+        versions = versions_here()
         command = uuid.uuid4().hex
         with connected(self._scheduler, command) as client:
-            check_workers(client, command, own, [mission.path for mission in tasks])
+            check_workers(client, command, versions, [mission.path for mission in tasks])
             waiting: dict[str, _Submitted] = {}
 
             def submit(mission: MissionRef, times: int) -> None:
-                task = pickle.dumps(partial(run_here, own, tasks[mission]))
+                task = pickle.dumps(partial(run_here, versions, tasks[mission]))
                 future = client.submit(run_apart, command, task, pure=False)
                 waiting[future.key] = _Submitted(mission, future, times)
                 future.add_done_callback(done.put)
@@ -197,7 +197,9 @@ def connected(scheduler: str, command: str) -> Iterator[Any]:
             client.close(timeout=_STOP_S)
 
 
-def check_workers(client: Any, command: str, own: Mapping[str, str], files: list[Path]) -> None:
+def check_workers(
+    client: Any, command: str, versions: Mapping[str, str], files: list[Path]
+) -> None:
     """Refuse (WORKER-VERSION, WORKER-FILES) workers that would not do what this process does."""
     question = pickle.dumps(partial(about_worker, files))
     reports = client.run(run_beside, command, question, on_error="return")
@@ -207,18 +209,20 @@ def check_workers(client: Any, command: str, own: Mapping[str, str], files: list
         if not isinstance(report, tuple):
             text = report.traceback if isinstance(report, Bug) else str(report)
             raise messages.worker_unable(worker=worker, error=text.strip().split("\n")[-1])
-        theirs, missing = report
-        refuse_other_versions(worker, own, theirs)
+        versions_there, missing = report
+        refuse_other_versions(worker, versions, versions_there)
         if missing:
             raise messages.files_not_seen(worker=worker, first=missing[0], count=len(missing))
 
 
-def refuse_other_versions(worker: str, own: Mapping[str, str], theirs: Mapping[str, str]) -> None:
-    """Refuse (WORKER-VERSION) a worker with other versions than those here."""
+def refuse_other_versions(
+    worker: str, versions: Mapping[str, str], versions_there: Mapping[str, str]
+) -> None:
+    """Refuse (WORKER-VERSION) a worker with other versions than those of the command."""
     other = []
-    for name in sorted(own.keys() | theirs.keys()):
-        there = theirs.get(name, "missing")
-        here = own.get(name, "missing")
+    for name in sorted(versions.keys() | versions_there.keys()):
+        there = versions_there.get(name, "missing")
+        here = versions.get(name, "missing")
         if there != here:
             other.append(f"{name} {there} (here {here})")
     if other:
@@ -227,12 +231,12 @@ def refuse_other_versions(worker: str, own: Mapping[str, str], theirs: Mapping[s
 
 def versions_here() -> dict[str, str]:
     """Versions of the program, Python and all libraries in this process."""
-    found = all_versions()
+    versions = all_versions()
     for name in _OPTIONAL:
         installed = version(name)
         if installed is not None:
-            found[name] = installed
-    return found
+            versions[name] = installed
+    return versions
 
 
 # In a process of a worker

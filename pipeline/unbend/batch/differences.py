@@ -47,11 +47,11 @@ def changed_keys(config: Mapping[str, Any], of_run: Mapping[str, Any]) -> Iterat
 
 def changed_versions(versions: Mapping[str, str], of_run: Mapping[str, str]) -> Iterator[str]:
     """The versions that differ from those of a run: of the program first."""
-    own = ("unbend", "code_sha256")
-    if any(versions[name] != of_run.get(name) for name in own):
+    of_program = ("unbend", "code_sha256")
+    if any(versions[name] != of_run.get(name) for name in of_program):
         yield f"another version of unbend ({of_run.get('unbend')} -> {versions['unbend']})"
     for name in sorted(versions.keys() | of_run.keys()):
-        if name not in own and versions.get(name) != of_run.get(name):
+        if name not in of_program and versions.get(name) != of_run.get(name):
             yield f"{name} {_shown(of_run.get(name))} -> {_shown(versions.get(name))}"
 
 

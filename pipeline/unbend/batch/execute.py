@@ -46,13 +46,19 @@ def run_many(
     with closing(executor.run(again, alone=True)) as ends:
         for mission, end in ends:
             if isinstance(end, Lost):
-                end = messages.worker_lost(
-                    path=str(mission.path),
-                    first=lost[mission].how,
-                    second=end.how,
-                    replay=shlex.join(["unbend", "run", *mission.words]),
-                )
-            yield mission, with_manifest(end)
+                yield mission, lost_twice(mission, lost[mission], end)
+            else:
+                yield mission, with_manifest(end)
+
+
+def lost_twice(mission: MissionRef, first: Lost, second: Lost) -> UnbendError:
+    """The refusal (WORKER-LOST) of a mission whose process died again when it ran alone."""
+    return messages.worker_lost(
+        path=str(mission.path),
+        first=first.how,
+        second=second.how,
+        replay=shlex.join(["unbend", "run", *mission.words]),
+    )
 
 
 def with_manifest(end: MissionEnd) -> MissionEnd:
@@ -76,11 +82,11 @@ def shard_of(shard: str | None) -> slice:
     """
     if shard is None:
         return slice(None)
-    found = re.fullmatch(r"(\d+)/(\d+)", shard)
-    if found is None:
+    match = re.fullmatch(r"(\d+)/(\d+)", shard)
+    if match is None:
         raise messages.no_such_shard(shard=shard)
-    number = int(found[1])
-    jobs = int(found[2])
+    number = int(match[1])
+    jobs = int(match[2])
     if number >= jobs:
         raise messages.no_such_shard(shard=shard)
     return slice(number, None, jobs)
@@ -94,11 +100,11 @@ def shared_outputs(folders: Iterable[tuple[MissionRef, object]]) -> dict[Mission
     first_of: dict[str, MissionRef] = {}
     refused: dict[MissionRef, UnbendError] = {}
     for mission, folder in folders:
-        place = os.path.normcase(os.path.realpath(str(folder)))
-        if place in first_of:
-            refused[mission] = messages.output_shared(first=str(first_of[place].path))
+        real_folder = os.path.normcase(os.path.realpath(str(folder)))
+        if real_folder in first_of:
+            refused[mission] = messages.output_shared(first=str(first_of[real_folder].path))
         else:
-            first_of[place] = mission
+            first_of[real_folder] = mission
     return refused
 
 

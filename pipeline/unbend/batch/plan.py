@@ -132,9 +132,11 @@ def make_plan(
         place = located(named.name, folder)
         with readable(named, place):
             if isinstance(place, Place):
-                remotes[named.role] = found = look_up(named, place)
+                in_storage = look_up(named, place)
+                remotes[named.role] = in_storage
                 refuse_among_results(named.role, place, output)
-                inputs.append(remote_input(named, found, records.get(named.role), verify=verify))
+                known = records.get(named.role)
+                inputs.append(remote_input(named, in_storage, known, verify=verify))
             else:
                 refuse_missing(named, place)
                 refuse_among_results(named.role, place, output)
@@ -191,7 +193,7 @@ def look_up(named: NamedInput, place: Place) -> RemoteInput:
 
 
 def remote_input(
-    named: NamedInput, found: RemoteInput, known: InputRecord | None, *, verify: bool
+    named: NamedInput, in_storage: RemoteInput, known: InputRecord | None, *, verify: bool
 ) -> Input:
     """An input in object storage, hashed; ``known`` is its record in an earlier run.
 
@@ -202,18 +204,18 @@ def remote_input(
         role=named.role,
         name=named.name,
         sha256="",
-        bytes=found.size_bytes,
-        mtime_ns=found.mtime_ns,
-        version=found.version,
+        bytes=in_storage.size_bytes,
+        mtime_ns=in_storage.mtime_ns,
+        version=in_storage.version,
     )
     is_of_camera = named.role.startswith("camera ")
     if record.is_like(known) and known is not None and not is_of_camera:
         record = known
     else:
-        copy = remote.fetch(found, anew=verify)
+        copy = remote.fetch(in_storage, anew=verify)
         sha256 = hash_input(copy, named.program, files_of(copy, named.program))
         record = record.with_hash(sha256)
-    return Input(record, found.copy, program=named.program, url=str(found.place))
+    return Input(record, in_storage.copy, program=named.program, url=str(in_storage.place))
 
 
 def with_camera_files(mission: Mission, paths: Mapping[str, Path]) -> Mission:
@@ -266,15 +268,15 @@ def fetch_inputs(plan: Plan) -> None:
 
     Refuses (INPUT-CHANGED) an input whose new copy has another hash than planned.
     """
-    for role, found in plan.remotes.items():
+    for role, in_storage in plan.remotes.items():
         item = plan.input(role)
-        if not is_whole(item, found, anew=False) and not is_whole(item, found, anew=True):
+        if not is_whole(item, in_storage, anew=False) and not is_whole(item, in_storage, anew=True):
             raise messages.input_changed(role=role, path=item.url)
 
 
-def is_whole(item: Input, found: RemoteInput, *, anew: bool) -> bool:
+def is_whole(item: Input, in_storage: RemoteInput, *, anew: bool) -> bool:
     """Whether the copy of an input, made if missing or ``anew``, has the planned hash."""
-    copy = remote.fetch(found, anew=anew)
+    copy = remote.fetch(in_storage, anew=anew)
     return hash_input(copy, item.program, files_of(copy, item.program)) == item.sha256
 
 

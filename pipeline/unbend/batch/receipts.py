@@ -67,9 +67,9 @@ class _PlainUnpickler(pickle.Unpickler):
         if name in _FUNCTIONS.get(room, ()):
             return super().find_class(module, name)
         if room == "unbend":
-            found = super().find_class(module, name)
-            if isinstance(found, type) and (issubclass(found, tuple | Enum) or is_dataclass(found)):
-                return found
+            plain = super().find_class(module, name)
+            if isinstance(plain, type) and (issubclass(plain, tuple | Enum) or is_dataclass(plain)):
+                return plain
         raise pickle.UnpicklingError(f"{module}.{name} is no plain value")
 
 

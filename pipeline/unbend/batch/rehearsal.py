@@ -192,7 +192,7 @@ def times_text(corrected: CorrectedMission) -> str:
     """When the log begins and ends, and when the events do."""
     exposures = corrected.stations.time_ns
     times = {
-        "log": corrected.prepared.track()[0],
+        "log": corrected.prepared.track().time_ns,
         "events": exposures[exposures != NO_TIME],
     }
     parts = []

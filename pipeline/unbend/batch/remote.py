@@ -236,10 +236,10 @@ class Publication:
         with the number of bytes of each file.
         """
         attempt = uuid.uuid4().hex
-        own = manifest.with_values({"attempt": attempt})
-        content = manifest_text(own).encode()
+        of_attempt = manifest.with_values({"attempt": attempt})
+        content = manifest_text(of_attempt).encode()
         try:
-            self._upload(folder, own, advance)
+            self._upload(folder, of_attempt, advance)
             is_first = self._run.put(content, self._run_version)
             published = None if is_first else self._of_another_writer()
         except BaseException:
@@ -247,7 +247,7 @@ class Publication:
                 self._remove(attempt)
             raise
         if published is None:
-            published = own
+            published = of_attempt
             if not (self._place / MANIFEST).put(content, self._version):
                 # Refused, or done and the answer lost: what is there now says which.
                 published = read_manifest(self._place)

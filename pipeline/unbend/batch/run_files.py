@@ -26,8 +26,8 @@ class PartsOfRun:
 
     def finished(self, number: int) -> Statistics | None:
         """The counts of a part whose receipt says that it is whole."""
-        found: Statistics | None = self.folder.read_receipt(name_of_part(number))
-        return found
+        statistics: Statistics | None = self.folder.read_receipt(name_of_part(number))
+        return statistics
 
     def write(self, part: CorrectedPart) -> Statistics:
         """Write, seal and receipt a part; returns its counts. Called on threads."""

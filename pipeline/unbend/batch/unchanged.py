@@ -110,9 +110,9 @@ def name_and_output(ref: MissionRef, text: bytes) -> tuple[str, str]:
 
     All scalars are taken for words: a text that was ever understood has words there.
     """
-    own = yaml.load(text, yaml.CBaseLoader)
+    sections = yaml.load(text, yaml.CBaseLoader)
     defaults = json.loads(ref.defaults) if ref.defaults else {}
-    values = merged(_about_results(defaults), _about_results(own))
+    values = merged(_about_results(defaults), _about_results(sections))
     return str(values["mission"]["name"]), str(values["output"]["path"])
 
 

@@ -9,7 +9,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import yaml
 from pydantic import BaseModel, ValidationError
@@ -141,9 +141,16 @@ def campaign_of(path: Path, values: dict[str, Any], node: yaml.Node) -> Campaign
     output_of_missions = {"output": {"path": os.path.join(output, "{mission}")}}
     defaults = merged(output_of_missions, values.get("defaults", {}))
     missions = []
-    for file, sections in mission_files(path, values["missions"]):
-        defaults_there = _seen_from(defaults, path.parent, file.parent)
-        missions.append(MissionRef(file, json.dumps(defaults_there), sections, str(path)))
+    for mission in missions_listed(path, values["missions"]):
+        defaults_there = _seen_from(defaults, path.parent, mission.file.parent)
+        missions.append(
+            MissionRef(
+                path=mission.file,
+                defaults=json.dumps(defaults_there),
+                own=mission.own,
+                campaign=str(path),
+            )
+        )
     return Campaign(path, section["name"], path.parent / output, tuple(missions))
 
 
@@ -200,11 +207,18 @@ def _refused_missions(values: dict[str, Any]) -> Iterator[Mapping[str, Any]]:
             yield from _refused(Mission, complete, at=("missions", number))
 
 
-def mission_files(path: Path, stated: Sequence[Any]) -> Iterator[tuple[Path, str]]:
-    """The file of each mission of a campaign, and as JSON the sections that stand in the campaign.
+class ListedMission(NamedTuple):
+    """A mission of a campaign: its file, or the campaign file and as JSON its ``own`` sections."""
 
-    ``stated`` are the entries under ``missions``: paths, patterns of paths, or sections. A file
-    that several entries name comes once.
+    file: Path
+    own: str = ""
+
+
+def missions_listed(path: Path, stated: Sequence[Any]) -> Iterator[ListedMission]:
+    """The missions of a campaign; ``stated`` are the entries under ``missions``.
+
+    An entry is a path, a pattern of paths, or sections. A file that matches a pattern comes once,
+    and not at all by the pattern if an entry names it.
     """
     listed: set[str] = set()
     for entry in stated:
@@ -212,17 +226,17 @@ def mission_files(path: Path, stated: Sequence[Any]) -> Iterator[tuple[Path, str
             listed.add(os.path.realpath(path.parent / entry))
     for entry in stated:
         if not isinstance(entry, str):
-            yield path, json.dumps(entry)
+            yield ListedMission(path, own=json.dumps(entry))
             continue
         file = path.parent / entry
         if file.exists() or not glob.has_magic(entry):
-            yield file, ""
+            yield ListedMission(file)
             continue
         for matching in _matching_files(path, entry):
             real = os.path.realpath(matching)
             if real not in listed:
                 listed.add(real)
-                yield matching, ""
+                yield ListedMission(matching)
 
 
 def _matching_files(path: Path, pattern: str) -> list[Path]:

@@ -65,14 +65,19 @@ def _in_order(schema: Node, root: type[BaseModel]) -> Node:
         required = set(node.get("required", ()))
         node["required"] = sorted(required - _FILLED_IN.get(name, set()))
         for key, value in node["properties"].items():
-            value.pop("title", None)
-            for shown in SHOWN_LAST:
-                if shown in value:
-                    value[shown] = value.pop(shown)
+            _put_in_order(value)
             factory = section.model_fields[key].default_factory
             if factory is not None:
                 value["default"] = factory()  # type: ignore[call-arg]
     return schema
+
+
+def _put_in_order(value: Node) -> None:
+    """Remove the title of a key, and move what people read of it to the end."""
+    value.pop("title", None)
+    for shown in SHOWN_LAST:
+        if shown in value:
+            value[shown] = value.pop(shown)
 
 
 def alternatives(node: Node) -> list[Node]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from typing import Any
@@ -13,7 +14,7 @@ from unbend.atmosphere.profile import Profile
 from unbend.atmosphere.series.profile_series import ProfileSeries
 from unbend.flight import messages
 from unbend.flight.image_names import proposal
-from unbend.geodesy import offset_geodetic
+from unbend.geodesy import longitudes_near, offset_geodetic
 from unbend.messages import Message, Notes
 from unbend.units import DEGREE, HECTOPASCAL, Array, Integers, Mask, Names
 
@@ -90,6 +91,15 @@ class Stations:
         """Latitude of the flight [rad]; 45 degrees where no station has one."""
         known = self.lat_rad[np.isfinite(self.lat_rad)]
         return float(known.mean()) if known.size else float(np.pi / 4.0)
+
+    @property
+    def median_longitude_rad(self) -> float:
+        """The median longitude of the flight [rad], within half a turn; NaN without any."""
+        known = self.lon_rad[np.isfinite(self.lon_rad)]
+        if not known.size:
+            return math.nan
+        median = float(np.median(longitudes_near(known, known[0])))
+        return math.remainder(median, 2.0 * math.pi)  # exact where it is within half a turn
 
     def with_status(self, where: Mask, status: str) -> Stations:
         """The stations with another status where a mask is True and they were ok."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from unbend.flight.channels import Channel, TimeArray
 from unbend.flight.rotations import lengths, quaternion_products, rotation_vectors
-from unbend.geodesy import principal_radii, wrapped
+from unbend.geodesy import longitudes_near, principal_radii, wrapped
 from unbend.units import NANOSECONDS_PER_SECOND, Array, Mask, Rows
 
 VELOCITY = ("v_north_m_s", "v_east_m_s", "v_down_m_s")
@@ -443,22 +443,28 @@ _TAKEOFF_MOVE_M = 20.0  # by which receivers wander meanwhile
 _EARTH_M = 6.371e6
 
 
-def takeoff_of(
-    track: tuple[TimeArray, Array, Array, Array], home_m: float | None
-) -> Takeoff | None:
+class LoggedPath(NamedTuple):
+    """(n,) times [Unix ns], latitudes, longitudes [rad], heights above sea level [m] of a log."""
+
+    time_ns: TimeArray
+    latitude_rad: Array
+    longitude_rad: Array
+    h_msl_m: Array
+
+
+def takeoff_of(path: LoggedPath, home_m: float | None) -> Takeoff | None:
     """Where a log begins; None if the aircraft moves there and no take-off height is known.
 
-    ``track`` holds time [Unix ns], latitude, longitude [rad] and height above sea level [m];
     ``home_m`` is the take-off height [m], if known.
     """
-    time_ns, lat_rad, lon_rad, height_m = track
+    time_ns, lat_rad, lon_rad, height_m = path
     known = np.isfinite(lat_rad + lon_rad + height_m)
     if not known.any():
         return None
     begin_ns = time_ns[known][0]
     is_at_begin = known & (time_ns <= begin_ns + _TAKEOFF_NS)
     lat_rad = lat_rad[is_at_begin]
-    lon_rad = lon_rad[is_at_begin]
+    lon_rad = longitudes_near(lon_rad[is_at_begin], lon_rad[is_at_begin][0])
     height_m = height_m[is_at_begin]
     north_m = float(np.ptp(lat_rad)) * _EARTH_M
     east_m = float(np.ptp(lon_rad)) * math.cos(lat_rad[0]) * _EARTH_M

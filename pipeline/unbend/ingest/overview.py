@@ -10,7 +10,7 @@ from unbend.errors import MissionError
 from unbend.flight.channels import Channel
 from unbend.flight.evidence.quality import plausible_samples
 from unbend.flight.roles import assign_roles, follows_height
-from unbend.flight.trajectory import interpolate, takeoff_of
+from unbend.flight.trajectory import LoggedPath, interpolate, takeoff_of
 from unbend.messages import Notes
 
 _ROLES = ("position", "height", "attitude", "pressure", "temperature", "humidity", "airspeed")
@@ -43,7 +43,13 @@ def flight_of(position: Channel, height: Channel) -> dict[str, Any]:
     if known_heights_m.size:
         limits_m = np.percentile(known_heights_m, HEIGHT_PERCENTILES).round(1)
         lowest_m, highest_m = limits_m.tolist()
-    take_off = takeoff_of((position.time_ns, lat_rad, lon_rad, heights_m), None)
+    path = LoggedPath(
+        time_ns=position.time_ns,
+        latitude_rad=lat_rad,
+        longitude_rad=lon_rad,
+        h_msl_m=heights_m,
+    )
+    take_off = takeoff_of(path, home_m=None)
     first = int(np.argmax(known))
     start = np.datetime64(int(position.time_ns[first]), "ns")
     duration_s = float(position.time_ns[-1] - position.time_ns[0]) / 1e9

@@ -26,7 +26,7 @@ from unbend.flight.stations import NO_TIME, Stations
 from unbend.geodesy import longitudes_near
 from unbend.messages import Ledger
 from unbend.stages import messages
-from unbend.stages.flight_log import FlightLog, Track
+from unbend.stages.flight_log import FlightLog, GroundTrack
 from unbend.stages.opened_inputs import OpenedInputs
 from unbend.tables.weather_files import FlightArea
 from unbend.units import DEGREE, HECTOPASCAL, ZERO_CELSIUS_K, Array, Integers, Mask
@@ -52,7 +52,7 @@ class ModelAir:
     field: ModelField
     column: Sounding
     place: Place
-    track: Track | None
+    track: GroundTrack | None
 
     def place_of(self, samples: AirSamples | None, window: TimeWindow) -> Place:
         """Where and when a part of the flight met the air from which its profile is estimated.
@@ -86,7 +86,7 @@ def read_model_air(
         raise messages.flight_without_time(where=model.name)
     place = sampled_place(samples, flight.track)
     if place is None:
-        place = middle.latitude_rad, middle.longitude_rad, middle.time_ns
+        place = Place(middle.latitude_rad, middle.longitude_rad, middle.time_ns)
     placed = stations.ok & np.isfinite(stations.lat_rad + stations.lon_rad)
     area = area_of_flight(stations, placed, place)
     field = model.read(area, ledger)
@@ -99,16 +99,15 @@ def read_model_air(
         ground_m = math.nan
     highest_m = float(stations.h_msl_m[placed].max(initial=0.0))
     column = ledger.take(model_column(field, place, ground_h_m=ground_m, highest_h_m=highest_m))
-    latitude, longitude, time_ns = place
     ledger.add(
         messages.model_column(
             where=model.name,
             count=column.h_m.size,
             low=float(column.h_m[0]),
             high=float(column.h_m[-1]),
-            north=latitude / DEGREE,
-            east=longitude / DEGREE,
-            hours=TimeAndPlace(time_ns).hours_from(column.time_ns),
+            north=place.latitude_rad / DEGREE,
+            east=place.longitude_rad / DEGREE,
+            hours=TimeAndPlace(place.time_ns).hours_from(column.time_ns),
         )
     )
     # It is the air where the flight met it: no distance adds to its errors.
@@ -117,49 +116,54 @@ def read_model_air(
 
 
 def area_of_flight(stations: Stations, placed: Mask, place: Place) -> FlightArea:
-    """The ``placed`` stations (a mask), and ``place``, where the flight met its air."""
-    latitude, longitude, time_ns = place
-    times = stations.time_ns[placed]
-    times = np.where(times == NO_TIME, time_ns, times)
+    """The area of the ``placed`` stations (a mask), and of the place where they met their air.
+
+    Stations without a time have that of the place.
+    """
+    times_ns = stations.time_ns[placed]
+    times_ns = np.where(times_ns == NO_TIME, place.time_ns, times_ns)
+    longitudes_rad = np.append(stations.lon_rad[placed], place.longitude_rad)
     return FlightArea(
-        np.append(stations.lat_rad[placed], latitude),
-        longitudes_near(np.append(stations.lon_rad[placed], longitude), longitude),
-        np.append(times, time_ns),
+        np.append(stations.lat_rad[placed], place.latitude_rad),
+        longitudes_near(longitudes_rad, place.longitude_rad),
+        np.append(times_ns, place.time_ns),
     )
 
 
 def sampled_place(
     samples: AirSamples,
-    track: Track | None,
+    track: GroundTrack | None,
     start_ns: int = -ALWAYS_NS,
     end_ns: int = ALWAYS_NS,
 ) -> Place | None:
-    """Latitude, longitude and time where a flight met the air that it measured between two times.
+    """Where and when a flight met the air that it measured between two times.
 
-    The mean over heights in bins of 100 m: a climb counts more than a long level run. None if no
-    air was measured then, or the flight has no positions.
+    That is the mean over heights in bins of 100 m: a climb counts more than a long level run. None
+    if no air was measured then, or the flight has no positions.
     """
     if track is None:
         return None
-    time_ns, latitude, longitude = track
-    known = np.isfinite(latitude + longitude)
+    is_known = np.isfinite(track.latitude_rad + track.longitude_rad)
     used = used_samples(samples, start_ns, end_ns)
-    if used is None or not bool(known.any()):
+    if used is None or not bool(is_known.any()):
         return None
-    first_ns = int(time_ns[0])
+    # Seconds from the beginning of the flight: interpolation would round nanoseconds of Unix time.
+    first_ns = int(track.time_ns[0])
     sample_s = (used.time_ns - first_ns) * 1e-9
-    track_s = (time_ns[known] - first_ns) * 1e-9
-    east = longitudes_near(longitude[known], float(longitude[known][0]))
+    track_s = (track.time_ns[is_known] - first_ns) * 1e-9
+    latitude_rad = track.latitude_rad[is_known]
+    longitude_rad = track.longitude_rad[is_known]
+    longitude_rad = longitudes_near(longitude_rad, float(longitude_rad[0]))
     _, bin_number = np.unique(np.floor(used.h_m / BIN_M), return_inverse=True)
     bin_count = np.bincount(bin_number)
 
     def mean_of_bins(values: NDArray[np.floating[Any]]) -> float:
         return float(np.mean(np.bincount(bin_number, values) / bin_count))
 
-    return (
-        mean_of_bins(np.interp(sample_s, track_s, latitude[known])),
-        mean_of_bins(np.interp(sample_s, track_s, east)),
-        first_ns + round(mean_of_bins(sample_s) * 1e9),
+    return Place(
+        latitude_rad=mean_of_bins(np.interp(sample_s, track_s, latitude_rad)),
+        longitude_rad=mean_of_bins(np.interp(sample_s, track_s, longitude_rad)),
+        time_ns=first_ns + round(mean_of_bins(sample_s) * 1e9),
     )
 
 
@@ -349,8 +353,7 @@ def read_air_sources(
     if flight_ns is None and orientation is not None:
         flight_ns = orientation.date_ns
     latitude = stations.mean_latitude_rad
-    known = stations.lon_rad[np.isfinite(stations.lon_rad)]
-    longitude = float(np.median(known)) if known.size else math.nan
+    longitude = stations.median_longitude_rad
     lowest_h_m = lowest_sample_m(samples, flight.heights.home_h_msl_m)
     background = climatology(
         section.climatology,
@@ -358,7 +361,7 @@ def read_air_sources(
         month=month_of(flight_ns),
         index=index_of(section),
         ground_h_m=lowest_h_m,
-        longitude_rad=longitude if known.size else 0.0,
+        longitude_rad=0.0 if math.isnan(longitude) else longitude,
     )
     soundings = read_soundings(section, inputs, flight_ns, latitude, ledger)
     surface = read_reports(section, flight_ns, background, ledger)

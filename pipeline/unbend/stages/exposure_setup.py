@@ -96,7 +96,14 @@ def exposures_of(
             normal[rows] = window_normals(window, rotation[rows], aircraft)
         if lens is not None:
             change[rows] = principal_change(lens, air.pressure_pa, air.temperature_k)
-            report_change(name, lens, change[rows], air.pressure_pa, stations.ok[rows], ledger)
+            report_change(
+                name,
+                lens,
+                change_px=change[rows],
+                pressure_pa=air.pressure_pa,
+                ok=stations.ok[rows],
+                ledger=ledger,
+            )
 
     # Above the top of the profile the air is unknown too; those rows get outside_profile later.
     air_unknown = np.isfinite(n_outside) & (np.isnan(n_in_cabin) | np.isnan(change))

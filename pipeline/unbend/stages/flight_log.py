@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 from unbend.config import Mission
 from unbend.config.logs import NamedChannel
@@ -24,11 +25,16 @@ from unbend.tables.imports.agreement import compare_with_log
 from unbend.tables.imports.stated import Stated
 from unbend.units import Array, Integers
 
-Track = tuple[Integers, Array, Array]
-"""Times [Unix ns], latitudes and longitudes [rad] of a flight."""
-
 Roles = dict[str, Channel]
 """The channel that plays each role."""
+
+
+class GroundTrack(NamedTuple):
+    """(n,) times [Unix ns], latitudes and longitudes [rad] of a flight, as logged."""
+
+    time_ns: Integers
+    latitude_rad: Array
+    longitude_rad: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,12 +73,12 @@ class FlightLog:
         return roles
 
     @property
-    def track(self) -> Track | None:
+    def track(self) -> GroundTrack | None:
         """Where the aircraft was; None where no position is known."""
         position = self.roles.get("position")
         if position is None:
             return None
-        return position.time_ns, position["lat_rad"], position["lon_rad"]
+        return GroundTrack(position.time_ns, position["lat_rad"], position["lon_rad"])
 
     @property
     def air_roles(self) -> Roles:

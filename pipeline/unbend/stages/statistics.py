@@ -310,16 +310,11 @@ class Statistics:
         budget = {}
         for number, name in enumerate(self.shifts):
             of_camera = camera[rows.station] == number
-            weight = rows.weight[of_camera]
-            known = {}
-            for part, sigma_px in parts.items():
-                of_rows = sigma_px[of_camera]
-                if np.isfinite(of_rows).any():
-                    metres = of_rows * metres_per_px[of_camera]
-                    known[part] = SigmaRecord(
-                        px=median_and_p95(of_rows, weight), m=median_and_p95(metres, weight)
-                    )
-            budget[name] = known
+            budget[name] = sigma_records(
+                {part: sigma_px[of_camera] for part, sigma_px in parts.items()},
+                metres_per_px=metres_per_px[of_camera],
+                weight=rows.weight[of_camera],
+            )
         return budget
 
     def ground_of_stations(self, count: int) -> Array:
@@ -405,6 +400,20 @@ def sigma_parts(corrections: Corrections, rows: NDArray[np.intp]) -> Array:
 def _squares(*columns: NDArray[np.float32]) -> float:
     """The sum of the squares of numbers, those that are none left out."""
     return sum(float(np.nansum(np.square(column, dtype=np.float64))) for column in columns)
+
+
+def sigma_records(
+    sigmas_px: Mapping[str, Array], *, metres_per_px: Array, weight: Array
+) -> dict[str, SigmaRecord]:
+    """Median and 95 % of each part of sigma that is known of any of (n,) rows."""
+    records = {}
+    for part, sigma_px in sigmas_px.items():
+        if np.isfinite(sigma_px).any():
+            records[part] = SigmaRecord(
+                px=median_and_p95(sigma_px, weight),
+                m=median_and_p95(sigma_px * metres_per_px, weight),
+            )
+    return records
 
 
 def median_and_p95(values: Array, weight: Array) -> Quantiles:

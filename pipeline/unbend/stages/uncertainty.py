@@ -157,6 +157,11 @@ def missing_sigmas(mission: Mission, stations: Stations, air: ProfileSeries) -> 
     if heights:
         counted = Counted(heights, "station")
         yield f"the height of {counted} (not in the log; it does not count)"
+    yield from missing_sigmas_of_cabins(mission, stations)
+
+
+def missing_sigmas_of_cabins(mission: Mission, stations: Stations) -> Iterator[str]:
+    """The standard deviations that the air in a cabin behind a plane window lacks."""
     of_cabins = {
         "sigma_pressure_hpa": stations.sigma_cabin_pressure_pa,
         "sigma_temperature_k": stations.sigma_cabin_temperature_k,
@@ -164,7 +169,9 @@ def missing_sigmas(mission: Mission, stations: Stations, air: ProfileSeries) -> 
     for name, window in mission.windows.items():
         if window.shape != "plane":
             continue
-        rows = (stations.camera == name) & stations.ok
+        of_camera = stations.camera == name
+        rows = of_camera & stations.ok
         for key, sigma in of_cabins.items():
-            if bool(np.isnan(sigma[rows]).any()):
+            is_missing = np.isnan(sigma[rows])
+            if bool(is_missing.any()):
                 yield f"the cabin's air (cameras.{name}.window.cabin.{key})"

@@ -135,6 +135,7 @@ def test_texts_in_one_block_take_no_numbers_from_others(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("unbend.ingest.mcap.mcap_records.SPAN", 20_000)
+    monkeypatch.setattr("unbend.ingest.mcap.message_batches.BATCH_BYTES", 20_000)
     values = [str(k) for k in range(600)]
     values[20] = '"n/a"'
     log = readings(tmp_path / "log.mcap", values, "x" * 300)
@@ -172,6 +173,7 @@ def test_integers_are_exact_in_tables(tmp_path: Path, monkeypatch: pytest.Monkey
     assert (table["value"].tolist(), table["value"].dtype) == (values, np.int64)
     assert table["timestamp"].tolist() == times(300)
     monkeypatch.setattr("unbend.ingest.mcap.mcap_records.SPAN", 8000)  # parts of several kinds
+    monkeypatch.setattr("unbend.ingest.mcap.message_batches.BATCH_BYTES", 8000)
     odd = [2**64 - 1, None, *values[2:200], True, *values[201:250], 0.5, *values[251:]]
     log = readings(tmp_path / "odd.mcap", [json.dumps(value) for value in odd])
     assert log.message("/cabin")["value"].tolist() == odd

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -40,9 +41,15 @@ CHANGE_RH, CHANGE_RH_IN_H = 0.1, 4.0  # of relative humidity, reached after four
 FRESH_S = 1800.0
 """In half an hour the air of a calm day changes by some 0.5 K at the ground: R by 0.2 %."""
 
-Place = tuple[float, float, int]  # latitude, longitude [rad] and time [Unix ns]
-
 _BIN_M, _MINUTE_NS = 100.0, 60 * 10**9
+
+
+class Place(NamedTuple):
+    """Where and when air was met: geographic place [rad] and time [Unix ns]."""
+
+    latitude_rad: float
+    longitude_rad: float
+    time_ns: int
 
 
 @dataclass(frozen=True, eq=False)

@@ -38,7 +38,8 @@ _LARGEST_DIFFERENCE_PX = 1e-6  # of reading back; the sample runs are reproduced
 _LARGEST_CHECKED_RAD = np.radians(80.0)
 """Beyond, an observation may be on the far branch by its distance, which no table keeps."""
 
-_CHECKED = ["x_px", "y_px", "x_corrected_px", "y_corrected_px", "zeta_c_rad", "h_g_m", "status"]
+_CHECKED_NUMBERS = ("x_px", "y_px", "x_corrected_px", "y_corrected_px", "zeta_c_rad", "h_g_m")
+_CHECKED = [*_CHECKED_NUMBERS, "status"]
 """Columns of the observations that are compared."""
 
 
@@ -58,26 +59,35 @@ def export_run(
     form = find_format(name, out)
     is_folder = not form.ending
     values = form.values(options)
-    if isinstance(path, Place):
-        path = copy_of_run(path)
-    refuse_output(path, out, force=force and not is_folder)
+    folder = copy_of_run(path) if isinstance(path, Place) else path
+    refuse_output(folder, out, force=force and not is_folder)
     ledger = Ledger()
-    run = rebuild_run(path, verify_run(path), ground_height_m, ledger)
+    run = rebuild_run(folder, verify_run(folder), ground_height_m, ledger)
     with store.atomic_write(out) as draft:
         if is_folder:
             draft.mkdir(parents=True)
         rows = form.write(run, values, draft, ledger)
         if form.use:
             ledger.add(messages.use_of_export(use=form.use, name=name))
-        if form.marked:
-            about = {"mission": run.mission, "notes": [message.what for message in ledger]}
-            # Marked are files of the folder, or "", which is the file itself.
-            files = {file or out.name: draft / file for file in form.marked}
-            beside = draft / form.marked[0] if is_folder else out
-            # It appears before the file: points without a mark might be corrected again.
-            with store.atomic_write(beside.with_name(beside.name + SIDECAR)) as sidecar:
-                sidecar.write_text(sidecar_text(files, about), encoding="utf-8")
+        # The mark appears before the file: points without it might be corrected again.
+        if form.marked and is_folder:
+            beside = draft / form.marked[0]
+            files = {file: draft / file for file in form.marked}
+            write_mark(beside, files, run.mission, ledger)
+        elif form.marked:
+            files = {out.name: draft}
+            write_mark(out, files, run.mission, ledger)
     return rows, ledger
+
+
+def write_mark(beside: Path, files: Mapping[str, Path], mission: str, ledger: Ledger) -> None:
+    """Write, beside a file, that refraction is removed from the points in some files."""
+    notes = [message.what for message in ledger]
+    about = {"mission": mission, "notes": notes}
+    text = sidecar_text(files, about)
+    path = beside.with_name(beside.name + SIDECAR)
+    with store.atomic_write(path) as draft:
+        draft.write_text(text, encoding="utf-8")
 
 
 def refuse_output(run: Path, out: Path, *, force: bool) -> None:
@@ -85,7 +95,8 @@ def refuse_output(run: Path, out: Path, *, force: bool) -> None:
     if is_url(str(out)):
         raise url_for_export(url=str(out))
     for resolve in (os.path.abspath, os.path.realpath):
-        if Path(resolve(out)).is_relative_to(resolve(run)):
+        target = Path(resolve(out))
+        if target.is_relative_to(resolve(run)):
             raise messages.inside_run(path=str(out))
     if out.is_dir():
         raise messages.folder_exists(path=str(out))
@@ -213,8 +224,9 @@ def check_reproduced(run: FinishedRun, path: Path) -> None:
 def largest_difference_px(run: FinishedRun, table: pa.Table, station: Integers) -> float:
     """The largest difference between corrections in a table and those computed now [px]."""
     columns = {}
-    for name in _CHECKED[:-1]:
-        columns[name] = np.asarray(table[name].to_numpy(), dtype=np.float64)
+    for name in _CHECKED_NUMBERS:
+        values = table[name].to_numpy()
+        columns[name] = np.asarray(values, dtype=np.float64)
     for name in ("x_px", "y_px", "x_corrected_px", "y_corrected_px"):
         columns[name] = run.pixels.to_colmap(columns[name])
     ok = np.asarray(pc.equal(table["status"], "ok").to_numpy())

@@ -69,9 +69,7 @@ def define(payload: bytes) -> RecordDefinition | None:
     except UnicodeDecodeError:
         return None
     fields = columns.split(",") if columns else []
-    if not name.isidentifier() or not set(letters) <= set(FORMAT_LETTERS):
-        return None
-    if len(fields) != len(letters) or len(set(fields)) != len(fields) or "" in fields:
+    if not name.isidentifier() or not _are_described(fields, letters):
         return None
     if type_id == FMT_TYPE and length != FMT_LENGTH:
         return None
@@ -83,6 +81,13 @@ def define(payload: bytes) -> RecordDefinition | None:
         if letter in DIVISORS:
             divisors[field] = DIVISORS[letter]
     return RecordDefinition(type_id, name, length, layout, divisors)
+
+
+def _are_described(fields: list[str], letters: str) -> bool:
+    """Whether fields have different names, and each a letter that stands for a type."""
+    if not set(letters) <= set(FORMAT_LETTERS):
+        return False
+    return len(fields) == len(letters) == len(set(fields)) and "" not in fields
 
 
 def _layout(name: str, letters: str, fields: list[str]) -> np.dtype[Any]:

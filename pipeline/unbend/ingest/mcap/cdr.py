@@ -149,7 +149,14 @@ class _Cursors:
     def restarted(self) -> _Cursors:
         """The same messages at the same places, numbered anew, without what was read."""
         rows = np.arange(self.row.shape[0])
-        return _Cursors(self.data, rows, self.begin, self.length, self.big, self.at)
+        return _Cursors(
+            data=self.data,
+            row=rows,
+            begin=self.begin,
+            length=self.length,
+            big=self.big,
+            at=self.at,
+        )
 
     def count(self) -> Integers:
         """Read a 32-bit length, and move the cursors behind it.
@@ -252,47 +259,45 @@ def _layout(run: NumberRun, wanted: frozenset[str], phase: int, *, big: bool) ->
     return _Layout(np.dtype(layout), length)  # type: ignore[call-overload]
 
 
-class _Arrangement(NamedTuple):
-    """How the next run lies in some messages: where it begins modulo `ALIGN`, and byte order."""
-
-    phase: int
-    big: bool
-
-    @classmethod
-    def of_key(cls, key: int) -> _Arrangement:
-        """The arrangement from a number that holds the phase and the byte order."""
-        return cls(key % ALIGN, key >= ALIGN)
-
-
 def _read_numbers(cursors: _Cursors, run: NumberRun, wanted: frozenset[str]) -> None:
     """Read the wanted numbers of a run, and move behind it.
 
-    The layout of the run is the same in messages of one arrangement.
+    The run has one layout in all messages of one arrangement, which is numbered: the place where
+    the run begins modulo `ALIGN`, and `ALIGN` more in big-endian messages.
     """
-    key = (cursors.at % ALIGN + ALIGN * cursors.big).astype(np.int8)
+    arrangement = (cursors.at % ALIGN + ALIGN * cursors.big).astype(np.int8)
     layouts = {}
     sizes = np.zeros(2 * ALIGN, np.int64)
-    for number in np.flatnonzero(np.bincount(key, minlength=2 * ALIGN)).tolist():
-        arrangement = _Arrangement.of_key(number)
-        layouts[number] = _layout(run, wanted, arrangement.phase, big=arrangement.big)
+    for number in np.flatnonzero(np.bincount(arrangement, minlength=2 * ALIGN)).tolist():
+        layouts[number] = _layout(run, wanted, phase=number % ALIGN, big=number >= ALIGN)
         sizes[number] = layouts[number].size
-    good = cursors.at + sizes[key] <= cursors.length
-    cursors.only(good)
-    key = key[good]
+    is_whole = cursors.at + sizes[arrangement] <= cursors.length
+    cursors.only(is_whole)
+    arrangement = arrangement[is_whole]
+    _add_empty_columns(cursors, run, wanted)
+    for number, layout in layouts.items():
+        rows = slice(None) if len(layouts) == 1 else arrangement == number
+        _fill_columns(cursors, layout, rows)
+    cursors.at = cursors.at + sizes[arrangement]
+
+
+def _add_empty_columns(cursors: _Cursors, run: NumberRun, wanted: frozenset[str]) -> None:
+    """Add columns, not yet filled, for the wanted numbers of a run."""
     count = cursors.row.shape[0]
     for numbers in run:
         if numbers.path in wanted:
             shape = (count, numbers.count) if numbers.array else (count,)
             cursors.columns[numbers.path] = np.empty(shape, numbers.kind)
-    for number, layout in layouts.items():
-        if layout.dtype is None:
-            continue
-        rows = slice(None) if len(layouts) == 1 else key == number
-        places = (cursors.begin + cursors.at)[rows]
-        records = gather(cursors.data, places, layout.size).view(layout.dtype)
-        for name in layout.dtype.names or ():
-            cursors.columns[name][rows] = records[name]
-    cursors.at = cursors.at + sizes[key]
+
+
+def _fill_columns(cursors: _Cursors, layout: _Layout, rows: Mask | slice) -> None:
+    """Read the numbers at the cursors of some rows, which have one layout, into their columns."""
+    if layout.dtype is None:
+        return
+    places = (cursors.begin + cursors.at)[rows]
+    records = gather(cursors.data, places, layout.size).view(layout.dtype)
+    for name in layout.dtype.names or ():
+        cursors.columns[name][rows] = records[name]
 
 
 def _read_text(cursors: _Cursors, step: TextField, *, wanted: bool) -> None:

@@ -9,13 +9,13 @@ import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import IO, Any
+from typing import IO, Any, NamedTuple
 
 from unbend.ingest.buffers import FileView
 from unbend.ingest.mcap import messages
 from unbend.messages import Message
 
-CHUNK_HEAD = struct.Struct("<QQQII")  # first and last time, size, checksum, letters that follow
+CHUNK_HEAD = struct.Struct("<QQQII")  # the fields of `_HeadFields`
 PACKED_SIZE = 8  # [bytes] of the number behind the name of the compression
 LONGEST_NAME = 16  # letters of the name of a compression
 COMPRESSIONS = ("", "lz4", "zstd")
@@ -30,6 +30,16 @@ MAX_RATIO = 200  # of a chunk larger than FREE_CHUNK, and of a file whose chunks
 FREE_FILE = 256 << 20  # [bytes] inflated, all chunks of a file: 0.1 to 0.3 s
 MAX_WINDOW = 64 << 20  # [bytes] that a decompressor may look back
 BLOCK = 1 << 18  # [bytes] of a large chunk at once
+
+
+class _HeadFields(NamedTuple):
+    """The numbers at the beginning of a chunk; the name of the compression follows."""
+
+    first_time: int
+    last_time: int
+    size: int
+    crc: int
+    letters_of_name: int
 
 
 @dataclass(frozen=True)
@@ -112,19 +122,19 @@ def chunk_head(data: FileView, at: int, length: int) -> Chunk | None:
     head = data[at : at + min(length, CHUNK_HEAD.size + LONGEST_NAME + PACKED_SIZE)]
     if len(head) < CHUNK_HEAD.size + PACKED_SIZE:
         return None
-    first_time, last_time, size, crc, letters = CHUNK_HEAD.unpack_from(head)
-    name_end = CHUNK_HEAD.size + letters
+    fields = _HeadFields(*CHUNK_HEAD.unpack_from(head))
+    name_end = CHUNK_HEAD.size + fields.letters_of_name
     head_end = name_end + PACKED_SIZE
-    if letters > LONGEST_NAME or len(head) < head_end:
+    if fields.letters_of_name > LONGEST_NAME or len(head) < head_end:
         return None
     packed = int.from_bytes(head[name_end:head_end], "little")
     if packed > length - head_end:
         return None
     return Chunk(
-        first_time=first_time,
-        last_time=last_time,
-        size=size,
-        crc=crc,
+        first_time=fields.first_time,
+        last_time=fields.last_time,
+        size=fields.size,
+        crc=fields.crc,
         compression=head[CHUNK_HEAD.size : name_end].decode("ascii", "backslashreplace"),
         begin=at + head_end,
         length=packed,

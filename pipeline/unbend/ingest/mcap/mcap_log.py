@@ -14,7 +14,7 @@ from unbend.ingest.channel_builder import channel_of
 from unbend.ingest.flight_log import Contents, LogFormat
 from unbend.ingest.mcap import messages, topics
 from unbend.ingest.mcap.mcap_reader import McapReader
-from unbend.ingest.mcap.mcap_records import MAGIC
+from unbend.ingest.mcap.record_layout import MAGIC
 from unbend.ingest.mcap.stamps import LOG_TIME, SEQUENCE, STAMP, times_of
 from unbend.ingest.mcap.topic_samples import TopicSamples
 from unbend.ingest.message_tables import PLACE, Table, in_order

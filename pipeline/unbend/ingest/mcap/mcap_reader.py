@@ -14,8 +14,10 @@ from unbend.ingest.buffers import open_view
 from unbend.ingest.field_maps import MessageMap
 from unbend.ingest.mcap import messages, topics
 from unbend.ingest.mcap.damage import Damage
-from unbend.ingest.mcap.mcap_records import Definition, Messages, Opcode, RecordWalk
+from unbend.ingest.mcap.mcap_records import RecordWalk
+from unbend.ingest.mcap.message_batches import Messages
 from unbend.ingest.mcap.message_counts import MessageCounts
+from unbend.ingest.mcap.record_layout import Definition, Opcode
 from unbend.ingest.mcap.ros2_definitions import SchemaError
 from unbend.ingest.mcap.topic_samples import PLAIN_JSON, SCHEMAS, TopicSamples, known_name
 from unbend.messages import Ledger, Message

@@ -6,8 +6,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from unbend.ingest.mcap import messages
-from unbend.ingest.mcap.mcap_records import Messages
+from unbend.ingest.mcap.message_batches import Messages
 from unbend.messages import Ledger
+from unbend.units import Integers, Rows
 
 CHANNEL_NUMBERS = 1 << 16  # they are 16 bits wide
 LISTED_TOPICS = 8  # whose counts differ from the statistics, in the ledger
@@ -52,10 +53,8 @@ class MessageCounts:
         log_ns = batch.log_time[order]
         first_of_channel = np.flatnonzero(np.diff(channel, prepend=-1))
         channels = channel[first_of_channel]
-        number_before = np.concatenate([[-1], number[:-1]])
-        number_before[first_of_channel] = self._last_number[channels]
-        log_before_ns = np.concatenate([[-1], log_ns[:-1]])
-        log_before_ns[first_of_channel] = self._last_ns[channels]
+        number_before = _value_before(number, first_of_channel, self._last_number[channels])
+        log_before_ns = _value_before(log_ns, first_of_channel, self._last_ns[channels])
         last_of_channel = np.append(first_of_channel[1:], channel.shape[0]) - 1
         self._last_number[channels] = number[last_of_channel]
         self._last_ns[channels] = log_ns[last_of_channel]
@@ -118,3 +117,14 @@ class MessageCounts:
             if self.stated.get(number, 0) != self.counts[number]:
                 differing.append(number)
         return differing
+
+
+def _value_before(values: Integers, first_of_channel: Rows, of_last_batch: Integers) -> Integers:
+    """(n,) the value of the message before each, in messages that are sorted by channel.
+
+    Before the first of each channel came the last message of that channel in the last batch.
+    """
+    before = np.empty_like(values)
+    before[1:] = values[:-1]
+    before[first_of_channel] = of_last_batch
+    return before

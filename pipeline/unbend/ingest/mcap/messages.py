@@ -266,6 +266,17 @@ def summary_elsewhere(*, where: str, stated: int, found: int) -> Message:
     )
 
 
+def data_end_missing(*, where: str, stated: int) -> Message:
+    """The log has a footer, but no record says that the data end."""
+    return loss(
+        LOG_INCONSISTENT,
+        "the footer says that the summary begins at byte {stated}, but no record ends the data: a "
+        "part of the file is missing",
+        where=where,
+        stated=stated,
+    )
+
+
 def data_end_twice(*, where: str) -> Message:
     """A second record says that the data end."""
     return loss(

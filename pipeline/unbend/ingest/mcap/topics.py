@@ -14,7 +14,7 @@ from unbend.flight.channels import Source, TimeArray
 from unbend.ingest.field_maps import CAPTURE_UTC_FIELD, UTC_FIELD, MessageMap
 from unbend.ingest.mcap import messages
 from unbend.ingest.mcap.cdr import decode, decode_plan
-from unbend.ingest.mcap.mcap_records import Messages
+from unbend.ingest.mcap.message_batches import Messages
 from unbend.ingest.mcap.ros2_definitions import SchemaError, steps_of
 from unbend.ingest.mcap.stamps import LOG_TIME, SEQUENCE, STAMP, own_times, since_boot, stamp_of
 from unbend.ingest.mcap.topic_samples import LABELS, PLAIN_JSON, TopicSamples
@@ -117,12 +117,11 @@ class Topic:
         for name, rows in rows_by_name(block, self.spec.id_field):
             part = {path: column[rows] for path, column in block.items()}
             key = SeriesKey(name, counted)
+            if key not in series and len(series) >= MAX_NAMES:
+                self.nameless += int(part[PLACE].shape[0])
+                continue
             if key not in series:
-                if len(series) >= MAX_NAMES:
-                    self.nameless += int(part[PLACE].shape[0])
-                    continue
-                label = self.name if name is None else f"{self.name}[{name}]"
-                series[key] = TopicSamples(label, Source(self.schema, name), self.spec, counted)
+                series[key] = self._new_series(key)
             series[key].add(part)
         from_boot = since_boot(block[STAMP])
         if not counted or not bool(from_boot.any()):
@@ -130,6 +129,16 @@ class Topic:
         return [
             BootStamps(block[PLACE][from_boot], block[STAMP][from_boot], block[LOG_TIME][from_boot])
         ]
+
+    def _new_series(self, key: SeriesKey) -> TopicSamples:
+        """Samples of a name that is new in this topic, still without any."""
+        label = self.name if key.name is None else f"{self.name}[{key.name}]"
+        return TopicSamples(
+            name=label,
+            source=Source(self.schema, key.name),
+            spec=self.spec,
+            counted=key.counted,
+        )
 
     @property
     def misfit(self) -> Message:
