@@ -14,10 +14,19 @@ from unbend.errors import Counted
 from unbend.flight import clock
 from unbend.flight.channels import TimeArray
 from unbend.ingest import messages
+from unbend.ingest.utc_evidence import (
+    DAY_NS,
+    ClockBelief,
+    Witness,
+    date_text,
+    is_possible,
+    missed_rollovers,
+)
 from unbend.messages import Ledger
 from unbend.units import Integers, Mask, Rows
 
 LOWEST_FIX = 3  # 3D; both GPS_FIX_TYPE of MAVLink and GPS.Status of ArduPilot
+RECORDER_APART_S = 60.0  # a recorder set by a network is seconds off, one set by hand may be hours
 _BLOCK = 65_536  # rows of the running median at once
 _FEWEST_RECORDS = 10  # without a second between them, of sensors; parameters come one by one
 
@@ -193,6 +202,9 @@ class UtcReadings:
     usable: Mask  # False where there is no UTC, or a stray stamp
     fix: NDArray[Any] = field(default_factory=lambda: np.empty(0))  # of a receiver; else empty
     one: str = ""  # what one row is, in the singular
+    sigma_s: float = 0.0  # of this clock against UTC; 0 of a receiver, whose delay is added later
+    why: str = "set by the GNSS receiver"  # it has this sigma
+    from_gps_week: bool = False  # computed here from GPS week and seconds
 
     def counted(self, rows: int) -> str:
         """A number of rows of this source, in words."""
@@ -207,14 +219,23 @@ class UtcReadings:
         good[good] = clock.new_readings(good_utc_ns)
         if bool(good.all()):
             return self
-        return UtcReadings(
-            source=self.source,
-            places=self.places[good],
-            boot_ns=self.boot_ns[good],
-            utc_ns=self.utc_ns[good],
-            usable=good[good],
-            one=self.one,
+        return self.rows(good)
+
+    def rows(self, keep: Mask) -> "UtcReadings":
+        """The rows that a mask keeps; all of them are usable."""
+        return replace(
+            self,
+            places=self.places[keep],
+            boot_ns=self.boot_ns[keep],
+            utc_ns=self.utc_ns[keep],
+            usable=np.ones(int(np.count_nonzero(keep)), np.bool_),
+            fix=np.empty(0),
         )
+
+    def day_in(self, boot: Mask) -> int:
+        """The median UTC [Unix ns] of the rows of a boot, which a mask marks."""
+        sorted_ns = np.sort(self.utc_ns[boot])
+        return int(sorted_ns[sorted_ns.size // 2])
 
 
 def rows_of(
@@ -225,6 +246,9 @@ def rows_of(
     utc_ns: TimeArray,
     usable: Mask,
     fix: NDArray[Any],
+    from_gps_week: bool = False,
+    sigma_s: float = 0.0,
+    why: str = "set by the GNSS receiver",
 ) -> UtcReadings:
     """The UTC of the rows of a channel or topic."""
     return UtcReadings(
@@ -235,6 +259,9 @@ def rows_of(
         usable=usable,
         fix=fix,
         one=f"row of {name}",
+        sigma_s=sigma_s,
+        why=why,
+        from_gps_week=from_gps_week,
     )
 
 
@@ -243,11 +270,15 @@ class BootClock:
     """UTC of a clock that begins anew at each boot of ``line``.
 
     ``fits`` is None where no source gives UTC; ``utc_known`` False where only the recorder does.
+    ``sigma_s`` [s] of UTC in the worst boot, NaN where none has UTC; ``beliefs``: what each clock
+    of the log is believed to be good for.
     """
 
     line: Timeline
     fits: tuple[clock.ClockOffset | None, ...]
     utc_known: tuple[bool, ...]
+    sigma_s: float = float("nan")
+    beliefs: tuple[ClockBelief, ...] = ()
 
     def utc(self, places: Integers, boot_ns: TimeArray) -> TimeArray:
         """UTC [ns] of times since boot at places of the log; the times where UTC is unknown."""
@@ -266,39 +297,141 @@ def fit_clock(
     *,
     cameras: Sequence[UtcReadings] = (),
     utc_of: str = "source of UTC",
+    witnesses: Sequence[Witness] = (),
 ) -> BootClock:
     """Fit the offset of UTC from the time since boot, for each boot, and report how well it fits.
 
     In each boot the one of the ``sources`` with the most rows is used, by the median of its rows;
     each other source that differs by more than 1 s is a loss. ``cameras`` are used if no source has
     UTC, and ``recorder`` in boots without either; a boot without any counts from 1970. ``where`` is
-    the vehicle and ``utc_of`` what gives UTC in this format, in words for the reports.
+    the vehicle and ``utc_of`` what gives UTC in this format, in words for the reports. Dates that
+    no log can have are repaired or not used; ``witnesses`` are further clocks that tell the date.
 
     A boot is also split where nothing was recorded for more than 1 s and the offset differs by more
     than 1 s from then on. Where the offset steps without such a silence, a clock was set.
     """
-    sources = [source.usable_rows(line) for source in sources]
-    if not any(source.places.size for source in sources):
-        sources = [camera.usable_rows(line) for camera in cameras]
-    sources = sorted(sources, key=lambda source: -source.places.size)
     if recorder is not None:
-        recorder = recorder.usable_rows(line)
+        recorder = _possible_recorder(recorder.usable_rows(line), line, where, ledger)
+    dates = DateCheck(line, recorder, tuple(witnesses), where)
+    sources = [dates.believable(source.usable_rows(line), ledger) for source in sources]
+    if not any(source.places.size for source in sources):
+        sources = [dates.believable(camera.usable_rows(line), ledger) for camera in cameras]
+    sources = sorted(sources, key=lambda source: -source.places.size)
     boots_by_steps = line.boots
     line = _split_at_silences(line, sources if recorder is None else [*sources, recorder])
     if line.boots > boots_by_steps:
         ledger.add(messages.restarted(where=where, count=line.boots - boots_by_steps))
-    fits = []
-    utc_known = []
+    chosen: list[BootUtc] = []
     for number in range(line.boots):
         place = f"{where}, boot {number}".removeprefix(", ")
-        fit = _best_fit(line, number, sources, place, ledger)
-        utc_known.append(fit is not None)  # the recorder's clock is not known to be UTC
-        if fit is None and recorder is not None:
-            fit = _fit_boot(line, number, recorder)
-        if fit is None:
+        utc = _utc_of_boot(line, number, sources, recorder, place, ledger)
+        if utc.fit is None:
             ledger.add(messages.no_utc(where=place, utc_of=utc_of))
-        fits.append(fit)
-    return BootClock(line, tuple(fits), tuple(utc_known))
+        chosen.append(utc)
+    sigmas_s = [utc.sigma_s for utc in chosen if utc.fit is not None]
+    beliefs: list[ClockBelief] = []
+    for utc in chosen:
+        beliefs += utc.beliefs
+    return BootClock(
+        line,
+        tuple(utc.fit for utc in chosen),
+        tuple(utc.is_known for utc in chosen),
+        sigma_s=max(sigmas_s, default=float("nan")),
+        beliefs=tuple(beliefs),
+    )
+
+
+@dataclass(frozen=True)
+class DateCheck:
+    """Whether the dates that sources of UTC state are possible, by the other clocks of the log."""
+
+    line: Timeline
+    recorder: UtcReadings | None
+    witnesses: tuple[Witness, ...]
+    where: str
+
+    def believable(self, source: UtcReadings, ledger: Ledger) -> UtcReadings:
+        """The rows of a source in the boots whose date can be believed, repaired where it can be.
+
+        A clock that nothing has set (``sigma_s`` above 0) is not believed against a recorder that
+        is more than a day away.
+        """
+        boots = self.line.boot_of(source.places)
+        utc_ns = source.utc_ns
+        keep = np.ones(boots.shape, np.bool_)
+        for number in np.unique(boots).tolist():
+            rows = boots == number
+            stated_ns = source.day_in(rows)
+            clocks = self._clocks_of(number)
+            rollovers = missed_rollovers(stated_ns, clocks)
+            place = f"{self.where}, boot {number}".removeprefix(", ")
+            words = source.counted(int(np.count_nonzero(rows)))
+            if rollovers is None or self._is_unset(source, stated_ns, clocks):
+                keep &= ~rows
+                ledger.add(
+                    messages.utc_not_believed(
+                        where=place, source=words, stated=date_text(stated_ns), clocks=clocks
+                    )
+                )
+            elif rollovers:
+                utc_ns = utc_ns.copy() if utc_ns is source.utc_ns else utc_ns
+                utc_ns[rows] = clock.later_by_rollovers(
+                    utc_ns[rows], rollovers, from_gps_week=source.from_gps_week
+                )
+                moved_ns = int(np.median(utc_ns[rows]))
+                ledger.add(
+                    messages.week_rollover(
+                        where=place,
+                        source=words,
+                        count=int(np.count_nonzero(rows)),
+                        stated=date_text(stated_ns),
+                        moved=date_text(moved_ns),
+                        rollovers=rollovers,
+                        clocks=clocks,
+                    )
+                )
+        checked = replace(source, utc_ns=utc_ns)
+        return checked if bool(keep.all()) else checked.rows(keep)
+
+    def _clocks_of(self, boot: int) -> list[Witness]:
+        """The other clocks that tell the date of a boot, the strongest first."""
+        strong = [witness for witness in self.witnesses if not witness.is_weak]
+        weak = [witness for witness in self.witnesses if witness.is_weak]
+        if self.recorder is not None:
+            rows = self.line.boot_of(self.recorder.places) == boot
+            if rows.any():
+                strong.append(Witness(self.recorder.source, self.recorder.day_in(rows)))
+        return strong + weak
+
+    @staticmethod
+    def _is_unset(source: UtcReadings, stated_ns: int, clocks: Sequence[Witness]) -> bool:
+        """Whether a clock that no receiver has set contradicts the strongest other clock."""
+        if not source.sigma_s or not clocks or clocks[0].is_weak:
+            return False
+        return abs(stated_ns - clocks[0].time_ns) > DAY_NS
+
+
+def _possible_recorder(
+    recorder: UtcReadings, line: Timeline, where: str, ledger: Ledger
+) -> UtcReadings:
+    """The rows of a recorder in the boots in which its date is possible."""
+    boots = line.boot_of(recorder.places)
+    keep = np.ones(boots.shape, np.bool_)
+    for number in np.unique(boots).tolist():
+        rows = boots == number
+        stated_ns = recorder.day_in(rows)
+        if is_possible(stated_ns):
+            continue
+        keep &= ~rows
+        ledger.add(
+            messages.utc_not_believed(
+                where=f"{where}, boot {number}".removeprefix(", "),
+                source=recorder.counted(int(np.count_nonzero(rows))),
+                stated=date_text(stated_ns),
+                clocks=(),
+            )
+        )
+    return recorder if bool(keep.all()) else recorder.rows(keep)
 
 
 def _split_at_silences(line: Timeline, sources: Sequence[UtcReadings]) -> Timeline:
@@ -376,33 +509,103 @@ def _fit_boot(line: Timeline, number: int, source: UtcReadings) -> clock.ClockOf
     return clock.fit_offset(source.utc_ns[rows], source.boot_ns[rows])
 
 
-def _best_fit(
-    line: Timeline, number: int, sources: Sequence[UtcReadings], place: str, ledger: Ledger
-) -> clock.ClockOffset | None:
-    """The offset of a boot by the source with the most rows in it; None without any rows.
+class BootUtc(NamedTuple):
+    """UTC of a boot: its offset, whether a source states it, its sigma [s], what is believed."""
 
-    The fit is reported, and each source that differs from it by more than 1 s.
+    fit: clock.ClockOffset | None
+    is_known: bool
+    sigma_s: float
+    beliefs: tuple[ClockBelief, ...]
+
+
+class _FittedSource(NamedTuple):
+    """A source of UTC with its offset in a boot."""
+
+    readings: UtcReadings
+    fit: clock.ClockOffset
+
+    @property
+    def sigma_s(self) -> float:
+        """Of the clock, and of the scatter of its rows [s]."""
+        return float(np.hypot(self.readings.sigma_s, self.fit.sigma_ns / 1e9))
+
+    def words(self) -> str:
+        """The source and how many rows of it are of the boot."""
+        return self.readings.counted(self.fit.rows)
+
+
+def _utc_of_boot(
+    line: Timeline,
+    number: int,
+    sources: Sequence[UtcReadings],
+    recorder: UtcReadings | None,
+    place: str,
+    ledger: Ledger,
+) -> BootUtc:
+    """UTC of a boot by the source with the most rows in it, else by the recorder.
+
+    The fit is reported, and each source that differs from it by more than 1 s; so is a recorder
+    that differs by more than a minute.
     """
-    fits = []
-    for source in sources:
-        fit = _fit_boot(line, number, source)
-        if fit is not None:
-            fits.append((source, fit))
-    if not fits:
-        return None
-    chosen, best = max(fits, key=lambda pair: pair[1].rows)
-    used = chosen.counted(best.rows)
-    ledger.add(clock.clock_fit_note(used, best, place))
-    for source, fit in fits:
-        apart_ns = fit.offset_ns - best.offset_ns
+    fitted = _fitted(line, number, sources)
+    by_recorder = _fitted(line, number, [] if recorder is None else [recorder])
+    if not fitted:
+        if not by_recorder:
+            return BootUtc(None, is_known=False, sigma_s=float("nan"), beliefs=())
+        used = by_recorder[0]
+        return BootUtc(used.fit, False, used.sigma_s, (_belief(used, used, used.sigma_s, place),))
+    used = max(fitted, key=lambda source: source.fit.rows)
+    ledger.add(clock.clock_fit_note(used.words(), used.fit, place))
+    for source in fitted:
+        apart_ns = source.fit.offset_ns - used.fit.offset_ns
         if abs(apart_ns) > clock.BOOT_STEP_NS:
             ledger.add(
                 messages.sources_disagree(
                     where=place,
-                    rows=fit.rows,
-                    source=source.counted(fit.rows),
+                    rows=source.fit.rows,
+                    source=source.words(),
                     apart_s=apart_ns / 1e9,
-                    used=used,
+                    used=used.words(),
                 )
             )
-    return best
+    sigma_s = used.sigma_s
+    for other in by_recorder:
+        apart_s = (other.fit.offset_ns - used.fit.offset_ns) / 1e9
+        if used.readings.sigma_s:  # neither is set by a receiver: they are as good as they agree
+            sigma_s = max(sigma_s, abs(apart_s))
+        if abs(apart_s) > RECORDER_APART_S:
+            ledger.add(
+                messages.recorder_disagrees(
+                    where=place,
+                    recorder=other.readings.source,
+                    apart_s=apart_s,
+                    used=used.words(),
+                )
+            )
+    every = [*fitted, *by_recorder]
+    return BootUtc(
+        used.fit, True, sigma_s, tuple(_belief(source, used, sigma_s, place) for source in every)
+    )
+
+
+def _fitted(line: Timeline, number: int, sources: Sequence[UtcReadings]) -> list[_FittedSource]:
+    """The sources that have rows in a boot, with their offsets."""
+    fitted = []
+    for source in sources:
+        fit = _fit_boot(line, number, source)
+        if fit is not None:
+            fitted.append(_FittedSource(source, fit))
+    return fitted
+
+
+def _belief(source: _FittedSource, used: _FittedSource, sigma_s: float, place: str) -> ClockBelief:
+    """What a source of UTC is believed to be good for, beside the one that is ``used``."""
+    is_used = source is used
+    return ClockBelief(
+        clock=f"{source.words()} ({place})",
+        use="UTC of the log" if is_used else "compared",
+        utc=date_text(source.readings.utc_ns[0]) if source.readings.utc_ns.size else None,
+        apart_s=(source.fit.offset_ns - used.fit.offset_ns) / 1e9,
+        sigma_s=sigma_s if is_used else source.sigma_s,
+        why=source.readings.why,
+    )

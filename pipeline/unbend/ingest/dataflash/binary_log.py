@@ -1,6 +1,6 @@
 """ArduPilot DataFlash logs (.bin): the registry's entry of this format, and how one is read."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -14,11 +14,12 @@ from unbend.ingest.dataflash.record_definitions import START
 from unbend.ingest.dataflash.record_tables import decode
 from unbend.ingest.flight_log import Contents, LogFormat
 from unbend.ingest.message_tables import Table
+from unbend.ingest.utc_evidence import Witness
 from unbend.messages import Ledger
 
 
-def read_log(path: Path, ledger: Ledger) -> Contents:
-    """The contents of a binary log."""
+def read_log(path: Path, ledger: Ledger, witnesses: Sequence[Witness] = ()) -> Contents:
+    """The contents of a binary log; ``witnesses`` are other clocks that tell its date."""
     wanted = wanted_fields()
     with open_view(path) as data:
         walker = RecordWalker(data, wanted)
@@ -37,6 +38,7 @@ def read_log(path: Path, ledger: Ledger) -> Contents:
         tables,
         ledger,
         reread=partial(read_tables, path),
+        witnesses=witnesses,
     )
 
 
