@@ -14,6 +14,7 @@ from pydantic import (
 from unbend.config.atmosphere import AtmosphereSection
 from unbend.config.blocks import with_block
 from unbend.config.cameras import CameraSection
+from unbend.config.dates import checked_date, nanoseconds_of_date
 from unbend.config.event_sources import EventsSection, PositionEvents
 from unbend.config.ground import ControlSection, GroundSection
 from unbend.config.logs import USUAL_MAX_GAP_S, LogSection
@@ -63,6 +64,25 @@ class MissionSection(Section):
         ),
         examples=["egm96"],
     )
+    date: str | None = Field(
+        None,
+        description=(
+            "UTC day of the flight, as 2026-05-14, or day and time, where the log has no UTC or a "
+            "wrong one: season of the climatology, how far soundings and surface reports are away, "
+            "and evidence on the clocks of the log"
+        ),
+        examples=["2026-05-14"],
+    )
+
+    @property
+    def date_ns(self) -> int | None:
+        """The stated date [Unix ns]; a day without a time is its noon in UTC."""
+        return nanoseconds_of_date(self.date)
+
+    @field_validator("date")
+    @classmethod
+    def _check_date(cls, value: str | None) -> str | None:
+        return checked_date(value)
 
 
 class RefractionSection(Section):
@@ -297,11 +317,12 @@ class Mission(Section):
             )
         if camera is not None and camera not in self.cameras:
             raise SectionError(f"stations.orientation names camera {camera!r}, which is not there")
-        has_time = orientation.has_clock or orientation.date is not None or self.events is not None
+        is_dated = orientation.date is not None or self.mission.date is not None
+        has_time = orientation.has_clock or is_dated or self.events is not None
         if self.atmosphere.adjust and not has_time:
             raise SectionError(
                 "stations.orientation needs a time for the air: columns.time_utc, gps_week and "
-                "gps_seconds, or date"
+                "gps_seconds, or date (also mission.date)"
             )
         return self
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
+from dataclasses import field as field_of
 from typing import Any
 
 import numpy as np
@@ -41,6 +42,7 @@ class Stations:
     axes, ``sigma_yaw_rad`` about its vertical one. ``suspect_reason`` is empty but for stations
     that contradict other evidence, which may be ``suspect_m`` off. ``status`` is ok or names what
     is missing; ``accepted`` are suspect ones that the mission file wants used all the same.
+    ``from_boot`` marks times that count from a boot of the vehicle: their UTC is not known.
     """
 
     image: Names
@@ -68,9 +70,12 @@ class Stations:
     suspect_m: Array
     accepted: Mask
     status: Names
+    from_boot: Mask = field_of(default_factory=lambda: np.zeros(0, np.bool_))
 
     def __post_init__(self) -> None:
         n = self.image.shape[0]
+        if not self.from_boot.shape[0]:
+            object.__setattr__(self, "from_boot", np.zeros(n, np.bool_))
         for field in fields(self):
             shape = getattr(self, field.name).shape
             due = (n, 4) if field.name in _QUATERNIONS else (n,)
@@ -84,6 +89,11 @@ class Stations:
     def ok(self) -> Mask:
         """(s,) which stations can be used."""
         return np.asarray((self.status == STATION_OK) | self.accepted)
+
+    @property
+    def utc_ns(self) -> Integers:
+        """(s,) UTC [Unix ns]; `NO_TIME` where it is not known."""
+        return np.where(self.from_boot, NO_TIME, self.time_ns)
 
     @property
     def mean_latitude_rad(self) -> float:
@@ -158,6 +168,7 @@ def empty_stations(image: Names, camera: Names, status: str) -> Stations:
     columns["time_ns"] = np.full(n, NO_TIME, np.int64)
     columns["suspect_reason"] = np.full(n, "", dtype=object)
     columns["accepted"] = np.zeros(n, dtype=np.bool_)
+    columns["from_boot"] = np.zeros(n, dtype=np.bool_)
     columns["status"] = np.full(n, status, dtype=object)
     return Stations(**columns)
 
@@ -173,16 +184,16 @@ def join_stations(parts: list[Stations]) -> Stations:
 def station_columns(stations: Stations) -> dict[str, Any]:
     """Columns of ``stations.parquet``: degrees, UTC, null (NaT, NaN) where unknown."""
     columns: dict[str, Any] = {}
-    for field in fields(stations):
-        if field.name != "accepted":
-            columns |= _columns_of_field(field.name, getattr(stations, field.name))
+    for name in (field.name for field in fields(stations)):
+        if name == "time_ns":
+            columns["time_utc"] = _utc(stations.utc_ns)
+        elif name not in ("accepted", "from_boot"):
+            columns |= _columns_of_field(name, getattr(stations, name))
     return columns
 
 
 def _columns_of_field(name: str, values: NDArray[Any]) -> dict[str, Any]:
     """The columns of ``stations.parquet`` that a field of the stations becomes."""
-    if name == "time_ns":
-        return {"time_utc": _utc(values)}
     if name in _QUATERNIONS:
         prefix = name.removesuffix("quaternion") + "q_"
         return {f"{prefix}{axis}": values[:, column] for column, axis in enumerate("wxyz")}

@@ -164,7 +164,10 @@ def print_log(console: Console, log: Mapping[str, Any], name: str) -> None:
     """What ``unbend inspect`` prints: flight, roles, and channels by the names of mission files."""
     console.print(f"[bold]{shown(name)}[/bold]: {log['format']}, {log['duration_s']:.1f} s")
     flight, boots = log["flight"], log["boots"]
-    begin, end = (log[f"{key}_utc"][:19].replace("T", " ") for key in ("start", "end"))
+    begin, end = ((log[f"{key}_utc"] or "")[:19].replace("T", " ") for key in ("start", "end"))
+    times = "counts from boot; UTC is unknown"
+    if begin:
+        times = f"{begin} to {end if end[:10] != begin[:10] else end[11:]} UTC"
     reference = flight.get("height_reference")
     heights = take_off = "unknown"
     if reference and flight["lowest_m"] is not None:
@@ -178,7 +181,7 @@ def print_log(console: Console, log: Mapping[str, Any], name: str) -> None:
         console,
         [
             ("place", place),
-            ("time", f"{begin} to {end if end[:10] != begin[:10] else end[11:]} UTC"),
+            ("time", times),
             ("clock", log["time_base"]),
             ("heights", heights),
             ("take-off", take_off),
@@ -193,6 +196,7 @@ def print_log(console: Console, log: Mapping[str, Any], name: str) -> None:
          "; also ".join(filter(None, (row["remark"], ", ".join(row["others"])))))
         for row in log["roles"]
     ]  # fmt: skip
+    print_clocks(console, log["clocks"])
     console.print()
     heads = "role", "channel", "rate [Hz]", "remark"
     print_rows(console, heads, roles, gap=2, left=(1, 3))
@@ -208,6 +212,22 @@ def print_log(console: Console, log: Mapping[str, Any], name: str) -> None:
     print_indented(console, table)
     console.print()
     print_ledger(console, [MessageRecord(**entry) for entry in log["ledger"]])
+
+
+def print_clocks(console: Console, clocks: Sequence[Mapping[str, Any]]) -> None:
+    """What each clock of a log is believed to be good for, and why."""
+    if not clocks:
+        return
+    rows = []
+    for belief in clocks:
+        apart_s, sigma_s = belief["apart_s"], belief["sigma_s"]
+        apart = "" if apart_s is None else f"{apart_s:+.3g}"
+        sigma = "" if sigma_s is None else f"{sigma_s:.2g}"
+        rows.append((belief["clock"], belief["use"], belief["utc"] or "-", apart, sigma,
+                     belief["why"]))  # fmt: skip
+    console.print()
+    heads = "clock", "use", "day", "apart [s]", "sigma [s]", "why"
+    print_rows(console, heads, rows, gap=2, left=(1, 2, 5))
 
 
 def print_model(console: Console, contents: Mapping[str, Any], name: str) -> None:

@@ -71,6 +71,7 @@ def adjusted_profiles(
             surface=sources.surface,
             time_ns=sources.time_ns,
             longitude_rad=sources.longitude_rad,
+            utc_known=sources.utc_known,
         )
     model = sources.model
     if model is not None and not is_used(model, adjustment):

@@ -29,7 +29,15 @@ from unbend.stages import messages
 from unbend.stages.flight_log import FlightLog, Track
 from unbend.stages.opened_inputs import OpenedInputs
 from unbend.tables.weather_files import FlightArea
-from unbend.units import DEGREE, HECTOPASCAL, ZERO_CELSIUS_K, Array, Integers, Mask
+from unbend.units import (
+    DEGREE,
+    HECTOPASCAL,
+    NANOSECONDS_PER_SECOND,
+    ZERO_CELSIUS_K,
+    Array,
+    Integers,
+    Mask,
+)
 
 BIN_M = 100.0  # of heights: a climb counts more than a long level run
 LIKELY_SIGMAS = 2.0  # that a value in another unit, or reduced, may be off
@@ -82,7 +90,8 @@ def read_model_air(
     model = inputs.weather_model
     if model is None:
         return None
-    if middle.time_ns is None or not math.isfinite(middle.latitude_rad + middle.longitude_rad):
+    has_place = math.isfinite(middle.latitude_rad + middle.longitude_rad)
+    if middle.time_ns is None or not has_place or bool(stations.from_boot.any()):
         raise messages.flight_without_time(where=model.name)
     place = sampled_place(samples, flight.track)
     if place is None:
@@ -274,7 +283,9 @@ def refuse_impossible_pressure(
 class AirSources:
     """What a mission has of the air beside its log.
 
-    time_ns, longitude_rad : the middle of the flight.
+    time_ns, longitude_rad : the middle of the flight; its time is None where neither the log nor
+        the mission file has it.
+    utc_known : whether the times of the log are UTC; else they count from a boot.
     lowest_h_m : the lowest height at which the log sampled the air, else that of the take-off,
         else 0 [m above sea level].
     calibration : the known errors of sensors.
@@ -288,6 +299,7 @@ class AirSources:
     lowest_h_m: float = 0.0
     model: ModelAir | None = None
     calibration: Mapping[SensorFault, SensorCalibration] = field(default_factory=dict)
+    utc_known: bool = True
 
     def lines(self) -> list[tuple[str, str]]:
         """A label and a description of each source, for `unbend check`."""
@@ -344,10 +356,7 @@ def read_air_sources(
 ) -> AirSources:
     """Read soundings, surface reports and weather model of a mission; choose its climatology."""
     section = mission.atmosphere
-    flight_ns = middle_exposure_ns(stations)
-    orientation = mission.stations.orientation
-    if flight_ns is None and orientation is not None:
-        flight_ns = orientation.date_ns
+    flight_ns = flight_date_ns(mission, stations, ledger)
     latitude = stations.mean_latitude_rad
     known = stations.lon_rad[np.isfinite(stations.lon_rad)]
     longitude = float(np.median(known)) if known.size else math.nan
@@ -376,6 +385,7 @@ def read_air_sources(
         lowest_h_m=lowest_h_m,
         model=model,
         calibration=section.sensors.calibration,
+        utc_known=not bool(stations.from_boot.any()),
     )
     if not section.adjust:
         report_unused(sources, ledger)
@@ -437,6 +447,35 @@ def lowest_sample_m(samples: AirSamples, home_h_msl_m: float | None) -> float:
         if heights.size:
             lowest.append(float(heights.min()))
     return min(lowest, default=home_h_msl_m or 0.0)
+
+
+FARTHEST_FROM_DATE_NS = 36 * 3600 * NANOSECONDS_PER_SECOND
+"""Of the exposures from a stated date: its noon, and the day line."""
+
+
+def flight_date_ns(mission: Mission, stations: Stations, ledger: Ledger) -> int | None:
+    """When a mission was flown [Unix ns]: the middle exposure, else as the mission file states.
+
+    None where neither is known. A stated date that the exposures contradict is a finding.
+    """
+    stated_ns = mission.mission.date_ns
+    orientation = mission.stations.orientation
+    if orientation is not None and orientation.date_ns is not None:
+        stated_ns = orientation.date_ns
+    known_ns = np.sort(stations.utc_ns[stations.utc_ns != NO_TIME])
+    if not known_ns.size:
+        if stated_ns is None and mission.atmosphere.adjust:
+            ledger.add(messages.flight_undated())
+        return stated_ns
+    flown_ns = int(known_ns[known_ns.size // 2])
+    if stated_ns is not None and abs(flown_ns - stated_ns) > FARTHEST_FROM_DATE_NS:
+        ledger.add(
+            messages.date_contradicted(
+                stated=str(np.datetime64(stated_ns, "ns").astype("datetime64[D]")),
+                flown=str(np.datetime64(flown_ns, "ns").astype("datetime64[D]")),
+            )
+        )
+    return flown_ns
 
 
 def middle_exposure_ns(stations: Stations) -> int | None:
