@@ -1,7 +1,7 @@
 """What a mission has of the air beside its log: soundings, reports, a weather model; checked."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -371,6 +371,8 @@ def read_air_sources(
     )
     soundings = read_soundings(section, inputs, flight_ns, latitude, ledger)
     surface = read_reports(section, flight_ns, background, ledger)
+    if flight_ns is None and section.adjust:
+        refuse_dated_sources(soundings, section)
     middle = TimeAndPlace(flight_ns, latitude, longitude)
     model = read_model_air(mission, inputs, flight, stations, samples, middle=middle, ledger=ledger)
     if model is not None:
@@ -401,6 +403,19 @@ def read_reports(
         where = f"atmosphere.surface[{number}]"
         reports.append(read_report(station, where, flight_ns, background, ledger))
     return tuple(reports)
+
+
+def refuse_dated_sources(soundings: Sequence[Sounding], section: AtmosphereSection) -> None:
+    """Refuse (InputError FLIGHT-UNDATED) sources that have a time, where the flight has none.
+
+    How old they are is unknown, and a guess would make them near.
+    """
+    dated = [sounding.name for sounding in soundings if sounding.time_ns is not None]
+    for number, station in enumerate(section.surface):
+        if station.metar is not None or station.time_ns is not None:
+            dated.append(f"atmosphere.surface[{number}]")
+    if dated:
+        raise messages.sources_of_undated_flight(where=", ".join(dated))
 
 
 def read_soundings(
