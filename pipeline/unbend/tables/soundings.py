@@ -52,7 +52,7 @@ def read_sounding(
     if data.startswith(_HDF5):
         raise messages.sounding_is_netcdf4(where=path)
     if data.startswith(_NETCDF3):
-        raw = soundings.nearest_in_time([_netcdf(path)], time_ns, path.name)
+        raw = soundings.nearest_in_time([_netcdf(data, path)], time_ns, path.name)
         checked = soundings.check_levels(raw, latitude_rad=latitude_rad, station_h_m=station_h_m)
         sounding = ledger.take(checked)
     else:
@@ -91,12 +91,12 @@ def _unpacked(data: bytes, path: Path) -> bytes:
         raise messages.sounding_archive(where=path, why=str(error)) from None
 
 
-def _netcdf(path: Path) -> soundings.RawLevels:
+def _netcdf(data: bytes, path: Path) -> soundings.RawLevels:
     """The levels of a classic netCDF file with ARM's names; fill values become NaN."""
     from scipy.io import netcdf_file
 
     try:
-        with netcdf_file(path, "r", mmap=False) as file:
+        with netcdf_file(BytesIO(data), "r", mmap=False) as file:
             for missing in (name for name in _VARIABLES if name not in file.variables):
                 raise messages.sounding_variable_missing(where=path, variable=missing)
             columns = {name: to_si(_column(file, name), unit) for name, unit in _VARIABLES.items()}

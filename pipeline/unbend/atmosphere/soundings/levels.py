@@ -196,34 +196,32 @@ def place_of_numbers(latitude_deg: float, longitude_deg: float) -> PlaceOfSoundi
 
 
 def stated_place(latitude: str, longitude: str, where: str) -> PlaceOfSounding:
-    """The place that two fields of a file state, in degrees.
+    """The place that two fields of a file state, in degrees; a latitude may stand alone.
 
     Not stated are empty fields and fill values. Refuses (InputError SOUNDING-PLACE) a field that is
-    stated and is no latitude or longitude, and one of both alone.
+    stated and is no latitude or longitude.
     """
-    degrees = [_stated_degrees(latitude, where), _stated_degrees(longitude, where)]
-    if any(value is None for value in degrees):
-        if degrees[0] is None:  # a file that does not know its latitude does not know its place
-            return PlaceOfSounding()
+    north_deg = _stated_degrees(latitude)
+    east_deg = _stated_degrees(longitude)
+    is_latitude = math.isnan(north_deg) or abs(north_deg) <= 90.0
+    is_longitude = math.isnan(east_deg) or -180.0 <= east_deg <= 360.0
+    if not (is_latitude and is_longitude):
         raise messages.sounding_place(where=where, latitude=latitude, longitude=longitude)
-    place = place_of_numbers(*(math.nan if value is None else value for value in degrees))
-    if math.isnan(place.latitude_rad):
-        raise messages.sounding_place(where=where, latitude=latitude, longitude=longitude)
-    return place
+    if math.isnan(east_deg):
+        return PlaceOfSounding(math.radians(north_deg))
+    return place_of_numbers(north_deg, east_deg)
 
 
-def _stated_degrees(text: str, where: str) -> float | None:
-    """The degrees of a field; None where it states none; refuses what is no number."""
+def _stated_degrees(text: str) -> float:
+    """The degrees of a field, NaN where it states none, infinite where it is no number."""
     text = text.strip()
     if text.lower() in _NOT_STATED:
-        return None
+        return math.nan
     try:
         value = float(text)
     except ValueError:
-        raise messages.sounding_place(where=where, latitude=text, longitude=text) from None
-    if value in FILLS or value in _UNKNOWN_DEG:
-        return None
-    return value
+        return math.inf
+    return math.nan if value in FILLS or value in _UNKNOWN_DEG else value
 
 
 def stated_time_ns(text: str, where: str) -> int | None:
