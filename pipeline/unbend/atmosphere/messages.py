@@ -300,13 +300,13 @@ def metar_parse(*, where: object, why: str) -> InputError:
     )
 
 
-def metar_several(*, where: object, count: int) -> InputError:
+def metar_several(*, where: object, total: int) -> InputError:
     """A text holds several reports."""
     return InputError(
         METAR_PARSE,
-        "the text holds {count} reports: which of them is meant?",
+        "the text holds {total} reports: which of them is meant?",
         where=where,
-        count=count,
+        total=total,
         remedy="give one report for each entry of atmosphere.surface",
     )
 

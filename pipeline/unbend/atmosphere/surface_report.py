@@ -91,7 +91,7 @@ def parse_metar(
     flat = " ".join(text.split()).rstrip("=").strip()
     reports = len(_STAMP.findall(flat))
     if reports > 1:
-        raise messages.metar_several(where=where, count=reports)
+        raise messages.metar_several(where=where, total=reports)
     report, complaints = _decode(flat, where)
     if complaints:
         groups = "; ".join(complaints)

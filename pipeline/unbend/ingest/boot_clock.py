@@ -16,7 +16,7 @@ from unbend.flight.channels import TimeArray
 from unbend.ingest import messages
 from unbend.ingest.utc_evidence import (
     DAY_NS,
-    ClockBelief,
+    ClockAssessment,
     Witness,
     date_text,
     is_possible,
@@ -270,15 +270,15 @@ class BootClock:
     """UTC of a clock that begins anew at each boot of ``line``.
 
     ``fits`` is None where no source gives UTC; ``utc_known`` False where only the recorder does.
-    ``sigma_s`` [s] of UTC in the worst boot, NaN where none has UTC; ``beliefs``: what each clock
-    of the log is believed to be good for.
+    ``sigma_s`` [s] of UTC in the worst boot, NaN where none has UTC; ``assessments``: what each clock
+    of the log is good for.
     """
 
     line: Timeline
     fits: tuple[clock.ClockOffset | None, ...]
     utc_known: tuple[bool, ...]
     sigma_s: float = float("nan")
-    beliefs: tuple[ClockBelief, ...] = ()
+    assessments: tuple[ClockAssessment, ...] = ()
 
     def utc(self, places: Integers, boot_ns: TimeArray) -> TimeArray:
         """UTC [ns] of times since boot at places of the log; the times where UTC is unknown."""
@@ -313,9 +313,9 @@ def fit_clock(
     if recorder is not None:
         recorder = _possible_recorder(recorder.usable_rows(line), line, where, ledger)
     dates = DateCheck(line, recorder, tuple(witnesses), where)
-    sources = [dates.believable(source.usable_rows(line), ledger) for source in sources]
+    sources = [dates.acceptable(source.usable_rows(line), ledger) for source in sources]
     if not any(source.places.size for source in sources):
-        sources = [dates.believable(camera.usable_rows(line), ledger) for camera in cameras]
+        sources = [dates.acceptable(camera.usable_rows(line), ledger) for camera in cameras]
     sources = sorted(sources, key=lambda source: -source.places.size)
     boots_by_steps = line.boots
     line = _split_at_silences(line, sources if recorder is None else [*sources, recorder])
@@ -329,15 +329,15 @@ def fit_clock(
             ledger.add(messages.no_utc(where=place, utc_of=utc_of))
         chosen.append(utc)
     sigmas_s = [utc.sigma_s for utc in chosen if utc.fit is not None]
-    beliefs: list[ClockBelief] = []
+    assessments: list[ClockAssessment] = []
     for utc in chosen:
-        beliefs += utc.beliefs
+        assessments += utc.assessments
     return BootClock(
         line,
         tuple(utc.fit for utc in chosen),
         tuple(utc.is_known for utc in chosen),
         sigma_s=max(sigmas_s, default=float("nan")),
-        beliefs=tuple(beliefs),
+        assessments=tuple(assessments),
     )
 
 
@@ -350,10 +350,10 @@ class DateCheck:
     witnesses: tuple[Witness, ...]
     where: str
 
-    def believable(self, source: UtcReadings, ledger: Ledger) -> UtcReadings:
-        """The rows of a source in the boots whose date can be believed, repaired where it can be.
+    def acceptable(self, source: UtcReadings, ledger: Ledger) -> UtcReadings:
+        """The rows of a source in the boots whose date can be accepted, repaired where it can be.
 
-        A clock that nothing has set (``sigma_s`` above 0) is not believed against a recorder that
+        A clock that nothing has set (``sigma_s`` above 0) is not accepted against a recorder that
         is more than a day away.
         """
         boots = self.line.boot_of(source.places)
@@ -369,7 +369,7 @@ class DateCheck:
             if rollovers is None or self._is_unset(source, stated_ns, clocks):
                 keep &= ~rows
                 ledger.add(
-                    messages.utc_not_believed(
+                    messages.utc_not_accepted(
                         where=place, source=words, stated=date_text(stated_ns), clocks=clocks
                     )
                 )
@@ -424,7 +424,7 @@ def _possible_recorder(
             continue
         keep &= ~rows
         ledger.add(
-            messages.utc_not_believed(
+            messages.utc_not_accepted(
                 where=f"{where}, boot {number}".removeprefix(", "),
                 source=recorder.counted(int(np.count_nonzero(rows))),
                 stated=date_text(stated_ns),
@@ -510,12 +510,12 @@ def _fit_boot(line: Timeline, number: int, source: UtcReadings) -> clock.ClockOf
 
 
 class BootUtc(NamedTuple):
-    """UTC of a boot: its offset, whether a source states it, its sigma [s], what is believed."""
+    """UTC of a boot: its offset, whether a source states it, its sigma [s], how good each clock is."""
 
     fit: clock.ClockOffset | None
     is_known: bool
     sigma_s: float
-    beliefs: tuple[ClockBelief, ...]
+    assessments: tuple[ClockAssessment, ...]
 
 
 class _FittedSource(NamedTuple):
@@ -551,9 +551,11 @@ def _utc_of_boot(
     by_recorder = _fitted(line, number, [] if recorder is None else [recorder])
     if not fitted:
         if not by_recorder:
-            return BootUtc(None, is_known=False, sigma_s=float("nan"), beliefs=())
+            return _without_utc(place)
         used = by_recorder[0]
-        return BootUtc(used.fit, False, used.sigma_s, (_belief(used, used, used.sigma_s, place),))
+        return BootUtc(
+            used.fit, False, used.sigma_s, (_assessment(used, used, used.sigma_s, place),)
+        )
     used = max(fitted, key=lambda source: source.fit.rows)
     ledger.add(clock.clock_fit_note(used.words(), used.fit, place))
     for source in fitted:
@@ -584,8 +586,24 @@ def _utc_of_boot(
             )
     every = [*fitted, *by_recorder]
     return BootUtc(
-        used.fit, True, sigma_s, tuple(_belief(source, used, sigma_s, place) for source in every)
+        used.fit,
+        True,
+        sigma_s,
+        tuple(_assessment(source, used, sigma_s, place) for source in every),
     )
+
+
+def _without_utc(place: str) -> BootUtc:
+    """A boot whose UTC no clock of the log tells."""
+    assessment = ClockAssessment(
+        clock=f"the vehicle's time ({place})",
+        use="counts from boot",
+        utc=None,
+        apart_s=None,
+        sigma_s=None,
+        why="no clock of the log tells its UTC",
+    )
+    return BootUtc(None, is_known=False, sigma_s=float("nan"), assessments=(assessment,))
 
 
 def _fitted(line: Timeline, number: int, sources: Sequence[UtcReadings]) -> list[_FittedSource]:
@@ -598,10 +616,12 @@ def _fitted(line: Timeline, number: int, sources: Sequence[UtcReadings]) -> list
     return fitted
 
 
-def _belief(source: _FittedSource, used: _FittedSource, sigma_s: float, place: str) -> ClockBelief:
-    """What a source of UTC is believed to be good for, beside the one that is ``used``."""
+def _assessment(
+    source: _FittedSource, used: _FittedSource, sigma_s: float, place: str
+) -> ClockAssessment:
+    """What a source of UTC is good for, beside the one that is ``used``."""
     is_used = source is used
-    return ClockBelief(
+    return ClockAssessment(
         clock=f"{source.words()} ({place})",
         use="UTC of the log" if is_used else "compared",
         utc=date_text(source.readings.utc_ns[0]) if source.readings.utc_ns.size else None,

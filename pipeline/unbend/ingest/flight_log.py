@@ -12,7 +12,7 @@ import numpy as np
 from unbend.flight.channels import Channel
 from unbend.ingest import messages
 from unbend.ingest.message_tables import Table
-from unbend.ingest.utc_evidence import ClockBelief, Witness, is_utc
+from unbend.ingest.utc_evidence import ClockAssessment, Witness, is_utc
 from unbend.messages import Ledger
 
 SIMILAR_NAMES = 3  # that a refusal lists first, of an unknown name
@@ -27,7 +27,7 @@ class Contents:
     ``bad_bytes`` of no valid message; ``lost_messages`` by the log's own numbers; ``boots`` of the
     vehicle; ``time_base`` of its UTC in words; ``table`` decodes all messages of a type, or of one
     instance; ``parameters`` as last logged; ``utc_sigma_s`` [s] of its UTC, NaN where unknown;
-    ``clocks``: what each clock is believed to be good for; ``recorded_ns``: when it was recorded,
+    ``clocks``: what each clock is good for; ``recorded_ns``: when it was recorded,
     by the recorder's clock [Unix ns].
     """
 
@@ -40,7 +40,7 @@ class Contents:
     table: Callable[[str, str | None], Table] | None = None
     parameters: Mapping[str, float] = field(default_factory=dict)
     utc_sigma_s: float = float("nan")
-    clocks: tuple[ClockBelief, ...] = ()
+    clocks: tuple[ClockAssessment, ...] = ()
     recorded_ns: int | None = None
 
 
@@ -160,7 +160,7 @@ class Log(Contents):
             "flight": flight,
             "roles": roles,
             "time_base": self.time_base,
-            "clocks": [vars(belief) for belief in self.clocks],
+            "clocks": [vars(assessment) for assessment in self.clocks],
             "ledger": self.ledger.rows(),
         }
 

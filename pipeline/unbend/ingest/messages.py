@@ -557,7 +557,7 @@ TIME_IMPOSSIBLE = Code(
 )
 
 
-def utc_not_believed(*, where: str, source: str, stated: str, clocks: Sequence[Witness]) -> Message:
+def utc_not_accepted(*, where: str, source: str, stated: str, clocks: Sequence[Witness]) -> Message:
     """The date of a source of UTC is impossible, or contradicted by better clocks."""
     others = [f"{clock.name} of {date_text(clock.time_ns)}" for clock in clocks]
     return warning(

@@ -34,7 +34,7 @@ def with_possible_dates(
     """The contents, of which channels with an impossible date are moved to a possible one.
 
     The other clocks of the log decide: the recorder's, what the mission file and the name of the
-    file state. Where no date can be believed, the times count from the first of them.
+    file state. Where no date can be accepted, the times count from the first of them.
     """
     impossible = [channel for channel in contents.channels if _is_impossible(channel)]
     if not impossible:
@@ -62,7 +62,7 @@ def with_possible_dates(
         shift_ns = -min(int(channel.time_ns[0]) for channel in impossible)
         stated = date_text(stated_ns)
         ledger.add(
-            messages.utc_not_believed(
+            messages.utc_not_accepted(
                 where=names, source="their stamps", stated=stated, clocks=clocks
             )
         )

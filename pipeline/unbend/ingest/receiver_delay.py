@@ -17,7 +17,7 @@ from unbend.geodesy import principal_radii, wrapped
 from unbend.ingest import messages
 from unbend.ingest.flight_log import Contents
 from unbend.ingest.message_tables import Table
-from unbend.ingest.utc_evidence import ClockBelief
+from unbend.ingest.utc_evidence import UNCHECKED_SIGMA_S, ClockAssessment
 from unbend.messages import Ledger, Message
 from unbend.units import Array
 
@@ -94,7 +94,7 @@ def with_receiver_delay(contents: Contents, ledger: Ledger) -> Contents:
         channels=tuple(channels),
         table=_later_table(contents.table, later_ns),
         utc_sigma_s=float(np.hypot(contents.utc_sigma_s, delay.sigma_s)),
-        clocks=tuple(_with_delay(belief, delay) for belief in contents.clocks),
+        clocks=tuple(_with_delay(assessment, delay) for assessment in contents.clocks),
     )
 
 
@@ -117,12 +117,14 @@ def _accuracy_note(receiver: Channel, delay: ReceiverDelay, clock_sigma_s: float
     )
 
 
-def _with_delay(belief: ClockBelief, delay: ReceiverDelay) -> ClockBelief:
-    """What a clock is good for, with the uncertainty of the receiver's delay."""
-    if belief.sigma_s is None:
-        return belief
-    sigma_s = float(np.hypot(belief.sigma_s, delay.sigma_s))
-    return replace(belief, sigma_s=sigma_s, why=f"{belief.why}; fixes are late, {delay.origin}")
+def _with_delay(assessment: ClockAssessment, delay: ReceiverDelay) -> ClockAssessment:
+    """What a clock is good for, with the uncertainty of the delay where a receiver sets it."""
+    if assessment.sigma_s is None or assessment.sigma_s >= UNCHECKED_SIGMA_S:
+        return assessment
+    sigma_s = float(np.hypot(assessment.sigma_s, delay.sigma_s))
+    return replace(
+        assessment, sigma_s=sigma_s, why=f"{assessment.why}; fixes are late, {delay.origin}"
+    )
 
 
 def _shifted(channel: Channel, shift_ns: int) -> Channel:

@@ -61,7 +61,7 @@ class Witness:
 def latest_ns() -> int:
     """The last moment at which a log that is read now can have been written [Unix ns].
 
-    A day after the clock of this computer, which is not believed where it is before the release.
+    A day after the clock of this computer, which does not count where it is before the release.
     """
     return max(time.time_ns(), RELEASED_NS) + DAY_NS
 
@@ -76,7 +76,7 @@ def is_possible(time_ns: int) -> bool:
 
 
 def missed_rollovers(time_ns: int, witnesses: Sequence[Witness]) -> int | None:
-    """How many rollovers of the GPS week a date lacks; None where the date cannot be believed.
+    """How many rollovers of the GPS week a date lacks; None where no date can be accepted.
 
     ``witnesses``: the strongest first; those whose own date is impossible do not count.
 
@@ -86,15 +86,15 @@ def missed_rollovers(time_ns: int, witnesses: Sequence[Witness]) -> int | None:
     >>> missed_rollovers(june_2010, [Witness("log_time", june_2010 + ROLLOVER_NS // 3)])
     0
     """
-    believable = [witness for witness in witnesses if is_possible(witness.time_ns)]
-    for witness in believable:
+    acceptable = [witness for witness in witnesses if is_possible(witness.time_ns)]
+    for witness in acceptable:
         for rollovers in (0, *ROLLOVERS):
             moved_ns = time_ns + rollovers * ROLLOVER_NS
             if is_possible(moved_ns) and abs(moved_ns - witness.time_ns) <= SAME_DATE_NS:
                 return rollovers
     if is_possible(time_ns):
         return 0
-    if believable:
+    if acceptable:
         return None
     possible = [n for n in ROLLOVERS if n > 0 and is_possible(time_ns + n * ROLLOVER_NS)]
     return possible[0] if len(possible) == 1 else None
@@ -136,8 +136,8 @@ def date_text(time_ns: int) -> str:
 
 
 @dataclass(frozen=True)
-class ClockBelief:
-    """What a clock of a log is believed to be good for.
+class ClockAssessment:
+    """What a clock of a log is good for.
 
     ``clock``: its name and boot; ``use``: ``UTC of the log``, ``compared`` or ``not used``;
     ``utc``: the day that it states; ``apart_s``: its UTC minus that of the log [s]; ``sigma_s`` of

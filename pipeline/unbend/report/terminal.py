@@ -215,16 +215,16 @@ def print_log(console: Console, log: Mapping[str, Any], name: str) -> None:
 
 
 def print_clocks(console: Console, clocks: Sequence[Mapping[str, Any]]) -> None:
-    """What each clock of a log is believed to be good for, and why."""
+    """What each clock of a log is good for, and why."""
     if not clocks:
         return
     rows = []
-    for belief in clocks:
-        apart_s, sigma_s = belief["apart_s"], belief["sigma_s"]
+    for assessment in clocks:
+        apart_s, sigma_s = assessment["apart_s"], assessment["sigma_s"]
         apart = "" if apart_s is None else f"{apart_s:+.3g}"
         sigma = "" if sigma_s is None else f"{sigma_s:.2g}"
-        rows.append((belief["clock"], belief["use"], belief["utc"] or "-", apart, sigma,
-                     belief["why"]))  # fmt: skip
+        rows.append((assessment["clock"], assessment["use"], assessment["utc"] or "-", apart, sigma,
+                     assessment["why"]))  # fmt: skip
     console.print()
     heads = "clock", "use", "day", "apart [s]", "sigma [s]", "why"
     print_rows(console, heads, rows, gap=2, left=(1, 2, 5))

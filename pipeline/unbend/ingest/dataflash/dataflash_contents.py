@@ -68,7 +68,7 @@ def contents_of(
         table=table,
         parameters=parameters,
         utc_sigma_s=clock.sigma_s,
-        clocks=clock.beliefs,
+        clocks=clock.assessments,
     )
 
 

@@ -18,7 +18,7 @@ from unbend.ingest.mcap.mcap_records import MAGIC
 from unbend.ingest.mcap.stamps import LOG_TIME, SEQUENCE, STAMP, times_of
 from unbend.ingest.mcap.topic_samples import TopicSamples
 from unbend.ingest.message_tables import PLACE, Table, in_order
-from unbend.ingest.utc_evidence import UNCHECKED_SIGMA_S, UNCHECKED_WHY, Witness
+from unbend.ingest.utc_evidence import UNCHECKED_SIGMA_S, UNCHECKED_WHY, ClockAssessment, Witness
 from unbend.messages import Ledger
 from unbend.units import Mask, Rows
 
@@ -52,7 +52,7 @@ def read_log(path: Path, ledger: Ledger, witnesses: Sequence[Witness] = ()) -> C
         time_base=_time_base(clock, unstamped),
         table=partial(_table, path, clock),
         utc_sigma_s=clock.sigma_s,
-        clocks=clock.beliefs,
+        clocks=clock.assessments,
         recorded_ns=reader.recorded_ns,
     )
 
@@ -141,7 +141,17 @@ def boot_clock_of(
     if line.boots > 1:
         line = boots_of_topics(line, series)
     if recorder is None:
-        return BootClock(line, (None,), (False,), sigma_s=UNCHECKED_SIGMA_S)
+        of_stamps = ClockAssessment(
+            clock="header.stamp of the messages",
+            use="UTC of the log",
+            utc=None,
+            apart_s=None,
+            sigma_s=UNCHECKED_SIGMA_S,
+            why=UNCHECKED_WHY,
+        )
+        return BootClock(
+            line, (None,), (False,), sigma_s=UNCHECKED_SIGMA_S, assessments=(of_stamps,)
+        )
     receivers: list[UtcReadings] = []
     cameras: list[UtcReadings] = []
     for samples in series:

@@ -23,7 +23,7 @@ from unbend.ingest.utc_evidence import (
     DAY_NS,
     UNCHECKED_SIGMA_S,
     UNCHECKED_WHY,
-    ClockBelief,
+    ClockAssessment,
     Witness,
 )
 from unbend.messages import Ledger
@@ -142,8 +142,8 @@ class Clocks:
     """The clocks of all senders of a log whose time since boot is known.
 
     ``boots`` of the vehicle; ``description`` of its clock in words; ``wrong_utc``: senders whose
-    images carry a UTC that does not fit; ``utc_sigma_s`` [s] of the vehicle's UTC; ``beliefs``:
-    what each clock is believed to be good for.
+    images carry a UTC that does not fit; ``utc_sigma_s`` [s] of the vehicle's UTC; ``assessments``:
+    what each clock is good for.
     """
 
     senders: Mapping[Sender, SenderClock]
@@ -151,7 +151,7 @@ class Clocks:
     description: str
     wrong_utc: frozenset[Sender] = frozenset()
     utc_sigma_s: float = UNCHECKED_SIGMA_S
-    beliefs: tuple[ClockBelief, ...] = ()
+    assessments: tuple[ClockAssessment, ...] = ()
 
     def lender(self, sender: Sender) -> Sender | None:
         """The sender whose clock is used: this one, else another component of its system."""
@@ -228,15 +228,15 @@ def clocks_of(readings: Readings, ledger: Ledger, dates: KnownDates = KnownDates
         readings_of_sender = _selected(readings, readings["source"] == number)
         clocks[sender] = fit_sender(readings_of_sender, lead, sender, ledger, dates)
     clock = clocks[vehicle].clock
-    beliefs: list[ClockBelief] = []
+    assessments: list[ClockAssessment] = []
     for sender_clock in clocks.values():
-        beliefs += sender_clock.clock.beliefs
+        assessments += sender_clock.clock.assessments
     return Clocks(
         clocks,
         clock.line.boots,
         _description(clock),
         utc_sigma_s=clock.sigma_s,
-        beliefs=tuple(beliefs),
+        assessments=tuple(assessments),
     )
 
 

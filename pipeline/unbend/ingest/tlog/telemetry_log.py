@@ -70,7 +70,7 @@ def read_log(path: Path, ledger: Ledger, witnesses: Sequence[Witness] = ()) -> C
         table=partial(_table, path, clocks),
         parameters=parameters,
         utc_sigma_s=clocks.utc_sigma_s,
-        clocks=clocks.beliefs,
+        clocks=clocks.assessments,
     )
 
 

@@ -80,7 +80,7 @@ def read_log(path: Path, ledger: Ledger, witnesses: Sequence[Witness] = ()) -> C
         table=partial(_table, path, offset_ns),
         parameters=log.parameters,
         utc_sigma_s=clock.sigma_s,
-        clocks=clock.beliefs,
+        clocks=clock.assessments,
     )
 
 
