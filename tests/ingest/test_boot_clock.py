@@ -7,7 +7,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from unbend.ingest.boot_clock import BootClock, UtcReadings, fit_clock, timeline
+from unbend.ingest.boot_clock import BootClock, fit_clock
+from unbend.ingest.timelines import timeline
+from unbend.ingest.utc_readings import UtcReadings
 from unbend.messages import Ledger
 
 SECOND = 10**9

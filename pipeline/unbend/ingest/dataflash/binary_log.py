@@ -4,7 +4,6 @@ from collections.abc import Collection, Sequence
 from functools import partial
 from pathlib import Path
 
-from unbend.ingest.boot_clock import timeline
 from unbend.ingest.buffers import open_view
 from unbend.ingest.dataflash import messages
 from unbend.ingest.dataflash.dataflash_channels import stamps, wanted_fields
@@ -14,6 +13,7 @@ from unbend.ingest.dataflash.record_definitions import START
 from unbend.ingest.dataflash.record_tables import decode
 from unbend.ingest.flight_log import Contents, LogFormat
 from unbend.ingest.message_tables import Table
+from unbend.ingest.timelines import timeline
 from unbend.ingest.utc_evidence import Witness
 from unbend.messages import Ledger
 

@@ -9,17 +9,7 @@ from numpy.typing import NDArray
 
 from unbend.flight.channels import ROLE_COLUMNS, Channel, Source, TimeArray
 from unbend.flight.clock import SECONDS_PER_WEEK, STRAY_ROWS, utc_of_gps
-from unbend.ingest.boot_clock import (
-    BootClock,
-    Stamps,
-    Timeline,
-    UtcReadings,
-    fit_clock,
-    microseconds,
-    nanoseconds,
-    report_timeline,
-    rows_of,
-)
+from unbend.ingest.boot_clock import BootClock, fit_clock
 from unbend.ingest.buffers import FileView, copy_rows, gather
 from unbend.ingest.channel_builder import DecodedRows, channel_of, with_both_heights
 from unbend.ingest.dataflash import messages
@@ -28,7 +18,9 @@ from unbend.ingest.dataflash.record_definitions import HEADER
 from unbend.ingest.dataflash.record_tables import INSTANCE_FIELDS
 from unbend.ingest.field_maps import MAPS, MessageMap, extract, is_number, message_maps
 from unbend.ingest.message_tables import PLACE, Table
+from unbend.ingest.timelines import Stamps, Timeline, microseconds, nanoseconds, report_timeline
 from unbend.ingest.utc_evidence import Witness
+from unbend.ingest.utc_readings import UtcReadings, rows_of
 from unbend.messages import Ledger
 from unbend.units import Integers, Mask
 

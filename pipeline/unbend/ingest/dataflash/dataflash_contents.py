@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unbend.flight.clock import LAST_US, SECONDS_PER_WEEK
-from unbend.ingest.boot_clock import LOWEST_FIX, BootClock, Timeline, microseconds, nanoseconds
+from unbend.ingest.boot_clock import BootClock
 from unbend.ingest.damaged_bytes import DamagedBytes
 from unbend.ingest.dataflash import messages
 from unbend.ingest.dataflash.dataflash_channels import (
@@ -21,7 +21,9 @@ from unbend.ingest.dataflash.record_tables import INSTANCE_FIELDS, without_objec
 from unbend.ingest.field_maps import is_number
 from unbend.ingest.flight_log import Contents
 from unbend.ingest.message_tables import PLACE, Table
+from unbend.ingest.timelines import Timeline, microseconds, nanoseconds
 from unbend.ingest.utc_evidence import Witness
+from unbend.ingest.utc_readings import LOWEST_FIX
 from unbend.messages import Ledger
 from unbend.units import Integers
 

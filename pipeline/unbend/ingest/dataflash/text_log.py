@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unbend.flight.clock import LAST_US
-from unbend.ingest.boot_clock import Stamps, nanoseconds, timeline
 from unbend.ingest.damaged_bytes import DamagedBytes
 from unbend.ingest.dataflash.dataflash_channels import wanted_fields
 from unbend.ingest.dataflash.dataflash_contents import contents_of
 from unbend.ingest.dataflash.record_tables import merge_tables
 from unbend.ingest.flight_log import Contents, LogFormat
 from unbend.ingest.message_tables import PLACE, Table
+from unbend.ingest.timelines import Stamps, nanoseconds, timeline
 from unbend.ingest.utc_evidence import Witness
 from unbend.messages import Ledger
 

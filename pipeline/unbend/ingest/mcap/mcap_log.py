@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from unbend.flight.clock import BOOT_STEP_NS
-from unbend.ingest.boot_clock import BootClock, Timeline, UtcReadings, fit_clock, timeline
+from unbend.ingest.boot_clock import BootClock, fit_clock
 from unbend.ingest.channel_builder import channel_of
 from unbend.ingest.flight_log import Contents, LogFormat
 from unbend.ingest.mcap import messages, topics
@@ -18,7 +18,9 @@ from unbend.ingest.mcap.mcap_records import MAGIC
 from unbend.ingest.mcap.stamps import LOG_TIME, SEQUENCE, STAMP, times_of
 from unbend.ingest.mcap.topic_samples import TopicSamples
 from unbend.ingest.message_tables import PLACE, Table, in_order
+from unbend.ingest.timelines import Timeline, timeline
 from unbend.ingest.utc_evidence import UNCHECKED_SIGMA_S, UNCHECKED_WHY, ClockAssessment, Witness
+from unbend.ingest.utc_readings import UtcReadings
 from unbend.messages import Ledger
 from unbend.units import Mask, Rows
 

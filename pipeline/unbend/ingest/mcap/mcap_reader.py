@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from unbend.flight.clock import UNIX_NS_FROM
-from unbend.ingest.boot_clock import Stamps, UtcReadings
 from unbend.ingest.buffers import open_view
 from unbend.ingest.field_maps import MessageMap
 from unbend.ingest.mcap import messages, topics
@@ -18,7 +17,9 @@ from unbend.ingest.mcap.mcap_records import Definition, Messages, Opcode, Record
 from unbend.ingest.mcap.message_counts import MessageCounts
 from unbend.ingest.mcap.ros2_definitions import SchemaError
 from unbend.ingest.mcap.topic_samples import PLAIN_JSON, SCHEMAS, TopicSamples, known_name
+from unbend.ingest.timelines import Stamps
 from unbend.ingest.utc_evidence import UNCHECKED_SIGMA_S, UNCHECKED_WHY
+from unbend.ingest.utc_readings import UtcReadings
 from unbend.messages import Ledger, Message
 from unbend.units import Integers, Rows
 

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unbend.flight.channels import TimeArray
-from unbend.ingest.boot_clock import microseconds
 from unbend.ingest.buffers import ColumnStore
+from unbend.ingest.timelines import microseconds
 from unbend.ingest.tlog import messages
 from unbend.ingest.tlog.clock_samples import MICROSECOND, READING, Readings
 from unbend.ingest.tlog.sender_clocks import (

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unbend.flight.clock import STRAY_ROWS
-from unbend.ingest.boot_clock import microseconds
 from unbend.ingest.buffers import ColumnStore
+from unbend.ingest.timelines import microseconds
 from unbend.ingest.tlog.senders import systems_of
 from unbend.ingest.utc_evidence import FIRST_SET_US
 from unbend.units import Mask

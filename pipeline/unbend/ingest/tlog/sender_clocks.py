@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from unbend.flight.channels import TimeArray
 from unbend.flight.clock import BOOT_STEP_NS, clock_map, stray_times
-from unbend.ingest.boot_clock import BootClock, UtcReadings, fit_clock, timeline
+from unbend.ingest.boot_clock import BootClock, fit_clock
+from unbend.ingest.timelines import timeline
 from unbend.ingest.tlog import messages
 from unbend.ingest.tlog.clock_samples import MICROSECOND, MILLISECOND, Readings
 from unbend.ingest.tlog.senders import Sender
@@ -26,6 +27,7 @@ from unbend.ingest.utc_evidence import (
     ClockAssessment,
     Witness,
 )
+from unbend.ingest.utc_readings import UtcReadings
 from unbend.messages import Ledger
 from unbend.units import NANOSECONDS_PER_SECOND, Integers, Mask, Rows
 

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from unbend.flight.channels import Channel
 from unbend.flight.clock import stray_times
-from unbend.ingest.boot_clock import LOWEST_FIX
 from unbend.ingest.buffers import ColumnStore, open_view
 from unbend.ingest.flight_log import Contents, LogFormat
 from unbend.ingest.message_tables import Table
@@ -33,6 +32,7 @@ from unbend.ingest.tlog.sender_clocks import Clocks, KnownDates, clock_field, cl
 from unbend.ingest.tlog.senders import Sender, by_sender, components_of, systems_of
 from unbend.ingest.tlog.tlog_channels import channels_of, label_of, times_of
 from unbend.ingest.utc_evidence import Witness
+from unbend.ingest.utc_readings import LOWEST_FIX
 from unbend.messages import Ledger
 
 SILENT_NS = SILENT_US * MICROSECOND

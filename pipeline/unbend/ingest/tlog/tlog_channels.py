@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from unbend.flight.channels import Channel, Source, TimeArray
 from unbend.ingest.attitude import earth_frame_attitude
-from unbend.ingest.boot_clock import microseconds
 from unbend.ingest.buffers import ColumnStore
 from unbend.ingest.channel_builder import ColumnStores, DecodedRows, channel_of, with_both_heights
 from unbend.ingest.field_maps import extract
 from unbend.ingest.messages import failed_exposures
+from unbend.ingest.timelines import microseconds
 from unbend.ingest.tlog import messages
 from unbend.ingest.tlog.borrowed_clocks import unix_us
 from unbend.ingest.tlog.clock_samples import MICROSECOND

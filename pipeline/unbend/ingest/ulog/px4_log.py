@@ -13,20 +13,13 @@ from numpy.typing import NDArray
 from unbend.flight.channels import Channel, Source, TimeArray
 from unbend.flight.clock import STRAY_ROWS, stray_times
 from unbend.ingest.attitude import earth_frame_attitude
-from unbend.ingest.boot_clock import (
-    BootClock,
-    UtcReadings,
-    fit_clock,
-    microseconds,
-    nanoseconds,
-    rows_of,
-    timeline,
-)
+from unbend.ingest.boot_clock import BootClock, fit_clock
 from unbend.ingest.buffers import open_view
 from unbend.ingest.channel_builder import DecodedRows, captured_rows, channel_of, without_stray
 from unbend.ingest.field_maps import CAPTURE_UTC_FIELD, PX4_TOPICS, UTC_FIELD, MessageMap, extract
 from unbend.ingest.flight_log import Contents, LogFormat
 from unbend.ingest.message_tables import Table
+from unbend.ingest.timelines import microseconds, nanoseconds, timeline
 from unbend.ingest.ulog import messages
 from unbend.ingest.ulog.ulog_messages import (
     APPENDED,
@@ -38,6 +31,7 @@ from unbend.ingest.ulog.ulog_messages import (
     flags_of,
 )
 from unbend.ingest.utc_evidence import FIRST_SET_US, UNCHECKED_SIGMA_S, UNCHECKED_WHY, Witness
+from unbend.ingest.utc_readings import UtcReadings, rows_of
 from unbend.messages import Ledger
 
 BOOT_UTC = "boot_time_utc_us"  # information message: UTC at time since boot 0 [us since 1970]
