@@ -215,19 +215,20 @@ def print_log(console: Console, log: Mapping[str, Any], name: str) -> None:
 
 
 def print_clocks(console: Console, clocks: Sequence[Mapping[str, Any]]) -> None:
-    """What each clock of a log is good for, and why."""
-    if not clocks:
-        return
-    rows = []
-    for assessment in clocks:
-        apart_s, sigma_s = assessment["apart_s"], assessment["sigma_s"]
-        apart = "" if apart_s is None else f"{apart_s:+.3g}"
-        sigma = "" if sigma_s is None else f"{sigma_s:.2g}"
-        rows.append((assessment["clock"], assessment["use"], assessment["utc"] or "-", apart, sigma,
-                     assessment["why"]))  # fmt: skip
-    console.print()
-    heads = "clock", "use", "day", "apart [s]", "sigma [s]", "why"
-    print_rows(console, heads, rows, gap=2, left=(1, 2, 5))
+    """What each clock of a log is good for, and why; the one that gives UTC comes first."""
+    lines = []
+    for clock in clocks:
+        parts = [clock["clock"], clock["use"]]
+        if clock["utc"] is not None:
+            parts.append(f"of {clock['utc']}")
+        if clock["apart_s"]:
+            parts.append(f"{clock['apart_s']:+.3g} s from it")
+        if clock["sigma_s"] is not None:
+            parts.append(f"good to {clock['sigma_s']:.2g} s")
+        lines.append(("clock", f"{', '.join(parts)}: {clock['why']}"))
+    if lines:
+        console.print()
+        print_labelled(console, lines)
 
 
 def print_model(console: Console, contents: Mapping[str, Any], name: str) -> None:
