@@ -14,10 +14,10 @@ from pydantic import (
 from unbend.config.atmosphere import AtmosphereSection
 from unbend.config.blocks import with_block
 from unbend.config.cameras import CameraSection
-from unbend.config.dates import checked_date, nanoseconds_of_date
 from unbend.config.event_sources import EventsSection, PositionEvents
 from unbend.config.ground import ControlSection, GroundSection
 from unbend.config.logs import USUAL_MAX_GAP_S, LogSection
+from unbend.config.mission_section import MissionSection
 from unbend.config.mounts import MountSection
 from unbend.config.observation_table import ObservationsSection
 from unbend.config.section import (
@@ -31,58 +31,6 @@ from unbend.config.station_sources import StationsSection
 from unbend.flight.mount import Mount
 from unbend.refraction import METHODS, Camera, LensInAir, Window
 from unbend.tables.imports.blocks import BLOCKS
-
-
-class MissionSection(Section):
-    """Name of the mission, and what its log does not hold."""
-
-    name: str = Field(
-        pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,99}$",
-        description="name of the mission: letters, digits, dot, dash, underscore",
-        examples=["survey-2026-05"],
-        json_schema_extra={
-            "patternErrorMessage": "letters, digits, dots, dashes and underscores, at most 100"
-        },
-    )
-    undulation_m: float | None = Field(
-        None,
-        ge=-120,
-        le=100,
-        description=(
-            "ellipsoidal height minus height above mean sea level, where the log does not carry "
-            "both; by default that of the geoid"
-        ),
-        examples=[47.6],
-        json_schema_extra={"unit": "m"},
-    )
-    geoid: Literal["egm96"] | PathText = Field(
-        "egm96",
-        description=(
-            "geoid of the undulations that neither the log nor undulation_m gives: egm96 (in the "
-            "package), or the path of a .gtx or a GeoTIFF of ellipsoidal minus orthometric heights "
-            "[m]"
-        ),
-        examples=["egm96"],
-    )
-    date: str | None = Field(
-        None,
-        description=(
-            "UTC day of the flight, as 2026-05-14, or day and time, where the log has no UTC or a "
-            "wrong one: season of the climatology, how far soundings and surface reports are away, "
-            "and evidence on the clocks of the log"
-        ),
-        examples=["2026-05-14"],
-    )
-
-    @property
-    def date_ns(self) -> int | None:
-        """The stated date [Unix ns]; a day without a time is its noon in UTC."""
-        return nanoseconds_of_date(self.date)
-
-    @field_validator("date")
-    @classmethod
-    def _check_date(cls, value: str | None) -> str | None:
-        return checked_date(value)
 
 
 class RefractionSection(Section):

@@ -106,12 +106,9 @@ def build_stations(
         quaternion=_from_enu(body_attitude, mount.camera_from_body),
     )
     sample_sigmas = _sigmas_of_samples(roles, time_ns, track.lat_rad, mount, accuracy)
-    time_sigmas = _TimeSigmas(
-        position_s=np.hypot(events.sigma_time_s, clocks.position_s),
-        height_s=np.hypot(events.sigma_time_s, clocks.height_s),
-        attitude_s=np.hypot(events.sigma_time_s, clocks.attitude_s),
+    stations = _with_sigmas(
+        stations, sample_sigmas, _Motion(track, attitudes, bend), _time_sigmas(events, clocks)
     )
-    stations = _with_sigmas(stations, sample_sigmas, _Motion(track, attitudes, bend), time_sigmas)
     if any(mount.lever_arm_m):
         stations = stations.moved(_lever_arm_enu(body_attitude, mount))
     aircraft = _aircraft_attitude(roles, attitudes, time_ns, max_gap_s)
@@ -183,6 +180,15 @@ class _TimeSigmas(NamedTuple):
     position_s: Array
     height_s: Array
     attitude_s: Array
+
+
+def _time_sigmas(events: Events, clocks: ClockSigmas) -> _TimeSigmas:
+    """The sigmas of the times of exposures on the clocks of the channels."""
+    return _TimeSigmas(
+        position_s=np.hypot(events.sigma_time_s, clocks.position_s),
+        height_s=np.hypot(events.sigma_time_s, clocks.height_s),
+        attitude_s=np.hypot(events.sigma_time_s, clocks.attitude_s),
+    )
 
 
 def _with_sigmas(

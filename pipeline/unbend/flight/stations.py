@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields, replace
-from dataclasses import field as field_of
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
@@ -70,17 +69,17 @@ class Stations:
     suspect_m: Array
     accepted: Mask
     status: Names
-    from_boot: Mask = field_of(default_factory=lambda: np.zeros(0, np.bool_))
+    from_boot: Mask = field(default_factory=lambda: np.zeros(0, np.bool_))
 
     def __post_init__(self) -> None:
         n = self.image.shape[0]
         if not self.from_boot.shape[0]:
             object.__setattr__(self, "from_boot", np.zeros(n, np.bool_))
-        for field in fields(self):
-            shape = getattr(self, field.name).shape
-            due = (n, 4) if field.name in _QUATERNIONS else (n,)
+        for column in fields(self):
+            shape = getattr(self, column.name).shape
+            due = (n, 4) if column.name in _QUATERNIONS else (n,)
             if shape != due:
-                raise ValueError(f"stations: {field.name} is {shape} for {n} stations")
+                raise ValueError(f"stations: {column.name} is {shape} for {n} stations")
 
     def __len__(self) -> int:
         return int(self.image.shape[0])
@@ -147,7 +146,7 @@ class Stations:
 
     def rows(self, which: Integers) -> Stations:
         """Some of the stations, in the order of ``which``."""
-        chosen = {field.name: getattr(self, field.name)[which] for field in fields(self)}
+        chosen = {column.name: getattr(self, column.name)[which] for column in fields(self)}
         return Stations(**chosen)
 
     def to_pandas(self) -> Any:
@@ -160,7 +159,7 @@ class Stations:
 def empty_stations(image: Names, camera: Names, status: str) -> Stations:
     """Stations of which only the name is known."""
     n = image.shape[0]
-    columns: dict[str, Any] = {field.name: np.full(n, np.nan) for field in fields(Stations)}
+    columns: dict[str, Any] = {column.name: np.full(n, np.nan) for column in fields(Stations)}
     for name in _QUATERNIONS:
         columns[name] = np.full((n, 4), np.nan)
     columns["image"] = image
@@ -176,15 +175,15 @@ def empty_stations(image: Names, camera: Names, status: str) -> Stations:
 def join_stations(parts: list[Stations]) -> Stations:
     """Stations of several cameras or sources, one after the other."""
     joined: dict[str, Any] = {}
-    for field in fields(Stations):
-        joined[field.name] = np.concatenate([getattr(part, field.name) for part in parts])
+    for column in fields(Stations):
+        joined[column.name] = np.concatenate([getattr(part, column.name) for part in parts])
     return Stations(**joined)
 
 
 def station_columns(stations: Stations) -> dict[str, Any]:
     """Columns of ``stations.parquet``: degrees, UTC, null (NaT, NaN) where unknown."""
     columns: dict[str, Any] = {}
-    for name in (field.name for field in fields(stations)):
+    for name in (column.name for column in fields(stations)):
         if name == "time_ns":
             columns["time_utc"] = _utc(stations.utc_ns)
         elif name not in ("accepted", "from_boot"):

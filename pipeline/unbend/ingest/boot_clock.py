@@ -78,7 +78,13 @@ def fit_clock(
     chosen: list[BootUtc] = []
     for number in range(line.boots):
         place = f"{where}, boot {number}".removeprefix(", ")
-        utc = _utc_of_boot(line, number, sources, recorder, place, ledger)
+        recorders = [] if recorder is None else [recorder]
+        fitted = _BootSources(
+            stated=_fitted(line, number, sources),
+            recorded=_fitted(line, number, recorders),
+            place=place,
+        )
+        utc = fitted.utc(ledger)
         if utc.fit is None:
             ledger.add(messages.no_utc(where=place, utc_of=utc_of))
         chosen.append(utc)
@@ -190,63 +196,86 @@ class _FittedSource(NamedTuple):
         """Of the clock, and of the scatter of its rows [s]."""
         return float(np.hypot(self.readings.sigma_s, self.fit.sigma_ns / 1e9))
 
+    def seconds_from(self, other: "_FittedSource") -> float:
+        """Its UTC minus that of another source [s]."""
+        return (self.fit.offset_ns - other.fit.offset_ns) / 1e9
+
     def words(self) -> str:
         """The source and how many rows of it are of the boot."""
         return self.readings.counted(self.fit.rows)
 
 
-def _utc_of_boot(
-    line: Timeline,
-    number: int,
-    sources: Sequence[UtcReadings],
-    recorder: UtcReadings | None,
-    place: str,
-    ledger: Ledger,
-) -> BootUtc:
-    """UTC of a boot by the source with the most rows in it, else by the recorder.
+@dataclass(frozen=True)
+class _BootSources:
+    """The sources of UTC that have rows in a boot, and the recorder if it has; ``place`` in words.
 
-    The fit is reported, and each source that differs from it by more than 1 s; so is a recorder
-    that differs by more than a minute.
+    ``stated`` may be empty, and ``recorded`` has one source at most.
     """
-    fitted = _fitted(line, number, sources)
-    by_recorder = _fitted(line, number, [] if recorder is None else [recorder])
-    if not fitted:
-        if not by_recorder:
-            return _without_utc(place)
-        used = by_recorder[0]
+
+    stated: list[_FittedSource]
+    recorded: list[_FittedSource]
+    place: str
+
+    def utc(self, ledger: Ledger) -> BootUtc:
+        """UTC of the boot by the source with the most rows, else by the recorder."""
+        if self.stated:
+            used = max(self.stated, key=lambda source: source.fit.rows)
+            ledger.add(clock.clock_fit_note(used.words(), used.fit, self.place))
+            self._report_contradictions(used, ledger)
+            return self._by(used, is_known=True, sigma_s=self._sigma_s(used))
+        if self.recorded:
+            used = self.recorded[0]
+            return self._by(used, is_known=False, sigma_s=used.sigma_s)
+        return _without_utc(self.place)
+
+    def _by(self, used: _FittedSource, *, is_known: bool, sigma_s: float) -> BootUtc:
+        """UTC by one of the sources, and how good each of them is."""
+        assessments = []
+        for source in (*self.stated, *self.recorded):
+            assessments.append(_assessment(source, used, sigma_s, self.place))
         return BootUtc(
-            used.fit, False, used.sigma_s, (_assessment(used, used, used.sigma_s, place),)
+            used.fit,
+            is_known=is_known,
+            sigma_s=sigma_s,
+            assessments=tuple(assessments),
         )
-    used = max(fitted, key=lambda source: source.fit.rows)
-    ledger.add(clock.clock_fit_note(used.words(), used.fit, place))
-    for source in fitted:
-        apart_ns = source.fit.offset_ns - used.fit.offset_ns
-        if abs(apart_ns) > clock.BOOT_STEP_NS:
-            ledger.add(
-                messages.sources_disagree(
-                    where=place,
-                    rows=source.fit.rows,
-                    source=source.words(),
-                    apart_s=apart_ns / 1e9,
-                    used=used.words(),
+
+    def _sigma_s(self, used: _FittedSource) -> float:
+        """The sigma of a source; neither it nor the recorder may be set by a receiver.
+
+        Then they are as good as they agree.
+        """
+        sigma_s = used.sigma_s
+        for recorder in self.recorded:
+            if used.readings.sigma_s:
+                sigma_s = max(sigma_s, abs(recorder.seconds_from(used)))
+        return sigma_s
+
+    def _report_contradictions(self, used: _FittedSource, ledger: Ledger) -> None:
+        """Report sources more than 1 s from the one in use, and a recorder more than a minute."""
+        for source in self.stated:
+            apart_s = source.seconds_from(used)
+            if abs(apart_s) * 1e9 > clock.BOOT_STEP_NS:
+                ledger.add(
+                    messages.sources_disagree(
+                        where=self.place,
+                        rows=source.fit.rows,
+                        source=source.words(),
+                        apart_s=apart_s,
+                        used=used.words(),
+                    )
                 )
-            )
-    sigma_s = used.sigma_s
-    for other in by_recorder:
-        apart_s = (other.fit.offset_ns - used.fit.offset_ns) / 1e9
-        if used.readings.sigma_s:  # neither is set by a receiver: they are as good as they agree
-            sigma_s = max(sigma_s, abs(apart_s))
-        if abs(apart_s) > RECORDER_APART_S:
-            ledger.add(
-                messages.recorder_disagrees(
-                    where=place,
-                    recorder=other.readings.source,
-                    apart_s=apart_s,
-                    used=used.words(),
+        for recorder in self.recorded:
+            apart_s = recorder.seconds_from(used)
+            if abs(apart_s) > RECORDER_APART_S:
+                ledger.add(
+                    messages.recorder_disagrees(
+                        where=self.place,
+                        recorder=recorder.readings.source,
+                        apart_s=apart_s,
+                        used=used.words(),
+                    )
                 )
-            )
-    assessments = [_assessment(source, used, sigma_s, place) for source in (*fitted, *by_recorder)]
-    return BootUtc(used.fit, is_known=True, sigma_s=sigma_s, assessments=tuple(assessments))
 
 
 def _without_utc(place: str) -> BootUtc:
@@ -281,7 +310,7 @@ def _assessment(
         clock=f"{source.words()} ({place})",
         use="UTC of the log" if is_used else "compared",
         utc=date_text(source.readings.utc_ns[0]) if source.readings.utc_ns.size else None,
-        apart_s=(source.fit.offset_ns - used.fit.offset_ns) / 1e9,
+        apart_s=source.seconds_from(used),
         sigma_s=sigma_s if is_used else source.sigma_s,
         why=source.readings.why,
     )

@@ -39,34 +39,13 @@ def with_possible_dates(
     impossible = [channel for channel in contents.channels if _is_impossible(channel)]
     if not impossible:
         return contents
-    stated_ns = min(_middle_ns(channel) for channel in impossible)
     clocks = list(witnesses)
     if contents.recorded_ns is not None:
         clocks.insert(0, Witness("log_time", contents.recorded_ns))
-    rollovers = missed_rollovers(stated_ns, clocks)
-    names = ", ".join(channel.name for channel in impossible)
-    if rollovers:
-        shift_ns = rollovers * ROLLOVER_NS
-        ledger.add(
-            messages.week_rollover(
-                where=names,
-                source="their stamps",
-                count=len(impossible),
-                stated=date_text(stated_ns),
-                moved=date_text(stated_ns + shift_ns),
-                rollovers=rollovers,
-                clocks=clocks,
-            )
-        )
-    else:
+    rollovers = _reported_rollovers(impossible, clocks, ledger)
+    shift_ns = rollovers * ROLLOVER_NS
+    if not rollovers:
         shift_ns = -min(int(channel.time_ns[0]) for channel in impossible)
-        stated = date_text(stated_ns)
-        ledger.add(
-            messages.utc_not_accepted(
-                where=names, source="their stamps", stated=stated, clocks=clocks
-            )
-        )
-        ledger.add(messages.no_utc(where=names, utc_of="possible date"))
     moved = []
     for channel in contents.channels:
         is_moved = any(channel is other for other in impossible)
@@ -78,6 +57,34 @@ def with_possible_dates(
         table=_later_table(contents, shift_ns),
         utc_sigma_s=sigma_s,
     )
+
+
+def _reported_rollovers(
+    impossible: Sequence[Channel], clocks: Sequence[Witness], ledger: Ledger
+) -> int:
+    """How many rollovers the stamps of some channels lack; 0 where no date can be accepted."""
+    stated_ns = min(_middle_ns(channel) for channel in impossible)
+    stated = date_text(stated_ns)
+    names = ", ".join(channel.name for channel in impossible)
+    rollovers = missed_rollovers(stated_ns, clocks)
+    if rollovers:
+        ledger.add(
+            messages.week_rollover(
+                where=names,
+                source="their stamps",
+                count=len(impossible),
+                stated=stated,
+                moved=date_text(stated_ns + rollovers * ROLLOVER_NS),
+                rollovers=rollovers,
+                clocks=clocks,
+            )
+        )
+        return rollovers
+    ledger.add(
+        messages.utc_not_accepted(where=names, source="their stamps", stated=stated, clocks=clocks)
+    )
+    ledger.add(messages.no_utc(where=names, utc_of="possible date"))
+    return 0
 
 
 def _middle_ns(channel: Channel) -> int:

@@ -81,8 +81,6 @@ def rows_of(
     usable: Mask,
     fix: NDArray[Any],
     from_gps_week: bool = False,
-    sigma_s: float = 0.0,
-    why: str = "set by the GNSS receiver",
 ) -> UtcReadings:
     """The UTC of the rows of a channel or topic."""
     return UtcReadings(
@@ -93,8 +91,6 @@ def rows_of(
         usable=usable,
         fix=fix,
         one=f"row of {name}",
-        sigma_s=sigma_s,
-        why=why,
         from_gps_week=from_gps_week,
     )
 
