@@ -4,7 +4,7 @@ that it may be: one model for all, and how far each departs from the US Suppleme
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,7 +20,8 @@ HUMIDITY_CORRELATION_M = 1000.0
 """With it, the sigmas below and a measured surface pressure, sigma of R is 19 / 9 / 5 / 3 % over
 1 / 3 / 6 / 10 km; eight real ascents departed by 11 / 8 / 2 / 4 % RMS."""
 
-_NO_SEASON = 4.0
+_NO_SEASON = 4.0  # halfway between the seasons, which follow a cosine
+_EXTREME_MONTHS = (1.0, 7.0)
 _SPREAD_TOP_M, _SPREAD_STEP_M = 30_000.0, 250.0
 _BOUNDARY_LAYER_M = 1500.0
 _DRY_ABOVE_M = 12_000.0  # above, all humidities weigh less than 1e-4 of n - 1
@@ -91,7 +92,7 @@ def climatology(
     name: str = AUTO,
     *,
     latitude_rad: float,
-    month: float,
+    month: float | None,
     index: IndexModel | None = None,
     ground_h_m: float = 0.0,
     longitude_rad: float = 0.0,
@@ -100,8 +101,9 @@ def climatology(
 
     ``name``: one of `known_names`; ``auto`` is the Supplements 1966 by latitude and season.
     ``latitude_rad``: north positive; gives gravity too. ``month``: 1.0 is mid-January, 7.0
-    mid-July; see `month_of`. ``ground_h_m``: of the ground [m above sea level], on which the
-    boundary layer stands. ``longitude_rad``: used by NRLMSIS only.
+    mid-July, None where the date is not known; see `month_of`. ``ground_h_m``: of the ground
+    [m above sea level], on which the boundary layer stands. ``longitude_rad``: used by NRLMSIS
+    only.
 
     Raises ``PhysicsError`` where the name is unknown, the latitude is beyond the pole, or the
     package behind NRLMSIS is not installed.
@@ -114,24 +116,50 @@ def climatology(
     if model is None:
         raise messages.unknown_climatology(name=name, names=", ".join(known_names()))
     index = index or IndexModel()
-    place = SeasonAndPlace(latitude_rad, month, longitude_rad)
+    place = SeasonAndPlace(latitude_rad, _NO_SEASON if month is None else month, longitude_rad)
     profile = model.profile(place, index)
-    spread = expected_spread(latitude_rad, month, ground_h_m)
+    if month is None:
+        spread = _spread_over_the_year(place, ground_h_m, index)
+    else:
+        spread = expected_spread(latitude_rad, month, ground_h_m)
     if model is not ATMOSPHERES[SUPPLEMENTS]:
         spread = spread.about(profile, ATMOSPHERES[SUPPLEMENTS].profile(place, index))
     return Climatology(profile, spread, model.origin, model.has_humidity)
 
 
-def month_of(time_ns: int | None) -> float:
+def _spread_over_the_year(place: SeasonAndPlace, ground_h_m: float, index: IndexModel) -> Spread:
+    """The spread about the middle of the year, at a place where the day is not known.
+
+    Mid-winter and mid-summer are half of their difference away. That counts as one sigma, beside
+    the weather of the season in which it is larger: most flights are of one season, and have to be
+    covered there.
+    """
+    supplements = ATMOSPHERES[SUPPLEMENTS]
+    middle = supplements.profile(place, index)
+    spreads = []
+    for month in _EXTREME_MONTHS:
+        extreme = supplements.profile(replace(place, month=month), index)
+        of_season = expected_spread(place.latitude_rad or 0.0, month, ground_h_m)
+        spreads.append(of_season.about(extreme, middle))
+    winter, summer = spreads
+    return replace(
+        winter,
+        temperature_k=np.maximum(winter.temperature_k, summer.temperature_k),
+        relative_humidity=np.maximum(winter.relative_humidity, summer.relative_humidity),
+        pressure_ratio=max(winter.pressure_ratio, summer.pressure_ratio),
+    )
+
+
+def month_of(time_ns: int | None) -> float | None:
     """The month that `climatology` takes, of a time [Unix ns]; 1.0 is 15 January.
 
-    Without a time it is one between the seasons.
+    None without a time: no season may be assumed.
 
     >>> round(month_of(1_310_688_000 * 10**9), 2), month_of(None)  # 15 July 2011
-    (6.95, 4.0)
+    (6.95, None)
     """
     if time_ns is None:
-        return _NO_SEASON
+        return None
     day = np.datetime64(int(time_ns), "ns").astype("datetime64[D]")
     into = float((day - day.astype("datetime64[Y]")).astype(np.float64))
     return (into - 14.0) / 365.25 * 12.0 + 1.0

@@ -106,7 +106,7 @@ def decode_log(mission: Mission, paths: Paths, sha256: str | None) -> Log | None
     """The log of a mission, decoded; None where stations come from elsewhere."""
     if mission.log is None:
         return None
-    return open_log(paths["log"], sha256)
+    return open_log(paths["log"], sha256, date_ns=mission.mission.date_ns)
 
 
 def paths_beside_tables(mission: Mission, folder: Path) -> tuple[Mission, dict[str, Path]]:

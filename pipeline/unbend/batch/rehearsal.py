@@ -196,8 +196,12 @@ def times_text(corrected: CorrectedMission) -> str:
         "events": exposures[exposures != NO_TIME],
     }
     parts = []
+    from_boot = bool(corrected.stations.from_boot.any())
     for label, values in times.items():
-        if values.size:
+        if values.size and from_boot:
+            seconds = values.min() / 1e9, values.max() / 1e9
+            parts.append(f"{label} {seconds[0]:.0f} to {seconds[1]:.0f} s after boot")
+        elif values.size:
             first = utc_second(int(values.min())).removesuffix("Z").replace("T", " ")
             _, last = utc_second(int(values.max())).removesuffix("Z").split("T")
             parts.append(f"{label} {first} to {last} UTC")

@@ -1,6 +1,5 @@
 """The sections of a mission file on the position and attitude of every image."""
 
-from datetime import UTC, date, datetime
 from typing import Annotated, Literal, Self
 
 from pydantic import (
@@ -10,6 +9,7 @@ from pydantic import (
     model_validator,
 )
 
+from unbend.config.dates import checked_date, nanoseconds_of_date
 from unbend.config.local_frames import EnuFrame
 from unbend.config.section import (
     PathText,
@@ -21,7 +21,7 @@ from unbend.config.section import (
 from unbend.config.table_columns import ClockColumns, PoseColumns
 from unbend.tables.imports import ORIENTATIONS
 from unbend.tables.imports.blocks import BLOCKS
-from unbend.units import NANOSECONDS_PER_SECOND, AngleUnit
+from unbend.units import AngleUnit
 
 _OF_ANGLES = {
     "omega_phi_kappa": ("omega", "phi", "kappa"),
@@ -35,8 +35,6 @@ _GEODETIC = ("latitude", "longitude", "height")
 _CARTESIAN = ("x", "y", "z")
 _SIGMAS = ("sigma_horizontal_m", "sigma_height_m", "sigma_tilt", "sigma_yaw")
 _CLOCK = ("time_utc", "gps_week", "gps_seconds")
-
-EARLIEST_DATE = date(1900, 1, 1)  # an earlier one is a typing error
 
 
 class OrientationColumns(ClockColumns, PoseColumns):
@@ -307,28 +305,12 @@ class OrientationSection(Section):
     @property
     def date_ns(self) -> int | None:
         """The stated date [Unix ns]; a day without a time is its noon in UTC."""
-        if self.date is None:
-            return None
-        time = datetime.fromisoformat(self.date)
-        if len(self.date) == len("2026-05-14"):
-            time = time.replace(hour=12)
-        if time.tzinfo is None:
-            time = time.replace(tzinfo=UTC)
-        return round(time.timestamp()) * NANOSECONDS_PER_SECOND
+        return nanoseconds_of_date(self.date)
 
     @field_validator("date")
     @classmethod
     def _check_date(cls, value: str | None) -> str | None:
-        if value is None:
-            return None
-        mistake = SectionError("is no date like 2026-05-14 or 2026-05-14T10:20")
-        try:
-            day = datetime.fromisoformat(value).date()
-        except ValueError:
-            raise mistake from None
-        if day < EARLIEST_DATE:
-            raise mistake
-        return value
+        return checked_date(value)
 
     @property
     def _is_level(self) -> bool:

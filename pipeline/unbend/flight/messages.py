@@ -11,7 +11,8 @@ from unbend.messages import Message, finding, loss, note, warning
 TIME_FIT = Code(
     "TIME-FIT",
     means="How UTC follows from the log's clock, with the residuals.",
-    effect="A note; a loss where one of the two clocks stepped.",
+    effect="A note; a warning where the stamps scatter; a loss where one of the two clocks stepped "
+    "and stayed so.",
     remedy="Check exposures near the step, if it is a loss.",
 )
 
@@ -27,6 +28,57 @@ def time_fit(*, where: str, rows: int, source: str, spread_ms: float, largest_ms
         source=source,
         spread_ms=spread_ms,
         largest_ms=largest_ms,
+    )
+
+
+def time_fit_but_for(
+    *,
+    where: str,
+    far: int,
+    source: str,
+    spread_ms: float,
+    largest_ms: float,
+    limit_ms: float,
+) -> Message:
+    """Few of the stamps that tie a vehicle's clock to UTC are late or wrong."""
+    return note(
+        TIME_FIT,
+        "UTC from {source}, which agree within {spread_ms:.0f} ms (p5 to p95), the farthest is "
+        "{largest_ms:.0f} ms off: {count} are off by more than {limit_ms:.0f} ms, because they "
+        "came late or are wrong, and the median does not follow them",
+        one="UTC from {source}, which agree within {spread_ms:.0f} ms (p5 to p95), the farthest is "
+        "{largest_ms:.0f} ms off: 1 is off by more than {limit_ms:.0f} ms, because it came late or "
+        "is wrong, and the median does not follow it",
+        where=where,
+        count=far,
+        source=source,
+        spread_ms=spread_ms,
+        largest_ms=largest_ms,
+        limit_ms=limit_ms,
+    )
+
+
+def clock_scatters(
+    *,
+    where: str,
+    rows: int,
+    source: str,
+    spread_ms: float,
+    largest_ms: float,
+    sigma_ms: float,
+) -> Message:
+    """The stamps that tie a vehicle's clock to UTC scatter, without a step."""
+    return warning(
+        TIME_FIT,
+        "UTC from {source}, which scatter by {spread_ms:.0f} ms (p5 to p95), the farthest is "
+        "{largest_ms:.0f} ms off: UTC is good to {sigma_ms:.0f} ms (1 sigma), which goes into the "
+        "stations of exposures by UTC",
+        where=where,
+        count=rows,
+        source=source,
+        spread_ms=spread_ms,
+        largest_ms=largest_ms,
+        sigma_ms=sigma_ms,
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
@@ -42,6 +42,7 @@ class Stations:
     axes, ``sigma_yaw_rad`` about its vertical one. ``suspect_reason`` is empty but for stations
     that contradict other evidence, which may be ``suspect_m`` off. ``status`` is ok or names what
     is missing; ``accepted`` are suspect ones that the mission file wants used all the same.
+    ``from_boot`` marks times that count from a boot of the vehicle: their UTC is not known.
     """
 
     image: Names
@@ -69,14 +70,17 @@ class Stations:
     suspect_m: Array
     accepted: Mask
     status: Names
+    from_boot: Mask = field(default_factory=lambda: np.zeros(0, np.bool_))
 
     def __post_init__(self) -> None:
         n = self.image.shape[0]
-        for field in fields(self):
-            shape = getattr(self, field.name).shape
-            due = (n, 4) if field.name in _QUATERNIONS else (n,)
+        if not self.from_boot.shape[0]:
+            object.__setattr__(self, "from_boot", np.zeros(n, np.bool_))
+        for column in fields(self):
+            shape = getattr(self, column.name).shape
+            due = (n, 4) if column.name in _QUATERNIONS else (n,)
             if shape != due:
-                raise ValueError(f"stations: {field.name} is {shape} for {n} stations")
+                raise ValueError(f"stations: {column.name} is {shape} for {n} stations")
 
     def __len__(self) -> int:
         return int(self.image.shape[0])
@@ -85,6 +89,11 @@ class Stations:
     def ok(self) -> Mask:
         """(s,) which stations can be used."""
         return np.asarray((self.status == STATION_OK) | self.accepted)
+
+    @property
+    def utc_ns(self) -> Integers:
+        """(s,) UTC [Unix ns]; `NO_TIME` where it is not known."""
+        return np.where(self.from_boot, NO_TIME, self.time_ns)
 
     @property
     def mean_latitude_rad(self) -> float:
@@ -147,7 +156,7 @@ class Stations:
 
     def rows(self, which: Integers) -> Stations:
         """Some of the stations, in the order of ``which``."""
-        chosen = {field.name: getattr(self, field.name)[which] for field in fields(self)}
+        chosen = {column.name: getattr(self, column.name)[which] for column in fields(self)}
         return Stations(**chosen)
 
     def to_pandas(self) -> Any:
@@ -160,7 +169,7 @@ class Stations:
 def empty_stations(image: Names, camera: Names, status: str) -> Stations:
     """Stations of which only the name is known."""
     n = image.shape[0]
-    columns: dict[str, Any] = {field.name: np.full(n, np.nan) for field in fields(Stations)}
+    columns: dict[str, Any] = {column.name: np.full(n, np.nan) for column in fields(Stations)}
     for name in _QUATERNIONS:
         columns[name] = np.full((n, 4), np.nan)
     columns["image"] = image
@@ -168,6 +177,7 @@ def empty_stations(image: Names, camera: Names, status: str) -> Stations:
     columns["time_ns"] = np.full(n, NO_TIME, np.int64)
     columns["suspect_reason"] = np.full(n, "", dtype=object)
     columns["accepted"] = np.zeros(n, dtype=np.bool_)
+    columns["from_boot"] = np.zeros(n, dtype=np.bool_)
     columns["status"] = np.full(n, status, dtype=object)
     return Stations(**columns)
 
@@ -175,24 +185,24 @@ def empty_stations(image: Names, camera: Names, status: str) -> Stations:
 def join_stations(parts: list[Stations]) -> Stations:
     """Stations of several cameras or sources, one after the other."""
     joined: dict[str, Any] = {}
-    for field in fields(Stations):
-        joined[field.name] = np.concatenate([getattr(part, field.name) for part in parts])
+    for column in fields(Stations):
+        joined[column.name] = np.concatenate([getattr(part, column.name) for part in parts])
     return Stations(**joined)
 
 
 def station_columns(stations: Stations) -> dict[str, Any]:
     """Columns of ``stations.parquet``: degrees, UTC, null (NaT, NaN) where unknown."""
     columns: dict[str, Any] = {}
-    for field in fields(stations):
-        if field.name != "accepted":
-            columns |= _columns_of_field(field.name, getattr(stations, field.name))
+    for name in (column.name for column in fields(stations)):
+        if name == "time_ns":
+            columns["time_utc"] = _utc(stations.utc_ns)
+        elif name not in ("accepted", "from_boot"):
+            columns |= _columns_of_field(name, getattr(stations, name))
     return columns
 
 
 def _columns_of_field(name: str, values: NDArray[Any]) -> dict[str, Any]:
     """The columns of ``stations.parquet`` that a field of the stations becomes."""
-    if name == "time_ns":
-        return {"time_utc": _utc(values)}
     if name in _QUATERNIONS:
         prefix = name.removesuffix("quaternion") + "q_"
         return {f"{prefix}{axis}": values[:, column] for column, axis in enumerate("wxyz")}

@@ -11,10 +11,10 @@ from unbend.flight.channels import Channel, Source, TimeArray
 from unbend.flight.clock import new_readings, rows_in_time_order
 from unbend.ingest import messages
 from unbend.ingest.attitude import quaternion_of_euler, replace_in_blocks, unit_quaternions
-from unbend.ingest.boot_clock import LOWEST_FIX
 from unbend.ingest.buffers import ColumnStore, allocate, copy_rows
 from unbend.ingest.field_maps import MessageMap
 from unbend.ingest.flight_log import utc_text
+from unbend.ingest.utc_readings import LOWEST_FIX
 from unbend.messages import Kind, Ledger
 from unbend.units import Array, Mask, Rows
 

@@ -11,6 +11,7 @@ from unbend.flight.channels import Channel
 from unbend.flight.evidence.quality import plausible_samples
 from unbend.flight.roles import assign_roles, follows_height
 from unbend.flight.trajectory import LoggedPath, interpolate, takeoff_of
+from unbend.ingest.utc_evidence import date_text, is_utc
 from unbend.messages import Notes
 
 _ROLES = ("position", "height", "attitude", "pressure", "temperature", "humidity", "airspeed")
@@ -51,12 +52,13 @@ def flight_of(position: Channel, height: Channel) -> dict[str, Any]:
     )
     take_off = takeoff_of(path, home_m=None)
     first = int(np.argmax(known))
-    start = np.datetime64(int(position.time_ns[first]), "ns")
+    start_ns = position.time_ns[first : first + 1]
+    has_utc = bool(is_utc(start_ns)[0])
     duration_s = float(position.time_ns[-1] - position.time_ns[0]) / 1e9
     return {
         "lat_deg": round(float(np.degrees(lat_rad[first])), 3),
         "lon_deg": round(float(np.degrees(lon_rad[first])), 3),
-        "date_utc": str(start.astype("datetime64[D]")),
+        "date_utc": date_text(int(start_ns[0])) if has_utc else None,
         "duration_s": round(duration_s, 3),
         "height_reference": _HEIGHT_REFERENCES.get(str(column)),
         "lowest_m": lowest_m,

@@ -164,7 +164,10 @@ def print_log(console: Console, log: Mapping[str, Any], name: str) -> None:
     """What ``unbend inspect`` prints: flight, roles, and channels by the names of mission files."""
     console.print(f"[bold]{shown(name)}[/bold]: {log['format']}, {log['duration_s']:.1f} s")
     flight, boots = log["flight"], log["boots"]
-    begin, end = (log[f"{key}_utc"][:19].replace("T", " ") for key in ("start", "end"))
+    begin, end = ((log[f"{key}_utc"] or "")[:19].replace("T", " ") for key in ("start", "end"))
+    times = "counts from boot; UTC is unknown"
+    if begin:
+        times = f"{begin} to {end if end[:10] != begin[:10] else end[11:]} UTC"
     reference = flight.get("height_reference")
     heights = take_off = "unknown"
     if reference and flight["lowest_m"] is not None:
@@ -178,7 +181,7 @@ def print_log(console: Console, log: Mapping[str, Any], name: str) -> None:
         console,
         [
             ("place", place),
-            ("time", f"{begin} to {end if end[:10] != begin[:10] else end[11:]} UTC"),
+            ("time", times),
             ("clock", log["time_base"]),
             ("heights", heights),
             ("take-off", take_off),
@@ -193,6 +196,7 @@ def print_log(console: Console, log: Mapping[str, Any], name: str) -> None:
          "; also ".join(filter(None, (row["remark"], ", ".join(row["others"])))))
         for row in log["roles"]
     ]  # fmt: skip
+    print_clocks(console, log["clocks"])
     console.print()
     heads = "role", "channel", "rate [Hz]", "remark"
     print_rows(console, heads, roles, gap=2, left=(1, 3))
@@ -208,6 +212,23 @@ def print_log(console: Console, log: Mapping[str, Any], name: str) -> None:
     print_indented(console, table)
     console.print()
     print_ledger(console, [MessageRecord(**entry) for entry in log["ledger"]])
+
+
+def print_clocks(console: Console, clocks: Sequence[Mapping[str, Any]]) -> None:
+    """What each clock of a log is good for, and why; the one that gives UTC comes first."""
+    lines = []
+    for clock in clocks:
+        parts = [clock["clock"], clock["use"]]
+        if clock["utc"] is not None:
+            parts.append(f"of {clock['utc']}")
+        if clock["apart_s"]:
+            parts.append(f"{clock['apart_s']:+.3g} s from it")
+        if clock["sigma_s"] is not None:
+            parts.append(f"good to {clock['sigma_s']:.2g} s")
+        lines.append(("clock", f"{', '.join(parts)}: {clock['why']}"))
+    if lines:
+        console.print()
+        print_labelled(console, lines)
 
 
 def print_model(console: Console, contents: Mapping[str, Any], name: str) -> None:

@@ -73,6 +73,7 @@ def adjusted_profiles(
             surface=sources.surface,
             time_ns=sources.time_ns,
             longitude_rad=sources.longitude_rad,
+            utc_known=sources.utc_known,
         )
     else:
         ledger.add(messages.air_not_adjusted())

@@ -26,10 +26,18 @@ from unbend.flight.stations import NO_TIME, Stations
 from unbend.geodesy import longitudes_near
 from unbend.messages import Ledger
 from unbend.stages import messages
+from unbend.stages.flight_date import flight_date_ns, refuse_dated_sources
 from unbend.stages.flight_log import FlightLog, GroundTrack
 from unbend.stages.opened_inputs import OpenedInputs
 from unbend.tables.weather_files import FlightArea
-from unbend.units import DEGREE, HECTOPASCAL, ZERO_CELSIUS_K, Array, Integers, Mask
+from unbend.units import (
+    DEGREE,
+    HECTOPASCAL,
+    ZERO_CELSIUS_K,
+    Array,
+    Integers,
+    Mask,
+)
 
 BIN_M = 100.0  # of heights: a climb counts more than a long level run
 LIKELY_SIGMAS = 2.0  # that a value in another unit, or reduced, may be off
@@ -82,7 +90,8 @@ def read_model_air(
     model = inputs.weather_model
     if model is None:
         return None
-    if middle.time_ns is None or not math.isfinite(middle.latitude_rad + middle.longitude_rad):
+    has_place = math.isfinite(middle.latitude_rad + middle.longitude_rad)
+    if middle.time_ns is None or not has_place or bool(stations.from_boot.any()):
         raise messages.flight_without_time(where=model.name)
     place = sampled_place(samples, flight.track)
     if place is None:
@@ -278,7 +287,9 @@ def refuse_impossible_pressure(
 class AirSources:
     """What a mission has of the air beside its log.
 
-    time_ns, longitude_rad : the middle of the flight.
+    time_ns, longitude_rad : the middle of the flight; its time is None where neither the log nor
+        the mission file has it.
+    utc_known : whether the times of the log are UTC; else they count from a boot.
     lowest_h_m : the lowest height at which the log sampled the air, else that of the take-off,
         else 0 [m above sea level].
     calibration : the known errors of sensors.
@@ -292,6 +303,7 @@ class AirSources:
     lowest_h_m: float = 0.0
     model: ModelAir | None = None
     calibration: Mapping[SensorFault, SensorCalibration] = field(default_factory=dict)
+    utc_known: bool = True
 
     def lines(self) -> list[tuple[str, str]]:
         """A label and a description of each source, for `unbend check`."""
@@ -348,10 +360,7 @@ def read_air_sources(
 ) -> AirSources:
     """Read soundings, surface reports and weather model of a mission; choose its climatology."""
     section = mission.atmosphere
-    flight_ns = middle_exposure_ns(stations)
-    orientation = mission.stations.orientation
-    if flight_ns is None and orientation is not None:
-        flight_ns = orientation.date_ns
+    flight_ns = flight_date_ns(mission, stations, ledger)
     latitude = stations.mean_latitude_rad
     longitude = stations.median_longitude_rad
     lowest_h_m = lowest_sample_m(samples, flight.heights.home_h_msl_m)
@@ -365,6 +374,8 @@ def read_air_sources(
     )
     soundings = read_soundings(section, inputs, flight_ns, latitude, ledger)
     surface = read_reports(section, flight_ns, background, ledger)
+    if flight_ns is None and section.adjust:
+        refuse_dated_sources(soundings, section)
     middle = TimeAndPlace(flight_ns, latitude, longitude)
     model = read_model_air(mission, inputs, flight, stations, samples, middle=middle, ledger=ledger)
     if model is not None:
@@ -379,6 +390,7 @@ def read_air_sources(
         lowest_h_m=lowest_h_m,
         model=model,
         calibration=section.sensors.calibration,
+        utc_known=not bool(stations.from_boot.any()),
     )
     if not section.adjust:
         report_unused(sources, ledger)

@@ -130,7 +130,7 @@ def events_of_cameras(
         return events
     if inputs.events is None:
         raise messages.no_events(where="events", what="events")
-    return events_of_table(mission, section, inputs.events, flight)
+    return events_of_table(mission, section, inputs.events)
 
 
 def events_of_log(
@@ -150,19 +150,15 @@ def events_of_log(
     return events
 
 
-def events_of_table(
-    mission: Mission, section: EventsSection, table: EventTable, flight: FlightLog
-) -> list[Events]:
-    """The exposures of a table, by camera; its times are placed by the log's UTC."""
+def events_of_table(mission: Mission, section: EventsSection, table: EventTable) -> list[Events]:
+    """The exposures of a table, by camera."""
     csv = section.csv
     if csv is None:
         raise messages.no_events(where="events", what="events")
     camera_of = camera_of_rows(
         mission, table.camera, csv.camera, table.time_ns.size, where=str(csv.path)
     )
-    log = flight.log
-    utc_sigma_s = 0.0 if log is None else float(np.nan_to_num(log.utc_sigma_s))
-    delay = ExposureDelay(csv.delay_s, sigma_s=utc_sigma_s)
+    delay = ExposureDelay(csv.delay_s)
     return [
         exposures.events_of_table(table.image, camera_of, table.time_ns, camera, delay)
         for camera in mission.cameras

@@ -4,6 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
+import numpy as np
+
 from unbend.config import Mission
 from unbend.config.logs import NamedChannel
 from unbend.flight.channels import ROLE_COLUMNS, Channel
@@ -15,15 +17,17 @@ from unbend.flight.evidence.stretches import Stretch
 from unbend.flight.heights import HeightSystem, height_system, to_geodetic
 from unbend.flight.mount import Mount, gimbal_notes, is_of_gimbal, with_payload_attitude
 from unbend.flight.roles import assign_roles
+from unbend.flight.stations import NO_TIME
 from unbend.ingest import Log
 from unbend.ingest.field_maps import in_stated_unit
+from unbend.ingest.utc_evidence import is_utc
 from unbend.messages import Ledger
 from unbend.stages import messages
 from unbend.stages.opened_inputs import OpenedInputs
 from unbend.tables.geodata.geoid import package_geoid
 from unbend.tables.imports.agreement import compare_with_log
 from unbend.tables.imports.stated import Stated
-from unbend.units import Array, Integers
+from unbend.units import Array, Integers, Mask
 
 Roles = dict[str, Channel]
 """The channel that plays each role."""
@@ -71,6 +75,12 @@ class FlightLog:
         if aircraft is not None and not is_of_gimbal(aircraft.source.message):
             roles.setdefault("aircraft_attitude", aircraft)
         return roles
+
+    def counts_from_boot(self, time_ns: Integers) -> Mask:
+        """(n,) which times count from a boot, because the log has no UTC then."""
+        if self.log is None:
+            return np.zeros(time_ns.shape, np.bool_)
+        return np.asarray(~is_utc(time_ns) & (time_ns != NO_TIME), np.bool_)
 
     @property
     def track(self) -> GroundTrack | None:

@@ -257,9 +257,56 @@ def flight_without_time(*, where: str) -> InputError:
     """No station has a time and a place to take a weather model at."""
     return InputError(
         MODEL_TIME,
-        "no station has a time and a place to take the weather model at",
+        "no station has a UTC and a place to take the weather model at",
         where=where,
-        remedy="give the day and hour: stations.orientation.date",
+        remedy="give the day and hour: stations.orientation.date; a log has to have UTC",
+    )
+
+
+FLIGHT_UNDATED = Code(
+    "FLIGHT-UNDATED",
+    means="Neither the log nor the mission file says when the flight was.",
+    effect="No season is assumed: the climatology has the spread of the whole year.",
+    remedy="State mission.date.",
+)
+
+
+def flight_undated() -> Message:
+    """No exposure has a UTC, and the mission file states no date."""
+    return fallback(
+        FLIGHT_UNDATED,
+        "no exposure has a UTC, and no date is stated: the climatology has the spread of the whole "
+        "year (mission.date)",
+    )
+
+
+def sources_of_undated_flight(*, where: str) -> InputError:
+    """Soundings or reports are named, and the day of the flight is not known."""
+    return InputError(
+        FLIGHT_UNDATED,
+        "the flight has neither UTC nor a stated date: how old the soundings and surface reports "
+        "are is unknown",
+        where=where,
+        remedy="state mission.date, as 2026-05-14 or 2026-05-14T10:20",
+    )
+
+
+DATE_CONTRADICTED = Code(
+    "DATE-CONTRADICTED",
+    means="The date that the mission file states is not that of the exposures.",
+    effect="The exposures count.",
+    remedy="Correct mission.date or stations.orientation.date, or check the clock of the log.",
+)
+
+
+def date_contradicted(*, stated: str, flown: str) -> Message:
+    """A stated date is more than a day and a half from the exposures."""
+    return warning(
+        DATE_CONTRADICTED,
+        "the mission file states {stated}, and the exposures are of {flown}, which counts",
+        where="mission.date",
+        stated=stated,
+        flown=flown,
     )
 
 

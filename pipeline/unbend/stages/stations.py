@@ -15,7 +15,13 @@ from unbend.flight.exposures import Events
 from unbend.flight.heights import HeightSystem
 from unbend.flight.image_names import refuse_other_names
 from unbend.flight.mount import Mount
-from unbend.flight.station_builder import build_stations, flag_missing_aircraft_attitude, with_air
+from unbend.flight.station_builder import (
+    ONE_CLOCK,
+    ClockSigmas,
+    build_stations,
+    flag_missing_aircraft_attitude,
+    with_air,
+)
 from unbend.flight.stations import (
     SigmaLimits,
     Stations,
@@ -47,6 +53,7 @@ class StationBuilder:
     roles, suspect : the channels of the camera, and the stretches that contradict these.
     offsets : a file of exposures with the way from the antenna to the camera at each; None where
         the mount has the lever arm.
+    clocks : how well the clock of the exposures agrees with those of the channels.
     """
 
     camera: str
@@ -57,6 +64,7 @@ class StationBuilder:
     heights: HeightSystem
     accuracy: LogAccuracy
     max_gap_s: float
+    clocks: ClockSigmas
 
     @classmethod
     def of(
@@ -87,12 +95,19 @@ class StationBuilder:
             heights=flight.heights,
             accuracy=flight.accuracy,
             max_gap_s=mission.max_gap_s,
+            clocks=clock_sigmas(mission, flight, roles),
         )
 
     def stations(self, events: Events) -> Stations:
         """The stations at some exposures; those in suspect stretches are not flagged yet."""
         stations = build_stations(
-            events, self.roles, self.mount, self.heights, self.max_gap_s, accuracy=self.accuracy
+            events,
+            self.roles,
+            self.mount,
+            self.heights,
+            self.max_gap_s,
+            accuracy=self.accuracy,
+            clocks=self.clocks,
         )
         offsets = self.offsets
         if offsets is None:
@@ -109,6 +124,27 @@ class StationBuilder:
         """The stations of the same images if these had been exposed some ``seconds`` later."""
         time_ns = stations.time_ns + round(seconds * 1e9)
         return self.stations(Events(self.camera, stations.image, time_ns))
+
+
+def clock_sigmas(mission: Mission, flight: FlightLog, roles: Mapping[str, Channel]) -> ClockSigmas:
+    """How well the clock of a camera's exposures agrees with those of the channels in ``roles``.
+
+    The log's own exposures are on the clock of its channels. Tables and files give UTC, as do
+    trajectories: between these and the log lies what the UTC of the log is good for.
+    """
+    if flight.log is None or mission.events is None:
+        return ONE_CLOCK
+    events_in_log = mission.events.log is not None
+    logged = {channel.name for channel in flight.channels}
+    utc_sigma_s = float(np.nan_to_num(flight.log.utc_sigma_s))
+
+    def sigma_s(role: str) -> float:
+        channel = roles.get(role)
+        if channel is None or (channel.name in logged) == events_in_log:
+            return 0.0
+        return utc_sigma_s
+
+    return ClockSigmas(sigma_s("position"), sigma_s("height"), sigma_s("attitude"))
 
 
 def mount_of_camera(mission: Mission, camera: str) -> tuple[Mount, bool]:
@@ -197,6 +233,7 @@ def stations_of_mission(
     )
     check_tie_points(evidence, ledger)
     stations = with_cabins(mission, flight, stations, ledger)
+    stations = replace(stations, from_boot=flight.counts_from_boot(stations.time_ns))
     cameras = {camera_events.camera for camera_events in events}
     return matched_stations(mission, flight, stations, cameras, observations.images, ledger=ledger)
 

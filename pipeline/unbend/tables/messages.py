@@ -830,6 +830,25 @@ def sounding_damaged(*, where: Path | str, error: str) -> InputError:
     return _not_of_arm(where=where, why="it cannot be decoded: {name}", name=error)
 
 
+SOUNDING_ZIP = Code(
+    "SOUNDING-ZIP",
+    means="The sounding is a ZIP archive that does not hold one readable file.",
+    effect="The mission is refused.",
+    remedy="Unpack it, and give the sounding itself.",
+)
+
+
+def sounding_archive(*, where: Path | str, why: str) -> InputError:
+    """An archive does not hold one readable file."""
+    return InputError(
+        SOUNDING_ZIP,
+        "the archive cannot be used: {why}",
+        where=where,
+        why=why,
+        remedy="unpack it, and give the sounding itself",
+    )
+
+
 SOUNDING_SIZE = Code(
     "SOUNDING-SIZE",
     means="The file is larger than the longest record of soundings.",

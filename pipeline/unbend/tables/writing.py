@@ -152,7 +152,7 @@ def table_of_profile(
     h = columns["h_m"]
     columns |= {
         "profile_id": np.full(h.shape, profile_id, dtype=object),
-        "time_utc": [air.time_ns] * h.size,
+        "time_utc": [air.time_ns if adjustment.utc_known else None] * h.size,
         "standard_temperature_k": standard.temperature(h),
         "standard_pressure_pa": standard.pressure(h),
         "standard_vapour_pressure_pa": standard.vapour_pressure(h),

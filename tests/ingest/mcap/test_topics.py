@@ -285,3 +285,28 @@ def test_a_recorder_that_counts_anew_hides_no_gap(tmp_path: Path) -> None:
     log = written(tmp_path / "log.mcap", channels, messages, lambda k: numbers[k])
     assert log.lost_messages == 7
     assert entries(log, "LOG-REORDERED") == []
+
+
+def stamped(path: Path, stamp_ns: int, recorded_ns: int) -> Log:
+    """A pressure each tenth of a second, stamped by one clock and recorded by another."""
+    steps = [k * SECOND // 10 for k in range(50)]
+    rows = [(1, recorded_ns + step, cdr(stamp_ns + step, 9e4, 1.0)) for step in steps]
+    return written(path, [("/baro", AIR, PRESSURE, "cdr")], rows)
+
+
+def test_stamps_that_have_rolled_over_are_moved_by_the_recorders_clock(tmp_path: Path) -> None:
+    rollover_ns = 1024 * 604_800 * SECOND
+    log = stamped(tmp_path / "a.mcap", START - rollover_ns, START + SECOND)
+    assert log.channel("/baro").time_ns[0] == START
+    assert [kind for kind, _, _ in entries(log, "TIME-WEEK-ROLLOVER")] == ["warning"]
+    assert log.message("/baro")["time_ns"][0] == START
+
+
+@pytest.mark.parametrize("stamp_s", [1_150_000_000, 2_145_916_800])  # 2006, 2038
+def test_stamps_whose_date_cannot_be_are_no_utc(tmp_path: Path, stamp_s: int) -> None:
+    log = stamped(tmp_path / "a.mcap", stamp_s * SECOND, START)
+    assert not log.has_utc
+    assert len(log.channel("/baro")) == 50
+    assert entries(log, "TIME-IMPOSSIBLE")
+    assert entries(log, "TIME-NO-UTC")
+    assert np.isnan(log.utc_sigma_s)

@@ -509,3 +509,34 @@ def test_texts_and_parameters(tmp_path: Path) -> None:
     )
     assert not log.ledger.has_losses
     assert not opened(tmp_path, flight()).parameters
+
+
+ROLLOVER_US = 1024 * 604_800 * 10**6
+UTC_2042_US = 2_272_147_200_000_000
+
+
+@pytest.mark.parametrize("rollovers", [1, 2])
+def test_a_receiver_that_has_rolled_over(tmp_path: Path, rollovers: int) -> None:
+    early_us = NOW_US - rollovers * ROLLOVER_US
+    log = opened(tmp_path, newer(utc=lambda k: early_us + 200_000 * k).data)
+    assert seconds(log, "vehicle_attitude") == WHOLE
+    assert [e.kind for e in log.ledger if e.code == "TIME-WEEK-ROLLOVER"] == ["warning"]
+
+
+def test_a_date_that_no_log_can_have_is_none(tmp_path: Path) -> None:
+    """2042 less a rollover is 2022: a clock that was never set is no rollover."""
+    log = opened(tmp_path, newer(utc=lambda k: UTC_2042_US + 200_000 * k).data)
+    assert not log.has_utc
+    assert {"TIME-IMPOSSIBLE", "TIME-NO-UTC"} <= {e.code for e in log.ledger}
+
+
+@pytest.mark.parametrize("fix", [0, 3])
+def test_the_utc_of_the_boot_counts_where_no_receiver_has_a_fix(tmp_path: Path, fix: int) -> None:
+    writer = newer(fix=lambda _: fix)
+    key = b"uint64_t boot_time_utc_us"
+    value = struct.pack("<Q", NOW_US - 60_000_000 + 1_500_000)
+    writer.message("I", bytes([len(key)]) + key + value)
+    log = opened(tmp_path, writer.data)
+    late_s = 0.0 if fix else 1.5
+    assert seconds(log, "vehicle_attitude") == pytest.approx([t + late_s for t in WHOLE])
+    assert (log.utc_sigma_s == 5.0) is (fix == 0)

@@ -9,6 +9,7 @@ import exifread
 import numpy as np
 import pytest
 from PIL import Image
+from PIL.TiffImagePlugin import IFDRational
 from scipy.spatial.transform import Rotation
 
 from unbend.errors import InputError
@@ -286,3 +287,16 @@ def test_a_damaged_file_is_a_loss_with_what_the_library_said(tmp_path, monkeypat
     monkeypatch.setattr(exifread, "process_file", process)
     _, entries = read(tmp_path)
     assert "b.jpg (ValueError: unknown type in tag 0x9003)" in entries["EXIF-UNREADABLE"].what
+
+
+def test_a_time_of_0_over_0_is_no_time_of_that_image_alone(tmp_path):
+    """As cameras write it that have no fix."""
+    undefined = tuple(IFDRational(0, 0) for _ in range(3))
+    for i in range(4):
+        stamp = undefined if i == 2 else (10.0, 20.0, 30.0 + i)
+        write_jpeg(tmp_path / f"IMG_{i}.JPG", None, gps=("2026:05:01", stamp))
+    times, said = read(tmp_path)
+    expected = [ns(f"2026-05-01T10:20:3{i}") for i in range(4)]
+    expected[2] = NO_TIME
+    assert times.time_ns.tolist() == expected
+    assert [entry.count for entry in said.values() if entry.kind == "loss"] == [1]

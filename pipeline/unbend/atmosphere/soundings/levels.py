@@ -170,6 +170,69 @@ def utc_ns(text: str) -> int | None:
     return round(time.timestamp() * 1000) * (NANOSECONDS_PER_SECOND // 1000)
 
 
-def radians(degrees: float, limit: float) -> float:
-    """An angle in radians, NaN beyond the limit [deg]: -99.99 and -999 mean unknown."""
-    return math.radians(degrees) if abs(degrees) <= limit else math.nan
+@dataclass(frozen=True)
+class PlaceOfSounding:
+    """Latitude and longitude of a sounding [rad], NaN where the file does not state them."""
+
+    latitude_rad: float = math.nan
+    longitude_rad: float = math.nan
+
+
+_NOT_STATED = ("", "nan", "na", "n/a", "none", "null", "-", "--", "///")
+_UNKNOWN_DEG = (-99.99, -99.9, -98.8888, -998.8888)  # Wyoming; a ship of IGRA, under way
+
+
+def place_of_numbers(latitude_deg: float, longitude_deg: float) -> PlaceOfSounding:
+    """A place from degrees, of which longitudes may count from 0 to 360; NaN where it is none.
+
+    >>> place = place_of_numbers(48.0, 343.65)
+    >>> round(math.degrees(place.longitude_rad), 2)
+    -16.35
+    """
+    if not abs(latitude_deg) <= 90.0 or not -180.0 <= longitude_deg <= 360.0:
+        return PlaceOfSounding()
+    east_deg = longitude_deg - 360.0 if longitude_deg > 180.0 else longitude_deg
+    return PlaceOfSounding(math.radians(latitude_deg), math.radians(east_deg))
+
+
+def stated_place(latitude: str, longitude: str, where: str) -> PlaceOfSounding:
+    """The place that two fields of a file state, in degrees; a latitude may stand alone.
+
+    Not stated are empty fields and fill values. Refuses (InputError SOUNDING-PLACE) a field that is
+    stated and is no latitude or longitude.
+    """
+    north_deg = _stated_degrees(latitude)
+    east_deg = _stated_degrees(longitude)
+    is_latitude = math.isnan(north_deg) or abs(north_deg) <= 90.0
+    is_longitude = math.isnan(east_deg) or -180.0 <= east_deg <= 360.0
+    if not (is_latitude and is_longitude):
+        raise messages.sounding_place(where=where, latitude=latitude, longitude=longitude)
+    if math.isnan(east_deg):
+        return PlaceOfSounding(math.radians(north_deg))
+    return place_of_numbers(north_deg, east_deg)
+
+
+def _stated_degrees(text: str) -> float:
+    """The degrees of a field, NaN where it states none, infinite where it is no number."""
+    text = text.strip()
+    if text.lower() in _NOT_STATED:
+        return math.nan
+    try:
+        value = float(text)
+    except ValueError:
+        return math.inf
+    return math.nan if value in FILLS or value in _UNKNOWN_DEG else value
+
+
+def stated_time_ns(text: str, where: str) -> int | None:
+    """The time that a field of a file states [Unix ns]; None where it states none.
+
+    Refuses (InputError SOUNDING-TIME) a text that is no time: what is stated and cannot be read
+    is not unknown.
+    """
+    if text.strip().lower() in _NOT_STATED:
+        return None
+    time_ns = utc_ns(text)
+    if time_ns is None:
+        raise messages.sounding_time(where=where, time=text.strip()[:40])
+    return time_ns

@@ -72,6 +72,7 @@ def stations_of(table: pa.Table) -> Stations:
         "quaternion": columns.quaternion("q"),
         "aircraft_quaternion": columns.quaternion("aircraft_q"),
         "status": status,
+        "from_boot": np.zeros(0, np.bool_),
         "accepted": (status == SUSPECT) & table["profile_id"].is_valid().to_numpy(),
     }
     for name in ("lat", "lon", "sigma_tilt", "sigma_yaw"):

@@ -100,9 +100,12 @@ def plausible_roles(
 
 def time_remark(log: Log) -> str:
     """When a log begins and ends, and what its times count from."""
+    minutes = f"{log.duration_s / 60.0:.1f} minutes; {log.time_base}"
+    if not log.has_utc:
+        return f"{minutes}: state the day of the flight, mission.date"
     first = utc_text(log.start_ns)[:19]
     last = utc_text(log.end_ns)[:19]
-    return f"{first} to {last} UTC, {log.duration_s / 60.0:.1f} minutes; {log.time_base}"
+    return f"{first} to {last} UTC, {minutes}"
 
 
 def place_remark(roles: Mapping[str, Channel]) -> str:

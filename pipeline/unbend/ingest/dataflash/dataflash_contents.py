@@ -1,13 +1,13 @@
 """Tables of an ArduPilot log, binary or text -> its contents: a time for each row, channels."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from unbend.flight.clock import LAST_US, SECONDS_PER_WEEK
-from unbend.ingest.boot_clock import LOWEST_FIX, BootClock, Timeline, microseconds, nanoseconds
+from unbend.ingest.boot_clock import BootClock
 from unbend.ingest.damaged_bytes import DamagedBytes
 from unbend.ingest.dataflash import messages
 from unbend.ingest.dataflash.dataflash_channels import (
@@ -21,6 +21,9 @@ from unbend.ingest.dataflash.record_tables import INSTANCE_FIELDS, without_objec
 from unbend.ingest.field_maps import is_number
 from unbend.ingest.flight_log import Contents
 from unbend.ingest.message_tables import PLACE, Table
+from unbend.ingest.timelines import Timeline, microseconds, nanoseconds
+from unbend.ingest.utc_evidence import Witness
+from unbend.ingest.utc_readings import LOWEST_FIX
 from unbend.messages import Ledger
 from unbend.units import Integers
 
@@ -38,15 +41,17 @@ def contents_of(
     ledger: Ledger,
     *,
     reread: Callable[[set[str]], dict[str, Table]],
+    witnesses: Sequence[Witness] = (),
 ) -> Contents:
     """The contents of a log, binary or text.
 
     ``damage``: the bytes of no message. ``counts``: messages by type. ``line``: the power-ups.
     ``tables``: the wanted fields by type; they are removed, so that memory does not hold them
-    twice. ``reread``: reads all fields of some types, when somebody asks for them.
+    twice. ``reread``: reads all fields of some types, when somebody asks for them. ``witnesses``:
+    other clocks that tell the date.
     """
     timed = timed_tables(tables, ledger)
-    clock, time_base = clock_of(line, timed, ledger)
+    clock, time_base = clock_of(line, timed, ledger, witnesses)
     parameters = _last_values(timed.get("PARM", {}))
 
     def table(name: str, instance: str | None) -> Table:
@@ -64,6 +69,8 @@ def contents_of(
         time_base=time_base,
         table=table,
         parameters=parameters,
+        utc_sigma_s=clock.sigma_s,
+        clocks=clock.assessments,
     )
 
 

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from unbend.errors import Code, Counted
 from unbend.ingest.messages import LOG_FIELDS
-from unbend.messages import Message, fallback, loss, note, warning
+from unbend.messages import Message, fallback, loss, note
 
 LOG_BAD_FORMAT = Code(
     "LOG-BAD-FORMAT",
@@ -138,29 +138,6 @@ def stray_instances(
         numbers=", ".join(map(str, numbers)),
         most=most,
         main=main,
-    )
-
-
-TIME_WEEK_ROLLOVER = Code(
-    "TIME-WEEK-ROLLOVER",
-    means="A receiver counts GPS weeks modulo 1024.",
-    effect="The full week is taken.",
-    remedy="Nothing.",
-)
-
-
-def week_rollover(*, receiver: str, boot: int, count: int, week: int, full: int) -> Message:
-    """The week of a receiver lies before logs of this kind existed."""
-    return warning(
-        TIME_WEEK_ROLLOVER,
-        "{count} GPS rows have week {week}, before logs of this kind existed: the receiver counts "
-        "modulo 1024, taken as {full}",
-        one="1 GPS row has week {week}, before logs of this kind existed: the receiver counts "
-        "modulo 1024, taken as {full}",
-        where=f"{receiver}, boot {boot}",
-        count=count,
-        week=week,
-        full=full,
     )
 
 

@@ -14,13 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unbend.flight.clock import LAST_US
-from unbend.ingest.boot_clock import Stamps, nanoseconds, timeline
 from unbend.ingest.damaged_bytes import DamagedBytes
 from unbend.ingest.dataflash.dataflash_channels import wanted_fields
 from unbend.ingest.dataflash.dataflash_contents import contents_of
 from unbend.ingest.dataflash.record_tables import merge_tables
 from unbend.ingest.flight_log import Contents, LogFormat
 from unbend.ingest.message_tables import PLACE, Table
+from unbend.ingest.timelines import Stamps, nanoseconds, timeline
+from unbend.ingest.utc_evidence import Witness
 from unbend.messages import Ledger
 
 LONGEST = 4096  # bytes of a line; real ones have up to 250
@@ -31,8 +32,8 @@ _TEXT = "nNZaM"  # arrays and flight modes are words in these logs
 _TIME_UNITS_US = {("TimeUS", "Q"): 1, ("TimeMS", "I"): 1000}  # by name and letter of a first field
 
 
-def read_log(path: Path, ledger: Ledger) -> Contents:
-    """The contents of a log as text."""
+def read_log(path: Path, ledger: Ledger, witnesses: Sequence[Witness] = ()) -> Contents:
+    """The contents of a log as text; ``witnesses`` are other clocks that tell its date."""
     reader = _LineReader()
     tables = reader.read(path, set(wanted_fields()))
     reader.report_bytes(ledger, path.name, "line")
@@ -41,7 +42,15 @@ def read_log(path: Path, ledger: Ledger) -> Contents:
         return _LineReader().read(path, names)
 
     line = timeline(reader.stamps())
-    return contents_of(reader, dict(reader.counts), line, tables, ledger, reread=reread)
+    return contents_of(
+        reader,
+        dict(reader.counts),
+        line,
+        tables,
+        ledger,
+        reread=reread,
+        witnesses=witnesses,
+    )
 
 
 def is_text(head: bytes) -> bool:

@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from unbend.flight.clock import UNIX_NS_FROM
-from unbend.ingest.boot_clock import Stamps, UtcReadings
 from unbend.ingest.buffers import open_view
 from unbend.ingest.field_maps import MessageMap
 from unbend.ingest.mcap import messages, topics
@@ -20,6 +19,9 @@ from unbend.ingest.mcap.message_counts import MessageCounts
 from unbend.ingest.mcap.record_layout import Definition, Opcode
 from unbend.ingest.mcap.ros2_definitions import SchemaError
 from unbend.ingest.mcap.topic_samples import PLAIN_JSON, SCHEMAS, TopicSamples, known_name
+from unbend.ingest.timelines import Stamps
+from unbend.ingest.utc_evidence import UNCHECKED_SIGMA_S, UNCHECKED_WHY
+from unbend.ingest.utc_readings import UtcReadings
 from unbend.messages import Ledger, Message
 from unbend.units import Integers, Rows
 
@@ -68,6 +70,7 @@ class McapReader:
         self._contradictions: set[str] = set()
         self._decoders: dict[tuple[int, str], topics.Decoder | Exception] = {}
         self._subscriptions: dict[int, _Subscription] = {}
+        self.recorded_ns: int | None = None  # log_time of the first message that has UTC
         self._seen = 0  # messages, of any channel
         self._recorded: list[Integers] = []  # (3, n) places, times since boot, log_time
 
@@ -90,6 +93,9 @@ class McapReader:
                 topic, decoder = self._subscriptions[number]
                 rows = np.flatnonzero(batch.channel == number)
                 shares.setdefault(TopicKey(topic.name, topic.schema), []).append((decoder, rows))
+        if self.recorded_ns is None:
+            with_utc = batch.log_time[batch.log_time > UNIX_NS_FROM]
+            self.recorded_ns = int(with_utc[0]) if with_utc.size else None
         before = self._seen
         self._seen += len(batch)
         stamps: list[topics.BootStamps] = []
@@ -113,7 +119,15 @@ class McapReader:
         if not self._recorded:
             return None
         places, boot_ns, log_ns = np.concatenate(self._recorded, axis=1)
-        return UtcReadings("log_time", places, boot_ns, log_ns, log_ns > UNIX_NS_FROM)
+        return UtcReadings(
+            "log_time",
+            places,
+            boot_ns,
+            log_ns,
+            log_ns > UNIX_NS_FROM,
+            sigma_s=UNCHECKED_SIGMA_S,
+            why=UNCHECKED_WHY,
+        )
 
     def release_topics(self) -> None:
         """Free the memory of what was read of the topics; others may hold parts of it."""

@@ -495,14 +495,15 @@ TIME_LOG_TIME = Code(
 )
 
 
-def set_by_log_time(*, boot: int, count: int) -> Message:
+def set_by_log_time(*, boot: int, count: int, sigma_s: float) -> Message:
     """No GNSS message of a boot ties the time since boot to UTC."""
     return fallback(
         TIME_LOG_TIME,
         "time counts from boot, and no GNSS message with a fix ties that to UTC: the clock is set "
-        "by the recorder's time",
+        "by the recorder's time, and UTC is good to {sigma_s:.0f} s (1 sigma)",
         where=f"boot {boot}",
         count=count,
+        sigma_s=sigma_s,
     )
 
 

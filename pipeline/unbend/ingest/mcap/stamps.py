@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from unbend.flight.channels import TimeArray
 from unbend.flight.clock import BOOT_STEP_NS, UNIX_NS_FROM
-from unbend.ingest.boot_clock import BootClock, nanoseconds
+from unbend.ingest.boot_clock import BootClock
 from unbend.ingest.mcap import messages
+from unbend.ingest.timelines import nanoseconds
 from unbend.messages import Ledger
 from unbend.units import NANOSECONDS_PER_SECOND, Integers, Mask, Rows
 

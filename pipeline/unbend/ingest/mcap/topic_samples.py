@@ -8,16 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unbend.flight.channels import Source, TimeArray
-from unbend.flight.clock import UNIX_US_FROM
 from unbend.ingest.attitude import earth_frame_attitude, ned_frd_of_enu_flu, replace_in_blocks
-from unbend.ingest.boot_clock import (
-    LOWEST_FIX,
-    BootClock,
-    Timeline,
-    UtcReadings,
-    microseconds,
-    rows_of,
-)
+from unbend.ingest.boot_clock import BootClock
 from unbend.ingest.buffers import ColumnStore
 from unbend.ingest.channel_builder import ColumnStores, DecodedRows, captured_rows, without_stray
 from unbend.ingest.field_maps import (
@@ -42,6 +34,9 @@ from unbend.ingest.mcap.stamps import (
     times_of,
 )
 from unbend.ingest.message_tables import PLACE
+from unbend.ingest.timelines import Timeline, microseconds
+from unbend.ingest.utc_evidence import FIRST_SET_US
+from unbend.ingest.utc_readings import LOWEST_FIX, UtcReadings, rows_of
 from unbend.messages import Ledger
 from unbend.units import Array, Integers
 
@@ -215,7 +210,7 @@ class TopicSamples:
             places=_copied(self.places),
             boot_ns=stamp_ns,
             utc_ns=utc_us * 1000,
-            usable=(utc_us > UNIX_US_FROM) & since_boot(stamp_ns),
+            usable=(utc_us > FIRST_SET_US) & since_boot(stamp_ns),
             fix=_copied(self.columns.stores.get("fix", ColumnStore("f8"))),
         )
 

@@ -1,7 +1,8 @@
 """PX4 logs (.ulg) -> channels in UTC."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -10,21 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unbend.flight.channels import Channel, Source, TimeArray
-from unbend.flight.clock import STRAY_ROWS, UNIX_US_FROM, stray_times
+from unbend.flight.clock import STRAY_ROWS, stray_times
 from unbend.ingest.attitude import earth_frame_attitude
-from unbend.ingest.boot_clock import (
-    UtcReadings,
-    fit_clock,
-    microseconds,
-    nanoseconds,
-    rows_of,
-    timeline,
-)
+from unbend.ingest.boot_clock import BootClock, fit_clock
 from unbend.ingest.buffers import open_view
 from unbend.ingest.channel_builder import DecodedRows, captured_rows, channel_of, without_stray
 from unbend.ingest.field_maps import CAPTURE_UTC_FIELD, PX4_TOPICS, UTC_FIELD, MessageMap, extract
 from unbend.ingest.flight_log import Contents, LogFormat
 from unbend.ingest.message_tables import Table
+from unbend.ingest.timelines import microseconds, nanoseconds, timeline
 from unbend.ingest.ulog import messages
 from unbend.ingest.ulog.ulog_messages import (
     APPENDED,
@@ -35,8 +30,11 @@ from unbend.ingest.ulog.ulog_messages import (
     UlogTopic,
     flags_of,
 )
+from unbend.ingest.utc_evidence import FIRST_SET_US, UNCHECKED_SIGMA_S, UNCHECKED_WHY, Witness
+from unbend.ingest.utc_readings import UtcReadings, rows_of
 from unbend.messages import Ledger
 
+BOOT_UTC = "boot_time_utc_us"  # information message: UTC at time since boot 0 [us since 1970]
 SILENCE_NS = 100_000_000  # PX4 logs tens to hundreds of messages in this time
 SILENT_INTERVALS = 5.0  # of the topic with the shortest interval: no silence is shorter
 LONGEST_INTERVAL_NS = 200_000_000  # of a topic that shows whether anything was logged
@@ -48,12 +46,14 @@ _ELEMENT = re.compile(r"\[(\d+)\]")
 TopicRows = Mapping[UlogTopic, NDArray[Any]]
 
 
-def read_log(path: Path, ledger: Ledger) -> Contents:
-    """The contents of a PX4 log."""
+def read_log(path: Path, ledger: Ledger, witnesses: Sequence[Witness] = ()) -> Contents:
+    """The contents of a PX4 log; ``witnesses`` are other clocks that tell its date."""
     log = _messages(path, list(PX4_TOPICS))
     log.report_damage(ledger, path.name)
     sources = _sources(log.rows)
-    offset_ns, time_base = _clock(log.rows, sources, ledger)
+    clock = _clock(log, sources, ledger, witnesses)
+    fit = clock.fits[0]
+    offset_ns = 0 if fit is None else fit.offset_ns
     channels = []
     for topic, rows in log.rows.items():
         channel = _channel(topic, rows, sources[topic], offset_ns, ledger)
@@ -70,9 +70,11 @@ def read_log(path: Path, ledger: Ledger) -> Contents:
         # the format does not number messages: whether any is lost, not how many
         lost_messages=int(log.bad_bytes > 0 or log.damaged_values > 0),
         boots=1,
-        time_base=time_base,
+        time_base=_time_base(clock),
         table=partial(_table, path, offset_ns),
         parameters=log.parameters,
+        utc_sigma_s=clock.sigma_s,
+        clocks=clock.assessments,
     )
 
 
@@ -198,20 +200,62 @@ def _median_interval_ns(time_ns: TimeArray) -> float:
 
 
 def _clock(
-    rows_of_topic: TopicRows, sources: Mapping[UlogTopic, Source], ledger: Ledger
-) -> tuple[int, str]:
-    """UTC minus time since boot [ns], and in words where it comes from; 0 where it is unknown."""
-    clock = fit_clock(
+    log: ULogMessages,
+    sources: Mapping[UlogTopic, Source],
+    ledger: Ledger,
+    witnesses: Sequence[Witness],
+) -> BootClock:
+    """The clock of a log: UTC by its receivers; without a fix by what else states UTC.
+
+    That is the UTC of camera captures, and that of the boot, which the logger writes when the
+    vehicle's clock has been set: by a receiver, a companion computer or a ground station.
+    """
+    unchecked = _utc_readings(log.rows, sources, "events", CAPTURE_UTC_FIELD)
+    unchecked = [
+        replace(source, sigma_s=UNCHECKED_SIGMA_S, why=UNCHECKED_WHY) for source in unchecked
+    ]
+    if not any(source.usable.any() for source in unchecked):
+        unchecked += _utc_of_boot_time(log)
+    of_boot = [
+        Witness(source.source, int(source.utc_ns[0]), is_weak=True)
+        for source in _utc_of_boot_time(log)
+    ]
+    return fit_clock(
         _ONE_BOOT,
-        _utc_readings(rows_of_topic, sources, "position", UTC_FIELD),
+        _utc_readings(log.rows, sources, "position", UTC_FIELD),
         ledger,
-        cameras=_utc_readings(rows_of_topic, sources, "events", CAPTURE_UTC_FIELD),
+        cameras=unchecked,
         utc_of="GPS row with a fix and UTC",
+        witnesses=[*witnesses, *of_boot],
     )
+
+
+def _utc_of_boot_time(log: ULogMessages) -> list[UtcReadings]:
+    """UTC of the boot as the logger wrote it (``boot_time_utc_us``); none where it did not."""
+    utc_us = log.numbers.get(BOOT_UTC, 0.0)
+    if utc_us <= FIRST_SET_US:
+        return []
+    one_row = np.zeros(1, np.int64)
+    return [
+        UtcReadings(
+            source=f"values of {BOOT_UTC}",
+            one=f"value of {BOOT_UTC}",
+            places=one_row,
+            boot_ns=one_row,
+            utc_ns=np.array([round(utc_us) * 1000], np.int64),
+            usable=np.ones(1, np.bool_),
+            sigma_s=UNCHECKED_SIGMA_S,
+            why=UNCHECKED_WHY,
+        )
+    ]
+
+
+def _time_base(clock: BootClock) -> str:
+    """Where the UTC of a log comes from, in words."""
     fit = clock.fits[0]
     if fit is None:
-        return 0, "vehicle clock; UTC is unknown"
-    return fit.offset_ns, f"vehicle clock, set to UTC by the median of {fit.rows} rows"
+        return "vehicle clock; UTC is unknown"
+    return f"vehicle clock, set to UTC by the median of {fit.rows} rows"
 
 
 def _utc_readings(
@@ -231,7 +275,7 @@ def _utc_readings(
                 places=np.arange(len(rows)),
                 boot_ns=boot_ns,
                 utc_ns=utc_us * 1000,
-                usable=(utc_us > UNIX_US_FROM) & ~stray_times(boot_ns),
+                usable=(utc_us > FIRST_SET_US) & ~stray_times(boot_ns),
                 fix=fix,
             )
         )

@@ -4,7 +4,7 @@ import logging
 import re
 import struct
 from collections import defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path, PurePosixPath
@@ -294,15 +294,34 @@ def _tags_of_folder(folder: Path, ledger: Ledger) -> dict[str, dict[str, str]]:
             continue
         tags[name] = {_key(key): str(value) for key, value in read.items()}
         if "GPS GPSTimeStamp" in read:
-            hour, minute, second = (float(value) for value in read["GPS GPSTimeStamp"].values)
-            text = f"{int(hour):02d}:{int(minute):02d}:{second:09.6f}"
-            tags[name]["gpstimestamp"] = text.rstrip("0").rstrip(".") if second % 1 else text[:8]
+            tags[name]["gpstimestamp"] = _time_of_day(read["GPS GPSTimeStamp"].values)
         tags[name] |= {_key(key.decode()): text.decode("ascii", "replace") for key, text in xmp}
     if unreadable:
         examples = ", ".join(unreadable[:_MOST_EXAMPLES])
         lost = messages.exif_unreadable(where=folder.name, count=len(unreadable), examples=examples)
         ledger.add(lost)
     return tags
+
+
+def _time_of_day(rationals: Sequence[object]) -> str:
+    """Hours, minutes and seconds of a GPSTimeStamp as text; empty where one is undefined, 0/0.
+
+    >>> from exifread.utils import Ratio
+    >>> _time_of_day([Ratio(10, 1), Ratio(5, 1), Ratio(61, 2)]), _time_of_day([Ratio(0, 0)] * 3)
+    ('10:05:30.5', '')
+    """
+    parts = []
+    for rational in rationals:
+        numerator = getattr(rational, "numerator", rational)
+        denominator = getattr(rational, "denominator", 1)
+        if not isinstance(numerator, int | float) or not denominator:
+            return ""
+        parts.append(float(numerator) / float(denominator))
+    if len(parts) != 3:
+        return ""
+    hour, minute, second = parts
+    text = f"{int(hour):02d}:{int(minute):02d}:{second:09.6f}"
+    return text.rstrip("0").rstrip(".") if second % 1 else text[:8]
 
 
 def _key(name: str) -> str:
