@@ -9,11 +9,8 @@ import numpy as np
 
 from unbend.atmosphere.rejection import Reason, reasons_where
 from unbend.flight.channels import Channel, TimeArray
-from unbend.flight.evidence.filter_health import (
-    attitude_evidence,
-    filter_evidence,
-    message_evidence,
-)
+from unbend.flight.evidence.autopilot_texts import text_evidence
+from unbend.flight.evidence.filter_health import attitude_evidence, filter_evidence
 from unbend.flight.evidence.messages import barometer_drifts, spare_barometer_drifts
 from unbend.flight.evidence.replacements import (
     BESIDE_S,
@@ -75,7 +72,7 @@ def examine(
     """
     examination = _Examination(channels, roles, dict(roles))
     if any(is_receiver(channel) for channel in channels):
-        examination.reported = filter_evidence(channels) + message_evidence(channels)
+        examination.reported = filter_evidence(channels) + text_evidence(channels)
     examination.examine_attitude()
     for quantity in (POSITION, HEIGHT):
         channel = roles.get(quantity)
