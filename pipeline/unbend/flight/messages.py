@@ -72,6 +72,17 @@ def role_filled(*, role: str, channel: str) -> Message:
     return note(ROLE, "{shown}: {channel}", where=role, shown=_shown(role), channel=channel)
 
 
+def role_left_empty(*, role: str) -> Message:
+    """The mission file says that no channel plays a role."""
+    return note(
+        ROLE,
+        "{shown}: none, as log.channels.{role} is null",
+        where=role,
+        shown=_shown(role),
+        role=role,
+    )
+
+
 ROLE_AMBIGUOUS = Code(
     "ROLE-AMBIGUOUS",
     means="Several channels could play a role, and none of them is used.",

@@ -25,7 +25,8 @@ class Contents:
     ``messages`` by type or topic, wanted or not; ``channels`` (in a `Log` sorted, none empty);
     ``bad_bytes`` of no valid message; ``lost_messages`` by the log's own numbers; ``boots`` of the
     vehicle; ``time_base`` of its UTC in words; ``table`` decodes all messages of a type, or of one
-    instance; ``parameters`` as last logged; ``utc_sigma_s`` [s] of its UTC, NaN where unknown.
+    instance; ``parameters`` as last logged; ``utc_sigma_s`` [s] of its UTC, NaN where unknown;
+    ``unread_encodings`` of messages that are not read, each with a topic.
     """
 
     messages: Mapping[str, int]
@@ -37,6 +38,7 @@ class Contents:
     table: Callable[[str, str | None], Table] | None = None
     parameters: Mapping[str, float] = field(default_factory=dict)
     utc_sigma_s: float = float("nan")
+    unread_encodings: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -145,6 +145,7 @@ def _read(form: LogFormat, path: Path, ledger: Ledger, *, needs_channels: bool) 
             path=str(path),
             total=sum(contents.messages.values()),
             kinds=sorted(contents.messages)[:LISTED_TYPES],
+            unread=contents.unread_encodings,
         )
     counts = dict(sorted(contents.messages.items()))
     contents = replace(contents, messages=counts, channels=tuple(channels))

@@ -273,6 +273,7 @@ def roles_of_channels(
             names_of_roles(mission),
             needs_cabin=any(camera.needs_cabin_from_log for camera in mission.cameras.values()),
             elsewhere=replaced if has_log else ("position", "attitude"),
+            empty=() if mission.log is None else mission.log.channels.empty,
         )
     )
     return {role: ledger.take(plausible_samples(channel, role)) for role, channel in roles.items()}

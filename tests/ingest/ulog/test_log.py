@@ -476,6 +476,30 @@ def test_messages_that_were_cut_out_between_records_are_told(tmp_path: Path) -> 
     assert not [e for e in log.ledger if e.kind == "loss" and e.code != "LOG-GAP"]
 
 
+def test_a_log_that_is_mostly_silent_was_not_logged_all_the_time(tmp_path: Path) -> None:
+    """1,300 messages in 8.4 s of 50 s: no message of an intact log is said to be missing."""
+    head, rows = regular()
+    log = opened(tmp_path, head + b"".join(rows[:650] + rows[-650:]))
+    assert not log.ledger.has_losses
+    (paused,) = [entry for entry in log.ledger if entry.code == "LOG-PAUSED"]
+    assert (paused.kind, paused.count) == ("warning", 1)
+
+
+def test_a_topic_that_is_not_read_shows_that_the_log_goes_on(tmp_path: Path) -> None:
+    writer = ULogWriter()
+    for name in ("actuator_outputs", "vehicle_attitude"):
+        writer.define(name, "float[4] q;")
+    for name in ("actuator_outputs", "vehicle_attitude"):
+        writer.subscribe(name)
+    for k in range(200):
+        t = 60_000_000 + 50_000 * k
+        writer.row("actuator_outputs", "4f", t, 0.0, 0.0, 0.0, 0.0)
+        if not 60 <= k < 120:
+            writer.row("vehicle_attitude", "4f", t, 1.0, 0.0, 0.0, 0.0)
+    codes = {entry.code for entry in opened(tmp_path, writer.data).ledger}
+    assert not codes & {"LOG-GAP", "LOG-PAUSED"}
+
+
 def test_a_stray_time_is_no_cut(tmp_path: Path) -> None:
     head, rows = regular()
     at = next(k for k in range(1500, 2000) if len(rows[k]) == 29)  # an attitude

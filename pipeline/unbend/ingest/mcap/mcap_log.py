@@ -50,6 +50,7 @@ def read_log(path: Path, ledger: Ledger) -> Contents:
         boots=clock.line.boots,
         time_base=_time_base(clock, unstamped),
         table=partial(_table, path, clock),
+        unread_encodings=reader.unread_encodings,
     )
 
 

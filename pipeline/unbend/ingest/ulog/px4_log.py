@@ -4,7 +4,7 @@ import re
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,7 +62,7 @@ def read_log(path: Path, ledger: Ledger) -> Contents:
     texts = _texts_channel(log.texts, offset_ns, ledger)
     if texts is not None:
         channels.append(texts)
-    report_silences(log, path.name, ledger)
+    report_silences(log, path, ledger)
     return Contents(
         messages=dict(log.counts),
         channels=tuple(channels),
@@ -154,40 +154,86 @@ def _texts_channel(texts: list[Text], offset_ns: int, ledger: Ledger) -> Channel
     return channel_of(decoded, MessageMap((), text_field="text"), ledger)
 
 
-def report_silences(log: ULogMessages, name: str, ledger: Ledger) -> None:
+class _Silences(NamedTuple):
+    """The silences of all topics: when the first begins, how many, and how long together [ns].
+
+    ``logged_ns`` : the rest of the log.
+    """
+
+    first_ns: int
+    count: int
+    silent_ns: float
+    logged_ns: float
+
+
+def report_silences(log: ULogMessages, path: Path, ledger: Ledger) -> None:
     """Report silences of all topics: messages were cut out of the file, or never logged.
 
-    Only topics with short intervals show silences. Not counted are stray stamps, and stamps that
-    were sampled before the logger began.
+    Where most of the time is silent, the logger was not running all the time: no loss.
+    """
+    if _silences(log.rows) is None:
+        return
+    # Topics that are not wanted may have gone on: only a log with a silence is read for these.
+    silences = _silences(_messages(path, list(log.counts)).rows)
+    if silences is None:
+        return
+    after_boot_s = silences.first_ns * 1e-9
+    seconds = silences.silent_ns / 1e9
+    if silences.silent_ns > silences.logged_ns:
+        logged_s = silences.logged_ns / 1e9
+        ledger.add(
+            messages.logged_now_and_then(
+                file=path.name,
+                after_boot_s=after_boot_s,
+                count=silences.count,
+                seconds=seconds,
+                logged_s=logged_s,
+            )
+        )
+        return
+    messages_per_ns = log.counts.total() / silences.logged_ns
+    ledger.add(
+        messages.messages_cut_out(
+            file=path.name,
+            after_boot_s=after_boot_s,
+            count=silences.count,
+            seconds=seconds,
+            missing=round(messages_per_ns * silences.silent_ns),
+        )
+    )
+
+
+def _silences(rows_of_topic: TopicRows) -> _Silences | None:
+    """The silences of all of some topics; None without any.
+
+    Only topics with short intervals show silences; any topic ends them. Not counted are stray
+    stamps, and stamps that were sampled before the logger began.
     """
     times_of_topics = []
-    shortest_ns = float(LONGEST_INTERVAL_NS)
-    for rows in log.rows.values():
+    begin_ns = 0
+    shortest_ns = float("inf")
+    for rows in rows_of_topic.values():
         time_ns = nanoseconds(rows["timestamp"])[EARLY_ROWS:]
         time_ns = time_ns[~stray_times(time_ns)]
+        times_of_topics.append(time_ns)
         interval_ns = _median_interval_ns(time_ns)
         if interval_ns <= LONGEST_INTERVAL_NS:
-            times_of_topics.append(time_ns)
+            begin_ns = max(begin_ns, int(time_ns[0]))
             shortest_ns = min(shortest_ns, interval_ns)
-    if not times_of_topics:
-        return
-    begin_ns = max(int(time_ns[0]) for time_ns in times_of_topics)
+    if not np.isfinite(shortest_ns):
+        return None
     all_times_ns = np.unique(np.concatenate(times_of_topics))
     all_times_ns = all_times_ns[all_times_ns >= begin_ns]
     steps_ns = np.diff(all_times_ns)
     silent = steps_ns > max(SILENCE_NS, SILENT_INTERVALS * shortest_ns)
     if not silent.any():
-        return
-    silent_ns = float(steps_ns[silent].sum())
-    messages_per_ns = log.counts.total() / float(steps_ns[~silent].sum())
-    cut_out = messages.messages_cut_out(
-        file=name,
-        after_boot_s=float(all_times_ns[np.argmax(silent)]) * 1e-9,
+        return None
+    return _Silences(
+        first_ns=int(all_times_ns[np.argmax(silent)]),
         count=int(np.count_nonzero(silent)),
-        seconds=silent_ns / 1e9,
-        missing=round(messages_per_ns * silent_ns),
+        silent_ns=float(steps_ns[silent].sum()),
+        logged_ns=float(steps_ns[~silent].sum()),
     )
-    ledger.add(cut_out)
 
 
 def _median_interval_ns(time_ns: TimeArray) -> float:
