@@ -751,6 +751,18 @@ def trigger_times(*, channel: str, events: int) -> Message:
     )
 
 
+def perhaps_trigger_times(*, channel: str, events: int, parameter: str) -> Message:
+    """The log does not say whether captures have the times of triggers or of the shutter."""
+    return note(
+        EVENTS_TRIGGER_TIME,
+        "{where} has the times of the trigger commands if {parameter} was 0, which is not logged: "
+        "the shutter opens later then, which events.log.<camera>.delay_s takes into account",
+        where=channel,
+        count=events,
+        parameter=parameter,
+    )
+
+
 # Names of images.
 
 IMAGES_OTHER = Code(

@@ -334,6 +334,29 @@ LOG_DROPOUT = Code(
 )
 
 
+EVENTS_BOTH = Code(
+    "EVENTS-BOTH",
+    means="A topic has commands of the trigger and pulses of the shutter.",
+    effect="They are two channels: the pulses keep the name, the commands are named .sent.",
+    remedy="Name the one with the pulses.",
+)
+
+
+def pulses_and_commands(*, channel: str, pulses: int, sent: str, commands: int) -> Message:
+    """Events of two kinds in one topic."""
+    return note(
+        EVENTS_BOTH,
+        "{pulses} rows are pulses of the shutter (channel {channel}), {commands} are commands of "
+        "the trigger (channel {sent})",
+        where=channel,
+        count=pulses + commands,
+        channel=channel,
+        pulses=pulses,
+        sent=sent,
+        commands=commands,
+    )
+
+
 LOG_GAP = Code(
     "LOG-GAP",
     means="Nothing was logged for more than a second (of a radio link three).",

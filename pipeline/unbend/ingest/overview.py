@@ -9,8 +9,9 @@ from unbend.atmosphere.rejection import count_by_reason, described_counts
 from unbend.errors import MissionError
 from unbend.flight.channels import Channel
 from unbend.flight.evidence.quality import plausible_samples
+from unbend.flight.ground_times import NOTHING_SAID, GroundEvidence, takeoff_of
 from unbend.flight.roles import assign_roles, follows_height
-from unbend.flight.trajectory import interpolate, takeoff_of
+from unbend.flight.trajectory import interpolate
 from unbend.messages import Notes
 
 _ROLES = ("position", "height", "attitude", "pressure", "temperature", "humidity", "airspeed")
@@ -21,12 +22,14 @@ HEIGHT_PERCENTILES = (0.1, 99.9)  # the lowest and the highest without single wr
 _HEIGHT_REFERENCES = {"h_msl_m": "sea level", "h_ellipsoid_m": "ellipsoid"}
 
 
-def flight_of(position: Channel, height: Channel) -> dict[str, Any]:
+def flight_of(
+    position: Channel, height: Channel, evidence: GroundEvidence = NOTHING_SAID
+) -> dict[str, Any]:
     """Place, day and heights of a flight, from its channels of position and height.
 
     Latitude and longitude where the log begins, to 0.001 degrees (100 m). Heights [m] above
     ``height_reference``, 0.1 to 99.9 percentile; ``take_off_m`` where the log begins standing
-    still.
+    still, and not in a hover by the ``evidence`` of the log.
     """
     lat_rad = position["lat_rad"]
     lon_rad = position["lon_rad"]
@@ -43,7 +46,7 @@ def flight_of(position: Channel, height: Channel) -> dict[str, Any]:
     if known_heights_m.size:
         limits_m = np.percentile(known_heights_m, HEIGHT_PERCENTILES).round(1)
         lowest_m, highest_m = limits_m.tolist()
-    take_off = takeoff_of((position.time_ns, lat_rad, lon_rad, heights_m), None)
+    take_off = takeoff_of((position.time_ns, lat_rad, lon_rad, heights_m), None, evidence)
     first = int(np.argmax(known))
     start = np.datetime64(int(position.time_ns[first]), "ns")
     duration_s = float(position.time_ns[-1] - position.time_ns[0]) / 1e9
@@ -77,7 +80,7 @@ def roles_of(channels: Sequence[Channel]) -> tuple[dict[str, Any], list[dict[str
             rows.append(_row(role, able, remark_on(channel, role, height), channel))
     flight = {}
     if position is not None and height is not None:
-        flight = flight_of(position, height)
+        flight = flight_of(position, height, GroundEvidence.of(channels))
     return flight, rows
 
 

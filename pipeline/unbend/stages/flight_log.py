@@ -11,6 +11,7 @@ from unbend.flight.evidence.imported_channels import contradictions_of_import
 from unbend.flight.evidence.log_accuracy import LogAccuracy, with_accuracy
 from unbend.flight.evidence.quality import plausible_samples
 from unbend.flight.evidence.stretches import Stretch
+from unbend.flight.ground_times import GroundEvidence
 from unbend.flight.heights import HeightSystem, height_system, to_geodetic
 from unbend.flight.mount import Mount, gimbal_notes, is_of_gimbal, with_payload_attitude
 from unbend.flight.roles import assign_roles
@@ -73,6 +74,11 @@ class FlightLog:
         if position is None:
             return None
         return position.time_ns, position["lat_rad"], position["lon_rad"]
+
+    @property
+    def ground(self) -> GroundEvidence:
+        """What the log says of whether the aircraft stands on the ground."""
+        return GroundEvidence.of(self.channels)
 
     @property
     def air_roles(self) -> Roles:

@@ -228,7 +228,7 @@ def matched_stations(
     names = sorted({*stations.camera.tolist(), *cameras})
     images = {name: stations.image[stations.camera == name].tolist() for name in names}
     refuse_other_names(images, observed)
-    ledger.extend(exposures.ground_shot_notes(stations, flight.roles, observed))
+    ledger.extend(exposures.ground_shot_notes(stations, flight.roles, observed, flight.ground))
     stations = ledger.take(append_unmatched_images(stations, observed))
     ledger.extend(unusable_station_notes(stations))
     section = mission.stations

@@ -462,6 +462,28 @@ def regular() -> tuple[bytes, list[bytes]]:
     return head, rows
 
 
+def test_triggers_and_feedbacks_of_one_topic_are_two_channels(tmp_path: Path) -> None:
+    writer = ULogWriter()
+    writer.define("camera_trigger", "uint64_t timestamp_utc;uint32_t seq;bool feedback;")
+    writer.define("vehicle_land_detected", "bool landed;")
+    writer.subscribe("camera_trigger")
+    writer.subscribe("vehicle_land_detected")
+    for number in range(1, 9):
+        sent_us = 5_000_000 * number
+        writer.row("vehicle_land_detected", "?", sent_us, False)
+        writer.row("camera_trigger", "QI?", sent_us, 0, number, False)
+        writer.row("camera_trigger", "QI?", sent_us + 120_000, 0, number, True)
+    log = opened(tmp_path, writer.data)
+    pulses = log.channel("camera_trigger")
+    commands = log.channel("camera_trigger.sent")
+    assert pulses["event_index"].tolist() == commands["event_index"].tolist() == [*range(1, 9)]
+    assert ((pulses.time_ns - commands.time_ns) // 1000).tolist() == [120_000] * 8
+    assert pulses.rank < commands.rank
+    (both,) = [entry for entry in log.ledger if entry.code == "EVENTS-BOTH"]
+    assert (both.kind, both.count) == ("note", 16)
+    assert log.channel("vehicle_land_detected")["landed"].tolist() == [0.0] * 8
+
+
 def test_messages_that_were_cut_out_between_records_are_told(tmp_path: Path) -> None:
     head, rows = regular()
     assert not opened(tmp_path, head + b"".join(rows)).ledger.has_losses

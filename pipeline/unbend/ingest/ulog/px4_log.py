@@ -21,7 +21,13 @@ from unbend.ingest.boot_clock import (
     timeline,
 )
 from unbend.ingest.buffers import open_view
-from unbend.ingest.channel_builder import DecodedRows, captured_rows, channel_of, without_stray
+from unbend.ingest.channel_builder import (
+    DecodedRows,
+    captured_rows,
+    channel_of,
+    feedback_apart,
+    without_stray,
+)
 from unbend.ingest.field_maps import CAPTURE_UTC_FIELD, PX4_TOPICS, UTC_FIELD, MessageMap, extract
 from unbend.ingest.flight_log import Contents, LogFormat
 from unbend.ingest.message_tables import Table
@@ -56,9 +62,7 @@ def read_log(path: Path, ledger: Ledger) -> Contents:
     offset_ns, time_base = _clock(log.rows, sources, ledger)
     channels = []
     for topic, rows in log.rows.items():
-        channel = _channel(topic, rows, sources[topic], offset_ns, ledger)
-        if channel is not None:
-            channels.append(channel)
+        channels += _channels_of_topic(topic, rows, sources[topic], offset_ns, ledger)
     texts = _texts_channel(log.texts, offset_ns, ledger)
     if texts is not None:
         channels.append(texts)
@@ -117,10 +121,10 @@ def _channel_name(source: Source) -> str:
     return f"{source.message}[{source.instance}]"
 
 
-def _channel(
+def _channels_of_topic(
     topic: UlogTopic, rows: NDArray[Any], source: Source, offset_ns: int, ledger: Ledger
-) -> Channel | None:
-    """The channel of a topic; ``offset_ns`` is UTC minus time since boot."""
+) -> list[Channel]:
+    """The channel of a topic, or two of events; ``offset_ns`` is UTC minus time since boot."""
     spec = PX4_TOPICS[topic.name]
     boot_ns = nanoseconds(rows["timestamp"])
     fields = {_ELEMENT.sub(r".\1", name): rows[name] for name in _names(rows)}  # q[0] is "q.0"
@@ -137,7 +141,8 @@ def _channel(
     decoded = without_stray(decoded, stray_times(boot_ns), ledger)
     if spec.event:
         decoded = captured_rows(decoded, ledger)
-    return channel_of(decoded, spec, ledger)
+    parts = [channel_of(part, spec, ledger) for part in feedback_apart(decoded, ledger)]
+    return [channel for channel in parts if channel is not None]
 
 
 def _texts_channel(texts: list[Text], offset_ns: int, ledger: Ledger) -> Channel | None:
@@ -155,13 +160,13 @@ def _texts_channel(texts: list[Text], offset_ns: int, ledger: Ledger) -> Channel
 
 
 class _Silences(NamedTuple):
-    """The silences of all topics: when the first begins, how many, and how long together [ns].
+    """The silences of all topics: when the first begins, their number, and how long together [ns].
 
     ``logged_ns`` : the rest of the log.
     """
 
     first_ns: int
-    count: int
+    number: int
     silent_ns: float
     logged_ns: float
 
@@ -185,7 +190,7 @@ def report_silences(log: ULogMessages, path: Path, ledger: Ledger) -> None:
             messages.logged_now_and_then(
                 file=path.name,
                 after_boot_s=after_boot_s,
-                count=silences.count,
+                count=silences.number,
                 seconds=seconds,
                 logged_s=logged_s,
             )
@@ -196,7 +201,7 @@ def report_silences(log: ULogMessages, path: Path, ledger: Ledger) -> None:
         messages.messages_cut_out(
             file=path.name,
             after_boot_s=after_boot_s,
-            count=silences.count,
+            count=silences.number,
             seconds=seconds,
             missing=round(messages_per_ns * silences.silent_ns),
         )
@@ -230,7 +235,7 @@ def _silences(rows_of_topic: TopicRows) -> _Silences | None:
         return None
     return _Silences(
         first_ns=int(all_times_ns[np.argmax(silent)]),
-        count=int(np.count_nonzero(silent)),
+        number=int(np.count_nonzero(silent)),
         silent_ns=float(steps_ns[silent].sum()),
         logged_ns=float(steps_ns[~silent].sum()),
     )
