@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from unbend.errors import Code, Counted, MissionError
-from unbend.messages import Message, finding, loss, note, warning
+from unbend.messages import Message, fallback, finding, loss, note, warning
 
 # The clock.
 
@@ -70,6 +70,40 @@ ROLE = Code(
 def role_filled(*, role: str, channel: str) -> Message:
     """A channel plays a role for which the mission file names none."""
     return note(ROLE, "{shown}: {channel}", where=role, shown=_shown(role), channel=channel)
+
+
+ROLE_SPARE = Code(
+    "ROLE-SPARE",
+    means="The channel of a role falls silent, and a spare of its kind goes on.",
+    effect="The spare plays the role where the first gives nothing, with its own accuracy.",
+    remedy="Name the better channel under log.channels, if it is to play the role all the time.",
+)
+
+
+def spare_plays_role(*, role: str, channel: str, spare: str, seconds: float) -> Message:
+    """A channel ends, or begins late, and a spare gives its samples."""
+    return fallback(
+        ROLE_SPARE,
+        "{shown}: {spare} for {seconds:.1f} s, in which {channel} gives nothing",
+        where=role,
+        shown=_shown(role),
+        spare=spare,
+        channel=channel,
+        seconds=seconds,
+    )
+
+
+def spare_plays_all(*, role: str, channel: str, spare: str, seconds: float) -> Message:
+    """A sensor ends before the flight does, and a spare plays its role for the whole flight."""
+    return fallback(
+        ROLE_SPARE,
+        "{shown}: {spare}, as {channel} gives nothing for the last {seconds:.1f} s of the flight",
+        where=role,
+        shown=_shown(role),
+        spare=spare,
+        channel=channel,
+        seconds=seconds,
+    )
 
 
 def role_left_empty(*, role: str) -> Message:

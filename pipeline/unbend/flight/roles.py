@@ -9,6 +9,7 @@ from unbend.flight import messages
 from unbend.flight.channels import ROLE_COLUMNS, Channel
 from unbend.flight.trajectory import interpolate
 from unbend.messages import Message, Notes
+from unbend.units import NANOSECONDS_PER_SECOND
 
 # Roles of which a second sensor is a spare: the first of several equals is taken.
 _SPARES = {"position", "height", "attitude"}
@@ -23,6 +24,7 @@ _LEAST_HEIGHT_SPAN_M = 300.0  # over less, a closed compartment cannot be told f
 _FEWEST_PRESSURES = 10
 _LARGEST_UNEXPLAINED = 0.01  # part of the pressure's variation that a parabola may leave
 _HEIGHT_GAP_S = 5.0
+LONGEST_SILENCE_S = 10.0  # of a barometer before the end of the heights, that a spare is not needed
 
 
 def assign_roles(
@@ -212,20 +214,42 @@ def _fill_barometers(
     indoors = [channel for channel in barometers if follows_height(channel, height) is False]
     if seeks_outside:
         outdoors = [channel for channel in barometers if channel not in indoors]
-        yield from _fill_outside_pressure(filled, outdoors, indoors)
+        yield from _fill_outside_pressure(filled, outdoors, indoors, height)
     if seeks_cabin:
         yield from _fill_cabin_pressure(filled, indoors)
 
 
 def _fill_outside_pressure(
-    filled: dict[str, Channel], outdoors: list[Channel], indoors: list[Channel]
+    filled: dict[str, Channel], outdoors: list[Channel], indoors: list[Channel], height: Channel
 ) -> Iterator[Message]:
-    """Fill the pressure outside with the first barometer that may be outside."""
+    """Fill the pressure outside with the first barometer that may be outside.
+
+    One that falls silent before the flight ends gives way to the first that goes on.
+    """
     for channel in indoors:
         yield messages.barometer_not_outside(channel=channel.name)
-    if outdoors:
-        filled["pressure"] = outdoors[0]
-        yield messages.role_filled(role="pressure", channel=outdoors[0].name)
+    if not outdoors:
+        return
+    first = outdoors[0]
+    chosen = next((channel for channel in outdoors if _silent_s(channel, height) == 0.0), first)
+    filled["pressure"] = chosen
+    if chosen is first:
+        yield messages.role_filled(role="pressure", channel=first.name)
+    else:
+        yield messages.spare_plays_all(
+            role="pressure",
+            channel=first.name,
+            spare=chosen.name,
+            seconds=_silent_s(first, height),
+        )
+
+
+def _silent_s(channel: Channel, height: Channel) -> float:
+    """How long [s] a channel has ended before the heights do; 0 for less than ten seconds."""
+    if len(channel) == 0 or len(height) == 0:
+        return 0.0
+    silent_s = float(height.time_ns[-1] - channel.time_ns[-1]) / NANOSECONDS_PER_SECOND
+    return silent_s if silent_s > LONGEST_SILENCE_S else 0.0
 
 
 def _fill_cabin_pressure(filled: dict[str, Channel], indoors: list[Channel]) -> Iterator[Message]:

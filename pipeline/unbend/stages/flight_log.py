@@ -15,6 +15,7 @@ from unbend.flight.ground_times import GroundEvidence
 from unbend.flight.heights import HeightSystem, height_system, to_geodetic
 from unbend.flight.mount import Mount, gimbal_notes, is_of_gimbal, with_payload_attitude
 from unbend.flight.roles import assign_roles
+from unbend.flight.spares import with_spares
 from unbend.ingest import Log
 from unbend.ingest.field_maps import in_stated_unit
 from unbend.messages import Ledger
@@ -282,7 +283,10 @@ def roles_of_channels(
             empty=() if mission.log is None else mission.log.channels.empty,
         )
     )
-    return {role: ledger.take(plausible_samples(channel, role)) for role, channel in roles.items()}
+    plausible = {}
+    for role, channel in roles.items():
+        plausible[role] = ledger.take(plausible_samples(channel, role))
+    return ledger.take(with_spares(plausible, channels, names_of_roles(mission)))
 
 
 def heads_of_cameras(
