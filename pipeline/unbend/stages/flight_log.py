@@ -21,6 +21,7 @@ from unbend.ingest.field_maps import in_stated_unit
 from unbend.messages import Ledger
 from unbend.stages import messages
 from unbend.stages.opened_inputs import OpenedInputs
+from unbend.stages.vehicle import channels_of_one_vehicle
 from unbend.tables.geodata.geoid import package_geoid
 from unbend.tables.imports.agreement import compare_with_log
 from unbend.tables.imports.stated import Stated
@@ -144,7 +145,7 @@ def report_gimbals(
 
 
 def channels_of_log(mission: Mission, log: Log | None, ledger: Ledger) -> tuple[Channel, ...]:
-    """The channels of a log as the mission file states them.
+    """The channels of a log as the mission file states them, of the vehicle that flew it.
 
     The attitude that ``log.channels`` names, and that of each mount, may be of a gimbal: its
     channel then has the attitude of the payload.
@@ -154,6 +155,7 @@ def channels_of_log(mission: Mission, log: Log | None, ledger: Ledger) -> tuple[
         return ()
     names = names_of_roles(mission)
     channels = stated_channels(mission, log.channels)
+    channels = channels_of_one_vehicle(mission, channels, names, ledger)
     attitudes = [names.get("attitude", "")]
     for mount in mission.mount.values():
         if mount.attitude is not None:

@@ -68,9 +68,9 @@ class _PositionVariances(NamedTuple):
 class LogAccuracy:
     """What a log says about the accuracy of its positions and attitudes; None where nothing.
 
-    ``receiver`` has ``sigma_h_m`` and ``sigma_v_m``, or ``hdop``, as have ``spare_receivers``, which
-    count where it is silent; ``health`` the innovations of the
-    filter over their gates; ``fused`` the heights of the filter.
+    ``receiver`` has ``sigma_h_m`` and ``sigma_v_m``, or ``hdop``; so have ``spare_receivers``,
+    which count where it is silent. ``health`` has the innovations of the filter over their gates,
+    ``fused`` the heights of the filter.
     """
 
     receiver: Channel | None = None
