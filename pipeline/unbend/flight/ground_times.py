@@ -18,7 +18,7 @@ WINDOW_S = 10.0
 SHORTEST_WINDOW_S = 5.0  # at the ends of a log
 FEWEST_SAMPLES = 3
 EXTREME_PERCENTILES = (0.5, 99.5)  # of heights: the lowest and the highest ones may be wrong
-FLIES_ABOVE_HOME_M = 50.0  # higher above the take-off it does not stand where it took off [m]
+FLIES_ABOVE_HOME_M = 20.0  # higher above the take-off it does not stand where it took off [m]
 
 HOME_NOT_SET_M = 0.01  # where a height above home is that above the sea, home is not set [m]
 _HOME_GAP_S = 5.0  # between heights above home
@@ -55,11 +55,6 @@ class GroundEvidence:
                 columns = dict(position.columns) | {"h_home_m": above_home_m}
                 return cls(tuple(landed), replace(position, columns=columns, labels={}))
         return cls(tuple(landed))
-
-    @property
-    def is_known(self) -> bool:
-        """Whether the log says anything."""
-        return bool(self.landed) or self.above_home is not None
 
     def landed_at(self, time_ns: TimeArray) -> Array:
         """(n,) 1 where the autopilot last said that it stands, 0 that it flies, NaN before that."""
@@ -136,8 +131,8 @@ def times_on_the_ground(height: Channel, evidence: GroundEvidence = NOTHING_SAID
 
     It stands where it moves neither along nor up over ten seconds, near the lowest height of the
     log, so each landing and take-off of a log with several flights is seen; or where the autopilot
-    says that it stands. What the log says of flying overrules the motion: a hover is no ground.
-    Where it says nothing, a log that never rises is one of a hover.
+    says that it stands. What the log says of flying overrules the motion: a hover is no ground. A
+    log that never rises shows no ground by its motion: it may be one of a hover.
     """
     column = height.height_column
     if column is None:
@@ -150,8 +145,8 @@ def times_on_the_ground(height: Channel, evidence: GroundEvidence = NOTHING_SAID
     still = _stands_still(time_ns, height_m, height["lat_rad"][known], height["lon_rad"][known])
     lowest, highest = np.percentile(height_m, EXTREME_PERCENTILES).tolist()
     is_low = height_m < lowest + GROUND_RISE_M
-    if highest < lowest + GROUND_RISE_M and not evidence.is_known:
-        return np.empty(0, np.int64)
+    if highest < lowest + GROUND_RISE_M:
+        is_low[:] = False
     says_landed = evidence.landed_at(time_ns) == 1.0
     is_on_ground = still & (is_low | says_landed) & ~evidence.flies(time_ns)
     return np.asarray(time_ns[is_on_ground])

@@ -134,9 +134,13 @@ class Log(Contents):
 
     def to_json_dict(self) -> dict[str, Any]:
         """A summary of the log for ``unbend inspect --json``."""
-        from unbend.ingest.overview import roles_of
+        from unbend.ingest.overview import receivers_of, roles_of, vehicles_of
 
-        flight, roles = roles_of(self.channels)
+        vehicles = vehicles_of(self.channels)
+        if vehicles:  # a mission has one of them
+            flight, roles = vehicles[0]["flight"], vehicles[0]["roles"]
+        else:
+            flight, roles = roles_of(self.channels)
         return {
             "format": self.format,
             "sha256": self.sha256,
@@ -151,6 +155,8 @@ class Log(Contents):
             "duration_s": self.duration_s,
             "flight": flight,
             "roles": roles,
+            "vehicles": vehicles,
+            "receivers": receivers_of(self.channels),
             "time_base": self.time_base,
             "ledger": self.ledger.rows(),
         }

@@ -187,15 +187,12 @@ def print_log(console: Console, log: Mapping[str, Any], name: str) -> None:
              f"{log['lost_messages']:,} lost" + (f", {boots} boots" if boots > 1 else "")),
         ],
     )  # fmt: skip
-    roles = [
-        (row["role"], row["channel"] or "-",
-         "" if row["rate_hz"] is None else f"{row['rate_hz']:.3g}",
-         "; also ".join(filter(None, (row["remark"], ", ".join(row["others"])))))
-        for row in log["roles"]
-    ]  # fmt: skip
-    console.print()
-    heads = "role", "channel", "rate [Hz]", "remark"
-    print_rows(console, heads, roles, gap=2, left=(1, 3))
+    for vehicle in log["vehicles"] or [{"vehicle": "", "roles": log["roles"]}]:
+        console.print()
+        if vehicle["vehicle"]:
+            console.print(f"  [bold]{shown(vehicle['vehicle'])}[/bold], one of several vehicles")
+        print_roles(console, vehicle["roles"])
+    print_receivers(console, log["receivers"])
     table = plain_table(("channel", "samples", "rate [Hz]", "gaps", "gaps [s]"), gap=2)
     # Names are copied into mission files: in one piece, and never cut.
     table.columns[0].overflow = "fold"
@@ -208,6 +205,25 @@ def print_log(console: Console, log: Mapping[str, Any], name: str) -> None:
     print_indented(console, table)
     console.print()
     print_ledger(console, [MessageRecord(**entry) for entry in log["ledger"]])
+
+
+def print_roles(console: Console, roles: Sequence[Mapping[str, Any]]) -> None:
+    """The channel of each role, and what speaks for it."""
+    rows = []
+    for row in roles:
+        rate = "" if row["rate_hz"] is None else f"{row['rate_hz']:.3g}"
+        remarks = [text for text in (row["remark"], ", ".join(row["others"])) if text]
+        rows.append((row["role"], row["channel"] or "-", rate, "; also ".join(remarks)))
+    print_rows(console, ("role", "channel", "rate [Hz]", "remark"), rows, gap=2, left=(1, 3))
+
+
+def print_receivers(console: Console, receivers: Sequence[Mapping[str, str]]) -> None:
+    """What each of several receivers is believed to be good for, and why."""
+    if len(receivers) < 2:
+        return
+    rows = [(row["channel"], row["good_for"], row["why"]) for row in receivers]
+    console.print()
+    print_rows(console, ("receiver", "good for", "why"), rows, gap=2, left=(1, 2))
 
 
 def print_model(console: Console, contents: Mapping[str, Any], name: str) -> None:
