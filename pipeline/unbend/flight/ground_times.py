@@ -53,18 +53,33 @@ class GroundEvidence:
             above_home_m = _above_home(position, home)
             if np.isfinite(above_home_m).any():
                 columns = dict(position.columns) | {"h_home_m": above_home_m}
-                return cls(tuple(landed), replace(position, columns=columns, labels={}))
+                return cls(
+                    tuple(landed),
+                    replace(
+                        position,
+                        columns=columns,
+                        labels={},
+                    ),
+                )
         return cls(tuple(landed))
 
     def landed_at(self, time_ns: TimeArray) -> Array:
         """(n,) 1 where the autopilot last said that it stands, 0 that it flies, NaN before that."""
-        said = np.full(time_ns.shape, np.nan)
+        landed = np.full(time_ns.shape, np.nan)
         for channel in self.landed:
             values = _landed_of(channel)
             if values is None:
                 continue
-            said = np.where(np.isnan(said), _last_said(channel, values, time_ns), said)
-        return said
+            landed = np.where(
+                np.isnan(landed),
+                _last_said(
+                    channel,
+                    values,
+                    time_ns,
+                ),
+                landed,
+            )
+        return landed
 
     def flies(self, time_ns: TimeArray) -> Mask:
         """(n,) where the log says that the aircraft is in the air."""
@@ -72,15 +87,35 @@ class GroundEvidence:
         is_high = np.zeros(time_ns.shape, np.bool_)
         if self.above_home is not None:
             gap_s = self.above_home.gap_limit_s(_HOME_GAP_S)
-            above_home_m = interpolate(self.above_home, "h_home_m", time_ns, gap_s)
+            above_home_m = interpolate(
+                self.above_home,
+                "h_home_m",
+                time_ns,
+                gap_s,
+            )
             is_high = above_home_m > FLIES_ABOVE_HOME_M
         return np.asarray((landed == 0.0) | (is_high & ~(landed == 1.0)))
 
 
-def _last_said(channel: Channel, values: Array, time_ns: TimeArray) -> Array:
+def _last_said(
+    channel: Channel,
+    values: Array,
+    time_ns: TimeArray,
+) -> Array:
     """(n,) the values of a channel last before instants; NaN before the first."""
-    row = np.searchsorted(channel.time_ns, time_ns, side="right") - 1
-    return np.where(row >= 0, values[np.maximum(row, 0)], np.nan)
+    row = (
+        np.searchsorted(
+            channel.time_ns,
+            time_ns,
+            side="right",
+        )
+        - 1
+    )
+    return np.where(
+        row >= 0,
+        values[np.maximum(row, 0)],
+        np.nan,
+    )
 
 
 def _above_home(position: Channel, home: Channel | None) -> Array:
@@ -93,10 +128,25 @@ def _above_home(position: Channel, home: Channel | None) -> Array:
     above_home_m = position.get("h_home_m")
     if np.isfinite(above_home_m).any():
         is_set = ~(np.abs(h_msl_m - above_home_m) < HOME_NOT_SET_M)
-        return np.where(is_set, above_home_m, np.nan) if is_set.any() else above_home_m
+        return (
+            np.where(
+                is_set,
+                above_home_m,
+                np.nan,
+            )
+            if is_set.any()
+            else above_home_m
+        )
     if home is None:
         return above_home_m
-    return np.asarray(h_msl_m - _last_said(home, home["home_h_msl_m"], position.time_ns))
+    return np.asarray(
+        h_msl_m
+        - _last_said(
+            home,
+            home["home_h_msl_m"],
+            position.time_ns,
+        )
+    )
 
 
 def _landed_of(channel: Channel) -> Array | None:
@@ -107,7 +157,11 @@ def _landed_of(channel: Channel) -> Array | None:
     if "landed_state" in columns:
         state = columns["landed_state"]
         landed = (state == _MAV_LANDED_STATE_ON_GROUND).astype(np.float64)
-        return np.where(np.isfinite(state), landed, np.nan)
+        return np.where(
+            np.isfinite(state),
+            landed,
+            np.nan,
+        )
     if "flying" in columns:
         return 1.0 - columns["flying"]
     texts = channel.labels.get("text", ())
@@ -142,7 +196,12 @@ def times_on_the_ground(height: Channel, evidence: GroundEvidence = NOTHING_SAID
         return np.empty(0, np.int64)
     time_ns = height.time_ns[known]
     height_m = height[column][known]
-    still = _stands_still(time_ns, height_m, height["lat_rad"][known], height["lon_rad"][known])
+    still = _stands_still(
+        time_ns,
+        height_m,
+        height["lat_rad"][known],
+        height["lon_rad"][known],
+    )
     lowest, highest = np.percentile(height_m, EXTREME_PERCENTILES).tolist()
     is_low = height_m < lowest + GROUND_RISE_M
     if highest < lowest + GROUND_RISE_M:
@@ -152,22 +211,51 @@ def times_on_the_ground(height: Channel, evidence: GroundEvidence = NOTHING_SAID
     return np.asarray(time_ns[is_on_ground])
 
 
-def _stands_still(time_ns: Integers, height_m: Array, lat_rad: Array, lon_rad: Array) -> Mask:
+def _stands_still(
+    time_ns: Integers,
+    height_m: Array,
+    lat_rad: Array,
+    lon_rad: Array,
+) -> Mask:
     """(n,) whether an aircraft moves neither along nor up over ten seconds."""
     seconds = (time_ns - time_ns[0]) * 1e-9
     north_m = lat_rad * _EARTH_M
     east_m = np.unwrap(lon_rad) * np.cos(lat_rad[0]) * _EARTH_M
     track = [north_m, east_m, height_m]
     # Until it takes off it stood still before, and from the landing on it stands still afterwards.
-    stood_still = _moves_little(track, seconds, -WINDOW_S)
-    will_stand_still = _moves_little(track, seconds, WINDOW_S)
+    stood_still = _moves_little(
+        track,
+        seconds,
+        -WINDOW_S,
+    )
+    will_stand_still = _moves_little(
+        track,
+        seconds,
+        WINDOW_S,
+    )
     return stood_still | will_stand_still
 
 
-def _moves_little(track: list[Array], seconds: Array, window_s: float) -> Mask:
+def _moves_little(
+    track: list[Array],
+    seconds: Array,
+    window_s: float,
+) -> Mask:
     """(n,) whether a track moves by less than `STILL_M_S` from each sample to a window away."""
-    other = np.clip(seconds + window_s, seconds[0], seconds[-1])
-    moved = [np.interp(other, seconds, values) - values for values in track]
+    other = np.clip(
+        seconds + window_s,
+        seconds[0],
+        seconds[-1],
+    )
+    moved = [
+        np.interp(
+            other,
+            seconds,
+            values,
+        )
+        - values
+        for values in track
+    ]
     distance = np.sqrt(np.sum(np.square(moved), axis=0))
     lasted = np.abs(other - seconds)  # of a log that began in the air there is no half of it
     return np.asarray((lasted >= SHORTEST_WINDOW_S) & (distance < STILL_M_S * lasted))
@@ -194,7 +282,10 @@ def takeoff_of(
     ``home_m`` is the take-off height [m], if known. A hover, by the ``evidence`` of the log, is no
     take-off.
     """
-    time_ns, lat_rad, lon_rad, height_m = track
+    time_ns = track[0]
+    lat_rad = track[1]
+    lon_rad = track[2]
+    height_m = track[3]
     known = np.isfinite(lat_rad + lon_rad + height_m)
     if not known.any():
         return None
@@ -213,4 +304,9 @@ def takeoff_of(
     logged_m = float(np.median(height_m))
     home_m = logged_m if home_m is None else home_m
     is_at_home = abs(logged_m - home_m) <= _TAKEOFF_MOVE_M
-    return Takeoff(float(lat_rad[0]), float(lon_rad[0]), home_m, stands=stands and is_at_home)
+    return Takeoff(
+        float(lat_rad[0]),
+        float(lon_rad[0]),
+        home_m,
+        stands=stands and is_at_home,
+    )

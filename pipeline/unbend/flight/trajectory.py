@@ -265,7 +265,13 @@ def attitude_at(channel: Channel, time_ns: TimeArray, max_gap_s: float) -> Attit
         inverse = unit[first] * [-1.0, -1.0, -1.0, 1.0]
         return rotation_vectors(quaternion_products(inverse, unit[second]))
 
-    curve = _Curve(channel, RATES, turn, _LIMITS_RAD, RATE_LAG_S)
+    curve = _Curve(
+        channel,
+        RATES,
+        turn,
+        _LIMITS_RAD,
+        RATE_LAG_S,
+    )
     step, bend = curve.between(samples)
     turned = step * samples.fraction[:, None] + bend
     quaternion = quaternion_products(unit[samples.before], _quaternions_of_vectors(turned))
@@ -365,7 +371,13 @@ class _Curve:
         end = self._parabola(step, interval_s, after, later)
         return begin, end
 
-    def _parabola(self, step: Array, interval_s: Array, first: Rows, second: Rows) -> Array:
+    def _parabola(
+        self,
+        step: Array,
+        interval_s: Array,
+        first: Rows,
+        second: Rows,
+    ) -> Array:
         """(m, k) slope of a parabola, over the whole interval, where that meets a neighbouring one.
 
         The neighbouring interval lies between the rows ``first`` and ``second``. Where that is too

@@ -137,10 +137,10 @@ class Log(Contents):
         from unbend.ingest.overview import receivers_of, roles_of, vehicles_of
 
         vehicles = vehicles_of(self.channels)
+        flight, roles = roles_of(self.channels)
         if vehicles:  # a mission has one of them
-            flight, roles = vehicles[0]["flight"], vehicles[0]["roles"]
-        else:
-            flight, roles = roles_of(self.channels)
+            flight = vehicles[0]["flight"]
+            roles = vehicles[0]["roles"]
         return {
             "format": self.format,
             "sha256": self.sha256,

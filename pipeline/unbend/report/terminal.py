@@ -214,7 +214,13 @@ def print_roles(console: Console, roles: Sequence[Mapping[str, Any]]) -> None:
         rate = "" if row["rate_hz"] is None else f"{row['rate_hz']:.3g}"
         remarks = [text for text in (row["remark"], ", ".join(row["others"])) if text]
         rows.append((row["role"], row["channel"] or "-", rate, "; also ".join(remarks)))
-    print_rows(console, ("role", "channel", "rate [Hz]", "remark"), rows, gap=2, left=(1, 3))
+    print_rows(
+        console,
+        ("role", "channel", "rate [Hz]", "remark"),
+        rows,
+        gap=2,
+        left=(1, 3),
+    )
 
 
 def print_receivers(console: Console, receivers: Sequence[Mapping[str, str]]) -> None:
@@ -223,7 +229,13 @@ def print_receivers(console: Console, receivers: Sequence[Mapping[str, str]]) ->
         return
     rows = [(row["channel"], row["good_for"], row["why"]) for row in receivers]
     console.print()
-    print_rows(console, ("receiver", "good for", "why"), rows, gap=2, left=(1, 2))
+    print_rows(
+        console,
+        ("receiver", "good for", "why"),
+        rows,
+        gap=2,
+        left=(1, 2),
+    )
 
 
 def print_model(console: Console, contents: Mapping[str, Any], name: str) -> None:
@@ -253,7 +265,13 @@ def print_model(console: Console, contents: Mapping[str, Any], name: str) -> Non
     cells = [[str(row[key]) for key in keys] for row in contents["variables"]]
     console.print()
     heads = "variable", "unit", "levels", "name"
-    print_rows(console, heads, cells, gap=2, left=(1, 3))
+    print_rows(
+        console,
+        heads,
+        cells,
+        gap=2,
+        left=(1, 3),
+    )
 
 
 def print_fields(console: Console, title: str, rows: Sequence[Mapping[str, str]]) -> None:

@@ -104,15 +104,15 @@ LOG_VEHICLES = Code(
 
 def vehicles_ambiguous(*, vehicles: Sequence[str], reason: str) -> MissionError:
     """Neither events nor named channels say which vehicle flew the mission."""
-    said = f"; {reason} are named of several" if reason else ""
+    contradiction = f"; {reason} are named of several" if reason else ""
     return MissionError(
         LOG_VEHICLES,
-        "the log has several vehicles: {listed}{said}",
+        "the log has several vehicles: {listed}{contradiction}",
         where="log",
         remedy="name the events of one of them (events.log.<camera>.channel), or its position "
         "(log.channels.position)",
         listed="; ".join(vehicles),
-        said=said,
+        contradiction=contradiction,
     )
 
 

@@ -81,7 +81,12 @@ def _rejected_measurements(column: str, lanes: list[Channel]) -> list[Stretch]:
     time_ns = lanes[0].time_ns
     ratio = lanes[0][column]
     for lane in lanes[1:]:
-        lane_ratio = interpolate(lane, column, time_ns, lane.gap_limit_s(_LANE_GAP_S))
+        lane_ratio = interpolate(
+            lane,
+            column,
+            time_ns,
+            lane.gap_limit_s(_LANE_GAP_S),
+        )
         ratio = np.fmin(ratio, lane_ratio)
     suspect: list[Stretch] = []
     for run in runs(time_ns, ratio > SETTLED_RATIO, ratio > REJECTED_RATIO, SETTLED_S):

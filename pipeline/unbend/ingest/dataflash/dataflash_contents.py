@@ -49,7 +49,9 @@ def contents_of(
     timed = timed_tables(tables, ledger)
     clock, time_base = clock_of(line, timed, ledger)
     parameters = _last_values(timed.get("PARM", {}))
-    dropped = sum(_dropped_messages(name, timed, clock, ledger) for name in DROP_COUNTERS)
+    dropped = 0
+    for name in DROP_COUNTERS:
+        dropped += _dropped_messages(name, timed, clock, ledger)
 
     def table(name: str, instance: str | None) -> Table:
         decoded = reread({name})

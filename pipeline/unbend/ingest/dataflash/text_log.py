@@ -42,7 +42,14 @@ def read_log(path: Path, ledger: Ledger) -> Contents:
         return _LineReader().read(path, names)
 
     line = timeline(reader.stamps())
-    return contents_of(reader, dict(reader.counts), line, tables, ledger, reread=reread)
+    return contents_of(
+        reader,
+        dict(reader.counts),
+        line,
+        tables,
+        ledger,
+        reread=reread,
+    )
 
 
 def is_text(head: bytes) -> bool:

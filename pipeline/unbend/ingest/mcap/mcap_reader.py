@@ -115,7 +115,13 @@ class McapReader:
         if not self._recorded:
             return None
         places, boot_ns, log_ns = np.concatenate(self._recorded, axis=1)
-        return UtcReadings("log_time", places, boot_ns, log_ns, log_ns > UNIX_NS_FROM)
+        return UtcReadings(
+            "log_time",
+            places,
+            boot_ns,
+            log_ns,
+            log_ns > UNIX_NS_FROM,
+        )
 
     def release_topics(self) -> None:
         """Free the memory of what was read of the topics; others may hold parts of it."""
@@ -170,7 +176,8 @@ class McapReader:
         """Begin to read the topic of a channel, if it is wanted and can be decoded."""
         schema = self._schemas.get(channel.schema_id)
         name = known_name(schema.name) if schema is not None else ""
-        self._note_encoding(channel, schema)
+        of_schema = "" if schema is None else schema.encoding
+        self._note_encoding(channel.topic, channel.message_encoding, of_schema)
         if self.only is None:
             is_wanted = name in SCHEMAS or channel.message_encoding == "json"
         else:
@@ -190,17 +197,19 @@ class McapReader:
                 self.topics[key] = topics.Topic(channel.topic, name, spec, series)
             self._subscriptions[channel.id] = _Subscription(self.topics[key], decoder)
 
-    def _note_encoding(self, channel: Any, schema: Any) -> None:
-        """Keep the encoding of a channel if its messages cannot be read."""
-        encoding = channel.message_encoding
-        of_schema = "" if schema is None else schema.encoding
+    def _note_encoding(self, topic: str, encoding: str, of_schema: str) -> None:
+        """Keep the encoding of a topic, and of its schema, if its messages cannot be read."""
         if encoding == "json" or (encoding, of_schema) in READ_ENCODINGS:
             return
         described = f"{encoding or 'no encoding'} with {of_schema or 'no'} definitions"
-        self.unread_encodings.setdefault(described, channel.topic)
+        self.unread_encodings.setdefault(described, topic)
 
     def _decoder(
-        self, channel: Any, schema: Any, name: str, spec: MessageMap
+        self,
+        channel: Any,
+        schema: Any,
+        name: str,
+        spec: MessageMap,
     ) -> topics.Decoder | Exception | None:
         """What decodes the messages of a channel; an error of its schema; None where it is left.
 
@@ -222,7 +231,11 @@ class McapReader:
         return decoder
 
     def _new_decoder(
-        self, channel: Any, schema: Any, name: str, spec: MessageMap
+        self,
+        channel: Any,
+        schema: Any,
+        name: str,
+        spec: MessageMap,
     ) -> topics.Decoder | None:
         """What decodes the messages of a channel; None where their encoding is not read."""
         wanted = None if self.only else topics.paths_of(spec)
