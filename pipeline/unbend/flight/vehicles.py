@@ -1,4 +1,4 @@
-"""The vehicles of one log, told apart by who sent the messages and by where they were."""
+"""The vehicles of one log, kept apart by who sent the messages and by where they were."""
 
 from __future__ import annotations
 

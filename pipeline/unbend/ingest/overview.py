@@ -98,7 +98,7 @@ def vehicles_of(channels: Sequence[Channel]) -> list[dict[str, Any]]:
 
 
 def receivers_of(channels: Sequence[Channel]) -> list[dict[str, Any]]:
-    """Each receiver of a log: its vehicle, what it is believed to be good for, and why."""
+    """Each receiver of a log: its vehicle, what it is good for, and why."""
     vehicles = Vehicles.of(channels)
     rows = []
     for name in vehicles.names or ("",):

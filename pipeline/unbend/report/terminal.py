@@ -224,7 +224,7 @@ def print_roles(console: Console, roles: Sequence[Mapping[str, Any]]) -> None:
 
 
 def print_receivers(console: Console, receivers: Sequence[Mapping[str, str]]) -> None:
-    """What each of several receivers is believed to be good for, and why."""
+    """What each of several receivers is good for, and why."""
     if len(receivers) < 2:
         return
     rows = [(row["channel"], row["good_for"], row["why"]) for row in receivers]
