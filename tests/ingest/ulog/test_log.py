@@ -507,6 +507,23 @@ def test_a_log_that_is_mostly_silent_was_not_logged_all_the_time(tmp_path: Path)
     assert (paused.kind, paused.count) == ("warning", 1)
 
 
+def test_events_in_bursts_are_no_steady_topic(tmp_path: Path) -> None:
+    """Eight triggers, each with its feedback 0.12 s later, in a log of one attitude a second."""
+    writer = ULogWriter()
+    writer.define("camera_trigger", "uint64_t timestamp_utc;uint32_t seq;bool feedback;")
+    writer.define("vehicle_attitude", "float[4] q;")
+    for name in ("camera_trigger", "vehicle_attitude"):
+        writer.subscribe(name)
+    for number in range(1, 61):
+        second_us = 5_000_000 + 1_000_000 * number
+        writer.row("vehicle_attitude", "4f", second_us, 1.0, 0.0, 0.0, 0.0)
+        if number % 3 == 0:
+            writer.row("camera_trigger", "QI?", second_us + 10_000, 0, number, False)
+            writer.row("camera_trigger", "QI?", second_us + 130_000, 0, number, True)
+    codes = {entry.code for entry in opened(tmp_path, writer.data).ledger}
+    assert not codes & {"LOG-GAP", "LOG-PAUSED"}
+
+
 def test_a_topic_that_is_not_read_shows_that_the_log_goes_on(tmp_path: Path) -> None:
     writer = ULogWriter()
     for name in ("actuator_outputs", "vehicle_attitude"):

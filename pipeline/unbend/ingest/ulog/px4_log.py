@@ -46,6 +46,7 @@ from unbend.messages import Ledger
 SILENCE_NS = 100_000_000  # PX4 logs tens to hundreds of messages in this time
 SILENT_INTERVALS = 5.0  # of the topic with the shortest interval: no silence is shorter
 LONGEST_INTERVAL_NS = 200_000_000  # of a topic that shows whether anything was logged
+MOST_INTERVALS = 95.0  # percentile of the intervals of a topic that are short, if it is steady
 EARLY_ROWS = 2  # of a topic, that were sampled before the logger began
 
 _ONE_BOOT = timeline([(np.zeros(1, np.int64), np.zeros(1, np.int64))])  # a log a boot
@@ -211,8 +212,9 @@ def report_silences(log: ULogMessages, path: Path, ledger: Ledger) -> None:
 def _silences(rows_of_topic: TopicRows) -> _Silences | None:
     """The silences of all of some topics; None without any.
 
-    Only topics with short intervals show silences; any topic ends them. Not counted are stray
-    stamps, and stamps that were sampled before the logger began.
+    Only topics whose intervals are short throughout show silences, not those that come in bursts;
+    any topic ends them. Not counted are stray stamps, and stamps that were sampled before the
+    logger began.
     """
     times_of_topics = []
     begin_ns = 0
@@ -221,10 +223,12 @@ def _silences(rows_of_topic: TopicRows) -> _Silences | None:
         time_ns = nanoseconds(rows["timestamp"])[EARLY_ROWS:]
         time_ns = time_ns[~stray_times(time_ns)]
         times_of_topics.append(time_ns)
-        interval_ns = _median_interval_ns(time_ns)
-        if interval_ns <= LONGEST_INTERVAL_NS:
+        if time_ns.size <= STRAY_ROWS:
+            continue
+        usual_ns, long_ns = np.percentile(np.diff(time_ns), [50.0, MOST_INTERVALS]).tolist()
+        if long_ns <= LONGEST_INTERVAL_NS:
             begin_ns = max(begin_ns, int(time_ns[0]))
-            shortest_ns = min(shortest_ns, interval_ns)
+            shortest_ns = min(shortest_ns, usual_ns)
     if not np.isfinite(shortest_ns):
         return None
     all_times_ns = np.unique(np.concatenate(times_of_topics))
@@ -239,13 +243,6 @@ def _silences(rows_of_topic: TopicRows) -> _Silences | None:
         silent_ns=float(steps_ns[silent].sum()),
         logged_ns=float(steps_ns[~silent].sum()),
     )
-
-
-def _median_interval_ns(time_ns: TimeArray) -> float:
-    """The median time between the messages of a topic [ns]; infinite for few."""
-    if time_ns.size <= STRAY_ROWS:
-        return float("inf")
-    return float(np.median(np.diff(time_ns)))
 
 
 def _clock(
