@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from unbend.flight.channels import Channel, Source, TimeArray
+from unbend.flight.channels import Channel, Source
 from unbend.flight.clock import STRAY_ROWS, UNIX_US_FROM, stray_times
 from unbend.ingest.attitude import earth_frame_attitude
 from unbend.ingest.boot_clock import (
