@@ -702,3 +702,11 @@ def test_without_a_log_nothing_comes_from_a_log(refused, accepted):
     assert "needs log and events" in refused(oriented(unknown)).what
     air = {"board_temperature": True}
     assert "log.channels.temperature" in refused(no_log | {"atmosphere": air}).what
+
+
+def test_a_channel_of_null_is_stated_and_one_without_its_key_is_not(accepted):
+    content = copy.deepcopy(FULL)
+    content["log"]["channels"] = {"temperature": None, "pressure": "BARO[0]"}
+    channels = accepted(content).log.channels
+    assert channels.empty == ("temperature",)
+    assert list(channels.named()) == ["pressure"]

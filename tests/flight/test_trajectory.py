@@ -9,16 +9,15 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
 from unbend.flight.channels import Channel, Source
+from unbend.flight.ground_times import LoggedPath, takeoff_of
 from unbend.flight.trajectory import (
     GAP_IN_CHANNEL,
     INSIDE,
     OUTSIDE_CHANNEL,
-    LoggedPath,
     attitude_at,
     bend_of_heights,
     bracket,
     interpolate,
-    takeoff_of,
     track_at,
     with_slopes,
 )

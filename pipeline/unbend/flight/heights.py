@@ -10,6 +10,7 @@ import numpy as np
 
 from unbend.flight import messages
 from unbend.flight.channels import Channel
+from unbend.flight.ground_times import HOME_NOT_SET_M
 from unbend.flight.stations import Stations
 from unbend.flight.trajectory import interpolate
 from unbend.geodesy import GeoidGrid, offset_geodetic
@@ -17,7 +18,6 @@ from unbend.messages import Message, Notes
 from unbend.units import Array, Integers
 
 STEADY_HOME_M = 2.0  # the take-off height of a flight does not change by more than this [m]
-_HOME_NOT_SET_M = 0.01  # where a height above home is that above the sea, home is not set [m]
 
 LOWEST_GROUND_M = -600.0
 HIGHEST_GROUND_M = 10_000.0
@@ -155,7 +155,7 @@ def _logged_home(position: Channel) -> tuple[float | None, Notes]:
     None where it is unknown or changes.
     """
     homes_m = _difference(position, "h_msl_m", "h_home_m")
-    is_set = np.abs(homes_m) > _HOME_NOT_SET_M
+    is_set = np.abs(homes_m) > HOME_NOT_SET_M
     if is_set.any():
         homes_m = homes_m[is_set]
     if homes_m.size == 0:

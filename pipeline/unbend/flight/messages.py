@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from unbend.errors import Code, Counted, MissionError
-from unbend.messages import Message, finding, loss, note, warning
+from unbend.messages import Message, fallback, finding, loss, note, warning
 
 # The clock.
 
@@ -122,6 +122,51 @@ ROLE = Code(
 def role_filled(*, role: str, channel: str) -> Message:
     """A channel plays a role for which the mission file names none."""
     return note(ROLE, "{shown}: {channel}", where=role, shown=_shown(role), channel=channel)
+
+
+ROLE_SPARE = Code(
+    "ROLE-SPARE",
+    means="The channel of a role falls silent, and a spare of its kind goes on.",
+    effect="The spare plays the role where the first gives nothing, with its own accuracy.",
+    remedy="Name the better channel under log.channels, if it is to play the role all the time.",
+)
+
+
+def spare_plays_role(*, role: str, channel: str, spare: str, seconds: float) -> Message:
+    """A channel ends, or begins late, and a spare gives its samples."""
+    return fallback(
+        ROLE_SPARE,
+        "{shown}: {spare} for {seconds:.1f} s, in which {channel} gives nothing",
+        where=role,
+        shown=_shown(role),
+        spare=spare,
+        channel=channel,
+        seconds=seconds,
+    )
+
+
+def spare_plays_all(*, role: str, channel: str, spare: str, seconds: float) -> Message:
+    """A sensor ends before the flight does, and a spare plays its role for the whole flight."""
+    return fallback(
+        ROLE_SPARE,
+        "{shown}: {spare}, as {channel} gives nothing for the last {seconds:.1f} s of the flight",
+        where=role,
+        shown=_shown(role),
+        spare=spare,
+        channel=channel,
+        seconds=seconds,
+    )
+
+
+def role_left_empty(*, role: str) -> Message:
+    """The mission file says that no channel plays a role."""
+    return note(
+        ROLE,
+        "{shown}: none, as log.channels.{role} is null",
+        where=role,
+        shown=_shown(role),
+        role=role,
+    )
 
 
 ROLE_AMBIGUOUS = Code(
@@ -789,6 +834,18 @@ def trigger_times(*, channel: str, events: int) -> Message:
         "account",
         where=channel,
         count=events,
+    )
+
+
+def perhaps_trigger_times(*, channel: str, events: int, parameter: str) -> Message:
+    """The log does not say whether captures have the times of triggers or of the shutter."""
+    return note(
+        EVENTS_TRIGGER_TIME,
+        "{where} has the times of the trigger commands if {parameter} was 0, which is not logged: "
+        "the shutter opens later then, which events.log.<camera>.delay_s takes into account",
+        where=channel,
+        count=events,
+        parameter=parameter,
     )
 
 

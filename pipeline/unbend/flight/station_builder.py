@@ -86,6 +86,8 @@ def build_stations(
     attitudes = attitude_at(roles["attitude"], time_ns, max_gap_s)
     stations = _with_coverage(stations, attitudes.coverage)
     stations = stations.with_status(_unknown_rows(attitudes.quaternion), NO_ATTITUDE)
+    if "height" not in roles:
+        return stations.with_status(every, HEIGHT_REFERENCE_UNKNOWN)
     height = roles["height"]
     h_msl_m, h_ellipsoid_m = heights_at(height, time_ns, heights, max_gap_s)
     no_msl = np.isnan(h_msl_m)

@@ -29,6 +29,7 @@ class Contents:
     instance; ``parameters`` as last logged; ``utc_sigma_s`` [s] of its UTC, NaN where unknown;
     ``clocks``: what each clock is good for; ``recorded_ns``: when it was recorded,
     by the recorder's clock [Unix ns].
+    ``unread_encodings`` of messages that are not read, each with a topic.
     """
 
     messages: Mapping[str, int]
@@ -42,6 +43,7 @@ class Contents:
     utc_sigma_s: float = float("nan")
     clocks: tuple[ClockAssessment, ...] = ()
     recorded_ns: int | None = None
+    unread_encodings: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -142,9 +144,13 @@ class Log(Contents):
 
     def to_json_dict(self) -> dict[str, Any]:
         """A summary of the log for ``unbend inspect --json``."""
-        from unbend.ingest.overview import roles_of
+        from unbend.ingest.overview import receivers_of, roles_of, vehicles_of
 
+        vehicles = vehicles_of(self.channels)
         flight, roles = roles_of(self.channels)
+        if vehicles:  # a mission has one of them
+            flight = vehicles[0]["flight"]
+            roles = vehicles[0]["roles"]
         return {
             "format": self.format,
             "sha256": self.sha256,
@@ -159,6 +165,8 @@ class Log(Contents):
             "duration_s": self.duration_s,
             "flight": flight,
             "roles": roles,
+            "vehicles": vehicles,
+            "receivers": receivers_of(self.channels),
             "time_base": self.time_base,
             "clocks": [vars(assessment) for assessment in self.clocks],
             "ledger": self.ledger.rows(),

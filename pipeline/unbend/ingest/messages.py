@@ -3,7 +3,7 @@
 What only one format says stands in ``messages.py`` of its folder.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from unbend.errors import Code, Counted, LogError, MissionError
 from unbend.flight.clock import WEEKS_PER_ROLLOVER
@@ -149,8 +149,20 @@ LOG_NO_MESSAGES = Code(
 )
 
 
-def no_wanted_messages(*, path: str, total: int, kinds: Sequence[str]) -> LogError:
-    """No message of a log becomes a channel."""
+def no_wanted_messages(
+    *, path: str, total: int, kinds: Sequence[str], unread: Mapping[str, str]
+) -> LogError:
+    """No message of a log becomes a channel; ``unread`` are encodings, each with a topic."""
+    if unread:
+        listed = [f"{encoding} ({topic})" for encoding, topic in unread.items()]
+        return LogError(
+            LOG_NO_MESSAGES,
+            "{total}, but none that can be read: they are encoded as {encodings}",
+            where=path,
+            remedy="record or convert them as ROS 2 CDR with ros2msg definitions, protobuf or JSON",
+            total=Counted(total, "message"),
+            encodings=", ".join(listed),
+        )
     return LogError(
         LOG_NO_MESSAGES,
         "{total}, but none with a position, an attitude, air data or camera events",
@@ -313,6 +325,37 @@ def rows_without_field(*, where: str, count: int, fields: Sequence[str]) -> Mess
         where=where,
         count=count,
         fields=", ".join(fields),
+    )
+
+
+LOG_DROPOUT = Code(
+    "LOG-DROPOUT",
+    means="The logger could not keep up.",
+    effect="Messages of that time are missing.",
+    remedy="Log less, or to a faster card.",
+)
+
+
+EVENTS_BOTH = Code(
+    "EVENTS-BOTH",
+    means="A topic has commands of the trigger and pulses of the shutter.",
+    effect="They are two channels: the pulses keep the name, the commands are named .sent.",
+    remedy="Name the one with the pulses.",
+)
+
+
+def pulses_and_commands(*, channel: str, pulses: int, sent: str, commands: int) -> Message:
+    """Events of two kinds in one topic."""
+    return note(
+        EVENTS_BOTH,
+        "{pulses} rows are pulses of the shutter (channel {channel}), {commands} are commands of "
+        "the trigger (channel {sent})",
+        where=channel,
+        count=pulses + commands,
+        channel=channel,
+        pulses=pulses,
+        sent=sent,
+        commands=commands,
     )
 
 

@@ -174,6 +174,7 @@ def _read(
             path=str(path),
             total=sum(contents.messages.values()),
             kinds=sorted(contents.messages)[:LISTED_TYPES],
+            unread=contents.unread_encodings,
         )
     counts = dict(sorted(contents.messages.items()))
     contents = replace(contents, messages=counts, channels=tuple(channels))

@@ -190,16 +190,13 @@ def print_log(console: Console, log: Mapping[str, Any], name: str) -> None:
              f"{log['lost_messages']:,} lost" + (f", {boots} boots" if boots > 1 else "")),
         ],
     )  # fmt: skip
-    roles = [
-        (row["role"], row["channel"] or "-",
-         "" if row["rate_hz"] is None else f"{row['rate_hz']:.3g}",
-         "; also ".join(filter(None, (row["remark"], ", ".join(row["others"])))))
-        for row in log["roles"]
-    ]  # fmt: skip
     print_clocks(console, log["clocks"])
-    console.print()
-    heads = "role", "channel", "rate [Hz]", "remark"
-    print_rows(console, heads, roles, gap=2, left=(1, 3))
+    for vehicle in log["vehicles"] or [{"vehicle": "", "roles": log["roles"]}]:
+        console.print()
+        if vehicle["vehicle"]:
+            console.print(f"  [bold]{shown(vehicle['vehicle'])}[/bold], one of several vehicles")
+        print_roles(console, vehicle["roles"])
+    print_receivers(console, log["receivers"])
     table = plain_table(("channel", "samples", "rate [Hz]", "gaps", "gaps [s]"), gap=2)
     # Names are copied into mission files: in one piece, and never cut.
     table.columns[0].overflow = "fold"
@@ -231,6 +228,37 @@ def print_clocks(console: Console, clocks: Sequence[Mapping[str, Any]]) -> None:
         print_labelled(console, lines)
 
 
+def print_roles(console: Console, roles: Sequence[Mapping[str, Any]]) -> None:
+    """The channel of each role, and what speaks for it."""
+    rows = []
+    for row in roles:
+        rate = "" if row["rate_hz"] is None else f"{row['rate_hz']:.3g}"
+        remarks = [text for text in (row["remark"], ", ".join(row["others"])) if text]
+        rows.append((row["role"], row["channel"] or "-", rate, "; also ".join(remarks)))
+    print_rows(
+        console,
+        ("role", "channel", "rate [Hz]", "remark"),
+        rows,
+        gap=2,
+        left=(1, 3),
+    )
+
+
+def print_receivers(console: Console, receivers: Sequence[Mapping[str, str]]) -> None:
+    """What each of several receivers is good for, and why."""
+    if len(receivers) < 2:
+        return
+    rows = [(row["channel"], row["good_for"], row["why"]) for row in receivers]
+    console.print()
+    print_rows(
+        console,
+        ("receiver", "good for", "why"),
+        rows,
+        gap=2,
+        left=(1, 2),
+    )
+
+
 def print_model(console: Console, contents: Mapping[str, Any], name: str) -> None:
     """What ``unbend inspect`` prints of a weather model's file: time, area, levels, variables."""
     console.print(f"[bold]{shown(name)}[/bold]: weather model, {contents['format']}")
@@ -258,7 +286,13 @@ def print_model(console: Console, contents: Mapping[str, Any], name: str) -> Non
     cells = [[str(row[key]) for key in keys] for row in contents["variables"]]
     console.print()
     heads = "variable", "unit", "levels", "name"
-    print_rows(console, heads, cells, gap=2, left=(1, 3))
+    print_rows(
+        console,
+        heads,
+        cells,
+        gap=2,
+        left=(1, 3),
+    )
 
 
 def print_fields(console: Console, title: str, rows: Sequence[Mapping[str, str]]) -> None:

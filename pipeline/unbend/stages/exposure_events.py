@@ -18,6 +18,7 @@ from unbend.flight.exposures import (
 )
 from unbend.flight.image_names import renamed
 from unbend.flight.rotations import CAMERA_AT_REST, in_turned_frame
+from unbend.flight.triggers import lag_from_feedback, trigger_notes
 from unbend.messages import Ledger
 from unbend.stages import messages
 from unbend.stages.flight_log import FlightLog, time_range
@@ -121,7 +122,7 @@ def events_of_cameras(
 ) -> list[Events]:
     """When each camera was exposed: one `Events` for each camera that a source names."""
     if section.log is not None:
-        return events_of_log(section, flight.channels, ledger)
+        return events_of_log(section, flight, ledger)
     if section.positions is not None:
         events = []
         for camera, source in section.positions.items():
@@ -133,16 +134,16 @@ def events_of_cameras(
     return events_of_table(mission, section, inputs.events)
 
 
-def events_of_log(
-    section: EventsSection, channels: tuple[Channel, ...], ledger: Ledger
-) -> list[Events]:
+def events_of_log(section: EventsSection, flight: FlightLog, ledger: Ledger) -> list[Events]:
     """The pulses that a log has of each camera, moved by their delay."""
+    channels = flight.channels
+    parameters = {} if flight.log is None else flight.log.parameters
     events = []
     for camera, source in (section.log or {}).items():
         channel = exposures.choose_event_channel(channels, source.channel)
-        ledger.extend(exposures.trigger_notes(channels, channel))
+        ledger.extend(trigger_notes(channels, channel, parameters))
         if source.delay_s == "from_feedback":
-            delay = ledger.take(exposures.lag_from_feedback(channels, channel, camera))
+            delay = ledger.take(lag_from_feedback(channels, channel, camera))
         else:
             delay = ExposureDelay(source.delay_s)
         exposed = events_of_channel(channel, camera, source.image, delay)

@@ -1,5 +1,7 @@
 """Messages of stages: what each code means, and the words of what is sent."""
 
+from collections.abc import Sequence
+
 from unbend.errors import Code, Counted, InputError, MissionError
 from unbend.flight.messages import CHANNEL_MISSING
 from unbend.messages import Kind, Message, fallback, finding, loss, message, note, warning
@@ -86,6 +88,64 @@ def events_positions(*, where: str, count: int, name: str, camera: str, places: 
         name=name,
         camera=camera,
         places=places,
+    )
+
+
+LOG_VEHICLES = Code(
+    "LOG-VEHICLES",
+    means="The log has the messages of several vehicles.",
+    effect=(
+        "Roles are taken from the vehicle whose events are used, or whose channels are named; "
+        "refused where neither says which vehicle flew the mission."
+    ),
+    remedy="Name the events of one vehicle, or its log.channels.position.",
+)
+
+
+def vehicles_ambiguous(*, vehicles: Sequence[str], reason: str) -> MissionError:
+    """Neither events nor named channels say which vehicle flew the mission."""
+    contradiction = f"; {reason} are named of several" if reason else ""
+    return MissionError(
+        LOG_VEHICLES,
+        "the log has several vehicles: {listed}{contradiction}",
+        where="log",
+        remedy="name the events of one of them (events.log.<camera>.channel), or its position "
+        "(log.channels.position)",
+        listed="; ".join(vehicles),
+        contradiction=contradiction,
+    )
+
+
+def vehicle_chosen(*, vehicle: str, vehicles: Sequence[str], channel: str) -> Message:
+    """Of several vehicles of a log one flew the mission."""
+    return note(
+        LOG_VEHICLES,
+        "of {listed} the roles are those of {vehicle}, as {channel} is used",
+        where="log",
+        count=len(vehicles),
+        listed=", ".join(vehicles),
+        vehicle=vehicle,
+        channel=channel,
+    )
+
+
+LOG_VEHICLES_MIXED = Code(
+    "LOG-VEHICLES-MIXED",
+    means="A channel that is named is of another vehicle than the events.",
+    effect="It is used as stated; the run ends with 3.",
+    remedy="Name the channel of the vehicle whose events are used; or accept it with the reason.",
+)
+
+
+def role_of_another_vehicle(*, role: str, channel: str, other: str, vehicle: str) -> Message:
+    """The mission file names a channel of another vehicle."""
+    return finding(
+        LOG_VEHICLES_MIXED,
+        "{channel} is of {other}, the mission was flown by {vehicle}",
+        where=f"log.channels.{role}",
+        channel=channel,
+        other=other,
+        vehicle=vehicle,
     )
 
 

@@ -1,6 +1,6 @@
 """The stations of a mission: one row for each exposure, matched to the images."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -8,6 +8,7 @@ import numpy as np
 from unbend.config import Mission
 from unbend.flight import exposures
 from unbend.flight.channels import Channel
+from unbend.flight.evidence.exposure_places import ExposureEvidence, exposure_findings
 from unbend.flight.evidence.imported_channels import contradictions_of_import
 from unbend.flight.evidence.log_accuracy import LogAccuracy
 from unbend.flight.evidence.stretches import Stretch, flag_suspect
@@ -30,7 +31,7 @@ from unbend.flight.stations import (
     sigma_notes,
     unusable_station_notes,
 )
-from unbend.messages import Ledger
+from unbend.messages import Ledger, Message
 from unbend.stages import messages
 from unbend.stages.cabin_air import cabin_from_log
 from unbend.stages.exposure_events import exposure_events, read_positions
@@ -192,6 +193,7 @@ def stations_of_mission(
         camera = camera_events.camera
         builder = StationBuilder.of(mission, flight, camera, positions.get(camera))
         stations = builder.stations(camera_events)
+        ledger.extend(findings_of_exposures(mission, flight, builder, camera_events))
         stations = ledger.take(flag_suspect(stations, builder.suspect, use_suspect=use_suspect))
         builders.append(builder)
         exposed.append(stations)
@@ -238,6 +240,28 @@ def stations_of_mission(
     return matched_stations(mission, flight, stations, cameras, observations.images, ledger=ledger)
 
 
+def findings_of_exposures(
+    mission: Mission, flight: FlightLog, builder: StationBuilder, events: Events
+) -> Iterator[Message]:
+    """Findings where a log's own places of the exposures of a camera are not the stations'."""
+    if mission.events is None or mission.events.log is None:
+        return
+    source = mission.events.log[builder.camera]
+    arms_m = [mission.mounts[builder.camera].lever_arm_m, builder.mount.lever_arm_m]
+    yield from exposure_findings(
+        ExposureEvidence(
+            channel=exposures.choose_event_channel(flight.channels, source.channel),
+            time_ns=events.time_ns,
+            roles=builder.roles,
+            own=flight.own,
+            accuracy=flight.accuracy,
+            suspect=(*builder.suspect, *flight.own_suspect),
+            lever_arm_m=max(float(np.linalg.norm(arm)) for arm in arms_m),
+            max_gap_s=mission.max_gap_s,
+        )
+    )
+
+
 def report_repeated_points(observations: Observations, ties: TiePoints, ledger: Ledger) -> None:
     """Add a loss if points stand twice in an image; a block says so when it is opened."""
     if ties.repeated and not observations.is_block:
@@ -265,7 +289,7 @@ def matched_stations(
     names = sorted({*stations.camera.tolist(), *cameras})
     images = {name: stations.image[stations.camera == name].tolist() for name in names}
     refuse_other_names(images, observed)
-    ledger.extend(exposures.ground_shot_notes(stations, flight.roles, observed))
+    ledger.extend(exposures.ground_shot_notes(stations, flight.roles, observed, flight.ground))
     stations = ledger.take(append_unmatched_images(stations, observed))
     ledger.extend(unusable_station_notes(stations))
     section = mission.stations

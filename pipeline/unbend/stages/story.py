@@ -7,10 +7,10 @@ import numpy as np
 
 from unbend.atmosphere.air_samples import AirSamples
 from unbend.config import Mission
+from unbend.flight.ground_times import LoggedPath, takeoff_of
 from unbend.flight.heights import heights_at, logged_terrain, undulation_notes
 from unbend.flight.outside_air import outside_air_samples
 from unbend.flight.stations import Stations, append_unmatched_images, flag_height_misfits
-from unbend.flight.trajectory import LoggedPath, takeoff_of
 from unbend.messages import Ledger
 from unbend.refraction.effect import FlightAir
 from unbend.stages.air_of_mission import adjusted_profiles
@@ -104,7 +104,13 @@ def prepare_mission(
 
     # The air that they flew through.
     samples = ledger.take(
-        outside_air_samples(flight.air_roles, flight.heights, mission.max_gap_s, flight.own_suspect)
+        outside_air_samples(
+            flight.air_roles,
+            flight.heights,
+            mission.max_gap_s,
+            flight.own_suspect,
+            flight.ground,
+        )
     )
     sources = read_air_sources(
         mission, inputs, flight=flight, stations=stations, samples=samples, ledger=ledger
@@ -199,7 +205,7 @@ def facts_of(
         cameras=setup.cameras,
         rows=statistics.sampled_rows(),
         adjustment=prepared.air.adjustment,
-        takeoff=takeoff_of(prepared.track(), flight.heights.home_h_msl_m),
+        takeoff=takeoff_of(prepared.track(), flight.heights.home_h_msl_m, flight.ground),
         logged_terrain_m=logged_terrain(flight.channels, stations.time_ns),
         terrain=prepared.terrain,
     )

@@ -37,6 +37,8 @@ MESSAGES: Mapping[str, MessageMap] = message_maps("dataflash")
 # Accuracy and the ellipsoidal height come in a message of their own, at the time of the GPS row.
 ACCURACY_MESSAGES = {"GPS": "GPA", "GPS2": "GPA2"}
 _ACCURACY_MAP = message_maps("dataflash_accuracy")["GPA"]
+# Statistics of a logger, of its card and of its link: Dp counts messages dropped since boot.
+DROP_COUNTERS = ("DSF", "DMS")
 ACCURACY_FIELDS = [field for column in _ACCURACY_MAP.columns for field in column.fields]
 
 
@@ -177,6 +179,8 @@ def wanted_fields() -> dict[str, Callable[[str], bool]]:
         fields[name] = always | set(ACCURACY_FIELDS)
     fields["ERR"] |= {"ECode"}
     fields["PARM"] = {"TimeUS", "Name", "Value"}
+    for name in DROP_COUNTERS:
+        fields[name] = {"TimeUS", "TimeMS", "Dp"}
     return {name: names.__contains__ for name, names in fields.items()}
 
 

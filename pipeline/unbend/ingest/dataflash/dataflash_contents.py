@@ -12,6 +12,7 @@ from unbend.ingest.damaged_bytes import DamagedBytes
 from unbend.ingest.dataflash import messages
 from unbend.ingest.dataflash.dataflash_channels import (
     ACCURACY_FIELDS,
+    DROP_COUNTERS,
     RECEIVERS,
     channels_of,
     clock_of,
@@ -53,6 +54,9 @@ def contents_of(
     timed = timed_tables(tables, ledger)
     clock, time_base = clock_of(line, timed, ledger, witnesses)
     parameters = _last_values(timed.get("PARM", {}))
+    dropped = 0
+    for name in DROP_COUNTERS:
+        dropped += _dropped_messages(name, timed, clock, ledger)
 
     def table(name: str, instance: str | None) -> Table:
         decoded = reread({name})
@@ -64,7 +68,8 @@ def contents_of(
         messages=counts,
         channels=channels_of(timed, parameters, clock, ledger),
         bad_bytes=damage.bad_bytes,
-        lost_messages=0,  # neither records nor lines carry a sequence number
+        # neither records nor lines carry a sequence number: what the logger itself counted
+        lost_messages=dropped,
         boots=clock.line.boots,
         time_base=time_base,
         table=table,
@@ -72,6 +77,24 @@ def contents_of(
         utc_sigma_s=clock.sigma_s,
         clocks=clock.assessments,
     )
+
+
+def _dropped_messages(
+    name: str, tables: Mapping[str, Table], clock: BootClock, ledger: Ledger
+) -> int:
+    """How many messages a logger dropped by its own count, which each power-up begins at 0."""
+    table = tables.get(name, {})
+    if "Dp" not in table or not is_number(table["Dp"]):
+        return 0
+    boot = clock.line.boot_of(table[PLACE])
+    is_good = clock.line.good(table[PLACE])
+    dropped = 0
+    for number in np.unique(boot).tolist():
+        counts = table["Dp"][is_good & (boot == number)]
+        dropped += int(counts[-1]) if counts.size else 0
+    if dropped:
+        ledger.add(messages.dropped_by_logger(message=name, count=dropped))
+    return dropped
 
 
 def _last_values(rows: Table) -> dict[str, float]:

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from unbend.errors import Code, Counted
-from unbend.ingest.messages import LOG_FIELDS
+from unbend.ingest.messages import LOG_DROPOUT, LOG_FIELDS
 from unbend.messages import Message, fallback, loss, note
 
 LOG_BAD_FORMAT = Code(
@@ -112,6 +112,17 @@ def columns_without_field(*, message: str, count: int, columns: Sequence[str]) -
         where=message,
         count=count,
         columns=", ".join(columns),
+    )
+
+
+def dropped_by_logger(*, message: str, count: int) -> Message:
+    """The logger counted messages that it could not write."""
+    return loss(
+        LOG_DROPOUT,
+        "the logger dropped {dropped} by its own count",
+        where=f"{message}.Dp",
+        count=count,
+        dropped=Counted(count, "message"),
     )
 
 

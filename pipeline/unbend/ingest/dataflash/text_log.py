@@ -27,6 +27,7 @@ from unbend.messages import Ledger
 LONGEST = 4096  # bytes of a line; real ones have up to 250
 ROWS = 4096  # of one type that are made columns at once: as text they need 20 times the memory
 _FIRST = re.compile(rb"FMT, ?\d+, ?\d+, ?\w+")
+_BANNER = re.compile(rb"[\t -~]*\r?\n")  # a line of printable characters
 _DECIMAL = "cCeELfdg"  # scaled and floating-point letters
 _TEXT = "nNZaM"  # arrays and flight modes are words in these logs
 _TIME_UNITS_US = {("TimeUS", "Q"): 1, ("TimeMS", "I"): 1000}  # by name and letter of a first field
@@ -172,9 +173,13 @@ class _LineReader(DamagedBytes):
                     self._count(name, form, line)
                     if name in wanted:
                         builder.add(name, form, line)
-                elif raw.strip():
+                elif raw.strip() and not self._is_banner(raw):
                     self.drop(begin, end)
         return builder.tables()
+
+    def _is_banner(self, raw: bytes) -> bool:
+        """Whether a line is of the banner that old firmware prints before it defines messages."""
+        return not self.counts and _BANNER.fullmatch(raw) is not None
 
     def _count(self, name: str, form: _LineFormat, line: _Line) -> None:
         """Count a line, and keep its time where it begins with one."""

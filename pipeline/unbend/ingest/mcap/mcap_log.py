@@ -10,7 +10,7 @@ import numpy as np
 
 from unbend.flight.clock import BOOT_STEP_NS
 from unbend.ingest.boot_clock import BootClock, fit_clock
-from unbend.ingest.channel_builder import channel_of
+from unbend.ingest.channel_builder import channel_of, feedback_apart
 from unbend.ingest.flight_log import Contents, LogFormat
 from unbend.ingest.mcap import messages, topics
 from unbend.ingest.mcap.mcap_reader import McapReader
@@ -42,9 +42,10 @@ def read_log(path: Path, ledger: Ledger, witnesses: Sequence[Witness] = ()) -> C
         samples = series.pop(0)
         rows, unstamped_rows = samples.rows(clock, ledger)
         unstamped += unstamped_rows
-        channel = channel_of(rows, samples.spec, ledger)
-        if channel is not None:
-            channels.append(channel)
+        for part in feedback_apart(rows, ledger):
+            channel = channel_of(part, samples.spec, ledger)
+            if channel is not None:
+                channels.append(channel)
     return Contents(
         messages=reader.counts.by_name(reader.names),
         channels=tuple(channels),
@@ -56,6 +57,7 @@ def read_log(path: Path, ledger: Ledger, witnesses: Sequence[Witness] = ()) -> C
         utc_sigma_s=clock.sigma_s,
         clocks=clock.assessments,
         recorded_ns=reader.recorded_ns,
+        unread_encodings=reader.unread_encodings,
     )
 
 

@@ -30,6 +30,8 @@ _PARSE_ERRORS = (struct.error, ValueError, OverflowError)
 # What a definition that is damaged makes the libraries raise.
 _SCHEMA_ERRORS = (SchemaError, UnicodeDecodeError, TypeError, ValueError, KeyError, RuntimeError)
 
+# Of messages and of their definitions; JSON needs none.
+READ_ENCODINGS = {("cdr", "ros2msg"), ("protobuf", "protobuf")}
 RECORDED = 512  # messages of each block (4 MiB) whose log_time is kept beside their time since boot
 MAX_CONTRADICTIONS = 1000  # definitions that differ from an earlier one; no log has any
 LISTED_CONTRADICTIONS = 8  # in the ledger
@@ -53,6 +55,7 @@ class McapReader:
     """Definitions, counts and topics of one file; with ``only`` all fields of that topic.
 
     ``unread``: why topics that are wanted are not read; it is in the ledger too.
+    ``unread_encodings``: those of any messages that are not read, each with its first topic.
     """
 
     def __init__(self, ledger: Ledger, file: str, only: str | None = None) -> None:
@@ -64,6 +67,7 @@ class McapReader:
         self.names: dict[int, str] = {}  # topics, by the number of their channel
         self.topics: dict[TopicKey, topics.Topic] = {}
         self.unread: list[Message] = []
+        self.unread_encodings: dict[str, str] = {}
         self._schemas: dict[int, Any] = {}
         self._channels: dict[int, Any] = {}
         self._contents: dict[tuple[int, bytes], bytes] = {}  # of definitions: opcode and number
@@ -182,6 +186,8 @@ class McapReader:
         """Begin to read the topic of a channel, if it is wanted and can be decoded."""
         schema = self._schemas.get(channel.schema_id)
         name = known_name(schema.name) if schema is not None else ""
+        of_schema = "" if schema is None else schema.encoding
+        self._note_encoding(channel.topic, channel.message_encoding, of_schema)
         if self.only is None:
             is_wanted = name in SCHEMAS or channel.message_encoding == "json"
         else:
@@ -201,8 +207,19 @@ class McapReader:
                 self.topics[key] = topics.Topic(channel.topic, name, spec, series)
             self._subscriptions[channel.id] = _Subscription(self.topics[key], decoder)
 
+    def _note_encoding(self, topic: str, encoding: str, of_schema: str) -> None:
+        """Keep the encoding of a topic, and of its schema, if its messages cannot be read."""
+        if encoding == "json" or (encoding, of_schema) in READ_ENCODINGS:
+            return
+        described = f"{encoding or 'no encoding'} with {of_schema or 'no'} definitions"
+        self.unread_encodings.setdefault(described, topic)
+
     def _decoder(
-        self, channel: Any, schema: Any, name: str, spec: MessageMap
+        self,
+        channel: Any,
+        schema: Any,
+        name: str,
+        spec: MessageMap,
     ) -> topics.Decoder | Exception | None:
         """What decodes the messages of a channel; an error of its schema; None where it is left.
 
@@ -224,7 +241,11 @@ class McapReader:
         return decoder
 
     def _new_decoder(
-        self, channel: Any, schema: Any, name: str, spec: MessageMap
+        self,
+        channel: Any,
+        schema: Any,
+        name: str,
+        spec: MessageMap,
     ) -> topics.Decoder | None:
         """What decodes the messages of a channel; None where their encoding is not read."""
         wanted = None if self.only else topics.paths_of(spec)

@@ -73,10 +73,10 @@ LABELS: Mapping[str, tuple[str, ...]] = {
 def known_name(schema: str) -> str:
     """The name of a message in `SCHEMAS`, whatever the encoding writes between its parts.
 
-    >>> known_name("sensor_msgs/msg/NavSatFix"), known_name("foxglove_msgs/msg/RawImage")
+    >>> known_name("sensor_msgs::msg::NavSatFix"), known_name("foxglove_msgs/msg/RawImage")
     ('sensor_msgs/NavSatFix', 'foxglove.RawImage')
     """
-    return short(schema).replace("foxglove_msgs/", "foxglove.")
+    return short(schema.replace("::", "/")).replace("foxglove_msgs/", "foxglove.")
 
 
 def finished(schema: str, columns: Mapping[str, Array]) -> dict[str, Array]:
