@@ -53,6 +53,11 @@ class CartesianFrame:
         """Latitude, longitude [rad] and ellipsoidal height [m] of (n, 3) positions."""
         return geodetic_of_ecef(*(self.origin_m + self.scale * xyz @ self.ecef_from_frame.T).T)
 
+    def local(self, geodetic: Array) -> Array:
+        """(n, 3) x, y, z of latitudes, longitudes [rad] and ellipsoidal heights [m]."""
+        ecef = ecef_of_geodetic(*geodetic.T)
+        return (ecef - self.origin_m) @ self.ecef_from_frame / self.scale
+
     def local_attitude(self, quaternion: Array, lat_rad: Array, lon_rad: Array) -> Array:
         """(n, 4) attitudes against this frame as those against east, north, up at each place."""
         ecef_from_enu = enu_from_ecef(lat_rad, lon_rad).transpose(0, 2, 1)

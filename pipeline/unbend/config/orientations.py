@@ -80,7 +80,7 @@ class OrientationColumns(ClockColumns, PoseColumns):
 
 
 class KnownPositions(Section):
-    """Positions of at least three images, for a frame that is unknown."""
+    """Positions of at least three images, to which a frame is fitted or with which it is compared."""
 
     path: PathText = Field(
         description="a CSV of images with latitude and longitude [deg] and height [m]",
@@ -212,8 +212,8 @@ class OrientationSection(Section):
     known_positions: KnownPositions | Literal["log"] | None = Field(
         None,
         description=(
-            "positions of at least three images, for an unknown frame: a CSV, or log: the "
-            "exposures of the log"
+            "positions of at least three images, to which an unknown frame is fitted, and with which "
+            "another one is compared: a CSV, or log: the exposures of the log"
         ),
         examples=["log"],
     )
@@ -331,7 +331,7 @@ class OrientationSection(Section):
         return value
 
     @property
-    def _is_level(self) -> bool:
+    def is_level(self) -> bool:
         """Whether the angles count from the horizon of each station."""
         return self.frame in ("geographic", "projected")
 
@@ -340,7 +340,7 @@ class OrientationSection(Section):
         of_body = self.angles == "roll_pitch_yaw"
         if self.format == "dji" and not of_body:
             raise SectionError("format: dji has angles: roll_pitch_yaw, of the gimbal")
-        if of_body and not self._is_level:
+        if of_body and not self.is_level:
             raise SectionError(
                 "roll, pitch and yaw are those of north, east and down at the station: frame is "
                 "geographic, or projected"
@@ -351,12 +351,10 @@ class OrientationSection(Section):
     def _check_frame(self) -> Self:
         if self.frame == "projected" and self.crs is None:
             raise SectionError("frame: projected needs crs, as EPSG:25832")
-        if self.crs and not self._is_level:
+        if self.crs and not self.is_level:
             raise SectionError("crs is only for frame: projected or geographic")
         if self.frame == "unknown":
             self._check_unknown_frame()
-        elif self.known_positions is not None:
-            raise SectionError("known_positions are for frame: unknown")
         return self
 
     def _check_unknown_frame(self) -> None:
@@ -371,8 +369,8 @@ class OrientationSection(Section):
 
     @model_validator(mode="after")
     def _check_heights(self) -> Self:
-        known = isinstance(self.known_positions, KnownPositions)
-        has_heights = self.is_geodetic or self.frame is None or known
+        is_fitted = self.frame == "unknown" and isinstance(self.known_positions, KnownPositions)
+        has_heights = self.is_geodetic or self.frame is None or is_fitted
         if has_heights == (self.heights is not None):
             return self
         mistake = (

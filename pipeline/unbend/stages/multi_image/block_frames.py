@@ -6,6 +6,7 @@ import numpy as np
 import pyarrow as pa
 
 from unbend.block import oriented_images
+from unbend.block.known_places import KnownPlaces, frame_notes
 from unbend.block.oriented_images import CartesianFrame
 from unbend.config import Mission
 from unbend.config.local_frames import EnuFrame
@@ -18,7 +19,7 @@ from unbend.stages.flight_log import FlightLog
 from unbend.stages.messages import no_events
 from unbend.stages.multi_image import messages
 from unbend.stages.opened_inputs import BlockPoints, OpenedInputs
-from unbend.tables.geodata.coordinate_systems import places_of
+from unbend.tables.geodata.coordinate_systems import GeocentricDatum, frame_of_datum, places_of
 from unbend.tables.geodata.object_points import ObjectPoints
 from unbend.tables.imports.user_tables import OrientationTable
 from unbend.units import Array, Names
@@ -161,14 +162,25 @@ def frame_of_block(
     frame = stated or table.frame
     if frame is None:
         raise messages.frame_unstated(where=section.path)
+    if frame == "ecef" and isinstance(table.frame, GeocentricDatum):
+        frame = table.frame  # earth-centred all the same: the file says in which datum
     if table.frame not in (None, frame):
         ledger.add(
             messages.frame_contradicted(
-                where=section.path, found=str(table.frame), stated=str(frame)
+                where=section.path, found=frame_in_words(table.frame), stated=frame_in_words(frame)
             )
         )
     if isinstance(frame, GeodeticOrigin):
         return oriented_images.topocentric(frame)
+    if isinstance(frame, GeocentricDatum):
+        of_datum = frame_of_datum(
+            frame,
+            table.position,
+            keep_heights=section.is_msl(table.heights),
+            where=section.path,
+            key="export the block in WGS 84",
+        )
+        return ledger.take(of_datum)
     if frame == "ecef":
         return oriented_images.ECEF
     known = section.known_positions
@@ -183,6 +195,60 @@ def frame_of_block(
     return ledger.take(
         oriented_images.fitted_frame(table.image, table.position, image, position, sigma_m=sigma_m)
     )
+
+
+def frame_in_words(frame: object) -> str:
+    """A frame as a message names it."""
+    if isinstance(frame, GeodeticOrigin):
+        latitude = np.degrees(frame.lat_rad)
+        longitude = np.degrees(frame.lon_rad)
+        return f"east, north, up at {latitude:.6f}, {longitude:.6f}, {frame.h_ellipsoid_m:.1f} m"
+    if isinstance(frame, GeocentricDatum):
+        return f"earth-centred in {frame.name}"
+    return str(frame)
+
+
+def check_frame(
+    inputs: OpenedInputs,
+    section: OrientationSection,
+    table: OrientationTable,
+    stations: Stations,
+    *,
+    frame: CartesianFrame | None,
+    exposed: list[Stations],
+    has_control: bool,
+) -> Notes:
+    """What all known positions of the images say of the frame of their orientations.
+
+    ``stations`` are those of the rows of ``table``, whose images are called as in the block;
+    ``frame`` is that of its x, y, z. ``exposed`` are the stations of the log; control points tell a
+    frame by themselves.
+    """
+    known = []
+    for places in inputs.block_places:
+        position = places.rows_of(table.image)
+        if places.in_frame and frame is not None:
+            position = np.stack(frame.geodetic(position), axis=1)
+        if not places.in_frame or frame is not None:
+            known.append((places.source, position))
+    files = inputs.image_times
+    if files is not None and section.format != "dji":
+        row = files.rows_of(stations.image.tolist())
+        position = np.full((stations.image.size, 3), np.nan)
+        for i, name in enumerate(stations.image.tolist()):
+            if name in row:
+                position[i] = files.position[row[name]]
+        known.append(("positions in EXIF", position))
+    if inputs.known_positions is not None and section.frame != "unknown":
+        given = inputs.known_positions
+        places = KnownPlaces("known_positions", given.image, given.position)
+        known.append((places.source, places.rows_of(stations.image)))
+    if exposed:
+        image, position, _ = positions_of_log(join_stations(exposed))
+        places = KnownPlaces("positions of the log at the exposures", image, position)
+        known.append((places.source, places.rows_of(stations.image)))
+    needs_telling = section.frame not in ("geographic", "unknown") and not has_control
+    return frame_notes(stations, known, must_be_told=needs_telling, where=section.path)
 
 
 def positions_of_log(stations: Stations) -> tuple[Names, Array, float]:

@@ -31,6 +31,7 @@ from unbend.units import Array
 if TYPE_CHECKING:
     import pyarrow as pa
 
+    from unbend.block.known_places import KnownPlaces
     from unbend.tables.imports.blocks.image_points import CameraMakers
     from unbend.tables.imports.user_tables import OrientationTable
 
@@ -47,6 +48,9 @@ class BlockFormat(Protocol):
     def read_images(self, path: Path) -> OrientationTable:
         """Images, their cameras, x, y, z and quaternions; NaN where an image has none."""
 
+    def read_places(self, path: Path) -> tuple[KnownPlaces, ...]:
+        """Where the files say that the images were, beside their orientations; of each source."""
+
     def read_rows(self, path: Path) -> Iterator[pa.RecordBatch]:
         """Image points, image by image (see `image_points`)."""
 
@@ -57,7 +61,7 @@ class BlockFormat(Protocol):
 BLOCKS: Registry = {
     "colmap": ("unbend.tables.imports.blocks.colmap", (".txt", ".bin", ".db")),
     "opensfm": ("unbend.tables.imports.blocks.opensfm", (".json",)),
-    "metashape": ("unbend.tables.imports.blocks.metashape", (".xml", ".psz")),
+    "metashape": ("unbend.tables.imports.blocks.metashape", (".xml", ".psz", ".psx")),
     "dbat": ("unbend.tables.imports.blocks.dbat", ()),
 }
 """Formats, and the endings by which the file of a camera is known."""
@@ -141,6 +145,12 @@ def read_block_images(path: Path, program: str) -> OrientationTable:
     if wrong.any():
         raise messages.no_rotation(where=path, image=str(table.image[np.argmax(wrong)]))
     return replace(table, angles=table.angles / length[:, None])
+
+
+def read_block_places(path: Path, program: str) -> tuple[KnownPlaces, ...]:
+    """Where the files of a block say that its images were, beside their orientations."""
+    with damage_refused(path, program):
+        return block_reader(program).read_places(path)
 
 
 def block_rows(path: Path, program: str) -> Iterator[pa.RecordBatch]:
