@@ -110,7 +110,7 @@ class Comparison:
         """What agrees, with its sigmas, in words."""
         parts = [f"{self.offset_m:.1f} m apart in the middle"]
         if np.isfinite(self.turn_rad):
-            degrees = np.degrees(self.turn_rad)
+            degrees = np.degrees(abs(self.turn_rad))
             sigma = np.degrees(self.sigma_turn)
             parts.append(f"turned by {degrees:.2f} ± {sigma:.2g} deg")
             parts.append(f"scale {self.scale:.5g} ± {self.sigma_turn:.2g}")
@@ -271,8 +271,11 @@ def frame_notes(
 def unverified(stations: Stations, where: str) -> Message:
     """The warning that nothing confirms a frame, with what can be seen of it."""
     ok = stations.ok
-    place = ecef_of_geodetic(stations.lat_rad[ok], stations.lon_rad[ok], stations.h_ellipsoid_m[ok])
-    extent = float(np.linalg.norm(np.ptp(place, axis=0))) if ok.any() else np.nan
+    position = np.stack([stations.lat_rad, stations.lon_rad, stations.h_ellipsoid_m], axis=1)[ok]
+    extent = np.nan
+    if len(position):
+        block, _, _ = in_one_plane(position, position)
+        extent = float(np.linalg.norm(np.ptp(block[:, :2], axis=0)))
     return messages.frame_unverified(
         where=where,
         count=int(ok.sum()),

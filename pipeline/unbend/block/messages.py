@@ -264,17 +264,20 @@ FRAME_UNVERIFIED = Code(
 )
 
 
+SMALL_BLOCK_M = 10.0  # of a smaller one decimals are shown: it is a model without scale
+
+
 def frame_unverified(*, where: str, count: int, extent: float, low: float, high: float) -> Message:
     """Nothing confirms the frame of a block."""
     return warning(
         FRAME_UNVERIFIED,
         "nothing in this mission can verify the frame of the block: no file has positions of four "
         "images or more; a model without scale, in feet, tilted, turned or of another datum would "
-        "look the same: compare with the flight that the {count} images lie within {extent:.3g} m, "
+        "look the same: compare with the flight that the {count} images lie within {extent} m, "
         "{low:.0f} to {high:.0f} m above sea level",
         where=where,
         count=count,
-        extent=extent,
+        extent=f"{extent:,.0f}" if extent >= SMALL_BLOCK_M else f"{extent:.2g}",
         low=low,
         high=high,
     )

@@ -71,6 +71,8 @@ def verdict(manifest: Manifest) -> str:
         end = f", but not to be used before a look at {concerns}"
     elif is_tiny(manifest):
         end = ", less than can be measured there: not needed here"
+        if any(entry.code == "FRAME-UNVERIFIED" for entry in manifest.results.ledger):
+            end += ", if the frame of the block is right, which nothing confirms"
     elif applied:
         end = ", for simulations and tests: they now contain refraction"
     else:

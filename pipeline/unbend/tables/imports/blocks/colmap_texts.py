@@ -3,10 +3,12 @@
 A comment counts the records of a text, and the last line ends with a newline. Programs that filter
 or write models by themselves keep neither. So a text that lacks records or the end of its line is
 refused only where images and points of the model do not fit each other: each image point of a point
-is in the track of that point, and each track leads to such an image point.
+is in the track of that point, each track leads to such an image point, and the images of the frames
+are there.
 """
 
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -71,20 +73,39 @@ def fit_each_other(images: Path, points: Path) -> bool:
     try:
         by_images = image_points_of_images(images)
         by_points = image_points_of_tracks(points)
+        in_frames = images_of_frames(images.with_name("frames.txt"))
+        there = {head.split(maxsplit=1)[0] for head, _ in images_with_points(images)}
     except (ValueError, IndexError):
         return False
-    return by_images == by_points
+    return by_images == by_points and in_frames <= there
+
+
+def images_of_frames(file: Path) -> set[str]:
+    """The images that frames hold; none without that file, which COLMAP 3.12 brought."""
+    found: set[str] = set()
+    if not file.is_file():
+        return found
+    for line in file.read_text(encoding="utf-8-sig").splitlines():
+        if line.strip() and not line.startswith("#"):
+            data = line.split()[10:]  # after two numbers, the pose and the count
+            found.update(data[2::3])
+    return found
+
+
+def images_with_points(file: Path) -> Iterator[tuple[str, str]]:
+    """The two lines of each image."""
+    rows = iter(file.read_text(encoding="utf-8-sig").splitlines())
+    for head in rows:
+        if head.strip() and not head.startswith("#"):
+            yield head, next(rows, "")
 
 
 def image_points_of_images(file: Path) -> set[tuple[str, int, str]]:
     """Image, place among its image points, and point, of those that belong to one."""
     found = set()
-    rows = iter(file.read_text(encoding="utf-8-sig").splitlines())
-    for head in rows:
-        if not head.strip() or head.startswith("#"):
-            continue
+    for head, line in images_with_points(file):
         image = head.split(maxsplit=1)[0]
-        point_numbers = next(rows, "").split()[2::3]
+        point_numbers = line.split()[2::3]
         for place, number in enumerate(point_numbers):
             if int(number) >= 0:
                 found.add((image, place, number))
