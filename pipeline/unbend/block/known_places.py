@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from unbend.block import messages
+from unbend.flight.image_names import composed
 from unbend.flight.stations import Stations
 from unbend.geodesy import ecef_of_geodetic, enu_from_ecef
 from unbend.messages import Message, Notes
@@ -48,9 +49,9 @@ class KnownPlaces:
 
     def rows_of(self, image: Names) -> Array:
         """(n, 3) the positions of some images, NaN where there is none."""
-        row = {name: k for k, name in enumerate(self.image.tolist())}
+        row = {composed(name): k for k, name in enumerate(self.image.tolist())}
         found = np.full((len(image), 3), np.nan)
-        for i, name in enumerate(image.tolist()):
+        for i, name in enumerate(map(composed, image.tolist())):
             if name in row:
                 found[i] = self.position[row[name]]
         return found

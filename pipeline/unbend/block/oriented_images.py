@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from unbend.block import messages
 from unbend.flight.heights import GeodeticOrigin, HeightSystem
+from unbend.flight.image_names import composed
 from unbend.flight.mount import Mount
 from unbend.flight.rotations import in_turned_frame, matrices_of, quaternions_of
 from unbend.flight.stations import (
@@ -137,8 +138,9 @@ def _positions_of_both(
     image: Names, xyz: Array, known_image: Names, known: Array
 ) -> tuple[Names, Array, Array]:
     """Names of the images that model and known positions share, and both positions (k, 3) [m]."""
-    row = {name: number for number, name in enumerate(image.tolist())}
-    pairs = [(row[name], k) for k, name in enumerate(known_image.tolist()) if name in row]
+    row = {composed(name): number for number, name in enumerate(image.tolist())}
+    known_names = [composed(name) for name in known_image.tolist()]
+    pairs = [(row[name], k) for k, name in enumerate(known_names) if name in row]
     usable = [(i, k) for i, k in pairs if np.isfinite(xyz[i]).all() and np.isfinite(known[k]).all()]
     if len(usable) < 3:
         where = "stations.orientation.known_positions"
