@@ -212,9 +212,7 @@ class SmallBlock:
                 "gps_position": known[k].tolist(),
                 "gps_dop": 5.0,
             }
-        coordinates = {
-            str(k): {"coordinates": place.tolist()} for k, place in enumerate(points, 1)
-        }
+        coordinates = {str(k): {"coordinates": place.tolist()} for k, place in enumerate(points, 1)}
         content = [{"cameras": {"c": camera}, "shots": shots, "points": coordinates}]
         folder.mkdir(parents=True, exist_ok=True)
         (folder / name).write_text(json.dumps(content))
@@ -289,6 +287,165 @@ class SmallBlock:
             f'<frames><frame id="0"><markers>{places}</markers></frame></frames>'
             f"<reference>{reference}</reference></chunk></document>"
         )
+
+    def in_grid(self, epsg: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Centres and points (x, y, h) in a map projection, and rotations from its axes.
+
+        The azimuth of grid north is taken from two places 10 m apart.
+        """
+        import pyproj
+
+        to_grid = pyproj.Transformer.from_crs(4979, epsg, always_xy=True)
+        x, y = to_grid.transform(self.lon, self.lat)
+        step_deg = np.degrees(10.0 / A)
+        x_north, y_north = to_grid.transform(self.lon, self.lat + step_deg)
+        meridian = np.arctan2(x_north - x, y_north - y)  # azimuth of true north in the grid
+        rotations = []
+        for turn, angle in zip(self.cam_from_enu, meridian, strict=True):
+            east = [np.cos(angle), np.sin(angle), 0.0]
+            north = [-np.sin(angle), np.cos(angle), 0.0]
+            # The columns are grid east and north in terms of true east and north.
+            enu_from_grid = np.array([east, north, [0.0, 0.0, 1.0]]).T
+            rotations.append(turn @ enu_from_grid)
+        px, py = to_grid.transform(self.point_lon, self.point_lat)
+        points = np.stack([px, py, self.point_h], axis=1)
+        return np.stack([x, y, self.h], axis=1), np.array(rotations), points
+
+    def write_pix4d(self, folder: Path, epsg: int, *, offset, leave_out=()) -> None:
+        """The parameters of a project called ``survey``."""
+        import pyproj
+
+        centres, rotations, _ = self.in_grid(epsg)
+        folder.mkdir(parents=True, exist_ok=True)
+        d = DISTORTION
+        lines = [
+            "fileName imageWidth imageHeight ", "camera matrix K [3x3]", "radial distortion [3x1]",
+            "tangential distortion [2x1]", "camera position t [3x1]", "camera rotation R [3x3]",
+            "camera model m = K [R|-Rt] X", "",
+        ]  # fmt: skip
+        external = ["imageName X Y Z Omega Phi Kappa"]
+        ties = []
+        for name, centre, turn in zip(self.names, centres, rotations, strict=True):
+            lines += [
+                f"{name} {WIDTH} {HEIGHT}", f"{FOCAL} 0 {CX}", f"0 {FOCAL} {CY}", "0 0 1",
+                f"{d['k1']} {d['k2']} {d['k3']}", f"{d['p1']} {d['p2']}",
+                text_of(centre - offset), *(text_of(row) for row in turn),
+            ]  # fmt: skip
+            omega, phi, kappa = textbook_opk(turn)
+            x, y, z = centre
+            external.append(f"{name} {x:.6f} {y:.6f} {z:.6f} {omega:.9f} {phi:.9f} {kappa:.9f}")
+            ties.append(name.removesuffix(".JPG"))
+            for r in self.observations[self.observations["image"] == name].itertuples():
+                ties.append(f"{1000 + int(r.point)} {r.x_px!r} {r.y_px!r} 2.5")
+            ties.append("-99")
+        files = {
+            "calibrated_camera_parameters.txt": "\n".join(lines) + "\n",
+            "calibrated_external_camera_parameters.txt": "\n".join(external) + "\n",
+            "offset.xyz": " ".join(f"{v:.3f}" for v in offset) + "\n",
+            "wkt.prj": pyproj.CRS.from_epsg(epsg).to_wkt("WKT1_GDAL"),
+            "tp_pix4d.txt": "\n".join(ties) + "\n",
+        }
+        for name, text in files.items():
+            if name not in leave_out:
+                (folder / f"survey_{name}").write_text(text)
+
+    def write_blocks_exchange(
+        self, path: Path, system: str, *, orientation: str = "XRightYDown", angles: bool = False,
+        millimetres: bool = False, known=None,
+    ) -> None:  # fmt: skip
+        """A block in ENU at the origin, in longitude and latitude, or in a map projection."""
+        if system.startswith("ENU"):
+            centres, rotations, points = self.in_enu()
+        elif system == "WGS84":
+            centres = np.stack([self.lon, self.lat, self.h], axis=1)
+            rotations = self.cam_from_enu
+            points = np.stack([self.point_lon, self.point_lat, self.point_h], axis=1)
+        else:
+            centres, rotations, points = self.in_grid(int(system.removeprefix("EPSG:")))
+        # The rows of what turns a camera with x right, y down to the stated axes.
+        to_stated = {
+            "XRightYDown": np.diag([1.0, 1.0, 1.0]),
+            "XRightYUp": np.diag([1.0, -1.0, -1.0]),
+            "XLeftYDown": np.diag([-1.0, 1.0, -1.0]),
+            "XDownYRight": np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]),
+        }[orientation]
+        pixel_mm = 0.004
+        d = DISTORTION
+        focal = f"<FocalLengthPixels>{FOCAL}</FocalLengthPixels>"
+        principal = f"<x>{CX - 0.5}</x><y>{CY - 0.5}</y>"
+        if millimetres:
+            focal = (
+                f"<SensorSize>{pixel_mm * WIDTH}</SensorSize>"
+                f"<FocalLength>{pixel_mm * FOCAL}</FocalLength>"
+            )
+            right, down = pixel_mm * (CX - WIDTH / 2), pixel_mm * (CY - HEIGHT / 2)
+            x, y, _ = (to_stated @ [right, down, 0.0]).tolist()
+            principal = f"<xmm>{x!r}</xmm><ymm>{y!r}</ymm>"
+        photos = []
+        for k, (centre, turn) in enumerate(zip(centres, rotations, strict=True)):
+            matrix = to_stated @ turn
+            if angles:
+                names = ("Omega", "Phi", "Kappa")
+                given = zip(names, textbook_angles(matrix), strict=True)
+            else:
+                names = [f"M_{i}{j}" for i in range(3) for j in range(3)]
+                given = zip(names, matrix.ravel().tolist(), strict=True)
+            rotation = "".join(f"<{name}>{value!r}</{name}>" for name, value in given)
+            x, y, z = centre.tolist()
+            exif = ""
+            if known is not None:
+                lat, lon, h = known[k].tolist()
+                exif = (
+                    f"<ExifData><GPS><Latitude>{lat!r}</Latitude><Longitude>{lon!r}</Longitude>"
+                    f"<Altitude>{h!r}</Altitude></GPS></ExifData>"
+                )
+            photos.append(
+                f"<Photo><Id>{k + 5}</Id><ImagePath>D:\\flight\\{self.names[k]}</ImagePath><Pose>"
+                f"<Rotation>{rotation}</Rotation><Center><x>{x!r}</x><y>{y!r}</y><z>{z!r}</z>"
+                f"</Center></Pose>{exif}</Photo>"
+            )
+        ties = []
+        for number, (x, y, z) in enumerate(points.tolist(), 1):
+            rows = self.observations[self.observations["point"] == str(number)]
+            seen = []
+            for r in rows.itertuples():
+                pixel = f"<x>{r.x_px - 0.5!r}</x><y>{r.y_px - 0.5!r}</y>"
+                if millimetres:
+                    right, down = pixel_mm * (r.x_px - CX), pixel_mm * (r.y_px - CY)
+                    x_mm, y_mm, _ = (to_stated @ [right, down, 0.0]).tolist()
+                    pixel = f"<xmm>{x_mm!r}</xmm><ymm>{y_mm!r}</ymm>"
+                photo = self.names.index(r.image) + 5
+                seen.append(f"<Measurement><PhotoId>{photo}</PhotoId>{pixel}</Measurement>")
+            ties.append(
+                f"<TiePoint><Position><x>{x!r}</x><y>{y!r}</y><z>{z!r}</z></Position>"
+                f"{''.join(seen)}</TiePoint>"
+            )
+        path.write_text(
+            '<BlocksExchange version="3.2"><SpatialReferenceSystems><SRS><Id>3</Id><Name>s</Name>'
+            f"<Definition>{system}</Definition></SRS></SpatialReferenceSystems><Block><Name>b</Name>"
+            "<SRSId>3</SRSId><Photogroups><Photogroup><Name>c</Name><ImageDimensions>"
+            f"<Width>{WIDTH}</Width><Height>{HEIGHT}</Height></ImageDimensions>"
+            f"<CameraModelType>Perspective</CameraModelType>{focal}"
+            f"<CameraOrientation>{orientation}</CameraOrientation>"
+            f"<PrincipalPoint>{principal}</PrincipalPoint><Distortion><K1>{d['k1']}</K1>"
+            f"<K2>{d['k2']}</K2><K3>{d['k3']}</K3><P1>{d['p2']}</P1><P2>{d['p1']}</P2></Distortion>"
+            f"<AspectRatio>1</AspectRatio><Skew>0</Skew>{''.join(photos)}</Photogroup>"
+            f"</Photogroups><ControlPoints/><TiePoints>{''.join(ties)}</TiePoints></Block>"
+            "</BlocksExchange>"
+        )
+
+
+def textbook_angles(m: np.ndarray) -> list[float]:
+    """omega, phi, kappa [deg] of a matrix from object to image, as Kraus and Wolf have it."""
+    omega = np.arctan2(-m[2, 1], m[2, 2])
+    phi = np.arcsin(np.clip(m[2, 0], -1.0, 1.0))
+    kappa = np.arctan2(-m[1, 0], m[0, 0])
+    return np.degrees([omega, phi, kappa]).tolist()
+
+
+def textbook_opk(cam: np.ndarray) -> list[float]:
+    """The same of a camera with x right, y down, z forward: the textbook's has y up, z back."""
+    return textbook_angles(np.diag([1.0, -1.0, -1.0]) @ cam)
 
 
 @dataclass

@@ -36,6 +36,10 @@ def block(spacing_m: float = 120.0) -> np.ndarray:
     return np.stack([spacing_m * image, 2 * spacing_m * line, 900.0 + 0.0 * line], axis=1)
 
 
+def moved(east: float, north: float, up: float) -> np.ndarray:
+    return block() + np.array([east, north, up])
+
+
 def stations_at(enu: np.ndarray):
     lat, lon, h = geodetic(enu).T
     names = np.array([f"{k:02d}.jpg" for k in range(len(enu))], object)
@@ -87,11 +91,11 @@ def test_a_wrong_frame_is_a_finding(rotation, scale, words):
 
 
 def test_another_datum_or_zero_of_heights_is_a_finding():
-    told = codes(block() + [95.0, 0.0, 0.0], noisy(block(), 4))
+    told = codes(moved(95.0, 0.0, 0.0), noisy(block(), 4))
     assert "m away" in told["FRAME-PLACES"]
-    told = codes(block() + [0.0, 0.0, 400.0], noisy(block(), 4))
+    told = codes(moved(0.0, 0.0, 400.0), noisy(block(), 4))
     assert "heights differ by -4" in told["FRAME-PLACES"]
-    assert [*codes(block() + [5.0, 0.0, 60.0], noisy(block(), 4))] == ["FRAME-CONFIRMED"]
+    assert [*codes(moved(5.0, 0.0, 60.0), noisy(block(), 4))] == ["FRAME-CONFIRMED"]
 
 
 def test_drift_of_a_receiver_is_no_turn():

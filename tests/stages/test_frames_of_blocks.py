@@ -262,7 +262,7 @@ def test_the_reference_of_a_chunk_is_compared_with_its_cameras(tmp_path):
 
 
 def test_slave_cameras_follow_their_master(tmp_path):
-    """An oblique head 0.4 m ahead of the nadir camera, 45 deg to the side: truth by own arithmetic."""
+    """An oblique head 0.4 m from the nadir camera, 45 deg to the side: truth by own arithmetic."""
     block = SmallBlock.make()
     turn = Rotation.from_euler("yx", [45.0, 3.0], degrees=True).as_matrix()
     head = SmallRig("head_", (0.4, -0.1, 0.05), turn)

@@ -162,9 +162,7 @@ def in_one_plane(position: Array, known: Array) -> tuple[Array, Array, Mask]:
     return (block - origin) @ to_enu.T, (other - origin) @ to_enu.T, has_height
 
 
-def with_turn(
-    comparison: Comparison, block: Array, other: Array, has_height: Mask
-) -> Comparison:
+def with_turn(comparison: Comparison, block: Array, other: Array, has_height: Mask) -> Comparison:
     """The comparison with turn, scale and tilt, by lines through all but outliers."""
     z = block[:, 0] + 1j * block[:, 1]
     w = other[:, 0] + 1j * other[:, 1]

@@ -30,7 +30,7 @@ _OF_ANGLES = {
     "quaternion": ("q_w", "q_x", "q_y", "q_z"),
     "quaternion_to_frame": ("q_w", "q_x", "q_y", "q_z"),
 }
-_SAY_FRAME = ("opensfm", "metashape")
+_SAY_FRAME = ("opensfm", "metashape", "pix4d", "blocksexchange")
 _GEODETIC = ("latitude", "longitude", "height")
 _CARTESIAN = ("x", "y", "z")
 _SIGMAS = ("sigma_horizontal_m", "sigma_height_m", "sigma_tilt", "sigma_yaw")
@@ -80,7 +80,7 @@ class OrientationColumns(ClockColumns, PoseColumns):
 
 
 class KnownPositions(Section):
-    """Positions of at least three images, to which a frame is fitted or with which it is compared."""
+    """Positions of three images or more, to which a frame is fitted, or compared with it."""
 
     path: PathText = Field(
         description="a CSV of images with latitude and longitude [deg] and height [m]",
@@ -159,8 +159,8 @@ class OrientationSection(Section):
             "north, east, down) at each station; projected: x, y of crs, whose grid north the "
             "angles count from, and z, the height; ecef: earth-centred; {enu: {lat_deg, lon_deg, "
             "h_ellipsoid_m}}: east, north, up at this one place; unknown: fitted to "
-            "known_positions. By default what the block says: OpenSfM's reference_lla, Metashape's "
-            "coordinate system"
+            "known_positions. By default what the block says: OpenSfM's reference_lla, the "
+            "coordinate system of Metashape, Pix4D or BlocksExchange"
         ),
         examples=["geographic"],
     )
@@ -212,8 +212,8 @@ class OrientationSection(Section):
     known_positions: KnownPositions | Literal["log"] | None = Field(
         None,
         description=(
-            "positions of at least three images, to which an unknown frame is fitted, and with which "
-            "another one is compared: a CSV, or log: the exposures of the log"
+            "positions of at least three images, to which an unknown frame is fitted, and with "
+            "which another one is compared: a CSV, or log: the exposures of the log"
         ),
         examples=["log"],
     )
@@ -274,6 +274,12 @@ class OrientationSection(Section):
         """Whether the positions are latitude, longitude and height, or become them by the crs."""
         level = self.frame in ("geographic", "projected")
         return level or self.columns.latitude is not None
+
+    def in_system_of(self, crs: str | None, kind: str | None) -> Self:
+        """The section with the coordinate system that a block names, where no frame is stated."""
+        if self.frame is not None or crs is None or kind is None:
+            return self
+        return self.model_copy(update={"frame": kind, "crs": crs})
 
     def is_msl(self, found: str | None) -> bool:
         """Whether heights are above the sea; ``found`` is what a coordinate system says of them."""

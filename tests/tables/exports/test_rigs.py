@@ -21,7 +21,9 @@ def exported(names: list[str], cameras: list[int]):
     """What of an exported block rigs rest on."""
     numbers = np.array(cameras)
     return SimpleNamespace(
-        image=np.array(names, object), camera=numbers, cameras=dict.fromkeys(range(max(cameras) + 1))
+        image=np.array(names, object),
+        camera=numbers,
+        cameras=dict.fromkeys(range(max(cameras) + 1)),
     )
 
 

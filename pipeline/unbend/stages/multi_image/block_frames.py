@@ -19,7 +19,12 @@ from unbend.stages.flight_log import FlightLog
 from unbend.stages.messages import no_events
 from unbend.stages.multi_image import messages
 from unbend.stages.opened_inputs import BlockPoints, OpenedInputs
-from unbend.tables.geodata.coordinate_systems import GeocentricDatum, frame_of_datum, places_of
+from unbend.tables.geodata.coordinate_systems import (
+    GeocentricDatum,
+    frame_of_datum,
+    kind_of_system,
+    places_of,
+)
 from unbend.tables.geodata.object_points import ObjectPoints
 from unbend.tables.imports.user_tables import OrientationTable
 from unbend.units import Array, Names
@@ -53,6 +58,15 @@ def orientation_table(section: OrientationSection, inputs: OpenedInputs) -> Orie
     return replace(table, camera=camera)
 
 
+def section_of_block(mission: Mission, inputs: OpenedInputs) -> OrientationSection:
+    """The section of orientations, with the coordinate system that a block names by itself."""
+    section = mission.stations.orientation
+    if section is None or inputs.orientation is None:
+        raise no_events(where="stations", what="orientation")
+    crs = inputs.orientation.crs
+    return section if crs is None else section.in_system_of(crs, kind_of_system(crs))
+
+
 def block_points(
     mission: Mission, inputs: OpenedInputs, flight: FlightLog, ledger: Ledger
 ) -> ObjectPoints:
@@ -60,9 +74,9 @@ def block_points(
 
     An image point without an object point gets the median height of those in its image.
     """
-    section = mission.stations.orientation
+    section = section_of_block(mission, inputs)
     block = inputs.block_points
-    if section is None or block is None:
+    if block is None:
         raise no_events(where="stations", what="orientation")
     if len(block.name) == 0:
         raise messages.block_without_points(where=section.path)

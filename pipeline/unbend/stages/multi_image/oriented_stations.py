@@ -21,13 +21,13 @@ from unbend.flight.stations import NO_TIME, Stations
 from unbend.messages import Kind, Ledger
 from unbend.stages.exposure_events import camera_of_rows
 from unbend.stages.flight_log import FlightLog
-from unbend.stages.messages import no_events
 from unbend.stages.multi_image import messages
 from unbend.stages.multi_image.block_frames import (
     check_frame,
     frame_of_block,
     in_wgs84,
     orientation_table,
+    section_of_block,
 )
 from unbend.stages.multi_image.tie_point_checks import FEWEST_TIE_POINTS
 from unbend.stages.opened_inputs import OpenedInputs
@@ -64,9 +64,7 @@ def oriented_stations(
 
     Refuses (ORIENTATION-READING) a table by which tie points meet far better in another reading.
     """
-    section = mission.stations.orientation
-    if section is None:
-        raise no_events(where="stations", what="orientation")
+    section = section_of_block(mission, inputs)
     observations = inputs.observations
     table = ledger.take(in_wgs84(section, orientation_table(section, inputs), inputs.geoid))
     ledger.extend(table.notes)

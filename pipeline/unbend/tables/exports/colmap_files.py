@@ -10,9 +10,9 @@ an adjustment could not determine it.
 Tables of the database are those of COLMAP 4.2 (``colmap_4_2.sql``); image points keep their places
 as keypoints. Keypoints are 32-bit numbers there: up to 16,384 px they lose at most 0.0005 px, which
 the model does not. Points tie each pair of their images (matches and verified geometries); where
-the run read a database, its own matches and geometries are copied, and its rigs and frames. Pose priors are the stations'
-positions with the covariance of their sigmas. That refraction was removed stands in a table of its
-own, which COLMAP leaves alone.
+the run read a database, its own matches and geometries are copied, and its rigs and frames. Pose
+priors are the stations' positions with the covariance of their sigmas. That refraction was removed
+stands in a table of its own, which COLMAP leaves alone.
 """
 
 import sqlite3

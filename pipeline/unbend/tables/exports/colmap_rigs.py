@@ -1,9 +1,9 @@
 """Rigs and frames of a COLMAP database: those of the database that a run read, or none.
 
 A rig is several cameras that do not move against each other, a frame the images that it takes at a
-time. Rows are those of the tables ``rigs``, ``rig_sensors``, ``frames`` and ``frame_data``, with the
-numbers that cameras and images have in the exported block. A camera that is in no rig is a rig of
-its own, and an image in no frame a frame of its own.
+time. Rows are those of the tables ``rigs``, ``rig_sensors``, ``frames`` and ``frame_data``, with
+the numbers that cameras and images have in the exported block. A camera that is in no rig is a rig
+of its own, and an image in no frame a frame of its own.
 """
 
 import sqlite3
@@ -124,9 +124,7 @@ def copy_rigs(
         ledger.add(messages.rigs_lost(where="rigs", count=lost))
     in_frames = copy_frames(database, tables, new_rigs, image_numbers, camera_numbers)
     if new_rigs:
-        ledger.add(
-            messages.rigs_kept(where="rigs", count=len(new_rigs), frames=len(tables.frames))
-        )
+        ledger.add(messages.rigs_kept(where="rigs", count=len(new_rigs), frames=len(tables.frames)))
     return in_frames
 
 
@@ -144,7 +142,7 @@ def copy_frames(
         if image in image_numbers and camera in camera_numbers:
             pair = (image_numbers[image], camera_numbers[camera])
             images_of_frame.setdefault(frame, []).append(pair)
-    in_frames = set()
+    in_frames: set[int] = set()
     query = "SELECT frame_id, rig_id FROM frames ORDER BY frame_id"
     for frame, rig in database.execute(query).fetchall():
         images = sorted(images_of_frame.get(frame, []))

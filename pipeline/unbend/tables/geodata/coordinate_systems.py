@@ -11,7 +11,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-
 from scipy.spatial.transform import Rotation
 
 from unbend.block.oriented_images import CartesianFrame
@@ -209,6 +208,26 @@ def datum_of(crs: str) -> GeocentricDatum | None:
         return None
     own = system.geodetic_crs
     return None if own is None else GeocentricDatum(crs, own.name)
+
+
+def kind_of_system(crs: str) -> str | None:
+    """Whether a system of PROJ's is geographic, projected or ecef; None for another, or none.
+
+    >>> kind_of_system("EPSG:32632"), kind_of_system("WGS84"), kind_of_system("EPSG:4978")
+    ('projected', 'geographic', 'ecef')
+    """
+    from pyproj import CRS
+    from pyproj.exceptions import CRSError
+
+    try:
+        system = CRS.from_user_input(crs)
+    except CRSError:
+        return None
+    if system.is_geocentric:
+        return "ecef"
+    if system.is_projected:
+        return "projected"
+    return "geographic" if system.is_geographic else None
 
 
 def lat_lon_of(crs: str, x: Array, y: Array) -> tuple[Array, Array] | None:

@@ -146,7 +146,8 @@ class OrientationTable:
     and radians by quantity, for those that are there. ``convergence_rad`` (n,) is the azimuth of
     the grid's north, ``heights`` what a coordinate system says of them. ``frame`` is what a file
     says of the frame of its x, y, z: earth-centred, on WGS 84 or of another datum, or the origin of
-    east, north and up. ``notes`` are what its reader has to say.
+    east, north and up; ``crs`` is the coordinate system that it names for them. ``notes`` are what
+    its reader has to say.
     """
 
     image: Names
@@ -158,6 +159,7 @@ class OrientationTable:
     convergence_rad: Array | float = 0.0
     heights: str | None = None
     frame: Literal["ecef"] | GeodeticOrigin | GeocentricDatum | None = None
+    crs: str | None = None
     notes: Notes = ()
 
 

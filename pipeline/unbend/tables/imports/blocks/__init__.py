@@ -62,6 +62,8 @@ BLOCKS: Registry = {
     "colmap": ("unbend.tables.imports.blocks.colmap", (".txt", ".bin", ".db")),
     "opensfm": ("unbend.tables.imports.blocks.opensfm", (".json",)),
     "metashape": ("unbend.tables.imports.blocks.metashape", (".xml", ".psz", ".psx")),
+    "pix4d": ("unbend.tables.imports.blocks.pix4d", ()),
+    "blocksexchange": ("unbend.tables.imports.blocks.blocks_exchange", ()),
     "dbat": ("unbend.tables.imports.blocks.dbat", ()),
 }
 """Formats, and the endings by which the file of a camera is known."""

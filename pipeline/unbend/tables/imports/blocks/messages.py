@@ -258,7 +258,8 @@ def keypoints_none(*, where: Path | str, pairs: int) -> InputError:
 
 def is_folder(*, where: Path | str) -> InputError:
     """A folder stands where a file of Metashape's belongs."""
-    return _damaged(where, "it is a folder", remedy="name a .psz or .psx, or a .xml that was exported")
+    remedy = "name a .psz or .psx, or a .xml that was exported"
+    return _damaged(where, "it is a folder", remedy=remedy)
 
 
 def metashape_version(*, where: Path | str, tag: str, version: str) -> InputError:
@@ -379,6 +380,95 @@ def reconstruction_before_odm(*, where: Path | str) -> Message:
     )
 
 
+# Pix4D
+
+
+def several_of_pix4d(*, where: Path | str, name: str, files: int) -> InputError:
+    """A folder holds the parameters of several projects."""
+    return _damaged(
+        where,
+        "it has {files} that end in {name}",
+        remedy="name the file of the project that is meant",
+        files=Counted(files, "file"),
+        name=name,
+    )
+
+
+def offset_missing(*, where: Path | str, name: str) -> InputError:
+    """The centres count from a place of a map that no file names."""
+    return _damaged(
+        where,
+        "its projection centres count from the project's offset, which no file has",
+        remedy="copy the project's ..._{name} beside it, or its external parameters",
+        name=name,
+    )
+
+
+def files_of_pix4d_differ(
+    *, where: Path | str, image: str, away_m: float, turned_deg: float
+) -> InputError:
+    """An image has other poses in the two files of a project."""
+    return _damaged(
+        where,
+        "{image!r} is {away_m:.3g} m away and turned by {turned_deg:.3g} deg in the file of "
+        "external parameters",
+        remedy="give both files, and the offset, of one and the same calibration",
+        image=image,
+        away_m=away_m,
+        turned_deg=turned_deg,
+    )
+
+
+# BlocksExchange
+
+
+def is_folder_of_xml(*, where: Path | str) -> InputError:
+    """A folder stands where a file of BlocksExchange belongs."""
+    return _damaged(where, "it is a folder", remedy="name the .xml that was exported")
+
+
+def not_blocks_exchange(*, where: Path | str, tag: str) -> InputError:
+    """An XML of another kind."""
+    return _damaged(where, "it is a {tag}, not a BlocksExchange", tag=tag)
+
+
+def several_blocks(*, where: Path | str, blocks: int, names: str) -> InputError:
+    """A file of no block, or of several."""
+    return _damaged(
+        where,
+        "it has {blocks} ({names}), and one is read",
+        remedy="export the block that is meant alone",
+        blocks=Counted(blocks, "block"),
+        names=names,
+    )
+
+
+def system_of_group(*, where: Path | str, name: str) -> InputError:
+    """A photogroup is in another spatial reference system than its block."""
+    return _damaged(
+        where,
+        "the photogroup {name!r} is in another spatial reference system than its block",
+        remedy="export the block in one",
+        name=name,
+    )
+
+
+def rotation_unreadable(*, where: Path | str, angles: str) -> InputError:
+    """A rotation is neither a matrix nor omega, phi, kappa."""
+    return _damaged(
+        where,
+        "its rotations are {angles}, whose formula the format does not state",
+        remedy="export them as matrices, or as omega, phi, kappa",
+        angles=angles,
+    )
+
+
+def photo_unknown(*, where: Path | str, point: str, number: str) -> InputError:
+    """A measurement is in a photo that the block does not have."""
+    text = "{point!r} is measured in photo {number}, which is not there"
+    return _damaged(where, text, point=point, number=number)
+
+
 # DBAT
 
 
@@ -445,6 +535,20 @@ def file_of_project_missing(*, where: Path | str, name: str) -> InputError:
         "a project of OpenSfM has a {name}",
         where=where,
         remedy="name the folder of the project; of ODM that is opensfm",
+        name=name,
+    )
+
+
+def file_of_pix4d_missing(*, where: Path | str, name: str) -> InputError:
+    """The parameters of a Pix4D project lack a file that is needed."""
+    return InputError(
+        INPUT_MISSING,
+        "no file there ends in {name}",
+        where=where,
+        remedy=(
+            "name the folder params of the project, or its ..._calibrated_camera_parameters.txt; "
+            "without ..._tp_pix4d.txt give the image points as a table under observations"
+        ),
         name=name,
     )
 

@@ -101,7 +101,7 @@ def read_places(path: Path) -> tuple[KnownPlaces, ...]:
     if not images:
         return ()
     position = np.array(places)
-    crs = chunk.findtext("camera_crs") or chunk.findtext("reference", "")
+    crs = chunk.findtext("camera_crs", "") or chunk.findtext("reference", "")
     lat_lon = lat_lon_of(crs, position[:, 0], position[:, 1])
     if lat_lon is not None:
         position[:, 0], position[:, 1] = lat_lon
@@ -163,15 +163,16 @@ def _image_names(chunk: ElementTree.Element) -> dict[str, str]:
         for camera in group.iterfind("camera"):
             group_of_camera[camera.get("id", "")] = group.get("label", "")
     path_of_camera = {}
-    for photo in chunk.iterfind("frames/frame/cameras/camera"):
-        path_of_camera[photo.get("camera_id", "")] = photo.find("photo")
+    for camera in chunk.iterfind("frames/frame/cameras/camera"):
+        photo = camera.find("photo")
+        if photo is not None:
+            path_of_camera[camera.get("camera_id", "")] = photo.get("path", "")
     names = dict(label)
     for number in _repeated(names):
         if group_of_camera.get(number):
             names[number] = f"{group_of_camera[number]}/{label[number]}"
     for number in _repeated(names):
-        photo = path_of_camera.get(number)
-        folder = PurePosixPath("" if photo is None else photo.get("path", "")).parent.name
+        folder = PurePosixPath(path_of_camera.get(number, "")).parent.name
         if folder:
             names[number] = f"{folder}/{label[number]}"
     return names
@@ -211,7 +212,7 @@ def _place_in_master(sensor: ElementTree.Element) -> Array:
 
 
 def _components(cameras: list[ElementTree.Element]) -> dict[str, str | None]:
-    """The id of the component that each camera is of, by the camera's id; of a slave its master's."""
+    """The id of the component of each camera, by the camera's id; of a slave its master's."""
     own = {camera.get("id", ""): camera.get("component_id") for camera in cameras}
     components = {}
     for camera in cameras:
