@@ -10,8 +10,8 @@ in OpenCV. The spatial reference system of the block is one that PROJ knows, a l
 image, in a map projection from the axes of its grid. Source: the commented example of the vendor;
 the program was not run here.
 
-A point is called as its control point, or ``tie:`` and its place. An image has the name of its
-file, with the folder before it where such names repeat.
+A point is called as its control point, or ``tie:`` and its place. An image is called by its path,
+where that is absolute by the name of its file, with the folder before it if such names repeat.
 """
 
 from collections import Counter
@@ -218,6 +218,9 @@ def _image_names(block: ElementTree.Element) -> dict[str, str]:
     count = Counter(image.name for image in parts.values())
     names = {}
     for number, image in parts.items():
+        if not image.is_absolute() and ":" not in image.parts[0]:
+            names[number] = str(image)
+            continue
         repeats = count[image.name] > 1 and image.parent.name
         names[number] = f"{image.parent.name}/{image.name}" if repeats else image.name
     return names

@@ -14,7 +14,7 @@ files of public projects; it was not run here.
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import numpy as np
 import pyarrow as pa
@@ -121,7 +121,7 @@ def read_rows(path: Path) -> Iterator[pa.RecordBatch]:
     file = _beside(path, _TIES)
     if file is None:
         raise messages.file_of_pix4d_missing(where=path, name=_TIES)
-    full_names = {Path(image.name).stem: image.name for image in _images(path)}
+    full_names = {_without_ending(image.name): image.name for image in _images(path)}
     name = ""
     points: list[str] = []
     pixels: list[tuple[float, float]] = []
@@ -262,6 +262,11 @@ def _refuse_contradiction(
             raise messages.files_of_pix4d_differ(
                 where=path, image=name, away_m=away_m, turned_deg=float(np.degrees(turned))
             )
+
+
+def _without_ending(name: str) -> str:
+    """The name of an image as the file of image points has it."""
+    return str(PurePosixPath(name).with_suffix(""))
 
 
 def _is_number(text: str) -> bool:
