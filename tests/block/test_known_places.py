@@ -47,9 +47,9 @@ def stations_at(enu: np.ndarray):
     return replace(stations, lat_rad=lat, lon_rad=lon, h_ellipsoid_m=h, h_msl_m=h - 47.0)
 
 
-def codes(enu: np.ndarray, known: np.ndarray, *, must_be_told: bool = True) -> dict[str, str]:
+def codes(enu: np.ndarray, known: np.ndarray, *, must_be_tested: bool = True) -> dict[str, str]:
     notes = frame_notes(
-        stations_at(enu), [("pose priors", known)], must_be_told=must_be_told, where="sparse"
+        stations_at(enu), [("pose priors", known)], must_be_tested=must_be_tested, where="sparse"
     )
     return {note.code: note.what for note in notes}
 
@@ -129,7 +129,7 @@ def test_a_frame_that_nothing_confirms_says_so():
     told = codes(block(), nothing)
     assert [*told] == ["FRAME-UNVERIFIED"]
     assert "lie within 968 m, 853 to 853 m" in told["FRAME-UNVERIFIED"]
-    assert codes(block(), nothing, must_be_told=False) == {}
+    assert codes(block(), nothing, must_be_tested=False) == {}
     few = noisy(block(), 7)
     few[3:] = np.nan
     assert [*codes(block(), few)] == ["FRAME-CONFIRMED", "FRAME-UNVERIFIED"]

@@ -6,7 +6,7 @@ or elsewhere. Single positions are not judged: receivers in cameras err by metre
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -34,7 +34,10 @@ LARGEST_RESIDUAL = 0.02  # likewise, in parts of the extent
 LINE_WIDTH = 0.05  # width over length of images that lie on a line
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(
+    frozen=True,
+    eq=False,
+)
 class KnownPlaces:
     """Positions of images by one source, which ``source`` names in words.
 
@@ -50,15 +53,16 @@ class KnownPlaces:
     def rows_of(self, image: Names) -> Array:
         """(n, 3) the positions of some images, NaN where there is none."""
         row = {composed(name): k for k, name in enumerate(self.image.tolist())}
-        found = np.full((len(image), 3), np.nan)
-        for i, name in enumerate(map(composed, image.tolist())):
-            if name in row:
-                found[i] = self.position[row[name]]
-        return found
+        position = np.full((len(image), 3), np.nan)
+        for i, name in enumerate(image.tolist()):
+            name_here = composed(name)
+            if name_here in row:
+                position[i] = self.position[row[name_here]]
+        return position
 
 
 @dataclass(frozen=True)
-class Comparison:
+class PlaceComparison:
     """How known positions lie against those of the block.
 
     ``offset_m`` is the horizontal distance between their middles, ``height_m`` the median of known
@@ -82,29 +86,42 @@ class Comparison:
     @property
     def contradictions(self) -> list[str]:
         """What of the frame the known positions contradict, in words."""
-        texts = []
-        half = 0.5 * self.extent_m
-        tolerated = max(OVER_RESIDUAL * self.residual_m, SMALLEST_STEP_M)
-        least = SIGNIFICANT_SIGMAS * self.sigma_turn
-        turn = abs(self.turn_rad)
-        if turn > max(SMALLEST_TURN_RAD, least) and turn * half > tolerated:
-            texts.append(f"it is turned by {np.degrees(turn):.2f} deg about the vertical")
-        stretch = abs(self.scale - 1.0)
-        if stretch > max(SMALLEST_SCALE, least * self.scale) and stretch * half > tolerated:
-            texts.append(f"its lengths are to be multiplied by {self.scale:.4g}")
-        rise = self.tilt_rad * half
-        significant = max(SMALLEST_TILT_RAD, SIGNIFICANT_SIGMAS * self.sigma_tilt_rad)
-        if self.tilt_rad > significant and rise > max(
-            OVER_RESIDUAL * self.rise_residual_m, SMALLEST_RISE_M
-        ):
-            texts.append(f"it is tilted by {np.degrees(self.tilt_rad):.2f} deg")
+        texts = self.turns_and_scales()
+        if self.is_tilted:
+            angle_deg = np.degrees(self.tilt_rad)
+            texts.append(f"it is tilted by {angle_deg:.2f} deg")
         if self.offset_m > LARGEST_OFFSET_M:
             texts.append(f"it is {self.offset_m:,.0f} m away")
         if abs(self.height_m) > LARGEST_HEIGHT_OFFSET_M:
             texts.append(f"its heights differ by {self.height_m:,.0f} m")
-        if self.residual_m > max(LARGEST_RESIDUAL_M, LARGEST_RESIDUAL * self.extent_m):
+        usual_m = max(LARGEST_RESIDUAL_M, LARGEST_RESIDUAL * self.extent_m)
+        if self.residual_m > usual_m:
             texts.append(f"no turn, scale and shift leaves less than {self.residual_m:,.0f} m")
         return texts
+
+    def turns_and_scales(self) -> list[str]:
+        """The turn and the scale, in words, if they are none of noise or drift."""
+        texts = []
+        half_m = 0.5 * self.extent_m
+        tolerated_m = max(OVER_RESIDUAL * self.residual_m, SMALLEST_STEP_M)
+        noise = SIGNIFICANT_SIGMAS * self.sigma_turn
+        turn = abs(self.turn_rad)
+        if turn > max(SMALLEST_TURN_RAD, noise) and turn * half_m > tolerated_m:
+            angle_deg = np.degrees(turn)
+            texts.append(f"it is turned by {angle_deg:.2f} deg about the vertical")
+        stretch = abs(self.scale - 1.0)
+        smallest_stretch = max(SMALLEST_SCALE, noise * self.scale)
+        if stretch > smallest_stretch and stretch * half_m > tolerated_m:
+            texts.append(f"its lengths are to be multiplied by {self.scale:.4g}")
+        return texts
+
+    @property
+    def is_tilted(self) -> bool:
+        """Whether the vertical leans by more than noise and drift of heights do."""
+        rise_m = self.tilt_rad * 0.5 * self.extent_m
+        noise = SIGNIFICANT_SIGMAS * self.sigma_tilt_rad
+        smallest_rise_m = max(OVER_RESIDUAL * self.rise_residual_m, SMALLEST_RISE_M)
+        return self.tilt_rad > max(SMALLEST_TILT_RAD, noise) and rise_m > smallest_rise_m
 
     @property
     def tested(self) -> str:
@@ -124,7 +141,10 @@ class Comparison:
         return ", ".join(parts)
 
 
-def compared_places(stations: Stations, known: Array) -> Comparison | None:
+def compared_places(
+    stations: Stations,
+    known: Array,
+) -> PlaceComparison | None:
     """The comparison of stations with (n, 3) known positions; None where nothing is in both."""
     position = np.stack([stations.lat_rad, stations.lon_rad, stations.h_ellipsoid_m], axis=1)
     usable = np.isfinite(known[:, :2]).all(axis=1) & np.isfinite(position).all(axis=1)
@@ -135,7 +155,7 @@ def compared_places(stations: Stations, known: Array) -> Comparison | None:
     middle = np.median(apart, axis=0)
     extent = float(np.linalg.norm(np.ptp(other[:, :2], axis=0)))
     heights = apart[has_height, 2]
-    comparison = Comparison(
+    comparison = PlaceComparison(
         count=int(usable.sum()),
         extent_m=extent,
         offset_m=float(np.hypot(middle[0], middle[1])),
@@ -147,7 +167,10 @@ def compared_places(stations: Stations, known: Array) -> Comparison | None:
     return with_turn(comparison, block, other, has_height)
 
 
-def in_one_plane(position: Array, known: Array) -> tuple[Array, Array, Mask]:
+def in_one_plane(
+    position: Array,
+    known: Array,
+) -> tuple[Array, Array, Mask]:
     """East, north, up of both (n, 3) [m] about the middle of the known ones, and known heights.
 
     A height that is not known is that of the block.
@@ -162,7 +185,12 @@ def in_one_plane(position: Array, known: Array) -> tuple[Array, Array, Mask]:
     return (block - origin) @ to_enu.T, (other - origin) @ to_enu.T, has_height
 
 
-def with_turn(comparison: Comparison, block: Array, other: Array, has_height: Mask) -> Comparison:
+def with_turn(
+    comparison: PlaceComparison,
+    block: Array,
+    other: Array,
+    has_height: Mask,
+) -> PlaceComparison:
     """The comparison with turn, scale and tilt, by lines through all but outliers."""
     z = block[:, 0] + 1j * block[:, 1]
     w = other[:, 0] + 1j * other[:, 1]
@@ -173,19 +201,41 @@ def with_turn(comparison: Comparison, block: Array, other: Array, has_height: Ma
     spread = float(np.sqrt(np.sum(np.abs(z[keep] - z[keep].mean()) ** 2)))
     residual = float(np.sqrt(np.mean(np.abs(miss[keep]) ** 2)))
     sigma = residual / np.sqrt(2.0) / (abs(factor) * spread) if spread else np.nan
-    found = {
-        "turn_rad": float(-np.angle(factor)),
-        "scale": float(abs(factor)),
-        "sigma_turn": float(sigma),
-        "residual_m": residual,
-    }
+    tilt = None
     tilt_rows = keep & has_height
     if int(tilt_rows.sum()) >= FEWEST_FOR_A_TURN:
-        found |= tilt_of(block[tilt_rows], other[tilt_rows])
-    return Comparison(**{**comparison.__dict__, **found})
+        tilt = tilt_of(block[tilt_rows], other[tilt_rows])
+    turned = replace(
+        comparison,
+        turn_rad=float(-np.angle(factor)),
+        scale=float(abs(factor)),
+        sigma_turn=float(sigma),
+        residual_m=residual,
+    )
+    if tilt is None:
+        return turned
+    return replace(
+        turned,
+        tilt_rad=tilt.angle_rad,
+        sigma_tilt_rad=tilt.sigma_rad,
+        rise_residual_m=tilt.residual_m,
+    )
 
 
-def plane_similarity(z: Array, w: Array, keep: Mask) -> tuple[complex, Array]:
+@dataclass(frozen=True)
+class Tilt:
+    """The tilt of a plane, its sigma, and what it leaves of heights (rms)."""
+
+    angle_rad: float
+    sigma_rad: float
+    residual_m: float
+
+
+def plane_similarity(
+    z: Array,
+    w: Array,
+    keep: Mask,
+) -> tuple[complex, Array]:
     """The complex factor that brings z to w, by least squares, and what all (n,) miss it by."""
     centred_z = z - z[keep].mean()
     centred_w = w - w[keep].mean()
@@ -200,15 +250,18 @@ def within_usual(distance: Array) -> Mask:
     return np.asarray(distance <= max(OUTLIER_SIGMAS * usual, 1e-9))
 
 
-def tilt_of(block: Array, other: Array) -> dict[str, float]:
-    """The tilt of a plane through the differences of heights, its sigma, and what remains (rms).
+def tilt_of(
+    block: Array,
+    other: Array,
+) -> Tilt | None:
+    """The tilt of a plane through the differences of heights.
 
-    Empty for images on a line, which do not tell the tilt across it.
+    None for images on a line, which do not tell the tilt across it.
     """
     flat = other[:, :2] - other[:, :2].mean(axis=0)
     length, width = np.linalg.svd(flat, compute_uv=False)
     if width < LINE_WIDTH * length:
-        return {}
+        return None
     rise = other[:, 2] - block[:, 2]
     keep = np.ones(rise.size, np.bool_)
     design = np.column_stack([flat, np.ones(rise.size)])
@@ -217,24 +270,28 @@ def tilt_of(block: Array, other: Array) -> dict[str, float]:
         miss = rise - design @ slopes
         keep = within_usual(np.abs(miss))
     residual = float(np.sqrt(np.mean(miss[keep] ** 2)))
-    return {
-        "tilt_rad": float(np.arctan(np.hypot(slopes[0], slopes[1]))),
-        "sigma_tilt_rad": residual / float(width),
-        "rise_residual_m": residual,
-    }
+    return Tilt(
+        angle_rad=float(np.arctan(np.hypot(slopes[0], slopes[1]))),
+        sigma_rad=residual / float(width),
+        residual_m=residual,
+    )
 
 
 def frame_notes(
-    stations: Stations, known: Iterable[tuple[str, Array]], *, must_be_told: bool, where: str
+    stations: Stations,
+    known: Iterable[tuple[str, Array]],
+    *,
+    must_be_tested: bool,
+    where: str,
 ) -> Notes:
     """What known positions, by their sources, say of the frame of a block's stations.
 
     A finding (FRAME-PLACES) where they contradict it, else a note (FRAME-CONFIRMED). Of a frame
-    that ``must_be_told`` by something a warning (FRAME-UNVERIFIED), where no source has positions
+    that ``must_be_tested`` by something a warning (FRAME-UNVERIFIED), where no source has positions
     of four images or more.
     """
     made: list[Message] = []
-    told = False
+    is_tested = False
     for source, position in known:
         comparison = compared_places(stations, position)
         if comparison is None:
@@ -261,13 +318,16 @@ def frame_notes(
                     residual=comparison.residual_m,
                 )
             )
-        told = told or bool(contradictions) or np.isfinite(comparison.turn_rad)
-    if must_be_told and not told:
+        is_tested = is_tested or bool(contradictions) or np.isfinite(comparison.turn_rad)
+    if must_be_tested and not is_tested:
         made.append(unverified(stations, where))
     return tuple(made)
 
 
-def unverified(stations: Stations, where: str) -> Message:
+def unverified(
+    stations: Stations,
+    where: str,
+) -> Message:
     """The warning that nothing confirms a frame, with what can be seen of it."""
     ok = stations.ok
     position = np.stack([stations.lat_rad, stations.lon_rad, stations.h_ellipsoid_m], axis=1)[ok]

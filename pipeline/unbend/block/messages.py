@@ -275,6 +275,8 @@ def frame_unverified(*, where: str, count: int, extent: float, low: float, high:
         "images or more; a model without scale, in feet, tilted, turned or of another datum would "
         "look the same: compare with the flight that the {count} images lie within {extent} m, "
         "{low:.0f} to {high:.0f} m above sea level",
+        one="nothing in this mission can verify the frame of the block of 1 image: no file has "
+        "positions; compare with the flight that it is {high:.0f} m above sea level",
         where=where,
         count=count,
         extent=f"{extent:,.0f}" if extent >= SMALL_BLOCK_M else f"{extent:.2g}",

@@ -102,7 +102,7 @@ def test_numbers_of_blocks_exchange(block, run, tmp_path):
     """Half a pixel, the tangential coefficients, and heights from the ellipsoid."""
     path, ledger = written(run, "blocksexchange", tmp_path)
     root = ElementTree.parse(path).getroot()
-    lat, lon, height = origin_of(ledger)
+    lat, lon, _ = origin_of(ledger)
     assert root.findtext("SpatialReferenceSystems/SRS/Definition") == f"ENU:{lat!r},{lon!r}"
     group = root.find("Block/Photogroups/Photogroup")
     assert float(group.findtext("PrincipalPoint/x")) == SQUARE.cx_px - 0.5

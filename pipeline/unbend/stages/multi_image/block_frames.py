@@ -26,6 +26,7 @@ from unbend.tables.geodata.coordinate_systems import (
     places_of,
 )
 from unbend.tables.geodata.object_points import ObjectPoints
+from unbend.tables.imports.exif import ImageTimes
 from unbend.tables.imports.user_tables import OrientationTable
 from unbend.units import Array, Names
 
@@ -238,21 +239,10 @@ def check_frame(
     ``frame`` is that of its x, y, z. ``exposed`` are the stations of the log; control points tell a
     frame by themselves.
     """
-    known = []
-    for places in inputs.block_places:
-        position = places.rows_of(table.image)
-        if places.in_frame and frame is not None:
-            position = np.stack(frame.geodetic(position), axis=1)
-        if not places.in_frame or frame is not None:
-            known.append((places.source, position))
+    known = places_of_block(inputs, table, frame)
     files = inputs.image_times
     if files is not None and section.format != "dji":
-        row = files.rows_of(stations.image.tolist())
-        position = np.full((stations.image.size, 3), np.nan)
-        for i, name in enumerate(stations.image.tolist()):
-            if name in row:
-                position[i] = files.position[row[name]]
-        known.append(("positions in EXIF", position))
+        known.append(("positions in EXIF", positions_in_exif(files, stations.image)))
     if inputs.known_positions is not None and section.frame != "unknown":
         given = inputs.known_positions
         places = KnownPlaces("known_positions", given.image, given.position)
@@ -261,8 +251,34 @@ def check_frame(
         image, position, _ = positions_of_log(join_stations(exposed))
         places = KnownPlaces("positions of the log at the exposures", image, position)
         known.append((places.source, places.rows_of(stations.image)))
-    needs_telling = section.frame not in ("geographic", "unknown") and not has_control
-    return frame_notes(stations, known, must_be_told=needs_telling, where=section.path)
+    needs_test = section.frame not in ("geographic", "unknown") and not has_control
+    return frame_notes(stations, known, must_be_tested=needs_test, where=section.path)
+
+
+def places_of_block(
+    inputs: OpenedInputs, table: OrientationTable, frame: CartesianFrame | None
+) -> list[tuple[str, Array]]:
+    """Known positions (n, 3) of the images of a table by the files of its block, by source."""
+    known = []
+    for places in inputs.block_places:
+        position = places.rows_of(table.image)
+        if not places.in_frame:
+            known.append((places.source, position))
+        elif frame is not None:
+            geodetic = np.stack(frame.geodetic(position), axis=1)
+            known.append((places.source, geodetic))
+    return known
+
+
+def positions_in_exif(files: ImageTimes, images: Names) -> Array:
+    """(n, 3) positions in the files of images, NaN where there is none."""
+    names = images.tolist()
+    row_of_image = files.rows_of(names)
+    position = np.full((images.size, 3), np.nan)
+    for i, name in enumerate(names):
+        if name in row_of_image:
+            position[i] = files.position[row_of_image[name]]
+    return position
 
 
 def positions_of_log(stations: Stations) -> tuple[Names, Array, float]:

@@ -28,21 +28,40 @@ _NAMES = {"K1": "k1", "K2": "k2", "K3": "k3", "P1": "p2", "P2": "p1"}
 """Coefficients of the format, and what OpenCV calls each."""
 
 
-def plain_coefficients(camera: Camera, name: str, program: str) -> dict[str, float]:
+def plain_coefficients(
+    camera: Camera,
+    name: str,
+    program: str,
+) -> dict[str, float]:
     """k1, k2, k3, p1, p2 of a camera; refuses one that has others."""
     where = f"cameras.{name}"
     if isinstance(camera.distortion, OpenCVFisheye):
-        raise messages.distortion_unknown(where=where, name=name, beyond="fisheye", program=program)
+        raise messages.distortion_unknown(
+            where=where,
+            name=name,
+            beyond="fisheye",
+            program=program,
+        )
     holds = ("k1", "k2", "k3", "p1", "p2")
     return dict.fromkeys(holds, 0.0) | opencv_coefficients(camera, name, program, holds)
 
 
-def write_blocks_exchange(run: FinishedRun, _: Values, path: Path, ledger: Ledger) -> int:
+def write_blocks_exchange(
+    run: FinishedRun,
+    _: Values,
+    path: Path,
+    ledger: Ledger,
+) -> int:
     """One file with the block; the number of measurements."""
     block = block_of(run, ledger)
     single = int(np.sum(block.count[block.point] < 2))
     if single:
-        ledger.add(messages.points_left_out(where="observations", count=single))
+        ledger.add(
+            messages.points_left_out(
+                where="observations",
+                count=single,
+            )
+        )
     lat, lon, height = block.frame.origin_deg.tolist()
     with path.open("w", encoding="utf-8") as file:
         file.write(
@@ -61,14 +80,22 @@ def write_blocks_exchange(run: FinishedRun, _: Values, path: Path, ledger: Ledge
     return int(block.point.size) - single
 
 
-def interior(camera: Camera, name: str) -> str:
+def interior(
+    camera: Camera,
+    name: str,
+) -> str:
     """Size and calibration of a camera; refuses one whose pixels are not square."""
     if camera.fx_px != camera.fy_px:
         raise messages.distortion_unknown(
-            where=f"cameras.{name}", name=name, beyond="fy other than fx", program=_PROGRAM
+            where=f"cameras.{name}",
+            name=name,
+            beyond="fy other than fx",
+            program=_PROGRAM,
         )
     known = plain_coefficients(camera, name, _PROGRAM)
-    coefficients = "".join(f"<{tag}>{known[own]!r}</{tag}>" for tag, own in _NAMES.items())
+    coefficients = "".join(
+        f"<{tag}>{known[name_here]!r}</{tag}>" for tag, name_here in _NAMES.items()
+    )
     x = camera.cx_px - _HALF_PIXEL
     y = camera.cy_px - _HALF_PIXEL
     return (
@@ -81,7 +108,11 @@ def interior(camera: Camera, name: str) -> str:
     )
 
 
-def photos(block: ExportedBlock, camera: int, origin_height_m: float) -> Iterator[str]:
+def photos(
+    block: ExportedBlock,
+    camera: int,
+    origin_height_m: float,
+) -> Iterator[str]:
     """The photos of a camera, numbered from 1 in the order of the block."""
     for row in np.flatnonzero(block.camera == camera).tolist():
         turn = block.rotation[row].tolist()
@@ -93,7 +124,10 @@ def photos(block: ExportedBlock, camera: int, origin_height_m: float) -> Iterato
         )
 
 
-def tie_points(block: ExportedBlock, origin_height_m: float) -> Iterator[str]:
+def tie_points(
+    block: ExportedBlock,
+    origin_height_m: float,
+) -> Iterator[str]:
     """The object points with their measurements."""
     order, begin, images = block.of_points()
     for point, place in enumerate(block.point_m):
@@ -114,7 +148,10 @@ def tie_points(block: ExportedBlock, origin_height_m: float) -> Iterator[str]:
         )
 
 
-def coordinates(place_m: Array, origin_height_m: float) -> str:
+def coordinates(
+    place_m: Array,
+    origin_height_m: float,
+) -> str:
     """A place in the block's frame as x, y and z, of which z counts from the ellipsoid."""
     x, y, z = place_m.tolist()
     return f"<x>{x!r}</x><y>{y!r}</y><z>{z + origin_height_m!r}</z>"
@@ -122,9 +159,12 @@ def coordinates(place_m: Array, origin_height_m: float) -> str:
 
 FORMATS = (
     ExportFormat(
-        "blocksexchange", "a block as BlocksExchange XML, for ContextCapture and iTwin", ".xml",
-        write_blocks_exchange, marked=("",),
+        "blocksexchange",
+        "a block as BlocksExchange XML, for ContextCapture and iTwin",
+        ".xml",
+        write_blocks_exchange,
+        marked=("",),
         use="ContextCapture knows neither refraction nor earth curvature: nothing is to be "
         "switched off in it; keep the optical properties of the photogroups",
     ),
-)  # fmt: skip
+)

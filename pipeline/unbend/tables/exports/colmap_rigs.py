@@ -34,7 +34,11 @@ class RigTables:
     frame_data: Rows = field(default_factory=list)
     rig_of_camera: dict[int, int] = field(default_factory=dict)
 
-    def add_rig(self, reference: int, others: Iterable[tuple[int, bytes | None]] = ()) -> int:
+    def add_rig(
+        self,
+        reference: int,
+        others: Iterable[tuple[int, bytes | None]] = (),
+    ) -> int:
         """A rig of a reference camera and other cameras with their poses; its number."""
         number = len(self.rigs) + 1
         self.rigs.append((number, reference, CAMERA_SENSOR))
@@ -44,7 +48,11 @@ class RigTables:
             self.rig_of_camera[camera] = number
         return number
 
-    def add_frame(self, rig: int, images: Iterable[tuple[int, int]]) -> None:
+    def add_frame(
+        self,
+        rig: int,
+        images: Iterable[tuple[int, int]],
+    ) -> None:
         """A frame of a rig, with numbers of images and their cameras."""
         number = len(self.frames) + 1
         self.frames.append((number, rig))
@@ -62,7 +70,11 @@ class RigTables:
         return {name: rows for name, rows in tables.items() if rows}
 
 
-def rig_tables(block: ExportedBlock, source: Path | None, ledger: Ledger) -> dict[str, Rows]:
+def rig_tables(
+    block: ExportedBlock,
+    source: Path | None,
+    ledger: Ledger,
+) -> dict[str, Rows]:
     """Rows of the tables of rigs and frames, by their names.
 
     ``source`` is the database that the run read. Adds a note on the rigs of several cameras that
@@ -92,21 +104,14 @@ def is_with_rigs(database: sqlite3.Connection) -> bool:
 
 
 def copy_rigs(
-    block: ExportedBlock, database: sqlite3.Connection, tables: RigTables, ledger: Ledger
+    block: ExportedBlock,
+    database: sqlite3.Connection,
+    tables: RigTables,
+    ledger: Ledger,
 ) -> set[int]:
     """Copy the rigs of several cameras and their frames; the images that are in these frames."""
-    numbers = {name: number for number, name in enumerate(block.image.tolist(), 1)}
-    image_numbers = {}
-    cameras: dict[int, set[int]] = {}
-    for image, name, camera in database.execute("SELECT image_id, name, camera_id FROM images"):
-        if name in numbers:
-            number = numbers[name]
-            image_numbers[image] = number
-            cameras.setdefault(camera, set()).add(int(block.camera[number - 1]) + 1)
-    sensors: dict[int, list[tuple[int, bytes | None]]] = {}
-    query = "SELECT rig_id, sensor_id, sensor_from_rig FROM rig_sensors WHERE sensor_type = ?"
-    for rig, camera, pose in database.execute(query, (CAMERA_SENSOR,)):
-        sensors.setdefault(rig, []).append((camera, pose))
+    image_numbers, cameras = numbers_here(block, database)
+    sensors = sensors_of_rigs(database)
     camera_numbers = only_partners(cameras)
     new_rigs = {}
     lost = 0
@@ -121,11 +126,48 @@ def copy_rigs(
             continue
         new_rigs[rig] = tables.add_rig(camera_numbers[reference], there)
     if lost:
-        ledger.add(messages.rigs_lost(where="rigs", count=lost))
+        ledger.add(
+            messages.rigs_lost(
+                where="rigs",
+                count=lost,
+            )
+        )
     in_frames = copy_frames(database, tables, new_rigs, image_numbers, camera_numbers)
     if new_rigs:
-        ledger.add(messages.rigs_kept(where="rigs", count=len(new_rigs), frames=len(tables.frames)))
+        ledger.add(
+            messages.rigs_kept(
+                where="rigs",
+                count=len(new_rigs),
+                frames=len(tables.frames),
+            )
+        )
     return in_frames
+
+
+def numbers_here(
+    block: ExportedBlock,
+    database: sqlite3.Connection,
+) -> tuple[dict[int, int], dict[int, set[int]]]:
+    """The numbers in the block of a database's images, and of its cameras all that they have."""
+    numbers = {name: number for number, name in enumerate(block.image.tolist(), 1)}
+    image_numbers = {}
+    cameras: dict[int, set[int]] = {}
+    for image, name, camera in database.execute("SELECT image_id, name, camera_id FROM images"):
+        if name not in numbers:
+            continue
+        number = numbers[name]
+        image_numbers[image] = number
+        cameras.setdefault(camera, set()).add(int(block.camera[number - 1]) + 1)
+    return image_numbers, cameras
+
+
+def sensors_of_rigs(database: sqlite3.Connection) -> dict[int, list[tuple[int, bytes | None]]]:
+    """The cameras of each rig beside its reference, with their poses."""
+    sensors: dict[int, list[tuple[int, bytes | None]]] = {}
+    query = "SELECT rig_id, sensor_id, sensor_from_rig FROM rig_sensors WHERE sensor_type = ?"
+    for rig, camera, pose in database.execute(query, (CAMERA_SENSOR,)):
+        sensors.setdefault(rig, []).append((camera, pose))
+    return sensors
 
 
 def copy_frames(
@@ -158,9 +200,9 @@ def only_partners(cameras: Mapping[int, set[int]]) -> dict[int, int]:
     for numbers in cameras.values():
         for number in numbers:
             users[number] = users.get(number, 0) + 1
-    found = {}
+    partners = {}
     for camera, numbers in cameras.items():
         (first, *others) = numbers
         if not others and users[first] == 1:
-            found[camera] = first
-    return found
+            partners[camera] = first
+    return partners

@@ -206,8 +206,8 @@ def datum_of(crs: str) -> GeocentricDatum | None:
         system = CRS.from_user_input(crs)
     except CRSError:
         return None
-    own = system.geodetic_crs
-    return None if own is None else GeocentricDatum(crs, own.name)
+    geodetic = system.geodetic_crs
+    return None if geodetic is None else GeocentricDatum(crs, geodetic.name)
 
 
 def kind_of_system(crs: str) -> str | None:
@@ -262,16 +262,13 @@ def frame_of_datum(
     known = np.isfinite(xyz).all(axis=1)
     middle = np.median(xyz[known], axis=0)
     corners = CUBE_M * np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
-    own = own_geodetic(datum, middle + corners)
-    transform, by, is_good = to_wgs84_with_heights(datum, own, where, key)
-    lon, lat, h = transform.transform(*own.T)
-    ecef = ecef_of_geodetic(np.radians(lat), np.radians(lon), own[:, 2] if keep_heights else h)
-    centre = ecef.mean(axis=0)
-    rotation, _ = Rotation.align_vectors(ecef - centre, corners)
-    matrix = rotation.as_matrix()
-    turned = corners @ matrix.T
-    scale = float(np.sum(turned * (ecef - centre)) / np.sum(turned**2))
-    said = messages.positions_on_wgs84(
+    places = own_geodetic(datum, middle + corners)
+    transform, by, is_good = to_wgs84_with_heights(datum, places, where, key)
+    lon, lat, h = transform.transform(*places.T)
+    if keep_heights:
+        h = places[:, 2]
+    ecef = ecef_of_geodetic(np.radians(lat), np.radians(lon), h)
+    note = messages.positions_on_wgs84(
         where=where,
         count=int(known.sum()),
         system=f"{datum.name}, earth-centred",
@@ -279,23 +276,33 @@ def frame_of_datum(
         operation=by,
         is_good=is_good,
     )
-    return CartesianFrame(matrix, centre - scale * matrix @ middle, scale), (said,)
+    return frame_through(corners, ecef, middle), (note,)
+
+
+def frame_through(corners: Array, ecef: Array, middle: Array) -> CartesianFrame:
+    """The similarity that brings (n, 3) corners about a place to earth-centred positions."""
+    centre = ecef.mean(axis=0)
+    rotation, _ = Rotation.align_vectors(ecef - centre, corners)
+    matrix = rotation.as_matrix()
+    turned = corners @ matrix.T
+    scale = float(np.sum(turned * (ecef - centre)) / np.sum(turned**2))
+    return CartesianFrame(matrix, centre - scale * matrix @ middle, scale)
 
 
 def own_geodetic(datum: GeocentricDatum, xyz: Array) -> Array:
     """(n, 3) longitude, latitude [units of the datum's system] and height [m] on its ellipsoid."""
     from pyproj import CRS, Transformer
 
-    own = CRS.from_user_input(datum.crs).geodetic_crs
-    ellipsoid = own.ellipsoid
+    geodetic = CRS.from_user_input(datum.crs).geodetic_crs
+    ellipsoid = geodetic.ellipsoid
     axes = f"+a={ellipsoid.semi_major_metre} +b={ellipsoid.semi_minor_metre}"
     to_geodetic = Transformer.from_pipeline(
         f"+proj=pipeline +step +inv +proj=cart {axes} "
         "+step +proj=unitconvert +xy_in=rad +xy_out=deg"
     )
     lon, lat, h = to_geodetic.transform(*xyz.T)
-    unit_deg = np.degrees(own.axis_info[0].unit_conversion_factor)
-    return np.stack([(lon - _meridian_deg(own)) / unit_deg, lat / unit_deg, h], axis=1)
+    unit_deg = np.degrees(geodetic.axis_info[0].unit_conversion_factor)
+    return np.stack([(lon - _meridian_deg(geodetic)) / unit_deg, lat / unit_deg, h], axis=1)
 
 
 def to_wgs84_with_heights(

@@ -45,9 +45,17 @@ _DIRECTIONS = {
 }
 """Directions in the image as axes of a camera with x right, y down, z forward."""
 _ORIENTATIONS = (
-    "XRightYDown", "XRightYUp", "XLeftYDown", "XLeftYUp",
-    "XDownYRight", "XDownYLeft", "XUpYRight", "XUpYLeft",
-)  # fmt: skip
+    "XRightYDown",
+    "XRightYUp",
+    "XLeftYDown",
+    "XLeftYUp",
+    "XDownYRight",
+    "XDownYLeft",
+    "XUpYRight",
+    "XUpYLeft",
+)
+_COEFFICIENTS = ("K1", "K2", "K3", "P2", "P1")
+"""Of this format, as OpenCV's k1, k2, k3, p1, p2: its P1 is OpenCV's p2."""
 _HALF_PIXEL = 0.5  # from the centre of the upper left pixel to its corner
 _OPK = ("Omega", "Phi", "Kappa")
 _MATRIX = tuple(f"M_{row}{column}" for row in range(3) for column in range(3))
@@ -85,86 +93,138 @@ def read_images(path: Path) -> OrientationTable:
             positions.append(_centre(photo.find("Pose/Center")))
             rotations.append(axes @ _rotation(photo.find("Pose/Rotation"), path))
     position = np.array(positions).reshape(-1, 3)
-    quaternion = np.full((len(rotations), 4), np.nan)
-    known = np.array([np.isfinite(matrix).all() for matrix in rotations], np.bool_)
-    if known.any():
-        quaternion[known] = quaternions_of(np.array(rotations)[known])
     system = _system(path, block)
     if system.is_geographic:
         position[:, :2] = np.radians(position[:, [1, 0]])
-    table = oriented_images(images, cameras, position, quaternion)
-    return replace(table, frame=system.frame, crs=system.crs)
+    table = oriented_images(images, cameras, position, _quaternions(rotations))
+    return replace(
+        table,
+        frame=system.frame,
+        crs=system.crs,
+    )
+
+
+def _quaternions(rotations: list[Array]) -> Array:
+    """(n, 4) quaternions of matrices, NaN where one is unknown."""
+    matrices = np.array(rotations).reshape(-1, 3, 3)
+    known = np.isfinite(matrices).all(axis=(1, 2))
+    quaternion = np.full((len(matrices), 4), np.nan)
+    if known.any():
+        quaternion[known] = quaternions_of(matrices[known])
+    return quaternion
 
 
 def read_places(path: Path) -> tuple[KnownPlaces, ...]:
     """The positions of the photos before the adjustment, in EXIF or as metadata of their poses."""
     block = _block(path)
     names = _image_names(block)
-    of_exif: dict[str, list[float]] = {}
-    of_pose: dict[str, list[float]] = {}
+    of_exif = {}
+    of_pose = {}
     for photo in block.iterfind("Photogroups/Photogroup/Photo"):
         name = names[_text(photo, "Id")]
         gps = photo.find("ExifData/GPS")
         if gps is not None:
-            lat = np.radians(float(gps.findtext("Latitude", "nan")))
-            lon = np.radians(float(gps.findtext("Longitude", "nan")))
-            of_exif[name] = [lat, lon, float(gps.findtext("Altitude", "nan"))]
-        before = photo.find("Pose/Metadata")
-        centre = None if before is None else before.find("Center")
-        if before is not None and centre is not None:
-            x, y, z = _centre(centre, only_accurate=False)
-            crs = _definition(path, before.findtext("SRSId"))
-            lat_lon = lat_lon_of(crs, np.array([x]), np.array([y]))
-            if lat_lon is not None:
-                of_pose[name] = [float(lat_lon[0][0]), float(lat_lon[1][0]), z]
+            of_exif[name] = _place_in_exif(gps)
+        metadata = photo.find("Pose/Metadata")
+        place = None if metadata is None else _place_in_metadata(metadata, path)
+        if place is not None:
+            of_pose[name] = place
+    sources = {"positions in EXIF": of_exif, "metadata of the poses": of_pose}
     places = []
-    for source, found in (("positions in EXIF", of_exif), ("metadata of the poses", of_pose)):
-        if found:
-            image = np.array([*found], object)
-            places.append(KnownPlaces(source, image, np.array([*found.values()])))
+    for source, place_of_image in sources.items():
+        if place_of_image:
+            image = np.array([*place_of_image], object)
+            position = np.array([*place_of_image.values()])
+            places.append(KnownPlaces(source, image, position))
     return tuple(places)
+
+
+def _place_in_exif(gps: ElementTree.Element) -> list[float]:
+    """Latitude, longitude [rad] and altitude [m] of a photo's EXIF."""
+    latitude_deg = float(gps.findtext("Latitude", "nan"))
+    longitude_deg = float(gps.findtext("Longitude", "nan"))
+    altitude = float(gps.findtext("Altitude", "nan"))
+    return [np.radians(latitude_deg), np.radians(longitude_deg), altitude]
+
+
+def _place_in_metadata(
+    metadata: ElementTree.Element,
+    path: Path,
+) -> list[float] | None:
+    """The same of the metadata of a pose, which name their own system; None if unknown."""
+    centre = metadata.find("Center")
+    if centre is None:
+        return None
+    x, y, z = _centre(centre, only_accurate=False)
+    crs = _definition(path, metadata.findtext("SRSId"))
+    lat_lon = lat_lon_of(crs, np.array([x]), np.array([y]))
+    if lat_lon is None:
+        return None
+    latitude, longitude = lat_lon
+    return [float(latitude[0]), float(longitude[0]), z]
 
 
 def read_rows(path: Path) -> Iterator[pa.RecordBatch]:
     """The measurements of control points and tie points, image by image."""
     block = _block(path)
     names = _image_names(block)
-    group_of_photo = {}
-    for group in block.iterfind("Photogroups/Photogroup"):
-        for photo in group.iterfind("Photo"):
-            group_of_photo[_text(photo, "Id")] = group
+    groups = _group_of_photo(block)
     rows: dict[str, list[tuple[str, float, float]]] = {number: [] for number in names}
     for name, point in _points(block):
         for measurement in point.iterfind("Measurement"):
             number = _text(measurement, "PhotoId")
             if number not in rows:
-                raise messages.photo_unknown(where=path, point=name, number=number)
-            x, y = _pixel(measurement, group_of_photo[number], path)
+                raise messages.photo_unknown(
+                    where=path,
+                    point=name,
+                    number=number,
+                )
+            x, y = _pixel(measurement, groups[number])
             rows[number].append((name, x, y))
     for number, name in names.items():
         if rows[number]:
             pixels = [row[1:] for row in rows[number]]
-            yield rows_of_image(name, pixels, [row[0] for row in rows[number]])
+            points = [row[0] for row in rows[number]]
+            yield rows_of_image(name, pixels, points)
+
+
+def _group_of_photo(block: ElementTree.Element) -> dict[str, ElementTree.Element]:
+    """The photogroup of each photo, by the photo's id."""
+    groups = {}
+    for group in block.iterfind("Photogroups/Photogroup"):
+        for photo in group.iterfind("Photo"):
+            groups[_text(photo, "Id")] = group
+    return groups
 
 
 def read_points(path: Path) -> tuple[pa.StringArray, Array]:
     """The tie points and control points that have a position in the block's own system."""
     block = _block(path)
-    is_geographic = _system(path, block).is_geographic
-    own = block.findtext("SRSId")
     names = []
     places = []
     for container in ("ControlPoints", "TiePoints"):
-        system = block.findtext(f"{container}/SRSId", own or "")
         for name, point in _points(block, container):
             position = point.find("Position")
-            of_point = point.findtext("SRSId", system)
-            if position is None or position.find("z") is None or of_point != (own or ""):
+            if position is None or position.find("z") is None:
                 continue
-            x, y, z = _centre(position)
-            names.append(name)
-            places.append([np.radians(y), np.radians(x), z] if is_geographic else [x, y, z])
-    return pa.array(names, pa.string()), np.array(places, np.float64).reshape(-1, 3)
+            if _has_own_system(block, container, point):
+                names.append(name)
+                places.append(_centre(position))
+    positions = np.array(places, np.float64).reshape(-1, 3)
+    if _system(path, block).is_geographic:
+        positions[:, :2] = np.radians(positions[:, [1, 0]])
+    return pa.array(names, pa.string()), positions
+
+
+def _has_own_system(
+    block: ElementTree.Element,
+    container: str,
+    point: ElementTree.Element,
+) -> bool:
+    """Whether a point is in the spatial reference system of its block."""
+    of_block = block.findtext("SRSId", "")
+    of_container = block.findtext(f"{container}/SRSId", of_block)
+    return point.findtext("SRSId", of_container) == of_block
 
 
 @dataclass(frozen=True)
@@ -179,7 +239,10 @@ class BlockSystem:
 def _root(path: Path) -> ElementTree.Element:
     root = ElementTree.fromstring(path.read_bytes())
     if root.tag != "BlocksExchange":
-        raise messages.not_blocks_exchange(where=path, tag=root.tag)
+        raise messages.not_blocks_exchange(
+            where=path,
+            tag=root.tag,
+        )
     return root
 
 
@@ -188,11 +251,18 @@ def _block(path: Path) -> ElementTree.Element:
     blocks = _root(path).findall("Block")
     if len(blocks) != 1:
         names = ", ".join(repr(block.findtext("Name", "")) for block in blocks)
-        raise messages.several_blocks(where=path, blocks=len(blocks), names=names)
+        raise messages.several_blocks(
+            where=path,
+            blocks=len(blocks),
+            names=names,
+        )
     return blocks[0]
 
 
-def _text(element: ElementTree.Element, name: str) -> str:
+def _text(
+    element: ElementTree.Element,
+    name: str,
+) -> str:
     """The text of a part that must be there."""
     text = element.findtext(name)
     if text is None:
@@ -211,23 +281,35 @@ def _groups(block: ElementTree.Element) -> dict[str, ElementTree.Element]:
 
 def _image_names(block: ElementTree.Element) -> dict[str, str]:
     """What the image of each photo is called, by the photo's id."""
-    parts = {}
+    paths = {}
     for photo in block.iterfind("Photogroups/Photogroup/Photo"):
-        image = PurePosixPath(_text(photo, "ImagePath").replace("\\", "/"))
-        parts[_text(photo, "Id")] = image
-    count = Counter(image.name for image in parts.values())
+        path = _text(photo, "ImagePath").replace("\\", "/")
+        paths[_text(photo, "Id")] = PurePosixPath(path)
+    count = Counter(path.name for path in paths.values())
     names = {}
-    for number, image in parts.items():
-        if not image.is_absolute() and ":" not in image.parts[0]:
-            names[number] = str(image)
-            continue
-        repeats = count[image.name] > 1 and image.parent.name
-        names[number] = f"{image.parent.name}/{image.name}" if repeats else image.name
+    for number, path in paths.items():
+        is_alone = count[path.name] == 1
+        names[number] = _name_of_path(path, is_alone=is_alone)
     return names
 
 
+def _name_of_path(
+    path: PurePosixPath,
+    *,
+    is_alone: bool,
+) -> str:
+    """A relative path, or the last part of an absolute one, with its folder if not alone."""
+    is_absolute = path.is_absolute() or ":" in path.parts[0]
+    if not is_absolute:
+        return str(path)
+    if is_alone or not path.parent.name:
+        return path.name
+    return f"{path.parent.name}/{path.name}"
+
+
 def _points(
-    block: ElementTree.Element, container: str | None = None
+    block: ElementTree.Element,
+    container: str | None = None,
 ) -> Iterator[tuple[str, ElementTree.Element]]:
     """Control points by their names, then tie points by their place."""
     if container in (None, "ControlPoints"):
@@ -238,7 +320,10 @@ def _points(
             yield point.findtext("Name", "").strip() or f"tie:{number}", point
 
 
-def _definition(path: Path, number: str | None) -> str:
+def _definition(
+    path: Path,
+    number: str | None,
+) -> str:
     """The definition of a spatial reference system by its id; empty for a local one."""
     for system in _root(path).iterfind("SpatialReferenceSystems/SRS"):
         if number is not None and _text(system, "Id") == number.strip():
@@ -246,7 +331,10 @@ def _definition(path: Path, number: str | None) -> str:
     return ""
 
 
-def _system(path: Path, block: ElementTree.Element) -> BlockSystem:
+def _system(
+    path: Path,
+    block: ElementTree.Element,
+) -> BlockSystem:
     """What the spatial reference system of a block is."""
     definition = _definition(path, block.findtext("SRSId"))
     if definition.upper().startswith("ENU:"):
@@ -256,17 +344,25 @@ def _system(path: Path, block: ElementTree.Element) -> BlockSystem:
         return BlockSystem(frame=GeodeticOrigin(np.radians(lat), np.radians(lon), h))
     kind = kind_of_system(definition)
     if kind in ("geographic", "projected"):
-        return BlockSystem(crs=definition, is_geographic=kind == "geographic")
+        return BlockSystem(
+            crs=definition,
+            is_geographic=kind == "geographic",
+        )
     return BlockSystem(frame="ecef" if kind == "ecef" else None)
 
 
 def _refuse_other_system(
-    path: Path, block: ElementTree.Element, group: ElementTree.Element
+    path: Path,
+    block: ElementTree.Element,
+    group: ElementTree.Element,
 ) -> None:
     """Refuse a photogroup in another spatial reference system than its block."""
-    own = group.findtext("SRSId")
-    if own is not None and own != block.findtext("SRSId"):
-        raise messages.system_of_group(where=path, name=group.findtext("Name", ""))
+    of_group = group.findtext("SRSId")
+    if of_group is not None and of_group != block.findtext("SRSId"):
+        raise messages.system_of_group(
+            where=path,
+            name=group.findtext("Name", ""),
+        )
 
 
 def _camera_axes(group: ElementTree.Element) -> Array:
@@ -280,7 +376,11 @@ def _camera_axes(group: ElementTree.Element) -> Array:
     return np.stack([x, y, np.cross(x, y)], axis=1)
 
 
-def _centre(element: ElementTree.Element | None, *, only_accurate: bool = True) -> list[float]:
+def _centre(
+    element: ElementTree.Element | None,
+    *,
+    only_accurate: bool = True,
+) -> list[float]:
     """x, y, z; NaN without, and where the program says that it has not estimated them."""
     unknown = [np.nan, np.nan, np.nan]
     if element is None or (only_accurate and element.findtext("Accurate") == "false"):
@@ -288,7 +388,10 @@ def _centre(element: ElementTree.Element | None, *, only_accurate: bool = True) 
     return [float(element.findtext(axis, "nan")) for axis in "xyz"]
 
 
-def _rotation(element: ElementTree.Element | None, path: Path) -> Array:
+def _rotation(
+    element: ElementTree.Element | None,
+    path: Path,
+) -> Array:
     """(3, 3) from the spatial reference system to the camera's axes; NaN where unknown."""
     unknown = np.full((3, 3), np.nan)
     if element is None or element.findtext("Accurate") == "false":
@@ -301,7 +404,10 @@ def _rotation(element: ElementTree.Element | None, path: Path) -> Array:
         return np.asarray(Rotation.from_euler("XYZ", angles, degrees=True).as_matrix().T)
     names = [name for name in given if name != "Accurate"]
     if names:
-        raise messages.rotation_unreadable(where=path, angles=", ".join(map(str, names)))
+        raise messages.rotation_unreadable(
+            where=path,
+            angles=", ".join(map(str, names)),
+        )
     return unknown
 
 
@@ -322,7 +428,8 @@ def _size(group: ElementTree.Element) -> tuple[int, int]:
 
 
 def _pixel(
-    measurement: ElementTree.Element, group: ElementTree.Element, path: Path
+    measurement: ElementTree.Element,
+    group: ElementTree.Element,
 ) -> tuple[float, float]:
     """x and y of a measurement in COLMAP's pixels."""
     if measurement.find("xmm") is None:
@@ -334,7 +441,10 @@ def _pixel(
     return cx + step[0], cy + step[1]
 
 
-def _in_pixels(element: ElementTree.Element, group: ElementTree.Element) -> Array:
+def _in_pixels(
+    element: ElementTree.Element,
+    group: ElementTree.Element,
+) -> Array:
     """(2,) xmm and ymm along the camera's axes as pixels to the right and down."""
     step_mm = np.array([float(_text(element, "xmm")), float(_text(element, "ymm"))])
     return np.asarray(_camera_axes(group)[:2, :2] @ step_mm / _pixel_mm(group))
@@ -352,22 +462,29 @@ def _principal_point(group: ElementTree.Element) -> tuple[float, float]:
     return 0.5 * width + float(step[0]), 0.5 * height + float(step[1])
 
 
-def _camera(group: ElementTree.Element, path: Path) -> Camera:
+def _camera(
+    group: ElementTree.Element,
+    path: Path,
+) -> Camera:
     """The camera of a photogroup; refuses a fisheye, pixels that are not square, and skew."""
     kind = group.findtext("CameraModelType", "Perspective").strip()
     if kind != "Perspective":
-        raise messages.calibration_unusable(where=path, coefficients="coefficients", kind=kind)
+        raise messages.calibration_unusable(
+            where=path,
+            coefficients="coefficients",
+            kind=kind,
+        )
     plain: Mapping[str, float] = {"AspectRatio": 1.0, "Skew": 0.0}
     for name, value in plain.items():
         if float(group.findtext(name, str(value))) != value:
-            raise messages.calibration_unusable(where=path, coefficients=name, kind=kind)
+            raise messages.calibration_unusable(
+                where=path,
+                coefficients=name,
+                kind=kind,
+            )
     width, height = _size(group)
     focal = group.findtext("FocalLengthPixels")
     f_px = float(_text(group, "FocalLength")) / _pixel_mm(group) if focal is None else float(focal)
     cx, cy = _principal_point(group)
-    k1, k2, k3, p1, p2 = (
-        float(group.findtext(f"Distortion/{name}", "0")) for name in ("K1", "K2", "K3", "P1", "P2")
-    )
-    # P1 of this format is OpenCV's p2, and the other way round.
-    params = [f_px, f_px, cx, cy, k1, k2, k3, p2, p1]
-    return camera_of_model("BROWN", width, height, params)
+    coefficients = [float(group.findtext(f"Distortion/{name}", "0")) for name in _COEFFICIENTS]
+    return camera_of_model("BROWN", width, height, [f_px, f_px, cx, cy, *coefficients])

@@ -77,13 +77,13 @@ def read_cameras(path: Path) -> CameraMakers:
 
 def read_images(path: Path) -> OrientationTable:
     """The images of a model; refuses a database, which orients none."""
-    found = [(name, camera, pose) for name, camera, pose, _, _ in _images(path)]
-    pose = np.array([pose for _, _, pose in found]).reshape(-1, 7)
+    images = [image[:3] for image in _images(path)]
+    names = [name for name, _, _ in images]
+    cameras = [camera for _, camera, _ in images]
+    pose = np.array([pose for _, _, pose in images]).reshape(-1, 7)
     centre = -np.einsum("nji,nj->ni", matrices_of(pose[:, :4]), pose[:, 4:])
-    names = [name for name, _, _ in found]
-    cameras = [camera for _, camera, _ in found]
     table = oriented_images(names, cameras, centre, pose[:, :4])
-    return replace(table, notes=notes_on_texts(_of_model(path), len(found)))
+    return replace(table, notes=notes_on_texts(_of_model(path), len(images)))
 
 
 def read_places(path: Path) -> tuple[KnownPlaces, ...]:
@@ -93,32 +93,35 @@ def read_places(path: Path) -> tuple[KnownPlaces, ...]:
     """
     if path.suffix.lower() != ".db":
         return ()
+    places = []
+    for system, position_of_image in _priors(path).items():
+        position = np.array([*position_of_image.values()])
+        in_frame = system == _PRIOR_CARTESIAN
+        if not in_frame:
+            position[:, :2] = np.radians(position[:, :2])
+        image = np.array([*position_of_image], object)
+        places.append(KnownPlaces("pose priors", image, position, in_frame=in_frame))
+    return tuple(places)
+
+
+def _priors(path: Path) -> dict[int, dict[str, Array]]:
+    """The positions of images of a database, by their coordinate systems and names."""
     query = (
         "SELECT images.name, position, coordinate_system FROM pose_priors JOIN images ON "
         "{key} = images.image_id WHERE position IS NOT NULL"
     )
+    priors: dict[int, dict[str, Array]] = {}
     with closing(opened(path)) as database:
         columns = [row[1] for row in database.execute("PRAGMA table_info(pose_priors)")]
         if "position" not in columns:
-            return ()  # of COLMAP before 3.8
+            return priors  # of COLMAP before 3.8
         key = "corr_data_id" if "corr_data_id" in columns else "pose_priors.image_id"
-        rows = database.execute(query.format(key=key)).fetchall()
-    found: dict[int, tuple[list[str], list[Array]]] = {}
-    for name, blob, system in rows:
-        position = np.frombuffer(blob, "<f8")
-        if position.size == 3 and np.isfinite(position).all() and system in _PRIOR_SYSTEMS:
-            names, positions = found.setdefault(system, ([], []))
-            names.append(name)
-            positions.append(position)
-    places = []
-    for system, (names, positions) in found.items():
-        position = np.array(positions)
-        in_frame = system == _PRIOR_CARTESIAN
-        if not in_frame:
-            position[:, :2] = np.radians(position[:, :2])
-        image = np.array(names, object)
-        places.append(KnownPlaces("pose priors", image, position, in_frame=in_frame))
-    return tuple(places)
+        for name, blob, system in database.execute(query.format(key=key)):
+            position = np.frombuffer(blob, "<f8")
+            is_whole = position.size == 3 and bool(np.isfinite(position).all())
+            if is_whole and system in _PRIOR_SYSTEMS:
+                priors.setdefault(system, {})[name] = position
+    return priors
 
 
 def read_rows(path: Path) -> Iterator[pa.RecordBatch]:

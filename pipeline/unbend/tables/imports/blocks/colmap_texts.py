@@ -36,7 +36,10 @@ class TextEnds:
         return cls(None if stated is None else int(stated[1]), last in (b"\n", b""))
 
 
-def refuse_missing_records(file: Path, found: int) -> None:
+def refuse_missing_records(
+    file: Path,
+    found: int,
+) -> None:
     """Refuse a text with fewer records than it says, or no end, that others show to be cut."""
     ends = TextEnds.of(file)
     is_short = ends.stated is not None and found < ends.stated
@@ -47,12 +50,23 @@ def refuse_missing_records(file: Path, found: int) -> None:
     points = folder / "points3D.txt"
     is_whole = images.is_file() and points.is_file() and fit_each_other(images, points)
     if is_short and not (is_whole and found):
-        raise messages.records_missing(where=file, found=found, total=ends.stated or 0)
+        raise messages.records_missing(
+            where=file,
+            found=found,
+            total=ends.stated or 0,
+        )
     if not is_whole and file.name in (images.name, points.name):
-        raise messages.records_missing(where=file, found=found, total=ends.stated or found)
+        raise messages.records_missing(
+            where=file,
+            found=found,
+            total=ends.stated or found,
+        )
 
 
-def notes_on_texts(files: tuple[Path, ...], images: int) -> Notes:
+def notes_on_texts(
+    files: tuple[Path, ...],
+    images: int,
+) -> Notes:
     """Warnings on the texts of a model that was read: counts of comments, a line without end."""
     made = []
     for file in files:
@@ -62,13 +76,22 @@ def notes_on_texts(files: tuple[Path, ...], images: int) -> Notes:
         is_of_images = file.name == "images.txt"
         if is_of_images and ends.stated not in (None, images):
             stated = ends.stated or 0
-            made.append(messages.count_of_comment(where=file, found=images, stated=stated))
+            made.append(
+                messages.count_of_comment(
+                    where=file,
+                    found=images,
+                    stated=stated,
+                )
+            )
         if not ends.has_last_newline:
             made.append(messages.line_without_end(where=file))
     return tuple(made)
 
 
-def fit_each_other(images: Path, points: Path) -> bool:
+def fit_each_other(
+    images: Path,
+    points: Path,
+) -> bool:
     """Whether image points and the tracks of points name each other; False where unreadable."""
     try:
         by_images = image_points_of_images(images)
@@ -82,14 +105,14 @@ def fit_each_other(images: Path, points: Path) -> bool:
 
 def images_of_frames(file: Path) -> set[str]:
     """The images that frames hold; none without that file, which COLMAP 3.12 brought."""
-    found: set[str] = set()
+    images: set[str] = set()
     if not file.is_file():
-        return found
+        return images
     for line in file.read_text(encoding="utf-8-sig").splitlines():
         if line.strip() and not line.startswith("#"):
             data = line.split()[10:]  # after two numbers, the pose and the count
-            found.update(data[2::3])
-    return found
+            images.update(data[2::3])
+    return images
 
 
 def images_with_points(file: Path) -> Iterator[tuple[str, str]]:
@@ -102,24 +125,24 @@ def images_with_points(file: Path) -> Iterator[tuple[str, str]]:
 
 def image_points_of_images(file: Path) -> set[tuple[str, int, str]]:
     """Image, place among its image points, and point, of those that belong to one."""
-    found = set()
+    image_points = set()
     for head, line in images_with_points(file):
         image = head.split(maxsplit=1)[0]
         point_numbers = line.split()[2::3]
         for place, number in enumerate(point_numbers):
             if int(number) >= 0:
-                found.add((image, place, number))
-    return found
+                image_points.add((image, place, number))
+    return image_points
 
 
 def image_points_of_tracks(file: Path) -> set[tuple[str, int, str]]:
     """The same by the tracks of the points."""
-    found = set()
+    image_points = set()
     for line in file.read_text(encoding="utf-8-sig").splitlines():
         if not line.strip() or line.startswith("#"):
             continue
         number, *fields = line.split()
         track = fields[7:]
         for image, place in zip(track[::2], track[1::2], strict=True):
-            found.add((image, int(place), number))
-    return found
+            image_points.add((image, int(place), number))
+    return image_points

@@ -9,10 +9,10 @@ and paths that count from its own folder. All come as one document, as an archiv
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
+from numpy.typing import NDArray
 
 from unbend.tables.imports.blocks import messages
 
@@ -56,7 +56,11 @@ def document(path: Path) -> ElementTree.Element:
         root = ElementTree.fromstring(path.read_bytes())
     version = root.get("version", "1" if root.tag == "calibration" else "")
     if version.partition(".")[0] not in ("1", "2"):
-        raise messages.metashape_version(where=path, tag=root.tag, version=version or "unknown")
+        raise messages.metashape_version(
+            where=path,
+            tag=root.tag,
+            version=version or "unknown",
+        )
     return root
 
 
@@ -65,11 +69,18 @@ def only_chunk(path: Path) -> ElementTree.Element:
     chunks = [*document(path).iter("chunk")]
     if len(chunks) != 1:
         names = ", ".join(repr(chunk.get("label", "")) for chunk in chunks)
-        raise messages.several_chunks(where=path, chunks=len(chunks), names=names)
+        raise messages.several_chunks(
+            where=path,
+            chunks=len(chunks),
+            names=names,
+        )
     return chunks[0]
 
 
-def vertices(path: Path, name: str) -> Any:
+def vertices(
+    path: Path,
+    name: str,
+) -> NDArray[np.void]:
     """The vertices of a binary PLY in an archive, a structured array."""
     archive_path = path
     if _OTHER_FILE in name:
@@ -77,7 +88,10 @@ def vertices(path: Path, name: str) -> Any:
         archive_path = Path(other)
     with zipfile.ZipFile(archive_path) as archive:
         if name not in archive.namelist():
-            raise messages.archive_part_missing(where=archive_path, part=name)
+            raise messages.archive_part_missing(
+                where=archive_path,
+                part=name,
+            )
         head, _, content = archive.read(name).partition(b"end_header\n")
     count = 0
     kinds = []
@@ -89,7 +103,11 @@ def vertices(path: Path, name: str) -> Any:
     kind = np.dtype(kinds)
     if b"binary_little_endian" not in head or len(content) != count * kind.itemsize:
         raise messages.ply_cut(
-            where=archive_path, part=name, size=len(content), records=count, each=kind.itemsize
+            where=archive_path,
+            part=name,
+            size=len(content),
+            records=count,
+            each=kind.itemsize,
         )
     return np.frombuffer(content, kind)
 
@@ -105,17 +123,25 @@ def _archive_of_project(path: Path) -> Path:
     named = root.get("path", "{projectname}.files/project.zip")
     archive = path.parent / named.replace("{projectname}", path.stem)
     if not archive.is_file():
-        raise messages.folder_of_project_missing(where=path, name=archive.parent.name)
+        raise messages.folder_of_project_missing(
+            where=path,
+            name=archive.parent.name,
+        )
     return archive
 
 
-def _parts(archive_path: Path, where: str) -> Iterator[tuple[ElementTree.Element, Path]]:
+def _parts(
+    archive_path: Path,
+    where: str,
+) -> Iterator[tuple[ElementTree.Element, Path]]:
     """The elements of an archive's document that stand for another archive, and its path."""
     yield from _named_parts(_document_in(archive_path), archive_path, where)
 
 
 def _named_parts(
-    root: ElementTree.Element, archive_path: Path, where: str
+    root: ElementTree.Element,
+    archive_path: Path,
+    where: str,
 ) -> Iterator[tuple[ElementTree.Element, Path]]:
     for element in root.iterfind(where):
         named = element.get("path")
@@ -123,7 +149,10 @@ def _named_parts(
             continue
         part = archive_path.parent / named
         if not part.is_file():
-            raise messages.folder_of_project_missing(where=archive_path, name=named)
+            raise messages.folder_of_project_missing(
+                where=archive_path,
+                name=named,
+            )
         yield element, part
 
 
@@ -145,7 +174,10 @@ def _document_of_project(project: Path) -> ElementTree.Element:
     return root
 
 
-def _put(content: ElementTree.Element, place: ElementTree.Element) -> None:
+def _put(
+    content: ElementTree.Element,
+    place: ElementTree.Element,
+) -> None:
     """Put the content of a part's document in the place that named it."""
     place.attrib.update(content.attrib)
     place.extend(content)

@@ -50,6 +50,7 @@ _TOPOCENTRIC = "reconstruction.topocentric.json"
 _FLAG_OF_UTM = "exported_geocoords.txt"  # ODM writes it when reconstruction.json became UTM
 _COORDS = "odm_georeferencing/coords.txt"  # of ODM, beside the folder of the project
 _ZONE = re.compile(r"UTM (\d{1,2})([NS])", re.I)
+_ROUNDING_M2 = 1e-6  # of coordinates in the file: positions that agree are not infinitely likely
 _NO_FIX_DOP = 1000.0  # OpenSfM writes 999999 for an image without a position
 _COLUMNS = ("image", "track", "keypoint", "x", "y", "scale", "red", "green", "blue",
             "segmentation", "instance")  # fmt: skip
@@ -136,29 +137,41 @@ def _refuse_utm(path: Path, table: OrientationTable) -> None:
     """
     coords = path.parent / _COORDS
     places = read_places(path)
-    if not coords.is_file() or not places or places[0].in_frame:
-        return
-    first_line, offset = coords.read_text(encoding="utf-8").splitlines()[:2]
-    zone = _ZONE.search(first_line)
     origin = table.frame
-    if zone is None or not isinstance(origin, GeodeticOrigin):
+    if not coords.is_file() or not places or not isinstance(origin, GeodeticOrigin):
         return
     known = places[0].rows_of(table.image)
     there = np.isfinite(known).all(axis=1)
-    crs = f"EPSG:{(326 if zone[2].upper() == 'N' else 327) * 100 + int(zone[1])}"
-    lat_deg, lon_deg = np.degrees(known[there, :2]).T
-    x, y, _ = grid_coordinates(crs, lon_deg, lat_deg)
-    in_utm = np.stack([x, y], axis=1) - np.array(offset.split()[:2], np.float64)
+    in_utm = _in_utm_of_odm(coords, known[there])
+    if in_utm is None:
+        return
     in_enu = topocentric(origin).local(known[there])[:, :2]
-    misses = []
-    for expected in (in_enu, in_utm):
-        apart = table.position[there, :2] - expected
-        misses.append(float(np.mean(np.sum((apart - apart.mean(axis=0)) ** 2, axis=1))) + 1e-9)
-    log_ratio = int(there.sum()) * np.log(misses[0] / misses[1])
-    if log_ratio > LOG_RATIO_NEEDED:
+    shots = table.position[there, :2]
+    ratio = _mean_square_apart(shots, in_enu) / _mean_square_apart(shots, in_utm)
+    if int(there.sum()) * np.log(ratio) > LOG_RATIO_NEEDED:
         raise messages.reconstruction_in_utm(
             where=block_files(path)[0], evidence=coords.name, name=_TOPOCENTRIC
         )
+
+
+def _in_utm_of_odm(coords: Path, geodetic: Array) -> Array | None:
+    """(n, 2) x and y as ODM writes them, of (n, 3) places; None if the zone cannot be read."""
+    first_line, offset = coords.read_text(encoding="utf-8").splitlines()[:2]
+    zone = _ZONE.search(first_line)
+    if zone is None:
+        return None
+    hemisphere = 326 if zone[2].upper() == "N" else 327
+    crs = f"EPSG:{hemisphere}{int(zone[1]):02d}"
+    lat_deg, lon_deg = np.degrees(geodetic[:, :2]).T
+    x, y, _ = grid_coordinates(crs, lon_deg, lat_deg)
+    return np.stack([x, y], axis=1) - np.array(offset.split()[:2], np.float64)
+
+
+def _mean_square_apart(places: Array, others: Array) -> float:
+    """Mean square distance of (n, 2) places from others whose middle is theirs [m2]."""
+    apart = places - others
+    square = np.sum((apart - apart.mean(axis=0)) ** 2, axis=1)
+    return float(np.mean(square)) + _ROUNDING_M2
 
 
 def _origin(path: Path, content: Mapping[str, Any]) -> GeodeticOrigin | None:

@@ -45,7 +45,10 @@ _LARGEST_DIFFERENCE_M = 0.01  # between both files: they have at least millimetr
 _LARGEST_DIFFERENCE = 1e-4  # between their rotations: angles have six decimals of a degree
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(
+    frozen=True,
+    eq=False,
+)
 class CalibratedImage:
     """An image of the file of cameras: name, size, and the numbers of its block."""
 
@@ -66,7 +69,10 @@ def block_files(path: Path) -> tuple[Path, ...]:
     """The files of a project that are there; refuses a folder without one of parameters."""
     files = [file for name in (_CAMERAS, _EXTERNAL) if (file := _beside(path, name)) is not None]
     if not files:
-        raise messages.file_of_pix4d_missing(where=path, name=_CAMERAS)
+        raise messages.file_of_pix4d_missing(
+            where=path,
+            name=_CAMERAS,
+        )
     more = (_beside(path, name) for name in (_OFFSET, _SYSTEM, _TIES))
     return (*files, *(file for file in more if file is not None))
 
@@ -74,14 +80,16 @@ def block_files(path: Path) -> tuple[Path, ...]:
 def read_cameras(path: Path) -> CameraMakers:
     """The cameras, which have no names: 1 for that of the first image, 2 for the next other one."""
     cameras: CameraMakers = {}
-    for number, (width, height, *numbers) in enumerate(_interiors(_images(path)), 1):
-        fx, skew, cx, _, fy, cy, *_ = numbers[:9]
-        k1, k2, k3, p1, p2 = numbers[9:]
-        if skew:
-            raise messages.calibration_unusable(where=path, coefficients="skew", kind="Pix4D")
-        params = [fx, fy, cx, cy, k1, k2, k3, p1, p2]
-        maker = partial(camera_of_model, "BROWN", int(width), int(height), params)
-        cameras[str(number)] = maker
+    for image in _first_of_each_camera(_images(path)):
+        if image.k[0, 1]:
+            raise messages.calibration_unusable(
+                where=path,
+                coefficients="skew",
+                kind="Pix4D",
+            )
+        frame = [image.k[0, 0], image.k[1, 1], image.k[0, 2], image.k[1, 2]]
+        params = [float(number) for number in (*frame, *image.distortion)]
+        cameras[str(len(cameras) + 1)] = partial(camera_of_model, "BROWN", *image.size, params)
     return cameras
 
 
@@ -101,7 +109,7 @@ def read_images(path: Path) -> OrientationTable:
         quaternion = quaternion_of_opk(np.radians(values[:, 3:]), "omega_phi_kappa")
         table = oriented_images(names, ["1"] * len(names), values[:, :3], quaternion)
         return replace(table, crs=crs)
-    interiors = _interiors(images)
+    interiors = [image.interior for image in _first_of_each_camera(images)]
     cameras = [str(interiors.index(image.interior) + 1) for image in images]
     names = [image.name for image in images]
     centres = np.array([image.centre for image in images]) + _offset(path, images, external, crs)
@@ -120,7 +128,10 @@ def read_rows(path: Path) -> Iterator[pa.RecordBatch]:
     """The tie points of a project, image by image."""
     file = _beside(path, _TIES)
     if file is None:
-        raise messages.file_of_pix4d_missing(where=path, name=_TIES)
+        raise messages.file_of_pix4d_missing(
+            where=path,
+            name=_TIES,
+        )
     full_names = {_without_ending(image.name): image.name for image in _images(path)}
     name = ""
     points: list[str] = []
@@ -147,22 +158,28 @@ def read_points(_: Path) -> tuple[pa.StringArray, Array]:
     return pa.array([], pa.string()), np.empty((0, 3))
 
 
-def _beside(path: Path, name: str) -> Path | None:
+def _beside(
+    path: Path,
+    name: str,
+) -> Path | None:
     """The file of a project with an ending of its name, in a folder or beside another file.
 
     Files of one project have the same beginning.
     """
-    if path.is_dir():
-        found = sorted(file for file in path.iterdir() if file.name.endswith(name))
-    else:
+    if not path.is_dir():
         beginning = path.name
         for ending in (_CAMERAS, _EXTERNAL, _OFFSET, _SYSTEM, _TIES):
             beginning = beginning.removesuffix(ending)
-        found = [file for file in (path.with_name(beginning + name), path) if file.is_file()]
-        found = [file for file in found if file.name.endswith(name)][:1]
-    if len(found) > 1:
-        raise messages.several_of_pix4d(where=path, name=name, files=len(found))
-    return found[0] if found else None
+        file = path.with_name(beginning + name)
+        return file if file.is_file() else None
+    files = sorted(file for file in path.iterdir() if file.name.endswith(name))
+    if len(files) > 1:
+        raise messages.several_of_pix4d(
+            where=path,
+            name=name,
+            files=len(files),
+        )
+    return files[0] if files else None
 
 
 def _images(path: Path) -> list[CalibratedImage]:
@@ -198,28 +215,34 @@ def _images(path: Path) -> list[CalibratedImage]:
     return images
 
 
-def _interiors(images: list[CalibratedImage]) -> list[tuple[float, ...]]:
-    """The different interior orientations, in the order of the images."""
-    return [*dict.fromkeys(image.interior for image in images)]
+def _first_of_each_camera(images: list[CalibratedImage]) -> list[CalibratedImage]:
+    """The first image of each interior orientation."""
+    first: dict[tuple[float, ...], CalibratedImage] = {}
+    for image in images:
+        first.setdefault(image.interior, image)
+    return [*first.values()]
 
 
 def _external(path: Path) -> dict[str, list[float]]:
     """X, Y, Z and omega, phi, kappa [deg] of each image; none without that file."""
     file = _beside(path, _EXTERNAL)
-    found: dict[str, list[float]] = {}
+    poses: dict[str, list[float]] = {}
     if file is None:
-        return found
+        return poses
     with TextFile(file) as lines:
         for line in lines:
             if not line or line.lower().startswith("imagename"):
                 continue
             name, *fields = line.rsplit(maxsplit=6)
-            if name in found:
-                raise messages.image_repeated(where=file, image=name)
-            found[name] = [float(field) for field in fields]
+            if name in poses:
+                raise messages.image_repeated(
+                    where=file,
+                    image=name,
+                )
+            poses[name] = [float(field) for field in fields]
             if len(fields) != 6:
                 raise ValueError
-    return found
+    return poses
 
 
 def _offset(
@@ -234,19 +257,27 @@ def _offset(
         with TextFile(file) as lines:
             numbers = [float(field) for line in lines for field in line.split()]
         if len(numbers) != 3:
-            raise messages.line_unreadable(where=file, line=1)
+            raise messages.line_unreadable(
+                where=file,
+                line=1,
+            )
         return np.array(numbers)
     both = [image for image in images if image.name in external]
     if both:
         apart = [np.array(external[image.name][:3]) - image.centre for image in both]
         return np.asarray(np.median(np.array(apart), axis=0))
     if crs is not None:
-        raise messages.offset_missing(where=path, name=_OFFSET)
+        raise messages.offset_missing(
+            where=path,
+            name=_OFFSET,
+        )
     return np.zeros(3)
 
 
 def _refuse_contradiction(
-    path: Path, table: OrientationTable, external: dict[str, list[float]]
+    path: Path,
+    table: OrientationTable,
+    external: dict[str, list[float]],
 ) -> None:
     """Refuse an image that has other poses in the two files."""
     for row, name in enumerate(table.image.tolist()):
@@ -255,12 +286,15 @@ def _refuse_contradiction(
         values = np.array(external[name])
         angles = np.radians(values[None, 3:])
         other = matrices_of(quaternion_of_opk(angles, "omega_phi_kappa"))[0]
-        own = matrices_of(table.angles[row : row + 1])[0]
+        rotation = matrices_of(table.angles[row : row + 1])[0]
         away_m = float(np.abs(table.position[row] - values[:3]).max())
-        turned = float(np.abs(own - other).max())
+        turned = float(np.abs(rotation - other).max())
         if away_m > _LARGEST_DIFFERENCE_M or turned > _LARGEST_DIFFERENCE:
             raise messages.files_of_pix4d_differ(
-                where=path, image=name, away_m=away_m, turned_deg=float(np.degrees(turned))
+                where=path,
+                image=name,
+                away_m=away_m,
+                turned_deg=float(np.degrees(turned)),
             )
 
 
