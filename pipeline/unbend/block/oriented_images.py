@@ -138,9 +138,13 @@ def _positions_of_both(
     image: Names, xyz: Array, known_image: Names, known: Array
 ) -> tuple[Names, Array, Array]:
     """Names of the images that model and known positions share, and both positions (k, 3) [m]."""
-    row = {composed(name): number for number, name in enumerate(image.tolist())}
-    known_names = [composed(name) for name in known_image.tolist()]
-    pairs = [(row[name], k) for k, name in enumerate(known_names) if name in row]
+    row = {}
+    for number, name in enumerate(image.tolist()):
+        row[composed(name)] = number
+    pairs = []
+    for k, name in enumerate(known_image.tolist()):
+        if composed(name) in row:
+            pairs.append((row[composed(name)], k))
     usable = [(i, k) for i, k in pairs if np.isfinite(xyz[i]).all() and np.isfinite(known[k]).all()]
     if len(usable) < 3:
         where = "stations.orientation.known_positions"

@@ -52,7 +52,8 @@ def matching_rows(name: pa.StringArray, known: pa.StringArray) -> Integers:
     """
     encoded = name.dictionary_encode()
     different = encoded.dictionary
-    if not pc.all(pc.string_is_ascii(known), min_count=0).as_py():
+    is_plain = pc.all(pc.string_is_ascii(known), min_count=0)
+    if not is_plain.as_py():
         known = pc.utf8_normalize(known, form="NFC")
         different = pc.utf8_normalize(different, form="NFC")
     row = pc.fill_null(pc.index_in(different, value_set=known), -1)

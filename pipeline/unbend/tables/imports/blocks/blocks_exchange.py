@@ -188,6 +188,13 @@ def read_rows(path: Path) -> Iterator[pa.RecordBatch]:
             yield rows_of_image(name, pixels, points)
 
 
+def _measurements(block: ElementTree.Element) -> Iterator[tuple[str, ElementTree.Element]]:
+    """All measurements, with the names of their points."""
+    for name, point in _points(block):
+        for measurement in point.iterfind("Measurement"):
+            yield name, measurement
+
+
 def _group_of_photo(block: ElementTree.Element) -> dict[str, ElementTree.Element]:
     """The photogroup of each photo, by the photo's id."""
     groups = {}
@@ -283,8 +290,8 @@ def _image_names(block: ElementTree.Element) -> dict[str, str]:
     """What the image of each photo is called, by the photo's id."""
     paths = {}
     for photo in block.iterfind("Photogroups/Photogroup/Photo"):
-        path = _text(photo, "ImagePath").replace("\\", "/")
-        paths[_text(photo, "Id")] = PurePosixPath(path)
+        written = _text(photo, "ImagePath").replace("\\", "/")
+        paths[_text(photo, "Id")] = PurePosixPath(written)
     count = Counter(path.name for path in paths.values())
     names = {}
     for number, path in paths.items():
