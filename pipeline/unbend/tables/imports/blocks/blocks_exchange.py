@@ -170,17 +170,12 @@ def read_rows(path: Path) -> Iterator[pa.RecordBatch]:
     names = _image_names(block)
     groups = _group_of_photo(block)
     rows: dict[str, list[tuple[str, float, float]]] = {number: [] for number in names}
-    for name, point in _points(block):
-        for measurement in point.iterfind("Measurement"):
-            number = _text(measurement, "PhotoId")
-            if number not in rows:
-                raise messages.photo_unknown(
-                    where=path,
-                    point=name,
-                    number=number,
-                )
-            x, y = _pixel(measurement, groups[number])
-            rows[number].append((name, x, y))
+    for name, measurement in _measurements(block):
+        number = _text(measurement, "PhotoId")
+        if number not in rows:
+            raise messages.photo_unknown(where=path, point=name, number=number)
+        x, y = _pixel(measurement, groups[number])
+        rows[number].append((name, x, y))
     for number, name in names.items():
         if rows[number]:
             pixels = [row[1:] for row in rows[number]]
