@@ -672,7 +672,6 @@ def test_aliases_cannot_swell(refused):
           "heights": None}, "no vertical, no north and no scale"),
         ({"frame": "unknown", "angles": "quaternion", "known_positions": "log"},
          "not columns.latitude"),
-        ({"known_positions": {"path": "k.csv"}}, "known_positions are for frame: unknown"),
         ({"angles": "quaternion", "frame": "ecef"}, "convergence_deg is for frame: geographic"),
         ({"frame": "projected"}, "projected needs crs"),
         ({"date": "14.5.2026"}, "no date like"),

@@ -8,9 +8,10 @@ from pathlib import Path
 import pyarrow as pa
 
 from unbend.batch import messages, remote
-from unbend.batch.input_files import named_inputs
+from unbend.batch.input_files import block_program, named_inputs
 from unbend.batch.plan import located, with_camera_files
 from unbend.batch.remote import Place
+from unbend.block.known_places import KnownPlaces
 from unbend.config import Mission
 from unbend.config.orientations import KnownPositions, OrientationSection
 from unbend.flight.channels import Channel
@@ -65,6 +66,7 @@ def open_inputs(
         orientation=_orientation(mission, paths, ledger),
         camera_names=camera_names or {},
         known_positions=_known_positions(mission, paths),
+        block_places=_block_places(mission, paths),
         block_points=_block_points(mission, paths),
         object_points=_object_points(mission, paths),
         control=_control(mission, paths),
@@ -191,6 +193,23 @@ def _known_positions(mission: Mission, paths: Paths) -> opened_inputs.KnownImage
         return None
     names = known.model_dump(exclude={"path", "sigma_m"})
     return opened_inputs.KnownImagePositions(*read_known_positions(paths["known positions"], names))
+
+
+def _block_places(mission: Mission, paths: Paths) -> tuple[KnownPlaces, ...]:
+    """Where the files of the orientations and the observations say that the images were."""
+    section = mission.stations.orientation
+    if section is None:
+        return ()
+    programs = {}
+    if section.of_block and "orientation" in paths:
+        programs[paths["orientation"]] = section.format
+    observations_format = block_program(mission.observations.format)
+    if observations_format is not None and "observations" in paths:
+        programs[paths["observations"]] = observations_format
+    places: tuple[KnownPlaces, ...] = ()
+    for path, program in programs.items():
+        places += blocks.read_block_places(path, program)
+    return places
 
 
 def _block_points(mission: Mission, paths: Paths) -> opened_inputs.BlockPoints | None:

@@ -30,7 +30,7 @@ _OF_ANGLES = {
     "quaternion": ("q_w", "q_x", "q_y", "q_z"),
     "quaternion_to_frame": ("q_w", "q_x", "q_y", "q_z"),
 }
-_SAY_FRAME = ("opensfm", "metashape")
+_SAY_FRAME = ("opensfm", "metashape", "pix4d", "blocksexchange")
 _GEODETIC = ("latitude", "longitude", "height")
 _CARTESIAN = ("x", "y", "z")
 _SIGMAS = ("sigma_horizontal_m", "sigma_height_m", "sigma_tilt", "sigma_yaw")
@@ -78,7 +78,7 @@ class OrientationColumns(ClockColumns, PoseColumns):
 
 
 class KnownPositions(Section):
-    """Positions of at least three images, for a frame that is unknown."""
+    """Positions of three images or more, to which a frame is fitted, or compared with it."""
 
     path: PathText = Field(
         description="a CSV of images with latitude and longitude [deg] and height [m]",
@@ -157,8 +157,8 @@ class OrientationSection(Section):
             "north, east, down) at each station; projected: x, y of crs, whose grid north the "
             "angles count from, and z, the height; ecef: earth-centred; {enu: {lat_deg, lon_deg, "
             "h_ellipsoid_m}}: east, north, up at this one place; unknown: fitted to "
-            "known_positions. By default what the block says: OpenSfM's reference_lla, Metashape's "
-            "coordinate system"
+            "known_positions. By default what the block says: OpenSfM's reference_lla, the "
+            "coordinate system of Metashape, Pix4D or BlocksExchange"
         ),
         examples=["geographic"],
     )
@@ -210,8 +210,8 @@ class OrientationSection(Section):
     known_positions: KnownPositions | Literal["log"] | None = Field(
         None,
         description=(
-            "positions of at least three images, for an unknown frame: a CSV, or log: the "
-            "exposures of the log"
+            "positions of at least three images, to which an unknown frame is fitted, and with "
+            "which another one is compared: a CSV, or log: the exposures of the log"
         ),
         examples=["log"],
     )
@@ -273,6 +273,12 @@ class OrientationSection(Section):
         level = self.frame in ("geographic", "projected")
         return level or self.columns.latitude is not None
 
+    def in_system_of(self, crs: str | None, kind: str | None) -> Self:
+        """The section with the coordinate system that a block names, where no frame is stated."""
+        if self.frame is not None or crs is None or kind is None:
+            return self
+        return self.model_copy(update={"frame": kind, "crs": crs})
+
     def is_msl(self, found: str | None) -> bool:
         """Whether heights are above the sea; ``found`` is what a coordinate system says of them."""
         has_heights = self.is_geodetic or self.frame is None
@@ -313,7 +319,7 @@ class OrientationSection(Section):
         return checked_date(value)
 
     @property
-    def _is_level(self) -> bool:
+    def is_level(self) -> bool:
         """Whether the angles count from the horizon of each station."""
         return self.frame in ("geographic", "projected")
 
@@ -322,7 +328,7 @@ class OrientationSection(Section):
         of_body = self.angles == "roll_pitch_yaw"
         if self.format == "dji" and not of_body:
             raise SectionError("format: dji has angles: roll_pitch_yaw, of the gimbal")
-        if of_body and not self._is_level:
+        if of_body and not self.is_level:
             raise SectionError(
                 "roll, pitch and yaw are those of north, east and down at the station: frame is "
                 "geographic, or projected"
@@ -333,12 +339,10 @@ class OrientationSection(Section):
     def _check_frame(self) -> Self:
         if self.frame == "projected" and self.crs is None:
             raise SectionError("frame: projected needs crs, as EPSG:25832")
-        if self.crs and not self._is_level:
+        if self.crs and not self.is_level:
             raise SectionError("crs is only for frame: projected or geographic")
         if self.frame == "unknown":
             self._check_unknown_frame()
-        elif self.known_positions is not None:
-            raise SectionError("known_positions are for frame: unknown")
         return self
 
     def _check_unknown_frame(self) -> None:
@@ -353,8 +357,8 @@ class OrientationSection(Section):
 
     @model_validator(mode="after")
     def _check_heights(self) -> Self:
-        known = isinstance(self.known_positions, KnownPositions)
-        has_heights = self.is_geodetic or self.frame is None or known
+        is_fitted = self.frame == "unknown" and isinstance(self.known_positions, KnownPositions)
+        has_heights = self.is_geodetic or self.frame is None or is_fitted
         if has_heights == (self.heights is not None):
             return self
         mistake = (

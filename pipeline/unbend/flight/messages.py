@@ -872,16 +872,16 @@ def no_image_of_camera(
     proposal: str,
 ) -> MissionError:
     """None of the exposures of a camera is an image of the observations."""
-    called = "" if example is None else f", which are called like {example!r}"
+    called = "" if example is None else f", which are called like {name_in_bytes(example)}"
     more = f"; {proposal}" if proposal else ""
     return MissionError(
         IMAGES_OTHER,
-        "none of {unknown_images} of the observations, like {image!r}, is one of the "
+        "none of {unknown_images} of the observations, like {like}, is one of the "
         "{of_camera} of {camera}{called}{more}",
         where=f"observations, {camera}",
         remedy="state observations.match_names, or correct the pattern or the names of the images",
         unknown_images=Counted(unknown, "image"),
-        image=image,
+        like=name_in_bytes(image),
         of_camera=Counted(exposures, "exposure"),
         camera=camera,
         called=called,
@@ -909,15 +909,15 @@ def images_renamed(
     """Exposures take the names that the observations have."""
     return note(
         IMAGES_RENAMED,
-        "{count} names are those of images of the observations but for {differences}: {name!r} is "
-        "{image!r}",
-        one="1 name is that of an image of the observations but for {differences}: {name!r} is "
-        "{image!r}",
+        "{count} names are those of images of the observations but for {differences}: {name} is "
+        "{image}",
+        one="1 name is that of an image of the observations but for {differences}: {name} is "
+        "{image}",
         where=where,
         count=count,
-        differences=" and ".join(differences),
-        name=name,
-        image=image,
+        differences=" and ".join(differences) or "composed characters (Unicode NFC and NFD)",
+        name=name_in_bytes(name),
+        image=name_in_bytes(image),
     )
 
 
@@ -935,9 +935,9 @@ def images_unmatched(
     """Images of the observations without exposure, beside ``unused`` exposures or one ``like``."""
     hint = ""
     if unused:
-        hint = f"; exposures without observations: {first_names(unused, 3)}"
+        hint = f"; exposures without observations: {first_names(names_in_bytes(unused), 3)}"
     elif like is not None:
-        hint = f"; exposures are called like {like!r}"
+        hint = f"; exposures are called like {name_in_bytes(like)}"
     if proposal:
         hint += f"; {proposal}"
     return loss(
@@ -946,7 +946,7 @@ def images_unmatched(
         one="1 image has observations but no exposure: {listed}{hint}",
         where="events",
         count=len(images),
-        listed=first_names(images, 3),
+        listed=first_names(names_in_bytes(images), 3),
         hint=hint,
     )
 
@@ -1159,6 +1159,21 @@ def readings_at_suspect_heights(*, channel: str, count: int) -> Message:
         where=channel,
         count=count,
     )
+
+
+def name_in_bytes(name: str) -> str:
+    """A name in quotation marks, with its bytes where two names can look alike and differ.
+
+    >>> name_in_bytes("a.jpg")
+    "'a.jpg'"
+    """
+    shown = repr(name)
+    return shown if name.isascii() else f"{shown} (in UTF-8 {name.encode()!r})"
+
+
+def names_in_bytes(names: Sequence[str]) -> list[str]:
+    """Names for a list: those of plain characters as they are, others as `name_in_bytes`."""
+    return [name if name.isascii() else name_in_bytes(name) for name in names]
 
 
 def first_names(names: Sequence[str], most: int) -> str:

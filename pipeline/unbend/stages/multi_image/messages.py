@@ -5,7 +5,7 @@ from unbend.flight.messages import IMAGES_OTHER
 from unbend.messages import Kind, Message, finding, loss, message, note, warning
 from unbend.stages.messages import POINTS_MISSING
 from unbend.tables.geodata.messages import POINTS_EMPTY
-from unbend.tables.imports.messages import IMPORT_CONTRADICTED
+from unbend.tables.imports.messages import IMPORT_CONTRADICTED, ORIENTATION_FRAME
 
 
 def images_of_another_flight(*, where: str, absent: str, files: str) -> InputError:
@@ -279,17 +279,6 @@ def block_without_points(*, where: str) -> InputError:
         where=where,
         remedy="give ground.height in another way",
     )
-
-
-ORIENTATION_FRAME = Code(
-    "ORIENTATION-FRAME",
-    means=(
-        "Nothing says what x, y and z of the orientations are, or the stated frame puts the "
-        "points off the earth."
-    ),
-    effect="The mission is refused.",
-    remedy=("Give stations.orientation.frame: ecef, {enu: ...}, projected with crs, or unknown."),
-)
 
 
 def frame_impossible(*, where: str, height_m: float) -> InputError:

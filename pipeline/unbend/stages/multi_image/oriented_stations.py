@@ -11,7 +11,7 @@ from unbend.block import oriented_images
 from unbend.block.alignment import LOG_RATIO_NEEDED
 from unbend.block.image_rays import ImageRays, orientations_of, straightened
 from unbend.block.intersection import Intersection, intersect
-from unbend.block.oriented_images import SIGMAS_OF_BLOCK, OrientedImages
+from unbend.block.oriented_images import SIGMAS_OF_BLOCK, CartesianFrame, OrientedImages
 from unbend.config import Mission
 from unbend.config.orientations import OrientationSection
 from unbend.errors import MissionError
@@ -21,9 +21,14 @@ from unbend.flight.stations import NO_TIME, Stations
 from unbend.messages import Kind, Ledger
 from unbend.stages.exposure_events import camera_of_rows
 from unbend.stages.flight_log import FlightLog
-from unbend.stages.messages import no_events
 from unbend.stages.multi_image import messages
-from unbend.stages.multi_image.block_frames import frame_of_block, in_wgs84, orientation_table
+from unbend.stages.multi_image.block_frames import (
+    check_frame,
+    frame_of_block,
+    in_wgs84,
+    orientation_table,
+    section_of_block,
+)
 from unbend.stages.multi_image.tie_point_checks import FEWEST_TIE_POINTS
 from unbend.stages.opened_inputs import OpenedInputs
 from unbend.tables.imports.user_tables import OrientationTable
@@ -59,16 +64,27 @@ def oriented_stations(
 
     Refuses (ORIENTATION-READING) a table by which tie points meet far better in another reading.
     """
-    section = mission.stations.orientation
-    if section is None:
-        raise no_events(where="stations", what="orientation")
+    section = section_of_block(mission, inputs)
     observations = inputs.observations
     table = ledger.take(in_wgs84(section, orientation_table(section, inputs), inputs.geoid))
+    ledger.extend(table.notes)
+    named_by_block = table.image
     differences = mission.observations.match_names
     image = renamed(table.image, observations.images, differences, "stations.orientation")
     table = replace(table, image=ledger.take(image))
     reader = Reader(mission, inputs, flight, section, exposed)
     stations = reader.stations(table, ledger)
+    ledger.extend(
+        check_frame(
+            inputs,
+            section,
+            replace(table, image=named_by_block),
+            stations,
+            frame=None if section.is_level else reader.frame(table, Ledger()),
+            exposed=exposed,
+            has_control=mission.control is not None,
+        )
+    )
     use_suspect = mission.stations.use_suspect
     stations = ledger.take(oriented_images.flag_far_images(stations, use=use_suspect))
     stations = check_height_above_ground(mission, flight, stations, observations, ledger)
@@ -171,14 +187,12 @@ class Reader:
         quaternion = quaternions_of_table(section, table)
         latitude, longitude, height_m = table.position.T
         tilt_rad = 0.0
-        if section.frame in ("geographic", "projected"):
+        if section.is_level:
             convergence_rad = section.convergence_deg * DEGREE + table.convergence_rad
             turn = rotations.enu_from_grid(convergence_rad)
             quaternion = rotations.in_turned_frame(quaternion, turn.swapaxes(-1, -2))
         else:
-            frame = frame_of_block(
-                self.inputs, self.flight, section, table, exposed=self.exposed, ledger=ledger
-            )
+            frame = self.frame(table, ledger)
             tilt_rad = frame.tilt_rad
             if not section.is_geodetic:
                 latitude, longitude, height_m = frame.geodetic(table.position)
@@ -204,6 +218,12 @@ class Reader:
         stations = ledger.take(oriented_images.flag_above_horizon(stations))
         oriented_images.refuse_turned_images(stations)
         return stations
+
+    def frame(self, table: OrientationTable, ledger: Ledger) -> CartesianFrame:
+        """The frame of the angles of a table that are not against each station's vertical."""
+        return frame_of_block(
+            self.inputs, self.flight, self.section, table, exposed=self.exposed, ledger=ledger
+        )
 
     def times(self, table: OrientationTable) -> Integers:
         """(n,) times of the images [Unix ns]: those of the events where the table has none."""

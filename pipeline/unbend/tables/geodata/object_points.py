@@ -43,11 +43,20 @@ class ObjectPoints:
 def matching_rows(name: pa.StringArray, known: pa.StringArray) -> Integers:
     """(n,) the row of each name among those that are known, -1 where it is not.
 
+    Characters may be composed in the one and decomposed in the other (Unicode NFC, NFD).
+
     >>> matching_rows(pa.array(["b", None, "x", "a"]), pa.array(["a", "b"])).tolist()
     [1, -1, -1, 0]
+    >>> matching_rows(pa.array(["A\\u0308"]), pa.array(["\\u00c4"])).tolist()
+    [0]
     """
     encoded = name.dictionary_encode()
-    row = pc.fill_null(pc.index_in(encoded.dictionary, value_set=known), -1)
+    different = encoded.dictionary
+    is_plain = pc.all(pc.string_is_ascii(known), min_count=0)
+    if not is_plain.as_py():
+        known = pc.utf8_normalize(known, form="NFC")
+        different = pc.utf8_normalize(different, form="NFC")
+    row = pc.fill_null(pc.index_in(different, value_set=known), -1)
     by_code = np.append(row.to_numpy(zero_copy_only=False).astype(np.int64), -1)
     codes = pc.fill_null(encoded.indices, len(by_code) - 1).to_numpy(zero_copy_only=False)
     return np.asarray(by_code[codes])

@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from unbend.flight import rotations
 from unbend.flight.clock import utc_of_gps
+from unbend.flight.image_names import composed
 from unbend.flight.stations import NO_TIME
 from unbend.messages import Ledger
 from unbend.tables.imports import messages
@@ -132,8 +133,8 @@ class ImageTimes:
 
 
 def _parts(path: str) -> tuple[str, ...]:
-    """Folders and name without ending, in one case."""
-    pure = PurePosixPath(path.replace("\\", "/").casefold())
+    """Folders and name without ending, in one case, of composed characters."""
+    pure = PurePosixPath(composed(path).replace("\\", "/").casefold())
     return tuple(part for part in pure.with_suffix("").parts if part not in ("/", "."))
 
 

@@ -856,6 +856,17 @@ ORIENTATION_UNIT = Code(
 )
 
 
+ORIENTATION_FRAME = Code(
+    "ORIENTATION-FRAME",
+    means=(
+        "Nothing says what x, y and z of the orientations are, or the stated frame puts the "
+        "points off the earth."
+    ),
+    effect="The mission is refused.",
+    remedy=("Give stations.orientation.frame: ecef, {enu: ...}, projected with crs, or unknown."),
+)
+
+
 ORIENTATION_EMPTY = Code(
     "ORIENTATION-EMPTY",
     means="The table or block has no oriented image.",

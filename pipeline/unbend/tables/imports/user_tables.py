@@ -14,8 +14,8 @@ from unbend.flight.clock import SECONDS_PER_WEEK
 from unbend.flight.heights import GeodeticOrigin
 from unbend.flight.stations import NO_TIME
 from unbend.geodesy import geodetic_of_ecef
-from unbend.messages import Ledger
-from unbend.tables.geodata.coordinate_systems import places_of
+from unbend.messages import Ledger, Notes
+from unbend.tables.geodata.coordinate_systems import GeocentricDatum, places_of
 from unbend.tables.imports import messages
 from unbend.tables.imports.stated import Stated, channel_of_rows
 from unbend.tables.text_columns import (
@@ -145,7 +145,9 @@ class OrientationTable:
     None without that column; ``time_ns`` is `NO_TIME` where unknown; ``sigmas`` holds columns in SI
     and radians by quantity, for those that are there. ``convergence_rad`` (n,) is the azimuth of
     the grid's north, ``heights`` what a coordinate system says of them. ``frame`` is what a file
-    says of the frame of its x, y, z: earth-centred, or the origin of east, north and up.
+    says of the frame of its x, y, z: earth-centred, on WGS 84 or of another datum, or the origin of
+    east, north and up; ``crs`` is the coordinate system that it names for them. ``notes`` are what
+    its reader has to say.
     """
 
     image: Names
@@ -156,7 +158,9 @@ class OrientationTable:
     sigmas: Mapping[str, Array]
     convergence_rad: Array | float = 0.0
     heights: str | None = None
-    frame: Literal["ecef"] | GeodeticOrigin | None = None
+    frame: Literal["ecef"] | GeodeticOrigin | GeocentricDatum | None = None
+    crs: str | None = None
+    notes: Notes = ()
 
 
 def read_orientation(path: Path, stated: Stated, ledger: Ledger) -> OrientationTable:
