@@ -42,7 +42,10 @@ def images_absent(*, where: str, count: int, first: str) -> Message:
 
 EVENTS_CONTRADICTED = Code(
     "EVENTS-CONTRADICTED",
-    means="Times or tie points contradict the log's numbers in the names of images.",
+    means=(
+        "Tie points, times or positions of the images, or the pair under events.first_image, "
+        "contradict the log's numbers in the names of images."
+    ),
     effect="The mission is refused.",
     remedy=(
         "Check which camera the channel belongs to; count the images by {n} or name them by *, so "
@@ -51,12 +54,13 @@ EVENTS_CONTRADICTED = Code(
 )
 
 
-def numbers_contradicted(*, where: str, found: str, of: str) -> MissionError:
+def numbers_contradicted(*, where: str, found: str, of: str, evidence: str) -> MissionError:
     """Evidence contradicts the log's numbers in the names of images."""
     return MissionError(
         EVENTS_CONTRADICTED,
-        "the log's numbers in the names of images are contradicted: {found}",
+        "the log's numbers in the names of images are contradicted by {evidence}: {found}",
         where=where,
+        evidence=evidence,
         found=found,
         of=of,
         remedy=(
