@@ -159,7 +159,9 @@ class ImageEvidence:
         apart = axis.events[claimed[has]] - axis.images[has]
         return np.array([np.median(apart)])
 
-    def log_likelihood_of_times(self, events: CameraEvents, rows: Integers, sigma_s: float) -> float:
+    def log_likelihood_of_times(
+        self, events: CameraEvents, rows: Integers, sigma_s: float
+    ) -> float:
         """Log likelihood of the camera's times alone, if images (k,) are of the events ``rows``.
 
         At the likeliest offset and drift of the camera's clock; 0 without times. A time that is six

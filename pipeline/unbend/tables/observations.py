@@ -1,6 +1,7 @@
 """Image measurements from a table or a block, in batches, with the user's other columns intact."""
 
 from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import islice
@@ -25,6 +26,7 @@ from unbend.tables.refraction_mark import Direction, refuse_done
 from unbend.tables.schemas import DISPLACED_COLUMNS, OBSERVATION_COLUMNS
 from unbend.tables.text_columns import hashes_of, is_text, refuse_other_pixels, require_columns
 from unbend.units import Array
+from unbend.written_numbers import number_of
 
 _SCANNED_ROWS = 1 << 20  # read at a time for the names of images
 
@@ -467,9 +469,13 @@ def _slices(batches: Iterator[pa.RecordBatch], rows: int) -> Iterator[pa.Table]:
 
 
 def _as_float(column: pa.Array) -> Array:
-    """float64 with NaN for null and for text that is no number."""
+    """float64 with NaN for null and for text that is no number, with point or comma."""
     if pa.types.is_string(column.type) or pa.types.is_large_string(column.type):
-        values = pd.to_numeric(column.to_pandas(), errors="coerce")
+        text = column.to_pandas()
+        values = np.array(pd.to_numeric(text, errors="coerce"), np.float64)
+        for row in np.flatnonzero(text.str.contains(",", regex=False, na=False)).tolist():
+            with suppress(ValueError):
+                values[row] = number_of(text.iloc[row])
     else:
         values = column.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False)
     return np.asarray(values, np.float64)

@@ -85,11 +85,60 @@ def test_a_column_that_is_not_there(tmp_path):
     assert "stations.orientation.columns.kappa" in error.remedy
 
 
-def test_a_comma_for_a_decimal_point(tmp_path):
-    text = HEAD.replace(",", ";") + "a;47,5;8,5;3000;1;2;3\n"
-    error = refused(tmp_path, text, "ORIENTATION-NUMBER")
-    assert "'47,5'" in error.what
+@pytest.mark.parametrize(
+    "text",
+    [
+        "image;lat;lon;h;o;p;k\na;47,5;8,5;3000,5;1;-2;90\n",
+        "image lat lon h o p k\na 47,5 8,5 3000,5 1 -2 90\n",
+        "image\tlat\tlon\th\to\tp\tk\na\t47.5\t8.5\t3000.5\t1\t-2\t90\n",
+        "# image lat lon h o p k\n  a   47.5 8.5   3000.5 1 -2 90  \n",
+        "# Cameras (1)\n# image, lat, lon, h, o, p, k\na\t47.5\t8.5\t3000.5\t1\t-2\t90\n",
+        "\ufeffimage|lat|lon|h|o|p|k\na|47.5|8.5|3000.5|1|-2|90\n",
+        'image,lat,lon,h,o,p,k\na,"47°30\'0""N","8 deg 30\' 0"" E",3000.5,1,-2,90\n',
+    ],
+)
+def test_every_form_of_a_table_is_the_same_table(tmp_path, text):
+    table, entries = read(tmp_path, text)
+    plain, _ = read(tmp_path, HEAD + ROW)
+    assert table.image.tolist() == ["a"]
+    assert table.position == pytest.approx(plain.position)
+    assert table.angles == pytest.approx(plain.angles)
+    assert not entries
+
+
+def test_commas_that_may_be_thousands_are_refused(tmp_path):
+    error = refused(tmp_path, HEAD + 'a,47.5,8.5,"3,000",1,-2,90\n', "ORIENTATION-NUMBER")
+    assert "'3,000'" in error.what
     assert error.where.endswith("line 2")
+
+
+def test_lines_are_counted_from_the_begin_of_the_file(tmp_path):
+    text = "# Cameras\n\n# image, lat, lon, h, o, p, k\n" + ROW + ROW.replace("1.0", "x")
+    assert refused(tmp_path, text, "ORIENTATION-REPEATED").what.count("4, 5")
+    text = text.replace("\na,47.5,8.5,3000.5,x", "\nb,47.5,8.5,3000.5,x")
+    assert refused(tmp_path, text, "ORIENTATION-NUMBER").where.endswith("line 5")
+
+
+def test_columns_of_a_table_without_a_head_have_numbers(tmp_path):
+    """As orthority takes it."""
+    names = dict(zip(NAMES, "1324567", strict=True))
+    table, _ = read(tmp_path, "a 8.5 47.5 3000.5 1 -2 90\nb 8.6 47.5 3000.5 1 -2 90\n", names)
+    assert table.image.tolist() == ["a", "b"]
+    assert np.degrees(table.position[0, :2]) == pytest.approx([47.5, 8.5])
+    error = refused(tmp_path, "a 8.5 47.5 1\nb 8.6 47.5 2\n", "ORIENTATION-COLUMN")
+    assert "no head: its columns are called 1 to 4" in error.what
+
+
+def test_the_table_of_opendronemap_has_the_names_of_its_manual(tmp_path):
+    names = {"image": "image", "latitude": "latitude", "longitude": "longitude", "height": "height",
+             "roll": "roll", "pitch": "pitch", "yaw": "yaw"}  # fmt: skip
+    text = "EPSG:4326\nDJI_0028.JPG -91.99 46.84 198.6 45 -90 2\n"
+    text += "DJI_0032.JPG -91.98 46.84 198.6 45 -90 2\n"
+    path = tmp_path / "geo.txt"
+    path.write_text(text)
+    table = read_orientation(path, Stated(columns=names), Ledger())
+    assert np.degrees(table.position[0, :2]) == pytest.approx([46.84, -91.99])
+    assert np.degrees(table.angles[0]) == pytest.approx([2, -90, 45])
 
 
 def test_an_image_that_stands_there_twice(tmp_path):

@@ -282,7 +282,9 @@ def evidence_against_names(
         of_best = evidence.log_likelihood_of_times(events, event, sigma_s)
         against["times"] = of_best - evidence.log_likelihood_of_times(events, claimed, sigma_s)
     if "first_image" in assignment.evidence:
-        against["first_image"] = np.inf  # a stated pair, which the assignment has and names have not
+        against["first_image"] = (
+            np.inf
+        )  # a stated pair, which the assignment has and names have not
     return against
 
 

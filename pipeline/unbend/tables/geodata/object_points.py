@@ -10,7 +10,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from unbend.tables.geodata import messages
-from unbend.tables.text_columns import numbers_of, require_names, text_table
+from unbend.tables.text_columns import degrees_of, numbers_of, require_names, text_table
 from unbend.units import Array, Integers
 
 _CODES = (messages.POINTS_TABLE, messages.POINTS_COLUMN)
@@ -78,7 +78,10 @@ def read_object_points(
     else:
         text = text_table(path, columns, codes=_CODES, key=key)
         given = pa.array(text[columns["point"]].str.strip(), pa.string())
-        values = {q: numbers_of(text, name, path, _CODES[0]) for q, name in numbers.items()}
+        values = {}
+        for quantity, name in numbers.items():
+            reader = degrees_of if quantity in ("latitude", "longitude") else numbers_of
+            values[quantity] = reader(text, name, path, _CODES[0])
     names = given.value_counts()
     twice = names.filter(pc.greater(names.field("counts"), 1)).field("values")
     if len(names) == 0:

@@ -83,8 +83,8 @@ def images_without_time(*, where: str, count: int, total: int, examples: str) ->
 
 EXIF_UNREADABLE = Code(
     "EXIF-UNREADABLE",
-    means="The EXIF of some files cannot be read.",
-    effect="They have no time.",
+    means="The EXIF or the XMP of some files cannot be read.",
+    effect="They have no time, position or angles.",
     remedy="Check whether the files are damaged.",
 )
 
@@ -93,8 +93,8 @@ def exif_unreadable(*, where: str, count: int, examples: str) -> Message:
     """Files whose EXIF is damaged."""
     return loss(
         EXIF_UNREADABLE,
-        "the EXIF of {count} files cannot be read: {examples}",
-        one="the EXIF of 1 file cannot be read: {examples}",
+        "the EXIF or XMP of {count} files cannot be read: {examples}",
+        one="the EXIF or XMP of 1 file cannot be read: {examples}",
         where=where,
         count=count,
         examples=examples,
@@ -146,17 +146,6 @@ IMAGES_CSV = Code(
 )
 
 
-def images_csv_unreadable(*, where: Path | str, error: str) -> InputError:
-    """The table of images cannot be read as CSV."""
-    return InputError(
-        IMAGES_CSV,
-        "cannot be read as CSV: {error}",
-        where=where,
-        error=error,
-        remedy="write it with exiftool -csv -r FOLDER",
-    )
-
-
 IMAGES_DUPLICATE = Code(
     "IMAGES-DUPLICATE",
     means="An image of the observations may be one of several files in different folders.",
@@ -197,6 +186,47 @@ def images_no_gimbal(*, where: Path | str, files: int) -> InputError:
         where=where,
         files=Counted(files, "image"),
         remedy="give a CSV under stations.orientation.path, without format",
+    )
+
+
+IMAGES_TAG = Code(
+    "IMAGES-TAG",
+    means="Tags of images are neither numbers nor angles.",
+    effect=(
+        "These images have no such value. The mission is refused if no image has one that can be "
+        "read."
+    ),
+    remedy=(
+        "Write the tags as numbers: exiftool -n -csv -r FOLDER. Taken are numbers like -89.9 or "
+        "-89,9, and degrees, minutes and seconds with marks between them."
+    ),
+)
+
+
+def tags_unreadable(*, where: str, tag: str, count: int, image: str, value: str) -> Message:
+    """Some images have a tag that is neither a number nor an angle."""
+    return loss(
+        IMAGES_TAG,
+        "{count} images have a tag {tag} that cannot be read, the first {image}: {value!r}",
+        one="1 image has a tag {tag} that cannot be read, {image}: {value!r}",
+        where=where,
+        count=count,
+        tag=tag,
+        image=image,
+        value=value,
+    )
+
+
+def no_tag_readable(*, where: Path | str, tag: str, image: str, value: str) -> InputError:
+    """No image has a tag of a kind that is a number or an angle."""
+    return InputError(
+        IMAGES_TAG,
+        "no image has a tag {tag} that can be read; the first, {image}, has {value!r}",
+        where=where,
+        tag=tag,
+        image=image,
+        value=value,
+        remedy="write the tags as numbers: exiftool -n -csv -r FOLDER",
     )
 
 

@@ -1,6 +1,6 @@
 """The user's CSV, by its names of columns, units and orders: trajectories, orientations, events."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -19,8 +19,8 @@ from unbend.tables.geodata.coordinate_systems import places_of
 from unbend.tables.imports import messages
 from unbend.tables.imports.stated import Stated, channel_of_rows
 from unbend.tables.text_columns import (
-    LINE_OF_FIRST_ROW,
     angles_in_radians,
+    degrees_of,
     numbers,
     numbers_of,
     text_of_frame,
@@ -51,6 +51,10 @@ def read_trajectory_csv(path: Path, stated: Stated, ledger: Ledger) -> Channel:
     table = text_table(path, stated.columns, codes=(messages.IMPORT_FORMAT, messages.IMPORT_COLUMN),
                        key="stations.trajectory.columns")  # fmt: skip
     value = {quantity: numbers(table[name]) for quantity, name in stated.columns.items()}
+    if stated.position_unit == "deg":
+        for quantity in value.keys() & _LIMITS_DEG.keys():
+            name = stated.columns[quantity]
+            value[quantity] = degrees_of(table, name, path, messages.IMPORT_FORMAT)
     columns = {name: value[name] for name in _AS_THEY_ARE if name in value}
     grid_north: Array | None = None
     if stated.crs is not None:
@@ -79,8 +83,14 @@ def read_trajectory_csv(path: Path, stated: Stated, ledger: Ledger) -> Channel:
     columns |= {"lat_rad": lat, "lon_rad": lon, surface: height}
     if "yaw" in value:
         angles = np.stack([value[name] for name in ("roll", "pitch", "yaw")], axis=1)
-        angles = angles_in_radians(angles, stated.angle_unit, path, messages.IMPORT_ANGLES,
-                                   "stations.trajectory.angle_unit")  # fmt: skip
+        angles = angles_in_radians(
+            angles,
+            stated.angle_unit,
+            path,
+            messages.IMPORT_ANGLES,
+            "stations.trajectory.angle_unit",
+            table.index,
+        )
         known = np.isfinite(angles).all(axis=1)
         in_order = angles[known][:, ["XYZ".index(axis) for axis in stated.angle_order]]
         q = np.full((known.size, 4), np.nan)
@@ -190,7 +200,7 @@ def _orientation(
     angle_names = [name for name in names if name in _ANGLES]
     _refuse_repeated(table, names["image"], path)
     value = _numbers(table, names, path)
-    position = _positions(value, path, "stations.orientation.columns")
+    position = _positions(value, path, "stations.orientation.columns", table.index)
     angles = np.stack([value[name] for name in angle_names], axis=1)
     if len(angle_names) == 4:
         length = np.linalg.norm(angles, axis=1)
@@ -198,14 +208,20 @@ def _orientation(
             worst = int(np.nanargmax(np.abs(length - 1.0)))
             raise messages.orientation_quaternion(
                 path=path,
-                line=worst + LINE_OF_FIRST_ROW,
+                line=int(table.index[worst]),
                 count=int(wrong.sum()),
                 length=float(length[worst]),
             )
         attitude = angles / length[:, None]
     else:
-        attitude = angles_in_radians(angles, unit, path, messages.ORIENTATION_UNIT,
-                                     "stations.orientation.unit")  # fmt: skip
+        attitude = angles_in_radians(
+            angles,
+            unit,
+            path,
+            messages.ORIENTATION_UNIT,
+            "stations.orientation.unit",
+            table.index,
+        )
     sigmas = {name: values for name, values in value.items() if name.startswith("sigma_")}
     for tilt in {"sigma_tilt", "sigma_yaw"} & sigmas.keys():
         sigmas[f"{tilt}_rad"] = sigmas.pop(tilt) * RADIANS[unit]
@@ -214,7 +230,7 @@ def _orientation(
         read_ns, good = utc_of_columns(table, names)
         time_ns[good] = read_ns[good]
         if bad := int((~good).sum()):
-            line = int(np.argmin(good)) + LINE_OF_FIRST_ROW
+            line = int(table.index[np.argmin(good)])
             ledger.add(messages.orientations_without_time(where=path.name, count=bad, line=line))
     camera = table[names["camera"]].to_numpy(object) if "camera" in names else None
     image = table[names["image"]].to_numpy(object)
@@ -226,7 +242,7 @@ def read_known_positions(path: Path, names: Mapping[str, str]) -> tuple[Names, A
     key = "stations.orientation.known_positions"
     table = text_table(path, names, codes=_CODES_OF_ORIENTATION, key=key)
     _refuse_repeated(table, names["image"], path)
-    position = _positions(_numbers(table, names, path), path, key)
+    position = _positions(_numbers(table, names, path), path, key, table.index)
     return table[names["image"]].to_numpy(object), position
 
 
@@ -237,25 +253,28 @@ def _refuse_repeated(table: pd.DataFrame, column: str, path: Path) -> None:
         raise messages.orientations_empty(where=path)
     twice = images[images.duplicated(keep=False)]
     if len(twice):
-        lines = ", ".join(
-            str(row + LINE_OF_FIRST_ROW) for row in twice.index[twice == twice.iloc[0]]
-        )
+        lines = ", ".join(str(line) for line in twice.index[twice == twice.iloc[0]])
         raise messages.orientation_repeated(
             where=path, count=twice.nunique(), image=twice.iloc[0], lines=lines
         )
 
 
 def _numbers(table: pd.DataFrame, names: Mapping[str, str], path: Path) -> dict[str, Array]:
-    """The columns that hold numbers, by quantity."""
-    return {
-        quantity: numbers_of(table, column, path, messages.ORIENTATION_NUMBER)
-        for quantity, column in names.items()
-        if quantity not in ("image", "camera", "time_utc")
-    }
+    """The columns that hold numbers, by quantity; latitude and longitude in degrees."""
+    value = {}
+    for quantity, column in names.items():
+        if quantity in _LIMITS_DEG:
+            value[quantity] = degrees_of(table, column, path, messages.ORIENTATION_NUMBER)
+        elif quantity not in ("image", "camera", "time_utc"):
+            value[quantity] = numbers_of(table, column, path, messages.ORIENTATION_NUMBER)
+    return value
 
 
-def _positions(value: Mapping[str, Array], path: Path, key: str) -> Array:
-    """(n, 3) positions, latitude and longitude in radians; refuses those of no place on earth."""
+def _positions(value: Mapping[str, Array], path: Path, key: str, lines: Sequence[int]) -> Array:
+    """(n, 3) positions, latitude and longitude in radians; refuses those of no place on earth.
+
+    ``lines`` (n,) are those of the rows.
+    """
     if "x" in value:
         return np.stack([value[axis] for axis in "xyz"], axis=1)
     for quantity, limit in _LIMITS_DEG.items():
@@ -265,7 +284,7 @@ def _positions(value: Mapping[str, Array], path: Path, key: str) -> Array:
             row = int(np.argmax(wrong))
             raise messages.orientation_position(
                 path=path,
-                line=row + LINE_OF_FIRST_ROW,
+                line=int(lines[row]),
                 count=int(wrong.sum()),
                 limit=limit,
                 quantity=quantity,
@@ -298,7 +317,7 @@ def read_events(path: Path, columns: Mapping[str, str], ledger: Ledger) -> Event
     time_ns, good = utc_of_columns(table, columns)
     if not bool(good.all()):
         rows = np.flatnonzero(~good)
-        line = int(rows[0]) + LINE_OF_FIRST_ROW
+        line = int(table.index[rows[0]])
         ledger.add(messages.events_without_time(where=path.name, count=rows.size, line=line))
     if not bool(good.any()):
         raise messages.events_empty(where=path)

@@ -25,7 +25,7 @@ from unbend.tables.imports.blocks import messages
 from unbend.tables.imports.blocks.image_points import CameraMakers, oriented_images, rows_of_image
 from unbend.tables.imports.messages import IMPORT_FORMAT
 from unbend.tables.imports.user_tables import OrientationTable
-from unbend.tables.text_columns import numbers_of
+from unbend.tables.text_columns import LINE_OF_FIRST_ROW, numbers_of
 from unbend.units import Array
 
 _COEFFICIENTS: Mapping[str, tuple[str, tuple[str, ...]]] = {
@@ -101,6 +101,7 @@ def read_rows(path: Path) -> Iterator[pa.RecordBatch]:
         table = read(dtype=kinds)
     except (ValueError, OverflowError):
         text = read(dtype="str")
+        text.index = pd.RangeIndex(len(text)) + LINE_OF_FIRST_ROW
         for column in _COLUMNS[1:]:
             numbers_of(text.fillna(""), column, file, IMPORT_FORMAT)
         raise
