@@ -181,7 +181,12 @@ def _orientation(mission: Mission, paths: Paths, ledger: Ledger) -> OrientationT
 
 def stated_orientation(section: OrientationSection) -> Stated:
     """What the mission file states of a table of orientations."""
-    return Stated(columns=section.column_names, angle_unit=section.unit)
+    return Stated(
+        columns=section.column_names,
+        unstated=section.unstated,
+        angle_unit=section.unit,
+        heights=section.heights,
+    )
 
 
 def _known_positions(mission: Mission, paths: Paths) -> opened_inputs.KnownImagePositions | None:

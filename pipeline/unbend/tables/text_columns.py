@@ -43,12 +43,18 @@ def text_table(
     of one name (the first of ``codes``), and one that lacks a column (the second).
     """
     of_names = {name for quantity, name in wanted.items() if quantity in _QUANTITIES_OF_NAMES}
-    table = whole_table(path, codes[0], of_names)
-    names = list(table.columns)
-    if repeated := _repeated(names):
+    table = unrepeated_table(path, codes[0], of_names)
+    stated = ((quantity, name, f"{key}.{quantity}") for quantity, name in wanted.items())
+    require_names(codes[1], path, table.columns.tolist(), stated)
+    return table
+
+
+def unrepeated_table(path: Path, code: Code, of_names: Collection[str]) -> pd.DataFrame:
+    """As `whole_table`; refuses (``code``) a table with two columns of one name, too."""
+    table = whole_table(path, code, of_names)
+    if repeated := _repeated(table.columns.tolist()):
         why = f"the columns {repeated} stand there twice"
-        raise messages.csv_unreadable(code=codes[0], where=path, error=why)
-    require_names(codes[1], path, names, ((q, n, f"{key}.{q}") for q, n in wanted.items()))
+        raise messages.csv_unreadable(code=code, where=path, error=why)
     return table
 
 

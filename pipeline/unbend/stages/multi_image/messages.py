@@ -323,6 +323,22 @@ def frame_unstated(*, where: str) -> MissionError:
     )
 
 
+def angles_of_one_frame(*, where: str, stated: str, latitude_deg: float) -> MissionError:
+    """Our own table of angles in one frame, stated as angles against the vertical of each image."""
+    return MissionError(
+        ORIENTATION_FRAME,
+        "its angles count from east, north and up at one place (origin_lat_deg {latitude_deg:.6f}),"
+        " not from those of each image as frame: {stated} says",
+        where=where,
+        stated=stated,
+        latitude_deg=latitude_deg,
+        remedy=(
+            "give stations.orientation.frame: {{enu: {{lat_deg, lon_deg, h_ellipsoid_m}}}} with the "
+            "columns origin_lat_deg, origin_lon_deg, origin_h_ellipsoid_m; or export --format opk"
+        ),
+    )
+
+
 GROUND_BLOCK = Code(
     "GROUND-BLOCK",
     means=(

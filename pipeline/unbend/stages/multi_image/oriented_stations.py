@@ -16,6 +16,7 @@ from unbend.config import Mission
 from unbend.config.orientations import OrientationSection
 from unbend.errors import MissionError
 from unbend.flight import heights, rotations
+from unbend.flight.heights import GeodeticOrigin
 from unbend.flight.image_names import renamed
 from unbend.flight.stations import NO_TIME, Stations
 from unbend.messages import Kind, Ledger
@@ -63,7 +64,13 @@ def oriented_stations(
     if section is None:
         raise no_events(where="stations", what="orientation")
     observations = inputs.observations
-    table = ledger.take(in_wgs84(section, orientation_table(section, inputs), inputs.geoid))
+    table = orientation_table(section, inputs)
+    if isinstance(table.frame, GeodeticOrigin) and section.frame == "geographic":
+        latitude_deg = table.frame.lat_rad / DEGREE
+        raise messages.angles_of_one_frame(
+            where=section.path, stated=section.frame, latitude_deg=latitude_deg
+        )
+    table = ledger.take(in_wgs84(section, table, inputs.geoid))
     differences = mission.observations.match_names
     image = renamed(table.image, observations.images, differences, "stations.orientation")
     table = replace(table, image=ledger.take(image))

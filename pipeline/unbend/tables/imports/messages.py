@@ -1,5 +1,6 @@
 """Messages of trajectories, camera events, orientations and images of other programs."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -853,6 +854,28 @@ def week_unknown(*, where: Path | str) -> InputError:
 
 
 # Tables of orientations
+
+ORIENTATION_NAMES = Code(
+    "ORIENTATION-NAMES",
+    means=(
+        "Columns of orientations that the mission file does not name were found by names that "
+        "programs usually give them."
+    ),
+    effect="They are read.",
+    remedy="If one of them holds something else, name the right one.",
+)
+
+
+def columns_by_usual_names(*, where: str, names: Mapping[str, str]) -> Message:
+    """Columns of a table of orientations that were found by usual names."""
+    listed = ", ".join(f"{quantity} from {name}" for quantity, name in names.items())
+    return note(
+        ORIENTATION_NAMES,
+        "read by usual names: {listed}",
+        where=where,
+        listed=listed,
+    )
+
 
 ORIENTATION_COLUMN = Code(
     "ORIENTATION-COLUMN",

@@ -32,6 +32,7 @@ class Stated:
     heights : ellipsoid or msl.
     accuracy : the file of standard deviations that belongs to an SBET.
     columns : quantity -> name of the column, of a CSV.
+    unstated : quantities that nothing states, which our own table of orientations has.
     position_unit, angle_unit : of latitude and longitude, and of the attitude, in a CSV.
     angle_order : intrinsic rotations about z, y and x, as ``ZYX``.
     crs, geoid : coordinate system of a CSV, and the user's grid for its heights.
@@ -44,6 +45,7 @@ class Stated:
     heights: Literal["msl", "ellipsoid"] | None = None
     accuracy: Path | None = None
     columns: Mapping[str, str] = field(default_factory=dict)
+    unstated: tuple[str, ...] = ()
     position_unit: AngleUnit = "deg"
     angle_unit: AngleUnit = "deg"
     angle_order: str = "ZYX"

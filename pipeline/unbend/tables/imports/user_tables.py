@@ -1,7 +1,7 @@
 """The user's CSV, by its names of columns, units and orders: trajectories, orientations, events."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -23,13 +23,15 @@ from unbend.tables.text_columns import (
     degrees_of,
     numbers,
     numbers_of,
+    require_names,
     text_of_frame,
     text_table,
+    unrepeated_table,
     utc_of_columns,
     utc_of_dates,
     utc_of_weeks,
 )
-from unbend.units import RADIANS, Array, Integers, Mask, Names
+from unbend.units import DEGREE, RADIANS, Array, Integers, Mask, Names
 
 _SINCE_EPOCH_S = 1e8  # seconds beyond this count from an epoch, not from the beginning of a week
 _AS_THEY_ARE = (
@@ -178,9 +180,61 @@ def read_orientation(path: Path, stated: Stated, ledger: Ledger) -> OrientationT
     Refuses (InputError) columns that are not there, text for numbers, images that stand there
     twice, latitudes and angles that none can be, and quaternions that are no rotations.
     """
+    of_names = {stated.columns["image"], stated.columns.get("camera", ""), *_USUAL_NAMES["image"]}
+    table = unrepeated_table(path, _CODES_OF_ORIENTATION[0], of_names)
+    found = usual_columns(table.columns.tolist(), stated)
+    if found:
+        ledger.add(messages.columns_by_usual_names(where=path.name, names=found))
+    columns = {**stated.columns, **found}
     key = "stations.orientation.columns"
-    table = text_table(path, stated.columns, codes=_CODES_OF_ORIENTATION, key=key)
-    return _orientation(table, path, stated, ledger)
+    wanted = [(quantity, name, f"{key}.{quantity}") for quantity, name in columns.items()]
+    require_names(_CODES_OF_ORIENTATION[1], path, table.columns.tolist(), wanted)
+    return _orientation(table, path, replace(stated, columns=columns), ledger)
+
+
+_USUAL_NAMES: Mapping[str, tuple[str, ...]] = {
+    "image": ("imageName", "PhotoID", "Label", "filename", "image_name", "name"),
+    "latitude": ("lat_deg", "latitude_deg", "lat"),
+    "longitude": ("lon_deg", "longitude_deg", "lon", "long", "lng"),
+    "x": ("x_m", "X/East", "X/Easting", "east", "easting"),
+    "y": ("y_m", "Y/North", "Y/Northing", "north", "northing"),
+    "z": ("z_m", "Z/Altitude", "up"),
+}
+"""Names that programs give to columns of orientations, beside that of the quantity itself."""
+
+_NAMES_OF_HEIGHTS = {"ellipsoid": ("h_ellipsoid_m",), "msl": ("h_msl_m",)}
+_NAMES_OF_OWN_EXPORT = {
+    "image", "camera", "status", "time_utc", "lat_deg", "lon_deg", "h_ellipsoid_m", "omega_deg",
+    "phi_deg", "kappa_deg", "sigma_horizontal_m", "sigma_height_m", "sigma_tilt_deg",
+    "sigma_yaw_deg",
+}  # fmt: skip
+
+
+def usual_columns(names: Sequence[str], stated: Stated) -> dict[str, str]:
+    """Quantity -> name, for quantities that the mission file does not name and programs usually do.
+
+    A quantity that is not named has the name of its own; where the table has no such column, one in
+    other case or of a usual name takes its place, if it is the only one. Of our own table of
+    orientations everything is known that nothing states.
+    """
+    found = {}
+    for quantity, name in stated.columns.items():
+        if name in names or name != quantity:
+            continue
+        usual = {quantity, *_USUAL_NAMES.get(quantity, ())}
+        if quantity == "height":
+            usual.update(_NAMES_OF_HEIGHTS.get(stated.heights or "", ()))
+        if quantity in _ANGLES and not quantity.startswith("q_"):
+            usual.add(f"{quantity}_{stated.angle_unit}")
+        lower = {known.lower() for known in usual}
+        candidates = [known for known in names if known.lower() in lower]
+        if len(candidates) == 1:
+            found[quantity] = candidates[0]
+    if _NAMES_OF_OWN_EXPORT <= set(names) and stated.angle_unit == "deg":
+        for quantity in stated.unstated:
+            in_degrees = f"{quantity}_deg"
+            found[quantity] = in_degrees if in_degrees in names else quantity
+    return found
 
 
 def orientation_of_frame(
@@ -234,7 +288,18 @@ def _orientation(
             ledger.add(messages.orientations_without_time(where=path.name, count=bad, line=line))
     camera = table[names["camera"]].to_numpy(object) if "camera" in names else None
     image = table[names["image"]].to_numpy(object)
-    return OrientationTable(image, camera, time_ns, position, attitude, sigmas)
+    frame = _frame_of_own_export(table, path) if set(_ORIGIN) <= set(table.columns) else None
+    return OrientationTable(image, camera, time_ns, position, attitude, sigmas, frame=frame)
+
+
+_ORIGIN = ("origin_lat_deg", "origin_lon_deg", "origin_h_ellipsoid_m")
+
+
+def _frame_of_own_export(table: pd.DataFrame, path: Path) -> GeodeticOrigin | None:
+    """The one place whose east, north and up is the frame of our own table ``opk-enu``."""
+    origin = [numbers_of(table, name, path, messages.ORIENTATION_NUMBER) for name in _ORIGIN]
+    latitude, longitude, h_m = (float(values[0]) for values in origin)
+    return GeodeticOrigin(latitude * DEGREE, longitude * DEGREE, h_m)
 
 
 def read_known_positions(path: Path, names: Mapping[str, str]) -> tuple[Names, Array]:
