@@ -228,7 +228,10 @@ ORIENTATION_READING = Code(
         "entry names."
     ),
     effect="The mission is refused.",
-    remedy="State under stations.orientation what the table holds.",
+    remedy=(
+        "State what the file holds: unit, angles or columns under stations.orientation, angle_unit "
+        "or columns under stations.trajectory; or correct the file."
+    ),
 )
 
 
@@ -247,7 +250,7 @@ def orientation_reading(
         likely=likely,
         better=better,
         changed=changed,
-        remedy="change stations.orientation.{changed}, or mend the table",
+        remedy="change {changed}, or correct the file",
     )
 
 
@@ -333,8 +336,9 @@ def angles_of_one_frame(*, where: str, stated: str, latitude_deg: float) -> Miss
         stated=stated,
         latitude_deg=latitude_deg,
         remedy=(
-            "give stations.orientation.frame: {{enu: {{lat_deg, lon_deg, h_ellipsoid_m}}}} with the "
-            "columns origin_lat_deg, origin_lon_deg, origin_h_ellipsoid_m; or export --format opk"
+            "give stations.orientation.frame: {{enu: {{lat_deg, lon_deg, h_ellipsoid_m}}}} with "
+            "the columns origin_lat_deg, origin_lon_deg, origin_h_ellipsoid_m; or use export "
+            "--format opk"
         ),
     )
 

@@ -293,15 +293,29 @@ def read_gimbal_orientations(path: Path, stated: Stated, ledger: Ledger) -> Orie
     given = np.radians(degrees)
     if not np.isfinite(given).all(axis=1).any():
         raise messages.images_no_gimbal(where=path, files=len(files))
-    quarter = Rotation.from_euler("y", 90.0, degrees=True).as_matrix()
-    turned = rotations.ned_from_body(given) @ quarter
-    body = rotations.quaternions_of(rotations.CAMERA_AT_REST @ turned.transpose(0, 2, 1))
-    angles = rotations.rpy_of_quaternion(rotations.in_turned_frame(body, rotations.NED_FROM_ENU))
+    angles = rpy_of_gimbal(given)
     stamps = [_time_of(tags[file], "") for file in files]
     utc = [s.time_ns if s is not None and s.is_utc else NO_TIME for s in stamps]
     position = positions_of_tags({file: tags[file] for file in files}, path, ledger)
     names = np.array(files, object)
     return OrientationTable(names, None, np.array(utc, np.int64), position, angles, {})
+
+
+_QUARTER = Rotation.from_euler("y", 90.0, degrees=True).as_matrix()
+
+
+def rpy_of_gimbal(given: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(n, 3) roll, pitch, yaw [rad] of a body in which the camera looks down, of a gimbal's."""
+    turned = rotations.ned_from_body(given) @ _QUARTER
+    body = rotations.quaternions_of(rotations.CAMERA_AT_REST @ turned.transpose(0, 2, 1))
+    return rotations.rpy_of_quaternion(rotations.in_turned_frame(body, rotations.NED_FROM_ENU))
+
+
+def gimbal_of_rpy(angles: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(n, 3) roll, pitch, yaw [rad] of a gimbal; inverse of `rpy_of_gimbal`."""
+    turned = rotations.ned_from_body(angles) @ _QUARTER.T
+    body = rotations.quaternions_of(rotations.CAMERA_AT_REST @ turned.transpose(0, 2, 1))
+    return rotations.rpy_of_quaternion(rotations.in_turned_frame(body, rotations.NED_FROM_ENU))
 
 
 def image_files(folder: Path) -> list[Path]:

@@ -331,6 +331,73 @@ def eo_angles_unused(*, where: str, missing: str) -> Message:
     )
 
 
+IMPORT_EO_HEAD = Code(
+    "IMPORT-EO-HEAD",
+    means=(
+        "The head of an EO text states the order of its rotations, a cardinal rotation of kappa, "
+        "or a shift of its coordinates."
+    ),
+    effect=(
+        "The angles are read in that order, as those of the image as written, the cardinal "
+        "rotation included. A shift that easting and northing show against latitude and "
+        "longitude is taken from the heights. Other orders of rotations are refused."
+    ),
+    remedy="Compare with tie points, or with the program's settings.",
+)
+
+
+def eo_order(*, where: str, rotations: str) -> Message:
+    """The order of the rotations that the head states, or that is taken where it states none."""
+    text = "angles in the order of its head: {rotations}"
+    if not rotations:
+        text = "its head states no order of rotations: omega first, then phi and kappa"
+    return note(IMPORT_EO_HEAD, text, where=where, rotations=rotations)
+
+
+def eo_order_unknown(*, where: Path | str, rotations: str) -> InputError:
+    """The head states an order of the rotations that is not omega, phi or phi, omega, and kappa."""
+    return InputError(
+        IMPORT_EO_HEAD,
+        "its rotations are {rotations}; allowed: omega about x and phi about y, either first, and "
+        "kappa about z last",
+        where=where,
+        rotations=rotations,
+        remedy="write the exterior orientation with kappa as the third rotation",
+    )
+
+
+def eo_cardinal_rotation(*, where: str, turn_deg: float) -> Message:
+    """The head states a cardinal rotation of kappa."""
+    return warning(
+        IMPORT_EO_HEAD,
+        "kappa has a cardinal rotation of {turn_deg:g} deg: the angles are taken for those of the "
+        "images as they were measured; only tie points show whether these are turned against it",
+        where=where,
+        turn_deg=turn_deg,
+    )
+
+
+def eo_shift_undone(*, where: str, shift: str) -> Message:
+    """Easting and northing have the stated shift, latitude and longitude do not."""
+    return warning(
+        IMPORT_EO_HEAD,
+        "X, Y, Z were shifted by {shift} m, latitude and longitude were not: the shift is taken "
+        "from the heights",
+        where=where,
+        shift=shift,
+    )
+
+
+def eo_shift_unknown(*, where: str, shift: str) -> Message:
+    """A shift is stated, and latitude and longitude do not show whether they have it."""
+    return warning(
+        IMPORT_EO_HEAD,
+        "X, Y, Z were shifted by {shift} m; latitude, longitude and height are read as they stand",
+        where=where,
+        shift=shift,
+    )
+
+
 IMPORT_EO_GRID = Code(
     "IMPORT-EO-GRID",
     means="The grid of the EO text's angles is not that of its positions, or not stated.",

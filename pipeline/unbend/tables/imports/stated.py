@@ -3,7 +3,7 @@
 The week of its seconds, and a channel in the order of time.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -18,6 +18,11 @@ from unbend.messages import Ledger
 from unbend.tables.imports import messages
 from unbend.tables.text_columns import utc_of_weeks
 from unbend.units import NANOSECONDS_PER_SECOND, UNIX_NS_OF_GPS_EPOCH, AngleUnit, Array, Mask
+
+
+def as_written(angles: Array) -> Array:
+    """The angles of a file as they stand there."""
+    return angles
 
 
 @dataclass(frozen=True)
@@ -37,6 +42,8 @@ class Stated:
     angle_order : intrinsic rotations about z, y and x, as ``ZYX``.
     crs, geoid : coordinate system of a CSV, and the user's grid for its heights.
     grid : the projected coordinate system in whose axes omega, phi and kappa count.
+    angles_meant : what three angles (n, 3) [rad] mean, in the order in which they turn or as roll,
+        pitch, yaw; by default what the file says. Another reading is tried by it.
     """
 
     time_system: Literal["gpst", "utc"] | None = None
@@ -52,6 +59,7 @@ class Stated:
     crs: str | None = None
     geoid: GeoidGrid | None = None
     grid: str | None = None
+    angles_meant: Callable[[Array], Array] = as_written
 
     def system_of(self, path: Path, ledger: Ledger, found: str | None = None) -> str:
         """The time system, gpst or utc; ``found`` is what the file says of itself."""

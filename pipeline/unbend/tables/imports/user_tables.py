@@ -93,6 +93,7 @@ def read_trajectory_csv(path: Path, stated: Stated, ledger: Ledger) -> Channel:
             "stations.trajectory.angle_unit",
             table.index,
         )
+        angles = stated.angles_meant(angles)
         known = np.isfinite(angles).all(axis=1)
         in_order = angles[known][:, ["XYZ".index(axis) for axis in stated.angle_order]]
         q = np.full((known.size, 4), np.nan)
@@ -183,6 +184,8 @@ def read_orientation(path: Path, stated: Stated, ledger: Ledger) -> OrientationT
     of_names = {stated.columns["image"], stated.columns.get("camera", ""), *_USUAL_NAMES["image"]}
     table = unrepeated_table(path, _CODES_OF_ORIENTATION[0], of_names)
     found = usual_columns(table.columns.tolist(), stated)
+    if "time_utc" in found and not table[found["time_utc"]].str.strip().any():
+        del found["time_utc"]  # stations without a time
     if found:
         ledger.add(messages.columns_by_usual_names(where=path.name, names=found))
     columns = {**stated.columns, **found}
@@ -230,7 +233,7 @@ def usual_columns(names: Sequence[str], stated: Stated) -> dict[str, str]:
         candidates = [known for known in names if known.lower() in lower]
         if len(candidates) == 1:
             found[quantity] = candidates[0]
-    if _NAMES_OF_OWN_EXPORT <= set(names) and stated.angle_unit == "deg":
+    if set(names) >= _NAMES_OF_OWN_EXPORT and stated.angle_unit == "deg":
         for quantity in stated.unstated:
             in_degrees = f"{quantity}_deg"
             found[quantity] = in_degrees if in_degrees in names else quantity
