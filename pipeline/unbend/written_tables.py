@@ -192,9 +192,9 @@ def _names_before_rows(before: Sequence[str], width: int) -> tuple[str, ...]:
         if not _is_comment(line):
             continue
         for separator in SEPARATORS:
-            (names,) = split_rows([line.strip().lstrip("#% ") or "#"], separator)
-            if len(names) == width:
-                return tuple(names)
+            (fields,) = split_rows([line.strip().lstrip("#% ") or "#"], separator)
+            if len(fields) == width:
+                return tuple(fields)
     return ()
 
 

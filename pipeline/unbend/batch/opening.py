@@ -12,6 +12,7 @@ from unbend.batch.input_files import named_inputs
 from unbend.batch.plan import located, with_camera_files
 from unbend.batch.remote import Place
 from unbend.config import Mission
+from unbend.config.image_frames import image_frame_of
 from unbend.config.orientations import KnownPositions, OrientationSection
 from unbend.flight.channels import Channel
 from unbend.ingest import Log, open_log
@@ -96,6 +97,7 @@ def open_table(
         sigma_column=ground.sigma_column,
         direction=mission.refraction.direction,
         pixels=section.pixels,
+        frame=image_frame_of(section, mission.cameras),
         most_rows=most_rows,
         file_format=section.format,
         table=table,

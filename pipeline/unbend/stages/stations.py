@@ -44,6 +44,7 @@ from unbend.stages.multi_image.tie_point_checks import (
     TieEvidence,
     check_tie_points,
 )
+from unbend.stages.observation_units import refuse_other_unit
 from unbend.stages.opened_inputs import OpenedInputs
 from unbend.tables.geodata.elevation import ElevationModel
 from unbend.tables.messages import points_repeated
@@ -157,6 +158,7 @@ def stations_of_mission(
 ) -> Stations:
     """Position, attitude and air of each exposure, or a status; checked by tie points."""
     observations = inputs.observations
+    refuse_other_unit(mission, observations)
 
     # Stations at the exposures of each camera.
     positions = read_positions(mission, inputs, flight, ledger)

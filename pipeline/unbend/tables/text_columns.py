@@ -3,6 +3,7 @@
 import difflib
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from unbend.tables import messages
 from unbend.tables.delimited import text_file
 from unbend.tables.refraction_mark import Direction
 from unbend.units import RADIANS, UNIX_NS_OF_GPS_EPOCH, AngleUnit, Array, Mask
-from unbend.written_numbers import angle_of
+from unbend.written_numbers import angle_of, number_of
 from unbend.written_tables import BLANKS, columns_in_words, with_decimal_points
 
 Hashes = NDArray[np.uint64]
@@ -131,6 +132,15 @@ def numbers(text: "pd.Series[str]") -> Array:
         return pd.to_numeric(text, errors="coerce").to_numpy(np.float64)
 
 
+def numbers_in_text(text: "pd.Series[str]") -> Array:
+    """(n,) numbers of fields among which others are text; with decimal points or commas."""
+    values = np.array(pd.to_numeric(text, errors="coerce"), np.float64)
+    for row in np.flatnonzero(text.str.contains(",", regex=False, na=False)).tolist():
+        with suppress(ValueError):
+            values[row] = number_of(text.iloc[row])
+    return values
+
+
 def degrees_of(table: pd.DataFrame, name: str, path: Path, code: Code) -> Array:
     """(n,) a column of latitudes or longitudes [deg], as numbers or in degrees and minutes.
 
@@ -173,7 +183,7 @@ def numbers_of(table: pd.DataFrame, name: str, path: Path, code: Code) -> Array:
 
 
 def angles_in_radians(
-    given: Array, unit: AngleUnit, path: Path, code: Code, key: str, lines: Sequence[int]
+    given: Array, unit: AngleUnit, path: Path, code: Code, key: str, lines: "pd.Index[Any]"
 ) -> Array:
     """(n, 3) angles in radians; refuses (``code``) more than a full turn in the unit stated.
 

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -287,7 +287,7 @@ def _orientation(
         read_ns, good = utc_of_columns(table, names)
         time_ns[good] = read_ns[good]
         if bad := int((~good).sum()):
-            line = int(table.index[np.argmin(good)])
+            line = int(table.index[int(np.argmin(good))])
             ledger.add(messages.orientations_without_time(where=path.name, count=bad, line=line))
     camera = table[names["camera"]].to_numpy(object) if "camera" in names else None
     image = table[names["image"]].to_numpy(object)
@@ -338,7 +338,7 @@ def _numbers(table: pd.DataFrame, names: Mapping[str, str], path: Path) -> dict[
     return value
 
 
-def _positions(value: Mapping[str, Array], path: Path, key: str, lines: Sequence[int]) -> Array:
+def _positions(value: Mapping[str, Array], path: Path, key: str, lines: "pd.Index[Any]") -> Array:
     """(n, 3) positions, latitude and longitude in radians; refuses those of no place on earth.
 
     ``lines`` (n,) are those of the rows.
