@@ -107,7 +107,8 @@ def angle_of(text: str, hemisphere: str = "") -> float:
     of_its_own = ""
     written = _WITH_HEMISPHERE.fullmatch(plain)
     if written is not None:
-        plain, of_its_own = written["angle"], written["hemisphere"][0].upper()
+        plain = written["angle"]
+        of_its_own = written["hemisphere"][0].upper()
         if _DEGREES_OR_MINUTES.fullmatch(plain):
             raise ValueError(
                 f"{text!r} may be degrees or degrees and minutes; it is not {ANGLES_TAKEN}"

@@ -16,8 +16,12 @@ from unbend.written_numbers import is_number, may_be_thousands
 BLANKS = " "  # stands for any number of blanks and tabs
 SEPARATORS = (",", ";", "\t", "|", BLANKS)
 WORDS_OF_SEPARATORS = {
-    ",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", BLANKS: "blanks",
-}  # fmt: skip
+    ",": "commas",
+    ";": "semicolons",
+    "\t": "tabs",
+    "|": "bars",
+    BLANKS: "blanks",
+}
 MOST_ROWS = 200  # that show how a table is written
 
 _FIELD_BETWEEN_BLANKS = re.compile(r'"(?:[^"]|"")*"|[^\s"]\S*')
@@ -88,26 +92,31 @@ def form_of(lines: Sequence[str]) -> TableForm:
     ('\\t', ('PhotoID', 'X', 'Y'), 2, True)
     """
     before = _lines_before_rows(lines)
-    body = lines[before : before + MOST_ROWS]
-    if not any(line.strip() for line in body):
-        comments = [line for line in lines[:before] if _is_comment(line)]
-        if not comments:
-            raise ValueError("it is empty")
-        body = [comments[-1].strip().lstrip("#% ")]  # a head without rows
+    body = [line for line in lines[before : before + MOST_ROWS] if line.strip()]
+    if not body:
+        body = [_last_comment(lines)]  # a head without rows
     separator = _separator_of(lines[:before], body)
     rows = split_rows(body, separator)
     names_before = _names_before_rows(lines[:before], len(rows[0]))
-    first_is_head = _is_head(rows, has_names_before=bool(names_before))
     names = tuple(rows[0])
+    first_is_head = _is_head(rows, has_names_before=bool(names_before))
     if not first_is_head:
-        names = names_before or tuple(str(k) for k in range(1, len(rows[0]) + 1))
+        names = names_before or tuple(str(number) for number in range(1, len(names) + 1))
     return TableForm(
-        separator,
-        names,
+        separator=separator,
+        names=names,
         lines_before=before,
         head_is_row=first_is_head,
         decimal_comma=_has_decimal_commas(rows[first_is_head:], separator),
     )
+
+
+def _last_comment(lines: Sequence[str]) -> str:
+    """The text of the last comment; raises ValueError for an empty table."""
+    for line in reversed(lines):
+        if _is_comment(line):
+            return line.strip().lstrip("#% ")
+    raise ValueError("it is empty")
 
 
 def _is_comment(line: str) -> bool:
@@ -128,34 +137,37 @@ def _separator_of(before: Sequence[str], body: Sequence[str]) -> str:
 
     Raises ValueError where rows are longer than the first by each separator that this one has.
     """
-    for line in before:
-        stated = _SEPARATOR_OF_SPREADSHEET.fullmatch(line)
-        if stated is not None and stated[1] in SEPARATORS:
-            return stated[1]
+    stated = _stated_separator(before)
+    if stated:
+        return stated
     best = ","
     best_score = (0, 1)
     longer = ""
     for separator in SEPARATORS:
         rows = split_rows(body, separator)
-        width = len(rows[0])
-        if width < 2:
-            continue
-        too_long = next((row for row in rows if len(row) > width), None)
-        ragged = separator == BLANKS and any(len(row) != width for row in rows)
-        if too_long is not None or ragged:
-            if too_long is not None and separator != BLANKS and not longer:
-                words = WORDS_OF_SEPARATORS[separator]
-                longer = (
-                    f"by {words} its first row has {width} fields, and a later one {len(too_long)}"
-                )
+        widths = [len(row) for row in rows]
+        width = widths[0]
+        if width < 2 or (separator == BLANKS and min(widths) < width):
             continue
         score = (len(_numeric_columns(rows[1:] or rows)), width)
-        if score > best_score:
+        if max(widths) > width:
+            words = WORDS_OF_SEPARATORS[separator]
+            longer = f"by {words} its first row has {width} fields, and a later one {max(widths)}"
+        elif score > best_score:
             best = separator
             best_score = score
     if longer and best_score == (0, 1):
         raise ValueError(longer)
     return best
+
+
+def _stated_separator(before: Sequence[str]) -> str:
+    """What a line ``sep=;`` of a spreadsheet says; empty without one."""
+    for line in before:
+        stated = _SEPARATOR_OF_SPREADSHEET.fullmatch(line)
+        if stated is not None and stated[1] in SEPARATORS:
+            return stated[1]
+    return ""
 
 
 def _is_head(rows: Sequence[Sequence[str]], *, has_names_before: bool) -> bool:
@@ -184,17 +196,31 @@ def _names_before_rows(before: Sequence[str], width: int) -> tuple[str, ...]:
     """
     for line in reversed(before):
         if _COORDINATE_SYSTEM.fullmatch(line):
-            place = (
-                ("longitude", "latitude", "height") if _DEGREES.match(line.strip()) else (*"xyz",)
-            )
-            names = ("image", *place, *_NAMES_OF_ODM)
+            names = _names_of_odm(line)
             return names[:width] if width <= len(names) else ()
-        if not _is_comment(line):
-            continue
-        for separator in SEPARATORS:
-            (fields,) = split_rows([line.strip().lstrip("#% ") or "#"], separator)
-            if len(fields) == width:
-                return tuple(fields)
+        if _is_comment(line):
+            names = _names_in_comment(line, width)
+            if names:
+                return names
+    return ()
+
+
+def _names_of_odm(system: str) -> tuple[str, ...]:
+    """The names of the columns of OpenDroneMap's table, by its coordinate system."""
+    if _DEGREES.match(system.strip()):
+        return ("image", "longitude", "latitude", "height", *_NAMES_OF_ODM)
+    return ("image", "x", "y", "z", *_NAMES_OF_ODM)
+
+
+def _names_in_comment(line: str, width: int) -> tuple[str, ...]:
+    """The fields of a comment, by the separator by which there are so many; empty for none."""
+    text = line.strip().lstrip("#% ")
+    if not text:
+        return ()
+    for separator in SEPARATORS:
+        (fields,) = split_rows([text], separator)
+        if len(fields) == width:
+            return tuple(fields)
     return ()
 
 

@@ -139,10 +139,11 @@ class ImageEvidence:
         claimed = np.full(self.count, -1, np.int64)
         if self.number is None or not self.names_speak(events):
             return claimed
-        number_of_row = np.arange(events.time_s.size) + 1
+        rows = range(events.time_s.size)
+        number_of_row = np.array(rows) + 1
         if self.numbering == "index" and events.index is not None:
             number_of_row = events.index % _COUNT_ROUND
-        row_of_number = {number: row for row, number in enumerate(number_of_row.tolist())}
+        row_of_number = dict(zip(number_of_row.tolist(), rows, strict=True))
         for image, number in enumerate(self.number.tolist()):
             claimed[image] = row_of_number.get(number % _COUNT_ROUND, -1)
         return claimed
@@ -173,17 +174,21 @@ class ImageEvidence:
         if timed.size == 0:
             return 0.0
         camera_s = self.time_s[timed]
-        sigma = np.maximum(np.broadcast_to(self.sigma_s, self.time_s.shape)[timed], sigma_s)
+        sigma_of_image = np.broadcast_to(self.sigma_s, self.time_s.shape)
+        sigma = np.maximum(sigma_of_image[timed], sigma_s)
         late_s = events.time_s[rows[timed]] - camera_s
         offset_s = float(np.median(late_s))
-        since_middle_s = camera_s - np.median(camera_s)
-        near = np.abs(late_s - offset_s) < _WINDOW * sigma
-        normal = np.sum((since_middle_s[near] / sigma[near]) ** 2) + self.drift_sigma**-2.0
-        moment = np.sum(since_middle_s[near] * (late_s[near] - offset_s) / sigma[near] ** 2)
-        drift = moment / normal
-        misfit = (late_s - offset_s - drift * since_middle_s) / sigma
+        late_s = late_s - offset_s
+        near = np.abs(late_s) < _WINDOW * sigma
+        middle_s = np.median(camera_s)
+        since_middle = (camera_s - middle_s) / sigma
+        normal = np.sum(since_middle[near] ** 2) + self.drift_sigma**-2.0
+        drift = np.sum((since_middle * late_s / sigma)[near]) / normal
+        misfit = late_s / sigma - drift * since_middle
         of_clock = (offset_s - self.clock_offset_s) / self.clock_sigma_s
-        return -0.5 * float(np.minimum(misfit**2, _WINDOW**2).sum() + of_clock**2)
+        cost = np.minimum(misfit**2, _WINDOW**2)
+        total = cost.sum() + of_clock**2
+        return -0.5 * float(total)
 
     def log_prior_of_names(self, events: CameraEvents, rows: Integers) -> Array:
         """(c,) log probability of assignments (c, k) by what the pattern of the names claims."""
@@ -302,7 +307,7 @@ def assign(
         found = replace(found, offset_s=offset, drift=drift, sigma_s=sigma)
     # Prices of missing events and images alone are no evidence against what was stated.
     has_evidence = axis.is_time or tie_points is not None or images.names_speak(events)
-    against = float(score.max() - score[best]) if has_evidence else 0.0
+    against = has_evidence * float(score.max() - score[best])
     return replace(found, reason=why_refused(found, events, images, axis, against))
 
 

@@ -192,7 +192,7 @@ def stations_of_mission(
     if mission.stations.orientation is None:
         stations = join_stations(exposed)
         refuse_other_readings_of_imports(
-            mission, inputs, flight, positions, exposed, stations, ties=ties
+            mission, inputs, positions, exposed=exposed, stations=stations, ties=ties
         )
     else:
         oriented = oriented_stations(mission, inputs, flight, exposed, ties=ties, ledger=ledger)
@@ -221,11 +221,10 @@ def stations_of_mission(
 def refuse_other_readings_of_imports(
     mission: Mission,
     inputs: OpenedInputs,
-    flight: FlightLog,
     positions: Mapping[str, Channel],
+    *,
     exposed: list[Stations],
     stations: Stations,
-    *,
     ties: TiePoints,
 ) -> None:
     """Refuse (ORIENTATION-READING) imported angles by which tie points meet far worse than else.

@@ -175,7 +175,6 @@ def scan_csv(
     ``texts`` are the columns of images and points, text even where all are digits, ``numbers``
     float64 unless a value is no number. ``add_names`` is called with the images of the next rows.
     """
-    image = texts[0]
     kinds: dict[str, tuple[_Kind, ...]] = {
         name: (_NUMBER,) if name in numbers else () if name in texts else _KINDS for name in names
     }
@@ -186,17 +185,12 @@ def scan_csv(
         with open_csv(path, dict.fromkeys(names, pa.string())) as reader:
             for batch in reader:
                 rows += batch.num_rows
-                images.update(pc.unique(batch.column(image)).to_pylist())
+                images.update(pc.unique(batch.column(texts[0])).to_pylist())
                 if add_names is not None:
-                    add_names(batch.column(image))
+                    add_names(batch.column(texts[0]))
                 for name, left in kinds.items():
                     values = batch.column(name)
-                    numbers_of = with_points(values) if decimal_comma else values
-                    kinds[name] = tuple(
-                        kind
-                        for kind in left
-                        if kind.holds(numbers_of if kind.type == pa.float64() else values)
-                    )
+                    kinds[name] = _kinds_that_hold(left, values, decimal_comma=decimal_comma)
                     if values.null_count < len(values):
                         filled.add(name)
     except (OSError, ValueError) as error:
@@ -205,6 +199,16 @@ def scan_csv(
     types = {name: kind.type if (kind := chosen.get(name)) else pa.string() for name in names}
     codes = tuple(name for name, kind in chosen.items() if kind is _CODE)
     return CsvScan(rows, images - {None}, types, codes)
+
+
+def _kinds_that_hold(
+    kinds: tuple[_Kind, ...], values: pa.StringArray, *, decimal_comma: bool
+) -> tuple[_Kind, ...]:
+    """Those of some kinds that hold values, whose numbers may have a decimal comma."""
+    numbers = with_points(values) if decimal_comma else values
+    return tuple(
+        kind for kind in kinds if kind.holds(numbers if kind.type == pa.float64() else values)
+    )
 
 
 def with_points(values: pa.StringArray) -> pa.StringArray:

@@ -284,11 +284,11 @@ class Observations:
             found = _at_least_zero(arrays[self.sigma_column])
             optional["ground_sigma"], optional["no_sigma"] = found
         own = {name: arrays[source] for name, source in users.items()}
-        if self.frame is None:
-            x_px, y_px = self.pixels.to_colmap(x), self.pixels.to_colmap(y)
-        else:
+        x_px, y_px = self.pixels.to_colmap(x), self.pixels.to_colmap(y)
+        if self.frame is not None:
             x_px, y_px = self.frame.to_colmap(x, y)
-            x, y = self.pixels.from_colmap(x_px), self.pixels.from_colmap(y_px)
+            x = self.pixels.from_colmap(x_px)
+            y = self.pixels.from_colmap(y_px)
         return Batch(image, point, x_px, y_px, x, y, ground=ground, users=own, **optional)
 
 
@@ -320,7 +320,7 @@ def open_observations(
     sigma_column : the column of standard deviations of the ground heights, which passes through.
     direction : whether refraction will be removed from these observations or applied to them.
     pixels : where the table counts its pixels from, and the results do.
-    frame : that of the coordinates where these are no pixels; they pass through as the user's own.
+    frame : that of coordinates that are no pixels; they pass through as the user's own.
     most_rows : draw that many rows, spread over the images, for `Observations.sampled`.
     file_format : csv, parquet, or one of `BLOCKS`; by default the ending says it.
     table : the table itself, where it is in memory and no file.
@@ -353,8 +353,7 @@ def open_observations(
 
     # The user's other columns, beside those that the results replace.
     replaced = set(named.values()) - {named.get("distance_m")}
-    if frame is not None:
-        replaced -= {named["x_px"], named["y_px"]}
+    replaced -= set() if frame is None else {named["x_px"], named["y_px"]}
     if ground_column == "h_g_m" and ground_is_msl:
         replaced.add("h_g_m")
     own_names = [name for name in scan.schema.names if name not in replaced]

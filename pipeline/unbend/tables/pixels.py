@@ -57,6 +57,9 @@ class ImageFrame:
 
     def to_colmap(self, x: Pixels, y: Pixels) -> tuple[Pixels, Pixels]:
         """COLMAP's pixels, across and down, of coordinates in this frame."""
-        across = self.origin_px[0] + self.px_of_x[0] * x + self.px_of_y[0] * y
-        down = self.origin_px[1] + self.px_of_x[1] * x + self.px_of_y[1] * y
+        origin_across, origin_down = self.origin_px
+        x_across, x_down = self.px_of_x
+        y_across, y_down = self.px_of_y
+        across = origin_across + x_across * x + y_across * y
+        down = origin_down + x_down * x + y_down * y
         return across, down

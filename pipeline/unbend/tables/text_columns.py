@@ -183,7 +183,7 @@ def numbers_of(table: pd.DataFrame, name: str, path: Path, code: Code) -> Array:
 
 
 def angles_in_radians(
-    given: Array, unit: AngleUnit, path: Path, code: Code, key: str, lines: "pd.Index[Any]"
+    given: Array, unit: AngleUnit, path: Path, code: Code, *, key: str, lines: "pd.Index[Any]"
 ) -> Array:
     """(n, 3) angles in radians; refuses (``code``) more than a full turn in the unit stated.
 

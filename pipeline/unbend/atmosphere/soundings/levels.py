@@ -155,10 +155,14 @@ def table(lines: Iterable[str], where: str) -> dict[str, list[str]]:
         raise messages.sounding_column_twice(where=where, column=twice[0])
     rows = split_rows(filled[form.line_of_first_row - 1 :], form.separator)
     columns = {}
-    for number, name in enumerate(names):
-        # A row that was cut off has empty fields where it ends.
-        fields = [row[number] if number < len(row) else "" for row in rows]
-        columns[name] = list(with_decimal_points(fields, decimal_comma=form.decimal_comma))
+    for column, name in enumerate(names):
+        fields = []
+        for row in rows:
+            # A row that was cut off has empty fields where it ends.
+            is_there = column < len(row)
+            fields.append(row[column] if is_there else "")
+        with_points = with_decimal_points(fields, decimal_comma=form.decimal_comma)
+        columns[name] = list(with_points)
     return columns
 
 

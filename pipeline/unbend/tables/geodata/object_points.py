@@ -76,12 +76,7 @@ def read_object_points(
         except (pa.ArrowException, OSError) as error:
             raise messages.points_table(where=path, error=str(error)) from None
     else:
-        text = text_table(path, columns, codes=_CODES, key=key)
-        given = pa.array(text[columns["point"]].str.strip(), pa.string())
-        values = {}
-        for quantity, name in numbers.items():
-            reader = degrees_of if quantity in ("latitude", "longitude") else numbers_of
-            values[quantity] = reader(text, name, path, _CODES[0])
+        given, values = _points_of_text(path, columns, key)
     names = given.value_counts()
     twice = names.filter(pc.greater(names.field("counts"), 1)).field("values")
     if len(names) == 0:
@@ -89,3 +84,17 @@ def read_object_points(
     if len(twice):
         raise messages.points_repeated(where=path, count=len(twice), first=repr(twice[0].as_py()))
     return given, values
+
+
+def _points_of_text(
+    path: Path, columns: Mapping[str, str], key: str
+) -> tuple[pa.StringArray, dict[str, Array]]:
+    """Names, and the other columns by quantity, of a table that is text."""
+    text = text_table(path, columns, codes=_CODES, key=key)
+    values = {}
+    for quantity, name in columns.items():
+        if quantity in ("latitude", "longitude"):
+            values[quantity] = degrees_of(text, name, path, _CODES[0])
+        elif quantity != "point":
+            values[quantity] = numbers_of(text, name, path, _CODES[0])
+    return pa.array(text[columns["point"]].str.strip(), pa.string()), values

@@ -203,34 +203,38 @@ def attitudes_of_eo(
         return {}
     angles = np.stack([value[name] for name in names], axis=1) * head.radians
     if in_grid:
-        q = _of_grid(path, head, str(grid), angles, value, stated, ledger)
+        order = order_of_rotations(head, path, ledger)
+        in_order = [names.index(name.upper()) for name in order.split("_")]
+        camera = rotations.quaternion_of_opk(stated.angles_meant(angles[:, in_order]), order)
+        q = body_at_rest(camera, proved_convergence(path, str(grid), value))
     else:
         q = rotations.quaternions_of(rotations.ned_from_body(stated.angles_meant(angles)))
     return dict(zip(("q_w", "q_x", "q_y", "q_z"), q.T, strict=True))
 
 
-def _of_grid(
-    path: Path,
-    head: EoHead,
-    grid: str,
-    angles: Array,
-    value: Mapping[str, Array],
-    stated: Stated,
-    ledger: Ledger,
-) -> Array:
-    """(n, 4) attitudes of a body in which the camera is at rest, by omega, phi and kappa (n, 3)."""
-    if head.order is None:
-        raise messages.eo_order_unknown(where=path, rotations=head.rotations)
+def proved_convergence(path: Path, grid: str, value: Mapping[str, Array]) -> Array:
+    """(n,) convergence of a grid [rad]; refuses (IMPORT-EO-GRID) one that lies elsewhere."""
     places = places_on_grid(path, grid, value)
     if not places.away_m < FARTHEST_FROM_GRID_M:
         raise messages.grid_elsewhere(where=path, grid=grid, away_m=places.away_m)
+    return places.convergence_rad
+
+
+def order_of_rotations(head: EoHead, path: Path, ledger: Ledger) -> str:
+    """The order in which the angles turn; notes on it, and on a cardinal rotation of kappa.
+
+    Refuses (IMPORT-EO-HEAD) an order that no photogrammetric angles have.
+    """
+    if head.order is None:
+        raise messages.eo_order_unknown(where=path, rotations=head.rotations)
     ledger.add(messages.eo_order(where=path.name, rotations=head.rotations))
     if head.cardinal_deg:
         ledger.add(messages.eo_cardinal_rotation(where=path.name, turn_deg=head.cardinal_deg))
-    if head.order == "phi_omega_kappa":
-        angles = angles[:, [1, 0, 2]]
-    turn = rotations.enu_from_grid(places.convergence_rad)
-    quaternion = rotations.quaternion_of_opk(stated.angles_meant(angles), head.order)
-    camera = rotations.matrices_of(quaternion)
-    axes = (camera @ turn.transpose(0, 2, 1)).transpose(0, 2, 1)
+    return head.order
+
+
+def body_at_rest(camera: Array, convergence_rad: Array) -> Array:
+    """(n, 4) attitudes of a body in which the camera is at rest, of cameras against a grid."""
+    turn = rotations.enu_from_grid(convergence_rad)
+    axes = (rotations.matrices_of(camera) @ turn.transpose(0, 2, 1)).transpose(0, 2, 1)
     return rotations.quaternions_of(rotations.NED_FROM_ENU @ axes @ rotations.CAMERA_AT_REST)

@@ -90,8 +90,8 @@ def read_trajectory_csv(path: Path, stated: Stated, ledger: Ledger) -> Channel:
             stated.angle_unit,
             path,
             messages.IMPORT_ANGLES,
-            "stations.trajectory.angle_unit",
-            table.index,
+            key="stations.trajectory.angle_unit",
+            lines=table.index,
         )
         angles = stated.angles_meant(angles)
         known = np.isfinite(angles).all(axis=1)
@@ -183,12 +183,12 @@ def read_orientation(path: Path, stated: Stated, ledger: Ledger) -> OrientationT
     """
     of_names = {stated.columns["image"], stated.columns.get("camera", ""), *_USUAL_NAMES["image"]}
     table = unrepeated_table(path, _CODES_OF_ORIENTATION[0], of_names)
-    found = usual_columns(table.columns.tolist(), stated)
-    if "time_utc" in found and not table[found["time_utc"]].str.strip().any():
-        del found["time_utc"]  # stations without a time
-    if found:
-        ledger.add(messages.columns_by_usual_names(where=path.name, names=found))
-    columns = {**stated.columns, **found}
+    usual = usual_columns(table.columns.tolist(), stated)
+    if "time_utc" in usual and not table[usual["time_utc"]].str.strip().any():
+        del usual["time_utc"]  # stations without a time
+    if usual:
+        ledger.add(messages.columns_by_usual_names(where=path.name, names=usual))
+    columns = {**stated.columns, **usual}
     key = "stations.orientation.columns"
     wanted = [(quantity, name, f"{key}.{quantity}") for quantity, name in columns.items()]
     require_names(_CODES_OF_ORIENTATION[1], path, table.columns.tolist(), wanted)
@@ -213,6 +213,9 @@ _NAMES_OF_OWN_EXPORT = {
 }  # fmt: skip
 
 
+_OWN_NAMES = {"sigma_tilt": "sigma_tilt_deg", "sigma_yaw": "sigma_yaw_deg"}
+
+
 def usual_columns(names: Sequence[str], stated: Stated) -> dict[str, str]:
     """Quantity -> name, for quantities that the mission file does not name and programs usually do.
 
@@ -220,24 +223,28 @@ def usual_columns(names: Sequence[str], stated: Stated) -> dict[str, str]:
     other case or of a usual name takes its place, if it is the only one. Of our own table of
     orientations everything is known that nothing states.
     """
-    found = {}
+    columns = {}
     for quantity, name in stated.columns.items():
-        if name in names or name != quantity:
+        is_named = name != quantity
+        if is_named or name in names:
             continue
-        usual = {quantity, *_USUAL_NAMES.get(quantity, ())}
-        if quantity == "height":
-            usual.update(_NAMES_OF_HEIGHTS.get(stated.heights or "", ()))
-        if quantity in _ANGLES and not quantity.startswith("q_"):
-            usual.add(f"{quantity}_{stated.angle_unit}")
-        lower = {known.lower() for known in usual}
-        candidates = [known for known in names if known.lower() in lower]
+        usual = _usual_names(quantity, stated)
+        candidates = [known for known in names if known.lower() in usual]
         if len(candidates) == 1:
-            found[quantity] = candidates[0]
+            columns[quantity] = candidates[0]
     if set(names) >= _NAMES_OF_OWN_EXPORT and stated.angle_unit == "deg":
-        for quantity in stated.unstated:
-            in_degrees = f"{quantity}_deg"
-            found[quantity] = in_degrees if in_degrees in names else quantity
-    return found
+        columns |= {quantity: _OWN_NAMES.get(quantity, quantity) for quantity in stated.unstated}
+    return columns
+
+
+def _usual_names(quantity: str, stated: Stated) -> set[str]:
+    """The usual names of the column of a quantity, in small letters."""
+    usual = {quantity, *_USUAL_NAMES.get(quantity, ())}
+    if quantity == "height":
+        usual.update(_NAMES_OF_HEIGHTS.get(stated.heights or "", ()))
+    if quantity in _ANGLES and not quantity.startswith("q_"):
+        usual.add(f"{quantity}_{stated.angle_unit}")
+    return {name.lower() for name in usual}
 
 
 def orientation_of_frame(
@@ -260,24 +267,15 @@ def _orientation(
     position = _positions(value, path, "stations.orientation.columns", table.index)
     angles = np.stack([value[name] for name in angle_names], axis=1)
     if len(angle_names) == 4:
-        length = np.linalg.norm(angles, axis=1)
-        if (wrong := np.abs(length - 1.0) > _LONGEST_NORM_ERROR).any():
-            worst = int(np.nanargmax(np.abs(length - 1.0)))
-            raise messages.orientation_quaternion(
-                path=path,
-                line=int(table.index[worst]),
-                count=int(wrong.sum()),
-                length=float(length[worst]),
-            )
-        attitude = angles / length[:, None]
+        attitude = _unit_quaternions(angles, table, path)
     else:
         attitude = angles_in_radians(
             angles,
             unit,
             path,
             messages.ORIENTATION_UNIT,
-            "stations.orientation.unit",
-            table.index,
+            key="stations.orientation.unit",
+            lines=table.index,
         )
     sigmas = {name: values for name, values in value.items() if name.startswith("sigma_")}
     for tilt in {"sigma_tilt", "sigma_yaw"} & sigmas.keys():
@@ -293,6 +291,22 @@ def _orientation(
     image = table[names["image"]].to_numpy(object)
     frame = _frame_of_own_export(table, path) if set(_ORIGIN) <= set(table.columns) else None
     return OrientationTable(image, camera, time_ns, position, attitude, sigmas, frame=frame)
+
+
+def _unit_quaternions(quaternion: Array, table: pd.DataFrame, path: Path) -> Array:
+    """(n, 4) quaternions of length 1; refuses those whose length is another."""
+    length = np.linalg.norm(quaternion, axis=1)
+    error = np.abs(length - 1.0)
+    wrong = error > _LONGEST_NORM_ERROR
+    if wrong.any():
+        worst = int(np.nanargmax(error))
+        raise messages.orientation_quaternion(
+            path=path,
+            line=int(table.index[worst]),
+            count=int(wrong.sum()),
+            length=float(length[worst]),
+        )
+    return np.asarray(quaternion / length[:, None])
 
 
 _ORIGIN = ("origin_lat_deg", "origin_lon_deg", "origin_h_ellipsoid_m")

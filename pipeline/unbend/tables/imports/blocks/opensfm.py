@@ -100,10 +100,10 @@ def read_rows(path: Path) -> Iterator[pa.RecordBatch]:
     try:
         table = read(dtype=kinds)
     except (ValueError, OverflowError):
-        text = read(dtype="str")
-        text.index = pd.RangeIndex(len(text)) + LINE_OF_FIRST_ROW
+        text = read(dtype="str").fillna("")
+        text.index = text.index + LINE_OF_FIRST_ROW
         for column in _COLUMNS[1:]:
-            numbers_of(text.fillna(""), column, file, IMPORT_FORMAT)
+            numbers_of(text, column, file, IMPORT_FORMAT)
         raise
     others = [name for name in _COLUMNS[5:] if table[name].notna().all()]
     for image, rows in table.groupby("image", sort=False):
