@@ -24,9 +24,11 @@ GPS_EPOCH = pd.Timestamp("1980-01-06", tz="UTC")
 LEAP_SECONDS = 18
 STATED = {
     "omega first": "First rotation is about the 'x' axis by the 'omega' angle.\n"
-    "Second rotation is about the 'y' axis by the 'phi' angle.\n",
+    "Second rotation is about the 'y' axis by the 'phi' angle.\n"
+    "Third rotation is about the 'z' axis by the 'kappa' angle.\n",
     "phi first": "First rotation is about the 'y' axis by the 'phi' angle.\n"
-    "Second rotation is about the 'x' axis by the 'omega' angle.\n",
+    "Second rotation is about the 'x' axis by the 'omega' angle.\n"
+    "Third rotation is about the 'z' axis by the 'kappa' angle.\n",
     "nothing": "",
 }
 

@@ -67,13 +67,17 @@ def readings_of_angles(
         yield AngleReading(what.format(*names), UNSTATED, _mistaken(undone))
     if order is None:
         return
-    first, second, _ = order.split("_")
-    other_order = f"{second}_{first}_kappa"
-    words = f"if the angles are {other_order}"
-    yield AngleReading(words, UNSTATED, _in_order(other_order, order))
+    yield _other_order(order)
     for turn_deg in QUARTER_TURNS_DEG:
         words = f"with the images turned by {turn_deg:g} degrees about the axis of the camera"
         yield AngleReading(words, UNSTATED, _turned(np.radians(turn_deg)))
+
+
+def _other_order(order: str) -> AngleReading:
+    """The reading by which angles turn in the other order than that of their names."""
+    first, second, _ = order.split("_")
+    meant = f"{second}_{first}_kappa"
+    return AngleReading(f"if the angles are {meant}", UNSTATED, _in_order(meant, order))
 
 
 def _scaled(ratio: float) -> Callable[[Array], Array]:
@@ -165,11 +169,14 @@ def roads_of_angles(
         source = mission.position_events[camera]
         if not channel.fits_role("attitude") or source.times_only:
             continue
+        # The file's own head says in which order they turn, or which angles they are.
         names = ("the first angle", "the second angle", "kappa or heading")
+        readings = [*readings_of_angles(names, "deg", "omega_phi_kappa")]
+        readings.append(_other_order("phi_omega_kappa"))
         yield AngleRoad(
             f"events.positions.{camera}",
             source.path,
-            tuple(readings_of_angles(names, "deg", "omega_phi_kappa")),
+            tuple(readings),
             _camera_events_as(inputs, camera),
         )
 
