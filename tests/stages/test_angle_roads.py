@@ -16,7 +16,7 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 from unbend.batch.runs import read_mission
-from unbend.errors import InputError
+from unbend.errors import InputError, MissionError
 from unbend.simulate import SimulationOptions, simulate
 
 PHOTOGRAMMETRIC = np.diag([1.0, -1.0, -1.0])
@@ -212,3 +212,29 @@ def test_tie_points_tell_the_reading_of_a_gimbal(crossing):
     assert worst_turn_deg(right.stations, crossing[2]) < 1e-4
     turned = with_tags(crossing, lambda yaw, pitch, roll: (-yaw, pitch, roll))
     assert "with the other sign of yaw" in refused(crossing, turned)
+
+
+# --- our own tables ---------------------------------------------------------------------------
+
+
+def with_own_table(crossing, frame: object) -> dict:
+    """A table with the names of our own in one frame, read against the vertical of each station."""
+    folder, _, truth = crossing
+    matrix = enu_from_camera(truth) @ PHOTOGRAMMETRIC
+    omega, phi, kappa = Rotation.from_matrix(matrix).as_euler("XYZ", degrees=True).T
+    table = pd.DataFrame({"image": truth["image"], "lat_deg": truth["lat_deg"],
+                          "lon_deg": truth["lon_deg"], "h_msl_m": truth["h_msl_m"],
+                          "omega_deg": omega, "phi_deg": phi, "kappa_deg": kappa})  # fmt: skip
+    if frame is not None:
+        table = table.assign(origin_lat_deg=47.0, origin_lon_deg=8.0, origin_h_ellipsoid_m=400.0)
+    table.to_csv(folder / "own.csv", index=False)
+    orientation = {"path": "own.csv", "angles": "omega_phi_kappa", "frame": "geographic",
+                   "heights": "msl", "date": "2026-05-01"}  # fmt: skip
+    return {"stations": {"orientation": orientation}, "events": None}
+
+
+def test_a_table_against_each_vertical_is_read_and_one_in_one_frame_refused(crossing):
+    stations = prepared(crossing, with_own_table(crossing, None)).stations
+    assert worst_turn_deg(stations, crossing[2]) < 1e-6
+    with pytest.raises(MissionError, match="ORIENTATION-FRAME"):
+        prepared(crossing, with_own_table(crossing, "one"))
