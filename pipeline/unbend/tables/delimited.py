@@ -26,7 +26,7 @@ _UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)  # spreadsheets write it as
 
 
 @dataclass(frozen=True)
-class TextFile:
+class WrittenTable:
     """A table in a text file: its encoding, and how its lines are written."""
 
     path: Path
@@ -34,7 +34,7 @@ class TextFile:
     form: TableForm
 
 
-def text_file(path: Path) -> TextFile:
+def text_file(path: Path) -> WrittenTable:
     """Recognise the encoding and the form of a table by its first quarter of a megabyte.
 
     Raises ValueError for what is no text in UTF-8 or UTF-16, and as `form_of`.
@@ -53,7 +53,7 @@ def text_file(path: Path) -> TextFile:
     lines = text.splitlines()
     if not is_whole and len(lines) > 1:
         del lines[-1]
-    return TextFile(path, encoding, form_of(lines))
+    return WrittenTable(path, encoding, form_of(lines))
 
 
 class _PartedByTabs(io.RawIOBase):
