@@ -70,6 +70,8 @@ def columns_in_words(names: Sequence[str]) -> str:
 def split_rows(lines: Iterable[str], separator: str) -> list[list[str]]:
     """The fields of lines that are not empty, without quotes and blanks around them.
 
+    Raises ValueError for what no table of text has.
+
     >>> split_rows(['a;"b;c"', "", " 1 ;2"], ";")
     [['a', 'b;c'], ['1', '2']]
     >>> split_rows(['IMG_1.JPG   1,5 "x y"'], BLANKS)
@@ -80,7 +82,10 @@ def split_rows(lines: Iterable[str], separator: str) -> list[list[str]]:
         return [
             [field.strip('"') for field in _FIELD_BETWEEN_BLANKS.findall(line)] for line in filled
         ]
-    rows = csv.reader(filled, delimiter=separator, skipinitialspace=True)
+    try:
+        rows = list(csv.reader(filled, delimiter=separator, skipinitialspace=True))
+    except csv.Error as error:  # a byte of zero, a field of 128 KiB
+        raise ValueError(str(error)) from None
     return [[field.strip() for field in row] for row in rows]
 
 
