@@ -387,7 +387,7 @@ def test_tags_that_are_no_numbers_are_losses(tmp_path):
 
 
 def test_images_none_of_whose_tags_can_be_read_are_refused(tmp_path):
-    text = "SourceFile,GimbalRollDegree,GimbalPitchDegree,GimbalYawDegree\na.jpg,x,y,z\n"
+    text = "SourceFile,GimbalRollDegree,GimbalPitchDegree,GimbalYawDegree\na.jpg,x,y,z\nb.jpg,,,\n"
     (tmp_path / "t.csv").write_text(text)
     with pytest.raises(InputError, match="IMAGES-TAG"):
         read_gimbal_orientations(tmp_path / "t.csv", Stated(), Ledger())
