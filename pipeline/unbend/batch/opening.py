@@ -13,6 +13,7 @@ from unbend.batch.plan import located, with_camera_files
 from unbend.batch.remote import Place
 from unbend.block.known_places import KnownPlaces
 from unbend.config import Mission
+from unbend.config.image_frames import image_frame_of
 from unbend.config.orientations import KnownPositions, OrientationSection
 from unbend.flight.channels import Channel
 from unbend.ingest import Log, open_log
@@ -98,6 +99,7 @@ def open_table(
         sigma_column=ground.sigma_column,
         direction=mission.refraction.direction,
         pixels=section.pixels,
+        frame=image_frame_of(section, mission.cameras),
         most_rows=most_rows,
         file_format=section.format,
         table=table,
@@ -183,7 +185,12 @@ def _orientation(mission: Mission, paths: Paths, ledger: Ledger) -> OrientationT
 
 def stated_orientation(section: OrientationSection) -> Stated:
     """What the mission file states of a table of orientations."""
-    return Stated(columns=section.column_names, angle_unit=section.unit)
+    return Stated(
+        columns=section.column_names,
+        unstated=section.unstated,
+        angle_unit=section.unit,
+        heights=section.heights,
+    )
 
 
 def _known_positions(mission: Mission, paths: Paths) -> opened_inputs.KnownImagePositions | None:

@@ -16,6 +16,7 @@ from unbend.config.blocks import with_block
 from unbend.config.cameras import CameraSection
 from unbend.config.event_sources import EventsSection, PositionEvents
 from unbend.config.ground import ControlSection, GroundSection
+from unbend.config.image_frames import image_frame_of
 from unbend.config.logs import USUAL_MAX_GAP_S, LogSection
 from unbend.config.mission_section import MissionSection
 from unbend.config.mounts import MountSection
@@ -436,7 +437,8 @@ class Mission(Section):
 
     @model_validator(mode="after")
     def _check_camera_names(self) -> Self:
-        """All sections name the same cameras."""
+        """All sections name the same cameras, of one frame where observations are in mm."""
+        image_frame_of(self.observations, self.cameras)
         named = self._cameras_by_section()
         for section, names in named.items():
             for name in sorted(names - self.cameras.keys()):

@@ -299,6 +299,23 @@ class OrientationSection(Section):
         return columns
 
     @property
+    def unstated(self) -> tuple[str, ...]:
+        """Camera, time and sigmas, as far as neither a column nor a constant gives them."""
+        constants = {
+            "camera": self.camera,
+            "time_utc": self.date,
+            "sigma_horizontal_m": self.sigma_horizontal_m,
+            "sigma_height_m": self.sigma_height_m,
+            "sigma_tilt": self.sigma_tilt_deg,
+            "sigma_yaw": self.sigma_yaw_deg,
+        }
+        return tuple(
+            quantity
+            for quantity, constant in constants.items()
+            if constant is None and quantity not in self.columns.named
+        )
+
+    @property
     def angle_names(self) -> tuple[str, ...]:
         """The quantities of the attitude, in the order of their names."""
         return _OF_ANGLES[self.angles]

@@ -1103,3 +1103,54 @@ def cabin_temperature_assumed(*, kind: Kind, where: str, count: int, able: str) 
         count=count,
         able=able,
     )
+
+
+OBS_UNIT = Code(
+    "OBS-UNIT",
+    means=(
+        "The coordinates of the observations are not in the unit that the mission file states: "
+        "pixels count from a corner of the image and are not negative, millimetres lie within the "
+        "format of the camera."
+    ),
+    effect="The mission is refused.",
+    remedy=(
+        "State observations.unit: mm or um, with the metric report of the camera, which says where "
+        "they count from and along which axes; or name the columns that have pixels."
+    ),
+)
+
+
+def coordinates_without_pixels(
+    *, where: str, percent: float, largest: float, likely: str
+) -> InputError:
+    """Coordinates that are negative as often as not are no pixels."""
+    return InputError(
+        OBS_UNIT,
+        (
+            "x and y are negative in {percent:.0f} % of the observations or more, and {largest:.6g}"
+            " at most: these are not pixels from a corner of the image, but perhaps {likely} from "
+            "its middle"
+        ),
+        where=where,
+        percent=percent,
+        largest=largest,
+        likely=likely,
+        remedy=(
+            "state observations.unit: {likely}, with cameras.<name>.metric; or name the columns of "
+            "pixels under observations.columns"
+        ),
+    )
+
+
+def coordinates_beyond_frame(*, where: str, unit: str, percent: float) -> InputError:
+    """Coordinates in a stated unit lie outside the image."""
+    return InputError(
+        OBS_UNIT,
+        "taken for {unit}, {percent:.0f} % of the observations lie outside the image",
+        where=where,
+        unit=unit,
+        percent=percent,
+        remedy=(
+            "check observations.unit, and pixel_um, origin and axes under cameras.<name>.metric"
+        ),
+    )

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -35,15 +36,27 @@ from unbend.messages import Ledger, Message
 from unbend.stages import messages
 from unbend.stages.cabin_air import cabin_from_log
 from unbend.stages.exposure_events import exposure_events, read_positions
-from unbend.stages.flight_log import FlightLog
+from unbend.stages.flight_log import FlightLog, flight_log
 from unbend.stages.multi_image.image_events import assigned_stations
 from unbend.stages.multi_image.oriented_stations import oriented_stations
-from unbend.stages.multi_image.tie_point_checks import TieEvidence, check_tie_points
+from unbend.stages.multi_image.other_readings import (
+    AngleReading,
+    AngleRoad,
+    StationsReading,
+    refuse_other_reading,
+    roads_of_angles,
+)
+from unbend.stages.multi_image.tie_point_checks import (
+    FEWEST_TIE_POINTS,
+    TieEvidence,
+    check_tie_points,
+)
+from unbend.stages.observation_units import refuse_other_unit
 from unbend.stages.opened_inputs import OpenedInputs
 from unbend.tables.geodata.elevation import ElevationModel
 from unbend.tables.messages import points_repeated
 from unbend.tables.observations import Observations
-from unbend.tables.tie_points import MOST_TIE_POINTS, TiePoints, draw_tie_points
+from unbend.tables.tie_points import MOST_TIE_POINTS, TiePoints, draw_tie_points, tie_rays
 from unbend.units import DEGREE
 
 
@@ -182,6 +195,7 @@ def stations_of_mission(
 ) -> Stations:
     """Position, attitude and air of each exposure, or a status; checked by tie points."""
     observations = inputs.observations
+    refuse_other_unit(mission, observations)
 
     # Stations at the exposures of each camera.
     positions = read_positions(mission, inputs, flight, ledger)
@@ -215,6 +229,9 @@ def stations_of_mission(
     # The stations are those of the events, or a table says where the cameras were.
     if mission.stations.orientation is None:
         stations = join_stations(exposed)
+        refuse_other_readings_of_imports(
+            mission, inputs, positions, exposed=exposed, stations=stations, ties=ties
+        )
     else:
         oriented = oriented_stations(mission, inputs, flight, exposed, ties=ties, ledger=ledger)
         stations = with_air(oriented, flight.roles, mission.max_gap_s)
@@ -260,6 +277,51 @@ def findings_of_exposures(
             max_gap_s=mission.max_gap_s,
         )
     )
+
+
+def refuse_other_readings_of_imports(
+    mission: Mission,
+    inputs: OpenedInputs,
+    positions: Mapping[str, Channel],
+    *,
+    exposed: list[Stations],
+    stations: Stations,
+    ties: TiePoints,
+) -> None:
+    """Refuse (ORIENTATION-READING) imported angles by which tie points meet far worse than else.
+
+    ``exposed`` are the stations camera by camera, ``stations`` all of them.
+    """
+    roads = list(roads_of_angles(mission, inputs, positions))
+    if not roads:
+        return
+    rays = tie_rays(ties, stations.image, stations.camera, mission.interior_orientations)
+    if np.unique(rays.point).size < FEWEST_TIE_POINTS:
+        return
+
+    def read_anew(road: AngleRoad, reading: AngleReading) -> Stations:
+        changed = road.inputs_as(reading.change)
+        changed_flight = flight_log(mission, changed, Ledger())
+        changed_positions = read_positions(mission, changed, changed_flight, Ledger())
+        parts = []
+        for of_camera in exposed:
+            if len(of_camera) == 0:
+                continue
+            camera = str(of_camera.camera[0])
+            builder = StationBuilder.of(
+                mission, changed_flight, camera, changed_positions.get(camera)
+            )
+            parts.append(builder.later(of_camera, 0.0))
+        return join_stations(parts)
+
+    for road in roads:
+        readings = [
+            StationsReading(
+                reading.words, f"{road.key}: {reading.key}", partial(read_anew, road, reading)
+            )
+            for reading in road.readings
+        ]
+        refuse_other_reading(stations, readings, rays, where=road.path)
 
 
 def report_repeated_points(observations: Observations, ties: TiePoints, ledger: Ledger) -> None:

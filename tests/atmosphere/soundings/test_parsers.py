@@ -196,6 +196,22 @@ def test_a_clean_csv_needs_no_repair():
     assert s.h_m[-1] == pytest.approx(metres(5500.0, 45.0), abs=0.1)
 
 
+@pytest.mark.parametrize("separator", [";", "\t"])
+def test_a_csv_with_decimal_commas_is_the_same(separator):
+    text = text_of(air()).replace(",", separator).replace(".", ",")
+    sounding = parse_sounding(text, Ledger(), latitude_rad=math.radians(45.0))
+    plain, _ = read(air())
+    assert sounding.pressure_pa == pytest.approx(plain.pressure_pa, rel=1e-9)
+    assert sounding.temperature_k == pytest.approx(plain.temperature_k, rel=1e-9)
+
+
+def test_a_csv_with_longer_rows_is_refused_by_name():
+    text = text_of(air()) + ",1,2\n"
+    with pytest.raises(InputError, match="SOUNDING-EMPTY") as caught:
+        parse_sounding(text, Ledger(), latitude_rad=0.8)
+    assert "its first row has 4 fields" in caught.value.what
+
+
 def test_geometric_heights_stay():
     s, said = read(air(geopotential_m=None, h_m=HEIGHTS))
     assert s.h_m == pytest.approx(HEIGHTS, abs=1e-6)

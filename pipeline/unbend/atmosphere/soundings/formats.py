@@ -330,7 +330,7 @@ PLACE_COLUMNS = ("time_utc", "latitude_deg", "longitude_deg", "station")
 def is_plain(text: str) -> bool:
     """Whether the first line that is no comment names a pressure and a temperature with units."""
     lines = (line for line in text.lstrip("\ufeff").splitlines() if not line.startswith("#"))
-    names = {name.strip().lower() for name in next(lines, "").split(",")}
+    names = {name.strip().lower() for name in re.split(r"[,;\t|]", next(lines, ""))}
     return any(n.startswith("pressure") for n in names) and any(
         n.startswith("temperature") for n in names
     )

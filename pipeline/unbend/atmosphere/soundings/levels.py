@@ -1,6 +1,5 @@
 """Levels of a balloon sounding: as a file has them, as the estimator takes them, and its fields."""
 
-import csv
 import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
@@ -11,6 +10,7 @@ import numpy as np
 from unbend.atmosphere.soundings import messages
 from unbend.messages import Message, Notes
 from unbend.units import HECTOPASCAL, NANOSECONDS_PER_SECOND, ZERO_CELSIUS_K, Array
+from unbend.written_tables import form_of, split_rows, with_decimal_points
 
 FILLS = (-9999.0, -9999.9, -8888.0, -99999.0, 99999.0, 999999.0, -999.0)
 """Numbers that mean a missing value. 9999 is not among them: it may be a height."""
@@ -138,18 +138,32 @@ def numbers(texts: Iterable[str]) -> Array:
 
 
 def table(lines: Iterable[str], where: str) -> dict[str, list[str]]:
-    """The columns of a CSV by name, fields as text; lines that begin with # are comments."""
-    rows = list(csv.reader(line for line in lines if line.strip() and not line.startswith("#")))
-    if not rows:
+    """The columns of a table by name, fields as text; lines that begin with # are comments.
+
+    Fields are parted as `unbend.written_tables` knows it; decimal commas become points.
+    """
+    filled = [line for line in lines if line.strip() and not line.startswith("#")]
+    if not filled:
         raise messages.sounding_without_lines(where=where)
-    names = [name.strip().lstrip("\ufeff") for name in rows[0]]
+    try:
+        form = form_of([filled[0].lstrip("\ufeff"), *filled[1:]])
+    except ValueError as error:
+        raise messages.sounding_no_table(where=where, error=str(error)) from None
+    names = [name.strip() for name in form.names]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise messages.sounding_column_twice(where=where, column=twice[0])
-    # A row that was cut off has empty fields where it ends.
-    return {
-        name: [row[i] if i < len(row) else "" for row in rows[1:]] for i, name in enumerate(names)
-    }
+    rows = split_rows(filled[form.line_of_first_row - 1 :], form.separator)
+    columns = {}
+    for column, name in enumerate(names):
+        fields = []
+        for row in rows:
+            # A row that was cut off has empty fields where it ends.
+            is_there = column < len(row)
+            fields.append(row[column] if is_there else "")
+        with_points = with_decimal_points(fields, decimal_comma=form.decimal_comma)
+        columns[name] = list(with_points)
+    return columns
 
 
 def utc_ns(text: str) -> int | None:

@@ -563,7 +563,7 @@ def sounding_duplicate(*, where: str, count: int) -> Message:
 
 SOUNDING_EMPTY = Code(
     "SOUNDING-EMPTY",
-    means="The sounding has no levels.",
+    means="The sounding has no levels, or its table cannot be read.",
     effect="The mission is refused.",
     remedy="Fetch the file again.",
 )
@@ -573,6 +573,17 @@ def sounding_without_lines(*, where: str) -> InputError:
     """The file of a sounding has no line."""
     return InputError(
         SOUNDING_EMPTY, "the sounding has no line", where=where, remedy="fetch the file again"
+    )
+
+
+def sounding_no_table(*, where: str, error: str) -> InputError:
+    """The lines of a sounding's table do not show how its fields are parted."""
+    return InputError(
+        SOUNDING_EMPTY,
+        "the sounding cannot be read as a table: {error}",
+        where=where,
+        error=error,
+        remedy="write a first line with the names of the columns, and as many fields in every row",
     )
 
 

@@ -42,7 +42,10 @@ def images_absent(*, where: str, count: int, first: str) -> Message:
 
 EVENTS_CONTRADICTED = Code(
     "EVENTS-CONTRADICTED",
-    means="Times or tie points contradict the log's numbers in the names of images.",
+    means=(
+        "Tie points, times or positions of the images, or the pair under events.first_image, "
+        "contradict the log's numbers in the names of images."
+    ),
     effect="The mission is refused.",
     remedy=(
         "Check which camera the channel belongs to; count the images by {n} or name them by *, so "
@@ -51,12 +54,13 @@ EVENTS_CONTRADICTED = Code(
 )
 
 
-def numbers_contradicted(*, where: str, found: str, of: str) -> MissionError:
+def numbers_contradicted(*, where: str, found: str, of: str, evidence: str) -> MissionError:
     """Evidence contradicts the log's numbers in the names of images."""
     return MissionError(
         EVENTS_CONTRADICTED,
-        "the log's numbers in the names of images are contradicted: {found}",
+        "the log's numbers in the names of images are contradicted by {evidence}: {found}",
         where=where,
+        evidence=evidence,
         found=found,
         of=of,
         remedy=(
@@ -224,7 +228,10 @@ ORIENTATION_READING = Code(
         "entry names."
     ),
     effect="The mission is refused.",
-    remedy="State under stations.orientation what the table holds.",
+    remedy=(
+        "State what the file holds: unit, angles or columns under stations.orientation, angle_unit "
+        "or columns under stations.trajectory; or correct the file."
+    ),
 )
 
 
@@ -243,7 +250,7 @@ def orientation_reading(
         likely=likely,
         better=better,
         changed=changed,
-        remedy="change stations.orientation.{changed}, or mend the table",
+        remedy="change {changed}, or correct the file",
     )
 
 
@@ -304,6 +311,23 @@ def frame_unstated(*, where: str) -> MissionError:
         remedy=(
             "give stations.orientation.frame: ecef; {{enu: {{lat_deg, lon_deg, h_ellipsoid_m}}}}; "
             "projected, with crs; or unknown, with known_positions"
+        ),
+    )
+
+
+def angles_of_one_frame(*, where: str, stated: str, latitude_deg: float) -> MissionError:
+    """Our own table of angles in one frame, stated as angles against the vertical of each image."""
+    return MissionError(
+        ORIENTATION_FRAME,
+        "its angles count from east, north and up at one place (origin_lat_deg {latitude_deg:.6f}),"
+        " not from those of each image as frame: {stated} says",
+        where=where,
+        stated=stated,
+        latitude_deg=latitude_deg,
+        remedy=(
+            "give stations.orientation.frame: {{enu: {{lat_deg, lon_deg, h_ellipsoid_m}}}} with "
+            "the columns origin_lat_deg, origin_lon_deg, origin_h_ellipsoid_m; or use export "
+            "--format opk"
         ),
     )
 

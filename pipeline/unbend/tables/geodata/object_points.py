@@ -10,7 +10,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from unbend.tables.geodata import messages
-from unbend.tables.text_columns import numbers_of, require_names, text_table
+from unbend.tables.text_columns import degrees_of, numbers_of, require_names, text_table
 from unbend.units import Array, Integers
 
 _CODES = (messages.POINTS_TABLE, messages.POINTS_COLUMN)
@@ -85,9 +85,7 @@ def read_object_points(
         except (pa.ArrowException, OSError) as error:
             raise messages.points_table(where=path, error=str(error)) from None
     else:
-        text = text_table(path, columns, codes=_CODES, key=key)
-        given = pa.array(text[columns["point"]].str.strip(), pa.string())
-        values = {q: numbers_of(text, name, path, _CODES[0]) for q, name in numbers.items()}
+        given, values = _points_of_text(path, columns, key)
     names = given.value_counts()
     twice = names.filter(pc.greater(names.field("counts"), 1)).field("values")
     if len(names) == 0:
@@ -95,3 +93,17 @@ def read_object_points(
     if len(twice):
         raise messages.points_repeated(where=path, count=len(twice), first=repr(twice[0].as_py()))
     return given, values
+
+
+def _points_of_text(
+    path: Path, columns: Mapping[str, str], key: str
+) -> tuple[pa.StringArray, dict[str, Array]]:
+    """Names, and the other columns by quantity, of a table that is text."""
+    text = text_table(path, columns, codes=_CODES, key=key)
+    values = {}
+    for quantity, name in columns.items():
+        if quantity in ("latitude", "longitude"):
+            values[quantity] = degrees_of(text, name, path, _CODES[0])
+        elif quantity != "point":
+            values[quantity] = numbers_of(text, name, path, _CODES[0])
+    return pa.array(text[columns["point"]].str.strip(), pa.string()), values

@@ -3,7 +3,7 @@
 The week of its seconds, and a channel in the order of time.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -20,6 +20,11 @@ from unbend.tables.text_columns import utc_of_weeks
 from unbend.units import NANOSECONDS_PER_SECOND, UNIX_NS_OF_GPS_EPOCH, AngleUnit, Array, Mask
 
 
+def as_written(angles: Array) -> Array:
+    """The angles of a file as they stand there."""
+    return angles
+
+
 @dataclass(frozen=True)
 class Stated:
     """What the mission file says of a file, None where it says nothing.
@@ -32,10 +37,13 @@ class Stated:
     heights : ellipsoid or msl.
     accuracy : the file of standard deviations that belongs to an SBET.
     columns : quantity -> name of the column, of a CSV.
+    unstated : quantities that nothing states, which our own table of orientations has.
     position_unit, angle_unit : of latitude and longitude, and of the attitude, in a CSV.
     angle_order : intrinsic rotations about z, y and x, as ``ZYX``.
     crs, geoid : coordinate system of a CSV, and the user's grid for its heights.
     grid : the projected coordinate system in whose axes omega, phi and kappa count.
+    angles_meant : what three angles (n, 3) [rad] mean, in the order in which they turn or as roll,
+        pitch, yaw; by default what the file says. Another reading is tried by it.
     """
 
     time_system: Literal["gpst", "utc"] | None = None
@@ -44,12 +52,14 @@ class Stated:
     heights: Literal["msl", "ellipsoid"] | None = None
     accuracy: Path | None = None
     columns: Mapping[str, str] = field(default_factory=dict)
+    unstated: tuple[str, ...] = ()
     position_unit: AngleUnit = "deg"
     angle_unit: AngleUnit = "deg"
     angle_order: str = "ZYX"
     crs: str | None = None
     geoid: GeoidGrid | None = None
     grid: str | None = None
+    angles_meant: Callable[[Array], Array] = as_written
 
     def system_of(self, path: Path, ledger: Ledger, found: str | None = None) -> str:
         """The time system, gpst or utc; ``found`` is what the file says of itself."""

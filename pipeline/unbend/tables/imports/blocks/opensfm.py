@@ -34,7 +34,7 @@ from unbend.tables.imports.blocks import messages
 from unbend.tables.imports.blocks.image_points import CameraMakers, oriented_images, rows_of_image
 from unbend.tables.imports.messages import IMPORT_FORMAT
 from unbend.tables.imports.user_tables import OrientationTable
-from unbend.tables.text_columns import numbers_of
+from unbend.tables.text_columns import LINE_OF_FIRST_ROW, numbers_of
 from unbend.units import Array
 
 _COEFFICIENTS: Mapping[str, tuple[str, tuple[str, ...]]] = {
@@ -207,9 +207,10 @@ def read_rows(path: Path) -> Iterator[pa.RecordBatch]:
     try:
         table = read(dtype=kinds)
     except (ValueError, OverflowError):
-        text = read(dtype="str")
+        text = read(dtype="str").fillna("")
+        text.index = text.index + LINE_OF_FIRST_ROW
         for column in _COLUMNS[1:]:
-            numbers_of(text.fillna(""), column, file, IMPORT_FORMAT)
+            numbers_of(text, column, file, IMPORT_FORMAT)
         raise
     others = [name for name in _COLUMNS[5:] if table[name].notna().all()]
     for image, rows in table.groupby("image", sort=False):
