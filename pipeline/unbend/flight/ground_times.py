@@ -202,19 +202,19 @@ def takeoff_of(
     ``home_m`` is the take-off height [m], if known. A hover, by the ``evidence`` of the log, is no
     take-off.
     """
-    time_ns, lat_rad, lon_rad, height_m = path
-    known = np.isfinite(lat_rad + lon_rad + height_m)
+    known = np.isfinite(path.latitude_rad + path.longitude_rad + path.h_msl_m)
     if not known.any():
         return None
-    begin_ns = time_ns[known][0]
-    is_at_begin = known & (time_ns <= begin_ns + _TAKEOFF_NS)
-    lat_rad = lat_rad[is_at_begin]
-    lon_rad = longitudes_near(lon_rad[is_at_begin], lon_rad[is_at_begin][0])
-    height_m = height_m[is_at_begin]
+    begin_ns = path.time_ns[known][0]
+    is_at_begin = known & (path.time_ns <= begin_ns + _TAKEOFF_NS)
+    lat_rad = path.latitude_rad[is_at_begin]
+    lon_rad = path.longitude_rad[is_at_begin]
+    lon_rad = longitudes_near(lon_rad, lon_rad[0])
+    height_m = path.h_msl_m[is_at_begin]
     north_m = float(np.ptp(lat_rad)) * _EARTH_M
     east_m = float(np.ptp(lon_rad)) * math.cos(lat_rad[0]) * _EARTH_M
     moved_m = max(math.hypot(north_m, east_m), float(np.ptp(height_m)))
-    flies = bool(evidence.flies(time_ns[is_at_begin]).any())
+    flies = bool(evidence.flies(path.time_ns[is_at_begin]).any())
     stands = moved_m <= _TAKEOFF_MOVE_M and not flies
     if home_m is None and not stands:
         return None

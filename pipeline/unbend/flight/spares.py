@@ -21,7 +21,9 @@ _COARSE_ATTITUDES = {"AHR2", "AHRS2"}  # of a simpler filter: degrees off in tur
 
 
 def with_spares(
-    roles: Mapping[str, Channel], channels: Iterable[Channel], named: Collection[str]
+    roles: Mapping[str, Channel],
+    channels: Iterable[Channel],
+    named: Collection[str],
 ) -> tuple[dict[str, Channel], Notes]:
     """The roles, in which spares go on where the channel of a role has ended or not yet begun.
 
@@ -35,13 +37,25 @@ def with_spares(
         if role not in roles or role in named or len(roles[role]) == 0:
             continue
         for spare in by_rank:
-            if _is_spare(spare, roles[role], role):
-                result[role], spare_notes = _with_spare(result[role], spare, role)
+            if _is_spare(
+                spare,
+                roles[role],
+                role,
+            ):
+                result[role], spare_notes = _with_spare(
+                    result[role],
+                    spare,
+                    role,
+                )
                 notes += spare_notes
     return result, tuple(notes)
 
 
-def _with_spare(channel: Channel, spare: Channel, role: str) -> tuple[Channel, Notes]:
+def _with_spare(
+    channel: Channel,
+    spare: Channel,
+    role: str,
+) -> tuple[Channel, Notes]:
     """The channel of a role, continued by the samples of a spare beyond it; itself without any."""
     if not _rows_beyond(spare, channel).any():
         return channel, ()
@@ -51,12 +65,19 @@ def _with_spare(channel: Channel, spare: Channel, role: str) -> tuple[Channel, N
         return channel, ()
     seconds = float(np.ptp(plausible.time_ns[beyond])) / NANOSECONDS_PER_SECOND
     plays = messages.spare_plays_role(
-        role=role, channel=channel.name, spare=spare.name, seconds=seconds
+        role=role,
+        channel=channel.name,
+        spare=spare.name,
+        seconds=seconds,
     )
     return _continued(channel, plausible.rows(beyond)), (*notes, plays)
 
 
-def _is_spare(spare: Channel, channel: Channel, role: str) -> bool:
+def _is_spare(
+    spare: Channel,
+    channel: Channel,
+    role: str,
+) -> bool:
     """Whether a channel is of the kind of another one that plays a role."""
     if spare.name == channel.name or role not in spare.roles or not spare.fits_role(role):
         return False
@@ -89,5 +110,10 @@ def _continued(channel: Channel, spare: Channel) -> Channel:
         columns[name] = both[order]
     boot = np.concatenate([channel.boot, spare.boot])[order]
     return replace(
-        channel, time_ns=time_ns[order], boot=boot, columns=columns, labels={}, rejected={}
+        channel,
+        time_ns=time_ns[order],
+        boot=boot,
+        columns=columns,
+        labels={},
+        rejected={},
     )

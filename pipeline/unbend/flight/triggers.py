@@ -22,7 +22,9 @@ _MOST = 0.5  # share of the captures
 
 
 def lag_from_feedback(
-    channels: tuple[Channel, ...], trigger: Channel, camera: str
+    channels: tuple[Channel, ...],
+    trigger: Channel,
+    camera: str,
 ) -> tuple[ExposureDelay, Notes]:
     """The shutter's lag behind the trigger, from triggers whose pulse is logged.
 
@@ -36,7 +38,10 @@ def lag_from_feedback(
             lags = np.append(lags, _lags_of_pairs(trigger, shutter))
     if lags.size < FEWEST_PAIRS:
         raise messages.too_few_feedback_pairs(
-            camera=camera, channel=trigger.name, pairs=lags.size, needed=FEWEST_PAIRS
+            camera=camera,
+            channel=trigger.name,
+            pairs=lags.size,
+            needed=FEWEST_PAIRS,
         )
     low, middle, high = np.percentile(lags, [16.0, 50.0, 84.0])
     message = messages.shutter_lag(
@@ -53,7 +58,11 @@ def _lags_of_pairs(trigger: Channel, shots: Channel) -> Array:
     """(k,) seconds from each trigger to the pulse of the same number and power-up."""
     trigger_number = trigger["event_index"] + _NUMBERS_PER_BOOT * trigger.boot
     shot_number = shots["event_index"] + _NUMBERS_PER_BOOT * shots.boot
-    _, trigger_row, shot_row = np.intersect1d(trigger_number, shot_number, return_indices=True)
+    _, trigger_row, shot_row = np.intersect1d(
+        trigger_number,
+        shot_number,
+        return_indices=True,
+    )
     apart = (shots.time_ns[shot_row] - trigger.time_ns[trigger_row]) * 1e-9
     lags = apart[(apart > 0.0) & (apart < LONGEST_LAG_S)]
     return np.asarray(lags)
@@ -84,7 +93,9 @@ def _is_feedback(channel: Channel) -> bool:
 
 
 def trigger_notes(
-    channels: tuple[Channel, ...], chosen: Channel, parameters: Mapping[str, float]
+    channels: tuple[Channel, ...],
+    chosen: Channel,
+    parameters: Mapping[str, float],
 ) -> Iterator[Message]:
     """Report events that are triggers themselves, and triggers without a pulse of the shutter.
 
@@ -100,14 +111,20 @@ def trigger_notes(
         if is_trigger(channel) and _are_of_one_system(channel, chosen)
     ]
     if kind == "CAMERACAPTURE":
-        yield from _capture_notes(chosen, triggers, parameters)
+        yield from _capture_notes(
+            chosen,
+            triggers,
+            parameters,
+        )
     elif is_trigger(chosen) or (kind == "CAM" and not triggers):
         yield messages.trigger_times(channel=chosen.name, events=len(chosen))
     yield from _lost_pulses(channels, chosen, triggers)
 
 
 def _lost_pulses(
-    channels: tuple[Channel, ...], chosen: Channel, triggers: list[Channel]
+    channels: tuple[Channel, ...],
+    chosen: Channel,
+    triggers: list[Channel],
 ) -> Iterator[Message]:
     """Report triggers of which fewer pulses than commands are logged."""
     for trigger in triggers:
@@ -125,7 +142,9 @@ def _lost_pulses(
 
 
 def _capture_notes(
-    captures: Channel, triggers: list[Channel], parameters: Mapping[str, float]
+    captures: Channel,
+    triggers: list[Channel],
+    parameters: Mapping[str, float],
 ) -> Iterator[Message]:
     """Report captures of PX4 that have the times of the triggers, or may have them."""
     feedback = parameters.get(FEEDBACK_PARAMETER)
@@ -135,7 +154,9 @@ def _capture_notes(
         yield messages.trigger_times(channel=captures.name, events=len(captures))
     elif feedback is None and not commands:
         yield messages.perhaps_trigger_times(
-            channel=captures.name, events=len(captures), parameter=FEEDBACK_PARAMETER
+            channel=captures.name,
+            events=len(captures),
+            parameter=FEEDBACK_PARAMETER,
         )
 
 
@@ -143,7 +164,11 @@ def _has_times_of(captures: Channel, trigger: Channel) -> bool:
     """Whether most captures have the time of a command of a trigger."""
     if len(captures) == 0 or len(trigger) == 0:
         return False
-    after = np.clip(np.searchsorted(trigger.time_ns, captures.time_ns), 1, len(trigger) - 1)
+    after = np.clip(
+        np.searchsorted(trigger.time_ns, captures.time_ns),
+        1,
+        len(trigger) - 1,
+    )
     if len(trigger) == 1:
         after = np.zeros(len(captures), np.intp)
     to_after = np.abs(trigger.time_ns[after] - captures.time_ns)

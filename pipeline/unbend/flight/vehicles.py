@@ -51,7 +51,10 @@ class Vehicles:
         return sender if sender in self.names else ""
 
     def channels_of(
-        self, vehicle: str, channels: Sequence[Channel], kept: Collection[str] = ()
+        self,
+        vehicle: str,
+        channels: Sequence[Channel],
+        kept: Collection[str] = (),
     ) -> tuple[Channel, ...]:
         """The channels of a vehicle, those of no vehicle, and the ``kept`` ones by their names."""
         return tuple(
@@ -95,7 +98,15 @@ def median_distance_m(track: Channel, other: Channel) -> float:
     sampled[:: max(len(other) // _MOST_SAMPLES, 1)] = True
     other = other.rows(sampled)
     gap_s = track.gap_limit_s(_GAP_S)
-    columns = [interpolate(track, name, other.time_ns, gap_s) for name in ("lat_rad", "lon_rad")]
+    columns = [
+        interpolate(
+            track,
+            name,
+            other.time_ns,
+            gap_s,
+        )
+        for name in ("lat_rad", "lon_rad")
+    ]
     change = np.stack(columns, axis=1) - places_of(other, POSITION)
     distance_m = np.linalg.norm(metres(change, other["lat_rad"]), axis=1)
     known = np.isfinite(distance_m)

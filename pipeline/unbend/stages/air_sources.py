@@ -15,7 +15,7 @@ from unbend.atmosphere.estimate.external_readings import TimeAndPlace, distance_
 from unbend.atmosphere.estimate.sensors import FAULT_TEXTS, SensorCalibration
 from unbend.atmosphere.estimate.state import SensorFault
 from unbend.atmosphere.refractive_index import IndexModel
-from unbend.atmosphere.series.profile_series import Place
+from unbend.atmosphere.series.profile_series import PlaceInTime
 from unbend.atmosphere.series.time_windows import TimeWindow
 from unbend.atmosphere.soundings import Sounding
 from unbend.atmosphere.soundings.model_field import ModelField, model_column
@@ -59,10 +59,10 @@ class ModelAir:
 
     field: ModelField
     column: Sounding
-    place: Place
+    place: PlaceInTime
     track: GroundTrack | None
 
-    def place_of(self, samples: AirSamples | None, window: TimeWindow) -> Place:
+    def place_of(self, samples: AirSamples | None, window: TimeWindow) -> PlaceInTime:
         """Where and when a part of the flight met the air from which its profile is estimated.
 
         A part without an estimate of its own has the air, and the place, of the whole flight.
@@ -95,7 +95,7 @@ def read_model_air(
         raise messages.flight_without_time(where=model.name)
     place = sampled_place(samples, flight.track)
     if place is None:
-        place = Place(middle.latitude_rad, middle.longitude_rad, middle.time_ns)
+        place = PlaceInTime(middle.latitude_rad, middle.longitude_rad, middle.time_ns)
     placed = stations.ok & np.isfinite(stations.lat_rad + stations.lon_rad)
     area = area_of_flight(stations, placed, place)
     field = model.read(area, ledger)
@@ -124,7 +124,7 @@ def read_model_air(
     return ModelAir(field, column, place, flight.track)
 
 
-def area_of_flight(stations: Stations, placed: Mask, place: Place) -> FlightArea:
+def area_of_flight(stations: Stations, placed: Mask, place: PlaceInTime) -> FlightArea:
     """The area of the ``placed`` stations (a mask), and of the place where they met their air.
 
     Stations without a time have that of the place.
@@ -144,7 +144,7 @@ def sampled_place(
     track: GroundTrack | None,
     start_ns: int = -ALWAYS_NS,
     end_ns: int = ALWAYS_NS,
-) -> Place | None:
+) -> PlaceInTime | None:
     """Where and when a flight met the air that it measured between two times.
 
     That is the mean over heights in bins of 100 m: a climb counts more than a long level run. None
@@ -169,7 +169,7 @@ def sampled_place(
     def mean_of_bins(values: NDArray[np.floating[Any]]) -> float:
         return float(np.mean(np.bincount(bin_number, values) / bin_count))
 
-    return Place(
+    return PlaceInTime(
         latitude_rad=mean_of_bins(np.interp(sample_s, track_s, latitude_rad)),
         longitude_rad=mean_of_bins(np.interp(sample_s, track_s, longitude_rad)),
         time_ns=first_ns + round(mean_of_bins(sample_s) * 1e9),

@@ -13,7 +13,10 @@ _FLIGHT_ROLES = ("position", "height", "attitude", "aircraft_attitude")
 
 
 def channels_of_one_vehicle(
-    mission: Mission, channels: tuple[Channel, ...], named: Mapping[str, str], ledger: Ledger
+    mission: Mission,
+    channels: tuple[Channel, ...],
+    named: Mapping[str, str],
+    ledger: Ledger,
 ) -> tuple[Channel, ...]:
     """The channels that may play roles: those of the vehicle that flew the mission.
 
@@ -28,24 +31,41 @@ def channels_of_one_vehicle(
     events = event_channels(mission, channels)
     by_name = {channel.name: channel for channel in channels}
     of_roles = {role: by_name[name] for role, name in named.items() if name in by_name}
-    vehicle, reason = _vehicle_of(vehicles, events, of_roles)
+    vehicle, reason = _vehicle_of(
+        vehicles,
+        events,
+        of_roles,
+    )
     if not vehicle:
         raise messages.vehicles_ambiguous(
             vehicles=[f"{name} ({_listed(vehicles, name, channels)})" for name in vehicles.names],
             reason=reason,
         )
-    ledger.add(messages.vehicle_chosen(vehicle=vehicle, vehicles=vehicles.names, channel=reason))
+    ledger.add(
+        messages.vehicle_chosen(
+            vehicle=vehicle,
+            vehicles=vehicles.names,
+            channel=reason,
+        )
+    )
     for role, channel in of_roles.items():
         other = vehicles.of_channel(channel)
         if other not in ("", vehicle):
             ledger.add(
                 messages.role_of_another_vehicle(
-                    role=role, channel=channel.name, other=other, vehicle=vehicle
+                    role=role,
+                    channel=channel.name,
+                    other=other,
+                    vehicle=vehicle,
                 )
             )
     kept = {channel.name for channel in (*events, *of_roles.values())}
     kept |= {mount.attitude for mount in mission.mount.values() if mount.attitude is not None}
-    return vehicles.channels_of(vehicle, channels, kept)
+    return vehicles.channels_of(
+        vehicle,
+        channels,
+        kept,
+    )
 
 
 def event_channels(mission: Mission, channels: tuple[Channel, ...]) -> list[Channel]:
@@ -57,7 +77,9 @@ def event_channels(mission: Mission, channels: tuple[Channel, ...]) -> list[Chan
 
 
 def _vehicle_of(
-    vehicles: Vehicles, events: Sequence[Channel], of_roles: Mapping[str, Channel]
+    vehicles: Vehicles,
+    events: Sequence[Channel],
+    of_roles: Mapping[str, Channel],
 ) -> tuple[str, str]:
     """The vehicle of the events, else of the roles of the flight, and the channel that says so.
 
@@ -75,7 +97,11 @@ def _vehicle_of(
     return "", ""
 
 
-def _listed(vehicles: Vehicles, vehicle: str, channels: Sequence[Channel]) -> str:
+def _listed(
+    vehicles: Vehicles,
+    vehicle: str,
+    channels: Sequence[Channel],
+) -> str:
     """The channels of positions and of events of a vehicle."""
     return ", ".join(
         channel.name

@@ -44,7 +44,7 @@ FRESH_S = 1800.0
 _BIN_M, _MINUTE_NS = 100.0, 60 * 10**9
 
 
-class Place(NamedTuple):
+class PlaceInTime(NamedTuple):
     """Where and when air was met: geographic place [rad] and time [Unix ns]."""
 
     latitude_rad: float
@@ -140,7 +140,7 @@ class TimedProfile:
     own_covariance: ProfileCovariance | None = None
     neighbours: tuple[TimedProfile, TimedProfile, float] | None = None
     ages: SampleAges | None = None
-    sampled_at: Place | None = None
+    sampled_at: PlaceInTime | None = None
 
     @property
     def has_covariance(self) -> bool:

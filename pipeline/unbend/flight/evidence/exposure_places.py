@@ -31,7 +31,11 @@ OTHER_SOURCE_M = 100.0  # the same of heights of a receiver and of a filter that
 UNKNOWN_SIGMA_M = 5.0  # of a position whose accuracy the log does not report
 TILT_NOISE_DEG = 5.0  # that the verticals of an exposure and of the flight may be apart
 
-HEIGHTS_OF_FLIGHT = ("h_msl_m", "h_ellipsoid_m", "h_home_m")
+HEIGHTS_OF_FLIGHT = (
+    "h_msl_m",
+    "h_ellipsoid_m",
+    "h_home_m",
+)
 """Surfaces that a height of an exposure may count from, whatever its name says."""
 
 _INSTANTS = 9  # in the time that an exposure's own place may be of
@@ -64,7 +68,11 @@ class ExposureEvidence:
         allowed_ns = np.round((LATENCY_S + 3.0 * sigma_s) * NANOSECONDS_PER_SECOND).astype(np.int64)
         earliest = np.minimum(self.channel.time_ns, self.time_ns) - allowed_ns
         latest = np.maximum(self.channel.time_ns, self.time_ns) + allowed_ns
-        share = np.linspace(0.0, 1.0, _INSTANTS)[:, None]
+        share = np.linspace(
+            0.0,
+            1.0,
+            _INSTANTS,
+        )[:, None]
         return np.asarray(earliest + np.round(share * (latest - earliest)).astype(np.int64))
 
     def counts(self, quantity: str) -> Mask:
@@ -93,7 +101,10 @@ def _place_findings(evidence: ExposureEvidence) -> Iterator[Message]:
         return
     nearest = _nearest_place(evidence, position)
     sigmas = evidence.accuracy.positions(position, evidence.time_ns)
-    sigma_m = np.hypot(_sigma(sigmas.horizontal_m), _own_sigma(evidence).horizontal_m)
+    sigma_m = np.hypot(
+        _sigma(sigmas.horizontal_m),
+        _own_sigma(evidence).horizontal_m,
+    )
     limit_m = NOISE_M + SIGMAS * sigma_m
     limit_m += evidence.lever_arm_m
     limit_m += nearest.between_m / 2.0
@@ -107,7 +118,12 @@ def _place_findings(evidence: ExposureEvidence) -> Iterator[Message]:
             position=position.name,
             off_m=float(nearest.distance_m[is_off].max()),
             limit_m=float(limit_m[is_off].min()),
-            shift_s=_shift_of_time(evidence, position, is_off, limit_m),
+            shift_s=_shift_of_time(
+                evidence,
+                position,
+                is_off,
+                limit_m,
+            ),
         )
 
 
@@ -130,7 +146,11 @@ def _nearest_place(evidence: ExposureEvidence, position: Channel) -> _NearestPla
     distance_m = np.full(len(shots), np.nan)
     between_m = np.zeros(len(shots))
     for time_ns in instants:
-        track = track_at(position, time_ns, evidence.max_gap_s)
+        track = track_at(
+            position,
+            time_ns,
+            evidence.max_gap_s,
+        )
         offset_m = _offset(shots, track)
         distance_m = np.fmin(distance_m, np.linalg.norm(offset_m, axis=1))
         speed_m_s = np.linalg.norm(track.velocity_m_s, axis=1)
@@ -148,7 +168,11 @@ def _offset(shots: Channel, track: Track) -> Array:
 
 def _sigma(sigma_m: Array) -> Array:
     """(n,) sigmas, with that of a position of unknown accuracy where they are not known."""
-    return np.where(np.isfinite(sigma_m), sigma_m, UNKNOWN_SIGMA_M)
+    return np.where(
+        np.isfinite(sigma_m),
+        sigma_m,
+        UNKNOWN_SIGMA_M,
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,10 +194,17 @@ def _own_sigma(evidence: ExposureEvidence) -> _OwnSigmas:
 
 
 def _shift_of_time(
-    evidence: ExposureEvidence, position: Channel, is_off: Mask, limit_m: Array
+    evidence: ExposureEvidence,
+    position: Channel,
+    is_off: Mask,
+    limit_m: Array,
 ) -> float:
     """By how many seconds events are early, if that explains where they were; else NaN."""
-    track = track_at(position, evidence.channel.time_ns, evidence.max_gap_s)
+    track = track_at(
+        position,
+        evidence.channel.time_ns,
+        evidence.max_gap_s,
+    )
     offset_m = _offset(evidence.channel, track)
     square_speed = np.sum(track.velocity_m_s**2, axis=1)
     usable = is_off & np.isfinite(offset_m).all(axis=1) & (square_speed > _SLOWEST_M_S**2)
@@ -195,16 +226,39 @@ def _height_findings(evidence: ExposureEvidence) -> Iterator[Message]:
     position = evidence.own.get(POSITION)
     height = evidence.own.get(HEIGHT)
     if position is not None and not is_receiver(position):
-        yield from _heights_beside(evidence, "h_msl_m", position, HEIGHT_NOISE_M)
+        yield from _heights_beside(
+            evidence,
+            "h_msl_m",
+            position,
+            HEIGHT_NOISE_M,
+        )
     elif height is not None:
-        yield from _heights_beside(evidence, "h_msl_m", height, OTHER_SOURCE_M)
+        yield from _heights_beside(
+            evidence,
+            "h_msl_m",
+            height,
+            OTHER_SOURCE_M,
+        )
     if height is not None and is_receiver(height):
-        yield from _heights_beside(evidence, "h_gnss_m", height, HEIGHT_NOISE_M)
-        yield from _heights_beside(evidence, "h_ellipsoid_m", height, OTHER_SOURCE_M)
+        yield from _heights_beside(
+            evidence,
+            "h_gnss_m",
+            height,
+            HEIGHT_NOISE_M,
+        )
+        yield from _heights_beside(
+            evidence,
+            "h_ellipsoid_m",
+            height,
+            OTHER_SOURCE_M,
+        )
 
 
 def _heights_beside(
-    evidence: ExposureEvidence, column: str, other: Channel, noise_m: float
+    evidence: ExposureEvidence,
+    column: str,
+    other: Channel,
+    noise_m: float,
 ) -> Iterator[Message]:
     """A finding where the heights of exposures in a column are none of another channel's.
 
@@ -213,9 +267,16 @@ def _heights_beside(
     shots = evidence.channel
     if column not in shots.columns:
         return
-    apart_m = _nearest_height(evidence, column, other)
+    apart_m = _nearest_height(
+        evidence,
+        column,
+        other,
+    )
     sigmas = evidence.accuracy.positions(other, evidence.time_ns)
-    sigma_m = np.hypot(_sigma(sigmas.height_m), _own_sigma(evidence).height_m)
+    sigma_m = np.hypot(
+        _sigma(sigmas.height_m),
+        _own_sigma(evidence).height_m,
+    )
     limit_m = noise_m + SIGMAS * sigma_m
     is_known = np.isfinite(apart_m) & evidence.counts(HEIGHT)
     is_off = is_known & (np.nan_to_num(apart_m) > limit_m)
@@ -231,19 +292,32 @@ def _heights_beside(
         )
 
 
-def _nearest_height(evidence: ExposureEvidence, column: str, other: Channel) -> Array:
+def _nearest_height(
+    evidence: ExposureEvidence,
+    column: str,
+    other: Channel,
+) -> Array:
     """(n,) metres from heights of exposures to the nearest height of another channel, any surface.
 
     NaN where either is unknown: a logged height of 0 is none.
     """
     shots = evidence.channel
     is_logged = shots[column] != 0.0
-    logged_m = np.where(is_logged, shots[column], np.nan)
+    logged_m = np.where(
+        is_logged,
+        shots[column],
+        np.nan,
+    )
     gap_s = other.gap_limit_s(evidence.max_gap_s)
     apart_m = np.full(len(shots), np.nan)
     for time_ns in evidence.instants:
         for surface in HEIGHTS_OF_FLIGHT:
-            of_flight_m = interpolate(other, surface, time_ns, gap_s)
+            of_flight_m = interpolate(
+                other,
+                surface,
+                time_ns,
+                gap_s,
+            )
             apart_m = np.fmin(apart_m, np.abs(logged_m - of_flight_m))
     return apart_m
 
@@ -265,10 +339,16 @@ def _attitude_findings(evidence: ExposureEvidence) -> Iterator[Message]:
     for time_ns in evidence.instants:
         quaternion = attitude_at(attitude, time_ns, evidence.max_gap_s).quaternion
         down = down_of(quaternion)
-        cosine = np.clip(np.sum(logged_down * down, axis=0), -1.0, 1.0)
+        cosine = np.clip(
+            np.sum(logged_down * down, axis=0),
+            -1.0,
+            1.0,
+        )
         tilt_deg = np.fmin(tilt_deg, np.degrees(np.arccos(cosine)))
     sigma_rad = evidence.accuracy.attitude(
-        attitude, evidence.time_ns, shots.get("lat_rad")
+        attitude,
+        evidence.time_ns,
+        shots.get("lat_rad"),
     ).tilt_rad
     limit_deg = TILT_NOISE_DEG + SIGMAS * np.degrees(np.nan_to_num(sigma_rad))
     is_known = np.isfinite(tilt_deg) & evidence.counts(ATTITUDE)
