@@ -316,10 +316,11 @@ class ULogMessages(DamagedBytes):
         if len(value.raw) != dtype.itemsize:
             self.damaged_values += 1
             return
+        name = value.key["name"].decode()
         if kind == MessageKind.PARAMETER:
-            self.parameters[value.key["name"].decode()] = _first_number(value.raw, dtype)
+            self.parameters[name] = _first_number(value.raw, dtype)
         elif kind == MessageKind.INFORMATION and dtype.kind in "iuf":
-            self.numbers[value.key["name"].decode()] = _first_number(value.raw, dtype)
+            self.numbers[name] = _first_number(value.raw, dtype)
 
     def _resume(self, view: _View, place: int) -> int:
         """Where in the file messages go on after a place that begins none."""
@@ -379,7 +380,8 @@ class ULogMessages(DamagedBytes):
 
 def _first_number(raw: bytes, dtype: np.dtype[Any]) -> float:
     """The first number of a value."""
-    return float(np.frombuffer(raw, dtype)[0])
+    numbers = np.frombuffer(raw, dtype)
+    return float(numbers[0])
 
 
 def _has_key(content: bytes, kind: int, size: int) -> bool:
