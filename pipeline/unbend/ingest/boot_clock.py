@@ -80,15 +80,22 @@ def fit_clock(
         if utc.fit is None:
             place = f"{where}, boot {number}".removeprefix(", ")
             ledger.add(messages.no_utc(where=place, utc_of=utc_of))
-    sigmas_s = [utc.sigma_s for utc in chosen if utc.fit is not None]
+    return _clock_of(line, chosen)
+
+
+def _clock_of(line: Timeline, chosen: "Sequence[BootUtc]") -> BootClock:
+    """The clock of a log from the UTC of each of its boots."""
+    sigma_s = float("nan")
     assessments: list[ClockAssessment] = []
     for utc in chosen:
         assessments += utc.assessments
+        if utc.fit is not None:
+            sigma_s = float(np.fmax(sigma_s, utc.sigma_s))
     return BootClock(
         line,
         tuple(utc.fit for utc in chosen),
         tuple(utc.is_known for utc in chosen),
-        sigma_s=max(sigmas_s, default=float("nan")),
+        sigma_s=sigma_s,
         assessments=tuple(assessments),
     )
 

@@ -136,7 +136,7 @@ class ULogMessages(DamagedBytes):
         self.dropouts_ms: list[int] = []  # of the logger
         self.texts: list[Text] = []  # of the vehicle
         self.parameters: dict[str, float] = {}  # the last value of each
-        self.numbers: dict[str, float] = {}  # information that is one number, its last value
+        self.numbers: dict[str, float] = {}  # the last value of information that is a number
         self.definitions = Definitions()
         self.topics: dict[int, UlogTopic] = {}  # by number
         self.sizes: dict[int, tuple[int, int]] = {}  # of data: without and with padding
@@ -319,7 +319,9 @@ class ULogMessages(DamagedBytes):
         name = value.key["name"].decode()
         if kind == MessageKind.PARAMETER:
             self.parameters[name] = _first_number(value.raw, dtype)
-        elif kind == MessageKind.INFORMATION and dtype.kind in "iuf":
+        elif kind != MessageKind.INFORMATION:
+            return
+        elif dtype.kind in "iuf":
             self.numbers[name] = _first_number(value.raw, dtype)
 
     def _resume(self, view: _View, place: int) -> int:
