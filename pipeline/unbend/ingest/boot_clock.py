@@ -75,28 +75,27 @@ def fit_clock(
     line = _split_at_silences(line, sources if recorder is None else [*sources, recorder])
     if line.boots > boots_by_steps:
         ledger.add(messages.restarted(where=where, count=line.boots - boots_by_steps))
-    chosen: list[BootUtc] = []
-    for number in range(line.boots):
-        place = f"{where}, boot {number}".removeprefix(", ")
-        recorders = [] if recorder is None else [recorder]
-        fitted = _BootSources(
-            stated=_fitted(line, number, sources),
-            recorded=_fitted(line, number, recorders),
-            place=place,
-        )
-        utc = fitted.utc(ledger)
+    chosen = _utc_of_boots(line, sources, recorder, where, ledger)
+    for number, utc in enumerate(chosen):
         if utc.fit is None:
+            place = f"{where}, boot {number}".removeprefix(", ")
             ledger.add(messages.no_utc(where=place, utc_of=utc_of))
-        chosen.append(utc)
-    sigmas_s = [utc.sigma_s for utc in chosen if utc.fit is not None]
+    return _clock_of(line, chosen)
+
+
+def _clock_of(line: Timeline, chosen: "Sequence[BootUtc]") -> BootClock:
+    """The clock of a log from the UTC of each of its boots."""
+    sigma_s = float("nan")
     assessments: list[ClockAssessment] = []
     for utc in chosen:
         assessments += utc.assessments
+        if utc.fit is not None:
+            sigma_s = float(np.fmax(sigma_s, utc.sigma_s))
     return BootClock(
         line,
         tuple(utc.fit for utc in chosen),
         tuple(utc.is_known for utc in chosen),
-        sigma_s=max(sigmas_s, default=float("nan")),
+        sigma_s=sigma_s,
         assessments=tuple(assessments),
     )
 
@@ -174,6 +173,26 @@ def _fit_boot(line: Timeline, number: int, source: UtcReadings) -> clock.ClockOf
     """The offset of a boot by one source; None where the source has no rows in that boot."""
     rows = line.boot_of(source.places) == number
     return clock.fit_offset(source.utc_ns[rows], source.boot_ns[rows])
+
+
+def _utc_of_boots(
+    line: Timeline,
+    sources: Sequence[UtcReadings],
+    recorder: UtcReadings | None,
+    where: str,
+    ledger: Ledger,
+) -> "list[BootUtc]":
+    """UTC of each boot; how well it fits, and what contradicts it, is reported."""
+    recorders = [] if recorder is None else [recorder]
+    chosen = []
+    for number in range(line.boots):
+        fitted = _BootSources(
+            stated=_fitted(line, number, sources),
+            recorded=_fitted(line, number, recorders),
+            place=f"{where}, boot {number}".removeprefix(", "),
+        )
+        chosen.append(fitted.utc(ledger))
+    return chosen
 
 
 class BootUtc(NamedTuple):

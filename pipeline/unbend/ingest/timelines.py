@@ -62,9 +62,15 @@ class Timeline:
     def silences(self) -> Silences:
         """The silences between stretches that are no glitches."""
         steady = np.flatnonzero(~self.stray)
-        silence_ns = self.begin[steady][1:] - self.end[steady][:-1]
+        begin_ns = self.begin[steady]
+        end_ns = self.end[steady]
+        silence_ns = begin_ns[1:] - end_ns[:-1]
         is_long = silence_ns > clock.BOOT_STEP_NS
-        return Silences(steady[1:][is_long], silence_ns[is_long])
+        after = steady[1:]
+        return Silences(
+            after=after[is_long],
+            length_ns=silence_ns[is_long],
+        )
 
     def _stretch(self, places: Integers) -> Rows:
         """The stretches in which records lie, by their places."""
@@ -82,7 +88,9 @@ def microseconds(raw: NDArray[Any]) -> TimeArray:
         return np.asarray(known.clip(0, clock.LAST_US), np.int64)
     # what is below 0 becomes huge
     unsigned = raw.astype(np.uint64, copy=False)
-    return np.asarray(np.minimum(unsigned, np.uint64(clock.LAST_US)).view(np.int64), np.int64)
+    last_us = np.uint64(clock.LAST_US)
+    cut_us = np.minimum(unsigned, last_us)
+    return np.asarray(cut_us.view(np.int64), np.int64)
 
 
 def nanoseconds(raw: NDArray[Any]) -> TimeArray:
@@ -106,8 +114,22 @@ def _stretches_of(places: Integers, time_ns: TimeArray) -> list[_Stretch]:
     cuts = np.flatnonzero(np.abs(np.diff(time_ns)) > clock.BOOT_STEP_NS) + 1
     starts = np.append(0, cuts)
     stops = np.append(cuts, time_ns.shape[0])
-    columns = (places[starts], time_ns[starts], time_ns[stops - 1], stops - starts)
-    return [_Stretch(*row) for row in np.stack(columns, axis=1).tolist()]
+    columns = (
+        places[starts],
+        time_ns[starts],
+        time_ns[stops - 1],
+        stops - starts,
+    )
+    stretches = []
+    for row in np.stack(columns, axis=1).tolist():
+        stretches.append(_Stretch(*row))
+    return stretches
+
+
+def _goes_on(last: _Stretch, following: _Stretch) -> bool:
+    """Whether the time since boot runs on from one stretch to the next."""
+    step_ns = following.begin - last.end
+    return abs(step_ns) <= clock.BOOT_STEP_NS
 
 
 def timeline(blocks: Iterable[Stamps]) -> Timeline:
@@ -124,22 +146,31 @@ def timeline(blocks: Iterable[Stamps]) -> Timeline:
         if not places.shape[0]:
             continue
         new_stretches = _stretches_of(places, time_ns)
-        if stretches and abs(new_stretches[0].begin - stretches[-1].end) <= clock.BOOT_STEP_NS:
+        if stretches and _goes_on(stretches[-1], new_stretches[0]):
             continuation = new_stretches.pop(0)
-            last = stretches[-1]
+            last = stretches.pop()
             records = last.length + continuation.length
-            stretches[-1] = last._replace(end=continuation.end, length=records)
+            whole = last._replace(
+                end=continuation.end,
+                length=records,
+            )
+            stretches.append(whole)
         stretches += new_stretches
-    first, begin, end, length = np.array(stretches, np.int64).reshape(-1, 4).T.copy()
-    stray = clock.stray_stretches(begin, end, length)
-    boot = _boots(begin, end, stray)
+    begin = np.array([stretch.begin for stretch in stretches], np.int64)
+    end = np.array([stretch.end for stretch in stretches], np.int64)
+    length = np.array([stretch.length for stretch in stretches], np.int64)
+    stray = clock.stray_stretches(
+        begin,
+        end,
+        length,
+    )
     return Timeline(
-        first=first,
+        first=np.array([stretch.first for stretch in stretches], np.int64),
         begin=begin,
         end=end,
         length=length,
         stray=stray,
-        boot=boot,
+        boot=_boots(begin, end, stray),
     )
 
 
@@ -148,7 +179,8 @@ def _boots(begin: TimeArray, end: TimeArray, stray: Mask) -> NDArray[np.int16]:
     if not begin.size:
         return np.empty(0, np.int16)
     steady = ~stray
-    steps_back = begin[steady][1:] - end[steady][:-1] < -clock.BOOT_STEP_NS
+    steps_ns = begin[steady][1:] - end[steady][:-1]
+    steps_back = steps_ns < -clock.BOOT_STEP_NS
     boot_of_steady = np.append(0, np.cumsum(steps_back)).astype(np.int16)
     last_steady = np.maximum(np.cumsum(steady) - 1, 0)
     return np.asarray(boot_of_steady[last_steady], np.int16)
@@ -160,9 +192,11 @@ def report_timeline(line: Timeline, ledger: Ledger) -> None:
     The places of the log must be bytes: the reports name them.
     """
     if line.stray.any():
-        first_byte = int(line.first[line.stray][0])
-        count = int(line.length[line.stray].sum())
-        ledger.add(messages.stray_records(byte=first_byte, count=count))
+        stray_records = messages.stray_records(
+            byte=int(line.first[line.stray][0]),
+            count=int(line.length[line.stray].sum()),
+        )
+        ledger.add(stray_records)
     # Stretches of few records are of parameters and texts, before and behind those of sensors.
     with_sensors = np.flatnonzero(~line.stray & (line.length >= _FEWEST_RECORDS))
     if not with_sensors.size:
@@ -173,7 +207,11 @@ def report_timeline(line: Timeline, ledger: Ledger) -> None:
     is_between = begins_behind_first & ends_before_last
     if not is_between.any():
         return
-    first_byte = int(line.first[silences.after[is_between][0]])
-    seconds = float(silences.length_ns[is_between].sum()) / 1e9
-    count = int(np.count_nonzero(is_between))
-    ledger.add(messages.nothing_logged(byte=first_byte, count=count, seconds=seconds))
+    first_after = silences.after[is_between][0]
+    silent_ns = silences.length_ns[is_between].sum()
+    nothing_logged = messages.nothing_logged(
+        byte=int(line.first[first_after]),
+        count=int(np.count_nonzero(is_between)),
+        seconds=float(silent_ns) / 1e9,
+    )
+    ledger.add(nothing_logged)

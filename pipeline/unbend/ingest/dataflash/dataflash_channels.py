@@ -131,11 +131,20 @@ def clock_of(
     clock = fit_clock(
         line, sources, ledger, utc_of="GPS row with a fix and a week", witnesses=witnesses
     )
+    return clock, _time_base(clock)
+
+
+def _time_base(clock: BootClock) -> str:
+    """Where the UTC of a log comes from, in words."""
     unknown = clock.utc_known.count(False)
     if unknown:
-        return clock, f"vehicle clock; UTC is unknown in {unknown} of {len(clock.fits)} boots"
-    rows = sum(fit.rows for fit in clock.fits if fit is not None)
-    return clock, f"vehicle clock, set to UTC by the median of {rows} GPS rows"
+        boots = len(clock.fits)
+        return f"vehicle clock; UTC is unknown in {unknown} of {boots} boots"
+    rows = 0
+    for fit in clock.fits:
+        if fit is not None:
+            rows += fit.rows
+    return f"vehicle clock, set to UTC by the median of {rows} GPS rows"
 
 
 def _receiver_utc(table: Table, name: str, ledger: Ledger) -> Iterator[UtcReadings]:
@@ -145,8 +154,10 @@ def _receiver_utc(table: Table, name: str, ledger: Ledger) -> Iterator[UtcReadin
         count = table[PLACE].size
         ledger.add(messages.no_utc_fields(message=name, count=count, fields=absent))
         return
-    has_utc = (table["GWk"] > 0) & (table["GWk"] < _WEEKS)
-    has_utc &= (table["GMS"] >= 0) & (table["GMS"] < _MS_PER_WEEK)
+    week = table["GWk"]
+    of_week_ms = table["GMS"]
+    has_utc = (week > 0) & (week < _WEEKS)
+    has_utc &= (of_week_ms >= 0) & (of_week_ms < _MS_PER_WEEK)
     instance = instance_of(table)
     for number in np.unique(instance[has_utc]):
         rows = has_utc & (instance == number)
@@ -249,9 +260,10 @@ def _rows_of_message(
         has_label = is_named or value >= 0  # -1 is of messages without instances
         label = str(value) if has_label else None
         name = f"{message}[{label}]" if has_label else message
+        source = Source(message, label)
         rows = DecodedRows(
             name=name,
-            source=Source(message, label),
+            source=source,
             time_ns=times.time_ns,
             boot=times.boot,
             columns=values,
@@ -329,7 +341,9 @@ def _report_fields(message: str, spec: MessageMap, table: Table, ledger: Ledger)
 
 def _reported_columns(spec: MessageMap) -> set[str]:
     """The columns of the roles of a message, without those whose absence `channel_of` reports."""
-    needed = {column for role in spec.roles for column in ROLE_COLUMNS[role]}
+    needed: set[str] = set()
+    for role in spec.roles:
+        needed |= set(ROLE_COLUMNS[role])
     needed.discard("event_index")
     if spec.attitude or spec.position:
         needed -= {"q_w", "q_x", "q_y", "q_z", "lat_rad", "lon_rad"}

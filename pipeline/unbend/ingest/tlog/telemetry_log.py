@@ -56,7 +56,10 @@ def read_log(path: Path, ledger: Ledger, witnesses: Sequence[Witness] = ()) -> C
     sent = {name_of(number): scan.sent.pop(number) for number in list(scan.sent)}
     carried = [store for name, store in sent.items() if name in _CARRIED]
     readings = scan.clock.readings(_systems(carried))
-    dates = KnownDates(systems_with_fix(sent), tuple(witnesses))
+    dates = KnownDates(
+        systems_with_fix(sent),
+        tuple(witnesses),
+    )
     clocks = with_borrowed_clocks(clocks_of(readings, ledger, dates), carried, ledger)
     channels, parameters = channels_of(sent, clocks, ledger)
     lost = _report_link(scan, clocks, channels, path.name, ledger)
@@ -81,8 +84,10 @@ def systems_with_fix(sent: Mapping[str, ColumnStore]) -> frozenset[int]:
         if name not in sent:
             continue
         for block in sent[name].blocks():
-            has_fix = block["records"]["fix_type"] >= LOWEST_FIX
-            systems |= set(np.unique(systems_of(block["source"][has_fix])).tolist())
+            fix_type = block["records"]["fix_type"]
+            has_fix = fix_type >= LOWEST_FIX
+            with_fix = systems_of(block["source"][has_fix])
+            systems |= set(np.unique(with_fix).tolist())
     return frozenset(systems)
 
 

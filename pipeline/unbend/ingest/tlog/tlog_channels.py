@@ -217,13 +217,15 @@ def times_of(
     if field == "time_boot_ms":
         utc_us = unix_us(rows["records"])
         if sender not in clocks.wrong_utc and utc_us.any():
-            stated_ns = clock.utc_of_stated(places, utc_us * MICROSECOND)
+            stated_ns = utc_us * MICROSECOND
+            stated_ns = clock.utc_of_stated(places, stated_ns)
             time_ns = np.where(utc_us > 0, stated_ns, time_ns)
         return time_ns, boot
     # time_usec: Unix time from some senders, time since boot from others, 0 when not known
     is_unix = stamp > FIRST_SET_US
     is_unknown = stamp == 0
-    time_ns = np.where(is_unix, clock.utc_of_stated(places, stamp_ns), time_ns)
+    stated_ns = clock.utc_of_stated(places, stamp_ns)
+    time_ns = np.where(is_unix, stated_ns, time_ns)
     not_since_boot = is_unix | is_unknown
     if not_since_boot.any():
         boot[not_since_boot] = clock.boot(places[not_since_boot])

@@ -136,7 +136,7 @@ class ULogMessages(DamagedBytes):
         self.dropouts_ms: list[int] = []  # of the logger
         self.texts: list[Text] = []  # of the vehicle
         self.parameters: dict[str, float] = {}  # the last value of each
-        self.numbers: dict[str, float] = {}  # information that is one number, its last value
+        self.numbers: dict[str, float] = {}  # the last value of information that is a number
         self.definitions = Definitions()
         self.topics: dict[int, UlogTopic] = {}  # by number
         self.sizes: dict[int, tuple[int, int]] = {}  # of data: without and with padding
@@ -316,10 +316,13 @@ class ULogMessages(DamagedBytes):
         if len(value.raw) != dtype.itemsize:
             self.damaged_values += 1
             return
+        name = value.key["name"].decode()
         if kind == MessageKind.PARAMETER:
-            self.parameters[value.key["name"].decode()] = _first_number(value.raw, dtype)
-        elif kind == MessageKind.INFORMATION and dtype.kind in "iuf":
-            self.numbers[value.key["name"].decode()] = _first_number(value.raw, dtype)
+            self.parameters[name] = _first_number(value.raw, dtype)
+        elif kind != MessageKind.INFORMATION:
+            return
+        elif dtype.kind in "iuf":
+            self.numbers[name] = _first_number(value.raw, dtype)
 
     def _resume(self, view: _View, place: int) -> int:
         """Where in the file messages go on after a place that begins none."""
@@ -379,7 +382,8 @@ class ULogMessages(DamagedBytes):
 
 def _first_number(raw: bytes, dtype: np.dtype[Any]) -> float:
     """The first number of a value."""
-    return float(np.frombuffer(raw, dtype)[0])
+    numbers = np.frombuffer(raw, dtype)
+    return float(numbers[0])
 
 
 def _has_key(content: bytes, kind: int, size: int) -> bool:
