@@ -130,7 +130,7 @@ def stop_all(processes: Iterable[MissionProcess]) -> None:
 
 
 def prepare_process(threads: int) -> None:
-    """In a new process: set its share of the CPUs and its answer to signals; end with the parent."""
+    """In a new process: set its share of the CPUs, and let it end at SIGTERM or with its parent."""
     os.environ["UNBEND_THREADS"] = str(threads)
     os.environ["OPENBLAS_NUM_THREADS"] = "1"  # as the command line does
     # What a library prints must not get among what the command prints.
