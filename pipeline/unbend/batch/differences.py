@@ -76,4 +76,5 @@ def values_by_key(values: Any, key: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def _shown(value: Any) -> str:
+    """A value of a key or a version, in words where there is none."""
     return "nothing" if value is None else str(value)

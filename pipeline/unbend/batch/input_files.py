@@ -65,6 +65,7 @@ def named_inputs(mission: Mission) -> Iterator[NamedInput]:
 
 
 def _observations(mission: Mission) -> NamedInput:
+    """The table of observations, or the block of another program that has them."""
     section = mission.observations
     program = block_program(section.format)
     return NamedInput(
@@ -122,6 +123,7 @@ def _events(mission: Mission) -> Iterator[NamedInput]:
 
 
 def _camera_files(mission: Mission) -> Iterator[NamedInput]:
+    """The files of interior orientations, which may be blocks of other programs."""
     for name, camera in mission.cameras.items():
         if camera.file is None:
             continue
@@ -344,4 +346,5 @@ def check_unchanged(inputs: Iterable[Input], *, folders: bool = True) -> None:
 
 
 def _without_devices(states: Iterable[FileState | None]) -> list[tuple[int, ...] | None]:
+    """The states of files, without the numbers of their devices; None for a file not there."""
     return [None if state is None else state.without_device for state in states]

@@ -79,7 +79,7 @@ class Plan:
         return next(item for item in self.inputs if item.role == role)
 
     def identity(self) -> Identity:
-        """What of the manifest says which run it is of."""
+        """The part of the manifest that says which run it is of, and of which inputs."""
         return Identity(
             manifest_version=MANIFEST_VERSION,
             mission=self.mission.mission.name,
@@ -243,7 +243,7 @@ def names_of_cameras(mission: Mission) -> dict[str, str]:
         names[str(camera.camera or name)] = name
     if len(mission.cameras) == 1:
         (only,) = mission.cameras.values()
-        if only.camera is None:
+        if only.camera is None:  # the mission file does not say what a block calls it
             names[""] = next(iter(names.values()))
     return names
 

@@ -49,6 +49,7 @@ class MissionProcess:
             return self._submit(task)
 
     def _submit(self, task: Callable[[], TaskEnd]) -> Future[TaskEnd]:
+        """Begin a task, in a new pool if there is none; notes a process that was started."""
         if self._pool is None:
             self._pool = ProcessPoolExecutor(
                 max_workers=1,

@@ -229,7 +229,8 @@ class Publication:
     def __init__(self, place: Place, fingerprint: str) -> None:
         self._place = place
         self._fingerprint = fingerprint
-        self._run = place / run_name(fingerprint)
+        self._run = place / run_name(fingerprint)  # the object of the first writer of this run
+        # Versions of both objects before this run; None for an object that is not there.
         self._version = (place / MANIFEST).read()[1]
         self._run_version = self._run.read()[1]
         self._before = read_manifest(place, damaged=True)
@@ -259,6 +260,7 @@ class Publication:
             # Another writer's results are published, or none are.
             self._remove(attempt)
             if published is None or published.run.fingerprint != self._fingerprint:
+                # This run is refused, and so no later writer of it must wait for it.
                 self._place.remove([run_name(self._fingerprint)])
                 raise messages.published_meanwhile(url=str(self._place))
         self._remove_former(published)

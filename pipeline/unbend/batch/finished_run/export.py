@@ -133,7 +133,11 @@ def copy_of_run(place: Place) -> Path:
 def rebuild_run(
     path: Path, manifest: Manifest, ground_height_m: float | None, ledger: Ledger
 ) -> FinishedRun:
-    """A run from its folder alone; ``ground_height_m`` [m above sea level] replaces its heights."""
+    """A run from its folder alone; ``ground_height_m`` [m above sea level] replaces its heights.
+
+    Refuses a run that has no corrections to remove refraction, and one whose corrections cannot be
+    computed again (EXPORT-NOT-REPRODUCED).
+    """
     if ground_height_m is not None and not LOWEST_GROUND_M <= ground_height_m <= HIGHEST_GROUND_M:
         raise messages.no_ground_height(
             height=ground_height_m, lowest=LOWEST_GROUND_M, highest=HIGHEST_GROUND_M
@@ -146,10 +150,11 @@ def rebuild_run(
     air = air_of(pq.read_table(path / "profile.parquet"), table["profile_id"])
     method = mission.refraction.method
     outputs = sorted(item.name for item in manifest.run.outputs)
+    already_reported = Ledger()  # the run has made these notes, and its manifest has them
     run = FinishedRun(
         mission=mission.mission.name,
         stations=stations,
-        exposures=exposure_setup.exposures_of_mission(mission, stations, air, Ledger()),
+        exposures=exposure_setup.exposures_of_mission(mission, stations, air, already_reported),
         air=air,
         rays=tuple(rays_by(profile, method) for profile in air.profiles),
         method=method,
@@ -173,7 +178,7 @@ def cameras_of(mission: Mission) -> dict[str, ExportCamera]:
     cameras = {}
     for name, camera in mission.interior_orientations.items():
         section = mission.cameras[name]
-        pixel_mm = np.nan
+        pixel_mm = np.nan  # unknown, or of pixels that are not square
         if section.metric is not None:
             width_um, height_um = section.metric.pixel_um
             if width_um == height_um:

@@ -365,10 +365,18 @@ def _skip_elements(cursors: _Cursors, step: SequenceField, count: Integers) -> N
     first = step.steps[0] if step.steps else None
     if isinstance(first, NumberField) and len(step.steps) == 1:
         _skip_numbers(cursors, first, count)
-        return
+    else:
+        _skip_one_by_one(cursors, step, count)
+
+
+def _skip_one_by_one(cursors: _Cursors, step: SequenceField, count: Integers) -> None:
+    """Move behind ``count`` elements of any kind, an element at a time in all messages.
+
+    Other cursors move, and lose each message when its elements are passed; where that was is noted.
+    """
     ends = np.full(cursors.row.shape, -1, np.int64)  # -1 of messages that end too early
     unfinished = cursors.restarted()
-    unfinished.columns["count"] = count
+    unfinished.columns["count"] = count  # a column, as it loses the same messages
     steps = _runs(step.steps)
     passed = 0
     while True:

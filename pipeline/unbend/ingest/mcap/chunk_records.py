@@ -135,14 +135,14 @@ class ChunkReader:
         The length of the message before the place may be what is damaged: messages then go on
         inside that message, before the place, and it is removed from ``starts``.
         """
-        last = place
+        last_begin = place
         if starts and starts[-1].size:
-            last = int(starts[-1][-1])
-        resumed = next_message_in_chunk(view, last, self.channels)
+            last_begin = int(starts[-1][-1])  # where the message before the place begins
+        resumed = next_message_in_chunk(view, last_begin, self.channels)
         lost = resumed - place
         if resumed < place:
             starts[-1] = starts[-1][:-1]
-            lost = resumed - last
+            lost = resumed - last_begin
         self.damage.add(
             messages.chunk_not_records(
                 where=self.damage.at(at), count=lost, size=int(view.shape[0])
