@@ -287,7 +287,8 @@ def _read_numbers(cursors: _Cursors, run: NumberRun, wanted: frozenset[str]) -> 
     arrangement = (cursors.at % ALIGN + ALIGN * cursors.big).astype(np.int8)
     layouts = {}
     sizes = np.zeros(2 * ALIGN, np.int64)
-    for number in np.flatnonzero(np.bincount(arrangement, minlength=2 * ALIGN)).tolist():
+    messages_of_each = np.bincount(arrangement, minlength=2 * ALIGN)
+    for number in np.flatnonzero(messages_of_each).tolist():
         layouts[number] = _layout(run, wanted, phase=number % ALIGN, big=number >= ALIGN)
         sizes[number] = layouts[number].size
     is_whole = cursors.at + sizes[arrangement] <= cursors.length
@@ -381,7 +382,8 @@ def _skip_one_by_one(cursors: _Cursors, step: SequenceField, count: Integers) ->
     passed = 0
     while True:
         has_more = unfinished.columns["count"] > passed
-        ends[unfinished.row[~has_more]] = unfinished.at[~has_more]
+        is_passed = ~has_more
+        ends[unfinished.row[is_passed]] = unfinished.at[is_passed]
         unfinished.only(has_more)
         if not unfinished.row.shape[0]:
             break
