@@ -205,7 +205,10 @@ def refuse_foreign_page(output: Path) -> None:
 
 
 def is_page_ours(output: Path, present: Sequence[str]) -> bool:
-    """Whether a campaign wrote the page, or the table where that is alone."""
+    """Whether a campaign wrote the page, or the table if only that is there.
+
+    ``present`` are the names of those that are there, one at least.
+    """
     if PAGE in present:
         return MARK in head_of(output / PAGE)
     # Only the table is there: the page was removed, or a run ended after it wrote the table.

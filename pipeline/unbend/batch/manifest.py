@@ -24,7 +24,7 @@ def manifest_text(manifest: Manifest) -> str:
 def parse_manifest(content: bytes, where: str, *, of_attempt: bool = False) -> Manifest:
     """The manifest in a file; refuses (MANIFEST-UNREADABLE) what unbend did not write.
 
-    ``of_attempt`` : the manifest is in object storage, and has to name the attempt it is of.
+    ``of_attempt`` : the manifest is in object storage, and must name the attempt with its files.
     """
     try:
         values = json.loads(content.decode("utf-8"))
