@@ -29,7 +29,8 @@ def run_many(
 ) -> Generator[tuple[MissionRef, MissionEnd]]:
     """Run missions; yields how each ended, as soon as it did.
 
-    One whose process dies is run again, alone; then refused with its command (WORKER-LOST).
+    A mission whose process dies is run again, alone. If its process dies again, the mission is
+    refused (WORKER-LOST) with the command that repeats it.
     """
     tasks: dict[MissionRef, Task] = {ref: partial(run_mission, ref) for ref in missions}
     lost: dict[MissionRef, Lost] = {}
@@ -62,8 +63,11 @@ def lost_twice(mission: MissionRef, first: Lost, second: Lost) -> UnbendError:
 
 
 def with_manifest(end: MissionEnd) -> MissionEnd:
-    """How a mission ended, with its manifest; refuses results that are not here."""
-    if not isinstance(end, Outcome) or not end.fingerprint:
+    """How a mission ended, with the manifest that the receipt of another process leaves out.
+
+    Results that cannot be seen from here, or that are another run's, become a refusal.
+    """
+    if not isinstance(end, Outcome) or not end.fingerprint:  # no results, or no receipt
         return end
     try:
         manifest = read_manifest(end.output)
@@ -75,7 +79,10 @@ def with_manifest(end: MissionEnd) -> MissionEnd:
 
 
 def shard_of(shard: str | None) -> slice:
-    """The missions of one of several jobs, which have the same list; refuses (RUN-SHARD) others.
+    """Which missions of a list one of several jobs runs; all jobs have the same list.
+
+    ``shard`` is the number of the job, counted from 0, and how many jobs there are, as ``1/3``;
+    None stands for one job. Refuses (RUN-SHARD) any other text.
 
     >>> "abcdefg"[shard_of("1/3")], "abcdefg"[shard_of(None)]
     ('be', 'abcdefg')
@@ -93,7 +100,7 @@ def shard_of(shard: str | None) -> slice:
 
 
 def shared_outputs(folders: Iterable[tuple[MissionRef, object]]) -> dict[MissionRef, UnbendError]:
-    """Missions whose results would be written to the folder of an earlier one.
+    """Missions whose results would be written to the folder of an earlier mission, with refusals.
 
     Folders are compared after symbolic links are resolved, and on Windows without case.
     """
@@ -109,7 +116,9 @@ def shared_outputs(folders: Iterable[tuple[MissionRef, object]]) -> dict[Mission
 
 
 def exit_code_of_command(codes: Sequence[int]) -> int:
-    """The exit code of one mission, or of several: 1 for a bug, 6 for a refusal, else the worst.
+    """The exit code of a command by those of its missions; that of a single mission as it is.
+
+    Of several missions: 1 for a bug, 6 for any other failure, else the worst.
 
     >>> [exit_code_of_command(codes) for codes in ([0, 3], [2], [0, 2], [6, 1])]
     [3, 2, 6, 1]

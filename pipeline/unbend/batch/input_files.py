@@ -32,7 +32,11 @@ _EXIF_BYTES = 1 << 18  # EXIF comes first in a JPEG, and is never longer
 class NamedInput(NamedTuple):
     """An input as the mission file names it.
 
-    ``program`` is that of a block, or GDAL: such an input has several files.
+    role : what it is to the mission: log, observations, events, ...
+    key : the key of the mission file that names it.
+    name : its path or URL in the mission file.
+    program : that of a block, or `GDAL` of a raster: such an input may have several files.
+    may_be_folder : whether a folder is allowed in the place of a file.
     """
 
     role: str
@@ -61,6 +65,7 @@ def named_inputs(mission: Mission) -> Iterator[NamedInput]:
 
 
 def _observations(mission: Mission) -> NamedInput:
+    """The table of observations, or the block of another program that has them."""
     section = mission.observations
     program = block_program(section.format)
     return NamedInput(
@@ -118,6 +123,7 @@ def _events(mission: Mission) -> Iterator[NamedInput]:
 
 
 def _camera_files(mission: Mission) -> Iterator[NamedInput]:
+    """The files of interior orientations, which may be blocks of other programs."""
     for name, camera in mission.cameras.items():
         if camera.file is None:
             continue
@@ -177,11 +183,11 @@ class FileState(NamedTuple):
 
     @property
     def is_settled(self) -> bool:
-        """Whether the last change is so long ago that the next one will show."""
+        """Whether the last change is so long ago that the next one will show in the times."""
         return max(self.mtime_ns, self.ctime_ns) < time.time_ns() - SETTLED_NS
 
     @property
-    def elsewhere(self) -> tuple[int, ...]:
+    def without_device(self) -> tuple[int, ...]:
         """The state as all machines that share a disk see it: each numbers devices by itself."""
         return self[1:]
 
@@ -199,10 +205,11 @@ States = tuple[FileState | None, ...]
 
 
 def record_of(named: NamedInput, files: tuple[Path, ...], states: States) -> InputRecord:
-    """The record of an input by the states of its files, without a hash.
+    """The record of an input by the states of its files, without a hash of its content.
 
-    It has a time only where that time proves that the input is unchanged: where all its files are
-    there, and none was changed so lately that the next change may not show.
+    The record has a time only where the same time will prove that the input is unchanged: where
+    all its files are there, and none was changed so lately that the next change may not show.
+    Its version tells which files an input has that may have several; it is empty for others.
     """
     there = [state for state in states if state is not None]
     are_all_there = bool(there) and len(there) == len(states)
@@ -229,7 +236,11 @@ def _hash_of_listing(files: tuple[Path, ...], states: States) -> str:
 
 
 def files_of(path: Path, program: str | None) -> tuple[Path, ...]:
-    """The files of an input: of a block all, of a raster those beside it too, or images."""
+    """The files of an input.
+
+    They are all files of a block, a raster and what GDAL reads beside it, the images of a folder,
+    or else the one file.
+    """
     if program == GDAL:
         return raster_files(path)
     if program is not None:
@@ -245,12 +256,13 @@ def files_of(path: Path, program: str | None) -> tuple[Path, ...]:
 def hash_input(
     path: Path, program: str | None, files: tuple[Path, ...], states: States = ()
 ) -> str:
-    """SHA-256 of a file, or of names and hashes of a block's, a raster's or a folder's files.
+    """SHA-256 of an input: of one file, or of the names and hashes of several.
 
-    Of the images of a folder only EXIF is read. Without ``states`` of its files all are read.
+    ``files`` of a block or a raster are read whole; of the images of a folder (no ``program``) only
+    EXIF is. With the ``states`` of the files, one that was hashed in that state is not read again.
     """
     states = states or (None,) * len(files)
-    if files == (path,):
+    if files == (path,):  # the input is one file
         return hash_once(path, states[0])
     digest = hashlib.sha256()
     for file, state in zip(files, states, strict=True):
@@ -263,7 +275,10 @@ def hash_input(
 
 
 def hash_once(path: Path, state: FileState | None) -> str:
-    """SHA-256 of a file in a state; missions of one process that share it read it once."""
+    """SHA-256 of a file, which missions of one process that share it read once.
+
+    A file is read each time without a ``state``, or if its next change may not show in the state.
+    """
     if state is None or not state.is_settled:
         return hash_file(path)
     return _hash_in_state(path, state)
@@ -271,6 +286,7 @@ def hash_once(path: Path, state: FileState | None) -> str:
 
 @lru_cache(maxsize=1000)
 def _hash_in_state(path: Path, _: FileState) -> str:
+    """SHA-256 of a file, kept for the state that it has."""
     return hash_file(path)
 
 
@@ -314,18 +330,21 @@ class Input:
 
 
 def check_unchanged(inputs: Iterable[Input], *, folders: bool = True) -> None:
-    """Refuse results whose inputs were written to, or replaced, while they were made.
+    """Refuse (INPUT-CHANGED) inputs that were written to, or replaced, since they were hashed.
 
-    By the same content too: another one may have been there in between, and read. Without
-    ``folders`` those of images are not looked at. Objects in storage are compared by `remote`.
+    An input that was written again with the same content is refused too: in between another content
+    may have been there, and been read. Without ``folders`` the images of a folder are not looked
+    at. Inputs in object storage are not compared here, but by `remote.refuse_changed`.
     """
     for item in inputs:
-        if item.url or not (folders or item.program is not None or item.path.is_file()):
+        is_folder_of_images = item.program is None and not item.path.is_file()
+        if item.url or (is_folder_of_images and not folders):
             continue
         now = [state_of(file) for file in files_of(item.path, item.program)]
-        if _as_shared(now) != _as_shared(item.states):
+        if _without_devices(now) != _without_devices(item.states):
             raise messages.input_changed(role=item.role, path=str(item.path))
 
 
-def _as_shared(states: Iterable[FileState | None]) -> list[tuple[int, ...] | None]:
-    return [None if state is None else state.elsewhere for state in states]
+def _without_devices(states: Iterable[FileState | None]) -> list[tuple[int, ...] | None]:
+    """The states of files, without the numbers of their devices; None for a file not there."""
+    return [None if state is None else state.without_device for state in states]

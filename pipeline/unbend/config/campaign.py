@@ -65,7 +65,7 @@ class MissionRef:
 
     @property
     def words(self) -> tuple[str, ...]:
-        """The arguments of `unbend run` that run this mission alone."""
+        """The arguments of `unbend run` that run this mission alone; the last names the mission."""
         name = self._own_name or str(self.path)
         return (self.campaign, "--mission", name) if self.campaign else (name,)
 
@@ -89,15 +89,17 @@ class Campaign:
 
 
 def open_configs(paths: Iterable[Path]) -> tuple[list[MissionRef], list[Campaign]]:
-    """The missions of some mission files and campaign files, each once, and the campaigns.
+    """The missions of some mission files and campaign files, and the campaigns.
 
-    Missions stand in the order of ``paths``. Refuses as `campaign_of`; a file that cannot be read
-    counts as a mission, which is refused when its turn comes.
+    Missions stand in the order of ``paths``; a file that is named twice counts once. Refuses as
+    `campaign_of`; a file that cannot be read counts as a mission file, which is refused when the
+    mission's turn comes.
     """
     missions: list[MissionRef] = []
     campaigns: list[Campaign] = []
     path_of_file = {}
     for path in paths:
+        # A link to a file is a file of its own: relative paths count from the folder of the link.
         path_of_file[os.path.join(os.path.realpath(path.parent), path.name)] = path
     for path in path_of_file.values():
         campaign = _campaign_at(path)
@@ -129,6 +131,7 @@ def campaign_of(path: Path, values: dict[str, Any], node: yaml.Node) -> Campaign
     opened; a pattern that matches none is refused.
     """
     complete = _with_defaults(values)
+    # What the models refuse of the campaign's sections, of its defaults and of its missions.
     items = _refused(CampaignFile, values)
     items += _refused_defaults(values)
     items += _refused_missions(complete)
@@ -142,6 +145,7 @@ def campaign_of(path: Path, values: dict[str, Any], node: yaml.Node) -> Campaign
     defaults = merged(output_of_missions, values.get("defaults", {}))
     missions = []
     for mission in missions_listed(path, values["missions"]):
+        # Relative paths of the defaults count from the campaign's folder, a mission's from its own.
         defaults_there = _seen_from(defaults, path.parent, mission.file.parent)
         missions.append(
             MissionRef(
@@ -182,8 +186,9 @@ def _refused(model: type[BaseModel], values: object, *, at: Place = ()) -> list[
 def _refused_defaults(values: dict[str, Any]) -> Iterator[Mapping[str, Any]]:
     """What is wrong with the defaults of a campaign, whatever a mission adds to them.
 
-    A missing key is no mistake here, nor are keys of a section that do not go together: a mission
-    may state them.
+    A missing key is no mistake here, as a mission may state it; nor are keys of a section that do
+    not go together, as a mission may replace one of them. A mistake of one key is one, though the
+    validator of its section reports it.
     """
     for item in _refused(Mission, values.get("defaults", {}), at=("defaults",)):
         error = item.get("ctx", {}).get("error")
@@ -195,11 +200,14 @@ def _refused_defaults(values: dict[str, Any]) -> Iterator[Mapping[str, Any]]:
 
 
 def _refused_missions(values: dict[str, Any]) -> Iterator[Mapping[str, Any]]:
-    """What is wrong with the missions that stand in a campaign file, with its defaults."""
+    """What is wrong with the missions that stand in a campaign file.
+
+    ``values`` are those of the file, with its defaults in its missions.
+    """
     missions = values.get("missions", [])
     if not isinstance(missions, list) or not isinstance(values.get("defaults", {}), dict):
         return
-    # Without an output of their own they have the campaign's, where that is stated.
+    # Missions without an output have one below the campaign's; "-" stands for it, as any path does.
     output = {"path": "-"} if isinstance(values.get("campaign"), dict) else {}
     for number, mission in enumerate(missions):
         if isinstance(mission, dict):
@@ -220,7 +228,7 @@ def missions_listed(path: Path, stated: Sequence[Any]) -> Iterator[ListedMission
     An entry is a path, a pattern of paths, or sections. A file that matches a pattern comes once,
     and not at all by the pattern if an entry names it.
     """
-    listed: set[str] = set()
+    listed: set[str] = set()  # files that an entry names, then those of patterns too
     for entry in stated:
         if isinstance(entry, str):
             listed.add(os.path.realpath(path.parent / entry))

@@ -24,15 +24,15 @@ from unbend.ingest.mcap.record_proofs import next_message_in_chunk
 from unbend.messages import Message
 from unbend.units import Integers
 
-KEPT = (*DEFINITIONS_IN_CHUNKS, Opcode.MESSAGE)  # of a large chunk
+KEPT = (*DEFINITIONS_IN_CHUNKS, Opcode.MESSAGE)  # kinds of records kept of a large chunk
 
 
 class ChunkReader:
     """Reads the chunks of a file one after the other; ``damage`` is filled on the way.
 
-    ``channels`` are the numbers of the channels defined so far. The caller adds those of each
-    definition that a chunk yields before it asks for the next record: they prove messages after
-    damage in the same chunk.
+    ``channels`` are the numbers of the channels defined so far. When a chunk yields a definition,
+    the caller adds its channel before it asks for the next record: these numbers prove messages
+    after damage in the same chunk.
     """
 
     def __init__(self, data: FileView, damage: Damage, channels: Set[int]) -> None:
@@ -57,7 +57,10 @@ class ChunkReader:
             yield from self._large_chunk(record.at, chunk)
 
     def _checked_head(self, record: Record) -> chunks.Chunk | None:
-        """The head of a chunk that may be inflated; None of another, which is damage."""
+        """The head of a chunk that may be inflated, whose cost is taken from the budget.
+
+        None for any other chunk, which is entered as damage.
+        """
         where = self.damage.at(record.at)
         count = record.length
         chunk = chunks.chunk_head(self.data, record.content, record.length)
@@ -71,7 +74,7 @@ class ChunkReader:
                 )
             )
             return None
-        too_large = self.budget.too_large(chunk, where=where, count=count)
+        too_large = self.budget.spend(chunk, where=where, count=count)
         if too_large is not None:
             self.damage.add(too_large)
             return None
@@ -84,7 +87,8 @@ class ChunkReader:
         with chunks.chunk_stream(self.data, chunk) as stream:
             while place + RECORD.size <= chunk.size:
                 opcode, length = RECORD.unpack(stream.read(RECORD.size))
-                if opcode == 0 or length > chunk.size - place - RECORD.size:
+                bytes_left = chunk.size - place - RECORD.size
+                if opcode == 0 or length > bytes_left:
                     self.damage.add(
                         messages.chunk_end_not_records(
                             where=self.damage.at(at), count=chunk.size - place, size=chunk.size
@@ -99,9 +103,9 @@ class ChunkReader:
         yield from self._records_in(np.frombuffer(bytes(kept), np.uint8), at)
 
     def _records_in(self, view: Bytes, at: int) -> Iterator[Definition | MessageRecords]:
-        """The definitions among inflated records, and then all messages among them.
+        """Yield the definitions among inflated records, and then all messages among them together.
 
-        ``at``: where the chunk begins in the file.
+        ``at``: where the chunk begins in the file. Damage is entered, and passed over.
         """
         raw = raw_of(view)
         size = int(view.shape[0])
@@ -110,7 +114,7 @@ class ChunkReader:
         place = 0
         while place < size:
             run = runs.starting_at(place)
-            if run.stop > run.start:
+            if run.stop > run.start:  # messages that follow each other: all are taken at once
                 starts.append(runs.at[run])
                 place = int(runs.end[run.stop - 1])
                 continue
@@ -126,19 +130,19 @@ class ChunkReader:
             yield MessageRecords(view, np.concatenate(starts))
 
     def _resume_in(self, view: Bytes, place: int, starts: list[Integers], at: int) -> int:
-        """Enter damage that shows at a place of a chunk; returns where its messages go on.
+        """Enter damage that shows at a place of a chunk; returns where messages go on.
 
-        The length of the last message may be what is damaged: then messages go on before the
-        place, and that message is removed from ``starts``.
+        The length of the message before the place may be what is damaged: messages then go on
+        inside that message, before the place, and it is removed from ``starts``.
         """
-        last = place
+        last_begin = place
         if starts and starts[-1].size:
-            last = int(starts[-1][-1])
-        resumed = next_message_in_chunk(view, last, self.channels)
+            last_begin = int(starts[-1][-1])  # where the message before the place begins
+        resumed = next_message_in_chunk(view, last_begin, self.channels)
         lost = resumed - place
         if resumed < place:
             starts[-1] = starts[-1][:-1]
-            lost = resumed - last
+            lost = resumed - last_begin
         self.damage.add(
             messages.chunk_not_records(
                 where=self.damage.at(at), count=lost, size=int(view.shape[0])
@@ -148,10 +152,10 @@ class ChunkReader:
 
 
 def _kept_part(stream: IO[bytes], opcode: int, length: int) -> bytes:
-    """What is kept of a record of a large chunk, whose content comes next in its stream.
+    """Read the content of a record of a large chunk from its stream; returns what is kept of it.
 
-    That is all of a small message, and the beginning of a large message or definition, as records
-    of their own; nothing of other kinds. The stream is moved behind the content.
+    That is a record with all of a small message or definition, or with the beginning of a large
+    one; empty for records of other kinds. The stream is moved behind the content in any case.
     """
     kept = b""
     left = length
@@ -165,7 +169,7 @@ def _kept_part(stream: IO[bytes], opcode: int, length: int) -> bytes:
 
 
 def _kept_length(opcode: int, length: int) -> int:
-    """How many bytes of a definition's or message's content are kept: all, or the beginning."""
+    """How many bytes of the content of a definition or message are kept: all, or the first ones."""
     if opcode in DEFINITIONS_IN_CHUNKS:
         return min(length, MAX_DEFINITION)
     return length if length <= LARGE_MESSAGE else MESSAGE_START

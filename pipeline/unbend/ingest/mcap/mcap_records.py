@@ -38,19 +38,22 @@ from unbend.ingest.mcap.summary_definitions import summary_definitions
 
 SPAN = 4 << 20  # [bytes] of the file walked at once
 MAX_HEADER = 1 << 16  # [bytes] of the header record, by which a file with a damaged mark is found
-LISTED_ENDS = 2  # a million records that end the data must cost no more than two
+LISTED_ENDS = 2  # ends of the data that are checked; a damaged file may have a million
 
 
 @dataclass
 class _Span:
-    """Records that begin in a stretch of the file.
+    """A span of the file, and the records that begin in it.
 
-    ``following`` is where in the file to go on; None at its end.
+    begin, view : where it begins in the file, and its bytes.
+    starts : the places in ``view`` where records of small messages begin, which lie in it.
+    others : the other records that are read.
+    following : where in the file the next span begins; None after the last.
     """
 
     begin: int
-    view: Bytes  # the bytes from ``begin`` on
-    starts: list[int] = field(default_factory=list)  # places of small messages in the view
+    view: Bytes
+    starts: list[int] = field(default_factory=list)
     others: list[Record] = field(default_factory=list)
     following: int | None = None
 
@@ -61,10 +64,10 @@ class _Span:
 
 
 class RecordWalk:
-    """The definitions and messages of a file; ``damage`` is filled on the way.
+    """Yields the definitions and messages of a file; ``damage`` is filled on the way.
 
-    A summary that its checksum proves comes first: its definitions serve where those among the
-    messages are damaged. A definition may come several times.
+    The definitions of the summary come first, if its checksum holds: they serve where those among
+    the messages are damaged. So a definition may come several times.
     """
 
     def __init__(self, data: FileView, damage: Damage) -> None:
@@ -73,8 +76,9 @@ class RecordWalk:
         self.channels: set[int] = set()  # their numbers prove messages after damage
         self._chunks = ChunkReader(data, damage, self.channels)
         self._batch = MessageBatch()
-        # Where the last record begins, or a proved chunk has its last byte. Records are searched
-        # behind it after damage, as the length of that record may be what is damaged.
+        # Where the last record before the present one begins. After damage records are searched
+        # behind this place, as the length of that record may be what is damaged. The length of a
+        # proved chunk is not: for a chunk it is the place of its last byte.
         self._last_begin = -1
         self._data_end: int | None = None  # behind it the summary begins
         self._data_ends = 0  # records that end the data
@@ -92,9 +96,9 @@ class RecordWalk:
     def _handed_on(
         self, parts: Iterable[Definition | MessageRecords]
     ) -> Iterator[Definition | Messages]:
-        """The parts for the reader of the file: definitions at once, messages decoded in batches.
+        """Yield definitions as they come, and messages in batches, when there are enough of them.
 
-        Here the numbers of the defined channels are noted.
+        The number of each channel that is defined is entered in ``channels`` before it is yielded.
         """
         for part in parts:
             if isinstance(part, MessageRecords):
@@ -107,18 +111,18 @@ class RecordWalk:
     # The walk from record to record.
 
     def _first_record(self) -> int:
-        """Where the records begin; a damaged mark may have lost bytes."""
+        """Where the records begin. The mark before them, if damaged, may have lost bytes."""
         if self.data[0 : len(MAGIC)] == MAGIC:
             first = len(MAGIC)
         else:
             first = self._first_after_damaged_mark()
             where = self.damage.at(0)
             self.damage.add(messages.file_beginning_damaged(where=where, count=first))
-        self._last_begin = first - 1
+        self._last_begin = first - 1  # the first record itself may be damaged
         return first
 
     def _first_after_damaged_mark(self) -> int:
-        """The last place near the beginning with a header before another record; 0 without any."""
+        """The last place, within the mark's length, of a header before another record; else 0."""
         first = 0
         for place in range(len(MAGIC) + 1):
             record = record_at(self.data, place)
@@ -129,7 +133,7 @@ class RecordWalk:
         return first
 
     def _walk_span(self, begin: int) -> _Span:
-        """The records that begin in a stretch of the file, and where to go on."""
+        """The span that begins at a place of the file, with its records."""
         span = _Span(begin, self.data.array(begin, begin + SPAN))
         raw = raw_of(span.view)
         unpack = RECORD.unpack_from
@@ -140,9 +144,13 @@ class RecordWalk:
             if opcode == Opcode.MESSAGE and length <= LARGE_MESSAGE and end <= len(raw):
                 span.starts.append(place)
                 self._last_begin = begin + place
-            elif self._ends_span(span, Record(opcode, begin + place, length)):
-                return span
+            else:
+                has_ended = self._take_other_record(span, Record(opcode, begin + place, length))
+                if has_ended:
+                    return span
             place = end
+        # Fewer bytes are left of the span than the head of a record has, or the last record, whose
+        # end is in the file, reaches beyond the span. At the end of the file a footer is missing.
         following = begin + place
         if place > len(raw) or (place > 0 and following < self.data.size):
             span.following = following
@@ -151,17 +159,19 @@ class RecordWalk:
             self.damage.add(messages.no_footer(where=self.damage.at(following), count=left))
         return span
 
-    def _ends_span(self, span: _Span, record: Record) -> bool:
-        """Take a record that is no small message in the span; returns whether the span ends here.
+    def _take_other_record(self, span: _Span, record: Record) -> bool:
+        """Take a record that is not a small message inside the span.
 
-        Where it does, ``following`` of the span is set.
+        Returns whether the span ends here: at damage, at the footer, or at a small message that
+        ends behind the span. Its ``following`` is then set.
         """
         is_possible = 0 < record.opcode <= LAST or record.opcode >= PRIVATE
         if record.end > self.data.size or not is_possible:
             last_begin = self._last_begin
             span.following = self._resume(record)
             if span.following is not None and span.following < record.at:
-                span.drop_last_message_at(last_begin)  # records lie in it: its length was damaged
+                # Records lie inside the last message: its length was damaged.
+                span.drop_last_message_at(last_begin)
             return True
         if record.opcode == Opcode.FOOTER:
             span.following = self._end_at_footer(record)
@@ -178,7 +188,10 @@ class RecordWalk:
         return False
 
     def _list_record(self, span: _Span, record: Record) -> None:
-        """Add a record to the others of a span, if it is of a kind that is read."""
+        """Add a record to the others of a span, if it is of a kind that is read.
+
+        An end of the data is noted here: the summary begins behind it.
+        """
         if record.opcode == Opcode.DATA_END:
             self._data_end = record.end
             self._data_ends += 1
@@ -189,7 +202,11 @@ class RecordWalk:
             span.others.append(record)
 
     def _end_at_footer(self, record: Record) -> int | None:
-        """Where to go on after a footer: at another record if it is not at the file's end."""
+        """Check the end of the file at a footer; returns None, as no record follows.
+
+        A footer of another length, or without room for the mark behind it, is damage: records then
+        go on at the place that is returned.
+        """
         mark = record.content + FOOT.size  # the mark of the format comes behind the footer
         end = mark + len(MAGIC)
         if record.length != FOOT.size or end > self.data.size:
@@ -199,12 +216,16 @@ class RecordWalk:
             extra = self.data.size - end
             self.damage.add(messages.file_end_damaged(where=where, count=extra))
         summary_start, _, _ = FOOT.unpack(self.data[record.content : mark])
-        if not self.damage.losses:  # else what is missing is known
+        if not self.damage.losses:  # else damage explains a summary elsewhere
             self._check_summary_start(where, summary_start)
         return None
 
     def _check_summary_start(self, where: str, stated: int) -> None:
-        """Enter a loss where the footer states another place than the end of the data; 0: none."""
+        """Compare the place of the summary that the footer states with the end of the data.
+
+        A loss is entered where they differ, or where no record ends the data. A footer that states
+        0 states no place.
+        """
         if self._data_end is None:
             self.damage.add(messages.data_end_missing(where=where, stated=stated))
         elif stated not in (0, self._data_end):
@@ -236,7 +257,11 @@ class RecordWalk:
     # The content of the records.
 
     def _read_span(self, span: _Span) -> Iterator[Definition | MessageRecords]:
-        """The content of the records of a span: definitions before the messages they define."""
+        """The content of the records of a span.
+
+        Definitions come first, before the messages that they define; chunks and large messages, in
+        their order, come last.
+        """
         for record in span.others:
             if record.opcode in DEFINITIONS:
                 yield from self._read_definition(record)
@@ -269,7 +294,10 @@ class RecordWalk:
         return MessageRecords(np.frombuffer(start, np.uint8), np.zeros(1, np.int64))
 
     def _check_data_end(self, record: Record) -> None:
-        """Check the first end of the data, whose checksum is that of all bytes before."""
+        """Check the first end of the data by its checksum, which is that of all bytes before it.
+
+        A checksum of 0 is none. A second end of the data is damage.
+        """
         where = self.damage.at(record.at)
         if self._data_end_checked:
             self.damage.add(messages.data_end_twice(where=where))

@@ -57,14 +57,14 @@ class MessageBatch:
         self._waiting_bytes = 0
 
     def add(self, records: MessageRecords) -> Iterator[Messages]:
-        """Put records to those that wait; yields all messages when there are enough."""
+        """Put records to those that wait; yields all that wait when there are enough."""
         self._waiting.append(records)
         self._waiting_bytes += records.data.shape[0]
         if self._waiting_bytes >= BATCH_BYTES:
             yield from self.flush()
 
     def flush(self) -> Iterator[Messages]:
-        """The messages that wait; afterwards none does."""
+        """Yield all messages that wait, as one batch; afterwards none waits."""
         if not self._waiting:
             return
         views = []
@@ -81,7 +81,7 @@ class MessageBatch:
 
 
 def _messages_at(data: Bytes, starts: Integers) -> Messages:
-    """The messages whose records begin at these places."""
+    """The messages whose records begin at these places; too short records are only counted."""
     size = _MESSAGE_HEADER.itemsize
     inside = starts[starts + size <= data.shape[0]]
     head = gather(data, inside, size).view(_MESSAGE_HEADER)

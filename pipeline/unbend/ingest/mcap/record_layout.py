@@ -30,14 +30,14 @@ class Opcode:
     DATA_END = 0x0F
 
 
-LAST = Opcode.DATA_END  # those up to here are defined
-PRIVATE = 0x80  # from here on they belong to applications; those between are not given out
+LAST = Opcode.DATA_END  # the last opcode that the format defines
+PRIVATE = 0x80  # opcodes from here on belong to applications; those between mean nothing
 DEFINITIONS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS)
 DEFINITIONS_IN_CHUNKS = (Opcode.SCHEMA, Opcode.CHANNEL)  # a chunk and the summary hold no others
 
 MAX_DEFINITION = 16 << 20  # [bytes] of a schema, channel or statistics record
-LARGE_MESSAGE = 1 << 16  # [bytes] of what is wanted only images are larger ...
-MESSAGE_START = 4096  # [bytes] ... and of those the header is wanted
+LARGE_MESSAGE = 1 << 16  # [bytes] of the messages that are wanted only images are larger
+MESSAGE_START = 4096  # [bytes] kept of a larger message: of images only the header is wanted
 _CHECKED_AT_ONCE = 4 << 20  # [bytes]
 
 
@@ -63,8 +63,8 @@ class Record(NamedTuple):
 class Definition:
     """A schema, channel or statistics record.
 
-    ``at`` is the place in the file that damage of it is reported at: where its content begins, or
-    where its chunk does.
+    ``at`` is the place in the file where damage of its content is reported: the beginning of its
+    content, or of the chunk that it is in.
     """
 
     opcode: int
@@ -73,7 +73,7 @@ class Definition:
 
 
 def record_at(data: FileView, at: int) -> Record:
-    """The record that begins at a place of the file, if one does; zeros follow the file's end."""
+    """What stands at a place of the file, taken for a record; zeros follow the file's end."""
     head = data[at : at + RECORD.size].ljust(RECORD.size, b"\0")
     opcode, length = RECORD.unpack(head)
     return Record(opcode, at, length)

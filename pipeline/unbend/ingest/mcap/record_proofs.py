@@ -42,13 +42,16 @@ def next_proved_record(data: FileView, begin: int, channels: Set[int]) -> int | 
                 return place
         if begin + view.shape[0] >= data.size:
             return None
-        begin += view.shape[0] - RECORD.size + 1
+        begin += view.shape[0] - RECORD.size + 1  # the last places lacked bytes of their heads
         reach = FAR
     return None
 
 
 def is_proved(data: FileView, at: int, channels: Set[int]) -> bool:
-    """Whether what stands at a place of the file, and behind it, proves a record there."""
+    """Whether what stands at a place of the file, and behind it, proves a record there.
+
+    Proved are the kinds of `PROVABLE`, each in its own way.
+    """
     record = record_at(data, at)
     if record.end > data.size:
         return False
@@ -60,6 +63,7 @@ def is_proved(data: FileView, at: int, channels: Set[int]) -> bool:
     if record.opcode == Opcode.DATA_END:
         following = data[record.end : record.end + 1]
         return record.length == CHECKSUM and bool(following) and 0 < following[0] <= LAST
+    # Anything else is taken for a message: other kinds are refused by their opcode.
     near = data.array(at, at + (MESSAGES_IN_A_ROW + 1) * LARGE_MESSAGE)
     return messages_follow(raw_of(near), 0, channels)
 
@@ -77,7 +81,7 @@ def next_message_in_chunk(view: Bytes, begin: int, channels: Set[int]) -> int:
 
 
 def candidate_places(view: Bytes, opcodes: tuple[int, ...]) -> Rows:
-    """Places with one of these opcodes and a length below 4 GiB."""
+    """Places with one of these opcodes before a length below 4 GiB."""
     count = view.shape[0] - RECORD.size + 1
     if count <= 0:
         return np.empty(0, np.intp)
@@ -88,7 +92,10 @@ def candidate_places(view: Bytes, opcodes: tuple[int, ...]) -> Rows:
 
 
 def messages_follow(raw: memoryview, place: int, channels: Set[int]) -> bool:
-    """Whether messages of known channels follow each other from a place on, maybe to the end."""
+    """Whether some messages of known channels follow each other from a place on.
+
+    Fewer are enough if they end where ``raw`` does.
+    """
     for _ in range(MESSAGES_IN_A_ROW):
         if place == len(raw):
             return True

@@ -19,7 +19,7 @@ from unbend.ingest.mcap.record_layout import (
     record_at,
 )
 
-MARKS_TRIED = 3  # of an end of the data: messages too may hold the bytes of one
+MARKS_TRIED = 3  # places tried as the end of the data: messages may hold the same bytes
 
 
 class _Footer(NamedTuple):
@@ -36,9 +36,10 @@ class _Footer(NamedTuple):
 
 
 def summary_definitions(data: FileView, damage: Damage) -> Iterator[Definition]:
-    """The schemas and channels of the summary at the end of the file, if its checksum holds.
+    """Yield the schemas and channels of the summary at the end of the file, if its checksum holds.
 
-    Where lost bytes have moved the summary, it is searched behind the ends of the data.
+    Lost bytes may have moved the summary: where it is not at its stated place, which is damage, it
+    is searched behind the records that end the data.
     """
     footer = _footer_of(data)
     if footer is None or not footer.summary_crc or not footer.summary_start:
@@ -78,7 +79,7 @@ def _is_summary(data: FileView, start: int, footer: _Footer) -> bool:
 
 
 def _moved_summary(data: FileView, footer: _Footer) -> int | None:
-    """Where behind an end of the data a summary begins whose checksum holds."""
+    """Where, behind an end of the data, a summary begins whose checksum holds; None if nowhere."""
     mark = RECORD.pack(Opcode.DATA_END, CHECKSUM)
     place = -1
     for _ in range(MARKS_TRIED):
