@@ -156,8 +156,9 @@ def _receiver_utc(table: Table, name: str, ledger: Ledger) -> Iterator[UtcReadin
         return
     week = table["GWk"]
     of_week_ms = table["GMS"]
-    has_utc = (week > 0) & (week < _WEEKS)
-    has_utc &= (of_week_ms >= 0) & (of_week_ms < _MS_PER_WEEK)
+    is_week_known = (week > 0) & (week < _WEEKS)
+    is_time_known = (of_week_ms >= 0) & (of_week_ms < _MS_PER_WEEK)
+    has_utc = is_week_known & is_time_known
     instance = instance_of(table)
     for number in np.unique(instance[has_utc]):
         rows = has_utc & (instance == number)

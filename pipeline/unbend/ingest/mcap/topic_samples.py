@@ -205,13 +205,15 @@ class TopicSamples:
             return None
         utc_us = _copied(self.utc_us)
         stamp_ns = _copied(self.stamp_ns)
+        is_set = utc_us > FIRST_SET_US
+        fix = self.columns.stores.get("fix", ColumnStore("f8"))
         return rows_of(
             self.name,
             places=_copied(self.places),
             boot_ns=stamp_ns,
             utc_ns=utc_us * 1000,
-            usable=(utc_us > FIRST_SET_US) & since_boot(stamp_ns),
-            fix=_copied(self.columns.stores.get("fix", ColumnStore("f8"))),
+            usable=is_set & since_boot(stamp_ns),
+            fix=_copied(fix),
         )
 
     def rows(self, clock: BootClock, ledger: Ledger) -> tuple[DecodedRows, int]:
