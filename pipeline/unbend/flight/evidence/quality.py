@@ -92,38 +92,49 @@ def plausible_samples(channel: Channel, role: str) -> tuple[Channel, Notes]:
 
     A value is impossible if it is out of range, or reached and left faster than air or aircraft can
     change. The notes count these samples, but not those that `mask_impossible_values` counted when
-    the log was read. A sample that goes has one reason: an earlier column's before a later one's,
-    and in a column first that of the log. Refuses a channel whose median shows a wrong unit (hPa
-    where Pa is due).
+    the log was read. A sample has the reason of the first column that gives one. Refuses a channel
+    whose median shows a wrong unit (hPa where Pa is due).
     """
     notes: list[Message] = []
     if role in ("position", "height"):
         channel, height_notes = _mask_heights(channel)
         notes += height_notes
-    reasons = np.zeros(len(channel), np.uint8)
+    reasons = np.zeros(len(channel), np.uint8)  # 0 is Reason.USED
     for column in ROLE_COLUMNS[role]:
-        values = channel[column]
         _refuse_wrong_unit(channel, role, column)
-        unknown = ~np.isfinite(values)
-        counted_before = np.zeros(len(channel), np.uint8)  # the reasons, 0 (used) if not counted
-        if column in channel.rejected:
-            counted_before = np.where(unknown, channel.rejected[column], counted_before)
-        missing = int(np.count_nonzero(unknown & (counted_before == Reason.USED)))
-        if missing:
-            notes.append(
-                messages.samples_not_a_number(
-                    channel=channel.name, column=column, count=missing, total=len(channel)
-                )
-            )
-        outside = _outside(values, column)
-        if outside.any():
-            notes.append(_out_of_range(channel, column, outside))
-        reasons = np.where(reasons == Reason.USED, counted_before, reasons)
-        reasons = with_reason(reasons, unknown, Reason.NO_VALUE)
-        reasons = with_reason(reasons, outside, Reason.OUT_OF_RANGE)
+        column_reasons, column_notes = _reasons_of_column(channel, column)
+        reasons = np.where(reasons == Reason.USED, column_reasons, reasons)
+        notes += column_notes
     jumps, jump_notes = _jumps(channel, reasons == Reason.USED, role)
     reasons[jumps] = Reason.JUMP
     return channel.without(reasons), (*notes, *jump_notes)
+
+
+def _reasons_of_column(channel: Channel, column: str) -> tuple[Reasons, Notes]:
+    """(n,) why samples have no possible value in a column; 0 (used) where they have one.
+
+    The notes count the samples without a value, and those out of range. A value that was impossible
+    when the log was read is unknown now, keeps its reason, and is not counted again.
+    """
+    notes: list[Message] = []
+    values = channel[column]
+    unknown = ~np.isfinite(values)
+    reasons = np.zeros(len(channel), np.uint8)
+    if column in channel.rejected:
+        reasons = np.where(unknown, channel.rejected[column], reasons)
+    missing = int(np.count_nonzero(unknown & (reasons == Reason.USED)))
+    if missing:
+        notes.append(
+            messages.samples_not_a_number(
+                channel=channel.name, column=column, count=missing, total=len(channel)
+            )
+        )
+    outside = _outside(values, column)
+    if outside.any():
+        notes.append(_out_of_range(channel, column, outside))
+    reasons = with_reason(reasons, unknown, Reason.NO_VALUE)
+    reasons = with_reason(reasons, outside, Reason.OUT_OF_RANGE)
+    return reasons, tuple(notes)
 
 
 def _refuse_wrong_unit(channel: Channel, role: str, column: str) -> None:

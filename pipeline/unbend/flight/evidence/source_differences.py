@@ -25,9 +25,7 @@ _SIGMA_OF_MEDIAN = 1.48  # standard deviation of normal errors over their median
 
 # Lag of a source behind another, by differences along the track.
 _SLOWEST_M_S = 2.0  # slower samples show no lag
-_FAST_SHARE = (
-    0.1  # of the square of usual speeds (95th percentile): slower samples show none either
-)
+_FAST_SHARE = 0.1  # of the square of usual speeds (95th percentile): nor do samples below it
 _FEWEST_FAST = 20  # samples: fewer show no lag
 _LAG_PARTS = 20  # of the flight, whose lags are tried where the median one does not fit
 _LONGEST_LAG_S = 0.3  # of receivers; more is a constant offset, which looks like a lag along a line

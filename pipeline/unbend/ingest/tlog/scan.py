@@ -94,7 +94,7 @@ def _row_type(layout: np.dtype[Any]) -> np.dtype[Any]:
 
 
 class Scan(DamagedBytes):
-    """The messages of a telemetry log, and what is damaged or missing.
+    """The messages of a telemetry log, which is scanned when the object is made, and its damage.
 
     extras : the CRC_EXTRA of each id of the dialect.
     wanted : layouts of the payloads to keep, by id.
