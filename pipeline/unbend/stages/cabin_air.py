@@ -83,12 +83,12 @@ def cabin_from_log(
     channels = tuple(channels)
     notes: list[Message] = []
     if cabin.source == "log":
-        candidates = could_play("pressure", channels, roles)
-        stations, losses = without_pressure(stations, camera, candidates)
+        candidates = candidates_for_cabin("pressure", channels, roles)
+        stations, losses = suspect_without_pressure(stations, camera, candidates)
         notes += losses
     of_camera = (stations.camera == camera) & stations.ok
     if cabin.source == "ambient":
-        notes += pressurised_after_all(stations, of_camera, camera, channels, roles)
+        notes += barometer_in_cabin(stations, of_camera, camera, channels, roles)
 
     is_temperature_stated = cabin.source == "standard_schedule" or np.isfinite(cabin.temperature_k)
     if is_temperature_stated:
@@ -100,7 +100,7 @@ def cabin_from_log(
                 kind=Kind.LOSS if cabin.temperature_logged else Kind.FALLBACK,
                 where=f"camera {camera}",
                 count=count,
-                able=could_play("temperature", channels, roles),
+                able=candidates_for_cabin("temperature", channels, roles),
             )
         )
     thermometer = roles.get("cabin_temperature")
@@ -133,7 +133,7 @@ def with_air_of_board(
     return stations, note
 
 
-def without_pressure(
+def suspect_without_pressure(
     stations: Stations, camera: str, candidates: str
 ) -> tuple[Stations, list[Message]]:
     """The stations, in which those of a camera are suspect if the pressure in its cabin is unknown.
@@ -150,7 +150,9 @@ def without_pressure(
     return stations.as_suspect(missing, reason, np.nan, use=False), [lost]
 
 
-def could_play(quantity: str, channels: Iterable[Channel], roles: Mapping[str, Channel]) -> str:
+def candidates_for_cabin(
+    quantity: str, channels: Iterable[Channel], roles: Mapping[str, Channel]
+) -> str:
     """Which channels of the log could give a quantity of the air in a cabin, in words.
 
     ``quantity`` is pressure or temperature, which is also the role of the air outside.
@@ -169,14 +171,14 @@ def could_play(quantity: str, channels: Iterable[Channel], roles: Mapping[str, C
     return f"log.channels.cabin_{quantity} could be {', '.join(names)}"
 
 
-def pressurised_after_all(
+def barometer_in_cabin(
     stations: Stations,
     of_camera: Mask,
     camera: str,
     channels: Iterable[Channel],
     roles: Mapping[str, Channel],
 ) -> list[Message]:
-    """A finding if a barometer of the log reads much more pressure than the air outside has.
+    """A finding if a barometer of the log reads far more than the pressure of the air outside.
 
     The first such barometer is reported. None is where the log gives no pressure outside.
     """

@@ -83,8 +83,8 @@ def exposures_of(
     h = stations.h_msl_m
     n_outside = profile.refractivity(h)
     n_in_cabin = n_outside.copy()
-    normal = np.tile(OPTICAL_AXIS, (len(stations), 1))
-    change = np.zeros(len(stations))
+    normal = np.tile(OPTICAL_AXIS, (len(stations), 1))  # where no window bends, of no effect
+    change = np.zeros(len(stations))  # of the principal distance [px]
     for name in dict.fromkeys((*windows, *lenses)):
         rows = stations.camera == name
         if not bool(rows.any()):

@@ -45,7 +45,7 @@ class RecordBlock:
     numbers: NDArray[np.uint16]
 
     def end(self) -> int:
-        """A place behind the last record."""
+        """A place that the last record does not reach beyond."""
         if not self.at.size:
             return self.base
         return self.base + int(self.at[-1]) + LONGEST

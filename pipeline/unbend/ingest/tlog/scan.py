@@ -300,23 +300,23 @@ class Scan(DamagedBytes):
         """Count the numbers that are missing in the next messages of a sender, and its silences.
 
         The sequence counts modulo 256. A step of more than half of that is one backward, to a
-        message that later ones have overtaken and that therefore is not missing. After a silence no
-        step is backward.
+        message that later ones have overtaken and that therefore is not missing. After a gap in the
+        stamps no step is backward.
         """
         sender = Sender.of_number(number)
         state = self._sequences.get(number)
         if state is None:
             state = _SequenceState(last=(int(sequence[0]) - 1) % SEQUENCE, heard_us=int(host_us[0]))
         skipped = np.diff(sequence, prepend=np.uint8(state.last)) - np.uint8(1)  # modulo 256
-        is_after_silence = np.diff(host_us, prepend=state.heard_us) > SILENT_US
-        for row in np.flatnonzero(is_after_silence).tolist():
+        is_after_gap = np.diff(host_us, prepend=state.heard_us) > SILENT_US
+        for row in np.flatnonzero(is_after_gap).tolist():  # a stray stamp makes a gap too
             silent_us = _silent_us(host_us, row, state.heard_us)
             if silent_us > SILENT_US:
                 is_backward = skipped[row] >= SEQUENCE // 2
                 backward = int(skipped[row]) if is_backward else 0
                 self.silences.append(Silence(sender, int(at[row]), silent_us / 1e6, backward))
         step = skipped.view(np.int8).astype(np.int64) + 1  # as int8, more than half is negative
-        step[(step < 0) & is_after_silence] = 1
+        step[(step < 0) & is_after_gap] = 1
         # The number of each message, counted on beyond 256 from 0 at the last message before these.
         position = np.cumsum(step)
         new_positions = np.unique(position[position > state.ahead])

@@ -135,7 +135,8 @@ def check_object_points(observations: Observations, stations: Stations, ledger: 
     if not bool(known.any()):
         return
     usual_m = float(np.median(seen.distance_m[known]))
-    if usual_m < STEEPEST * np.median(seen.above_m[known]):
+    is_near = usual_m < STEEPEST * np.median(seen.above_m[known])
+    if is_near:
         return
     likely_cause = ""
     exchanged_m = float(np.nanmedian(seen.distance_exchanged_m))

@@ -205,7 +205,8 @@ def check_tie_points(evidence: TieEvidence, ledger: Ledger) -> None:
     cameras = evidence.mission.interior_orientations
     stations = evidence.stations
     rays = evidence.rays(cameras, {})
-    if np.unique(rays.point[stations.ok[rays.image]]).size < FEWEST_TIE_POINTS:
+    usable_points = np.unique(rays.point[stations.ok[rays.image]])
+    if usable_points.size < FEWEST_TIE_POINTS:
         return
     reordered = ""
     if evidence.terrain is not None:
