@@ -86,7 +86,7 @@ class FileView:
             place = self.array(begin, stop).tobytes().find(mark)
             if place >= 0:
                 return begin + place
-            begin = stop - len(mark) + 1
+            begin = stop - len(mark) + 1  # a mark may lie across the border of two spans
         return -1
 
 
@@ -172,7 +172,7 @@ class _Arena:
                 region = self._region_with(size)
                 if region is not None:
                     begin = self.used
-                    self.used += -(-size // _ALIGNED) * _ALIGNED
+                    self.used += -(-size // _ALIGNED) * _ALIGNED  # rounded up
                     return region, begin
             return self._take_private(size), 0
 
@@ -309,7 +309,7 @@ class ColumnStore:
         self._blocks.append(allocate(self._room, self.dtype))
 
     def blocks(self) -> Iterator[NDArray[Any]]:
-        """The rows, block by block; they may be written to."""
+        """The rows, block by block, without free ones; they may be written to."""
         yield from self._blocks[:-1]
         for block in self._blocks[-1:]:
             yield block[: block.shape[0] - self._room]

@@ -177,7 +177,8 @@ def correct_batch(
 ) -> Corrections:
     """The corrections of a batch, computed for each camera and profile, in the order of its rows.
 
-    ``station`` (n,) as `matching_rows` returns it, ``ground`` the heights of the batch.
+    ``station`` (n,) as `matching_rows` returns it, ``ground`` the heights of the batch. Rows that
+    are in no group, without a station or a camera, get the status no_station.
     """
     parts: list[tuple[Integers, Corrections]] = []
     for rows, camera, profile in setup.groups(station):

@@ -150,8 +150,11 @@ class RecordWalker(DamagedBytes):
         if run.start == run.stop:
             return run
         last = run.stop - 1
-        is_whole = block.at[last] < block.end[last] <= self.size
-        return run if is_whole else slice(run.start, last)
+        type_is_known = block.end[last] > block.at[last]
+        is_all_there = block.end[last] <= self.size
+        if type_is_known and is_all_there:
+            return run
+        return slice(run.start, last)
 
     def _keep(self, block: _Candidates, row: int, stop: int) -> int:
         """Keep the records in rows from ``row`` to ``stop``, and put their definitions in force.
@@ -159,19 +162,22 @@ class RecordWalker(DamagedBytes):
         Returns the row before which it ends: an earlier one than ``stop`` if other records follow
         on an FMT record that defines a type anew, because their lengths may have changed.
         """
-        definition_rows = row + np.flatnonzero(block.types[row:stop] == FMT_TYPE)
+        is_definition = block.types[row:stop] == FMT_TYPE
+        definition_rows = row + np.flatnonzero(is_definition)
         for definition_row in definition_rows.tolist():
             number = self._number_of_definition(int(block.at[definition_row]))
             if number is None:
                 continue
             form = self.definitions[number]
-            if self.number_of[form.type_id] == number:
-                continue  # it repeats the definition in force
+            number_in_force = self.number_of[form.type_id]
+            if number_in_force == number:
+                continue
             self._enter(block, row, definition_row + 1)  # by the definitions in force before it
             row = definition_row + 1
             self.number_of[form.type_id] = number
             self.length_of[form.type_id] = form.length
-            only_definitions_follow = bool((block.types[row:stop] == FMT_TYPE).all())
+            following_types = block.types[row:stop]
+            only_definitions_follow = bool(np.all(following_types == FMT_TYPE))
             if not only_definitions_follow:  # the length of definitions never changes
                 return row
         self._enter(block, row, stop)
@@ -230,7 +236,8 @@ class RecordWalker(DamagedBytes):
             yield block
             counts = np.bincount(block.numbers, minlength=len(self.definitions))
             self._counts = self.counts + counts
-            self.wanted.append(self._wanted_of(block))
+            wanted_block = self._wanted_of(block)
+            self.wanted.append(wanted_block)
 
     def _wanted_of(self, block: RecordBlock) -> RecordBlock:
         """The records of a block whose names are wanted."""

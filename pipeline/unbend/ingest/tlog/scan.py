@@ -157,7 +157,10 @@ class Scan(DamagedBytes):
             self._accept(frames.moved(begin))
 
     def _keep(self, window: Bytes, frames: Frames, begin: int) -> None:
-        """Keep the wanted messages of a stretch, and sample the clocks of their senders."""
+        """Keep the wanted messages of a stretch, and sample the clocks of their senders.
+
+        Clocks are sampled from messages with the time since boot at which they were sent.
+        """
         timed = []
         for number, layout in self._wanted.items():
             chosen = np.flatnonzero(frames.message_id == number)

@@ -313,7 +313,11 @@ def rays_of_batch(
 
 
 class MeetingPoints(NamedTuple):
-    """Where the rays of control points meet, (p, 3) earth-centred [m]; (p,) sigma of the height."""
+    """Where the rays of (p,) control points meet, as measured and as corrected.
+
+    before, after : (p, 3) earth-centred places [m].
+    sigma_m : (p,) standard deviation of the height of the corrected place.
+    """
 
     before: Array
     after: Array
@@ -325,8 +329,9 @@ def meeting_points(
 ) -> MeetingPoints:
     """Where rays meet as measured and as corrected.
 
-    ``point_number`` (n,) is the point of each ray among ``count`` points; NaN for a point whose
-    rays do not meet. The sigmas are those of the corrected rays.
+    ``point_number`` (n,) is the number of each ray's point, of ``count`` points. A point with too
+    few rays, or rays that are nearly parallel, is NaN. The place of any other is the one nearest to
+    its rays, even if they miss each other by far.
     """
     points = np.unique(point_number)
     sigma_m = np.full(count, np.nan)
