@@ -166,7 +166,9 @@ def _receiver_utc(table: Table, name: str, ledger: Ledger) -> Iterator[UtcReadin
         if not bool(rows.all()):  # a long log is not copied
             needed_fields = (PLACE, "TimeUS", *_UTC_FIELDS)
             receiver = {field: table[field][rows] for field in needed_fields}
-        label = f"{name}[{number}]" if number >= 0 else name
+        label = name
+        if number >= 0:
+            label = f"{name}[{number}]"
         places = receiver[PLACE]
         yield rows_of(
             label,
