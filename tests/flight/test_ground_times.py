@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 from unbend.flight.channels import Channel, Source
-from unbend.flight.ground_times import GroundEvidence, LoggedPath, takeoff_of, times_on_the_ground
+from unbend.flight.ground_times import (
+    GroundEvidence,
+    LoggedPath,
+    home_is_set,
+    takeoff_of,
+    times_on_the_ground,
+)
 
 SECOND_NS = 1_000_000_000
 
@@ -86,3 +92,11 @@ def test_what_the_log_says_of_standing_holds_where_it_stands_still() -> None:
     unset = hover(h_home_m=home_m)
     on_ground_s = times_on_the_ground(unset, GroundEvidence.of([unset])) // SECOND_NS
     assert set(range(60)) <= set(on_ground_s.tolist())
+
+
+def test_a_home_that_was_never_set_is_no_home_at_sea_level():
+    h_msl_m = np.array([500.0, 520.0, np.nan])
+    assert not home_is_set(h_msl_m, h_msl_m).any()
+    assert home_is_set(h_msl_m - 495.0, h_msl_m - 495.0).tolist() == [True, True, False]
+    assert home_is_set(h_msl_m, h_msl_m - [500.0, 0.0, 0.0]).tolist() == [True, False, False]
+    assert home_is_set(np.full(3, np.nan), np.array([1.0, 2.0, 3.0])).all()

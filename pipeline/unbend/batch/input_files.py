@@ -337,7 +337,7 @@ def check_unchanged(inputs: Iterable[Input], *, folders: bool = True) -> None:
     at. Inputs in object storage are not compared here, but by `remote.refuse_changed`.
     """
     for item in inputs:
-        is_folder_of_images = item.program is None and not item.path.is_file()
+        is_folder_of_images = item.program is None and item.path.is_dir()
         if item.url or (is_folder_of_images and not folders):
             continue
         now = [state_of(file) for file in files_of(item.path, item.program)]

@@ -116,7 +116,7 @@ def decode_log(mission: Mission, paths: Paths, sha256: str | None) -> Log | None
 def paths_beside_tables(mission: Mission, folder: Path) -> tuple[Mission, dict[str, Path]]:
     """Where the files are of a mission whose observations and orientations are in memory.
 
-    Returned before the paths by role is the mission with what the files of its cameras say. Such a
+    Returns the mission, with what the files of its cameras say, and the paths by role. Such a
     mission has no log. Refuses (INPUT-MISSING) what is not there; an input in object storage is
     copied.
     """

@@ -293,11 +293,11 @@ def corrections_of(facts: Facts, rows: Integers, h_g: Array, setup: CorrectionSe
 def warmer(profile: Profile, by_k: float) -> Profile:
     """The air ``by_k`` warmer at every height, with the same pressure at the bottom."""
     layers = profile.layers
-    top = layers.vapour[-1] + layers.vapour_slope[-1] * (layers.edge[-1] - layers.edge[-2])
+    top_vapour = layers.vapour[-1] + layers.vapour_slope[-1] * (layers.edge[-1] - layers.edge[-2])
     warmed = stack_layers(
         layers.edge,
         layers.edge_temperature + by_k,
-        np.append(layers.vapour, top),
+        np.append(layers.vapour, top_vapour),
         layers.source,
         anchor=(float(layers.edge[0]), float(layers.pressure[0])),
         constant=profile.constant,

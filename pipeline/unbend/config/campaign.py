@@ -206,9 +206,11 @@ def _refused_missions(values: dict[str, Any]) -> Iterator[Mapping[str, Any]]:
     """
     missions = values.get("missions", [])
     if not isinstance(missions, list) or not isinstance(values.get("defaults", {}), dict):
-        return
-    # Missions without an output have one below the campaign's; "-" stands for it, as any path does.
-    output = {"path": "-"} if isinstance(values.get("campaign"), dict) else {}
+        return  # the model of the campaign itself reports that
+    # A mission without an output gets one below the campaign's: here any path will do. Without a
+    # campaign section it stays without, and its key output.path is reported as missing.
+    has_campaign = isinstance(values.get("campaign"), dict)
+    output = {"path": "-"} if has_campaign else {}
     for number, mission in enumerate(missions):
         if isinstance(mission, dict):
             complete = merged({"output": output}, mission)

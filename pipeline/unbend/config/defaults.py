@@ -23,7 +23,8 @@ WHOLE = (
 """Sections whose values belong together: a mission's own replaces the default as a whole."""
 
 LEADING = ("ground.height", "mission.geoid", "mission.undulation_m", "events.log.*.channel")
-"""Keys that the others of their section describe: of a mission that has one, these are its own."""
+"""A mission that states one of these keys takes nothing of its section from the defaults: the other
+keys of the section describe this one."""
 
 
 def merged(defaults: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:

@@ -182,7 +182,7 @@ def _usual_shifts_ns() -> list[int]:
     widest_zone = 14 * hour
     sizes_s = [leap_seconds, *range(hour, widest_zone + 1, hour)]  # hours of time zones
     sizes_s += [24 * hour, 7 * 24 * hour]
-    sizes_s += range(quarter, widest_zone + 1, quarter)
+    sizes_s += range(quarter, widest_zone + 1, quarter)  # rarer zones; whole hours twice, no matter
     shifts: list[int] = []
     for size_s in sizes_s:
         shifts += [size_s * NANOSECONDS_PER_SECOND, -size_s * NANOSECONDS_PER_SECOND]

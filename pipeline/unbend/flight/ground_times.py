@@ -23,6 +23,7 @@ EXTREME_PERCENTILES = (0.5, 99.5)  # of heights: the lowest and the highest ones
 FLIES_ABOVE_HOME_M = 20.0  # higher above the take-off it does not stand where it took off [m]
 
 HOME_NOT_SET_M = 0.01  # where a height above home is that above the sea, home is not set [m]
+AT_SEA_LEVEL_M = 20.0  # a log that comes so near to sea level may have taken off there [m]
 _HOME_GAP_S = 5.0  # between heights above home
 _MAV_LANDED_STATE_ON_GROUND = 1.0
 
@@ -85,17 +86,29 @@ def _last_said(channel: Channel, values: Array, time_ns: TimeArray) -> Array:
     return np.where(row >= 0, values[np.maximum(row, 0)], np.nan)
 
 
+def home_is_set(h_msl_m: Array, above_home_m: Array) -> Mask:
+    """(n,) where heights above home count from the take-off.
+
+    Before home is set, an autopilot gives the height above the sea for both. Where the two never
+    differ, the aircraft took off at sea level, if it comes near to it; else home was never set.
+    """
+    are_equal = np.abs(h_msl_m - above_home_m) < HOME_NOT_SET_M
+    is_set = np.isfinite(above_home_m) & ~are_equal
+    if is_set.any() or not are_equal.any():
+        return is_set
+    lowest_m = np.min(np.abs(h_msl_m[are_equal]))
+    return np.asarray(are_equal & (lowest_m < AT_SEA_LEVEL_M))
+
+
 def _above_home(position: Channel, home: Channel | None) -> Array:
     """(n,) heights of a position above the take-off [m]; NaN where that is unknown.
 
-    Where a height above home is that above the sea, home is not set. ``home`` : a channel with the
-    height of the take-off, for positions without heights above it.
+    ``home`` : a channel with the height of the take-off, for positions without heights above it.
     """
     h_msl_m = position.get("h_msl_m")
     above_home_m = position.get("h_home_m")
     if np.isfinite(above_home_m).any():
-        is_set = ~(np.abs(h_msl_m - above_home_m) < HOME_NOT_SET_M)
-        return np.where(is_set, above_home_m, np.nan) if is_set.any() else above_home_m
+        return np.where(home_is_set(h_msl_m, above_home_m), above_home_m, np.nan)
     if home is None:
         return above_home_m
     return np.asarray(h_msl_m - _last_said(home, home["home_h_msl_m"], position.time_ns))

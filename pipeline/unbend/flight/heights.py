@@ -10,7 +10,7 @@ import numpy as np
 
 from unbend.flight import messages
 from unbend.flight.channels import Channel
-from unbend.flight.ground_times import HOME_NOT_SET_M
+from unbend.flight.ground_times import home_is_set
 from unbend.flight.stations import Stations
 from unbend.flight.trajectory import interpolate
 from unbend.geodesy import GeoidGrid, offset_geodetic
@@ -152,12 +152,12 @@ def _undulation_of_grid(geoid: GeoidGrid | None, channel: Channel) -> Array:
 def _logged_home(position: Channel) -> tuple[float | None, Notes]:
     """The take-off height [m] by the heights of a position above sea level and above home.
 
-    None where it is unknown or changes.
+    None where it is unknown, was never set, or changes.
     """
-    homes_m = _difference(position, "h_msl_m", "h_home_m")
-    is_set = np.abs(homes_m) > HOME_NOT_SET_M
-    if is_set.any():
-        homes_m = homes_m[is_set]
+    h_msl_m = position.get("h_msl_m")
+    above_home_m = position.get("h_home_m")
+    homes_m = (h_msl_m - above_home_m)[home_is_set(h_msl_m, above_home_m)]
+    homes_m = homes_m[np.isfinite(homes_m)]
     if homes_m.size == 0:
         return None, ()
     low_m, middle_m, high_m = np.percentile(homes_m, [5.0, 50.0, 95.0]).tolist()

@@ -402,5 +402,6 @@ def _with_both_heights(columns: Mapping[str, Array], *, is_ellipsoidal: bool) ->
     if is_ellipsoidal:
         result["h_ellipsoid_m"] = logged_m
         result["h_msl_m"] = logged_m - undulation_m
-    result.setdefault("h_ellipsoid_m", logged_m + undulation_m)
+    else:
+        result.setdefault("h_ellipsoid_m", logged_m + undulation_m)
     return result

@@ -255,10 +255,11 @@ def _scatter_about(stamps: TimeArray, values: Array, time_ns: TimeArray) -> _Sca
 def with_accuracy(
     roles: Mapping[str, Channel], channels: Iterable[Channel]
 ) -> tuple[dict[str, Channel], LogAccuracy]:
-    """The roles with velocities and body rates in their channels, and how accurate those are.
+    """The roles with velocities and body rates in their channels, and how accurate the log is.
 
-    A channel without such columns gets those of another channel of the same sender. A gimbal's does
-    not: the body rates of the sender are the aircraft's.
+    The accuracy is what channels of the position's sender tell. A channel without velocities or
+    rates gets those of another channel of the same sender (MAVLink's system). A gimbal's does not:
+    the body rates of the sender are the aircraft's.
     """
     by_rank = sorted(channels, key=lambda channel: (channel.rank, channel.name))
     result = dict(roles)

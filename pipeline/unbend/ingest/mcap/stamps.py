@@ -59,14 +59,17 @@ def stamp_of(value: Any) -> int:
 
 
 def _ns_of_text(text: str) -> int:
-    """Unix time [ns] of RFC 3339; 0 of another text."""
+    """Unix time [ns] of RFC 3339; 0 of another text, and of a date that does not exist."""
     match = _ISO.fullmatch(text.strip())
     if not match:
         return 0
     zone = match["zone"]
     if zone is None or zone == "Z":
         zone = "+00:00"
-    moment = datetime.fromisoformat(match["seconds"] + zone)
+    try:
+        moment = datetime.fromisoformat(match["seconds"] + zone)
+    except ValueError:
+        return 0
     seconds = (moment - _EPOCH) // timedelta(seconds=1)
     fraction = match["fraction"] or "0"
     part_ns = int(fraction[:_DIGITS_OF_NS].ljust(_DIGITS_OF_NS, "0"))

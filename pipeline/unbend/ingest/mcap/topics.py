@@ -311,7 +311,7 @@ def _is_wanted(path: str, wanted: frozenset[str]) -> bool:
 def _members(value: Any) -> Iterator[tuple[str, Any]]:
     """The members of a JSON object, of a protobuf message or of a short array, by name.
 
-    No other value has members.
+    A number has none. Texts and bytes do not come here: `flat` keeps them whole.
     """
     if isinstance(value, dict):
         for name, member in value.items():
@@ -319,7 +319,7 @@ def _members(value: Any) -> Iterator[tuple[str, Any]]:
     elif hasattr(value, "DESCRIPTOR"):
         for part in value.DESCRIPTOR.fields:
             yield part.name, getattr(value, part.name)
-    elif value is not None and hasattr(value, "__len__") and not _is_long(value):
+    elif hasattr(value, "__len__") and not _is_long(value):
         for k, member in enumerate(value):
             yield str(k), member
 

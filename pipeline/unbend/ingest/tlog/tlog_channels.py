@@ -73,16 +73,16 @@ def _rows_of_series(series: "_Series", ledger: Ledger) -> DecodedRows:
 
 
 def _in_time_order(rows: DecodedRows, *, is_event: bool) -> DecodedRows:
-    """The rows in the order of their time, unless a clock was set back.
+    """The rows in the order of their time, if they are of events or no clock was set back.
 
     The link delivers exposures late, and other messages overtake each other by up to some seconds:
-    a step back of more than `LATEST_NS` is of the clock.
+    a step back of `LATEST_NS` or more is of the clock.
     """
-    is_late_message = is_event
-    if not bool(np.all(rows.time_ns[1:] >= rows.time_ns[:-1])):
-        newest_ns = np.maximum.accumulate(rows.time_ns)
-        is_late_message |= int(np.max(newest_ns - rows.time_ns)) < LATEST_NS
-    if not is_late_message:
+    if bool(np.all(rows.time_ns[1:] >= rows.time_ns[:-1])):
+        return rows
+    steps_back_ns = np.maximum.accumulate(rows.time_ns) - rows.time_ns
+    clock_was_set_back = int(np.max(steps_back_ns)) >= LATEST_NS
+    if clock_was_set_back and not is_event:
         return rows
     return rows.take(np.argsort(rows.time_ns, kind="stable"))
 

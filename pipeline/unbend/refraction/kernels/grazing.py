@@ -66,7 +66,7 @@ class Ray(NamedTuple):
     sin_c: float  # of the apparent nadir angle zeta_c
     cos_c: float
     r_e: float  # radius of the sphere [m]
-    n_c: float  # N at the camera
+    big_n_c: float  # N_c, the refractivity at the camera
     lift: float  # n_c r_c (1 - sin zeta_c) [m], the excess at the camera
     k: float  # n_c r_c sin zeta_c [m]
 
@@ -111,17 +111,17 @@ def ray_at(table, h_c, sin_c, cos_c, r_e):  # type: ignore[no-untyped-def]
 
     Its lift is n_c r_c cos^2 zeta_c / (1 + sin zeta_c), which loses no digits for level rays.
     """
-    n_c = refractivity(table, piece_at(table.edge, h_c), h_c)
-    lift = (1.0 + n_c) * (r_e + h_c) * cos_c * cos_c / (1.0 + sin_c)
-    k = (1.0 + n_c) * (r_e + h_c) - lift
-    return Ray(h_c=h_c, sin_c=sin_c, cos_c=cos_c, r_e=r_e, n_c=n_c, lift=lift, k=k)
+    big_n_c = refractivity(table, piece_at(table.edge, h_c), h_c)
+    lift = (1.0 + big_n_c) * (r_e + h_c) * cos_c * cos_c / (1.0 + sin_c)
+    k = (1.0 + big_n_c) * (r_e + h_c) - lift
+    return Ray(h_c=h_c, sin_c=sin_c, cos_c=cos_c, r_e=r_e, big_n_c=big_n_c, lift=lift, k=k)
 
 
 @jit
 def excess(table, ray, i, h):  # type: ignore[no-untyped-def]
     """n r - k [m] at height h in piece i, without cancellation."""
     n = refractivity(table, i, h)
-    return (ray.r_e + h) * (n - ray.n_c) + (1.0 + ray.n_c) * (h - ray.h_c) + ray.lift
+    return (ray.r_e + h) * (n - ray.big_n_c) + (1.0 + ray.big_n_c) * (h - ray.h_c) + ray.lift
 
 
 @jit
@@ -352,7 +352,7 @@ def subtended_to_rise(table, ray):  # type: ignore[no-untyped-def]
     slope = _slope(table, i, ray.h_c, ray.r_e)
     # lift / slope is the depth of P_90: so near to it n r grows evenly, and Eq. 12 has closed form.
     if slope > 0.0 and ray.lift < _LEVEL_M * slope:
-        return 2.0 * (1.0 + ray.n_c) * ray.sin_c * ray.cos_c / slope
+        return 2.0 * (1.0 + ray.big_n_c) * ray.sin_c * ray.cos_c / slope
     h_90 = turning_height(table, ray)
     if not h_90 >= LOWEST_TERRAIN_M:
         return math.nan

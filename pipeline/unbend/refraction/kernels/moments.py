@@ -99,7 +99,7 @@ class _Camera(NamedTuple):
     """The camera of some rays, and the moments from there down."""
 
     h_c: float  # height [m]
-    n_c: float  # N at the camera
+    big_n_c: float  # N_c, the refractivity at the camera
     x: float  # 1/r_c for which the moments are made [1/m]
     moments: Array  # (k + 1, _COLUMNS) from each edge of the `FineTable` up to the camera
 
@@ -154,7 +154,7 @@ def _fill_moments(air, camera, top, bottom):  # type: ignore[no-untyped-def]
         for j in range(_X3.size):
             refractivity = _refractivity_in(air.coefficient, i, share * _X3[j])
             # m = n^2 - n_c^2, from refractivities, which keep their digits.
-            m = (refractivity - camera.n_c) * (2.0 + refractivity + camera.n_c)
+            m = (refractivity - camera.big_n_c) * (2.0 + refractivity + camera.big_n_c)
             if abs(m) > moments[_COLUMN_OF_M]:
                 moments[_COLUMN_OF_M] = abs(m)
             y = h_c - (low + (high - low) * _X3[j])
@@ -168,7 +168,7 @@ def _add_node(moments, camera, m, y, weight):  # type: ignore[no-untyped-def]
     ``m`` and ``y`` are those of the module at the node, ``weight`` [m] is that of the node.
     """
     x = camera.x
-    index2 = (1.0 + camera.n_c) * (1.0 + camera.n_c)
+    index2 = (1.0 + camera.big_n_c) * (1.0 + camera.big_n_c)
     inside = 1.0 - y * x
     along = y * (2.0 - y * x)
     power = weight / inside
@@ -293,20 +293,19 @@ def _fill_order(status, steps_down, most_steps, order):  # type: ignore[no-untyp
 def _fill_below(n, air, interval, camera, rays):  # type: ignore[no-untyped-def]
     """Fill the difference integral of n rays from their targets up to the end of their interval.
 
-    The integrand m r / (a b (a + b)) of `kernels.ray` is expanded in two small numbers. b^2 is
-    b_m^2 (1 + off), b_m that in the middle of the way, where ``off`` is below 1e-3. a^2 is
-    b^2 (1 + bending), where the bending m r^2 / b^2 is below 5e-3.
+    The integrand m r / (a b (a + b)) of `kernels.ray`, a and b as there, is expanded in two small
+    numbers: b^2 = b_m^2 (1 + off), b_m in the middle of the way, ``off`` below 1e-3; and
+    a^2 = b^2 (1 + bending), where the bending m r^2 / b^2 is below 5e-3.
     """
     low = air.edge[interval]
     width = air.edge[interval + 1] - low
     h_c = camera.h_c
-    n_c = camera.n_c
     high = min(air.edge[interval + 1], h_c)
     h_g = rays[_H_G]
     cos_c = rays[_COS_C]
     r_e = rays[_R_E]
     below = rays[_BELOW]
-    index2 = (1.0 + n_c) * (1.0 + n_c)
+    index2 = (1.0 + camera.big_n_c) * (1.0 + camera.big_n_c)
     per_metre = 1.0 / width
     # The interval's polynomial as single numbers, so that the loop reads them once.
     polynomial = air.coefficient[interval]
@@ -320,6 +319,7 @@ def _fill_below(n, air, interval, camera, rays):  # type: ignore[no-untyped-def]
         r_c = r_e[i] + h_c
         middle = 0.5 * (h_g[i] + high)
         along2_c = r_c * cos_c[i] * r_c * cos_c[i]
+        # 1 / b_m^2, r_c^2 - r_m^2 as a product.
         inverse_b2 = 1.0 / (index2 * (along2_c - (h_c - middle) * (r_c + r_e[i] + middle)))
         total = 0.0
         for j in range(_X3.size):
@@ -327,7 +327,7 @@ def _fill_below(n, air, interval, camera, rays):  # type: ignore[no-untyped-def]
             u = (h - low) * per_metre
             r = r_e[i] + h
             refractivity = p_0 + u * (p_1 + u * (p_2 + u * (p_3 + u * (p_4 + u * p_5))))
-            m = (refractivity - n_c) * (2.0 + refractivity + n_c)
+            m = (refractivity - camera.big_n_c) * (2.0 + refractivity + camera.big_n_c)
             off = index2 * (h - middle) * (r + r_e[i] + middle) * inverse_b2
             # (1 + off)^(-3/2), and the bending with 1 / (1 + off), by their series.
             by_distance = 1.0 - off * (1.5 - off * (1.875 - off * 2.1875))
@@ -336,7 +336,7 @@ def _fill_below(n, air, interval, camera, rays):  # type: ignore[no-untyped-def]
             tail = bending * (0.3125 - bending * (0.2734375 - bending * 0.24609375))
             by_bending = 0.5 - bending * (0.375 - tail)
             total += _W3[j] * m * r * by_distance * by_bending
-        below[i] = total * (high - h_g[i]) * inverse_b2 * math.sqrt(inverse_b2)
+        below[i] = total * (high - h_g[i]) * inverse_b2 * math.sqrt(inverse_b2)  # b_m^-3
 
 
 @jit
@@ -384,7 +384,6 @@ def _bend_to_interval(n, air, i, camera, rays):  # type: ignore[no-untyped-def]
     half_delta = rays[_HALF_DELTA]
     angle = rays[_ANGLE]
     h_c = camera.h_c
-    n_c = camera.n_c
     for j in range(n):
         w[j] = 1.0 / (cos_c[j] * cos_c[j])
         x[j] = 1.0 / (r_e[j] + h_c)
@@ -394,7 +393,8 @@ def _bend_to_interval(n, air, i, camera, rays):  # type: ignore[no-untyped-def]
     _fill_above(n, camera.moments[i + 1], length_class, camera.x, rays)
     _fill_below(n, air, i, camera, rays)
     for j in range(n):
-        delta_below = (1.0 + n_c) * (r_e[j] + h_c) * sin_c[j] * below[j]  # k times the integral
+        k = (1.0 + camera.big_n_c) * (r_e[j] + h_c) * sin_c[j]
+        delta_below = k * below[j]
         half_delta[j] = 0.5 * (delta_below + sin_c[j] / cos_c[j] * x[j] * above[j])
     # The angles are below 0.01 wherever the series of moments holds: `small_angle` serves them.
     for j in range(n):
@@ -433,8 +433,8 @@ def _bend_group(air, group, room):  # type: ignore[no-untyped-def]
 
     # The moments from the camera down to the lowest of these intervals.
     share = (h_c - edge[top]) / (edge[top + 1] - edge[top])
-    n_c = _refractivity_in(air.coefficient, top, share)
-    camera = _Camera(h_c, n_c, 1.0 / (group.r_e[0] + h_c), room.moments)
+    big_n_c = _refractivity_in(air.coefficient, top, share)
+    camera = _Camera(h_c, big_n_c, 1.0 / (group.r_e[0] + h_c), room.moments)
     for column in range(_COLUMNS):
         room.moments[top + 1, column] = 0.0
     _fill_moments(air, camera, top, top - most_steps)

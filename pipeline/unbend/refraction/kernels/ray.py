@@ -126,9 +126,9 @@ def _integral_over_layer(table, ray, i, ends, is_steep):  # type: ignore[no-unty
     """
     h_0, h_1 = ends
     width = h_1 - h_0
-    n_c = ray.n_c
+    big_n_c = ray.big_n_c
     r_c = ray.r_e + ray.h_c
-    index2 = (1.0 + n_c) * (1.0 + n_c)
+    index2 = (1.0 + big_n_c) * (1.0 + big_n_c)
     along2_c = (r_c * ray.cos_c) * (r_c * ray.cos_c)
     if is_steep and width < _WIDEST_M:
         nodes = _X4
@@ -141,7 +141,8 @@ def _integral_over_layer(table, ray, i, ends, is_steep):  # type: ignore[no-unty
         h = h_0 + width * nodes[j]
         n = refractivity(table, i, h)
         r = ray.r_e + h
-        index2_change = (n - n_c) * (2.0 + n + n_c)  # n^2 - n_c^2 of the indices
+        # n^2 - n_c^2 of the indices of refraction.
+        index2_change = (n - big_n_c) * (2.0 + n + big_n_c)
         b2 = index2 * (along2_c - (ray.h_c - h) * (r_c + r))
         a2 = b2 + index2_change * r * r
         if not (b2 > 0.0 and a2 > _BENT_GUARD * b2):
@@ -194,7 +195,7 @@ def bend_by_difference(table, ray, h_g):  # type: ignore[no-untyped-def]
     # Upwards the bent ray subtends the larger angle in common air. There delta is bent less
     # straight, and the sign in the denominator of tan R_c turns over too.
     sense = 1.0 if h_g < h_c else -1.0
-    half_delta = 0.5 * sense * (1.0 + ray.n_c) * s * integral
+    half_delta = 0.5 * sense * (1.0 + ray.big_n_c) * s * integral
     line = Triangle(
         sense=sense,
         s=s,

@@ -64,11 +64,13 @@ def _chord_of(ray):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _by_target_height(ray, chord, n_c, n_g):  # type: ignore[no-untyped-def]
-    """dR/dh_g [rad/m]; ``n_c`` and ``n_g`` are N at the camera and at the target."""
+def _by_target_height(ray, chord, big_n_c, big_n_g):  # type: ignore[no-untyped-def]
+    """dR/dh_g [rad/m]. ``big_n_c`` and ``big_n_g`` are N at the camera and at the target."""
     # r_c (sin(zeta) - sin(zeta - R)), without a difference of near numbers.
     turned = chord.r_c * chord.sin_r * (ray.cos_z + 0.5 * ray.angle * ray.sin_z)
-    sine_difference = (chord.r_c * ray.sin_z * (n_g - n_c) / (1.0 + n_g) - turned) / chord.r_g
+    sine_difference = (
+        chord.r_c * ray.sin_z * (big_n_g - big_n_c) / (1.0 + big_n_g) - turned
+    ) / chord.r_g
     sin_g = chord.r_c * chord.sin_chord / chord.r_g - sine_difference  # of z_g
     cos_g = math.sqrt(1.0 - sin_g * sin_g)
     # sin(beta - z_g) is 2 (sin(beta) - sin(z_g)) / (cos(beta) + cos(z_g)): the two are near.
@@ -76,12 +78,12 @@ def _by_target_height(ray, chord, n_c, n_g):  # type: ignore[no-untyped-def]
 
 
 @jit
-def by_heights(ray, n_g, station):  # type: ignore[no-untyped-def]
+def by_heights(ray, big_n_g, station):  # type: ignore[no-untyped-def]
     """dR/dh_c and dR/dh_g [rad/m] of a `BentRay` from a `Station`; ``n_g`` is N at the target."""
     chord = _chord_of(ray)
     tan_z = ray.sin_z / ray.cos_z
     gradient = station.relative_gradient  # N_c' / n_c
     by_turn = ray.dr_dzeta * (gradient + 1.0 / chord.r_c) - gradient
     d_h_c = tan_z * by_turn - chord.sin_r / (chord.length * ray.cos_z)
-    d_h_g = _by_target_height(ray, chord, station.refractivity, n_g)
+    d_h_g = _by_target_height(ray, chord, station.refractivity, big_n_g)
     return d_h_c, d_h_g

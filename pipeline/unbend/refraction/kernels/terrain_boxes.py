@@ -53,11 +53,11 @@ class Surroundings(NamedTuple):
 def _tile_at(grid, row, column):  # type: ignore[no-untyped-def]
     """The `Box` of the whole tile about a place, with the slot `_NOT_NEEDED`."""
     # Where columns go round the earth the place may lie whole rounds beside the grid's columns.
-    rounds = 0
+    columns_of_rounds = 0
     if grid.around > 0:
-        rounds = math.floor(column / grid.around) * grid.around
+        columns_of_rounds = math.floor(column / grid.around) * grid.around
     i = math.floor(row)
-    j = math.floor(column) - rounds
+    j = math.floor(column) - columns_of_rounds
     tile_row = i // TILE
     tile_column = j // TILE
     top = tile_row * TILE
@@ -79,7 +79,12 @@ def _tile_at(grid, row, column):  # type: ignore[no-untyped-def]
         cell=(i - top, j - left),
         low=low,
         high=high,
-        edges=Edges(float(top), float(top + TILE), float(left + rounds), float(right + rounds)),
+        edges=Edges(
+            top=float(top),
+            bottom=float(top + TILE),
+            left=float(left + columns_of_rounds),
+            right=float(right + columns_of_rounds),
+        ),
     )
 
 
@@ -90,6 +95,7 @@ def _block_of(grid, tile_box, slot):  # type: ignore[no-untyped-def]
     m = tile_box.cell[1] // BLOCK
     top = tile_box.edges.top + k * BLOCK
     left = tile_box.edges.left + m * BLOCK
+    # Columns alone may be cut off, where they have gone round the earth (`_tile_at`).
     right = min(left + BLOCK, tile_box.edges.right)
     return Box(
         tile=tile_box.tile,

@@ -185,9 +185,9 @@ def likeliest_assignment(
 ) -> Assignment:
     """The assignment of events to images that all evidence makes most likely.
 
-    The names of the ``likelihoods`` are among the evidence that the assignment lists.
+    In the evidence that the assignment lists, the names of the ``likelihoods`` stand for the "tie
+    points" of `assign`.
     """
-
     ties = likelihoods.get(TIES)
     assignment = assign(
         camera_events(exposed),
@@ -196,8 +196,9 @@ def likeliest_assignment(
         tie_points=joint_likelihood(likelihoods.values()) if likelihoods else None,
         share_met=ties.share_met if isinstance(ties, TieLikelihood) else None,
     )
+    # `assign` calls every joint likelihood "tie points", whatever it is made of.
     names = " and ".join(likelihoods)
-    listed = tuple(name.replace(TIES, names) for name in assignment.evidence)
+    listed = tuple(names if name == TIES else name for name in assignment.evidence)
     return replace(assignment, evidence=listed)
 
 
