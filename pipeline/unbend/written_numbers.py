@@ -96,7 +96,7 @@ def angle_of(text: str, hemisphere: str = "") -> float:
     """An angle in degrees; NaN for what says that it is unknown, ValueError for any other text.
 
     ``hemisphere`` is a letter or word stated elsewhere: S and W are negative. Minutes and seconds
-    are below 60, and only the last part has decimals.
+    are below 60, and only the last part that is not zero has decimals.
 
     >>> round(angle_of("47 deg 18' 36.00\\" S"), 9), angle_of("[8, 30, 0]", "W"), angle_of("-89,9")
     (-47.31, -8.5, -89.9)
@@ -142,7 +142,9 @@ def _sum_of_parts(degrees: str, minutes: str, seconds: str | None) -> float:
     if not all(map(math.isfinite, sizes)):  # 0/0
         return math.nan
     has_seconds = seconds is not None and sizes[2] != 0.0
-    has_decimals = sizes[0] % 1.0 != 0.0 or (has_seconds and sizes[1] % 1.0 != 0.0)
+    has_minutes = sizes[1] != 0.0 or has_seconds
+    has_decimals = has_minutes and sizes[0] % 1.0 != 0.0
+    has_decimals = has_decimals or (has_seconds and sizes[1] % 1.0 != 0.0)
     if has_decimals or not 0.0 <= sizes[1] <= 60.0 or not 0.0 <= sizes[2] <= 60.0:
         raise ValueError(f"{degrees} {minutes} {seconds or ''} is not {ANGLES_TAKEN}")
     size = sizes[0] + sizes[1] / 60.0 + sizes[2] / 3600.0

@@ -135,3 +135,14 @@ def test_stations_that_are_known_worse_than_needed_are_a_loss_for_each_limit():
         assert median in said.what
     assert [entry.kind for entry in sigma_notes(known, SigmaLimits())] == ["note"]
     assert not list(sigma_notes(known.with_status(known.ok, "in_gap"), SigmaLimits(1.0, 1.0, 1.0)))
+
+
+def test_a_suspect_station_does_not_move_the_middle_of_the_flight():
+    flown = replace(
+        stations(),
+        lat_rad=np.array([0.84, 0.0, 0.84]),
+        lon_rad=np.array([0.28, 0.0, 0.28]),
+        status=np.array(["ok", "suspect", "ok"], object),
+    )
+    assert flown.mean_latitude_rad == pytest.approx(0.84)
+    assert flown.median_longitude_rad == pytest.approx(0.28)

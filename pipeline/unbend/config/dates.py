@@ -3,6 +3,7 @@
 from datetime import UTC, date, datetime
 
 from unbend.config.section import SectionError
+from unbend.flight.dates import latest_ns
 from unbend.units import NANOSECONDS_PER_SECOND
 
 EARLIEST_DATE = date(1900, 1, 1)  # an earlier one is a typing error
@@ -19,6 +20,9 @@ def checked_date(value: str | None) -> str | None:
         raise mistake from None
     if day < EARLIEST_DATE:
         raise mistake
+    time_ns = nanoseconds_of_date(value)
+    if time_ns is not None and time_ns > latest_ns():
+        raise SectionError("is in the future")
     return value
 
 

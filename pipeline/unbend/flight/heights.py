@@ -181,7 +181,7 @@ def undulation_notes(
     heights: HeightSystem, stations: Stations, egm96: GeoidGrid
 ) -> Iterator[Message]:
     """Report which undulation is used at the stations, and if it differs much from EGM96."""
-    has_place = np.isfinite(stations.lat_rad)
+    has_place = np.isfinite(stations.lat_rad + stations.lon_rad)
     lat_rad = stations.lat_rad[has_place]
     lon_rad = stations.lon_rad[has_place]
     where = "mission.geoid"

@@ -98,17 +98,26 @@ class Stations:
     @property
     def mean_latitude_rad(self) -> float:
         """Latitude of the flight [rad]; 45 degrees where no station has one."""
-        known = self.lat_rad[np.isfinite(self.lat_rad)]
+        known = self._known_of_usable(self.lat_rad)
         return float(known.mean()) if known.size else float(np.pi / 4.0)
 
     @property
     def median_longitude_rad(self) -> float:
         """The median longitude of the flight [rad], within half a turn; NaN without any."""
-        known = self.lon_rad[np.isfinite(self.lon_rad)]
+        known = self._known_of_usable(self.lon_rad)
         if not known.size:
             return math.nan
         median = float(np.median(longitudes_near(known, known[0])))
         return math.remainder(median, 2.0 * math.pi)  # exact where it is within half a turn
+
+    def _known_of_usable(self, values: Array) -> Array:
+        """The known values of stations that can be used; of all, where none of those has one.
+
+        The place of a suspect station would move the middle of the flight.
+        """
+        known = np.isfinite(values)
+        usable = known & self.ok
+        return values[usable] if bool(usable.any()) else values[known]
 
     def with_status(self, where: Mask, status: str) -> Stations:
         """The stations with another status where a mask is True and they were ok."""

@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from unbend.flight.channels import Channel
+from unbend.flight.dates import latest_ns
 from unbend.ingest import messages
 from unbend.ingest.flight_log import Contents
 from unbend.ingest.message_tables import Table
@@ -20,7 +21,6 @@ from unbend.ingest.utc_evidence import (
     date_text,
     is_possible,
     is_utc,
-    latest_ns,
     missed_rollovers,
 )
 from unbend.messages import Ledger
@@ -66,7 +66,7 @@ def _reported_rollovers(
     stated_ns = min(_middle_ns(channel) for channel in impossible)
     stated = date_text(stated_ns)
     names = ", ".join(channel.name for channel in impossible)
-    rollovers = missed_rollovers(stated_ns, clocks)
+    rollovers = missed_rollovers(stated_ns, clocks, of_receiver=False)
     if rollovers:
         ledger.add(
             messages.week_rollover(

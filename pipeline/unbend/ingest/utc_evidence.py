@@ -8,7 +8,6 @@ is not used.
 """
 
 import re
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import date
@@ -21,15 +20,13 @@ from unbend.flight.clock import (
     UNIX_NS_FROM,
     WEEKS_PER_ROLLOVER,
 )
+from unbend.flight.dates import DAY_NS, latest_ns
 from unbend.units import NANOSECONDS_PER_SECOND, Mask
 
-DAY_NS = 86_400 * NANOSECONDS_PER_SECOND
 ROLLOVER_NS = WEEKS_PER_ROLLOVER * SECONDS_PER_WEEK * NANOSECONDS_PER_SECOND
 
 # 2010-01-01: the autopilots whose logs are read flew first in that year.
 EARLIEST_NS = 1_262_304_000 * NANOSECONDS_PER_SECOND
-# 2026-11-01: no computer runs this release earlier, whatever its clock says.
-RELEASED_NS = 1_793_491_200 * NANOSECONDS_PER_SECOND
 # 1981-01-06: a field of UTC that is earlier was never set. A year after the GPS epoch, with which
 # receivers begin.
 FIRST_SET_US = 347_500_800 * 1_000_000
@@ -58,14 +55,6 @@ class Witness:
     is_weak: bool = False
 
 
-def latest_ns() -> int:
-    """The last moment at which a log that is read now can have been written [Unix ns].
-
-    A day after the clock of this computer, which does not count where it is before the release.
-    """
-    return max(time.time_ns(), RELEASED_NS) + DAY_NS
-
-
 def is_possible(time_ns: int) -> bool:
     """Whether a log can have been written at a time [Unix ns].
 
@@ -75,10 +64,14 @@ def is_possible(time_ns: int) -> bool:
     return EARLIEST_NS <= time_ns <= latest_ns()
 
 
-def missed_rollovers(time_ns: int, witnesses: Sequence[Witness]) -> int | None:
+def missed_rollovers(
+    time_ns: int, witnesses: Sequence[Witness], *, of_receiver: bool = True
+) -> int | None:
     """How many rollovers of the GPS week a date lacks; None where no date can be accepted.
 
-    ``witnesses``: the strongest first; those whose own date is impossible do not count.
+    ``witnesses``: the strongest first; those whose own date is impossible do not count. Where the
+    clock is not ``of_receiver``, an early date may as well be that with which it began: it is moved
+    only if a witness confirms that.
 
     >>> june_2010 = 1_276_000_000 * 10**9
     >>> missed_rollovers(june_2010, []), missed_rollovers(june_2010 - ROLLOVER_NS, [])
@@ -94,7 +87,7 @@ def missed_rollovers(time_ns: int, witnesses: Sequence[Witness]) -> int | None:
                 return rollovers
     if is_possible(time_ns):
         return 0
-    if acceptable:
+    if acceptable or not of_receiver:
         return None
     possible = [n for n in ROLLOVERS if n > 0 and is_possible(time_ns + n * ROLLOVER_NS)]
     return possible[0] if len(possible) == 1 else None

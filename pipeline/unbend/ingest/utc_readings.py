@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from unbend.errors import Counted
 from unbend.flight import clock
 from unbend.flight.channels import TimeArray
+from unbend.flight.dates import DAY_NS
 from unbend.ingest import messages
 from unbend.ingest.timelines import Timeline
 from unbend.ingest.utc_evidence import (
-    DAY_NS,
     Witness,
     date_text,
     is_possible,
@@ -117,7 +117,7 @@ class DateCheck:
             rows = boots == number
             stated_ns = source.day_in(rows)
             clocks = self._clocks_of(number)
-            rollovers = missed_rollovers(stated_ns, clocks)
+            rollovers = missed_rollovers(stated_ns, clocks, of_receiver=not source.sigma_s)
             place = f"{self.where}, boot {number}".removeprefix(", ")
             words = source.counted(int(np.count_nonzero(rows)))
             if rollovers is None or self._is_unset(source, stated_ns, clocks):

@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.padding import Padding
 
+from unbend.ingest.utc_evidence import is_utc
 from unbend.messages import Kind, MessageRecord
 from unbend.report import summary
 from unbend.report.console import (
@@ -313,10 +314,14 @@ Columns = Mapping[str, NDArray[Any]]
 def write_messages_csv(stream: TextIO, columns: Columns) -> None:
     """Columns of one length as CSV: numbers exactly, times as ISO 8601, an array as many columns.
 
+    A time that counts from a boot is no UTC: its field is empty; the log's own columns have it.
+
     >>> import sys
-    >>> write_messages_csv(sys.stdout, {"time_ns": np.array([0]), "Temp": np.array([2.5])})
+    >>> times_ns = np.array([1_500_000_000 * 10**9, 0])
+    >>> write_messages_csv(sys.stdout, {"time_ns": times_ns, "Temp": np.array([2.5, 2.6])})
     time_utc,Temp
-    1970-01-01T00:00:00.000000000Z,2.5
+    2017-07-14T02:40:00.000000000Z,2.5
+    ,2.6
     """
     flat = dict(_flat(columns))
     writer = csv.writer(stream, lineterminator="\n")
@@ -353,4 +358,5 @@ def _flat(columns: Columns) -> Iterator[tuple[str, NDArray[Any]]]:
 def _values(name: str, column: NDArray[Any]) -> list[Any]:
     if name != "time_ns":
         return list(column.tolist())
-    return [f"{text}Z" for text in np.datetime_as_string(column.astype("datetime64[ns]"))]
+    texts = np.datetime_as_string(column.astype("datetime64[ns]")).tolist()
+    return [f"{text}Z" if known else "" for text, known in zip(texts, is_utc(column), strict=True)]

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from unbend.errors import Code
 from unbend.flight.channels import TimeArray
 from unbend.flight.clock import SECONDS_PER_WEEK, utc_of_gps
+from unbend.flight.dates import can_be_flown
 from unbend.tables import messages
 from unbend.tables.delimited import text_file
 from unbend.tables.refraction_mark import Direction
@@ -31,6 +32,10 @@ _MIXING_FACTOR = np.uint64(0xD6E8FEB86659FD93)  # FNV-1a hardly changes the high
 LINE_OF_FIRST_ROW = 2  # of a table in memory, as though its first line were its header
 _QUANTITIES_OF_NAMES = ("image", "camera", "point")  # whose columns hold text
 _WEEK_NS = SECONDS_PER_WEEK * 10**9
+# ISO 8601 with year, month and day; years of four digits that nanoseconds since 1970 can count.
+_WITH_DAY = r"(?:19|20)\d\d(?:-\d{1,2}-\d{1,2}|\d{4})(?!\d)"
+# 1990: no survey had GPS before. Receivers that count weeks modulo 1024 state such weeks today.
+FIRST_WEEK_OF_SURVEYS = 521
 
 
 def text_table(
@@ -210,12 +215,15 @@ def angles_in_radians(
 def utc_of_dates(text: "pd.Series[str]", system: str = "utc") -> tuple[TimeArray, Mask]:
     """(n,) Unix nanoseconds of dates with a time of day in UTC or GPS time; which are good.
 
-    ISO 8601, or with slashes between year, month and day; zones are honoured.
+    ISO 8601, or with slashes between year, month and day; zones are honoured. A year or a month
+    alone is no time, and a time at which no survey can have been flown is none either.
     """
-    iso = text.str.replace("/", "-", regex=False)
-    stamps = pd.to_datetime(iso, utc=True, errors="coerce", format="ISO8601")
+    iso = text.str.replace("/", "-", regex=False).str.strip()
+    has_day = iso.str.match(_WITH_DAY).to_numpy(np.bool_)
+    stamps = pd.to_datetime(iso.where(has_day), utc=True, errors="coerce", format="ISO8601")
     good = stamps.notna().to_numpy()
     time_ns = np.where(good, stamps.to_numpy("datetime64[ns]").astype(np.int64), 0)
+    good = good & can_be_flown(time_ns)
     if system == "gpst":
         week, rest = np.divmod(time_ns - UNIX_NS_OF_GPS_EPOCH, _WEEK_NS)
         time_ns = utc_of_gps(week, rest / 1e9)
@@ -243,9 +251,11 @@ def utc_of_columns(table: pd.DataFrame, names: Mapping[str, str]) -> tuple[TimeA
     if "time_utc" in names:
         return utc_of_dates(table[names["time_utc"]])
     week, seconds = (numbers(table[names[part]]) for part in ("gps_week", "gps_seconds"))
-    good = np.isfinite(week) & np.isfinite(seconds) & (week > 0) & (week == np.floor(week))
+    good = np.isfinite(week) & np.isfinite(seconds) & (week == np.floor(week))
+    good &= week >= FIRST_WEEK_OF_SURVEYS
     good &= (seconds >= 0.0) & (seconds <= 604_800.0)
-    return utc_of_weeks(np.where(good, week, np.nan), seconds, "gpst"), good
+    time_ns = utc_of_weeks(np.where(good, week, np.nan), seconds, "gpst")
+    return time_ns, good & can_be_flown(time_ns)
 
 
 def hashes_of(names: pa.StringArray) -> Hashes:

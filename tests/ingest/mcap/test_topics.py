@@ -310,3 +310,11 @@ def test_stamps_whose_date_cannot_be_are_no_utc(tmp_path: Path, stamp_s: int) ->
     assert entries(log, "TIME-IMPOSSIBLE")
     assert entries(log, "TIME-NO-UTC")
     assert np.isnan(log.utc_sigma_s)
+
+
+@pytest.mark.parametrize(("early_s", "expected"), [(30, []), (365 * 86_400, ["warning"])])
+def test_stamps_are_compared_with_the_recorders_clock(
+    tmp_path: Path, early_s: int, expected: list[str]
+) -> None:
+    log = stamped(tmp_path / "a.mcap", START - early_s * SECOND, START)
+    assert [kind for kind, _, _ in entries(log, "TIME-SOURCES")] == expected

@@ -20,6 +20,7 @@ from unbend.atmosphere.soundings.levels import (
     PlaceOfSounding,
     RawLevels,
     Sounding,
+    first_stated,
     number,
     numbers,
     place_of_numbers,
@@ -292,7 +293,7 @@ def parse_wyoming_csv(text: str, where: str) -> list[RawLevels]:
     if missing:
         raise messages.sounding_column_wyoming(where=where, missing=missing[0])
     time, north, east = (
-        next(iter(columns.get(name, [])), "") for name in ("time", "latitude", "longitude")
+        first_stated(columns.get(name, [])) for name in ("time", "latitude", "longitude")
     )
     _refuse_several(columns.get("time", []), where)
     place = stated_place(north, east, where)
@@ -363,11 +364,10 @@ def parse_plain(text: str, where: str) -> list[RawLevels]:
             ),
         )
     geopotential = "height" not in values
-    time = next((text.strip() for text in columns.get("time_utc", []) if text.strip()), "")
-    time_ns = stated_time_ns(time, where)
+    time_ns = stated_time_ns(first_stated(columns.get("time_utc", [])), where)
     _refuse_several(columns.get("time_utc", []), where)
     unknown = np.full(values["pressure"].shape, np.nan)
-    first = {name: next(iter(columns.get(name, [])), "") for name in PLACE_COLUMNS}
+    first = {name: first_stated(columns.get(name, [])) for name in PLACE_COLUMNS}
     place = stated_place(first["latitude_deg"], first["longitude_deg"], where)
     return [
         RawLevels(

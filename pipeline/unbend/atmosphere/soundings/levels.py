@@ -238,6 +238,18 @@ def _stated_degrees(text: str) -> float:
     return math.nan if value in FILLS or value in _UNKNOWN_DEG else value
 
 
+def first_stated(fields: Iterable[str]) -> str:
+    """The first field of a column that states something; empty where none does.
+
+    >>> first_stated(["", "-9999", "48.25"])
+    '48.25'
+    """
+    for text in fields:
+        if not math.isnan(_stated_degrees(text)):
+            return text.strip()
+    return ""
+
+
 def stated_time_ns(text: str, where: str) -> int | None:
     """The time that a field of a file states [Unix ns]; None where it states none.
 

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
+from unbend.flight.channels import Channel
 from unbend.flight.clock import BOOT_STEP_NS
-from unbend.ingest.boot_clock import BootClock, fit_clock
+from unbend.ingest.boot_clock import RECORDER_APART_S, BootClock, fit_clock
 from unbend.ingest.channel_builder import channel_of, feedback_apart
 from unbend.ingest.flight_log import Contents, LogFormat
 from unbend.ingest.mcap import messages, topics
@@ -18,11 +19,18 @@ from unbend.ingest.mcap.record_layout import MAGIC
 from unbend.ingest.mcap.stamps import LOG_TIME, SEQUENCE, STAMP, times_of
 from unbend.ingest.mcap.topic_samples import TopicSamples
 from unbend.ingest.message_tables import PLACE, Table, in_order
+from unbend.ingest.messages import recorder_disagrees
 from unbend.ingest.timelines import Timeline, timeline
-from unbend.ingest.utc_evidence import UNCHECKED_SIGMA_S, UNCHECKED_WHY, ClockAssessment, Witness
+from unbend.ingest.utc_evidence import (
+    UNCHECKED_SIGMA_S,
+    UNCHECKED_WHY,
+    ClockAssessment,
+    Witness,
+    is_possible,
+)
 from unbend.ingest.utc_readings import UtcReadings
 from unbend.messages import Ledger
-from unbend.units import Mask, Rows
+from unbend.units import NANOSECONDS_PER_SECOND, Mask, Rows
 
 
 def read_log(path: Path, ledger: Ledger, witnesses: Sequence[Witness] = ()) -> Contents:
@@ -46,6 +54,8 @@ def read_log(path: Path, ledger: Ledger, witnesses: Sequence[Witness] = ()) -> C
             channel = channel_of(part, samples.spec, ledger)
             if channel is not None:
                 channels.append(channel)
+    if not clock.line.boot.size:
+        compare_with_recorder(channels, reader.recorded_ns, ledger)
     return Contents(
         messages=reader.counts.by_name(reader.names),
         channels=tuple(channels),
@@ -59,6 +69,26 @@ def read_log(path: Path, ledger: Ledger, witnesses: Sequence[Witness] = ()) -> C
         recorded_ns=reader.recorded_ns,
         unread_encodings=reader.unread_encodings,
     )
+
+
+def compare_with_recorder(
+    channels: Sequence[Channel], recorded_ns: int | None, ledger: Ledger
+) -> None:
+    """Report stamps that are more than a minute from log_time; ``recorded_ns`` is the first one.
+
+    Both are clocks of computers that nothing need have set. Dates that no log can have are judged
+    elsewhere.
+    """
+    begins_ns = [int(channel.time_ns[0]) for channel in channels if len(channel)]
+    if recorded_ns is None or not begins_ns or not is_possible(min(begins_ns)):
+        return
+    apart_s = (recorded_ns - min(begins_ns)) / NANOSECONDS_PER_SECOND
+    if abs(apart_s) > RECORDER_APART_S:
+        ledger.add(
+            recorder_disagrees(
+                where="", recorder="log_time", apart_s=apart_s, used="header.stamp of the messages"
+            )
+        )
 
 
 def _time_base(clock: BootClock, unstamped: int) -> str:

@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 
 from unbend.flight.channels import TimeArray
 from unbend.flight.clock import BOOT_STEP_NS, clock_map, stray_times
+from unbend.flight.dates import DAY_NS
 from unbend.ingest.boot_clock import BootClock, fit_clock
 from unbend.ingest.timelines import timeline
 from unbend.ingest.tlog import messages
 from unbend.ingest.tlog.clock_samples import MICROSECOND, MILLISECOND, Readings
 from unbend.ingest.tlog.senders import Sender
 from unbend.ingest.utc_evidence import (
-    DAY_NS,
     UNCHECKED_SIGMA_S,
     UNCHECKED_WHY,
     ClockAssessment,

@@ -20,6 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from unbend.flight import rotations
 from unbend.flight.clock import utc_of_gps
+from unbend.flight.dates import can_be_flown
 from unbend.flight.image_names import composed
 from unbend.flight.stations import NO_TIME
 from unbend.messages import Ledger
@@ -27,13 +28,15 @@ from unbend.tables.imports import messages
 from unbend.tables.imports.stated import Stated
 from unbend.tables.imports.user_tables import OrientationTable
 from unbend.tables.imports.xmp import dji_tags
-from unbend.tables.text_columns import whole_table
+from unbend.tables.text_columns import FIRST_WEEK_OF_SURVEYS, whole_table
 from unbend.units import Integers, Names
 from unbend.written_numbers import angle_of, height_of
 
 ENDINGS = ".3fr .arw .cr2 .cr3 .dng .heic .iiq .jpeg .jpg .nef .orf .raf .rw2 .tif .tiff"
 
 _MOST_EXAMPLES = 3  # of images that a message names
+LARGEST_WEEK = 9_999  # of GPS, in 2171: a larger number is no week, and would not fit into 64 bits
+LARGEST_HEIGHT_M = 100_000.0  # no aircraft is as high; 2**32 - 1 stands for an unknown height
 _STAMP = re.compile(
     r"(\d{4})[:/-](\d\d)[:/-](\d\d)[ T](\d\d):(\d\d):(\d\d)(?:[.,](\d+))?\s*(Z|[+-]\d\d:?\d\d)?"
 )
@@ -59,6 +62,8 @@ class Stamp(NamedTuple):
 
 def parse_time(text: str, zone: str = "") -> Stamp | None:
     """A time as EXIF, ISO 8601 or Unix seconds write it; None where it is none of them.
+
+    None also where no survey can have it: in the future, or of a clock that was never set.
 
     ``zone`` is a UTC offset stated elsewhere, such as OffsetTimeOriginal. Without one the time is
     local, and counted as though it were UTC.
@@ -86,6 +91,8 @@ def parse_time(text: str, zone: str = "") -> Stamp | None:
         seconds -= int(signed[1] + "1") * (int(signed[2]) * 3600 + int(signed[3]) * 60)
     decimals = decimals[:9]
     time_ns = seconds * 10**9 + int(decimals.ljust(9, "0"))
+    if not bool(can_be_flown(np.array([time_ns]))[0]):
+        return None
     return Stamp(time_ns, 10.0 ** -len(decimals), signed is not None or offset in ("Z", "UTC"))
 
 
@@ -266,6 +273,8 @@ def positions_of_tags(
             lon = reader.value(file, of, "gpslongtitude", angle_of)  # as DJI spelt it
         key = "absolutealtitude" if of.get("absolutealtitude") else "gpsaltitude"
         height = reader.value(file, of, key, height_of)
+        if abs(height) > LARGEST_HEIGHT_M:
+            height = np.nan
         if of.get("gpsaltituderef", "0").lower().startswith(("1", "below")):
             height = -abs(height)
         on_earth = abs(lat) <= 90.0 and abs(lon) <= 360.0 and (lat, lon) != (0.0, 0.0)
@@ -388,9 +397,11 @@ def _time_of(tags: Mapping[str, str], zone: str) -> Stamp | None:
         return dji._replace(by_gps=True)
     week = tags.get("gpsweek", "").strip()
     seconds = tags.get("gpsseconds", "").strip().replace(",", ".")
-    if week.isdigit() and re.fullmatch(r"\d{1,6}(\.\d*)?", seconds) and int(week) > 0:
+    if week.isdigit() and re.fullmatch(r"\d{1,6}(\.\d*)?", seconds):
         step_s = 10.0 ** -len(seconds.partition(".")[2])
-        return Stamp(int(utc_of_gps(int(week), float(seconds))), step_s, True, True)
+        time_ns = utc_of_gps(min(int(week), LARGEST_WEEK), float(seconds)).reshape(1)
+        if int(week) >= FIRST_WEEK_OF_SURVEYS and bool(can_be_flown(time_ns)[0]):
+            return Stamp(int(time_ns[0]), step_s, True, True)
     texts = [
         (tags.get("timeutc", ""), "UTC"),
         *((tags.get(n, ""), zone) for n in ("unixtime", "timestamp", "subsecdatetimeoriginal")),

@@ -43,7 +43,8 @@ def events_empty(*, where: Path | str) -> InputError:
 
 EVENTS_TIME = Code(
     "EVENTS-TIME",
-    means="Rows of the table of events have no readable time.",
+    means="Rows of the table of events have no readable time, or one that no survey can have: in "
+    "the future, or of a clock that was never set (1970-01-01, 1980-01-06, GPS weeks before 1990).",
     effect="They are not used; their images have no station.",
     remedy="Correct these rows.",
 )
@@ -53,8 +54,8 @@ def events_without_time(*, where: str, count: int, line: int) -> Message:
     """Rows of a table of exposures whose time cannot be read; ``line`` is that of the first."""
     return loss(
         EVENTS_TIME,
-        "{count} rows have no readable time, the first in line {line}",
-        one="1 row has no readable time: line {line}",
+        "{count} rows have no readable time that a survey can have, the first in line {line}",
+        one="1 row has no readable time that a survey can have: line {line}",
         where=where,
         count=count,
         line=line,
@@ -718,7 +719,8 @@ def not_on_earth(*, where: Path | str, radius: float) -> InputError:
 
 IMPORT_ROWS = Code(
     "IMPORT-ROWS",
-    means="Rows cannot be read, or repeat the time of another.",
+    means="Rows cannot be read, have a place or time that no survey can have (0, 0; the future; a "
+    "clock that was never set), or repeat the time of another.",
     effect="They are not used.",
     remedy="Correct the file if they matter.",
 )
@@ -1091,7 +1093,8 @@ def orientation_repeated(*, where: Path | str, count: int, image: str, lines: st
 
 ORIENTATION_TIME = Code(
     "ORIENTATION-TIME",
-    means="Rows of the orientations have no readable time.",
+    means="Rows of the orientations have no readable time, or one that no survey can have: in the "
+    "future, or of a clock that was never set (1970-01-01, 1980-01-06, a GPS week before 1990).",
     effect="They get the air of the middle exposure.",
     remedy="Correct these rows.",
 )
@@ -1102,11 +1105,12 @@ def orientations_without_time(*, where: str, count: int, line: int) -> Message:
     return loss(
         ORIENTATION_TIME,
         (
-            "{count} rows have no readable time, the first in line {line}: the air of the "
+            "{count} rows have no readable time that a survey can have, the first in line {line}: "
+            "the air of the "
             "middle exposure is taken for them"
         ),
         one=(
-            "1 row has no readable time, the first in line {line}: the air of the middle "
+            "1 row has no readable time that a survey can have, line {line}: the air of the middle "
             "exposure is taken for them"
         ),
         where=where,

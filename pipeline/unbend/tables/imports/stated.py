@@ -13,6 +13,7 @@ import pandas as pd
 
 from unbend.flight.channels import Channel, Source, TimeArray
 from unbend.flight.clock import SECONDS_PER_WEEK
+from unbend.flight.dates import can_be_flown
 from unbend.geodesy import GeoidGrid
 from unbend.messages import Ledger
 from unbend.tables.imports import messages
@@ -124,9 +125,12 @@ def channel_of_rows(
 ) -> Channel:
     """A channel called like the file, in the order of time, without rows that cannot be read.
 
-    ``readable`` (n,) False where a row is damaged; these rows, and those that repeat a time, are a
+    ``readable`` (n,) False where a row is damaged; these rows, those whose time no survey can
+    have, those whose place is 0, 0 because it was not known, and those that repeat a time, are a
     loss. Refuses latitudes beyond the poles.
     """
+    has_no_place = (columns["lat_rad"] == 0.0) & (columns["lon_rad"] == 0.0)
+    readable = readable & can_be_flown(time_ns) & ~has_no_place
     rows = np.argsort(time_ns, kind="stable")
     rows = rows[readable[rows]]
     again = np.diff(time_ns[rows], prepend=-1) == 0

@@ -379,7 +379,10 @@ def _positions(value: Mapping[str, Array], path: Path, key: str, lines: "pd.Inde
                 key=key,
             )
     lat, lon = np.radians(value["latitude"]), np.radians(value["longitude"])
-    return np.stack([lat, lon, value["height"]], axis=1)
+    position = np.stack([lat, lon, value["height"]], axis=1)
+    is_unset = (lat == 0.0) & (lon == 0.0)  # as programs fill fields that they do not know
+    position[is_unset] = np.nan
+    return position
 
 
 @dataclass(frozen=True, eq=False)
