@@ -102,6 +102,29 @@ def test_sound_logs_have_no_finding(logged: dict[str, np.ndarray], delay_s: floa
     assert findings(shots(logged), delay_s) == []
 
 
+CLIMB_M = np.minimum(FLOWN_S / 10.0, 1.0) * 1000.0  # of a log that begins at the take-off
+AT_1000_M = np.full(SHOT_S.shape, 1000.0)
+
+
+@pytest.mark.parametrize(
+    ("flown_m", "logged"),
+    [
+        # the receiver was at the take-off when the log began
+        (450.0 + CLIMB_M, {"h_msl_m": AT_1000_M}),
+        # it was not, but the log has the same height under both names
+        (np.full(FLOWN_S.shape, 1450.0), {"h_msl_m": AT_1000_M, "h_home_m": AT_1000_M}),
+    ],
+)
+def test_heights_above_a_take_off_that_the_receiver_does_not_know(flown_m, logged) -> None:
+    columns = {name: values for name, values in GPS.columns.items() if name != "h_home_m"}
+    gps = replace(GPS, columns=columns | {"h_msl_m": flown_m})
+    roles = {"position": gps, "height": gps}
+    place = {name: columns_at(SHOT_S)[name] for name in ("lat_rad", "lon_rad")}
+    assert findings(shots(place | logged), roles=roles, own=roles) == []
+    off = {"h_msl_m": AT_1000_M + 1000.0, "h_home_m": AT_1000_M + 200.0}
+    assert findings(shots(place | off), roles=roles, own=roles) != []
+
+
 @pytest.mark.parametrize("north_m", [30.0, 500.0, -500.0])
 def test_events_of_another_vehicle_are_a_finding(north_m: float) -> None:
     (entry,) = findings(shots(columns_at(SHOT_S, north_m)))

@@ -64,6 +64,11 @@ FLIES = [
     (hover(), [said("STAT", [0], "flying", 1.0)]),
     (hover(), [said("home_position", [0], "home_h_msl_m", 450.0)]),
     (hover(), [words([0], "EV NOT_LANDED")]),
+    # two detectors contradict each other: the height above the take-off decides
+    (
+        hover(h_home_m=500.0),
+        [words([0], "EV LAND_COMPLETE"), said("STAT", [0], "flying", 1.0)],
+    ),
 ]
 
 

@@ -71,6 +71,22 @@ def test_a_filter_is_no_spare_of_a_receiver_nor_a_simpler_attitude_of_the_filter
     assert "XKQ[0]" in plays.what
 
 
+def test_an_attitude_that_is_silent_for_a_while_gives_way_meanwhile() -> None:
+    level = {"q_w": 1.0, "q_x": 0.0, "q_y": 0.0, "q_z": 0.0}
+    tilted = {"q_w": 0.6, "q_x": 0.8, "q_y": 0.0, "q_z": 0.0}
+    lane = channel("XKQ[0]", ALL + 0.05, 50, "attitude", **tilted)
+    silent = channel("ATT", ALL[(ALL < 30.0) | (ALL > 60.0)], 10, "attitude", **level)
+    roles, (plays,) = with_spares({"attitude": silent}, (silent, lane), ())
+    attitude = roles["attitude"]
+    by_spare_s = attitude.time_ns[attitude["q_x"] > 0.0] / SECOND
+    assert by_spare_s.min() == pytest.approx(29.9, abs=0.3)
+    assert by_spare_s.max() == pytest.approx(60.0, abs=0.3)
+    assert by_spare_s.size == pytest.approx(150, abs=2)
+    assert plays.code == "ROLE-SPARE"
+    one_second = channel("ATT", ALL[(ALL < 30.0) | (ALL > 31.0)], 10, "attitude", **level)
+    assert with_spares({"attitude": one_second}, (one_second, lane), ())[1] == ()
+
+
 def test_a_filter_is_as_accurate_as_the_receiver_that_is_there() -> None:
     fused = channel("POS", ALL, 10, "position", lat_rad=0.8, lon_rad=0.1, h_msl_m=900.0)
     accuracy = LogAccuracy(LOST, spare_receivers=(SPARE,))

@@ -54,6 +54,8 @@ def topics(namespace: str, north_m: float) -> tuple[Channel, ...]:
     [
         (sent_by(1), ()),
         (TWO, ("system 1", "system 2")),
+        # one of them has no fix: its attitude is still its own
+        (sent_by(1) + sent_by(2)[::2], ("system 1", "system 2")),
         # names of topics are of vehicles if these are apart, and of sensors if they are together
         (topics("/uav1", 0.0) + topics("/uav2", 60.0), ("/uav1", "/uav2")),
         (topics("/novatel", 0.0) + topics("/xsens", 1.5), ()),
@@ -78,6 +80,15 @@ def test_the_roles_are_of_the_vehicle_whose_events_are_used() -> None:
     chosen = channels_of_one_vehicle(mission("CAMERA_FEEDBACK[0]@2/1"), TWO, {}, ledger)
     assert [c.name for c in chosen] == [*(c.name for c in sent_by(2)), SENSOR.name]
     assert [(entry.code, entry.kind) for entry in ledger] == [("LOG-VEHICLES", "note")]
+
+
+def test_a_vehicle_without_a_fix_lends_its_attitude_to_no_other() -> None:
+    without_fix = (sent_by(1)[0], sent_by(1)[2])
+    channels = (*without_fix, *sent_by(2))
+    chosen = channels_of_one_vehicle(mission("CAMERA_FEEDBACK[0]@2/1"), channels, {}, Ledger())
+    assert [c.name for c in chosen] == [c.name for c in sent_by(2)]
+    chosen = channels_of_one_vehicle(mission("CAMERA_FEEDBACK[0]@1/1"), channels, {}, Ledger())
+    assert [c.name for c in chosen] == [c.name for c in without_fix]
 
 
 def test_without_events_it_is_the_vehicle_of_the_named_channels() -> None:

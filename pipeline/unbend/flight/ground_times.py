@@ -60,14 +60,20 @@ class GroundEvidence:
         return cls(tuple(landed))
 
     def landed_at(self, time_ns: TimeArray) -> Array:
-        """(n,) 1 where the autopilot last said that it stands, 0 that it flies, NaN before that."""
+        """(n,) 1 where the autopilot last said that it stands, 0 that it flies; NaN before that.
+
+        NaN also where two channels contradict each other.
+        """
         landed = np.full(time_ns.shape, np.nan)
+        is_contradicted = np.zeros(time_ns.shape, np.bool_)
         for channel in self.landed:
             values = _landed_of(channel)
             if values is None:
                 continue
-            landed = np.where(np.isnan(landed), _last_said(channel, values, time_ns), landed)
-        return landed
+            said = _last_said(channel, values, time_ns)
+            is_contradicted |= np.abs(said - landed) > 0.0
+            landed = np.where(np.isnan(landed), said, landed)
+        return np.where(is_contradicted, np.nan, landed)
 
     def flies(self, time_ns: TimeArray) -> Mask:
         """(n,) where the log says that the aircraft is in the air."""

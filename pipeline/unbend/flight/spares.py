@@ -56,11 +56,11 @@ def _with_spare(
     spare: Channel,
     role: str,
 ) -> tuple[Channel, Notes]:
-    """The channel of a role, continued by the samples of a spare beyond it; itself without any."""
-    if not _rows_beyond(spare, channel).any():
+    """The channel of a role, continued by the samples of a spare where it is silent."""
+    if not _rows_of_spare(spare, channel, role).any():
         return channel, ()
     plausible, notes = plausible_samples(spare, role)
-    beyond = _rows_beyond(plausible, channel)
+    beyond = _rows_of_spare(plausible, channel, role)
     if not beyond.any():
         return channel, ()
     seconds = float(np.ptp(plausible.time_ns[beyond])) / NANOSECONDS_PER_SECOND
@@ -86,6 +86,37 @@ def _is_spare(
         return not of_gimbal and spare.source.message not in _COARSE_ATTITUDES
     same_heights = spare.height_column == channel.height_column
     return same_heights and is_receiver(spare) == is_receiver(channel)
+
+
+def _rows_of_spare(
+    spare: Channel,
+    channel: Channel,
+    role: str,
+) -> Mask:
+    """(n,) which samples of a spare play a role that a channel has.
+
+    Where a receiver or a filter of positions is silent between two samples, `evidence` finds
+    another source; where an attitude is, the spare plays.
+    """
+    rows = _rows_beyond(spare, channel)
+    if role == "attitude":
+        rows |= _rows_in_silences(spare, channel)
+    return rows
+
+
+def _rows_in_silences(spare: Channel, channel: Channel) -> Mask:
+    """(n,) which samples of a spare lie between two samples of a channel that is silent there."""
+    if len(channel) < 2:
+        return np.zeros(len(spare), np.bool_)
+    after = np.clip(
+        np.searchsorted(channel.time_ns, spare.time_ns),
+        1,
+        len(channel) - 1,
+    )
+    begin_ns = channel.time_ns[after - 1]
+    end_ns = channel.time_ns[after]
+    is_between = (spare.time_ns > begin_ns) & (spare.time_ns < end_ns)
+    return np.asarray(is_between & (end_ns - begin_ns > SILENT_AT_END_NS))
 
 
 def _rows_beyond(spare: Channel, channel: Channel) -> Mask:

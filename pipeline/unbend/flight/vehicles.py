@@ -9,7 +9,7 @@ import numpy as np
 
 from unbend.flight.channels import Channel
 from unbend.flight.evidence.sources import metres, places_of
-from unbend.flight.evidence.stretches import POSITION
+from unbend.flight.evidence.stretches import ATTITUDE, POSITION
 from unbend.flight.trajectory import interpolate
 
 APART_M = 10.0  # of two receivers of one vehicle, in the median: antennas and their errors
@@ -22,9 +22,9 @@ _MOST_SAMPLES = 1_000  # of a track that is compared with another
 class Vehicles:
     """The vehicles of a log by name; ``names`` is empty where the log has one vehicle, or none.
 
-    A system of MAVLink is a vehicle of its own. So is the namespace of topics, ``depth`` parts of
-    their names, if the positions of two are more than 10 m apart: names of topics may as well be
-    those of the receivers of one vehicle.
+    A system of MAVLink with positions or attitudes is a vehicle of its own. So is the namespace of
+    topics, ``depth`` parts of their names, if the positions of two are more than 10 m apart: names
+    of topics may as well be those of the receivers of one vehicle.
     """
 
     names: tuple[str, ...] = ()
@@ -32,18 +32,26 @@ class Vehicles:
 
     @classmethod
     def of(cls, channels: Iterable[Channel]) -> Vehicles:
-        """The vehicles among the senders of positions."""
-        with_positions = [
-            channel for channel in channels if POSITION in channel.roles and len(channel)
-        ]
+        """The vehicles among the senders of positions, and systems that send their attitude.
+
+        A system without a fix is a vehicle as well: its attitude is not that of another one.
+        """
+        filled = [channel for channel in channels if len(channel)]
+        with_positions = [channel for channel in filled if POSITION in channel.roles]
         depth = _namespace_depth(with_positions)
         tracks: dict[str, Channel] = {}
         for channel in sorted(with_positions, key=lambda channel: (channel.rank, channel.name)):
             tracks.setdefault(_sender(channel, depth), channel)
-        are_systems = all(track.source.system is not None for track in tracks.values())
-        if len(tracks) < 2 or not (are_systems or _are_apart(list(tracks.values()))):
-            return cls()
-        return cls(tuple(sorted(tracks)), depth)
+        systems = {
+            _sender(channel, depth)
+            for channel in filled
+            if channel.source.system is not None and {POSITION, ATTITUDE} & set(channel.roles)
+        }
+        if len(systems) > 1:
+            return cls(tuple(sorted(systems)), depth)
+        if len(tracks) > 1 and _are_apart(list(tracks.values())):
+            return cls(tuple(sorted(tracks)), depth)
+        return cls()
 
     def of_channel(self, channel: Channel) -> str:
         """The vehicle that sent a channel; "" where none did, or there is only one."""

@@ -161,13 +161,15 @@ def _with_fix(rows: DecodedRows, ledger: Ledger) -> DecodedRows:
 def _numbered_exposures(rows: DecodedRows) -> DecodedRows:
     """Exposures, numbered by their row where the log does not number them, with 0, 0 as no place.
 
-    Their attitudes get the columns of attitudes. To be called before rows are dropped.
+    A latitude beyond a pole is none either: in MAVLink the largest integer means unknown. Their
+    attitudes get the columns of attitudes. To be called before rows are dropped.
     """
     columns = dict(rows.columns)
     if "event_index" not in columns:
         columns["event_index"] = np.arange(len(rows), dtype=np.float64)
     if "lat_rad" in columns and "lon_rad" in columns:
         nowhere = (columns["lat_rad"] == 0.0) & (columns["lon_rad"] == 0.0)
+        nowhere |= np.abs(columns["lat_rad"]) > _POLE_RAD
         for name in ("lat_rad", "lon_rad", "h_msl_m"):
             if name in columns:
                 columns[name] = np.where(nowhere, np.nan, columns[name])
@@ -269,6 +271,7 @@ def without_stray(rows: DecodedRows, stray: Mask, ledger: Ledger) -> DecodedRows
     return rows.take(~stray)
 
 
+_POLE_RAD = np.pi / 2.0
 _FAILED = 0.0  # of ``result``: 1 is success, -1 a camera that does not answer (CameraCapture.msg)
 
 

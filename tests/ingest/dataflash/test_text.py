@@ -125,6 +125,13 @@ def test_what_the_logger_dropped_is_a_loss_with_its_own_count(tmp_path: Path) ->
     assert log.boots == 2
 
 
+def test_a_logger_that_starts_again_within_a_boot_counts_from_0(tmp_path: Path) -> None:
+    counts = (5, 50, 50, 0, 7, 4_294_967_290, 9)  # one of them is damaged
+    rows = "".join(barometer(second, count) for second, count in enumerate(counts))
+    log = opened(tmp_path, DEFINED + rows)
+    assert (log.boots, log.lost_messages) == (1, 59)
+
+
 def test_a_logger_that_dropped_nothing_lost_nothing(tmp_path: Path) -> None:
     log = opened(tmp_path, DEFINED + "".join(barometer(second, 0) for second in range(5)))
     assert not log.ledger.has_losses

@@ -17,7 +17,7 @@ _NEVER_OVER_NS = 3600 * SECOND  # after the last text of a boot, where none says
 # Words that say of the trouble they follow that it is over.
 _OVER = (
     r"\b(cleared|ended|regained|recovered|restored|resolved|acquired|healthy|normal|ok"
-    r"|no longer|is over|over$|signal found)\b"
+    r"|no longer|is over|over$|signal found|gone|passed|resumed|good|inactive|finished)\b"
 )
 
 
@@ -43,11 +43,11 @@ _DEAD_RECKONING = _trouble(
 )
 _RECEIVER = _trouble(
     r"GPS glitch|(GPS|GNSS) (signal |fix )?lost|ERR (FAILSAFE_GPS|GPS) [1-9]",
-    r"glitch.*OVER|(GPS|GNSS).*OVER|using GPS|ERR (FAILSAFE_GPS|GPS) 0",
+    r"glitch.*(OVER|\bstopped\b)|(GPS|GNSS).*OVER|using GPS|ERR (FAILSAFE_GPS|GPS) 0",
 )
 _FILTER = _trouble(
     r"EKF[ _]variance|EKF failsafe|ERR (EKFCHECK|FAILSAFE_EKFINAV) [1-9]",
-    r"EKF.*OVER|ERR (EKFCHECK|FAILSAFE_EKFINAV) 0",
+    r"EKF.*OVER|EKF.*\bstopped\b(?! aiding)|ERR (EKFCHECK|FAILSAFE_EKFINAV) 0",
 )
 _AIDING = _trouble(
     r"stopped aiding", r"using (GPS|external nav)|(started|starting|resumed).*aiding"

@@ -6,7 +6,7 @@ They are compared with the channels that the stations are made of, before lever 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from unbend.flight.evidence import messages
 from unbend.flight.evidence.log_accuracy import LogAccuracy
 from unbend.flight.evidence.sources import is_receiver, metres
 from unbend.flight.evidence.stretches import ATTITUDE, HEIGHT, POSITION, Stretch, covered
+from unbend.flight.ground_times import HOME_NOT_SET_M
 from unbend.flight.mount import is_of_gimbal
 from unbend.flight.rotations import down_in_body, down_of
 from unbend.flight.trajectory import Track, attitude_at, interpolate, track_at
@@ -299,15 +300,19 @@ def _nearest_height(
 ) -> Array:
     """(n,) metres from heights of exposures to the nearest height of another channel, any surface.
 
-    NaN where either is unknown: a logged height of 0 is none.
+    NaN where either is unknown: a logged height of 0 is none, and one that the log names as well as
+    that above a take-off counts only if the other channel has heights above it.
     """
     shots = evidence.channel
     is_logged = shots[column] != 0.0
+    if "h_home_m" not in other.columns:
+        is_logged &= ~(np.abs(shots[column] - shots.get("h_home_m")) < HOME_NOT_SET_M)
     logged_m = np.where(
         is_logged,
         shots[column],
         np.nan,
     )
+    other = _above_its_begin(other)
     gap_s = other.gap_limit_s(evidence.max_gap_s)
     apart_m = np.full(len(shots), np.nan)
     for time_ns in evidence.instants:
@@ -320,6 +325,21 @@ def _nearest_height(
             )
             apart_m = np.fmin(apart_m, np.abs(logged_m - of_flight_m))
     return apart_m
+
+
+def _above_its_begin(other: Channel) -> Channel:
+    """A channel without heights above the take-off, with those above the begin of the log instead.
+
+    Cameras count heights from the take-off that a receiver does not know.
+    """
+    column = other.height_column
+    if column is None or "h_home_m" in other.columns:
+        return other
+    known_m = other[column][np.isfinite(other[column])]
+    if known_m.size == 0:
+        return other
+    above_begin_m = other[column] - known_m[0]
+    return replace(other, columns=dict(other.columns) | {"h_home_m": above_begin_m})
 
 
 def _attitude_findings(evidence: ExposureEvidence) -> Iterator[Message]:

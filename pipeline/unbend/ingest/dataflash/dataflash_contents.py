@@ -31,6 +31,7 @@ from unbend.units import Integers
 # Fields that are used as they are logged, without a field map that checks that they are numbers.
 _NUMBERS = {"TimeUS", "GMS", "GWk", "Week", "Status", "Value", *INSTANCE_FIELDS, *ACCURACY_FIELDS}
 
+_NO_COUNT = 1 << 31  # messages: no logger drops as many, a damaged or negative number is as large
 _TIMELESS = {"CAM", "MSG", "EV", "ERR", "PARM"}  # rows without a time until 2015
 
 
@@ -82,7 +83,10 @@ def contents_of(
 def _dropped_messages(
     name: str, tables: Mapping[str, Table], clock: BootClock, ledger: Ledger
 ) -> int:
-    """How many messages a logger dropped by its own count, which each power-up begins at 0."""
+    """How many messages a logger dropped by its own count.
+
+    Each power-up begins it at 0, and so does a logger that starts again within one.
+    """
     table = tables.get(name, {})
     if "Dp" not in table or not is_number(table["Dp"]):
         return 0
@@ -90,8 +94,11 @@ def _dropped_messages(
     is_good = clock.line.good(table[PLACE])
     dropped = 0
     for number in np.unique(boot).tolist():
-        counts = table["Dp"][is_good & (boot == number)]
-        dropped += int(counts[-1]) if counts.size else 0
+        counts = table["Dp"][is_good & (boot == number)].astype(np.int64)
+        counts = counts[(counts >= 0) & (counts < _NO_COUNT)]
+        before = np.concatenate([[0], counts[:-1]])
+        has_restarted = counts < before
+        dropped += int(np.where(has_restarted, counts, counts - before).sum())
     if dropped:
         ledger.add(messages.dropped_by_logger(message=name, count=dropped))
     return dropped
