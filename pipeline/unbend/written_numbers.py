@@ -12,6 +12,10 @@ _DIGITS = r"(?:\d+(?:[.,]\d*)?|[.,]\d+)"
 _NUMBER = re.compile(rf"[-+]?{_DIGITS}(?:[eE][-+]?\d{{1,3}})?")
 _FRACTION = re.compile(rf"(?P<above>[-+]?{_DIGITS})\s*/\s*(?P<below>{_DIGITS})")
 _GROUPED = re.compile(r"[-+]?[1-9]\d{0,2}(?:,\d{3})+")  # 1,234 is a number of thousands, or not
+_GROUPED_BEYOND_DOUBT = re.compile(  # by the other mark than that of the decimals, or by 8'927
+    r"[-+]?[1-9]\d{0,2}"
+    r"(?:(?:\.\d{3})+,\d*|(?:,\d{3})+\.\d*|(?:['’\u00a0\u202f]\d{3})+(?:[.,]\d*)?)"
+)
 _UNKNOWN = {"", "nan", "inf", "+inf", "-inf", "undef", "none", "null", "n/a", "-"}
 
 _PART = rf"[-+]?{_DIGITS}(?:\s*/\s*\d+)?"
@@ -22,6 +26,9 @@ _MARKED = re.compile(
 _LISTED = re.compile(
     rf"\[\s*(?P<degrees>{_PART})\s*,\s*(?P<minutes>{_PART})\s*(?:,\s*(?P<seconds>{_PART})\s*)?\]"
 )
+_RATIONALS = re.compile(  # as exiv2 prints them
+    r"(?P<degrees>\d+/\d+),?\s+(?P<minutes>\d+/\d+),?\s+(?P<seconds>\d+/\d+)"
+)
 _SPACED = re.compile(
     r"(?P<degrees>[-+]?\d+)[:\s]\s*(?P<minutes>\d+)[:\s]\s*(?P<seconds>\d+(?:[.,]\d*)?)"
 )
@@ -31,8 +38,10 @@ _OF_XMP = re.compile(
 _WITH_HEMISPHERE = re.compile(
     r"(?P<angle>.*[^A-Za-z\s])\s*(?P<hemisphere>[NSEW]|north|south|east|west)", re.IGNORECASE
 )
+_HEMISPHERE_FIRST = re.compile(r"(?P<hemisphere>[NSEW])\s*(?P<angle>\d.*)", re.IGNORECASE)
 _DEGREES_OR_MINUTES = re.compile(r"\d+,[0-5]?\d")  # 46,30N of XMP, or a decimal comma
 
+LETTERS_OF_AXIS = {"latitude": "NS", "longitude": "EW"}
 NUMBERS_TAKEN = "a number like -89.9, -89,9 or 2.3e-05"
 ANGLES_TAKEN = (
     "degrees like -89.9 or 46,9446, or degrees, minutes and seconds like 46 deg 56' 40.58\" N, "
@@ -56,6 +65,15 @@ def may_be_thousands(text: str) -> bool:
     [True, False, False, False]
     """
     return _GROUPED.fullmatch(text.strip()) is not None
+
+
+def has_grouped_thousands(text: str) -> bool:
+    """Whether a text is a number whose thousands are grouped beyond doubt.
+
+    >>> [has_grouped_thousands(text) for text in ("8.927,4661", "8,927.4661", "8'927", "1,234")]
+    [True, True, True, False]
+    """
+    return _GROUPED_BEYOND_DOUBT.fullmatch(text.strip()) is not None
 
 
 def number_of(text: str) -> float:
@@ -92,11 +110,12 @@ def height_of(text: str) -> float:
     return -abs(height) if plain.endswith("below sea level") else height
 
 
-def angle_of(text: str, hemisphere: str = "") -> float:
+def angle_of(text: str, hemisphere: str = "", letters: str = "NSEW") -> float:
     """An angle in degrees; NaN for what says that it is unknown, ValueError for any other text.
 
-    ``hemisphere`` is a letter or word stated elsewhere: S and W are negative. Minutes and seconds
-    are below 60, and only the last part that is not zero has decimals.
+    ``hemisphere`` is a letter or word stated elsewhere: S and W are negative. A sign, a letter of
+    the text and one stated elsewhere must agree; ``letters`` are those of the axis. Minutes and
+    seconds are below 60, and only the last part that is not zero has decimals.
 
     >>> round(angle_of("47 deg 18' 36.00\\" S"), 9), angle_of("[8, 30, 0]", "W"), angle_of("-89,9")
     (-47.31, -8.5, -89.9)
@@ -105,7 +124,7 @@ def angle_of(text: str, hemisphere: str = "") -> float:
     """
     plain = text.strip()
     of_its_own = ""
-    written = _WITH_HEMISPHERE.fullmatch(plain)
+    written = _WITH_HEMISPHERE.fullmatch(plain) or _HEMISPHERE_FIRST.fullmatch(plain)
     if written is not None:
         plain = written["angle"]
         of_its_own = written["hemisphere"][0].upper()
@@ -119,8 +138,19 @@ def angle_of(text: str, hemisphere: str = "") -> float:
             degrees = number_of(re.sub(r"\s*(?:deg(?:rees)?|°|º)$", "", plain))
         except ValueError:
             raise ValueError(f"{text!r} is not {ANGLES_TAKEN}") from None
-    is_negative = (of_its_own or hemisphere[:1].upper()) in ("S", "W")
-    return -abs(degrees) if is_negative else degrees
+    return _signed(degrees, text, of_its_own, hemisphere.strip()[:1].upper(), letters)
+
+
+def _signed(degrees: float, text: str, own: str, stated: str, letters: str) -> float:
+    """Degrees with the sign of their hemisphere; ValueError where text and letters disagree."""
+    if own and own not in letters:
+        raise ValueError(f"{text!r} has a letter of the other axis")
+    if own and stated and stated in "NSEW" and own != stated:
+        raise ValueError(f"{text!r} is not in the hemisphere {stated}, which is stated for it")
+    hemisphere = own or stated
+    if hemisphere in ("N", "E") and degrees < 0.0:
+        raise ValueError(f"{text!r} is negative, and stated as {hemisphere}")
+    return -abs(degrees) if hemisphere in ("S", "W") else degrees
 
 
 def _parted_angle(text: str, *, with_letter: bool) -> float | None:
@@ -128,7 +158,7 @@ def _parted_angle(text: str, *, with_letter: bool) -> float | None:
 
     XMP parts degrees and minutes by a comma, and ends with the letter of the hemisphere.
     """
-    forms = [_LISTED, _SPACED, _MARKED, *([_OF_XMP] if with_letter else [])]
+    forms = [_LISTED, _RATIONALS, _SPACED, _MARKED, *([_OF_XMP] if with_letter else [])]
     for form in forms:
         parts = form.fullmatch(text)
         if parts is not None and parts["minutes"] is not None:

@@ -11,7 +11,7 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from unbend.written_numbers import is_number, may_be_thousands
+from unbend.written_numbers import has_grouped_thousands, is_number, may_be_thousands
 
 BLANKS = " "  # stands for any number of blanks and tabs
 SEPARATORS = (",", ";", "\t", "|", BLANKS)
@@ -107,6 +107,7 @@ def form_of(lines: Sequence[str]) -> TableForm:
     first_is_head = _is_head(rows, has_names_before=bool(names_before))
     if not first_is_head:
         names = names_before or tuple(str(number) for number in range(1, len(names) + 1))
+    _refuse_grouped_thousands(rows[first_is_head:])
     return TableForm(
         separator=separator,
         names=names,
@@ -227,6 +228,17 @@ def _names_in_comment(line: str, width: int) -> tuple[str, ...]:
         if len(fields) == width:
             return tuple(fields)
     return ()
+
+
+def _refuse_grouped_thousands(rows: Sequence[Sequence[str]]) -> None:
+    """Raise ValueError for a column of numbers of which some group their thousands."""
+    for column in range(max(map(len, rows), default=0)):
+        filled = [row[column] for row in rows if column < len(row) and row[column]]
+        grouped = [field for field in filled if has_grouped_thousands(field)]
+        if grouped and all(is_number(f) or has_grouped_thousands(f) for f in filled):
+            raise ValueError(
+                f"{grouped[0]!r} groups its thousands; write numbers without such separators"
+            )
 
 
 def _has_decimal_commas(rows: Sequence[Sequence[str]], separator: str) -> bool:

@@ -42,7 +42,8 @@ def test_what_is_no_number(text):
         ("-46 56 40.58", -46.944605556), ("[46, 56, 2029/50]", 46.944605556),
         ("46 deg 56.676'", 46.9446), ("46,56.676S", -46.9446), ("46,56,40.58N", 46.944605556),
         ("46.9446 S", -46.9446), ("46,9446\u00b0", 46.9446), ("-0 30 0", -0.5), ("46.5 deg", 46.5),
-        ("7.438184 East", 7.438184),
+        ("7.438184 East", 7.438184), ("N46\u00b056'40.58\"", 46.944605556), ("S 46.5", -46.5),
+        ("46/1 56/1 4058/100", 46.944605556), ("46/1, 56/1, 4058/100", 46.944605556),
     ],
 )  # fmt: skip
 def test_angles(text, degrees):
@@ -53,6 +54,23 @@ def test_a_hemisphere_that_is_stated_elsewhere():
     assert angle_of("[8, 30, 0]", "West") == -8.5
     assert angle_of("-33.5", "S") == -33.5
     assert angle_of("8.5", "E") == 8.5
+    assert angle_of("46 deg 30' S", "South") == -46.5
+    assert angle_of("8.5 E", "Unknown ()") == 8.5
+
+
+@pytest.mark.parametrize(
+    ("text", "hemisphere"),
+    [("46.5 N", "S"), ("-46.5 N", ""), ("-8.5", "East"), ("N-46.5", ""), ("8.5 E", "N")],
+)
+def test_hemispheres_that_contradict_are_not_read(text, hemisphere):
+    with pytest.raises(ValueError, match=r"hemisphere|negative|is not"):
+        angle_of(text, hemisphere)
+
+
+def test_a_letter_of_the_other_axis_is_not_read():
+    assert angle_of("8.5 E", letters="EW") == 8.5
+    with pytest.raises(ValueError, match="other axis"):
+        angle_of("8.5 E", letters="NS")
 
 
 @pytest.mark.parametrize(

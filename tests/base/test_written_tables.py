@@ -44,3 +44,21 @@ def test_what_shows_no_form(lines):
 def test_a_field_of_many_pages_is_no_table():
     with pytest.raises(ValueError, match="field larger than"):
         form_of(["a,b", '1,"' + 140_000 * "x"])
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        ["image;x", "a;8.927,4661", "b;514,2"],
+        ["image,x", 'a,"8,927.4661"', "b,514.2"],
+        ["image\tx", "a\t8'927.5", "b\t1"],
+        ["image;x", "a;8\u00a0927", "b;1"],
+    ],
+)
+def test_thousands_are_refused_in_words(lines):
+    with pytest.raises(ValueError, match="groups its thousands"):
+        form_of(lines)
+
+
+def test_a_name_among_which_one_looks_like_thousands_is_a_name():
+    assert form_of(["image;x", "8'927;1", "b;2"]).names == ("image", "x")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from xml.etree import ElementTree
 
 import numpy as np
 import pandas as pd
@@ -259,6 +260,27 @@ def test_the_reference_of_a_chunk_is_compared_with_its_cameras(tmp_path):
         mission["ground"] = {"height": 530, "reference": "ellipsoid"}
         _, messages = run(tmp_path, mission, code)
         assert expected in messages
+
+
+def test_a_disabled_camera_is_left_out(tmp_path):
+    """Metashape leaves its old pose in the file: here 50 m away in the chunk."""
+    block = SmallBlock.make()
+    file = tmp_path / "s.xml"
+    block.write_metashape(file, reference="EPSG:4326")
+    root = ElementTree.fromstring(file.read_text())
+    camera = next(root.iter("camera"))
+    camera.set("enabled", "false")
+    transform = camera.find("transform")
+    numbers = transform.text.split()
+    numbers[3] = str(float(numbers[3]) + 50.0)
+    transform.text = " ".join(numbers)
+    file.write_text(ElementTree.tostring(root, encoding="unicode"))
+    mission = config("s.xml", "metashape", heights="ellipsoid")
+    mission["ground"] = {"height": 530, "reference": "ellipsoid"}
+    stations, messages = run(tmp_path, mission)
+    assert len(stations) == len(block.names) - 1
+    assert (stations["status"] == "ok").all()
+    assert block.names[0] in messages["BLOCK-DISABLED"]["what"]
 
 
 def test_slave_cameras_follow_their_master(tmp_path):

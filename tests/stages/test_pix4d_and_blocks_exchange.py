@@ -215,7 +215,7 @@ def test_photos_without_an_estimated_pose_have_none(tmp_path):
     path = tmp_path / "b.xml"
     block.write_blocks_exchange(path, "ENU:46.95,7.45")
     text = path.read_text()
-    path.write_text(text.replace("</Rotation>", "<Accurate>false</Accurate></Rotation>", 1))
+    path.write_text(text.replace("</Rotation>", "<Accurate> False </Accurate></Rotation>", 1))
     table = read_block_images(path, "blocksexchange")
     assert np.isnan(table.angles[0]).all()
     assert np.isfinite(table.angles[1:]).all()

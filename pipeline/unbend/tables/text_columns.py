@@ -20,7 +20,7 @@ from unbend.tables import messages
 from unbend.tables.delimited import text_file
 from unbend.tables.refraction_mark import Direction
 from unbend.units import RADIANS, UNIX_NS_OF_GPS_EPOCH, AngleUnit, Array, Mask
-from unbend.written_numbers import angle_of, number_of
+from unbend.written_numbers import LETTERS_OF_AXIS, angle_of, number_of
 from unbend.written_tables import BLANKS, columns_in_words, with_decimal_points
 
 Hashes = NDArray[np.uint64]
@@ -30,6 +30,8 @@ _FNV_BASIS = np.uint64(0xCBF29CE484222325)  # of FNV-1a with 64 bits
 _FNV_PRIME = np.uint64(0x100000001B3)
 _MIXING_FACTOR = np.uint64(0xD6E8FEB86659FD93)  # FNV-1a hardly changes the highest bits
 LINE_OF_FIRST_ROW = 2  # of a table in memory, as though its first line were its header
+_PUNCTUATION = re.compile(r"[^a-z0-9]")
+_ENDINGS_OF_HEMISPHERE = ("ref", "hemisphere", "hemi", "dir")
 _QUANTITIES_OF_NAMES = ("image", "camera", "point")  # whose columns hold text
 _WEEK_NS = SECONDS_PER_WEEK * 10**9
 # ISO 8601 with year, month and day; years of four digits that nanoseconds since 1970 can count.
@@ -91,12 +93,20 @@ def whole_table(path: Path, code: Code, of_names: Collection[str]) -> pd.DataFra
         raise messages.csv_unreadable(code=code, where=path, error=str(error).strip()) from None
     table = rows.iloc[int(form.head_is_row) :].set_axis(list(form.names), axis="columns")
     table.index = pd.RangeIndex(len(table)) + form.line_of_first_row
+    table = table[~_comments_between_rows(table)]
     for column, name in enumerate(form.names):
         fields = table.iloc[:, column].tolist()
         with_points = with_decimal_points(fields, decimal_comma=form.decimal_comma)
         if name not in of_names and with_points is not fields:
             table.isetitem(column, list(with_points))
     return table
+
+
+def _comments_between_rows(table: pd.DataFrame) -> Mask:
+    """(n,) the rows that begin with # or % and have no other field."""
+    begins_so = table.iloc[:, 0].str.startswith(("#", "%"))
+    has_no_other = (table.iloc[:, 1:] == "").all(axis=1)
+    return np.asarray(begins_so & has_no_other, np.bool_)
 
 
 def text_of_frame(
@@ -146,17 +156,21 @@ def numbers_in_text(text: "pd.Series[str]") -> Array:
     return values
 
 
-def degrees_of(table: pd.DataFrame, name: str, path: Path, code: Code) -> Array:
+def degrees_of(table: pd.DataFrame, name: str, path: Path, code: Code, *, quantity: str) -> Array:
     """(n,) a column of latitudes or longitudes [deg], as numbers or in degrees and minutes.
 
-    NaN where a field is empty; refuses (``code``) any other text.
+    A column of hemispheres beside it gives the signs. NaN where a field is empty; refuses
+    (``code``) any other text, and a sign or letter of another hemisphere.
     """
     fields = table[name]
+    letters = LETTERS_OF_AXIS[quantity]
+    hemispheres = _hemispheres_of(table, name, quantity)
     degrees = np.array(numbers(fields))
     unread = []
-    for row in np.flatnonzero(np.isnan(degrees)).tolist():
+    in_parts = np.isnan(degrees) | (hemispheres != "").to_numpy()
+    for row in np.flatnonzero(in_parts).tolist():
         try:
-            degrees[row] = angle_of(fields.iloc[row])
+            degrees[row] = angle_of(fields.iloc[row], hemispheres.iloc[row], letters)
         except ValueError:
             unread.append(row)
     if unread:
@@ -169,6 +183,23 @@ def degrees_of(table: pd.DataFrame, name: str, path: Path, code: Code) -> Array:
             first=fields.iloc[unread[0]],
         )
     return degrees
+
+
+def _hemispheres_of(table: pd.DataFrame, name: str, quantity: str) -> "pd.Series[str]":
+    """(n,) the hemisphere of each row, by a column that is called so; else empty.
+
+    Its name is that of the angle with "ref", "hemisphere" or "dir" behind it, or N/S, E/W.
+    """
+    letters = LETTERS_OF_AXIS[quantity]
+    of_angle = _PUNCTUATION.sub("", name.lower())
+    known = {of_angle + ending for ending in _ENDINGS_OF_HEMISPHERE} | {letters.lower()}
+    for column in table.columns:
+        values = table[column].str.strip()
+        first_letters = values[values != ""].str[0].str.upper()
+        is_called_so = _PUNCTUATION.sub("", str(column).lower()) in known
+        if is_called_so and first_letters.isin(list(letters)).all():
+            return values
+    return pd.Series("", index=table.index, dtype=str)
 
 
 def numbers_of(table: pd.DataFrame, name: str, path: Path, code: Code) -> Array:

@@ -317,6 +317,34 @@ def test_xmp_behind_other_segments_of_a_megabyte_is_read(tmp_path):
     assert gimbal(tmp_path)[0] == pytest.approx(np.array([[-45.0, 90.0]]))
 
 
+EDITORS_PACKET = XMP_BEGIN + 'drone-dji:Model="M"/></rdf:RDF></x:xmpmeta>'
+
+
+def with_packet_before(path: Path, packet: str) -> None:
+    """Put another segment of XMP before all others of a JPEG."""
+    whole = path.read_bytes()
+    content = b"http://ns.adobe.com/xap/1.0/\0" + packet.encode()
+    segment = b"\xff\xe1" + (len(content) + 2).to_bytes(2, "big") + content
+    path.write_bytes(whole[:2] + segment + whole[2:])
+
+
+def test_all_packets_of_xmp_are_read(tmp_path):
+    """An editor that does not know the camera's XMP writes its own before it."""
+    write_jpeg(tmp_path / "a.jpg", "2026:05:01 10:20:30", xmp=AS_ELEMENTS)
+    with_packet_before(tmp_path / "a.jpg", EDITORS_PACKET)
+    turns, entries = gimbal(tmp_path)
+    assert turns == pytest.approx(np.array([[-45.0, 90.0]]))
+    assert not entries
+
+
+def test_packets_of_xmp_that_contradict_are_a_loss(tmp_path):
+    write_jpeg(tmp_path / "a.jpg", "2026:05:01 10:20:30", xmp=AS_ELEMENTS)
+    other = EDITORS_PACKET.replace('Model="M"', 'GimbalYawDegree="12.5"')
+    with_packet_before(tmp_path / "a.jpg", other)
+    _, entries = read(tmp_path)
+    assert "GimbalYawDegree twice" in entries["EXIF-UNREADABLE"].what
+
+
 def test_xmp_of_a_tiff_is_read(tmp_path):
     xmp = AS_ELEMENTS.encode()
     Image.new("RGB", (400, 400)).save(tmp_path / "a.tif", tiffinfo={700: xmp})
@@ -384,6 +412,28 @@ def test_tags_that_are_no_numbers_are_losses(tmp_path):
     assert [entry.kind for entry in told] == ["loss", "loss"]
     assert "a.jpg: '1,234'" in told[1].what
     assert "b.jpg: 'abwärts'" in told[0].what
+
+
+def test_hemispheres_of_tags_are_compared(tmp_path):
+    """One that contradicts the tag's own, or belongs to the other axis, leaves no position."""
+    text = "SourceFile,GPSLatitude,GPSLatitudeRef,GPSLongitude,DateTimeOriginal\n"
+    text += "a.jpg,46.5,South,7.5 E,2026:05:01 10:20:30\n"
+    text += "b.jpg,46.5 N,S,7.5 E,2026:05:01 10:20:30\n"
+    text += "c.jpg,7.5 E,,46.5 N,2026:05:01 10:20:30\n"
+    (tmp_path / "t.csv").write_text(text)
+    times, entries = read(tmp_path / "t.csv")
+    assert np.degrees(times.position[0, :2]) == pytest.approx([-46.5, 7.5])
+    assert np.isnan(times.position[1:]).all()
+    assert entries["IMAGES-TAG"].kind == "loss"
+
+
+def test_djis_height_has_a_sign_of_its_own(tmp_path):
+    """GPSAltitudeRef belongs to GPSAltitude alone; some drones write it below the sea."""
+    text = "SourceFile,GPSLatitude,GPSLongitude,{},GPSAltitudeRef\na.jpg,46.5,7.5,600.5,{}\n"
+    (tmp_path / "a.csv").write_text(text.format("AbsoluteAltitude", "Below Sea Level"))
+    (tmp_path / "b.csv").write_text(text.format("GPSAltitude", "Below Sea Level"))
+    heights = [read(tmp_path / name)[0].position[0, 2] for name in ("a.csv", "b.csv")]
+    assert heights == [600.5, -600.5]
 
 
 def test_images_none_of_whose_tags_can_be_read_are_refused(tmp_path):

@@ -103,7 +103,7 @@ def _points_of_text(
     values = {}
     for quantity, name in columns.items():
         if quantity in ("latitude", "longitude"):
-            values[quantity] = degrees_of(text, name, path, _CODES[0])
+            values[quantity] = degrees_of(text, name, path, _CODES[0], quantity=quantity)
         elif quantity != "point":
             values[quantity] = numbers_of(text, name, path, _CODES[0])
     return pa.array(text[columns["point"]].str.strip(), pa.string()), values

@@ -30,7 +30,7 @@ from unbend.tables.imports.user_tables import OrientationTable
 from unbend.tables.imports.xmp import dji_tags
 from unbend.tables.text_columns import FIRST_WEEK_OF_SURVEYS, whole_table
 from unbend.units import Integers, Names
-from unbend.written_numbers import angle_of, height_of
+from unbend.written_numbers import LETTERS_OF_AXIS, angle_of, height_of
 
 ENDINGS = ".3fr .arw .cr2 .cr3 .dng .heic .iiq .jpeg .jpg .nef .orf .raf .rw2 .tif .tiff"
 
@@ -266,7 +266,8 @@ def positions_of_tags(
     for file, of in tags.items():
         degrees = {}
         for axis in ("latitude", "longitude"):
-            angle = partial(angle_of, hemisphere=of.get(f"gps{axis}ref", ""))
+            stated = of.get(f"gps{axis}ref", "")
+            angle = partial(angle_of, hemisphere=stated, letters=LETTERS_OF_AXIS[axis])
             degrees[axis] = reader.value(file, of, f"gps{axis}", angle)
         lat, lon = degrees["latitude"], degrees["longitude"]
         if np.isnan(lon):
@@ -275,7 +276,8 @@ def positions_of_tags(
         height = reader.value(file, of, key, height_of)
         if abs(height) > LARGEST_HEIGHT_M:
             height = np.nan
-        if of.get("gpsaltituderef", "0").lower().startswith(("1", "below")):
+        below = of.get("gpsaltituderef", "0").lower().startswith(("1", "below"))
+        if below and key == "gpsaltitude":  # DJI's AbsoluteAltitude has a sign of its own
             height = -abs(height)
         on_earth = abs(lat) <= 90.0 and abs(lon) <= 360.0 and (lat, lon) != (0.0, 0.0)
         rows.append((*np.radians([lat, lon]), height) if on_earth else (np.nan,) * 3)

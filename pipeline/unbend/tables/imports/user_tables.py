@@ -56,7 +56,9 @@ def read_trajectory_csv(path: Path, stated: Stated, ledger: Ledger) -> Channel:
     if stated.position_unit == "deg":
         for quantity in value.keys() & _LIMITS_DEG.keys():
             name = stated.columns[quantity]
-            value[quantity] = degrees_of(table, name, path, messages.IMPORT_FORMAT)
+            value[quantity] = degrees_of(
+                table, name, path, messages.IMPORT_FORMAT, quantity=quantity
+            )
     columns = {name: value[name] for name in _AS_THEY_ARE if name in value}
     grid_north: Array | None = None
     if stated.crs is not None:
@@ -350,7 +352,9 @@ def _numbers(table: pd.DataFrame, names: Mapping[str, str], path: Path) -> dict[
     value = {}
     for quantity, column in names.items():
         if quantity in _LIMITS_DEG:
-            value[quantity] = degrees_of(table, column, path, messages.ORIENTATION_NUMBER)
+            value[quantity] = degrees_of(
+                table, column, path, messages.ORIENTATION_NUMBER, quantity=quantity
+            )
         elif quantity not in ("image", "camera", "time_utc"):
             value[quantity] = numbers_of(table, column, path, messages.ORIENTATION_NUMBER)
     return value

@@ -25,23 +25,33 @@ _ENDS_OF_HEAD = {0xD9, 0xDA}  # the end of the image, and the beginning of its p
 def dji_tags(path: Path) -> dict[str, str]:
     """DJI's tags of an image by their names; empty without XMP.
 
-    Raises ValueError for XMP that is no XML, is larger than a megabyte, or has a document type.
+    Raises ValueError for XMP that is no XML, is larger than a megabyte, has a document type, or
+    states two values of one tag.
     """
     with path.open("rb") as file:
-        packet = xmp_of_jpeg(file) if file.read(2) == _JPEG else xmp_in_text(file)
-    return properties_of_dji(packet) if packet else {}
+        packets = [*xmp_of_jpeg(file)] if file.read(2) == _JPEG else [xmp_in_text(file)]
+    tags: dict[str, str] = {}
+    for packet in filter(None, packets):
+        found = properties_of_dji(packet)
+        for name in tags.keys() & found.keys():
+            if tags[name] != found[name]:
+                raise ValueError(f"its XMP states {name} twice: {tags[name]} and {found[name]}")
+        tags |= found
+    return tags
 
 
-def xmp_of_jpeg(file: BinaryIO) -> bytes:
-    """The XMP of a JPEG, read from behind its first marker on; empty without one."""
+def xmp_of_jpeg(file: BinaryIO) -> Iterator[bytes]:
+    """Each packet of XMP of a JPEG, read from behind its first marker on.
+
+    Editors that keep what they do not know write a packet of their own before it.
+    """
     for marker, length in _segments(file):
         if marker != _SEGMENT_APP1:
             continue
         begin = file.tell()
         if file.read(len(SEGMENT)) == SEGMENT:
-            return file.read(length - len(SEGMENT))
+            yield file.read(length - len(SEGMENT))
         file.seek(begin)
-    return b""
 
 
 def _segments(file: BinaryIO) -> Iterator[tuple[int, int]]:

@@ -378,6 +378,11 @@ def _camera_axes(group: ElementTree.Element) -> Array:
     return np.stack([x, y, np.cross(x, y)], axis=1)
 
 
+def _is_not_accurate(element: ElementTree.Element) -> bool:
+    """Whether the program says that it has not estimated a part of a pose."""
+    return element.findtext("Accurate", "true").strip().lower() in ("false", "0")
+
+
 def _centre(
     element: ElementTree.Element | None,
     *,
@@ -385,7 +390,7 @@ def _centre(
 ) -> list[float]:
     """x, y, z; NaN without, and where the program says that it has not estimated them."""
     unknown = [np.nan, np.nan, np.nan]
-    if element is None or (only_accurate and element.findtext("Accurate") == "false"):
+    if element is None or (only_accurate and _is_not_accurate(element)):
         return unknown
     return [float(element.findtext(axis, "nan")) for axis in "xyz"]
 
@@ -396,7 +401,7 @@ def _rotation(
 ) -> Array:
     """(3, 3) from the spatial reference system to the camera's axes; NaN where unknown."""
     unknown = np.full((3, 3), np.nan)
-    if element is None or element.findtext("Accurate") == "false":
+    if element is None or _is_not_accurate(element):
         return unknown
     given = {part.tag: part.text or "" for part in element}
     if set(_MATRIX) <= given.keys():

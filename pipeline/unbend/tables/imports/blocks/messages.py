@@ -1,5 +1,6 @@
 """Messages of blocks of other programs: cameras, orientations, image points and object points."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -377,6 +378,25 @@ def reconstruction_before_odm(*, where: Path | str) -> Message:
         "reconstruction.json UTM minus an offset",
         where=str(where),
         name=Path(where).name,
+    )
+
+
+BLOCK_DISABLED = Code(
+    "BLOCK-DISABLED",
+    means="Cameras of the project are disabled: they took no part in its adjustment.",
+    effect="These images are left out, with their image points: their poses may be old ones.",
+    remedy="Enable and align them in the project, if they are wanted.",
+)
+
+
+def disabled_cameras(*, where: Path | str, names: Sequence[str]) -> Message:
+    """Disabled cameras are left out."""
+    return note(
+        BLOCK_DISABLED,
+        "{disabled} left out, the first is {first}",
+        where=str(where),
+        disabled=Counted(len(names), "disabled camera is", "disabled cameras are"),
+        first=names[0],
     )
 
 

@@ -8,7 +8,8 @@ to the earth's centre where it has a coordinate system, in the datum of that, el
 coordinates. A slave camera of a rig has no transform of its own where it follows its master: there
 it is the master's, times rotation and place of its sensor in the master's axes and the chunk's
 units. A marker has its label as name; a tie point is called ``tie:`` and its number. An image has
-the label of its camera; labels that repeat have the group's, or folders, before them.
+the label of its camera; labels that repeat have the group's, or folders, before them. A camera that
+is disabled took no part in the adjustment: its pose is an old one, and it is left out.
 """
 
 from collections import Counter
@@ -58,9 +59,10 @@ def read_images(path: Path) -> OrientationTable:
     """The cameras of the chunk with their transforms; unknown where one is not aligned."""
     chunk = only_chunk(path)
     sensors = _sensors(chunk)
-    cameras = [*chunk.iterfind("cameras//camera")]
-    poses = _poses(chunk, cameras)
-    components = _components(cameras)
+    all_cameras = [*chunk.iterfind("cameras//camera")]
+    poses = _poses(chunk, all_cameras)  # a master may be disabled, and its slave not
+    components = _components(all_cameras)
+    cameras = [camera for camera in all_cameras if _is_enabled(camera)]
     position = np.full((len(cameras), 3), np.nan)
     quaternion = np.full((len(cameras), 4), np.nan)
     for row, camera in enumerate(cameras):
@@ -73,8 +75,16 @@ def read_images(path: Path) -> OrientationTable:
         quaternion[row] = turned.as_quat()[[3, 0, 1, 2]]
         position[row] = scale * turn @ pose[:3, 3] + step
     of_sensor = [sensors.get(camera.get("sensor_id", ""), ("", None))[0] for camera in cameras]
-    names = [*_image_names(chunk).values()]
+    name_of_camera = _image_names(chunk)
+    names = [name_of_camera[camera.get("id", "")] for camera in cameras]
     table = oriented_images(names, of_sensor, position, quaternion)
+    if len(cameras) < len(all_cameras):
+        left_out = [
+            name_of_camera[camera.get("id", "")]
+            for camera in all_cameras
+            if not _is_enabled(camera)
+        ]
+        table = replace(table, notes=(messages.disabled_cameras(where=path, names=left_out),))
     reference = chunk.findtext("reference", "")
     if chunk.find(".//transform/scale") is None:
         return table
@@ -92,7 +102,7 @@ def read_places(path: Path) -> tuple[KnownPlaces, ...]:
     places = []
     for camera in chunk.iterfind("cameras//camera"):
         given = camera.find("reference")
-        if given is None or given.get("enabled", "true") in ("false", "0"):
+        if given is None or not _is_enabled(given) or not _is_enabled(camera):
             continue
         place = [float(given.get(axis, "nan")) for axis in "xyz"]
         if np.isfinite(place[:2]).all():
@@ -127,7 +137,10 @@ def read_rows(path: Path) -> Iterator[pa.RecordBatch]:
     ties = {}
     for projections in frames[0].iterfind("point_cloud/projections"):
         ties[projections.get("camera_id")] = projections.attrib["path"]
+    disabled = {c.get("id", "") for c in chunk.iterfind("cameras//camera") if not _is_enabled(c)}
     for number, name in _image_names(chunk).items():
+        if number in disabled:
+            continue
         rows = marks.get(number, [])
         if number in ties:
             found = vertices(path, ties[number])
@@ -148,6 +161,11 @@ def read_points(path: Path) -> tuple[pa.StringArray, Array]:
     places = np.stack([points[axis].astype(np.float64) for axis in "xyz"], axis=1)
     names = pa.array([f"tie:{number}" for number in points["id"].tolist()], pa.string())
     return names, np.asarray(scale * places @ turn.T + step)
+
+
+def _is_enabled(element: ElementTree.Element) -> bool:
+    """Whether a camera, or its reference, takes part in the adjustment."""
+    return element.get("enabled", "true").lower() not in ("false", "0")
 
 
 def _image_names(chunk: ElementTree.Element) -> dict[str, str]:
