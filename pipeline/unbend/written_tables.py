@@ -189,7 +189,7 @@ def _numeric_columns(rows: Sequence[Sequence[str]]) -> list[int]:
     """The columns that hold numbers and nothing else, at least one."""
     numeric = []
     for column in range(max(map(len, rows), default=0)):
-        filled = [row[column] for row in rows if column < len(row) and row[column]]
+        filled = _filled_fields(rows, column)
         if filled and all(map(is_number, filled)):
             numeric.append(column)
     return numeric
@@ -230,12 +230,20 @@ def _names_in_comment(line: str, width: int) -> tuple[str, ...]:
     return ()
 
 
+def _filled_fields(rows: Sequence[Sequence[str]], column: int) -> list[str]:
+    """The fields of a column that are not empty."""
+    fields = [row[column] for row in rows if column < len(row)]
+    return [field for field in fields if field]
+
+
 def _refuse_grouped_thousands(rows: Sequence[Sequence[str]]) -> None:
     """Raise ValueError for a column of numbers of which some group their thousands."""
-    for column in range(max(map(len, rows), default=0)):
-        filled = [row[column] for row in rows if column < len(row) and row[column]]
+    width = max(map(len, rows), default=0)
+    for column in range(width):
+        filled = _filled_fields(rows, column)
         grouped = [field for field in filled if has_grouped_thousands(field)]
-        if grouped and all(is_number(f) or has_grouped_thousands(f) for f in filled):
+        others = [field for field in filled if not has_grouped_thousands(field)]
+        if grouped and all(map(is_number, others)):
             raise ValueError(
                 f"{grouped[0]!r} groups its thousands; write numbers without such separators"
             )
@@ -269,8 +277,10 @@ def with_decimal_points(fields: Sequence[str], *, decimal_comma: bool) -> Sequen
     ['1,234']
     """
     with_comma = [field for field in fields if "," in field]
-    filled = [field for field in fields if field.strip()] if with_comma else []
-    if not with_comma or not all(is_number(field) and "." not in field for field in filled):
+    if not with_comma:
+        return fields
+    filled = [field for field in fields if field.strip()]
+    if any("." in field for field in filled) or not all(map(is_number, filled)):
         return fields
     if not decimal_comma and all(map(may_be_thousands, with_comma)):
         return fields

@@ -70,9 +70,10 @@ class GroundEvidence:
             values = _landed_of(channel)
             if values is None:
                 continue
-            said = _last_said(channel, values, time_ns)
-            is_contradicted |= np.abs(said - landed) > 0.0
-            landed = np.where(np.isnan(landed), said, landed)
+            landed_by_channel = _last_said(channel, values, time_ns)
+            is_contradicted |= np.abs(landed_by_channel - landed) > 0.0
+            is_unsaid = np.isnan(landed)
+            landed = np.where(is_unsaid, landed_by_channel, landed)
         return np.where(is_contradicted, np.nan, landed)
 
     def flies(self, time_ns: TimeArray) -> Mask:
@@ -103,7 +104,8 @@ def home_is_set(h_msl_m: Array, above_home_m: Array) -> Mask:
     if is_set.any() or not are_equal.any():
         return is_set
     lowest_m = np.min(np.abs(h_msl_m[are_equal]))
-    return np.asarray(are_equal & (lowest_m < AT_SEA_LEVEL_M))
+    is_at_sea_level = lowest_m < AT_SEA_LEVEL_M
+    return are_equal if is_at_sea_level else is_set
 
 
 def _above_home(position: Channel, home: Channel | None) -> Array:
@@ -114,7 +116,8 @@ def _above_home(position: Channel, home: Channel | None) -> Array:
     h_msl_m = position.get("h_msl_m")
     above_home_m = position.get("h_home_m")
     if np.isfinite(above_home_m).any():
-        return np.where(home_is_set(h_msl_m, above_home_m), above_home_m, np.nan)
+        is_set = home_is_set(h_msl_m, above_home_m)
+        return np.where(is_set, above_home_m, np.nan)
     if home is None:
         return above_home_m
     return np.asarray(h_msl_m - _last_said(home, home["home_h_msl_m"], position.time_ns))

@@ -89,6 +89,11 @@ def missed_rollovers(
         return 0
     if acceptable or not of_receiver:
         return None
+    return _only_rollovers(time_ns)
+
+
+def _only_rollovers(time_ns: int) -> int | None:
+    """How many rollovers later a date is possible; None where that is none or several."""
     possible = [n for n in ROLLOVERS if n > 0 and is_possible(time_ns + n * ROLLOVER_NS)]
     return possible[0] if len(possible) == 1 else None
 

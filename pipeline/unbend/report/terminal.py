@@ -358,5 +358,7 @@ def _flat(columns: Columns) -> Iterator[tuple[str, NDArray[Any]]]:
 def _values(name: str, column: NDArray[Any]) -> list[Any]:
     if name != "time_ns":
         return list(column.tolist())
-    texts = np.datetime_as_string(column.astype("datetime64[ns]")).tolist()
-    return [f"{text}Z" if known else "" for text, known in zip(texts, is_utc(column), strict=True)]
+    times = column.astype("datetime64[ns]")
+    texts = np.char.add(np.datetime_as_string(times), "Z")
+    in_utc = np.where(is_utc(column), texts, "")
+    return list(in_utc.tolist())

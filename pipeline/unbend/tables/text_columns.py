@@ -167,7 +167,8 @@ def degrees_of(table: pd.DataFrame, name: str, path: Path, code: Code, *, quanti
     hemispheres = _hemispheres_of(table, name, quantity)
     degrees = np.array(numbers(fields))
     unread = []
-    in_parts = np.isnan(degrees) | (hemispheres != "").to_numpy()
+    has_hemisphere = (hemispheres != "").to_numpy()
+    in_parts = np.isnan(degrees) | has_hemisphere
     for row in np.flatnonzero(in_parts).tolist():
         try:
             degrees[row] = angle_of(fields.iloc[row], hemispheres.iloc[row], letters)
@@ -194,10 +195,13 @@ def _hemispheres_of(table: pd.DataFrame, name: str, quantity: str) -> "pd.Series
     of_angle = _PUNCTUATION.sub("", name.lower())
     known = {of_angle + ending for ending in _ENDINGS_OF_HEMISPHERE} | {letters.lower()}
     for column in table.columns:
+        called = _PUNCTUATION.sub("", str(column).lower())
+        if called not in known:
+            continue
         values = table[column].str.strip()
-        first_letters = values[values != ""].str[0].str.upper()
-        is_called_so = _PUNCTUATION.sub("", str(column).lower()) in known
-        if is_called_so and first_letters.isin(list(letters)).all():
+        filled = values[values != ""]
+        first_letters = filled.str[0].str.upper()
+        if first_letters.isin(list(letters)).all():
             return values
     return pd.Series("", index=table.index, dtype=str)
 
@@ -282,10 +286,13 @@ def utc_of_columns(table: pd.DataFrame, names: Mapping[str, str]) -> tuple[TimeA
     if "time_utc" in names:
         return utc_of_dates(table[names["time_utc"]])
     week, seconds = (numbers(table[names[part]]) for part in ("gps_week", "gps_seconds"))
-    good = np.isfinite(week) & np.isfinite(seconds) & (week == np.floor(week))
+    is_whole = week == np.floor(week)
+    good = np.isfinite(week) & np.isfinite(seconds) & is_whole
     good &= week >= FIRST_WEEK_OF_SURVEYS
-    good &= (seconds >= 0.0) & (seconds <= 604_800.0)
-    time_ns = utc_of_weeks(np.where(good, week, np.nan), seconds, "gpst")
+    good &= seconds >= 0.0
+    good &= seconds <= SECONDS_PER_WEEK
+    known_week = np.where(good, week, np.nan)
+    time_ns = utc_of_weeks(known_week, seconds, "gpst")
     return time_ns, good & can_be_flown(time_ns)
 
 

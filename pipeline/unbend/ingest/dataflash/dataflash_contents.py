@@ -94,11 +94,14 @@ def _dropped_messages(
     is_good = clock.line.good(table[PLACE])
     dropped = 0
     for number in np.unique(boot).tolist():
-        counts = table["Dp"][is_good & (boot == number)].astype(np.int64)
-        counts = counts[(counts >= 0) & (counts < _NO_COUNT)]
+        of_boot = is_good & (boot == number)
+        counts = table["Dp"][of_boot].astype(np.int64)
+        is_count = (counts >= 0) & (counts < _NO_COUNT)
+        counts = counts[is_count]
         before = np.concatenate([[0], counts[:-1]])
         has_restarted = counts < before
-        dropped += int(np.where(has_restarted, counts, counts - before).sum())
+        added = np.where(has_restarted, counts, counts - before)
+        dropped += int(added.sum())
     if dropped:
         ledger.add(messages.dropped_by_logger(message=name, count=dropped))
     return dropped

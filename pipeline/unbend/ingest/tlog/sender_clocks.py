@@ -344,8 +344,10 @@ def _shifts_of_stated(clock: BootClock, stated: UtcReadings) -> tuple[int, ...]:
         shift_ns = 0
         if fit is not None and rows.any():
             offsets_ns = np.sort(stated.utc_ns[rows] - stated.boot_ns[rows])
-            shift_ns = fit.offset_ns - int(offsets_ns[offsets_ns.size // 2])
-        shifts_ns.append(shift_ns if abs(shift_ns) > DAY_NS else 0)
+            middle = offsets_ns.size // 2
+            shift_ns = fit.offset_ns - int(offsets_ns[middle])
+        has_other_date = abs(shift_ns) > DAY_NS
+        shifts_ns.append(shift_ns if has_other_date else 0)
     return tuple(shifts_ns)
 
 

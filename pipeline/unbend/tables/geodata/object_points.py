@@ -101,9 +101,10 @@ def _points_of_text(
     """Names, and the other columns by quantity, of a table that is text."""
     text = text_table(path, columns, codes=_CODES, key=key)
     values = {}
+    code = _CODES[0]
     for quantity, name in columns.items():
         if quantity in ("latitude", "longitude"):
-            values[quantity] = degrees_of(text, name, path, _CODES[0], quantity=quantity)
+            values[quantity] = degrees_of(text, name, path, code, quantity=quantity)
         elif quantity != "point":
-            values[quantity] = numbers_of(text, name, path, _CODES[0])
+            values[quantity] = numbers_of(text, name, path, code)
     return pa.array(text[columns["point"]].str.strip(), pa.string()), values

@@ -272,13 +272,7 @@ def positions_of_tags(
         lat, lon = degrees["latitude"], degrees["longitude"]
         if np.isnan(lon):
             lon = reader.value(file, of, "gpslongtitude", angle_of)  # as DJI spelt it
-        key = "absolutealtitude" if of.get("absolutealtitude") else "gpsaltitude"
-        height = reader.value(file, of, key, height_of)
-        if abs(height) > LARGEST_HEIGHT_M:
-            height = np.nan
-        below = of.get("gpsaltituderef", "0").lower().startswith(("1", "below"))
-        if below and key == "gpsaltitude":  # DJI's AbsoluteAltitude has a sign of its own
-            height = -abs(height)
+        height = _height_of_tags(reader, file, of)
         on_earth = abs(lat) <= 90.0 and abs(lon) <= 360.0 and (lat, lon) != (0.0, 0.0)
         rows.append((*np.radians([lat, lon]), height) if on_earth else (np.nan,) * 3)
     reader.report(where, ledger)
@@ -393,17 +387,40 @@ def _key(name: str) -> str:
     return re.sub(r"[^a-z0-9]", "", re.split(r"[: ]", name)[-1].lower())
 
 
+def _height_of_tags(reader: TagReader, file: str, tags: Mapping[str, str]) -> float:
+    """The height of an image as its tags state it [m]; NaN where it is unknown."""
+    if tags.get("absolutealtitude"):  # DJI's has a sign of its own
+        height = reader.value(file, tags, "absolutealtitude", height_of)
+    else:
+        height = reader.value(file, tags, "gpsaltitude", height_of)
+        reference = tags.get("gpsaltituderef", "0").lower()
+        if reference.startswith(("1", "below")):
+            height = -abs(height)
+    return np.nan if abs(height) > LARGEST_HEIGHT_M else height
+
+
+def _stamp_of_week(week: str, seconds: str) -> Stamp | None:
+    """The time of a GPS week and its seconds; None where no survey can have it."""
+    if not week.isdigit() or not re.fullmatch(r"\d{1,6}(\.\d*)?", seconds):
+        return None
+    if int(week) < FIRST_WEEK_OF_SURVEYS:
+        return None
+    step_s = 10.0 ** -len(seconds.partition(".")[2])
+    time_ns = utc_of_gps(min(int(week), LARGEST_WEEK), float(seconds)).reshape(1)
+    if not bool(can_be_flown(time_ns)[0]):
+        return None
+    return Stamp(int(time_ns[0]), step_s, True, True)
+
+
 def _time_of(tags: Mapping[str, str], zone: str) -> Stamp | None:
     """The time of an exposure, from the best of the tags that state one."""
     if (dji := parse_time(tags.get("utcatexposure", ""), "UTC")) is not None:
         return dji._replace(by_gps=True)
     week = tags.get("gpsweek", "").strip()
     seconds = tags.get("gpsseconds", "").strip().replace(",", ".")
-    if week.isdigit() and re.fullmatch(r"\d{1,6}(\.\d*)?", seconds):
-        step_s = 10.0 ** -len(seconds.partition(".")[2])
-        time_ns = utc_of_gps(min(int(week), LARGEST_WEEK), float(seconds)).reshape(1)
-        if int(week) >= FIRST_WEEK_OF_SURVEYS and bool(can_be_flown(time_ns)[0]):
-            return Stamp(int(time_ns[0]), step_s, True, True)
+    by_week = _stamp_of_week(week, seconds)
+    if by_week is not None:
+        return by_week
     texts = [
         (tags.get("timeutc", ""), "UTC"),
         *((tags.get(n, ""), zone) for n in ("unixtime", "timestamp", "subsecdatetimeoriginal")),

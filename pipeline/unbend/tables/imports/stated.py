@@ -113,6 +113,13 @@ def read_text(path: Path) -> list[str]:
     return [line for line in lines if line.strip()]
 
 
+def _has_place(columns: Mapping[str, Array]) -> Mask:
+    """(n,) False where the place is 0, 0: that stands for an unknown one."""
+    is_at_equator = columns["lat_rad"] == 0.0
+    is_at_greenwich = columns["lon_rad"] == 0.0
+    return np.asarray(~(is_at_equator & is_at_greenwich))
+
+
 def channel_of_rows(
     path: Path,
     kind: str,
@@ -129,8 +136,7 @@ def channel_of_rows(
     have, those whose place is 0, 0 because it was not known, and those that repeat a time, are a
     loss. Refuses latitudes beyond the poles.
     """
-    has_no_place = (columns["lat_rad"] == 0.0) & (columns["lon_rad"] == 0.0)
-    readable = readable & can_be_flown(time_ns) & ~has_no_place
+    readable = readable & can_be_flown(time_ns) & _has_place(columns)
     rows = np.argsort(time_ns, kind="stable")
     rows = rows[readable[rows]]
     again = np.diff(time_ns[rows], prepend=-1) == 0

@@ -32,11 +32,11 @@ def dji_tags(path: Path) -> dict[str, str]:
         packets = [*xmp_of_jpeg(file)] if file.read(2) == _JPEG else [xmp_in_text(file)]
     tags: dict[str, str] = {}
     for packet in filter(None, packets):
-        found = properties_of_dji(packet)
-        for name in tags.keys() & found.keys():
-            if tags[name] != found[name]:
-                raise ValueError(f"its XMP states {name} twice: {tags[name]} and {found[name]}")
-        tags |= found
+        of_packet = properties_of_dji(packet)
+        for name in tags.keys() & of_packet.keys():
+            if tags[name] != of_packet[name]:
+                raise ValueError(f"its XMP states {name} twice: {tags[name]} and {of_packet[name]}")
+        tags |= of_packet
     return tags
 
 
