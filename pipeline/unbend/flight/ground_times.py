@@ -69,10 +69,19 @@ class GroundEvidence:
             values = _landed_of(channel)
             if values is None:
                 continue
-            said = _last_said(channel, values, time_ns)
-            is_contradicted |= np.abs(said - landed) > 0.0
-            landed = np.where(np.isnan(landed), said, landed)
-        return np.where(is_contradicted, np.nan, landed)
+            by_channel = _last_said(
+                channel,
+                values,
+                time_ns,
+            )
+            is_contradicted |= np.abs(by_channel - landed) > 0.0
+            landed = np.where(
+                np.isnan(landed),
+                by_channel,
+                landed,
+            )
+        landed[is_contradicted] = np.nan
+        return landed
 
     def flies(self, time_ns: TimeArray) -> Mask:
         """(n,) where the log says that the aircraft is in the air."""

@@ -95,13 +95,21 @@ def _dropped_messages(
     dropped = 0
     for number in np.unique(boot).tolist():
         counts = table["Dp"][is_good & (boot == number)].astype(np.int64)
-        counts = counts[(counts >= 0) & (counts < _NO_COUNT)]
-        before = np.concatenate([[0], counts[:-1]])
-        has_restarted = counts < before
-        dropped += int(np.where(has_restarted, counts, counts - before).sum())
+        is_count = (counts >= 0) & (counts < _NO_COUNT)
+        dropped += _sum_of_rises(counts[is_count])
     if dropped:
         ledger.add(messages.dropped_by_logger(message=name, count=dropped))
     return dropped
+
+
+def _sum_of_rises(counts: Integers) -> int:
+    """What a counter has counted that began at 0, and does so again where it falls."""
+    before = np.zeros_like(counts)
+    before[1:] = counts[:-1]
+    has_restarted = counts < before
+    before[has_restarted] = 0
+    rises = counts - before
+    return int(rises.sum())
 
 
 def _last_values(rows: Table) -> dict[str, float]:
