@@ -97,14 +97,20 @@ def _dropped_messages(
         of_boot = is_good & (boot == number)
         counts = table["Dp"][of_boot].astype(np.int64)
         is_count = (counts >= 0) & (counts < _NO_COUNT)
-        counts = counts[is_count]
-        before = np.concatenate([[0], counts[:-1]])
-        has_restarted = counts < before
-        added = np.where(has_restarted, counts, counts - before)
-        dropped += int(added.sum())
+        dropped += _sum_of_rises(counts[is_count])
     if dropped:
         ledger.add(messages.dropped_by_logger(message=name, count=dropped))
     return dropped
+
+
+def _sum_of_rises(counts: Integers) -> int:
+    """What a counter has counted that began at 0, and does so again where it falls."""
+    before = np.zeros_like(counts)
+    before[1:] = counts[:-1]
+    has_restarted = counts < before
+    before[has_restarted] = 0
+    rises = counts - before
+    return int(rises.sum())
 
 
 def _last_values(rows: Table) -> dict[str, float]:
