@@ -3,7 +3,7 @@
 from datetime import UTC, date, datetime
 
 from unbend.config.section import SectionError
-from unbend.flight.dates import latest_ns
+from unbend.flight.survey_dates import latest_ns
 from unbend.units import NANOSECONDS_PER_SECOND
 
 EARLIEST_DATE = date(1900, 1, 1)  # an earlier one is a typing error

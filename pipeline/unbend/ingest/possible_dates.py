@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from unbend.flight.channels import Channel
-from unbend.flight.dates import latest_ns
+from unbend.flight.survey_dates import latest_ns
 from unbend.ingest import messages
 from unbend.ingest.flight_log import Contents
 from unbend.ingest.message_tables import Table

@@ -20,7 +20,7 @@ from unbend.flight.clock import (
     UNIX_NS_FROM,
     WEEKS_PER_ROLLOVER,
 )
-from unbend.flight.dates import DAY_NS, latest_ns
+from unbend.flight.survey_dates import DAY_NS, latest_ns
 from unbend.units import NANOSECONDS_PER_SECOND, Mask
 
 ROLLOVER_NS = WEEKS_PER_ROLLOVER * SECONDS_PER_WEEK * NANOSECONDS_PER_SECOND

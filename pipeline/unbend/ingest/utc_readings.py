@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from unbend.errors import Counted
 from unbend.flight import clock
 from unbend.flight.channels import TimeArray
-from unbend.flight.dates import DAY_NS
+from unbend.flight.survey_dates import DAY_NS
 from unbend.ingest import messages
 from unbend.ingest.timelines import Timeline
 from unbend.ingest.utc_evidence import (

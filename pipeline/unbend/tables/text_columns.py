@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from unbend.errors import Code
 from unbend.flight.channels import TimeArray
 from unbend.flight.clock import SECONDS_PER_WEEK, utc_of_gps
-from unbend.flight.dates import can_be_flown
+from unbend.flight.survey_dates import can_be_flown
 from unbend.tables import messages
 from unbend.tables.delimited import text_file
 from unbend.tables.refraction_mark import Direction

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from unbend.flight.channels import TimeArray
 from unbend.flight.clock import BOOT_STEP_NS, clock_map, stray_times
-from unbend.flight.dates import DAY_NS
+from unbend.flight.survey_dates import DAY_NS
 from unbend.ingest.boot_clock import BootClock, fit_clock
 from unbend.ingest.timelines import timeline
 from unbend.ingest.tlog import messages

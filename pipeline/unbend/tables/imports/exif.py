@@ -20,9 +20,9 @@ from scipy.spatial.transform import Rotation
 
 from unbend.flight import rotations
 from unbend.flight.clock import utc_of_gps
-from unbend.flight.dates import can_be_flown
 from unbend.flight.image_names import composed
 from unbend.flight.stations import NO_TIME
+from unbend.flight.survey_dates import can_be_flown
 from unbend.messages import Ledger
 from unbend.tables.imports import messages
 from unbend.tables.imports.stated import Stated

@@ -13,7 +13,7 @@ import pandas as pd
 
 from unbend.flight.channels import Channel, Source, TimeArray
 from unbend.flight.clock import SECONDS_PER_WEEK
-from unbend.flight.dates import can_be_flown
+from unbend.flight.survey_dates import can_be_flown
 from unbend.geodesy import GeoidGrid
 from unbend.messages import Ledger
 from unbend.tables.imports import messages
