@@ -505,12 +505,17 @@ def test_a_place_that_is_not_stated_is_unknown(north, east):
 
 @pytest.mark.parametrize(
     ("north", "east"),
-    [("48,2333", "16,35"), ("48.2", "361"), ("98.2", "16.35"), ("48.2N", "16.35E")],
+    [("48 14", "16 21"), ("48.2", "361"), ("98.2", "16.35"), ("48.2N", "16.35E")],
 )
 def test_a_place_that_is_stated_and_cannot_be_read_is_refused(north, east):
     with pytest.raises(InputError) as caught:
         at_place(north, east)
     assert caught.value.code == "SOUNDING-PLACE"
+
+
+def test_a_place_with_decimal_commas_is_read():
+    sounding = at_place("48,2333", "16,35")
+    assert math.degrees(sounding.longitude_rad) == pytest.approx(16.35)
 
 
 def test_format_by_name():
