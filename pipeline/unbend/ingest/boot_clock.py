@@ -70,6 +70,7 @@ def fit_clock(
     sources = [dates.acceptable(source.usable_rows(line), ledger) for source in sources]
     if not any(source.places.size for source in sources):
         sources = [dates.acceptable(camera.usable_rows(line), ledger) for camera in cameras]
+    # The best source decides first about silences; `_utc_of_boots` chooses anew in each boot.
     sources = sorted(sources, key=lambda source: -source.places.size)
     boots_by_steps = line.boots
     line = _split_at_silences(line, sources if recorder is None else [*sources, recorder])

@@ -38,7 +38,7 @@ def read_positions(
     """The exposures of each camera that come from a file with their positions.
 
     Attitudes of cameras become those of the aircraft, by the mount. Refuses (STATIONS-ATTITUDE) a
-    file without, where there is no log and no trajectory.
+    file that gives no attitudes, if neither a log nor a trajectory does.
     """
     positions = {}
     for camera, source in mission.position_events.items():
@@ -52,10 +52,11 @@ def read_positions(
         channel = inputs.camera_events[camera](stated, ledger)
         where = f"events.positions.{camera}"
         replaced: tuple[str, ...] = ("position", "height")
-        if channel.fits_role("attitude") and not source.times_only:
+        gives_attitude = channel.fits_role("attitude") and not source.times_only
+        if gives_attitude:
             channel = with_aircraft_attitude(mission, camera, channel)
             replaced += ("attitude",)
-        elif "attitude" not in flight.roles and mission.log is None:
+        elif mission.log is None and "attitude" not in flight.roles:  # those of a trajectory
             raise messages.stations_without_attitude(where=where)
         places = "" if source.times_only else f", and where the {source.reference_point} was then"
         ledger.add(

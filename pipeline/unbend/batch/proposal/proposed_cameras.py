@@ -48,8 +48,10 @@ class Numbering:
 def proposed_cameras(
     channels: Sequence[Channel], images: tuple[str, ...], block_cameras: tuple[str, ...] = ()
 ) -> list[ProposedCamera]:
-    """The cameras by the names of the images, each with the channel that counts as they do.
+    """The cameras of a mission, each with the channel whose events are numbered as its images.
 
+    There is one for each series of image names; without series one for each camera of the block,
+    else for each channel, else one.
     ``channels`` are those of exposures in the log, ``block_cameras`` the cameras of a block.
     """
     all_series = series_of_cameras(images, block_cameras, len(channels))
@@ -66,7 +68,7 @@ def proposed_cameras(
             channel = channel_of_camera(number, count, event_numbers)
             remark = "names of its images; {index} is the log's number, as in IMG_{index:04d}.JPG"
             image = Proposed("image", TODO, remark)
-        block = block_cameras[number] if len(block_cameras) == count else ""
+        block = block_cameras[number] if block_cameras else ""
         cameras.append(ProposedCamera(name, channel, image, block))
     return cameras
 

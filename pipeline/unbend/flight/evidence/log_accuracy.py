@@ -274,7 +274,7 @@ def with_accuracy(
 
 
 def _accuracy_of_sender(channels: list[Channel]) -> LogAccuracy:
-    """The best receiver, health and fused heights among the channels of one sender."""
+    """The best receiver, health and fused heights among the channels of one sender, best first."""
 
     def first(fits: Callable[[Channel], bool]) -> Channel | None:
         return next((channel for channel in channels if fits(channel)), None)
@@ -287,6 +287,7 @@ def _accuracy_of_sender(channels: list[Channel]) -> LogAccuracy:
         columns = channel.columns
         return "innovation_position" in columns and "innovation_velocity" in columns
 
+    # A filter's height is fused and not measured: its channel does not offer the role of a height.
     def is_fused(channel: Channel) -> bool:
         return "position" in channel.roles and "height" not in channel.roles
 

@@ -31,7 +31,7 @@ from unbend.ingest.utc_readings import UtcReadings
 from unbend.messages import Ledger
 from unbend.units import NANOSECONDS_PER_SECOND, Integers, Mask, Rows
 
-ROUND_MS = (1 << 32) * MILLISECOND  # [ns] 49.7 days: a 32-bit count of milliseconds runs over
+WRAP_OF_MS_NS = (1 << 32) * MILLISECOND  # [ns] 49.7 days: a 32-bit count of milliseconds runs over
 ROUND_US = (1 << 32) * MICROSECOND  # [ns] 71.6 minutes: one of microseconds
 
 
@@ -43,7 +43,7 @@ class ClockField(NamedTuple):
 
 
 CLOCK_FIELDS: Mapping[str, ClockField] = {
-    "time_boot_ms": ClockField(MILLISECOND, ROUND_MS),
+    "time_boot_ms": ClockField(MILLISECOND, WRAP_OF_MS_NS),
     "time_usec": ClockField(MICROSECOND, ROUND_US),
 }
 
@@ -389,15 +389,16 @@ def _continued(
 ) -> TimeArray:
     """Times since boot that go on where the 32-bit count of milliseconds wrapped.
 
-    A new boot starts near zero too, but not exactly when the count was full by the host's clock. A
-    message that was overtaken has the time before the wrap: a step by a turn the other way.
+    A new boot starts near zero too, but not exactly when the count was full by the host's clock.
     """
     step_ns = np.diff(boot_ns)
-    turns_in_step = np.rint(-step_ns / ROUND_MS).astype(np.int64)
-    unexplained_ns = step_ns + turns_in_step * ROUND_MS - np.diff(stamped_ns)
-    turns_in_step[np.abs(unexplained_ns) > NEAR_NS] = 0
+    # 1 where the count wrapped, -1 where an overtaken message still has a time before that.
+    turns_in_step = np.rint(-step_ns / WRAP_OF_MS_NS).astype(np.int64)
+    unexplained_ns = step_ns + turns_in_step * WRAP_OF_MS_NS - np.diff(stamped_ns)
+    is_new_boot = np.abs(unexplained_ns) > NEAR_NS
+    turns_in_step[is_new_boot] = 0
     if not turns_in_step.any():
         return boot_ns
     turns = np.append(0, np.cumsum(turns_in_step))
     ledger.add(messages.count_wrapped(sender=str(sender), count=int(turns.max())))
-    return np.asarray(boot_ns + turns * ROUND_MS, np.int64)
+    return np.asarray(boot_ns + turns * WRAP_OF_MS_NS, np.int64)
