@@ -266,9 +266,9 @@ def _station_sigma(turn, by_window, motion, station):  # type: ignore[no-untyped
 
     ``by_window`` [px] is the coordinate's derivative by N_c - N_cc at the window.
     """
-    # A tilt turns the nadir and leaves the measured ray where it is in the camera, so only R changes,
-    # without the 1 of 1 - dR/dzeta. A nadir that turns towards the ray lessens zeta, and R by
-    # dR/dzeta; one that turns across swings the turn of the ray by R / sin(zeta).
+    # A tilt turns the nadir and leaves the measured ray where it is in the camera, so only R
+    # changes, without the 1 of 1 - dR/dzeta. A nadir that turns towards the ray lessens zeta, and R
+    # by dR/dzeta; one that turns across swings the turn of the ray by R / sin(zeta).
     by_zeta = -motion.dr_dzeta * turn.along
     by_azimuth = motion.swing * turn.across
     by_nadir2 = by_zeta * by_zeta + by_azimuth * by_azimuth
