@@ -706,6 +706,7 @@ def test_without_a_log_nothing_comes_from_a_log(refused, accepted):
 def test_a_channel_of_null_is_stated_and_one_without_its_key_is_not(accepted):
     content = copy.deepcopy(FULL)
     content["log"]["channels"] = {"temperature": None, "pressure": "BARO[0]"}
+    content["atmosphere"].pop("board_temperature", None)  # it needs a named thermometer
     channels = accepted(content).log.channels
     assert channels.empty == ("temperature",)
     assert list(channels.named()) == ["pressure"]
