@@ -250,7 +250,7 @@ def test_from_the_command_line(unbend, baseline, tmp_path):
 
 @pytest.mark.usefixtures("plain_report")
 def test_exported_orientations_are_read_again(unbend, baseline, tmp_path):
-    """As the page says, naming the columns of camera and time: the stations are those of the run."""
+    """As the page says, with the columns of camera and time: the stations are those of the run."""
     exported = tmp_path / "opk.csv"
     unbend("export", baseline.output, "--format", "opk", "--out", exported)
     mission = yaml.safe_load((baseline.folder / "mission.yaml").read_text())
