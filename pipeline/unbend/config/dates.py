@@ -1,6 +1,9 @@
 """Dates that a mission file states."""
 
 from datetime import UTC, date, datetime
+from typing import Annotated
+
+from pydantic import AfterValidator
 
 from unbend.config.section import SectionError
 from unbend.flight.survey_dates import latest_ns
@@ -9,10 +12,8 @@ from unbend.units import NANOSECONDS_PER_SECOND
 EARLIEST_DATE = date(1900, 1, 1)  # an earlier one is a typing error
 
 
-def checked_date(value: str | None) -> str | None:
+def checked_date(value: str) -> str:
     """A day, or a day and a time, as stated; raises `SectionError` for any other text."""
-    if value is None:
-        return None
     mistake = SectionError("is no date like 2026-05-14 or 2026-05-14T10:20")
     try:
         day = datetime.fromisoformat(value).date()
@@ -24,6 +25,10 @@ def checked_date(value: str | None) -> str | None:
     if time_ns is not None and time_ns > latest_ns():
         raise SectionError("is in the future")
     return value
+
+
+StatedDate = Annotated[str, AfterValidator(checked_date)]
+"""A value of a mission file that `checked_date` accepts."""
 
 
 def nanoseconds_of_date(value: str | None) -> int | None:

@@ -2,9 +2,9 @@
 
 from typing import Literal
 
-from pydantic import Field, field_validator
+from pydantic import Field
 
-from unbend.config.dates import checked_date, nanoseconds_of_date
+from unbend.config.dates import StatedDate, nanoseconds_of_date
 from unbend.config.section import PathText, Section
 
 
@@ -39,7 +39,7 @@ class MissionSection(Section):
         ),
         examples=["egm96"],
     )
-    date: str | None = Field(
+    date: StatedDate | None = Field(
         None,
         description=(
             "UTC day of the flight, as 2026-05-14, or day and time, where the log has no UTC or a "
@@ -53,8 +53,3 @@ class MissionSection(Section):
     def date_ns(self) -> int | None:
         """The stated date [Unix ns]; a day without a time is its noon in UTC."""
         return nanoseconds_of_date(self.date)
-
-    @field_validator("date")
-    @classmethod
-    def _check_date(cls, value: str | None) -> str | None:
-        return checked_date(value)

@@ -9,7 +9,7 @@ from pydantic import (
     model_validator,
 )
 
-from unbend.config.dates import checked_date, nanoseconds_of_date
+from unbend.config.dates import StatedDate, nanoseconds_of_date
 from unbend.config.local_frames import EnuFrame
 from unbend.config.section import (
     PathText,
@@ -199,7 +199,7 @@ class OrientationSection(Section):
         description="camera of every row, without a column camera",
         examples=["nadir"],
     )
-    date: str | None = Field(
+    date: StatedDate | None = Field(
         None,
         description=(
             "UTC day, as 2026-05-14, or day and time, where no column has the time: season of the "
@@ -329,11 +329,6 @@ class OrientationSection(Section):
     def date_ns(self) -> int | None:
         """The stated date [Unix ns]; a day without a time is its noon in UTC."""
         return nanoseconds_of_date(self.date)
-
-    @field_validator("date")
-    @classmethod
-    def _check_date(cls, value: str | None) -> str | None:
-        return checked_date(value)
 
     @property
     def is_level(self) -> bool:
