@@ -52,6 +52,15 @@ _OF_HEALTH = {
 }
 
 
+def plain_name(message: str) -> str:
+    """The name of a message without cases, underscores and paths: PX4 writes it in two ways.
+
+    >>> plain_name("px4_msgs/GimbalV1"), plain_name("gimbal_v1")
+    ('GIMBALV1', 'GIMBALV1')
+    """
+    return message.rpartition("/")[2].replace("_", "").upper()
+
+
 @dataclass(frozen=True)
 class Source:
     """The sender of the messages of a channel. ``None`` where the format has no such notion."""
@@ -60,6 +69,15 @@ class Source:
     instance: str | None = None
     system: int | None = None
     component: int | None = None
+
+    @property
+    def kind(self) -> str:
+        """The message, without the spelling of the format.
+
+        >>> Source("px4_msgs/CameraCapture").kind, Source("camera_capture").kind
+        ('CAMERACAPTURE', 'CAMERACAPTURE')
+        """
+        return plain_name(self.message)
 
 
 @dataclass(frozen=True, eq=False)

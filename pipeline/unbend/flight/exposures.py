@@ -11,8 +11,9 @@ from unbend.flight import messages
 from unbend.flight.channels import Channel
 from unbend.flight.ground_times import NOTHING_SAID, GroundEvidence, times_on_the_ground
 from unbend.flight.stations import Stations
+from unbend.flight.trajectory import ns_to_nearest
 from unbend.messages import Message, Notes
-from unbend.units import NANOSECONDS_PER_SECOND, Array, Integers, Mask, Names
+from unbend.units import NANOSECONDS_PER_SECOND, Array, Integers, Names
 
 
 @dataclass(frozen=True, eq=False)
@@ -283,7 +284,7 @@ def ground_shot_notes(
     on_ground_ns = times_on_the_ground(height, evidence)
     if on_ground_ns.size == 0:
         return ()
-    is_on_ground = _within_a_second(stations.time_ns, on_ground_ns)
+    is_on_ground = ns_to_nearest(stations.time_ns, on_ground_ns) < NANOSECONDS_PER_SECOND
     names = stations.image[stations.ok & is_on_ground].tolist()
     if not names:
         return ()
@@ -294,14 +295,6 @@ def ground_shot_notes(
         most=2 * len(names) > int(np.count_nonzero(stations.ok)),
     )
     return (message,)
-
-
-def _within_a_second(time_ns: Integers, others_ns: Integers) -> Mask:
-    """(n,) which times are less than a second from the nearest of others, which are in order."""
-    after = np.clip(np.searchsorted(others_ns, time_ns), 1, others_ns.size - 1)
-    to_before = np.abs(time_ns - others_ns[after - 1])
-    to_after = np.abs(time_ns - others_ns[after])
-    return np.asarray(np.minimum(to_before, to_after) < NANOSECONDS_PER_SECOND)
 
 
 def choose_event_channel(channels: tuple[Channel, ...], name: str | None) -> Channel:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from unbend.flight import messages
-from unbend.flight.channels import Channel
+from unbend.flight.channels import Channel, plain_name
 from unbend.flight.rotations import (
     CAMERA_AT_REST,
     down_in_body,
@@ -245,5 +245,4 @@ def is_of_gimbal(message: str, *names: str) -> bool:
     Cases, underscores and paths do not count, because PX4 writes the names as topics (gimbal_v1)
     and as ROS types (px4_msgs/GimbalV1).
     """
-    plain_name = message.rpartition("/")[2].replace("_", "").upper()
-    return plain_name in (names or _GIMBAL_MESSAGES)
+    return plain_name(message) in (names or _GIMBAL_MESSAGES)

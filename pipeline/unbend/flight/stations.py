@@ -27,8 +27,13 @@ HEIGHT_REFERENCE_UNKNOWN = "height_reference_unknown"
 UNMATCHED = "unmatched"
 SUSPECT = "suspect"
 NO_TIME = np.iinfo(np.int64).min  # time of a station that has none
-
 _QUATERNIONS = ("quaternion", "aircraft_quaternion")
+
+
+def middle_time_ns(time_ns: Integers) -> int | None:
+    """The middle one of (s,) times of stations in their order; None where no station has one."""
+    known_ns = np.sort(time_ns[time_ns != NO_TIME])
+    return int(known_ns[known_ns.size // 2]) if known_ns.size else None
 
 
 @dataclass(frozen=True, eq=False)

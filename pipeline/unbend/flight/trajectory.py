@@ -86,6 +86,22 @@ def bracket(channel: Channel, time_ns: TimeArray, max_gap_s: float) -> Bracket:
     return Bracket(before, after, fraction, coverage)
 
 
+def ns_to_nearest(time_ns: TimeArray, stamps: TimeArray) -> TimeArray:
+    """(m,) nanoseconds from instants to the nearest of stamps, one or more, which are in order.
+
+    >>> ns_to_nearest(np.array([1, 8, 30]), np.array([5, 10])).tolist()
+    [4, 2, 20]
+    """
+    last = stamps.size - 1
+    after = np.searchsorted(stamps, time_ns)
+    after = np.minimum(after, last)
+    before = np.maximum(after - 1, 0)
+    since_before = time_ns - stamps[before]
+    until_after = stamps[after] - time_ns
+    nearest = np.minimum(np.abs(since_before), np.abs(until_after))
+    return np.asarray(nearest)
+
+
 def interpolate(channel: Channel, column: str, time_ns: TimeArray, max_gap_s: float) -> Array:
     """A column at (m,) instants, linear in time; NaN outside the channel and in its gaps."""
     if column not in channel.columns or len(channel) == 0:

@@ -7,6 +7,7 @@ import numpy as np
 from unbend.flight import messages
 from unbend.flight.channels import Channel
 from unbend.flight.exposures import ExposureDelay
+from unbend.flight.trajectory import ns_to_nearest
 from unbend.messages import Message, Notes
 from unbend.units import Array
 
@@ -22,9 +23,7 @@ _MOST = 0.5  # share of the captures
 
 
 def lag_from_feedback(
-    channels: tuple[Channel, ...],
-    trigger: Channel,
-    camera: str,
+    channels: tuple[Channel, ...], trigger: Channel, camera: str
 ) -> tuple[ExposureDelay, Notes]:
     """The shutter's lag behind the trigger, from triggers whose pulse is logged.
 
@@ -38,10 +37,7 @@ def lag_from_feedback(
             lags = np.append(lags, _lags_of_pairs(trigger, shutter))
     if lags.size < FEWEST_PAIRS:
         raise messages.too_few_feedback_pairs(
-            camera=camera,
-            channel=trigger.name,
-            pairs=lags.size,
-            needed=FEWEST_PAIRS,
+            camera=camera, channel=trigger.name, pairs=lags.size, needed=FEWEST_PAIRS
         )
     low, middle, high = np.percentile(lags, [16.0, 50.0, 84.0])
     message = messages.shutter_lag(
@@ -58,30 +54,15 @@ def _lags_of_pairs(trigger: Channel, shots: Channel) -> Array:
     """(k,) seconds from each trigger to the pulse of the same number and power-up."""
     trigger_number = trigger["event_index"] + _NUMBERS_PER_BOOT * trigger.boot
     shot_number = shots["event_index"] + _NUMBERS_PER_BOOT * shots.boot
-    _, trigger_row, shot_row = np.intersect1d(
-        trigger_number,
-        shot_number,
-        return_indices=True,
-    )
+    _, trigger_row, shot_row = np.intersect1d(trigger_number, shot_number, return_indices=True)
     apart = (shots.time_ns[shot_row] - trigger.time_ns[trigger_row]) * 1e-9
     lags = apart[(apart > 0.0) & (apart < LONGEST_LAG_S)]
     return np.asarray(lags)
 
 
-def kind_of(channel: Channel) -> str:
-    """The message of a channel, without the spelling of the format.
-
-    >>> from unbend.flight.channels import Source
-    >>> none = np.empty(0, np.int64)
-    >>> kind_of(Channel("/shot", none, {}, Source("px4_msgs/CameraCapture")))
-    'CAMERACAPTURE'
-    """
-    return channel.source.message.rpartition("/")[2].replace("_", "").upper()
-
-
 def is_trigger(channel: Channel) -> bool:
     """Whether the rows of a channel are commands of a trigger, and not pulses of a shutter."""
-    kind = kind_of(channel)
+    kind = channel.source.kind
     if kind == "CAMERATRIGGER":
         return not _is_feedback(channel)
     return kind == "TRIG"
@@ -93,9 +74,7 @@ def _is_feedback(channel: Channel) -> bool:
 
 
 def trigger_notes(
-    channels: tuple[Channel, ...],
-    chosen: Channel,
-    parameters: Mapping[str, float],
+    channels: tuple[Channel, ...], chosen: Channel, parameters: Mapping[str, float]
 ) -> Iterator[Message]:
     """Report events that are triggers themselves, and triggers without a pulse of the shutter.
 
@@ -104,27 +83,21 @@ def trigger_notes(
     camera. PX4 logs camera_capture at the feedback, or, as its parameter CAM_CAP_FBACK says, at the
     trigger; camera_trigger says of each row which it is. ``parameters`` are those of the log.
     """
-    kind = kind_of(chosen)
+    kind = chosen.source.kind
     triggers = [
         channel
         for channel in channels
         if is_trigger(channel) and _are_of_one_system(channel, chosen)
     ]
     if kind == "CAMERACAPTURE":
-        yield from _capture_notes(
-            chosen,
-            triggers,
-            parameters,
-        )
+        yield from _capture_notes(chosen, triggers, parameters)
     elif is_trigger(chosen) or (kind == "CAM" and not triggers):
         yield messages.trigger_times(channel=chosen.name, events=len(chosen))
     yield from _lost_pulses(channels, chosen, triggers)
 
 
 def _lost_pulses(
-    channels: tuple[Channel, ...],
-    chosen: Channel,
-    triggers: list[Channel],
+    channels: tuple[Channel, ...], chosen: Channel, triggers: list[Channel]
 ) -> Iterator[Message]:
     """Report triggers of which fewer pulses than commands are logged."""
     for trigger in triggers:
@@ -142,9 +115,7 @@ def _lost_pulses(
 
 
 def _capture_notes(
-    captures: Channel,
-    triggers: list[Channel],
-    parameters: Mapping[str, float],
+    captures: Channel, triggers: list[Channel], parameters: Mapping[str, float]
 ) -> Iterator[Message]:
     """Report captures of PX4 that have the times of the triggers, or may have them."""
     feedback = parameters.get(FEEDBACK_PARAMETER)
@@ -154,9 +125,7 @@ def _capture_notes(
         yield messages.trigger_times(channel=captures.name, events=len(captures))
     elif feedback is None and not commands:
         yield messages.perhaps_trigger_times(
-            channel=captures.name,
-            events=len(captures),
-            parameter=FEEDBACK_PARAMETER,
+            channel=captures.name, events=len(captures), parameter=FEEDBACK_PARAMETER
         )
 
 
@@ -164,16 +133,7 @@ def _has_times_of(captures: Channel, trigger: Channel) -> bool:
     """Whether most captures have the time of a command of a trigger."""
     if len(captures) == 0 or len(trigger) == 0:
         return False
-    after = np.clip(
-        np.searchsorted(trigger.time_ns, captures.time_ns),
-        1,
-        len(trigger) - 1,
-    )
-    if len(trigger) == 1:
-        after = np.zeros(len(captures), np.intp)
-    to_after = np.abs(trigger.time_ns[after] - captures.time_ns)
-    to_before = np.abs(trigger.time_ns[after - 1] - captures.time_ns)
-    is_same = np.minimum(to_after, to_before) < _SAME_TIME_NS
+    is_same = ns_to_nearest(captures.time_ns, trigger.time_ns) < _SAME_TIME_NS
     return bool(np.mean(is_same) > _MOST)
 
 
@@ -181,10 +141,10 @@ def _shutters_of(trigger: Channel, channels: tuple[Channel, ...]) -> list[Channe
     """The channels of shutter events that may be of the camera of a trigger."""
     shutters = []
     for channel in channels:
-        if kind_of(trigger) == "TRIG":
-            is_shutter = kind_of(channel) == "CAM"
+        if trigger.source.kind == "TRIG":
+            is_shutter = channel.source.kind == "CAM"
         else:
-            is_shutter = kind_of(channel) == "CAMERATRIGGER" and _is_feedback(channel)
+            is_shutter = channel.source.kind == "CAMERATRIGGER" and _is_feedback(channel)
         if is_shutter and _are_of_one_system(trigger, channel):
             shutters.append(channel)
     return shutters
@@ -195,6 +155,6 @@ def _are_of_one_system(trigger: Channel, shots: Channel) -> bool:
 
     It has their kind of log and their instance, or none, and then may be of any camera.
     """
-    if (kind_of(trigger) == "TRIG") != (kind_of(shots) in ("CAM", "TRIG")):
+    if (trigger.source.kind == "TRIG") != (shots.source.kind in ("CAM", "TRIG")):
         return False
     return trigger.source.instance in (None, shots.source.instance)

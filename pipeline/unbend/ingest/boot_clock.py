@@ -9,7 +9,7 @@ import numpy as np
 from unbend.flight import clock
 from unbend.flight.channels import TimeArray
 from unbend.ingest import messages
-from unbend.ingest.timelines import Silences, Timeline
+from unbend.ingest.timelines import Silences, Timeline, place_of_boot
 from unbend.ingest.utc_evidence import ClockAssessment, Witness, date_text
 from unbend.ingest.utc_readings import DateCheck, UtcReadings, possible_recorder
 from unbend.messages import Ledger
@@ -73,13 +73,14 @@ def fit_clock(
     # The best source decides first about silences; `_utc_of_boots` chooses anew in each boot.
     sources = sorted(sources, key=lambda source: -source.places.size)
     boots_by_steps = line.boots
-    line = _split_at_silences(line, sources if recorder is None else [*sources, recorder])
+    with_recorder = sources if recorder is None else [*sources, recorder]
+    line = _split_at_silences(line, with_recorder)
     if line.boots > boots_by_steps:
         ledger.add(messages.restarted(where=where, count=line.boots - boots_by_steps))
     chosen = _utc_of_boots(line, sources, recorder, where, ledger)
     for number, utc in enumerate(chosen):
         if utc.fit is None:
-            place = f"{where}, boot {number}".removeprefix(", ")
+            place = place_of_boot(where, number)
             ledger.add(messages.no_utc(where=place, utc_of=utc_of))
     return _clock_of(line, chosen)
 
@@ -190,7 +191,7 @@ def _utc_of_boots(
         fitted = _BootSources(
             stated=_fitted(line, number, sources),
             recorded=_fitted(line, number, recorders),
-            place=f"{where}, boot {number}".removeprefix(", "),
+            place=place_of_boot(where, number),
         )
         chosen.append(fitted.utc(ledger))
     return chosen

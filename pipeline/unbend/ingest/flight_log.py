@@ -12,7 +12,7 @@ import numpy as np
 from unbend.flight.channels import Channel
 from unbend.ingest import messages
 from unbend.ingest.message_tables import Table
-from unbend.ingest.utc_evidence import ClockAssessment, Witness, is_utc
+from unbend.ingest.utc_evidence import ClockAssessment, Witness, is_utc_time
 from unbend.messages import Ledger
 
 SIMILAR_NAMES = 3  # that a refusal lists first, of an unknown name
@@ -79,7 +79,7 @@ class Log(Contents):
     @property
     def has_utc(self) -> bool:
         """Whether all of its times are UTC; else those of some boots count from the boot."""
-        return bool(is_utc(np.array([self.start_ns]))[0])
+        return is_utc_time(self.start_ns)
 
     @property
     def duration_s(self) -> float:
@@ -197,7 +197,7 @@ def utc_or_none(time_ns: int) -> str | None:
     >>> utc_or_none(90_000_000_000) is None
     True
     """
-    return utc_text(time_ns) if bool(is_utc(np.array([time_ns]))[0]) else None
+    return utc_text(time_ns) if is_utc_time(time_ns) else None
 
 
 def describe(channel: Channel) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from unbend.flight.ground_times import NOTHING_SAID, GroundEvidence, LoggedPath,
 from unbend.flight.roles import assign_roles, follows_height
 from unbend.flight.trajectory import interpolate
 from unbend.flight.vehicles import Vehicles, median_distance_m
-from unbend.ingest.utc_evidence import date_text, is_utc
+from unbend.ingest.utc_evidence import date_text, is_utc_time
 from unbend.messages import Notes
 from unbend.units import NANOSECONDS_PER_SECOND
 
@@ -58,13 +58,12 @@ def flight_of(
     )
     take_off = takeoff_of(path, None, evidence)
     first = int(np.argmax(known))
-    start_ns = position.time_ns[first : first + 1]
-    has_utc = bool(is_utc(start_ns)[0])
+    start_ns = int(position.time_ns[first])
     duration_s = float(position.time_ns[-1] - position.time_ns[0]) / 1e9
     return {
         "lat_deg": round(float(np.degrees(lat_rad[first])), 3),
         "lon_deg": round(float(np.degrees(lon_rad[first])), 3),
-        "date_utc": date_text(int(start_ns[0])) if has_utc else None,
+        "date_utc": date_text(start_ns) if is_utc_time(start_ns) else None,
         "duration_s": round(duration_s, 3),
         "height_reference": _HEIGHT_REFERENCES.get(str(column)),
         "lowest_m": lowest_m,

@@ -21,6 +21,7 @@ from unbend.ingest.utc_evidence import (
     date_text,
     is_possible,
     is_utc,
+    is_utc_time,
     missed_rollovers,
 )
 from unbend.messages import Ledger
@@ -52,10 +53,7 @@ def with_possible_dates(
         moved.append(_later(channel, shift_ns) if is_moved else channel)
     sigma_s = contents.utc_sigma_s if rollovers else float("nan")
     return replace(
-        contents,
-        channels=tuple(moved),
-        table=_later_table(contents, shift_ns),
-        utc_sigma_s=sigma_s,
+        contents, channels=tuple(moved), table=_later_table(contents, shift_ns), utc_sigma_s=sigma_s
     )
 
 
@@ -97,7 +95,7 @@ def _is_impossible(channel: Channel) -> bool:
     if not len(channel):
         return False
     middle_ns = _middle_ns(channel)
-    states_utc = bool(is_utc(np.array([middle_ns]))[0])
+    states_utc = is_utc_time(middle_ns)
     return states_utc and not is_possible(middle_ns)
 
 

@@ -22,6 +22,15 @@ _FEWEST_RECORDS = 10  # without a second between them, of sensors; parameters co
 Stamps = tuple[Integers, TimeArray]
 
 
+def place_of_boot(where: str, number: int) -> str:
+    """A power-up in words; ``where`` is the vehicle, empty where the log has one.
+
+    >>> place_of_boot("system 1", 0), place_of_boot("", 2)
+    ('system 1, boot 0', 'boot 2')
+    """
+    return f"{where}, boot {number}".removeprefix(", ")
+
+
 class Silences(NamedTuple):
     """Times in which nothing was recorded: the stretch ``after`` each, and how long [ns]."""
 

@@ -15,11 +15,7 @@ from datetime import date
 import numpy as np
 
 from unbend.flight.channels import TimeArray
-from unbend.flight.clock import (
-    SECONDS_PER_WEEK,
-    UNIX_NS_FROM,
-    WEEKS_PER_ROLLOVER,
-)
+from unbend.flight.clock import SECONDS_PER_WEEK, UNIX_NS_FROM, WEEKS_PER_ROLLOVER
 from unbend.flight.survey_dates import DAY_NS, latest_ns
 from unbend.units import NANOSECONDS_PER_SECOND, Mask
 
@@ -122,6 +118,11 @@ def is_utc(time_ns: TimeArray) -> Mask:
     No log has a UTC before `EARLIEST_NS`, and no time since boot reaches 2001.
     """
     return np.asarray(time_ns >= UNIX_NS_FROM, np.bool_)
+
+
+def is_utc_time(time_ns: int) -> bool:
+    """Whether one time of a log is UTC, as `is_utc`."""
+    return time_ns >= UNIX_NS_FROM
 
 
 def date_text(time_ns: int) -> str:

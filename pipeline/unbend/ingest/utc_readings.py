@@ -12,13 +12,8 @@ from unbend.flight import clock
 from unbend.flight.channels import TimeArray
 from unbend.flight.survey_dates import DAY_NS
 from unbend.ingest import messages
-from unbend.ingest.timelines import Timeline
-from unbend.ingest.utc_evidence import (
-    Witness,
-    date_text,
-    is_possible,
-    missed_rollovers,
-)
+from unbend.ingest.timelines import Timeline, place_of_boot
+from unbend.ingest.utc_evidence import Witness, date_text, is_possible, missed_rollovers
 from unbend.messages import Ledger
 from unbend.units import Integers, Mask
 
@@ -118,7 +113,7 @@ class DateCheck:
             stated_ns = source.day_in(rows)
             clocks = self._clocks_of(number)
             rollovers = missed_rollovers(stated_ns, clocks, of_receiver=not source.sigma_s)
-            place = f"{self.where}, boot {number}".removeprefix(", ")
+            place = place_of_boot(self.where, number)
             words = source.counted(int(np.count_nonzero(rows)))
             if rollovers is None or self._is_unset(source, stated_ns, clocks):
                 keep &= ~rows
@@ -179,7 +174,7 @@ def possible_recorder(
         keep &= ~rows
         ledger.add(
             messages.utc_not_accepted(
-                where=f"{where}, boot {number}".removeprefix(", "),
+                where=place_of_boot(where, number),
                 source=recorder.counted(int(np.count_nonzero(rows))),
                 stated=date_text(stated_ns),
                 clocks=(),

@@ -7,7 +7,7 @@ import numpy as np
 from unbend.atmosphere.soundings import Sounding
 from unbend.config import Mission
 from unbend.config.atmosphere import AtmosphereSection
-from unbend.flight.stations import NO_TIME, Stations
+from unbend.flight.stations import Stations, middle_time_ns
 from unbend.messages import Ledger
 from unbend.stages import messages
 from unbend.units import NANOSECONDS_PER_SECOND
@@ -25,12 +25,11 @@ def flight_date_ns(mission: Mission, stations: Stations, ledger: Ledger) -> int 
     orientation = mission.stations.orientation
     if orientation is not None and orientation.date_ns is not None:
         stated_ns = orientation.date_ns
-    known_ns = np.sort(stations.utc_ns[stations.utc_ns != NO_TIME])
-    if not known_ns.size:
+    flown_ns = middle_time_ns(stations.utc_ns)
+    if flown_ns is None:
         if stated_ns is None and mission.atmosphere.adjust:
             ledger.add(messages.flight_undated())
         return stated_ns
-    flown_ns = int(known_ns[known_ns.size // 2])
     if stated_ns is not None and abs(flown_ns - stated_ns) > FARTHEST_FROM_DATE_NS:
         ledger.add(
             messages.date_contradicted(

@@ -349,8 +349,9 @@ def _attitude_findings(evidence: ExposureEvidence) -> Iterator[Message]:
     """
     shots = evidence.channel
     attitude = evidence.own.get(ATTITUDE)
-    kind = shots.source.message.rpartition("/")[2].replace("_", "").upper()
-    if attitude is None or is_of_gimbal(attitude.source.message) or kind not in _OF_AIRCRAFT:
+    if attitude is None or is_of_gimbal(attitude.source.message):
+        return
+    if shots.source.kind not in _OF_AIRCRAFT:
         return
     if not shots.fits_role(ATTITUDE) or attitude.name == shots.name:
         return

@@ -8,7 +8,7 @@ import numpy as np
 
 from unbend.flight.channels import Channel, TimeArray
 from unbend.flight.mount import is_of_gimbal
-from unbend.flight.trajectory import RATES, VELOCITY, interpolate, with_slopes
+from unbend.flight.trajectory import RATES, VELOCITY, interpolate, ns_to_nearest, with_slopes
 from unbend.units import NANOSECONDS_PER_SECOND, Array, Rows
 
 # An innovation whose ratio to its gate is 1 is five sigmas (EK3_POS_I_GATE 500 and its like) of
@@ -205,8 +205,7 @@ def _variances_of_receivers(
 
 def _seconds_to_nearest(source: Channel, time_ns: TimeArray) -> Array:
     """(m,) seconds from instants to the nearest sample of a channel."""
-    row = _nearest_row(source, time_ns)
-    return np.asarray(np.abs(time_ns - source.time_ns[row]) * 1e-9)
+    return np.asarray(ns_to_nearest(time_ns, source.time_ns) * 1e-9)
 
 
 def _reported_sigma(source: Channel, column: str, ranges_per_hdop: float) -> Array:
