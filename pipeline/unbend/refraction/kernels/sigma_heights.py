@@ -53,14 +53,7 @@ def _chord_of(ray):  # type: ignore[no-untyped-def]
     square_difference = ray.drop * (r_c + r_g)  # r_c^2 - r_g^2
     down = math.sqrt(r_c * r_c * cos_chord * cos_chord - square_difference)
     length = square_difference / (r_c * cos_chord + down)
-    return _Chord(
-        r_c=r_c,
-        r_g=r_g,
-        sin_r=sin_r,
-        sin_chord=sin_chord,
-        down=down,
-        length=length,
-    )
+    return _Chord(r_c=r_c, r_g=r_g, sin_r=sin_r, sin_chord=sin_chord, down=down, length=length)
 
 
 @jit

@@ -109,11 +109,7 @@ def intersected(stations: Stations, rays: ImageRays) -> Intersection:
 
 
 def refuse_other_reading(
-    stations: Stations,
-    readings: Iterable[StationsReading],
-    rays: ImageRays,
-    *,
-    where: str,
+    stations: Stations, readings: Iterable[StationsReading], rays: ImageRays, *, where: str
 ) -> None:
     """Refuse (ORIENTATION-READING) stations, where rays meet far better in another reading."""
     as_stated = intersected(stations, rays)

@@ -28,40 +28,21 @@ _NAMES = {"K1": "k1", "K2": "k2", "K3": "k3", "P1": "p2", "P2": "p1"}
 """Coefficients of the format, and what OpenCV calls each."""
 
 
-def plain_coefficients(
-    camera: Camera,
-    name: str,
-    program: str,
-) -> dict[str, float]:
+def plain_coefficients(camera: Camera, name: str, program: str) -> dict[str, float]:
     """k1, k2, k3, p1, p2 of a camera; refuses one that has others."""
     where = f"cameras.{name}"
     if isinstance(camera.distortion, OpenCVFisheye):
-        raise messages.distortion_unknown(
-            where=where,
-            name=name,
-            beyond="fisheye",
-            program=program,
-        )
+        raise messages.distortion_unknown(where=where, name=name, beyond="fisheye", program=program)
     holds = ("k1", "k2", "k3", "p1", "p2")
     return dict.fromkeys(holds, 0.0) | opencv_coefficients(camera, name, program, holds)
 
 
-def write_blocks_exchange(
-    run: FinishedRun,
-    _: Values,
-    path: Path,
-    ledger: Ledger,
-) -> int:
+def write_blocks_exchange(run: FinishedRun, _: Values, path: Path, ledger: Ledger) -> int:
     """One file with the block; the number of measurements."""
     block = block_of(run, ledger)
     single = int(np.sum(block.count[block.point] < 2))
     if single:
-        ledger.add(
-            messages.points_left_out(
-                where="observations",
-                count=single,
-            )
-        )
+        ledger.add(messages.points_left_out(where="observations", count=single))
     lat, lon, height = block.frame.origin_deg.tolist()
     with path.open("w", encoding="utf-8") as file:
         file.write(
@@ -80,17 +61,11 @@ def write_blocks_exchange(
     return int(block.point.size) - single
 
 
-def interior(
-    camera: Camera,
-    name: str,
-) -> str:
+def interior(camera: Camera, name: str) -> str:
     """Size and calibration of a camera; refuses one whose pixels are not square."""
     if camera.fx_px != camera.fy_px:
         raise messages.distortion_unknown(
-            where=f"cameras.{name}",
-            name=name,
-            beyond="fy other than fx",
-            program=_PROGRAM,
+            where=f"cameras.{name}", name=name, beyond="fy other than fx", program=_PROGRAM
         )
     known = plain_coefficients(camera, name, _PROGRAM)
     coefficients = "".join(
@@ -108,11 +83,7 @@ def interior(
     )
 
 
-def photos(
-    block: ExportedBlock,
-    camera: int,
-    origin_height_m: float,
-) -> Iterator[str]:
+def photos(block: ExportedBlock, camera: int, origin_height_m: float) -> Iterator[str]:
     """The photos of a camera, numbered from 1 in the order of the block."""
     for row in np.flatnonzero(block.camera == camera).tolist():
         turn = block.rotation[row].tolist()
@@ -124,10 +95,7 @@ def photos(
         )
 
 
-def tie_points(
-    block: ExportedBlock,
-    origin_height_m: float,
-) -> Iterator[str]:
+def tie_points(block: ExportedBlock, origin_height_m: float) -> Iterator[str]:
     """The object points with their measurements."""
     order, begin, images = block.of_points()
     for point, place in enumerate(block.point_m):
@@ -148,10 +116,7 @@ def tie_points(
         )
 
 
-def coordinates(
-    place_m: Array,
-    origin_height_m: float,
-) -> str:
+def coordinates(place_m: Array, origin_height_m: float) -> str:
     """A place in the block's frame as x, y and z, of which z counts from the ellipsoid."""
     x, y, z = place_m.tolist()
     return f"<x>{x!r}</x><y>{y!r}</y><z>{z + origin_height_m!r}</z>"

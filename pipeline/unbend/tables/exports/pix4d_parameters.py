@@ -31,12 +31,7 @@ _PREFIX = "unbend_"  # in the place of the project's name
 _SCALE = 1.0  # of an image point, which no program here knows
 
 
-def write_pix4d(
-    run: FinishedRun,
-    _: Values,
-    folder: Path,
-    ledger: Ledger,
-) -> int:
+def write_pix4d(run: FinishedRun, _: Values, folder: Path, ledger: Ledger) -> int:
     """The four files of a project; the number of image points."""
     block = block_of(run, ledger, intersect=False)
     refuse_names(block.image, r"\s", "Pix4D")
@@ -44,11 +39,7 @@ def write_pix4d(
     stems = [str(PurePosixPath(name).with_suffix("")) for name in block.image.tolist()]
     for stem, count in Counter(stems).items():
         if count > 1:
-            raise messages.name_with_separator(
-                where="observations",
-                name=stem,
-                program="Pix4D",
-            )
+            raise messages.name_with_separator(where="observations", name=stem, program="Pix4D")
     cameras = folder / f"{_PREFIX}calibrated_camera_parameters.txt"
     cameras.write_text(_HEAD + "".join(blocks_of_images(block)), encoding="utf-8")
     write_external(block, folder / f"{_PREFIX}calibrated_external_camera_parameters.txt")
@@ -88,10 +79,7 @@ def blocks_of_images(block: ExportedBlock) -> list[str]:
     return texts
 
 
-def write_external(
-    block: ExportedBlock,
-    path: Path,
-) -> None:
+def write_external(block: ExportedBlock, path: Path) -> None:
     """The file of X, Y, Z, omega, phi and kappa."""
     opk_deg = np.degrees(opk_of_quaternion(block.frame.quaternion, "omega_phi_kappa"))
     with path.open("w", encoding="utf-8") as file:
