@@ -17,7 +17,6 @@ from scipy.spatial.transform import Rotation
 
 from unbend.batch.runs import read_mission
 from unbend.errors import InputError, MissionError
-from unbend.simulate import SimulationOptions, simulate
 
 PHOTOGRAMMETRIC = np.diag([1.0, -1.0, -1.0])
 GPS_EPOCH = pd.Timestamp("1980-01-06", tz="UTC")
@@ -34,15 +33,10 @@ STATED = {
 
 
 @pytest.fixture(scope="module")
-def crossing(tmp_path_factory):
+def crossing(tmp_path_factory, fly_crossing_lines):
     """Three lines with tie points between them: a mission of the oblique camera, and its truth."""
     folder = tmp_path_factory.mktemp("roads")
-    options = SimulationOptions(
-        seed=9, height_above_ground_m=2500.0, lines=3, exposures_per_line=5, points_per_image=25,
-        image_noise_px=0.3,
-    )  # fmt: skip
-    flown = simulate(folder, options)
-    config = yaml.safe_load(flown.missions["bin"].read_text(encoding="utf-8"))
+    flown, config = fly_crossing_lines(folder)
     del config["log"]
     camera = config["cameras"]["oblique"]
     del camera["window"]
