@@ -320,3 +320,32 @@ def test_a_mission_is_told_of_its_gimbal(mission, unbend) -> None:
     assert "GIMBAL-IGNORED" not in said
     assert said.count("note GIMBAL-FRAME") == 1  # nadir
     assert said.count("warning GIMBAL-FRAME") == 1  # oblique has the mount of an aircraft
+
+
+@pytest.mark.parametrize(
+    ("ids", "names"),
+    [([1, 1], ["/gimbal"]), ([1, 2], ["/gimbal[1]", "/gimbal[2]"])],
+    ids=["one gimbal", "two gimbals"],
+)
+def test_the_number_of_a_gimbal_names_a_channel_only_where_there_are_several(
+    tmp_path: Path, ids: list[int], names: list[str]
+) -> None:
+    from mcap_ros2.writer import Writer
+
+    file = io.BytesIO()
+    writer = Writer(file)
+    definition = "uint64 timestamp\nuint16 device_flags\nfloat32[4] q\nuint8 gimbal_device_id"
+    schema = writer.register_msgdef("px4_msgs/msg/GimbalDeviceAttitudeStatus", definition)
+    for k in range(20):
+        at_us = START_US + 200_000 * k
+        message = {
+            "timestamp": at_us,
+            "device_flags": YAW_IN_EARTH_FRAME,
+            "q": list(Q),
+            "gimbal_device_id": ids[k % 2],
+        }
+        writer.write_message("/gimbal", schema, message, at_us * 1000)
+    writer.finish()
+    path = tmp_path / "log.mcap"
+    path.write_bytes(file.getvalue())
+    assert [channel.name for channel in open_log(path).channels] == names

@@ -57,6 +57,8 @@ class MessageMap:
     roles: tuple[str, ...] = ()
     rank: int = 50
     id_field: str = ""  # tells instances apart, where the format has no instances of its own
+    # An id that all messages share is no instance: the channel has the plain name of its message.
+    one_id_names_nothing: bool = False
     time_field: str = "timestamp"  # the message's own time, where the format has none for all
     position: bool = False  # rows without a fix are dropped
     attitude: bool = False  # Euler angles become quaternions

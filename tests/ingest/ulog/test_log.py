@@ -157,6 +157,27 @@ def test_messages_mean_what_they_mean_over_ros(tmp_path: Path) -> None:
     assert not log.ledger.has_losses
 
 
+def test_two_gimbals_in_one_topic_of_px4_are_two_channels(tmp_path: Path) -> None:
+    forward = (0.5, 0.5, -0.5, 0.5)
+    down = (1.0, 0.0, 0.0, 0.0)
+    yaw_in_earth_frame = 64
+    writer = ULogWriter()
+    fields = "uint16_t device_flags;float[4] q;uint8_t gimbal_device_id;"
+    writer.define("gimbal_device_attitude_status", fields)
+    writer.subscribe("gimbal_device_attitude_status")
+    for k in range(20):
+        at_us = 60_000_000 + 200_000 * k
+        for gimbal_id, q in ((1, forward), (2, down)):
+            row = (yaw_in_earth_frame, *q, gimbal_id)
+            writer.row("gimbal_device_attitude_status", "H4fB", at_us, *row)
+    log = opened(tmp_path, writer.data)
+    of_1 = log.channel("gimbal_device_attitude_status[1]")
+    of_2 = log.channel("gimbal_device_attitude_status[2]")
+    assert of_1["gimbal_q_y"].tolist() == [-0.5] * 20
+    assert of_2["gimbal_q_y"].tolist() == [0.0] * 20
+    assert len(log.message("gimbal_device_attitude_status[2]")["time_ns"]) == 20
+
+
 def test_tables_are_those_of_pyulog(tmp_path: Path) -> None:
     from pyulog import ULog
 

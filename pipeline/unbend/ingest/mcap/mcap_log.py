@@ -40,7 +40,7 @@ def read_log(path: Path, ledger: Ledger, witnesses: Sequence[Witness] = ()) -> C
     lost = reader.report()
     series: list[TopicSamples] = []
     for topic in reader.topics.values():
-        series += (topic.series or {}).values()
+        series += topic.named_series()
     make_names_unique(series)
     clock = boot_clock_of(line, series, reader.recorder(), ledger, witnesses)
     reader.release_topics()

@@ -153,6 +153,17 @@ class Topic:
             counted=key.counted,
         )
 
+    def named_series(self) -> list[TopicSamples]:
+        """The samples of each name in the messages, whole; none of a table."""
+        if self.series is None:
+            return []
+        names = {key.name for key in self.series}
+        if len(names) == 1 and self.spec.one_id_names_nothing:
+            for samples in self.series.values():
+                samples.name = self.name
+                samples.source = Source(self.schema, None)
+        return list(self.series.values())
+
     @property
     def misfit(self) -> Message:
         """The message that says how many messages of this topic could not be decoded."""

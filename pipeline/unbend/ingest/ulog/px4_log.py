@@ -1,7 +1,7 @@
 """PX4 logs (.ulg) -> channels in UTC."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -62,8 +62,9 @@ def read_log(path: Path, ledger: Ledger, witnesses: Sequence[Witness] = ()) -> C
     fit = clock.fits[0]
     offset_ns = 0 if fit is None else fit.offset_ns
     channels = []
-    for topic, rows in log.rows.items():
-        channels += _channels_of_topic(topic, rows, sources[topic], offset_ns, ledger)
+    for topic, rows_of_topic in log.rows.items():
+        for source, rows in _rows_by_instance(sources[topic], rows_of_topic):
+            channels += _channels_of_topic(topic, rows, source, offset_ns, ledger)
     texts = _texts_channel(log.texts, offset_ns, ledger)
     if texts is not None:
         channels.append(texts)
@@ -115,6 +116,24 @@ def _sources(rows_of_topic: TopicRows) -> dict[UlogTopic, Source]:
         instance = str(topic.instance) if topic.name in numbered else None
         sources[topic] = Source(topic.name, instance)
     return sources
+
+
+def _rows_by_instance(
+    source: Source, rows: NDArray[Any]
+) -> Iterator[tuple[Source, NDArray[Any]]]:
+    """The rows of a topic by the instances that its field of ids tells apart, with their sources.
+
+    A topic without such a field, or with one id in all rows, is one source.
+    """
+    spec = PX4_TOPICS.get(source.message)  # None in a table of a topic that is no channel
+    id_field = "" if spec is None else spec.id_field
+    ids = np.unique(rows[id_field]).tolist() if id_field in _names(rows) else []
+    if len(ids) <= 1:
+        yield source, rows
+        return
+    for value in ids:
+        instance = str(value) if source.instance is None else f"{source.instance}.{value}"
+        yield replace(source, instance=instance), rows[rows[id_field] == value]
 
 
 def _channel_name(source: Source) -> str:
@@ -334,10 +353,13 @@ def _table(path: Path, offset_ns: int, topic: str, instance: str | None) -> Tabl
     """The messages of a topic, or of one of its instances, instance by instance."""
     rows_of_instances = []
     instance_columns = []
-    for key, rows in _messages(path, [topic]).rows.items():
-        if instance in (None, str(key.instance)):
-            rows_of_instances.append(rows)
-            instance_columns.append(np.full(len(rows), key.instance, np.int16))
+    rows_of_topic = _messages(path, [topic]).rows
+    sources = _sources(rows_of_topic)
+    for key, all_rows in rows_of_topic.items():
+        for source, rows in _rows_by_instance(sources[key], all_rows):
+            if instance in (None, source.instance, str(key.instance)):
+                rows_of_instances.append(rows)
+                instance_columns.append(np.full(len(rows), key.instance, np.int16))
     if not rows_of_instances:
         return {}
     rows = np.concatenate(rows_of_instances)

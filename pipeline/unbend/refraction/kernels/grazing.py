@@ -377,13 +377,13 @@ def angle_to(ray, theta, h_g):  # type: ignore[no-untyped-def]
     Eq. 11's r_c / r_g - cos(theta) is (h_c - h_g) / r_g + 2 sin^2(theta / 2), without cancellation.
     """
     # The target from the camera, level and down, in units of r_g.
-    across = math.sin(theta)
+    level = math.sin(theta)
     sin_half = math.sin(0.5 * theta)
     down = (ray.h_c - h_g) / (ray.r_e + h_g) + 2.0 * (sin_half * sin_half)
-    # The same across the apparent direction, towards the nadir, and along it.
-    aside = ray.sin_c * down - ray.cos_c * across
-    ahead = ray.cos_c * down + ray.sin_c * across
-    return math.atan2(aside, ahead)
+    # The target along the apparent direction, and square to it (positive towards the nadir).
+    along = ray.cos_c * down + ray.sin_c * level
+    towards_nadir = ray.sin_c * down - ray.cos_c * level
+    return math.atan2(towards_nadir, along)
 
 
 @jit
@@ -429,10 +429,11 @@ def _crossing_meant(table, ray, angle, h_g, distance):  # type: ignore[no-untype
         return angle, OK
     if not distance > 0.0:
         return angle, BEYOND_GRAZING
-    # From the far crossing up to the camera's height the ray subtends what it did on its way down
-    # to the near one: it is symmetric about P_90.
+    # The ray is symmetric about its lowest point P_90: it rises from h_g to h_c over the same angle
+    # over which it came down from h_c to h_g.
     near_theta = subtended(table, ray, h_g, ray.h_c, is_level_at_low=False)
-    far_theta = subtended_to_rise(table, ray) - near_theta
+    theta_to_rise = subtended_to_rise(table, ray)  # from h_c through P_90 up to h_c again
+    far_theta = theta_to_rise - near_theta
     near = math.sqrt(chord2(ray, near_theta, h_g))
     far = math.sqrt(chord2(ray, far_theta, h_g))
     if abs(far - distance) < abs(near - distance):

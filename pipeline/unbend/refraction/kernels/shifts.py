@@ -194,9 +194,11 @@ def fill_shifts(observed, camera, exposures, traced, shifts):  # type: ignore[no
     """Fill the `Shifts` in the image and on the ground that refraction angles amount to.
 
     ``observed`` are `ObservationColumns`, ``camera`` `CameraConstants`, ``exposures``
-    `ExposureColumns` and ``traced`` `TracedColumns`; NaN where there is no refraction angle.
+    `ExposureColumns` and ``traced`` `TracedColumns`. Shifts are NaN where there is no refraction
+    angle; a row whose exposure is not among ``exposures`` has none.
     """
     exposure = observed.exposure
+    exposure_count = exposures.usable.size
     angle = traced.angle
     room = np.empty((8, angle.size))
     scratch = _Scratch(sin_half_r=room[0], sin_r=room[1], to_nadir=room[2:5], vector=room[5:8])
@@ -205,7 +207,7 @@ def fill_shifts(observed, camera, exposures, traced, shifts):  # type: ignore[no
     while first < angle.size:
         rows = exposure_rows_from(first, exposure)
         e = exposure[first]
-        if 0 <= e < exposures.usable.size:
+        if 0 <= e < exposure_count:
             rotation = exposures.rotation[e]
             exposed = _ExposedCamera(camera, rotation, exposures.change_px[e])
             _fill_image_shift(rows, traced.rays, scratch, exposed, shifts)

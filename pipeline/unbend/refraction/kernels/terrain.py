@@ -49,7 +49,10 @@ _CLEAR_M = 1e-6  # a ray under the terrain comes out where it is this high above
 # Steps to edges are shorter by as much.
 _FASTER = 0.75
 
-_MOST_HALVINGS = 100  # in the search for a crossing, and secants among them
+_MOST_GUESSES = 100  # in the search for a crossing
+# d(height of the landing) / d(height of the terrain) where the terrain jumps between two cells: as
+# on level terrain.
+_FACTOR_AT_SEAM = 1.0
 
 _GOES_ON = 255
 """What becomes of a ray on a step that decides nothing, beside `LANDED` to `WAITS`."""
@@ -118,9 +121,9 @@ def _above(patch, at):  # type: ignore[no-untyped-def]
 def _crossing(path, patch, ends, sides, square):  # type: ignore[no-untyped-def]
     """Distance and height [m] at which a ray meets a patch between two distances ``ends`` [m].
 
-    ``sides`` are the heights f at the ends, the first above zero. Along a straight way f is a
-    parabola with the term of second order ``square``: its smaller root is the first guess. Then
-    secant and bisection take turns.
+    ``sides`` are the heights f of the ray above the patch at the ends: f > 0 at the first, f <= 0
+    at the second. Along a straight way f is a parabola with the term of second order ``square``:
+    its smaller root is the first guess. Then secant and bisection take turns.
     """
     t_0, t_1 = ends
     f_0, f_1 = sides
@@ -129,22 +132,24 @@ def _crossing(path, patch, ends, sides, square):  # type: ignore[no-untyped-def]
     share = 2.0 * f_0 / (fall + math.sqrt(max(fall * fall - 4.0 * square * f_0, 0.0)))
     t = t_0 + min(max(share, 0.0), 1.0) * (t_1 - t_0)
     height = math.nan
-    for guess in range(_MOST_HALVINGS):
-        if guess % 2 == 1:
-            t = t_0 - f_0 * (t_1 - t_0) / (f_1 - f_0)
-        elif guess > 0:
-            t = 0.5 * (t_0 + t_1)
+    for guess in range(_MOST_GUESSES):
         at = place_at(path, t)
         f = _above(patch, at)
         height = at.height
         if abs(f) < _FLAT_M or t_1 - t_0 < _NARROW_M:
             break
-        if (f > 0.0) == (f_0 > 0.0):
+        # The crossing stays between t_0, where the ray is above the patch, and t_1.
+        if f > 0.0:
             t_0 = t
             f_0 = f
         else:
             t_1 = t
             f_1 = f
+        is_secant_next = guess % 2 == 0
+        if is_secant_next:
+            t = t_0 - f_0 * (t_1 - t_0) / (f_1 - f_0)
+        else:
+            t = 0.5 * (t_0 + t_1)
     return t, height
 
 
@@ -317,7 +322,8 @@ def _result_of_step(path, step, ray, state):  # type: ignore[no-untyped-def]
     state.side[ray] = now
     state.gap[ray] = False
     if result == LANDED:
-        _put_landing(state, ray, step.t, step.at.height, 1.0)
+        # A landing does not end the ray: it may come out of the terrain again.
+        _put_landing(state, ray, step.t, step.at.height, _FACTOR_AT_SEAM)
         has_landed = True
         result = _GOES_ON
 
@@ -370,7 +376,8 @@ def _follow(path, grid, ray, state):  # type: ignore[no-untyped-def]
             first_column=around.edges.left,
         )
         passage = _passage(path, patch, around, (t, t_1), (at, at_1))
-        is_unknown = math.isnan(passage.f_0) or (around.is_over and around.is_under)
+        is_all_unknown = around.is_over and around.is_under  # see `Surroundings`
+        is_unknown = is_all_unknown or math.isnan(passage.f_0)
         if is_unknown:
             state.gap[ray] = True
         else:
