@@ -443,6 +443,19 @@ def test_a_camera_that_is_not_there(block):
     assert "forward" in refused(block, "EVENTS-CAMERA")
 
 
+def test_our_own_table_of_several_cameras_is_read_without_columns(block, by_log, unbend):
+    table = block.folder / "block.csv"
+    assert unbend("export", by_log.output, "--format", "opk", "--out", table).code == 0
+    del block.config["stations"]["orientation"]["columns"]
+    block.config["stations"]["orientation"]["heights"] = "ellipsoid"
+    ran(block)
+    assert_same(block, by_log)
+    assert block.stations()["time_utc"].equals(by_log.stations()["time_utc"])
+    without_cameras = pd.read_csv(table).drop(columns=["camera", "status"])
+    write(block, without_cameras)
+    assert "which camera" in refused(block, "EVENTS-CAMERA")
+
+
 def test_angles_of_another_convention_are_refused(block):
     table = columns_of(block.table)
     write(block, table.assign(omega=table["omega"] + 180.0))

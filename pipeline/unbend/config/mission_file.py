@@ -252,27 +252,15 @@ class Mission(Section):
 
     @model_validator(mode="after")
     def _check_orientation(self) -> Self:
-        """The images of ``stations.orientation`` have a camera and a time."""
+        """``stations.orientation`` names a camera and a log that are there, if it names them."""
         orientation = self.stations.orientation
         if orientation is None:
             return self
         if orientation.known_positions == "log" and (self.log is None or self.events is None):
             raise SectionError("known_positions: log needs log and events")
         camera = orientation.camera
-        has_column = orientation.columns.camera is not None or orientation.of_block
-        if camera is None and not has_column and len(self.cameras) > 1:
-            raise SectionError(
-                "stations.orientation must state which camera: camera or columns.camera"
-            )
         if camera is not None and camera not in self.cameras:
             raise SectionError(f"stations.orientation names camera {camera!r}, which is not there")
-        is_dated = orientation.date is not None or self.mission.date is not None
-        has_time = orientation.has_clock or is_dated or self.events is not None
-        if self.atmosphere.adjust and not has_time:
-            raise SectionError(
-                "stations.orientation needs a time for the air: columns.time_utc, gps_week and "
-                "gps_seconds, or date (also mission.date)"
-            )
         return self
 
     @cached_property

@@ -170,10 +170,17 @@ def events_of_table(mission: Mission, section: EventsSection, table: EventTable)
 def camera_of_rows(
     mission: Mission, given: Names | None, only: str | None, count: int, *, where: str
 ) -> Names:
-    """(n,) the camera of each row of a table, by its column or the only one (EVENTS-CAMERA)."""
+    """(n,) the camera of each row of a table.
+
+    That is the camera which the table gives, or else the stated one (``only``), or else the only
+    camera of the mission. Refuses (EVENTS-CAMERA) rows of a camera that is unknown or not defined.
+    """
+    cameras = list(mission.cameras)
     named = given
     if named is None:
-        named = np.full(count, only or next(iter(mission.cameras)), dtype=object)
+        if only is None and len(cameras) > 1:
+            raise messages.camera_unstated(where=where, cameras=", ".join(cameras))
+        named = np.full(count, only or cameras[0], dtype=object)
     for name in sorted(set(named.tolist()) - set(mission.cameras)):
         raise messages.events_of_unknown_camera(
             where=where, name=str(name), cameras=", ".join(mission.cameras)

@@ -170,10 +170,24 @@ def no_events(*, where: str, what: str) -> MissionError:
 
 EVENTS_CAMERA = Code(
     "EVENTS-CAMERA",
-    means="The table of events names a camera that the mission file does not define.",
+    means="A table of exposures or orientations names a camera that the mission file does not define, "
+    "or nothing says which of several cameras its rows are of.",
     effect="The mission is refused.",
-    remedy="Mend the name in the table, or define it under cameras.",
+    remedy="Mend the name in the table, define the camera under cameras, or name the column of "
+    "cameras.",
 )
+
+
+def camera_unstated(*, where: str, cameras: str) -> MissionError:
+    """Nothing says which of several cameras the rows of a table are of."""
+    return MissionError(
+        EVENTS_CAMERA,
+        "nothing says which camera the rows of the table are of; the mission file has {cameras}",
+        where=where,
+        cameras=cameras,
+        remedy="give stations.orientation.columns.camera, or stations.orientation.camera if all "
+        "rows are of one camera",
+    )
 
 
 def events_of_unknown_camera(*, where: str, name: str, cameras: str) -> MissionError:

@@ -190,7 +190,8 @@ class Reader:
 
     def times(self, table: OrientationTable) -> Integers:
         """(n,) times of the images [Unix ns]: those of the events where the table has none."""
-        if not self.exposed or self.section.has_clock:
+        table_has_times = self.section.has_clock or bool((table.time_ns != NO_TIME).any())
+        if table_has_times or not self.exposed:
             return table.time_ns
         time_of_image: dict[str, int] = {}
         for stations in self.exposed:
