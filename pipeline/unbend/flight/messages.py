@@ -879,7 +879,8 @@ def no_image_of_camera(
         "none of {unknown_images} of the observations, like {like}, is one of the "
         "{of_camera} of {camera}{called}{more}",
         where=f"observations, {camera}",
-        remedy="state observations.match_names, or correct the pattern or the names of the images",
+        remedy="state observations.match_names, or correct the pattern under events (the image of "
+        "{camera}), or the names of the images",
         unknown_images=Counted(unknown, "image"),
         like=name_in_bytes(image),
         of_camera=Counted(exposures, "exposure"),
