@@ -73,7 +73,7 @@ def stations_of(table: pa.Table) -> Stations:
         "quaternion": columns.quaternion("q"),
         "aircraft_quaternion": columns.quaternion("aircraft_q"),
         "status": status,
-        "from_boot": np.zeros(0, np.bool_),
+        "from_boot": np.zeros(0, np.bool_),  # not in the table: `Stations` makes it False for all
         "accepted": (status == SUSPECT) & table["profile_id"].is_valid().to_numpy(),
     }
     for name in ("lat", "lon", "sigma_tilt", "sigma_yaw"):
