@@ -332,19 +332,20 @@ def heights_of_rays(
     y_px = rays["y"]
     undulation = np.nan_to_num(stations.h_ellipsoid_m - stations.h_msl_m)[station]
 
-    def intersected(x_px: Array, y_px: Array) -> tuple[Array, PointHeights]:
-        direction, sigma_rad = setup.directions(x_px, y_px, station)
+    def intersected(pixel_x: Array, pixel_y: Array) -> tuple[Array, PointHeights]:
+        direction, sigma_rad = setup.directions(pixel_x, pixel_y, station)
         image_rays = ImageRays(station, rays["point"], direction, sigma_rad)
         points = point_heights(orientations, image_rays)  # above the ellipsoid
         ray_count = np.maximum(np.bincount(points.index), 1)
         mean_undulation = np.bincount(points.index, undulation) / ray_count
         return (points.h_m - mean_undulation)[points.index], points
 
-    h_msl, points = intersected(x_px, y_px)
-    if setup.direction == "remove":
-        straight = straight_pixels(x_px, y_px, h_msl, station, setup)
-        h_msl, points = intersected(*straight)
-    return h_msl, points
+    as_measured = intersected(x_px, y_px)
+    if setup.direction != "remove":
+        return as_measured
+    h_msl, _ = as_measured
+    straight_x, straight_y = straight_pixels(x_px, y_px, h_msl, station, setup)
+    return intersected(straight_x, straight_y)
 
 
 def straight_pixels(
