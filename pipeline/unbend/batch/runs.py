@@ -207,12 +207,14 @@ def renewed(plan: Plan, folder: store.RunFolder, manifest: Manifest) -> Manifest
     before = manifest.run
     if before.inputs == now.inputs and before.mission_file_sha256 == now.mission_file_sha256:
         return manifest
-    inputs = [asdict(record) for record in now.inputs]
-    seen = {"inputs": inputs, "mission_file_sha256": now.mission_file_sha256}
-    as_now = manifest.with_values(seen)
+    values_now = {
+        "inputs": [asdict(record) for record in now.inputs],
+        "mission_file_sha256": now.mission_file_sha256,
+    }
+    manifest_now = manifest.with_values(values_now)
     with suppress(StorageError):
-        folder.rewrite_manifest(as_now)
-    return as_now
+        folder.rewrite_manifest(manifest_now)
+    return manifest_now
 
 
 @dataclass(frozen=True, eq=False)

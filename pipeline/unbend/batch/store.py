@@ -353,7 +353,8 @@ def _clear_interrupted(path: Path, *, resumable: bool) -> None:
         # Visible results are then those of a commit that began and did not end: others are refused.
         _undo_commit(path, receipts)
         if os.path.lexists(path / _PARTS):
-            # The staged manifest stays until a commit ends: it shows that the folder is unbend's.
+            # Files of the user are among the parts, so that their folder could not be removed. The
+            # staged manifest stays until a commit ends: it shows that the folder is unbend's.
             kept.add(MANIFEST)
     if not kept:
         _remove(staging)

@@ -72,6 +72,7 @@ def read_positions(
 
 def with_aircraft_attitude(mission: Mission, camera: str, channel: Channel) -> Channel:
     """A channel of a camera's attitudes with those of the aircraft, by the mount."""
+    # The channel has the attitudes of a body in which the camera would be at rest.
     at_rest = np.stack([channel[f"q_{axis}"] for axis in "wxyz"], axis=1)
     mount = mission.mounts[camera]
     of_body = in_turned_frame(at_rest, CAMERA_AT_REST.T @ mount.camera_from_body)

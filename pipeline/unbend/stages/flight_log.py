@@ -182,7 +182,7 @@ def channels_of_log(mission: Mission, log: Log | None, ledger: Ledger) -> tuple[
     names = names_of_roles(mission)
     channels = stated_channels(mission, log.channels)
     channels = channels_of_one_vehicle(mission, channels, names, ledger)
-    attitudes = [names.get("attitude", "")]
+    attitudes = [names.get("attitude", "")]  # "" if none is named
     for mount in mission.mount.values():
         if mount.attitude is not None:
             attitudes.append(mount.attitude)

@@ -59,7 +59,7 @@ def export_run(
     out.
     """
     form = find_format(name, out)
-    is_folder = not form.ending
+    is_folder = not form.ending  # a format with an ending is one file
     values = form.values(options)
     folder = copy_of_run(path) if isinstance(path, Place) else path
     refuse_output(folder, out, force=force and not is_folder)

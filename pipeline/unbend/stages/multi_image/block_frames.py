@@ -84,6 +84,8 @@ def block_points(
         raise messages.block_without_points(where=section.path)
     table = orientation_table(section, inputs)
     if section.is_geodetic:
+        # Converted as the positions of the images are, in whose place the points stand here; the
+        # notes on the conversion come with the images.
         table, _ = in_wgs84(section, replace(table, position=block.position), inputs.geoid)
         latitude, longitude, h = table.position.T
     else:

@@ -123,8 +123,9 @@ def check_object_points(observations: Observations, stations: Stations, ledger: 
         return
     where = "ground.height.points"
     batch = next(observations.batches(CHECKED_ROWS))
-    _, row = points.heights(batch.point, batch.image)
-    if points.of_image is None and not bool((row >= 0).any()):
+    _, row = points.heights(batch.point, batch.image)  # -1 for a point that is not among them
+    is_of_user = points.of_image is None  # a block has heights of its images, too
+    if is_of_user and not bool((row >= 0).any()):
         raise messages.no_point_in_table(
             where=where, total=len(batch), point=str(batch.point[0]), first=str(points.name[0])
         )
@@ -213,8 +214,9 @@ def with_intersected_heights(
     counts: Counter[str] = Counter()
     shares = []
     with ExitStack() as stack:
-        wanted_files = 1 if observations.sample else 1 + observations.rows // ROWS_OF_A_FILE
-        number_of_files = min(MOST_FILES, wanted_files)
+        number_of_files = 1
+        if observations.sample is None:
+            number_of_files = min(MOST_FILES, 1 + observations.rows // ROWS_OF_A_FILE)
         files_of_rays = [stack.enter_context(TemporaryFile()) for _ in range(number_of_files)]
         write_rays(batches_with_points(observations), setup, files_of_rays)
         for file in files_of_rays:

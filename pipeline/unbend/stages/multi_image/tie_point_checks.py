@@ -122,15 +122,15 @@ class TieEvidence:
         straight_rays = straightened(orientations, replace(rays, height_m=None))
         points = point_heights(orientations, straight_rays)
         met = np.isfinite(points.h_m)  # of the distinct points, in the order of their numbers
-        latitude, longitude, h_m = geodetic_of_ecef(*points.position_m[met].T)
+        latitude, longitude, point_m = geodetic_of_ecef(*points.position_m[met].T)
         row, column = model.nodes(latitude, longitude)
-        height_m = model.heights(row, column)
+        model_m = model.heights(row, column)
         ground_of_point = np.full(self.ties.point.max() + 1, np.nan)
-        ground_of_point[np.unique(rays.point)[met]] = height_m
+        ground_of_point[np.unique(rays.point)[met]] = model_m
         ties = replace(self.ties, ground=ground_of_point[self.ties.point])
         station_m = self.stations.h_msl_m[self.stations.ok]
         reordered = model_in_other_order(
-            model, row, column, h_m=h_m, height_m=height_m, station_m=station_m
+            model, row, column, point_m=point_m, model_m=model_m, station_m=station_m
         )
         return replace(self, ties=ties), reordered
 
@@ -164,20 +164,20 @@ def model_in_other_order(
     row: Array,
     column: Array,
     *,
-    h_m: Array,
-    height_m: Array,
+    point_m: Array,
+    model_m: Array,
     station_m: Array,
 ) -> str:
     """How much better a model fits points with its rows or columns reversed or exchanged, in words.
 
-    ``h_m`` (n,) are heights of points in the cells (``row``, ``column``), ``height_m`` (n,) those
-    of the model there, ``station_m`` those of the stations. Empty if the model fits as it is, if it
+    ``point_m`` (n,) are heights of points in the cells (``row``, ``column``), ``model_m`` (n,) of
+    the model in these cells, ``station_m`` of the stations. Empty if the model fits as it is, if it
     is off by too little to judge, or if it fits hardly better in another order.
     """
-    scatter_m = scatter_of(height_m - h_m)
-    if not np.isfinite(scatter_m) or scatter_m <= TERRAIN_FITS * scatter_of(h_m):
+    scatter_m = scatter_of(model_m - point_m)
+    if not np.isfinite(scatter_m) or scatter_m <= TERRAIN_FITS * scatter_of(point_m):
         return ""
-    above_ground_m = np.nanmedian(station_m - np.nanmedian(height_m))
+    above_ground_m = np.nanmedian(station_m - np.nanmedian(model_m))
     if scatter_m <= FLAT * above_ground_m:
         return ""
     cell = np.array([row, column])
@@ -187,7 +187,7 @@ def model_in_other_order(
     for is_exchanged, *is_reversed in orders[1:]:  # the first, all False, is the order it has
         in_order = cell[::-1] if is_exchanged else cell
         in_order = np.where(np.array(is_reversed)[:, None], size - 1 - in_order, in_order)
-        best_m = min(best_m, scatter_of(model.heights(*in_order) - h_m))
+        best_m = min(best_m, scatter_of(model.heights(*in_order) - point_m))
     if best_m >= FAR_BETTER * scatter_m:
         return ""
     return (
