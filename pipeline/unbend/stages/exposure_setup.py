@@ -99,12 +99,11 @@ def exposures_of(
             aircraft = stations.aircraft_quaternion[rows]
             normal[rows] = window_normals(window, rotation[rows], aircraft)
         if lens is not None:
-            change_px = principal_change(lens, air.pressure_pa, air.temperature_k)
-            principal_change_px[rows] = change_px
+            principal_change_px[rows] = principal_change(lens, air.pressure_pa, air.temperature_k)
             report_change(
                 name,
                 lens,
-                change_px=change_px,
+                change_px=principal_change_px[rows],
                 pressure_pa=air.pressure_pa,
                 ok=stations.ok[rows],
                 ledger=ledger,

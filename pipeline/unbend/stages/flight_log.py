@@ -142,9 +142,14 @@ def flight_log(mission: Mission, inputs: OpenedInputs, ledger: Ledger) -> Flight
     if trajectory is not None:
         suspect = tuple(stretch for stretch in own_suspect if stretch.quantity not in replaced)
         suspect += contradictions_of_import(trajectory, replaced, own, own_suspect)
-        section = mission.stations.trajectory
-        order = "ZYX" if section is None else section.angle_order
-        compare_with_log(trajectory, own, heights, ledger, replaces=replaced, angle_order=order)
+        compare_with_log(
+            trajectory,
+            own,
+            heights,
+            ledger,
+            replaces=replaced,
+            angle_order=angle_order_of_trajectory(mission),
+        )
         roles = with_trajectory(own, trajectory, replaced, ledger)
     roles, accuracy = with_accuracy(roles, channels)
     return FlightLog(
@@ -267,6 +272,12 @@ def read_trajectory(
         geoid=inputs.geoid,
     )
     return inputs.trajectory(stated, ledger)
+
+
+def angle_order_of_trajectory(mission: Mission) -> str:
+    """The order in which the angles of the trajectory turn; ZYX, the usual one, without any."""
+    section = mission.stations.trajectory
+    return "ZYX" if section is None else section.angle_order
 
 
 def replaced_roles(mission: Mission, trajectory: Channel) -> tuple[str, ...]:

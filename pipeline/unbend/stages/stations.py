@@ -207,15 +207,14 @@ def stations_of_mission(
     # Stations at the exposures of each camera.
     positions = read_positions(mission, inputs, flight, ledger)
     events = exposure_events(mission, inputs, flight, positions, ledger)
-    use_suspect = mission.stations.use_suspect
     builders = []
     at_events = []
     for camera_events in events:
         camera = camera_events.camera
         builder = StationBuilder.of(mission, flight, camera, positions.get(camera))
-        built = builder.stations(camera_events)
+        stations = builder.stations(camera_events)
         ledger.extend(findings_of_exposures(mission, flight, builder, camera_events))
-        flagged = flag_suspect(built, builder.suspect, use_suspect=use_suspect)
+        flagged = flag_suspect(stations, builder.suspect, use_suspect=mission.stations.use_suspect)
         builders.append(builder)
         at_events.append(ledger.take(flagged))
 

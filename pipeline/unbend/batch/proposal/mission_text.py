@@ -45,10 +45,8 @@ def propose_mission(log: Path, observations: Path | None, images: Path | None, o
     if images is not None:
         times = read_image_times(images, "", Ledger())
         refuse_other_images(images, times, table.images)
-        if not names:
-            names = tuple(Path(str(file)).name for file in times.file)
-        if not times.is_utc:
-            zone = TODO
+        names = table.images or tuple(Path(str(file)).name for file in times.file)
+        zone = "" if times.is_utc else TODO
     channels = () if log_facts is None else log_facts.events
     has_reference = False
     if observations is not None:

@@ -190,14 +190,13 @@ def compare_control(
     axes = enu_from_ecef(control.latitude_rad, control.longitude_rad)
     places = np.stack([meeting.before, meeting.after])  # (2, p, 3)
     before, after = np.einsum("pij,kpj->kpi", axes, places - control.place())
-    has_sigmas = np.isfinite(stations.sigma_height_m) & np.isfinite(stations.sigma_tilt_rad)
     comparison = ControlComparison(
         name=tuple(points.name.take(pa.array(control.row)).to_pylist()),
         rays=np.bincount(point_number, minlength=control.row.size),
         before=before,
         after=after,
         sigma_m=meeting.sigma_m,
-        sigma_stated=bool(has_sigmas[rays.station].any()),
+        sigma_stated=has_any_sigmas(stations, rays.station),
         unmeasured=len(points.name) - control.row.size,
     )
     if not comparison.used.any():
@@ -207,6 +206,12 @@ def compare_control(
     off_m = distances_of(readings, meeting.after, comparison.used)
     judge_control(comparison, off_m, ledger)
     return comparison
+
+
+def has_any_sigmas(stations: Stations, row: Integers) -> bool:
+    """Whether the sigmas of height and of tilt are known of any of some stations, by rows."""
+    is_known = np.isfinite(stations.sigma_height_m) & np.isfinite(stations.sigma_tilt_rad)
+    return bool(is_known[row].any())
 
 
 def distances_of(readings: Mapping[str, Array], meeting: Array, used: Mask) -> dict[str, float]:

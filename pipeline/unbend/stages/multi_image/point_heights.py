@@ -124,8 +124,8 @@ def check_object_points(observations: Observations, stations: Stations, ledger: 
     where = "ground.height.points"
     batch = next(observations.batches(CHECKED_ROWS))
     _, row = points.heights(batch.point, batch.image)  # -1 for a point that is not among them
-    is_of_user = points.of_image is None  # a block has heights of its images, too
-    if is_of_user and not bool((row >= 0).any()):
+    # Only a block has heights ``of_image``.
+    if points.of_image is None and not bool((row >= 0).any()):
         raise messages.no_point_in_table(
             where=where, total=len(batch), point=str(batch.point[0]), first=str(points.name[0])
         )
