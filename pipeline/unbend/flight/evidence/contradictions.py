@@ -73,6 +73,7 @@ def examine(
     examination = _Examination(channels, roles, dict(roles))
     if any(is_receiver(channel) for channel in channels):
         examination.reported = filter_evidence(channels) + text_evidence(channels)
+    # First the attitude: a suspect position prolongs its suspect stretches.
     examination.examine_attitude()
     for quantity in (POSITION, HEIGHT):
         channel = roles.get(quantity)
@@ -121,7 +122,7 @@ class _Examination:
         """
         sources = sources_of(quantity, channel, self.channels, self.roles)
         contradictions = contradictions_of(sources, self._goes_on_beside(channel))
-        suspect = contradictions.suspect
+        suspect = list(contradictions.suspect)
         if quantity == POSITION and not is_receiver(channel):
             # What the autopilot reports is of its filter, and says nothing against a receiver.
             suspect += [s for s in self.reported if s.quantity == POSITION]
@@ -328,10 +329,14 @@ def _stretch_apart(sources: Sources, difference: Difference, run: Run) -> Stretc
 
 
 def _contradictions_of_source_itself(sources: Sources, while_on: Channel) -> list[Stretch]:
-    """The stretches in which the source of the role steps or is silent; of a filter, its receivers.
+    """The stretches in which the source of the role contradicts itself, by the kind of source.
 
-    A filter's own steps are no sign of its faults if it has a receiver: one that was led away
-    leaves the receiver's path less its steps, and one that steps back was wrong before the step.
+    * A receiver: where it steps, reports a poor accuracy or is silent.
+    * A filter without receivers: where it steps.
+    * A filter with one receiver: where that steps and does not return, reports a poor accuracy or
+      is silent. The filter's own steps are no sign of its faults: a filter that was led away leaves
+      the path of the receiver without a step, and one that steps back was wrong before.
+    * A filter with several receivers: where all of these are silent.
     """
     path = sources.of_role
     quantity = sources.quantity
@@ -347,6 +352,7 @@ def _contradictions_of_source_itself(sources: Sources, while_on: Channel) -> lis
     suspect: list[Stretch] = []
     if len(receivers) == 1:
         of_receiver = own_contradictions(receivers[0], quantity)
+        # A step that returns has a known size: the difference from the filter shows it.
         suspect = [stretch for stretch in of_receiver if not np.isfinite(stretch.off_m)]
     return suspect + _common_silences(receivers, path.channel, quantity)
 
@@ -364,7 +370,10 @@ def _common_silences(
 
 
 def own_contradictions(path: SourcePath, quantity: str) -> list[Stretch]:
-    """The stretches in which a source has stepped away from itself, or reports a poor accuracy."""
+    """The stretches in which a source has stepped away from itself, or reports a poor accuracy.
+
+    ``off_m`` is known only of a step that returns.
+    """
     time_ns = path.channel.time_ns
     name = path.channel.name
     suspect: list[Stretch] = []
@@ -400,6 +409,7 @@ def silences(receiver: Channel, while_on: Channel, quantity: str) -> list[Stretc
     """
     usual_s = _SILENT_INTERVALS / max(receiver.rate_hz, 1e-3)
     limit_ns = max(LONGEST_COAST_S, usual_s) * SECOND
+    # A receiver may be silent before its first fix and after its last one, too.
     edges_ns = np.concatenate([while_on.time_ns[:1], receiver.time_ns, while_on.time_ns[-1:]])
     suspect: list[Stretch] = []
     for row in np.flatnonzero(np.diff(edges_ns) > limit_ns):
@@ -410,15 +420,21 @@ def silences(receiver: Channel, while_on: Channel, quantity: str) -> list[Stretc
         goes_on = last - first > _PRESENT * while_on.rate_hz * (end_ns - begin_ns) / SECOND
         if goes_on:
             reason = f"{receiver.name} has no fix for {lasts_s:.0f} s"
-            suspect.append(Stretch(begin_ns + SECOND // 2, end_ns, quantity, reason))
+            after_fix_ns = begin_ns + SECOND // 2  # the fix before the silence is not suspect
+            suspect.append(Stretch(after_fix_ns, end_ns, quantity, reason))
     return suspect
 
 
 def receiver_is_right(sources: Sources, difference: Difference, run: Run) -> bool:
     """Whether a receiver gives the height, and is confirmed where another source departs from it.
 
-    The other source is a barometer, or a filter that follows one. The receiver is confirmed by its
-    own vertical velocity; without that by a source that does not depend on the barometer.
+    The other source is a barometer, or a filter that follows one. What confirms the receiver is
+
+    * its own vertical velocity: its height changes by no more than that explains, but for half of
+      the greatest difference, both until this difference is reached and about the end of the run;
+    * without a velocity another source, which does not depend on the barometer.
+
+    A receiver that has stepped, or has fewer than two fixes about the run, is not confirmed.
     """
     receiver = sources.of_role
     is_height_of_receiver = (

@@ -85,7 +85,8 @@ class ExposureEvidence:
 def exposure_findings(evidence: ExposureEvidence) -> Iterator[Message]:
     """Findings where the log's own places, heights or attitudes of exposures contradict stations.
 
-    Zeros are unknown, and heights may count from another surface than their name says.
+    Zeros are unknown, and heights may count from another surface than their name says. There are no
+    findings where the events of the channel are not, one by one, those of ``time_ns``.
     """
     if len(evidence.channel) == 0 or len(evidence.channel) != evidence.time_ns.size:
         return
@@ -108,7 +109,7 @@ def _place_findings(evidence: ExposureEvidence) -> Iterator[Message]:
     )
     limit_m = NOISE_M + SIGMAS * sigma_m
     limit_m += evidence.lever_arm_m
-    limit_m += nearest.between_m / 2.0
+    limit_m += nearest.between_m / 2.0  # the nearest place may be half-way between two instants
     is_known = np.isfinite(nearest.distance_m) & evidence.counts(POSITION)
     is_off = is_known & (np.nan_to_num(nearest.distance_m) > limit_m)
     if is_off.any():
@@ -222,7 +223,11 @@ def _shift_of_time(
 def _height_findings(evidence: ExposureEvidence) -> Iterator[Message]:
     """A finding where exposures have heights of their own that no height of the flight is near.
 
-    A height of a filter is compared with the filter's; one of the receiver with the receiver's.
+    * ``h_msl_m`` is taken as the filter's. It is compared with the filter's height, which it may
+      differ from by `HEIGHT_NOISE_M`; without a filter in the log with the height that there is, by
+      `OTHER_SOURCE_M`.
+    * ``h_gnss_m`` is the receiver's: compared with the receiver, by `HEIGHT_NOISE_M`.
+    * ``h_ellipsoid_m`` may be of either: compared with the receiver, by `OTHER_SOURCE_M`.
     """
     position = evidence.own.get(POSITION)
     height = evidence.own.get(HEIGHT)
@@ -233,7 +238,7 @@ def _height_findings(evidence: ExposureEvidence) -> Iterator[Message]:
             position,
             HEIGHT_NOISE_M,
         )
-    elif height is not None:
+    elif height is not None:  # no filter gives the position
         yield from _heights_beside(
             evidence,
             "h_msl_m",
@@ -263,7 +268,8 @@ def _heights_beside(
 ) -> Iterator[Message]:
     """A finding where the heights of exposures in a column are none of another channel's.
 
-    Of the other channel the heights above the sea, the ellipsoid and the take-off count.
+    Of the other channel the heights above the sea, the ellipsoid and the take-off count. ``noise_m``
+    is what the heights may be apart beyond their sigmas.
     """
     shots = evidence.channel
     if column not in shots.columns:
@@ -300,11 +306,13 @@ def _nearest_height(
 ) -> Array:
     """(n,) metres from heights of exposures to the nearest height of another channel, any surface.
 
-    NaN where either is unknown: a logged height of 0 is none, and one that the log names as well as
-    that above a take-off counts only if the other channel has heights above it.
+    NaN where either height is unknown. A height of an exposure is unknown if it is 0; also if it
+    equals the height of the exposure above home, which then was not set, unless the other channel
+    has heights above home as well.
     """
     shots = evidence.channel
     is_logged = shots[column] != 0.0
+    # Asked of the channel as it is: `_above_its_begin` gives it such heights below.
     if "h_home_m" not in other.columns:
         is_logged &= ~(np.abs(shots[column] - shots.get("h_home_m")) < HOME_NOT_SET_M)
     logged_m = np.where(
@@ -345,7 +353,8 @@ def _above_its_begin(other: Channel) -> Channel:
 def _attitude_findings(evidence: ExposureEvidence) -> Iterator[Message]:
     """A finding where the vertical of exposures departs from that of the flight.
 
-    Only events with the attitude of the aircraft are compared, and only with its attitude.
+    Compared are only events with the attitude of the aircraft, and only with a channel of the
+    aircraft's attitude that is not the events' own.
     """
     shots = evidence.channel
     attitude = evidence.own.get(ATTITUDE)

@@ -159,6 +159,7 @@ def mask_impossible_values(channel: Channel) -> tuple[Channel, Notes]:
     with a warning, and not searched for jumps: it has another unit, or is not of air. Of events
     only heights and ranges are checked.
     """
+    # Jumps are searched last: a value out of range would be one.
     channel, height_notes = _mask_heights(channel)
     channel, odd_columns, range_notes = _mask_ranges(channel)
     notes = [*height_notes, *range_notes]
@@ -426,12 +427,12 @@ def _stray_rows(channel: Channel, known: Mask, step: _Step, where: str) -> tuple
     is_short = length <= STRAY_ROWS
     is_stray = np.zeros(first.shape, np.bool_)
     longest = int(np.argmax(length))
-    kept = longest
+    kept = longest  # the last one on the way to the end
     for stretch in range(longest + 1, first.size):
         is_stray[stretch] = is_short[stretch] and is_out_of_reach(kept, stretch)
         if not is_stray[stretch]:
             kept = stretch
-    kept = longest
+    kept = longest  # the same on the way to the begin
     for stretch in range(longest - 1, -1, -1):
         is_stray[stretch] = is_short[stretch] and is_out_of_reach(stretch, kept)
         if not is_stray[stretch]:
