@@ -59,7 +59,7 @@ def utc_of_gps(week: ArrayLike, seconds: ArrayLike) -> TimeArray:
     """
     weeks_ns = np.asarray(week, np.int64) * (SECONDS_PER_WEEK * NANOSECONDS_PER_SECOND)
     seconds_of_week = np.asarray(seconds, np.float64)
-    # float64 holds the fraction of a second to far less than 1 ns, but not a week in ns.
+    # Whole seconds and the rest apart: float64 does not hold many weeks in nanoseconds exactly.
     whole_seconds = np.floor(seconds_of_week)
     fraction_ns = np.rint((seconds_of_week - whole_seconds) * 1e9).astype(np.int64)
     gps_ns = weeks_ns + whole_seconds.astype(np.int64) * NANOSECONDS_PER_SECOND + fraction_ns

@@ -306,11 +306,10 @@ def choose_event_channel(channels: tuple[Channel, ...], name: str | None) -> Cha
     candidates = event_channels
     if name:
         candidates = [channel for channel in event_channels if channel.name == name]
-    if candidates:
-        best_rank = min(channel.rank for channel in candidates)
-        best = [channel for channel in candidates if channel.rank == best_rank]
-        if len(best) == 1:
-            return best[0]
+    best_rank = min((channel.rank for channel in candidates), default=None)
+    best = [channel for channel in candidates if channel.rank == best_rank]
+    if len(best) == 1:
+        return best[0]
     listed = [f"{channel.name} ({len(channel)})" for channel in event_channels]
     raise messages.event_channel_unknown(name=name, channels=listed)
 

@@ -92,9 +92,9 @@ def build_stations(
     height = roles["height"]
     h_msl_m, h_ellipsoid_m = heights_at(height, time_ns, heights, max_gap_s)
     no_msl = np.isnan(h_msl_m)
-    no_height = no_msl & np.isnan(h_ellipsoid_m)
-    stations = stations.with_status(no_height, IN_GAP)
-    stations = stations.with_status(no_msl, HEIGHT_REFERENCE_UNKNOWN)  # where one is known
+    stations = stations.with_status(no_msl & np.isnan(h_ellipsoid_m), IN_GAP)
+    # What is left has a height above the ellipsoid, but no undulation.
+    stations = stations.with_status(no_msl, HEIGHT_REFERENCE_UNKNOWN)
     if height.height_column is None:
         bend = no_bend(time_ns.size)
     else:

@@ -241,7 +241,8 @@ def _utc(time_ns: Integers) -> NDArray[np.datetime64]:
 def append_unmatched_images(stations: Stations, images: tuple[str, ...]) -> tuple[Stations, Notes]:
     """The stations, with a further row for each observed image that has no exposure.
 
-    ``images``: the observed ones. Reported are these, and exposures without an observed image.
+    ``images``: the observed ones. Reported are images without an exposure, and exposures without an
+    observed image.
     """
     observed = np.array(images, dtype=str)
     is_unused = ~np.isin(stations.image.astype(str), observed)

@@ -92,7 +92,7 @@ def trigger_notes(
     ]
     if kind == "CAMERACAPTURE":
         yield from _capture_notes(chosen, triggers, parameters)
-    elif is_trigger(chosen) or (kind == "CAM" and not triggers):
+    elif is_trigger(chosen) or (kind == "CAM" and not triggers):  # CAM without a feedback pin
         yield messages.trigger_times(channel=chosen.name, events=len(chosen))
     yield from _lost_pulses(channels, chosen, triggers)
 

@@ -47,7 +47,7 @@ class Vehicles:
             for channel in filled
             if channel.source.system is not None and {POSITION, ATTITUDE} & set(channel.roles)
         }
-        if len(systems) > 1:
+        if len(systems) > 1:  # whatever is between their positions
             return cls(tuple(sorted(systems)), depth)
         if len(tracks) > 1 and _are_apart(list(tracks.values())):
             return cls(tuple(sorted(tracks)), depth)

@@ -238,8 +238,8 @@ def sources_of(
             steady_until_ns=steady_until_ns,
         )
         differences.append(difference)
-    names = tuple(barometer.name for barometer in barometers)
-    return Sources(quantity, path_of_role, tuple(differences), names)
+    barometer_names = tuple(barometer.name for barometer in barometers)
+    return Sources(quantity, path_of_role, tuple(differences), barometer_names)
 
 
 def _other_sources(quantity: str, channel: Channel, channels: Sequence[Channel]) -> list[Channel]:
@@ -267,9 +267,9 @@ def _barometers_outside(
 
 
 def _steady_until(channel: Channel, path: SourcePath, quantity: str) -> int | None:
-    """When a source first stepped and did not return [ns]; None where it is better since.
+    """When a source first stepped and did not return [ns]; None if it never did.
 
-    What is better after a step than before it was wrong before.
+    None also if it is better after the step: what is better then was wrong before.
     """
     if path.lasting_ns.size == 0:
         return None
@@ -332,7 +332,7 @@ def _contradictions_of_source_itself(sources: Sources, while_on: Channel) -> lis
     """The stretches in which the source of the role contradicts itself, by the kind of source.
 
     * A receiver: where it steps, reports a poor accuracy or is silent.
-    * A filter without receivers: where it steps.
+    * A filter without receivers: where it steps or reports a poor accuracy.
     * A filter with one receiver: where that steps and does not return, reports a poor accuracy or
       is silent. The filter's own steps are no sign of its faults: a filter that was led away leaves
       the path of the receiver without a step, and one that steps back was wrong before.
@@ -430,8 +430,8 @@ def receiver_is_right(sources: Sources, difference: Difference, run: Run) -> boo
 
     The other source is a barometer, or a filter that follows one. What confirms the receiver is
 
-    * its own vertical velocity: its height changes by no more than that explains, but for half of
-      the greatest difference, both until this difference is reached and about the end of the run;
+    * its own vertical velocity: what that does not explain of the change of its height is less than
+      half of the greatest difference, both until this is reached and about the end of the run;
     * without a velocity another source, which does not depend on the barometer.
 
     A receiver that has stepped, or has fewer than two fixes about the run, is not confirmed.

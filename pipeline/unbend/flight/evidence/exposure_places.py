@@ -268,8 +268,8 @@ def _heights_beside(
 ) -> Iterator[Message]:
     """A finding where the heights of exposures in a column are none of another channel's.
 
-    Of the other channel the heights above the sea, the ellipsoid and the take-off count. ``noise_m``
-    is what the heights may be apart beyond their sigmas.
+    Of the other channel the heights above the sea, the ellipsoid and the take-off count; beyond
+    their sigmas heights may be ``noise_m`` apart.
     """
     shots = evidence.channel
     if column not in shots.columns:

@@ -219,7 +219,7 @@ def _reported_sigma(source: Channel, column: str, ranges_per_hdop: float) -> Arr
 def _nearest_row(channel: Channel, time_ns: TimeArray) -> Rows:
     """(m,) rows of the samples nearest to instants; of equally near ones the later."""
     after = np.clip(np.searchsorted(channel.time_ns, time_ns), 1, max(len(channel) - 1, 1))
-    # The remainder keeps the row of a single sample, which has none after it, inside the channel.
+    # The remainder is for a channel of one sample, which has no row ``after`` to be asked.
     to_before = time_ns - channel.time_ns[after - 1]
     to_after = channel.time_ns[after % len(channel)] - time_ns
     return np.asarray(np.where(to_before < to_after, after - 1, after))

@@ -159,7 +159,7 @@ def mask_impossible_values(channel: Channel) -> tuple[Channel, Notes]:
     with a warning, and not searched for jumps: it has another unit, or is not of air. Of events
     only heights and ranges are checked.
     """
-    # Jumps are searched last: a value out of range would be one.
+    # Ranges before jumps: a value out of range would be a jump as well.
     channel, height_notes = _mask_heights(channel)
     channel, odd_columns, range_notes = _mask_ranges(channel)
     notes = [*height_notes, *range_notes]

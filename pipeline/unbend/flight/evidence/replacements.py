@@ -143,7 +143,7 @@ def attitude_drifts(
     A filter that goes away from its replacement without a step has a wrong vertical: with a quarter
     of a degree of tilt, a filter without a receiver is 0.02 m/s² t² away after the time t. The
     filter drifted if it is at least as far away at the sample that is farthest off, and farther
-    than noise. Samples after a step of the filter do not count.
+    than noise. Samples at which the filter has stepped away do not count.
     """
     difference = replacement.difference
     time_ns = replacement.channel.time_ns

@@ -164,7 +164,7 @@ def _unexplained_moves(channel: Channel, quantity: str, channels: Iterable[Chann
     padding = ((_NEIGHBOURS, _NEIGHBOURS), (0, 0))
     padded_speed = np.pad(speed, padding, mode="edge")
     windows = sliding_window_view(padded_speed, 2 * _NEIGHBOURS + 1, axis=0)
-    median_speed = np.partition(windows, _NEIGHBOURS, axis=-1)[..., _NEIGHBOURS]
+    median_speed = np.partition(windows, _NEIGHBOURS, axis=-1)[..., _NEIGHBOURS]  # the middle one
     beyond_neighbours = speed - median_speed
     velocity = velocity_at(channels, quantity, channel.time_ns)
     beyond_velocity = speed - 0.5 * (velocity[1:] + velocity[:-1])
