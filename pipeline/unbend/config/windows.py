@@ -100,8 +100,8 @@ class CabinSection(Section):
     def build(self) -> Cabin:
         """The air in the compartment, in SI units.
 
-        A quantity is `UNKNOWN` where it is logged, or left to the default; so is the pressure where
-        it is that outside.
+        A quantity is `UNKNOWN` where it is logged, or is left to its default; the pressure also
+        where it is ambient.
         """
         pressure = self.pressure if self.pressure_hpa is None else self.pressure_hpa
         source: Literal["log", "ambient", "constant"] = "constant"

@@ -240,7 +240,8 @@ def fit_offset(utc_ns: TimeArray, boot_ns: TimeArray) -> ClockOffset | None:
 
     ``utc_ns``: (n,) [ns] as a receiver or the vehicle reports it, ``boot_ns``: (n,) [ns] of the
     same rows. The median, or None without rows: in real logs rows scatter by 20-39 ms (p5-p95), the
-    first one errs by up to 17 ms, and slopes over less than ten minutes are noise.
+    first one errs by up to 17 ms, and slopes over less than ten minutes are noise. Rows farther
+    than `LARGEST_SPREAD_NS` from the median are counted; a clock stepped if they last (`_lasts`).
 
     >>> fit_offset(np.array([1_000, 2_000, 99_000]), np.array([0, 1_000, 2_000])).offset_ns
     1000

@@ -266,7 +266,7 @@ def heights_at(
     """
     h_msl = interpolate(height, "h_msl_m", time_ns, max_gap_s)
     h_ellipsoid = interpolate(height, "h_ellipsoid_m", time_ns, max_gap_s)
-    if heights.one_height:
+    if heights.one_height:  # it is a copy of that above sea level
         h_ellipsoid = np.full(h_msl.shape, np.nan)
     if np.isnan(h_msl).any() or np.isnan(h_ellipsoid).any():
         undulation = _undulation_near(height, time_ns, heights)

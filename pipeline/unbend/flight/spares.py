@@ -52,7 +52,7 @@ def _with_spare(
 ) -> tuple[Channel, Notes]:
     """The channel of a role, continued by the samples of a spare where it is silent."""
     if not _rows_of_spare(spare, channel, role).any():
-        return channel, ()  # before the samples of a spare that does not play are checked
+        return channel, ()  # a spare that does not play is not checked, and has no notes
     plausible, notes = plausible_samples(spare, role)
     beyond = _rows_of_spare(plausible, channel, role)
     if not beyond.any():

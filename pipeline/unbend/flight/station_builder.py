@@ -262,7 +262,7 @@ def _from_enu(attitude: Array, frame_from_body: Array) -> Array:
     body_from_ned = attitude[:, [1, 2, 3, 0]] * [-1.0, -1.0, -1.0, 1.0]  # x, y, z, w; inverse
     frame_from_enu = body_from_ned @ matrix
     canonical = np.where(frame_from_enu[:, 3:] < 0.0, -frame_from_enu, frame_from_enu)
-    return canonical[:, [3, 0, 1, 2]]
+    return canonical[:, [3, 0, 1, 2]]  # w, x, y, z
 
 
 def with_air(stations: Stations, roles: Mapping[str, Channel], max_gap_s: float) -> Stations:

@@ -274,6 +274,7 @@ def attitude_at(channel: Channel, time_ns: TimeArray, max_gap_s: float) -> Attit
     is_known = np.asarray(np.isfinite(unit).all(axis=1))
     between_known = is_known[all_samples.before] & is_known[all_samples.after]
     usable = (all_samples.coverage == INSIDE) & between_known
+    # The rows of usable instants are filled in below.
     attitudes = Attitudes(
         quaternion=np.full((time_ns.size, 4), np.nan),
         rate_rad_s=np.full((time_ns.size, 3), np.nan),
@@ -285,7 +286,7 @@ def attitude_at(channel: Channel, time_ns: TimeArray, max_gap_s: float) -> Attit
     samples = all_samples.rows(usable)
 
     def turn(first: Rows, second: Rows) -> Array:
-        inverse = unit[first] * [-1.0, -1.0, -1.0, 1.0]
+        inverse = unit[first] * [-1.0, -1.0, -1.0, 1.0]  # x, y, z, w
         return rotation_vectors(quaternion_products(inverse, unit[second]))
 
     curve = _Curve(
@@ -299,7 +300,7 @@ def attitude_at(channel: Channel, time_ns: TimeArray, max_gap_s: float) -> Attit
     turned = step * samples.fraction[:, None] + bend
     quaternion = quaternion_products(unit[samples.before], _quaternions_of_vectors(turned))
     canonical = np.where(quaternion[:, 3:] < 0.0, -quaternion, quaternion)
-    attitudes.quaternion[usable] = canonical[:, [3, 0, 1, 2]]
+    attitudes.quaternion[usable] = canonical[:, [3, 0, 1, 2]]  # w, x, y, z
     attitudes.rate_rad_s[usable] = curve.rate(samples)
     attitudes.sigma_rad[usable] = curve.sigma(samples)
     return attitudes

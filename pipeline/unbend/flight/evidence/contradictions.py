@@ -58,6 +58,7 @@ FEWEST_SAMPLES = 10  # of which a channel must have more to be compared
 _BETTER_AFTER = 0.5  # of the accuracy before a step: what is so much better was wrong before
 _PRESENT = 0.8  # of the usual samples of a channel that goes on
 _SILENT_INTERVALS = 5.0  # usual ones of a receiver, after which it has no fix
+_SLOWEST_HZ = 1e-3  # of a receiver, also of one with a single fix: what is divided by is never 0
 _BESIDE_NS = int(BESIDE_S * SECOND)
 _LARGE_PART = 0.5  # of the greatest difference, by which a receiver would contradict itself
 
@@ -319,13 +320,7 @@ def _stretch_apart(sources: Sources, difference: Difference, run: Run) -> Stretc
     reason = f"{sources.of_role.channel.name} and {other.channel.name} are {off_m:.0f} m apart"
     if other.stepped_m[run.rows].any():
         reason = f"{other.channel.name} steps at {other.fastest_m_s:.0f} m/s; {reason}"
-    return stretch_of_run(
-        other.channel.time_ns,
-        run,
-        sources.quantity,
-        reason,
-        off_m,
-    )
+    return stretch_of_run(other.channel.time_ns, run, sources.quantity, reason, off_m)
 
 
 def _contradictions_of_source_itself(sources: Sources, while_on: Channel) -> list[Stretch]:
@@ -382,15 +377,7 @@ def own_contradictions(path: SourcePath, quantity: str) -> list[Stretch]:
     for run in runs(time_ns, is_away, is_away):
         off_m = float(away_m[run.rows].max())
         reason = f"{name} steps by {off_m:.0f} m at {path.fastest_m_s:.0f} m/s"
-        suspect.append(
-            stretch_of_run(
-                time_ns,
-                run,
-                quantity,
-                reason,
-                off_m,
-            )
-        )
+        suspect.append(stretch_of_run(time_ns, run, quantity, reason, off_m))
     around_ns = LONGEST_REPLACED_S // 2 * SECOND
     for step_ns in path.lasting_ns.tolist():
         reason = f"{name} steps at {path.fastest_m_s:.0f} m/s and does not return"
@@ -407,8 +394,8 @@ def silences(receiver: Channel, while_on: Channel, quantity: str) -> list[Stretc
 
     ``while_on`` : that channel. Where it has a gap too, the log has one.
     """
-    usual_s = _SILENT_INTERVALS / max(receiver.rate_hz, 1e-3)
-    limit_ns = max(LONGEST_COAST_S, usual_s) * SECOND
+    several_intervals_s = _SILENT_INTERVALS / max(receiver.rate_hz, _SLOWEST_HZ)
+    limit_ns = max(LONGEST_COAST_S, several_intervals_s) * SECOND
     # A receiver may be silent before its first fix and after its last one, too.
     edges_ns = np.concatenate([while_on.time_ns[:1], receiver.time_ns, while_on.time_ns[-1:]])
     suspect: list[Stretch] = []
@@ -430,8 +417,7 @@ def receiver_is_right(sources: Sources, difference: Difference, run: Run) -> boo
 
     The other source is a barometer, or a filter that follows one. What confirms the receiver is
 
-    * its own vertical velocity: what that does not explain of the change of its height is less than
-      half of the greatest difference, both until this is reached and about the end of the run;
+    * its own vertical velocity, if what that leaves unexplained of the height `_changes_little`;
     * without a velocity another source, which does not depend on the barometer.
 
     A receiver that has stepped, or has fewer than two fixes about the run, is not confirmed.
@@ -457,11 +443,25 @@ def receiver_is_right(sources: Sources, difference: Difference, run: Run) -> boo
         return _another_source_agrees(sources, difference, begin_ns, end_ns)
     height_m = places_of(receiver.channel, HEIGHT)[around, 0]
     unexplained_m = _climbed(around_ns, climb_m_s) - height_m
+    return _changes_little(unexplained_m, around_ns, difference, run)
+
+
+def _changes_little(
+    unexplained_m: Array, time_ns: TimeArray, difference: Difference, run: Run
+) -> bool:
+    """Whether (n,) heights change by less than half of the greatest difference in a run.
+
+    Both from 10 s before the run until that difference is reached, and from 10 s before the end of
+    the run to 10 s after it.
+    """
+    other_ns = difference.other.channel.time_ns
+    begin_ns = int(other_ns[run.first])
+    end_ns = int(other_ns[run.last])
     worst = run.first + int(np.nanargmax(difference.off_m[run.rows]))
-    worst_ns = int(time_ns[worst])
+    worst_ns = int(other_ns[worst])
     allowed_m = _LARGE_PART * float(difference.off_m[worst])
-    until_worst_m = _change(unexplained_m, around_ns, begin_ns - _BESIDE_NS, worst_ns)
-    about_end_m = _change(unexplained_m, around_ns, end_ns - _BESIDE_NS, end_ns + _BESIDE_NS)
+    until_worst_m = _change(unexplained_m, time_ns, begin_ns - _BESIDE_NS, worst_ns)
+    about_end_m = _change(unexplained_m, time_ns, end_ns - _BESIDE_NS, end_ns + _BESIDE_NS)
     return until_worst_m < allowed_m and about_end_m < allowed_m
 
 

@@ -306,13 +306,14 @@ def _nearest_height(
 ) -> Array:
     """(n,) metres from heights of exposures to the nearest height of another channel, any surface.
 
-    NaN where either height is unknown. A height of an exposure is unknown if it is 0; also if it
-    equals the height of the exposure above home, which then was not set, unless the other channel
-    has heights above home as well.
+    NaN where the other channel has none, and where that of the exposure is unknown:
+
+    * it is 0;
+    * it is the same as the height above home, because home is not set. This counts as unknown only
+      if the other channel has no heights above home, with which it could be compared.
     """
     shots = evidence.channel
     is_logged = shots[column] != 0.0
-    # Asked of the channel as it is: `_above_its_begin` gives it such heights below.
     if "h_home_m" not in other.columns:
         is_logged &= ~(np.abs(shots[column] - shots.get("h_home_m")) < HOME_NOT_SET_M)
     logged_m = np.where(
@@ -320,13 +321,13 @@ def _nearest_height(
         shots[column],
         np.nan,
     )
-    other = _above_its_begin(other)
-    gap_s = other.gap_limit_s(evidence.max_gap_s)
+    compared = _above_its_begin(other)
+    gap_s = compared.gap_limit_s(evidence.max_gap_s)
     apart_m = np.full(len(shots), np.nan)
     for time_ns in evidence.instants:
         for surface in HEIGHTS_OF_FLIGHT:
             of_flight_m = interpolate(
-                other,
+                compared,
                 surface,
                 time_ns,
                 gap_s,

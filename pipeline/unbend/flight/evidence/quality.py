@@ -192,7 +192,7 @@ def _reasons_of_useless_rows(channel: Channel, roles: list[str]) -> Reasons:
 def _mask_ranges(channel: Channel) -> tuple[Channel, set[str], Notes]:
     """The channel with values out of range unknown, and the columns whose median is out of range.
 
-    These columns are left as they are; heights are left to `_mask_heights`.
+    The values of these columns stay, with a warning; heights are left to `_mask_heights`.
     """
     odd_columns: set[str] = set()
     notes: list[Message] = []
@@ -206,17 +206,17 @@ def _mask_ranges(channel: Channel) -> tuple[Channel, set[str], Notes]:
         if RANGES[column].has(median):
             notes.append(_out_of_range(channel, column, outside))
             channel = channel.with_impossible(column, outside, Reason.OUT_OF_RANGE)
-            continue
-        odd_columns.add(column)
-        notes.append(
-            messages.median_is_odd(
-                channel=channel.name,
-                column=column,
-                samples=len(channel),
-                median=median,
-                limits=f"outside {RANGES[column]}",
+        else:
+            odd_columns.add(column)
+            notes.append(
+                messages.median_is_odd(
+                    channel=channel.name,
+                    column=column,
+                    samples=len(channel),
+                    median=median,
+                    limits=f"outside {RANGES[column]}",
+                )
             )
-        )
     return channel, odd_columns, tuple(notes)
 
 

@@ -169,10 +169,10 @@ def _constant_lag(
 
 
 def _lag_of_a_part(lags: Array, apart_m: Array, velocity: Array) -> float:
-    """The lag [s] that makes the smallest tenth of (f, k) differences smallest.
+    """The lag [s] for which the 10th percentile of (f, k) differences is smallest.
 
-    The median of all (f,) lags is tried, and that of each twentieth of the flight, because two
-    sources may agree in a part of it only.
+    Two sources may agree in a part of the flight only: tried are the median of all (f,) lags, and
+    that of each twentieth of the flight unless it is longer than receivers have.
     """
 
     def distance_of_nearest(lag_s: float) -> float:
