@@ -141,7 +141,8 @@ class _SkippedNumbers:
             last = _number_as_logged(end)
             listed.append(f"{first}" if begin == end else f"{first} to {last}")
         where = channel.name
-        if channel.boot[-1] > 0:
+        has_several_boots = channel.boot[-1] > 0
+        if has_several_boots:
             where = f"{channel.name}, boot {self.boot}"
         return messages.numbers_without_event(
             where=where,

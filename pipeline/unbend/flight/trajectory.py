@@ -445,6 +445,7 @@ class _Curve:
         count = is_known[four_numbers].sum(axis=0)
         misfit = np.sqrt(sum_of_squares / np.maximum(count, 1.0))
         u = samples.fraction[:, None]
+        # Half the misfit over twice the interval in the middle, nothing at the samples.
         return np.asarray(2.0 * u * (1.0 - u) * misfit)
 
     def _squared_misfits(self, rows: Rows) -> Array:
