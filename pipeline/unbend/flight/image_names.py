@@ -263,12 +263,12 @@ def _series(texts: tuple[str, ...], rows: list[list[str]]) -> list[NameSeries]:
     """
     if not rows[0]:
         return [_name_without_number(texts[0])]
-    columns = list(zip(*rows, strict=True))
-    varieties = [len(set(column)) for column in columns]
+    varieties = [len(set(digits)) for digits in zip(*rows, strict=True)]
+    columns = range(len(varieties))
     # The digits that differ most count the images; of several such groups the last.
-    count_column = max(range(len(columns)), key=lambda column: (varieties[column], column))
+    count_column = max(columns, key=lambda column: (varieties[column], column))
     other_columns = [
-        column for column, variety in enumerate(varieties) if column != count_column and variety > 1
+        column for column in columns if column != count_column and varieties[column] > 1
     ]
     groups: defaultdict[tuple[str, ...], list[list[str]]] = defaultdict(list)
     for row in rows:

@@ -64,7 +64,7 @@ class ExposureEvidence:
 
     @property
     def instants(self) -> Integers:
-        """(k, n) instants from the earliest to the latest of which the logged places may be."""
+        """(k, n) instants at which (n,) logged places may have been taken, earliest first."""
         sigma_s = np.nan_to_num(self.channel.get("sigma_time_s"))
         allowed_ns = np.round((LATENCY_S + 3.0 * sigma_s) * NANOSECONDS_PER_SECOND).astype(np.int64)
         earliest = np.minimum(self.channel.time_ns, self.time_ns) - allowed_ns
