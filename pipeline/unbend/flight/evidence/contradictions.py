@@ -320,7 +320,13 @@ def _stretch_apart(sources: Sources, difference: Difference, run: Run) -> Stretc
     reason = f"{sources.of_role.channel.name} and {other.channel.name} are {off_m:.0f} m apart"
     if other.stepped_m[run.rows].any():
         reason = f"{other.channel.name} steps at {other.fastest_m_s:.0f} m/s; {reason}"
-    return stretch_of_run(other.channel.time_ns, run, sources.quantity, reason, off_m)
+    return stretch_of_run(
+        other.channel.time_ns,
+        run,
+        sources.quantity,
+        reason,
+        off_m,
+    )
 
 
 def _contradictions_of_source_itself(sources: Sources, while_on: Channel) -> list[Stretch]:
@@ -347,7 +353,7 @@ def _contradictions_of_source_itself(sources: Sources, while_on: Channel) -> lis
     suspect: list[Stretch] = []
     if len(receivers) == 1:
         of_receiver = own_contradictions(receivers[0], quantity)
-        # A step that returns has a known size: the difference from the filter shows it.
+        # ``off_m`` is known of steps that return: the difference from the filter shows them.
         suspect = [stretch for stretch in of_receiver if not np.isfinite(stretch.off_m)]
     return suspect + _common_silences(receivers, path.channel, quantity)
 
@@ -365,10 +371,7 @@ def _common_silences(
 
 
 def own_contradictions(path: SourcePath, quantity: str) -> list[Stretch]:
-    """The stretches in which a source has stepped away from itself, or reports a poor accuracy.
-
-    ``off_m`` is known only of a step that returns.
-    """
+    """The stretches in which a source has stepped away from itself, or reports a poor accuracy."""
     time_ns = path.channel.time_ns
     name = path.channel.name
     suspect: list[Stretch] = []
@@ -396,7 +399,6 @@ def silences(receiver: Channel, while_on: Channel, quantity: str) -> list[Stretc
     """
     several_intervals_s = _SILENT_INTERVALS / max(receiver.rate_hz, _SLOWEST_HZ)
     limit_ns = max(LONGEST_COAST_S, several_intervals_s) * SECOND
-    # A receiver may be silent before its first fix and after its last one, too.
     edges_ns = np.concatenate([while_on.time_ns[:1], receiver.time_ns, while_on.time_ns[-1:]])
     suspect: list[Stretch] = []
     for row in np.flatnonzero(np.diff(edges_ns) > limit_ns):

@@ -437,7 +437,8 @@ def _stray_rows(channel: Channel, known: Mask, step: _Step, where: str) -> tuple
         is_stray[stretch] = is_short[stretch] and is_out_of_reach(stretch, kept)
         if not is_stray[stretch]:
             kept = stretch
-    return np.asarray(rows[np.repeat(is_stray, length)], np.intp), ()
+    stray_rows = rows[np.repeat(is_stray, length)]
+    return np.asarray(stray_rows, np.intp), ()
 
 
 def _begins_of_stretches(channel: Channel, rows: Rows, step: _Step) -> Integers:
