@@ -19,6 +19,7 @@ from unbend.ingest.dataflash.record_definitions import (
     FMT_TYPE,
     HEADER,
     MAGIC,
+    NAME_BYTES,
     define,
     definition_of_fmt,
 )
@@ -156,14 +157,15 @@ class RecordWalker(DamagedBytes):
             return run
         return slice(run.start, last)
 
-    def _keep(self, block: _Candidates, row: int, stop: int) -> int:
-        """Keep the records in rows from ``row`` to ``stop``, and put their definitions in force.
+    def _keep(self, block: _Candidates, start: int, stop: int) -> int:
+        """Keep the records in rows from ``start`` to ``stop``, and put their definitions in force.
 
         Returns the row before which it ends: an earlier one than ``stop`` if other records follow
         on an FMT record that defines a type anew, because their lengths may have changed.
         """
-        is_definition = block.types[row:stop] == FMT_TYPE
-        definition_rows = row + np.flatnonzero(is_definition)
+        row = start  # the first row that is not entered yet
+        is_definition = block.types[start:stop] == FMT_TYPE
+        definition_rows = start + np.flatnonzero(is_definition)
         for definition_row in definition_rows.tolist():
             number = self._number_of_definition(int(block.at[definition_row]))
             if number is None:
@@ -194,7 +196,7 @@ class RecordWalker(DamagedBytes):
             return number
         definition = define(payload)
         if definition is None or len(self.definitions) == MOST_DEFINITIONS:
-            self.refused.append(f"type {payload[0]} {payload[2:6]!r} at byte {at}")
+            self.refused.append(f"type {payload[0]} {payload[NAME_BYTES]!r} at byte {at}")
             return None
         number = len(self.definitions)
         self.seen[payload] = number
@@ -254,13 +256,14 @@ class RecordWalker(DamagedBytes):
         off is no damage: its bytes are counted as cut.
         """
         begin = at
-        if self._record_before_is_damaged(at):
+        includes_last_record = self._record_before_is_damaged(at)
+        if includes_last_record:
             begin = int(self.runs[-1].places[-1])
         resumed = self._next_chain(begin + 1)
         if resumed == self.size and self._is_cut_record(at):
             self.cut_bytes = self.size - at
             return self.size
-        if begin < at:
+        if includes_last_record:
             self._drop_last_record()
         self.drop(begin, resumed)
         return resumed
@@ -327,7 +330,8 @@ class RecordWalker(DamagedBytes):
     def _chain(self, place: int) -> bool:
         """Whether a chain of `LINKS` records begins at a byte, or a shorter one at the file's end.
 
-        The end may cut off the last record of a shorter chain; its first only in the header.
+        The end of the file may be that of the last record, or cut off the last record: a first one
+        within its header only, as its length alone would prove nothing.
         """
         for link in range(LINKS):
             header = self.data[place : place + HEADER]
@@ -340,7 +344,8 @@ class RecordWalker(DamagedBytes):
                 return False
             place += length
             if place >= self.size:
-                return place == self.size or link > 0  # the last record may be cut
+                is_cut_off = place > self.size
+                return not is_cut_off or link > 0
         return True
 
 
