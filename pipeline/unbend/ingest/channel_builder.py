@@ -255,18 +255,18 @@ def channel_of_texts(rows: DecodedRows, spec: MessageMap) -> Channel | None:
     Texts of the same time are lines of one row.
     """
     order = np.argsort(rows.time_ns, kind="stable")
-    time_ns, first = np.unique(rows.time_ns[order], return_index=True)
+    time_ns, first_lines = np.unique(rows.time_ns[order], return_index=True)
     if not time_ns.size:
         return None
     lines = [rows.labels["text"][row].strip() for row in order.tolist()]
-    bounds = [*first.tolist(), len(lines)]
+    bounds = [*first_lines.tolist(), len(lines)]
     texts = tuple("\n".join(lines[begin:end]) for begin, end in pairwise(bounds))
     return Channel(
         name=rows.name,
         time_ns=time_ns,
         columns={},
         source=rows.source,
-        boot=rows.boot[order][first],
+        boot=rows.boot[order][first_lines],
         rank=spec.rank,
         labels={"text": texts},
     )

@@ -106,8 +106,9 @@ class Log(Contents):
         """All messages of one type as columns of one length, with the log's names and units.
 
         ``name``: a type or topic of `message_types`, or a channel, upper or lower case.
-        ``instance``: only those, where the type has instances. In the order of the file, damaged
-        rows included. Raises LogError (LOG-NO-TYPE, LOG-NO-TABLE).
+        ``instance``: of which only the messages are wanted; None for that of the channel, or for
+        all. The rows are in the order of the file, damaged ones included. Raises LogError
+        (LOG-NO-TYPE, LOG-NO-TABLE).
         """
         kind, instance_of_channel = self._type_of(name)
         if instance is None:

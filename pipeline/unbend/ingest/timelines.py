@@ -157,14 +157,13 @@ def timeline(blocks: Iterable[Stamps]) -> Timeline:
             continue
         new_stretches = _stretches_of(places, time_ns)
         if stretches and _goes_on(stretches[-1], new_stretches[0]):
-            continuation = new_stretches.pop(0)
-            last = stretches.pop()
-            records = last.length + continuation.length
-            whole = last._replace(
+            last = stretches[-1]
+            continuation = new_stretches[0]
+            stretches[-1] = last._replace(
                 end=continuation.end,
-                length=records,
+                length=last.length + continuation.length,
             )
-            stretches.append(whole)
+            new_stretches = new_stretches[1:]
         stretches += new_stretches
     begin = np.array([stretch.begin for stretch in stretches], np.int64)
     end = np.array([stretch.end for stretch in stretches], np.int64)

@@ -155,7 +155,7 @@ class DateCheck:
 
     @staticmethod
     def _is_unset(source: UtcReadings, stated_ns: int, clocks: Sequence[Witness]) -> bool:
-        """Whether a clock that no receiver has set is a day or more off the strongest other clock.
+        """Whether a clock that no receiver has set is more than a day off the strongest other one.
 
         A weak other clock does not count.
         """

@@ -165,8 +165,8 @@ def _receiver_utc(table: Table, name: str, ledger: Ledger) -> Iterator[UtcReadin
     instance = instance_of(table)
     for number in np.unique(instance[has_utc]):
         rows = has_utc & (instance == number)
-        receiver = table
-        if not bool(rows.all()):  # a long log is not copied
+        receiver = table  # not copied if all rows are of it: a log may be long
+        if not bool(rows.all()):
             needed_fields = (PLACE, "TimeUS", *_UTC_FIELDS)
             receiver = {field: table[field][rows] for field in needed_fields}
         label = name

@@ -129,8 +129,9 @@ class RecordWalker(DamagedBytes):
         begin = place
         end = min(place + SPAN, self.size - HEADER + 1)
         raw = self.data.array(begin, end + HEADER - 1)
-        rows = np.flatnonzero((raw[:-2] == MAGIC[0]) & (raw[1:-1] == MAGIC[1]))
-        block = _Candidates(rows + begin, raw[rows + 2], self.length_of)
+        is_header = (raw[:-2] == MAGIC[0]) & (raw[1:-1] == MAGIC[1])  # the type byte follows
+        offsets = np.flatnonzero(is_header)
+        block = _Candidates(offsets + begin, raw[offsets + 2], self.length_of)
         while place < end:
             run = self._whole_records(block, place)
             if run.start == run.stop:
@@ -271,8 +272,9 @@ class RecordWalker(DamagedBytes):
     def _record_before_is_damaged(self, at: int) -> bool:
         """Whether the last record ends at this byte, but only because its type byte is damaged.
 
-        A record whose type byte was flipped ends in the wrong place. That is so if both bytes at
-        its end differ from those of a header, or if a chain of records begins inside it.
+        A record whose type byte was flipped has the length of another type, and ends in the wrong
+        place. Two things show that: both bytes at the end of the record differ from those of a
+        header, or a chain of records begins inside the record.
         """
         if not self.runs:
             return False
@@ -281,7 +283,8 @@ class RecordWalker(DamagedBytes):
         if before + self._length(type_byte) != at:
             return False
         mark = self.data[at : at + len(MAGIC)]
-        if mark and mark[:1] != MAGIC[:1] and mark[1:] != MAGIC[1:]:
+        both_differ = mark[:1] != MAGIC[:1] and mark[1:] != MAGIC[1:]
+        if mark and both_differ:
             return True
         inside = self.data.find(MAGIC, before + HEADER, at)
         while inside != -1:

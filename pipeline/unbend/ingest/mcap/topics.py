@@ -4,7 +4,6 @@ import json
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -97,7 +96,7 @@ class Topic:
         definitions. ``before``: how many messages precede the batch in the log. Returns the stamps
         that count from a boot; none of a table.
         """
-        # A table keeps the columns; those of channels are handed on at the end.
+        # The blocks of a table are kept; those of channels become samples of the series below.
         blocks = self.blocks if self.series is None else _no_blocks()
         for decoder, rows in shares:
             decoded = decoder(batch, rows)
@@ -242,7 +241,8 @@ class ObjectDecoder:
         decoded = []
         for row, (begin, length) in enumerate(zip(begins, lengths, strict=True)):
             with suppress(*self.errors):
-                decoded.append(self._values_of(bytes(raw[begin : begin + length])))
+                values_of_message = self._values_of(bytes(raw[begin : begin + length]))
+                decoded.append(values_of_message)
                 done.append(row)
         odd = 0
         if self.wanted is not None:
@@ -259,12 +259,18 @@ class ObjectDecoder:
         """The values of one message by path, and its own time as `STAMP`; 0 without a time."""
         message = self.parse(raw)
         values = dict(flat(message, "", self.wanted))
-        stamp = message
-        for part in self.spec.time_field.split("."):
-            getter = stamp.get if isinstance(stamp, dict) else partial(getattr, stamp)
-            stamp = getter(part, None)
-        values[STAMP] = stamp_of(stamp)
+        member = message  # from here down to the time
+        for name in self.spec.time_field.split("."):
+            member = _member(member, name)
+        values[STAMP] = stamp_of(member)
         return values
+
+
+def _member(value: Any, name: str) -> Any:
+    """A member of a JSON object or of a protobuf message; None if it has none of that name."""
+    if isinstance(value, dict):
+        return value.get(name)
+    return getattr(value, name, None)
 
 
 def _make_numbers(values: dict[str, Any], fields: set[str]) -> int:
@@ -289,7 +295,7 @@ def flat(value: Any, path: str, wanted: frozenset[str] | None) -> Iterable[tuple
     numbers and texts, and the lengths of long arrays, as ``path[]``.
     """
     if wanted is not None and path in wanted and value is not None:
-        yield path, value
+        yield path, value  # a member of it may be wanted too
     if isinstance(value, bool | int | float | str):
         if wanted is None:
             yield path, value
