@@ -265,9 +265,11 @@ def _rows_of_message(
     for number in distinct_instances.tolist():
         has_label = is_named or number >= 0  # -1 is of messages without instances
         label = str(number) if has_label else None
+        name = f"{message}[{label}]" if has_label else message
+        source = Source(message, label)
         rows = DecodedRows(
-            name=f"{message}[{label}]" if has_label else message,
-            source=Source(message, label),
+            name=name,
+            source=source,
             time_ns=times.time_ns,
             boot=times.boot,
             columns=values,

@@ -224,7 +224,8 @@ class _Fixes(NamedTuple):
 def _fixes_of(receiver: Table) -> _Fixes:
     """The fixes of a table of GPS rows, none where it lacks the time or the status."""
     if not {"GMS", "GWk", "Status"} <= receiver.keys():
-        return _Fixes(np.empty(0, np.int64), np.empty(0, np.int64))
+        nothing = np.empty(0, np.int64)
+        return _Fixes(nothing, nothing)
     has_fix = receiver["Status"] >= LOWEST_FIX
     gps_ms = _gps_ms(receiver["GWk"][has_fix], receiver["GMS"][has_fix])
     time_us = microseconds(receiver["TimeUS"][has_fix])
@@ -282,6 +283,7 @@ def stamped(name: str, table: Table, clock: BootClock, instance: str | None) -> 
     whole = time_columns | logged
     if instance is None:
         return whole
+
     rows = instance_of(table).astype(np.str_) == instance
     if not rows.any():
         return {}

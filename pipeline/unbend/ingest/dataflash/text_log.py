@@ -210,7 +210,10 @@ class _LineReader(DamagedBytes):
 
     def _define(self, values: list[str]) -> bool:
         """Take the definition of an FMT line; False where it is not valid."""
-        _type, _length, name, letters, columns = values
+        definition = dict(zip(_FMT.fields, values, strict=True))
+        name = definition["Name"]
+        letters = definition["Format"]
+        columns = definition["Columns"]
         fields = tuple(part.strip() for part in columns.split(","))
         if columns == "Type,Length,Name,Format":  # old logs forget the last one
             fields += ("Columns",)

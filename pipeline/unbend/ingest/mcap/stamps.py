@@ -215,7 +215,12 @@ def times_of(
         ledger.add(messages.messages_without_stamp(topic=topic, count=unstamped))
         time_ns = np.where(is_unstamped, log_ns, time_ns)
     # times since a boot are small where UTC is unknown, which is reported elsewhere
-    is_early = ~is_counted & (time_ns < UNIX_NS_FROM)
+    is_before_2001 = time_ns < UNIX_NS_FROM
+    is_early = is_before_2001 & ~is_counted
     if bool(is_early.any()):
         ledger.add(messages.stamps_before_2001(topic=topic))
-    return MessageTimes(time_ns, boot, unstamped)
+    return MessageTimes(
+        time_ns=time_ns,
+        boot=boot,
+        unstamped=unstamped,
+    )

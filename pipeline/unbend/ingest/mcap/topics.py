@@ -253,7 +253,11 @@ class ObjectDecoder:
         columns = {name: column_of([values.get(name) for values in decoded]) for name in names}
         if STAMP in columns:
             columns[STAMP] = columns[STAMP].astype(np.int64)
-        return Decoded(np.array(done, np.intp), columns, odd)
+        return Decoded(
+            rows=np.array(done, np.intp),
+            columns=columns,
+            odd=odd,
+        )
 
     def _values_of(self, raw: bytes) -> dict[str, Any]:
         """The values of one message by path, and its own time as `STAMP`; 0 without a time."""
@@ -261,16 +265,9 @@ class ObjectDecoder:
         values = dict(flat(message, "", self.wanted))
         member = message  # from here down to the time
         for name in self.spec.time_field.split("."):
-            member = _member(member, name)
+            member = member.get(name) if isinstance(member, dict) else getattr(member, name, None)
         values[STAMP] = stamp_of(member)
         return values
-
-
-def _member(value: Any, name: str) -> Any:
-    """A member of a JSON object or of a protobuf message; None if it has none of that name."""
-    if isinstance(value, dict):
-        return value.get(name)
-    return getattr(value, name, None)
 
 
 def _make_numbers(values: dict[str, Any], fields: set[str]) -> int:

@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Mapping, Set
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,6 +85,14 @@ class _SequenceState:
     last: int
     heard_us: int
     ahead: int = 0
+
+
+class _SenderMessages(NamedTuple):
+    """Some messages of one sender, (n,) in the order of the file; the columns are of `Frames`."""
+
+    sequence: NDArray[np.uint8]
+    host_us: Integers
+    at: Integers
 
 
 def _row_type(layout: np.dtype[Any]) -> np.dtype[Any]:
@@ -291,13 +299,14 @@ class Scan(DamagedBytes):
         starts = np.flatnonzero(np.diff(senders[order].astype(np.int32), prepend=-1)).tolist()
         for begin, end in pairwise([*starts, order.shape[0]]):
             rows = order[begin:end]
-            self._count_lost_of_sender(
-                int(senders[rows[0]]), frames.sequence[rows], frames.host_us[rows], frames.at[rows]
+            sent = _SenderMessages(
+                sequence=frames.sequence[rows],
+                host_us=frames.host_us[rows],
+                at=frames.at[rows],
             )
+            self._count_lost_of_sender(int(senders[rows[0]]), sent)
 
-    def _count_lost_of_sender(
-        self, number: int, sequence: NDArray[np.uint8], host_us: Integers, at: Integers
-    ) -> None:
+    def _count_lost_of_sender(self, number: int, sent: _SenderMessages) -> None:
         """Count the numbers that are missing in the next messages of a sender, and its silences.
 
         The sequence counts modulo 256. A step of more than half of that is one backward, to a
@@ -307,15 +316,12 @@ class Scan(DamagedBytes):
         sender = Sender.of_number(number)
         state = self._sequences.get(number)
         if state is None:  # nothing is missing before the first message
-            state = _SequenceState(last=(int(sequence[0]) - 1) % SEQUENCE, heard_us=int(host_us[0]))
-        skipped = np.diff(sequence, prepend=np.uint8(state.last)) - np.uint8(1)  # modulo 256
-        is_after_gap = np.diff(host_us, prepend=state.heard_us) > SILENT_US
-        for row in np.flatnonzero(is_after_gap).tolist():  # a stray stamp makes a gap too
-            silent_us = _silent_us(host_us, row, state.heard_us)
-            if silent_us > SILENT_US:
-                is_backward = skipped[row] >= SEQUENCE // 2
-                backward = int(skipped[row]) if is_backward else 0
-                self.silences.append(Silence(sender, int(at[row]), silent_us / 1e6, backward))
+            number_before = (int(sent.sequence[0]) - 1) % SEQUENCE
+            state = _SequenceState(last=number_before, heard_us=int(sent.host_us[0]))
+        skipped = np.diff(sent.sequence, prepend=np.uint8(state.last)) - np.uint8(1)  # modulo 256
+        is_after_gap = np.diff(sent.host_us, prepend=state.heard_us) > SILENT_US
+        for row in np.flatnonzero(is_after_gap).tolist():
+            self._add_silence(sender, sent, row, int(skipped[row]), state.heard_us)
         step = skipped.view(np.int8).astype(np.int64) + 1  # as int8, more than half is negative
         step[(step < 0) & is_after_gap] = 1  # what it skips is in ``backward`` of the silence
         # The number of each message, counted on beyond 256 from 0 at the last message before these.
@@ -326,10 +332,25 @@ class Scan(DamagedBytes):
             lost = int(new_positions[-1]) - state.ahead - new_positions.shape[0]
         self.lost[sender] += lost
         self._sequences[number] = _SequenceState(
-            last=int(sequence[-1]),
-            heard_us=int(host_us[-1]),
+            last=int(sent.sequence[-1]),
+            heard_us=int(sent.host_us[-1]),
             ahead=max(state.ahead, int(position.max())) - int(position[-1]),
         )
+
+    def _add_silence(
+        self, sender: Sender, sent: _SenderMessages, row: int, skipped: int, heard_us: int
+    ) -> None:
+        """Add the silence before the message in a row, if it is one: a stray stamp is none.
+
+        ``skipped``: the numbers between that message and the one before. ``heard_us``: the stamp of
+        the sender before all these messages.
+        """
+        silent_us = _silent_us(sent.host_us, row, heard_us)
+        if silent_us <= SILENT_US:
+            return
+        is_backward = skipped >= SEQUENCE // 2
+        backward = skipped if is_backward else 0
+        self.silences.append(Silence(sender, int(sent.at[row]), silent_us / 1e6, backward))
 
 
 def _silent_us(host_us: Integers, row: int, heard_us: int) -> int:

@@ -221,7 +221,11 @@ def clocks_of(readings: Readings, ledger: Ledger, dates: KnownDates = KnownDates
     """
     if not readings.size:
         ledger.add(messages.no_vehicle_time())
-        return Clocks(senders={}, boots=1, description="ground station clock")
+        return Clocks(
+            senders={},
+            boots=1,
+            description="ground station clock",
+        )
     numbers, counts = np.unique(readings["source"], return_counts=True)
     busiest_first = numbers[np.argsort(-counts, kind="stable")].tolist()
     vehicle = Sender.of_number(busiest_first[0])

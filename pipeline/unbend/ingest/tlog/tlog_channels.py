@@ -55,8 +55,7 @@ def channels_of(
                 channels.append(channel)
     parameters = {}
     if PARAM_VALUE in sent:
-        with_height = [channel for channel in channels if "h_msl_m" in channel.columns]
-        systems = [channel.source.system or 0 for channel in with_height]
+        systems = _systems_with_height(channels)
         parameters = _last_values(sent[PARAM_VALUE].whole(), systems)
     return with_both_heights(channels, parameters, ledger, PARAM_VALUE), parameters
 
@@ -86,6 +85,15 @@ def _in_time_order(rows: DecodedRows, *, is_event: bool) -> DecodedRows:
     if clock_was_set_back and not is_event:
         return rows
     return rows.take(np.argsort(rows.time_ns, kind="stable"))
+
+
+def _systems_with_height(channels: Sequence[Channel]) -> list[int]:
+    """The systems with a channel that has heights: their parameters are used."""
+    systems = []
+    for channel in channels:
+        if "h_msl_m" in channel.columns:
+            systems.append(channel.source.system or 0)
+    return systems
 
 
 def _last_values(rows: NDArray[Any], systems: Sequence[int]) -> dict[str, float]:
@@ -227,8 +235,11 @@ def times_of(
         return time_ns, boot
     is_unix = stamp > FIRST_SET_US
     is_unknown = stamp == 0
-    utc_of_unix_ns = clock.utc_of_stated(places, stamp_ns)
-    time_ns = np.where(is_unix, utc_of_unix_ns, time_ns)
+    time_ns = np.where(
+        is_unix,
+        clock.utc_of_stated(places, stamp_ns),
+        time_ns,
+    )
     not_since_boot = is_unix | is_unknown
     if not_since_boot.any():
         boot[not_since_boot] = clock.boot(places[not_since_boot])
@@ -249,8 +260,8 @@ def text_of(value: bytes) -> str:
 def whole_texts(rows: DecodedRows, records: NDArray[Any]) -> DecodedRows:
     """The rows of an autopilot's texts, with the chunks of one text joined.
 
-    Chunks of one text have the same id and are numbered from 0; a text of a single chunk has the id
-    0. "..." stands for chunks that are missing. A joined text is in the row of its first chunk.
+    Chunks of one text have the same id and count from 0; a text of a single chunk has the id 0.
+    "..." stands for chunks that are missing. A joined text is in the row of its first chunk.
     """
     texts: list[str] = []
     first_rows: list[int] = []
@@ -278,7 +289,7 @@ def distinct_exposures(table: NDArray[Any], name: str, ledger: Ledger) -> Rows:
     """The rows of CAMERA_FEEDBACK that are exposures, each time once with its first index.
 
     ArduPilot repeats a row while it waits for the next pulse, maybe already with the next index.
-    Rows without a time are told apart by their index; rows without a place too are no exposures.
+    Rows without a time are distinguished by their index; those without a place too are dropped.
     """
     times_us = table["time_usec"]
     indices = table["img_idx"].astype(np.uint64)
