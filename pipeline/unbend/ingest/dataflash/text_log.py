@@ -36,7 +36,7 @@ _TIME_UNITS_US = {("TimeUS", "Q"): 1, ("TimeMS", "I"): 1000}  # by name and lett
 def read_log(path: Path, ledger: Ledger, witnesses: Sequence[Witness] = ()) -> Contents:
     """The contents of a log as text; ``witnesses`` are other clocks that tell its date."""
     reader = _LineReader()
-    tables = reader.read(path, set(wanted_fields()))
+    tables = reader.read(path, set(wanted_fields()))  # then the reader has all counts and times
     reader.report_bytes(ledger, path.name, "line")
 
     def reread(names: set[str]) -> dict[str, Table]:
@@ -91,9 +91,9 @@ class _LineFormat:
             for letter, value in zip(self.letters, values, strict=True):
                 if letter in _DECIMAL:
                     float(value)
-                elif letter not in _TEXT and not -(1 << 63) <= int(value) < 1 << 64:
+                elif letter not in _TEXT and not _fits_64_bits(int(value)):
                     return False
-        except ValueError:
+        except ValueError:  # of float and int: no number
             return False
         return True
 
@@ -104,6 +104,11 @@ class _LineFormat:
         for name, letter, values in zip(self.fields, self.letters, values_of_fields, strict=True):
             columns[name] = _column(letter, values)
         return columns
+
+
+def _fits_64_bits(value: int) -> bool:
+    """Whether int64 or uint64 holds an integer."""
+    return -(1 << 63) <= value < 1 << 64
 
 
 def _column(letter: str, values: Sequence[str]) -> NDArray[Any]:
@@ -195,7 +200,8 @@ class _LineReader(DamagedBytes):
         form = self.formats.get(name)
         if form is None:
             return "", []
-        values = [value.strip() for value in rest.split(",", len(form.fields) - 1)]
+        commas = len(form.fields) - 1  # further ones are of the last value
+        values = [value.strip() for value in rest.split(",", commas)]
         if not form.accepts(values):
             return "", []
         if name == "FMT" and not self._define(values):
@@ -204,9 +210,10 @@ class _LineReader(DamagedBytes):
 
     def _define(self, values: list[str]) -> bool:
         """Take the definition of an FMT line; False where it is not valid."""
-        name = values[2]
-        letters = values[3]
-        columns = values[4]
+        definition = dict(zip(_FMT.fields, values, strict=True))
+        name = definition["Name"]
+        letters = definition["Format"]
+        columns = definition["Columns"]
         fields = tuple(part.strip() for part in columns.split(","))
         if columns == "Type,Length,Name,Format":  # old logs forget the last one
             fields += ("Columns",)
@@ -216,7 +223,7 @@ class _LineReader(DamagedBytes):
         if len(fields) != len(letters):
             return False
         if name == "FMT" and len(fields) != len(_FMT.fields):
-            return False
+            return False  # this method could not read further FMT lines
         self.formats[name] = _LineFormat(letters, fields)
         return True
 

@@ -55,8 +55,10 @@ def flat_fields(
     result: list[FlatField] = []
     size = 0
     for field in formats[name]:
-        inner: list[FlatField] | None = [FlatField("", TYPES.get(field.kind, ""))]
-        if field.kind not in TYPES:
+        inner: list[FlatField] | None
+        if field.kind in TYPES:
+            inner = [FlatField("", TYPES[field.kind])]
+        else:
             inner = flat_fields(field.kind, formats, depth + 1)
         if not inner:
             return None
@@ -97,20 +99,21 @@ class Definitions:
             match = _FIELD.fullmatch(part)
             if match is None:
                 return False
-            count = int(match["count"] or 0)
-            if match["count"] is not None and count == 0:
+            elements = int(match["count"] or 0)
+            is_empty_array = match["count"] is not None and elements == 0
+            if is_empty_array:
                 return False
-            fields.append(Field(match["kind"], count, match["name"]))
+            fields.append(Field(match["kind"], elements, match["name"]))
         if not colon or not fields:
             return False
         self.formats[name] = fields
         return True
 
     def sizes_of(self, name: str) -> tuple[int, int] | None:
-        """The bytes of a topic's data without and with padding; None if it is not defined.
+        """The bytes of a topic's data without and with the padding at its end, not always logged.
 
-        Padding at the end of a message is not always logged. If the topic has a timestamp, its
-        layout without that padding is added to ``layouts``.
+        None if the topic is not defined, or two of its fields have the same path. If the topic has
+        a timestamp, its layout without that padding is added to ``layouts``.
         """
         fields = flat_fields(name, self.formats) or []
         with_padding = _size(fields)
