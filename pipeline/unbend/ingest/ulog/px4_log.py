@@ -118,9 +118,7 @@ def _sources(rows_of_topic: TopicRows) -> dict[UlogTopic, Source]:
     return sources
 
 
-def _rows_by_instance(
-    source: Source, rows: NDArray[Any]
-) -> Iterator[tuple[Source, NDArray[Any]]]:
+def _rows_by_instance(source: Source, rows: NDArray[Any]) -> Iterator[tuple[Source, NDArray[Any]]]:
     """The rows of a topic by the instances that its field of ids tells apart, with their sources.
 
     A topic without such a field, or with one id in all rows, is one source.
