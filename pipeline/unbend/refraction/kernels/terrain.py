@@ -372,8 +372,8 @@ def _follow(path, grid, ray, state):  # type: ignore[no-untyped-def]
             first_column=around.edges.left,
         )
         passage = _passage(path, patch, around, (t, t_1), (at, at_1))
-        is_all_unknown = around.is_over and around.is_under  # see `Surroundings`
-        is_unknown = is_all_unknown or math.isnan(passage.f_0)
+        # Over and under at once is a box of unknown nodes: see `Surroundings`.
+        is_unknown = (around.is_over and around.is_under) or math.isnan(passage.f_0)
         if is_unknown:
             state.gap[ray] = True
         else:
