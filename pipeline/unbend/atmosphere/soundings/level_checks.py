@@ -11,9 +11,9 @@ import numpy as np
 
 from unbend.atmosphere import refractive_index
 from unbend.atmosphere.air_samples import part_of
-from unbend.atmosphere.hypsometry import ADIABATIC_K_PER_M
 from unbend.atmosphere.refractive_index import vapour_pressure
 from unbend.atmosphere.soundings import messages
+from unbend.atmosphere.soundings.layer_checks import layer_notes
 from unbend.atmosphere.soundings.levels import RawLevels, Sounding
 from unbend.geodesy import normal_gravity
 from unbend.messages import Notes
@@ -33,10 +33,6 @@ DRIEST_RH = 0.011  # relative humidities that reach no more are dead, or per cen
 THICKNESS_RATIO = 0.03
 """Heights and the pressures and temperatures they were computed from agree within this share."""
 
-# Readings rounded to 0.1 K err by 1 K/km over 100 m, and by 5e-4 of n - 1 from level to level.
-_SLICE_M = 100.0
-_STEEPER_K_PER_M = 1e-3
-_INDEX_ROUNDING = 5e-4
 _UNKNOWN_LATITUDE_RAD = 45.0 * DEGREE
 
 # No sounding begins above 25 km, nor below the Dead Sea.
@@ -77,27 +73,7 @@ def check_levels(
     sounding = Sounding(
         h, p, t, e, raw.time_ns, raw.station, raw.latitude_rad, raw.longitude_rad, raw.origin
     )
-    notes, where = list(raw.notes), raw.where
-    # Layers that are unstable, or in which air grows denser upwards, as near hot ground.
-    grid = np.arange(h[0], h[-1], _SLICE_M)
-    lapse = -np.diff(np.interp(grid, h, t)) / _SLICE_M
-    if count := int((lapse > ADIABATIC_K_PER_M + _STEEPER_K_PER_M).sum()):
-        i = int(np.argmax(lapse))
-        notes.append(
-            messages.sounding_superadiabatic(
-                where=where,
-                count=count,
-                k_per_km=1e3 * lapse[i],
-                height_m=grid[i],
-                over_m=_SLICE_M * count,
-            )
-        )
-    n = refractive_index.refractivity_gyer(t, p, np.nan_to_num(e))
-    rising = np.diff(n) > _INDEX_ROUNDING * n[:-1]
-    if count := int(rising.sum()):
-        lowest = h[int(np.argmax(rising))]
-        notes.append(messages.sounding_index_rises(where=where, count=count, lowest=lowest))
-    return sounding, tuple(notes)
+    return sounding, (*raw.notes, *layer_notes(sounding, raw.where))
 
 
 def refuse_wrong_units(raw: RawLevels) -> None:

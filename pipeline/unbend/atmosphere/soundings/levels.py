@@ -1,6 +1,7 @@
 """Levels of a balloon sounding: as a file has them, as the estimator takes them, and its fields."""
 
 import math
+import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -238,6 +239,9 @@ def _stated_degrees(text: str) -> float:
     return math.nan if value in FILLS or value in _UNKNOWN_DEG else value
 
 
+_WITHOUT_HOUR = re.compile(r"\d{4}-?\d\d-?\d\d")
+
+
 def first_stated(fields: Iterable[str]) -> str:
     """The first field of a column that states something; empty where none does.
 
@@ -253,12 +257,12 @@ def first_stated(fields: Iterable[str]) -> str:
 def stated_time_ns(text: str, where: str) -> int | None:
     """The time that a field of a file states [Unix ns]; None where it states none.
 
-    Refuses (InputError SOUNDING-TIME) a text that is no time: what is stated and cannot be read
-    is not unknown.
+    Refuses (InputError SOUNDING-TIME) a text that is no time, such as a date without its hour:
+    what is stated and cannot be read is not unknown.
     """
     if text.strip().lower() in _NOT_STATED:
         return None
-    time_ns = utc_ns(text)
+    time_ns = None if _WITHOUT_HOUR.fullmatch(text.strip()) else utc_ns(text)
     if time_ns is None:
         raise messages.sounding_time(where=where, time=text.strip()[:40])
     return time_ns
