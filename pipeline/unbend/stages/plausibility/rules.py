@@ -16,6 +16,7 @@ from unbend.refraction.calibration import is_fisheye
 from unbend.refraction.camera.camera import Camera
 from unbend.refraction.status_codes import STATUS_NAMES
 from unbend.stages.plausibility import messages
+from unbend.stages.plausibility.air_limits import limits_of_factor
 from unbend.stages.plausibility.causes import EARTH_RADIUS_M, causes_of_statuses
 from unbend.stages.plausibility.facts import Facts
 from unbend.units import Array
@@ -58,7 +59,15 @@ STEEPEST_RAD = 1.4  # nadir angle beyond which a straight slant range means litt
 SMALLEST_RANGE_RATIO = 0.7  # slant range over that of the heights
 LARGEST_RANGE_RATIO = 1.4
 MOST_FLAGGED = 0.2  # share of the rows, for one cause
-LARGEST_EFFECT = 1.5  # R over that in the standard atmosphere, or below its inverse
+KEYS_OF_SOURCES = {
+    "thermometer": "log.channels.temperature",
+    "barometer": "log.channels.pressure",
+    "hygrometer": "log.channels.humidity",
+    "sounding": "atmosphere.soundings",
+    "surface report": "atmosphere.surface",
+    "weather model": "atmosphere.model",
+}
+"""The key of a mission file for each source of the air, by how its name begins."""
 METRES_OF_A_FOOT = 0.3048
 
 
@@ -391,16 +400,38 @@ def flagged_rows(facts: Facts) -> Findings:
 
 
 def air_of_flight(facts: Facts) -> Findings:
-    """Refraction within a factor of 1.5 of that in the standard air between the same heights."""
+    """Refraction within what real air has, and what the estimate's own sigma explains."""
     for effect in facts.effects[:1]:
-        if not 1.0 / LARGEST_EFFECT < effect.factor < LARGEST_EFFECT:
-            yield messages.air_implausible(
-                where="atmosphere",
-                nadir_deg=effect.nadir_deg,
-                h_c_m=effect.h_c_m,
-                h_g_m=effect.h_g_m,
-                factor=effect.factor,
-            )
+        limits = limits_of_factor(effect.h_c_m - effect.h_g_m, facts.usual_factor)
+        if limits is None or not limits.are_surely_passed(effect.factor, effect.sigma_factor):
+            continue
+        sources = [use for use in facts.adjustment.sources if use.fit is not None]
+        # The source with most information first: it is the likeliest to be wrong.
+        sources.sort(key=lambda use: -use.fit.signal_freedom if use.fit else 0.0)
+        names = [use.source for use in sources]
+        yield messages.air_implausible(
+            where=", ".join(dict.fromkeys(map(key_of_source, names))) or "atmosphere",
+            nadir_deg=effect.nadir_deg,
+            h_c_m=effect.h_c_m,
+            h_g_m=effect.h_g_m,
+            factor=effect.factor,
+            sigma=effect.sigma_factor,
+            lowest=limits.lowest,
+            highest=limits.highest,
+            sources=", ".join(names) or "its heights",
+        )
+
+
+def key_of_source(name: str) -> str:
+    """The key of a mission file that gives a source of the air.
+
+    >>> key_of_source("sounding 11035 2015-03-12T12:00")
+    'atmosphere.soundings'
+    """
+    for kind, key in KEYS_OF_SOURCES.items():
+        if name.startswith(kind):
+            return key
+    return "atmosphere"
 
 
 def measured_observations(facts: Facts) -> Findings:
