@@ -60,14 +60,11 @@ SMALLEST_RANGE_RATIO = 0.7  # slant range over that of the heights
 LARGEST_RANGE_RATIO = 1.4
 MOST_FLAGGED = 0.2  # share of the rows, for one cause
 KEYS_OF_SOURCES = {
-    "thermometer": "log.channels.temperature",
-    "barometer": "log.channels.pressure",
-    "hygrometer": "log.channels.humidity",
     "sounding": "atmosphere.soundings",
     "surface report": "atmosphere.surface",
     "weather model": "atmosphere.model",
 }
-"""The key of a mission file for each source of the air, by how its name begins."""
+"""The key of a mission file for each source of the air beside the log, by how its name begins."""
 METRES_OF_A_FOOT = 0.3048
 
 
@@ -408,9 +405,10 @@ def air_of_flight(facts: Facts) -> Findings:
         sources = [use for use in facts.adjustment.sources if use.fit is not None]
         # The source with most information first: it is the likeliest to be wrong.
         sources.sort(key=lambda use: -use.fit.signal_freedom if use.fit else 0.0)
+        keys = [key_of_source(use.source, use.fit.quantity) for use in sources if use.fit]
         names = [use.source for use in sources]
         yield messages.air_implausible(
-            where=", ".join(dict.fromkeys(map(key_of_source, names))) or "atmosphere",
+            where=", ".join(dict.fromkeys(keys)) or "atmosphere",
             nadir_deg=effect.nadir_deg,
             h_c_m=effect.h_c_m,
             h_g_m=effect.h_g_m,
@@ -418,20 +416,22 @@ def air_of_flight(facts: Facts) -> Findings:
             sigma=effect.sigma_factor,
             lowest=limits.lowest,
             highest=limits.highest,
-            sources=", ".join(names) or "its heights",
+            sources=", ".join(dict.fromkeys(names)) or "its heights",
         )
 
 
-def key_of_source(name: str) -> str:
-    """The key of a mission file that gives a source of the air.
+def key_of_source(name: str, quantity: str) -> str:
+    """The key of a mission file that gives a source of the air, which measures a quantity.
 
-    >>> key_of_source("sounding 11035 2015-03-12T12:00")
+    >>> key_of_source("sounding 11035 2015-03-12T12:00", "temperature")
     'atmosphere.soundings'
+    >>> key_of_source("BARO[0]", "pressure")
+    'log.channels.pressure'
     """
     for kind, key in KEYS_OF_SOURCES.items():
         if name.startswith(kind):
             return key
-    return "atmosphere"
+    return f"log.channels.{quantity}"
 
 
 def measured_observations(facts: Facts) -> Findings:
