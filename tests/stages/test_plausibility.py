@@ -13,6 +13,7 @@ import pytest
 
 from tests.batch.test_rehearsal import config, rows
 from unbend.atmosphere.estimate.candidates import SourceUse
+from unbend.atmosphere.estimate.solver import Fit
 from unbend.batch.rehearsal import camera_text
 from unbend.batch.runs import check_mission
 from unbend.refraction import BrownConrady, Camera, Exposures
@@ -234,10 +235,12 @@ def quantity_of(name):
 def air_of(factor, sigma, sources, *, climb_m=1000.0, usual=1.0):
     """What the rule says of an air: R over the standard's, its sigma, the sources and their fit."""
     effect = Effect(45.0, 200.0 + climb_m, 200.0, factor, 1.0, sigma)
-    uses = [
-        SourceUse(name, fit=fit and SimpleNamespace(signal_freedom=fit, quantity=quantity_of(name)))
-        for name, fit in sources.items()
-    ]
+    uses = []
+    for name, freedom in sources.items():
+        fit = None
+        if freedom is not None:
+            fit = Fit(name, quantity_of(name), 9, 1.0, 1.0, freedom)
+        uses.append(SourceUse(name, fit=fit))
     facts = SimpleNamespace(
         effects=(effect,), usual_factor=usual, adjustment=SimpleNamespace(sources=uses)
     )

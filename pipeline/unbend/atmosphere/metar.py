@@ -7,6 +7,7 @@ stands before them is a heading of a bulletin or a date. Its body ends at a tren
 import math
 import re
 import warnings
+from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
@@ -79,34 +80,30 @@ def decode_metar(text: str, where: str) -> Metar:
     -5.0
     """
     flat = " ".join(text.upper().replace("=", " ").replace(";", " ").split())
-    at = f"{where}: {flat[:EXCERPT]!r}"
+    place = f"{where}: {flat[:EXCERPT]!r}"
     for word, kind in _OTHER_REPORTS.items():
         if re.search(rf"(?<!\S){word}(?!\S)", flat):
-            raise messages.metar_parse(where=at, why=f"the text holds {kind}")
+            raise messages.metar_parse(where=place, why=f"the text holds {kind}")
     _refuse_several(flat, where)
     parts = _parts_of(flat)
-    complaints, station = _checked_groups(parts.body, at)
-    body = _TEMPERATURES.search(_with_signs(parts.body))
-    in_tenths = _TENTHS.search(parts.remarks)
-    stated = (math.nan, math.nan) if body is None else (_celsius(body[1]), _celsius(body[2]))
-    finer = (math.nan, math.nan)
-    if in_tenths is not None:
-        finer = (_from_tenths(in_tenths[1]), _from_tenths(in_tenths[2]))
-    temperature_c = _agreed_celsius("temperature", stated[0], finer[0], at)
-    dew_point_c = _agreed_celsius("dew point", stated[1], finer[1], at)
-    altimeter_pa = _agreed_setting(parts, at)
+    complaints, station = _checked_groups(parts.body, place)
+    whole = _TEMPERATURES.search(_with_signs(parts.body))
+    tenths = _TENTHS.search(parts.remarks)
+    temperature_c = _agreed_celsius("temperature", _field(whole, 1), _field(tenths, 1), place)
+    dew_point_c = _agreed_celsius("dew point", _field(whole, 2), _field(tenths, 2), place)
+    altimeter_pa = _agreed_setting(parts, place)
     if math.isnan(temperature_c) and math.isnan(altimeter_pa):
         why = "neither temperature nor altimeter setting is found"
-        raise messages.metar_parse(where=at, why=": ".join([why, *complaints[:1]]))
+        raise messages.metar_parse(where=place, why=": ".join([why, *complaints[:1]]))
     return Metar(
         text=flat,
         station=station,
         temperature_c=temperature_c,
         dew_point_c=dew_point_c,
         altimeter_pa=altimeter_pa,
-        in_tenths=math.isfinite(finer[0]),
-        stamp=_stamp_of(parts.body, at),
-        date=_date_before(parts.before, at),
+        in_tenths=tenths is not None,
+        stamp=_stamp_of(parts.body, place),
+        date=_date_before(parts.before, place),
         complaints=complaints,
     )
 
@@ -114,11 +111,17 @@ def decode_metar(text: str, where: str) -> Metar:
 def _refuse_several(flat: str, where: str) -> None:
     """Refuse a text that holds the times, temperatures or settings of several reports."""
     body = _parts_of(flat).body
-    known = [group for group in _TEMPERATURES.findall(_with_signs(body)) if _has_digit(group)]
-    settings = _SETTING.findall(body)
-    of_unit = [sum(unit == name for unit, _, _ in settings) for name in ("A", "Q", "QNH")]
-    tenths = len(_TENTHS.findall(flat))
-    total = max(len(_ANY_STAMP.findall(flat)), len(known), tenths, *of_unit)
+    temperatures = [
+        group for group in _TEMPERATURES.findall(_with_signs(body)) if _has_digit(group)
+    ]
+    settings = Counter(letter for letter, _, _ in _SETTING.findall(body))
+    counts = [
+        len(_ANY_STAMP.findall(flat)),
+        len(temperatures),
+        len(_TENTHS.findall(flat)),
+        *settings.values(),
+    ]
+    total = max(counts)
     if total > 1:
         raise messages.metar_several(where=where, total=total)
 
@@ -147,7 +150,7 @@ def _with_signs(body: str) -> str:
     return _MINUS_SIGN.sub("M", body)
 
 
-def _checked_groups(body: str, at: str) -> tuple[tuple[str, ...], str]:
+def _checked_groups(body: str, place: str) -> tuple[tuple[str, ...], str]:
     """Complaints of groups that the package ``metar`` does not know, and the station it reads."""
     from metar.Metar import Metar as LibraryReport
     from metar.Metar import ParserError
@@ -161,9 +164,9 @@ def _checked_groups(body: str, at: str) -> tuple[tuple[str, ...], str]:
             report = LibraryReport(_with_signs(body), month=1, year=2000, strict=False)
         except (ParserError, ValueError, TypeError) as error:
             why = f"the report does not parse: {error}"
-            raise messages.metar_parse(where=at, why=why) from None
+            raise messages.metar_parse(where=place, why=why) from None
     if report.station_id is None:
-        raise messages.metar_parse(where=at, why="no station is found")
+        raise messages.metar_parse(where=place, why="no station is found")
     complaints = tuple(" ".join(str(warning.message).split()) for warning in caught)
     return complaints, str(report.station_id)
 
@@ -191,13 +194,20 @@ def _from_tenths(field: str | None) -> float:
     return (-tenths if field[0] == "1" else tenths) / 10.0
 
 
-def _agreed_celsius(quantity: str, whole: float, finer: float, at: str) -> float:
+def _field(match: re.Match[str] | None, number: int) -> str | None:
+    """A group of a match, None without a match."""
+    return None if match is None else match[number]
+
+
+def _agreed_celsius(quantity: str, degrees: str | None, tenths: str | None, place: str) -> float:
     """The degrees of the remarks' T group, else those of the body; refused where they differ."""
+    whole = _celsius(degrees)
+    finer = _from_tenths(tenths)
     if math.isnan(finer):
         return whole
     if abs(finer - whole) > MOST_OF_ROUNDING_C:
         raise messages.metar_contradiction(
-            where=at,
+            where=place,
             quantity=quantity,
             body=f"{whole:.0f} C",
             other=f"{finer:.1f} C in the T group of the remarks",
@@ -205,14 +215,14 @@ def _agreed_celsius(quantity: str, whole: float, finer: float, at: str) -> float
     return finer
 
 
-def _agreed_setting(parts: _Parts, at: str) -> float:
+def _agreed_setting(parts: _Parts, place: str) -> float:
     """The first altimeter setting [Pa]; refused where another one says something else."""
     groups = [*_SETTING.findall(parts.body), *_SETTING.findall(parts.remarks)]
     settings_pa = [_setting_pa(*group) for group in groups]
     for other_pa in settings_pa[1:]:
         if abs(other_pa - settings_pa[0]) > MOST_BETWEEN_SETTINGS_PA:
             raise messages.metar_contradiction(
-                where=at,
+                where=place,
                 quantity="altimeter setting",
                 body=f"{settings_pa[0] / HECTOPASCAL:.0f} hPa",
                 other=f"{other_pa / HECTOPASCAL:.0f} hPa in another group",
@@ -232,22 +242,24 @@ def _setting_pa(letter: str, digits: str, unit: str) -> float:
     return (number + 0.5) * HECTOPASCAL
 
 
-def _stamp_of(body: str, at: str) -> tuple[int, int, int] | None:
+def _stamp_of(body: str, place: str) -> tuple[int, int, int] | None:
     """Day, hour and minute of a report, None without them; refuses a group that is none."""
     head = _STATION_AND_TIME.search(body) or _STATION_AND_TIME_WITHOUT_Z.search(body)
     if head is None:
         other = _NO_STAMP.search(body)
         if other is None:
             return None
-        raise messages.metar_parse(where=at, why=f"{other[0]} is no day, hour and minute")
+        raise messages.metar_parse(where=place, why=f"{other[0]} is no day, hour and minute")
     digits = head[2]
-    day, hour, minute = int(digits[:2]), int(digits[2:4]), int(digits[4:])
+    day = int(digits[:2])
+    hour = int(digits[2:4])
+    minute = int(digits[4:])
     if not (1 <= day <= 31 and hour < 24 and minute < 60):
-        raise messages.metar_parse(where=at, why=f"{digits}Z is no day, hour and minute")
+        raise messages.metar_parse(where=place, why=f"{digits}Z is no day, hour and minute")
     return day, hour, minute
 
 
-def _date_before(before: str, at: str) -> np.datetime64 | None:
+def _date_before(before: str, place: str) -> np.datetime64 | None:
     """The day of a date that stands before a report, as archives and servers write it.
 
     None without a year; refuses a year whose month and day are not understood.
@@ -264,7 +276,7 @@ def _date_before(before: str, at: str) -> np.datetime64 | None:
     except ValueError:  # the thirteenth month
         pass
     why = f"{before.strip()!r} before the report is no date like 2026-05-14"
-    raise messages.metar_parse(where=at, why=why)
+    raise messages.metar_parse(where=place, why=why)
 
 
 def time_of_metar(report: Metar, flight_ns: int | None, where: str) -> int | None:

@@ -1,12 +1,12 @@
 """Which rows of a table of levels are of one ascent."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from unbend.atmosphere.soundings import messages
-from unbend.atmosphere.soundings.levels import RawLevels, numbers, stated_time_ns
+from unbend.atmosphere.soundings.levels import Columns, RawLevels, numbers, stated_time_ns
 from unbend.units import NANOSECONDS_PER_SECOND, Array
 
 LONGEST_ASCENT_H = 4.0  # a balloon rises for two hours, and falls for one
@@ -17,11 +17,12 @@ LONGEST_STEP_BACK = 0.5
 """Of the range of all pressures, from one level to the next against the way of the others: an
 ascent that begins again. A balloon that bursts falls step by step."""
 
+NANOSECONDS_PER_HOUR = 3600 * NANOSECONDS_PER_SECOND
 FEWEST_TO_JUDGE = 6  # levels: two ascents of three
 
 
 def columns_of_ascents(
-    columns: Mapping[str, list[str]], identity: Iterable[str], pressure: Sequence[str]
+    columns: Columns, identity: Iterable[str], pressure: Sequence[str]
 ) -> list[dict[str, list[str]]]:
     """The columns of each ascent of a table.
 
@@ -30,25 +31,44 @@ def columns_of_ascents(
     """
     values = numbers(pressure)
     for name in identity:
-        if name not in columns:
-            continue
-        rows_of: dict[str, list[int]] = {}
-        for row, field in enumerate(columns[name]):
-            rows_of.setdefault(field.strip(), []).append(row)
-        groups = list(rows_of.values())
-        ranges = sum(range_of(values[rows]) for rows in groups)
+        fields = columns.get(name, [])
+        groups = rows_by_value(fields)
+        ranges = 0.0
+        for rows in groups:
+            ranges += range_of(values[rows])
         if ranges > MOST_OVERLAP * range_of(values):
-            return [
-                {column: [fields[row] for row in rows] for column, fields in columns.items()}
-                for rows in groups
-            ]
+            return [columns_of_rows(columns, rows) for rows in groups]
     return [dict(columns)]
+
+
+def rows_by_value(fields: Sequence[str]) -> list[list[int]]:
+    """The rows of each value of a column.
+
+    >>> rows_by_value(["a", "b", "a "])
+    [[0, 2], [1]]
+    """
+    rows_of: dict[str, list[int]] = {}
+    for row, field in enumerate(fields):
+        value = field.strip()
+        rows = rows_of.setdefault(value, [])
+        rows.append(row)
+    return list(rows_of.values())
+
+
+def columns_of_rows(columns: Columns, rows: list[int]) -> dict[str, list[str]]:
+    """Some rows of all columns."""
+    chosen = {}
+    for name, fields in columns.items():
+        chosen[name] = [fields[row] for row in rows]
+    return chosen
 
 
 def range_of(values: Array) -> float:
     """The largest minus the smallest of the known values, 0 of none."""
     known = values[np.isfinite(values)]
-    return float(np.ptp(known)) if known.size else 0.0
+    if known.size == 0:
+        return 0.0
+    return float(np.ptp(known))
 
 
 def refuse_several(times: Sequence[str], pressure: Array, where: str) -> None:
@@ -56,9 +76,12 @@ def refuse_several(times: Sequence[str], pressure: Array, where: str) -> None:
 
     No ascent takes so long, or begins again at the ground.
     """
-    known_ns = [t for t in (stated_time_ns(time, where) for time in times) if t is not None]
+    stated_ns = [stated_time_ns(time, where) for time in times]
+    known_ns = [time_ns for time_ns in stated_ns if time_ns is not None]
     if known_ns:
-        hours = (max(known_ns) - min(known_ns)) / NANOSECONDS_PER_SECOND / 3600.0
+        first_ns = min(known_ns)
+        last_ns = max(known_ns)
+        hours = (last_ns - first_ns) / NANOSECONDS_PER_HOUR
         if hours > LONGEST_ASCENT_H:
             raise messages.sounding_choice_rows(where=where, hours=hours)
     if begins_again(pressure[np.isfinite(pressure)]):
@@ -80,11 +103,13 @@ def begins_again(pressure: Array) -> bool:
     smooth = np.median(sliding_window_view(pressure, 3), axis=1)
     steps = np.diff(smooth)
     way = np.sign(np.median(steps))
-    return bool(np.max(-way * steps) > LONGEST_STEP_BACK * range_of(smooth))
+    steps_back = -way * steps
+    longest = float(np.max(steps_back))
+    return longest > LONGEST_STEP_BACK * range_of(smooth)
 
 
-def is_same_ascent(one: RawLevels, other: RawLevels) -> bool:
+def is_same_ascent(first: RawLevels, second: RawLevels) -> bool:
     """Whether two readings of a file have the same levels: a page that was pasted twice."""
-    return np.array_equal(one.pressure_pa, other.pressure_pa, equal_nan=True) and np.array_equal(
-        one.temperature_k, other.temperature_k, equal_nan=True
-    )
+    same_pressure = np.array_equal(first.pressure_pa, second.pressure_pa, equal_nan=True)
+    same_temperature = np.array_equal(first.temperature_k, second.temperature_k, equal_nan=True)
+    return same_pressure and same_temperature

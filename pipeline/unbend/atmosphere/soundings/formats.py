@@ -21,6 +21,7 @@ from unbend.atmosphere.soundings.ascents_of_tables import (
 )
 from unbend.atmosphere.soundings.level_checks import check_levels
 from unbend.atmosphere.soundings.levels import (
+    Columns,
     PlaceOfSounding,
     RawLevels,
     Sounding,
@@ -195,7 +196,7 @@ def parse_plain(text: str, where: str) -> list[RawLevels]:
     return [_ascent_of_plain(ascent, column_of, where).noting(*notes) for ascent in ascents]
 
 
-def _columns_of_quantities(columns: Mapping[str, list[str]], where: str) -> dict[str, str]:
+def _columns_of_quantities(columns: Columns, where: str) -> dict[str, str]:
     """The column of each quantity; refuses two of one, and a table without the needed ones."""
     column_of: dict[str, str] = {}
     for name, (quantity, _) in PLAIN_COLUMNS.items():
@@ -219,7 +220,7 @@ _OF_TIME = re.compile(r"time|date|utc|valid")
 _OF_DATE = re.compile(r"date")
 
 
-def _refuse_other_times(columns: Mapping[str, list[str]], where: str) -> None:
+def _refuse_other_times(columns: Columns, where: str) -> None:
     """Refuse (InputError SOUNDING-TIME) a table that states its time in a column of another name.
 
     Numbers are the seconds since the launch, but those of a date.
@@ -234,9 +235,7 @@ def _refuse_other_times(columns: Mapping[str, list[str]], where: str) -> None:
             raise messages.sounding_time_column(where=where, column=name, time=stated)
 
 
-def _ascent_of_plain(
-    columns: Mapping[str, list[str]], column_of: Mapping[str, str], where: str
-) -> RawLevels:
+def _ascent_of_plain(columns: Columns, column_of: Mapping[str, str], where: str) -> RawLevels:
     """The only ascent of some rows of a plain CSV."""
     values = {
         quantity: to_si(numbers(columns[name]), PLAIN_COLUMNS[name][1])

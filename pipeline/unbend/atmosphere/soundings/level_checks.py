@@ -69,9 +69,16 @@ def check_levels(
     raw = _with_vapour_pressure(_complete_levels(raw))
     raw = _with_heights(raw, float(gravity.geopotential_height(station_h_m)))
     raw = _rising_levels(raw)
-    h, p, t, e = gravity.height(raw.h_m), raw.pressure_pa, raw.temperature_k, _vapour(raw)
     sounding = Sounding(
-        h, p, t, e, raw.time_ns, raw.station, raw.latitude_rad, raw.longitude_rad, raw.origin
+        h_m=gravity.height(raw.h_m),
+        pressure_pa=raw.pressure_pa,
+        temperature_k=raw.temperature_k,
+        vapour_pressure_pa=_vapour(raw),
+        time_ns=raw.time_ns,
+        station=raw.station,
+        latitude_rad=raw.latitude_rad,
+        longitude_rad=raw.longitude_rad,
+        origin=raw.origin,
     )
     return sounding, (*raw.notes, *layer_notes(sounding, raw.where))
 
@@ -292,10 +299,14 @@ def _mean_of_runs(raw: RawLevels, key: Array) -> RawLevels:
         return np.where(count > 0.0, total / np.maximum(count, 1.0), np.nan)
 
     return replace(
-        raw, h_m=mean(raw.h_m), pressure_pa=mean(raw.pressure_pa),
-        temperature_k=mean(raw.temperature_k), vapour_pressure_pa=mean(_vapour(raw)),
-        dew_point_k=None, relative_humidity=None,
-    )  # fmt: skip
+        raw,
+        h_m=mean(raw.h_m),
+        pressure_pa=mean(raw.pressure_pa),
+        temperature_k=mean(raw.temperature_k),
+        vapour_pressure_pa=mean(_vapour(raw)),
+        dew_point_k=None,
+        relative_humidity=None,
+    )
 
 
 def _vapour(raw: RawLevels) -> Array:

@@ -16,6 +16,9 @@ from unbend.written_tables import form_of, split_rows, with_decimal_points
 FILLS = (-9999.0, -9999.9, -8888.0, -99999.0, 99999.0, 999999.0, -999.0)
 """Numbers that mean a missing value. 9999 is not among them: it may be a height."""
 
+Columns = Mapping[str, list[str]]
+"""The columns of a table by name, fields as text."""
+
 LARGEST = 1e7  # larger values in any unit are invalid, such as the fill of netCDF, 9.97e36
 _YEARS = (1900, 2200)  # soundings are younger; beyond 2262 nanoseconds do not fit into 64 bits
 
@@ -220,7 +223,8 @@ def stated_place(latitude: str, longitude: str, where: str) -> PlaceOfSounding:
     east_deg = _stated_degrees(longitude)
     is_latitude = math.isnan(north_deg) or abs(north_deg) <= 90.0
     is_longitude = math.isnan(east_deg) or -180.0 <= east_deg <= 360.0
-    if not (is_latitude and is_longitude):
+    is_place = is_latitude and is_longitude
+    if not is_place:
         raise messages.sounding_place(where=where, latitude=latitude, longitude=longitude)
     if math.isnan(east_deg):
         return PlaceOfSounding(math.radians(north_deg))
@@ -262,7 +266,8 @@ def stated_time_ns(text: str, where: str) -> int | None:
     """
     if text.strip().lower() in _NOT_STATED:
         return None
-    time_ns = None if _WITHOUT_HOUR.fullmatch(text.strip()) else utc_ns(text)
-    if time_ns is None:
+    time_ns = utc_ns(text)
+    is_date_alone = _WITHOUT_HOUR.fullmatch(text.strip()) is not None
+    if time_ns is None or is_date_alone:
         raise messages.sounding_time(where=where, time=text.strip()[:40])
     return time_ns

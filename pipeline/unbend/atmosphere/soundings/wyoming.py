@@ -6,15 +6,14 @@ geopotential.
 
 import math
 import re
-from collections.abc import Mapping
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
 from unbend.atmosphere.soundings import messages
 from unbend.atmosphere.soundings.ascents_of_tables import columns_of_ascents, refuse_several
 from unbend.atmosphere.soundings.levels import (
+    Columns,
     RawLevels,
     first_stated,
     number,
@@ -24,21 +23,7 @@ from unbend.atmosphere.soundings.levels import (
     table,
     to_si,
 )
-from unbend.units import NANOSECONDS_PER_SECOND, Array
-
-
-def _wyoming(columns: list[Array], **more: Any) -> RawLevels:
-    """Levels of pressure, height, temperature, dew point and humidity in Wyoming's units."""
-    p, h, t, dew, relative = columns
-    return RawLevels(
-        h_m=h,
-        pressure_pa=to_si(p, "hpa"),
-        temperature_k=to_si(t, "c"),
-        dew_point_k=to_si(dew, "c"),
-        relative_humidity=to_si(relative, "percent"),
-        **more,
-    )
-
+from unbend.units import NANOSECONDS_PER_SECOND
 
 _WIDTH = 7
 _TITLES = re.compile(r"^\s*PRES\s+HGHT\s+TEMP\s+DWPT", re.MULTILINE)
@@ -74,7 +59,9 @@ _CSV_COLUMNS = {
 
 def is_wyoming_list(text: str) -> bool:
     """Whether a text is a Wyoming list: PRES HGHT TEMP DWPT above columns."""
-    return bool(_TITLES.search(text) or _INLINE.search(text))
+    has_titles = _TITLES.search(text) is not None
+    has_titles_in_one_line = _INLINE.search(text) is not None
+    return has_titles or has_titles_in_one_line
 
 
 def is_wyoming_csv(text: str) -> bool:
@@ -104,12 +91,22 @@ def _ascent_of_list(plain: str, where: str) -> RawLevels:
     """The only ascent of a part of a page."""
     titles = _TITLES.search(plain)
     rows = _rows_of_page(plain) if titles is None else _rows_of_list(plain[titles.start() :])
-    columns = [numbers(row[i] if len(row) > i else "" for row in rows) for i in range(5)]
+    columns = []
+    for column in range(5):
+        fields = []
+        for row in rows:
+            is_there = len(row) > column
+            fields.append(row[column] if is_there else "")
+        columns.append(numbers(fields))
     if titles is None:  # the fifth column of a page without its titles is another
         columns[4] = np.full(len(rows), np.nan)
     place = stated_place(_labelled(plain, "latitude"), _labelled(plain, "longitude"), where)
-    return _wyoming(
-        columns,
+    return RawLevels(
+        pressure_pa=to_si(columns[0], "hpa"),
+        h_m=columns[1],
+        temperature_k=to_si(columns[2], "c"),
+        dew_point_k=to_si(columns[3], "c"),
+        relative_humidity=to_si(columns[4], "percent"),
         time_ns=_time_of_list(plain, where),
         station=_station_of_list(plain),
         latitude_rad=place.latitude_rad,
@@ -152,7 +149,9 @@ def _station_of_list(plain: str) -> str:
     if match is not None:
         return match[1]
     heading = _STATION_OF_HEADING.search(plain)
-    return "" if heading is None else heading[1] or heading[2]
+    if heading is None:
+        return ""
+    return heading[1] or heading[2]
 
 
 def _time_of_list(plain: str, where: str) -> int | None:
@@ -165,7 +164,8 @@ def _time_of_list(plain: str, where: str) -> int | None:
     heading_ns = _heading_ns(plain, where, is_needed=observed_ns is None)
     if observed_ns is None or heading_ns is None:
         return heading_ns if observed_ns is None else observed_ns
-    hours = abs(observed_ns - heading_ns) / NANOSECONDS_PER_SECOND / 3600.0
+    apart_ns = abs(observed_ns - heading_ns)
+    hours = apart_ns / NANOSECONDS_PER_SECOND / 3600.0
     if hours > FARTHEST_FROM_HEADING_H:
         raise messages.sounding_two_times(where=where, hours=hours)
     return observed_ns
@@ -193,11 +193,16 @@ def _heading_ns(plain: str, where: str, *, is_needed: bool) -> int | None:
     titles = _TITLES.search(plain)
     head = plain if titles is None else plain[: titles.start()]
     match = _DATE.search(head)
-    if match is not None and match["month"].title() in _MONTHS:
-        month = _MONTHS.index(match["month"].title()) + 1
-        day = f"{match['year']}-{month:02d}-{int(match['day']):02d}"
-        return stated_time_ns(f"{day}T{match['hour']}:{match['minute'] or '00'}", where)
-    unread = _HEADING.search(head) or (None if titles is None else _LIKE_DATE.search(head))
+    month_name = "" if match is None else match["month"].title()
+    if match is not None and month_name in _MONTHS:
+        month = _MONTHS.index(month_name) + 1
+        day = int(match["day"])
+        date = f"{match['year']}-{month:02d}-{day:02d}"
+        minute = match["minute"] or "00"
+        return stated_time_ns(f"{date}T{match['hour']}:{minute}", where)
+    unread = _HEADING.search(head)
+    if unread is None and titles is not None:
+        unread = _LIKE_DATE.search(head)
     if unread is not None and is_needed:
         raise messages.sounding_time(where=where, time=unread[0].strip())
     return None
@@ -214,16 +219,23 @@ def parse_wyoming_csv(text: str, where: str) -> list[RawLevels]:
     return [_ascent_of_wyoming_csv(ascent, where) for ascent in ascents]
 
 
-def _ascent_of_wyoming_csv(columns: Mapping[str, list[str]], where: str) -> RawLevels:
+def _ascent_of_wyoming_csv(columns: Columns, where: str) -> RawLevels:
     """The only ascent of some rows of a Wyoming CSV."""
-    levels = [numbers(columns[name]) for name in _CSV_COLUMNS.values()]
-    refuse_several(columns.get("time", []), levels[0], where)
+    values = {}
+    for quantity, name in _CSV_COLUMNS.items():
+        values[quantity] = numbers(columns[name])
+    times = columns.get("time", [])
+    refuse_several(times, values["pressure"], where)
     north = first_stated(columns.get("latitude", []))
     east = first_stated(columns.get("longitude", []))
     place = stated_place(north, east, where)
-    return _wyoming(
-        levels,
-        time_ns=stated_time_ns(first_stated(columns.get("time", [])), where),
+    return RawLevels(
+        h_m=values["height"],
+        pressure_pa=to_si(values["pressure"], "hpa"),
+        temperature_k=to_si(values["temperature"], "c"),
+        dew_point_k=to_si(values["dew point"], "c"),
+        relative_humidity=to_si(values["relative humidity"], "percent"),
+        time_ns=stated_time_ns(first_stated(times), where),
         latitude_rad=place.latitude_rad,
         longitude_rad=place.longitude_rad,
         origin="University of Wyoming CSV",

@@ -11,9 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-CLIMB_M = (500.0, 1000.0, 2000.0, 4000.0, 8000.0)  # from the ground to the camera
-LOWEST_FACTOR = (0.20, 0.55, 0.65, 0.70, 0.80)
-HIGHEST_FACTOR = (3.30, 2.30, 1.80, 1.50, 1.32)
+LOWEST_CLIMB_M = 500.0
+CLIMB_M = [LOWEST_CLIMB_M, 1000.0, 2000.0, 4000.0, 8000.0]  # from the ground to the camera
+LOWEST_FACTOR = [0.20, 0.55, 0.65, 0.70, 0.80]
+HIGHEST_FACTOR = [3.30, 2.30, 1.80, 1.50, 1.32]
 SURE_SIGMAS = 2.0  # of the factor, beyond a limit
 
 
@@ -25,8 +26,12 @@ class FactorLimits(NamedTuple):
 
     def are_surely_passed(self, factor: float, sigma: float) -> bool:
         """Whether a factor lies outside by more than its own sigma explains; NaN: has none."""
-        allowed = SURE_SIGMAS * sigma if math.isfinite(sigma) else 0.0
-        return factor + allowed < self.lowest or factor - allowed > self.highest
+        allowed = 0.0
+        if math.isfinite(sigma):
+            allowed = SURE_SIGMAS * sigma
+        is_too_low = factor + allowed < self.lowest
+        is_too_high = factor - allowed > self.highest
+        return is_too_low or is_too_high
 
 
 def limits_of_factor(climb_m: float, usual_factor: float = 1.0) -> FactorLimits | None:
@@ -38,9 +43,13 @@ def limits_of_factor(climb_m: float, usual_factor: float = 1.0) -> FactorLimits 
     >>> limits_of_factor(1000.0)
     FactorLimits(lowest=0.55, highest=2.3)
     """
-    if climb_m < CLIMB_M[0]:
+    if climb_m < LOWEST_CLIMB_M:
         return None
     octaves = np.log2(CLIMB_M)
-    lowest = float(np.interp(math.log2(climb_m), octaves, LOWEST_FACTOR))
-    highest = float(np.interp(math.log2(climb_m), octaves, HIGHEST_FACTOR))
-    return FactorLimits(lowest * min(1.0, usual_factor), highest * max(1.0, usual_factor))
+    octave = math.log2(climb_m)
+    lowest = float(np.interp(octave, octaves, LOWEST_FACTOR))
+    highest = float(np.interp(octave, octaves, HIGHEST_FACTOR))
+    return FactorLimits(
+        lowest=lowest * min(1.0, usual_factor),
+        highest=highest * max(1.0, usual_factor),
+    )

@@ -413,8 +413,7 @@ def air_implausible(
     h_g_m: float,
     factor: float,
     sigma: float,
-    lowest: float,
-    highest: float,
+    expected: str,
     sources: str,
 ) -> Message:
     """A refraction that real air does not have."""
@@ -423,7 +422,7 @@ def air_implausible(
         PLAUSIBLE_AIR,
         "R at {nadir_deg:.0f} deg from {h_c_m:.0f} to {h_g_m:.0f} m is "
         + known
-        + " times that in the standard atmosphere, expected {lowest:.2f} to {highest:.2f}: likely "
+        + " times that in the standard atmosphere, expected {expected}: likely "
         "another place, time or unit of {sources}",
         where=where,
         nadir_deg=nadir_deg,
@@ -431,8 +430,7 @@ def air_implausible(
         h_g_m=h_g_m,
         factor=factor,
         sigma=sigma,
-        lowest=lowest,
-        highest=highest,
+        expected=expected,
         sources=sources,
     )
 

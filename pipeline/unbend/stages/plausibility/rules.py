@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from unbend.atmosphere.estimate.solver import Fit
 from unbend.flight.ground_times import Takeoff
 from unbend.geodesy import wrapped
 from unbend.messages import Message
@@ -402,36 +403,45 @@ def air_of_flight(facts: Facts) -> Findings:
         limits = limits_of_factor(effect.h_c_m - effect.h_g_m, facts.usual_factor)
         if limits is None or not limits.are_surely_passed(effect.factor, effect.sigma_factor):
             continue
-        sources = [use for use in facts.adjustment.sources if use.fit is not None]
-        # The source with most information first: it is the likeliest to be wrong.
-        sources.sort(key=lambda use: -use.fit.signal_freedom if use.fit else 0.0)
-        keys = [key_of_source(use.source, use.fit.quantity) for use in sources if use.fit]
-        names = [use.source for use in sources]
+        fits = fits_of_air(facts)
+        keys = [key_of_source(fit) for fit in fits]
+        names = [fit.name for fit in fits]
         yield messages.air_implausible(
-            where=", ".join(dict.fromkeys(keys)) or "atmosphere",
+            where=listed(keys),
             nadir_deg=effect.nadir_deg,
             h_c_m=effect.h_c_m,
             h_g_m=effect.h_g_m,
             factor=effect.factor,
             sigma=effect.sigma_factor,
-            lowest=limits.lowest,
-            highest=limits.highest,
-            sources=", ".join(dict.fromkeys(names)) or "its heights",
+            expected=f"{limits.lowest:.2f} to {limits.highest:.2f}",
+            sources=listed(names),
         )
 
 
-def key_of_source(name: str, quantity: str) -> str:
-    """The key of a mission file that gives a source of the air, which measures a quantity.
+def fits_of_air(facts: Facts) -> list[Fit]:
+    """The sources that the air was estimated from, the one with most information first.
 
-    >>> key_of_source("sounding 11035 2015-03-12T12:00", "temperature")
-    'atmosphere.soundings'
-    >>> key_of_source("BARO[0]", "pressure")
-    'log.channels.pressure'
+    It is the likeliest to be wrong where the air is.
     """
+    fits = [use.fit for use in facts.adjustment.sources if use.fit is not None]
+    return sorted(fits, key=lambda fit: -fit.signal_freedom)
+
+
+def listed(words: list[str]) -> str:
+    """Words in their order, each once.
+
+    >>> listed(["BARO[0]", "BARO[0]", "IMET[0]"])
+    'BARO[0], IMET[0]'
+    """
+    return ", ".join(dict.fromkeys(words))
+
+
+def key_of_source(fit: Fit) -> str:
+    """The key of a mission file that gives a source of the air."""
     for kind, key in KEYS_OF_SOURCES.items():
-        if name.startswith(kind):
+        if fit.name.startswith(kind):
             return key
-    return f"log.channels.{quantity}"
+    return f"log.channels.{fit.quantity}"
 
 
 def measured_observations(facts: Facts) -> Findings:
