@@ -79,8 +79,9 @@ def decode_metar(text: str, where: str) -> Metar:
     >>> decode_metar("EDDF 221150Z 24011KT M05/M10 Q1013", "here").temperature_c
     -5.0
     """
-    flat = " ".join(text.upper().replace("=", " ").replace(";", " ").split())
-    place = f"{where}: {flat[:EXCERPT]!r}"
+    written = " ".join(text.split())
+    flat = " ".join(re.split(r"[\s=;]+", written.upper())).strip()
+    place = f"{where}: {written[:EXCERPT]!r}"
     for word, kind in _OTHER_REPORTS.items():
         if re.search(rf"(?<!\S){word}(?!\S)", flat):
             raise messages.metar_parse(where=place, why=f"the text holds {kind}")
@@ -96,7 +97,7 @@ def decode_metar(text: str, where: str) -> Metar:
         why = "neither temperature nor altimeter setting is found"
         raise messages.metar_parse(where=place, why=": ".join([why, *complaints[:1]]))
     return Metar(
-        text=flat,
+        text=written,
         station=station,
         temperature_c=temperature_c,
         dew_point_c=dew_point_c,
