@@ -32,7 +32,7 @@ def test_station_pressure_is_that_of_the_tables():
 
 def test_tenths_of_the_remarks_and_inches():
     report = parse_metar(
-        "METAR KOUN 221153Z 14011KT 10SM FEW250 13/13 A3011 RMK AO2 SLP190 T01281017", 357.0,
+        "METAR KOUN 221153Z 14011KT 10SM FEW250 13/M02 A3011 RMK AO2 SLP190 T01281017", 357.0,
         Ledger(), flight_ns=ns("2023-05-22T12:30"),
     )  # fmt: skip
     assert report.temperature_k == pytest.approx(273.15 + 12.8)
@@ -165,6 +165,109 @@ def test_of_several_reports_none_is_guessed(text):
         parse_metar(text, 200.0, Ledger())
     assert caught.value.code == "METAR-PARSE"
     assert "2 reports" in caught.value.what
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "LOWW 121150Z CAVOK 06/02 Q1026= LOWI CAVOK 04/02 Q0996=",  # the second without a time
+        "LOWW CAVOK 06/02 Q1026 LOWI CAVOK 04/02 Q0996",  # both
+        "EDDF 121150Z SCT040 12/08 Q1013 EDDM Q1012",
+        "LOWW 121150Z NIL= LOWI 121150Z 04/02 Q0996",
+        "KOUN 121150Z 13/M02 A3011 RMK T01281017 KTIK T01171017",
+    ],
+)
+def test_several_reports_are_told_by_any_of_their_groups(text):
+    with pytest.raises(InputError) as caught:
+        parse_metar(text, 200.0, Ledger())
+    assert "2 reports" in caught.value.what
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("KOUN 121153Z M01/M03 A3011 RMK T01281017", "-1 C in the body and 12.8 C"),
+        ("KOUN 121153Z 13/M02 A3011 RMK T11281017", "13 C in the body and -12.8 C"),
+        ("KOUN 121153Z 13/02 A3011 RMK T01281017", "2 C in the body and -1.7 C"),
+        ("RJTT 121200Z 06/02 Q1026 NOSIG RMK A2930", "1026 hPa in the body and 992 hPa"),
+        ("RJTT 121200Z 06/02 Q1026 A2930", "1026 hPa in the body and 992 hPa"),
+        ("2015/03/15 11:50\nLOWW 121150Z 06/02 Q1026", "12 in the body and 2015-03-15"),
+    ],
+)
+def test_groups_that_contradict_each_other_are_refused(text, words):
+    with pytest.raises(InputError) as caught:
+        parse_metar(text, 200.0, Ledger(), flight_ns=ns("2015-03-12T12:00"))
+    assert caught.value.code == "METAR-CONTRADICTION"
+    assert words in caught.value.what
+
+
+@pytest.mark.parametrize(
+    ("text", "celsius", "qnh_hpa", "station"),
+    [
+        ("METAR COR LOWW 121150Z 33009KT CAVOK 06/02 Q1026=", 6.0, 1026.5, "LOWW"),
+        ("METAR LOWW 121150Z CCA 33009KT CAVOK M06/M08 Q1026", -6.0, 1026.5, "LOWW"),
+        ("LOWW 121150Z AUTO 33009KT //// // ////// -06/-08 Q1026", -6.0, 1026.5, "LOWW"),
+        ("metar loww 121150z 33009kt cavok m06/m08 q1026", -6.0, 1026.5, "LOWW"),
+        ("SAOS31 LOWM 121150 METAR LOWW 121150Z 33009KT 06/02 Q1026=", 6.0, 1026.5, "LOWW"),
+        ("ADDS text: LOWW 121150 33009KT 06/02 Q1026", 6.0, 1026.5, "LOWW"),
+        ("RJTT 121150Z 06/02 Q1026 NOSIG RMK 1CU030 A3030", 6.0, 1026.5, "RJTT"),
+        ("KOUN 121150Z 06/02 A3030 Q1026", 6.0, 30.305 * 33.86389, "KOUN"),
+        ("KOUN 121150Z 06/02 QNH3030INS", 6.0, 30.305 * 33.86389, "KOUN"),
+        ("LOWW 121150Z 06/02 QNH1026HPA", 6.0, 1026.5, "LOWW"),
+        ("LOWW 121150Z 06/02 Q1026 BECMG FM1230 08/01 Q1016", 6.0, 1026.5, "LOWW"),
+        ("KOUN 121150Z 00/M02 A3030 RMK T10041017", -0.4, 30.305 * 33.86389, "KOUN"),
+    ],
+)
+def test_forms_of_reports(text, celsius, qnh_hpa, station):
+    report = parse_metar(text, 0.0, Ledger(), flight_ns=ns("2015-03-12T12:30"))
+    assert report.temperature_k == pytest.approx(celsius + 273.15)
+    assert report.pressure_pa == pytest.approx(100.0 * qnh_hpa, rel=1e-7)
+    assert report.origin == f"METAR {station}"
+    assert report.time_ns == ns("2015-03-12T11:50")
+
+
+def test_a_whole_dew_point_beside_tenths_is_rounded_not_wrong():
+    ledger = Ledger()
+    report = parse_metar("KOUN 121153Z 13/13 A3011 RMK T0128", 0.0, ledger)
+    assert list(ledger) == []
+    assert report.vapour_pressure_pa == pytest.approx(saturated(12.8), rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("before", "time"),
+    [
+        ("2014/03/12 11:50\n", "2014-03-12T11:50"),  # as servers write it, a year before the flight
+        ("201403121150 METAR ", "2014-03-12T11:50"),
+        ("12.03.2014 ", "2014-03-12T11:50"),
+        ("2015-03-11 23:59 ", "2015-03-12T11:50"),  # of a server of another day
+        ("", "2015-03-12T11:50"),
+    ],
+)
+def test_a_date_before_a_report_is_its_date(before, time):
+    text = f"{before}LOWW 121150Z 33009KT 06/02 Q1026"
+    report = parse_metar(text, 200.0, Ledger(), flight_ns=ns("2015-03-20T12:00"))
+    assert report.time_ns == ns(time)
+    alone = parse_metar(text, 200.0, Ledger())
+    assert alone.time_ns == (ns(time) if before else None)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("TAF LOWW 121115Z 1212/1318 33009KT CAVOK TX14/1214Z Q1026", "forecast"),
+        ("LOWW 121150Z 06/02 Q1026\nTAF LOWW 1212/1318 33009KT CAVOK", "forecast"),
+        ("AAXX 12121 11035 42565 83309 10058 20022 39996 40260", "SYNOP"),
+        ("LOWW 1150Z 33009KT CAVOK 06/02 Q1026", "1150Z is no day"),
+        ("March 12, 2015 LOWW 121150Z 33009KT CAVOK 06/02 Q1026", "is no date"),
+        ("2015-13-12 LOWW 121150Z 33009KT CAVOK 06/02 Q1026", "is no date"),
+        ("33009KT 06/02 Q1026", "no station"),
+    ],
+)
+def test_what_is_no_report_is_refused_by_its_kind(text, words):
+    with pytest.raises(InputError) as caught:
+        parse_metar(text, 200.0, Ledger(), flight_ns=ns("2015-03-12T12:00"))
+    assert caught.value.code == "METAR-PARSE"
+    assert words in caught.value.what
 
 
 @pytest.mark.parametrize("stamp", ["321150Z", "122450Z", "121160Z"])

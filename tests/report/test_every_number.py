@@ -78,8 +78,13 @@ MANIFEST: dict[str, Any] = {
         "reason": "temperatures of HYGR[0] over 2345 m of height",
         "standard": "us1962",
         "departure_at_cameras_k": -6.72,
+        "sigma_departure_at_cameras_k": 0.434,
         "profiles": 11,
-        "windows": [{"change": -0.0123}, {"change": 0.0345}, {"change": 0.0011}],
+        "windows": [
+            {"change": -0.0123, "sigma": 0.0041},
+            {"change": 0.0345, "sigma": 0.0052},
+            {"change": 0.0011, "sigma": 0.0033},
+        ],
         "effect": [
             {
                 "nadir_angle_deg": 45.0,
@@ -171,8 +176,9 @@ CORRECTION = [
     ["refraction of the window, tail [arcsec]", "22.1", "22.2", "22.3"],
 ]
 AIR = (
-    "Temperatures of HYGR[0] over 2345 m of height. At the height of the cameras the air is -6.7 K "
-    "against us1962. The air changes: R by -1.2 to +3.5 % of that of the whole flight; 11 profiles "
+    "Temperatures of HYGR[0] over 2345 m of height. At the height of the cameras the air is "
+    "-6.72 ± 0.43 K against us1962. The air changes: R by -1.23 ± 0.41 to +3.45 ± 0.52 % of that "
+    "of the whole flight; 11 profiles "
     "follow it."
 )
 EFFECTS = [
@@ -322,6 +328,13 @@ def test_sentences_that_depend_on_the_air():
     lines = printed(print_run, "a", "b", manifest_of(stated), repeated=False)
     text = " ".join(" ".join(lines).split())
     assert "tail [arcsec] 22.1 22.2 22.3 atmosphere.use is standard. R at 45°" in text
+
+
+def test_a_departure_without_its_sigma_is_not_said():
+    for unknown in ("departure_at_cameras_k", "sigma_departure_at_cameras_k"):
+        manifest = manifest_of(changed(**{unknown: None}))
+        text = " ".join(printed(print_run, "a", "b", manifest, repeated=False))
+        assert "At the height of the cameras" not in text
 
 
 @pytest.mark.parametrize(("largest", "said"), [(0.0499, True), (0.0501, False)])

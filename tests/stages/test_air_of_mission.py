@@ -19,8 +19,9 @@ from unbend.atmosphere.estimate.state import SensorFault
 from unbend.atmosphere.series.profile_series import TimedProfile
 from unbend.atmosphere.series.time_windows import TimeWindow
 from unbend.batch.runs import read_mission
-from unbend.config.atmosphere import SensorsSection
+from unbend.config.atmosphere import SensorsSection, SurfaceSection
 from unbend.config.keys import mission_keys
+from unbend.messages import Ledger
 from unbend.simulate.mission import FIELD_LAT_RAD
 from unbend.simulate.true_air import (
     saturation_pressure_pa,
@@ -29,6 +30,7 @@ from unbend.simulate.true_air import (
     vapour_pressure_pa,
 )
 from unbend.stages import air_of_mission as batch_air
+from unbend.stages.air_sources import read_report
 
 METAR = "METAR KXYZ 151055Z 24011KT 9999 SCT040 12/08 Q1013"
 
@@ -215,6 +217,20 @@ def test_a_station_is_used_and_named(mission, unbend, plain_report, report, name
     assert f"at {report['h_msl_m']} m" in unbend("check", mission.save()).out
     assert mission.run().code in (0, 3)
     assert sources(mission)[name]["used"]
+
+
+@pytest.mark.parametrize(
+    ("stated", "distance_m"),
+    [({}, 100e3), ({"distance_km": 0.0}, 0.0), ({"distance_km": 12.0}, 12e3)],
+)
+def test_a_station_whose_distance_is_not_stated_is_not_near(stated, distance_m):
+    """It weighs as one of 100 km, and that is told."""
+    section = SurfaceSection(h_msl_m=450, metar=METAR, **stated)
+    ledger = Ledger()
+    background = climatology(latitude_rad=FIELD_LAT_RAD, month=6.0)
+    report = read_report(section, "atmosphere.surface[0]", None, background, ledger)
+    assert report.distance_m == pytest.approx(distance_m)
+    assert ("SURFACE-UNPLACED" in {entry.code for entry in ledger}) is (not stated)
 
 
 def test_a_report_of_another_day_is_left_out(mission, unbend):

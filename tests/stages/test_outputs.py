@@ -351,6 +351,8 @@ def test_the_departure_is_the_adjusted_minus_the_standard_temperature(baseline):
     )
     assert abs(ours - standard) > 0.5
     assert manifest["profile"]["departure_at_cameras_k"] == pytest.approx(ours - standard, abs=0.1)
+    sigma = np.interp(level, table["h_m"], table["sigma_temperature_k"])
+    assert manifest["profile"]["sigma_departure_at_cameras_k"] == pytest.approx(sigma, rel=0.2)
 
 
 def test_the_manifest_has_the_numbers_of_the_figures(baseline):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import fields, replace
 from types import SimpleNamespace
@@ -11,16 +12,19 @@ import pyarrow as pa
 import pytest
 
 from tests.batch.test_rehearsal import config, rows
+from unbend.atmosphere.estimate.candidates import SourceUse
+from unbend.atmosphere.estimate.solver import Fit
 from unbend.batch.rehearsal import camera_text
 from unbend.batch.runs import check_mission
 from unbend.refraction import BrownConrady, Camera, Exposures
 from unbend.refraction.camera.general_frame import GeneralFrame
 from unbend.refraction.camera.opencv_fisheye import OpenCVFisheye
+from unbend.refraction.effect import Effect
 from unbend.simulate.flight import FIELD_LAT_RAD, FIELD_LON_RAD, geographic, terrain_m
 from unbend.simulate.write_dataflash import FORMATS
 from unbend.stages.plausibility.causes import cause_of_outside
 from unbend.stages.plausibility.facts import Facts
-from unbend.stages.plausibility.rules import RULES, distortion, field_of_view
+from unbend.stages.plausibility.rules import RULES, air_of_flight, distortion, field_of_view
 
 pytestmark = pytest.mark.usefixtures("plain_report")
 
@@ -202,7 +206,7 @@ def test_ground_beside_the_terrain_of_the_autopilot(mission, factor, status, wor
 
 
 def test_air_of_another_pressure(mission, monkeypatch):
-    """R in air of half the pressure is half of the standard's, beyond the factor of 1.5."""
+    """R in air of half the pressure is half of the standard's: no ascent has that."""
     from dataclasses import replace
 
     from unbend.stages import story
@@ -218,8 +222,81 @@ def test_air_of_another_pressure(mission, monkeypatch):
 
     monkeypatch.setattr(story, "adjusted_profiles", thin)
     ledger = check_mission(mission.save()).manifest.values["ledger"]
-    (text,) = [e["what"] for e in ledger if e["code"] == "PLAUSIBLE-AIR"]
-    assert "is 0.50 times that in the standard" in text
+    (entry,) = [e for e in ledger if e["code"] == "PLAUSIBLE-AIR"]
+    assert re.search(r"is 0\.50 ± 0\.0\d times that in the standard", entry["what"])
+    assert "log.channels.pressure" in entry["where"]
+    assert "log.channels.temperature" in entry["where"]
+
+
+def quantity_of(name):
+    return "pressure" if name.startswith("BARO") else "temperature"
+
+
+def air_of(factor, sigma, sources, *, climb_m=1000.0, usual=1.0):
+    """What the rule says of an air: R over the standard's, its sigma, the sources and their fit."""
+    effect = Effect(45.0, 200.0 + climb_m, 200.0, factor, 1.0, sigma)
+    uses = []
+    for name, freedom in sources.items():
+        fit = None
+        if freedom is not None:
+            fit = Fit(name, quantity_of(name), 9, 1.0, 1.0, freedom)
+        uses.append(SourceUse(name, fit=fit))
+    facts = SimpleNamespace(
+        effects=(effect,), usual_factor=usual, adjustment=SimpleNamespace(sources=uses)
+    )
+    return [(e.where, e.what) for e in air_of_flight(facts)]
+
+
+@pytest.mark.parametrize(
+    ("factor", "sigma", "climb_m", "told"),
+    [
+        (1.9, 0.02, 1000.0, False),  # ascents reach 1.75
+        (2.4, 0.02, 1000.0, True),
+        (2.4, 0.06, 1000.0, False),  # less than two sigma beyond the limit
+        (2.4, math.nan, 1000.0, True),
+        (1.7, 0.02, 2000.0, False),
+        (1.9, 0.02, 2000.0, True),
+        (1.7, 0.02, 8000.0, True),
+        (0.6, 0.01, 1000.0, False),
+        (0.5, 0.01, 1000.0, True),
+        (0.5, 0.03, 1000.0, False),
+        (0.75, 0.01, 8000.0, True),
+        (-3.0, 0.01, 400.0, False),  # the lowest layer decides
+        (9.0, 0.01, 499.0, False),
+        (9.0, 0.01, 501.0, True),
+    ],
+)
+def test_air_is_what_ascents_have(factor, sigma, climb_m, told):
+    found = air_of(factor, sigma, {"sounding 11035": 3.0}, climb_m=climb_m)
+    assert len(found) == told
+
+
+def test_limits_reach_to_the_usual_air_of_place_and_season():
+    """Over the snow of Siberia R is twice the standard's: no finding, but a tenth of it is one."""
+    sources = {"sounding 30230": 3.0}
+    assert air_of(4.0, 0.02, sources, usual=1.9) == []
+    assert len(air_of(4.5, 0.02, sources, usual=1.9)) == 1
+    assert len(air_of(0.5, 0.02, sources, usual=1.9)) == 1
+    assert air_of(0.45, 0.02, sources, usual=0.8) == []
+
+
+@pytest.mark.parametrize(
+    ("sources", "where", "named"),
+    [
+        ({"sounding 11035": 2.0, "us1976": None}, "atmosphere.soundings", "sounding 11035"),
+        ({"surface report METAR LOWW": 1.0}, "atmosphere.surface", "surface report METAR LOWW"),
+        ({"weather model era5.nc": 9.0}, "atmosphere.model", "weather model era5.nc"),
+        (
+            {"BARO[0]": 1.0, "IMET[0]": 5.0, "sounding 11035": None},
+            "log.channels.temperature, log.channels.pressure",
+            "IMET[0], BARO[0]",
+        ),
+    ],
+)
+def test_air_that_is_none_is_blamed_on_what_is_there(sources, where, named):
+    ((key, text),) = air_of(3.0, 0.02, sources)
+    assert key == where
+    assert text.endswith(f"unit of {named}")
 
 
 @pytest.mark.parametrize("kind", ["bin", "tlog", "mcap"])

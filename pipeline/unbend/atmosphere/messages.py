@@ -225,6 +225,27 @@ def unknown_climatology(*, name: str, names: str) -> PhysicsError:
     )
 
 
+METAR_CONTRADICTION = Code(
+    "METAR-CONTRADICTION",
+    means="Two groups of the METAR contradict each other.",
+    effect="The mission is refused: which of them is right would be a guess.",
+    remedy="Compare the report with its source: a sign, a digit, or groups of two reports.",
+)
+
+
+def metar_contradiction(*, where: object, quantity: str, body: str, other: str) -> InputError:
+    """Two groups of a METAR contradict each other."""
+    return InputError(
+        METAR_CONTRADICTION,
+        "the {quantity} is {body} in the body and {other}",
+        where=where,
+        quantity=quantity,
+        body=body,
+        other=other,
+        remedy="compare the report with its source: a sign, a digit, or groups of two reports",
+    )
+
+
 METAR_DEW_POINT = Code(
     "METAR-DEW-POINT",
     means="The dew point of the METAR lies above its temperature.",

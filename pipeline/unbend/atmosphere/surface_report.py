@@ -1,31 +1,24 @@
 """Surface reports: the air at one height, from a METAR or from numbers in the mission file."""
 
 import math
-import re
-import warnings
 from dataclasses import dataclass
-from typing import Any
-
-import numpy as np
 
 from unbend.atmosphere import messages
+from unbend.atmosphere.metar import EXCERPT, Metar, decode_metar, time_of_metar
 from unbend.atmosphere.refractive_index import vapour_pressure
 from unbend.messages import Ledger
-from unbend.units import HECTOPASCAL, NANOSECONDS_PER_SECOND, ZERO_CELSIUS_K
+from unbend.units import HECTOPASCAL, ZERO_CELSIUS_K
 
 # The ICAO standard atmosphere, with which altimeter settings are defined (ICAO Doc 7488).
 _SEA_LEVEL_PA, _SEA_LEVEL_K, _LAPSE_K_PER_M, _EXPONENT = 101_325.0, 288.15, 0.0065, 0.190263
 
-_INCH_OF_MERCURY_PA = 3386.389
 _QNH_PA = (85_000.0, 110_000.0)
 _GROUND_K = (180.0, 333.0)
 _STATION_M = (-500.0, 6_000.0)
 # Half a step of the report's digits, and what an inspected station's sensor may be off.
-_TENTHS = re.compile(r"\sT[01]\d{3}[01]\d{3}(?=\s|=|$)")
 _WHOLE_K, _TENTH_K = 0.5, 0.3
-_QNH_HPA, _QNH_INCHES = re.compile(r"\sQ(\d{4})(?=\s|=|$)"), re.compile(r"\sA(\d{4})(?=\s|=|$)")
 _QNH_SIGMA_PA = 50.0
-_STAMP = re.compile(r"(?<!\S)\d{6}Z(?!\S)")  # day, hour and minute: one in each report
+ROUNDING_C = 0.5  # of a dew point in whole degrees beside a temperature in tenths
 
 
 @dataclass(frozen=True)
@@ -69,18 +62,24 @@ def station_pressure(altimeter_setting_pa: float, h_m: float) -> float:
 
 
 def parse_metar(
-    text: str, station_h_m: float, ledger: Ledger, *, flight_ns: int | None = None,
+    text: str,
+    station_h_m: float,
+    ledger: Ledger,
+    *,
+    flight_ns: int | None = None,
     where: str = "METAR",
-) -> SurfaceReport:  # fmt: skip
+) -> SurfaceReport:
     """The air of a METAR or SPECI: temperature, dew point and altimeter setting.
 
     ``station_h_m``: elevation of the station [m above sea level]; a METAR has none. ``flight_ns``:
     a time of the flight [Unix ns]: a METAR has only the day of the month, and the nearest such day
-    is taken; without it the report has no time. ``where`` the text stands, for refusals.
+    is taken, unless a date stands before the report; without both the report has no time. ``where``
+    the text stands, for refusals.
 
     Temperatures are whole degrees, tenths where the remarks have a T group. An altimeter setting
     is rounded down, to whole hPa (ICAO) or 0.01 inch (FAA), so half a step is added. Raises
-    ``InputError`` where the report does not parse or its values do not occur at the ground.
+    ``InputError`` where the report does not parse (see `decode_metar`) or its values do not occur
+    at the ground.
 
     >>> text = "METAR EDDF 221150Z 24011KT 9999 SCT040 M05/M10 Q1013"
     >>> report = parse_metar(text, 111.0, Ledger())
@@ -88,93 +87,60 @@ def parse_metar(
     (268.15, 100023)
     """
     _refuse_height(station_h_m, where)
-    flat = " ".join(text.split()).rstrip("=").strip()
-    reports = len(_STAMP.findall(flat))
-    if reports > 1:
-        raise messages.metar_several(where=where, total=reports)
-    report, complaints = _decode(flat, where)
-    if complaints:
-        groups = "; ".join(complaints)
-        ledger.add(messages.metar_groups(where=where, count=len(complaints), groups=groups))
-    t, dew = (
-        math.nan if value is None else float(value.value("C")) + ZERO_CELSIUS_K
-        for value in (report.temp, report.dewpt)
+    report = decode_metar(text, where)
+    t = report.temperature_c + ZERO_CELSIUS_K
+    dew = report.dew_point_c + ZERO_CELSIUS_K
+    qnh = report.altimeter_pa
+    place = f"{where}: {report.text[:EXCERPT]!r}"
+    if not _GROUND_K[0] <= t <= _GROUND_K[1] and math.isfinite(t):
+        raise messages.metar_range(where=place, quantity="temperature", number=t, unit="K")
+    if not _QNH_PA[0] <= qnh <= _QNH_PA[1] and math.isfinite(qnh):
+        raise messages.metar_range(where=place, quantity="altimeter setting", number=qnh, unit="Pa")
+    time_ns = time_of_metar(report, flight_ns, where)
+    _note_what_is_wrong(report, where, ledger)
+    pressure = station_pressure(qnh, station_h_m) if math.isfinite(qnh) else math.nan
+    # Without a temperature a dew point gives no humidity.
+    dew = min(dew, t) if math.isfinite(t) else math.nan
+    usual = pressure if math.isfinite(pressure) else _SEA_LEVEL_PA
+    return SurfaceReport(
+        station_h_m,
+        pressure,
+        t,
+        float(vapour_pressure(1.0, dew, usual)),
+        time_ns,
+        f"METAR {report.station}",
+        _TENTH_K if report.in_tenths else _WHOLE_K,
+        is_metar=True,
     )
-    qnh = math.nan
-    if report.press is not None:  # with half of its last digit [Pa]
-        half_step = 0.005 * _INCH_OF_MERCURY_PA if _QNH_INCHES.search(flat) else 0.0
-        half_step = 0.5 * HECTOPASCAL if _QNH_HPA.search(flat) else half_step
-        qnh = float(report.press.value("HPA")) * HECTOPASCAL + half_step
-    for number, (low, high), quantity, unit in (
-        (t, _GROUND_K, "temperature", "K"),
-        (qnh, _QNH_PA, "altimeter setting", "Pa"),
-    ):
-        if number < low or number > high:
-            place = f"{where}: {flat[:80]!r}"
-            raise messages.metar_range(where=place, quantity=quantity, number=number, unit=unit)
-    time_ns = _nearest_day(flat, flight_ns, where)
-    if dew > t:
-        celsius, dew_c, dew = t - ZERO_CELSIUS_K, dew - ZERO_CELSIUS_K, t
-        ledger.add(messages.metar_dew_point(where=where, count=1, dew_c=dew_c, celsius=celsius))
-    quantities = {"temperature": t, "dew point": dew, "altimeter setting": qnh}
-    if missing := [name for name, value in quantities.items() if not math.isfinite(value)]:
-        dew_point_alone = not math.isfinite(t) and math.isfinite(dew)
+
+
+def _note_what_is_wrong(report: Metar, where: str, ledger: Ledger) -> None:
+    """Groups that were not understood, a dew point above the temperature, missing quantities."""
+    if report.complaints:
+        groups = "; ".join(report.complaints)
+        ledger.add(messages.metar_groups(where=where, count=len(report.complaints), groups=groups))
+    if report.dew_point_c > report.temperature_c + (ROUNDING_C if report.in_tenths else 0.0):
+        ledger.add(
+            messages.metar_dew_point(
+                where=where, count=1, dew_c=report.dew_point_c, celsius=report.temperature_c
+            )
+        )
+    quantities = {
+        "temperature": report.temperature_c,
+        "dew point": report.dew_point_c,
+        "altimeter setting": report.altimeter_pa,
+    }
+    missing = [name for name, value in quantities.items() if math.isnan(value)]
+    if missing:
         ledger.add(
             messages.metar_missing(
                 where=where,
                 count=len(missing),
                 quantities=" and no ".join(missing),
-                report=flat[:80],
-                dew_point_alone=dew_point_alone,
+                report=report.text[:EXCERPT],
+                dew_point_alone="temperature" in missing and "dew point" not in missing,
             )
         )
-    pressure = station_pressure(qnh, station_h_m) if math.isfinite(qnh) else math.nan
-    dew = dew if math.isfinite(t) else math.nan
-    e = float(vapour_pressure(1.0, dew, pressure if math.isfinite(pressure) else _SEA_LEVEL_PA))
-    sigma = _TENTH_K if _TENTHS.search(flat) else _WHOLE_K
-    origin = f"METAR {report.station_id}".strip()
-    return SurfaceReport(station_h_m, pressure, t, e, time_ns, origin, sigma, is_metar=True)
-
-
-def _decode(flat: str, where: str) -> tuple[Any, list[str]]:
-    """A report as the package ``metar`` reads it, and its complaints of groups it cannot read."""
-    from metar import Metar
-
-    with warnings.catch_warnings(record=True) as caught:
-        # Not strict, it warns of a group it does not know or cannot decode, and goes on: a strange
-        # runway group must not cost the temperature behind it.
-        warnings.simplefilter("always")
-        try:
-            # Month and year only keep it from guessing; January has every day.
-            report = Metar.Metar(flat, month=1, year=2000, strict=False)
-        except (Metar.ParserError, ValueError, TypeError) as error:
-            why = f"the report does not parse: {error}"
-            raise messages.metar_parse(where=f"{where}: {flat[:80]!r}", why=why) from None
-    complaints = [" ".join(str(warning.message).split()) for warning in caught]
-    if report.station_id is None or (report.temp is None and report.press is None):
-        why = "no station, or neither temperature nor altimeter setting, is found"
-        why = ": ".join([why, "; ".join(complaints)] if complaints else [why])
-        raise messages.metar_parse(where=f"{where}: {flat[:80]!r}", why=why)
-    return report, complaints
-
-
-def _nearest_day(flat: str, flight_ns: int | None, where: str) -> int | None:
-    """The time of the group DDHHMMZ on the nearest day with that number; refuses what is none."""
-    group = re.search(r"\s(\d\d)(\d\d)(\d\d)Z\s", flat + " ")
-    if group is None:
-        return None
-    day, hour, minute = (int(part) for part in group.groups())
-    if not (1 <= day <= 31 and hour < 24 and minute < 60):
-        why = f"{group[0].strip()} is no day, hour and minute"
-        raise messages.metar_parse(where=f"{where}: {flat[:80]!r}", why=why)
-    if flight_ns is None:
-        return None
-    flight = np.datetime64(int(flight_ns), "ns").astype("datetime64[D]")
-    days = [flight + np.timedelta64(step, "D") for step in range(-31, 32)]
-    same = [d for d in days if int((d - d.astype("datetime64[M]")).astype(np.int64)) + 1 == day]
-    at = (hour * 3600 + minute * 60) * NANOSECONDS_PER_SECOND
-    times = [int(d.astype("datetime64[ns]").astype(np.int64)) + at for d in same]
-    return min(times, key=lambda time: abs(time - flight_ns))
 
 
 def surface_report(

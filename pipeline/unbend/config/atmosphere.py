@@ -101,13 +101,13 @@ class SurfaceSection(Section):
         examples=[0.5],
         json_schema_extra={"unit": "1"},
     )
-    distance_km: float = Field(
-        0.0,
+    distance_km: float | None = Field(
+        None,
         ge=0,
         le=2000,
         description=(
-            "distance of the station from the flight; the air changes over 100 km as in 3 h, over "
-            "the lowest kilometres twice as much"
+            "distance of the station from the flight, 100 km where it is not stated; the air "
+            "changes over 100 km as in 3 h, over the lowest kilometres twice as much"
         ),
         examples=[12.0],
         json_schema_extra={"unit": "km"},

@@ -15,6 +15,7 @@ from unbend.tables.manifest.results import (
     CorrectionRecord,
     DistributionRecord,
     EffectRecord,
+    TimeWindowRecord,
 )
 from unbend.tables.manifest.sections import CabinKeys
 from unbend.tables.manifest.whole import Manifest
@@ -336,18 +337,26 @@ def air_sentences(manifest: Manifest) -> str:
     first = reason.split()[0] if reason else ""
     # A key of the mission file, such as atmosphere.use, keeps its lower case.
     sentence = f"{reason}." if "." in first else f"{reason[:1].upper()}{reason[1:]}."
-    if profile.basis != "standard" and profile.departure_at_cameras_k is not None:
+    departure_k = profile.departure_at_cameras_k
+    sigma_k = profile.sigma_departure_at_cameras_k
+    if profile.basis != "standard" and departure_k is not None and sigma_k is not None:
+        departure = with_sigma(departure_k, sigma_k, "K", signed=True)
         sentence += (
-            f" At the height of the cameras the air is {profile.departure_at_cameras_k:+.1f} K "
-            f"against {profile.standard}."
+            f" At the height of the cameras the air is {departure} against {profile.standard}."
         )
     if profile.windows:
-        changes = [100.0 * window.change for window in profile.windows]
+        least = min(profile.windows, key=lambda window: window.change)
+        most = max(profile.windows, key=lambda window: window.change)
         sentence += (
-            f" The air changes: R by {min(changes):+.1f} to {max(changes):+.1f} % of that of the "
+            f" The air changes: R by {change_of(least)} to {change_of(most)} % of that of the "
             f"whole flight; {profile.profiles} profiles follow it."
         )
     return sentence
+
+
+def change_of(window: TimeWindowRecord) -> str:
+    """The change of R in a part of a flight [%], with its sigma."""
+    return with_sigma(100.0 * window.change, 100.0 * window.sigma, signed=True)
 
 
 def effect_lines(effects: Sequence[EffectRecord], standard: str) -> list[str]:

@@ -46,6 +46,7 @@ IMPOSSIBLE_SIGMAS = 4.0  # of a temperature: real soundings stay in 2.9
 QNH_SIGMAS = 3.0  # too high by so much, as QNH right: it is reduced to sea level
 IMPOSSIBLE_PRESSURE_SIGMAS = 5.0  # weather stays in 5
 ALWAYS_NS = 2**62  # before and after all times
+UNPLACED_STATION_KM = 100.0  # of a station whose distance is not stated, as of a sounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,7 +224,11 @@ def read_report(
     of_metar = section.metar is not None
     refuse_impossible_temperature(report, background, where, of_metar=of_metar)
     refuse_impossible_pressure(report, background, where, of_metar=of_metar)
-    distance_m = 1e3 * section.distance_km
+    distance_km = section.distance_km
+    if distance_km is None:
+        distance_km = UNPLACED_STATION_KM
+        ledger.add(messages.surface_unplaced(where=where, km=distance_km))
+    distance_m = 1e3 * distance_km
     return replace(report, distance_m=distance_m, across=section.across_coast_or_ridge)
 
 

@@ -453,6 +453,24 @@ def surface_temperature_unlikely(
     )
 
 
+SURFACE_UNPLACED = Code(
+    "SURFACE-UNPLACED",
+    means="How far the weather station is from the flight is not stated.",
+    effect="It is taken as 100 km from the flight, and weighs accordingly.",
+    remedy="Add distance_km.",
+)
+
+
+def surface_unplaced(*, where: str, km: float) -> Message:
+    """The distance of a weather station is not stated."""
+    return fallback(
+        SURFACE_UNPLACED,
+        "the station's distance_km is not stated: it is taken as {km:.0f} km from the flight",
+        where=where,
+        km=km,
+    )
+
+
 SURFACE_LEVEL = Code(
     "SURFACE-LEVEL",
     means=(

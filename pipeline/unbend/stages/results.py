@@ -305,9 +305,12 @@ def record_of_profile(air: FlightAir, stations: Stations) -> ProfileRecord:
     latitude = profile.gravity.latitude_rad
     heights = stations.h_msl_m[stations.ok]
     departure = None
+    sigma_departure = None
     if heights.size:
         level = float(np.median(heights))
-        departure = round(float(profile.temperature(level) - standard.temperature(level)), 3)
+        departure = rounded(profile.temperature(level) - standard.temperature(level))
+        if adjustment.covariance is not None:
+            sigma_departure = rounded(adjustment.covariance.sigma_temperature(level))
     return ProfileRecord(
         basis=adjustment.basis,
         reason=adjustment.reason,
@@ -315,6 +318,7 @@ def record_of_profile(air: FlightAir, stations: Stations) -> ProfileRecord:
         layers=dict(sorted(Counter(profile.layers.source).items())),
         latitude_deg=None if latitude is None else round(float(np.degrees(latitude)), 6),
         departure_at_cameras_k=departure,
+        sigma_departure_at_cameras_k=sigma_departure,
         effect=[EffectRecord.of(effect) for effect in air.effects],
         sources=[record_of_source(use) for use in adjustment.sources],
         samples=[record_of_samples(use) for use in adjustment.sensor_uses],
@@ -324,6 +328,12 @@ def record_of_profile(air: FlightAir, stations: Stations) -> ProfileRecord:
             record_of_window(window, utc_known=adjustment.utc_known) for window in air.windows
         ],
     )
+
+
+def rounded(value: Array) -> float | None:
+    """A number to three decimals, None where it is not known."""
+    number = float(np.squeeze(value))
+    return round(number, 3) if math.isfinite(number) else None
 
 
 def record_of_source(use: SourceUse) -> FittedSource | OtherSource:

@@ -205,6 +205,7 @@ def facts_of(
         cameras=setup.cameras,
         rows=statistics.sampled_rows(),
         adjustment=prepared.air.adjustment,
+        usual_air=prepared.sources.background.profile,
         takeoff=takeoff_of(prepared.track(), flight.heights.home_h_msl_m, flight.ground),
         logged_terrain_m=logged_terrain(flight.channels, stations.time_ns),
         terrain=prepared.terrain,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -359,14 +360,48 @@ def with_temperature(h, celsius) -> dict[str, np.ndarray]:
     }
 
 
-def test_steep_and_mirage_layers_are_kept_and_said():
+def test_layers_that_sondes_measure_are_no_matter():
     h = np.array([0.0, 20.0, 300.0, 600.0, 1000.0, 2000.0, 3000.0])
-    # 13 K/km over 300 m: unstable. Above a desert, 3 K in the first 20 m: n grows with height.
-    s, said = read(with_temperature(h, [33.0, 32.8, 29.0, 25.1, 21.5, 14.0, 7.0]))
-    assert set(said) == {"SOUNDING-SUPERADIABATIC"}
+    # 13 K/km over 300 m by day; above a desert, 3 K in the first 20 m: n grows with height.
+    _, said = read(with_temperature(h, [33.0, 32.8, 29.0, 25.1, 21.5, 14.0, 7.0]))
+    assert said == {}
     s, said = read(with_temperature(h, [35.0, 32.0, 29.5, 27.0, 24.0, 17.0, 10.0]))
-    assert said["SOUNDING-INDEX-RISES"] == 1
+    assert said == {}
     assert s.temperature_k[:2] == pytest.approx([308.15, 305.15])
+
+
+@pytest.mark.parametrize(
+    ("celsius", "text"),
+    [
+        # 9.76 K/km are 2.9 K from the ground to 300 m: 44.3 - 29.6 - 2.9 = 11.8.
+        ([44.3, 32.5, 29.6, 26.7, 22.8, 16.0, 9.0], None),
+        ([44.8, 32.5, 29.6, 26.7, 22.8, 16.0, 9.0], r"from 0 to \d+ m .* by 12\.\d K more"),
+        ([22.0, 21.8, 19.0, 16.1, 12.2, 2.0, -7.7], None),
+        ([22.0, 21.8, 19.0, 16.1, 12.2, 0.2, -9.5], r"from 1000 to \d+ m .* by 2\.\d K more"),
+    ],
+)
+def test_layers_that_no_sonde_measures_are_kept_and_told(celsius, text):
+    h = np.array([0.0, 20.0, 300.0, 600.0, 1000.0, 2000.0, 3000.0])
+    ledger = Ledger()
+    s = parse_sounding(text_of(with_temperature(h, celsius)), ledger, latitude_rad=0.8)
+    said = [entry.what for entry in ledger if entry.code == "SOUNDING-SUPERADIABATIC"]
+    assert len(said) == (text is not None), said
+    assert all(re.search(text, what) for what in said)
+    assert s.temperature_k == pytest.approx(np.array(celsius) + 273.15)
+
+
+@pytest.mark.parametrize(
+    ("base", "share", "told"),
+    [(0.0, 0.035, False), (0.0, 0.045, True), (600.0, 0.005, False), (600.0, 0.008, True)],
+)
+def test_an_index_that_rises_more_than_over_hot_ground_is_told(base, share, told):
+    """n - 1 is proportional to p/T; over 20 m p falls by 0.0341632 K/m times 20 m over T."""
+    h = np.array([0.0, 20.0, 600.0, 620.0, 1000.0, 2000.0, 3000.0])
+    celsius = 20.0 - 0.0065 * h
+    kelvin_above = celsius[h == base + 20.0][0] + 273.15
+    celsius[h == base] = kelvin_above * (1.0 + share) * math.exp(0.683264 / kelvin_above) - 273.15
+    _, said = read(with_temperature(h, celsius))
+    assert ("SOUNDING-INDEX-RISES" in said) is told, said
 
 
 def test_too_few_levels():
@@ -675,24 +710,105 @@ def test_files(tmp_path, monkeypatch):
 @pytest.mark.parametrize(("stamp", "year"), [("730101", 1973), ("991231", 1999), ("110522", 2011)])
 def test_the_century_of_a_wyoming_list(stamp, year):
     """Two digits of the year: the archive begins in 1973."""
-    page = WYOMING_PAGE.replace("110522/1200", f"{stamp}/1200")
+    page = WYOMING_PAGE.replace("110522/1200", f"{stamp}/1200").replace("12Z 22 May 2011", "12Z")
     when = np.datetime64(parse_sounding(page, Ledger()).time_ns, "ns")
     assert str(when.astype("datetime64[h]")) == f"{year}-{stamp[2:4]}-{stamp[4:]}T12"
 
 
-@pytest.mark.parametrize("hours", [2, 5])
-def test_rows_of_two_ascents_in_one_table(hours):
-    rows = [
-        f"{950.0 - 45.0 * k:.1f},{15.0 - 2.5 * k:.1f},2025-06-12T{at:02d}:00:00Z"
-        for at in (6, 6 + hours)
-        for k in range(10)
+def rows_of(start: int, *, warmer: float = 0.0, identity: str = "") -> list[str]:
+    """Ten levels of an ascent; pressure, temperature and what says which ascent it is."""
+    return [
+        f"{950.0 - 45.0 * k:.1f},{15.0 - 2.5 * k + warmer:.1f}{identity}"
+        for k in range(start, start + 10)
     ]
+
+
+@pytest.mark.parametrize("hours", [2, 5])
+@pytest.mark.parametrize("interleaved", [False, True])
+def test_of_two_ascents_in_one_table_the_nearest_in_time(hours, interleaved):
+    early = rows_of(0, identity=",2025-06-12T06:00:00Z")
+    late = rows_of(0, warmer=5.0, identity=f",2025-06-12T{6 + hours:02d}:00:00Z")
+    rows = [*early, *late]
+    if interleaved:
+        rows = [row for pair in zip(early, late, strict=True) for row in pair]
     text = "\n".join(["pressure_hpa,temperature_c,time_utc", *rows])
-    if hours < 4:
+    for flight, celsius in (("05:00", 15.0), ("13:00", 20.0)):
+        ledger = Ledger()
+        s = parse_sounding(
+            text, ledger, station_h_m=540.0, latitude_rad=0.8, time_ns=ns(f"2025-06-12T{flight}")
+        )
+        assert s.temperature_k[0] == pytest.approx(celsius + 273.15)
+        assert s.h_m.size == 10
+        assert counts(ledger)["SOUNDING-CHOSEN"] == 2
+    with pytest.raises(InputError, match=r"SOUNDING-CHOICE.*2 soundings and no time"):
         parse_sounding(text, Ledger(), station_h_m=540.0)
-        return
-    with pytest.raises(InputError, match=r"SOUNDING-CHOICE.*up to 5\.0 hours apart"):
+
+
+@pytest.mark.parametrize(
+    ("head", "one", "other"),
+    [
+        (",station", ",11035", ",11520"),
+        (",ascent,time_utc", ",a,2025-06-12T06:00Z", ",b,2025-06-12T06:00Z"),
+        (",lat,lon", ",48.2,16.4", ",50.0,14.4"),
+        ("", "", ""),
+    ],
+)
+def test_two_ascents_of_one_time_in_one_table_are_refused(head, one, other):
+    rows = [*rows_of(0, identity=one), *rows_of(0, warmer=5.0, identity=other)]
+    text = "\n".join([f"pressure_hpa,temperature_c{head}", *rows])
+    with pytest.raises(InputError, match="SOUNDING-CHOICE"):
+        parse_sounding(text, Ledger(), station_h_m=540.0, time_ns=ns("2025-06-12T05:00"))
+
+
+def test_rows_too_long_apart_are_refused():
+    """Each level has its own time: no column parts the ascents, but none takes 13 hours."""
+    rows = [f"{row},2025-06-12T{k + 5:02d}:00:00Z" for k, row in enumerate(rows_of(0))]
+    text = "\n".join(["pressure_hpa,temperature_c,time_utc", *rows])
+    with pytest.raises(InputError, match=r"SOUNDING-CHOICE.*up to 9\.0 hours apart"):
         parse_sounding(text, Ledger(), station_h_m=540.0)
+
+
+def test_up_and_down_again_is_one_flight():
+    """As a drone flies: its levels are put in order. Each may have its own time and place."""
+    up = rows_of(0)
+    rows = [f"{row},48.{k:02d},16.4" for k, row in enumerate([*up, *up[::-1]])]
+    text = "\n".join(["pressure_hpa,temperature_c,lat,lon", *rows])
+    ledger = Ledger()
+    s = parse_sounding(text, ledger, station_h_m=540.0)
+    assert s.h_m.size == 10
+    assert set(counts(ledger)) >= {"SOUNDING-UNSORTED", "SOUNDING-DUPLICATE"}
+    assert math.degrees(s.latitude_rad) == pytest.approx(48.0)
+
+
+@pytest.mark.parametrize(
+    ("column", "field", "told"),
+    [
+        ("time", "2025-06-12T06:00:00Z", True),
+        ("datetime", "2025-06-12 06:00", True),
+        ("date", "20250612", True),
+        ("valid", "06/12/2025 06:00", True),
+        ("time_s", "120", False),
+        ("time", "120.5", False),
+        ("wind", "12", False),
+    ],
+)
+def test_a_time_in_a_column_of_another_name_is_not_unknown(column, field, told):
+    rows = rows_of(0, identity=f",{field}")
+    text = "\n".join([f"pressure_hpa,temperature_c,{column}", *rows])
+    if told:
+        with pytest.raises(InputError, match="SOUNDING-TIME") as caught:
+            parse_sounding(text, Ledger(), station_h_m=540.0)
+        assert "time_utc" in caught.value.remedy
+    else:
+        ledger = Ledger()
+        parse_sounding(text, ledger, station_h_m=540.0)
+        assert "SOUNDING-COLUMNS-UNUSED" in counts(ledger)
+
+
+@pytest.mark.parametrize("field", ["2025-06-12", "20250612"])
+def test_a_date_without_its_hour_is_no_time(field):
+    with pytest.raises(InputError, match="SOUNDING-TIME"):
+        dated(field)
 
 
 def wyoming_of(heading: str, station: str = "", levels: int = 8) -> str:
@@ -744,6 +860,55 @@ def test_of_two_ascents_of_a_page_the_nearest_in_time(flight, hour):
     s = parse_sounding(page, Ledger(), time_ns=ns(flight), latitude_rad=0.8)
     assert s.time_ns == ns(f"2015-03-{hour}:00")
     assert s.h_m.size == (9 if hour == "13T00" else 8)
+
+
+@pytest.mark.parametrize(
+    ("heading", "time"),
+    [
+        ("Observations for Station 11035 at 12:00 UTC 12 Mar 2015", "2015-03-12T12:00"),
+        ("Observations for Station 11035 at 1130 UTC 12 March 2015", "2015-03-12T11:30"),
+        ("OBSERVATIONS FOR STATION 11035 AT 06Z 12 MAR 2015", "2015-03-12T06:00"),
+        ("Sounding of 11035, 12 UTC 12 Mar 2015", "2015-03-12T12:00"),
+    ],
+)
+def test_forms_of_headings(heading, time):
+    s = parse_sounding(wyoming_of(heading), Ledger(), latitude_rad=0.8)
+    assert s.time_ns == ns(time)
+
+
+@pytest.mark.parametrize("heading", ["11035 2015031212", "Wien, 12 UTC March 12, 2015"])
+def test_a_date_above_the_titles_that_cannot_be_read_is_refused(heading):
+    with pytest.raises(InputError, match="SOUNDING-TIME"):
+        parse_sounding(wyoming_of(heading), Ledger(), latitude_rad=0.8)
+
+
+@pytest.mark.parametrize(("stamp", "told"), [("150312/1137", False), ("140312/1200", True),
+                                             ("150312/0000", True)])  # fmt: skip
+def test_a_heading_and_a_time_of_observation_agree(stamp, told):
+    page = wyoming_of("11035 Wien Observations at 12Z 12 Mar 2015", f"Observation time: {stamp}")
+    if told:
+        with pytest.raises(InputError, match=r"SOUNDING-TIME.*differ by"):
+            parse_sounding(page, Ledger(), latitude_rad=0.8)
+    else:
+        assert parse_sounding(page, Ledger(), latitude_rad=0.8).time_ns == ns("2015-03-12T11:37")
+
+
+def test_of_two_stations_of_one_hour_none_is_guessed():
+    one = wyoming_of("11035 Wien Observations at 12Z 12 Mar 2015")
+    other = wyoming_of("11520 Praha Observations at 12Z 12 Mar 2015", levels=9)
+    flight = ns("2015-03-12T11:00")
+    with pytest.raises(InputError, match=r"SOUNDING-CHOICE.*2 soundings of the file have the time"):
+        parse_sounding(one + other, Ledger(), time_ns=flight, latitude_rad=0.8)
+    twice = parse_sounding(one + one, Ledger(), time_ns=flight, latitude_rad=0.8)
+    assert twice.h_m.size == 8
+
+
+@pytest.mark.parametrize(
+    "place", ["Latitude = 48.2333, Longitude = 16.35", "Lat: 48.2333 Lon: 16.35"]
+)
+def test_forms_of_a_place(place):
+    s = parse_sounding(wyoming_of(f"{NEW_HEADING}</H1>\n{place}\n<H1>"), Ledger())
+    assert np.degrees([s.latitude_rad, s.longitude_rad]) == pytest.approx([48.2333, 16.35])
 
 
 def test_a_date_of_the_archive_that_is_none_is_refused():

@@ -2,21 +2,26 @@
 
 IGRA, version 2, and its derived parameters (NOAA NCEI, igra2-data-format.txt and
 igra2-derived-format.txt): fixed columns; -9999 missing, -8888 removed by the archive's own checks.
-The University of Wyoming: the list of its web page, with columns seven places wide in which a field
-may be blank, and its CSV. The heights of both are geopotential. A plain CSV states its units.
+The heights of both are geopotential. A plain CSV states its units. Those of the University of
+Wyoming are read in `unbend.atmosphere.soundings.wyoming`.
 """
 
 import math
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
 from unbend.atmosphere.soundings import messages
+from unbend.atmosphere.soundings.ascents_of_tables import (
+    columns_of_ascents,
+    is_same_ascent,
+    refuse_several,
+)
 from unbend.atmosphere.soundings.level_checks import check_levels
 from unbend.atmosphere.soundings.levels import (
+    Columns,
     PlaceOfSounding,
     RawLevels,
     Sounding,
@@ -28,6 +33,12 @@ from unbend.atmosphere.soundings.levels import (
     stated_time_ns,
     table,
     to_si,
+)
+from unbend.atmosphere.soundings.wyoming import (
+    is_wyoming_csv,
+    is_wyoming_list,
+    parse_wyoming_csv,
+    parse_wyoming_list,
 )
 from unbend.messages import Ledger, Notes
 from unbend.units import NANOSECONDS_PER_SECOND, ZERO_CELSIUS_K, Array
@@ -121,7 +132,7 @@ def _igra_place(header: str) -> PlaceOfSounding:
 def _igra_time_ns(header: str, at: str) -> int | None:
     """The release of the balloon, the nominal hour without one. The release has no date: 2303 of
     the sounding of 00 UTC is the evening before."""
-    midnight = stated_time_ns(header[13:23].replace(" ", "-"), at)
+    midnight = stated_time_ns(f"{header[13:23].replace(' ', '-')}T00:00", at)
     hour = int(header[24:26])
     release, seconds = number(header[27:31]), 3600 * hour
     if release // 100 < 24 and release % 100 < 60:
@@ -131,183 +142,6 @@ def _igra_time_ns(header: str, at: str) -> int | None:
     elif hour == _NO_HOUR:
         return None
     return None if midnight is None else midnight + seconds * NANOSECONDS_PER_SECOND
-
-
-def _wyoming(columns: list[Array], **more: Any) -> RawLevels:
-    """Levels of pressure, height, temperature, dew point and humidity in Wyoming's units."""
-    p, h, t, dew, relative = columns
-    return RawLevels(
-        h_m=h,
-        pressure_pa=to_si(p, "hpa"),
-        temperature_k=to_si(t, "c"),
-        dew_point_k=to_si(dew, "c"),
-        relative_humidity=to_si(relative, "percent"),
-        **more,
-    )
-
-
-_WIDTH = 7
-_TITLES = re.compile(r"^\s*PRES\s+HGHT\s+TEMP\s+DWPT", re.MULTILINE)
-_INLINE = re.compile(r"PRES\s+hPa,\s*HGHT\s+m,\s*TEMP\s+C,\s*DWPT\s+C")
-_TAG = re.compile(r"<[^>]+>")
-_MONTHS = ["Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec"]
-# The heading of an ascent: "12Z 22 May 2011" until 2024, "12 UTC 22 May 2011" since.
-_DATE = re.compile(
-    r"(?P<hour>\d\d)(?:Z| UTC) (?P<day>\d\d?) (?P<month>[A-Z][a-z]{2})[a-z]* (?P<year>\d{4})"
-)
-_OBSERVED = re.compile(r"Observation time:\s*(?P<stamp>\S+)")
-_HEADING = re.compile(r"^.*\bObservations (?:for|at)\b.*$", re.MULTILINE)
-_STATION = re.compile(r"\bStation (?:identifier|number):\s*(\S+)")
-_STATION_OF_HEADING = re.compile(r"\bStation (\w+) at\b|^(\w+) .*\bObservations at\b", re.MULTILINE)
-
-_CSV_COLUMNS = {
-    "pressure": "pressure_hPa",
-    "height": "geopotential height_m",
-    "temperature": "temperature_C",
-    "dew point": "dew point temperature_C",
-    "relative humidity": "relative humidity_%",
-}
-
-
-def is_wyoming_list(text: str) -> bool:
-    """Whether a text is a Wyoming list: PRES HGHT TEMP DWPT above columns."""
-    return bool(_TITLES.search(text) or _INLINE.search(text))
-
-
-def is_wyoming_csv(text: str) -> bool:
-    """Whether a text is a Wyoming CSV, by its first line."""
-    first = text.lstrip("\ufeff").split("\n", 1)[0]
-    return _CSV_COLUMNS["pressure"] in first and _CSV_COLUMNS["height"] in first
-
-
-def parse_wyoming_list(text: str, where: str) -> list[RawLevels]:
-    """The ascents of a text list, with or without the page around it."""
-    plain = _TAG.sub("", text)
-    return [_ascent_of_list(part, where) for part in _parts_of_list(plain)]
-
-
-def _parts_of_list(plain: str) -> list[str]:
-    """The text of each ascent of a page: from its heading, or its titles, to the next one's."""
-    titles = [match.start() for match in _TITLES.finditer(plain)]
-    headings = [match.start() for match in _HEADING.finditer(plain)]
-    begins = [0]
-    for title_before, title in pairwise(titles):
-        between = [heading for heading in headings if title_before < heading < title]
-        begins.append(between[-1] if between else title)
-    return [plain[begin:end] for begin, end in pairwise([*begins, len(plain)])]
-
-
-def _ascent_of_list(plain: str, where: str) -> RawLevels:
-    """The only ascent of a part of a page."""
-    titles = _TITLES.search(plain)
-    rows = _rows_of_page(plain) if titles is None else _rows_of_list(plain[titles.start() :])
-    columns = [numbers(row[i] if len(row) > i else "" for row in rows) for i in range(5)]
-    if titles is None:  # the fifth column of a page without its titles is another
-        columns[4] = np.full(len(rows), np.nan)
-    place = stated_place(_labelled(plain, "latitude"), _labelled(plain, "longitude"), where)
-    return _wyoming(
-        columns,
-        time_ns=_time_of_list(plain, where),
-        station=_station_of_list(plain),
-        latitude_rad=place.latitude_rad,
-        longitude_rad=place.longitude_rad,
-        origin="University of Wyoming list",
-        where=where,
-        column_of={"pressure": "PRES hPa", "temperature": "TEMP C", "dew point": "DWPT C"},
-    )
-
-
-def _rows_of_page(plain: str) -> list[list[str]]:
-    """The levels of a page that gives its titles in one line: fields parted by blanks."""
-    rows = [line.split() for line in plain.splitlines() if not line.startswith("#")]
-    return [row for row in rows if len(row) >= 4]
-
-
-def _rows_of_list(plain: str) -> list[list[str]]:
-    """Fields of the lines between the second rule and the first line that is no level."""
-    rows: list[list[str]] = []
-    for line in plain.splitlines()[1:]:
-        fields = [line[i : i + _WIDTH] for i in range(0, 5 * _WIDTH, _WIDTH)]
-        if math.isfinite(number(fields[0])):
-            rows.append(fields)
-        elif rows:
-            break
-    return rows
-
-
-def _labelled(plain: str, name: str) -> str:
-    """The first field behind ``Station latitude:`` or ``Latitude:``; empty without one."""
-    match = re.search(rf"\b{name}:\s*(\S+)", plain, re.IGNORECASE)
-    return "" if match is None else match[1]
-
-
-def _station_of_list(plain: str) -> str:
-    """The station by its own line, else by the heading; empty without one."""
-    match = _STATION.search(plain)
-    if match is not None:
-        return match[1]
-    heading = _STATION_OF_HEADING.search(plain)
-    return "" if heading is None else heading[1] or heading[2]
-
-
-def _time_of_list(plain: str, where: str) -> int | None:
-    """The nominal time of an ascent, by ``Observation time: 110522/1200`` or by its heading.
-
-    None where it has neither; refuses (InputError SOUNDING-TIME) one that cannot be read.
-    """
-    observed = _OBSERVED.search(plain)
-    if observed is not None:
-        stamp = observed["stamp"]
-        if re.fullmatch(r"\d{6}/\d{4}", stamp) is None:
-            raise messages.sounding_time(where=where, time=stamp)
-        # Two digits of the year: the list goes back to 1973.
-        century = "19" if stamp[:2] >= "73" else "20"
-        day = f"{century}{stamp[:2]}-{stamp[2:4]}-{stamp[4:6]}"
-        return stated_time_ns(f"{day}T{stamp[7:9]}:{stamp[9:11]}", where)
-    heading = _HEADING.search(plain)
-    match = _DATE.search(plain)
-    if match is not None and match["month"] in _MONTHS:
-        month = _MONTHS.index(match["month"]) + 1
-        day = f"{match['year']}-{month:02d}-{int(match['day']):02d}"
-        return stated_time_ns(f"{day}T{match['hour']}:00", where)
-    if heading is not None:
-        raise messages.sounding_time(where=where, time=heading[0].strip())
-    return None
-
-
-LONGEST_ASCENT_H = 4.0  # a balloon rises for two hours, and falls for one
-
-
-def _refuse_several(times: Sequence[str], where: str) -> None:
-    """Refuse (`InputError`) rows of one table that no single ascent takes so long for."""
-    known = [t for t in (stated_time_ns(time, where) for time in times) if t is not None]
-    hours = (max(known) - min(known)) / 3.6e12 if known else 0.0
-    if hours > LONGEST_ASCENT_H:
-        raise messages.sounding_choice_rows(where=where, hours=hours)
-
-
-def parse_wyoming_csv(text: str, where: str) -> list[RawLevels]:
-    """The ascent of a Wyoming CSV; its time is that of the first level."""
-    columns = table(text.splitlines(), where)
-    missing = [name for name in _CSV_COLUMNS.values() if name not in columns]
-    if missing:
-        raise messages.sounding_column_wyoming(where=where, missing=missing[0])
-    time, north, east = (
-        first_stated(columns.get(name, [])) for name in ("time", "latitude", "longitude")
-    )
-    _refuse_several(columns.get("time", []), where)
-    place = stated_place(north, east, where)
-    return [
-        _wyoming(
-            [numbers(columns[name]) for name in _CSV_COLUMNS.values()],
-            time_ns=stated_time_ns(time, where),
-            latitude_rad=place.latitude_rad,
-            longitude_rad=place.longitude_rad,
-            origin="University of Wyoming CSV",
-            where=where,
-            column_of=_CSV_COLUMNS,
-        )
-    ]
 
 
 # Name of a column -> quantity, unit.
@@ -325,7 +159,14 @@ PLAIN_COLUMNS = {
     "relative_humidity": ("relative humidity", "1"),
     "relative_humidity_percent": ("relative humidity", "percent"),
 }
-PLACE_COLUMNS = ("time_utc", "latitude_deg", "longitude_deg", "station")
+# Name of a column that says which ascent a row is of, and the names it may have instead.
+PLACE_COLUMNS = {
+    "ascent": (),
+    "station": (),
+    "time_utc": (),
+    "latitude_deg": ("latitude", "lat"),
+    "longitude_deg": ("longitude", "lon", "long"),
+}
 
 
 def is_plain(text: str) -> bool:
@@ -338,56 +179,89 @@ def is_plain(text: str) -> bool:
 
 
 def parse_plain(text: str, where: str) -> list[RawLevels]:
-    """The ascent of a plain CSV; other columns are not read, which is noted."""
+    """The ascents of a plain CSV; other columns are not read, which is noted."""
     columns = {name.lower(): fields for name, fields in table(text.splitlines(), where).items()}
-    values: dict[str, Array] = {}
+    for name, others in PLACE_COLUMNS.items():
+        for other in others:
+            if other in columns and name not in columns:
+                columns[name] = columns.pop(other)
+    column_of = _columns_of_quantities(columns, where)
+    _refuse_other_times(columns, where)
+    unread = sorted(set(columns) - set(PLAIN_COLUMNS) - set(PLACE_COLUMNS))
+    notes: Notes = ()
+    if unread:
+        names = ", ".join(unread)
+        notes = (messages.sounding_columns_unused(where=where, count=len(unread), columns=names),)
+    ascents = columns_of_ascents(columns, PLACE_COLUMNS, columns[column_of["pressure"]])
+    return [_ascent_of_plain(ascent, column_of, where).noting(*notes) for ascent in ascents]
+
+
+def _columns_of_quantities(columns: Columns, where: str) -> dict[str, str]:
+    """The column of each quantity; refuses two of one, and a table without the needed ones."""
     column_of: dict[str, str] = {}
-    for name in (name for name in PLAIN_COLUMNS if name in columns):
-        quantity, unit = PLAIN_COLUMNS[name]
+    for name, (quantity, _) in PLAIN_COLUMNS.items():
+        if name not in columns:
+            continue
         if quantity in column_of:
             raise messages.sounding_quantity_twice(
                 where=where, column=column_of[quantity], other=name, quantity=quantity
             )
-        values[quantity], column_of[quantity] = to_si(numbers(columns[name]), unit), name
+        column_of[quantity] = name
     for needed in ("pressure", "temperature"):
-        if needed not in values:
+        if needed not in column_of:
             names = [name for name, (quantity, _) in PLAIN_COLUMNS.items() if quantity == needed]
             raise messages.sounding_column(
                 where=where, needed=needed, present=", ".join(columns), names=" or ".join(names)
             )
-    notes: Notes = ()
-    unread = sorted(set(columns) - set(PLAIN_COLUMNS) - set(PLACE_COLUMNS))
-    if unread:
-        notes = (
-            messages.sounding_columns_unused(
-                where=where, count=len(unread), columns=", ".join(unread)
-            ),
-        )
-    geopotential = "height" not in values
-    time_ns = stated_time_ns(first_stated(columns.get("time_utc", [])), where)
-    _refuse_several(columns.get("time_utc", []), where)
+    return column_of
+
+
+_OF_TIME = re.compile(r"time|date|utc|valid")
+_OF_DATE = re.compile(r"date")
+
+
+def _refuse_other_times(columns: Columns, where: str) -> None:
+    """Refuse (InputError SOUNDING-TIME) a table that states its time in a column of another name.
+
+    Numbers are the seconds since the launch, but those of a date.
+    """
+    if first_stated(columns.get("time_utc", [])):
+        return
+    for name, fields in columns.items():
+        stated = first_stated(fields)
+        is_date = _OF_DATE.search(name) is not None
+        is_text = math.isnan(number(stated))
+        if _OF_TIME.search(name) and stated and (is_text or is_date):
+            raise messages.sounding_time_column(where=where, column=name, time=stated)
+
+
+def _ascent_of_plain(columns: Columns, column_of: Mapping[str, str], where: str) -> RawLevels:
+    """The only ascent of some rows of a plain CSV."""
+    values = {
+        quantity: to_si(numbers(columns[name]), PLAIN_COLUMNS[name][1])
+        for quantity, name in column_of.items()
+    }
+    refuse_several(columns.get("time_utc", []), values["pressure"], where)
+    stated = {name: first_stated(columns.get(name, [])) for name in PLACE_COLUMNS}
+    place = stated_place(stated["latitude_deg"], stated["longitude_deg"], where)
     unknown = np.full(values["pressure"].shape, np.nan)
-    first = {name: first_stated(columns.get(name, [])) for name in PLACE_COLUMNS}
-    place = stated_place(first["latitude_deg"], first["longitude_deg"], where)
-    return [
-        RawLevels(
-            h_m=values.get("geopotential" if geopotential else "height", unknown),
-            pressure_pa=values["pressure"],
-            temperature_k=values["temperature"],
-            geopotential=geopotential,
-            dew_point_k=values.get("dew point"),
-            vapour_pressure_pa=values.get("vapour pressure"),
-            relative_humidity=values.get("relative humidity"),
-            time_ns=time_ns,
-            station=first["station"].strip(),
-            latitude_rad=place.latitude_rad,
-            longitude_rad=place.longitude_rad,
-            origin="plain CSV",
-            where=where,
-            column_of=column_of,
-            notes=notes,
-        )
-    ]
+    geopotential = "height" not in values
+    return RawLevels(
+        h_m=values.get("geopotential" if geopotential else "height", unknown),
+        pressure_pa=values["pressure"],
+        temperature_k=values["temperature"],
+        geopotential=geopotential,
+        dew_point_k=values.get("dew point"),
+        vapour_pressure_pa=values.get("vapour pressure"),
+        relative_humidity=values.get("relative humidity"),
+        time_ns=stated_time_ns(stated["time_utc"], where),
+        station=stated["station"],
+        latitude_rad=place.latitude_rad,
+        longitude_rad=place.longitude_rad,
+        origin="plain CSV",
+        where=where,
+        column_of=column_of,
+    )
 
 
 FAR_HOURS = 6.0  # a sounding farther in time is reported: the boundary layer has changed
@@ -460,6 +334,9 @@ def nearest_in_time(ascents: list[RawLevels], time_ns: int | None, where: str) -
     if not dated:
         raise messages.sounding_choice_undated(where=where, total=len(full))
     apart, raw = min(dated, key=lambda pair: pair[0])
+    same_time = [other for _, other in dated if other.time_ns == raw.time_ns]
+    if not all(is_same_ascent(raw, other) for other in same_time):
+        raise messages.sounding_choice_same_time(where=where, total=len(same_time))
     hours = apart / NANOSECONDS_PER_SECOND / 3600.0
     if hours > FAR_HOURS:
         notes += (messages.sounding_far_in_time(where=raw.where, hours=hours),)

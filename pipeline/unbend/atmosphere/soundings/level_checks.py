@@ -11,9 +11,9 @@ import numpy as np
 
 from unbend.atmosphere import refractive_index
 from unbend.atmosphere.air_samples import part_of
-from unbend.atmosphere.hypsometry import ADIABATIC_K_PER_M
 from unbend.atmosphere.refractive_index import vapour_pressure
 from unbend.atmosphere.soundings import messages
+from unbend.atmosphere.soundings.layer_checks import layer_notes
 from unbend.atmosphere.soundings.levels import RawLevels, Sounding
 from unbend.geodesy import normal_gravity
 from unbend.messages import Notes
@@ -33,10 +33,6 @@ DRIEST_RH = 0.011  # relative humidities that reach no more are dead, or per cen
 THICKNESS_RATIO = 0.03
 """Heights and the pressures and temperatures they were computed from agree within this share."""
 
-# Readings rounded to 0.1 K err by 1 K/km over 100 m, and by 5e-4 of n - 1 from level to level.
-_SLICE_M = 100.0
-_STEEPER_K_PER_M = 1e-3
-_INDEX_ROUNDING = 5e-4
 _UNKNOWN_LATITUDE_RAD = 45.0 * DEGREE
 
 # No sounding begins above 25 km, nor below the Dead Sea.
@@ -73,31 +69,18 @@ def check_levels(
     raw = _with_vapour_pressure(_complete_levels(raw))
     raw = _with_heights(raw, float(gravity.geopotential_height(station_h_m)))
     raw = _rising_levels(raw)
-    h, p, t, e = gravity.height(raw.h_m), raw.pressure_pa, raw.temperature_k, _vapour(raw)
     sounding = Sounding(
-        h, p, t, e, raw.time_ns, raw.station, raw.latitude_rad, raw.longitude_rad, raw.origin
+        h_m=gravity.height(raw.h_m),
+        pressure_pa=raw.pressure_pa,
+        temperature_k=raw.temperature_k,
+        vapour_pressure_pa=_vapour(raw),
+        time_ns=raw.time_ns,
+        station=raw.station,
+        latitude_rad=raw.latitude_rad,
+        longitude_rad=raw.longitude_rad,
+        origin=raw.origin,
     )
-    notes, where = list(raw.notes), raw.where
-    # Layers that are unstable, or in which air grows denser upwards, as near hot ground.
-    grid = np.arange(h[0], h[-1], _SLICE_M)
-    lapse = -np.diff(np.interp(grid, h, t)) / _SLICE_M
-    if count := int((lapse > ADIABATIC_K_PER_M + _STEEPER_K_PER_M).sum()):
-        i = int(np.argmax(lapse))
-        notes.append(
-            messages.sounding_superadiabatic(
-                where=where,
-                count=count,
-                k_per_km=1e3 * lapse[i],
-                height_m=grid[i],
-                over_m=_SLICE_M * count,
-            )
-        )
-    n = refractive_index.refractivity_gyer(t, p, np.nan_to_num(e))
-    rising = np.diff(n) > _INDEX_ROUNDING * n[:-1]
-    if count := int(rising.sum()):
-        lowest = h[int(np.argmax(rising))]
-        notes.append(messages.sounding_index_rises(where=where, count=count, lowest=lowest))
-    return sounding, tuple(notes)
+    return sounding, (*raw.notes, *layer_notes(sounding, raw.where))
 
 
 def refuse_wrong_units(raw: RawLevels) -> None:
@@ -316,10 +299,14 @@ def _mean_of_runs(raw: RawLevels, key: Array) -> RawLevels:
         return np.where(count > 0.0, total / np.maximum(count, 1.0), np.nan)
 
     return replace(
-        raw, h_m=mean(raw.h_m), pressure_pa=mean(raw.pressure_pa),
-        temperature_k=mean(raw.temperature_k), vapour_pressure_pa=mean(_vapour(raw)),
-        dew_point_k=None, relative_humidity=None,
-    )  # fmt: skip
+        raw,
+        h_m=mean(raw.h_m),
+        pressure_pa=mean(raw.pressure_pa),
+        temperature_k=mean(raw.temperature_k),
+        vapour_pressure_pa=mean(_vapour(raw)),
+        dew_point_k=None,
+        relative_humidity=None,
+    )
 
 
 def _vapour(raw: RawLevels) -> Array:

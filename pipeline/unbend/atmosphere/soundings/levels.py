@@ -1,6 +1,7 @@
 """Levels of a balloon sounding: as a file has them, as the estimator takes them, and its fields."""
 
 import math
+import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -14,6 +15,9 @@ from unbend.written_tables import form_of, split_rows, with_decimal_points
 
 FILLS = (-9999.0, -9999.9, -8888.0, -99999.0, 99999.0, 999999.0, -999.0)
 """Numbers that mean a missing value. 9999 is not among them: it may be a height."""
+
+Columns = Mapping[str, list[str]]
+"""The columns of a table by name, fields as text."""
 
 LARGEST = 1e7  # larger values in any unit are invalid, such as the fill of netCDF, 9.97e36
 _YEARS = (1900, 2200)  # soundings are younger; beyond 2262 nanoseconds do not fit into 64 bits
@@ -219,7 +223,8 @@ def stated_place(latitude: str, longitude: str, where: str) -> PlaceOfSounding:
     east_deg = _stated_degrees(longitude)
     is_latitude = math.isnan(north_deg) or abs(north_deg) <= 90.0
     is_longitude = math.isnan(east_deg) or -180.0 <= east_deg <= 360.0
-    if not (is_latitude and is_longitude):
+    is_place = is_latitude and is_longitude
+    if not is_place:
         raise messages.sounding_place(where=where, latitude=latitude, longitude=longitude)
     if math.isnan(east_deg):
         return PlaceOfSounding(math.radians(north_deg))
@@ -238,6 +243,9 @@ def _stated_degrees(text: str) -> float:
     return math.nan if value in FILLS or value in _UNKNOWN_DEG else value
 
 
+_WITHOUT_HOUR = re.compile(r"\d{4}-?\d\d-?\d\d")
+
+
 def first_stated(fields: Iterable[str]) -> str:
     """The first field of a column that states something; empty where none does.
 
@@ -253,12 +261,13 @@ def first_stated(fields: Iterable[str]) -> str:
 def stated_time_ns(text: str, where: str) -> int | None:
     """The time that a field of a file states [Unix ns]; None where it states none.
 
-    Refuses (InputError SOUNDING-TIME) a text that is no time: what is stated and cannot be read
-    is not unknown.
+    Refuses (InputError SOUNDING-TIME) a text that is no time, such as a date without its hour:
+    what is stated and cannot be read is not unknown.
     """
     if text.strip().lower() in _NOT_STATED:
         return None
     time_ns = utc_ns(text)
-    if time_ns is None:
+    is_date_alone = _WITHOUT_HOUR.fullmatch(text.strip()) is not None
+    if time_ns is None or is_date_alone:
         raise messages.sounding_time(where=where, time=text.strip()[:40])
     return time_ns

@@ -423,6 +423,28 @@ def sounding_choice_undated(*, where: object, total: int) -> InputError:
     )
 
 
+def sounding_choice_begins_again(*, where: object) -> InputError:
+    """The rows of a table begin again at the ground."""
+    return InputError(
+        SOUNDING_CHOICE,
+        "its pressures begin again at the ground: it holds several ascents, and no column parts "
+        "them",
+        where=where,
+        remedy="keep the rows of one ascent, or state the time of each row (time_utc)",
+    )
+
+
+def sounding_choice_same_time(*, where: object, total: int) -> InputError:
+    """Several soundings of a file have the same time."""
+    return InputError(
+        SOUNDING_CHOICE,
+        "{total} soundings of the file have the time that is nearest to the flight",
+        where=where,
+        total=total,
+        remedy="keep that of the nearest station, or give each a file of its own",
+    )
+
+
 SOUNDING_CHOSEN = Code(
     "SOUNDING-CHOSEN",
     means="Of several soundings the nearest in time is taken.",
@@ -800,27 +822,27 @@ def sounding_inconsistent(*, where: object, ratio: float) -> InputError:
 
 SOUNDING_INDEX_RISES = Code(
     "SOUNDING-INDEX-RISES",
-    means="The refractive index grows with height in layers: light bends away from the ground.",
-    effect="They are kept.",
-    remedy="Nothing; it happens over cold ground.",
+    means=(
+        "The refractive index grows with height by more than over hot ground (4 %, or 0.6 % from "
+        "300 m above it): light bends away from the ground."
+    ),
+    effect="The levels are kept.",
+    remedy="Compare temperatures and dew points with the levels around them.",
 )
 
 
-def sounding_index_rises(*, where: str, count: int, lowest: float) -> Message:
-    """The refractive index grows with height in layers."""
+def sounding_index_rises(*, where: str, percent: float, low_m: float, high_m: float) -> Message:
+    """The refractive index grows with height more than in any mirage."""
     return warning(
         SOUNDING_INDEX_RISES,
         (
-            "in {count} layers the refractive index grows with height, the lowest at "
-            "{lowest:.0f} m: light bends away from the ground there, a mirage: kept"
-        ),
-        one=(
-            "in 1 layer the refractive index grows with height, the lowest at "
-            "{lowest:.0f} m: light bends away from the ground there, a mirage: kept"
+            "from {low_m:.0f} to {high_m:.0f} m the refractive index grows by {percent:.1f} %: "
+            "light bends away from the ground there, more than over hot ground: kept"
         ),
         where=where,
-        count=count,
-        lowest=lowest,
+        percent=percent,
+        low_m=low_m,
+        high_m=high_m,
     )
 
 
@@ -934,27 +956,27 @@ def sounding_range(*, where: str, count: int, hpa: float, kelvin: float) -> Mess
 
 SOUNDING_SUPERADIABATIC = Code(
     "SOUNDING-SUPERADIABATIC",
-    means="The air cools faster with height than dry air that rises.",
+    means=(
+        "The air cools with height by far more than dry air that rises: by 12 K near the ground, "
+        "or 2 K above it, as sondes do not measure."
+    ),
     effect="The levels are kept.",
-    remedy="Nothing near the ground; elsewhere check the thermometer of the sonde.",
+    remedy="Compare the temperatures with the levels around them: a typing error, a wet sensor.",
 )
 
 
-def sounding_superadiabatic(
-    *, where: str, count: int, k_per_km: float, height_m: float, over_m: float
-) -> Message:
-    """The air cools faster with height than dry air that rises."""
+def sounding_superadiabatic(*, where: str, excess_k: float, low_m: float, high_m: float) -> Message:
+    """The air cools faster with height than any sonde measures."""
     return warning(
         SOUNDING_SUPERADIABATIC,
         (
-            "over {over_m:.0f} m of height the air cools faster than dry air that rises, at "
-            "most by {k_per_km:.1f} K/km at {height_m:.0f} m: kept"
+            "from {low_m:.0f} to {high_m:.0f} m the air cools by {excess_k:.1f} K more than dry "
+            "air that rises, which sondes do not measure: kept"
         ),
         where=where,
-        count=count,
-        k_per_km=k_per_km,
-        height_m=height_m,
-        over_m=over_m,
+        excess_k=excess_k,
+        low_m=low_m,
+        high_m=high_m,
     )
 
 
@@ -974,6 +996,30 @@ def sounding_time(*, where: str, time: str) -> InputError:
         where=where,
         remedy="write the time of the sounding, in UTC, as 2026-05-14T10:20:00Z",
         time=time,
+    )
+
+
+def sounding_time_column(*, where: str, column: str, time: str) -> InputError:
+    """A table states its time in a column of another name."""
+    return InputError(
+        SOUNDING_TIME,
+        "column {column} states {time!r}, and there is no time_utc",
+        where=where,
+        remedy="state the time of the sounding, in UTC, as 2026-05-14T10:20:00Z in a column "
+        "time_utc, or remove the column",
+        column=column,
+        time=time[:40],
+    )
+
+
+def sounding_two_times(*, where: str, hours: float) -> InputError:
+    """The heading of an ascent and its time of observation contradict each other."""
+    return InputError(
+        SOUNDING_TIME,
+        "its heading and its time of observation differ by {hours:.0f} hours",
+        where=where,
+        remedy="fetch the page again, or correct the wrong one",
+        hours=hours,
     )
 
 

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from unbend.atmosphere.estimate.adjusted_profile import Adjustment
+from unbend.atmosphere.profile import Profile
 from unbend.config import Mission
 from unbend.flight.ground_times import Takeoff
 from unbend.flight.stations import Stations
@@ -25,6 +26,7 @@ class Facts:
     """What the rules look at: a mission, its stations, and rows that stand for all observations.
 
     rows : the sampled observations, (n,) each.
+    usual_air : the climatology of place and season.
     takeoff, terrain : None where they are unknown.
     logged_terrain_m : (s,) terrain below each station, as the autopilot logged it.
     """
@@ -35,6 +37,7 @@ class Facts:
     cameras: Mapping[str, Camera]
     rows: SampledRows
     adjustment: Adjustment
+    usual_air: Profile
     takeoff: Takeoff | None
     logged_terrain_m: Array
     terrain: ElevationModel | None
@@ -59,6 +62,17 @@ class Facts:
         h_c = float(np.median(self.camera_height_m[known]))
         h_g = float(np.median(self.rows.h_g_m[known]))
         return effects_on_r(air.profile, air.standard, air.covariance, h_c, h_g)
+
+    @cached_property
+    def usual_factor(self) -> float:
+        """R in the usual air over that in the standard, between the same heights; 1 if unknown."""
+        for effect in self.effects[:1]:
+            usual = effects_on_r(
+                self.usual_air, self.adjustment.standard, None, effect.h_c_m, effect.h_g_m
+            )
+            if usual:
+                return usual[0].factor
+        return 1.0
 
     @cached_property
     def camera(self) -> Names:

@@ -1,5 +1,7 @@
 """Messages about what looks like a mistake in a mission file."""
 
+import math
+
 from unbend.errors import Code, MissionError
 from unbend.messages import Message, finding, warning
 
@@ -394,29 +396,42 @@ def many_flagged(*, where: str, percent: float, name: str, most: float, cause: s
 
 PLAUSIBLE_AIR = Code(
     "PLAUSIBLE-AIR",
-    means="R differs from that of US 1976 by more than a factor of 1.5: no air does that.",
+    means=(
+        "R differs from that of the standard atmosphere by more than in any of 479 ascents of "
+        "sondes, and by more than its own sigma explains."
+    ),
     effect="The correction stands; the run ends with 3.",
-    remedy="Check the channels of pressure and temperature: another sensor or unit.",
+    remedy="Check the sources of the air that the entry names: another place, time, unit or zero.",
 )
 
 
 def air_implausible(
-    *, where: str, nadir_deg: float, h_c_m: float, h_g_m: float, factor: float
+    *,
+    where: str,
+    nadir_deg: float,
+    h_c_m: float,
+    h_g_m: float,
+    factor: float,
+    sigma: float,
+    expected: str,
+    sources: str,
 ) -> Message:
-    """A refraction far from that of the standard atmosphere."""
+    """A refraction that real air does not have."""
+    known = "{factor:.2f}" if math.isnan(sigma) else "{factor:.2f} ± {sigma:.2f}"
     return finding(
         PLAUSIBLE_AIR,
-        (
-            "R at {nadir_deg:.0f} deg from {h_c_m:.0f} to {h_g_m:.0f} m is {factor:.2f} times "
-            "that in the standard atmosphere, expected 0.67 to 1.5: likely a barometer or "
-            "thermometer of another place or unit (log.channels.pressure, "
-            "log.channels.temperature)"
-        ),
+        "R at {nadir_deg:.0f} deg from {h_c_m:.0f} to {h_g_m:.0f} m is "
+        + known
+        + " times that in the standard atmosphere, expected {expected}: likely "
+        "another place, time or unit of {sources}",
         where=where,
         nadir_deg=nadir_deg,
         h_c_m=h_c_m,
         h_g_m=h_g_m,
         factor=factor,
+        sigma=sigma,
+        expected=expected,
+        sources=sources,
     )
 
 

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from unbend.atmosphere.estimate.solver import Fit
 from unbend.flight.ground_times import Takeoff
 from unbend.geodesy import wrapped
 from unbend.messages import Message
@@ -16,6 +17,7 @@ from unbend.refraction.calibration import is_fisheye
 from unbend.refraction.camera.camera import Camera
 from unbend.refraction.status_codes import STATUS_NAMES
 from unbend.stages.plausibility import messages
+from unbend.stages.plausibility.air_limits import limits_of_factor
 from unbend.stages.plausibility.causes import EARTH_RADIUS_M, causes_of_statuses
 from unbend.stages.plausibility.facts import Facts
 from unbend.units import Array
@@ -58,7 +60,12 @@ STEEPEST_RAD = 1.4  # nadir angle beyond which a straight slant range means litt
 SMALLEST_RANGE_RATIO = 0.7  # slant range over that of the heights
 LARGEST_RANGE_RATIO = 1.4
 MOST_FLAGGED = 0.2  # share of the rows, for one cause
-LARGEST_EFFECT = 1.5  # R over that in the standard atmosphere, or below its inverse
+KEYS_OF_SOURCES = {
+    "sounding": "atmosphere.soundings",
+    "surface report": "atmosphere.surface",
+    "weather model": "atmosphere.model",
+}
+"""The key of a mission file for each source of the air beside the log, by how its name begins."""
 METRES_OF_A_FOOT = 0.3048
 
 
@@ -391,16 +398,50 @@ def flagged_rows(facts: Facts) -> Findings:
 
 
 def air_of_flight(facts: Facts) -> Findings:
-    """Refraction within a factor of 1.5 of that in the standard air between the same heights."""
+    """Refraction within what real air has, and what the estimate's own sigma explains."""
     for effect in facts.effects[:1]:
-        if not 1.0 / LARGEST_EFFECT < effect.factor < LARGEST_EFFECT:
-            yield messages.air_implausible(
-                where="atmosphere",
-                nadir_deg=effect.nadir_deg,
-                h_c_m=effect.h_c_m,
-                h_g_m=effect.h_g_m,
-                factor=effect.factor,
-            )
+        limits = limits_of_factor(effect.h_c_m - effect.h_g_m, facts.usual_factor)
+        if limits is None or not limits.are_surely_passed(effect.factor, effect.sigma_factor):
+            continue
+        fits = fits_of_air(facts)
+        keys = [key_of_source(fit) for fit in fits]
+        names = [fit.name for fit in fits]
+        yield messages.air_implausible(
+            where=listed(keys),
+            nadir_deg=effect.nadir_deg,
+            h_c_m=effect.h_c_m,
+            h_g_m=effect.h_g_m,
+            factor=effect.factor,
+            sigma=effect.sigma_factor,
+            expected=f"{limits.lowest:.2f} to {limits.highest:.2f}",
+            sources=listed(names),
+        )
+
+
+def fits_of_air(facts: Facts) -> list[Fit]:
+    """The sources that the air was estimated from, the one with most information first.
+
+    It is the likeliest to be wrong where the air is.
+    """
+    fits = [use.fit for use in facts.adjustment.sources if use.fit is not None]
+    return sorted(fits, key=lambda fit: -fit.signal_freedom)
+
+
+def listed(words: list[str]) -> str:
+    """Words in their order, each once.
+
+    >>> listed(["BARO[0]", "BARO[0]", "IMET[0]"])
+    'BARO[0], IMET[0]'
+    """
+    return ", ".join(dict.fromkeys(words))
+
+
+def key_of_source(fit: Fit) -> str:
+    """The key of a mission file that gives a source of the air."""
+    for kind, key in KEYS_OF_SOURCES.items():
+        if fit.name.startswith(kind):
+            return key
+    return f"log.channels.{fit.quantity}"
 
 
 def measured_observations(facts: Facts) -> Findings:

@@ -197,6 +197,7 @@ class ProfileRecord:
     sensors: list[SensorRecord]
     profiles: int
     windows: list[TimeWindowRecord]
+    sigma_departure_at_cameras_k: float | None = None
 
 
 @dataclass(frozen=True)

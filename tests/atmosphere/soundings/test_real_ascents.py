@@ -1,0 +1,63 @@
+"""What is told of 479 public ascents: they are right, so nothing may be told of more than a few."""
+
+from __future__ import annotations
+
+import lzma
+import math
+from collections import Counter
+from collections.abc import Iterator
+from itertools import groupby
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from unbend.atmosphere import standard_atmosphere
+from unbend.atmosphere.profile import profile_from_table
+from unbend.atmosphere.soundings import Sounding, parse_sounding
+from unbend.geodesy import normal_gravity
+from unbend.messages import Ledger
+from unbend.refraction.effect import effects_on_r
+from unbend.stages.plausibility.air_limits import limits_of_factor
+
+MANY = Path(__file__).resolve().parents[3].parent / "shared" / "soundings" / "many"
+
+pytestmark = pytest.mark.shared("soundings/many")
+
+
+def ascents(ledger: Ledger) -> Iterator[Sounding]:
+    for path in sorted(MANY.glob("*.csv.xz")):
+        head, *rows = lzma.decompress(path.read_bytes()).decode().splitlines()
+        for _, of_ascent in groupby(rows, key=lambda row: row.split(",", 1)[0]):
+            yield parse_sounding("\n".join([head, *of_ascent]), ledger)
+
+
+def test_few_of_them_have_anything_to_tell():
+    ledger = Ledger()
+    total = len(list(ascents(ledger)))
+    assert total == 479
+    told = Counter(entry.code for entry in ledger)
+    assert told["SOUNDING-SUPERADIABATIC"] <= 0.01 * total
+    assert told["SOUNDING-INDEX-RISES"] <= 0.01 * total
+
+
+def test_the_refraction_of_none_is_implausible():
+    """At most 0.1 % may be told, which is none of 479."""
+    standard = standard_atmosphere("us1976")
+    checked = 0
+    for sounding in ascents(Ledger()):
+        air = profile_from_table(
+            sounding.h_m,
+            sounding.temperature_k,
+            sounding.pressure_pa,
+            np.nan_to_num(sounding.vapour_pressure_pa),
+            gravity=normal_gravity(sounding.latitude_rad),
+        )
+        ground_m = float(sounding.h_m[0])
+        for climb_m in (500.0, 700.0, 1000.0, 1400.0, 2000.0, 4000.0, 8000.0):
+            for effect in effects_on_r(air, standard, None, ground_m + climb_m, ground_m)[:1]:
+                limits = limits_of_factor(climb_m)
+                assert limits is not None
+                assert not limits.are_surely_passed(effect.factor, math.nan), sounding.name
+                checked += 1
+    assert checked > 3000
