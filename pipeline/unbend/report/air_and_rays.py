@@ -43,8 +43,10 @@ def print_angle(console: Console, angle: Mapping[str, Any]) -> None:
     console.print(f"R_c    {arcsec} arcsec", highlight=False)
     for line in lines:
         console.print(Padding(line, (0, 0, 0, 7), expand=False))
+    light = f"{angle['wavelength_m'] * 1e6:g} um"
     console.print(
-        f"[dim]{angle['atmosphere']}, index {angle['index']}, {angle['method']}, radius "
+        f"[dim]{angle['atmosphere']}, index {angle['index']} at {light}, "
+        f"{angle['method']}, radius "
         f"{angle['radius_m']:.0f} m[/dim]",
         highlight=False,
     )
@@ -126,7 +128,7 @@ def print_radial(console: Console, tables: Sequence[RadialTable]) -> None:
         )
         console.print(
             f"[bold]camera {table.h_c_m:g} m, ground {table.h_g_m:g} m[/bold]: R at 45 deg "
-            f"{table.k_rad / MICRORADIAN:.2f} urad, {manual}"
+            f"{table.k_rad / MICRORADIAN:.2f} urad at {table.wavelength_m * 1e6:g} um, {manual}"
         )
         with_image = bool(np.isfinite(table.radius_px).any())
         columns = columns_of("radial")[: None if with_image else 4]

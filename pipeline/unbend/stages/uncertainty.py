@@ -12,9 +12,15 @@ from unbend.errors import Counted
 from unbend.flight.stations import Stations
 from unbend.messages import Ledger
 from unbend.refraction.uncertainty.budget import StationSigmas, uncertainty_of
-from unbend.refraction.uncertainty.sigmas import OPEN, SCHEDULED, Uncertainty, window_kind_of
+from unbend.refraction.uncertainty.sigmas import (
+    FOLLOWING,
+    OPEN,
+    SCHEDULED,
+    Uncertainty,
+    window_kind_of,
+)
 from unbend.stages import messages
-from unbend.stages.cabin_air import cabin_changes
+from unbend.stages.cabin_air import cabin_changes, with_errors_of_lenses
 from unbend.stages.correction_setup import CorrectionSetup
 from unbend.tables.geodata.object_points import matching_rows
 from unbend.tables.observations import Batch
@@ -34,7 +40,8 @@ def with_uncertainties(
     of the profiles are taken to change all refractions to the same side. A profile without
     covariance gets None if stations, ground and windows have no standard deviation either.
     """
-    cabin = cabin_changes(stations, mission.lenses, air.profiles[0].index)
+    cabin = cabin_changes(stations, mission.lenses, air)
+    cabin = with_errors_of_lenses(cabin, stations, mission.lenses, setup.exposures.changes_px)
     sigmas = replace(station_sigmas(mission, stations), cabin=cabin)
     window_kinds = kinds_of_windows(mission, stations, air)
     any_sigma = has_any_sigma(mission, stations, sigmas, window_kinds)
@@ -105,10 +112,11 @@ def with_common_scale(
 
 
 def kinds_of_windows(mission: Mission, stations: Stations, air: ProfileSeries) -> Integers:
-    """(s,) the kind of window of each exposure: `OPEN`, `SEALED` or `SCHEDULED`.
+    """(s,) the kind of window of each exposure: `OPEN`, `SEALED`, `SCHEDULED` or `FOLLOWING`.
 
-    `SCHEDULED` are windows behind which the pressure is that of the air outside: all of an unsealed
-    cabin, and those below the height at which the schedule begins to hold its pressure.
+    `FOLLOWING` are openings, whose air differs from that outside by stated amounts. `SCHEDULED` are
+    windows behind which the pressure is that of the air outside: all of an unsealed cabin, and
+    those below the height at which the schedule begins to hold its pressure.
     """
     kinds = np.full(len(stations), OPEN, np.int64)
     pressure = air.pressure(stations.h_msl_m)
@@ -119,6 +127,8 @@ def kinds_of_windows(mission: Mission, stations: Stations, air: ProfileSeries) -
             kinds[rows] = window_kind_of(pressure[rows], scheduled=scheduled)
             if window.cabin.source == "ambient":
                 kinds[rows] = SCHEDULED
+            if window.is_opening:
+                kinds[rows] = FOLLOWING
     return kinds
 
 
