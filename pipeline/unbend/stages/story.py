@@ -157,7 +157,14 @@ def correct_mission(
     setup = with_terrain(setup, prepared.terrain, stations, mission.ground.sigma_m, ledger)
     setup = with_intersected_heights(mission, prepared.observations, setup, stations, ledger)
     batch = next(prepared.observations.batches(TYPICAL_ROWS))
-    setup = with_uncertainties(setup, mission, stations, lit_air, batch)
+    setup = with_uncertainties(
+        setup,
+        mission,
+        stations,
+        lit_air,
+        batch,
+        flight_profile_number=air.series.profile_number,
+    )
 
     # The correction, and the user's own control before and after it.
     control = compare_control(

@@ -31,10 +31,18 @@ TYPICAL_ROWS = 2000
 
 
 def with_uncertainties(
-    setup: CorrectionSetup, mission: Mission, stations: Stations, air: ProfileSeries, batch: Batch
+    setup: CorrectionSetup,
+    mission: Mission,
+    stations: Stations,
+    air: ProfileSeries,
+    batch: Batch,
+    *,
+    flight_profile_number: Integers,
 ) -> CorrectionSetup:
     """The setup with what standard deviations and derivatives are computed from, for each profile.
 
+    ``air`` has each profile of the flight in each light; ``flight_profile_number`` (s,) is the
+    profile of the flight of each station, by which cameras of several lights share a leading mode.
     The leading mode of the air is that of rays to the median height of the points of a ``batch``.
     Each profile has a leading mode of its own, but all modes have one common parameter: the errors
     of the profiles are taken to change all refractions to the same side. A profile without
@@ -54,7 +62,9 @@ def with_uncertainties(
         if timed.covariance is None and not any_sigma:
             uncertainties.append(None)
             continue
-        usable = setup.exposures.usable & (air.profile_number == number)
+        in_this_light = air.profile_number == number
+        in_this_air = np.isin(flight_profile_number, flight_profile_number[in_this_light])
+        usable = setup.exposures.usable & in_this_air
         uncertainty = uncertainty_of(
             timed.profile,
             timed.covariance,
