@@ -424,20 +424,27 @@ def index_slopes(index: IndexModel, p: Array, t: Array, e: Array) -> Array:
 
 
 def with_errors_of_lenses(
-    changes: Array, stations: Stations, lenses: Mapping[str, AnyLens], change_px: Array
+    changes: Array,
+    stations: Stations,
+    lenses: Mapping[str, AnyLens],
+    windows: Container[str],
+    change_px: Array,
 ) -> Array:
     """(s, 4) ``changes`` of `cabin_changes`, with the errors of lenses that nobody measured.
 
     ``change_px`` (s,) is what the air in the lens adds to the principal distance. What is unknown
-    of a typical lens counts as an error of the temperature in it, to which it is added in squares;
-    where no other error is known, it is alone.
+    of a typical lens counts as an error of the temperature in it, to which it is added in squares.
+    It is alone for a camera that has no ``windows``, whose lens is in the air outside; behind one
+    of which no error is known, that of the lens alone would be too small, and none stays known.
     """
     changed = changes.copy()
     for name, lens in lenses.items():
         if not isinstance(lens, TypicalLens):
             continue
         rows = stations.camera == name
-        of_camera = np.nan_to_num(changed[rows])
+        of_camera = changed[rows]
+        if name not in windows:
+            of_camera = np.zeros(of_camera.shape)
         by_lens = sigma_of_change(lens, change_px[rows])
         # The sign of the temperature's part stays: it acts through the window as well.
         of_camera[:, 3] = -np.hypot(of_camera[:, 3], by_lens)

@@ -31,7 +31,7 @@ from unbend.tables.manifest.results import CameraAirRecord, FlownCamera
 from unbend.units import Array, Mask
 
 PPM = 1e-6
-DIAGONAL_DEG = 45.0  # the nadir angle at which R is compared with the effect of 1 K at the camera
+COMPARED_AT_DEG = 45.0  # nadir angle of the R that 1 K at the camera is a part of
 
 
 class Air(NamedTuple):
@@ -180,7 +180,7 @@ def kelvin_share(
 
     dn = (n - 1) / T turns a ray by dn tan(45 deg). None where no ray looks down.
     """
-    r_c = [effect.r_c_rad for effect in effects if effect.nadir_deg == DIAGONAL_DEG]
+    r_c = [effect.r_c_rad for effect in effects if effect.nadir_deg == COMPARED_AT_DEG]
     if not r_c or not r_c[0] > 0.0:
         return None
     h = stations.h_msl_m

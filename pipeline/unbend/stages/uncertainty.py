@@ -49,7 +49,9 @@ def with_uncertainties(
     covariance gets None if stations, ground and windows have no standard deviation either.
     """
     cabin = cabin_changes(stations, mission.lenses, air)
-    cabin = with_errors_of_lenses(cabin, stations, mission.lenses, setup.exposures.changes_px)
+    cabin = with_errors_of_lenses(
+        cabin, stations, mission.lenses, mission.windows, setup.exposures.changes_px
+    )
     sigmas = replace(station_sigmas(mission, stations), cabin=cabin)
     window_kinds = kinds_of_windows(mission, stations, air)
     any_sigma = has_any_sigma(mission, stations, sigmas, window_kinds)
