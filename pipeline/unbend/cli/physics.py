@@ -117,14 +117,14 @@ def angle(
             options="several heights, --config, --camera, --focal-px, --csv", other="a table"
         )
     with answer.progress("tracing the ray"):
-        from unbend.atmosphere.refractive_index import DEFAULT_WAVELENGTH_M
+        from unbend.atmosphere.refractive_index import DEFAULT_WAVELENGTH_M, IndexModel
         from unbend.refraction.angle import one_angle
         from unbend.report.air_and_rays import print_angle
 
+        light = IndexModel(index, DEFAULT_WAVELENGTH_M if wavelength is None else wavelength)
         result = one_angle(
             atmosphere=atmosphere or DEFAULT_ATMOSPHERE,
-            index=index,
-            wavelength_m=DEFAULT_WAVELENGTH_M if wavelength is None else wavelength,
+            index=light,
             camera_height=camera_height[0],
             ground_height=ground_height,
             nadir_angle=nadir_angle,

@@ -9,7 +9,11 @@ from numpy.typing import NDArray
 
 from unbend.atmosphere import standard_atmosphere
 from unbend.atmosphere.profile import Profile
-from unbend.atmosphere.refractive_index import DEFAULT_WAVELENGTH_M, INDEX_OF_ONE_LIGHT
+from unbend.atmosphere.refractive_index import (
+    DEFAULT_WAVELENGTH_M,
+    INDEX_OF_ONE_LIGHT,
+    IndexModel,
+)
 from unbend.refraction import messages, ray
 from unbend.refraction.image import ground_displacement
 from unbend.refraction.published.bertram import manual
@@ -23,29 +27,30 @@ def one_angle(
     ground_height: float,
     nadir_angle: float,
     *,
-    index: str = "ciddor",
-    wavelength_m: float = DEFAULT_WAVELENGTH_M,
+    index: str | IndexModel = "ciddor",
     radius: float = ray.DEFAULT_RADIUS_M,
     method: str = "spherical",
     distance: float | None = None,
 ) -> dict[str, Any]:
     """One refraction angle through a standard atmosphere, as ``unbend angle`` prints it.
 
-    Heights [m above sea level], nadir angle [degrees], wavelength of vacuum [m], radius of the
-    earth [m]; ``distance`` [m] is the slant range, which decides where the ray meets the ground's
-    height twice; published methods know the near crossing only. ``status`` is ``ok``,
-    ``beyond_grazing`` (twice, the near crossing taken for want of a distance) or ``far_branch``.
-    ``ground_m`` is None where the straight apparent ray passes over the horizon and only the bent
-    one lands.
+    Heights [m above sea level], nadir angle [degrees], formula of the index (with its light, or by
+    its name), radius of the earth [m]; ``distance`` [m] is the slant range, which decides where the
+    ray meets the ground's height twice; published methods know the near crossing only. ``status``
+    is ``ok``, ``beyond_grazing`` (twice, the near crossing taken for want of a distance) or
+    ``far_branch``. ``ground_m`` is None where the straight apparent ray passes over the horizon and
+    only the bent one lands.
 
     >>> round(one_angle("us1976", 1e4, 0.0, 75.0, index="gyer")["r_c_arcsec"], 6)
     61.778543
     """
     if distance is not None and not 0.0 < distance < math.inf:
         raise messages.angle_distance(distance=distance)
-    if index in INDEX_OF_ONE_LIGHT and wavelength_m != DEFAULT_WAVELENGTH_M:
-        raise messages.angle_wavelength(index=index)
-    air = standard_atmosphere(atmosphere, index=index, wavelength_m=wavelength_m)
+    if isinstance(index, str):
+        index = IndexModel(index)
+    if index.name in INDEX_OF_ONE_LIGHT and index.wavelength_m != DEFAULT_WAVELENGTH_M:
+        raise messages.angle_wavelength(index=index.name)
+    air = standard_atmosphere(atmosphere, index=index.name, wavelength_m=index.wavelength_m)
     zeta = nadir_angle * DEGREE
     r_c, status = ray.angle_and_status(
         air,
@@ -69,7 +74,7 @@ def one_angle(
         "ground_m": None if math.isnan(ground) else ground,
         "status": STATUS_NAMES[code],
         "atmosphere": atmosphere,
-        "index": index,
+        "index": index.name,
         "wavelength_m": air.index.light_m,
         "method": method,
         "camera_height_m": camera_height,

@@ -240,17 +240,13 @@ def with_cabin_air(
         rows = stations.camera == name
         logged = CabinAir(*(column[rows] for column in columns))
         ambient = OutsideAir(*(values[rows] for values in outside))
-        if window.is_opening:
-            air = air_in_opening(cabin, ambient)
-        else:
-            air = air_in(cabin, logged, ambient)
+        air = air_in(cabin, logged, ambient)
         for column, values in zip(columns, air, strict=True):
             column[rows] = values
-        if window.is_opening:
-            continue  # stated as differences, of which none is odd in any air
         report_humidity(name, cabin, logged, stations.ok[rows], ledger)
         report_schedule(name, cabin, h[rows], stations.ok[rows], ledger)
-        report_implausible(name, air, ambient, stations.ok[rows], ledger)
+        if not window.is_opening:
+            report_implausible(name, air, ambient, stations.ok[rows], ledger)
     return replace(
         stations,
         cabin_pressure_pa=columns.pressure_pa,
@@ -331,8 +327,11 @@ def air_in(cabin: Cabin, logged: CabinAir, outside: OutsideAir) -> CabinAir:
 
     The temperature is the stated one, else the schedule's or the logged one, else 21 degC. The
     humidity is the stated one, else the logged one, else that of the air outside if the cabin has
-    that air, else none. Stated sigmas come first; a stated temperature has no other.
+    that air, else none. Stated sigmas come first; a stated temperature has no other. That in an
+    opening is by `air_in_opening`.
     """
+    if cabin.source == "opening":
+        return air_in_opening(cabin, outside)
     blank = np.full(logged.pressure_pa.shape, np.nan)  # makes a column of a number in first_known
     temperature_logged = logged.temperature_k
     vapour_logged = logged.vapour_pressure_pa

@@ -28,17 +28,23 @@ def air_by_camera(
     light_number = np.zeros(len(cameras), np.int64)  # 0: the light of the profiles
     for name, wavelength_m in wavelengths_m.items():
         light_number[cameras == name] = 1 + lights_m.index(wavelength_m)
+
+    # Each profile in each light that is needed there, numbered as a pair.
     choices = 1 + len(lights_m)
-    pairs = air.profile_number * choices + light_number
-    used_pairs, number = np.unique(pairs, return_inverse=True)
+    pair_of_station = air.profile_number * choices + light_number
+    pairs, number = np.unique(pair_of_station, return_inverse=True)
     timed_profiles = []
-    for pair in used_pairs.tolist():
-        profile_number, light = divmod(pair, choices)
+    for pair in pairs.tolist():
+        profile_number = pair // choices
+        light = pair % choices
         timed = air.timed_profiles[profile_number]
         if light > 0:
             timed = in_light(timed, lights_m[light - 1])
         timed_profiles.append(timed)
-    return ProfileSeries(tuple(timed_profiles), number.astype(np.int64))
+    return ProfileSeries(
+        timed_profiles=tuple(timed_profiles),
+        profile_number=number.astype(np.int64),
+    )
 
 
 def require_wavelengths(index: IndexModel, where: str) -> None:
@@ -50,11 +56,16 @@ def require_wavelengths(index: IndexModel, where: str) -> None:
 def in_light(timed: TimedProfile, wavelength_m: float) -> TimedProfile:
     """The same air, with the refractivity and the sigmas at a wavelength of vacuum [m]."""
     index = replace(timed.profile.index, wavelength_m=wavelength_m)
+    profile = replace(timed.profile, index=index)
     covariance = timed.own_covariance
     if covariance is not None:
-        covariance = replace(covariance, profile=replace(covariance.profile, index=index))
-    profile = replace(timed.profile, index=index)
-    return replace(timed, profile=profile, own_covariance=covariance)
+        lit_profile = replace(covariance.profile, index=index)
+        covariance = replace(covariance, profile=lit_profile)
+    return replace(
+        timed,
+        profile=profile,
+        own_covariance=covariance,
+    )
 
 
 def index_of_rows(air: Profile | ProfileSeries, rows: Mask) -> IndexModel:

@@ -152,6 +152,7 @@ def rebuild_run(
     stations = stations_of(table)
     common_air = air_of(pq.read_table(path / "profile.parquet"), table["profile_id"])
     air = air_by_camera(common_air, stations.camera, mission.wavelengths_m)
+    wavelengths = json.dumps(lights_of(mission, common_air))
     method = mission.refraction.method
     outputs = sorted(item.name for item in manifest.run.outputs)
     already_reported = Ledger()  # the run has made these notes, and its manifest has them
@@ -170,7 +171,7 @@ def rebuild_run(
             "unbend.mission": mission.mission.name,
             "unbend.fingerprint": manifest.run.fingerprint,
             "unbend.pixel_origin": mission.observations.pixel_origin,
-            "unbend.wavelength_m": json.dumps(lights_of(mission, common_air)),
+            "unbend.wavelength_m": wavelengths,
         },
         database=partial(database_of, mission, manifest, path),
     )
@@ -180,8 +181,12 @@ def rebuild_run(
 
 def lights_of(mission: Mission, air: ProfileSeries) -> dict[str, float]:
     """The wavelength in vacuum [m] of the refraction of each camera."""
-    lights = dict.fromkeys(mission.cameras, air.index.light_m)
-    return lights | mission.wavelengths_m
+    common_m = air.index.light_m
+    lights = {}
+    for name in mission.cameras:
+        own_m = mission.wavelengths_m.get(name)
+        lights[name] = common_m if own_m is None else own_m
+    return lights
 
 
 def cameras_of(mission: Mission) -> dict[str, ExportCamera]:

@@ -107,8 +107,10 @@ def radial_columns(table: RadialTable) -> dict[str, object]:
 
 def radial_tables(run: FinishedRun, _: Values, ledger: Ledger) -> Tables:
     """A table for each camera and each height above ground that its images share, lowest first."""
-    airs_of_cameras = [np.unique(run.air.profile_number[run.rows_of(name)]) for name in run.cameras]
-    most_airs = max((airs.size for airs in airs_of_cameras), default=0)
+    most_airs = 0
+    for name in run.cameras:
+        airs = np.unique(run.air.profile_number[run.rows_of(name)])
+        most_airs = max(most_airs, airs.size)
     if most_airs > 1:
         ledger.add(messages.air_changes(where="profile.parquet", count=most_airs))
     for name, camera in run.cameras.items():
