@@ -94,7 +94,8 @@ def results_of_mission(
 ) -> ResultsRecord:
     """What the manifest says of the results; ``causes`` are those of statuses of rows.
 
-    ``lit_air`` are the profiles of the setup, each in the light of its cameras. Holds no clock, no host name and no path: the same inputs give the same bytes.
+    ``lit_air`` are the profiles of the setup, each in the light of its cameras. Holds no clock, no
+    host name and no path: the same inputs give the same bytes.
     """
     flown = record_of_flight(stations, setup, statistics)
     happened = {status: cause for status, cause in causes.items() if statistics.status.get(status)}
