@@ -518,7 +518,7 @@ def test_every_cell_of_a_radial_table():
         context.setattr("unbend.tables.exports.correction_tables.radial_columns", lambda _: columns)
         lines = printed(print_radial, [table])
     assert lines[0] == (
-        "camera 3210 m, ground 123 m: R at 45 deg 34.56 urad at 0.85 um, the Manual's formula 29.87"
+        "camera 3210 m, ground 123 m: R at 45 deg 34.56 urad, the Manual's formula 29.87"
     )
     assert cells(lines[1:2]) == [["nadir angle [deg]", "R_c [arcsec]", "R_c [urad]", "ground [m]",
                                   "radius [px]", "dr [px]"]]  # fmt: skip
@@ -528,6 +528,7 @@ def test_every_cell_of_a_radial_table():
         ["89.00", "misses_ground"],
     ]
     assert " ".join(" ".join(lines[5:]).split()).startswith("No metres on the ground: the straight")
+    assert lines[-1] == "Light of 0.85 um."
 
 
 def test_every_cell_of_a_papers_table():

@@ -128,7 +128,7 @@ def print_radial(console: Console, tables: Sequence[RadialTable]) -> None:
         )
         console.print(
             f"[bold]camera {table.h_c_m:g} m, ground {table.h_g_m:g} m[/bold]: R at 45 deg "
-            f"{table.k_rad / MICRORADIAN:.2f} urad at {table.wavelength_m * 1e6:g} um, {manual}"
+            f"{table.k_rad / MICRORADIAN:.2f} urad, {manual}"
         )
         with_image = bool(np.isfinite(table.radius_px).any())
         columns = columns_of("radial")[: None if with_image else 4]
@@ -142,3 +142,5 @@ def print_radial(console: Console, tables: Sequence[RadialTable]) -> None:
     if any(bool(np.isnan(t.shift_ground_m[np.isfinite(t.r_c_rad)]).any()) for t in tables):
         over = summary.report_texts()["angle"]["over"]
         console.print(f"{over[:1].upper()}{over[1:]}.")
+    lights = sorted({table.wavelength_m for table in tables})
+    console.print(f"Light of {', '.join(f'{light * 1e6:g}' for light in lights)} um.")
