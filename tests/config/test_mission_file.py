@@ -245,7 +245,7 @@ def with_opening() -> dict[str, Any]:
         "warmer_k": 10.0, "pressure_excess_hpa": -3.0, "sigma_warmer_k": 4.0,
         "sigma_pressure_excess_hpa": 1.0, "frame": "camera", "normal": [0.0, 0.0, 1.0],
     }  # fmt: skip
-    nadir |= {"opening": opening, "wavelength_m": 8.5e-7}
+    nadir["opening"] = opening
     return FULL | {"cameras": FULL["cameras"] | {"nadir": nadir}}
 
 
