@@ -76,6 +76,11 @@ flight's own sensors, which are biased, lag and drift.
 OTHER_BLOCKS = """
 Another layout of a block gives other numbers, real adjustments have other errors beside this one,
 and at 120 m above ground all of it is 0.006 px.
+
+The lens of these cameras does not know of the air in it. A real one, calibrated in a laboratory, is
+off by 130 to 310 ppm of its principal distance at 6 km: 0.8 to 1.9 m of height where nothing
+absorbs it, more than the refraction of this table. It is removed where the mission file states
+[the air of the calibration](pages/guide/lens.md); self-calibration and control absorb it too.
 """
 TWICE = """
 In the last two rows the calibration comes from uncorrected images (control, GNSS) and holds

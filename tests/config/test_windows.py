@@ -15,6 +15,7 @@ import yaml
 
 from unbend.config import Mission, load_mission
 from unbend.errors import ConfigError
+from unbend.refraction.lens_air import TypicalLens
 
 SCHEDULE = "standard_schedule"
 LENS = {
@@ -150,11 +151,63 @@ def test_the_lens_in_si(load):
     assert load(config()).cameras["nadir"].lens is None
 
 
-@pytest.mark.parametrize("key", ["reference", "dc_dp_px_per_hpa", "dc_dt_px_per_k"])
-def test_a_lens_is_described_whole(load, key):
+@pytest.mark.parametrize(
+    ("key", "word"),
+    [
+        ("reference", "principal_distance.reference: is missing"),
+        ("dc_dp_px_per_hpa", "give both dc_dp_px_per_hpa and dc_dt_px_per_k, or neither"),
+        ("dc_dt_px_per_k", "give both dc_dp_px_per_hpa and dc_dt_px_per_k, or neither"),
+    ],
+)
+def test_a_lens_is_described_whole(load, key, word):
     lens = copy.deepcopy(LENS)
     del lens[key]
-    assert f"principal_distance.{key}: is missing" in refusal(load, config(principal_distance=lens))
+    assert word in refusal(load, config(principal_distance=lens))
+
+
+def test_the_air_of_the_calibration_alone_is_a_typical_lens(load):
+    lens = load(config(principal_distance={"reference": LENS["reference"]})).lenses["nadir"]
+    assert lens == TypicalLens(19_990.0, 95_000.0, 293.15)
+
+
+def test_an_opening_in_si(load):
+    given = {"warmer_k": 12.0, "pressure_excess_hpa": -4.0, "frame": "body", "normal": [0, 0, 2]}
+    window = load(config(opening=given)).windows["nadir"]
+    air = window.cabin
+    assert (window.section, window.frame, window.normal) == ("opening", "body", (0.0, 0.0, 1.0))
+    assert (air.source, air.warmer_k, air.excess_pa) == ("opening", 12.0, -400.0)
+    assert (air.sigma_temperature_k, air.sigma_pressure_pa) == (6.0, 200.0)
+    sigmas = {"sigma_warmer_k": 1.5, "sigma_pressure_excess_hpa": 0.5}
+    air = load(config(opening=given | sigmas)).windows["nadir"].cabin
+    assert (air.sigma_temperature_k, air.sigma_pressure_pa) == (1.5, 50.0)
+    camera = load(config(opening=given, principal_distance=LENS)).cameras["nadir"]
+    assert not camera.needs_cabin_from_log
+
+
+@pytest.mark.parametrize(
+    ("keys", "word"),
+    [
+        ({"opening": {}}, "opening.warmer_k: is missing"),
+        ({"opening": {"warmer_k": 70.0}}, "opening.warmer_k"),
+        ({"opening": {"warmer_k": 5.0, "normal": [0.0, 0.0, -1.0]}}, "third component"),
+        (
+            {"opening": {"warmer_k": 5.0, "frame": "body", "normal": [1.0, 0.0, 0.0]}},
+            "the opening of camera 'nadir' looks away",
+        ),
+        (
+            {"opening": {"warmer_k": 5.0}, "window": {"cabin": SCHEDULE}},
+            "window and opening: the camera looks through one of them",
+        ),
+    ],
+)
+def test_openings_that_cannot_be(load, keys, word):
+    assert word in refusal(load, config(**keys))
+
+
+def test_a_light_for_each_camera(load):
+    assert load(config()).wavelengths_m == {}
+    assert load(config(wavelength_m=8.5e-7)).wavelengths_m == {"nadir": 8.5e-7}
+    assert "wavelength_m" in refusal(load, config(wavelength_m=850.0))
 
 
 def test_windows_lenses_mounts_and_cameras_are_built_once(load):

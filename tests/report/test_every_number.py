@@ -499,11 +499,12 @@ def test_every_number_of_an_angle():
     angle = {
         "r_c_arcsec": 1.2345678, "r_c_urad": 5.9876543, "ground_m": 0.3456789, "status": "ok",
         "atmosphere": "icao", "index": "gyer", "method": "plane", "radius_m": 6_371_000.0,
+        "wavelength_m": 0.589e-6,
     }  # fmt: skip
     lines = [line.strip() for line in printed(print_angle, angle)]
     assert lines == [
         "R_c    1.2346 arcsec", "5.9877 microradians", "0.34568 m on the ground",
-        "icao, index gyer, plane, radius 6371000 m",
+        "icao, index gyer at 0.589 um, plane, radius 6371000 m",
     ]  # fmt: skip
 
 
@@ -520,6 +521,7 @@ def test_every_cell_of_a_radial_table():
     }
     for name, value in {
         "h_c_m": 3210.0, "h_g_m": 123.0, "k_rad": 34.56e-6, "k_manual_rad": 29.87e-6,
+        "wavelength_m": 0.85e-6,
         "radius_px": np.array(columns["radius_px"]), "r_c_rad": np.array([1.0, 2.0, np.nan]),
         "shift_ground_m": np.array(columns["shift_ground_m"]),
     }.items():  # fmt: skip
@@ -539,6 +541,7 @@ def test_every_cell_of_a_radial_table():
         ["89.00", "misses_ground"],
     ]
     assert " ".join(" ".join(lines[5:]).split()).startswith("No metres on the ground: the straight")
+    assert lines[-1] == "Light of 0.85 um."
 
 
 def test_every_cell_of_a_papers_table():

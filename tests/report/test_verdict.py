@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from unbend.report.summary import next_steps, remarks, verdict
+from unbend.report.summary import next_steps, outcome, remarks
 
 from .manifests import manifest_of
 
@@ -28,7 +28,7 @@ def ran(mission, code: int) -> tuple[dict, str, str]:
     assert ended.code == code, ended.text
     manifest = values_of(mission)
     steps = " ".join(next_steps(manifest_of(manifest)))
-    text = verdict(manifest_of(manifest))
+    text = outcome(manifest_of(manifest))
     printed = " ".join(ended.out.split())
     assert text in printed
     assert steps in printed
@@ -47,7 +47,7 @@ def test_all_corrected(baseline):
     manifest = values_of(baseline)
     rows = baseline.results().to_pandas()
     moved = np.hypot(rows["x_corrected_px"] - rows["x_px"], rows["y_corrected_px"] - rows["y_px"])
-    text = verdict(manifest_of(manifest))
+    text = outcome(manifest_of(manifest))
     assert text.startswith("All 59 observations were corrected by up to ")
     assert f" on the ground, {moved.max():.2g} px in the image, " in text
     centimetres = float(text.split("up to ")[1].split(" cm on")[0])
@@ -116,12 +116,12 @@ def test_a_correction_too_small_to_matter(baseline):
     manifest = copy.deepcopy(values_of(baseline))
     for of in (manifest["correction"]["shift_px"], manifest["correction"]["shift_ground_m"]):
         of["maximum"] /= 30.0
-    assert verdict(manifest_of(manifest)).endswith(
+    assert outcome(manifest_of(manifest)).endswith(
         " in the image, less than can be measured there: not needed here."
     )
     assert any("it makes no difference" in step for step in next_steps(manifest_of(manifest)))
     manifest["correction"]["shift_px"]["count"] = 40
-    assert "not needed" not in verdict(manifest_of(manifest))
+    assert "not needed" not in outcome(manifest_of(manifest))
 
 
 @pytest.mark.parametrize(
@@ -138,7 +138,7 @@ def test_the_cabin_is_in_it_from_two_percent_on(baseline, cabin, air, end):
     manifest = copy.deepcopy(values_of(baseline))
     manifest["cabin_sigma_share"]["median"] = cabin
     manifest["uncertainty"] = None if air is None else {"scale_sigma": air}
-    assert "cabin" not in verdict(manifest_of(manifest))
+    assert "cabin" not in outcome(manifest_of(manifest))
     if end is None:
         assert remarks(manifest_of(manifest)) == []
     else:
@@ -181,7 +181,7 @@ def test_nothing_that_ended_with_three_is_ready(baseline, kind):
     """Of the losses only those of single rows, which have no coordinates, leave the rest ready."""
     manifest = copy.deepcopy(values_of(baseline))
     manifest["ledger"] += [{"kind": kind, "code": "LOG-BAD-BYTES", "what": "77 bytes"}] * 2
-    text = verdict(manifest_of(manifest))
+    text = outcome(manifest_of(manifest))
     assert READY not in text
     noun = {"loss": "1 loss", "finding": "1 likely mistake"}[kind]
     assert text.endswith(f"{LOOK}{noun} (LOG-BAD-BYTES).")
@@ -190,4 +190,4 @@ def test_nothing_that_ended_with_three_is_ready(baseline, kind):
 def test_a_published_method_is_not_for_work(baseline):
     manifest = copy.deepcopy(values_of(baseline))
     manifest["config"]["refraction"]["method"] = "gyer1996"
-    assert verdict(manifest_of(manifest)).endswith("the method gyer1996, published for comparison.")
+    assert outcome(manifest_of(manifest)).endswith("the method gyer1996, published for comparison.")

@@ -217,7 +217,7 @@ def claimed(at: Stations, lens: LensInAir | None = None, normal=(0.0, 0.0, 1.0),
                              radius_m=RADIUS)  # fmt: skip
     one = np.zeros(1)
     sigmas = StationSigmas(one + np.nan, one + np.nan, np.array([[0.0, 0.0, 1.0]]), one,
-                           cabin_changes(at, lenses, US1976.index))  # fmt: skip
+                           cabin_changes(at, lenses, US1976))  # fmt: skip
     uncertainty = uncertainty_of(
         US1976, None, exposures, sigmas, [(camera, np.ones(1, bool))], ground_heights_m=(0.0, 0.0),
         window_kinds=np.array([SEALED]),

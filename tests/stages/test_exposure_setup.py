@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -22,7 +23,8 @@ from unbend.refraction.camera.camera import LensInAir
 from unbend.refraction.printed_tables import gyer_air, printed_table
 from unbend.refraction.window import Cabin, Window, refract_at_window
 from unbend.stages.cabin_air import with_cabin_air
-from unbend.stages.exposure_setup import exposures_of, report_lenses, report_windows
+from unbend.stages.camera_air import report_lenses
+from unbend.stages.exposure_setup import exposures_of, report_windows
 from unbend.units import ARCSEC
 
 SECOND = 1_000_000_000
@@ -284,8 +286,10 @@ def test_what_stays_in_is_said_once():
         "c": Window(None, shape="spherical"),
     }  # fmt: skip
     report_windows(windows, ledger)
-    report_lenses(("a", "b", "c"), {"b": LENS}, ledger)
-    report_lenses(("b",), {"b": LENS}, ledger)
+    at = stations(3000.0)
+    three = SimpleNamespace(cameras=dict.fromkeys("abc"), lenses={"b": LENS}, windows={})
+    report_lenses(three, at, US1976, ledger)
+    report_lenses(SimpleNamespace(cameras={"b": None}, lenses={"b": LENS}), at, US1976, ledger)
     said = {(e.where.split(".")[1], e.code): e.what for e in ledger}
     assert len(said) == len(ledger) == 4
     assert {e.kind for e in ledger} == {Kind.NOTE}

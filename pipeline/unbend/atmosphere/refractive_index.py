@@ -171,6 +171,13 @@ def refractivity_ciddor(
     )
 
 
+INDEX_OF_ONE_LIGHT = ("gyer",)
+"""Formulas for one wavelength, which no other changes."""
+
+GYER_WAVELENGTH_M = 0.589e-6
+"""That of Gyer's Eq. 13."""
+
+
 @dataclass(frozen=True)
 class IndexModel:
     """Which formula gives the refractive index, and for which light.
@@ -186,6 +193,11 @@ class IndexModel:
     def __post_init__(self) -> None:
         if self.name not in INDEX_MODELS:
             raise messages.unknown_index(name=self.name, names=", ".join(INDEX_MODELS))
+
+    @property
+    def light_m(self) -> float:
+        """The wavelength in vacuum [m] that the refractivity is of, whatever was asked for."""
+        return GYER_WAVELENGTH_M if self.name in INDEX_OF_ONE_LIGHT else self.wavelength_m
 
     def refractivity(
         self, temperature_k: ArrayLike, pressure_pa: ArrayLike, vapour_pressure_pa: ArrayLike

@@ -656,3 +656,23 @@ def other_images(*, where: object, absent: str, present: str) -> InputError:
         absent=absent,
         present=present,
     )
+
+
+ANGLE_CAMERA = Code(
+    "ANGLE-CAMERA",
+    means="The mission has no camera of the name that `unbend angle --camera` gives.",
+    effect="The command is refused.",
+    remedy="Give the name of a camera of the mission file.",
+)
+
+
+def no_such_camera(*, where: str, name: str, names: str) -> ConfigError:
+    """`unbend angle` is given a camera that the mission does not have."""
+    return ConfigError(
+        ANGLE_CAMERA,
+        "the mission has no camera {name!r}; it has {names}",
+        where=where,
+        name=name,
+        names=names,
+        remedy="give one of these",
+    )

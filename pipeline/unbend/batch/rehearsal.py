@@ -270,7 +270,7 @@ def changed_setups(
     tilted = replace(exposures, rotation=about_x @ exposures.rotation)  # about each camera's x
     method = corrected.facts.mission.refraction.method
     warm_rays = []
-    for profile in corrected.air.series.profiles:
+    for profile in corrected.lit_air.profiles:
         warm_rays.append(rays_by(warmer(profile, _WARMER_K), method))
     return {
         f"{_MORE_HEIGHT_M:g} m of height": replace(setup, exposures=higher),

@@ -10,8 +10,9 @@ from pathlib import Path
 from unbend.atmosphere import standard_atmosphere
 from unbend.atmosphere.air_samples import AirSamples
 from unbend.atmosphere.estimate.adjusted_profile import unadjusted
+from unbend.atmosphere.profile import Profile
 from unbend.atmosphere.series.profile_series import TimedProfile, constant_series
-from unbend.batch import opening, remote, store
+from unbend.batch import messages, opening, remote, store
 from unbend.batch.differences import reasons_to_run
 from unbend.batch.executors import Outcome
 from unbend.batch.input_files import Input
@@ -29,6 +30,7 @@ from unbend.report.html import write_report
 from unbend.report.progress import Progress
 from unbend.stages.correction import correct_counted
 from unbend.stages.correction_setup import CorrectionSetup
+from unbend.stages.light import in_light, require_wavelengths
 from unbend.stages.results import observation_metadata
 from unbend.stages.statistics import SAMPLED_ROWS, Statistics
 from unbend.stages.story import CorrectedMission, PreparedMission, correct_mission, prepare_mission
@@ -291,6 +293,36 @@ def finish_run(plan: Plan, folder: store.RunFolder, manifest: Manifest, flown: F
 def read_mission(mission: MissionRef | Path) -> PreparedMission:
     """A mission with everything read, its stations built and its air estimated."""
     return prepare(plan_of(mission), Progress())
+
+
+def profile_in_light(
+    config: Path | None,
+    atmosphere: str | None,
+    *,
+    camera: str | None = None,
+    wavelength_m: float | None = None,
+) -> tuple[Profile, Ledger]:
+    """The profile of a mission, or a standard atmosphere by its name, in one light.
+
+    That is a wavelength of vacuum [m], else the light of one of the mission's cameras, else that of
+    the whole mission or standard. Refuses (ConfigError ANGLE-CAMERA) a camera that is not there.
+    """
+    if config is None:
+        profile = standard_atmosphere(atmosphere or "")
+        ledger = Ledger()
+    else:
+        prepared = read_mission(config)
+        profile = prepared.air.adjustment.profile
+        ledger = prepared.ledger
+        cameras = prepared.mission.cameras
+        if camera is not None and camera not in cameras:
+            raise messages.no_such_camera(where=str(config), name=camera, names=", ".join(cameras))
+        if camera is not None and wavelength_m is None:
+            wavelength_m = cameras[camera].wavelength_m
+    if wavelength_m is None:
+        return profile, ledger
+    require_wavelengths(profile.index, "--wavelength")
+    return in_light(TimedProfile(None, profile), wavelength_m).profile, ledger
 
 
 def air_of_mission_or_standard(

@@ -68,6 +68,9 @@ def angle(
     ] = None,
     method: Annotated[str, Option(autocompletion=_methods)] = DEFAULT_METHOD,
     index: Annotated[str, Option(help="ciddor or gyer (Eq. 13)")] = "ciddor",
+    wavelength: Annotated[
+        float | None, Option(help="of the light in vacuum, metres, by default 0.55e-6")
+    ] = None,
     radius: Annotated[float, Option(help="radius of the earth, metres")] = 6_371_000.0,
     distance: Annotated[
         float | None,
@@ -75,6 +78,9 @@ def angle(
     ] = None,
     config: Annotated[
         Path | None, Option(help="of a table: a mission file, for the air it flew in")
+    ] = None,
+    camera: Annotated[
+        str | None, Option(help="with --config: the camera in whose light, by its name")
     ] = None,
     focal_px: Annotated[float | None, Option(help="of a table: principal distance, pixels")] = None,
     max_angle: Annotated[float, Option(help="of a table: largest nadir angle, degrees")] = 60.0,
@@ -97,23 +103,28 @@ def angle(
             ground_height,
             atmosphere=atmosphere,
             config=config,
+            camera=camera,
+            wavelength=wavelength,
             focal_px=focal_px,
             max_angle=max_angle,
             step=step,
             radius=radius,
             csv=csv,
         )
-    if len(camera_height) > 1 or config is not None or focal_px is not None or csv is not None:
+    of_table = (config, camera, focal_px, csv)
+    if len(camera_height) > 1 or any(value is not None for value in of_table):
         raise messages.angle_options(
-            options="several heights, --config, --focal-px, --csv", other="a table"
+            options="several heights, --config, --camera, --focal-px, --csv", other="a table"
         )
     with answer.progress("tracing the ray"):
+        from unbend.atmosphere.refractive_index import DEFAULT_WAVELENGTH_M, IndexModel
         from unbend.refraction.angle import one_angle
         from unbend.report.air_and_rays import print_angle
 
+        light = IndexModel(index, DEFAULT_WAVELENGTH_M if wavelength is None else wavelength)
         result = one_angle(
             atmosphere=atmosphere or DEFAULT_ATMOSPHERE,
-            index=index,
+            index=light,
             camera_height=camera_height[0],
             ground_height=ground_height,
             nadir_angle=nadir_angle,
@@ -132,6 +143,8 @@ def print_table_of_angles(
     *,
     atmosphere: str | None,
     config: Path | None,
+    camera: str | None,
+    wavelength: float | None,
     focal_px: float | None,
     max_angle: float,
     step: float,
@@ -142,17 +155,21 @@ def print_table_of_angles(
     if config is None and atmosphere is None:
         atmosphere = DEFAULT_ATMOSPHERE
     require_one_atmosphere(config, atmosphere)
+    if camera is not None and config is None:
+        raise messages.angle_options(options="--camera", other="a mission file (--config)")
     with answer.progress("estimating the air"):
-        from unbend.batch.runs import air_of_mission_or_standard
+        from unbend.batch.runs import profile_in_light
         from unbend.refraction.angle import angles_to, radial_table
         from unbend.report.air_and_rays import print_radial, radial_rows
 
         angles = angles_to(max_angle, step)
-        air, _, ledger = air_of_mission_or_standard(config, atmosphere)
+        profile, ledger = profile_in_light(
+            config, atmosphere, camera=camera, wavelength_m=wavelength
+        )
         tables = []
         for height in camera_heights:
             table = radial_table(
-                air.adjustment.profile,
+                profile,
                 height,
                 ground_height,
                 angles,

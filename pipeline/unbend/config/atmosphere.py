@@ -454,7 +454,7 @@ class AtmosphereSection(Section):
         0.55e-6,
         ge=0.3e-6,
         le=1.7e-6,
-        description="wavelength of the light in vacuum",
+        description="wavelength of the light in vacuum, of cameras that state none of their own",
         examples=[5.5e-07],
         json_schema_extra={"unit": "m"},
     )

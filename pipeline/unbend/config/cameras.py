@@ -21,15 +21,16 @@ from unbend.config.section import (
     Section,
     SectionError,
 )
-from unbend.config.windows import WindowSection
+from unbend.config.windows import OpeningSection, WindowSection
 from unbend.errors import PhysicsError
-from unbend.refraction import BrownConrady, Camera, LensInAir
+from unbend.refraction import BrownConrady, Camera, Window
 from unbend.refraction.calibration import (
     MODELS,
     camera_of_model,
     model_of_camera,
     refuse_impossible,
 )
+from unbend.refraction.lens_air import AnyLens
 from unbend.tables.imports.blocks import BLOCKS, read_camera
 from unbend.tables.pixels import ImageFrame, PixelOrigin, PixelSystem
 
@@ -37,6 +38,7 @@ SHORTEST_DISTANCE_PX = 10  # a focal length in millimetres is shorter than its i
 LONGEST_DISTANCE_PX = 1e6
 
 PrincipalDistance = Annotated[float, Field(ge=SHORTEST_DISTANCE_PX, le=LONGEST_DISTANCE_PX)]
+Wavelength = Annotated[float, Field(ge=0.3e-6, le=1.7e-6)]
 Coefficient = Annotated[float, Field(ge=-10, le=10)]
 
 
@@ -193,15 +195,31 @@ class CameraSection(Section):
         ),
         examples=["laboratory"],
     )
+    wavelength_m: Wavelength | None = Field(
+        None,
+        description=(
+            "wavelength in vacuum of the light that this camera sees; by default that of "
+            "atmosphere.wavelength_m. A multispectral rig has a camera for each band"
+        ),
+        examples=[8.5e-07],
+        json_schema_extra={"unit": "m"},
+    )
     window: WindowSection | None = Field(
         None,
         description="the window that the camera looks through; leave it out where there is none",
     )
+    opening: OpeningSection | None = Field(
+        None,
+        description=(
+            "an open hatch, or a lens in the skin: how the air before the lens differs from that "
+            "outside; leave it out where it does not"
+        ),
+    )
     principal_distance: LensSection | None = Field(
         None,
         description=(
-            "how the principal distance follows the air in the lens; without it that change is not "
-            "removed"
+            "the air in the lens during the calibration, from which the principal distance in "
+            "flight follows; without it that change is not removed"
         ),
     )
 
@@ -274,6 +292,8 @@ class CameraSection(Section):
 
     @model_validator(mode="after")
     def _check_lens_air(self) -> Self:
+        if self.opening is not None and self.window is not None:
+            raise SectionError("window and opening: the camera looks through one of them; keep it")
         if self.principal_distance is None or self.window is None:
             return self
         if self.window.cabin is None:
@@ -282,6 +302,13 @@ class CameraSection(Section):
                 "cabin's: give window.cabin"
             )
         return self
+
+    @property
+    def pane(self) -> Window | None:
+        """The window or the opening that the camera looks through; None without one."""
+        if self.opening is not None:
+            return self.opening.opening
+        return None if self.window is None else self.window.window
 
     @property
     def needs_cabin(self) -> bool:
@@ -302,7 +329,7 @@ class CameraSection(Section):
         return of_log and self.needs_cabin
 
     @cached_property
-    def lens(self) -> LensInAir | None:
+    def lens(self) -> AnyLens | None:
         """How the principal distance follows the air; None where the file does not state it."""
         if self.principal_distance is None:
             return None

@@ -1,13 +1,18 @@
 """The sections of a mission file on the air in a lens."""
 
+from typing import Self
+
 from pydantic import (
     Field,
+    model_validator,
 )
 
 from unbend.config.section import (
     Section,
+    SectionError,
 )
 from unbend.refraction import LensInAir
+from unbend.refraction.lens_air import AnyLens, TypicalLens
 from unbend.units import HECTOPASCAL, ZERO_CELSIUS_K
 
 
@@ -31,34 +36,55 @@ class LensReference(Section):
 
 
 class LensSection(Section):
-    """How the principal distance follows the air in the lens.
+    """The air in the lens during the calibration, and how the principal distance follows it.
 
-    In pixels: derivatives in millimetres are divided by the pixel pitch in millimetres."""
+    With the air of the calibration alone, the change is that of a typical lens. In pixels:
+    derivatives in millimetres are divided by the pixel pitch in millimetres."""
 
     reference: LensReference = Field(
         description="{pressure_hpa, temperature_c} of the air in the lens during the calibration",
     )
-    dc_dp_px_per_hpa: float = Field(
+    dc_dp_px_per_hpa: float | None = Field(
+        None,
         ge=-10,
         le=10,
-        description="change of the principal distance with the pressure of the air in the lens",
+        description=(
+            "change of the principal distance with the pressure of the air in the lens; without it "
+            "that of a typical lens, 2.0 +- 0.5 of the change of n"
+        ),
         examples=[0.0084],
         json_schema_extra={"unit": "px/hPa"},
     )
-    dc_dt_px_per_k: float = Field(
+    dc_dt_px_per_k: float | None = Field(
+        None,
         ge=-10,
         le=10,
-        description="change of the principal distance with the temperature of the lens",
+        description=(
+            "change of the principal distance with the temperature of the lens; without it "
+            "that of a typical lens, 2.0 +- 0.5 of the change of n"
+        ),
         examples=[0.004],
         json_schema_extra={"unit": "px/K"},
     )
 
-    def build(self, principal_distance_px: float) -> LensInAir:
+    @model_validator(mode="after")
+    def _check_derivatives(self) -> Self:
+        if (self.dc_dp_px_per_hpa is None) != (self.dc_dt_px_per_k is None):
+            raise SectionError(
+                "give both dc_dp_px_per_hpa and dc_dt_px_per_k, or neither for a typical lens"
+            )
+        return self
+
+    def build(self, principal_distance_px: float) -> AnyLens:
         """The air in a lens with this principal distance, in Pa and K."""
+        pressure_pa = self.reference.pressure_hpa * HECTOPASCAL
+        temperature_k = self.reference.temperature_c + ZERO_CELSIUS_K
+        if self.dc_dp_px_per_hpa is None or self.dc_dt_px_per_k is None:
+            return TypicalLens(principal_distance_px, pressure_pa, temperature_k)
         return LensInAir(
             principal_distance_px,
-            reference_pressure_pa=self.reference.pressure_hpa * HECTOPASCAL,
-            reference_temperature_k=self.reference.temperature_c + ZERO_CELSIUS_K,
+            reference_pressure_pa=pressure_pa,
+            reference_temperature_k=temperature_k,
             px_per_pa=self.dc_dp_px_per_hpa / HECTOPASCAL,
             px_per_k=self.dc_dt_px_per_k,
         )

@@ -11,6 +11,7 @@ from pydantic import (
     model_validator,
 )
 
+from unbend.atmosphere.refractive_index import INDEX_OF_ONE_LIGHT
 from unbend.config.atmosphere import AtmosphereSection
 from unbend.config.blocks import with_block
 from unbend.config.cameras import CameraSection
@@ -30,7 +31,8 @@ from unbend.config.section import (
 )
 from unbend.config.station_sources import StationsSection
 from unbend.flight.mount import Mount
-from unbend.refraction import METHODS, Camera, LensInAir, Window
+from unbend.refraction import METHODS, Camera, Window
+from unbend.refraction.lens_air import AnyLens
 from unbend.tables.imports.blocks import BLOCKS
 
 
@@ -282,21 +284,31 @@ class Mission(Section):
 
     @cached_property
     def windows(self) -> dict[str, Window]:
-        """The window of each camera that has one."""
+        """The window of each camera that has one, or the opening, which is one without glass."""
         windows = {}
         for name, camera in self.cameras.items():
-            if camera.window is not None:
-                windows[name] = camera.window.window
+            pane = camera.pane
+            if pane is not None:
+                windows[name] = pane
         return windows
 
     @cached_property
-    def lenses(self) -> dict[str, LensInAir]:
+    def lenses(self) -> dict[str, AnyLens]:
         """How the lens of each camera follows the air, where the mission file states it."""
         lenses = {}
         for name, camera in self.cameras.items():
             if camera.lens is not None:
                 lenses[name] = camera.lens
         return lenses
+
+    @cached_property
+    def wavelengths_m(self) -> dict[str, float]:
+        """The wavelength in vacuum [m] of each camera that states its own."""
+        wavelengths = {}
+        for name, camera in self.cameras.items():
+            if camera.wavelength_m is not None:
+                wavelengths[name] = camera.wavelength_m
+        return wavelengths
 
     @cached_property
     def mounts(self) -> dict[str, Mount]:
@@ -347,9 +359,9 @@ class Mission(Section):
             x, y, z = self.mounts[name].camera_from_body @ np.array(window.normal)
             if z <= 0.0:
                 raise SectionError(
-                    f"the window of camera {name!r} looks away from what the camera sees: with "
-                    f"this mount its normal is [{x:.3f}, {y:.3f}, {z:.3f}] in the camera frame, "
-                    "where forward is positive"
+                    f"the {window.section} of camera {name!r} looks away from what the camera "
+                    f"sees: with this mount its normal is [{x:.3f}, {y:.3f}, {z:.3f}] in the "
+                    "camera frame, where forward is positive"
                 )
         return self
 
@@ -361,6 +373,17 @@ class Mission(Section):
             raise SectionError(
                 "atmosphere.board_temperature needs log.channels.temperature, the channel whose "
                 "board is meant, as BARO[0]"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _check_wavelengths(self) -> Self:
+        """A camera has a wavelength of its own only with a formula that knows wavelengths."""
+        if self.wavelengths_m and self.atmosphere.index in INDEX_OF_ONE_LIGHT:
+            name = next(iter(self.wavelengths_m))
+            raise SectionError(
+                f"cameras.{name}.wavelength_m has no effect with atmosphere.index: "
+                f"{self.atmosphere.index}, which is for 0.589 um alone: take ciddor"
             )
         return self
 

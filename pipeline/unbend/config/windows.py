@@ -130,10 +130,21 @@ def _known(value: float | None) -> float:
     return UNKNOWN if value is None else value
 
 
+PART_UNKNOWN = 0.5
+"""Of a difference of air whose standard deviation is not stated: that is half of it."""
+
 SHORTEST_NORMAL = 1e-6  # a shorter vector has no direction: `Window` refuses it
 
 _KEY_OF_REFUSAL = {"WINDOW-AIR": "cabin", "WINDOW-NORMAL": "normal"}
 """The key that a refusal of `Window` is about."""
+
+
+def unit_normal(value: list[float]) -> list[float]:
+    """A normal of length 1; zeros, which `Window` refuses, for one without a direction."""
+    length = float(np.linalg.norm(value))
+    if length <= SHORTEST_NORMAL:
+        return [0.0, 0.0, 0.0]
+    return [component / length for component in value]
 
 
 class WindowSection(Section):
@@ -199,11 +210,7 @@ class WindowSection(Section):
     @field_validator("normal")
     @classmethod
     def _unit_normal(cls, value: list[float]) -> list[float]:
-        """The normal of length 1; zeros, which `Window` refuses, for one without a direction."""
-        length = float(np.linalg.norm(value))
-        if length <= SHORTEST_NORMAL:
-            return [0.0, 0.0, 0.0]
-        return [component / length for component in value]
+        return unit_normal(value)
 
     @model_validator(mode="after")
     def _check_window(self) -> Self:
@@ -223,4 +230,90 @@ class WindowSection(Section):
             raise SectionError("a spherical window has no frame")
         if states_normal:
             raise SectionError("a spherical window has no normal")
+        return self
+
+
+class OpeningSection(Section):
+    """An opening without glass, such as a hatch: the air before the lens is not that outside.
+
+    It bends rays as a plane window does. A lens in the skin of the aircraft is the same: the air
+    there is warmed by friction, and under another pressure than the air that is flown through."""
+
+    warmer_k: float = Field(
+        ge=-30,
+        le=60,
+        description="how much warmer the air before the lens is than that outside",
+        examples=[10.0],
+        json_schema_extra={"unit": "K"},
+    )
+    pressure_excess_hpa: float = Field(
+        0.0,
+        ge=-100,
+        le=100,
+        description="how much more pressure it has than the air outside; on a fuselage less",
+        examples=[-3.0],
+        json_schema_extra={"unit": "hPa"},
+    )
+    sigma_warmer_k: float | None = Field(
+        None,
+        ge=0,
+        le=50,
+        description="standard deviation of warmer_k; without it half of that",
+        examples=[5.0],
+        json_schema_extra={"unit": "K"},
+    )
+    sigma_pressure_excess_hpa: float | None = Field(
+        None,
+        ge=0,
+        le=100,
+        description="standard deviation of pressure_excess_hpa; without it half of that",
+        examples=[1.0],
+        json_schema_extra={"unit": "hPa"},
+    )
+    frame: Literal["camera", "body"] = Field(
+        "camera",
+        description="frame of the normal: camera (x right, y down, z forward), or body, the "
+        "aircraft's (x forward, y right, z down), for a camera that moves above a fixed opening",
+        examples=["camera"],
+    )
+    normal: Vector = Field(
+        default_factory=lambda: [0.0, 0.0, 1.0],
+        description=(
+            "direction out of the opening; [0, 0, 1] is along the optical axis in the camera "
+            "frame, an opening in the belly in the body frame"
+        ),
+        examples=[[0.0, 0.0, 1.0]],
+        json_schema_extra={"unit": "1"},
+    )
+
+    @cached_property
+    def opening(self) -> Window:
+        """The opening as a window without glass, in SI."""
+        sigma_k = self.sigma_warmer_k
+        if sigma_k is None:
+            sigma_k = PART_UNKNOWN * abs(self.warmer_k)
+        sigma_hpa = self.sigma_pressure_excess_hpa
+        if sigma_hpa is None:
+            sigma_hpa = PART_UNKNOWN * abs(self.pressure_excess_hpa)
+        air = Cabin(
+            "opening",
+            warmer_k=self.warmer_k,
+            excess_pa=self.pressure_excess_hpa * HECTOPASCAL,
+            sigma_pressure_pa=sigma_hpa * HECTOPASCAL,
+            sigma_temperature_k=sigma_k,
+        )
+        x, y, z = self.normal
+        return Window(air, normal=(x, y, z), frame=self.frame)
+
+    @field_validator("normal")
+    @classmethod
+    def _unit_normal(cls, value: list[float]) -> list[float]:
+        return unit_normal(value)
+
+    @model_validator(mode="after")
+    def _check_opening(self) -> Self:
+        try:
+            self.opening  # noqa: B018
+        except PhysicsError as error:
+            raise SectionError(f"{error.what}; {error.remedy}", key="normal") from None
         return self

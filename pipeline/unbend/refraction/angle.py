@@ -9,6 +9,11 @@ from numpy.typing import NDArray
 
 from unbend.atmosphere import standard_atmosphere
 from unbend.atmosphere.profile import Profile
+from unbend.atmosphere.refractive_index import (
+    DEFAULT_WAVELENGTH_M,
+    INDEX_OF_ONE_LIGHT,
+    IndexModel,
+)
 from unbend.refraction import messages, ray
 from unbend.refraction.image import ground_displacement
 from unbend.refraction.published.bertram import manual
@@ -22,25 +27,30 @@ def one_angle(
     ground_height: float,
     nadir_angle: float,
     *,
-    index: str = "ciddor",
+    index: str | IndexModel = "ciddor",
     radius: float = ray.DEFAULT_RADIUS_M,
     method: str = "spherical",
     distance: float | None = None,
 ) -> dict[str, Any]:
     """One refraction angle through a standard atmosphere, as ``unbend angle`` prints it.
 
-    Heights [m above sea level], nadir angle [degrees], radius of the earth [m]; ``distance`` [m] is
-    the slant range, which decides where the ray meets the ground's height twice; published methods
-    know the near crossing only. ``status`` is ``ok``, ``beyond_grazing`` (twice, the near crossing
-    taken for want of a distance) or ``far_branch``. ``ground_m`` is None where the straight
-    apparent ray passes over the horizon and only the bent one lands.
+    Heights [m above sea level], nadir angle [degrees], formula of the index (with its light, or by
+    its name), radius of the earth [m]; ``distance`` [m] is the slant range, which decides where the
+    ray meets the ground's height twice; published methods know the near crossing only. ``status``
+    is ``ok``, ``beyond_grazing`` (twice, the near crossing taken for want of a distance) or
+    ``far_branch``. ``ground_m`` is None where the straight apparent ray passes over the horizon and
+    only the bent one lands.
 
     >>> round(one_angle("us1976", 1e4, 0.0, 75.0, index="gyer")["r_c_arcsec"], 6)
     61.778543
     """
     if distance is not None and not 0.0 < distance < math.inf:
         raise messages.angle_distance(distance=distance)
-    air = standard_atmosphere(atmosphere, index=index)
+    if isinstance(index, str):
+        index = IndexModel(index)
+    if index.name in INDEX_OF_ONE_LIGHT and index.wavelength_m != DEFAULT_WAVELENGTH_M:
+        raise messages.angle_wavelength(index=index.name)
+    air = standard_atmosphere(atmosphere, index=index.name, wavelength_m=index.wavelength_m)
     zeta = nadir_angle * DEGREE
     r_c, status = ray.angle_and_status(
         air,
@@ -64,7 +74,8 @@ def one_angle(
         "ground_m": None if math.isnan(ground) else ground,
         "status": STATUS_NAMES[code],
         "atmosphere": atmosphere,
-        "index": index,
+        "index": index.name,
+        "wavelength_m": air.index.light_m,
         "method": method,
         "camera_height_m": camera_height,
         "ground_height_m": ground_height,
@@ -82,6 +93,7 @@ class RadialTable:
     horizontal displacement on the ground, also where the straight apparent ray passes over the
     horizon and only the bent one lands. For an image taken vertically ``radius_px`` is the distance
     from the principal point and ``dr_px`` what to add to it, NaN without a principal distance.
+    ``wavelength_m`` [m of vacuum] is that of the light.
     ``k_rad`` is R at 45 degrees, the K of the Manual of Photogrammetry, and ``k_manual_rad`` the
     value of its formula (NaN where it has none).
     """
@@ -96,6 +108,7 @@ class RadialTable:
     status: NDArray[np.uint8]
     k_rad: float
     k_manual_rad: float
+    wavelength_m: float
 
 
 def radial_table(
@@ -149,6 +162,7 @@ def radial_table(
         status=status,
         k_rad=k,
         k_manual_rad=float(manual(profile, h_c, h_g, 45.0 * DEGREE, radius)),
+        wavelength_m=profile.index.light_m,
     )
 
 

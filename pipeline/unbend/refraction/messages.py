@@ -20,6 +20,24 @@ def angle_distance(*, distance: float) -> PhysicsError:
     )
 
 
+ANGLE_WAVELENGTH = Code(
+    "ANGLE-WAVELENGTH",
+    means="A wavelength is asked for with a formula of the refractive index for one light alone.",
+    effect="The command is refused.",
+    remedy="Leave --wavelength out, or --index.",
+)
+
+
+def angle_wavelength(*, index: str) -> PhysicsError:
+    """A wavelength that the formula of the refractive index does not know."""
+    return PhysicsError(
+        ANGLE_WAVELENGTH,
+        "the index {index!r} is for one wavelength alone",
+        index=index,
+        remedy="leave the wavelength out, or take the index ciddor",
+    )
+
+
 CAMERA_FIELD = Code(
     "CAMERA-FIELD",
     means="With this principal distance the camera would see more than 150 degrees.",

@@ -38,15 +38,20 @@ class Cabin:
     outside), or Gyer's schedule. ``temperature_k`` and ``relative_humidity`` (0 to 1) may be logged
     or have to be assumed where they are not stated; ``temperature_logged`` says that the log is
     stated to have the former. The sigmas are standard deviations [Pa, K].
+
+    An ``opening`` is no cabin: its air is that outside, ``warmer_k`` warmer and with ``excess_pa``
+    more pressure.
     """
 
-    source: Literal["log", "constant", "ambient", "standard_schedule"]
+    source: Literal["log", "constant", "ambient", "standard_schedule", "opening"]
     pressure_pa: float = UNKNOWN
     temperature_k: float = UNKNOWN
     relative_humidity: float = UNKNOWN
     sigma_pressure_pa: float = UNKNOWN
     sigma_temperature_k: float = UNKNOWN
     temperature_logged: bool = False
+    warmer_k: float = UNKNOWN
+    excess_pa: float = UNKNOWN
 
 
 @dataclass(frozen=True)
@@ -71,6 +76,16 @@ class Window:
     frame: Literal["camera", "body"] = "camera"
     shape: Literal["plane", "spherical"] = "plane"
     in_calibration: Literal["none", "glass"] = "none"
+
+    @property
+    def is_opening(self) -> bool:
+        """Whether there is no glass, and air outside that differs little."""
+        return self.cabin is not None and self.cabin.source == "opening"
+
+    @property
+    def section(self) -> str:
+        """The section of a camera in the mission file that describes it."""
+        return "opening" if self.is_opening else "window"
 
     def __post_init__(self) -> None:
         length = float(np.linalg.norm(self.normal))

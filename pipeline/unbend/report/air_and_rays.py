@@ -43,8 +43,10 @@ def print_angle(console: Console, angle: Mapping[str, Any]) -> None:
     console.print(f"R_c    {arcsec} arcsec", highlight=False)
     for line in lines:
         console.print(Padding(line, (0, 0, 0, 7), expand=False))
+    light = f"{angle['wavelength_m'] * 1e6:g} um"
     console.print(
-        f"[dim]{angle['atmosphere']}, index {angle['index']}, {angle['method']}, radius "
+        f"[dim]{angle['atmosphere']}, index {angle['index']} at {light}, "
+        f"{angle['method']}, radius "
         f"{angle['radius_m']:.0f} m[/dim]",
         highlight=False,
     )
@@ -140,3 +142,5 @@ def print_radial(console: Console, tables: Sequence[RadialTable]) -> None:
     if any(bool(np.isnan(t.shift_ground_m[np.isfinite(t.r_c_rad)]).any()) for t in tables):
         over = summary.report_texts()["angle"]["over"]
         console.print(f"{over[:1].upper()}{over[1:]}.")
+    lights = sorted({table.wavelength_m for table in tables})
+    console.print(f"Light of {', '.join(f'{light * 1e6:g}' for light in lights)} um.")

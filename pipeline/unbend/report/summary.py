@@ -11,10 +11,12 @@ from unbend.messages import MessageRecord
 from unbend.refraction.window import SIGMA_BAROMETER_PA, SIGMA_THERMOMETER_K
 from unbend.report.words import count, length, pixels, shortened, significant, with_sigma
 from unbend.tables.manifest.results import (
+    CameraAirRecord,
     CameraShifts,
     CorrectionRecord,
     DistributionRecord,
     EffectRecord,
+    ResultsRecord,
     TimeWindowRecord,
 )
 from unbend.tables.manifest.sections import CabinKeys
@@ -47,6 +49,49 @@ def is_applied(manifest: Manifest) -> bool:
 
 
 def verdict(manifest: Manifest) -> str:
+    """What became of the observations, and what the air in the lenses leaves in them."""
+    lens = "" if is_nothing_done(manifest) else lens_left_in(manifest.results)
+    return f"{outcome(manifest)} {lens}".rstrip()
+
+
+def is_nothing_done(manifest: Manifest) -> bool:
+    """Whether no observation was corrected."""
+    return not manifest.results.correction.shift_px.count
+
+
+def lens_left_in(results: ResultsRecord) -> str:
+    """What the air in lenses leaves in the coordinates, in a sentence.
+
+    Empty where the mission file states the air of the calibration, and where nobody can measure it.
+    """
+    left = uncorrected_lenses(results)
+    if not left:
+        return ""
+    largest = max(left.values(), key=lambda lens: abs(lens.lens_ppm))
+    size = with_sigma(abs(largest.lens_ppm), largest.lens_sigma_ppm)
+    of_height = ""
+    if largest.lens_height_m is not None:
+        of_height = f", {length(largest.lens_height_m)} of height"
+    if any(not lens.calibrated_in_flight for lens in left.values()):
+        since = "since a calibration at 20 °C and 1013 hPa"
+    else:
+        since = "unless the calibration was flown at this height"
+    return (
+        f"Not corrected for the air in the lens of {', '.join(left)}: about {size} ppm of the "
+        f"principal distance{of_height}, {since}."
+    )
+
+
+def uncorrected_lenses(results: ResultsRecord) -> dict[str, CameraAirRecord]:
+    """The cameras whose air in the lens is not removed, where that can be measured."""
+    left = {}
+    for name, camera in results.air_at_cameras.items():
+        if not camera.lens_removed and camera.lens_edge_px >= SMALLEST_MEASURABLE_PX:
+            left[name] = camera
+    return left
+
+
+def outcome(manifest: Manifest) -> str:
     """One sentence: how many observations were corrected, how far, and whether they can be used.
 
     Never says that results can be adjusted where the run ended with code 3 for anything but rows
@@ -120,6 +165,12 @@ def next_steps(manifest: Manifest) -> list[str]:
             f"({flagged(manifest)}); the ledger names the causes."
         )
     steps += [step for _, step in _limits(manifest)]
+    if left := uncorrected_lenses(manifest.results):
+        keys = ", ".join(f"cameras.{name}" for name in left)
+        steps.append(
+            "State the air of the calibration, and the air in the lens is removed: "
+            f"principal_distance: {{reference: {{pressure_hpa, temperature_c}}}} ({keys})."
+        )
     if is_tiny(manifest):
         steps.append("Use the results or the measurements as they were: it makes no difference.")
     if applied:
@@ -197,7 +248,10 @@ def _limits(manifest: Manifest) -> list[tuple[str, str]]:
         limits.append((f"The air was not measured: {_UNMEASURED[basis]}{known}.", step))
     cabin = manifest.results.cabin_sigma_share.median
     if cabin is not None and cabin > LARGEST_CABIN_SHARE:
-        text = f"The air in the cabin is uncertain by {100.0 * cabin:.2g} % of R in the median"
+        place = "in the cabin"
+        if all(camera.window is None for camera in manifest.sections.cameras.values()):
+            place = "before the lens"
+        text = f"The air {place} is uncertain by {100.0 * cabin:.2g} % of R in the median"
         if air is not None:
             text += f", the air outside by{sigma.replace(' ±', '')}"
             text += " only" if cabin > air.scale_sigma else ""
@@ -208,9 +262,14 @@ def _limits(manifest: Manifest) -> list[tuple[str, str]]:
 def cabin_step(manifest: Manifest) -> str:
     """Which air in the cabins to measure, or which of the errors assumed of it to state."""
     cabins = {}
+    openings = []
     for name, camera in manifest.sections.cameras.items():
+        if camera.opening is not None:
+            openings.append(f"cameras.{name}.opening")
         if camera.window is not None and camera.window.shape == "plane":
             cabins[name] = camera.window.cabin
+    if not cabins and openings:
+        return f"Measure the air before the lens, and state it: {', '.join(openings)}."
     ledger = manifest.results.ledger
     of_usual = [entry.where for entry in ledger if entry.code in _OF_USUAL_CABINS]
     usual = [n for n, c in cabins.items() if c == "standard_schedule" or f"camera {n}" in of_usual]
@@ -397,7 +456,8 @@ def not_included(manifest: Manifest) -> list[str]:
             behind_glass.append(name)
     texts = report_texts()["left"]
     lines = []
-    if without_lens:
+    lines += lines_on_air(manifest.results, remains)
+    if without_lens and not manifest.results.air_at_cameras:
         lines.append(texts["lens"].format(names=", ".join(without_lens), remains=remains))
     if behind_glass:
         lines.append(texts["glass"].format(names=", ".join(behind_glass), remains=remains))
@@ -407,6 +467,27 @@ def not_included(manifest: Manifest) -> list[str]:
         across = math.radians(size / 3.6)
         lines.append(texts["vertical"].format(size=size, geoid=lean.geoid, across=across))
     return lines if applied else [*lines, texts["curvature"]]
+
+
+def lines_on_air(results: ResultsRecord, remains: str) -> list[str]:
+    """What the air in and before the lens of each camera leaves; ``remains`` says "not removed"."""
+    texts = report_texts()["left"]
+    lines = []
+    for name, camera in results.air_at_cameras.items():
+        height = ""
+        if camera.lens_height_m is not None:
+            height = f", {length(camera.lens_height_m)} of height"
+        size = with_sigma(abs(camera.lens_ppm), camera.lens_sigma_ppm, "ppm")
+        if not camera.lens_removed:
+            lines.append(
+                texts["lens_size"].format(name=name, size=size, height=height, remains=remains)
+            )
+        elif camera.lens_sigma_ppm is not None:
+            lines.append(texts["lens_typical"].format(name=name, size=size))
+        if camera.before_lens == "outside" and camera.kelvin_share is not None:
+            percent = significant(100.0 * camera.kelvin_share, 2)
+            lines.append(texts["opening"].format(name=name, percent=percent, remains=remains))
+    return lines
 
 
 @cache

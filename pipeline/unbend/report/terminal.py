@@ -110,6 +110,8 @@ def print_check(
     """What ``unbend check`` read and expects of a run, and what the ledger of a run would hold."""
     verdict = "a run would end with code 3" if results.exit_code else "can be run"
     console.print(f"[bold]{shown(name)}[/bold] {verdict}")
+    if lens := summary.lens_left_in(results):
+        print_indented(console, shown(lens))
     print_labelled(console, lines)
     print_ledger(console, results.ledger)
 

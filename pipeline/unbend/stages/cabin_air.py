@@ -17,7 +17,12 @@ from unbend.flight.channels import Channel
 from unbend.flight.stations import Stations
 from unbend.flight.trajectory import interpolate
 from unbend.messages import Kind, Ledger, Message, Notes
-from unbend.refraction.camera.camera import LensInAir
+from unbend.refraction.lens_air import (
+    CHANGE_PER_INDEX,
+    AnyLens,
+    TypicalLens,
+    sigma_of_change,
+)
 from unbend.refraction.window import (
     SCHEDULE_CEILING_M,
     SCHEDULE_TEMPERATURE_K,
@@ -28,6 +33,7 @@ from unbend.refraction.window import (
     scheduled_pressure,
 )
 from unbend.stages import messages
+from unbend.stages.light import index_of_rows
 from unbend.units import HECTOPASCAL, ZERO_CELSIUS_K, Array, Mask
 
 USUAL_TEMPERATURE_K = 294.15  # 21 degC
@@ -59,9 +65,10 @@ class CabinAir(NamedTuple):
 
 
 class OutsideAir(NamedTuple):
-    """The air outside, (m,): pressure [Pa], vapour pressure [Pa]."""
+    """The air outside, (m,): pressure [Pa], temperature [K], vapour pressure [Pa]."""
 
     pressure_pa: Array
+    temperature_k: Array
     vapour_pressure_pa: Array
 
 
@@ -231,7 +238,7 @@ def with_cabin_air(
         sigma_temperature_k=stations.sigma_cabin_temperature_k.copy(),
     )
     h = stations.h_msl_m
-    outside = OutsideAir(profile.pressure(h), profile.vapour_pressure(h))
+    outside = OutsideAir(profile.pressure(h), profile.temperature(h), profile.vapour_pressure(h))
     for name, window in windows.items():
         cabin = window.cabin
         if cabin is None or not (window.shape == "plane" or name in lenses):
@@ -244,7 +251,8 @@ def with_cabin_air(
             column[rows] = values
         report_humidity(name, cabin, logged, stations.ok[rows], ledger)
         report_schedule(name, cabin, h[rows], stations.ok[rows], ledger)
-        report_implausible(name, air, ambient, stations.ok[rows], ledger)
+        if not window.is_opening:
+            report_implausible(name, air, ambient, stations.ok[rows], ledger)
     return replace(
         stations,
         cabin_pressure_pa=columns.pressure_pa,
@@ -329,7 +337,11 @@ def air_in(cabin: Cabin, logged: CabinAir, outside: OutsideAir) -> CabinAir:
       the air outside if the cabin has that air; else none.
     * Sigmas: the stated ones; else those of the sensors, or of the usual temperature. A temperature
       that is stated without a sigma has none (NaN).
+
+    The air in an opening is by `air_in_opening`.
     """
+    if cabin.source == "opening":
+        return air_in_opening(cabin, outside)
     blank = np.full(logged.pressure_pa.shape, np.nan)  # makes a column of a number in first_known
     is_scheduled = cabin.source == "standard_schedule"
     temperature_if_unstated = logged.temperature_k
@@ -368,26 +380,85 @@ def air_in(cabin: Cabin, logged: CabinAir, outside: OutsideAir) -> CabinAir:
     )
 
 
-def cabin_changes(stations: Stations, lenses: Mapping[str, LensInAir], index: IndexModel) -> Array:
+def air_in_opening(opening: Cabin, outside: OutsideAir) -> CabinAir:
+    """The air before a lens in an opening: that outside, warmer and under another pressure.
+
+    Its share of vapour is that outside. The sigmas are those of the differences: an error of the
+    air outside is one of this air too, and bends nothing here.
+    """
+    pressure = outside.pressure_pa + opening.excess_pa
+    share = pressure / outside.pressure_pa
+    return CabinAir(
+        pressure_pa=pressure,
+        temperature_k=outside.temperature_k + opening.warmer_k,
+        vapour_pressure_pa=outside.vapour_pressure_pa * share,
+        sigma_pressure_pa=np.full(pressure.shape, opening.sigma_pressure_pa),
+        sigma_temperature_k=np.full(pressure.shape, opening.sigma_temperature_k),
+    )
+
+
+def cabin_changes(
+    stations: Stations, lenses: Mapping[str, AnyLens], air: Profile | ProfileSeries
+) -> Array:
     """(s, 4) what one sigma of the pressure and of the temperature in a cabin change.
 
     The columns are the change of the refractivity in the cabin by the pressure and by the
     temperature, then the change of the principal distance [px] by the pressure and by the
     temperature, which is 0 for cameras that are not among the ``lenses``. NaN where neither
-    pressure nor temperature has a sigma; if one has, the unknown other sigma counts as 0.
+    pressure nor temperature has a sigma; if one has, the unknown other sigma counts as 0. ``air``
+    is that outside, with the formula of the index and the light of each camera.
     """
     p = stations.cabin_pressure_pa
     t = stations.cabin_temperature_k
     e = stations.cabin_vapour_pressure_pa
     sigmas = np.stack([stations.sigma_cabin_pressure_pa, stations.sigma_cabin_temperature_k], 1)
     slopes = np.zeros((len(stations), 4))
-    by_pressure = index.refractivity(t, p + _STEP_PA, e) - index.refractivity(t, p - _STEP_PA, e)
-    by_temperature = index.refractivity(t + _STEP_K, p, e) - index.refractivity(t - _STEP_K, p, e)
-    slopes[:, 0] = by_pressure / (2.0 * _STEP_PA)
-    slopes[:, 1] = by_temperature / (2.0 * _STEP_K)
-    for name, lens in lenses.items():
-        slopes[stations.camera == name, 2:] = lens.px_per_pa, lens.px_per_k
     # Both sigmas side by side twice: for the refractivity, and for the principal distance.
+    for name in dict.fromkeys(stations.camera.tolist()):
+        rows = stations.camera == name
+        index = index_of_rows(air, rows)
+        slopes[rows, :2] = index_slopes(index, p[rows], t[rows], e[rows])
+        lens = lenses.get(name)
+        if isinstance(lens, TypicalLens):
+            slopes[rows, 2:] = CHANGE_PER_INDEX * lens.principal_distance_px * slopes[rows, :2]
+        elif lens is not None:
+            slopes[rows, 2:] = lens.px_per_pa, lens.px_per_k
     changes = slopes * np.tile(np.nan_to_num(sigmas), 2)
     changes[np.isnan(sigmas).all(axis=1)] = np.nan
     return np.asarray(changes)
+
+
+def index_slopes(index: IndexModel, p: Array, t: Array, e: Array) -> Array:
+    """(m, 2) derivatives of n - 1 by pressure [1/Pa] and by temperature [1/K]."""
+    by_pressure = index.refractivity(t, p + _STEP_PA, e) - index.refractivity(t, p - _STEP_PA, e)
+    by_temperature = index.refractivity(t + _STEP_K, p, e) - index.refractivity(t - _STEP_K, p, e)
+    return np.stack([by_pressure / (2.0 * _STEP_PA), by_temperature / (2.0 * _STEP_K)], axis=1)
+
+
+def with_errors_of_lenses(
+    changes: Array,
+    stations: Stations,
+    lenses: Mapping[str, AnyLens],
+    windows: Container[str],
+    change_px: Array,
+) -> Array:
+    """(s, 4) ``changes`` of `cabin_changes`, with the errors of lenses that nobody measured.
+
+    ``change_px`` (s,) is what the air in the lens adds to the principal distance. What is unknown
+    of a typical lens counts as an error of the temperature in it, to which it is added in squares.
+    It is alone for a camera that has no ``windows``, whose lens is in the air outside; behind one
+    of which no error is known, that of the lens alone would be too small, and none stays known.
+    """
+    changed = changes.copy()
+    for name, lens in lenses.items():
+        if not isinstance(lens, TypicalLens):
+            continue
+        rows = stations.camera == name
+        of_camera = changed[rows]
+        if name not in windows:
+            of_camera = np.zeros(of_camera.shape)
+        by_lens = sigma_of_change(lens, change_px[rows])
+        # The sign of the temperature's part stays: it acts through the window as well.
+        of_camera[:, 3] = -np.hypot(of_camera[:, 3], by_lens)
+        changed[rows] = of_camera
+    return changed

@@ -1,7 +1,6 @@
 """What bends the rays at each exposure: attitude, window, lens, and the air on both sides."""
 
-from collections.abc import Iterable, Mapping
-from typing import NamedTuple
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -14,22 +13,17 @@ from unbend.flight.heights import HeightSystem, ground_offsets
 from unbend.flight.rotations import matrices_of
 from unbend.flight.stations import Stations
 from unbend.messages import Ledger
-from unbend.refraction.camera.camera import LensInAir, is_absurd, principal_change
+from unbend.refraction.camera.camera import LensInAir, is_absurd
 from unbend.refraction.image import Exposures
+from unbend.refraction.lens_air import AnyLens, lens_change
 from unbend.refraction.ray import rays_by
 from unbend.refraction.window import OPTICAL_AXIS, Window
 from unbend.stages import messages
+from unbend.stages.camera_air import air_at_camera, report_lenses
 from unbend.stages.correction_setup import CorrectionSetup, Ground
 from unbend.stages.ground_heights import GivenGround, SlantRangeGround
+from unbend.stages.light import index_of_rows
 from unbend.units import HECTOPASCAL, Array, Mask
-
-
-class Air(NamedTuple):
-    """Air at each exposure, (s,): pressure [Pa], temperature [K], vapour pressure [Pa]."""
-
-    pressure_pa: Array
-    temperature_k: Array
-    vapour_pressure_pa: Array
 
 
 def orientations_of_mission(mission: Mission, stations: Stations) -> Orientations:
@@ -51,8 +45,9 @@ def exposures_of_mission(
         if camera.calibration == "in_flight_uncorrected":
             where = f"cameras.{name}.calibration"
             ledger.add(messages.calibration_in_flight(where=where, name=name))
+    report_lights(mission.wavelengths_m, mission.atmosphere.wavelength_m, ledger)
     report_windows(mission.windows, ledger)
-    report_lenses(mission.cameras, mission.lenses, ledger)
+    report_lenses(mission, stations, air, ledger)
     return exposures_of(
         stations,
         air,
@@ -67,7 +62,7 @@ def exposures_of(
     stations: Stations,
     profile: Profile | ProfileSeries,
     windows: Mapping[str, Window],
-    lenses: Mapping[str, LensInAir],
+    lenses: Mapping[str, AnyLens],
     ledger: Ledger,
     *,
     radius_m: float | None,
@@ -93,13 +88,14 @@ def exposures_of(
         lens = lenses.get(name)
         air = air_at_camera(stations, profile, window, lens, rows)
         if window is not None and window.shape == "plane":
-            n_in_cabin[rows] = profile.index.refractivity(
+            n_in_cabin[rows] = index_of_rows(profile, rows).refractivity(
                 air.temperature_k, air.pressure_pa, air.vapour_pressure_pa
             )
             aircraft = stations.aircraft_quaternion[rows]
             normal[rows] = window_normals(window, rotation[rows], aircraft)
         if lens is not None:
-            principal_change_px[rows] = principal_change(lens, air.pressure_pa, air.temperature_k)
+            index = index_of_rows(profile, rows)
+            principal_change_px[rows] = lens_change(lens, air.pressure_pa, air.temperature_k, index)
             report_change(
                 name,
                 lens,
@@ -127,32 +123,6 @@ def exposures_of(
     )
 
 
-def air_at_camera(
-    stations: Stations,
-    profile: Profile | ProfileSeries,
-    window: Window | None,
-    lens: LensInAir | None,
-    rows: Mask,
-) -> Air:
-    """The air about the lens of a camera at some exposures (a mask): of its cabin, or outside.
-
-    The air of the cabin is known, and used, only where `with_cabin_air` fills it in: for a camera
-    with a lens in air or behind a plane window.
-    """
-    has_plane_window = window is not None and window.shape == "plane"
-    has_cabin = window is not None and window.cabin is not None
-    if has_cabin and (lens is not None or has_plane_window):
-        return Air(
-            stations.cabin_pressure_pa[rows],
-            stations.cabin_temperature_k[rows],
-            stations.cabin_vapour_pressure_pa[rows],
-        )
-    h = stations.h_msl_m
-    return Air(
-        profile.pressure(h)[rows], profile.temperature(h)[rows], profile.vapour_pressure(h)[rows]
-    )
-
-
 def window_normals(window: Window, rotation: Array, aircraft_quaternion: Array) -> Array:
     """(m, 3) normals of a window in the frame of its camera; NaN where an attitude is unknown.
 
@@ -168,11 +138,13 @@ def window_normals(window: Window, rotation: Array, aircraft_quaternion: Array) 
 
 
 def report_change(
-    name: str, lens: LensInAir, change_px: Array, pressure_pa: Array, ok: Mask, ledger: Ledger
+    name: str, lens: AnyLens, change_px: Array, pressure_pa: Array, ok: Mask, ledger: Ledger
 ) -> None:
     """Note how much the air in a lens changes its principal distance; refuse an absurd change."""
     where = f"cameras.{name}.principal_distance"
-    absurd = is_absurd(lens, change_px) & ok
+    absurd = np.zeros(ok.shape, dtype=bool)
+    if isinstance(lens, LensInAir):
+        absurd = is_absurd(lens, change_px) & ok
     if bool(absurd.any()):
         worst = int(np.argmax(np.where(absurd, np.abs(change_px), 0.0)))
         raise messages.lens_change_absurd(
@@ -196,29 +168,41 @@ def report_change(
         )
 
 
+def report_lights(wavelengths_m: Mapping[str, float], common_m: float, ledger: Ledger) -> None:
+    """Note the cameras that have a wavelength [m] of their own, if there are any."""
+    if not wavelengths_m:
+        return
+    lights = [f"{name} at {length_m * 1e6:g} um" for name, length_m in wavelengths_m.items()]
+    ledger.add(
+        messages.camera_light(
+            where="cameras.<name>.wavelength_m",
+            count=len(lights),
+            lights=", ".join(lights),
+            common_um=common_m * 1e6,
+        )
+    )
+
+
 def report_windows(windows: Mapping[str, Window], ledger: Ledger) -> None:
-    """Note of each window whether it is spherical, and else how the glass's displacement counts."""
+    """Note of each window its shape, and how its glass counts; of an opening, the air in it."""
     for name, window in windows.items():
-        where = f"cameras.{name}.window"
-        if window.shape == "spherical":
+        where = f"cameras.{name}.{window.section}"
+        if window.cabin is not None and window.is_opening:
+            ledger.add(
+                messages.opening_air(
+                    where=where,
+                    name=name,
+                    warmer=window.cabin.warmer_k,
+                    sigma=window.cabin.sigma_temperature_k,
+                    excess=window.cabin.excess_pa / HECTOPASCAL,
+                )
+            )
+        elif window.shape == "spherical":
             ledger.add(messages.window_spherical(where=where, name=name))
         elif window.in_calibration == "glass":
             ledger.add(messages.window_glass_calibrated(where=where, name=name))
         else:
             ledger.add(messages.window_glass_not_removed(where=where, name=name))
-
-
-def report_lenses(cameras: Iterable[str], lenses: Mapping[str, LensInAir], ledger: Ledger) -> None:
-    """Note the cameras whose principal distance is not corrected for the air in the lens."""
-    uncorrected = [name for name in cameras if name not in lenses]
-    if uncorrected:
-        ledger.add(
-            messages.lens_not_removed(
-                where="cameras.<name>.principal_distance",
-                count=len(uncorrected),
-                names=", ".join(uncorrected),
-            )
-        )
 
 
 def correction_setup(

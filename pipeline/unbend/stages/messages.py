@@ -691,6 +691,45 @@ def calibration_in_flight(*, where: str, name: str) -> Message:
     )
 
 
+WAVELENGTH_FORMULA = Code(
+    "WAVELENGTH-FORMULA",
+    means="A camera states its wavelength, and the formula of the index is for one light alone.",
+    effect="The mission is refused.",
+    remedy="Take the index ciddor, or leave cameras.<name>.wavelength_m out.",
+)
+
+
+def wavelength_of_formula(*, where: str, index: str) -> MissionError:
+    """A wavelength that the formula of the refractive index does not know."""
+    return MissionError(
+        WAVELENGTH_FORMULA,
+        "the air has the index {index!r}, which is for one wavelength alone",
+        where=where,
+        index=index,
+        remedy="give air with the index ciddor, or leave the wavelength out",
+    )
+
+
+CAMERA_LIGHT = Code(
+    "CAMERA-LIGHT",
+    means="The wavelengths of cameras that state their own.",
+    effect="Their refraction is that of this light; all else is at atmosphere.wavelength_m.",
+    remedy="Nothing.",
+)
+
+
+def camera_light(*, where: str, count: int, lights: str, common_um: float) -> Message:
+    """Cameras with wavelengths of their own."""
+    return note(
+        CAMERA_LIGHT,
+        ("R of {lights}; profile.parquet and what is said of the air are at {common_um:g} um"),
+        where=where,
+        count=count,
+        lights=lights,
+        common_um=common_um,
+    )
+
+
 LENS_CHANGE = Code(
     "LENS-CHANGE",
     means=(
@@ -751,28 +790,96 @@ def lens_in_air(
     )
 
 
+LENS_TYPICAL = Code(
+    "LENS-TYPICAL",
+    means=(
+        "The air of the calibration is stated, and not how the lens follows it: it is taken for a "
+        "typical lens, whose principal distance changes by 2.0 +- 0.5 of the change of n."
+    ),
+    effect="The change is removed; a quarter of it may remain, which sigma_cabin_* contain.",
+    remedy="State dc_dp_px_per_hpa and dc_dt_px_per_k where the lens was measured.",
+)
+
+
+def lens_typical(*, where: str, name: str, rate: float, sigma: float) -> Message:
+    """A lens that nobody measured is corrected as a typical one."""
+    return fallback(
+        LENS_TYPICAL,
+        (
+            "the lens of {name} follows the air in it as a typical one: its principal distance by "
+            "{rate:g} +- {sigma:g} of the change of n since the calibration"
+        ),
+        where=where,
+        name=name,
+        rate=rate,
+        sigma=sigma,
+    )
+
+
 LENS_NOT_REMOVED = Code(
     "LENS-NOT-REMOVED",
     means=(
-        "The effect of the air in the lens on the principal distance is not removed: 130 to 310 "
-        "ppm at 6 km on a 153 mm lens, about in proportion to the height."
+        "The effect of the air in the lens on the principal distance is not removed, because the "
+        "air of the calibration is not stated: 130 to 310 ppm at 6 km on a 153 mm lens, about in "
+        "proportion to the height."
     ),
-    effect="It stays in the coordinates.",
-    remedy="State cameras.<name>.principal_distance if the lens was measured.",
+    effect="It stays in the coordinates: heights are wrong by that part of the flying height.",
+    remedy=(
+        "State the air of the calibration: cameras.<name>.principal_distance: {reference: "
+        "{pressure_hpa: 1013.25, temperature_c: 20}}."
+    ),
 )
 
 
 def lens_not_removed(*, where: str, count: int, names: str) -> Message:
-    """Cameras whose principal distance is not corrected for the air in the lens."""
+    """Cameras whose principal distance is not corrected, where no exposure says how much it is."""
+    return note(
+        LENS_NOT_REMOVED,
+        "the effect of the air in the lens on the principal distance of {names} is not removed",
+        where=where,
+        count=count,
+        names=names,
+    )
+
+
+def lens_left_in(*, where: str, count: int, names: str, ppm: float, sigma_ppm: float) -> Message:
+    """Cameras whose principal distance is not corrected, and what it would be in a typical lens."""
     return note(
         LENS_NOT_REMOVED,
         (
             "the effect of the air in the lens on the principal distance of {names} is not "
-            "removed: 130 to 310 ppm at 6 km (Meier), about in proportion to the height"
+            "removed: about {ppm:.0f} +- {sigma_ppm:.0f} ppm since a calibration at 20 degC and "
+            "1013 hPa"
         ),
         where=where,
         count=count,
         names=names,
+        ppm=ppm,
+        sigma_ppm=sigma_ppm,
+    )
+
+
+OPENING_AIR = Code(
+    "OPENING-AIR",
+    means="The air before the lens in an opening differs from that outside as stated.",
+    effect="It bends the rays as behind a plane window; that is removed.",
+    remedy="Nothing.",
+)
+
+
+def opening_air(*, where: str, name: str, warmer: float, sigma: float, excess: float) -> Message:
+    """A camera looks through an opening with air of its own."""
+    return note(
+        OPENING_AIR,
+        (
+            "the air before {name} is {warmer:+g} +- {sigma:g} K and {excess:+g} hPa against that "
+            "outside"
+        ),
+        where=where,
+        name=name,
+        warmer=warmer,
+        sigma=sigma,
+        excess=excess,
     )
 
 

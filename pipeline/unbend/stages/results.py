@@ -1,5 +1,6 @@
 """The record of a mission's results, for its manifest."""
 
+import json
 import math
 from collections import Counter
 from collections.abc import Mapping
@@ -11,6 +12,7 @@ from unbend.atmosphere.air_samples import SensorUse
 from unbend.atmosphere.estimate.candidates import SourceUse
 from unbend.atmosphere.estimate.sensors import FAULT_TEXTS
 from unbend.atmosphere.estimate.solver import FaultEstimate
+from unbend.atmosphere.series.profile_series import ProfileSeries
 from unbend.atmosphere.series.time_windows import TimeWindow
 from unbend.config import Mission
 from unbend.exit_codes import exit_code_of
@@ -22,6 +24,7 @@ from unbend.messages import Ledger
 from unbend.refraction.camera.camera import NO_DISTORTION, Camera
 from unbend.refraction.effect import FlightAir
 from unbend.refraction.kernels.columns import CABIN_SIGMAS, WINDOW_KIND
+from unbend.stages.camera_air import camera_air_records
 from unbend.stages.correction_setup import CorrectionSetup
 from unbend.stages.flight_log import FlightLog, Roles
 from unbend.stages.statistics import Statistics
@@ -64,12 +67,16 @@ def observation_metadata(mission: Mission) -> dict[str, str]:
     """What the Parquet metadata of the observations say, beside units and conventions."""
     removed = mission.refraction.direction == "remove"
     mark = REFRACTION_REMOVED if removed else REFRACTION_APPLIED
-    return {
+    metadata = {
         REFRACTION_KEY.decode(): mark.decode(),
         "unbend.mission": mission.mission.name,
         "unbend.pixel_origin": mission.observations.pixel_origin,
         "unbend.ground_reference": mission.ground.reference,
     }
+    if mission.wavelengths_m:
+        lights = dict.fromkeys(mission.cameras, mission.atmosphere.wavelength_m)
+        metadata["unbend.wavelength_m"] = json.dumps(lights | mission.wavelengths_m)
+    return metadata
 
 
 def results_of_mission(
@@ -82,18 +89,21 @@ def results_of_mission(
     setup: CorrectionSetup,
     causes: Mapping[str, str],
     control: ControlRecord | None,
+    lit_air: ProfileSeries,
     ledger: Ledger,
 ) -> ResultsRecord:
     """What the manifest says of the results; ``causes`` are those of statuses of rows.
 
-    Holds no clock, no host name and no path: the same inputs give the same bytes.
+    ``lit_air`` are the profiles of the setup, each in the light of its cameras. Holds no clock, no
+    host name and no path: the same inputs give the same bytes.
     """
+    flown = record_of_flight(stations, setup, statistics)
     happened = {status: cause for status, cause in causes.items() if statistics.status.get(status)}
     return ResultsRecord(
         log=None if flight.log is None else record_of_log(flight.log),
         channels={role: channel.name for role, channel in sorted(flight.roles.items())},
         stations=dict(sorted(Counter(stations.status.tolist()).items())),
-        flight=record_of_flight(stations, setup, statistics),
+        flight=flown,
         heights=record_of_heights(mission, flight.heights, flight.roles, stations),
         profile=record_of_profile(air, stations),
         observations=ObservationsRecord(
@@ -105,12 +115,20 @@ def results_of_mission(
         correction=statistics.correction(),
         sigma_budget=statistics.sigma_budget(setup.camera_number),
         ground_heights=statistics.ground_heights(),
-        uncertainty=air_parameter(setup, statistics),
+        uncertainty=air_parameter(setup, statistics, len(air.series.timed_profiles)),
         cabin_air=cabin_parameters(setup),
         cabin_sigma_share=statistics.cabin_share.summary(),
         control=control,
         ledger=ledger.records(),
         exit_code=exit_code_of(has_losses=ledger.has_losses),
+        air_at_cameras=camera_air_records(
+            mission,
+            stations,
+            lit_air,
+            cameras=setup.cameras,
+            flown=flown.cameras,
+            effects=air.effects,
+        ),
     )
 
 
@@ -251,8 +269,13 @@ def record_of_deflection(
     return DeflectionRecord(geoid.name, round(north, 2), round(east, 2), applies)
 
 
-def air_parameter(setup: CorrectionSetup, statistics: Statistics) -> AirParameter | None:
-    """The parameter of the leading mode of the air; None where no air has a covariance."""
+def air_parameter(
+    setup: CorrectionSetup, statistics: Statistics, profiles: int
+) -> AirParameter | None:
+    """The parameter of the leading mode of the air; None where no air has a covariance.
+
+    ``profiles`` are those of the flight: the setup has each in the light of every camera.
+    """
     modes = []
     for uncertainty in setup.uncertainties:
         if uncertainty is not None and uncertainty.mode is not None:
@@ -267,7 +290,7 @@ def air_parameter(setup: CorrectionSetup, statistics: Statistics) -> AirParamete
     return AirParameter(
         scale_sigma=mode.sigma,
         variance_share=float(f"{variance_share:.4g}"),
-        profiles=len(modes),
+        profiles=min(len(modes), profiles),
         meaning=AIR_PARAMETER,
     )
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from unbend.atmosphere.air_samples import AirSamples
+from unbend.atmosphere.series.profile_series import ProfileSeries
 from unbend.config import Mission
 from unbend.flight.ground_times import LoggedPath, takeoff_of
 from unbend.flight.heights import heights_at, logged_terrain, undulation_notes
@@ -20,6 +21,7 @@ from unbend.stages.correction_setup import CorrectionSetup
 from unbend.stages.exposure_setup import correction_setup
 from unbend.stages.flight_log import FlightLog, flight_log
 from unbend.stages.ground_heights import elevation_of_mission, with_terrain
+from unbend.stages.light import air_by_camera
 from unbend.stages.multi_image.control import compare_control
 from unbend.stages.multi_image.point_heights import (
     check_object_points,
@@ -73,11 +75,15 @@ class PreparedMission:
 
 @dataclass(frozen=True, eq=False)
 class CorrectedMission:
-    """A mission after its observations were corrected."""
+    """A mission after its observations were corrected.
+
+    ``lit_air`` are the profiles that the setup numbers: those of ``air``, in each camera's light.
+    """
 
     prepared: PreparedMission
     stations: Stations
     air: FlightAir
+    lit_air: ProfileSeries
     setup: CorrectionSetup
     statistics: Statistics
     facts: Facts
@@ -144,15 +150,21 @@ def correct_mission(
     ledger = prepared.ledger
 
     # What rays pass: the air, the cabin, the window, down to the ground.
-    stations = with_cabin_air(
-        prepared.stations, mission.windows, mission.lenses, air.series, ledger
-    )
-    report_unknown_sigmas(mission, stations, air.series, ledger)
-    setup = correction_setup(mission, stations, air.series, heights, ledger)
+    lit_air = air_by_camera(air.series, prepared.stations.camera, mission.wavelengths_m)
+    stations = with_cabin_air(prepared.stations, mission.windows, mission.lenses, lit_air, ledger)
+    report_unknown_sigmas(mission, stations, lit_air, ledger)
+    setup = correction_setup(mission, stations, lit_air, heights, ledger)
     setup = with_terrain(setup, prepared.terrain, stations, mission.ground.sigma_m, ledger)
     setup = with_intersected_heights(mission, prepared.observations, setup, stations, ledger)
     batch = next(prepared.observations.batches(TYPICAL_ROWS))
-    setup = with_uncertainties(setup, mission, stations, air.series, batch)
+    setup = with_uncertainties(
+        setup,
+        mission,
+        stations,
+        lit_air,
+        batch,
+        flight_profile_number=air.series.profile_number,
+    )
 
     # The correction, and the user's own control before and after it.
     control = compare_control(
@@ -180,12 +192,14 @@ def correct_mission(
         setup=setup,
         causes=causes,
         control=None if control is None else control.record(),
+        lit_air=lit_air,
         ledger=ledger,
     )
     return CorrectedMission(
         prepared=prepared,
         stations=stations,
         air=air,
+        lit_air=lit_air,
         setup=setup,
         statistics=statistics,
         facts=facts,

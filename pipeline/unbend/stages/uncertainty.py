@@ -12,9 +12,15 @@ from unbend.errors import Counted
 from unbend.flight.stations import Stations
 from unbend.messages import Ledger
 from unbend.refraction.uncertainty.budget import StationSigmas, uncertainty_of
-from unbend.refraction.uncertainty.sigmas import OPEN, SCHEDULED, Uncertainty, window_kind_of
+from unbend.refraction.uncertainty.sigmas import (
+    FOLLOWING,
+    OPEN,
+    SCHEDULED,
+    Uncertainty,
+    window_kind_of,
+)
 from unbend.stages import messages
-from unbend.stages.cabin_air import cabin_changes
+from unbend.stages.cabin_air import cabin_changes, with_errors_of_lenses
 from unbend.stages.correction_setup import CorrectionSetup
 from unbend.tables.geodata.object_points import matching_rows
 from unbend.tables.observations import Batch
@@ -25,16 +31,27 @@ TYPICAL_ROWS = 2000
 
 
 def with_uncertainties(
-    setup: CorrectionSetup, mission: Mission, stations: Stations, air: ProfileSeries, batch: Batch
+    setup: CorrectionSetup,
+    mission: Mission,
+    stations: Stations,
+    air: ProfileSeries,
+    batch: Batch,
+    *,
+    flight_profile_number: Integers,
 ) -> CorrectionSetup:
     """The setup with what standard deviations and derivatives are computed from, for each profile.
 
+    ``air`` has each profile of the flight in each light; ``flight_profile_number`` (s,) is the
+    profile of the flight of each station, by which cameras of several lights share a leading mode.
     The leading mode of the air is that of rays to the median height of the points of a ``batch``.
     Each profile has a leading mode of its own, but all modes have one common parameter: the errors
     of the profiles are taken to change all refractions to the same side. A profile without
     covariance gets None if stations, ground and windows have no standard deviation either.
     """
-    cabin = cabin_changes(stations, mission.lenses, air.profiles[0].index)
+    cabin = cabin_changes(stations, mission.lenses, air)
+    cabin = with_errors_of_lenses(
+        cabin, stations, mission.lenses, mission.windows, setup.exposures.changes_px
+    )
     sigmas = replace(station_sigmas(mission, stations), cabin=cabin)
     window_kinds = kinds_of_windows(mission, stations, air)
     any_sigma = has_any_sigma(mission, stations, sigmas, window_kinds)
@@ -47,7 +64,9 @@ def with_uncertainties(
         if timed.covariance is None and not any_sigma:
             uncertainties.append(None)
             continue
-        usable = setup.exposures.usable & (air.profile_number == number)
+        in_this_light = air.profile_number == number
+        in_this_air = np.isin(flight_profile_number, flight_profile_number[in_this_light])
+        usable = setup.exposures.usable & in_this_air
         uncertainty = uncertainty_of(
             timed.profile,
             timed.covariance,
@@ -108,6 +127,7 @@ def kinds_of_windows(mission: Mission, stations: Stations, air: ProfileSeries) -
     """(s,) the kind of window of each exposure, by the pressure behind it.
 
     * `OPEN`: no plane window before a cabin.
+    * `FOLLOWING`: an opening, whose air differs from that outside by stated amounts.
     * `SCHEDULED`: the pressure is that of the air outside. So it is in an unsealed cabin, and with
       a schedule below the height at which the schedule begins to hold its pressure.
     * `SEALED`: any other plane window.
@@ -119,6 +139,8 @@ def kinds_of_windows(mission: Mission, stations: Stations, air: ProfileSeries) -
             rows = stations.camera == name
             if window.cabin.source == "ambient":
                 kinds[rows] = SCHEDULED
+            elif window.is_opening:
+                kinds[rows] = FOLLOWING
             else:
                 scheduled = window.cabin.source == "standard_schedule"
                 kinds[rows] = window_kind_of(pressure[rows], scheduled=scheduled)

@@ -1,5 +1,6 @@
 """A finished run is rebuilt from its folder, computed again in part, and written in a format."""
 
+import json
 import os
 from collections.abc import Mapping
 from contextlib import suppress
@@ -13,6 +14,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
+from unbend.atmosphere.series.profile_series import ProfileSeries
 from unbend.batch import remote, store
 from unbend.batch.finished_run import messages
 from unbend.batch.finished_run.read_back import air_of, mission_of, stations_of
@@ -28,6 +30,7 @@ from unbend.messages import Ledger
 from unbend.refraction.image import correct_observations
 from unbend.refraction.ray import rays_by
 from unbend.stages import exposure_setup
+from unbend.stages.light import air_by_camera
 from unbend.tables.exports import ExportCamera, FinishedRun, find_format
 from unbend.tables.manifest.whole import Manifest
 from unbend.tables.refraction_mark import SIDECAR, sidecar_text
@@ -148,7 +151,9 @@ def rebuild_run(
         raise messages.no_corrections(path=str(path / MANIFEST))
     table = pq.read_table(path / "stations.parquet")
     stations = stations_of(table)
-    air = air_of(pq.read_table(path / "profile.parquet"), table["profile_id"])
+    common_air = air_of(pq.read_table(path / "profile.parquet"), table["profile_id"])
+    air = air_by_camera(common_air, stations.camera, mission.wavelengths_m)
+    wavelengths = json.dumps(lights_of(mission, common_air))
     method = mission.refraction.method
     outputs = sorted(item.name for item in manifest.run.outputs)
     already_reported = Ledger()  # the run has made these notes, and its manifest has them
@@ -167,11 +172,22 @@ def rebuild_run(
             "unbend.mission": mission.mission.name,
             "unbend.fingerprint": manifest.run.fingerprint,
             "unbend.pixel_origin": mission.observations.pixel_origin,
+            "unbend.wavelength_m": wavelengths,
         },
         database=partial(database_of, mission, manifest, path),
     )
     check_reproduced(run, path)
     return run
+
+
+def lights_of(mission: Mission, air: ProfileSeries) -> dict[str, float]:
+    """The wavelength in vacuum [m] of the refraction of each camera."""
+    common_m = air.index.light_m
+    lights = {}
+    for name in mission.cameras:
+        own_m = mission.wavelengths_m.get(name)
+        lights[name] = common_m if own_m is None else own_m
+    return lights
 
 
 def cameras_of(mission: Mission) -> dict[str, ExportCamera]:

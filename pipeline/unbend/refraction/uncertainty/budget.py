@@ -60,8 +60,9 @@ _BORDER = 9  # points along each side of an image
 class WindowRays:
     """Rays (n,) at cameras of heights ``h_c`` [m] and their nadir angles ``zeta_c`` [rad].
 
-    ``kind`` (n,) is that of the window, `OPEN`, `SEALED` or `SCHEDULED`; ``towards``, ``across``
-    how far a ray turns to the nadir and square to that per unit of dN_c - dN_cc (`window_turn`).
+    ``kind`` (n,) is that of the window, `OPEN`, `SEALED`, `SCHEDULED` or `FOLLOWING`; ``towards``,
+    ``across`` how far a ray turns to the nadir and square to that per unit of dN_c - dN_cc
+    (`window_turn`).
     """
 
     h_c: Array
@@ -216,7 +217,8 @@ def uncertainty_of(
     exposures, stations : of s exposures.
     cameras : each with the mask (s,) of its exposures.
     ground_heights_m : lowest and highest ground, above sea level [m].
-    window_kinds : (s,) `OPEN`, `SEALED` or `SCHEDULED`; by default no window is in the way.
+    window_kinds : (s,) `OPEN`, `SEALED`, `SCHEDULED` or `FOLLOWING`; by default no window is
+        in the way.
     typical_ground_m : of the rays that the leading mode is found from; by default the middle of
         the ground below the cameras.
 
@@ -327,4 +329,6 @@ def _station_columns(
         response = sigmas.cabin_response(profile, h[rows], kind)
         table[rows, WINDOW_KIND] = number
         table[rows, WINDOW_GRADIENT] = table[rows, RELATIVE_GRADIENT] - thinner[rows] * response
+        if kind == sigmas.FOLLOWING:  # the difference of the two airs is that at any height
+            table[rows, WINDOW_GRADIENT] = 0.0
     return table

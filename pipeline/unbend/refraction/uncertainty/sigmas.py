@@ -44,6 +44,7 @@ from unbend.units import Array, Integers, Rows
 OPEN = 0  # none that bends
 SEALED = 1  # plane, with air behind it that does not depend on that outside
 SCHEDULED = 2  # with Gyer's schedule where the cabin is as thin as the air outside
+FOLLOWING = 3  # an opening: the air differs from that outside by what does not depend on it
 
 # Heights at which gradients are kept, linear between them: 4e-4 of R over a way of 10 m.
 _STEP_M = 12.5
@@ -87,7 +88,7 @@ def air_sigma(
     """Tabulate sigma of R, and what the leading mode does, for the cameras and ground of a block.
 
     ``covariance`` is None where it is not known, ``mode`` its leading mode. Heights are the lowest
-    and the highest above sea level [m], ``window_kinds`` those of `SEALED` and `SCHEDULED` that are
+    and the highest above sea level [m], ``window_kinds`` those but for `OPEN` that are
     there, ``radius`` that of the sphere [m]. Nothing is seen beyond the nadir angle
     ``largest_zeta_rad``; beyond 1.7 degrees above level at the ground the tables end anyway.
 
@@ -215,7 +216,12 @@ def window_errors(profile: Profile, root: CovarianceRoot, h: Array, kind: int) -
 
 
 def _cabin_errors(profile: Profile, root: CovarianceRoot, h: Array, kind: int) -> Array:
-    """(n, r) what the errors of the air do to the cabin's N."""
+    """(n, r) what the errors of the air do to the cabin's N.
+
+    To that of an opening what they do outside, but for some percent by which it is thinner.
+    """
+    if kind == FOLLOWING:
+        return np.asarray(air_jacobian(profile, h, root.anchor_m) @ root.matrix)
     response = cabin_response(profile, h, kind)[:, None]
     by_t = log_pressure_jacobian(profile, h, root.anchor_m)
     edges = by_t.shape[1]

@@ -103,7 +103,7 @@ class TieEvidence:
         given_m = rays.height_m
         if given_m is None or np.isnan(given_m).all():
             given_m = np.full(rays.image.size, self.mission.ground.constant_m, np.float64)
-        behind_pane = [bool(name and sections[name].window) for name in stations.camera]
+        behind_pane = [bool(name and sections[name].pane) for name in stations.camera]
         pane_rad = PANE_RAD * np.array(behind_pane, np.bool_)
         return replace(
             rays,

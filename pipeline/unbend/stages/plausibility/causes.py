@@ -107,8 +107,9 @@ def cause_of_outside(facts: Facts, outside: Mask) -> str:
                 f"outside {camera.width_px} x {camera.height_px} px ({size}; observations.columns)"
             )
         if is_blocked.any():
+            section = facts.mission.windows[name].section
             causes.append(
-                f"their rays do not pass the window of {name} (cameras.{name}.window.normal)"
+                f"their rays do not pass the {section} of {name} (cameras.{name}.{section}.normal)"
             )
         if is_displaced.any():
             causes.append(

@@ -366,7 +366,8 @@ def windows(facts: Facts) -> Findings:
             continue
         tilt = math.degrees(math.acos(window.normal[2]))
         if tilt > MOST_WINDOW_TILT_DEG:
-            yield messages.window_leans(where=f"cameras.{name}.window.frame", name=name, tilt=tilt)
+            where = f"cameras.{name}.{window.section}.frame"
+            yield messages.window_leans(where=where, name=name, tilt=tilt)
 
 
 def slant_ranges(facts: Facts) -> Findings:

@@ -100,14 +100,19 @@ def radial_columns(table: RadialTable) -> dict[str, object]:
         "dr_px": table.dr_px,
         "k_urad": np.full(n, table.k_rad / MICRORADIAN),
         "k_manual_urad": np.full(n, table.k_manual_rad / MICRORADIAN),
+        "wavelength_m": np.full(n, table.wavelength_m),
         "status": np.array(STATUS_NAMES, dtype=object)[table.status],
     }
 
 
 def radial_tables(run: FinishedRun, _: Values, ledger: Ledger) -> Tables:
     """A table for each camera and each height above ground that its images share, lowest first."""
-    if len(run.rays) > 1:
-        ledger.add(messages.air_changes(where="profile.parquet", count=len(run.rays)))
+    most_airs = 0
+    for name in run.cameras:
+        airs = np.unique(run.air.profile_number[run.rows_of(name)])
+        most_airs = max(most_airs, airs.size)
+    if most_airs > 1:
+        ledger.add(messages.air_changes(where="profile.parquet", count=most_airs))
     for name, camera in run.cameras.items():
         if camera.has_window:
             ledger.add(messages.window_not_held(where=f"cameras.{name}.window", name=name))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from unbend.messages import MessageRecord
@@ -318,6 +318,27 @@ class CabinParameter:
 
 
 @dataclass(frozen=True)
+class CameraAirRecord:
+    """The light of a camera, and what the air before and in its lens does.
+
+    ``before_lens`` is outside, window or opening; ``kelvin_share`` the part of R at 45 degrees that
+    1 K there is. ``lens_ppm`` is the change of the principal distance by the air in the lens, with
+    its standard deviation where it is that of a typical lens; ``lens_height_m`` and
+    ``lens_edge_px`` are its size in heights, and at the corners of the image.
+    """
+
+    before_lens: str
+    kelvin_share: float | None
+    wavelength_m: float
+    lens_removed: bool
+    lens_ppm: float
+    lens_sigma_ppm: float | None
+    lens_height_m: float | None
+    lens_edge_px: float
+    calibrated_in_flight: bool
+
+
+@dataclass(frozen=True)
 class ControlPoint:
     """A control point: intersected minus given place, east, north, up [m]."""
 
@@ -364,6 +385,7 @@ class ResultsRecord:
     control: ControlRecord | None
     ledger: list[MessageRecord]
     exit_code: int
+    air_at_cameras: Mapping[str, CameraAirRecord] = field(default_factory=dict)
 
     def row(self) -> dict[str, Any]:
         """The record as plain values."""

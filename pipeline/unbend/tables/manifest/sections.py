@@ -34,6 +34,7 @@ class CameraKeys:
 
     principal_distance: Mapping[str, Any] | None
     window: WindowKeys | None
+    opening: Mapping[str, Any] | None = None
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,191 @@
+"""The air before and in the lens of each camera, and how large its effects are.
+
+Air before the lens that is warmer than outside bends rays as a window does; air in the lens that is
+not that of the calibration changes the principal distance.
+"""
+
+import math
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from unbend.atmosphere import Profile
+from unbend.atmosphere.series.profile_series import ProfileSeries
+from unbend.config import Mission
+from unbend.flight.stations import Stations
+from unbend.messages import Ledger
+from unbend.refraction.camera.camera import Camera
+from unbend.refraction.effect import Effect
+from unbend.refraction.lens_air import (
+    CHANGE_PER_INDEX,
+    SIGMA_PER_INDEX,
+    AnyLens,
+    TypicalLens,
+    lens_change,
+)
+from unbend.refraction.window import Window
+from unbend.stages import messages
+from unbend.stages.light import index_of_rows
+from unbend.tables.manifest.results import CameraAirRecord, FlownCamera
+from unbend.units import Array, Mask
+
+PPM = 1e-6
+COMPARED_AT_DEG = 45.0  # nadir angle of the R that 1 K at the camera is a part of
+
+
+class Air(NamedTuple):
+    """Air at each exposure, (s,): pressure [Pa], temperature [K], vapour pressure [Pa]."""
+
+    pressure_pa: Array
+    temperature_k: Array
+    vapour_pressure_pa: Array
+
+
+def air_at_camera(
+    stations: Stations,
+    profile: Profile | ProfileSeries,
+    window: Window | None,
+    lens: AnyLens | None,
+    rows: Mask,
+) -> Air:
+    """The air about the lens of a camera at some exposures (a mask): of its cabin, or outside.
+
+    The air of the cabin is known, and used, only where `with_cabin_air` fills it in: for a camera
+    with a lens in air or behind a plane window.
+    """
+    has_plane_window = window is not None and window.shape == "plane"
+    has_cabin = window is not None and window.cabin is not None
+    if has_cabin and (lens is not None or has_plane_window):
+        return Air(
+            stations.cabin_pressure_pa[rows],
+            stations.cabin_temperature_k[rows],
+            stations.cabin_vapour_pressure_pa[rows],
+        )
+    h = stations.h_msl_m
+    return Air(
+        profile.pressure(h)[rows], profile.temperature(h)[rows], profile.vapour_pressure(h)[rows]
+    )
+
+
+def lens_change_ppm(
+    name: str, mission: Mission, stations: Stations, air: Profile | ProfileSeries
+) -> float:
+    """The median change [ppm] of a camera's principal distance by the air in its lens.
+
+    Where the mission file does not state the lens, it is that of a typical one since a calibration
+    in a laboratory. NaN without usable exposures.
+    """
+    rows = (stations.camera == name) & stations.ok
+    if not bool(rows.any()):
+        return math.nan
+    stated = mission.lenses.get(name)
+    lens = stated or TypicalLens(1.0)
+    in_lens = air_at_camera(stations, air, mission.windows.get(name), stated, rows)
+    change = lens_change(lens, in_lens.pressure_pa, in_lens.temperature_k, index_of_rows(air, rows))
+    change = change[np.isfinite(change)] / lens.principal_distance_px
+    return float(np.median(change)) / PPM if change.size else math.nan
+
+
+def report_lenses(
+    mission: Mission, stations: Stations, air: Profile | ProfileSeries, ledger: Ledger
+) -> None:
+    """Note how lenses are corrected that nobody measured, and which are not, with the size."""
+    for name, lens in mission.lenses.items():
+        if isinstance(lens, TypicalLens):
+            ledger.add(
+                messages.lens_typical(
+                    where=f"cameras.{name}.principal_distance",
+                    name=name,
+                    rate=CHANGE_PER_INDEX,
+                    sigma=SIGMA_PER_INDEX,
+                )
+            )
+    uncorrected = {}
+    for name in mission.cameras:
+        if name not in mission.lenses:
+            uncorrected[name] = lens_change_ppm(name, mission, stations, air)
+    if not uncorrected:
+        return
+    where = "cameras.<name>.principal_distance"
+    names = ", ".join(uncorrected)
+    known_ppm = [abs(change) for change in uncorrected.values() if math.isfinite(change)]
+    if not known_ppm:
+        ledger.add(messages.lens_not_removed(where=where, count=len(uncorrected), names=names))
+        return
+    ledger.add(
+        messages.lens_left_in(
+            where=where,
+            count=len(uncorrected),
+            names=names,
+            ppm=max(known_ppm),
+            sigma_ppm=relative_sigma() * max(known_ppm),
+        )
+    )
+
+
+def relative_sigma() -> float:
+    """The standard deviation of the change of a typical lens, as a part of it."""
+    return SIGMA_PER_INDEX / CHANGE_PER_INDEX
+
+
+def camera_air_records(
+    mission: Mission,
+    stations: Stations,
+    air: ProfileSeries,
+    *,
+    cameras: Mapping[str, Camera],
+    flown: Mapping[str, FlownCamera],
+    effects: tuple[Effect, ...],
+) -> dict[str, CameraAirRecord]:
+    """How large the effects of the air before and in the lens of each camera are.
+
+    ``flown`` are the cameras with their heights above ground, ``effects`` R for the whole flight.
+    """
+    records = {}
+    for name, camera in cameras.items():
+        rows = (stations.camera == name) & stations.ok
+        ppm = lens_change_ppm(name, mission, stations, air)
+        if not math.isfinite(ppm):
+            continue
+        heights = flown[name].height_above_ground_m
+        window = mission.windows.get(name)
+        lens = mission.lenses.get(name)
+        is_measured = lens is not None and not isinstance(lens, TypicalLens)
+        records[name] = CameraAirRecord(
+            before_lens="outside" if window is None else window.section,
+            kelvin_share=kelvin_share(air, stations, rows, effects),
+            wavelength_m=index_of_rows(air, rows).light_m,
+            lens_removed=lens is not None,
+            lens_ppm=round(ppm, 1),
+            lens_sigma_ppm=None if is_measured else round(relative_sigma() * abs(ppm), 1),
+            lens_height_m=None if heights is None else round(abs(ppm) * PPM * heights[1], 3),
+            lens_edge_px=round(abs(ppm) * PPM * farthest_px(camera), 3),
+            calibrated_in_flight=mission.cameras[name].calibration != "laboratory",
+        )
+    return records
+
+
+def farthest_px(camera: Camera) -> float:
+    """How far the farthest corner of an image is from its principal point [px]."""
+    x = max(camera.cx_px, camera.width_px - camera.cx_px)
+    y = max(camera.cy_px, camera.height_px - camera.cy_px)
+    return math.hypot(x, y)
+
+
+def kelvin_share(
+    air: ProfileSeries, stations: Stations, rows: Mask, effects: tuple[Effect, ...]
+) -> float | None:
+    """What 1 K of warmth before the lens changes, as a part of R at 45 degrees.
+
+    dn = (n - 1) / T turns a ray by dn tan(45 deg). None where no ray looks down.
+    """
+    r_c = [effect.r_c_rad for effect in effects if effect.nadir_deg == COMPARED_AT_DEG]
+    if not r_c or not r_c[0] > 0.0:
+        return None
+    h = stations.h_msl_m
+    by_kelvin = (air.refractivity(h) / air.temperature(h))[rows]
+    by_kelvin = by_kelvin[np.isfinite(by_kelvin)]
+    if not by_kelvin.size:
+        return None
+    return float(f"{np.median(by_kelvin) / r_c[0]:.3g}")
