@@ -24,7 +24,8 @@ from unbend.ingest.channel_builder import (
 )
 from unbend.ingest.field_maps import CAPTURE_UTC_FIELD, PX4_TOPICS, UTC_FIELD, MessageMap, extract
 from unbend.ingest.flight_log import Contents, LogFormat
-from unbend.ingest.message_tables import Table
+from unbend.ingest.limits import SeriesLimit
+from unbend.ingest.message_tables import Table, rows_by_value
 from unbend.ingest.timelines import microseconds, nanoseconds, timeline
 from unbend.ingest.ulog import messages
 from unbend.ingest.ulog.ulog_messages import (
@@ -62,9 +63,13 @@ def read_log(path: Path, ledger: Ledger, witnesses: Sequence[Witness] = ()) -> C
     fit = clock.fits[0]
     offset_ns = 0 if fit is None else fit.offset_ns
     channels = []
+    limit = SeriesLimit()
     for topic, rows_of_topic in log.rows.items():
         for source, rows in _rows_by_instance(sources[topic], rows_of_topic):
+            if not limit.admits(len(rows)):
+                continue
             channels += _channels_of_topic(topic, rows, source, offset_ns, ledger)
+    limit.report(ledger, path.name)
     texts = _texts_channel(log.texts, offset_ns, ledger)
     if texts is not None:
         channels.append(texts)
@@ -118,22 +123,20 @@ def _sources(rows_of_topic: TopicRows) -> dict[UlogTopic, Source]:
     return sources
 
 
-def _rows_by_instance(
-    source: Source, rows: NDArray[Any]
-) -> Iterator[tuple[Source, NDArray[Any]]]:
+def _rows_by_instance(source: Source, rows: NDArray[Any]) -> Iterator[tuple[Source, NDArray[Any]]]:
     """The rows of a topic by the instances that its field of ids tells apart, with their sources.
 
     A topic without such a field, or with one id in all rows, is one source.
     """
     spec = PX4_TOPICS.get(source.message)  # None in a table of a topic that is no channel
     id_field = "" if spec is None else spec.id_field
-    ids = np.unique(rows[id_field]).tolist() if id_field in _names(rows) else []
-    if len(ids) <= 1:
+    rows_of_id = list(rows_by_value(rows[id_field])) if id_field in _names(rows) else []
+    if len(rows_of_id) <= 1:
         yield source, rows
         return
-    for value in ids:
+    for value, of_id in rows_of_id:
         instance = str(value) if source.instance is None else f"{source.instance}.{value}"
-        yield replace(source, instance=instance), rows[rows[id_field] == value]
+        yield replace(source, instance=instance), rows[of_id]
 
 
 def _channel_name(source: Source) -> str:
